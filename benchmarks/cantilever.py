@@ -130,7 +130,7 @@ def theory(item: Specimen, nu: float, width: float) -> np.ndarray:
 
 def gendom(item: Specimen, edges: int, option: str, worlds: int) -> Prepared:
     from gendom.materials import Material
-    from gendom.sim import Gripper, Simulator, cloth, rope
+    from gendom.sim import Gripper, Physics, Simulator, Solver, cloth, rope
 
     dtype, soft = (*option.split(), "1")[:2]
     softness = float(soft)
@@ -152,9 +152,12 @@ def gendom(item: Specimen, edges: int, option: str, worlds: int) -> Prepared:
         membrane=item.E / softness if softness > 1.0 else None,
     )  # fmt: skip
     simulator = Simulator(
-        body, [material] * worlds, engine="thin", grippers=[hand], air_density=0.0, dtype=dtype,
-        gravity=(0.0, 0.0, -item.gravity), threads=min(worlds, CORES),
-    )  # fmt: skip
+        body,
+        [material] * worlds,
+        grippers=[hand],
+        physics=Physics(air_density=0.0, gravity=(0.0, 0.0, -item.gravity)),
+        solver=Solver(engine="thin", dtype=dtype, threads=min(worlds, CORES)),
+    )
     simulator.run([1e-6])
     end = np.flatnonzero(body.points[:, 0] > body.points[:, 0].max() - 1e-9)
     tip = end[len(end) // 2]

@@ -15,7 +15,7 @@ from matplotlib.animation import FuncAnimation, PillowWriter
 from numpy.typing import NDArray
 
 from gendom.materials import Material
-from gendom.sim import Gripper, Simulator, Table, cloth, rope
+from gendom.sim import Gripper, Physics, Simulator, Table, cloth, rope
 
 FABRIC = Material(E=4.0e5, nu=0.3, density=400.0, damping=0.01)
 SIZE = 0.3
@@ -43,16 +43,18 @@ def crumpled() -> tuple[NDArray[np.floating], tuple[int, ...]]:
     hand = Gripper(
         time=[0.0, 0.6, 1.2], position=[top, top, top * [1, 1, 0.12]], radius=0.012, hold_until=1.25
     )
-    shared: dict[str, Any] = {"table": Table(height=0.0, friction=0.4), "self_contact": True}
+    table, physics = Table(height=0.0, friction=0.4), Physics(self_contact=True)
     times = np.arange(1, 2.0 * FRAMES_A_SECOND) / FRAMES_A_SECOND
-    heap = Simulator(body, [FABRIC], grippers=[hand], **shared).run(times)[:, 0]
+    heap = Simulator(body, [FABRIC], grippers=[hand], table=table, physics=physics).run(times)[:, 0]
     corners = heap[-1][[0, -1]]
     up, apart = np.array([0.0, 0.0, 0.35]), 0.48 * SIZE * np.array([[-1, -1, 0], [1, 1, 0]])
     hands = [
         Gripper(time=[0.0, 1.0, 2.0], position=[at, at + up, to + up], radius=0.0004)
         for at, to in zip(corners, apart, strict=True)
     ]
-    pulled = Simulator(body, [FABRIC], grippers=hands, positions=heap[-1], **shared)
+    pulled = Simulator(
+        body, [FABRIC], grippers=hands, positions=heap[-1], table=table, physics=physics
+    )
     times = np.arange(1, 2.5 * FRAMES_A_SECOND) / FRAMES_A_SECOND
     return np.concatenate([heap, pulled.run(times)[:, 0]]), body.shape
 
@@ -63,7 +65,9 @@ def coiled() -> NDArray[np.floating]:
         diameter=0.008, length=0.5, start=(0, 0, 0.52), direction=(0.02, 0.01, -1), points=81
     )
     soft = Material(E=1.5e5, nu=0.3, density=1000.0, damping=0.01)
-    s = Simulator(body, [soft], table=Table(height=0.0, friction=0.5), self_contact=True)
+    s = Simulator(
+        body, [soft], table=Table(height=0.0, friction=0.5), physics=Physics(self_contact=True)
+    )
     turn = 12.0 * body.points[:, 2]
     s.set_velocities(0.03 * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1))
     return s.run(np.arange(1, 1.6 * FRAMES_A_SECOND) / FRAMES_A_SECOND)[:, 0]

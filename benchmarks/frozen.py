@@ -24,6 +24,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -221,6 +222,13 @@ def scene(kind: str) -> tuple[Any, Figures]:
     return body, given
 
 
+def grouped(*, self_contact: bool = False, **solver: Any) -> Figures:
+    """A simulator's settings as it takes them."""
+    from gendom.sim import Physics, Solver
+
+    return {"physics": Physics(self_contact=self_contact), "solver": Solver(**solver)}
+
+
 def gradients(kind: str, **settings: Any) -> Figures:
     """A sum of weighted positions, and its derivatives by all that the scene depends on."""
     import torch
@@ -241,7 +249,12 @@ def gradients(kind: str, **settings: Any) -> Figures:
     below = values["positions"][:, 2].min() - 0.0065
     table = Table(height=float(below), friction=0.3)
     times = [0.01, 0.02, 0.03] if kind == "particles" else [0.01, 0.03, 0.05, 0.06]
-    x = simulate(body, times, grippers=[hand], table=table, options=settings, **given)
+    own: Any
+    try:
+        own = grouped(**settings)
+    except ImportError:  # 0.1.0
+        own = {"options": settings}
+    x = simulate(body, times, grippers=[hand], table=table, **own, **given)
     weights = torch.tensor(np.random.default_rng(SEED + 1).normal(size=tuple(x.shape)))
     loss = (x * weights).sum()
     loss.backward()
@@ -266,10 +279,11 @@ def rollouts(kind: str, engine: str, count: int) -> None:
     first = body.points[0]
     path = first + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]])
     hand = Gripper(time=[0.0, 1.0], position=path, radius=0.0075)
+    own: Figures = {"engine": engine, "threads": 1}
+    with suppress(ImportError):  # 0.1.0
+        own = grouped(**own)
     for _ in range(count):
-        simulator = Simulator(
-            body, [material], engine=engine, grippers=[hand], table=Table(height=0.0), threads=1
-        )
+        simulator = Simulator(body, [material], grippers=[hand], table=Table(height=0.0), **own)
         simulator.run(np.linspace(0.1, 1.0, 10))
 
 

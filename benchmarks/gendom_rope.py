@@ -10,7 +10,7 @@ from scene import Scene
 from worker import serve
 
 from gendom.materials import Material
-from gendom.sim import Body, Gripper, Rollout, Simulator, rope
+from gendom.sim import Body, Gripper, Physics, Rollout, Simulator, Solver, rope
 
 CELLS_ACROSS, CELLS_LONG = 2.0, 42.0
 
@@ -85,12 +85,9 @@ class GendomRope:
         return Simulator(
             self.body,
             [Material(E=E, nu=s.nu, density=s.density)],
-            engine="mpm",
             grippers=[gripper],
-            gravity=s.gravity,
-            substep=s.substep,
-            dtype=self.dtype,
-            threads=self.threads,
+            physics=Physics(gravity=s.gravity),
+            solver=Solver(engine="mpm", substep=s.substep, dtype=self.dtype, threads=self.threads),
         )
 
     def reset(self) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from gendom.materials import Material
 from gendom.robot import TcpPaths
-from gendom.sim import Rollout, Simulator
+from gendom.sim import Rollout, Simulator, Solver
 from gendom.sim.rollout import MEMORY
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation, grippers
@@ -61,10 +61,8 @@ def simulator(dtype: str) -> Simulator:
     return Simulator(
         body,
         [material],
-        engine="mpm",
         grippers=grippers(task.scene(task.item), TcpPaths([path]), 0.0),
-        dtype=dtype,
-        threads=1,
+        solver=Solver(engine="mpm", dtype=dtype, threads=1),
     )
 
 

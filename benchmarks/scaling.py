@@ -17,7 +17,7 @@ import warp as wp
 
 from gendom.materials import Material
 from gendom.robot import TcpPaths
-from gendom.sim import Body, Simulator, Table, cloth
+from gendom.sim import Body, Simulator, Solver, Table, cloth
 from gendom.sim.mpm.runner import MOST_PARTICLES
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation, grippers
@@ -64,7 +64,9 @@ def by_particles(device: str, most: int, substeps: int) -> list[dict[str, Any]]:
         body = block(round(10.0**exponent))
         before = memory(wp.get_device(device))
         table = Table(height=0.0)
-        simulator = Simulator(body, [MATERIAL], engine="mpm", table=table, device=device, threads=1)
+        simulator = Simulator(
+            body, [MATERIAL], table=table, solver=Solver(engine="mpm", device=device, threads=1)
+        )
         rows.append(measure(simulator, substeps, before))
         del simulator
     return rows
@@ -83,9 +85,8 @@ def by_worlds(device: str, most: int, substeps: int) -> list[dict[str, Any]]:
         simulator = Simulator(
             body,
             [MATERIAL] * int(worlds),
-            engine="mpm",
             grippers=hands,
-            device=device,
+            solver=Solver(engine="mpm", device=device),
         )
         rows.append(measure(simulator, substeps, before))
         del simulator

@@ -20,7 +20,7 @@ from gendom.reality import find_object
 from gendom.reality.model import softened
 from gendom.reality.objects import RealCloth
 from gendom.reality.trials import Performance, Trial, lift
-from gendom.sim import Gripper, Simulator, Table, cloth
+from gendom.sim import Gripper, Physics, Simulator, Table, cloth
 
 RATE = 30.0
 """Frames a second."""
@@ -54,9 +54,12 @@ def ours(trial: Trial, times: np.ndarray, points: int, contact: bool) -> np.ndar
         E=m.E, nu=m.nu, density=m.density, damping=m.damping, membrane=softened(item) * m.E
     )
     simulator = Simulator(
-        body, [soft], grippers=[hand], table=Table(height=0.0, friction=item.friction),
-        air_density=AIR_DENSITY, self_contact=contact,
-    )  # fmt: skip
+        body,
+        [soft],
+        grippers=[hand],
+        table=Table(height=0.0, friction=item.friction),
+        physics=Physics(air_density=AIR_DENSITY, self_contact=contact),
+    )
     x = simulator.run(times)[:, 0].reshape(len(times), points, points, 3)
     ticks = np.linspace(0.0, 1.0, points)
     places = item.sheet[0][:, ::-1] / item.side

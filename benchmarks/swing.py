@@ -11,7 +11,7 @@ import argparse
 import numpy as np
 
 from gendom.materials import Material
-from gendom.sim import Gripper, Simulator, cloth
+from gendom.sim import Gripper, Physics, Simulator, Solver, cloth
 from gendom.sim.thin.shells import Shells
 from validation.readings import bending_energy, membrane_energy
 
@@ -24,11 +24,9 @@ def gained(cfl: float, damping: float, time: float) -> float:
     sheet = Simulator(
         cloth(width=0.2, height=0.1, thickness=0.002, dx=0.02, points=(15, 8)),
         [Material(E=1.0e5, density=500.0, damping=damping)],
-        engine="thin",
-        gravity=PULL,
-        air_density=0.0,
         grippers=[Gripper.still((-100.0, 0.0, 0.0), radius=100.01)],
-        cfl=cfl,
+        physics=Physics(gravity=PULL, air_density=0.0),
+        solver=Solver(engine="thin", cfl=cfl),
     )
     assert isinstance(sheet.engine, Shells)
     mass = sheet.engine.mass[0]

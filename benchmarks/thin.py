@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.materials import Material
 from gendom.materials.unknowns import UNKNOWNS
-from gendom.sim import Body, Gripper, Rollout, Simulator, Table, cloth, rope
+from gendom.sim import Body, Gripper, Physics, Rollout, Simulator, Solver, Table, cloth, rope
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation
 
@@ -136,14 +136,11 @@ class Lift:
         return Simulator(
             self.body,
             [self._material(of) for of in worlds],
-            engine="thin",
             grippers=[[self._hand(of)] for of in worlds],
             table=Table(height=0.0, friction=[of["friction"] for of in worlds]),
             stiffness=np.exp(slope * np.linspace(-0.5, 0.5, len(self.body.points))),
             positions=np.stack([self._laid(of) for of in worlds]),
-            device=given.device,
-            dtype=given.dtype,
-            threads=threads,
+            solver=Solver(engine="thin", device=given.device, dtype=given.dtype, threads=threads),
         )
 
     def _material(self, of: dict[str, float]) -> Material:
@@ -191,10 +188,13 @@ def rope_gradient(given: argparse.Namespace) -> tuple[float, str]:
     def lift() -> None:
         rollout = Rollout(
             Simulator(
-                body, [ROPE], engine="thin", grippers=[hand], table=Table(height=0.0),
-                device=given.device, dtype=given.dtype, threads=1,
+                body,
+                [ROPE],
+                grippers=[hand],
+                table=Table(height=0.0),
+                solver=Solver(engine="thin", device=given.device, dtype=given.dtype, threads=1),
             )
-        )  # fmt: skip
+        )
         rollout.backward(np.ones_like(rollout.forward(np.linspace(0.1, 2.5, 25))))
 
     return timed(given, lift), "a rope's lift of 2.5 s and its reverse, one core"
@@ -224,9 +224,15 @@ def spreading(given: argparse.Namespace) -> tuple[float, str]:
 
     def spread() -> None:
         Simulator(
-            body, materials, engine="thin", grippers=[hand], table=Table(height=0.0),
-            self_contact=True, device=given.device, dtype=given.dtype, threads=given.threads,
-        ).run([2.6], keep_going=True)  # fmt: skip
+            body,
+            materials,
+            grippers=[hand],
+            table=Table(height=0.0),
+            physics=Physics(self_contact=True),
+            solver=Solver(
+                engine="thin", device=given.device, dtype=given.dtype, threads=given.threads
+            ),
+        ).run([2.6], keep_going=True)
 
     seconds = timed(given, spread)
     return seconds, (

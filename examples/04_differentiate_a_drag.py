@@ -34,7 +34,6 @@ def free_end(end: torch.Tensor) -> torch.Tensor:
         density=800.0,
         damping=0.004,
         friction=0.4,
-        options={"engine": "thin"},
     )
     return x[-1, 0, -1, :2]  # the last time, the only world, the last point
 

@@ -14,8 +14,7 @@ import tyro
 
 from gendom import Policy, RopeCasting
 from gendom.datasets import generate
-from gendom.policies import Demonstrations, Training, train
-from gendom.policies.evaluation import draw_cases, score
+from gendom.policies import Demonstrations, Training, draw_cases, score, train
 from gendom.tasks import Demonstrator
 
 

@@ -7,7 +7,7 @@ import pytest
 from gendom.datasets import ObjectDescription, Recording
 from gendom.materials import Material
 from gendom.policies import Policy
-from gendom.sim import Simulator, rope
+from gendom.sim import Simulator, Solver, rope
 
 RECORDING = Recording.from_frames(
     [[[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]],
@@ -18,14 +18,17 @@ RECORDING = Recording.from_frames(
 
 
 def simulator():
-    return Simulator(rope(length=0.3, diameter=0.01), [Material()], threads=1)
+    return Simulator(rope(length=0.3, diameter=0.01), [Material()], solver=Solver(threads=1))
 
 
 @pytest.mark.parametrize(
     ("made", "says"),
     [
         (lambda: RECORDING, ["(rope, 2 frames)", "length 0.3 m", "mass 0.02 kg", "1 to 2 a frame"]),
-        (lambda: Policy.pretrained("rope-casting"), ["(rope-casting, distal)", "E, nu", ".onnx"]),
+        (
+            lambda: Policy.pretrained("rope-casting"),
+            ["(rope-casting, distal)", "bending_ratio, nu"],
+        ),
         (simulator, ["(rope, 1 world)", "float64", "points"]),
     ],
 )

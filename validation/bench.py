@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.arguments import check_choice
 from gendom.errors import SimulationError
 from gendom.materials import Material
-from gendom.sim import Body, Simulator
+from gendom.sim import Body, Physics, Simulator, Solver
 
 WEIGHTLESS = (0.0, 0.0, 0.0)
 
@@ -35,14 +35,23 @@ class Bench:
     """Worlds side by side on the CPU (default: all cores)."""
 
     def simulate(self, body: Body, materials: Sequence[Material], **options: Any) -> Simulator:
-        """A simulator, in vacuum unless told otherwise; ``options`` are those of ``Simulator``.
+        """A simulator, in vacuum unless told otherwise.
+
+        Args:
+            body, materials: As of ``Simulator``.
+            options: Those of ``Simulator``, ``Physics`` and ``Solver``.
 
         Raises:
             ParameterError, DeviceError: As ``Simulator``.
         """
         given: dict[str, Any] = {"engine": self.engine, "device": self.device, "dtype": self.dtype}
-        given |= {"threads": self.threads, "air_density": 0.0}
-        return Simulator(body, materials, **(given | options))
+        given |= {"threads": self.threads, "air_density": 0.0, **options}
+
+        def taken(kind: type) -> dict[str, Any]:
+            return {f.name: given.pop(f.name) for f in fields(kind) if f.name in given}
+
+        physics, solver = Physics(**taken(Physics)), Solver(**taken(Solver))
+        return Simulator(body, materials, physics=physics, solver=solver, **given)
 
     def settle(
         self, body: Body, materials: Sequence[Material], omega: ArrayLike,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.sim import Gripper, Table, cloth, rope
+from gendom.sim import Gripper, Physics, Solver, Table, cloth, rope
 
 torch = pytest.importorskip("torch", reason="needs the extra train")
 
@@ -18,7 +18,8 @@ def setup():
     gripper = Gripper(
         time=[0.0, 0.03], position=[[0.0001, 0, 0.0076], [0.0101, 0, 0.0301]], radius=0.006
     )
-    return body, {"grippers": [gripper], "table": Table(height=0.0), "options": {"substep": 2e-4}}
+    solver = Solver(engine="mpm", substep=2e-4)
+    return body, {"grippers": [gripper], "table": Table(height=0.0), "solver": solver}
 
 
 def loss_of(log_E, path, *, worlds=1):
@@ -68,7 +69,7 @@ def test_a_torch_loss_reaches_tensors_through_self_contact():
             self_friction=mu,
             velocities=velocities,
             gravity=torch.zeros(3),
-            options={"engine": "thin", "self_contact": contact},
+            physics=Physics(self_contact=contact),
         )
         return (x[-1, 0, ::5] * torch.arange(21, dtype=torch.float64).reshape(7, 3).sin()).sum()
 
@@ -98,7 +99,7 @@ def test_what_worlds_share_gets_the_sum_of_their_derivatives():
 @pytest.mark.parametrize(("name", "value"), [("damping", 0.004), ("velocity_damping", 3.0)])
 def test_damping_is_differentiated(name, value, engine):
     body, scene = setup()
-    scene["options"] = {"engine": engine}
+    scene["solver"] = Solver(engine=engine)
 
     def height(number):
         x = simulate(body, [0.03], E=2e5, nu=0.3, density=1000.0, **{name: number}, **scene)
@@ -114,7 +115,7 @@ def test_damping_is_differentiated(name, value, engine):
 def test_initial_positions_of_rods_are_differentiated():
     body, scene = setup()
     start = torch.tensor(body.points, dtype=torch.float64, requires_grad=True)
-    scene["options"] = {"engine": "thin"}
+    scene["solver"] = Solver()
     x = simulate(body, [0.03], E=2e5, nu=0.3, density=1000.0, positions=start, **scene)
     x[-1, 0, -1, 0].backward()
     assert start.grad is not None and float(start.grad[-1, 0]) != 0.0
@@ -144,7 +145,7 @@ def test_every_input_of_rods_and_shells_gets_its_derivative(kind):
 
     def loss(values):
         x = simulate(
-            body, [0.015, 0.03], grippers=hands, options={"engine": "thin", "substep": 1e-4},
+            body, [0.015, 0.03], grippers=hands, solver=Solver(substep=1e-4),
             **values,
         )  # fmt: skip
         return (x[:, 0] * torch.arange(6 * n, dtype=torch.float64).reshape(2, n, 3).sin()).sum()

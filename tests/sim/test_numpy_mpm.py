@@ -8,8 +8,9 @@ import pytest
 import warp as wp
 
 from gendom.materials import Material
-from gendom.sim import Gripper, Simulator, Table, cloth, rope
+from gendom.sim import Gripper, Table, cloth, rope
 from gendom.sim.mpm.engine import MpmEngine
+from sim.simulators import flat_simulator
 
 _SPEC = importlib.util.spec_from_file_location(
     "numpy_mpm", Path(__file__).with_name("numpy_mpm.py")
@@ -63,7 +64,7 @@ def test_every_runner_does_what_the_twin_does(device, in_blocks, sheet, damping)
         pytest.skip("no CUDA device on this machine")
     body, scene = settings(sheet, 0.25)
     made = Material(E=2.0e5, nu=0.3, density=900.0, damping=damping)
-    s = Simulator(
+    s = flat_simulator(
         body,
         [made],
         engine="mpm",

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Gripper, Rollout, Simulator, Table, cloth, rope
+from gendom.sim import Gripper, Physics, Rollout, Simulator, Solver, Table, cloth, rope
 from gendom.sim.mpm import tape as mpm_tape
 from gendom.sim.mpm.engine import MpmEngine
 
@@ -68,18 +68,16 @@ def scene(
     simulator = Simulator(
         body,
         [material] * worlds,
-        engine="mpm",
         grippers=[gripper],
         table=Table(height=0.0, friction=0.3 + d["friction"]) if rubs else None,
-        velocity_damping=2.0 + d["velocity_damping"],
-        air_density=30.0 + d["air_density"],
-        gravity=np.array([0.5, 0.2, -9.81]) + d["gravity"],
-        substep=2.0e-4,
         stiffness=1.0 + d["stiffness"],
         positions=body.x + d["positions"],
-        dtype=dtype,
-        device=device,
-        threads=1,
+        physics=Physics(
+            velocity_damping=2.0 + d["velocity_damping"],
+            air_density=30.0 + d["air_density"],
+            gravity=np.array([0.5, 0.2, -9.81]) + d["gravity"],
+        ),
+        solver=Solver(engine="mpm", substep=2.0e-4, dtype=dtype, device=device, threads=1),
     )
     simulator.set_velocities(np.array([0.3, 0.1, 0.0]) + d["velocities"])
     return simulator
@@ -199,9 +197,8 @@ def test_a_path_shorter_than_others_keeps_its_derivatives_at_its_own_knots():
     simulator = Simulator(
         body,
         [Material(E=2e5, nu=0.3, density=1000.0)],
-        engine="mpm",
         grippers=[short, long],
-        dtype="float64",
+        solver=Solver(engine="mpm", dtype="float64"),
     )
     rollout = Rollout(simulator)
     x = rollout.forward([0.02])
@@ -316,12 +313,10 @@ def test_float32_points_where_float64_does_after_a_whole_lift():
         return Simulator(
             body,
             [Material(E=E, nu=nu, density=1000.0)],
-            engine="mpm",
             grippers=[Gripper(time=t, position=path, radius=0.009)],
             table=Table(height=0.0),
-            velocity_damping=4.0,
-            dtype=dtype,
-            threads=1,
+            physics=Physics(velocity_damping=4.0),
+            solver=Solver(engine="mpm", dtype=dtype, threads=1),
         )
 
     seen = lift("float64", 1.3e6, 0.33).run(times)

@@ -6,14 +6,15 @@ import warp as wp
 
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim import Gripper, Simulator, Table, cloth, rope
+from gendom.sim import Gripper, Table, cloth, rope
 from gendom.sim.mpm import runner
+from sim.simulators import flat_simulator
 
 SOFT = Material(E=2.0e4, nu=0.3, density=1000.0)
 
 
 def simulator(body, materials, **options):
-    return Simulator(
+    return flat_simulator(
         body, materials, **{"engine": "mpm", "dtype": "float64", "threads": 1, **options}
     )
 

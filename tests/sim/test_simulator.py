@@ -13,12 +13,14 @@ from gendom.materials import Material
 from gendom.sim import (
     Gripper,
     Simulator,
+    Solver,
     Table,
     cloth,
     list_devices,
     rope,
     stable_substep,
 )
+from sim.simulators import flat_simulator
 
 SOFT = Material(E=2.0e4, nu=0.3, density=1000.0)
 G = 9.81
@@ -33,7 +35,7 @@ def block(size=(0.04, 0.04, 0.04), corner=(0.003, 0.001, 0.022)):
 def simulator(body, materials=(SOFT,), **options):
     """A simulator in float64 on one thread and without air, unless told otherwise."""
     defaults = {"dtype": "float64", "threads": 1, "air_density": 0.0, "engine": "mpm"}
-    return Simulator(body, materials, **{**defaults, **options})
+    return flat_simulator(body, materials, **{**defaults, **options})
 
 
 def lifted_rope(materials=(SOFT,), *, cells=1.5, **options):
@@ -584,10 +586,12 @@ def test_substep_is_a_share_of_the_courant_limit():
     """cfl * dx / sqrt((lam + 2 mu) / density), for every world; a given substep overrides it."""
     stiff = Material(E=9.0e4, nu=0.0, density=900.0)  # 10 m/s
     assert stable_substep(stiff, 0.02, cfl=0.3) == pytest.approx(0.3 * 0.02 / 10.0)
-    s = Simulator(block(), [stiff, SOFT], engine="mpm", cfl=0.2)
+    s = Simulator(block(), [stiff, SOFT], solver=Solver(engine="mpm", cfl=0.2))
     assert s.substep[0] == pytest.approx(0.2 * DX / 10.0)
     assert s.substep[1] == pytest.approx(0.2 * DX / SOFT.wave_speed)
-    assert Simulator(block(), [stiff], engine="mpm", substep=1e-5).substep == pytest.approx([1e-5])
+    assert Simulator(
+        block(), [stiff], solver=Solver(engine="mpm", substep=1e-5)
+    ).substep == pytest.approx([1e-5])
 
 
 def failing(E=1.0e6, substep=1e-3):
@@ -730,9 +734,9 @@ def test_a_list_of_devices():
 def test_substeps_that_are_too_short_are_refused():
     body = rope(diameter=0.02, length=0.1)
     with pytest.raises(ParameterError, match=r"world 1 .*substeps of .* s would be needed"):
-        Simulator(body, [Material(), Material(E=1e14)], engine="mpm")
+        Simulator(body, [Material(), Material(E=1e14)], solver=Solver(engine="mpm"))
     with pytest.raises(ParameterError, match="substeps of 1e-09 s"):
-        Simulator(body, [Material()], engine="mpm", substep=1e-9)
+        Simulator(body, [Material()], solver=Solver(engine="mpm", substep=1e-9))
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from gendom import tasks
 from gendom.errors import ParameterError
 from gendom.materials import (
     PARAMETERS,
+    QUANTITIES,
     Cloth,
     Material,
     Rope,
@@ -48,12 +49,12 @@ def test_draws_follow_the_seed_and_the_ranges(kind):
     assert task.draw_item(np.random.default_rng([3, 7])) == items[7]
     columns = [to_columns(item) for item in items]
     for name, (low, high) in task.ranges.items():
-        values = np.array([c[PARAMETERS[name].column] for c in columns])
+        values = np.array([c[name] for c in columns])
         assert low <= values.min() < values.max() <= high
-        middle = math.sqrt(low * high) if PARAMETERS[name].log else 0.5 * (low + high)
+        middle = math.sqrt(low * high) if QUANTITIES[name].log else 0.5 * (low + high)
         assert 160 < np.sum(values < middle) < 240
     for name, value in dimensionless_parameters(task.item).items():
-        if name not in task.ranges:
+        if PARAMETERS[name].column not in task.ranges:
             alike = [dimensionless_parameters(i)[name] for i in items]
             np.testing.assert_allclose(alike, value, rtol=1e-12)
 

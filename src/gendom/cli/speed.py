@@ -14,7 +14,7 @@ import warp as wp
 
 from gendom.materials import Material
 from gendom.robot import TcpPaths
-from gendom.sim import Rollout, Simulator, open_device
+from gendom.sim import Rollout, Simulator, Solver, open_device
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation, grippers
 
@@ -91,11 +91,8 @@ def measure_speed(
         return Simulator(
             body,
             [material] * worlds,
-            engine="mpm",
             grippers=hands,
-            dtype=dtype,
-            device=device,
-            threads=threads,
+            solver=Solver(engine="mpm", dtype=dtype, device=device, threads=threads),
         )
 
     forward: list[float] = []

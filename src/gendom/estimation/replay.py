@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from gendom.estimation.scene import LiftScene
 from gendom.materials import STANDARD_GRAVITY, Material
 from gendom.materials.unknowns import UNKNOWNS, Theta
-from gendom.sim import Gripper, Simulator, Table
+from gendom.sim import Gripper, Physics, Simulator, Solver, Table
 
 Array = NDArray[np.floating]
 
@@ -178,17 +178,19 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
     simulator = Simulator(
         scene.body,
         [w.material for w in worlds],
-        engine=scene.settings.engine,
         grippers=grippers,
         table=table,
-        velocity_damping=scene.velocity_damping,
         stiffness=_stacked(scene, worlds),
         positions=np.stack([w.positions for w in worlds]),
         start_time=begin,
-        substep=scene.settings.substep,
-        dtype=scene.dtype,
-        device=scene.settings.device,
-        threads=scene.settings.threads,
+        physics=Physics(velocity_damping=scene.velocity_damping),
+        solver=Solver(
+            engine=scene.settings.engine,
+            substep=scene.settings.substep,
+            dtype=scene.dtype,
+            device=scene.settings.device,
+            threads=scene.settings.threads,
+        ),
     )
     if scene.velocities is not None:
         simulator.set_velocities(np.tile(scene.velocities, (len(thetas), 1, 1)))

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from gendom.policies.adaptation import Adapted, AdaptSettings, Execution, adapt
     from gendom.policies.belief import believed
     from gendom.policies.demonstrations import Demonstrations
+    from gendom.policies.evaluation import draw_cases, score
     from gendom.policies.fitting import Training
     from gendom.policies.polishing import Polished, PolishSettings, polish
     from gendom.policies.training import train
@@ -29,7 +30,9 @@ _LATER = {
     "Polished": "polishing",
     "Training": "fitting",
     "adapt": "adaptation",
+    "draw_cases": "evaluation",
     "polish": "polishing",
+    "score": "evaluation",
     "train": "training",
 }
 
@@ -49,7 +52,9 @@ __all__ = [
     "Training",
     "adapt",
     "believed",
+    "draw_cases",
     "polish",
+    "score",
     "train",
 ]
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gendom.errors import ParameterError, PolicyError, SimulationError
 from gendom.materials import Item, dimensionless_parameters, unit_of
-from gendom.policies import Policy
+from gendom.policies.policy import Policy
 from gendom.tasks import Task
 from gendom.tasks.task import World
 from gendom.tasks.world import Simulation

@@ -9,8 +9,8 @@ from gendom.sim.gripper import Gripper, Grippers
 from gendom.sim.mpm.engine import CFL, stable_substep
 from gendom.sim.outlines import outline_of_mesh
 from gendom.sim.rollout import Rollout
-from gendom.sim.scene import GRAVITY, Table
-from gendom.sim.simulator import ENGINES, Simulator
+from gendom.sim.scene import ENGINES, GRAVITY, Physics, Solver, Table
+from gendom.sim.simulator import Simulator
 
 __all__ = [
     "AIR_DENSITY",
@@ -21,8 +21,10 @@ __all__ = [
     "Gradients",
     "Gripper",
     "Grippers",
+    "Physics",
     "Rollout",
     "Simulator",
+    "Solver",
     "Table",
     "Weave",
     "check_numbers",

@@ -16,8 +16,8 @@ from gendom.materials import Material
 from gendom.sim.bodies import Body, Weave
 from gendom.sim.gripper import Gripper
 from gendom.sim.rollout import Rollout
-from gendom.sim.scene import Table
-from gendom.sim.simulator import Simulator
+from gendom.sim.scene import Physics, Solver, Table
+from gendom.sim.simulator import Simulator, engine_of
 from gendom.sim.thin.rotation import left_jacobian_inverse
 from gendom.sim.thin.types import WEAVE
 
@@ -33,9 +33,8 @@ _AXES = {
 
 _OF_MATERIAL = ("E", "nu", "density", "damping", "membrane")
 _OF_BODY = ("thickness", "weave")
-_OF_SIMULATOR = (
-    "stiffness", "velocity_damping", "air_density", "self_friction", "gravity", "positions",
-)  # fmt: skip
+_OF_PHYSICS = ("velocity_damping", "air_density", "self_friction", "gravity")
+_OF_SIMULATOR = ("stiffness", "positions")
 
 
 def simulate(
@@ -44,8 +43,9 @@ def simulate(
     *,
     grippers: Sequence[Gripper] = (),
     table: Table | None = None,
+    physics: Physics = Physics(),
+    solver: Solver = Solver(),
     memory: float | None = None,
-    options: dict[str, Any] | None = None,
     **given: Tensor | float,
 ) -> Tensor:
     """Simulate positions at given times, differentiable with respect to every input tensor.
@@ -56,9 +56,9 @@ def simulate(
         grippers: Shared by all worlds; ``gripper_positions``, ``gripper_rotations`` and
             ``gripper_radius`` change them.
         table: Table; ``friction``, if given, replaces its coefficient.
+        physics: As of ``Simulator``; inputs of these names replace its values.
+        solver: As of ``Simulator``, in ``float64`` unless it says otherwise.
         memory: Limit on memory for the backward pass [bytes] (default: as ``Rollout``).
-        options: Further arguments of ``Simulator`` (``engine``, by default ``mpm``;
-            ``self_contact``, ``substep``, ``dtype``, ``threads``).
         given: ``E`` [Pa], ``nu``, ``density`` [kg/m^3] and optionally ``damping`` [s]
             (``Material.damping``), ``membrane`` [Pa], ``velocity_damping`` [1/s], ``air_density``
             [kg/m^3], ``friction``, ``self_friction``: numbers or [W]; ``gravity`` [3] or [W, 3];
@@ -85,16 +85,16 @@ def simulate(
         )
     check_type("body", body, Body)
     check_list("grippers", grippers, Gripper)
-    thin = (options or {}).get("engine") == "thin"
+    thin = engine_of(body, solver) == "thin"
     only_thin = sorted({*_OF_BODY, "membrane"} & set(given))
     if only_thin and not thin:
         raise ParameterError(
             f"the MPM has no derivative by {', '.join(only_thin)}",
-            fix='options={"engine": "thin"}',
+            fix='solver=Solver(engine="thin")',
         )
     names = [n for n in _AXES if n in given]
     tensors = [_tensor(n, given[n]) for n in names]
-    scene = (body, times, tuple(grippers), table, memory, options or {})
+    scene = (body, times, tuple(grippers), table, physics, solver, memory)
     N = len(body.points) if thin else body.num_particles
     return _Simulation.apply(scene, names, *_spread(names, tensors, N, grippers))  # pyright: ignore[reportReturnType]
 
@@ -144,7 +144,7 @@ def _knots(grippers: Sequence[Gripper]) -> tuple[int]:
 class _Simulation(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, scene: tuple, names: list[str], *tensors: Tensor) -> Tensor:
-        body, times, grippers, table, memory, options = scene
+        body, times, grippers, table, physics, solver, memory = scene
         v = {n: t.detach().cpu().numpy() for n, t in zip(names, tensors, strict=True)}
         W = len(v["E"])
         given = [n for n in _OF_MATERIAL if n in v]
@@ -160,13 +160,15 @@ class _Simulation(torch.autograd.Function):
             if table is None:
                 raise ParameterError("friction without a table: pass table=Table(height=...)")
             table = replace(table, friction=v["friction"])
-        more = {n: v[n] for n in _OF_SIMULATOR if n in v}
+        more: dict[str, Any] = {n: v[n] for n in _OF_SIMULATOR if n in v}
         simulator = Simulator(
             replace(body, **own),
             materials,
             grippers=every,
             table=table,
-            **{"dtype": "float64", "engine": "mpm", **more, **options},
+            physics=replace(physics, **{n: v[n] for n in _OF_PHYSICS if n in v}),
+            solver=replace(solver, dtype=solver.dtype or "float64"),
+            **more,
         )
         if "velocities" in v:
             simulator.set_velocities(v["velocities"])

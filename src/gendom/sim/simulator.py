@@ -20,19 +20,16 @@ from gendom.arguments import (
 )
 from gendom.errors import ParameterError, SimulationError
 from gendom.files import atomic_path
-from gendom.materials import AIR_DENSITY, Material
+from gendom.materials import Material
 from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
 from gendom.sim.gripper import Gripper, Grippers
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.scene import GRAVITY, Table
+from gendom.sim.scene import Physics, Solver, Table
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin import THIN_ENGINES
-
-ENGINES = ("mpm", "thin")
-"""``mpm``: particles on a grid; ``thin``: ropes as rods, cloths as shells."""
 
 START_INSIDE = 0.1
 """Greatest initial depth of a body in a table [cells, or diameters of a rod]; contact pushes it
@@ -48,29 +45,15 @@ class Simulator(Shown):
     Args:
         body: The body to simulate, at rest.
         materials: One material for each world.
-        engine: ``thin`` (a rope as a rod, a cloth as a shell), the default for ropes and cloths, or
-            ``mpm`` (particles on a grid), the default for all other bodies.
         grippers: Grippers shared by all worlds, or one sequence of them for each world, or all as
             arrays (``Grippers``).
         table: Table, or None for open space.
-        gravity: [3] or [W, 3] [m/s^2].
-        velocity_damping: Rate at which all velocities decay, one number or [W] [1/s]; for damping
-            inside the material see ``Material.damping``.
-        air_density: Density of the air, which exerts drag on ropes and cloths, one number or [W]
-            [kg/m^3].
-        self_contact: Whether rods and shells keep their thickness where they meet themselves. The
-            MPM resolves self-contact through its grid in any case.
-        self_friction: Coefficient of friction at self-contact, one number or [W].
-        substep: Fixed substep [s], or None for ``cfl`` times each world's stability limit.
-        cfl: Share of that limit (default: the engine's ``CFL``).
+        physics: Gravity, air, damping and self-contact.
+        solver: Engine, steps, precision and device.
         stiffness: E of each particle or point over E of its material, [N] or [W, N] [-].
         positions: [N, 3] or [W, N, 3] initial positions of particles (default: ``body.x``) or
             points (default: ``body.points``) [m].
         start_time: Time of the initial state [s].
-        dtype: ``float32`` (default of the MPM) or ``float64`` (default of rods and shells).
-        device: ``cpu``, ``cuda``, ``cuda:0`` and so on.
-        threads: Worlds simulated in parallel on the CPU (default: all cores available to the
-            process).
 
     Raises:
         ParameterError: If an argument is of another type or shape, out of its range or not finite,
@@ -83,32 +66,21 @@ class Simulator(Shown):
         body: Body,
         materials: Sequence[Material],
         *,
-        engine: str | None = None,
         grippers: Sequence[Gripper] | Sequence[Sequence[Gripper]] = (),
         table: Table | None = None,
-        gravity: ArrayLike = GRAVITY,
-        velocity_damping: float | ArrayLike = 0.0,
-        air_density: float | ArrayLike = AIR_DENSITY,
-        self_contact: bool = False,
-        self_friction: float | ArrayLike = 0.3,
-        substep: float | None = None,
-        cfl: float | None = None,
+        physics: Physics = Physics(),
+        solver: Solver = Solver(),
         stiffness: ArrayLike = 1.0,
         positions: ArrayLike | None = None,
         start_time: float = 0.0,
-        dtype: str | None = None,
-        device: str = "cpu",
-        threads: int | None = None,
     ):
         check_type("body", body, Body)
         check_list("materials", materials, Material)
         check_type("table", table, Table, optional=True)
-        check_type("self_contact", self_contact, bool)
+        check_type("physics", physics, Physics)
+        check_type("solver", solver, Solver)
         require(materials, "a simulation needs at least one material (one a world)")
-        if engine is None:
-            engine = "thin" if body.kind in ("rope", "cloth") else "mpm"
-        choice = f"choose one of {', '.join(ENGINES)}"
-        require(engine in ENGINES, f"unknown engine {engine!r}", fix=choice)
+        engine = engine_of(body, solver)
         thin = engine == "thin"
         require(
             (thin and body.kind == "cloth") or all(m.membrane is None for m in materials),
@@ -116,19 +88,7 @@ class Simulator(Shown):
             where="materials",
             fix="leave membrane out, or take engine='thin' for a cloth",
         )
-        dtype = dtype or ("float64" if thin else "float32")
-        known = dtype in ("float32", "float64")
-        require(known, f"dtype must be float32 or float64, got {dtype!r}")
-        check_numbers("velocity_damping", velocity_damping, (), ("W",), least=0.0)
-        check_numbers("air_density", air_density, (), ("W",), least=0.0)
-        check_numbers("gravity", gravity, (3,), ("W", 3))
-        check_numbers("self_friction", self_friction, (), ("W",), least=0.0)
         check_number("start_time", start_time)
-        for name, value in (("substep", substep), ("cfl", cfl)):
-            if value is not None:
-                check_number(name, value, above=0.0)
-        if threads is not None:
-            check_integers("threads", threads, (), least=1)
         W = len(materials)
         rest = body.points if thin else body.x
         narrow = "the outline is narrower than the particles"
@@ -142,28 +102,24 @@ class Simulator(Shown):
         self.body = body
         self.materials = tuple(materials)
         self.time = start_time
-        self.dtype = dtype
-        self.device = open_device(device)
+        self.dtype = solver.dtype or ("float64" if thin else "float32")
+        self.device = open_device(solver.device)
         setting = Setting(
             body=body,
             materials=self.materials,
             grippers=_grippers_of_worlds(grippers, W),
             table=table,
-            self_contact=self_contact,
-            self_friction=self_friction,
-            gravity=gravity,
-            velocity_damping=velocity_damping,
-            air_density=air_density,
+            **vars(physics),
             stiffness=stiffness,
             positions=x,
             start_time=start_time,
-            dtype=dtype,
+            dtype=self.dtype,
             device=self.device,
-            threads=threads or cores(),
+            threads=solver.threads or cores(),
         )
         kind = THIN_ENGINES[body.kind] if thin else MpmEngine
         with making:
-            self.engine = kind(setting, substep=substep, cfl=cfl)
+            self.engine = kind(setting, substep=solver.substep, cfl=solver.cfl)
 
     def _shown(self) -> tuple[str, list[tuple[str, str]]]:
         kind = type(self.engine).__name__
@@ -333,6 +289,11 @@ class Simulator(Shown):
         if np.any(np.diff(np.concatenate([[self.time], t])) < 0.0):
             raise ParameterError("times must not decrease nor lie before the simulator's time")
         return t
+
+
+def engine_of(body: Body, solver: Solver) -> str:
+    """The engine of a body's simulation: the solver's, or the body's usual one."""
+    return solver.engine or ("thin" if body.kind in ("rope", "cloth") else "mpm")
 
 
 def _check_clear(

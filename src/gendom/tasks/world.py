@@ -14,7 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.arguments import require
 from gendom.materials import AIR_DENSITY, Cloth, Item, Rope
 from gendom.robot.path import TcpPath, TcpPaths
-from gendom.sim import Body, Gripper, Grippers, Simulator, Table, claimed, cloth, rope
+from gendom.sim import (
+    Body,
+    Gripper,
+    Grippers,
+    Physics,
+    Simulator,
+    Solver,
+    Table,
+    claimed,
+    cloth,
+    rope,
+)
 from gendom.sim.bodies import CELLS_ACROSS
 from gendom.tasks.task import Array, Observed, Outcome, Scene, Task
 
@@ -174,17 +185,18 @@ class Simulation:
             simulator = Simulator(
                 body,
                 [item.material for item in items],
-                engine=self.engine,
                 grippers=grippers(scene, paths, begin),
                 table=table,
-                air_density=self.air_density,
-                self_contact=scene.self_contact and self.engine == "thin",
-                self_friction=[item.friction for item in items] if scene.self_contact else 0.3,
                 positions=x,
                 start_time=begin,
-                dtype=self.dtype,
-                device=self.device,
-                threads=self.threads,
+                physics=Physics(
+                    air_density=self.air_density,
+                    self_contact=scene.self_contact and self.engine == "thin",
+                    self_friction=[item.friction for item in items] if scene.self_contact else 0.3,
+                ),
+                solver=Solver(
+                    engine=self.engine, dtype=self.dtype, device=self.device, threads=self.threads
+                ),
             )
             all_points = self.everything or task.watches == "all"
             tip = len(body.points) - 1 if self.engine == "thin" else _last_section(body)

@@ -9,9 +9,10 @@ from scipy.spatial import KDTree
 
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim import Gripper, Simulator, Table, cloth, rope
+from gendom.sim import Gripper, Physics, Simulator, Solver, Table, cloth, rope
 from gendom.sim.thin.contact import check_cloth
 from gendom.sim.thin.shell_model import ShellModel
+from sim.simulators import flat_simulator
 
 
 def nearest(x, apart):
@@ -62,7 +63,7 @@ def coiling_rope(**options):
     body = rope(
         diameter=0.01, length=0.4, start=(0, 0, 0.42), direction=(0.02, 0.01, -1), points=41
     )
-    s = Simulator(
+    s = flat_simulator(
         body, [Material(E=2e5, damping=0.01)], engine="thin", table=Table(height=0.0), **options
     )
     return s.run(np.linspace(0.1, 1.0, 37))[:, 0]
@@ -89,9 +90,12 @@ def test_a_loop_of_rope_is_drawn_tight_without_crossing():
         for at, side in zip(ends, (-1, 1), strict=True)
     ]
     s = Simulator(
-        body, [Material(E=3e5, damping=0.01)], engine="thin", grippers=hands, gravity=(0, 0, 0),
-        self_contact=True,
-    )  # fmt: skip
+        body,
+        [Material(E=3e5, damping=0.01)],
+        grippers=hands,
+        physics=Physics(gravity=(0, 0, 0), self_contact=True),
+        solver=Solver(engine="thin"),
+    )
     x = s.run(np.linspace(0.05, 1.0, 20))[:, 0]
     assert min(nearest(f, 4) for f in x) > 0.95 * 0.008
 
@@ -102,9 +106,11 @@ def test_contact_keeps_momentum():
     ring = 0.05 * np.stack([np.sin(turn), 0.0 * turn, np.cos(turn)], axis=1)
     body = rope(diameter=0.01, centre_line=ring, points=31)
     s = Simulator(
-        body, [Material(E=1e5)], engine="thin", gravity=(0, 0, 0), air_density=0.0,
-        self_contact=True,
-    )  # fmt: skip
+        body,
+        [Material(E=1e5)],
+        physics=Physics(gravity=(0, 0, 0), air_density=0.0, self_contact=True),
+        solver=Solver(engine="thin"),
+    )
     u = np.linspace(-1.0, 1.0, 31)
     s.set_velocities(np.stack([-1.5 * u**5, 0.1 * u, 0.2 * u**2], axis=1))
     engine: Any = s.engine
@@ -128,7 +134,7 @@ def dropped(n, E=1e5, seed=0, **options):
         time=[0, 0.4, 0.9], position=[top, top, top * [1, 1, 0.1]], radius=0.012, hold_until=0.95
     )
     noise = 1e-12 * np.random.default_rng(seed).normal(size=body.points.shape)
-    s = Simulator(
+    s = flat_simulator(
         body, [Material(E=E, density=400.0, damping=0.01)], engine="thin", grippers=[let_down],
         table=Table(height=0.0, friction=0.4), self_contact=True,
         positions=body.points + (seed > 0) * noise, **options,
@@ -142,7 +148,7 @@ def crumpled(n, **options):
     size = 0.011 * (n - 1)
     corners = heap[-1][[0, -1]]
     up, apart = np.array([0, 0, 1.2 * size]), np.array([[-0.48, -0.48, 0], [0.48, 0.48, 0]]) * size
-    pulled = Simulator(
+    pulled = flat_simulator(
         body, [Material(E=1e5, density=400.0, damping=0.01)], engine="thin",
         grippers=[
             Gripper(time=[0, 1.0, 2.0], position=[at, at + up, to + up], radius=0.0004)
@@ -216,29 +222,31 @@ def test_a_body_that_begins_in_itself_is_an_error():
     turn = np.linspace(0.0, 2.2 * np.pi, 31)
     ring = 0.3 / (2.2 * np.pi) * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
     with pytest.raises(ParameterError, match="the rope begins in itself"):
-        Simulator(line, [Material()], self_contact=True, positions=ring)
+        Simulator(line, [Material()], positions=ring, physics=Physics(self_contact=True))
     Simulator(line, [Material()], positions=ring)
     turns = np.linspace(0.0, 4.0 * np.pi, 600)
     coil = np.stack([0.03 * np.cos(turns), 0.03 * np.sin(turns), 0.007 * turns / 2 / np.pi], axis=1)
     coiled = rope(diameter=0.01, centre_line=coil, points=61)
     with pytest.raises(ParameterError, match="two parts of it are 7"):
-        Simulator(coiled, [Material()], self_contact=True)
+        Simulator(coiled, [Material()], physics=Physics(self_contact=True))
     sheet = cloth(width=0.1, height=0.1, thickness=0.001, dx=0.02, points=(11, 11))
     folded = sheet.points.copy()
     over = folded[:, 0] > 0.05
     folded[over, 0] = 0.1 - folded[over, 0] + 0.001
     folded[over, 2] = 0.004
-    Simulator(sheet, [Material()], self_contact=True, positions=folded)
+    Simulator(sheet, [Material()], positions=folded, physics=Physics(self_contact=True))
     nearer = folded.copy()
     nearer[over, 2] = 0.0003
     with pytest.raises(ParameterError, match="the cloth begins in itself: two layers"):
-        Simulator(sheet, [Material()], self_contact=True, positions=nearer)
+        Simulator(sheet, [Material()], positions=nearer, physics=Physics(self_contact=True))
     folded[over, 2] -= 0.08 * (folded[over, 1] - 0.024)
     with pytest.raises(ParameterError, match="the cloth begins crossing itself"):
-        Simulator(sheet, [Material()], self_contact=True, positions=folded)
+        Simulator(sheet, [Material()], positions=folded, physics=Physics(self_contact=True))
 
 
 def test_what_cannot_be_is_said():
     thick = cloth(width=0.1, height=0.1, thickness=0.008, dx=0.02, points=(10, 10))
     with pytest.raises(ParameterError, match="cannot be folded"):
-        Simulator(thick, [Material()], engine="thin", self_contact=True)
+        Simulator(
+            thick, [Material()], physics=Physics(self_contact=True), solver=Solver(engine="thin")
+        )

@@ -15,8 +15,9 @@ import pytest
 import warp as wp
 
 from gendom.materials import Material
-from gendom.sim import Gripper, Rollout, Simulator, Table, cloth, rope
+from gendom.sim import Gripper, Physics, Rollout, Simulator, Table, cloth, rope
 from gendom.sim.thin import tape
+from sim.simulators import flat_simulator
 from sim.thin.differences import check_derivative
 
 TIMES = [0.01, 0.02, 0.025, 0.03]
@@ -87,7 +88,7 @@ def given(body, self_friction, seed=0, points=None, noise=2e-4):
 def simulator(body, p, worlds=1, **options):
     lowest = (FOLDED if body.kind == "cloth" else body.points)[:, 2].min()
     knots = [0, 0.025, 0.05]
-    s = Simulator(
+    s = flat_simulator(
         replace(body, thickness=p["thickness"]),
         [Material(**{name: float(p[name]) for name in ("E", "nu", "density", "damping")})] * worlds,
         engine="thin",
@@ -257,7 +258,7 @@ def test_every_step_has_its_own_list_of_pairs(monkeypatch):
 
     def by_positions():
         material = [Material(E=2e5, damping=0.01)]
-        s = Simulator(body, material, table=Table(height=0.0), self_contact=True)
+        s = Simulator(body, material, table=Table(height=0.0), physics=Physics(self_contact=True))
         rollout = Rollout(s)
         return rollout.backward(np.ones_like(rollout.forward([0.5]))).positions
 

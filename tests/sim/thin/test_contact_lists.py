@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 from gendom.materials import Material
-from gendom.sim import Gripper, Simulator, Table, cloth, rope
+from gendom.sim import Gripper, Physics, Simulator, Solver, Table, cloth, rope
 from gendom.sim.thin.contact import edge_distance, triangle_distance
 from gendom.sim.thin.types import MARGIN
 
@@ -21,7 +21,9 @@ def coil(device):
         diameter=0.01, length=0.8, start=(0, 0, 0.82), direction=(0.02, 0.01, -1), points=81
     )
     limp = replace(SOFT, E=2e4)
-    s = Simulator(body, [limp], table=TABLE, self_contact=True, device=device)
+    s = Simulator(
+        body, [limp], table=TABLE, physics=Physics(self_contact=True), solver=Solver(device=device)
+    )
     s.run([0.45])
     return s
 
@@ -35,7 +37,14 @@ def heap(device, **outline):
     )  # fmt: skip
     top = np.array([-0.06, 0.002, 0.8 * size])
     hand = Gripper(time=[0, 0.4, 0.9], position=[top, top, top * [1, 1, 0.1]], radius=0.012)
-    s = Simulator(body, [SOFT], grippers=[hand], table=TABLE, self_contact=True, device=device)
+    s = Simulator(
+        body,
+        [SOFT],
+        grippers=[hand],
+        table=TABLE,
+        physics=Physics(self_contact=True),
+        solver=Solver(device=device),
+    )
     s.run([1.0])
     return s
 

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Gripper, Rollout, Simulator, Table, Weave, cloth, rope
+from gendom.sim import Gripper, Physics, Rollout, Simulator, Solver, Table, Weave, cloth, rope
 from gendom.sim.thin.types import WEAVE
+from sim.simulators import flat_simulator
 from sim.thin.differences import check_derivative
 
 TIMES = [0.01, 0.03, 0.05, 0.06]
@@ -89,7 +90,7 @@ def simulator(body, p, **options):
     radius = p["gripper_radius"]
     knots = [0, 0.02, 0.05]
     steps: dict[str, Any] = {"substep": 2e-4} | options
-    s = Simulator(
+    s = flat_simulator(
         sized(body, p),
         [
             Material(
@@ -170,10 +171,13 @@ def test_a_flat_cloth_resists_shear_from_the_start(damping):
     def run(positions):
         return Rollout(
             Simulator(
-                body, [Material(E=2e5, damping=damping)], grippers=[hand], positions=positions,
-                gravity=(0, 0, 0),
+                body,
+                [Material(E=2e5, damping=damping)],
+                grippers=[hand],
+                positions=positions,
+                physics=Physics(gravity=(0, 0, 0)),
             )
-        )  # fmt: skip
+        )
 
     rollout = run(body.points)
     rollout.forward([0.004])
@@ -239,9 +243,9 @@ def test_worlds_of_a_batch_do_not_see_each_other(body):
         s = Simulator(
             body,
             [Material(E=worlds[k]["E"], damping=0.002) for k in chosen],
-            engine="thin",
             grippers=[hands(k, worlds[k]) for k in chosen],
             positions=[worlds[k]["positions"] for k in chosen],
+            solver=Solver(engine="thin"),
         )
         rollout = Rollout(s)
         x = rollout.forward(TIMES)
@@ -263,7 +267,7 @@ def test_a_rope_pulled_apart_ends_with_an_error_and_its_last_state():
         Gripper.still((0, 0, 0), radius=0.01),
         Gripper(time=[0, 1], position=[(0.2, 0, 0), (0.4, 0, 0)], radius=0.01),
     ]
-    s = Simulator(body, [Material(), Material(E=2e6)], engine="thin", grippers=hands)
+    s = Simulator(body, [Material(), Material(E=2e6)], grippers=hands, solver=Solver(engine="thin"))
     with pytest.raises(SimulationError, match="grippers 0 and 1 pull the body apart") as e:
         s.run(np.linspace(0.1, 1.0, 10))
     assert e.value.parameters["E"] in (1e6, 2e6)
@@ -289,7 +293,7 @@ def test_a_rope_pulled_apart_and_back_is_found_at_the_moment(frames):
 
 def test_a_stretch_without_grippers_that_pull_is_found_within_a_frame():
     body = rope(diameter=0.01, length=0.2)
-    s = Simulator(body, [Material()], gravity=(0, 0, 0), air_density=0.0)
+    s = Simulator(body, [Material()], physics=Physics(gravity=(0, 0, 0), air_density=0.0))
     s.set_velocities(np.linspace([-25, 0, 0], [25, 0, 0], len(body.points)))
     with pytest.raises(SimulationError, match="stretched or compressed by more than 20 %") as e:
         s.run([1.0])
@@ -306,7 +310,7 @@ def test_a_cloth_pulled_apart_by_two_corners_is_an_error(way):
         Gripper.still((0, 0, 0), radius=0.01),
         Gripper(time=[0, 1], position=[far, to], radius=0.01),
     ]
-    s = Simulator(body, [Material()], gravity=(0, 0, 0), grippers=hands)
+    s = Simulator(body, [Material()], grippers=hands, physics=Physics(gravity=(0, 0, 0)))
     with pytest.raises(SimulationError, match="grippers 0 and 1 pull the body apart") as e:
         s.run([1.0])
     assert e.value.time is not None and 0.4 < e.value.time < 0.65
@@ -326,7 +330,12 @@ def test_worlds_that_fail_do_not_stop_others():
     still = Gripper.still((0, 0, 0), radius=0.01)
     away = Gripper(time=[0, 1], position=[(0.2, 0, 0), (0.4, 0, 0)], radius=0.01)
     stay = Gripper.still((0.2, 0, 0), radius=0.01)
-    s = Simulator(body, [Material()] * 2, engine="thin", grippers=[[still, away], [still, stay]])
+    s = Simulator(
+        body,
+        [Material()] * 2,
+        grippers=[[still, away], [still, stay]],
+        solver=Solver(engine="thin"),
+    )
     x = s.run([0.1, 1.0], keep_going=True)
     assert set(s.failures) == {0}
     assert np.isfinite(x[0]).all()
@@ -337,24 +346,24 @@ def test_worlds_that_fail_do_not_stop_others():
 def test_a_gripper_that_closes_on_nothing_is_an_error(body):
     away = Gripper.still((0, 0, 5), radius=0.01)
     with pytest.raises(SimulationError, match="gripper 0 closed on nothing"):
-        Simulator(body, [Material()], engine="thin", grippers=[away]).run([0.01])
+        Simulator(body, [Material()], grippers=[away], solver=Solver(engine="thin")).run([0.01])
     may = replace(away, may_miss=True)
-    Simulator(body, [Material()], engine="thin", grippers=[may]).run([0.01])
+    Simulator(body, [Material()], grippers=[may], solver=Solver(engine="thin")).run([0.01])
 
 
 @pytest.mark.parametrize("body", [ROPE, CLOTH], ids=["rope", "cloth"])
 def test_bad_input_is_named(body):
     def make(**options):
-        Simulator(body, [Material()], engine="thin", **options)
+        flat_simulator(body, [Material()], engine="thin", **options)
 
     with pytest.raises(ParameterError, match="begins stretched by"):
         make(positions=1.5 * body.points)
     with pytest.raises(ParameterError, match="mm inside the table"):
         make(table=Table(height=0.1))
     with pytest.raises(ParameterError, match="unknown engine 'fem'"):
-        Simulator(body, [Material()], engine="fem")
+        Simulator(body, [Material()], solver=Solver(engine="fem"))
     with pytest.raises(ParameterError, match="only the MPM has particles"):
-        Simulator(body, [Material()], engine="thin").deformation_gradients()
+        Simulator(body, [Material()], solver=Solver(engine="thin")).deformation_gradients()
 
 
 @pytest.mark.gpu
@@ -379,7 +388,12 @@ def test_cuda_runs_and_differentiates_as_the_cpu_does(body):
 @BODIES
 def test_free_fall_is_exact(body):
     """A leapfrog has no error in a parabola, whatever its steps and however a run is cut."""
-    s = Simulator(body, [Material()], engine="thin", air_density=0.0, gravity=(0.0, 0.0, -10.0))
+    s = Simulator(
+        body,
+        [Material()],
+        physics=Physics(air_density=0.0, gravity=(0.0, 0.0, -10.0)),
+        solver=Solver(engine="thin"),
+    )
     s.set_velocities((0.5, 0.0, 1.0))
     for t in (0.0501, 0.2):
         x = s.run([t])[0, 0]

@@ -10,11 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Gripper, Simulator, Table, cloth, outline_of_mesh
+from gendom.sim import Gripper, Physics, Simulator, Solver, Table, cloth, outline_of_mesh
 from gendom.sim.outlines import Outline
 from gendom.sim.thin.contact import check_cloth
 from gendom.sim.thin.shell_model import ShellModel
 from gendom.sim.thin.shells import Shells
+from sim.simulators import flat_simulator
 from validation.readings import bending_energy, membrane_energy
 from validation.specimens import circle
 
@@ -168,9 +169,11 @@ def fastest_squared(body, axes):
     for k, axis in enumerate(axes):
         x[np.arange(n), k, np.arange(n), axis] += far
     s = Simulator(
-        body, [MATERIAL] * (n * len(axes)), positions=x.reshape(-1, n, 3), gravity=(0, 0, 0),
-        air_density=0.0,
-    )  # fmt: skip
+        body,
+        [MATERIAL] * (n * len(axes)),
+        positions=x.reshape(-1, n, 3),
+        physics=Physics(gravity=(0, 0, 0), air_density=0.0),
+    )
     s.run([h])
     a = s.velocities()[:, :, axes] / (0.5 * h)  # the first step begins at rest
     m = np.sqrt(np.repeat(engine_of(s).mass[0], len(axes)))
@@ -207,14 +210,16 @@ def test_a_dropped_ring_keeps_clear_of_itself():
     x += 1e-4 * np.random.default_rng(0).normal(size=x.shape)
     soft = [Material(E=E, density=400.0, damping=0.005) for E in (1e5, 1.5e5)]
     options: dict[str, Any] = {"table": Table(height=0, friction=0.5), "positions": x}
-    s = Simulator(body, soft, self_contact=True, self_friction=0.4, **options)
+    s = flat_simulator(body, soft, self_contact=True, self_friction=0.4, **options)
     model, frames = engine_of(s).model, s.run(np.linspace(0.05, 0.5, 10))
     for shape in frames.reshape(-1, len(x), 3):
         check_cloth(shape, model)
     for w in range(2):  # bit for bit
-        alone = Simulator(body, soft[w : w + 1], self_contact=True, self_friction=0.4, **options)
+        alone = flat_simulator(
+            body, soft[w : w + 1], self_contact=True, self_friction=0.4, **options
+        )
         np.testing.assert_array_equal(alone.run(np.linspace(0.05, 0.5, 10))[:, 0], frames[:, w])
-    crossed = Simulator(body, soft[:1], **options).run(np.linspace(0.05, 0.5, 10))[:, 0]
+    crossed = flat_simulator(body, soft[:1], **options).run(np.linspace(0.05, 0.5, 10))[:, 0]
     with pytest.raises(ParameterError, match="begins crossing itself"):
         for shape in crossed:
             check_cloth(shape, model)
@@ -235,7 +240,8 @@ def test_a_tongue_goes_through_a_slit():
     assert x[:, 2].min() < -0.05
     options: dict[str, Any] = {"positions": x, "gravity": (0, 0, 0), "air_density": 0.0}
     found = [
-        Simulator(body, [MATERIAL], self_contact=on, **options).run([2e-3]) for on in (True, False)
+        flat_simulator(body, [MATERIAL], self_contact=on, **options).run([2e-3])
+        for on in (True, False)
     ]
     np.testing.assert_array_equal(found[0], found[1])
     beside = x + np.where(u > 0.27, 0.0137, 0.0)[:, None] * [1.0, 0.0, 0.0]
@@ -247,7 +253,7 @@ def test_float32_is_close_to_float64():
     body = cloth(outline=SHIRT, points=(14, 12), **SHEET)
     hand = Gripper(time=[0, 1], position=[(0, 0.12, 0), (0, 0.12, 0.1)], radius=0.03)
     found = [
-        Simulator(body, [MATERIAL], grippers=[hand], dtype=dtype).run([0.1])
+        Simulator(body, [MATERIAL], grippers=[hand], solver=Solver(dtype=dtype)).run([0.1])
         for dtype in ("float64", "float32")
     ]
     np.testing.assert_allclose(found[0], found[1], atol=1e-4)
@@ -393,4 +399,4 @@ def test_without_particles_only_the_mpm_is_refused():
     body = cloth(outline=[circle(0.1), circle(0.08)], points=(40, 40), thickness=0.002, dx=0.2)
     Simulator(body, [MATERIAL]).run([1e-3])
     with pytest.raises(ParameterError, match="narrower than the particles"):
-        Simulator(body, [MATERIAL], engine="mpm")
+        Simulator(body, [MATERIAL], solver=Solver(engine="mpm"))

@@ -8,7 +8,7 @@ import pytest
 
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim import Simulator, Weave, cloth, rope
+from gendom.sim import Physics, Simulator, Solver, Weave, cloth, rope
 from gendom.sim.thin.shells import Shells
 from validation.readings import bending_energy, membrane_energy
 
@@ -67,7 +67,7 @@ def test_only_shells_have_a_membrane(body):
     made = cloth(**SIZES) if body == "cloth" else rope(diameter=0.01, length=0.2)
     engine = "mpm" if body == "cloth" else "thin"
     with pytest.raises(ParameterError, match="only shells have a membrane"):
-        Simulator(made, [replace(MATERIAL, membrane=1e5)], engine=engine)
+        Simulator(made, [replace(MATERIAL, membrane=1e5)], solver=Solver(engine=engine))
     with pytest.raises(ParameterError, match="membrane must be positive"):
         replace(MATERIAL, membrane=0.0)
 
@@ -85,7 +85,13 @@ def test_a_sharp_bend_about_the_diagonal_is_no_shear(diagonal):
     turn, along = (kink * (i + j), side * (i - j)) if diagonal else (kink * i, spacing * j)
     R = side / (2.0 * np.sin(kink / 2.0))
     x = np.stack([R * np.sin(turn), along, -R * np.cos(turn)], axis=1)
-    s = Simulator(body, [limp], positions=x, gravity=(0, 0, 0), air_density=0.0, cfl=0.2)
+    s = Simulator(
+        body,
+        [limp],
+        positions=x,
+        physics=Physics(gravity=(0, 0, 0), air_density=0.0),
+        solver=Solver(cfl=0.2),
+    )
     bending = bending_energy(s)
     assert membrane_energy(s) < 1e-6 * bending
     assert isinstance(s.engine, Shells)

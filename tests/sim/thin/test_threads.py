@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 
 from gendom.materials import Material
-from gendom.sim import Gripper, Simulator, cloth, rope
+from gendom.sim import Gripper, Simulator, Solver, cloth, rope
 from gendom.sim.thin import rods
+from sim.simulators import flat_simulator
 
 BODY = rope(diameter=0.004, length=0.31, start=(-0.01, 0, 0), points=32)
 
 
 def simulator(worlds=8, **settings):
     hand = Gripper.still((-0.005, 0, 0), radius=0.005)
-    return Simulator(BODY, [Material(E=2e7)] * worlds, grippers=[hand], threads=2, **settings)
+    return flat_simulator(BODY, [Material(E=2e7)] * worlds, grippers=[hand], threads=2, **settings)
 
 
 def test_borders_stay_stiff_when_two_groups_close_at_once(monkeypatch):
@@ -62,7 +63,9 @@ def test_opening_grippers_of_one_group_leave_the_others_where_they_are(monkeypat
     )
     hands = [early] * 8 + [late] * 8
     material = [Material(E=2e6, damping=0.004)] * 16
-    together = Simulator(body, material, grippers=hands, threads=2).run([0.05, 0.1])
+    together = Simulator(body, material, grippers=hands, solver=Solver(threads=2)).run([0.05, 0.1])
     for half, hand in ((slice(0, 8), early), (slice(8, 16), late)):
-        alone = Simulator(body, material[:8], grippers=[hand] * 8, threads=1).run([0.05, 0.1])
+        alone = Simulator(body, material[:8], grippers=[hand] * 8, solver=Solver(threads=1)).run(
+            [0.05, 0.1]
+        )
         np.testing.assert_array_equal(together[:, half], alone)

@@ -1,0 +1,115 @@
+"""The house: imports run one way and in no circle, functions are short."""
+
+import ast
+import graphlib
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import gendom
+
+SOURCES = Path(gendom.__file__).parent
+
+FLOORS = (
+    (
+        "errors",
+        "shown",
+        "lazy",
+        "plugins",
+        "installation",
+        "progress",
+        "arguments",
+        "files",
+        "learning",
+    ),
+    ("materials", "observation", "robot"),
+    ("sim", "datasets"),
+    ("tasks", "perception"),
+    ("estimation", "policies", "viz", "reality"),
+    ("cli",),
+)
+"""Rooms from the ground up: each may import from those below it, and from itself."""
+
+BESIDE = {
+    ("estimation", "policies"),
+    ("policies", "estimation"),
+}
+"""Rooms of one floor that must not import each other."""
+
+LONG, LONGER, MOST_LONG = 60, 120, 30
+"""Lines of a function that count as long, of none but kernels, and how many may be long."""
+
+
+@cache
+def modules() -> dict[str, ast.Module]:
+    """Syntax trees of all modules by dotted name."""
+    found = {}
+    for path in sorted(SOURCES.rglob("*.py")):
+        parts = ["gendom", *path.relative_to(SOURCES).with_suffix("").parts]
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        found[name] = ast.parse(path.read_text(encoding="utf-8"))
+    return found
+
+
+@cache
+def imports() -> dict[str, set[str]]:
+    """Modules of the package that each module names in its import statements, wherever these
+    stand."""
+    known = modules()
+    found: dict[str, set[str]] = {}
+    for name, tree in known.items():
+        targets = set()
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                targets |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                inner = {f"{node.module}.{alias.name}" for alias in node.names}
+                targets |= {n if n in known else node.module for n in inner}
+        found[name] = {t for t in targets if t in known and t != name}
+    return found
+
+
+def room(module: str) -> str:
+    return module.split(".")[1] if "." in module else ""
+
+
+def test_no_modules_import_each_other():
+    graph = {**imports(), "gendom": set()}  # the face hands on names of all rooms
+    try:
+        graphlib.TopologicalSorter(graph).prepare()
+    except graphlib.CycleError as error:
+        pytest.fail(f"import circle: {' -> '.join(error.args[1])}")
+
+
+def test_imports_run_downwards():
+    floor = {name: k for k, names in enumerate(FLOORS) for name in names}
+    unknown = {room(m) for m in modules()} - set(floor) - {"", "__main__"}
+    assert not unknown, "rooms without a floor"
+    upwards = [
+        f"{module} -> {target}"
+        for module, targets in imports().items()
+        for target in sorted(targets)
+        if room(module) in floor and room(target) in floor and room(module) != room(target)
+        if floor[room(target)] > floor[room(module)] or (room(module), room(target)) in BESIDE
+    ]
+    assert not upwards
+
+
+def lengths() -> list[tuple[int, str, bool]]:
+    """Lines of each function or method, where it is, and whether it builds kernels or structs."""
+    found = []
+    for name, tree in modules().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef):
+                inner = [n for n in ast.walk(node) if isinstance(n, ast.FunctionDef | ast.ClassDef)]
+                kernels = any("wp." in ast.unparse(d) for n in inner for d in n.decorator_list)
+                lines = (node.end_lineno or node.lineno) - node.lineno + 1
+                found.append((lines, f"{name}.{node.name}", kernels))
+    return sorted(found, reverse=True)
+
+
+def test_functions_are_short():
+    assert [f for f in lengths() if f[0] > LONGER and not f[2]] == []
+    long = [f for f in lengths() if f[0] > LONG and not f[2]]
+    assert len(long) <= MOST_LONG, long
