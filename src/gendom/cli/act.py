@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import tyro
 
+from gendom.arguments import require
 from gendom.cli.arguments import TaskName
 from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import tell_written
@@ -23,6 +24,7 @@ from gendom.tasks import Task
 
 if TYPE_CHECKING:
     from gendom.materials.estimate import Estimate
+    from gendom.policies.policy import Action, Policy
     from gendom.tasks.task import World
 
 _ACTION = "gendom-action/3"
@@ -76,29 +78,13 @@ class Command(KnownObject):
     """Print JSON."""
 
     def run(self) -> int:
-        from gendom.policies import Policy
         from gendom.policies.belief import believed, for_task
         from gendom.tasks.world import Simulation
 
         if self.out is not None:
             check_file(self.out, ".json")
-        if self.policy is None:
-            policy = Policy.pretrained(self.task, parameters=not self.no_parameters)
-        elif not self.no_parameters:
-            policy = Policy.read(self.policy)
-        else:
-            raise GendomError(
-                "cannot be given together with --policy",
-                where="--no-parameters",
-                fix="leave one of them out",
-            )
+        policy = self._policy()
         task = policy.task()
-        if task.name != self.task:
-            raise GendomError(
-                f"is for {task.name}",
-                where=policy.where,
-                fix=f"use a policy for {self.task}, or give {task.name} as the task",
-            )
         held = self.held(task, needs=policy.description.conditioned_on)
         item = for_task(held, task).item
         if not self.force and (outside := policy.outside(self.goal, item)):
@@ -121,17 +107,7 @@ class Command(KnownObject):
             "units": units_of(task),
             "object": {"kind": item.kind, **to_columns(item)},
             "assumed": held.assumed,
-            "policy": {
-                "path": policy.where,
-                "method": policy.description.method,
-                "conditioned_on": policy.description.conditioned_on,
-                "seed": policy.description.training.get("seed"),
-            },
-            "network_input": action.network_input,
-            "network_input_meaning": {
-                name: f"{PARAMETERS[name].meaning}, dimensionless" for name in action.network_input
-            },
-            "warnings": list(action.warnings),
+            **_about(policy, action),
         }
         T, path = placed(task, item, values, self.origin)
         try:
@@ -154,6 +130,30 @@ class Command(KnownObject):
             write_json(self.out, result)
             tell_written(self.out, json=self.json)
         return 0
+
+    def _policy(self) -> Policy:
+        """The policy of the flags."""
+        from gendom.policies import Policy
+
+        require(
+            self.policy is None or not self.no_parameters,
+            "cannot be given together with --policy",
+            where="--no-parameters",
+            fix="leave one of them out",
+            error=GendomError,
+        )
+        if self.policy is None:
+            return Policy.pretrained(self.task, parameters=not self.no_parameters)
+        policy = Policy.read(self.policy)
+        other = policy.task().name
+        require(
+            other == self.task,
+            f"is for {other}",
+            where=policy.where,
+            fix=f"use a policy for {self.task}, or give {other} as the task",
+            error=GendomError,
+        )
+        return policy
 
     def _polished(
         self, task: Task, held: Estimate, start: np.ndarray, world: World
@@ -180,6 +180,22 @@ class Command(KnownObject):
         about = {"expected": found.expected, "before": found.before,
                  "rollouts": found.rollouts, "seconds": found.seconds}  # fmt: skip
         return found.action, about
+
+
+def _about(policy: Policy, action: Action) -> dict[str, Any]:
+    """Which policy chose an action, from what, with which warnings."""
+    inputs = action.network_input
+    return {
+        "policy": {
+            "path": policy.where,
+            "method": policy.description.method,
+            "conditioned_on": policy.description.conditioned_on,
+            "seed": policy.description.training.get("seed"),
+        },
+        "network_input": inputs,
+        "network_input_meaning": {n: f"{PARAMETERS[n].meaning}, dimensionless" for n in inputs},
+        "warnings": list(action.warnings),
+    }
 
 
 def placed(

@@ -87,17 +87,8 @@ def estimate(
     with threadpool_limits(limits=1, user_api="blas"):
         scenes = [_scene(r, settings, known, n) for r, n in zip(recordings, names, strict=True)]
         problem = Problem(scenes, settings, on_progress, known, names)
-        refused = refused_before(problem)
-        if refused:
-            # a glance shows where it differs
-            problem.settings = replace(settings, starts=1, max_iterations=ITERATIONS_IF_REFUSED)
         times.append(clock.perf_counter())
-        found = search(problem)
-        if settings.method == "gauss-newton" and not found.interrupted and not refused:
-            finer = problem.finer(found.best.vector)
-            if finer is not problem:
-                problem, found = finer, refined(finer, found)
-            found = _searched_widely(problem, found)
+        problem, found = _searched(problem, search)
         times.append(clock.perf_counter())
         calibration = calibration or IntervalCalibration.of(problem.scene.kind, settings.frames)
         posterior = _posterior(problem, found, calibration)
@@ -108,6 +99,21 @@ def estimate(
             posterior = posterior.of_prior()
         seconds = dict(zip(STAGES, map(float, np.diff(times)), strict=True))
         return result_of(problem, found, posterior, alone, verdict, seconds)
+
+
+def _searched(problem: Problem, search: Callable[[Problem], Found]) -> tuple[Problem, Found]:
+    """What a method finds, and the problem at the resolution that the result needs. A recording
+    that is refused whatever is found gets a few iterations, which show where it differs."""
+    refused = refused_before(problem)
+    if refused:
+        problem.settings = replace(problem.settings, starts=1, max_iterations=ITERATIONS_IF_REFUSED)
+    found = search(problem)
+    if problem.settings.method == "gauss-newton" and not found.interrupted and not refused:
+        finer = problem.finer(found.best.vector)
+        if finer is not problem:
+            problem, found = finer, refined(finer, found)
+        found = _searched_widely(problem, found)
+    return problem, found
 
 
 def _searched_widely(problem: Problem, found: Found) -> Found:

@@ -505,8 +505,8 @@ class Comparisons:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Sums:
-    """Over all residuals, weighted by how likely they are: products of their derivatives with each other
-    and with themselves, by the S + 7 unknowns of registration and by P parameters."""
+    """Normal equations of all residuals, weighted by how likely they are: products of their
+    derivatives by the S + 7 unknowns of registration and by P parameters, and with residuals."""
 
     M: Array
     """[S + 7, S + 7]."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -141,23 +142,12 @@ def adapting(
     if not executions:
         return Adapted(belief=belief, discrepancy=None, residuals=np.empty((0, G)))
     units, goal_units = task.action_units(item), task.goal_units(item)
+    simulated = partial(_simulated, task, belief, executions, goal_units)
     A = np.array([e.action for e in executions]) / units
     y = np.array([e.reached for e in executions]) / goal_units
     K = _kernel(A, A, settings) + settings.noise**2 * np.eye(len(A))
     L = np.linalg.cholesky(K)
     prior = np.linalg.inv(belief.covariance)
-
-    def simulated(vectors: Sequence[Array]) -> Asking[Array]:
-        """[V, N, G] in units of similarity; NaN where it failed."""
-        items = [belief.at(v) for v in vectors for _ in executions]
-        outcomes = yield Rollouts(
-            items=items, actions=[e.action for _ in vectors for e in executions]
-        )
-        found = np.full((len(items), G), np.nan)
-        for row, outcome in zip(found, outcomes, strict=True):
-            if outcome.fault is None:
-                row[:] = [outcome.values[q.name] for q in task.goals]
-        return (found / goal_units).reshape(len(vectors), len(executions), G)
 
     def whitened(f: Array) -> Array:
         return np.asarray(solve_triangular(L, f, lower=True)).ravel()
@@ -193,19 +183,56 @@ def adapting(
         vector, f = vector + STEP_LENGTHS[k] * step, tried[k]
         if gained < LEAST_GAIN:
             break
-    weights = np.linalg.solve(K, y - f)
-
-    def discrepancy(action: Array) -> tuple[Array, float]:
-        here = np.atleast_2d(np.asarray(action, dtype=float)) / units
-        k = _kernel(here, A, settings)
-        variance = settings.discrepancy**2 - (k @ np.linalg.solve(K, k.T))[0, 0]
-        return (k @ weights)[0] * goal_units, float(np.sqrt(max(variance, 0.0)) * goal_units[0])
-
+    error = partial(_discrepancy, settings, K, A, np.linalg.solve(K, y - f), units, goal_units)
     return Adapted(
         belief=belief.with_gaussian(vector, np.linalg.inv(H)),
-        discrepancy=discrepancy,
+        discrepancy=error,
         residuals=(y - f) * goal_units,
     )
+
+
+def _simulated(
+    task: Task,
+    belief: Estimate,
+    executions: Sequence[Execution],
+    goal_units: Array,
+    vectors: Sequence[Array],
+) -> Asking[Array]:
+    """[V, N, G] what N executions reach with V vectors of unknowns, in units of similarity; NaN
+    where one cannot be simulated."""
+    items = [belief.at(v) for v in vectors for _ in executions]
+    outcomes = yield Rollouts(items=items, actions=[e.action for _ in vectors for e in executions])
+    found = np.full((len(items), len(task.goals)), np.nan)
+    for row, outcome in zip(found, outcomes, strict=True):
+        if outcome.fault is None:
+            row[:] = [outcome.values[q.name] for q in task.goals]
+    return (found / goal_units).reshape(len(vectors), len(executions), -1)
+
+
+def _discrepancy(
+    settings: AdaptSettings,
+    K: Array,
+    seen: Array,
+    weights: Array,
+    units: Array,
+    goal_units: Array,
+    action: Array,
+) -> tuple[Array, float]:
+    """[G] the Gaussian process's mean at an action, and its deviation [SI].
+
+    Args:
+        settings: Of the process.
+        K: [N, N] covariance of what was seen.
+        seen: [N, A] actions, in units of similarity.
+        weights: [N, G] of their kernels.
+        units: [A] of actions.
+        goal_units: [G] of goals.
+        action: [A] in SI units.
+    """
+    here = np.atleast_2d(np.asarray(action, dtype=float)) / units
+    k = _kernel(here, seen, settings)
+    variance = settings.discrepancy**2 - (k @ np.linalg.solve(K, k.T))[0, 0]
+    return (k @ weights)[0] * goal_units, float(np.sqrt(max(variance, 0.0)) * goal_units[0])
 
 
 def executions_from(rows: Sequence[Any], where: str) -> list[Execution]:

@@ -20,7 +20,9 @@ def test_gradients_are_central_differences(short_lift, engine, markers):
     for k, h in enumerate((1e-5, 1e-7)):
         x = problem.positions([vector + s * h * np.eye(2)[k] for s in (1.0, -1.0)])
         ahead, behind = (loss.value(x[:, w], descent.seen) for w in range(2))
-        assert descent.gradient[k] == pytest.approx((ahead - behind) / (2.0 * h), rel=1e-3, abs=1e-6)
+        assert descent.gradient[k] == pytest.approx(
+            (ahead - behind) / (2.0 * h), rel=1e-3, abs=1e-6
+        )
     assert descent.start.value == pytest.approx(
         loss.value(problem.positions([vector])[:, 0], descent.seen), rel=1e-9
     )

@@ -167,8 +167,7 @@ def _parameters(scene: LiftScene, theta: Theta) -> tuple[Parameter, ...]:
     names = [
         u.name
         for u in UNKNOWNS.values()
-        if scene.kind in u.kinds
-        and (u.material or u.name in searched or theta[u.name] != u.usual)
+        if scene.kind in u.kinds and (u.material or u.name in searched or theta[u.name] != u.usual)
     ]
     if scene.recording.table_height is None:
         names.remove("friction")
