@@ -76,9 +76,9 @@ STEPS = np.array([2e-3, 0.05])
 SUBSTEP = 1.12e-4
 """Of all rods [s], below the limit of the stiffest (1.14e-4 s), see `SceneSettings.substep`."""
 
-LEAPS = (1.0, 3.0, 10.0, 30.0)
+JUMPS = (1.0, 3.0, 10.0, 30.0)
 """Of Gauss-Newton, in deviations: where points come to rest or leave the table a substep earlier or
-later, positions jump by some 1e-7 m. Without leaps a third of the searches ends at such places."""
+later, positions jump by some 1e-7 m. Without jumps a third of the searches ends at such places."""
 
 ITERATIONS = 50
 """Batches that a search may simulate; three of Adam's steps each make the authors' 150."""
@@ -105,7 +105,7 @@ PAPER_ERRORS = {
 SEARCHES: dict[str, Callable[[Problem, Array], Found]] = {
     "gauss-newton": lambda problem, start: gauss_newton(
         problem,
-        GaussNewtonSettings.of(problem.scene.kind, initial=(start,), rugged=True, leaps=LEAPS),
+        GaussNewtonSettings.of(problem.scene.kind, initial=(start,), rugged=True, jumps=JUMPS),
     ),
     "adam": lambda problem, start: adam(problem, AdamSettings(initial=(start,), steps=3)),
     "differential-evolution": lambda problem, start: differential_evolution(problem),

@@ -280,7 +280,7 @@ def test_bad_settings_are_refused(changes, words):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"method": "guess"}, "no method 'guess'; choose one of gauss-newton"),
+        ({"method": "guess"}, "no method 'guess'; choose from gauss-newton"),
         ({"unknowns": ("colour",)}, "no unknown 'colour'; choose from E_over_rho"),
         ({"unknowns": ("yaw",)}, "a rope has no yaw"),
     ],

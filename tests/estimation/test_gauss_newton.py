@@ -37,7 +37,7 @@ def test_it_ends_in_a_minimum(problem, found):
     """Half a deviation to either side of each unknown, clouds and priors are less likely."""
     best, noise = found.best, found.noise
     here = problem.value(best.vector, best.comparison, noise)
-    sd = np.sqrt(np.diag(np.linalg.inv(problem.slopes(best, noise)[1])))
+    sd = np.sqrt(np.diag(np.linalg.inv(problem.gradient_and_hessian(best, noise)[1])))
     beside = [best.vector + s * 0.5 * d for d in np.diag(sd) for s in (-1.0, 1.0)]
     compared = problem.compare(beside, derivatives=False)
     for vector, comparison in zip(beside, compared, strict=True):
@@ -47,11 +47,11 @@ def test_it_ends_in_a_minimum(problem, found):
 def test_its_slope_is_that_of_differences(problem, found):
     """Of the likelihood with the prior, off the minimum, to a tenth of the steepest."""
     noise, best = found.noise, found.best
-    sd = np.sqrt(np.diag(np.linalg.inv(problem.slopes(best, noise)[1])))
+    sd = np.sqrt(np.diag(np.linalg.inv(problem.gradient_and_hessian(best, noise)[1])))
     at = best.vector + 2.0 * sd
     (comparison,) = problem.compare([at])
     start = type(best)(initial=at, vector=at, comparison=comparison)
-    slope = 2.0 * problem.slopes(start, noise)[0] * sd
+    slope = 2.0 * problem.gradient_and_hessian(start, noise)[0] * sd
     ends = [at + s * 0.5 * d for d in np.diag(sd) for s in (-1.0, 1.0)]
     values = [
         problem.value(v, c, noise)
@@ -103,21 +103,21 @@ def test_what_was_found_is_searched_once_more_in_a_finer_problem(rope_lift, prob
     rough = gauss_newton(Problem([LiftScene.of(rope_lift.seen(), coarse)], settings))
     before = rough.best.vector.copy()
     again = refined(problem, rough)
-    assert problem.compares(again.best.comparison)
-    sd = np.sqrt(np.diag(np.linalg.inv(problem.slopes(found.best, found.noise)[1])))
+    assert problem.is_as_fine_as(again.best.comparison)
+    sd = np.sqrt(np.diag(np.linalg.inv(problem.gradient_and_hessian(found.best, found.noise)[1])))
     off = np.abs(again.best.vector - found.best.vector) / sd
     assert off.max() < 0.2 < (np.abs(before - found.best.vector) / sd).max()
 
 
-def test_slopes_are_carried_along(problem, found):
+def test_derivatives_are_inherited(problem, found):
     """Changed by the least that agrees with both shapes: along the step they are its difference,
     at right angles to it (in the weight's measure) they are what they were."""
     best = found.best
-    sd = np.sqrt(np.diag(np.linalg.inv(problem.slopes(best, found.noise)[1])))
+    sd = np.sqrt(np.diag(np.linalg.inv(problem.gradient_and_hessian(best, found.noise)[1])))
     step, weight = np.array([1.0, -0.5, 0.25]) * sd, sd**-2.0
     (here,) = problem.compare([best.vector])
     (there,) = problem.compare([best.vector + step], derivatives=False)
-    there.take_slopes(here, step, weight)
+    there.inherit_derivatives(here, step, weight)
     J, before, moved = (c.parts[0] for c in (there, here, there))
     np.testing.assert_allclose(J.J @ step, moved.here - before.here, atol=1e-12)
     across = np.array([1.0, 2.0, 0.0]) * sd
@@ -152,26 +152,26 @@ def test_a_cloth_leaps_out_of_a_hollow(cloth_lift):
     truth = problem.prior.vector(cloth_lift.truth)
     noise = problem.first_noise()
     start = steps.Start(initial=truth, vector=truth, comparison=problem.compare([truth])[0])
-    covariance = np.linalg.inv(problem.slopes(start, noise)[1])
+    covariance = np.linalg.inv(problem.gradient_and_hessian(start, noise)[1])
     off = truth - 6.0 * covariance[0] / np.sqrt(covariance[0, 0])
     start = steps.Start(initial=off, vector=off, comparison=problem.compare([off])[0])
     start.value, start.done = problem.value(off, start.comparison, noise), True
     # the deviation there is not that at the truth
-    there = np.linalg.inv(problem.slopes(start, noise)[1])
+    there = np.linalg.inv(problem.gradient_and_hessian(start, noise)[1])
     back = off + 6.0 * there[0] / np.sqrt(there[0, 0])
-    settled = GaussNewtonSettings.of("cloth", leaps=(6.0,), gain=(2.0, 1.0))
-    assert steps._leaps(problem, start, noise, settled)
+    settled = GaussNewtonSettings.of("cloth", jumps=(6.0,), gain=(2.0, 1.0))
+    assert steps._jump(problem, start, noise, settled)
     assert not start.done and start.renew
     np.testing.assert_allclose(start.vector, back)
     assert abs(start.vector[0] - truth[0]) < abs(off[0] - truth[0])
     assert start.value == pytest.approx(problem.value(start.vector, start.comparison, noise))
     before = start.vector.copy()
     settled = replace(settled, gain=(2.0, 1e9))
-    assert not steps._leaps(problem, start, noise, settled)
+    assert not steps._jump(problem, start, noise, settled)
     np.testing.assert_array_equal(start.vector, before)
 
 
-def test_slopes_of_a_coarser_sheet_are_those_between_its_points(cloth_lift):
+def test_derivatives_of_a_coarser_sheet_are_those_between_its_points(cloth_lift):
     """Linear ones exactly."""
     shapes = [
         Shape(LiftScene.of(cloth_lift.at_rest(8), replace(cloth_lift.settings, points=n)))

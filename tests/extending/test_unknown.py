@@ -17,13 +17,11 @@ from gendom.viz.viewer.models import _parameters
 
 
 def stiffened(inputs, value):
-    inputs.material = replace(inputs.material, E=value * inputs.material.E)
+    inputs.E_over_rho *= value
 
 
 def raised(inputs, value):
-    inputs.grippers = [
-        replace(g, position=g.position + np.array([0.0, 0.0, value])) for g in inputs.grippers
-    ]
+    inputs.raised += value
 
 
 MATERIAL = Unknown(
@@ -64,7 +62,11 @@ def test_a_new_unknown_is_found_everywhere(unknown, rope_lift, tmp_path, capsys)
         assert unknown.title in "\n".join(name for name, *_ in found.rows())
 
     # the report and the viewer
-    assert unknown.title in report.read_text(encoding="utf-8").lower()
+    page = report.read_text(encoding="utf-8").lower()
+    assert unknown.title in page
+    if unknown.material:
+        assert f'class="name">{unknown.title}</td>' in page  # a row of the parameters
+        assert unknown.title in page.split("usable.", 1)[1].split("</p>", 1)[0]  # the verdict
     scene = LiftScene.of(rope_lift.seen(), rope_lift.settings)
     assert unknown.name in [p.name for p in _parameters(scene, found.theta)]
 
@@ -75,6 +77,31 @@ def test_a_new_unknown_is_found_everywhere(unknown, rope_lift, tmp_path, capsys)
         E = [item.material.E for item in belief.draws(50, seed=0)]
         # the lift shows the product of both alone, so E varies less than each of them
         assert 0.0 < np.std(np.log(E)) < 0.5 * belief.sd[belief.names.index(unknown.name)]
+
+
+OUTSIDE = """
+from gendom.materials.unknowns import Unknown
+
+
+def raised(inputs, value):
+    inputs.raised += value
+
+
+LIFT_OFFSET = Unknown(
+    name="lift_offset", symbol="dz", unit="m", meaning="how much higher the lift was",
+    low=-0.05, high=0.05, mean=0.0, sd=0.002, step=1e-3, widest=0.01, on_replay=raised,
+)
+"""
+
+
+def test_a_package_adds_an_unknown(outside, rope_lift, tmp_path):
+    outside.add("offset", OUTSIDE, unknowns="LIFT_OFFSET")
+    path = tmp_path / "lift.npz"
+    rope_lift.seen().write(path)
+    words = ["--unknowns", "E_over_rho", "lift_offset", "--starts", 1, "--points", 15, "--json"]
+    estimated = outside.gendom("estimate", path, *words)
+    assert estimated.returncode == 0, estimated.stderr
+    assert abs(json.loads(estimated.stdout)["theta"]["lift_offset"]) < 0.01
 
 
 def test_a_name_is_registered_once(unknown):

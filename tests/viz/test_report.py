@@ -358,4 +358,4 @@ def test_viz_needs_neither_estimation_nor_policies(run_python):
     )
     found = {".".join(name.split(".")[:2]) for name in run_python(code).split()}
     own = {"gendom.arguments", "gendom.errors", "gendom.files", "gendom.shown", "gendom.viz"}
-    assert found == own | {"gendom.materials"}
+    assert found == own | {"gendom.materials", "gendom.plugins"}

@@ -24,7 +24,7 @@ from gendom.tasks import Task
 
 if TYPE_CHECKING:
     from gendom.materials.estimate import Estimate
-    from gendom.policies import Policy
+    from gendom.policies.policy import Action, Policy
     from gendom.tasks.task import World
 
 _ACTION = "gendom-action/3"
@@ -107,17 +107,7 @@ class Command(KnownObject):
             "units": units_of(task),
             "object": {"kind": item.kind, **to_columns(item)},
             "assumed": held.assumed,
-            "policy": {
-                "path": policy.where,
-                "method": policy.description.method,
-                "conditioned_on": policy.description.conditioned_on,
-                "seed": policy.description.training.get("seed"),
-            },
-            "network_input": action.network_input,
-            "network_input_meaning": {
-                name: f"{PARAMETERS[name].meaning}, dimensionless" for name in action.network_input
-            },
-            "warnings": list(action.warnings),
+            **_about(policy, action),
         }
         T, path = placed(task, item, values, self.origin)
         result |= self._followed(path, item, result["warnings"])
@@ -195,6 +185,22 @@ class Command(KnownObject):
         about = {"expected": found.expected, "before": found.before,
                  "rollouts": found.rollouts, "seconds": found.seconds}  # fmt: skip
         return found.action, about
+
+
+def _about(policy: Policy, action: Action) -> dict[str, Any]:
+    """Which policy chose an action, from what, with which warnings."""
+    inputs = action.network_input
+    return {
+        "policy": {
+            "path": policy.where,
+            "method": policy.description.method,
+            "conditioned_on": policy.description.conditioned_on,
+            "seed": policy.description.training.get("seed"),
+        },
+        "network_input": inputs,
+        "network_input_meaning": {n: f"{PARAMETERS[n].meaning}, dimensionless" for n in inputs},
+        "warnings": list(action.warnings),
+    }
 
 
 def placed(

@@ -15,7 +15,7 @@ from gendom.cli.arguments import TaskName
 from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import tell_written
 from gendom.files import check_file, read_json, to_json, write_json
-from gendom.materials.estimate import LEVEL
+from gendom.materials.estimate_file import LEVEL
 from gendom.materials.unknowns import UNKNOWNS
 from gendom.tasks import find_task
 

@@ -6,16 +6,10 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
-from gendom.arguments import require
-from gendom.errors import ParameterError, did_you_mean
-from gendom.files import read_json
-from gendom.materials.estimate import FORMAT, Estimate
-from gendom.materials.names import with_current_names
 from gendom.progress import bar
 
 if TYPE_CHECKING:
@@ -55,16 +49,14 @@ TaskName = Annotated[str, _name(TASKS_HELP, _task)]
 
 
 def _method(word: str) -> str:
-    from gendom.estimation import METHODS
+    from gendom.estimation import find_method
 
-    if word not in METHODS:
-        fix = did_you_mean(word, METHODS) or f"choose from {', '.join(METHODS)}"
-        raise ParameterError(f"there is no method {word!r}", fix=fix)
+    find_method(word)
     return word
 
 
 MethodName = Annotated[str, _name(METHODS_HELP, _method)]
-"""The name of a method of estimation."""
+"""The name of a method of estimation, those of other packages included."""
 
 
 def settings_of(kind: type[Settings], command: Any, **others: Any) -> Settings:
@@ -92,38 +84,3 @@ def iterations_shown() -> Iterator[Callable[[Progress], None]]:
             show(progress.iteration, progress.most, note)
 
         yield told
-
-
-def read_estimate(path: Path, *, force: bool, kind: str | None = None) -> Estimate:
-    """The estimate of a file.
-
-    Raises:
-        GendomError: As `read_params`, or its numbers cannot be used.
-    """
-    return Estimate.from_dict(read_params(path, force=force), str(path), kind=kind)
-
-
-def read_params(path: Path, *, force: bool) -> dict[str, Any]:
-    """The JSON object of an estimate's file.
-
-    Args:
-        path: What ``gendom estimate --out`` wrote, perhaps an older version's.
-        force: Take one whose verdict is not usable, too.
-
-    Raises:
-        GendomError: The file is missing, or no JSON.
-        ParameterError: It is no estimate, or not usable.
-    """
-    params = with_current_names(read_json(path))
-    where, found = str(path), params.get("format")
-    fix = "give a file written by gendom estimate"
-    require(found == FORMAT, f"has format {found!r}, not {FORMAT!r}", where=where, fix=fix)
-    verdict = params.get("verdict") or {}
-    usable = verdict.get("usable") is not False
-    reasons = ", ".join(verdict.get("reasons", ()))
-    fix = "record the object again, or add --force"
-    require(usable or force, f"is not usable: {reasons}", where=where, fix=fix)
-    what = f"holds no numbers, since nothing was estimated: {reasons}"
-    fix = "record the object again, or describe it by flags such as --E"
-    require(usable or not params.keys() <= {"format", "verdict"}, what, where=where, fix=fix)
-    return params

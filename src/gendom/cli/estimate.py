@@ -19,7 +19,6 @@ from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError, SimulationError
 from gendom.files import check_file, check_folder, to_json, write_json
 from gendom.installation import version
-from gendom.materials.estimate import FORMAT
 
 if TYPE_CHECKING:
     from gendom.estimation import EstimateSettings, FittedEstimate
@@ -155,6 +154,8 @@ class Command:
 
     def _refused(self, reasons: list[str]) -> int:
         """Print and write why a recording gives no estimate."""
+        from gendom.materials.estimate_file import FORMAT
+
         record = {"format": FORMAT, "verdict": {"usable": False, "reasons": reasons}}
         if self.json:
             print(to_json(record))

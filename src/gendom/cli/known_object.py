@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gendom.arguments import require
-from gendom.cli.arguments import read_estimate
 from gendom.errors import GendomError
 from gendom.materials import KINDS, PARAMETERS
 
@@ -56,12 +55,13 @@ class KnownObject:
         Raises:
             GendomError: The file cannot be used, or something that is needed is missing.
         """
-        from gendom.materials.estimate import HIDDEN, Estimate
+        from gendom.materials.estimate import Estimate
+        from gendom.materials.estimate_file import HIDDEN
 
         found = Estimate(kind=task.kind, known={})
         where = None if self.params is None else str(self.params)
         if self.params is not None:
-            found = read_estimate(self.params, force=self.force, kind=task.kind)
+            found = Estimate.load(self.params, kind=task.kind, even_unusable=self.force)
             require(
                 found.kind == task.kind,
                 f"describes a {found.kind}, the task needs a {task.kind}",

@@ -12,7 +12,7 @@ import tyro
 from numpy.typing import NDArray
 
 from gendom.arguments import require
-from gendom.cli.arguments import iterations_shown, read_params
+from gendom.cli.arguments import iterations_shown
 from gendom.cli.outputs import tell_written
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
@@ -55,6 +55,7 @@ class Command:
 
     def run(self) -> int:
         from gendom.estimation import chamfers, replay
+        from gendom.materials.estimate_file import read_record
         from gendom.sim import open_device
 
         if self.out is not None:
@@ -63,8 +64,13 @@ class Command:
             check_file(self.gif, ".gif")
         open_device(self.device)
         recording = Recording.read(self.recording)
-        params = read_params(self.params, force=self.force)
-        scene, theta = replay_setup(recording, params, str(self.params), self.device, self.engine)
+        scene, theta = replay_setup(
+            recording,
+            read_record(self.params, even_unusable=self.force),
+            str(self.params),
+            self.device,
+            self.engine,
+        )
         frames = list(scene.frames)
         with bar("replaying", len(frames), "frame", even=True) as show:
             x = replay(scene, [theta], on_frame=show)[:, 0]

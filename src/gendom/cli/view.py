@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from gendom.arguments import require
-from gendom.cli.arguments import read_params
 from gendom.cli.outputs import tell_written
 from gendom.datasets import Recording
 from gendom.datasets.recording import is_recording
@@ -79,6 +78,7 @@ class Command:
         return 0
 
     def _model(self) -> Model:
+        from gendom.materials.estimate_file import read_record
         from gendom.viz.viewer.models import DatasetModel, RecordingModel
 
         shown, params = self.shown, self.params
@@ -91,13 +91,13 @@ class Command:
             fix = "give a recording and one estimate"
             require(params is None, "are given twice", where="--params", fix=fix)
             params = shown
-            shown = find_recording(read_params(params, force=self.force), params)
+            shown = find_recording(read_record(params, even_unusable=self.force), params)
         recording = Recording.read(shown)
         if params is None:
             return RecordingModel.of(recording, shown.name)
         from gendom.cli.replay import replay_setup
 
-        values = read_params(params, force=self.force)
+        values = read_record(params, even_unusable=self.force)
         scene, theta = replay_setup(recording, values, str(params), "cpu")
         return RecordingModel(scene, theta, shown.name)
 

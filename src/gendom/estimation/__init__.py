@@ -3,7 +3,7 @@
 from gendom.estimation.calibration import IntervalCalibration
 from gendom.estimation.estimate import estimate
 from gendom.estimation.likelihood import NoiseModel, Observation
-from gendom.estimation.methods import METHODS
+from gendom.estimation.methods import METHODS, find_method
 from gendom.estimation.problem import EstimateSettings, Problem, Progress
 from gendom.estimation.replay import replay
 from gendom.estimation.result import FittedEstimate, chamfers
@@ -35,5 +35,6 @@ __all__ = [
     "VerdictSettings",
     "chamfers",
     "estimate",
+    "find_method",
     "replay",
 ]

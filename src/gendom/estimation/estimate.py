@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from gendom.arguments import require
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.calibration import IntervalCalibration
 from gendom.estimation.discrepancy import discrepancy
-from gendom.estimation.methods import METHODS
+from gendom.estimation.methods import find_method
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
 from gendom.estimation.methods.nearest import nearest
 from gendom.estimation.methods.search import estimated_noise
@@ -37,10 +36,10 @@ from gendom.materials.unknowns import Theta
 STAGES: tuple[str, ...] = ("scene", "search", "intervals")
 """That take time; the verdict and replays for the result take the time of a few simulations."""
 
-GLANCE = 2
+ITERATIONS_IF_REFUSED = 2
 """`EstimateSettings.max_iterations` where a recording is refused whatever is found."""
 
-ASTRAY = 5.0
+FAILED_FIT = 5.0
 """Displacement of a cloth's model, over what is usable at most, from which on the search has gone
 astray: then it is as large as the deviation of how a corner is held."""
 
@@ -78,8 +77,7 @@ def estimate(
         KeyboardInterrupt: If interrupted before anything was found.
     """
     settings = settings or EstimateSettings()
-    what, fix = f"there is no method {settings.method!r}", f"choose one of {', '.join(METHODS)}"
-    require(settings.method in METHODS, what, fix=fix)
+    search = find_method(settings.method)
     times = [clock.perf_counter()]
     if isinstance(recordings, Recording):
         recordings = [recordings]
@@ -89,17 +87,8 @@ def estimate(
     with threadpool_limits(limits=1, user_api="blas"):
         scenes = [_scene(r, settings, known, n) for r, n in zip(recordings, names, strict=True)]
         problem = Problem(scenes, settings, on_progress, known, names)
-        refused = refused_before(problem)
-        if refused:
-            # a glance shows where it differs
-            problem.settings = replace(settings, starts=1, max_iterations=GLANCE)
         times.append(clock.perf_counter())
-        found = METHODS[settings.method](problem)
-        if settings.method == "gauss-newton" and not found.interrupted and not refused:
-            finer = problem.finer(found.best.vector)
-            if finer is not problem:
-                problem, found = finer, refined(finer, found)
-            found = _nearer(problem, found)
+        problem, found = _searched(problem, search)
         times.append(clock.perf_counter())
         calibration = calibration or IntervalCalibration.of(problem.scene.kind, settings.frames)
         posterior = _posterior(problem, found, calibration)
@@ -112,13 +101,28 @@ def estimate(
         return result_of(problem, found, posterior, alone, verdict, seconds)
 
 
-def _nearer(problem: Problem, found: Found) -> Found:
+def _searched(problem: Problem, search: Callable[[Problem], Found]) -> tuple[Problem, Found]:
+    """What a method finds, and the problem at the resolution that the result needs. A recording
+    that is refused whatever is found gets a few iterations, which show where it differs."""
+    refused = refused_before(problem)
+    if refused:
+        problem.settings = replace(problem.settings, starts=1, max_iterations=ITERATIONS_IF_REFUSED)
+    found = search(problem)
+    if problem.settings.method == "gauss-newton" and not found.interrupted and not refused:
+        finer = problem.finer(found.best.vector)
+        if finer is not problem:
+            problem, found = finer, refined(finer, found)
+        found = _searched_widely(problem, found)
+    return problem, found
+
+
+def _searched_widely(problem: Problem, found: Found) -> Found:
     """The result, or that of a search over the whole prior where a cloth moves otherwise than the
     best fit does: with a large displacement of the model every place fits, and steps end anywhere.
     """
     parts = zip(problem.parts, found.noise, strict=True)
     cloth = problem.scene.kind == "cloth" and problem.scene.thin
-    astray = any(displaced(part, noise, times=ASTRAY) for part, noise in parts)
+    astray = any(displaced(part, noise, times=FAILED_FIT) for part, noise in parts)
     if not cloth or not astray:
         return found
     try:
@@ -139,11 +143,11 @@ def _nearer(problem: Problem, found: Found) -> Found:
 def _posterior(problem: Problem, found: Found, calibration: IntervalCalibration) -> Posterior:
     covariance = found.covariance
     if covariance is None:
-        covariance = np.linalg.inv(problem.slopes(found.best, found.noise)[1])
+        covariance = np.linalg.inv(problem.gradient_and_hessian(found.best, found.noise)[1])
     added: float | NDArray[np.floating] = 0.0
     elsewhere = problem.settings.method != "gauss-newton" or found.interrupted
     if elsewhere and found.covariance is None:
-        added = _short_of(problem, found)
+        added = _newton_step(problem, found)
     # what moves otherwise than any simulated object gets no intervals
     if not any(displaced(p, n) for p, n in zip(problem.parts, found.noise, strict=True)):
         added = np.hypot(added, discrepancy(problem, found, covariance, calibration))
@@ -156,10 +160,10 @@ def _posterior(problem: Problem, found: Found, calibration: IntervalCalibration)
     return posterior.with_assumed(assumed_thickness())
 
 
-def _short_of(problem: Problem, found: Found) -> NDArray[np.floating]:
+def _newton_step(problem: Problem, found: Found) -> NDArray[np.floating]:
     """[P] how far a result is from where the likelihood is greatest, as a Newton step says: other
     searches minimise something else, or end before."""
-    gradient, hessian = problem.slopes(found.best, found.noise)
+    gradient, hessian = problem.gradient_and_hessian(found.best, found.noise)
     return np.abs(np.linalg.solve(hessian, gradient))
 
 

@@ -387,7 +387,7 @@ def forecast(
         return believed, None
     start = Start(initial=truth, vector=truth, comparison=comparison)
     noise = estimated_noise(comparison, problem.first_noise())
-    covariance = np.linalg.inv(problem.slopes(start, noise)[1])
+    covariance = np.linalg.inv(problem.gradient_and_hessian(start, noise)[1])
     calibration = IntervalCalibration.of(scene.kind)
     posterior = calibration.posterior(prior, truth, covariance, problem.bases)
     # unknowns that such a recording does not determine keep their priors

@@ -59,7 +59,7 @@ class NoiseModel:
     """Correlation length of displacements along the object, in its size."""
     time_scale: float = 0.1
     """Correlation time of displacements, as a share of the compared frames."""
-    straying: float = 0.006
+    huber_width: float = 0.006
     """Distance beyond which a point's pull grows no further [m]: Huber's loss, smoothed."""
     patch: float = 4.0
     """Points of a thinned cloud that share their noise."""
@@ -275,7 +275,7 @@ class Rows:
     on_skin: bool
     """Whether points are on the skin, not on the middle."""
 
-    def slopes(self, J: Array, widens: Array) -> Array:
+    def parameter_derivatives(self, J: Array, widens: Array) -> Array:
         """[T, m, P] by how much residuals fall with parameters that change shapes by J
         [T, n, 3, P] and half their thickness by ``widens`` [P]."""
         found = np.zeros((*self.rho.shape, J.shape[3]))
@@ -312,14 +312,14 @@ class Comparison:
         self._last: Fit | None = None
         self._first = np.zeros(0)
 
-    def follow(self, other: Comparison) -> None:
+    def warm_start(self, other: Comparison) -> None:
         """Start the registration from the result of a comparison nearby."""
         if other._last is not None:
             self._first = other._last.a
 
-    def take_slopes(self, other: Comparison, step: Array, weight: Array) -> None:
-        """Take over the slopes of a comparison nearby, with the smallest change that agrees with
-        both shapes (Broyden 1965).
+    def inherit_derivatives(self, other: Comparison, step: Array, weight: Array) -> None:
+        """Take over the derivatives of a comparison nearby, with the smallest change that agrees
+        with both shapes (Broyden 1965).
 
         Args:
             other: Of the same frames; of a shape with as many points if there is a step.
@@ -349,7 +349,7 @@ class Comparison:
     def rms(self) -> float:
         """Robust root mean square distance of points from the skin, and of skin without points from
         the points [m]."""
-        rows, c = self.rows, self.observation.noise.straying
+        rows, c = self.rows, self.observation.noise.huber_width
         squares = 2.0 * c**2 * (np.sqrt(1.0 + (rows.rho / c) ** 2) - 1.0)
         return math.sqrt(float((rows.counts * squares).sum() / max(rows.counts.sum(), 1e-9)))
 
@@ -364,14 +364,14 @@ class Comparison:
         return float((points + (away * (rows.counts > 0.0))[:, own:].sum(axis=1) / shown).mean())
 
     def fit(self, noise: NoiseModel) -> Fit:
-        """With motion, skin and displacement registered for this noise."""
+        """Register motion, skin and displacement for this noise, or take the last registration."""
         if self._last is None or self._last.noise != noise:
             self._last = self._registered(noise)
         return self._last
 
     def _registered(self, noise: NoiseModel) -> Fit:
         """Gauss-Newton steps of motion, skin and displacement under their priors, and what is left
-        of the parameters' slopes where those follow."""
+        of the gradient by parameters where those follow."""
         S = self.observation.in_time.shape[1] * 3 * self.observation.in_place.shape[1]
         precision = np.concatenate([np.full(S, noise.model**-2), noise.fixed])
         a = self._first if len(self._first) else np.zeros(len(precision))
@@ -421,7 +421,7 @@ class Comparison:
     def _sums(self, a: Array, noise: NoiseModel, J: Array) -> _Sums:
         """Of the shape displaced by ``a`` [S + 7]; J [T, n, 3, P] as that of the comparison."""
         o = self.observation
-        U, B, P, c = o.in_time, o.in_place, J.shape[3], noise.straying
+        U, B, P, c = o.in_time, o.in_place, J.shape[3], noise.huber_width
         rows = o.rows(self._displaced(a), self.radius)
         rho = rows.rho - a[-1]
         root = np.sqrt(1.0 + (rho / c) ** 2)
@@ -431,8 +431,10 @@ class Comparison:
         psi = np.einsum("tmk,tmkq->tmq", rows.weight, B[rows.index])
         G = (psi[..., :, None] * rows.normal[..., None, :]).reshape(*rho.shape, -1)
         # by parameters, rigid motion and skin; and what is left
+        by_parameters = rows.parameter_derivatives(J, self.widens[:P])
         D = np.concatenate(
-            [rows.slopes(J, self.widens[:P]), rows.fixed(o.centre), rho[..., None]], axis=2
+            [by_parameters, rows.fixed(o.centre), rho[..., None]],
+            axis=2,
         )
         dd = np.einsum("tmi,tmj->ij", D, w * D, optimize=True)
         Gt = np.swapaxes(G, 1, 2)
@@ -476,22 +478,22 @@ class Comparisons:
         """`Comparison.distance` of all, each recording counting alike [m]."""
         return sum(c.distance for c in self.parts) / len(self.parts)
 
-    def follow(self, other: Comparisons) -> None:
+    def warm_start(self, other: Comparisons) -> None:
         """Start the registrations from the results of comparisons nearby."""
         for mine, theirs in zip(self.parts, other.parts, strict=True):
-            mine.follow(theirs)
+            mine.warm_start(theirs)
 
-    def take_slopes(self, other: Comparisons, step: Array, weight: Array) -> None:
-        """`Comparison.take_slopes` of all, from comparisons a step [P] away."""
+    def inherit_derivatives(self, other: Comparisons, step: Array, weight: Array) -> None:
+        """`Comparison.inherit_derivatives` of all, from comparisons a step [P] away."""
         for mine, theirs, k in zip(self.parts, other.parts, self.shown, strict=True):
-            mine.take_slopes(theirs, step[k], weight[k])
+            mine.inherit_derivatives(theirs, step[k], weight[k])
 
     def value(self, noise: Sequence[NoiseModel]) -> float:
         """-2 log likelihood with each recording's noise, up to a constant that depends on the noise
         only."""
         return sum(c.fit(n).value for c, n in zip(self.parts, noise, strict=True))
 
-    def slopes(self, noise: Sequence[NoiseModel]) -> tuple[Array, Array]:
+    def gradient_and_hessian(self, noise: Sequence[NoiseModel]) -> tuple[Array, Array]:
         """Half of that value's slope [P] and curvature [P, P]."""
         gradient, hessian = np.zeros(self.unknowns), np.zeros((self.unknowns, self.unknowns))
         for comparison, k, own in zip(self.parts, self.shown, noise, strict=True):
@@ -503,8 +505,8 @@ class Comparisons:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Sums:
-    """Over all residuals, weighted by how likely they are: products of their slopes with each other
-    and with themselves, by the S + 7 unknowns of registration and by P parameters."""
+    """Normal equations of all residuals, weighted by how likely they are: products of their
+    derivatives by the S + 7 unknowns of registration and by P parameters, and with residuals."""
 
     M: Array
     """[S + 7, S + 7]."""
@@ -552,7 +554,7 @@ class Fit:
         """Distance of points from the registered skin [m]."""
         return math.sqrt(self.loss / max(self.count, 1e-9))
 
-    def better_noise(self, rounds: int) -> NoiseModel:
+    def updated_noise(self, rounds: int) -> NoiseModel:
         """Noise of higher likelihood, by rounds of expectation and maximisation with fixed
         correspondences."""
         noise, S, a = self.noise, self.smooth, self.a

@@ -152,7 +152,7 @@ class Part:
         return f"{self.name}: {reason}" if self.name else reason
 
     @cached_property
-    def easier(self) -> Part:
+    def coarse(self) -> Part:
         """The coarse problem, for the first stage of a search: of a rope only frames without fast
         motion, where there are enough (fast motion depends on the earlier motion, too); of a cloth
         fewer simulated and recorded points."""
@@ -224,15 +224,15 @@ class Problem:
         return tuple(part.base for part in self.parts)
 
     @cached_property
-    def easier(self) -> Problem:
-        """The same with easier parts, see there."""
-        parts = tuple(part.easier for part in self.parts)
+    def coarse(self) -> Problem:
+        """The same with coarse parts, see there."""
+        parts = tuple(part.coarse for part in self.parts)
         if parts == self.parts:
             return self
-        easier = copy.copy(self)
-        easier.__dict__.pop("easier", None)
-        easier.parts = parts
-        return easier
+        coarse = copy.copy(self)
+        coarse.__dict__.pop("coarse", None)
+        coarse.parts = parts
+        return coarse
 
     def finer(self, vector: Array) -> Problem:
         """The same with the resolution that the found parameters need, see `LiftScene.finer`."""
@@ -240,14 +240,14 @@ class Problem:
         if all(s is p.scene for s, p in zip(scenes, self.parts, strict=True)):
             return self
         finer = copy.copy(self)
-        finer.__dict__.pop("easier", None)
+        finer.__dict__.pop("coarse", None)
         finer.parts = tuple(replace(p, scene=s) for s, p in zip(scenes, self.parts, strict=True))
         return finer
 
     def alone(self, recording: int) -> Problem:
         """The same of one recording."""
         alone, part, k = copy.copy(self), self.parts[recording], self.parts[recording].shown
-        alone.__dict__.pop("easier", None)
+        alone.__dict__.pop("coarse", None)
         alone.prior = self.prior.taken(k)
         alone.parts = (replace(part, shown=np.arange(len(k)), name=""),)
         alone._on_progress = None
@@ -369,13 +369,13 @@ class Problem:
                     along[k, moved[own.index(name)]] = share
         return along
 
-    def compares(self, comparison: Comparisons) -> bool:
+    def is_as_fine_as(self, comparison: Comparisons) -> bool:
         """Whether a comparison has all frames and points of this problem, not those of a coarse
         one."""
         parts = zip(comparison.parts, self.parts, strict=True)
         return all(c.observation is part.observation for c, part in parts)
 
-    def like(self, comparison: Comparisons) -> bool:
+    def has_frames_of(self, comparison: Comparisons) -> bool:
         """Whether a comparison, of this problem or a coarse one, has the same frames."""
         parts = zip(comparison.parts, self.parts, strict=True)
         return all(c.observation.scene.frames == part.scene.frames for c, part in parts)
@@ -399,10 +399,12 @@ class Problem:
         with ThreadPoolExecutor(max_workers=self.settings.scene.threads) as pool:
             return list(pool.map(one, vectors, comparisons))
 
-    def slopes(self, start: Start, noise: Sequence[NoiseModel]) -> tuple[Array, Array]:
-        """Half of that value's slope [P] and curvature [P, P]."""
+    def gradient_and_hessian(
+        self, start: Start, noise: Sequence[NoiseModel]
+    ) -> tuple[Array, Array]:
+        """Half of the gradient [P] and of the Hessian [P, P] of `value`."""
         assert start.comparison is not None
-        gradient, hessian = start.comparison.slopes(noise)
+        gradient, hessian = start.comparison.gradient_and_hessian(noise)
         precision, off = self.prior.sd**-2.0, start.vector - self.prior.mean
         return gradient + precision * off, hessian + np.diag(precision)
 

@@ -35,11 +35,11 @@ SCANNED = 8
 ROUNDS = 5
 """Of placing the object and moving the clouds, at most."""
 
-ARRIVED = (0.002, 0.005)
+CONVERGED = (0.002, 0.005)
 """Registration ends below this motion: [m] at the clouds' centre, and [rad]; the likelihood
 linearises motions of this size."""
 
-AFAR = {"sensor": 0.005, "rounds": 8}
+COARSE_NOISE = {"sensor": 0.005, "rounds": 8}
 """Noise [m] and pairings with which clouds are moved."""
 
 
@@ -62,7 +62,7 @@ def register(recording: Recording, settings: EstimateSettings, known: Theta | No
         scene = LiftScene.of(recording, settings.scene, registration=T)
         problem = Problem([scene], settings, known=known)
         if vector is None:
-            vector, comparison, noise = _scanned(problem.easier)
+            vector, comparison, noise = _scanned(problem.coarse)
         else:
             found = gauss_newton(problem, GaussNewtonSettings.of(scene.kind, initial=(vector,)))
             assert found.best.comparison is not None
@@ -70,7 +70,7 @@ def register(recording: Recording, settings: EstimateSettings, known: Theta | No
             noise = found.noise[0]
         change, moved = _motion(comparison, noise)
         T = change @ T
-        if moved[0] < ARRIVED[0] and moved[1] < ARRIVED[1]:
+        if moved[0] < CONVERGED[0] and moved[1] < CONVERGED[1]:
             break
     return T
 
@@ -110,7 +110,7 @@ def _scanned(problem: Problem) -> tuple[Array, Comparison, NoiseModel]:
         k = prior.index("E_over_rho")
         scan = np.linspace(prior.low[k], prior.high[k], SCANNED + 2)[1:-1]
         vectors = [np.where(np.arange(len(v)) == k, x, v) for v in vectors for x in scan]
-    (noise,) = problem.first_noise(**AFAR)
+    (noise,) = problem.first_noise(**COARSE_NOISE)
     compared = [
         (c.parts[0].fit(noise).value, n, c.parts[0])
         for n, c in enumerate(problem.compare(vectors, derivatives=False))

@@ -19,51 +19,146 @@ from gendom.sim import Gripper, Physics, Simulator, Solver, Table
 Array = NDArray[np.floating]
 
 
-def material_of(scene: LiftScene, theta: Theta) -> Material:
-    """The object's material for these parameters.
-
-    A scene's body is as thick as stated. With its mass, an object that is r times as thick takes
-    r^2 times the E, so that it bends equally: stiffness over weight goes with the square of the
-    radius of gyration, of ropes and of sheets.
-    """
-    E, membrane = theta.E_over_rho * theta.thickness**2 * scene.density, None
-    if scene.kind == "cloth" and scene.thin:
-        width, height = (scene.recording.object.width, scene.recording.object.height)
-        assert width is not None and height is not None
-        weight = scene.density * STANDARD_GRAVITY * max(width, height)
-        membrane = min(E, weight / (2.0 * scene.settings.stretch))
-    return Material(
-        E=E, nu=theta.nu, density=scene.density, damping=theta.damping, membrane=membrane
-    )
-
-
 @dataclass(kw_only=True)
 class WorldInputs:
-    """What unknowns change of one simulated world; hooks of the registry may change it further."""
+    """Inputs of one simulated world. They begin as what the recording states, and each unknown's
+    `Unknown.on_replay` changes them to a value of it, in the order of the registry."""
 
-    material: Material
-    friction: float
-    """On the table."""
-    stiffness: Array | None
-    """[N] factors of E along the object; None: 1."""
+    scene: LiftScene
     positions: Array
     """[N, 3] in the beginning [m]."""
-    grippers: list[Gripper]
+    E_over_rho: float = 1.0
+    """Of a body as thick as stated [m^2/s^2]."""
+    nu: float = 0.3
+    damping: float = 0.0
+    """As `Material.damping` [s]."""
+    friction: float = 0.0
+    """On the table."""
+    stiffness: Array | None = None
+    """[N] factors of E along the object; None: 1."""
+    delay: float = 0.0
+    """How late clouds show the motion of the grippers, recorded time [s]."""
+    raised: float = 0.0
+    """How much higher than stated one gripper holds the object [m]."""
+    reach: float = 0.0
+    """How much farther than stated a gripper holds a cloth fast [m]."""
+    tilt: float = 0.0
+    """How far a held corner turns as it is lifted [rad]."""
+    yaw: float = 0.0
+    """Turn of the lying cloth [rad]."""
 
     @classmethod
     def of(cls, scene: LiftScene, theta: Theta) -> WorldInputs:
         """Of a scene with these parameters."""
-        inputs = cls(
-            material=material_of(scene, theta),
-            friction=theta.friction,
-            stiffness=_stiffness(scene, theta.stiffness_slope),
-            positions=_laid(scene, theta),
-            grippers=_grippers(scene, theta),
-        )
+        inputs = cls(scene=scene, positions=scene.initial)
         for name, unknown in UNKNOWNS.items():
             if unknown.on_replay is not None:
                 unknown.on_replay(inputs, theta[name])
         return inputs
+
+    # ---- what unknowns do ------------------------------------------------------------------------
+
+    def thicken(self, times: float) -> None:
+        """Make the object so many times as thick as stated.
+
+        The simulated body stays as thick as stated. With its mass, an object that is r times as
+        thick takes r^2 times the E, so that it bends equally: stiffness over weight goes with the
+        square of the radius of gyration, of ropes and of sheets. Its middle lies higher on the
+        table, so the gripper is lowered instead.
+        """
+        self.E_over_rho *= times**2
+        self.raised -= self.scene.rise(times)
+
+    def stiffen_along(self, slope: float) -> None:
+        """Let ln(E) grow by so much from one end of a rope to the other."""
+        scene = self.scene
+        if slope and scene.thin:
+            share = np.linspace(-0.5, 0.5, len(scene.body.points))
+            self.stiffness = np.exp(slope * share)
+        elif slope:
+            share = scene.body.material_coordinates[:, 0] / scene.size - 0.5
+            self.stiffness = np.exp(slope * share)
+
+    def shift(self, *, along: float = 0.0, aside: float = 0.0) -> None:
+        """Hold the object so much farther from its end or corner, or from its diagonal [m]: the
+        object is moved, so that what is held is where the gripper closes."""
+        if len(self.scene.held) == 1:
+            inwards = self.scene.inwards[0]
+            left = np.array([-inwards[1], inwards[0], 0.0])
+            self.positions = self.positions - along * inwards - aside * left
+
+    def turn(self, yaw: float) -> None:
+        """Turn the lying cloth about the held point [rad]."""
+        self.yaw = yaw
+        if yaw and len(self.scene.held) == 1:
+            turn, held = Rotation.from_euler("z", yaw).as_matrix(), self.scene.held[0]
+            self.positions = held + (self.positions - held) @ turn.T
+
+    # ---- what the simulator takes ----------------------------------------------------------------
+
+    @property
+    def material(self) -> Material:
+        """The object's material."""
+        scene, membrane = self.scene, None
+        E = self.E_over_rho * scene.density
+        if scene.kind == "cloth" and scene.thin:
+            width, height = (scene.recording.object.width, scene.recording.object.height)
+            assert width is not None and height is not None
+            weight = scene.density * STANDARD_GRAVITY * max(width, height)
+            membrane = min(E, weight / (2.0 * scene.settings.stretch))
+        return Material(
+            E=E, nu=self.nu, density=scene.density, damping=self.damping, membrane=membrane
+        )
+
+    @property
+    def grippers(self) -> list[Gripper]:
+        """The recorded paths, moved onto the held points, with slack and a ramp from rest."""
+        return [self._gripper(g) for g in range(len(self.scene.held))]
+
+    def _gripper(self, g: int) -> Gripper:
+        scene, held = self.scene, self.scene.held[g]
+        delay = self.delay / scene.clock
+        time, path = scene.path(g)
+        time, path = time + delay, path.copy()
+        if len(scene.held) == 1:
+            path[:, :2] += held[:2] - path[0, :2]
+            path[:, 2] += self.raised
+            if scene.recording.table_height is not None:
+                path[:, 2] = np.maximum(path[:, 2], held[2])
+        knots, at = time, path
+        away = float(np.linalg.norm(path[0] - held))
+        if away > 0.0:
+            # the first recorded position is reached before the first frame, not in a jump
+            ramp = away / scene.settings.ramp_speed + 1e-3
+            knots, at = np.concatenate([[time[0] - ramp], time]), np.concatenate([held[None], path])
+        reach = held_reach(scene, self.reach)
+        return Gripper(
+            time=knots,
+            position=at,
+            quat_xyzw=self._turned(g, knots, at, reach),
+            radius=reach,
+            **_closed(scene, g, delay),
+        )
+
+    def _turned(self, g: int, knots: Array, at: Array, reach: float) -> Array | None:
+        """[K, 4] how a gripper turns, or None.
+
+        As its recorded axis does, without turning about it; a pinched corner does not stay level
+        beside it: it hangs once the gripper has risen by its reach.
+        """
+        scene, turned = self.scene, None
+        turns = scene.turns[g]
+        if turns is not None:
+            t = turns[0] + self.delay / scene.clock
+            turned = Slerp(t, turns[1])(np.clip(knots, t[0], t[-1]))
+        if scene.kind == "cloth" and scene.recording.object.grasp == "corner":
+            rise = at[:, 2] - scene.held[g, 2]
+            inwards = Rotation.from_euler("z", self.yaw).apply(scene.inwards[g])
+            axis = np.cross(inwards, [0.0, 0.0, -1.0])
+            angle = self.tilt * np.clip(rise / (2.0 * reach), 0.0, 1.0)
+            tilted = Rotation.from_rotvec(angle[:, None] * axis)
+            turned = tilted if turned is None else turned * tilted
+        return None if turned is None else turned.as_quat()
 
 
 def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, Array]:
@@ -123,7 +218,7 @@ def replay(
     simulator, times = simulator_of(scene, thetas)
     x = simulator.run(times, keep_going=keep_going, on_frame=on_frame).astype(float)
     # a thicker object lies higher: its table is raised and its grippers are lowered
-    x[..., 2] += np.array([scene.rise(theta) for theta in thetas])[:, None]
+    x[..., 2] += np.array([scene.rise(theta.thickness) for theta in thetas])[:, None]
     return x
 
 
@@ -168,61 +263,6 @@ def _stacked(scene: LiftScene, worlds: Sequence[WorldInputs]) -> Array | float:
     return np.stack([one if w.stiffness is None else w.stiffness for w in worlds])
 
 
-def _stiffness(scene: LiftScene, slope: float) -> Array | None:
-    """[N] factors of E along a rope."""
-    if not slope:
-        return None
-    if scene.thin:
-        share = np.linspace(-0.5, 0.5, len(scene.body.points))
-    else:
-        share = scene.body.material_coordinates[:, 0] / scene.size - 0.5
-    return np.exp(slope * share)
-
-
-def _laid(scene: LiftScene, theta: Theta) -> Array:
-    """[N, 3] the object in the beginning, so that what is held is where the gripper closes [m]."""
-    x = scene.initial
-    if len(scene.held) > 1:
-        return x
-    inwards = scene.inwards[0]
-    left = np.array([-inwards[1], inwards[0], 0.0])
-    x = x - theta.grip_along * inwards - theta.grip_aside * left
-    if theta.yaw:
-        turn = Rotation.from_euler("z", theta.yaw).as_matrix()
-        x = scene.held[0] + (x - scene.held[0]) @ turn.T
-    return x
-
-
-def _grippers(scene: LiftScene, theta: Theta) -> list[Gripper]:
-    """The recorded paths, moved onto the held points, with slack and a ramp from rest."""
-    recording, made = scene.recording, []
-    delay = theta.delay / scene.clock
-    for g, held in enumerate(scene.held):
-        time, path = scene.path(g)
-        time, path = time + delay, path.copy()
-        if len(scene.held) == 1:
-            path[:, :2] += held[:2] - path[0, :2]
-            path[:, 2] += theta.grip_height - scene.rise(theta)
-            if recording.table_height is not None:
-                path[:, 2] = np.maximum(path[:, 2], held[2])
-        knots, at = time, path
-        away = float(np.linalg.norm(path[0] - held))
-        if away > 0.0:
-            # the first recorded position is reached before the first frame, not in a jump
-            ramp = away / scene.settings.ramp_speed + 1e-3
-            knots, at = np.concatenate([[time[0] - ramp], time]), np.concatenate([held[None], path])
-        made.append(
-            Gripper(
-                time=knots,
-                position=at,
-                quat_xyzw=_turns(scene, g, theta, knots, at),
-                radius=held_reach(scene, theta),
-                **_closed(scene, g, delay),
-            )
-        )
-    return made
-
-
 def _closed(scene: LiftScene, g: int, delay: float) -> dict[str, Any]:
     """When a gripper closes and opens, halfway between frames."""
     closed = scene.recording.gripper_closed
@@ -241,8 +281,9 @@ def _closed(scene: LiftScene, g: int, delay: float) -> dict[str, Any]:
     return found
 
 
-def held_reach(scene: LiftScene, theta: Theta | None = None) -> float:
-    """How far from its point a gripper holds the object fast [m]."""
+def held_reach(scene: LiftScene, farther: float = 0.0) -> float:
+    """How far from its point a gripper holds the object fast; a cloth so much farther than stated
+    [m]."""
     settings, stated = scene.settings, scene.recording.object.grasp_radius
     if scene.kind == "rope" and len(scene.held) > 1:
         # a gripper holds the part from its point to the end, and as much on the other side
@@ -256,26 +297,4 @@ def held_reach(scene: LiftScene, theta: Theta | None = None) -> float:
     if scene.thin:
         side = scene.size / math.sqrt(2.0)
         least = settings.least_reach_points * side / (settings.coarse_points - 1)
-    return max(
-        (stated or settings.cloth_reach) + (0.0 if theta is None else theta.grip_reach), least
-    )
-
-
-def _turns(scene: LiftScene, g: int, theta: Theta, knots: Array, at: Array) -> Array | None:
-    """[K, 4] how a gripper turns, or None.
-
-    As its recorded axis does, without turning about it; a pinched corner does not stay level beside
-    it: it hangs once the gripper has risen by its reach.
-    """
-    turned, turns = None, scene.turns[g]
-    if turns is not None:
-        t = turns[0] + theta.delay / scene.clock
-        turned = Slerp(t, turns[1])(np.clip(knots, t[0], t[-1]))
-    if scene.kind == "cloth" and scene.recording.object.grasp == "corner":
-        rise = at[:, 2] - scene.held[g, 2]
-        inwards = Rotation.from_euler("z", theta.yaw).apply(scene.inwards[g])
-        axis = np.cross(inwards, [0.0, 0.0, -1.0])
-        angle = theta.grip_tilt * np.clip(rise / (2.0 * held_reach(scene, theta)), 0.0, 1.0)
-        tilted = Rotation.from_rotvec(angle[:, None] * axis)
-        turned = tilted if turned is None else turned * tilted
-    return None if turned is None else turned.as_quat()
+    return max((stated or settings.cloth_reach) + farther, least)

@@ -16,6 +16,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from gendom.arguments import require
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
 from gendom.estimation.placing import place, with_points
@@ -103,13 +104,8 @@ class LiftScene:
         digest = recording.digest
         notes: list[str] = []
         if registration is not None:
-            middle = recording.points.mean(axis=0, dtype=float)
-            shift = np.linalg.norm(registration[:3, :3] @ middle + registration[:3, 3] - middle)
-            turn = math.degrees(Rotation.from_matrix(registration[:3, :3]).magnitude())
+            notes.append(_registration_note(recording, registration))
             recording = recording.moved(registration)
-            notes.append(
-                f"camera poses unknown: clouds moved by {1e3 * shift:.0f} mm and {turn:.1f} degrees"
-            )
         frames = with_points(recording)
         if not frames:
             raise RecordingError("no frame holds a point", where="points", fix="record again")
@@ -117,19 +113,7 @@ class LiftScene:
         body = placed.body
         clock = _choose_clock(recording, settings)
         lasts = float(recording.time[frames[-1]] - recording.time[frames[0]]) / clock
-        if lasts > settings.longest and settings.clock is not None:
-            raise ParameterError(
-                f"is {settings.clock:g}, with which the recording lasts {lasts:.4g} s, longer than "
-                f"the {settings.longest:g} s that are simulated",
-                where="clock",
-                fix="give a larger one, or leave it out",
-            )
-        if lasts > settings.longest:
-            raise RecordingError(
-                f"lasts {lasts:.4g} s, longer than the {settings.longest:g} s that are simulated",
-                where="time",
-                fix="give seconds; cut what does not belong to the motion",
-            )
+        _check_duration(lasts, settings)
         calm, fast = _compared(recording, settings, _hanging(recording, settings, frames))
         density = _density(recording, body, settings, notes)
         return cls(
@@ -236,12 +220,12 @@ class LiftScene:
             return self.density
         return self.density / theta.thickness**self.mass_power
 
-    def rise(self, theta: Theta) -> float:
-        """How much higher the middle of an object lies on its table than with the stated thickness
-        [m]."""
+    def rise(self, times: float) -> float:
+        """How much higher the middle of an object that is so many times as thick as stated lies on
+        its table [m]."""
         if self.recording.table_height is None or len(self.held) > 1:
             return 0.0
-        return 0.5 * (theta.thickness - 1.0) * self.body.thickness
+        return 0.5 * (times - 1.0) * self.body.thickness
 
     def finer(self, theta: Theta) -> LiftScene:
         """The same with the resolution that a cloth of this bending length needs, unless it has it
@@ -379,7 +363,38 @@ def _density(recording: Recording, body: Body, settings: SceneSettings, notes: l
     return density
 
 
+def _registration_note(recording: Recording, registration: Array) -> str:
+    """How far clouds are moved by a registration [4, 4]."""
+    middle = recording.points.mean(axis=0, dtype=float)
+    shift = np.linalg.norm(registration[:3, :3] @ middle + registration[:3, 3] - middle)
+    turn = math.degrees(Rotation.from_matrix(registration[:3, :3]).magnitude())
+    return f"camera poses unknown: clouds moved by {1e3 * shift:.0f} mm and {turn:.1f} degrees"
+
+
 # ---- frames and time ---------------------------------------------------------------------------
+
+
+def _check_duration(lasts: float, settings: SceneSettings) -> None:
+    """Refuse a motion that takes too long to simulate [s].
+
+    Raises:
+        ParameterError: With the stated clock.
+        RecordingError: With the clock that was chosen.
+    """
+    longer = f"longer than the {settings.longest:g} s that are simulated"
+    require(
+        lasts <= settings.longest or settings.clock is None,
+        f"is {settings.clock or 1.0:g}, with which the recording lasts {lasts:.4g} s, {longer}",
+        where="clock",
+        fix="give a larger one, or leave it out",
+    )
+    require(
+        lasts <= settings.longest,
+        f"lasts {lasts:.4g} s, {longer}",
+        where="time",
+        fix="give seconds; cut what does not belong to the motion",
+        error=RecordingError,
+    )
 
 
 def _choose_clock(recording: Recording, settings: SceneSettings) -> float:
@@ -425,7 +440,7 @@ def _hanging(
     if described.kind != "cloth" or described.grasp != "corner":
         return frames
     height = recording.gripper_position[:, 0, 2]
-    least = settings.hangs * max(described.width or 0.0, described.height or 0.0)
+    least = settings.hanging_rise * max(described.width or 0.0, described.height or 0.0)
     found = tuple(t for t in frames if height[t] - height[frames[0]] > least)
     return found if len(found) >= 5 else frames
 

@@ -78,7 +78,7 @@ class SceneSettings:
     """Longest motion that is simulated [s]; a lift takes 10 s."""
     slow_frames: int = 36
     """Frames that are compared where the gripper is slow, at most."""
-    hangs: float = 0.15
+    hanging_rise: float = 0.15
     """Rise of a held corner from which a cloth hangs, in its longer side: before, clouds show
     hardly more than how it lay."""
     fast_frames: int = 60

@@ -86,7 +86,7 @@ class VerdictSettings:
     gap: float = 0.004
     """A place counts as not shown where clouds end so far from it, beyond their own gaps [m]."""
     stray: float = 0.25
-    """Largest share of points farther away than `far` times `NoiseModel.straying`."""
+    """Largest share of points farther away than `far` times `NoiseModel.huber_width`."""
     far: float = 4.0
     below: float = 0.08
     """Largest share of points that lie under the stated table: by 1 cm and more, of a rope by a
@@ -186,7 +186,7 @@ def judge(
     for k, (part, comparison) in enumerate(zip(problem.parts, compared.parts, strict=True)):
         theta = problem.theta(found.best.vector, k)
         faults = _faults(part, comparison, found.noise[k], theta, s)
-        faults += _pressed(problem, found.best.vector, k, s)
+        faults += _improbable(problem, found.best.vector, k, s)
         reasons += [part.named(reason) for reason in faults]
     reasons += _impossible_modulus(problem, found.best.vector, s) + _damped(posterior, s)
     reasons += _disagreeing(problem, alone, s)
@@ -210,7 +210,7 @@ def _faults(
             f"points lie {1e3 * mean:.0f} mm from the best fit in the mean, where "
             f"{1e3 * max(s.off * scene.size, s.sensor):.0f} mm are usual at most"
         )
-    stray = float((away > s.far * observation.noise.straying).mean())
+    stray = float((away > s.far * observation.noise.huber_width).mean())
     if stray > s.stray:
         reasons.append(f"{stray:.0%} of all points do not belong to the object")
     if observation.markers is None:
@@ -348,7 +348,7 @@ def _damped(posterior: Posterior, s: VerdictSettings) -> list[str]:
     return [f"a damping of {low:.2g} s or more is more than objects have: are times in seconds?"]
 
 
-def _pressed(problem: Problem, vector: Array, recording: int, s: VerdictSettings) -> list[str]:
+def _improbable(problem: Problem, vector: Array, recording: int, s: VerdictSettings) -> list[str]:
     """A recording's own unknowns that are far from their priors."""
     prior, far = problem.prior, []
     for k in prior.of(recording):

@@ -8,10 +8,14 @@
 The numbers are in catalogue.toml beside this file. E is an effective modulus of bending: that of a
 solid round rope, or of a sheet, which bends as the thing does. That of its fibres is larger by
 orders, and so is that of the rope when it is pulled.
+
+Other packages add materials by an entry point of the group ``gendom.materials`` whose object is a
+mapping with the sections of catalogue.toml. Its materials may name our sources and shared ranges.
 """
 
 from __future__ import annotations
 
+import logging
 import math
 import tomllib
 from dataclasses import dataclass
@@ -23,7 +27,10 @@ from typing import Any
 from gendom.errors import ParameterError, did_you_mean
 from gendom.materials.objects import KINDS
 from gendom.materials.parameters import Material
+from gendom.plugins import plugins
 from gendom.shown import Shown
+
+_log = logging.getLogger(__name__)
 
 BASES = ("measured", "computed", "estimate")
 """Where a range comes from: measurements of such things; what its source says; or a guess, for
@@ -158,7 +165,16 @@ def sources() -> dict[str, Source]:
 @cache
 def _read() -> tuple[dict[str, Listed], dict[str, Source]]:
     text = files("gendom.materials").joinpath("catalogue.toml").read_text(encoding="utf-8")
-    return parse(tomllib.loads(text))
+    ours = tomllib.loads(text)
+    found, cited = parse(ours)
+    for name, theirs in plugins("materials").items():
+        try:
+            listed, more = parse({key: {**theirs.get(key, {}), **ours[key]} for key in ours})
+        except (ParameterError, AttributeError, KeyError, TypeError) as error:
+            _log.warning("gendom.materials %r is left out: %s", name, error)
+            continue
+        found, cited = listed | found, more | cited
+    return found, cited
 
 
 def parse(table: dict[str, Any]) -> tuple[dict[str, Listed], dict[str, Source]]:

@@ -1,8 +1,7 @@
 """An `Estimate`: what is known of an object, from the search to the policy, and its file.
 
-The file (``estimate.json``, format ``gendom-estimate/1``) holds SI units. Its single source of
-truth is the posterior; the values beside it follow from that, and a file in which they do not is
-refused. Files of earlier versions are read by `gendom.materials.names`.
+The file (``estimate.json``, format ``gendom-estimate/1``) holds SI units;
+`gendom.materials.estimate_file` reads it.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from statistics import NormalDist
 from typing import Any, Self
 
 import numpy as np
@@ -20,8 +18,22 @@ from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.errors import GendomError, ParameterError
-from gendom.files import read_json, write_json
-from gendom.materials import catalogue
+from gendom.files import write_json
+from gendom.materials.estimate_file import (
+    FORMAT,
+    HIDDEN,
+    LEVEL,
+    NOTHING_ESTIMATED,
+    SIZES,
+    USABLE,
+    Derived,
+    Verdict,
+    checked_verdict,
+    derived,
+    fields_of,
+    ranges,
+    read_record,
+)
 from gendom.materials.names import with_current_names
 from gendom.materials.objects import (
     ASSUMED,
@@ -39,40 +51,8 @@ from gendom.shown import Shown
 
 Array = NDArray[np.floating]
 
-FORMAT = "gendom-estimate/1"
-
-LEVEL = 0.9
-"""Probability of intervals where an estimate names none."""
-
-HIDDEN = ("damping", "friction")
-"""What many recordings do not determine: where one does not, the usual value is taken for it."""
-
-ASSUMED_DENSITY_SD = 0.5
-"""Of the logarithm of a density that is assumed, as ropes and cloths have 300 to 2,000 kg/m^3."""
-
-SIZES = ("length", "width", "height", "diameter", "thickness", "side")
-"""Names of sizes in files [m]."""
-
 CONSISTENT = 1e-6
 """Relative difference beyond which a file's value contradicts its posterior."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Verdict:
-    """Whether an estimate is usable."""
-
-    usable: bool
-    reasons: tuple[str, ...] = ()
-    """Why it is not usable, one sentence each."""
-
-    @property
-    def text(self) -> str:
-        return "usable" if self.usable else "not usable: " + "; ".join(self.reasons)
-
-
-NOTHING_ESTIMATED = Posterior(
-    prior=prior_of((), {}), mean=np.empty(0), covariance=np.empty((0, 0)), bases=()
-)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -89,7 +69,7 @@ class Estimate(Shown):
     """Numbers that are not in the posterior, in SI units: sizes as stated, mass or density, and
     parameters, which replace those of the posterior for the most likely object."""
     posterior: Posterior = NOTHING_ESTIMATED
-    verdict: Verdict = Verdict(usable=True)
+    verdict: Verdict = USABLE
     level: float = LEVEL
     """Probability of the intervals."""
     density_sd: float = 0.0
@@ -460,14 +440,19 @@ class Estimate(Shown):
         [low, high] by the names of the values; ``intervals`` is null where the verdict is not
         usable; ``recordings`` has the entries of each recording, those of the first are at the top
         level, too."""
-        intervals, bounds, known = self._ranges()
+        values = self._values()
+        intervals, bounds, known = ranges(
+            self.posterior, values, self._derived, self.level,
+            density_sd=self.density_sd, stated=self.known.get(self._small, 1.0),
+        )  # fmt: skip
         object_ = {n: self.value(n) for n in (*SIZES[:-1], "mass")}
+        side = {"side": self.known["side"]} if "side" in self.known else {}
         entries: dict[str, Any] = {**self.about, "format": FORMAT}
         if self.posterior.bases:
             entries["theta"] = dict(self.theta)
         return {
             **entries,
-            **self._values(),
+            **values,
             "density_assumed": "mass" not in self.known,
             "density_sd": self.density_sd,
             "verdict": {"usable": self.usable, "reasons": list(self.verdict.reasons)},
@@ -475,71 +460,22 @@ class Estimate(Shown):
             "bounds": bounds,
             "identifiable": known,
             "posterior": self.posterior.to_dict(),
-            "object": {"kind": self.kind, **object_, **self._side()},
+            "object": {"kind": self.kind, **object_, **side},
         }
 
-    def _side(self) -> dict[str, float]:
-        return {"side": self.known["side"]} if "side" in self.known else {}
+    @property
+    def _derived(self) -> dict[str, Derived]:
+        return derived(self.kind, weighed="mass" in self.known)
 
     def _values(self) -> dict[str, float | None]:
         """The file's values: those that every object has, and what follows from them."""
         values = {n: self.value(n) for n, u in UNKNOWNS.items() if u.material}
         values["thickness"] = self.value(self._small) if "thickness" in self.names else None
-        values |= {"density": self.value("density")}
-        values |= dict.fromkeys(("E", "bending_length", "bending_stiffness"))
-        needs = {
-            "E": ("density",),
-            "bending_length": (self._small,),
-            "bending_stiffness": ("density", "nu", self._small),
-        }
-        for name, others in needs.items():
-            if all(self.value(other) is not None for other in ("E_over_rho", *others)):
-                values[name] = getattr(self, name)
+        values["density"] = self.value("density")
+        for name, number in self._derived.items():
+            known = all(self.value(other) is not None for other in ("E_over_rho", *number.needs))
+            values[name] = getattr(self, name) if known else None
         return values
-
-    def _ranges(
-        self,
-    ) -> tuple[dict[str, list[float]], dict[str, list[float]], dict[str, bool]]:
-        """Intervals, searched ranges, and whether each value is determined, by name."""
-        intervals: dict[str, list[float]] = {}
-        bounds: dict[str, list[float]] = {}
-        known: dict[str, bool] = dict.fromkeys(("E_over_rho", "nu", "friction", "damping"), False)
-        posterior, values = self.posterior, self._values()
-        for name in posterior.names:
-            u = UNKNOWNS[name]
-            if not u.material:
-                continue
-            k = posterior.prior.index(name)
-            unit = self.known.get(self._small, 1.0) if name == "thickness" else 1.0
-            intervals[name] = [unit * end for end in posterior.interval(name, self.level)]
-            ends = posterior.prior.low[k], posterior.prior.high[k]
-            bounds[name] = [unit * u.value(float(end)) for end in ends]
-            known[name] = posterior.determined(name)
-        known["E"] = known["E_over_rho"]
-        if "E_over_rho" in posterior.names:
-            for name, thicker, power, other in self._powers():
-                value = values[name]
-                if value is None:
-                    continue
-                powers = {"E_over_rho": power, "thickness": power * thicker}
-                ends = posterior.factors(powers, self.level, other)
-                intervals[name] = [value * end for end in ends]
-                middle = self._estimated("E_over_rho")
-                bounds[name] = [value * (end / middle) ** power for end in bounds["E_over_rho"]]
-        return intervals, bounds, known
-
-    def _powers(self) -> tuple[tuple[str, float, float, float], ...]:
-        """Values that follow from E over density: name, exponent of the thickness over that of
-        E over density, the latter, and the deviation of the density's logarithm."""
-        weighed = "mass" in self.known
-        mass, heavy = (self._mass_power, 0.0) if weighed else (0, self.density_sd)
-        # with a known mass, bending stiffness is proportional to the square; else the mass grows
-        weight = 2 if mass else 2 + self._mass_power
-        return (
-            ("E", -mass, 1.0, heavy),
-            ("bending_length", 2.0, 1.0 / 3.0, 0.0),
-            ("bending_stiffness", weight, 1.0, heavy),
-        )
 
     def save(self, path: str | Path) -> None:
         """Write ``estimate.json``, atomically.
@@ -550,43 +486,35 @@ class Estimate(Shown):
         write_json(path, self.record)
 
     @classmethod
-    def load(cls, path: str | Path, *, kind: str | None = None) -> Estimate:
+    def load(
+        cls, path: str | Path, *, kind: str | None = None, even_unusable: bool = True
+    ) -> Estimate:
         """Read what `save`, ``gendom estimate`` or ``gendom adapt`` wrote, perhaps of an earlier
         version.
 
         Args:
             path: The file.
             kind: Of the object, for files that do not say it.
+            even_unusable: Take one whose verdict is not usable, too.
 
         Raises:
             ParameterError: It is no estimate, or that of a recording that gave none.
             GendomError: It cannot be read.
         """
-        return Estimate.from_dict(read_json(path), str(path), kind=kind)
+        read = read_record(path, even_unusable=even_unusable)
+        return Estimate.from_dict(read, str(path), kind=kind)
 
     @classmethod
     def from_dict(
         cls, read: Mapping[str, Any], where: str = "estimate", *, kind: str | None = None
     ) -> Estimate:
         """Inverse of `record`; arguments and errors as of `load`."""
-        require(
-            read.get("format") == FORMAT,
-            f"has format {read.get('format')!r}, not {FORMAT!r}",
-            where=where,
-            fix="give a file written by gendom estimate",
-        )
-        verdict = read.get("verdict") or {}
-        reasons = tuple(verdict.get("reasons") or ())
-        require(
-            not read.keys() <= {"format", "verdict"},
-            f"holds no numbers, since nothing was estimated: {', '.join(reasons)}",
-            where=where,
-            fix="record the object again, or describe it by flags such as --E",
-        )
+        verdict = checked_verdict(read, where)
         read = with_current_names(read)
         try:
-            return _from(read, Verdict(usable=verdict.get("usable", True), reasons=reasons), kind,
-                         where)  # fmt: skip
+            fields, stated = fields_of(read, kind, where)
+            found = cls(verdict=verdict, **fields)
+            found._check_consistent(stated, where)
         except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
             if isinstance(error, GendomError):
                 raise
@@ -595,21 +523,30 @@ class Estimate(Shown):
                 where=where,
                 fix="estimate again",
             ) from None
+        return found
+
+    def _check_consistent(self, stated: Mapping[str, float], where: str) -> None:
+        """Refuse a file with a value that was changed by hand.
+
+        Raises:
+            ParameterError: A value is not that of the posterior.
+        """
+        values = self._values()
+        for name, value in stated.items():
+            own = values.get(name)
+            require(
+                own is None or math.isclose(own, value, rel_tol=CONSISTENT, abs_tol=1e-9),
+                f"{name} is {value:.6g}, its posterior says {own or 0.0:.6g}",
+                where=where,
+                fix="leave the file as it was written; give another number by a flag such as --E",
+            )
 
     def rows(self) -> list[tuple[str, str, str]]:
         """Name, value and interval of what was found, with units, for tables."""
-        rope, record = self.kind == "rope", self.record
-        titles = {
-            "E": ("Young's modulus", "Pa", ".4g"),
-            "E_over_rho": ("E / density", "m^2/s^2", ".4g"),
-            "bending_length": ("bending length", "m", ".4f"),
-            "bending_stiffness": (
-                *(("bending EI", "N m^2") if rope else ("bending D", "N m")), ".4g",
-            ),
-        }  # fmt: skip
-        for name, u in UNKNOWNS.items():
-            if u.material and name not in titles:
-                titles[name] = (u.title, "" if u.unit == "1" else u.unit, u.form)
+        record, ours = self.record, self._derived
+        every = ["E", "E_over_rho", *ours, *(n for n, u in UNKNOWNS.items() if u.material)]
+        shown = {name: ours.get(name) or UNKNOWNS[name] for name in every}
+        titles = {n: (q.title, "" if q.unit == "1" else q.unit, q.form) for n, q in shown.items()}
         titles["thickness"] = (self._small, "m", ".4g")
         titles["density"] = ("density", "kg/m^3", ".4g")
         rows = []
@@ -629,123 +566,3 @@ class Estimate(Shown):
 
     def _shown(self) -> tuple[str, list[tuple[str, str, str]]]:
         return f"Estimate ({self.kind}, {self.verdict.text})", self.rows()
-
-
-# ---- reading -----------------------------------------------------------------------------------
-
-
-def _from(read: Mapping[str, Any], verdict: Verdict, kind: str | None, where: str) -> Estimate:
-    """An estimate from a file's entries with present names."""
-    described = read.get("object") or {}
-    kind = described.get("kind", kind)
-    if kind not in KINDS:
-        raise ValueError(f"there is no kind of object {kind!r}")
-    known = _numbers(read, described, where)
-    level = (read.get("intervals") or {}).get("level", LEVEL)
-    complete = bool(read.get("posterior"))
-    if "posterior" in read and read["posterior"] == {}:
-        raise KeyError("names")
-    posterior = _posterior_of(read, known, level)
-    small, power = KINDS[kind].sizes[1], 2 if kind == "rope" else 1
-    if complete:
-        names = [n for n, o in zip(posterior.names, posterior.prior.owners, strict=True)
-                 if o is None]  # fmt: skip
-        stated = {n: known.pop(n) for n in ("E", *names) if n in known}
-        if "thickness" in names:
-            k = posterior.names.index("thickness")
-            r = UNKNOWNS["thickness"].value(float(posterior.mean[k]))
-            if small in described:
-                known[small] = stated["thickness"] = float(described[small])
-                known[small] /= r
-            if "mass" in known and "density" in known:
-                known["density"] *= r**power
-    else:
-        stated = {}
-        if "E" in known and "E_over_rho" not in known and "density" in known:
-            known["E_over_rho"] = known["E"] / known["density"]
-        known.pop("E", None)
-    material = (read.get("simulation") or {}).get("material")
-    sd = catalogue.get(material).density.log_sd if material else ASSUMED_DENSITY_SD
-    found = Estimate(
-        kind=kind,
-        known=known,
-        posterior=posterior,
-        verdict=verdict,
-        level=float(level),
-        density_sd=float(read.get("density_sd", 0.0 if "mass" in known else sd)),
-        about={k: v for k, v in read.items() if k not in _OWN},
-    )
-    _check_consistent(found, stated, where)
-    return found
-
-
-_OWN = (
-    "format", "theta", "E", "bending_length", "bending_stiffness", "density", "density_assumed",
-    "density_sd", "verdict", "intervals", "bounds", "identifiable", "posterior", "object",
-)  # fmt: skip
-"""Entries of the file that `Estimate.record` computes, beside values of unknowns."""
-
-
-def _numbers(read: Mapping[str, Any], described: Mapping[str, Any], where: str) -> dict[str, float]:
-    """The file's numbers of the object.
-
-    Raises:
-        GendomError: One is none, or not positive.
-    """
-    names = {n for n, u in UNKNOWNS.items() if u.material and n != "thickness"}
-    told = read.get("identifiable") or {}
-    numbers = {n: read.get(n) for n in ("E", *names, "density")}
-    if not read.get("posterior"):  # what the recording does not tell is its prior's
-        numbers |= {n: None for n in HIDDEN if told.get(n, True) is False}
-    numbers |= {n: described.get(n) for n in (*SIZES, "mass")}
-    for name, value in numbers.items():
-        positive = isinstance(value, (int, float)) and (
-            value > 0.0 or (value == 0.0 and name in HIDDEN) or name == "stiffness_slope"
-        )
-        if value is not None and not positive and (name not in UNKNOWNS or UNKNOWNS[name].low > 0):
-            raise GendomError(
-                f"{name} must be a positive number, got {value!r}",
-                where=where,
-                fix="estimate again, or give the number by a flag",
-            )
-    return {n: float(v) for n, v in numbers.items() if v is not None}
-
-
-def _posterior_of(read: Mapping[str, Any], known: Mapping[str, float], level: float) -> Posterior:
-    """The file's posterior; of files of earlier versions that of their interval of E."""
-    if read.get("posterior"):
-        first = {k: float(v) for k, v in (read.get("theta") or {}).items()}
-        bases = []
-        if first:
-            base = Theta(**first)
-            # files of earlier versions are of one recording
-            bases = [base.with_values(r["theta"]) for r in read.get("recordings", [read])]
-        return Posterior.from_dict(read["posterior"], bases)
-    ends = (read.get("intervals") or {}).get("E")
-    if not ends:
-        return NOTHING_ESTIMATED
-    low, high = (math.log(end / known["density"]) for end in ends)
-    half = NormalDist().inv_cdf(0.5 + level / 2.0)
-    return Posterior(
-        prior=prior_of(("E_over_rho",), {}),
-        mean=np.array([0.5 * (low + high)]),
-        covariance=np.array([[(0.5 * (high - low) / half) ** 2]]),
-        bases=(),
-    )
-
-
-def _check_consistent(found: Estimate, stated: Mapping[str, float], where: str) -> None:
-    """Refuse a file with a value that was changed by hand.
-
-    Raises:
-        ParameterError: A value is not that of the posterior.
-    """
-    values = found._values()
-    for name, value in stated.items():
-        own = values.get(name)
-        require(
-            own is None or math.isclose(own, value, rel_tol=CONSISTENT, abs_tol=1e-9),
-            f"{name} is {value:.6g}, its posterior says {own or 0.0:.6g}",
-            where=where,
-            fix="leave the file as it was written; give another number by a flag such as --E",
-        )

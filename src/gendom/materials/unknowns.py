@@ -1,7 +1,8 @@
 """The registry of unknowns: every number that can be estimated, defined once.
 
-A further unknown is one entry, of this package or of another: `register` it. Estimates, their
-files, reports, viewers and policies go by the registry.
+A further unknown is one entry. Other packages add theirs by an entry point of the group
+``gendom.unknowns`` whose object is an `Unknown`, or `register` it. Estimates, their files, reports,
+viewers and policies go by the registry.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from gendom.arguments import check_number, require
+from gendom.plugins import plugins
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,13 +60,17 @@ class Unknown:
     """The object (`Rope`, `Cloth`) with a value of it: makes a material's unknown count for tasks.
     """
     on_replay: Callable[[Any, float], None] | None = None
-    """Changes the inputs of a simulated world (`estimation.replay.WorldInputs`) to a value of it;
-    None: `estimation.replay` has its effect."""
+    """Changes the inputs of a simulated world (`estimation.replay.WorldInputs`) to a value."""
 
     @property
     def title(self) -> str:
         """What people call it."""
         return self.label or self.name.replace("_", " ")
+
+    @property
+    def usual(self) -> float:
+        """Its value where it is not estimated."""
+        return self.mean if self.default is None else self.default
 
     def transformed(self, value: float) -> float:
         return math.log(value) if self.log else value
@@ -90,6 +96,15 @@ def _with_E_over_rho(item: Any, value: float) -> Any:
     return _with("E")(item, value * item.material.density)
 
 
+def _sets(name: str) -> Callable[[Any, float], None]:
+    """How a simulated world takes a value as one of its inputs."""
+    return lambda world, value: setattr(world, name, value)
+
+
+def _raise(world: Any, value: float) -> None:
+    world.raised += value
+
+
 def _unknown(name: str, symbol: str, unit: str, meaning: str, **other) -> Unknown:
     return Unknown(name=name, symbol=symbol, unit=unit, meaning=meaning, **other)
 
@@ -101,18 +116,19 @@ UNKNOWNS: dict[str, Unknown] = {
         _unknown(
             "E_over_rho", "E / density", "m^2/s^2", "Young's modulus over density",
             log=True, low=1e-2, high=1e9, mean=1e3, sd=4.0, step=0.02, widest=1.0, material=True,
-            label="E / density", on_object=_with_E_over_rho,
+            label="E / density", on_object=_with_E_over_rho, on_replay=_sets("E_over_rho"),
         ),
         _unknown(
             "nu", "nu", "1", "Poisson's ratio",
             low=0.05, high=0.45, mean=0.3, sd=0.06, step=0.02, widest=0.1, material=True,
-            label="Poisson's ratio", form=".3f", on_object=_with("nu"),
+            label="Poisson's ratio", form=".3f", on_object=_with("nu"), on_replay=_sets("nu"),
         ),
         # log-uniform 1 to 20 ms, as ropes and cloths have it, has this mean and deviation
         _unknown(
             "damping", "damping", "s", "viscous over elastic stress",
             log=True, low=3e-4, high=0.2, mean=0.0045, sd=0.86, step=0.1, widest=1.0,
-            material=True, least=0.0, form=".2g", on_object=_with("damping"),
+            material=True, least=0.0, form=".2g",
+            on_object=_with("damping"), on_replay=_sets("damping"),
         ),
         # dry materials on tables: 0.1 to 0.8
         _unknown(
@@ -120,11 +136,13 @@ UNKNOWNS: dict[str, Unknown] = {
             low=0.02, high=1.5, mean=0.45, sd=0.22, step=0.03, widest=0.2, material=True,
             least=0.0, form=".2f",
             on_object=lambda item, value: replace(item, friction=value),
+            on_replay=_sets("friction"),
         ),
         _unknown(
             "stiffness_slope", "d ln(E) / d(s / L)", "1", "how E varies along a rope",
             low=-3.0, high=3.0, mean=0.0, sd=1.0, step=0.05, widest=0.5, kinds=("rope",),
             material=True, label="d ln(E) / d(s/L)", form=".2f",
+            on_replay=lambda world, value: world.stiffen_along(value),
         ),
         # a ruler on a soft rope: half a millimetre of a centimetre
         _unknown(
@@ -133,39 +151,45 @@ UNKNOWNS: dict[str, Unknown] = {
             log=True, low=0.5, high=2.0, mean=1.0, sd=0.05, step=0.02, widest=0.1, material=True,
             above=0.0,
             steps_with=(("E_over_rho", -2.0),),
+            on_replay=lambda world, value: world.thicken(value),
         ),
         _unknown(
             "delay", "delay", "s", "how late clouds show the stated motion of the gripper",
             low=-0.5, high=0.5, mean=0.0, sd=0.02, step=0.005, widest=0.05,
+            on_replay=_sets("delay"),
         ),
         _unknown(
             "grip_height", "grip height", "m", "how much higher than stated the object is held",
-            low=-0.1, high=0.1, mean=0.0, sd=0.002, step=1e-3, widest=0.01,
+            low=-0.1, high=0.1, mean=0.0, sd=0.002, step=1e-3, widest=0.01, on_replay=_raise,
         ),
         _unknown(
             "grip_along", "grip along", "m",
             "how much farther from its end, or corner, than stated the object is held",
             low=-0.1, high=0.1, mean=0.0, sd=0.003, step=1e-3, widest=0.01,
+            on_replay=lambda world, value: world.shift(along=value),
         ),
         _unknown(
             "grip_aside", "grip aside", "m",
             "how far to the left of the diagonal, seen from the corner, a cloth is held",
             low=-0.1, high=0.1, mean=0.0, sd=0.008, step=2e-3, widest=0.01, kinds=("cloth",),
+            on_replay=lambda world, value: world.shift(aside=value),
         ),
         _unknown(
             "grip_tilt", "grip tilt", "rad",
             "how far the held corner turns from level, or its recorded axis, as it is lifted",
             low=-0.3, high=2.2, mean=0.8, sd=0.6, step=0.05, widest=0.4, kinds=("cloth",),
-            default=0.0,
+            default=0.0, on_replay=_sets("tilt"),
         ),
         _unknown(
             "grip_reach", "grip reach", "m",
             "how much farther from the held point than stated the cloth moves with the gripper",
             low=-0.05, high=0.05, mean=0.0, sd=0.004, step=2e-3, widest=0.01, kinds=("cloth",),
+            on_replay=_sets("reach"),
         ),
         _unknown(
             "yaw", "yaw", "rad", "turn of the lying cloth from the first guess on",
             low=-0.8, high=0.8, mean=0.0, sd=0.15, step=0.02, widest=0.15, kinds=("cloth",),
+            on_replay=lambda world, value: world.turn(value),
         ),
     )
 }  # fmt: skip
@@ -209,8 +233,7 @@ class Theta(Mapping[str, float]):
         object.__setattr__(self, "_values", checked)
 
     def __getitem__(self, name: str) -> float:
-        u = UNKNOWNS[name]
-        return self._values.get(name, u.mean if u.default is None else u.default)
+        return self._values.get(name, UNKNOWNS[name].usual)
 
     def __getattr__(self, name: str) -> float:
         if name not in UNKNOWNS:
@@ -243,3 +266,8 @@ class Theta(Mapping[str, float]):
 def _theta(values: dict[str, float]) -> Theta:
     """For copies and other processes."""
     return Theta(**values)
+
+
+# last, so that their modules can import this one
+for _added in plugins("unknowns").values():
+    register(_added)

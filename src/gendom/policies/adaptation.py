@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,13 +32,13 @@ from gendom.tasks.world import Simulation
 
 Array = NDArray[np.float64]
 
-SHARES = (1.0, 0.5, 0.25, 0.1)
+STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)
 """Of a Gauss-Newton step, simulated side by side."""
 
-FARTHEST = 10.0
+LARGEST_REACHED = 10.0
 """In sizes of the object; what was reached farther away was not given in metres."""
 
-ENOUGH = 1e-3
+LEAST_GAIN = 1e-3
 """Gain in the sum of squares that ends the search."""
 
 
@@ -141,23 +142,12 @@ def adapting(
     if not executions:
         return Adapted(belief=belief, discrepancy=None, residuals=np.empty((0, G)))
     units, goal_units = task.action_units(item), task.goal_units(item)
+    simulated = partial(_simulated, task, belief, executions, goal_units)
     A = np.array([e.action for e in executions]) / units
     y = np.array([e.reached for e in executions]) / goal_units
     K = _kernel(A, A, settings) + settings.noise**2 * np.eye(len(A))
     L = np.linalg.cholesky(K)
     prior = np.linalg.inv(belief.covariance)
-
-    def simulated(vectors: Sequence[Array]) -> Asking[Array]:
-        """[V, N, G] in units of similarity; NaN where it failed."""
-        items = [belief.at(v) for v in vectors for _ in executions]
-        outcomes = yield Rollouts(
-            items=items, actions=[e.action for _ in vectors for e in executions]
-        )
-        found = np.full((len(items), G), np.nan)
-        for row, outcome in zip(found, outcomes, strict=True):
-            if outcome.fault is None:
-                row[:] = [outcome.values[q.name] for q in task.goals]
-        return (found / goal_units).reshape(len(vectors), len(executions), G)
 
     def whitened(f: Array) -> Array:
         return np.asarray(solve_triangular(L, f, lower=True)).ravel()
@@ -181,31 +171,68 @@ def adapting(
         H = J.T @ J + prior
         step = np.linalg.solve(H, J.T @ whitened(y - f) - prior @ (vector - belief.mean))
         # the best of some steps, if it pays
-        tried = yield from simulated([vector + share * step for share in SHARES])
+        tried = yield from simulated([vector + share * step for share in STEP_LENGTHS])
         costs = [
             cost(g, vector + share * step) if np.isfinite(g).all() else np.inf
-            for g, share in zip(tried, SHARES, strict=True)
+            for g, share in zip(tried, STEP_LENGTHS, strict=True)
         ]
         k = int(np.argmin(costs))
         gained = cost(f, vector) - costs[k]
         if not gained > 0.0:
             break
-        vector, f = vector + SHARES[k] * step, tried[k]
-        if gained < ENOUGH:
+        vector, f = vector + STEP_LENGTHS[k] * step, tried[k]
+        if gained < LEAST_GAIN:
             break
-    weights = np.linalg.solve(K, y - f)
-
-    def discrepancy(action: Array) -> tuple[Array, float]:
-        here = np.atleast_2d(np.asarray(action, dtype=float)) / units
-        k = _kernel(here, A, settings)
-        variance = settings.discrepancy**2 - (k @ np.linalg.solve(K, k.T))[0, 0]
-        return (k @ weights)[0] * goal_units, float(np.sqrt(max(variance, 0.0)) * goal_units[0])
-
+    error = partial(_discrepancy, settings, K, A, np.linalg.solve(K, y - f), units, goal_units)
     return Adapted(
         belief=belief.with_gaussian(vector, np.linalg.inv(H)),
-        discrepancy=discrepancy,
+        discrepancy=error,
         residuals=(y - f) * goal_units,
     )
+
+
+def _simulated(
+    task: Task,
+    belief: Estimate,
+    executions: Sequence[Execution],
+    goal_units: Array,
+    vectors: Sequence[Array],
+) -> Asking[Array]:
+    """[V, N, G] what N executions reach with V vectors of unknowns, in units of similarity; NaN
+    where one cannot be simulated."""
+    items = [belief.at(v) for v in vectors for _ in executions]
+    outcomes = yield Rollouts(items=items, actions=[e.action for _ in vectors for e in executions])
+    found = np.full((len(items), len(task.goals)), np.nan)
+    for row, outcome in zip(found, outcomes, strict=True):
+        if outcome.fault is None:
+            row[:] = [outcome.values[q.name] for q in task.goals]
+    return (found / goal_units).reshape(len(vectors), len(executions), -1)
+
+
+def _discrepancy(
+    settings: AdaptSettings,
+    K: Array,
+    seen: Array,
+    weights: Array,
+    units: Array,
+    goal_units: Array,
+    action: Array,
+) -> tuple[Array, float]:
+    """[G] the Gaussian process's mean at an action, and its deviation [SI].
+
+    Args:
+        settings: Of the process.
+        K: [N, N] covariance of what was seen.
+        seen: [N, A] actions, in units of similarity.
+        weights: [N, G] of their kernels.
+        units: [A] of actions.
+        goal_units: [G] of goals.
+        action: [A] in SI units.
+    """
+    here = np.atleast_2d(np.asarray(action, dtype=float)) / units
+    k = _kernel(here, seen, settings)
+    variance = settings.discrepancy**2 - (k @ np.linalg.solve(K, k.T))[0, 0]
+    return (k @ weights)[0] * goal_units, float(np.sqrt(max(variance, 0.0)) * goal_units[0])
 
 
 def executions_from(rows: Sequence[Any], where: str) -> list[Execution]:
@@ -240,7 +267,7 @@ def _check(task: Task, executions: Sequence[Execution], item: Item) -> None:
                 where="executions",
             )
         for quantity, value in zip(task.goals, e.reached, strict=True):
-            if quantity.unit == "m" and abs(value) > FARTHEST * size_of(item):
+            if quantity.unit == "m" and abs(value) > LARGEST_REACHED * size_of(item):
                 raise ParameterError(
                     f"{quantity.name} is {value:g} m, and the {item.kind} {size_of(item):g} m",
                     where="reached",

@@ -58,7 +58,7 @@ def test_it_comes_near(problem):
     assert len(best.history) == 12
     assert (np.abs(best.vector - problem.prior.mean) <= 3.0 * problem.prior.sd + 1e-12).all()
     # with derivatives, of all frames and points
-    assert problem.compares(best.comparison) and best.comparison.parts[0].J.shape[3] > 0
+    assert problem.is_as_fine_as(best.comparison) and best.comparison.parts[0].J.shape[3] > 0
 
 
 def test_a_distance_is_that_of_both_ways(problem):

@@ -1,14 +1,40 @@
-"""Methods of estimation by name, each a function from a `Problem` to what it `Found`."""
+"""Methods of estimation by name, each a function from a `Problem` to what it `Found`.
+
+Other packages add methods by an entry point of the group ``gendom.methods`` whose object is such a
+function; its name is that of the entry point.
+"""
 
 from collections.abc import Callable
+from functools import cache
 
+from gendom.errors import ParameterError, did_you_mean
 from gendom.estimation.methods.adam import adam
 from gendom.estimation.methods.differential_evolution import differential_evolution
 from gendom.estimation.methods.gauss_newton import gauss_newton
 from gendom.estimation.problem import Found, Problem
+from gendom.plugins import plugins
 
 METHODS: dict[str, Callable[[Problem], Found]] = {
     "gauss-newton": gauss_newton,
     "adam": adam,
     "differential-evolution": differential_evolution,
 }
+
+
+@cache
+def _register_plugins() -> None:
+    for name, method in plugins("methods").items():
+        METHODS.setdefault(name, method)
+
+
+def find_method(name: str) -> Callable[[Problem], Found]:
+    """The method of a name, those of other packages included.
+
+    Raises:
+        ParameterError: There is none of that name.
+    """
+    _register_plugins()
+    if name not in METHODS:
+        fix = did_you_mean(name, METHODS) or f"choose from {', '.join(METHODS)}"
+        raise ParameterError(f"there is no method {name!r}", fix=fix)
+    return METHODS[name]

@@ -31,7 +31,7 @@ from gendom.sim.gradients import Gradients
 Array = NDArray[np.floating]
 
 REVERSE = ("E_over_rho", "nu", "damping", "friction")
-"""Unknowns whose slopes the reverse mode gives."""
+"""Unknowns whose derivatives the reverse mode gives."""
 
 CHUNK = 1 << 21
 """Nodes of grids that are compared at a time."""
@@ -52,7 +52,7 @@ class AdamSettings:
     last_rate: float = 0.02
     """The last step's share of that; 1: constant, as the authors'."""
     decay: tuple[float, float] = (0.9, 0.999)
-    """Of the means of slopes and of their squares."""
+    """Of the means of gradients and of their squares."""
     resolution: int = 64
     """Cells along the grid's longest side."""
     reach: float = 2.0
@@ -119,7 +119,7 @@ class _Descent:
     start: Start
     vector: Array
     """[P] where it is."""
-    slope: Array = field(default_factory=lambda: np.zeros(0))
+    gradient: Array = field(default_factory=lambda: np.zeros(0))
     """[P] of the loss there."""
     seen: list[NDArray[np.bool_]] | None = None
     """T masks of the skin's points that cameras see."""
@@ -131,8 +131,8 @@ class _Descent:
         if not len(self.mean):
             self.mean, self.square = np.zeros((2, len(self.vector)))
         n, (a, b) = self.start.iterations, decay
-        self.mean = a * self.mean + (1.0 - a) * self.slope
-        self.square = b * self.square + (1.0 - b) * self.slope**2
+        self.mean = a * self.mean + (1.0 - a) * self.gradient
+        self.square = b * self.square + (1.0 - b) * self.gradient**2
         size = np.sqrt(self.square / (1.0 - b**n)) + 1e-12
         self.vector = self.vector - rate * self.mean / (1.0 - a**n) / size
 
@@ -190,7 +190,9 @@ class DensityLoss:
         """Loss at positions [T, N, 3]; 2 at most."""
         return self._compare(self.shown(x), seen)[0]
 
-    def value_and_slope(self, x: Array, seen: Sequence[NDArray[np.bool_]]) -> tuple[float, Array]:
+    def value_and_gradient(
+        self, x: Array, seen: Sequence[NDArray[np.bool_]]
+    ) -> tuple[float, Array]:
         """That, and its derivative by the positions [T, N, 3] [1/m]."""
         value, bar = self._compare(self.shown(x), seen, derivative=True)
         markers = self.part.observation.markers
@@ -248,9 +250,9 @@ class DensityLoss:
                 values = []
                 for w, d in enumerate(going):
                     d.seen = d.seen or self.seen(self.shown(x[:, w]))
-                    value, bar[:, w] = self.value_and_slope(x[:, w], d.seen)
+                    value, bar[:, w] = self.value_and_gradient(x[:, w], d.seen)
                     values.append(value)
-                slopes = _slopes(problem, going, rollout.backward(bar))
+                gradients = _reverse_derivatives(problem, going, rollout.backward(bar))
                 break
             except SimulationError as error:
                 if error.world is None:
@@ -271,8 +273,8 @@ class DensityLoss:
             for n, k in enumerate(others, start=w * len(others)):
                 y = beside[:, n]
                 if np.isfinite(y).all():
-                    slopes[w, k] = (self.value(y, d.seen) - values[w]) / steps[n]
-            d.slope, s = slopes[w], d.start
+                    gradients[w, k] = (self.value(y, d.seen) - values[w]) / steps[n]
+            d.gradient, s = gradients[w], d.start
             s.iterations += 1
             if values[w] < s.value:
                 s.value, s.vector = values[w], d.vector
@@ -281,8 +283,10 @@ class DensityLoss:
                 s.history.append((s.iterations, d.vector.copy(), compared.rms))
 
 
-def _slopes(problem: Problem, descents: Sequence[_Descent], gradients: Gradients) -> Array:
-    """[W, P] slopes by transformed parameters that the reverse mode gives; 0 of others."""
+def _reverse_derivatives(
+    problem: Problem, descents: Sequence[_Descent], gradients: Gradients
+) -> Array:
+    """[W, P] derivatives by transformed parameters that the reverse mode gives; 0 of others."""
     names, found = problem.prior.names, np.zeros((len(descents), len(problem.prior.names)))
     for w, d in enumerate(descents):
         theta = problem.theta(d.vector)

@@ -9,12 +9,14 @@ learning".
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
+from gendom.estimation.likelihood import NoiseModel
 from gendom.estimation.methods.search import estimated_noise
 from gendom.estimation.problem import Found, Problem, Start
 
@@ -59,27 +61,10 @@ def differential_evolution(
     middle = prior.vector(*problem.bases)
     best = Start(initial=middle, vector=middle)
 
-    def values(x: Array) -> Array:
-        """[S] of vectors [P, S]: a generation."""
-        found = np.full(x.shape[1], math.inf)
-        for n, comparison in enumerate(problem.compare(list(x.T), derivatives=False)):
-            if comparison is None:
-                continue
-            found[n] = problem.value(x[:, n], comparison, noise)
-            if found[n] < best.value:
-                best.vector, best.comparison, best.value = x[:, n].copy(), comparison, found[n]
-        best.iterations += 1
-        if best.comparison is not None:
-            best.history.append((best.iterations, best.vector.copy(), best.comparison.rms))
-        problem.tell("evolution", best.iterations, most, best)
-        if best.comparison is None:
-            raise problem.nothing_runs()
-        return found
-
     interrupted = False
     try:
         found = optimize.differential_evolution(
-            values,
+            lambda x: _generation(problem, best, noise, x, most),
             list(zip(low, high, strict=True)),
             popsize=settings.population,
             mutation=settings.mutation,
@@ -107,3 +92,23 @@ def differential_evolution(
         interrupted=interrupted,
         extra={"generations": best.iterations, "population": settings.population * len(middle)},
     )
+
+
+def _generation(
+    problem: Problem, best: Start, noise: Sequence[NoiseModel], x: Array, most: int
+) -> Array:
+    """[S] values of a generation of vectors [P, S], of which the best so far is kept in `best`."""
+    found = np.full(x.shape[1], math.inf)
+    for n, comparison in enumerate(problem.compare(list(x.T), derivatives=False)):
+        if comparison is None:
+            continue
+        found[n] = problem.value(x[:, n], comparison, noise)
+        if found[n] < best.value:
+            best.vector, best.comparison, best.value = x[:, n].copy(), comparison, found[n]
+    best.iterations += 1
+    if best.comparison is not None:
+        best.history.append((best.iterations, best.vector.copy(), best.comparison.rms))
+    problem.tell("evolution", best.iterations, most, best)
+    if best.comparison is None:
+        raise problem.nothing_runs()
+    return found

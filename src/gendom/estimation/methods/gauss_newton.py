@@ -39,31 +39,31 @@ class GaussNewtonSettings:
     leading: tuple[str, ...] = ("E_over_rho", "damping")
     """Unknowns that are free in the coarse stage, so that the others do not absorb their effect.
     None: all."""
-    afar: float = 0.005
+    coarse_noise: float = 0.005
     """Noise of the coarse stage [m]."""
-    share_afar: float = 0.6
+    coarse_share: float = 0.6
     """Largest share of the iterations in the coarse stage."""
     patience: int = 6
     """Iterations that other starts may still take after the best one has converged."""
     gain: tuple[float, float] = (2.0, 0.2)
     """A start has converged when a step can lower the value by no more than this, in the coarse and
     in the fine stage."""
-    holds: float = 0.5
+    least_gain_ratio: float = 0.5
     """Derivatives are computed again where a step gains less than this share of the prediction."""
     rugged: bool = False
     """Whether several steps are tried side by side."""
-    leaps: tuple[float, ...] = ()
-    """Size of trial leaps of the object's unknowns after steps have converged, in deviations."""
-    apart: float = 30.0
+    jumps: tuple[float, ...] = ()
+    """Size of trial jumps of the object's unknowns after steps have converged, in deviations."""
+    damping_ratio: float = 30.0
     """Ratio of two dampings side by side."""
-    farther: float = 3.0
+    long_step: float = 3.0
     """Factors of longer steps that are tried side by side: points that slide along a surface make
     Gauss-Newton steps too short."""
     per_batch: int = 2
     """Iterations for each of `EstimateSettings.max_iterations`: few compute derivatives."""
     damping: tuple[float, float] = (1e-3, 1e3)
     """Levenberg's and Marquardt's: the least, and that at which a start is given up."""
-    expectations: int = 6
+    em_rounds: int = 6
     """Rounds of expectation and maximisation at each of two registrations between two steps."""
 
     @classmethod
@@ -75,7 +75,7 @@ class GaussNewtonSettings:
         noise of the clouds, so small gains do not count.
         """
         if kind == "cloth":
-            own = {"leading": (), "gain": (2.0, 10.0), "rugged": True, "leaps": (3.0, 6.0, 9.0)}
+            own = {"leading": (), "gain": (2.0, 10.0), "rugged": True, "jumps": (3.0, 6.0, 9.0)}
             changes = own | changes
         return cls(**changes)
 
@@ -89,22 +89,22 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
     """
     began, settings = time.perf_counter(), settings or GaussNewtonSettings.of(problem.scene.kind)
     stated = problem.first_noise()
-    afar = problem.easier.first_noise(
-        sensor=settings.afar, model=problem.settings.noise.least_model, rounds=1
+    first = problem.coarse.first_noise(
+        sensor=settings.coarse_noise, model=problem.settings.noise.least_model, rounds=1
     )
-    noise, most = afar, settings.per_batch * problem.settings.max_iterations
+    noise, most = first, settings.per_batch * problem.settings.max_iterations
     names = problem.prior.names
     free = [k for k, name in enumerate(names) if name in settings.leading] or None
-    starts = first_starts(problem.easier, settings.scanned, settings.initial)
+    starts = first_starts(problem.coarse, settings.scanned, settings.initial)
     times = [began, time.perf_counter()]
     interrupted, iteration, late = False, 0, 0
     try:
-        while iteration < max(1, round(settings.share_afar * most)):
+        while iteration < max(1, round(settings.coarse_share * most)):
             going = [s for s in starts if not s.done]
             if not going or late == settings.patience:
                 break
             iteration += 1
-            _step(problem.easier, going, noise, settings.gain[0], settings, free)
+            _step(problem.coarse, going, noise, settings.gain[0], settings, free)
             leads = best_of(starts)
             late = late + 1 if leads is not None and leads.done else 0
             problem.tell("search", iteration, most, leads or starts[0])
@@ -115,18 +115,18 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
         noise, best.damping = stated, settings.damping[0]
         for start in starts:
             start.coarse = start.iterations
-        if free is not None or problem.easier is not problem:
+        if free is not None or problem.coarse is not problem:
             _compare_all(problem, best, settings)
-        noise = _near(problem, best, noise, settings, iteration, most)
+        noise = _fine_stage(problem, best, noise, settings, iteration, most)
     except KeyboardInterrupt:
         interrupted = True
         best = best_of(starts)
         if best is None:
             raise
-        if best.comparison is None or not problem.compares(best.comparison):
+        if best.comparison is None or not problem.is_as_fine_as(best.comparison):
             _compare_all(problem, best, settings)
         assert best.comparison is not None
-        noise = estimated_noise(best.comparison, noise, settings.expectations)
+        noise = estimated_noise(best.comparison, noise, settings.em_rounds)
     times.append(time.perf_counter())
     parts = zip(("scan", "coarse", "fine"), np.diff(times), strict=False)
     return Found(
@@ -149,15 +149,15 @@ def refined(problem: Problem, found: Found, settings: GaussNewtonSettings | None
     _compare_all(problem, best, settings)
     best.damping = settings.damping[0]
     most = settings.per_batch * problem.settings.max_iterations
-    most = max(1, round((1.0 - settings.share_afar) * most))
+    most = max(1, round((1.0 - settings.coarse_share) * most))
     try:
-        noise = _near(problem, best, noise, settings, 0, most)
+        noise = _fine_stage(problem, best, noise, settings, 0, most)
     except KeyboardInterrupt:
         found = replace(found, interrupted=True)
     return replace(found, best=best, noise=noise)
 
 
-def _near(
+def _fine_stage(
     problem: Problem,
     best: Start,
     noise: tuple[NoiseModel, ...],
@@ -169,20 +169,20 @@ def _near(
     while iteration < most:
         iteration += 1
         assert best.comparison is not None
-        noise = estimated_noise(best.comparison, noise, settings.expectations)
+        noise = estimated_noise(best.comparison, noise, settings.em_rounds)
         best.value = problem.value(best.vector, best.comparison, noise)
         best.done = False
         _step(problem, [best], noise, settings.gain[1], settings)
         problem.tell("noise", iteration, most, best)
-        if best.done and not _leaps(problem, best, noise, settings):
+        if best.done and not _jump(problem, best, noise, settings):
             break
     else:
         _renew(problem, [best], noise, None)
     assert best.comparison is not None
-    return estimated_noise(best.comparison, noise, settings.expectations)
+    return estimated_noise(best.comparison, noise, settings.em_rounds)
 
 
-def _leaps(
+def _jump(
     problem: Problem,
     start: Start,
     noise: Sequence[NoiseModel],
@@ -194,27 +194,27 @@ def _leaps(
     means.
     """
     prior = problem.prior
-    if not settings.leaps or not any(UNKNOWNS[name].material for name in prior.names):
+    if not settings.jumps or not any(UNKNOWNS[name].material for name in prior.names):
         return False
-    covariance = np.linalg.inv(problem.slopes(start, noise)[1])
+    covariance = np.linalg.inv(problem.gradient_and_hessian(start, noise)[1])
     places = [
         prior.clipped(start.vector + way * far * covariance[k] / np.sqrt(covariance[k, k]))
         for k, name in enumerate(prior.names)
         if UNKNOWNS[name].material
-        for far in settings.leaps
+        for far in settings.jumps
         for way in (-1.0, 1.0)
     ]
     assert start.comparison is not None
     compared = problem.compare(places, derivatives=False)
     for comparison in compared:
         if comparison is not None:
-            comparison.follow(start.comparison)
+            comparison.warm_start(start.comparison)
     values = problem.values(places, compared, noise)
     best = int(np.argmin(values))
     closer = compared[best]
     if closer is None or start.value - values[best] < settings.gain[1]:
         return False
-    closer.take_slopes(start.comparison, *np.zeros((2, len(prior.names))))
+    closer.inherit_derivatives(start.comparison, *np.zeros((2, len(prior.names))))
     start.vector, start.comparison, start.value = places[best], closer, values[best]
     start.iterations += 1
     start.history.append((start.iterations, start.vector.copy(), closer.rms))
@@ -227,12 +227,12 @@ def _compare_all(problem: Problem, start: Start, settings: GaussNewtonSettings) 
     coarse problem are taken over where it has the same frames and free unknowns.
     """
     former, start.exact, start.renew = start.comparison, True, False
-    slopes = former is not None and problem.like(former) and not settings.leading
-    start.comparison = problem.compare([start.vector], derivatives=not slopes)[0]
+    inherited = former is not None and problem.has_frames_of(former) and not settings.leading
+    start.comparison = problem.compare([start.vector], derivatives=not inherited)[0]
     if start.comparison is None:
         raise problem.nothing_runs()
-    if former is not None and slopes:
-        start.comparison.take_slopes(former, *np.zeros((2, len(start.vector))))
+    if former is not None and inherited:
+        start.comparison.inherit_derivatives(former, *np.zeros((2, len(start.vector))))
         start.exact = False
 
 
@@ -259,20 +259,20 @@ def _step(
         compared = [next(tried) for _ in row]
         for comparison in compared:
             if comparison is not None:
-                comparison.follow(former)
+                comparison.warm_start(former)
         values = problem.values([p.vector for p in row], compared, noise)
         best = int(np.argmin(values))
         p, closer = row[best], compared[best]
         if closer is not None and values[best] < s.value:
             won = s.value - values[best]
             little = won < least or (not settings.rugged and p.gain < least)
-            closer.take_slopes(former, p.vector - s.vector, p.weight)
-            s.done, s.renew = little and s.exact, little or won < settings.holds * p.gain
+            closer.inherit_derivatives(former, p.vector - s.vector, p.weight)
+            s.done, s.renew = little and s.exact, little or won < settings.least_gain_ratio * p.gain
             s.vector, s.comparison, s.value, s.exact = p.vector, closer, values[best], False
             s.damping = max(p.damping / 10.0, settings.damping[0])
             s.history.append((s.iterations, p.vector.copy(), closer.rms))
         elif s.exact:
-            s.damping *= settings.apart ** (2 if settings.rugged else 1)
+            s.damping *= settings.damping_ratio ** (2 if settings.rugged else 1)
             s.done = row[0].gain < least or s.damping > settings.damping[1]
         else:
             s.renew = True
@@ -297,7 +297,7 @@ def _renew(
         if former is None:
             s.history.append((s.iterations, s.vector.copy(), comparison.rms))
         else:
-            comparison.follow(former)
+            comparison.warm_start(former)
         s.comparison, s.value = comparison, problem.value(s.vector, comparison, noise)
 
 
@@ -325,7 +325,7 @@ def _propose(
     """A damped step; on rugged objectives also one of greater damping, one by the object's unknowns
     alone, and longer ones."""
     prior = problem.prior
-    gradient, H = problem.slopes(start, noise)
+    gradient, H = problem.gradient_and_hessian(start, noise)
     # a parameter pressed against its bound is held there
     low, high = start.vector <= prior.low, start.vector >= prior.high
     free = np.isin(np.arange(len(low)), range(len(low)) if among is None else among)
@@ -333,10 +333,10 @@ def _propose(
     own = free & np.array([UNKNOWNS[name].material for name in prior.names])
     tries = [(free, start.damping, 1.0)]
     if settings.rugged:
-        tries.append((free, start.damping, settings.farther))
+        tries.append((free, start.damping, settings.long_step))
         if own.any() and (own != free).any():
-            tries += [(own, start.damping, 1.0), (own, start.damping, settings.farther)]
-        tries.append((free, settings.apart * start.damping, 1.0))
+            tries += [(own, start.damping, 1.0), (own, start.damping, settings.long_step)]
+        tries.append((free, settings.damping_ratio * start.damping, 1.0))
     proposals = []
     for which, damping, times in tries:
         step = np.zeros(len(free))

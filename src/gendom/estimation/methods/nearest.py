@@ -51,7 +51,7 @@ def nearest(problem: Problem, settings: NearestSettings | None = None) -> Start:
     def distances(steps: Array) -> Array:
         """Of a generation [S, P], in deviations from the mean."""
         vectors = np.clip(prior.mean + steps * prior.sd, low, high)
-        compared = problem.easier.compare(list(vectors), derivatives=False)
+        compared = problem.coarse.compare(list(vectors), derivatives=False)
         for vector, comparison in zip(vectors, compared, strict=True):
             if comparison is not None:
                 _keep(best, vector, comparison)

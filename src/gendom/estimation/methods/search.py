@@ -85,5 +85,5 @@ def estimated_noise(
     found = list(noise)
     for k, part in enumerate(comparison.parts):
         for _ in range(2):
-            found[k] = part.fit(found[k]).better_noise(rounds)
+            found[k] = part.fit(found[k]).updated_noise(rounds)
     return tuple(found)

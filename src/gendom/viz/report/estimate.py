@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from gendom.materials.unknowns import UNKNOWNS
 from gendom.viz.report.markup import (
     DASH,
     Section,
@@ -21,27 +22,31 @@ from gendom.viz.report.summary import (
     quantity_text,
 )
 
-# Key of an estimate, its name, and what to say about it.
-_ROWS = (
-    ("E", "Young's modulus <i>E</i>"),
-    ("nu", "Poisson's ratio <i>ν</i>"),
-    ("friction", "Friction on the table <i>μ</i>"),
-    ("damping", "Damping"),
-    ("stiffness_slope", "d ln <i>E</i> / d(<i>s</i> / <i>L</i>)"),
-    ("thickness", "Diameter or thickness"),
-    ("density", "Density <i>ρ</i>"),
-    ("E_over_rho", "Specific modulus <i>E</i> / <i>ρ</i>"),
-    ("bending_length", "Bending length"),
-)
+# What people call some quantities; others go by the registry.
+_HTML_NAMES = {
+    "E": "Young's modulus <i>E</i>",
+    "nu": "Poisson's ratio <i>ν</i>",
+    "friction": "Friction on the table <i>μ</i>",
+    "stiffness_slope": "d ln <i>E</i> / d(<i>s</i> / <i>L</i>)",
+    "thickness": "Diameter or thickness",
+    "density": "Density <i>ρ</i>",
+    "E_over_rho": "Specific modulus <i>E</i> / <i>ρ</i>",
+    "bending_length": "Bending length",
+}
 
+# The same within a sentence.
 _NAMES = {
     "E": "Young's modulus",
     "nu": "Poisson's ratio",
-    "damping": "damping",
-    "friction": "friction",
     "stiffness_slope": "the change of stiffness along the rope",
     "thickness": "the thickness",
 }
+
+
+def _of_material() -> list[str]:
+    """Keys of the material's parameters, E first."""
+    own = (n for n, u in UNKNOWNS.items() if u.material and n != "E_over_rho")
+    return ["E", *own]
 
 
 def verdict_banner(summary: EstimateSummary) -> str:
@@ -53,10 +58,10 @@ def verdict_banner(summary: EstimateSummary) -> str:
             summary.reasons, "What follows is the best fit, not an estimate of the object."
         )
     names = {True: [], False: []}
-    for key, name in _NAMES.items():
+    for key in _of_material():
         known = summary.determined(key)
         if known is not None and summary.value(key) is not None:
-            names[known].append(name)
+            names[known].append(_NAMES.get(key) or UNKNOWNS[key].title)
     text = "The recording and the fit pass every check."
     if names[True]:
         text += f" The lift determines {_listed(names[True])}."
@@ -82,10 +87,12 @@ def _listed(names: Sequence[str]) -> str:
 
 def parameters_section(summary: EstimateSummary) -> Section:
     """A row for each quantity, and how to read the bars if there are any."""
-    knows_truth = any(summary.true(key) is not None for key, _ in _ROWS)
-    has_interval = any(summary.interval(key) is not None for key, _ in _ROWS)
+    keys = [*_of_material(), "density", "E_over_rho", "bending_length"]
+    knows_truth = any(summary.true(key) is not None for key in keys)
+    has_interval = any(summary.interval(key) is not None for key in keys)
     rows, bars = [], False
-    for key, name in _ROWS:
+    for key in keys:
+        name = _HTML_NAMES.get(key) or escaped(UNKNOWNS[key].title.capitalize())
         value = summary.value(key)
         if value is None:
             continue

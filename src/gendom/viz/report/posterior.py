@@ -14,7 +14,7 @@ import numpy.typing as npt
 from gendom.materials.unknowns import UNKNOWNS
 from gendom.viz.charts import Axis, Entry, Plot
 from gendom.viz.report.markup import Section, cell, chart_figure, escaped, folded, number, table
-from gendom.viz.report.summary import EstimateSummary, pascal_unit, with_minus
+from gendom.viz.report.summary import SHOWN_UNITS, EstimateSummary, pascal_unit, with_minus
 
 # What people call some unknowns here; others go by the registry.
 _TITLES = {
@@ -30,8 +30,6 @@ _TITLES = {
     "grip_reach": "Reach of the grip, correction",
     "yaw": "Turn of the lying cloth, correction",
 }
-
-_SHOWN_UNITS = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (180.0 / math.pi, "°"), "1": (1.0, "")}
 
 _DRAWN_SDS = 4.2
 _ZOOM = 5.0  # a posterior narrower than its prior by more than this has a strip of the whole prior
@@ -109,7 +107,7 @@ def beliefs_section(summary: EstimateSummary) -> Section | None:
 
 def _figure(summary: EstimateSummary, marginal: Marginal, name: str, of_which: str) -> str:
     title = _TITLES.get(name, _name_of(name).capitalize()) + of_which
-    factor, unit = _SHOWN_UNITS.get(_unit_of(name), (1.0, _unit_of(name)))
+    factor, unit = SHOWN_UNITS.get(_unit_of(name), (1.0, _unit_of(name)))
     true = summary.true("" if name == "thickness" else name)
     density = summary.value("density")
     if name == "E_over_rho" and density is not None:

@@ -10,17 +10,29 @@ from typing import Any
 
 import numpy as np
 
-RATIOS = ("nu", "friction", "stiffness_slope")
+from gendom.materials.unknowns import UNKNOWNS
+
+RATIOS = tuple(n for n, u in UNKNOWNS.items() if u.material and u.unit == "1" and not u.log)
 """Quantities without a unit, on a linear scale."""
+
+SHOWN_UNITS = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (180.0 / math.pi, "°"), "1": (1.0, "")}
+"""What numbers in SI units are multiplied by, and the unit, to be read."""
 
 _UNITS = {
     "density": (1.0, "kg/m³"),
     "E_over_rho": (1.0, "m²/s²"),
-    "damping": (1e3, "ms"),
-    "bending_length": (1e3, "mm"),
-    "thickness": (1e3, "mm"),
+    "bending_length": SHOWN_UNITS["m"],
+    "thickness": SHOWN_UNITS["m"],
 }
-"""What others are multiplied by, and the unit, to be read."""
+"""The same of quantities that are no unknowns, or shown in another form."""
+
+
+def _unit_of(key: str, value: float) -> tuple[float, str]:
+    """What a quantity is multiplied by, and its unit, to be read."""
+    if key == "E":
+        return pascal_unit(value)
+    unit = UNKNOWNS[key].unit if key in UNKNOWNS else ""
+    return _UNITS.get(key) or SHOWN_UNITS.get(unit, (1.0, unit))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,13 +106,13 @@ def quantity_text(key: str, value: float) -> str:
         return with_minus(f"{value:.3f}")
     if key in ("bending_length", "thickness"):
         return length_text(value)
-    factor, unit = pascal_unit(value) if key == "E" else _UNITS[key]
-    return with_minus(f"{factor * value:.{3 if key == 'damping' else 4}g} {unit}")
+    factor, unit = _unit_of(key, value)
+    return with_minus(f"{factor * value:.{3 if key == 'damping' else 4}g} {unit}".rstrip())
 
 
 def interval_text(key: str, interval: tuple[float, float]) -> str:
     """Both ends in one unit."""
-    factor, unit = pascal_unit(interval[1]) if key == "E" else _UNITS.get(key, (1.0, ""))
+    factor, unit = _unit_of(key, interval[1])
     low, high = factor * interval[0], factor * interval[1]
     decimals = 3
     if key not in RATIOS:

@@ -161,12 +161,13 @@ def arm_of(scene: LiftScene) -> MeshLayer | None:
 
 
 def _parameters(scene: LiftScene, theta: Theta) -> tuple[Parameter, ...]:
-    """All unknowns that change what is simulated, within the ranges that are searched."""
+    """Unknowns of the object, those that are searched, and those that have other values than usual,
+    within the ranges that are searched."""
     searched = scene.prior()[0].names
     names = [
         u.name
         for u in UNKNOWNS.values()
-        if scene.kind in u.kinds and (u.material or u.name in searched or u.on_replay is not None)
+        if scene.kind in u.kinds and (u.material or u.name in searched or theta[u.name] != u.usual)
     ]
     if scene.recording.table_height is None:
         names.remove("friction")

@@ -1,0 +1,312 @@
+"""The file of an estimate: the numbers in it that follow from others, and how it is read.
+
+Its single source of truth is the posterior; the values beside it follow from that, and a file in
+which they do not is refused. Names of earlier versions are mapped by `gendom.materials.names`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+
+from gendom.arguments import require
+from gendom.errors import GendomError
+from gendom.files import read_json
+from gendom.materials import catalogue
+from gendom.materials.names import with_current_names
+from gendom.materials.objects import KINDS
+from gendom.materials.posterior import Posterior, prior_of
+from gendom.materials.unknowns import UNKNOWNS, Theta
+
+FORMAT = "gendom-estimate/1"
+
+LEVEL = 0.9
+"""Probability of intervals where an estimate names none."""
+
+HIDDEN = ("damping", "friction")
+"""What many recordings do not determine: where one does not, the usual value is taken for it."""
+
+ASSUMED_DENSITY_SD = 0.5
+"""Of the logarithm of a density that is assumed, as ropes and cloths have 300 to 2,000 kg/m^3."""
+
+SIZES = ("length", "width", "height", "diameter", "thickness", "side")
+"""Names of sizes in files [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Whether an estimate is usable."""
+
+    usable: bool
+    reasons: tuple[str, ...] = ()
+    """Why it is not usable, one sentence each."""
+
+    @property
+    def text(self) -> str:
+        return "usable" if self.usable else "not usable: " + "; ".join(self.reasons)
+
+
+USABLE = Verdict(usable=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Derived:
+    """A number of the file that follows from E over density and other numbers."""
+
+    title: str
+    unit: str
+    form: str = ".4g"
+    needs: tuple[str, ...]
+    """The other numbers, by name."""
+    power: float = 1.0
+    """Exponent of E over density in it."""
+    thicker: float
+    """Exponent of the thickness, over `power`, with E over density as it is."""
+    heavier: float = 0.0
+    """Exponent of an assumed density."""
+
+
+def derived(kind: str, *, weighed: bool) -> dict[str, Derived]:
+    """The derived numbers of a rope or cloth, by name.
+
+    Args:
+        kind: Of the object.
+        weighed: Whether its mass is known: a thicker one is then less dense. Else its density is
+            assumed, and it is heavier.
+    """
+    small, volume = KINDS[kind].sizes[1], 2.0 if kind == "rope" else 1.0
+    title, unit = ("bending EI", "N m^2") if kind == "rope" else ("bending D", "N m")
+    heavier = 0.0 if weighed else 1.0
+    return {
+        "E": Derived(
+            title="Young's modulus", unit="Pa", needs=("density",),
+            thicker=-volume if weighed else 0.0, heavier=heavier,
+        ),
+        "bending_length": Derived(
+            title="bending length", unit="m", form=".4f", needs=(small,),
+            power=1.0 / 3.0, thicker=2.0,
+        ),
+        "bending_stiffness": Derived(
+            title=title, unit=unit, needs=("density", "nu", small),
+            thicker=2.0 if weighed else 2.0 + volume, heavier=heavier,
+        ),
+    }  # fmt: skip
+
+
+NOTHING_ESTIMATED = Posterior(
+    prior=prior_of((), {}), mean=np.empty(0), covariance=np.empty((0, 0)), bases=()
+)
+
+
+def ranges(
+    posterior: Posterior,
+    values: Mapping[str, float | None],
+    numbers: Mapping[str, Derived],
+    level: float,
+    *,
+    density_sd: float,
+    stated: float,
+) -> tuple[dict[str, list[float]], dict[str, list[float]], dict[str, bool]]:
+    """Intervals, searched ranges, and whether each value is determined, by name.
+
+    Args:
+        posterior: What is known of the unknowns.
+        values: The file's values.
+        numbers: Those that follow from E over density.
+        level: Probability of the intervals.
+        density_sd: Standard deviation of the logarithm of a density that is assumed.
+        stated: Stated thickness or diameter, 1 where it is not known [m].
+    """
+    intervals: dict[str, list[float]] = {}
+    bounds: dict[str, list[float]] = {}
+    known: dict[str, bool] = dict.fromkeys(("E_over_rho", "nu", "friction", "damping"), False)
+    for name in posterior.names:
+        u = UNKNOWNS[name]
+        if not u.material:
+            continue
+        k = posterior.prior.index(name)
+        unit = stated if name == "thickness" else 1.0
+        intervals[name] = [unit * end for end in posterior.interval(name, level)]
+        ends = posterior.prior.low[k], posterior.prior.high[k]
+        bounds[name] = [unit * u.value(float(end)) for end in ends]
+        known[name] = posterior.determined(name)
+    known["E"] = known["E_over_rho"]
+    for name, number in numbers.items():
+        value, power = values[name], number.power
+        if "E_over_rho" not in posterior.names or value is None:
+            continue
+        powers = {"E_over_rho": power, "thickness": power * number.thicker}
+        ends = posterior.factors(powers, level, number.heavier * density_sd)
+        intervals[name] = [value * end for end in ends]
+        middle = math.exp(posterior.mean[posterior.prior.index("E_over_rho")])
+        bounds[name] = [value * (end / middle) ** power for end in bounds["E_over_rho"]]
+    return intervals, bounds, known
+
+
+# ---- reading -----------------------------------------------------------------------------------
+
+
+def read_record(path: str | Path, *, even_unusable: bool = True) -> dict[str, Any]:
+    """The JSON document of an estimate's file with the present names of quantities.
+
+    Args:
+        path: The file, perhaps of an earlier version.
+        even_unusable: Take one whose verdict is not usable, too.
+
+    Raises:
+        ParameterError: It is no estimate, or not usable.
+        GendomError: It cannot be read.
+    """
+    read = with_current_names(read_json(path))
+    checked_verdict(read, str(path), even_unusable=even_unusable)
+    return read
+
+
+def checked_verdict(read: Mapping[str, Any], where: str, *, even_unusable: bool = True) -> Verdict:
+    """The verdict of an estimate's record.
+
+    Raises:
+        ParameterError: It has another format, is not usable, or holds no numbers.
+    """
+    require(
+        read.get("format") == FORMAT,
+        f"has format {read.get('format')!r}, not {FORMAT!r}",
+        where=where,
+        fix="give a file written by gendom estimate",
+    )
+    told = read.get("verdict") or {}
+    verdict = Verdict(usable=told.get("usable", True), reasons=tuple(told.get("reasons") or ()))
+    require(
+        even_unusable or verdict.usable is not False,
+        f"is not usable: {', '.join(verdict.reasons)}",
+        where=where,
+        fix="record the object again, or add --force",
+    )
+    require(
+        not read.keys() <= {"format", "verdict"},
+        f"holds no numbers, since nothing was estimated: {', '.join(verdict.reasons)}",
+        where=where,
+        fix="record the object again, or describe it by flags such as --E",
+    )
+    return verdict
+
+
+def fields_of(
+    read: Mapping[str, Any], kind: str | None, where: str
+) -> tuple[dict[str, Any], dict[str, float]]:
+    """Fields of the estimate of a record, and the values that its posterior must have.
+
+    Args:
+        read: The record, with present names.
+        kind: Of the object, for files that do not say it.
+        where: The file, for error messages.
+
+    Raises:
+        KeyError, IndexError, TypeError, ValueError, GendomError: The record cannot be used.
+    """
+    described = read.get("object") or {}
+    kind = described.get("kind", kind)
+    if kind not in KINDS:
+        raise ValueError(f"there is no kind of object {kind!r}")
+    if read.get("posterior") == {}:
+        raise KeyError("names")
+    known = _numbers(read, described, where)
+    level = float((read.get("intervals") or {}).get("level", LEVEL))
+    posterior, stated = _posterior_of(read, known, level), {}
+    if read.get("posterior"):
+        stated = _stated(known, posterior, kind)
+    else:
+        if "E" in known and "E_over_rho" not in known and "density" in known:
+            known["E_over_rho"] = known["E"] / known["density"]
+        known.pop("E", None)
+    material = (read.get("simulation") or {}).get("material")
+    sd = catalogue.get(material).density.log_sd if material else ASSUMED_DENSITY_SD
+    fields = {
+        "kind": kind,
+        "known": known,
+        "posterior": posterior,
+        "level": level,
+        "density_sd": float(read.get("density_sd", 0.0 if "mass" in known else sd)),
+        "about": {k: v for k, v in read.items() if k not in _OWN},
+    }
+    return fields, stated
+
+
+def _stated(known: dict[str, float], posterior: Posterior, kind: str) -> dict[str, float]:
+    """Take out of a record's numbers those that the posterior has, and return them. What is left
+    is of an object as thick as stated."""
+    owners = zip(posterior.names, posterior.prior.owners, strict=True)
+    names = [name for name, owner in owners if owner is None]
+    stated = {n: known.pop(n) for n in ("E", *names) if n in known and n != "thickness"}
+    if "thickness" not in names:
+        return stated
+    small, power = KINDS[kind].sizes[1], 2 if kind == "rope" else 1
+    k = posterior.names.index("thickness")
+    r = UNKNOWNS["thickness"].value(float(posterior.mean[k]))
+    if small in known:
+        stated["thickness"] = known[small]
+        known[small] /= r
+    if "mass" in known and "density" in known:
+        known["density"] *= r**power
+    return stated
+
+
+_OWN = (
+    "format", "theta", "E", "bending_length", "bending_stiffness", "density", "density_assumed",
+    "density_sd", "verdict", "intervals", "bounds", "identifiable", "posterior", "object",
+)  # fmt: skip
+"""Entries of the file that `Estimate.record` computes, beside values of unknowns."""
+
+
+def _numbers(read: Mapping[str, Any], described: Mapping[str, Any], where: str) -> dict[str, float]:
+    """The file's numbers of the object.
+
+    Raises:
+        GendomError: One is none, or not positive.
+    """
+    names = {n for n, u in UNKNOWNS.items() if u.material and n != "thickness"}
+    told = read.get("identifiable") or {}
+    numbers = {n: read.get(n) for n in ("E", *names, "density")}
+    if not read.get("posterior"):  # what the recording does not tell is its prior's
+        numbers |= {n: None for n in HIDDEN if told.get(n, True) is False}
+    numbers |= {n: described.get(n) for n in (*SIZES, "mass")}
+    for name, value in numbers.items():
+        positive = isinstance(value, (int, float)) and (
+            value > 0.0 or (value == 0.0 and name in HIDDEN) or name == "stiffness_slope"
+        )
+        if value is not None and not positive and (name not in UNKNOWNS or UNKNOWNS[name].low > 0):
+            raise GendomError(
+                f"{name} must be a positive number, got {value!r}",
+                where=where,
+                fix="estimate again, or give the number by a flag",
+            )
+    return {n: float(v) for n, v in numbers.items() if v is not None}
+
+
+def _posterior_of(read: Mapping[str, Any], known: Mapping[str, float], level: float) -> Posterior:
+    """The file's posterior; of files of earlier versions that of their interval of E."""
+    if read.get("posterior"):
+        first = {k: float(v) for k, v in (read.get("theta") or {}).items()}
+        bases = []
+        if first:
+            base = Theta(**first)
+            # files of earlier versions are of one recording
+            bases = [base.with_values(r["theta"]) for r in read.get("recordings", [read])]
+        return Posterior.from_dict(read["posterior"], bases)
+    ends = (read.get("intervals") or {}).get("E")
+    if not ends:
+        return NOTHING_ESTIMATED
+    low, high = (math.log(end / known["density"]) for end in ends)
+    half = NormalDist().inv_cdf(0.5 + level / 2.0)
+    return Posterior(
+        prior=prior_of(("E_over_rho",), {}),
+        mean=np.array([0.5 * (low + high)]),
+        covariance=np.array([[(0.5 * (high - low) / half) ** 2]]),
+        bases=(),
+    )
