@@ -69,7 +69,7 @@ def test_ranges_can_be_chosen(tmp_path, capsys):
     assert about["task"]["ranges"]["E_over_rho"] == [300.0, 310.0]
     assert about["task"]["ranges"]["nu"] == [0.2, 0.4]
     assert cli.main([*words, "--range", "mass", "1", "2"]) == 2
-    assert "no parameter 'mass'" in capsys.readouterr().err
+    assert "unknown parameter 'mass'" in capsys.readouterr().err
 
 
 def test_a_full_disk(tmp_path, monkeypatch, capsys):

@@ -1,6 +1,7 @@
 """Posteriors and estimates as they are kept and shown."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -150,7 +151,7 @@ def test_files_of_earlier_versions_are_read(found, tmp_path):
     path = tmp_path / "estimate.json"
     old = {"E": "youngs_modulus", "nu": "poissons_ratio", "E_over_rho": "specific_modulus"}
 
-    def renamed(read):
+    def renamed(read: Any) -> Any:
         if isinstance(read, dict):
             return {old.get(k, k) if k != "nu" else k: renamed(v) for k, v in read.items()}
         if isinstance(read, list):

@@ -28,7 +28,6 @@ turntable = Arm(
     max_acceleration=np.ones(1),
     max_jerk=np.ones(1),
     max_tcp_speed=1.0,
-    payload=1.0,
     home=np.zeros(1),
     capsules=(
         LinkCapsule(
