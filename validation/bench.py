@@ -19,6 +19,20 @@ from gendom.sim import Body, Physics, Simulator, Solver
 WEIGHTLESS = (0.0, 0.0, 0.0)
 
 
+def flat_simulator(body: Body, materials: Sequence[Material], **options: Any) -> Simulator:
+    """A simulator; options are its own and those of ``Physics`` and ``Solver``.
+
+    Raises:
+        ParameterError, DeviceError: As ``Simulator``.
+    """
+
+    def taken(kind: type) -> dict[str, Any]:
+        return {f.name: options.pop(f.name) for f in fields(kind) if f.name in options}
+
+    physics, solver = Physics(**taken(Physics)), Solver(**taken(Solver))
+    return Simulator(body, materials, physics=physics, solver=solver, **options)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Bench:
     """How a case is run. All simulators of the suite are made here."""
@@ -46,12 +60,7 @@ class Bench:
         """
         given: dict[str, Any] = {"engine": self.engine, "device": self.device, "dtype": self.dtype}
         given |= {"threads": self.threads, "air_density": 0.0, **options}
-
-        def taken(kind: type) -> dict[str, Any]:
-            return {f.name: given.pop(f.name) for f in fields(kind) if f.name in given}
-
-        physics, solver = Physics(**taken(Physics)), Solver(**taken(Solver))
-        return Simulator(body, materials, physics=physics, solver=solver, **given)
+        return flat_simulator(body, materials, **given)
 
     def settle(
         self, body: Body, materials: Sequence[Material], omega: ArrayLike,

@@ -23,7 +23,7 @@ from gendom.sim import (
     outline_of_mesh,
     rope,
 )
-from sim.simulators import flat_simulator
+from validation.bench import flat_simulator
 
 nan, inf = math.nan, math.inf
 RAGGED = [[0.0, 1.0], [2.0]]

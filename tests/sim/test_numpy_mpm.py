@@ -10,7 +10,7 @@ import warp as wp
 from gendom.materials import Material
 from gendom.sim import Gripper, Table, cloth, rope
 from gendom.sim.mpm.engine import MpmEngine
-from sim.simulators import flat_simulator
+from validation.bench import flat_simulator
 
 _SPEC = importlib.util.spec_from_file_location(
     "numpy_mpm", Path(__file__).with_name("numpy_mpm.py")

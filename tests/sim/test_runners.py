@@ -8,7 +8,7 @@ from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.sim import Gripper, Table, cloth, rope
 from gendom.sim.mpm import runner
-from sim.simulators import flat_simulator
+from validation.bench import flat_simulator
 
 SOFT = Material(E=2.0e4, nu=0.3, density=1000.0)
 
@@ -62,7 +62,7 @@ def test_worlds_in_blocks_move_as_each_alone():
     expected, s = scene().run(times), in_blocks(scene())
     x = s.run(times)
     assert np.abs(x - expected).max() < 1e-12
-    assert len(set(s.substeps_done())) == 4
+    assert len(set(s.worlds.clock.age.numpy())) == 4
     assert np.ptp(expected[-1], axis=0).max() > 1e-3
 
 
@@ -74,7 +74,7 @@ def test_motion_below_the_last_bit_is_not_lost(prepared):
     drift = np.array([1e-5, -1e-5, 2e-5])
     s.set_velocities(drift)
     x = s.run([0.5])
-    assert s.substeps_done()[0] > 100
+    assert s.worlds.clock.age.numpy()[0] > 100
     moved = x[0, 0].mean(axis=0, dtype=float) - body.x.mean(axis=0)
     np.testing.assert_allclose(moved, 0.5 * drift, rtol=0.02)
 

@@ -20,7 +20,7 @@ from gendom.sim import (
     rope,
     stable_substep,
 )
-from sim.simulators import flat_simulator
+from validation.bench import flat_simulator
 
 SOFT = Material(E=2.0e4, nu=0.3, density=1000.0)
 G = 9.81

@@ -117,8 +117,3 @@ class DensityGrid:
         x, y, z = np.moveaxis(node, 2, 0)
         index = (x[..., None, None] * Y + y[..., None, :, None]) * Z + z[..., None, None, :]
         return index, np.where(on, w, 0.0), np.where(on, dw, 0.0)
-
-
-def density_distance(grid: DensityGrid, a: ArrayLike, b: ArrayLike) -> float:
-    """L1 distance of two clouds' densities, from 0 (equal) to 2 (apart), as the paper's loss."""
-    return float(np.abs(grid.splat(a) - grid.splat(b)).sum())

@@ -196,10 +196,6 @@ class Simulator(Shown):
         """Current deformation gradients F, [W, N, 3, 3] [-]."""
         return self.worlds.deformation_at(self.worlds.state.x.numpy()).astype(self.dtype)
 
-    def substeps_done(self) -> NDArray[Any]:
-        """Number of substeps completed by each world, [W]."""
-        return np.array(self.worlds.clock.age.numpy())
-
     def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None:
         """Set velocities of particles or points.
 

@@ -12,7 +12,7 @@ from gendom.materials import Material
 from gendom.sim import Gripper, Physics, Simulator, Solver, Table, cloth, rope
 from gendom.sim.thin.contact import check_cloth
 from gendom.sim.thin.shell_model import ShellModel
-from sim.simulators import flat_simulator
+from validation.bench import flat_simulator
 
 
 def nearest(x, apart):

@@ -17,8 +17,8 @@ import warp as wp
 from gendom.materials import Material
 from gendom.sim import Gripper, Physics, Rollout, Simulator, Table, cloth, rope
 from gendom.sim.thin import tape
-from sim.simulators import flat_simulator
 from sim.thin.differences import check_derivative
+from validation.bench import flat_simulator
 
 TIMES = [0.01, 0.02, 0.025, 0.03]
 FIRST = [0.00415, 0.0043]

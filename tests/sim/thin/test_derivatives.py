@@ -13,8 +13,8 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.sim import Gripper, Physics, Rollout, Simulator, Solver, Table, Weave, cloth, rope
 from gendom.sim.thin.types import WEAVE
-from sim.simulators import flat_simulator
 from sim.thin.differences import check_derivative
+from validation.bench import flat_simulator
 
 TIMES = [0.01, 0.03, 0.05, 0.06]
 

@@ -15,7 +15,7 @@ from gendom.sim.outlines import Outline
 from gendom.sim.thin.contact import check_cloth
 from gendom.sim.thin.shell_model import ShellModel
 from gendom.sim.thin.shells import Shells
-from sim.simulators import flat_simulator
+from validation.bench import flat_simulator
 from validation.readings import bending_energy, membrane_energy
 from validation.specimens import circle
 

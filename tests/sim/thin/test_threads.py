@@ -9,7 +9,7 @@ import pytest
 from gendom.materials import Material
 from gendom.sim import Gripper, Simulator, Solver, cloth, rope
 from gendom.sim.thin import rods
-from sim.simulators import flat_simulator
+from validation.bench import flat_simulator
 
 BODY = rope(diameter=0.004, length=0.31, start=(-0.01, 0, 0), points=32)
 

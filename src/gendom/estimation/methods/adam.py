@@ -39,7 +39,7 @@ CHUNK = 1 << 21
 
 @dataclass(frozen=True, kw_only=True)
 class AdamSettings:
-    """Of the search."""
+    """How Adam searches."""
 
     scanned: int = 16
     """Moduli of the scan that precedes the search, over the whole range."""

@@ -23,7 +23,7 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, kw_only=True)
 class NearestSettings:
-    """Of the search."""
+    """How the evolution strategy searches."""
 
     population: int = 3
     """Members for each unknown."""

@@ -42,7 +42,7 @@ class ShellModel:
     """Largest factors on the squared frequencies of membrane and bending by light points at an
     outline."""
     cut: Cut | None
-    """Of the body."""
+    """Cells within the body's outline; None: a whole rectangle."""
 
     @classmethod
     def of(cls, body: Body) -> "ShellModel":
