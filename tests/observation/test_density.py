@@ -82,7 +82,7 @@ def test_batches_equal_their_clouds():
 
 
 def test_distance_goes_from_zero_to_two():
-    """By the L1 distance of densities, the paper's loss: equal clouds are 0 apart, distant ones 2."""
+    """By the paper's L1 distance of densities equal clouds are 0 apart, distant ones 2."""
 
     def distance(a, b):
         return np.abs(GRID.splat(a) - GRID.splat(b)).sum()
