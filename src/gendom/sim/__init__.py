@@ -5,7 +5,7 @@ from gendom.materials import AIR_DENSITY
 from gendom.sim.bodies import Body, Weave, cloth, rope
 from gendom.sim.device import claimed, list_devices, open_device
 from gendom.sim.gradients import Gradients
-from gendom.sim.gripper import Gripper, Grippers
+from gendom.sim.gripper import Gripper, Grippers, Targets
 from gendom.sim.mpm.engine import CFL, stable_substep
 from gendom.sim.outlines import outline_of_mesh
 from gendom.sim.rollout import Rollout
@@ -26,6 +26,7 @@ __all__ = [
     "Simulator",
     "Solver",
     "Table",
+    "Targets",
     "Weave",
     "check_numbers",
     "claimed",

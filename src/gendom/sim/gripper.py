@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from gendom.arguments import check_number, check_numbers, check_type
+from gendom.arguments import check_number, check_numbers, check_type, require
 from gendom.errors import ParameterError
 
 NEEDED = ("time", "position", "hold_from", "hold_until", "radius")
@@ -77,7 +77,7 @@ class Gripper:
         """[K, 3] rotation vector from each knot to the next, in world axes [rad]."""
         turns = np.zeros((len(np.asarray(self.time)), 3))
         if self.quat_xyzw is not None and len(turns) > 1:
-            turns[:-1] = _turns(np.asarray(self.quat_xyzw))
+            turns[:-1] = turns_of(np.asarray(self.quat_xyzw))
         return turns
 
     def position_at(self, time: ArrayLike) -> NDArray[np.floating]:
@@ -85,6 +85,47 @@ class Gripper:
         t, knots = check_numbers("time", time), np.asarray(self.time, dtype=float)
         p = np.asarray(self.position, dtype=float)
         return np.stack([np.interp(t, knots, p[:, a]) for a in range(3)], axis=-1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Targets:
+    """Where the G grippers of each of W worlds are at the end of a step, see ``Simulator.step``.
+
+    They go there on a straight line at constant speed, and turn about one axis.
+    """
+
+    position: ArrayLike
+    """[G, 3] or [W, G, 3] centres [m]."""
+    quat_xyzw: ArrayLike | None = None
+    """[G, 4] or [W, G, 4] orientations; None: they keep theirs."""
+    closed: ArrayLike | None = None
+    """[G] or [W, G] whether they hold something during the step: they close or open at its start.
+    None: they stay as they are."""
+
+    def of(
+        self, worlds: int, grippers: int
+    ) -> tuple[NDArray[Any], NDArray[Any] | None, NDArray[np.bool_] | None]:
+        """Positions [W, G, 3], orientations [W, G, 4] and whether they hold [W, G].
+
+        Raises:
+            ParameterError: If a shape does not fit, or a number is not finite.
+        """
+        shape = (worlds, grippers)
+        position = check_numbers("targets.position", self.position, (grippers, 3), (*shape, 3))
+        position = np.broadcast_to(position, (*shape, 3))
+        q, closed = self.quat_xyzw, self.closed
+        if q is not None:
+            q = check_numbers("targets.quat_xyzw", q, (grippers, 4), (*shape, 4))
+            size = np.linalg.norm(q, axis=-1, keepdims=True)
+            require(size.min() > 1e-6, "must not be zero", where="targets.quat_xyzw")
+            q = np.broadcast_to(q / size, (*shape, 4))
+        if closed is not None:
+            closed = np.asarray(closed)
+            fits = closed.dtype == bool and closed.shape in ((grippers,), shape)
+            require(fits, f"must be true or false for each of {grippers} grippers, [G] or [W, G]",
+                    where="targets.closed")  # fmt: skip
+            closed = np.broadcast_to(closed, shape)
+        return position, q, closed
 
 
 def _check_hold(hold_from: Any, hold_until: Any, shape: tuple[int, ...]) -> None:
@@ -102,7 +143,7 @@ def _check_hold(hold_from: Any, hold_until: Any, shape: tuple[int, ...]) -> None
         )
 
 
-def _turns(q: NDArray[np.floating]) -> NDArray[np.floating]:
+def turns_of(q: NDArray[np.floating]) -> NDArray[np.floating]:
     """[..., K - 1, 3] rotation vectors from each orientation [..., K, 4] to the next [rad]."""
     before, after = (Rotation.from_quat(k.reshape(-1, 4)) for k in (q[..., :-1, :], q[..., 1:, :]))
     return (after * before.inv()).as_rotvec().reshape(*q.shape[:-2], -1, 3)
@@ -141,7 +182,7 @@ class Grippers(Sequence[Sequence[Gripper]]):
         _check_hold(arrays["hold_from"], arrays["hold_until"], shape[:2])
         turning = self.arrays["turns"] == 1.0
         if turning.any():
-            self.arrays["turn"][turning, :-1] = _turns(self.arrays["orientation"][turning])
+            self.arrays["turn"][turning, :-1] = turns_of(self.arrays["orientation"][turning])
 
     @classmethod
     def of(cls, every: Sequence[Sequence[Gripper]], *, knots: int = 2) -> "Grippers":

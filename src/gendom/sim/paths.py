@@ -24,6 +24,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.sim.device import making
+from gendom.sim.gripper import turns_of
 
 Array = NDArray[Any]
 
@@ -50,7 +51,10 @@ def make_path_type(real: Any) -> Any:
 
 
 def paths_on(device: Any, arrays: Mapping[str, Array], real: Any) -> Any:
-    """The struct of paths on a device, from the arrays of ``Grippers``."""
+    """The struct of paths on a device, from the arrays of ``Grippers``.
+
+    On the CPU it shares their memory where types fit.
+    """
     paths = make_path_type(real)()
     kinds = {
         "time": wp.float64, "position": wp.vec3d, "orientation": wp.quatd, "turn": wp.vec3d,
@@ -59,8 +63,14 @@ def paths_on(device: Any, arrays: Mapping[str, Array], real: Any) -> Any:
     }  # fmt: skip
     for name, kind in kinds.items():
         values = np.ascontiguousarray(arrays[name])
-        setattr(paths, name, wp.array(values, dtype=kind, device=device))
+        shared = wp.get_device(device).is_cpu and values.dtype == wp.dtype_to_numpy(_scalar(kind))
+        setattr(paths, name, wp.array(values, dtype=kind, device=device, copy=not shared))
     return paths
+
+
+def _scalar(kind: Any) -> Any:
+    """Type of the numbers of a scalar or vector type."""
+    return getattr(kind, "_wp_scalar_type_", kind)
 
 
 @functools.cache
@@ -269,6 +279,63 @@ class HostPaths:
         worlds, times = _view(w, wp.int32), _view(t, wp.float64)
         inputs = [g, worlds, times, self._paths, *more]
         wp.launch(getattr(self._kernels, name), dim=len(w), inputs=inputs, device="cpu")
+
+
+class LedPaths:
+    """Paths of three knots, which are led from step to step: where grippers came from, where they
+    are, and where they go.
+
+    Args:
+        paths: What grippers follow until now.
+        now: [s].
+    """
+
+    changing = ("time", "position", "orientation", "turn", "hold_from", "hold_until")
+    """Names of the arrays that ``lead`` changes."""
+
+    def __init__(self, paths: HostPaths, now: float):
+        W, G = paths.arrays["radius"].shape
+        self.arrays = {name: np.array(values) for name, values in paths.arrays.items()}
+        for name, width in (
+            ("time", ()),
+            ("position", (3,)),
+            ("orientation", (4,)),
+            ("turn", (3,)),
+        ):
+            self.arrays[name] = np.zeros((W, G, 3, *width))
+        self.arrays["time"] += now + np.array([-2.0, -1.0, 0.0])
+        self.arrays["turns"] = np.ones((W, G), dtype=np.int32)
+        for g in range(G):
+            pose = paths.pose(g, np.arange(W), np.full(W, now))
+            self.arrays["position"][:, g] = pose.centre[:, None]
+            self.arrays["position"][:, g, 1] -= pose.velocity
+            self.arrays["orientation"][:, g] = pose.q[:, None]
+            self.arrays["turn"][:, g, 1] = pose.spin
+        self._arrive = now
+
+    def lead(
+        self, now: float, until: float, position: Array, quat_xyzw: Array | None, closed: Array
+    ) -> None:
+        """Let grippers go straight to positions [W, G, 3] [m] and orientations [W, G, 4] until then
+        [s]; those that are ``closed`` [W, G] hold something from now on. Without orientations they
+        keep theirs.
+        """
+        path, stood = self.arrays, self._arrive != now
+        # the knot before tells how fast they have come, for what one lets go of
+        for name in ("time", "position", "orientation"):
+            knots = path[name]
+            knots[:, :, 0] = knots[:, :, 2 if stood else 1]
+            knots[:, :, 1] = knots[:, :, 2]
+        path["turn"][:, :, 0] = 0.0 if stood else path["turn"][:, :, 1]
+        path["time"][:, :, 1], path["time"][:, :, 2] = now, until
+        path["position"][:, :, 2] = position
+        path["turn"][:, :, 1] = 0.0
+        if quat_xyzw is not None:
+            path["orientation"][:, :, 2] = quat_xyzw
+            path["turn"][:, :, 1] = turns_of(path["orientation"])[:, :, 1]
+        path["hold_from"][...] = np.where(closed, -np.inf, np.inf)
+        path["hold_until"][...] = np.where(closed, np.inf, -np.inf)
+        self._arrive = until
 
 
 def _view(values: Array, kind: Any) -> Any:

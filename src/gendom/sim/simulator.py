@@ -24,16 +24,19 @@ from gendom.materials import Material
 from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
-from gendom.sim.gripper import Gripper, Grippers
+from gendom.sim.gripper import Gripper, Grippers, Targets
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
 from gendom.sim.scene import Physics, Solver, Table
 from gendom.sim.setting import Frames, Setting, spread
-from gendom.sim.thin import THIN_ENGINES
+from gendom.sim.thin import THIN_ENGINES, ThinEngine
 
 START_INSIDE = 0.1
 """Greatest initial depth of a body in a table [cells, or diameters of a rod]; contact pushes it
 out."""
+
+ATTRIBUTES = ("body", "materials", "time", "dtype", "device", "engine")
+"""Of a simulator."""
 
 
 class Simulator(Shown):
@@ -120,6 +123,12 @@ class Simulator(Shown):
         kind = THIN_ENGINES[body.kind] if thin else MpmEngine
         with making:
             self.engine = kind(setting, substep=solver.substep, cfl=solver.cfl)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        # a name that is set afterwards would change nothing
+        fix = "make another simulator; Simulator.step moves grippers"
+        require(name in ATTRIBUTES, f"a simulator has no {name} that can be set", fix=fix)
+        super().__setattr__(name, value)
 
     def _shown(self) -> tuple[str, list[tuple[str, str]]]:
         kind = type(self.engine).__name__
@@ -271,6 +280,50 @@ class Simulator(Shown):
         self.engine.run(Frames(self.time, t, picked, x, on_frame, keep_going))
         self.time = float(t[-1])
         return x
+
+    def step(self, dt: float, targets: Targets | None = None, *, keep_going: bool = False) -> None:
+        """Simulate all worlds for a while, with grippers under control.
+
+        ``positions``, ``velocities`` and ``gripper_forces`` then tell how things are.
+
+        Args:
+            dt: How long [s].
+            targets: Where grippers are at the end of the step. From the first of them on, paths
+                that the simulator was made with no longer count. None: they go on along their
+                paths, or stay where the last targets took them.
+            keep_going: As of ``run``.
+
+        Raises:
+            ParameterError: If ``dt`` is not positive, targets do not fit the grippers, or the
+                engine is the MPM.
+            SimulationError: As ``run``.
+        """
+        check_number("dt", dt, above=0.0)
+        check_type("targets", targets, Targets, optional=True)
+        until = self.time + dt
+        engine = self._thin("steps")
+        if targets is not None:
+            engine.lead(*targets.of(*engine.closed.shape), until)
+        if engine.led is None:
+            self.run([until], particles=[], keep_going=keep_going)
+            return
+        engine.step(until, keep_going=keep_going)
+        self.time = until
+
+    def gripper_forces(self) -> NDArray[np.float64]:
+        """Forces of the body on grippers, [W, G, 3] [N]; 0 of open ones.
+
+        What held points are pulled by and weigh, without the inertia of what is held.
+
+        Raises:
+            ParameterError: If the engine is the MPM.
+        """
+        return self._thin("forces at grippers").gripper_forces()
+
+    def _thin(self, what: str) -> ThinEngine:
+        if not isinstance(self.engine, ThinEngine):
+            raise ParameterError(f"the MPM has no {what}", fix="engine='thin'")
+        return self.engine
 
     def checked(self, times: ArrayLike) -> NDArray[np.float64]:
         """Return ``times`` as an array [T], after checking that the simulator can be run to them.

@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.arguments import require
 from gendom.errors import SimulationError
 from gendom.sim.device import making
-from gendom.sim.paths import HostPaths, Pose, paths_on
+from gendom.sim.paths import HostPaths, LedPaths, Pose, paths_on
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
 from gendom.sim.thin.grips import (
@@ -111,6 +112,8 @@ class ThinEngine(ABC):
         """[W] time of the state [s]."""
         self.failures: dict[int, SimulationError] = {}
         self.used = False
+        self.led: LedPaths | None = None
+        """Paths of grippers after ``lead``."""
         self.last_dt = np.zeros(W)
         """[W] length of the last step [s]; 0 where velocities are those at the current time."""
         x = spread(np.asarray(s.positions, dtype=float) - self.origin, (W, n, 3), "positions")
@@ -295,8 +298,43 @@ class ThinEngine(ABC):
         Raises:
             SimulationError: If a world diverges, unless ``keep_going`` is set.
         """
-        self.used = True
         run = self._prepared(frames, self.schedule(frames, most_steps), kept)
+        self._simulate(run, after)
+        frames.x[...] = run.x.numpy().reshape(frames.x.shape) + self.origin.astype(frames.x.dtype)
+        if frames.on_frame is not None:
+            frames.on_frame(len(frames.times))
+        self._raise(keep_going=frames.keep_going)
+        return run.plan
+
+    def step(self, until: float, *, keep_going: bool) -> None:
+        """Simulate all worlds to one time [s] within which no gripper closes or opens.
+
+        Raises:
+            SimulationError: If a world diverges, unless ``keep_going`` is set.
+        """
+        run, s = self._stepping, self.setting
+        span, plan = until - self.now, run.plan
+        steps = np.maximum(1, np.ceil(span / s.substep - 1e-9))
+        plan.begins[:, 0], plan.steps[:, 0], plan.before[:, 0] = self.now, steps, self.last_dt
+        plan.dt[:, 0] = span / steps
+        if s.device.is_cuda:
+            for name in ("begins", "steps", "before", "dt"):
+                getattr(run.on_device, name).assign(getattr(plan, name))
+        run.frames = replace(run.frames, times=np.array([until]))
+        run.stopped.fill_(-1)
+        self._simulate(run, most=self.num_worlds)  # a step is short: few launches
+        self._raise(keep_going=keep_going)
+
+    @cached_property
+    def _stepping(self) -> Run:
+        """A run of one piece that records no frame; its arrays serve all steps."""
+        frames = Frames(0.0, np.ones(1), np.zeros(0, dtype=int), np.empty(0), None, False)
+        return self._prepared(frames, self.schedule(frames, None), None)
+
+    def _simulate(
+        self, run: Run, after: Callable[[slice, Round], None] | None = None, most: int = GROUP
+    ) -> None:
+        self.used = True
 
         def simulate(group: slice) -> None:
             for round in self._rounds(group, run.plan):
@@ -304,26 +342,62 @@ class ThinEngine(ABC):
                 if after is not None:
                     after(group, round)
 
-        self.each_group(simulate)
-        frames.x[...] = run.x.numpy().reshape(frames.x.shape) + self.origin.astype(frames.x.dtype)
-        alive = [w for w in range(self.num_worlds) if w not in self.failures]
+        self.each_group(simulate, most)
+        alive = np.setdiff1d(np.arange(self.num_worlds), list(self.failures))
         self.kept_time[alive] = run.plan.time(alive, run.plan.count[alive] - 1)
         self.last_dt = run.plan.last_dt()
-        self.now[:] = frames.times[-1]
-        if frames.on_frame is not None:
-            frames.on_frame(len(frames.times))
-        if self.failures and not frames.keep_going:
-            raise self.failures[min(self.failures)]
-        return run.plan
+        self.now[:] = run.frames.times[-1]
 
-    def each_group(self, job: Callable[[slice], None]) -> None:
-        """Call ``job`` for each group of worlds that are launched together, in threads."""
+    def _raise(self, *, keep_going: bool) -> None:
+        if self.failures and not keep_going:
+            raise self.failures[min(self.failures)]
+
+    def lead(
+        self,
+        position: NDArray[np.float64],
+        quat_xyzw: NDArray[np.float64] | None,
+        closed: NDArray[np.bool_] | None,
+        until: float,
+    ) -> None:
+        """From now on grippers move straight to poses [W, G, .], where they are at a time [s].
+
+        Those of ``closed`` [W, G] hold from now on what they hold or close on, others open; None:
+        all stay as they are.
+        """
+        every, now = np.arange(self.num_worlds), self.now[0]
+        held = (self.stacked["hold_from"] <= now) & (now < self.stacked["hold_until"])
+        held = held if closed is None else closed
+        self.closed[held & (self.closed == 2)] = 0
+        if self.led is None:
+            self.led = LedPaths(self.paths, now)
+            self.stacked, self.paths = self.led.arrays, HostPaths(self.led.arrays)
+            self.device_paths = paths_on(self.setting.device, self.stacked, self.real)
+        self.led.lead(now, until, position - self.origin, quat_xyzw, held)
+        if self.setting.device.is_cuda:  # else the kernels read the same memory
+            for name in self.led.changing:
+                getattr(self.device_paths, name).assign(self.stacked[name])
+        if (np.count_nonzero(self.closed == 1, axis=1) > 1).any():
+            self.overstretched.clear()
+            for g in range(1, self.closed.shape[1]):
+                holding = np.flatnonzero(self.closed[:, g] == 1)
+                self._find_overstretch(g, holding, self.now[holding])
+            self.hold(every)
+
+    def each_group(self, job: Callable[[slice], None], most: int = GROUP) -> None:
+        """Call ``job`` for each group of worlds, at most so many, that are launched together, in
+        threads."""
         W = self.num_worlds
-        size = W if self.threads > 1 else max(1, min(GROUP, -(-W // self.setting.threads)))
+        size = W if self.threads > 1 else max(1, min(most, -(-W // self.setting.threads)))
         groups = [slice(first, min(first + size, W)) for first in range(0, W, size)]
-        with ThreadPoolExecutor(max_workers=self.setting.threads) as pool:
-            for done in [pool.submit(job, group) for group in groups]:
-                done.result()
+        if len(groups) == 1:
+            job(groups[0])
+            return
+        for done in [self._pool.submit(job, group) for group in groups]:
+            done.result()
+
+    @cached_property
+    def _pool(self) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(max_workers=self.setting.threads)
 
     def schedule(self, frames: Frames, most_steps: int | None) -> Schedule:
         """Schedule of all worlds up to the last frame."""
@@ -368,15 +442,18 @@ class ThinEngine(ABC):
         failed = [w - group.start for w in list(self.failures) if group.start <= w < group.stop]
         pieces[failed, 1] = pieces[failed, 0]
         put(run.pieces, group, pieces)
-        self.launch(
-            self.kernels.advance,
-            group,
-            [
-                self.device_model, self.device_paths, run.on_device, run.pieces, 0, 0, self.state,
-                run.kept, run.every, LOCAL_STRETCH**2, STRETCH, run.stopped, run.stopped_at, run.x,
-                run.points,
-            ],
-        )  # fmt: skip
+        if group.start not in run.launches:
+            run.launches[group.start] = self.launch(
+                self.kernels.advance,
+                group,
+                [
+                    self.device_model, self.device_paths, run.on_device, run.pieces, 0, 0,
+                    self.state, run.kept, run.every, LOCAL_STRETCH**2, STRETCH, run.stopped,
+                    run.stopped_at, run.x, run.points,
+                ],
+                record_cmd=True,
+            )  # fmt: skip
+        run.launches[group.start].launch()
         stopped, stopped_at = run.stopped.numpy()[group], run.stopped_at.numpy()[group]
         for k in np.flatnonzero(stopped >= 0).tolist():
             w, s = group.start + k, int(stopped[k])
@@ -530,6 +607,22 @@ class ThinEngine(ABC):
         per_mass = np.broadcast_to(self.per_mass, (self.num_worlds, self.num_points))[worlds]
         return self.rows(per_mass * free)[:, None]
 
+    def gripper_forces(self) -> NDArray[np.float64]:
+        """Forces of the body on grippers, [W, G, 3] [N]: momentum that held points would gain in a
+        short step if they were let go, over its length."""
+        self.load("let_go")
+        W, dt = self.num_worlds, float(self.setting.substep.min())
+        rows = self.zeros((2 * W, *self.state.shape[1:]))
+        wp.copy(rows, self.state, count=self.state.size)
+        self.each_group(
+            lambda g: self.launch(self.kernels.let_go, g, [self.device_model, dt, rows])
+        )
+        found = self.pick(V, rows.numpy())
+        mass = 1.0 / np.broadcast_to(self.per_mass, (W, self.num_points))
+        force = (mass / dt)[..., None] * (found[W:] - found[:W])
+        held = np.where(self.closed == 1, 1, 0)[..., None] * (self.holds & 1)
+        return np.einsum("wgn,wnk->wgk", held, force)
+
     # ---- arrays ----------------------------------------------------------------------------------
 
     def array(self, values: Any, dtype: Any = None) -> wp.array:
@@ -552,25 +645,29 @@ class ThinEngine(ABC):
         """Number of threads in a CUDA block."""
         return self.threads if self.threads > 1 else 256
 
-    def launch(self, kernel: Any, group: slice, inputs: list[Any]) -> None:
-        """Launch a kernel with one block of threads for each world of the group."""
-        wp.launch(
+    def launch(
+        self, kernel: Any, group: slice, inputs: list[Any], *, record_cmd: bool = False
+    ) -> Any:
+        """Launch a kernel with one block of threads for each world of the group, or return its
+        launch."""
+        return wp.launch(
             kernel,
             dim=(group.stop - group.start) * self.threads,
             inputs=[group.start, self.threads, *inputs],
             device=self.setting.device,
             block_dim=self._block,
+            record_cmd=record_cmd,
         )
 
     def plan_on_device(self, plan: Schedule, *, record: bool = True) -> Any:
-        """Convert a schedule to the kernels' struct, without frames if they are not recorded."""
-        made = self.types.FramePlan()
-        made.begins = self.array(plan.begins, wp.float64)
-        made.done = self.array(plan.done, wp.int32)
-        made.steps = self.array(plan.steps, wp.int32)
-        made.dt = self.array(plan.dt, wp.float64)
-        made.before = self.array(plan.before, wp.float64)
-        made.frame = self.array(plan.frame if record else 0 * plan.frame - 1, wp.int32)
+        """Convert a schedule to the kernels' struct, without frames if they are not recorded; on
+        the CPU it shares the schedule's memory."""
+        made, device = self.types.FramePlan(), self.setting.device
+        plan = plan if record else replace(plan, frame=0 * plan.frame - 1)
+        for name in ("begins", "done", "steps", "dt", "before", "frame"):
+            kind = wp.int32 if name in ("done", "steps", "frame") else wp.float64
+            values = np.ascontiguousarray(getattr(plan, name))
+            setattr(made, name, wp.array(values, dtype=kind, device=device, copy=device.is_cuda))
         return made
 
     def _device_model(self) -> Any:

@@ -1,6 +1,6 @@
 """Parts of a run of a thin engine, and how worlds' rows are written."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -64,6 +64,8 @@ class Run:
     x: wp.array
     kept: wp.array
     every: int
+    launches: dict[int, Any] = field(default_factory=dict)
+    """By the first world of a group."""
 
 
 def put_worlds(array: wp.array, worlds: NDArray[np.int64], values: NDArray[Any]) -> None:
@@ -85,6 +87,8 @@ def put_worlds(array: wp.array, worlds: NDArray[np.int64], values: NDArray[Any])
 
 def put(array: wp.array, rows: slice, values: NDArray[Any]) -> None:
     """Set rows of an array on its device."""
-    if rows.stop > rows.start and values.size:
+    if wp.get_device(array.device).is_cpu:
+        array.numpy()[rows] = values
+    elif rows.stop > rows.start and values.size:
         sent = wp.array(np.ascontiguousarray(values), dtype=array.dtype, device="cpu")
         wp.copy(array, sent, dest_offset=rows.start * (array.size // len(array)), count=sent.size)

@@ -63,10 +63,11 @@ def make_schedule(
     """
     W, T, last = len(substep), len(frames.times), frames.times[-1]
     # worlds with the same gripper times have the same pieces, with different numbers of steps
-    alike, which = np.unique(switches, axis=0, return_inverse=True)
+    within = (switches > frames.began) & (switches < last)
+    alike, which = np.unique(np.where(within, switches, np.inf), axis=0, return_inverse=True)
     blocks = []
     for k, row in enumerate(alike):
-        inside = row[(row > frames.began) & (row < last)]
+        inside = row[np.isfinite(row)]
         times = np.concatenate([[frames.began], frames.times, inside])
         frame = np.concatenate([[-1], np.arange(T), np.full(len(inside), -1)])
         order = np.lexsort((frame, times))

@@ -138,7 +138,7 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
 
     Returns:
         Namespace with ``begin`` (lagged strains from the first state), ``advance`` (pieces of equal
-        steps) and their transposes ``begin_adjoint`` and ``reverse``.
+        steps), their transposes ``begin_adjoint`` and ``reverse``, and ``let_go``.
     """
     types, native, contact = make_types(real), make_native(real, kind), make_contact(real, kind)
     steps = make_steps(real, kind)
@@ -173,6 +173,14 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         native.forces_adjoint(model, adjoint, w, state, w - offset, real(1.0e30))
         native.block_sync()
         native.gather_adjoint(model, adjoint, w)
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    def let_go(first: int, threads: int, model: ThinModel, dt: real, state: rows):
+        """Take a step in which no gripper holds anything, from rows [W] to rows [W + w]."""
+        w = first + wp.tid() // threads
+        native.forces(model, w, state, w, w + state.shape[0] // 2, dt)
+        native.block_sync()
+        native.move(model, w, state, w, w + state.shape[0] // 2, dt, dt)
 
     @wp.func
     def keep(
@@ -297,5 +305,5 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
             )  # fmt: skip
 
     return SimpleNamespace(
-        begin=begin, begin_adjoint=begin_adjoint, advance=advance, reverse=reverse
+        begin=begin, begin_adjoint=begin_adjoint, advance=advance, let_go=let_go, reverse=reverse
     )

@@ -1,0 +1,128 @@
+"""Steps of a simulation whose grippers are under control."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gendom.errors import ParameterError, SimulationError
+from gendom.materials import Material
+from gendom.sim import Gripper, Simulator, Solver, Table, Targets, cloth, rope
+
+ROPE = rope(length=0.2, diameter=0.012)
+CLOTH = cloth(width=0.1, height=0.1, thickness=1e-3, dx=0.02, points=(9, 9))
+SOFT = Material(E=5e5, nu=0.3, density=800.0, damping=0.005)
+END = ROPE.points[0]
+
+
+def simulator(*grippers: Gripper, worlds: int = 1, body=ROPE, table: bool = False) -> Simulator:
+    below = Table(height=float(body.points[:, 2].min()) - body.contact_radius) if table else None
+    return Simulator(body, [SOFT] * worlds, grippers=grippers, table=below)
+
+
+def still(at=END, **hold) -> Gripper:
+    return Gripper.still(at, radius=0.01, **hold)
+
+
+def above(height: float):
+    return END + np.array([0.0, 0.0, height])
+
+
+@pytest.mark.parametrize(("body", "radius"), [(ROPE, 0.01), (CLOTH, 0.02)])
+def test_a_led_gripper_moves_the_body_as_a_known_path_does(body, radius):
+    start = body.points[0]
+    time, ways = np.array([0.0, 0.03, 0.08]), np.array([[0, 0, 0], [0, 0, 0.02], [0.01, 0, 0.04]])
+    turns = Rotation.from_rotvec([[0, 0, 0], [0, 0.4, 0], [0.1, 0.6, 0]])
+    known = Gripper(time=time, position=start + ways, quat_xyzw=turns.as_quat(), radius=radius)
+    run = simulator(known, worlds=2, body=body).run(time[1:])
+    led = simulator(Gripper.still(start, radius=radius), worlds=2, body=body)
+    for k in (1, 2):
+        ends = Targets(position=[start + ways[k]], quat_xyzw=[turns.as_quat()[k]])
+        led.step(time[k] - time[k - 1], ends)
+        np.testing.assert_allclose(led.positions(), run[k - 1], atol=1e-12)
+
+
+def test_steps_without_targets_go_on_along_the_paths():
+    path = Gripper(time=[0.0, 0.1], position=[END, above(0.03)], radius=0.01)
+    run = simulator(path).run([0.02, 0.05])
+    stepped = simulator(path)
+    stepped.step(0.02)
+    stepped.step(0.03)
+    np.testing.assert_allclose(stepped.positions(), run[-1], atol=1e-12)
+    assert stepped.time == pytest.approx(0.05)
+
+
+def test_the_force_at_a_gripper_is_the_weight_that_hangs():
+    upright = Rotation.from_euler("y", 90, degrees=True).apply(ROPE.points - END) + END
+    body, damped = ROPE, Material(E=5e5, nu=0.3, density=800.0, damping=0.02)
+    hangs = Simulator(body, [damped], grippers=[still()], positions=upright)
+    hangs.step(1.0, Targets(position=[END]))
+    mass = 800.0 * np.pi * 0.006**2 * 0.2
+    assert hangs.gripper_forces()[0, 0] == pytest.approx(
+        [0, 0, -9.80665 * mass], rel=2e-3, abs=2e-4
+    )
+    hangs.step(0.01, Targets(position=[END], closed=[False]))
+    assert np.all(hangs.gripper_forces() == 0.0)
+
+
+def test_grippers_open_and_close_again_in_each_world():
+    worlds = simulator(still(), worlds=2)
+    worlds.step(0.01, Targets(position=[END], closed=[[True], [False]]))
+    held, falls = worlds.positions()[:, 0, 2] - END[2]
+    assert held == pytest.approx(0.0, abs=1e-9)
+    assert falls == pytest.approx(-0.5 * 9.80665 * 0.01**2, rel=0.05)
+    at = worlds.positions()[:, :1]
+    worlds.step(0.01, Targets(position=[END], closed=[[False], [True]]))
+    moved = worlds.positions()[:, 0] - at[:, 0]
+    assert moved[0, 2] < -1e-4
+    assert np.abs(moved[1]).max() < 1e-9
+
+
+def test_what_is_let_go_flies_on_with_the_hand():
+    thrown = simulator(still())
+    for k in range(1, 11):
+        thrown.step(0.002, Targets(position=[above(0.002 * k)]))
+    thrown.step(0.002, Targets(position=[above(0.02)], closed=[False]))
+    assert thrown.velocities()[0, 0, 2] > 0.8
+
+
+def test_a_gripper_that_stood_lets_go_at_rest():
+    stood = simulator(still())
+    stood.step(0.01, Targets(position=[above(0.01)]))
+    stood.step(0.3, Targets(position=[above(0.01)]))
+    before = stood.velocities()
+    stood.step(1e-4, Targets(position=[above(0.01)], closed=[False]))
+    np.testing.assert_allclose(stood.velocities()[0, 0], before[0, 0], atol=0.1)
+
+
+def test_hands_that_pull_a_rope_apart_are_found():
+    both = simulator(still(), still(ROPE.points[-1]))
+    apart = Targets(position=[END, ROPE.points[-1] + [0.2, 0, 0]])
+    with pytest.raises(SimulationError, match="apart"):
+        for _ in range(20):
+            both.step(0.01, apart)
+
+
+@pytest.mark.parametrize(
+    ("targets", "message"),
+    [
+        ({"position": [END, END]}, r"targets.position"),
+        ({"position": [[0.0, np.nan, 0.0]]}, r"targets.position"),
+        ({"position": [END], "quat_xyzw": [[0, 0, 0, 0]]}, "must not be zero"),
+        ({"position": [END], "closed": [1]}, "true or false"),
+        ({"position": [END], "closed": [True, True]}, "true or false"),
+    ],
+)
+def test_targets_that_do_not_fit_are_refused(targets, message):
+    with pytest.raises(ParameterError, match=message):
+        simulator(still()).step(0.01, Targets(**targets))
+
+
+def test_what_a_step_does_not_take_is_refused():
+    made = simulator(still())
+    with pytest.raises(ParameterError, match="dt"):
+        made.step(0.0)
+    with pytest.raises(ParameterError, match="no grippers that can be set"):
+        made.grippers = [still()]
+    particles = Simulator(ROPE, [SOFT], grippers=[still()], solver=Solver(engine="mpm"))
+    with pytest.raises(ParameterError, match="MPM has no steps"):
+        particles.step(0.01)
