@@ -4,6 +4,7 @@ Tasks are Gymnasium environments in it, where that is installed: `gendom/RopeRea
 on, one for each, see `gendom.reality.envs`.
 """
 
+from gendom.environments import register
 from gendom.materials import AIR_DENSITY
 from gendom.reality.air import Air
 from gendom.reality.model import Layout, build_model, default_cameras, looking_at
@@ -58,17 +59,11 @@ __all__ = [
 
 
 def _register() -> None:
+    """Add the environments of other packages' tasks."""
     try:
-        import gymnasium
-    except ImportError:
+        register(task_names())
+    except ImportError:  # Gymnasium is not installed
         return
-    for name in task_names():
-        title = "".join(word.capitalize() for word in name.split("-"))
-        gymnasium.register(
-            id=f"gendom/{title}-v0",
-            entry_point="gendom.reality.envs:TaskEnv",
-            kwargs={"task": name},
-        )
 
 
 _register()

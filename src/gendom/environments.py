@@ -1,0 +1,31 @@
+"""Names of Gymnasium environments; Gymnasium calls `register` itself, through an entry point.
+
+Nothing is imported here, since every `import gymnasium` comes by.
+"""
+
+from collections.abc import Iterable
+
+BUILT_IN = ("rope-reaching", "rope-casting", "rope-casting-at-speed", "cloth-spreading")
+"""Tasks with environments by these names: ``gendom/RopeReaching-v0`` and so on carry out one action
+in the MuJoCo test scene, ``gendom/RopeReachingSteps-v0`` are led step by step in our simulator."""
+
+
+def register(names: Iterable[str] = BUILT_IN) -> None:
+    """Register the environments of tasks that have none yet."""
+    import gymnasium
+
+    for name in names:
+        title = "gendom/" + "".join(word.capitalize() for word in name.split("-"))
+        if f"{title}-v0" not in gymnasium.registry:
+            gymnasium.register(
+                id=f"{title}-v0",
+                entry_point="gendom.reality.envs:TaskEnv",
+                kwargs={"task": name},
+            )
+            gymnasium.register(
+                id=f"{title}Steps-v0",
+                entry_point="gendom.tasks.envs:StepsEnv",
+                vector_entry_point="gendom.tasks.envs:StepsVectorEnv",
+                kwargs={"task": name},
+                disable_env_checker=True,
+            )

@@ -1,0 +1,109 @@
+"""Tasks led step by step as Gymnasium environments."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("gymnasium", reason="needs the extra reality")
+
+import gymnasium
+from gymnasium.utils.env_checker import check_env
+
+from gendom.environments import register
+from gendom.errors import ParameterError
+from gendom.materials import size_of
+from gendom.tasks.envs import MARKERS, STEPS, StepsEnv, StepsVectorEnv
+
+register()
+W = 3
+
+
+@pytest.fixture(scope="module")
+def envs():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gendom.tasks.envs.BANK", 8)
+        yield from _reaching()
+
+
+def _reaching():
+    made = gymnasium.make_vec("gendom/RopeReachingSteps-v0", num_envs=W, parameters=True)
+    made.reset(seed=0)
+    yield made
+
+
+def episode(envs, action):
+    seen = [envs.reset(seed=1)[0]]
+    for k in range(STEPS):
+        wanted = np.tile(action(k) if callable(action) else action, (W, 1))
+        *rest, info = envs.step(wanted)
+        seen.append(rest[0])
+        assert rest[2].all() == (k == STEPS - 1)
+    return np.array(seen), rest[1], info
+
+
+def test_the_space_has_markers_tool_goal_and_parameters(envs):
+    seen, info = envs.reset(seed=0)
+    assert seen.shape == (W, 6 * MARKERS + 5 + 1 + 5)
+    assert np.array_equal(seen[:, -5:], info["parameters"].astype(np.float32))
+    assert len(np.unique(seen[:, -5])) == W  # each world's own rope
+    assert envs.metadata["autoreset_mode"] == gymnasium.vector.AutoresetMode.NEXT_STEP
+
+
+def test_a_tool_that_goes_back_and_lets_go_swings_the_tip(envs):
+    def pull(k):
+        return [-0.25, 0.0, 1.0] if k < 20 else [0.0, 0.0, -1.0]
+
+    seen, reward, info = episode(envs, pull)
+    rest, *_ = episode(envs, [0.0, 0.0, 1.0])
+    assert np.all((reward > -2.0) & (reward <= 0.0))
+    L, goal = size_of(StepsVectorEnv("rope-reaching").task.item), seen[0][:, -6]
+    np.testing.assert_allclose(-reward, np.abs(info["reached"][:, 0] / L - goal), atol=1e-4)
+    tip = slice(3 * (MARKERS - 1), 3 * MARKERS)
+    assert np.all(np.ptp(seen[:, :, tip], axis=0)[:, 0] > 0.3)
+    assert np.all(np.ptp(rest[:, :, tip], axis=0)[:, 0] < 0.02)
+    assert np.array_equal(seen[0], rest[0])  # the same seed begins the same episodes
+
+
+def test_episodes_begin_again_with_the_next_step(envs):
+    episode(envs, [0.0, 0.0, 1.0])
+    seen, reward, done, _, _ = envs.step(np.zeros((W, 3)))
+    assert not done.any() and not reward.any()
+    assert np.all(seen[:, 6 * MARKERS + 4] == 1.0)  # all of the time is left
+
+
+@pytest.mark.parametrize(
+    "task", ["rope-casting", pytest.param("cloth-spreading", marks=pytest.mark.slow)]
+)
+def test_other_tasks_have_environments_too(task, monkeypatch):
+    monkeypatch.setattr("gendom.tasks.envs.BANK", 2)
+    made = StepsVectorEnv(task, 2)
+    seen, _ = made.reset(seed=0)
+    after, *_ = made.step(np.ones((2, *made.single_action_space.shape)))
+    assert np.isfinite(after).all()
+    assert np.all(after[:, 6 * MARKERS] > seen[:, 6 * MARKERS])  # the tool went ahead
+
+
+def test_gymnasium_finds_nothing_amiss(monkeypatch):
+    monkeypatch.setattr("gendom.tasks.envs.BANK", 2)
+    check_env(StepsEnv("rope-casting"), skip_render_check=True)
+
+
+def test_steps_before_a_reset_and_after_the_end_are_refused(monkeypatch):
+    monkeypatch.setattr("gendom.tasks.envs.BANK", 2)
+    one = gymnasium.make("gendom/RopeCastingSteps-v0").unwrapped
+    with pytest.raises(ParameterError, match="call reset first"):
+        one.step(np.zeros(2))
+    one.reset(seed=0)
+    with pytest.raises(ParameterError, match="actions"):
+        one.step(np.zeros(3))
+    over = False
+    while not over:
+        _, _, over, _, _ = one.step(np.zeros(2))
+    with pytest.raises(ParameterError, match="the episode is over"):
+        one.step(np.zeros(2))
+
+
+def test_there_is_no_such_task():
+    with pytest.raises(ParameterError, match="rope-reaching"):
+        StepsVectorEnv("rope-knotting")
+    with pytest.raises(ParameterError, match="num_envs"):
+        StepsVectorEnv("rope-casting", 0)
