@@ -16,6 +16,7 @@ FLOORS = (
         "errors",
         "shown",
         "lazy",
+        "environments",
         "plugins",
         "installation",
         "progress",

@@ -29,6 +29,7 @@ from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
+from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
@@ -108,7 +109,7 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin episodes with drawn objects and goals; ``seed`` is that of all further draws."""
         if seed is not None:
-            self._np_random, self._np_random_seed = gymnasium.utils.seeding.np_random(seed)
+            self._np_random, self._np_random_seed = seeding.np_random(seed)
             self._bank = None
         require(not options, "there are no options", where="reset", fix="leave them out")
         return self._begin(), {"parameters": self.parameters.copy()}
@@ -126,7 +127,7 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
                 fix="call reset first")  # fmt: skip
         W, never = self.num_envs, np.zeros(self.num_envs, dtype=bool)
         wanted = np.asarray(actions, dtype=float)
-        shape = (W, *self.single_action_space.shape)
+        shape = (W, 2 + self.lets_go)
         fits = wanted.shape == shape and bool(np.isfinite(wanted).all())
         require(fits, f"must be finite numbers {list(shape)}", where="actions")
         if self._step == STEPS:
@@ -240,6 +241,7 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         reward = np.full(self.num_envs, DIVERGED)
         reached = np.full((self.num_envs, len(task.goals)), np.nan)
         assert self._simulator is not None
+        lattice = (self.body.shape[0], self.body.shape[1]) if task.kind == "cloth" else (0, 0)
         for w, item in enumerate(self.items):
             if w in self._simulator.failures:
                 continue
@@ -248,7 +250,7 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
                 points=middle_of(self.body, x[:, w]),
                 hand=hand[:, w],
                 opens=min(float(self._opened[w]), float(times[-1])),
-                lattice=self.body.shape[:2] if item.kind == "cloth" else (0, 0),
+                lattice=lattice,
             )
             values = task.outcome(item, seen)
             reached[w] = [values[q.name] for q in task.goals]
