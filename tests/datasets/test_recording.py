@@ -572,9 +572,9 @@ def test_files_that_are_no_recordings(lift, tmp_path):
     np.savez(path, points=np.zeros((1, 3)))
     assert refusal(path) == ["meta: is missing; add JSON text with format = 'gendom-recording/1'"]
     np.savez(path, meta=np.array("{"))
-    assert refusal(path)[0].startswith("meta: is not JSON text")
+    assert refusal(path)[0].startswith("meta: is not JSON")
     np.savez(path, meta=np.array("[]"))
-    assert refusal(path)[0].startswith("meta: is not a JSON object")
+    assert refusal(path)[0].startswith("meta: holds a JSON list, not an object")
     with open(path, "wb") as file:
         np.save(file, np.zeros(3))
     assert refusal(path)[0].startswith("is no .npz file")
