@@ -387,10 +387,8 @@ def _check_order(
     nearest = np.array([cloud.query(places[some])[0].min() for cloud in clouds])
     off = distance - nearest > max(_LEAST_MISFIT, _MISFIT * travel)
     if off.mean() > _MISPLACED and off[: len(off) // 2].any():  # slipped out, it would be later
-        what = (
-            f"{off.sum()} of {len(off)} clouds do not follow it: they lie at its place at another"
-        )
-        yield Fault(f"{what} time", where, "check the order of the clouds, and both clocks")
+        what = f"{off.sum()} of {len(off)} clouds lie at its place of another time"
+        yield Fault(what, where, "check the order of the clouds, and both clocks")
 
 
 def _check_holds(recording: RecordingData) -> Iterator[Fault]:
