@@ -55,7 +55,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT)
 LARGEST_FILE = 1 << 28
 """Of a file that is read whole, and of what compressed data unpacks to [bytes]."""
 
-MOST_UNPACKED = 16
+MOST_UNPACKED = 64
 """How many times their size large compressed data may unpack to."""
 
 LARGEST_CSV, LARGEST_JSON, LARGEST_TOML = 1 << 24, 1 << 23, 1 << 16

@@ -48,7 +48,7 @@ CLOUD, IMAGE, PACKED, INFO = (
 )
 POSE, TF = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
 _SUFFIXES = (".db3", ".mcap")
-_LARGEST_METADATA = 1 << 20  # [bytes]
+_LARGEST_METADATA = 3 << 16  # [bytes]; reading a megabyte of YAML takes ten seconds
 _DENORMAL = 0.01  # of a quaternion's squared length, as tf2 has it
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of PointField
 
