@@ -112,9 +112,6 @@ def arm_capsules(arm: Arm, states: JointStates, *, held: float = 0.0) -> Capsule
     time, q = states.time, states.q
     opening = np.full(len(time), held) if states.opening is None else states.opening
     turns = np.abs(np.diff(q, axis=0)).max(axis=1, initial=0.0)
-    what, few = f"turn by {turns.sum():.4g} rad in all", turns.sum() < _MOST_TURNS
-    fix = "give the joints of one lift, in radians"
-    require(few, what, where="joints", fix=fix, error=RecordingError)
     dense = [time[:1]]
     for k, turn in enumerate(turns):
         steps = max(1, math.ceil(turn / _MAX_JOINT_STEP))
@@ -163,6 +160,9 @@ def read_shape(
             states = read_joints(joints, arm, on_cut=lambda line: on_warning(cut_off(joints, line)))
         except RobotError as error:
             raise RecordingError(error.what, where=error.where, fix=error.fix) from None
+        turned = float(np.abs(np.diff(states.q, axis=0)).max(axis=1, initial=0.0).sum())
+        what, fix = f"turn by {turned:.4g} rad in all", "give the joints of one lift, in radians"
+        require(turned < _MOST_TURNS, what, where=str(joints), fix=fix, error=RecordingError)
         sizes = [held.get(size) for size in ("diameter", "thickness")]
         width = next((float(s) for s in sizes if isinstance(s, (int, float))), 0.0)
         shape = arm_capsules(arm, states, held=width)

@@ -277,8 +277,9 @@ def _reader(
     named = (f"{folder}/camera_info" for folder in above)
     found = next((name for name in named if topics.get(name) == INFO), None)
     info = next((message for _, message in _messages(bag, found)), None) if found else None
-    what = "are depth pictures without a CameraInfo beside them"
-    require(info, what, where=where, fix="record camera_info too", error=RecordingError)
+    if info is None:
+        what = "are depth pictures without a CameraInfo beside them"
+        raise RecordingError(what, where=where, fix="record camera_info too")
     K, D = np.reshape(info.k, (3, 3)), tuple(map(float, info.d))
     if "image_rect" in topic:
         K, D = np.reshape(info.p, (3, 4))[:, :3], ()
