@@ -118,13 +118,17 @@ class DatasetError(GendomError):
 def one_line(what: str, *, where: str | None = None, fix: str | None = None) -> str:
     """ "where: what; fix", without the parts left out.
 
-    What cannot be printed, as in names of files, is escaped, and what is longer than `LONGEST` is
-    cut.
+    What is longer than `LONGEST` is cut, and the rest as of `printable`.
     """
     line = f"{where}: {what}" if where else what
     line = f"{line}; {fix}" if fix else line
     line = line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+    return printable(line)
+
+
+def printable(text: object) -> str:
+    """Text in one line, as of names of files: what cannot be printed is escaped."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(text))
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:
