@@ -10,6 +10,9 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+LONGEST = 4000
+"""Most characters of a message's line."""
+
 
 class GendomError(Exception):
     """Base of all faults that the user can mend.
@@ -46,9 +49,10 @@ class RecordingError(GendomError):
     ):
         super().__init__(what, where=where, fix=fix)
         self.faults = tuple(faults)
-        if self.faults:
-            prefix = f"{where}: " if where else ""
-            self.args = ("\n".join(f"{prefix}{fault}" for fault in self.faults),)
+
+    def __str__(self) -> str:
+        lines = [one_line(str(fault), where=self.where) for fault in self.faults]
+        return "\n".join(lines) or super().__str__()
 
 
 class ParameterError(GendomError):
@@ -112,9 +116,19 @@ class DatasetError(GendomError):
 
 
 def one_line(what: str, *, where: str | None = None, fix: str | None = None) -> str:
-    """ "where: what; fix", without the parts left out."""
+    """ "where: what; fix", without the parts left out.
+
+    What is longer than `LONGEST` is cut, and the rest as of `printable`.
+    """
     line = f"{where}: {what}" if where else what
-    return f"{line}; {fix}" if fix else line
+    line = f"{line}; {fix}" if fix else line
+    line = line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
+    return printable(line)
+
+
+def printable(text: object) -> str:
+    """Text in one line, as of names of files: what cannot be printed is escaped."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(text))
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:

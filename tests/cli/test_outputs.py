@@ -1,10 +1,12 @@
 """Places for results: refused before the work, and named after it."""
 
 import json
+from pathlib import Path
 
 import pytest
 
 from gendom import cli
+from gendom.cli.outputs import tell_written
 
 FOLDERS = {
     "estimate": ["absent.npz"],
@@ -71,3 +73,8 @@ def test_act_prints_then_writes_and_says_so(as_json, tmp_path, capsys):
     assert json.loads(out.read_text())["task"] == "rope-casting"
     if as_json:
         assert json.loads(printed.out) == json.loads(out.read_text())
+
+
+def test_names_that_cannot_be_printed_are_escaped(capsys):
+    tell_written(Path("a\nb\x1b[2J.npz"), json=False)
+    assert capsys.readouterr().out == "written: a\\nb\\x1b[2J.npz\n"

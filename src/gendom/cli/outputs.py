@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from gendom.datasets import Fault
+from gendom.errors import printable
 from gendom.files import to_json
 
 
 def tell_written(path: Path, *, json: bool) -> None:
     """Name a file that was written: on stdout, or on stderr where stdout holds JSON."""
-    print(f"written: {path}", file=sys.stderr if json else sys.stdout)
+    print(f"written: {printable(path)}", file=sys.stderr if json else sys.stdout)
 
 
 def fault_entry(fault: Fault) -> dict[str, str]:

@@ -513,17 +513,3 @@ _REMEDIES = {
     "voxels": "check the settings",
     "outliers": "only scattered points are left: check the colour, or lower --min-cluster",
 }
-
-
-def read_seen_by(path: str | os.PathLike) -> npt.NDArray[np.uint8] | None:
-    """The array `seen_by` of a recording's file, uint8 [S]; None where it has none.
-
-    Raises:
-        RecordingError: The file cannot be read.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return archive[SEEN_BY] if SEEN_BY in archive.files else None
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        what = f"cannot be read ({error})"
-        raise RecordingError(what, where=str(path), fix="check the file") from None
