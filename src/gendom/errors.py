@@ -7,6 +7,7 @@ without a traceback and exits with code 2.
 from __future__ import annotations
 
 import difflib
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -46,9 +47,10 @@ class RecordingError(GendomError):
     ):
         super().__init__(what, where=where, fix=fix)
         self.faults = tuple(faults)
-        if self.faults:
-            prefix = f"{where}: " if where else ""
-            self.args = ("\n".join(f"{prefix}{fault}" for fault in self.faults),)
+
+    def __str__(self) -> str:
+        prefix = printable(f"{self.where}: ") if self.where else ""
+        return "\n".join(f"{prefix}{fault}" for fault in self.faults) or super().__str__()
 
 
 class ParameterError(GendomError):
@@ -112,9 +114,16 @@ class DatasetError(GendomError):
 
 
 def one_line(what: str, *, where: str | None = None, fix: str | None = None) -> str:
-    """ "where: what; fix", without the parts left out."""
+    """ "where: what; fix", without the parts left out, `printable`."""
     line = f"{where}: {what}" if where else what
-    return f"{line}; {fix}" if fix else line
+    return printable(f"{line}; {fix}" if fix else line)
+
+
+def printable(text: object) -> str:
+    """A text in which what a terminal would not print but obey, newlines and bytes of names that
+    are no text included, is escaped as in JSON. Names of files and words of files are shown by it.
+    """
+    return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in str(text))
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:

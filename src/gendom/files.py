@@ -203,7 +203,8 @@ def to_json(value: Any) -> str:
         GendomError: A number is NaN or infinite (JSON has neither; the message names its
             place), or a value has no JSON form.
     """
-    return json.dumps(_plain(value, ""), indent=2, allow_nan=False, ensure_ascii=False)
+    text = json.dumps(_plain(value, ""), indent=2, allow_nan=False, ensure_ascii=False)
+    return text.encode("utf-8", "backslashreplace").decode()  # names that are not UTF-8
 
 
 def write_json(path: str | os.PathLike, value: Mapping[str, Any]) -> None:

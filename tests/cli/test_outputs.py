@@ -1,6 +1,9 @@
 """Places for results: refused before the work, and named after it."""
 
 import json
+import os
+import subprocess
+import sys
 
 import pytest
 
@@ -71,3 +74,33 @@ def test_act_prints_then_writes_and_says_so(as_json, tmp_path, capsys):
     assert json.loads(out.read_text())["task"] == "rope-casting"
     if as_json:
         assert json.loads(printed.out) == json.loads(out.read_text())
+
+
+ODD = "a\x1b[31mb\nc\x9b\u202e\udcff"
+"""A name that colours a terminal, fills two lines, turns what follows and is not UTF-8."""
+
+
+@pytest.mark.parametrize("flags", [[], ["--json"]])
+def test_names_are_printed_escaped(tmp_path, capsys, flags):
+    """In errors, in results for people, and in JSON, which gives the name back."""
+    out = tmp_path / ODD / "set"
+    words = ["rope-casting", "--size", "1", "--out", str(out), *flags]
+    assert cli.main(["dataset", *words]) == 0
+    printed = capsys.readouterr()
+    assert cli.main(["check", str(tmp_path / ODD / "no")]) == 2
+    for text in (printed.out, capsys.readouterr().err):
+        assert r"a\u001b[31mb\nc\u009b\u202e\udcff" in text
+        assert all(c.isprintable() for c in text if c != "\n")
+    if flags:
+        assert json.loads(printed.out)["path"] == str(out)
+
+
+def test_what_the_locale_lacks_is_escaped():
+    """Every help, and completion, in a locale of ASCII alone."""
+    program = "import sys, gendom.cli as c; sys.exit(c.main(sys.argv[1:]))"
+    plain = {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}
+    path = {name: v for name, v in os.environ.items() if name in ("PATH", "PYTHONPATH")}
+    for words in (["completion", "zsh"], ["record", "--help"]):
+        run = [sys.executable, "-c", program, *words]
+        done = subprocess.run(run, capture_output=True, env=path | plain)
+        assert done.returncode == 0 and done.stdout.isascii() and not done.stderr

@@ -11,7 +11,7 @@ import tyro
 
 from gendom.cli.outputs import fault_entry, print_result
 from gendom.datasets import Fault, Recording
-from gendom.errors import RecordingError
+from gendom.errors import RecordingError, printable
 from gendom.files import to_json
 
 
@@ -110,4 +110,6 @@ def summary_text(path: str, summary: dict[str, Any]) -> str:
         ("table", "none" if table is None else f"at z = {table:.4g} m"),
         ("motion", "quasi-static" if summary["quasi_static"] else "dynamic"),
     ]
-    return "\n".join([f"{path}: can be used", *(f"  {name:<9} {text}" for name, text in rows)])
+    return "\n".join(
+        [f"{printable(path)}: can be used", *(f"  {name:<9} {text}" for name, text in rows)]
+    )

@@ -2,18 +2,42 @@
 
 from __future__ import annotations
 
+import io
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
 from gendom.datasets import Fault
+from gendom.errors import printable
 from gendom.files import to_json
+
+
+class _Lines(io.TextIOBase):
+    """Lines for a terminal, which obeys none of them."""
+
+    def __init__(self, to: Any):
+        self._to = to
+
+    def write(self, text: str) -> int:
+        self._to.write("\n".join(map(printable, text.split("\n"))))
+        return len(text)
+
+    def flush(self) -> None:
+        self._to.flush()
+
+
+@contextmanager
+def escaped() -> Iterator[None]:
+    """What is printed inside comes out `printable`, line by line, whatever names it holds."""
+    with redirect_stdout(_Lines(sys.stdout)):
+        yield
 
 
 def tell_written(path: Path, *, json: bool) -> None:
     """Name a file that was written: on stdout, or on stderr where stdout holds JSON."""
-    print(f"written: {path}", file=sys.stderr if json else sys.stdout)
+    print(f"written: {printable(path)}", file=sys.stderr if json else sys.stdout)
 
 
 def fault_entry(fault: Fault) -> dict[str, str]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gendom.errors import printable
 from gendom.files import to_json
 from gendom.materials import PARAMETERS
 
@@ -80,7 +81,7 @@ def made_by(policy: Policy) -> list[str]:
 
 
 def _text(row: dict[str, Any]) -> str:
-    lines = [f"{Path(row['path']).name}: {row['task']}, {row['method']}"]
+    lines = [f"{printable(Path(row['path']).name)}: {row['task']}, {row['method']}"]
     for name, (low, high) in row["parameters"].items():
         lines.append(f"  input {name:<8} {low:.3g} to {high:.3g} [-] ({PARAMETERS[name].meaning})")
     if not row["parameters"]:

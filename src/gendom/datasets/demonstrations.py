@@ -213,7 +213,7 @@ def _complete(
         path = _shard_path(folder, number)
         with atomic_path(path) as temporary:
             tagged = table.replace_schema_metadata({_METADATA: json.dumps(identity)})
-            pq.write_table(tagged, temporary)
+            write_parquet(tagged, temporary)
             hashes[path.name] = _sha256(temporary)
             # before the shard: one without its hash would have to be simulated again
             write_json(folder / _DESCRIPTION, {**description, "sha256": hashes})
@@ -384,6 +384,12 @@ def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
     require(enough, what, where=str(folder), fix=fix, error=DatasetError)
     table = pa.concat_tables(parts).replace_schema_metadata(None)
     return table.rename_columns([current_name(name) for name in table.column_names])
+
+
+def write_parquet(table: pa.Table, path: Path) -> None:
+    """Write a table. Pyarrow takes a name with a colon for an address, and none that is no UTF-8."""
+    with open(path, "wb") as file:
+        pq.write_table(table, file)
 
 
 def succeeded(

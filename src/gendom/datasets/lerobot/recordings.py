@@ -140,7 +140,8 @@ def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], di
         raise fault(f"has {info.get('total_episodes')} episodes, not one")
     try:
         names = info["features"][STATE]["names"]
-        table = pq.read_table(folder / _DATA)
+        with open(folder / _DATA, "rb") as file:  # a name may hold a colon, or be no UTF-8
+            table = pq.read_table(file)
         counts, state = table[NUM_POINTS].to_numpy(), np.array(table[STATE].to_pylist(), float)
         time, order = table[TIME].to_numpy(), table["frame_index"].to_numpy()
         flat = table[POINTS].combine_chunks().flatten().flatten().to_numpy(zero_copy_only=False)
