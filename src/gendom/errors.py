@@ -11,6 +11,9 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+LONGEST = 4000
+"""Most characters of a message's line."""
+
 
 class GendomError(Exception):
     """Base of all faults that the user can mend.
@@ -49,8 +52,8 @@ class RecordingError(GendomError):
         self.faults = tuple(faults)
 
     def __str__(self) -> str:
-        prefix = printable(f"{self.where}: ") if self.where else ""
-        return "\n".join(f"{prefix}{fault}" for fault in self.faults) or super().__str__()
+        lines = [one_line(str(fault), where=self.where) for fault in self.faults]
+        return "\n".join(lines) or super().__str__()
 
 
 class ParameterError(GendomError):
@@ -114,9 +117,14 @@ class DatasetError(GendomError):
 
 
 def one_line(what: str, *, where: str | None = None, fix: str | None = None) -> str:
-    """ "where: what; fix", without the parts left out, `printable`."""
+    """ "where: what; fix", without the parts left out.
+
+    It is `printable`, and what is longer than `LONGEST` is cut.
+    """
     line = f"{where}: {what}" if where else what
-    return printable(f"{line}; {fix}" if fix else line)
+    line = f"{line}; {fix}" if fix else line
+    line = line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
+    return printable(line)
 
 
 def printable(text: object) -> str:

@@ -1,27 +1,34 @@
 """Files and folders that are either whole or absent, JSON that every reader understands, TOML, and
-CSV tables, those included that an interrupted program left."""
+CSV tables, those included that an interrupted program left.
+
+What is read is bounded before memory is taken: only regular files, of sizes up to those below; text
+that is nested `DEEPEST` times at most, with integers of 64 bits."""
 
 from __future__ import annotations
 
+import codecs
 import csv
 import errno
+import io
 import json
 import math
 import os
 import secrets
 import shutil
+import stat
 import tempfile
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from enum import Enum
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gendom.arguments import require
 from gendom.errors import GendomError, RecordingError
 
 FILES = (
@@ -44,6 +51,21 @@ LEAST_ROOM = 1 << 22
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 """Errors of a disk without room."""
+
+LARGEST_FILE = 1 << 28
+"""Of a file that is read whole, and of what compressed data unpacks to [bytes]."""
+
+LARGEST_CSV, LARGEST_JSON, LARGEST_TOML = 1 << 25, 1 << 23, 1 << 16
+"""Of files of text [bytes]: numbers as text take twenty times their size in memory."""
+
+MOST_PIXELS = 1 << 24
+"""Of a picture: four times those of the largest depth cameras."""
+
+DEEPEST = 64
+"""How deep lists and tables may be nested."""
+
+MOST_DOTS = 256
+"""In a line of TOML: reading a key of so many parts takes a time that grows with their cube."""
 
 
 @contextmanager
@@ -221,84 +243,190 @@ def write_json(path: str | os.PathLike, value: Mapping[str, Any]) -> None:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
-def read_bytes(path: str | os.PathLike, error: type[GendomError] = GendomError) -> bytes:
+def file_size(
+    path: str | os.PathLike,
+    error: type[GendomError] = GendomError,
+    *,
+    most: int = LARGEST_FILE,
+    missing: str = "no such file",
+    fix: str = "check the path",
+) -> int:
+    """Size of a regular file [bytes]; it is not opened, as pipes and devices would wait or never
+    end.
+
+    Args:
+        path: Named by a person.
+        error: Raised for every fault.
+        most: Largest size that may be read [bytes].
+        missing: What is wrong when there is no such file.
+        fix: What to do then.
+
+    Raises:
+        GendomError: As `error`: the file is missing, no regular one, or too large.
+    """
+    try:
+        found = os.stat(path)
+    except FileNotFoundError:
+        raise error(missing, where=str(path), fix=fix) from None
+    except (OSError, ValueError) as fault:  # ValueError: a zero byte in the name
+        what = f"cannot be read ({getattr(fault, 'strerror', fault)})"
+        raise error(what, where=str(path), fix="check the path") from None
+    what = "is a folder" if stat.S_ISDIR(found.st_mode) else "is a pipe or device, not a file"
+    regular = stat.S_ISREG(found.st_mode)
+    require(regular, what, where=str(path), fix="name a file", error=error)
+    what = f"has {found.st_size} bytes, at most {most} are read"
+    fits = found.st_size <= most
+    require(fits, what, where=str(path), fix="check that it is the right file", error=error)
+    return found.st_size
+
+
+def read_bytes(
+    path: str | os.PathLike, error: type[GendomError] = GendomError, **bounds: Any
+) -> bytes:
     """All of a file.
 
     Args:
         path: Named by a person.
         error: Raised for every fault.
+        bounds: `most`, `missing` and `fix` of `file_size`.
 
     Raises:
-        GendomError: As `error`: the file is missing or cannot be read.
+        GendomError: As `error`: the file is missing, no regular one, too large or cannot be read.
     """
+    size = file_size(path, error, **bounds)
     try:
-        return Path(path).read_bytes()
-    except FileNotFoundError:
-        raise error("no such file", where=str(path), fix="check the path") from None
+        with open(path, "rb") as file:
+            return file.read(size)
     except OSError as fault:
         raise error(
-            f"cannot be read ({fault.strerror})", where=str(path), fix="check the path"
+            f"cannot be read ({fault.strerror})", where=str(path), fix="check the file"
         ) from None
 
 
-def read_json(path: str | os.PathLike) -> dict[str, Any]:
+def inside(
+    folder: str | os.PathLike, name: str, *, where: str, error: type[GendomError] = RecordingError
+) -> Path:
+    """The path of a file that another file names, in its folder.
+
+    Args:
+        folder: The file's folder.
+        name: Relative to that, with / or, as Windows writes them, backslashes.
+        where: What messages call the place of the name.
+        error: Raised for every fault.
+
+    Raises:
+        GendomError: As `error`: the name leads out of the folder.
+    """
+    parts = PureWindowsPath(name)
+    stays = not parts.anchor and ".." not in parts.parts and "\0" not in name
+    fix = "name files below that folder"
+    require(stays, f"{name!r} is not in {folder}", where=where, fix=fix, error=error)
+    return Path(folder, *parts.parts)
+
+
+def decoded(data: bytes, errors: str = "strict") -> str:
+    """Text of bytes: UTF-8, or UTF-16 after its byte order mark.
+
+    Raises:
+        UnicodeDecodeError: They are neither, and `errors` is "strict".
+    """
+    wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return data.decode("utf-16" if wide else "utf-8-sig", errors)
+
+
+def read_json(path: str | os.PathLike, error: type[GendomError] = GendomError) -> dict[str, Any]:
     """The JSON object in `path`.
 
     Raises:
-        GendomError: The file is missing, unreadable, no JSON, or no object.
+        GendomError: As `error`: the file is missing, unreadable, no JSON, or no object; or as
+            `parse_json`.
     """
-    path = Path(path)
-    content = read_bytes(path)
+    return parse_json(read_bytes(path, error, most=LARGEST_JSON), str(path), error)
+
+
+def parse_json(
+    content: bytes | str, where: str, error: type[GendomError] = GendomError
+) -> dict[str, Any]:
+    """The object that JSON text holds.
+
+    Args:
+        content: The text.
+        where: What messages call it.
+        error: Raised for every fault.
+
+    Raises:
+        GendomError: As `error`: it is no JSON or no object, is nested too deep, or has a number
+            that is too large.
+    """
     try:
-        value = json.loads(content.decode("utf-8"), parse_constant=_refuse_constant)
-    except json.JSONDecodeError as error:
-        raise GendomError(
-            f"is not JSON ({error.msg} in line {error.lineno})",
-            where=str(path),
-            fix="write the file again",
-        ) from None
-    except ValueError as error:  # not UTF-8, or NaN
-        raise GendomError(
-            f"is not JSON ({error})", where=str(path), fix="write the file again"
-        ) from None
-    if not isinstance(value, dict):
-        raise GendomError(
-            f"holds a JSON {type(value).__name__}, not an object",
-            where=str(path),
-            fix="check that it is the right file",
-        )
+        text = decoded(content) if isinstance(content, bytes) else content
+        value = json.loads(text, parse_constant=_refuse_constant)
+        if not isinstance(value, dict):
+            raise error(
+                f"holds a JSON {type(value).__name__}, not an object",
+                where=where,
+                fix="check that it is the right file",
+            )
+        _check_tree(value, finite=True)
+    except json.JSONDecodeError as fault:
+        what = f"is not JSON ({fault.msg} in line {fault.lineno})"
+        raise error(what, where=where, fix="write the file again") from None
+    except (ValueError, RecursionError) as fault:  # not UTF-8, NaN, or `_check_tree`
+        what = f"is not JSON ({fault})"
+        raise error(what, where=where, fix="write the file again") from None
     return value
 
 
 def read_toml(
-    path: str | os.PathLike,
-    *,
-    missing: str = "no such file",
-    fix: str = "check the path",
-    error: type[GendomError] = GendomError,
+    path: str | os.PathLike, *, error: type[GendomError] = GendomError, **bounds: Any
 ) -> dict[str, Any]:
     """The TOML table in `path`.
 
     Args:
         path: The file.
-        missing: What is wrong when there is no such file.
-        fix: What to do then.
         error: Raised for every fault.
+        bounds: `missing` and `fix` of `file_size`.
 
     Raises:
-        GendomError: As `error`: the file is missing, unreadable or no TOML.
+        GendomError: As `error`: the file is missing, unreadable or no TOML, is nested too deep, or
+            has an integer that is too large.
     """
-    path = Path(path)
+    content = read_bytes(path, error, most=LARGEST_TOML, **bounds)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise error(missing, where=str(path), fix=fix) from None
-    except OSError as fault:
-        raise error(
-            f"cannot be read ({fault.strerror})", where=str(path), fix="check the file"
-        ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as fault:
+        text = decoded(content)
+        if max(line.count(".") for line in text.split("\n")) > MOST_DOTS:
+            raise ValueError(f"a line with more than {MOST_DOTS} dots")
+        value = tomllib.loads(text)
+        _check_tree(value)
+        return value
+    except (ValueError, RecursionError) as fault:
         raise error(f"is not TOML ({fault})", where=str(path), fix="mend that line") from None
+
+
+def _check_tree(value: Any, *, finite: bool = False) -> None:
+    """Check what is nested in lists and tables.
+
+    Raises:
+        ValueError: It is so too deep, holds an integer that no 64 bits hold or, with `finite`, a
+            number that overflowed.
+    """
+    level = [value]
+    for _ in range(DEEPEST):
+        level = [
+            inner
+            for outer in level
+            for inner in (outer.values() if isinstance(outer, dict) else outer)
+            if not isinstance(inner, str)
+        ]
+        for number in level:
+            if isinstance(number, int) and not -(1 << 63) <= number < 1 << 63:
+                raise ValueError(f"an integer of {number.bit_length()} bits")
+            if finite and isinstance(number, float) and not math.isfinite(number):
+                raise ValueError("a number beyond 1e308")
+        level = [inner for inner in level if isinstance(inner, (dict, list))]
+        if not level:
+            return
+    raise ValueError(f"it is nested more than {DEEPEST} times")
 
 
 def read_rows(
@@ -317,17 +445,15 @@ def read_rows(
         error: Raised for every fault.
 
     Raises:
-        GendomError: As `error`: the file is missing, empty or no CSV.
+        GendomError: As `error`: the file is missing, too large, empty or no CSV.
     """
+    fix = f"write one row a frame under {header}"
+    content = read_bytes(path, error, most=LARGEST_CSV, fix=fix)
     try:
-        errors = "replace" if damaged else "strict"
-        with open(path, newline="", encoding="utf-8-sig", errors=errors) as file:
-            reader = csv.reader(file)
-            lines = [(reader.line_num, [text.strip() for text in row]) for row in reader if row]
-    except FileNotFoundError:
-        fix = f"write one row a frame under {header}"
-        raise error("no such file", where=str(path), fix=fix) from None
-    except (OSError, UnicodeDecodeError, csv.Error) as fault:
+        text = decoded(content, "replace" if damaged else "strict")
+        reader = csv.reader(io.StringIO(text, newline=""))
+        lines = [(reader.line_num, [text.strip() for text in row]) for row in reader if row]
+    except (UnicodeDecodeError, csv.Error) as fault:
         raise error(f"is not CSV ({fault})", where=str(path), fix="save it as CSV") from None
     if not lines:
         raise error("is empty", where=str(path), fix=f"write the header {header}")

@@ -229,7 +229,7 @@ def test_a_set_on_a_full_disk_goes_on_later(tmp_path, whole, monkeypatch, full_a
 
     def fill(table, path, **options):
         if len(written) == full_at:
-            path.write_bytes(b"PAR1")
+            path.write(b"PAR1")
             raise OSError(errno.ENOSPC, "Error writing bytes to file")  # as Arrow says it
         written.append(path)
         write_table(table, path, **options)

@@ -387,7 +387,8 @@ def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
 
 
 def write_parquet(table: pa.Table, path: Path) -> None:
-    """Write a table. Pyarrow takes a name with a colon for an address, and none that is no UTF-8."""
+    """Write a table to a file of any name: pyarrow takes one with a colon for an address, and none
+    that is no UTF-8."""
     with open(path, "wb") as file:
         pq.write_table(table, file)
 
