@@ -55,6 +55,9 @@ FULL = (errno.ENOSPC, errno.EDQUOT)
 LARGEST_FILE = 1 << 28
 """Of a file that is read whole, and of what compressed data unpacks to [bytes]."""
 
+MOST_UNPACKED = 16
+"""How many times their size large compressed data may unpack to."""
+
 LARGEST_CSV, LARGEST_JSON, LARGEST_TOML = 1 << 25, 1 << 23, 1 << 16
 """Of files of text [bytes]: numbers as text take twenty times their size in memory."""
 
@@ -301,6 +304,21 @@ def read_bytes(
         raise error(
             f"cannot be read ({fault.strerror})", where=str(path), fix="check the file"
         ) from None
+
+
+def check_unpacked(
+    size: int, packed: int, where: str, error: type[GendomError] = GendomError
+) -> None:
+    """Refuse compressed data that unpack to more than `LARGEST_FILE` and `MOST_UNPACKED` times
+    their size [bytes]; real arrays and pictures shrink less.
+
+    Raises:
+        GendomError: As `error`: they do.
+    """
+    most = max(LARGEST_FILE, MOST_UNPACKED * packed)
+    what = f"unpacks to {size} bytes or more, at most {most} are read"
+    fix = "check where it comes from"
+    require(size <= most, what, where=where, fix=fix, error=error)
 
 
 def inside(

@@ -5,6 +5,7 @@ import pytest
 
 from gendom import cli
 from gendom.datasets import Recording, write_ply
+from gendom.datasets.folder import in_order
 from gendom.errors import RecordingError
 
 
@@ -207,3 +208,40 @@ def test_a_gripper_table_without_rows(folder):
     (folder / "gripper.csv").write_text("time,x,y,z\n")
     with pytest.raises(RecordingError, match="no rows"):
         Recording.read(folder)
+
+
+NAMES = {
+    "seconds": (0.066667, lambda t: str(round(1700000000.0 + t, 6))),
+    "seconds from the start": (1.25e-5, lambda t: str(round(t, 9))),
+    "before and after": (0.5, lambda t: f"frame_{t - 3.0}"),
+    "negative numbers": (0.1, lambda t: f"{round(t / 0.1) - 7}"),
+    "nanoseconds": (0.066667, lambda t: f"cloud-{1700000000000000000 + round(1e9 * t)}"),
+    "seconds and nanoseconds": (0.066667, lambda t: f"{17 + int(t)}_{round(1e9 * (t % 1.0))}"),
+    "seconds.nanoseconds": (0.066667, lambda t: f"{17 + int(t)}.{round(1e9 * (t % 1.0))}"),
+    "versions": (0.1, lambda t: f"take1.{round(t / 0.1) + 1}"),
+    "dates": (0.1, lambda t: f"2024-06-{1 + round(t / 0.1):02d}"),
+    "numbers": (0.1, lambda t: f"Frame{round(t / 0.1)}"),
+}
+
+
+@pytest.mark.parametrize("case", NAMES)
+def test_names_are_put_in_order_of_time(case):
+    step, name_of = NAMES[case]
+    time = step * np.arange(25)
+    names = [name_of(t) for t in time]
+    assert in_order(sorted(names), time, where="") == names
+
+
+def test_times_in_names_must_be_those_of_the_frames():
+    time = 0.1 * np.arange(20)
+    lost = np.where(np.arange(20) > 9, time + 0.5, time)
+    names = [f"{1700000000 + t:.3f}" for t in lost]
+    with pytest.raises(RecordingError, match=r"lift: times in names, .* are up to 0\.25 s"):
+        in_order(names, time, where="lift")
+    assert in_order(names, lost + 7.0, where="lift") == names
+
+
+def test_names_in_two_orders_of_which_neither_fits():
+    names = [f"{n}.{k}" for n in range(3) for k in (1, 5, 13, 9)]
+    with pytest.raises(RecordingError, match="can be put in two orders"):
+        in_order(names, 0.1 * np.arange(12), where="lift")

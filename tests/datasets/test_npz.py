@@ -1,5 +1,7 @@
 """Clouds as NumPy files."""
 
+import zipfile
+
 import numpy as np
 import pytest
 
@@ -49,3 +51,32 @@ def test_a_cut_file(tmp_path, kept):
     path.write_bytes(path.read_bytes()[:kept])
     with pytest.raises(RecordingError, match=r"a\.npz: is (damaged|no \.npz file)"):
         read_npz_cloud(path)
+
+
+def test_pixels_that_saw_nothing_are_left_out(tmp_path):
+    np.savez(tmp_path / "a.npz", points=np.array([[1.0, 2.0, 3.0], [np.nan] * 3]))
+    assert read_npz_cloud(tmp_path / "a.npz").tolist() == [[1.0, 2.0, 3.0]]
+
+
+@pytest.mark.parametrize("shape", [(10**8, 3), (2**33, 3)], ids=["gigabyte", "huge"])
+def test_a_file_that_unpacks_to_gigabytes(tmp_path, shape):
+    """Members that are, and members that say they are."""
+    path = tmp_path / "a.npz"
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("points.npy", "w", force_zip64=True) as member,
+    ):
+        header = {"descr": "<f4", "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(member, header)
+        for _ in range(300 if shape[0] == 10**8 else 1):
+            member.write(bytes(1 << 20))
+    with pytest.raises(RecordingError, match=r"unpacks to|is damaged"):
+        read_npz_cloud(path)
+
+
+def test_an_index_without_end(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        for k in range(3000):
+            archive.writestr(f"{k}.npy", b"")
+    with pytest.raises(RecordingError, match="has an index of"):
+        read_npz_cloud(tmp_path / "a.npz")

@@ -188,3 +188,27 @@ def test_other_bad_files(tmp_path):
             read_pcd(path)
     with pytest.raises(RecordingError, match="no such file"):
         read_pcd(tmp_path / "none.pcd")
+
+
+def test_capital_and_small_letters(tmp_path):
+    head = header("BINARY", FIELDS="rgb X normal Y Z", TYPE="u f f F f")
+    (tmp_path / "a.pcd").write_bytes(head + rows(CLOUD).tobytes())
+    expected = np.stack([CLOUD[:, 0], CLOUD[:, 1], CLOUD[:, 2].astype(np.float32)], axis=1)
+    np.testing.assert_array_equal(read_pcd(tmp_path / "a.pcd"), expected)
+
+
+def test_a_comment_in_any_encoding(tmp_path):
+    head = header("ascii").replace(b"# by", "# \u00c5ngstr\u00f6m\x0b\x0c \u0085by".encode())
+    (tmp_path / "a.pcd").write_bytes(head + text(rows(CLOUD)).replace(b"5.0", b"-nan(ind)"))
+    np.testing.assert_array_equal(read_pcd(tmp_path / "a.pcd")[:, :2], CLOUD[:2, :2])
+
+
+def test_a_cloud_that_would_unpack_to_gigabytes(tmp_path):
+    head = header("binary_compressed", 1 << 22, COUNT="1 1 999 1 1")
+    size = (1 << 22) * (4 + 8 + 999 * 4 + 8 + 4)
+    (tmp_path / "a.pcd").write_bytes(head + struct.pack("<II", 9, size & 0xFFFFFFFF) + bytes(9))
+    with pytest.raises(RecordingError, match="unpacks to"):
+        read_pcd(tmp_path / "a.pcd")
+    (tmp_path / "a.pcd").write_bytes(header("binary_compressed", 10**17) + bytes(9))
+    with pytest.raises(RecordingError, match="announces 1000"):
+        read_pcd(tmp_path / "a.pcd")

@@ -1,6 +1,8 @@
 """PLY: three encodings, foreign properties skipped."""
 
+import resource
 import struct
+import time
 
 import numpy as np
 import pytest
@@ -109,7 +111,7 @@ BAD_FILES = {
     "no end of header": (b"ply\nformat ascii 1.0\n", "has no end_header"),
     "odd format": (header("ebcdic", *XYZ), "has the format 'ebcdic'"),
     "no vertices": (header("ascii", "element face 0"), "has no element 'vertex'"),
-    "no z": (header("ascii", *XYZ[:3]), "has 0 vertex properties 'z'"),
+    "no z": (header("ascii", *XYZ[:3]), "has 0 fields 'z'"),
     "odd type": (header("ascii", *XYZ, "property half w"), "'property half w'"),
     "short ascii": (header("ascii", *XYZ) + b"1 2 3 4", "cut short: 4 numbers"),
     "short binary": (header("binary_big_endian", *XYZ) + bytes(20), "is cut short"),
@@ -143,3 +145,55 @@ def test_bad_files(tmp_path, case):
 def test_write_refuses_other_shapes(tmp_path):
     with pytest.raises(RecordingError, match=r"shape \(3,\); give \[n, 3\]"):
         write_ply(tmp_path / "a.ply", np.zeros(3))
+
+
+def test_capital_letters_and_comments_in_any_encoding(tmp_path):
+    """Bytes that other encodings take as the end of a line (NEL, FF) end none."""
+    lines = ["comment \u00c5ngstr\u00f6m", "comment \x0b\x0c", *XYZ]
+    text = "\n".join(["ply", "format ascii 1.0", *lines, "end_header", ""])
+    for encoding in ("utf-8", "latin-1"):
+        (tmp_path / "a.ply").write_bytes(text.encode(encoding) + b"1 2 3 4 5 6")
+        assert read_ply(tmp_path / "a.ply").tolist() == [[1, 2, 3], [4, 5, 6]]
+    (tmp_path / "a.ply").write_bytes(header("ascii", *XYZ).upper() + b"1 2 3 4 5 6")
+    assert read_ply(tmp_path / "a.ply").tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+@pytest.mark.parametrize("nan", ["nan", "-nan(ind)", "NaN", "-1.#IND", "1.#QNAN0", "nan(0x1)"])
+def test_points_that_were_not_seen_are_left_out(tmp_path, nan):
+    data = header("ascii", *XYZ) + f"{nan} {nan} {nan}\n1 2 3".encode()
+    (tmp_path / "a.ply").write_bytes(data)
+    assert read_ply(tmp_path / "a.ply").tolist() == [[1, 2, 3]]
+    data = header("binary_big_endian", *XYZ) + struct.pack(">6f", *[np.nan] * 3, 1, 2, 3)
+    (tmp_path / "a.ply").write_bytes(data)
+    assert read_ply(tmp_path / "a.ply").tolist() == [[1, 2, 3]]
+
+
+def test_bool_and_64_bit_properties(tmp_path):
+    extra = ["property bool seen", "property uint64 stamp", "property long row"]
+    data = struct.pack("<fff?Qq", 1, 2, 3, True, 2**60, -1) * 2
+    (tmp_path / "a.ply").write_bytes(header("binary_little_endian", *XYZ, *extra) + data)
+    assert read_ply(tmp_path / "a.ply").tolist() == [[1, 2, 3]] * 2
+
+
+BOMBS = {
+    "a long token": header("ascii", *XYZ) + b"1" * (8 << 20),
+    "many points": header("ascii", "element vertex 99999999999", *XYZ[1:]) + b"1 2 3",
+    "rows of nothing": header("ascii", "element a 9" + "9" * 4000, *XYZ) + b"1 2 3 4 5 6",
+    "rows of lists": header(
+        "binary_little_endian", "element a 4000000", "property list uchar char b", *XYZ
+    )
+    + bytes(4 << 20),
+    "a list without end": header("ascii", "element a 1", "property list int int b", *XYZ)
+    + b"999999999 1",
+}
+
+
+@pytest.mark.parametrize("case", BOMBS)
+def test_bombs_are_refused_at_once(tmp_path, case):
+    (tmp_path / "a.ply").write_bytes(BOMBS[case])
+    before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
+    with pytest.raises(RecordingError) as caught:
+        read_ply(tmp_path / "a.ply")
+    assert len(str(caught.value)) < 500
+    assert time.perf_counter() - began < 1.0
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100e3  # [KiB]

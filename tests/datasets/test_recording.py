@@ -512,9 +512,10 @@ def test_the_likely_unit_is_named(lift, spoil, where, said):
 def test_times_that_count_frames_are_told(lift):
     """Of a motion in which time matters."""
     frames = 12
+    rise = np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, 0.1], frames)
     slow = replace(
         lift,
-        points=np.tile(lift.frame(0), (frames, 1)),
+        points=np.concatenate([lift.frame(0) + up for up in rise]),
         offsets=np.arange(frames + 1) * len(lift.frame(0)),
         time=np.arange(frames),
         gripper_position=np.linspace([[0.4, 0.0, 0.0]], [[0.4, 0.0, 0.1]], frames),
@@ -572,9 +573,9 @@ def test_files_that_are_no_recordings(lift, tmp_path):
     np.savez(path, points=np.zeros((1, 3)))
     assert refusal(path) == ["meta: is missing; add JSON text with format = 'gendom-recording/1'"]
     np.savez(path, meta=np.array("{"))
-    assert refusal(path)[0].startswith("meta: is not JSON text")
+    assert refusal(path)[0].startswith("meta: is not JSON")
     np.savez(path, meta=np.array("[]"))
-    assert refusal(path)[0].startswith("meta: is not a JSON object")
+    assert refusal(path)[0].startswith("meta: holds a JSON list, not an object")
     with open(path, "wb") as file:
         np.save(file, np.zeros(3))
     assert refusal(path)[0].startswith("is no .npz file")
@@ -610,3 +611,19 @@ def test_real_recordings(real_data, tmp_path, name, kind, frames, grippers):
             np.testing.assert_array_equal(new[key], old[key])
             assert new[key].dtype == old[key].dtype
         assert json.loads(new["meta"].item()) == json.loads(old["meta"].item())
+
+
+@pytest.mark.parametrize("order", ["reversed", "shuffled"])
+def test_clouds_in_another_order_are_refused(lift, order):
+    """A rope that is lifted off at one end, by its length."""
+    rise = np.linspace(0.0, 0.4, 20)
+    clouds = [
+        np.stack([np.linspace(h, 0.4, 30), np.zeros(30), np.linspace(0.0, h, 30)[::-1]], axis=1)
+        for h in rise
+    ]
+    grip = np.stack([rise, 0.0 * rise, rise], axis=1)
+    taken = {"time": 0.1 * np.arange(20), "gripper_position": grip, "object": lift.object}
+    assert Recording.from_frames(clouds, **taken).validate() == []
+    places = np.random.default_rng(0).permutation(20) if order == "shuffled" else range(20)[::-1]
+    fault = Recording.from_frames([clouds[k] for k in places], **taken).validate()[0]
+    assert fault.severity == "error" and "lie at its place of another time" in str(fault)

@@ -20,7 +20,7 @@ from gendom.perception import (
 )
 from gendom.perception.alignment import Alignment
 from gendom.perception.realsense import realsense_sdk
-from gendom.perception.rosbag import _pixels
+from gendom.perception.rosbag import raw_picture
 
 RECORDINGS = Path(__file__).with_name("recordings")
 
@@ -110,13 +110,13 @@ def test_sdk_that_does_not_load(monkeypatch):
 def test_raw_formats(encoding, data, pixels):
     """Two pixels in a row that is longer than they are."""
     row = bytes([*data, 99, 99])
-    found = _pixels(row * 3, encoding, 2, 3, len(row), "<", "here")
+    found = raw_picture(row * 3, encoding, 2, 3, len(row), "<", "here")
     np.testing.assert_allclose(np.asarray(found, float), [pixels] * 3, atol=1)
     assert found.dtype == (np.uint16 if encoding == "mono16" else np.uint8)
     with pytest.raises(ValueError, match="fewer pixels"):
-        _pixels(row * 2, encoding, 2, 3, len(row), "<", "here")
+        raw_picture(row * 2, encoding, 2, 3, len(row), "<", "here")
     with pytest.raises(RecordingError, match="here: is stored as MJPEG; record colour as RGB8"):
-        _pixels(row, "MJPEG", 2, 3, 8, "<", "here")
+        raw_picture(row, "MJPEG", 2, 3, 8, "<", "here")
 
 
 # What is written here.

@@ -1,16 +1,23 @@
 """ROS 2 bags: clouds and the gripper in one frame, of both kinds of files."""
 
+import io
+import sqlite3
+import struct
+import subprocess
+import sys
+from contextlib import closing
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from gendom import cli
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
-from gendom.perception import RosSettings, read_ros_bag
+from gendom.perception import RealSenseRecording, RosSettings, read_ros_bag
 
 pytest.importorskip("rosbags", reason="needs rosbags: the extra ros")
 
@@ -249,8 +256,16 @@ def short(rows):
 
 
 LACKING = {
-    "no clouds": (without("/camera/points"), {}, "has 0 topics of clouds; record a sensor_msgs"),
-    "two clouds": (another_cloud, {}, "has 2 topics of clouds: /camera/points, /other; name one"),
+    "no clouds": (
+        without("/camera/points"),
+        {},
+        "has 0 topics of clouds or depth; record a sensor_msgs",
+    ),
+    "two clouds": (
+        another_cloud,
+        {},
+        "has 2 topics of clouds or depth: /camera/points, /other; name one",
+    ),
     "no such topic": (
         lambda rows: rows,
         {"points": "/points"},
@@ -294,7 +309,9 @@ def test_a_cut_bag_is_one_line(lifted, tmp_path, plugin, share):
     path = bag(tmp_path / "bag", messages(lifted), plugin)
     (file,) = (p for p in path.iterdir() if p.suffix in (".mcap", ".db3"))
     file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
-    with pytest.raises(RecordingError, match="bag: cannot be read as a ROS 2 bag") as caught:
+    with pytest.raises(
+        RecordingError, match=r"bag.*: (cannot be read as a ROS 2 bag|is no .db3)"
+    ) as caught:
         read_ros_bag(path, path / "object.toml", RosSettings(gripper="tool"))
     assert "\n" not in str(caught.value)
 
@@ -314,3 +331,193 @@ def test_the_command(lifted, tmp_path, capsys):
     assert cli.main(["import", str(out), "--gripper", "tool"]) == 2
     assert "is no ROS 2 bag; leave it out" in capsys.readouterr().err
     assert cli.main(["import", str(tmp_path / "none.mcap"), "--gripper", "tool"]) == 2
+
+
+@pytest.mark.parametrize("height", [1, 4])
+@pytest.mark.parametrize("step", ["none", "whole"])
+def test_rows_whose_length_is_not_said(lifted, tmp_path, height, step):
+    rows = messages(lifted, height=height)
+    for k, (topic, kind, message) in enumerate(rows):
+        if topic == "/camera/points":
+            data = message.data.reshape(height, -1)[:, :-4].ravel()
+            of_rows = 0 if step == "none" else len(data)
+            rows[k] = (topic, kind, replace(message, data=data, row_step=of_rows))
+    path = bag(tmp_path / "bag", rows)
+    check(read_ros_bag(path, path / "object.toml", RosSettings(gripper="tool")), lifted)
+
+
+def moved(parent, child, at=(5.0, 5.0, 5.0), time=0.0, turn=None):
+    turn = Rotation.identity() if turn is None else turn
+    return made(
+        "tf2_msgs/msg/TFMessage", transforms=[transform(time, parent, child, list(at), turn)]
+    )
+
+
+OF_TF = {
+    "static poses of one frame": ("/tf_static", moved("world", "camera"), None),
+    "a static one that was wrong in time": ("/tf_static", moved("world", "camera", time=9.0), None),
+    "moving poses of one time": ("/tf", moved("base", "hand"), None),
+    "static before moving": ("/tf_static", moved("base", "hand"), None),
+    "moving before static": ("/tf", moved("world", "camera"), None),
+    "no numbers": (None, None, ("/tf", moved("hand", "tool", at=(np.nan, 0.0, 0.0), time=0.6))),
+}
+
+
+@pytest.mark.parametrize("case", OF_TF)
+def test_frames_are_those_of_tf2(lifted, tmp_path, case):
+    """The last of equal times counts, the last kind of a frame, and none that is no pose."""
+    topic, first, last = OF_TF[case]
+    rows, kind = messages(lifted), "tf2_msgs/msg/TFMessage"
+    rows = [(topic, kind, first), *rows] if topic else [*rows, (last[0], kind, last[1])]
+    path = bag(tmp_path / "bag", rows)
+    check(read_ros_bag(path, path / "object.toml", RosSettings(gripper="tool")), lifted)
+
+
+@pytest.mark.parametrize("plugin", StoragePlugin)
+def test_a_bag_whose_recorder_was_killed(lifted, tmp_path, plugin, capsys):
+    path, out = bag(tmp_path / "bag", messages(lifted), plugin), tmp_path / "lift.npz"
+    (path / "metadata.yaml").unlink()
+    assert cli.main(["import", str(path), "--gripper", "tool", "--out", str(out)]) == 0
+    check(Recording.read(out), lifted)
+    capsys.readouterr()
+
+
+@pytest.mark.slow
+def test_the_hint_for_bags_of_ros_1_is_right(lifted, tmp_path, capsys):
+    """rosbags-convert makes bags of ROS 1 too, so it can be tried both ways."""
+    convert = [sys.executable, "-c", "from rosbags.convert.cli import main; main()"]
+    rows = [row for row in messages(lifted)]
+    there, old, new = bag(tmp_path / "bag", rows), tmp_path / "x.bag", tmp_path / "new"
+    subprocess.run([*convert, "--src", there, "--dst", old], check=True)
+    assert cli.main(["import", str(old)]) == 2
+    assert f"rosbags-convert --src {old.name} --dst NEW" in capsys.readouterr().err
+    subprocess.run([*convert, "--src", old, "--dst", new], check=True)
+    (new / "object.toml").write_text(OBJECT)
+    check(read_ros_bag(new, new / "object.toml", RosSettings(gripper="tool")), lifted)
+
+
+def pictures(form):
+    """A lift as depth pictures of 8 x 4 pixels, seen from above, and what is seen [m]."""
+    K = [10.0, 0.0, 4.0, 0.0, 10.0, 2.0, 0.0, 0.0, 1.0]
+    calibrated = {"d": np.zeros(5), "k": np.array(K), "r": np.eye(3).ravel()}
+    roi = made(
+        "sensor_msgs/msg/RegionOfInterest",
+        x_offset=0,
+        y_offset=0,
+        height=0,
+        width=0,
+        do_rectify=False,
+    )
+    plain = {"distortion_model": "plumb_bob", "binning_x": 0, "binning_y": 0, "roi": roi}
+    P = np.array([10.0, 0.0, 4.0, 0.0, 0.0, 10.0, 2.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+    down, tf = Rotation.from_euler("x", 180.0, degrees=True), "tf2_msgs/msg/TFMessage"
+    name = "/camera/depth/image_rect_raw"
+    info = made(
+        "sensor_msgs/msg/CameraInfo",
+        header=header(0.0, "eye"),
+        height=4,
+        width=8,
+        p=P,
+        **calibrated,
+        **plain,
+    )
+    rows = [
+        ("/tf_static", tf, made(tf, transforms=[transform(0, "world", "eye", [0, 0, 1.0], down)])),
+        ("/camera/depth/camera_info", "sensor_msgs/msg/CameraInfo", info),
+    ]
+    for time in (0.0, 0.5, 1.0):
+        depth = np.zeros((4, 8), np.uint16)
+        depth[2, 1:7] = 1000 - 100 * time
+        held = [-0.4 + 0.0 * time, 0.0, 0.1 * time]
+        rows.append(("/tf", tf, moved("world", "tool", at=held, time=time)))
+        of = {"header": header(time, "eye")}
+        if form == "png":
+            data = io.BytesIO()
+            Image.fromarray(depth).save(data, "PNG")
+            data = np.frombuffer(bytes(12) + data.getvalue(), np.uint8)
+            of |= {"format": "16UC1; compressedDepth png", "data": data}
+            rows.append((f"{name}/compressedDepth", "sensor_msgs/msg/CompressedImage", of))
+        else:
+            raw = depth if form == "16UC1" else np.where(depth, depth * 1e-3, np.nan).astype("f4")
+            data = np.frombuffer(raw.tobytes(), np.uint8)
+            of |= {"height": 4, "width": 8, "encoding": form, "is_bigendian": 0, "step": 0}
+            rows.append((name, "sensor_msgs/msg/Image", of | {"data": data}))
+    return [(t, k, made(k, **m) if isinstance(m, dict) else m) for t, k, m in rows]
+
+
+@pytest.mark.parametrize("form", ["16UC1", "32FC1", "png"])
+def test_depth_pictures_become_clouds(tmp_path, form):
+    path = bag(tmp_path / "bag", pictures(form))
+    found = read_ros_bag(path, path / "object.toml", RosSettings(gripper="tool"))
+    x = (np.arange(1, 7) - 4.0) / 10.0
+    for frame, time in enumerate((0.0, 0.5, 1.0)):
+        z = 1.0 - 0.1 * time
+        line = np.stack([x * z, 0.0 * x, np.full(6, 1.0 - z)], axis=1)
+        np.testing.assert_allclose(found.frame(frame), line, atol=1e-6)
+
+
+def test_depth_pictures_without_intrinsics(tmp_path):
+    rows = without("/camera/depth/camera_info")(pictures("16UC1"))
+    path = bag(tmp_path / "bag", rows)
+    with pytest.raises(
+        RecordingError, match="without a CameraInfo beside them; record camera_info"
+    ):
+        read_ros_bag(path, path / "object.toml", RosSettings(gripper="tool"))
+
+
+def as_chunk(codec, data, size):
+    """A .mcap file of one chunk of compressed data."""
+    import pyarrow
+
+    packed = pyarrow.compress(data, codec="lz4" if codec == "lz4" else codec, asbytes=True)
+    if codec == "lz4":
+        buffer = pyarrow.BufferOutputStream()
+        with pyarrow.CompressedOutputStream(buffer, "lz4") as stream:
+            stream.write(data)
+        packed = buffer.getvalue().to_pybytes()
+    word = struct.pack("<I", len(codec)) + codec.encode()
+    chunk = struct.pack("<QQQI", 0, 9, size, 0) + word + struct.pack("<Q", len(packed)) + packed
+    first = struct.pack("<I", 4) + b"ros2" + struct.pack("<I", 0)
+    records = [(1, first), (6, chunk), (2, bytes(20))]
+    body = b"".join(bytes([k]) + struct.pack("<Q", len(of)) + of for k, of in records)
+    return b"\x89MCAP0\r\n" + body + b"\x89MCAP0\r\n"
+
+
+@pytest.mark.parametrize("codec", ["zstd", "lz4"])
+def test_chunks_that_unpack_to_gigabytes(tmp_path, codec):
+    path = tmp_path / "x.mcap"
+    path.write_bytes(as_chunk(codec, bytes(140 << 20), 9))
+    (tmp_path / "object.toml").write_text(OBJECT)
+    with pytest.raises(RecordingError, match="unpacks to more than"):
+        read_ros_bag(path, tmp_path / "object.toml", RosSettings(gripper="tool"))
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        "CREATE VIEW topics AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n) "
+        "SELECT id, 'a' AS name, 'b' AS type, 'cdr' AS serialization_format FROM n",
+        "CREATE TABLE topics(id INTEGER, name AS (zeroblob(1000000000)))",
+    ],
+    ids=["view", "computed"],
+)
+def test_tables_that_are_none(tmp_path, table):
+    path = tmp_path / "x.db3"
+    with closing(sqlite3.connect(path)) as database:
+        database.execute(table)
+        database.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, data BLOB)")
+    (tmp_path / "object.toml").write_text(OBJECT)
+    for read in (
+        lambda: read_ros_bag(path, tmp_path / "object.toml", RosSettings(gripper="tool")),
+        lambda: RealSenseRecording(path),
+    ):
+        with pytest.raises(RecordingError, match="has 'topics', which is no plain table"):
+            read()
+
+
+def test_links_to_devices_in_a_bag(lifted, tmp_path):
+    path = bag(tmp_path / "bag", messages(lifted))
+    (path / "metadata.yaml").unlink()
+    (path / "metadata.yaml").symlink_to("/dev/zero")
+    with pytest.raises(RecordingError, match="pipe or device"):
+        read_ros_bag(path, path / "object.toml", RosSettings(gripper="tool"))

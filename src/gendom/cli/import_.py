@@ -13,7 +13,7 @@ from gendom.cli.check import summarize, summary_text
 from gendom.cli.outputs import print_result, tell_written
 from gendom.datasets import Fault, Recording
 from gendom.files import check_file
-from gendom.perception import RosSettings, is_ros_bag, read_ros_bag
+from gendom.perception import RosSettings, bag_files, read_ros_bag
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +47,12 @@ class Command:
         tell_written(self.out, json=self.json)
         return 0
 
+    def _is_bag(self) -> bool:
+        """Whether the source is a ROS 2 bag, and no recording beside which one lies."""
+        return bool(bag_files(self.source)) and not (self.source / "gripper.csv").exists()
+
     def _read(self, warnings: list[Fault]) -> Recording:
-        if not is_ros_bag(self.source):
+        if not self._is_bag():
             flags = {**vars(self.bag), "object": self.object}
             given = [f"--{flag}" for flag, value in flags.items() if value]
             what, where = f"{self.source} is no ROS 2 bag", next(iter(given), None)

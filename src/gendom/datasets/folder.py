@@ -1,6 +1,6 @@
 """A recording as a folder: one file a frame, gripper.csv, object.toml.
 
-0000.ply, ...   or .pcd, or .npz: one cloud a frame, in natural order of names (2 before 10)
+0000.ply, ...   or .pcd, or .npz: one cloud a frame, in order of the numbers in names (2 before 10)
 gripper.csv     one row a frame: time,x,y,z[,ax,ay,az][,closed]
 object.toml     description of the object, and table_height
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,10 @@ from gendom.datasets.ply import read_ply
 from gendom.datasets.recording_form import joined
 from gendom.errors import RecordingError
 from gendom.files import read_number_table, read_toml
+
+_PARTS = re.compile(r"(\d+)")
+_DECIMAL = re.compile(r"((?:(?<![^\W_])-)?\d+(?:\.\d+)?(?:e[-+]\d{1,2}(?!\d))?)")
+_TIME = re.compile(r"\d\.\d{3}|(?<!\d)\d{10,19}(?!\d)")
 
 READERS: dict[str, Callable[[Path], np.ndarray]] = {
     ".ply": read_ply,
@@ -50,7 +55,8 @@ def read_folder(
     """Read the parts of a recording stored as a folder.
 
     The folder holds
-        *.ply, *.pcd or *.npz: one cloud a frame, in natural order of their names (2 before 10);
+        *.ply, *.pcd or *.npz: one cloud a frame, in order of the numbers in their names (see
+            `in_order`);
             .npz files beside .ply or .pcd files are not clouds, and are ignored;
         gripper.csv: one row a frame; header time,x,y,z (and ax,ay,az: the axis along the
             object; and closed: 1 where the gripper holds it, 0 where not) for one gripper, or
@@ -73,7 +79,10 @@ def read_folder(
     what = f"{len(files)} {suffix} files but {rows} rows in gripper.csv"
     fix = "give one row a frame"
     require(rows == len(files), what, where=str(folder), fix=fix, error=RecordingError)
-    return {**arrays, **joined([READERS[suffix](path) for path in files])}, meta
+    names = {path.stem: path for path in files}
+    ordered = in_order(list(names), arrays["time"], where=str(folder))
+    clouds = [READERS[suffix](names[name]) for name in ordered]
+    return {**arrays, **joined(clouds)}, meta
 
 
 def _cloud_files(folder: Path) -> tuple[str, list[Path]]:
@@ -91,16 +100,89 @@ def _cloud_files(folder: Path) -> tuple[str, list[Path]]:
     what, fix = f"holds {counts} files", "keep those of one kind"
     require(len(by_suffix) == 1, what, where=where, fix=fix, error=RecordingError)
     ((suffix, files),) = by_suffix.items()
-    return suffix, sorted(files, key=lambda path: natural_key(path.name))
+    return suffix, files
 
 
-def natural_key(name: str) -> list[tuple[int, int, str]]:
-    """Sorting key under which frame_2 comes before frame_10."""
+def in_order(names: list[str], time: np.ndarray, *, where: str) -> list[str]:
+    """Names of frames in the order of their times.
+
+    Numbers in names are read as decimal ("-2" before "-1", "1.45" before "1.5") or part by part
+    ("1.9" before "1.10"): where that gives two orders, by which the numbers grow as the times do.
+
+    Args:
+        names: Without endings.
+        time: [T], of the frames in order [s].
+        where: What messages call the folder.
+
+    Raises:
+        RecordingError: Neither grows so, or names that are times are not those of the frames.
+    """
+    found = []
+    for pattern in (_DECIMAL, _PARTS):
+        ordered = sorted(names, key=lambda name: (_name_key(pattern, name), name))
+        found.append((ordered, *_misfit(_numbers_of(pattern, ordered), time)))
+    (decimal, as_times, evenly), (parts, _, counted) = found
+    step = float(np.median(np.diff(time))) if len(time) > 1 else np.inf
+    if decimal != parts:
+        right = min(as_times, evenly, counted) <= step
+        what = "names can be put in two orders, and the times of gripper.csv fit neither"
+        fix = "name the clouds 0000, 0001, ... in order of time"
+        require(right, what, where=where, fix=fix, error=RecordingError)
+        if counted < min(as_times, evenly):
+            return parts
+    check_named(decimal, time, where=where)
+    return decimal
+
+
+def check_named(names: list[str], time: np.ndarray, *, where: str) -> None:
+    """Check names of frames in order: where most are times, they must be those of the frames [T],
+    in any unit and from any start.
+
+    Raises:
+        RecordingError: They are not.
+    """
+    if len(names) < 2 or sum(map(bool, map(_TIME.search, names))) <= len(names) / 2:
+        return
+    off, _ = _misfit(_numbers_of(_DECIMAL, names), time)
+    step = float(np.median(np.diff(time)))
+    what = f"times in names, as {names[0]!r}, are up to {off:.3g} s from those of the frames"
+    fix = "give each frame the time of its row, or name them 0000, 0001, ..."
+    right = off <= step or not np.isfinite(off)
+    require(right, what, where=where, fix=fix, error=RecordingError)
+
+
+def _name_key(pattern: re.Pattern[str], name: str) -> list[tuple[int, Decimal, str]]:
+    """Numbers as such, and what is between them regardless of capitals."""
     return [
-        (0, int(part), part) if part.isdecimal() else (1, 0, part.casefold())
-        for part in re.split(r"(\d+)", name)
+        (0, Decimal(part), "") if k % 2 else (1, Decimal(0), part.casefold())
+        for k, part in enumerate(pattern.split(name))
         if part
     ]
+
+
+def _numbers_of(pattern: re.Pattern[str], names: list[str]) -> np.ndarray | None:
+    """The number in which names differ, from the first one's [T]; None: they differ otherwise."""
+    rows = [[Decimal(part) for part in pattern.findall(name)] for name in names]
+    if len({len(row) for row in rows}) != 1:
+        return None
+    columns = [column for column in zip(*rows, strict=True) if len(set(column)) > 1]
+    if len(columns) == 2 and pattern is _PARTS:  # seconds and nanoseconds
+        columns = [[s + ns * Decimal("1e-9") for s, ns in zip(*columns, strict=True)]]
+    if len(columns) != 1:
+        return None
+    return np.array([float(number - columns[0][0]) for number in columns[0]])
+
+
+def _misfit(numbers: np.ndarray | None, time: np.ndarray) -> tuple[float, float]:
+    """How far numbers [T] lie from times at most [s]: as times in the unit that fits best, and as
+    what grows evenly with time."""
+    if numbers is None or len(time) < 2 or not np.isfinite(time).all():
+        return np.inf, np.inf
+    since, last = time - time[0], numbers[-1]
+    units = [numbers * unit for unit in (1.0, 1e-3, 1e-6, 1e-9)]
+    off = [np.abs(of - since - np.median(of - since)).max() for of in units]
+    even = np.abs(numbers / last * since[-1] - since).max() if last > 0 else np.inf
+    return float(min(off)), float(even)
 
 
 def read_object(path: Path) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import struct
 import tokenize
@@ -10,16 +9,23 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
 from gendom.arguments import require
+from gendom.datasets.cloud_fields import seen
 from gendom.datasets.recording_form import FORMAT, STORED_ARRAYS
 from gendom.errors import RecordingError
+from gendom.files import LARGEST_JSON, check_unpacked, file_size, parse_json
 
 NAMES = ("points", "xyz")
 """Names of the cloud's array in files with several arrays."""
+
+LARGEST_ARRAYS = 1 << 31
+"""Of a recording's file [bytes]."""
+
+_END = 1 << 17  # bytes in which a zip file's index, and the record of its end, are looked for
 
 LOAD_ERRORS = (
     OSError,
@@ -51,15 +57,15 @@ def from_npz(path: Path, take: Callable[[Any], Taken], *, write: str) -> Taken:
         RecordingError: The file is missing, damaged or none; or what `take` raises.
     """
     where = str(path)
+    size = file_size(path, RecordingError, most=LARGEST_ARRAYS)
     try:
         with open(path, "rb") as file:
             is_zip = file.read(2) == b"PK"
             require(is_zip, "is no .npz file", where=where, fix=write, error=RecordingError)
+            _check_archive(file, size, where)
             file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
                 return take(archive)
-    except FileNotFoundError:
-        raise RecordingError("no such file", where=where, fix="check the path") from None
     except LOAD_ERRORS as error:
         if isinstance(error, OSError) and error.strerror:
             what, fix = f"cannot be read ({error.strerror})", "check the file"
@@ -69,6 +75,19 @@ def from_npz(path: Path, take: Callable[[Any], Taken], *, write: str) -> Taken:
         else:
             what, fix = f"is damaged ({short(error)})", "copy or write it again"
         raise RecordingError(what, where=where, fix=fix) from None
+
+
+def _check_archive(file: BinaryIO, size: int, where: str) -> None:
+    """Refuse a zip file of too many members, or that unpacks to far more than it is."""
+    file.seek(max(0, size - _END))
+    end = file.read()
+    place = end.rfind(b"PK\5\6")
+    index = struct.unpack_from("<I", end, place + 12)[0] if place >= 0 else 0
+    what, fix = f"has an index of {index} bytes", "write it with numpy.savez"
+    require(index <= _END, what, where=where, fix=fix, error=RecordingError)
+    with zipfile.ZipFile(file) as archive:
+        whole = sum(member.file_size for member in archive.infolist())
+    check_unpacked(whole, size, where, RecordingError)
 
 
 def read_npz_cloud(path: str | os.PathLike) -> np.ndarray:
@@ -94,7 +113,7 @@ def read_npz_cloud(path: str | os.PathLike) -> np.ndarray:
     right = points.ndim == 2 and points.shape[1] == 3 and points.dtype.kind in "fiu"
     what, fix = f"{name} is {points.dtype} {list(points.shape)}", "give numbers [n, 3] in metres"
     require(right, what, where=str(path), fix=fix, error=RecordingError)
-    return points if points.dtype in (np.float32, np.float64) else points.astype(np.float64)
+    return seen(points)
 
 
 def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -112,17 +131,10 @@ def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     if meta is None:
         fix = f"add JSON text with format = {FORMAT!r}"
         raise RecordingError("is missing", where=where, fix=fix)
-    try:
-        if meta.size != 1 or meta.dtype.kind not in "US":
-            raise ValueError(f"it is {meta.dtype} {list(meta.shape)}")
-        parsed = json.loads(meta.item())
-    except ValueError as error:
-        what = f"is not JSON text ({short(error)})"
-        raise RecordingError(what, where=where, fix="write it with json.dumps") from None
-    fix = "write it with json.dumps from a dict"
-    is_object = isinstance(parsed, dict)
-    require(is_object, "is not a JSON object", where=where, fix=fix, error=RecordingError)
-    return stored, parsed
+    is_text = meta.size == 1 and meta.dtype.kind in "US" and meta.nbytes <= 4 * LARGEST_JSON
+    what, fix = f"is not JSON text, but {meta.dtype} {list(meta.shape)}", "write it with json.dumps"
+    require(is_text, what, where=where, fix=fix, error=RecordingError)
+    return stored, parse_json(meta.item(), where, RecordingError)
 
 
 def short(error: BaseException) -> str:

@@ -11,54 +11,28 @@ Lehmann.
 from __future__ import annotations
 
 import os
-import re
 import struct
-from dataclasses import dataclass
 
 import numpy as np
 
 from gendom.datasets.cloud_fields import (
-    MAX_HEADER,
     CloudError,
-    as_float,
+    Element,
+    Field,
     check_length,
-    columns_of,
-    numbers_of,
+    check_points,
+    header_lines,
+    points_of_bytes,
+    points_of_columns,
+    points_of_text,
+    read_cloud,
 )
-from gendom.errors import RecordingError
-from gendom.files import read_bytes
+from gendom.files import LARGEST_FILE
 
-_KINDS = {"I": "i", "U": "u", "F": "f"}
-_SIZES = {"i": (1, 2, 4, 8), "u": (1, 2, 4, 8), "f": (4, 8)}
+_SIZES = {"I": (1, 2, 4, 8), "U": (1, 2, 4, 8), "F": (4, 8)}
 _KEYS = ("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT")
-_KEYS += ("WIDTH", "HEIGHT", "VIEWPOINT", "POINTS")
+_KEYS += ("WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _MOST = 1 << 16  # numbers in one field of a point
-
-
-@dataclass(frozen=True)
-class _Header:
-    names: list[str]
-    types: list[np.dtype]
-    counts: list[int]
-    points: int
-    encoding: str
-    start: int
-    """Offset of the data [bytes]."""
-
-    @property
-    def row_size(self) -> int:
-        """Length of one point [bytes]."""
-        return sum(t.itemsize * n for t, n in zip(self.types, self.counts, strict=True))
-
-    @property
-    def xyz(self) -> list[int]:
-        """Indices of x, y and z among the fields."""
-        return [self.names.index(axis) for axis in "xyz"]
-
-    @property
-    def xyz_type(self) -> np.dtype:
-        """The type that holds all three."""
-        return np.result_type(*(self.types[n].newbyteorder("=") for n in self.xyz))
 
 
 def read_pcd(path: str | os.PathLike) -> np.ndarray:
@@ -73,91 +47,75 @@ def read_pcd(path: str | os.PathLike) -> np.ndarray:
     Raises:
         RecordingError: The file is missing, no PCD, cut short, damaged, or without x, y, z.
     """
-    data = read_bytes(path, RecordingError)
-    try:
-        header = _parse_header(data)
-        points = as_float(_DECODERS[header.encoding](data[header.start :], header))
-    except CloudError as fault:
-        fix = "export the point cloud again as PCD"
-        raise RecordingError(str(fault), where=str(path), fix=fix) from None
-    return points[~np.isnan(points).any(axis=1)]
+
+    def decode(data: bytes) -> np.ndarray:
+        element, encoding, start = _parse_header(data)
+        return _DECODERS[encoding](data[start:], element)
+
+    return read_cloud(path, "PCD", decode)
 
 
-def _parse_header(data: bytes) -> _Header:
-    end = re.search(rb"(?m)^DATA[ \t]+(\w+)[ \t]*\r?\n", data[:MAX_HEADER])
-    if end is None:
+def _parse_header(data: bytes) -> tuple[Element, str, int]:
+    """The points, their encoding, and the offset of the first byte of data."""
+    if (header := header_lines(data, "data")) is None:
         raise CloudError("is not a PCD file, or has no line DATA")
     entries: dict[str, list[str]] = {}
-    for line in data[: end.start()].decode("latin-1").splitlines():
-        words = line.partition("#")[0].split()
-        if words and words[0] not in _KEYS:
-            raise CloudError(f"has the header line {line.strip()[:60]!r}, which is not understood")
+    for line in header[0]:
+        words = " ".join(line).partition("#")[0].split()
+        if words and words[0].upper() not in _KEYS:
+            said = " ".join(line)[:60]
+            raise CloudError(f"has the header line {said!r}, which is not understood")
         if words:
-            entries[words[0]] = words[1:]
+            entries[words[0].upper()] = words[1:]
     names = entries.get("FIELDS", entries.get("COLUMNS", []))
-    for axis in "xyz":
-        if names.count(axis) != 1:
-            raise CloudError(f"has {names.count(axis)} fields {axis!r}, not one")
     columns = [entries.get(key, []) for key in ("SIZE", "TYPE")]
     columns.append(entries.get("COUNT", ["1"] * len(names)))
     if any(len(column) != len(names) for column in columns):
         raise CloudError(f"has {len(names)} fields, but not as many of SIZE, TYPE and COUNT")
-    counts = [_whole(word, "COUNT") for word in columns[2]]
-    types = []
-    for size, kind in zip(columns[0], columns[1], strict=True):
-        if _whole(size, "SIZE") not in _SIZES.get(_KINDS.get(kind, ""), ()):
+    fields = []
+    for name, size, kind, count in zip(names, *columns, strict=True):
+        if _whole(size, "SIZE") not in _SIZES.get(kind.upper(), ()):
             raise CloudError(f"has a field of TYPE {kind} and SIZE {size}, which there is not")
-        types.append(np.dtype(f"<{_KINDS[kind]}{size}"))
+        if not 0 < _whole(count, "COUNT") <= _MOST:
+            raise CloudError(f"has fields of {count} numbers a point")
+        fields.append(Field(name, f"{kind.lower()}{size}", int(count)))
+    element = Element("point", _count(entries), fields)
+    check_points(element.count)
+    encoding = " ".join(entries["DATA"]).lower()
+    if encoding not in _DECODERS:
+        raise CloudError(f"has DATA {encoding[:20]}, not one of {', '.join(_DECODERS)}")
+    _ = element.xyz  # refused here, whatever the data
+    return element, encoding, header[1]
+
+
+def _count(entries: dict[str, list[str]]) -> int:
+    """Number of points."""
     width, height = (_whole(" ".join(entries.get(k, ["1"])), k) for k in ("WIDTH", "HEIGHT"))
-    points = width * height
-    if "POINTS" in entries:
-        points = _whole(" ".join(entries["POINTS"]), "POINTS")
-        if "WIDTH" in entries and points != width * height:
-            raise CloudError(f"has POINTS {points}, but WIDTH {width} and HEIGHT {height}")
-    elif "WIDTH" not in entries:
-        raise CloudError("does not say how many points it has")
-    header = _Header(names, types, counts, points, end[1].decode("ascii"), end.end())
-    if not all(0 < count <= _MOST for count in counts):
-        raise CloudError(f"has fields of {max(counts)} numbers a point")
-    if any(counts[place] != 1 for place in header.xyz):
-        raise CloudError("has more than one number in x, y or z of a point")
-    if header.encoding not in _DECODERS:
-        raise CloudError(f"has DATA {header.encoding}, not one of {', '.join(_DECODERS)}")
-    return header
+    if "POINTS" not in entries:
+        if "WIDTH" not in entries:
+            raise CloudError("does not say how many points it has")
+        return width * height
+    points = _whole(" ".join(entries["POINTS"]), "POINTS")
+    if "WIDTH" in entries and points != width * height:
+        raise CloudError(f"has POINTS {points}, but WIDTH {width} and HEIGHT {height}")
+    return points
 
 
 def _whole(word: str, key: str) -> int:
-    if not word.isdecimal():
+    if not word.isdecimal() or len(word) > 18:
         raise CloudError(f"has {key} {word[:20]!r}, which is no whole number")
     return int(word)
 
 
-def _ascii(data: bytes, header: _Header) -> np.ndarray:
-    tokens, width = data.split(), sum(header.counts)
-    check_length(len(tokens), header.points * width, "numbers")
-    first = np.cumsum([0, *header.counts])[header.xyz]
-    table = np.array(tokens[: header.points * width]).reshape(header.points, width)
-    return numbers_of(table[:, first], header.xyz_type)
-
-
-def _binary(data: bytes, header: _Header) -> np.ndarray:
-    check_length(len(data), header.points * header.row_size, "bytes")
-    return columns_of(data, 0, header.types, header.points, header.xyz, header.counts)
-
-
-def _compressed(data: bytes, header: _Header) -> np.ndarray:
+def _compressed(data: bytes, element: Element) -> np.ndarray:
     check_length(len(data), 8, "bytes")
     packed, size = struct.unpack_from("<II", data)
-    if size != (needed := header.points * header.row_size):
+    if size != (needed := element.count * element.row().itemsize):
         raise CloudError(f"unpacks to {size} bytes where {needed} are announced")
+    if size > LARGEST_FILE:
+        raise CloudError(f"unpacks to {size} bytes, at most {LARGEST_FILE} are read")
     check_length(len(data), 8 + packed, "bytes")
-    plain = _lzf(data[8 : 8 + packed], size)
-    each = [kind.itemsize * n for kind, n in zip(header.types, header.counts, strict=True)]
-    starts = np.cumsum([0, *each]) * header.points
-    columns = [
-        np.frombuffer(plain, header.types[n], header.points, int(starts[n])) for n in header.xyz
-    ]
-    return np.stack([column.astype(header.xyz_type) for column in columns], axis=1)
+    return points_of_columns(_lzf(data[8 : 8 + packed], size), element)
 
 
 def _lzf(data: bytes, size: int) -> bytearray:
@@ -197,4 +155,8 @@ def _lzf(data: bytes, size: int) -> bytearray:
     return out
 
 
-_DECODERS = {"ascii": _ascii, "binary": _binary, "binary_compressed": _compressed}
+_DECODERS = {
+    "ascii": lambda data, element: points_of_text(data, [element]),
+    "binary": lambda data, element: points_of_bytes(data, 0, [element], "<"),
+    "binary_compressed": _compressed,
+}

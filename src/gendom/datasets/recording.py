@@ -136,7 +136,13 @@ def _read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any], str, list[F
     is_lerobot = (path / "meta/info.json").is_file()
     described = is_lerobot or (path / "gripper.csv").is_file()
     is_bag = path.suffix in _BAGS or ((path / "metadata.yaml").is_file() and not described)
-    fix = "turn it into a recording: gendom import (ROS 2) or gendom perceive (RealSense)"
+    fix = (
+        "turn it into a recording: gendom import (ROS 2), or put it into DIR/cameras/NAME and run "
+    )
+    fix += "gendom perceive DIR (RealSense)"
+    if path.suffix == ".bag":
+        fix = f"of ROS 1, rosbags-convert --src {path.name} --dst NEW makes one of ROS 2; of a "
+        fix += "RealSense camera, put it into DIR/cameras/NAME and run gendom perceive DIR"
     require(not is_bag, "is a bag", where=str(path), fix=fix, error=RecordingError)
     if path.is_dir() and not is_lerobot:
         arrays, meta = read_folder(path)

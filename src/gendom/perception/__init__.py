@@ -22,7 +22,7 @@ from gendom.perception.live import RealSenseCamera, record_cameras
 from gendom.perception.perceive import Perceived, PerceptionSettings, perceive, read_seen_by
 from gendom.perception.realsense import RealSenseRecording, RealSenseWriter
 from gendom.perception.robot import CapsulePath, Capsules
-from gendom.perception.ros import RosSettings, is_ros_bag, read_ros_bag
+from gendom.perception.ros import RosSettings, bag_files, read_ros_bag
 
 __all__ = [
     "STAGES",
@@ -50,9 +50,9 @@ __all__ = [
     "RealSenseWriter",
     "RobotPath",
     "RosSettings",
+    "bag_files",
     "calibrate",
     "find_board",
-    "is_ros_bag",
     "match_frames",
     "perceive",
     "perceive_frame",

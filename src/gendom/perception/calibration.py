@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.errors import GendomError, RecordingError
-from gendom.files import read_rows, read_toml
+from gendom.files import inside, read_rows, read_toml
 from gendom.perception.camera import Camera, rigid
 from gendom.perception.png import read_png
 
@@ -63,8 +63,8 @@ class Board:
 
     def __post_init__(self):
         what = f"{self.squares_x} x {self.squares_y} squares"
-        enough = self.squares_x >= 3 and self.squares_y >= 3
-        require(enough, what, where="board", fix="use 3 or more", error=GendomError)
+        some = all(3 <= n <= 100 and isinstance(n, int) for n in (self.squares_x, self.squares_y))
+        require(some, what, where="board", fix="use 3 or more, 100 at most", error=GendomError)
         what = f"square {self.square}, marker {self.marker}"
         fix = "give metres, the marker smaller than the square"
         right = 0.0 < self.marker < self.square < 1.0
@@ -78,8 +78,8 @@ class Board:
         """
         import cv2
 
-        number = getattr(cv2.aruco, self.dictionary, None)
-        if not self.dictionary.startswith("DICT_") or number is None:
+        number = getattr(cv2.aruco, str(self.dictionary), None)
+        if not str(self.dictionary).startswith("DICT_") or number is None:
             what = f"there is no dictionary {self.dictionary!r}"
             fix = "use OpenCV's names, such as DICT_4X4_50 or DICT_5X5_100"
             raise GendomError(what, where="board", fix=fix)
@@ -291,8 +291,7 @@ def read_views(
     folder = Path(folder)
     board = read_board(folder / "board.toml")
     views = []
-    for name, T in _read_poses(folder / "poses.csv"):
-        path = folder / name
+    for path, T in _read_poses(folder / "poses.csv"):
         try:
             picture = read_png(path)
         except RecordingError as error:
@@ -305,9 +304,11 @@ def read_views(
         points, pixels = find_board(np.asarray(picture.convert("L")), board)
         if len(points) == 0:
             fix = "have it large, sharp and flat in the picture; check board.toml"
+            if board.squares_y % 2 == 0 and not board.legacy:
+                fix += ", with legacy = true for a board of OpenCV before 4.6 or calib.io"
             on_warning(Fault("the board is not found; left out", str(path), fix, "warning"))
             continue
-        views.append(BoardView(name, points, pixels, T))
+        views.append(BoardView(path.name, points, pixels, T))
     return views
 
 
@@ -329,7 +330,7 @@ def read_board(path: str | os.PathLike) -> Board:
         raise GendomError(error.what, where=str(path), fix=error.fix) from None
 
 
-def _read_poses(path: Path) -> list[tuple[str, np.ndarray]]:
+def _read_poses(path: Path) -> list[tuple[Path, np.ndarray]]:
     """Pictures and T_world_gripper [4, 4] of poses.csv."""
     lines = read_rows(path, header=",".join(_COLUMNS))
 
@@ -352,5 +353,6 @@ def _read_poses(path: Path) -> list[tuple[str, np.ndarray]]:
         wanted(abs(length - 1.0) <= 0.01, f"quaternion of length {length:.3g}", where, fix)
         what = f"is {distance:.4g} m from the robot's base"
         wanted(distance <= 20.0, what, where, "give metres, not millimetres")
-        poses.append((row[0], rigid(Rotation.from_quat(values[3:]).as_matrix(), values[:3])))
+        picture = inside(path.parent, row[0], where=where)
+        poses.append((picture, rigid(Rotation.from_quat(values[3:]).as_matrix(), values[:3])))
     return poses

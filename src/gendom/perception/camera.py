@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from gendom.arguments import require
 from gendom.errors import RecordingError
-from gendom.files import atomic_path, read_toml
+from gendom.files import MOST_PIXELS, atomic_path, read_toml
 
 _DISTORTION_LENGTHS = (0, 4, 5, 8)
 _MAX_DISTANCE = 20.0  # [m]; a camera farther from the robot's base was given in millimetres
@@ -79,8 +79,9 @@ class Camera:
     def _faults(self) -> Iterator[tuple[str, str, str]]:
         """(what, where, fix) of everything wrong."""
         K, T, width, height = self.K, self.T_world_camera, self.width, self.height
-        if width < 1 or height < 1:
-            yield f"is {width} x {height}", "width, height", "give the pictures' size"
+        if width < 1 or height < 1 or width * height > MOST_PIXELS:
+            fix = f"give the pictures' size, {MOST_PIXELS} pixels at most"
+            yield f"is {width} x {height}", "width, height", fix
         if not self.depth_unit > 0.0:
             fix = "give metres a count: 0.001 for depth in millimetres"
             yield f"is {self.depth_unit}", "depth_unit", fix

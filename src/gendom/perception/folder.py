@@ -33,9 +33,9 @@ from PIL import Image
 
 from gendom.arguments import require
 from gendom.datasets import Fault
-from gendom.datasets.folder import read_gripper, read_object
+from gendom.datasets.folder import check_named, read_gripper, read_object
 from gendom.errors import RecordingError
-from gendom.files import read_rows
+from gendom.files import inside, read_rows
 from gendom.perception.camera import Camera, read_camera, write_camera
 from gendom.perception.frames import CameraReader, Frame, FrameSource, Pictures, interpolate
 from gendom.perception.png import read_png
@@ -126,11 +126,9 @@ class PngCamera:
 
     def __iter__(self) -> Iterator[Frame]:
         for time, depth, colour in self._rows:
-            where = str(self._folder / depth)
-            yield Frame(time, where, lambda d=depth, c=colour: self._read(d, c))
+            yield Frame(time, str(depth), lambda d=depth, c=colour: self._read(d, c))
 
-    def _read(self, depth: str, colour: str | None) -> Pictures:
-        path = self._folder / depth
+    def _read(self, path: Path, colour: Path | None) -> Pictures:
         picture = read_png(path)
         what = f"is a PNG of mode {picture.mode}, not 16 bit grey"
         fix, is_grey = "store depth as 16 bit counts of depth_unit", picture.mode.startswith("I")
@@ -138,8 +136,8 @@ class PngCamera:
         counts = self._sized(np.asarray(picture), path).astype(np.uint16, copy=False)
         if colour is None:
             return Pictures(counts)
-        path = self._folder / colour
-        return Pictures(counts, self._sized(np.asarray(read_png(path).convert("RGB")), path))
+        rgb = np.asarray(read_png(colour).convert("RGB"))
+        return Pictures(counts, self._sized(rgb, colour))
 
     def _sized(self, array: np.ndarray, path: Path) -> np.ndarray:
         height, width = self.camera.height, self.camera.width
@@ -256,7 +254,7 @@ def _open_camera(folder: Path, on_warning: Callable[[Fault], None]) -> FrameSour
 
 def _read_frames(
     path: Path, on_warning: Callable[[Fault], None]
-) -> list[tuple[float, str, str | None]]:
+) -> list[tuple[float, Path, Path | None]]:
     """Rows (time [s], depth file, colour file or None) of frames.csv."""
     lines, fix = read_rows(path, header=_HEADER, damaged=True), f"write {_HEADER}"
     header = lines[0][1]
@@ -274,11 +272,16 @@ def _read_frames(
         except (ValueError, KeyError):
             bad.append(number)
             continue
-        rows.append((time, entry["depth"], entry.get("colour") or None))
+        named = [entry["depth"], *filter(None, [entry.get("colour")])]
+        where = f"{path}, line {number}"
+        files = [inside(path.parent, name, where=where) for name in named]
+        rows.append((time, files[0], files[1] if len(files) > 1 else None))
     fix = f"write one row a frame under {_HEADER}"
     require(rows, "holds no usable row", where=str(path), fix=fix, error=RecordingError)
     if bad:
         what = f"{len(bad)} of {len(lines) - 1} rows are cut short, no numbers or go back in time, "
         what += f"first in line {bad[0]}; they are left out"
         on_warning(Fault(what, str(path), "record again if too much is missing", "warning"))
+    times = np.array([time for time, *_ in rows])
+    check_named([depth.stem for _, depth, _ in rows], times, where=str(path))
     return rows

@@ -7,6 +7,7 @@ import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy.typing as npt
 
 from gendom.arguments import require
 from gendom.datasets import Fault, Recording
+from gendom.datasets.npz import from_npz
 from gendom.datasets.recording import check_name
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
@@ -521,9 +523,8 @@ def read_seen_by(path: str | os.PathLike) -> npt.NDArray[np.uint8] | None:
     Raises:
         RecordingError: The file cannot be read.
     """
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return archive[SEEN_BY] if SEEN_BY in archive.files else None
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        what = f"cannot be read ({error})"
-        raise RecordingError(what, where=str(path), fix="check the file") from None
+
+    def take(archive: Any) -> npt.NDArray[np.uint8] | None:
+        return archive[SEEN_BY] if SEEN_BY in archive.files else None
+
+    return from_npz(Path(path), take, write="write it with gendom perceive")

@@ -9,7 +9,9 @@ from pathlib import Path
 
 from PIL import Image
 
+from gendom.arguments import require
 from gendom.errors import RecordingError
+from gendom.files import MOST_PIXELS, read_bytes
 
 # Exceptions that Pillow raises for damaged PNG data.
 _PNG_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error)
@@ -19,16 +21,10 @@ def read_png(path: Path) -> Image.Image:
     """A decoded PNG file whose checksums hold.
 
     Raises:
-        RecordingError: It is missing or damaged.
+        RecordingError: It is missing, damaged or too large.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        missing = isinstance(error, FileNotFoundError)
-        what = "no such file" if missing else f"cannot be read ({error.strerror})"
-        fix = "the recording was cut off; record it again" if missing else "copy it again"
-        raise RecordingError(what, where=str(path), fix=fix) from None
-    return decode_png(data, str(path))
+    fix = "the recording was cut off; record it again"
+    return decode_png(read_bytes(path, RecordingError, fix=fix), str(path))
 
 
 def decode_png(data: bytes, where: str) -> Image.Image:
@@ -39,8 +35,13 @@ def decode_png(data: bytes, where: str) -> Image.Image:
         where: What messages call it.
 
     Raises:
-        RecordingError: It is damaged.
+        RecordingError: It is damaged, or has more than `MOST_PIXELS`.
     """
+    if data[12:16] == b"IHDR" and len(data) >= 24:
+        width, height = struct.unpack_from(">II", data, 16)
+        what, fits = f"has {width} x {height} pixels", width * height <= MOST_PIXELS
+        fix = f"give pictures of {MOST_PIXELS} at most"
+        require(fits, what, where=where, fix=fix, error=RecordingError)
     try:
         # Decoding alone lets some damage pass as wrong pixels; verifying uses the picture up.
         with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:

@@ -1,8 +1,10 @@
 """Recordings from ROS 2 bags: clouds of a topic, and the gripper's motion from TF or a topic.
 
-A bag is a folder with metadata.yaml, or one of its files (.db3, .mcap). Read are
+A bag is a folder with metadata.yaml, or one or all of its files (.db3, .mcap). Read are
 
-    sensor_msgs/msg/PointCloud2    the clouds, of one topic
+    sensor_msgs/msg/PointCloud2    the clouds, of one topic, or
+    sensor_msgs/msg/Image          depth, 16UC1 in millimetres or 32FC1 in metres, also as a
+                                   CompressedImage (PNG), with its CameraInfo
     tf2_msgs/msg/TFMessage         /tf and /tf_static: where frames are
     geometry_msgs/msg/PoseStamped  the gripper, where it is no frame of TF
 
@@ -13,10 +15,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +30,26 @@ from gendom.datasets.folder import read_object
 from gendom.datasets.npz import short
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
+from gendom.files import check_unpacked, file_size
+from gendom.perception.camera import Camera
+from gendom.perception.rosbag import (
+    ANY_SIZE,
+    ZSTD,
+    decompressed,
+    open_database,
+    packed_picture,
+    raw_picture,
+)
 
 Array = NDArray[np.float64]
 
-CLOUD, POSE, TF = (
-    "sensor_msgs/msg/PointCloud2",
-    "geometry_msgs/msg/PoseStamped",
-    "tf2_msgs/msg/TFMessage",
+CLOUD, IMAGE, PACKED, INFO = (
+    f"sensor_msgs/msg/{name}" for name in ("PointCloud2", "Image", "CompressedImage", "CameraInfo")
 )
+POSE, TF = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
+_SUFFIXES = (".db3", ".mcap")
+_LARGEST_METADATA = 1 << 20  # [bytes]
+_DENORMAL = 0.01  # of a quaternion's squared length, as tf2 has it
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of PointField
 
 
@@ -53,10 +67,16 @@ class RosSettings:
     """Of a bag: x, y and z from and to in the world, in metres; points elsewhere are left out."""
 
 
-def is_ros_bag(path: str | os.PathLike) -> bool:
-    """Whether a path looks like a ROS 2 bag."""
+def bag_files(path: str | os.PathLike) -> list[Path]:
+    """What of a ROS 2 bag is opened: a folder with metadata.yaml, or else the files of one kind in
+    it, or the file itself; empty: it is no bag."""
     path = Path(path)
-    return path.suffix in (".db3", ".mcap") or (path / "metadata.yaml").is_file()
+    if not path.is_dir():
+        return [path] if path.suffix in _SUFFIXES else []
+    if (path / "metadata.yaml").exists():
+        return [path]
+    found = [sorted(path.glob(f"*{suffix}")) for suffix in _SUFFIXES]
+    return next(filter(None, found), [])
 
 
 def read_ros_bag(
@@ -85,11 +105,12 @@ def read_ros_bag(
     with _opened(path) as bag:
         topics = {c.topic: c.msgtype for c in bag.connections}
         topic = _cloud_topic(topics, settings.points, where)
+        points_of = _reader(bag, topics, topic, where)
         frames, poses = _read_frames(bag, topics, where), None
         if settings.gripper.startswith("/"):
             poses = _read_poses(bag, topics, settings.gripper, where)
         world, clouds, times, positions, left_out = settings.world or frames.root, [], [], [], 0
-        for message in _messages(bag, topic):
+        for _, message in _messages(bag, topic):
             time, frame = _time(message.header), message.header.frame_id
             world = world or frame
             try:
@@ -99,7 +120,7 @@ def read_ros_bag(
             except _OutOfTimeError:
                 left_out += 1
                 continue
-            cloud = turn.apply(_points(message, f"{where}: {topic}")) + shift
+            cloud = turn.apply(points_of(message)) + shift
             clouds.append(_inside(cloud, settings.workspace).astype(np.float32))
             times.append(time)
             positions.append(held)
@@ -126,10 +147,9 @@ def read_ros_bag(
 def _read_frames(bag: Any, topics: dict[str, str], where: str) -> _Frames:
     """The tree of TF."""
     frames = _Frames(where)
-    for name in (name for name, kind in topics.items() if kind == TF):
-        for message in _messages(bag, name):
-            for stated in message.transforms:
-                frames.add(stated, still=name.endswith("tf_static"))
+    for name, message in _messages(bag, *(name for name, kind in topics.items() if kind == TF)):
+        for stated in message.transforms:
+            frames.add(stated, still=name.endswith("tf_static"))
     frames.settle()
     return frames
 
@@ -138,8 +158,8 @@ def _read_poses(bag: Any, topics: dict[str, str], topic: str, where: str) -> _Tr
     """The gripper's poses of a topic."""
     _check_type(topics, topic, POSE, where)
     poses = _Track(f"{where}: {topic}")
-    for message in _messages(bag, topic):
-        poses.add(message.header, message.pose.position, message.pose.orientation)
+    for _, message in _messages(bag, topic):
+        poses.add(message.header, *_pose_of(message.pose))
     poses.settle()
     return poses
 
@@ -150,10 +170,13 @@ def _opened(path: str | os.PathLike) -> Iterator[Any]:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    if not Path(path).exists():
-        raise RecordingError("no such file or folder", where=str(path), fix="check the path")
+    files, store = bag_files(path), get_typestore(Stores.ROS2_HUMBLE)
+    there, fix = bool(files) and Path(path).exists(), "check the path"
+    require(there, "no such bag", where=str(path), fix=fix, error=RecordingError)
     try:
-        with AnyReader([Path(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
+        for file in files if files[0].is_file() else sorted(files[0].iterdir()):
+            _check_file(file)
+        with AnyReader(files, default_typestore=store) as bag:
             yield bag
     except (RecordingError, ModuleNotFoundError):
         raise
@@ -163,27 +186,141 @@ def _opened(path: str | os.PathLike) -> Iterator[Any]:
         raise RecordingError(what, where=str(path), fix=fix) from error
 
 
-def _messages(bag: Any, topic: str) -> Iterator[Any]:
-    """Of a topic, in the order in which they came."""
-    wanted = [c for c in bag.connections if c.topic == topic]
+def _check_file(path: Path) -> None:
+    """Check that a bag's file is one, and that what is compressed in it can be unpacked.
+
+    Raises:
+        RecordingError: It is no regular file, or no plain database.
+        ValueError, OSError: Something is damaged, or unpacks to too much.
+    """
+    if path.suffix == ".yaml":
+        file_size(path, RecordingError, most=_LARGEST_METADATA)
+    elif path.suffix == ".db3":
+        with closing(open_database(path)) as database:
+            packed = "SELECT data FROM messages WHERE substr(data, 1, 4) = ?"
+            for (data,) in database.execute(packed, (ZSTD,)):
+                decompressed(data)
+    elif path.suffix in (".mcap", ".zstd"):
+        size = file_size(path, RecordingError, most=ANY_SIZE)
+        with open(path, "rb") as file:
+            if path.suffix == ".mcap":
+                _check_chunks(file, size)
+            else:
+                _check_stream(file, size)
+
+
+def _check_chunks(file: BinaryIO, size: int) -> None:
+    """Unpack each chunk of a .mcap file (its specification, "Chunk")."""
+    at = 8
+    while at < size:
+        file.seek(at)
+        head = file.read(49)
+        kind, length = head[0], int.from_bytes(head[1:9], "little")
+        if kind == 6 and len(head) == 49:
+            word = int.from_bytes(head[37:41], "little")
+            codec = (head[41:] + file.read(word))[: min(word, 8)].decode("latin-1")
+            file.seek(at + 49 - 8 + word)
+            packed = file.read(min(int.from_bytes(file.read(8), "little"), size))
+            if codec in ("lz4", "zstd"):
+                decompressed(packed, codec)
+        at += 9 + length
+
+
+def _check_stream(file: BinaryIO, size: int) -> None:
+    """Unpack a file of zstd, piece by piece."""
+    import pyarrow
+
+    there = 0
+    with pyarrow.CompressedInputStream(file, "zstd") as stream:
+        while piece := stream.read(1 << 20):
+            there += len(piece)
+            check_unpacked(there, size, "compressed file", RecordingError)
+
+
+def _messages(bag: Any, *topics: str) -> Iterator[tuple[str, Any]]:
+    """Topics and messages of some topics, in the order in which they came."""
+    wanted = [c for c in bag.connections if c.topic in topics]
     if wanted:
         for connection, _, data in bag.messages(connections=wanted):
-            yield bag.deserialize(data, connection.msgtype)
+            yield connection.topic, bag.deserialize(data, connection.msgtype)
 
 
 def _cloud_topic(topics: dict[str, str], wanted: str | None, where: str) -> str:
+    """The topic of the clouds, or else of depth pictures."""
     if wanted is not None:
-        _check_type(topics, wanted, CLOUD, where)
+        if topics.get(wanted) not in (IMAGE, PACKED):
+            _check_type(topics, wanted, CLOUD, where)
         return wanted
     own = [name for name, kind in topics.items() if kind == CLOUD]
     is_realsense = not own and any(name.startswith("/device_0/") for name in topics)
     what = "is a recording of the RealSense SDK, of depth pictures"
-    fix = "turn it into clouds with gendom perceive"
+    fix = "put it into DIR/cameras/NAME and run gendom perceive DIR"
     require(not is_realsense, what, where=where, fix=fix, error=RecordingError)
-    what = f"has {len(own)} topics of clouds" + (f": {', '.join(own)}" if own else "")
-    fix = "name one with --points" if own else f"record a {CLOUD}"
+    for kind in (IMAGE, PACKED):
+        depth = [name for name, k in topics.items() if k == kind and "depth" in name.lower()]
+        own = own or depth
+    what = f"has {len(own)} topics of clouds or depth" + (f": {', '.join(own)}" if own else "")
+    fix = "name one with --points" if own else f"record a {CLOUD}, or depth and its CameraInfo"
     require(len(own) == 1, what, where=where, fix=fix, error=RecordingError)
     return own[0]
+
+
+def _reader(
+    bag: Any, topics: dict[str, str], topic: str, where: str
+) -> Callable[[Any], NDArray[np.floating]]:
+    """What makes a cloud [n, 3] of a message, in its own frame [m]."""
+    where = f"{where}: {topic}"
+    if topics[topic] == CLOUD:
+        return lambda message: _points(message, where)
+    folders = topic.split("/")
+    above = ["/".join(folders[:n]) for n in range(len(folders) - 1, 0, -1)]
+    named = (f"{folder}/camera_info" for folder in above)
+    found = next((name for name in named if topics.get(name) == INFO), None)
+    info = next((message for _, message in _messages(bag, found)), None) if found else None
+    what = "are depth pictures without a CameraInfo beside them"
+    require(info, what, where=where, fix="record camera_info too", error=RecordingError)
+    K, D = np.reshape(info.k, (3, 3)), tuple(map(float, info.d))
+    if "image_rect" in topic:
+        K, D = np.reshape(info.p, (3, 4))[:, :3], ()
+    D = D if any(D) else ()
+    size = {"width": int(info.width), "height": int(info.height)}
+    camera = Camera(name=where, K=K, distortion=D, T_world_camera=None, **size)
+    rays = camera.rays()
+
+    def points(message: Any) -> NDArray[np.floating]:
+        try:
+            depth = _depth(message, topics[topic], where)
+        except ValueError as error:
+            raise RecordingError(f"is damaged ({error})", where=where, fix="copy it") from None
+        right = depth.size == len(rays)
+        what = f"is {depth.shape[1]} x {depth.shape[0]}, its CameraInfo {camera.width} x "
+        fix = "record the CameraInfo of these pictures"
+        require(right, f"{what}{camera.height}", where=where, fix=fix, error=RecordingError)
+        z = depth.reshape(-1, 1) * (1e-3 if depth.dtype == np.uint16 else 1.0)
+        seen = (np.isfinite(z) & (z > 0.0))[:, 0]
+        return rays[seen] * z[seen]
+
+    return points
+
+
+def _depth(message: Any, kind: str, where: str) -> NDArray[Any]:
+    """[height, width] uint16 [mm] or float32 [m] of a message.
+
+    Raises:
+        ValueError: It is damaged.
+        RecordingError: It is no depth picture.
+    """
+    data = np.asarray(message.data, dtype=np.uint8).tobytes()
+    if kind == PACKED:
+        depth, said = packed_picture(data, message.format, where), message.format
+    else:
+        order, size = "<>"[bool(message.is_bigendian)], (message.width, message.height)
+        depth = raw_picture(data, message.encoding, *size, message.step, order, where)
+        said = message.encoding
+    fix = "record 16UC1 or 32FC1, packed ones as 16UC1 PNG"
+    right = depth.ndim == 2 and not said.startswith("32FC1;")
+    require(right, f"is {said[:40]!r}, no depth", where=where, fix=fix, error=RecordingError)
+    return depth
 
 
 def _check_type(topics: dict[str, str], name: str, kind: str, where: str) -> None:
@@ -199,6 +336,16 @@ def _time(header: Any) -> float:
     return header.stamp.sec + 1e-9 * header.stamp.nanosec
 
 
+def _pose_of(pose: Any) -> tuple[list[float], list[float]]:
+    """Place [m] and unit quaternion (x, y, z, w) of a Pose or Transform."""
+    at, q = (
+        (pose.translation, pose.rotation)
+        if hasattr(pose, "translation")
+        else (pose.position, pose.orientation)
+    )
+    return [at.x, at.y, at.z], [q.x, q.y, q.z, q.w]
+
+
 class _OutOfTimeError(Exception):
     """A moving frame's pose is unknown at a time."""
 
@@ -210,24 +357,25 @@ class _Track:
     where: str
     frame: str = ""
     still: bool = False
-    """Whether the pose is static: later messages repeat the first."""
+    """Whether the pose is static: of its messages the last counts."""
     times: list[float] = field(default_factory=list)
     places: list[list[float]] = field(default_factory=list)
 
-    def add(self, header: Any, at: Any, q: Any) -> None:
+    def add(self, header: Any, at: list[float], q: list[float]) -> None:
         what = f"is in {header.frame_id} after {self.frame}"
         alike = self.frame in ("", header.frame_id)
         require(alike, what, where=self.where, fix="keep one", error=RecordingError)
         self.frame = header.frame_id
         self.times.append(_time(header))
-        self.places.append([at.x, at.y, at.z, q.x, q.y, q.z, q.w])
+        self.places.append([*at, *q])
 
     def settle(self) -> None:
         """To be called once when all is there."""
         what = "has no message"
         require(self.times, what, where=self.where, fix="record it", error=RecordingError)
-        times, first = np.unique(self.times, return_index=True)
-        places = np.array(self.places)[first]
+        # Of equal times the last counts.
+        times, back = np.unique(self.times[::-1], return_index=True)
+        places = np.array(self.places)[::-1][back]
         right = np.isfinite(places).all() and (np.linalg.norm(places[:, 3:], axis=1) >= 0.5).all()
         what, fix = "has a pose that is none", "record it again"
         require(right, what, where=self.where, fix=fix, error=RecordingError)
@@ -257,9 +405,15 @@ class _Frames:
         self.tracks: dict[str, _Track] = {}
 
     def add(self, stated: Any, *, still: bool) -> None:
-        child = stated.child_frame_id.lstrip("/")
-        track = self.tracks.setdefault(child, _Track(f"{self.where}: frame {child}", still=still))
-        track.add(stated.header, stated.transform.translation, stated.transform.rotation)
+        """As tf2 does: a static pose replaces all before, a moving one a static one, and what is
+        no pose is ignored."""
+        child, at, q = stated.child_frame_id.lstrip("/"), *_pose_of(stated.transform)
+        if not np.isfinite([*at, *q]).all() or abs(np.dot(q, q) - 1.0) > _DENORMAL:
+            return
+        track = self.tracks.get(child)
+        if still or track is None or track.still:
+            self.tracks[child] = track = _Track(f"{self.where}: frame {child}", still=still)
+        track.add(stated.header, at, q)
 
     def settle(self) -> None:
         """To be called once when all is there."""
@@ -322,11 +476,13 @@ def _points(message: Any, where: str) -> Array:
         at = [(f.offset, np.dtype(order + _TYPES[f.datatype])) for f in xyz]
     except KeyError as error:
         raise RecordingError(f"a cloud has no {error}", where=where, fix="record x, y, z") from None
-    step, row = message.point_step, message.row_step
+    step, row, least = message.point_step, message.row_step, message.width * message.point_step
     last = max(offset + kind.itemsize for offset, kind in at)
     data = np.asarray(message.data, dtype=np.uint8)
-    needed = (message.height - 1) * row + message.width * step if count else 0
-    fits = last <= step and row >= message.width * step and len(data) >= needed
+    # Drivers leave it 0, or give the whole cloud's: then rows follow each other.
+    if row < least or len(data) < (message.height - 1) * row + least:
+        row = least
+    fits = last <= step and len(data) >= message.height * least
     what = f"a cloud has {len(data)} bytes for {count} points of {step}"
     require(fits, what, where=where, fix="record it again", error=RecordingError)
     if not count:

@@ -30,15 +30,24 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.errors import RecordingError
+from gendom.files import file_size
 from gendom.perception.camera import Camera, rigid
 from gendom.perception.png import decode_png
 
 _SQLITE = b"SQLite format 3\0"
-_ZSTD = b"\x28\xb5\x2f\xfd"
+ZSTD = b"\x28\xb5\x2f\xfd"
 _PNG = b"\x89PNG"
 _ZSTD_FORMAT = re.compile(r"(\w+); zstd; (\d+)x(\d+) step=(\d+)$")
+
+_COMPUTED = re.compile(r"\bvirtual\b|\bas\b\s*\(", re.IGNORECASE)
+
+ANY_SIZE = 1 << 62
+"""Of files that are read message by message [bytes]."""
+LARGEST_MESSAGE = 1 << 27
+"""Also when it is decompressed [bytes]."""
 
 _DATA = re.compile(r"(/device_0/sensor_\d+/(Depth|Color)_\d+)/image/data(/compressed(Depth)?)?$")
 _MAX_UNREADABLE_ROWS = 1000  # in sequence, before the rest is given up
@@ -48,6 +57,42 @@ _MAX_UNREADABLE_ROWS = 1000  # in sequence, before the rest is given up
 _UNDISTORTED = ("None", "")
 _OPENCV = ("Brown Conrady", "Inverse Brown Conrady")
 _PROJECTED = (*_OPENCV, "Modified Brown Conrady")
+
+
+def open_database(path: Path) -> sqlite3.Connection:
+    """A bag's database for reading.
+
+    Raises:
+        RecordingError: It is missing, or no database of plain tables: what views, virtual tables
+            and computed columns yield may have no end.
+    """
+
+    def wanted(holds: object, what: str, fix: str) -> None:
+        require(holds, what, where=str(path), fix=fix, error=RecordingError)
+
+    file_size(path, RecordingError, most=ANY_SIZE)
+    with open(path, "rb") as file:
+        right, fix = (
+            file.read(16) == _SQLITE,
+            "record it with the RealSense SDK or ROS 2, or copy it",
+        )
+        wanted(right, "is no .db3 recording", fix)
+    # Immutable: no journal is looked for and no lock taken, so any folder will do. The schema
+    # counts as writable so that SQLite reads files shorter than their header says.
+    address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
+    database = sqlite3.connect(address, uri=True, check_same_thread=False)
+    database.execute("PRAGMA writable_schema = ON")
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_MESSAGE)
+    try:
+        made = database.execute("SELECT type, name, sql FROM sqlite_master LIMIT 1000").fetchall()
+    except sqlite3.DatabaseError as error:
+        database.close()
+        wanted(False, f"has no table of topics ({error})", "copy it again")
+        raise
+    for kind, name, sql in made:
+        plain = kind in ("table", "index") and not _COMPUTED.search(str(sql or ""))
+        wanted(plain, f"has {str(name)[:40]!r}, which is no plain table", "copy it again")
+    return database
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,13 +137,8 @@ class Bag:
     def __init__(self, path: str | Path, *, on_warning: Callable[[Fault], None] = lambda _: None):
         self.path = Path(path)
         self._on_warning = on_warning
-        self._refuse_others()
-        # Immutable: no journal is looked for and no lock taken, so any folder will do. The schema
-        # counts as writable so that SQLite reads files shorter than their header says.
-        address = f"{self.path.resolve().as_uri()}?mode=ro&immutable=1"
-        self._database = sqlite3.connect(address, uri=True, check_same_thread=False)
+        self._database, self._most = open_database(self.path), file_size(self.path, most=ANY_SIZE)
         weakref.finalize(self, self._database.close)
-        self._database.execute("PRAGMA writable_schema = ON")
         try:
             topics = self._database.execute("SELECT id, name FROM topics").fetchall()
         except sqlite3.DatabaseError as error:
@@ -109,25 +149,13 @@ class Bag:
     def _error(self, what: str, fix: str) -> RecordingError:
         return RecordingError(what, where=str(self.path), fix=fix)
 
-    def _refuse_others(self) -> None:
-        try:
-            with open(self.path, "rb") as file:
-                start = file.read(16)
-        except OSError as error:
-            missing = isinstance(error, FileNotFoundError)
-            what = "no such file" if missing else f"cannot be read ({error.strerror})"
-            raise self._error(what, "check the path") from None
-        if start != _SQLITE:
-            fix = "record it with the RealSense SDK, or copy it"
-            raise self._error("is no .db3 recording", fix)
-
     def _index(self) -> dict[int, list[tuple[int, int]]]:
         """(row, bag time) of all messages by topic; warns of those that cannot be read."""
         rows: dict[int, list[tuple[int, int]]] = {}
         last = lost = 0
         try:
             for row, topic, time in self._database.execute(
-                "SELECT id, topic_id, timestamp FROM messages ORDER BY id"
+                "SELECT id, topic_id, timestamp FROM messages ORDER BY id LIMIT ?", (self._most,)
             ):
                 rows.setdefault(topic, []).append((row, time))
                 last = row
@@ -280,7 +308,7 @@ class Bag:
         found = self._database.execute("SELECT data FROM messages WHERE id = ?", (row,)).fetchone()
         if found is None or not isinstance(found[0], bytes):
             raise ValueError("no such message")
-        return _decompressed(found[0])
+        return decompressed(found[0])
 
     def _text(self, row: int) -> str:
         return _Cdr(self._message(row)).string()
@@ -304,21 +332,24 @@ def _pairs(text: str) -> dict[str, str]:
     return dict(pair.split("=", 1) for pair in text.split(";") if "=" in pair)
 
 
-def _decompressed(data: bytes) -> bytes:
-    """Decompress data if it is compressed by zstd.
+def decompressed(data: bytes, codec: str = "zstd") -> bytes:
+    """Decompress data by zstd, if they are so compressed, or by another codec of pyarrow.
 
     Raises:
-        ValueError: It is damaged.
+        ValueError: They are damaged, or unpack to more than `LARGEST_MESSAGE`.
     """
-    if not data.startswith(_ZSTD):
+    if codec == "zstd" and not data.startswith(ZSTD):
         return data
     import pyarrow  # late: few recordings need it
 
     try:
-        with pyarrow.CompressedInputStream(pyarrow.BufferReader(data), "zstd") as stream:
-            return stream.read()
+        with pyarrow.CompressedInputStream(pyarrow.BufferReader(data), codec) as stream:
+            found = stream.read(LARGEST_MESSAGE + 1)
     except (OSError, pyarrow.ArrowException) as error:
         raise ValueError(str(error)) from None
+    if len(found) > LARGEST_MESSAGE:
+        raise ValueError(f"unpacks to more than {LARGEST_MESSAGE} bytes")
+    return found
 
 
 def _picture(message: bytes, compressed: bool, where: str) -> npt.NDArray[np.generic]:
@@ -335,13 +366,22 @@ def _picture(message: bytes, compressed: bool, where: str) -> npt.NDArray[np.gen
         height, width = cdr.uint32(), cdr.uint32()
         encoding = cdr.string()
         order, step = "<>"[cdr.uint8() & 1], cdr.uint32()
-        return _pixels(cdr.sequence(), encoding, width, height, step, order, where)
-    # "16UC1; compressedDepth png", "rgb8; png compressed bgr8" or "YUYV; zstd; 64x48 step=128"
+        return raw_picture(cdr.sequence(), encoding, width, height, step, order, where)
     form = cdr.string()
-    data = cdr.sequence()
+    return packed_picture(cdr.sequence(), form, where)
+
+
+def packed_picture(data: bytes, form: str, where: str) -> npt.NDArray[np.generic]:
+    """The picture of a CompressedImage, whose format is "16UC1; compressedDepth png", "rgb8; png
+    compressed bgr8" or "YUYV; zstd; 64x48 step=128".
+
+    Raises:
+        ValueError: It is damaged.
+        RecordingError: So is the PNG, or the format is unknown.
+    """
     if raw := _ZSTD_FORMAT.match(form):
         width, height, step = (int(raw[k]) for k in (2, 3, 4))
-        return _pixels(_decompressed(data), raw[1], width, height, step, "<", where)
+        return raw_picture(decompressed(data), raw[1], width, height, step, "<", where)
     # Depth has twelve bytes more in front (compressed_depth_image_transport).
     picture = decode_png(data[max(data.find(_PNG, 0, 16), 0) :], where)
     if picture.mode.startswith("I"):
@@ -349,7 +389,7 @@ def _picture(message: bytes, compressed: bool, where: str) -> npt.NDArray[np.gen
     return np.asarray(picture.convert("RGB"))
 
 
-def _pixels(
+def raw_picture(
     data: bytes, encoding: str, width: int, height: int, step: int, order: str, where: str
 ) -> npt.NDArray[np.generic]:
     """A picture of raw rows, `step` bytes apart."""
@@ -358,11 +398,13 @@ def _pixels(
         raise RecordingError(f"is stored as {encoding}", where=where, fix=fix)
     size, places = form
     row = width * size
+    step = row if step in (0, len(data)) else step  # where drivers leave it 0, or give the whole
     if step < row or len(data) < step * height or not 0 < height * width < 2**28:
         raise ValueError("fewer pixels than its size says")
     rows = np.frombuffer(data, np.uint8, step * height).reshape(height, step)[:, :row]
     if not places:
-        return np.ascontiguousarray(rows).view(f"{order}u2").astype(np.uint16)
+        kind = "u2" if size == 2 else "f4"
+        return np.ascontiguousarray(rows).view(order + kind).astype(kind)
     if size == 2:
         return _from_yuv(rows.reshape(height, -1, 4)[:, :, places])
     return np.ascontiguousarray(rows.reshape(height, width, size)[:, :, places])
@@ -386,6 +428,7 @@ def _from_yuv(pairs: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
 _RAW: dict[str, tuple[int, list[int]]] = {
     "mono16": (2, []),
     "16uc1": (2, []),
+    "32fc1": (4, []),
     "rgb8": (3, [0, 1, 2]),
     "bgr8": (3, [2, 1, 0]),
     "rgba8": (4, [0, 1, 2]),
