@@ -331,6 +331,33 @@ def test_a_shard_of_another_set_is_named(tmp_path, whole):
         load(whole)
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda t: t.drop_columns("goal_x"), "has not the columns of shard-00000"),
+        (lambda t: t.drop_columns("ok"), "lacks columns"),
+        (
+            lambda t: t.drop_columns("speed").append_column("speed", pa.array(["x"] * len(t))),
+            "holds string, not double",
+        ),
+        (lambda t: t.append_column("more", pa.array([1] * len(t))), "more holds int64"),
+        (
+            lambda t: t.drop_columns("fault").append_column(
+                "fault", pa.array(["x" * 10**6] * len(t))
+            ),
+            "unpacks to more than is read",
+        ),
+    ],
+)
+def test_a_shard_with_other_columns_is_named(whole, change, says, monkeypatch):
+    monkeypatch.setattr(demonstrations, "LARGEST_SHARD", 2 * 10**6)
+    table = pq.read_table(shard(whole, 1))
+    pq.write_table(change(table).replace_schema_metadata(table.schema.metadata), shard(whole, 1))
+    rehash(whole)
+    with pytest.raises(DatasetError, match=rf"shard-00001\.parquet: .*{says}"):
+        load(whole)
+
+
 def test_a_shard_in_another_one_s_place_is_named(whole):
     shutil.copy(shard(whole, 0), shard(whole, 1))
     rehash(whole)
@@ -355,14 +382,28 @@ def test_folders_that_hold_no_set(tmp_path):
         load(tmp_path / "file")
 
 
+def described(**changes):
+    """A description with other entries."""
+    about = {"format": "gendom-demonstrations/2", "size": 4, "shard_size": 4, "sha256": {}}
+    return json.dumps({**about, "task": {"name": "throwing"}, **changes})
+
+
 @pytest.mark.parametrize(
     "text, says",
     [
         ("{", "is not JSON"),
         ('{"format": "gendom-recording/1"}', "has the format 'gendom-recording/1'"),
         ('{"format": "gendom-demonstrations/1"}', "has the format 'gendom-demonstrations/1'"),
-        ('{"format": "gendom-demonstrations/2", "shard_size": 4, "task": {}}', "usable size"),
-        ('{"format": "gendom-demonstrations/2", "size": 4, "shard_size": 4}', "usable task"),
+        ('{"format": "gendom-demonstrations/2", "shard_size": 4, "task": {}}', "field size"),
+        ('{"format": "gendom-demonstrations/2", "size": 4, "shard_size": 4}', "field task"),
+        (described(size=10**13), "has 2500000000000 shards"),
+        (described(size=0), "size is 0"),
+        (described(size=4.5), "size: expected int, got float"),
+        (described(size=10**400), "not JSON"),
+        (described(task={}), "its task has no name"),
+        (described(sha256={"a": 3}), "sha256.*expected str"),
+        (described(task="x" + "[" * 10_000), "expected object, got str"),
+        ('{"a":' * 10_000 + "1" + "}" * 10_000, "not JSON"),
     ],
 )
 def test_a_bad_description_is_named(tmp_path, text, says):

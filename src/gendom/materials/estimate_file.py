@@ -37,6 +37,9 @@ HIDDEN = ("damping", "friction")
 ASSUMED_DENSITY_SD = 0.5
 """Of the logarithm of a density that is assumed, as ropes and cloths have 300 to 2,000 kg/m^3."""
 
+LARGEST_SD = 10.0
+"""Of the logarithm of a density in a file: twice that of all matter on Earth."""
+
 SIZES = ("length", "width", "height", "diameter", "thickness", "side")
 """Names of sizes in files [m]."""
 
@@ -287,12 +290,15 @@ def fields_of(
         known.pop("E", None)
     material = (read.get("simulation") or {}).get("material")
     sd = catalogue.get(material).density.log_sd if material else ASSUMED_DENSITY_SD
+    density_sd = float(read.get("density_sd", 0.0 if "mass" in known else sd))
+    what = f"density_sd is {density_sd:g}"
+    require(0.0 <= density_sd <= LARGEST_SD, what, fix="estimate again")
     fields = {
         "kind": kind,
         "known": known,
         "posterior": posterior,
         "level": level,
-        "density_sd": float(read.get("density_sd", 0.0 if "mass" in known else sd)),
+        "density_sd": density_sd,
         "about": {k: v for k, v in read.items() if k not in _OWN},
     }
     return fields, stated

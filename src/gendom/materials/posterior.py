@@ -22,8 +22,8 @@ IDENTIFIABLE = 0.5
 """A parameter counts as determined where its posterior deviation is at most this share of the
 prior's."""
 
-LARGEST = 700.0
-"""Of a transformed mean: exp() of more is no number."""
+LARGEST, WIDEST = 300.0, 30.0
+"""Of a transformed mean, and of a standard deviation: exp() of 700 is no number."""
 
 NUMBERS = ("low", "high", "mean", "sd", "step", "widest")
 """Fields of `Prior` that are arrays."""
@@ -283,14 +283,16 @@ class Posterior:
         covariance = check_numbers("covariance", np.array(stored.covariance).reshape(-1, P), (P, P))
         for name, values in numbers.items():
             check_numbers(f"posterior's {name}", values, (P,), finite=name in told)
-        known = len(owners) == P and all(k is None or 0 <= k < max(len(bases), 1) for k in owners)
+        count = len(bases) or P  # a Gaussian alone does not say how many recordings there are
+        known = len(owners) == P and all(k is None or 0 <= k < count for k in owners)
         ordered = bool((numbers["low"] < numbers["high"]).all() and (numbers["sd"] > 0.0).all())
         beyond = bool((np.abs([mean, numbers["low"], numbers["high"]]) > LARGEST).any())
+        beyond |= bool((np.diag(covariance) > WIDEST**2).any())
         mirrored = np.allclose(covariance, covariance.T, rtol=1e-6, atol=0.0)
         for holds, what in (
             (known, f"recordings are {list(owners)}, there are {len(bases)}"),
             (ordered, "ends before it begins, or a deviation is not positive"),
-            (not beyond, f"a mean or the end of a range is beyond {LARGEST:g}"),
+            (not beyond, f"a mean or end is beyond {LARGEST:g}, or a deviation {WIDEST:g}"),
             (mirrored, "covariance is not symmetric"),
             (
                 stored.log in (None, tuple(UNKNOWNS[n].log for n in names)),
