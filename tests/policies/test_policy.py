@@ -88,6 +88,12 @@ def test_parameters_outside_are_clipped_with_a_warning(make_policy, caplog):
     assert tuple(record.message for record in caplog.records) == action.warnings
 
 
+def test_parameters_of_many_are_clipped_too(make_policy):
+    policy, session = make_policy()
+    policy.actions([1.4] * 3, {"bending_ratio": [0.1, 0.5, 2.0], "nu": 0.3})
+    assert session.fed["bending_ratio"][:, 0] == pytest.approx([0.25, 0.5, 0.7])
+
+
 def test_action_beyond_the_limits_is_moved_into_them(make_policy):
     policy, session = make_policy()
     session.offset = 0.5

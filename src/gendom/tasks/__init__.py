@@ -134,7 +134,9 @@ def rebuild(description: Mapping[str, Any]) -> Task:
     try:
         return find_task(name).from_settings(settings)
     except (KeyError, TypeError) as error:
-        what = f"its task {name!r} has other settings here ({type(error).__name__} {error})"
+        what = (
+            f"its task {name!r} has settings that are unknown here ({type(error).__name__} {error})"
+        )
         raise ParameterError(what, fix="use this version of gendom to make it again") from error
 
 
