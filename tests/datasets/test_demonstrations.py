@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from gendom import __version__
 from gendom.datasets import demonstrations
 from gendom.datasets.demonstrations import (
     Outcomes,
@@ -304,7 +305,7 @@ def test_shards_without_a_description_are_refused(whole):
 
 def test_a_set_of_another_version_is_left_alone(whole, monkeypatch):
     monkeypatch.setattr(demonstrations, "__version__", "99.0.0")
-    with pytest.raises(DatasetError, match=r'gendom is "0.1.0" there and "99.0.0" here'):
+    with pytest.raises(DatasetError, match=rf'gendom is "{__version__}" there and "99.0.0" here'):
         make(whole, 20)
     assert len(load(whole)) == 10
 

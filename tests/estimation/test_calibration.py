@@ -19,7 +19,7 @@ from gendom.materials.posterior import Posterior, prior_of
 BASE = Theta(E_over_rho=700.0)
 
 
-def posterior_of(calibration, added=0.0):
+def posterior_of(calibration, added: Any = 0.0):
     prior = prior_of(("E_over_rho", "nu"))
     mean, covariance = np.array([6.0, 0.3]), np.diag([0.03**2, 0.001**2])
     return calibration.posterior(prior, mean, covariance, [BASE], added)

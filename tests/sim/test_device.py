@@ -10,7 +10,7 @@ from gendom.sim import device, open_device
 
 
 @wp.kernel
-def doubled(x: wp.array(dtype=float)):
+def doubled(x: wp.array[float]):
     i = wp.tid()
     x[i] = 2.0 * x[i]
 

@@ -113,7 +113,7 @@ def load_kernels(module: Any, device: Any, block_dim: int | None = None) -> None
 
 def _folders(module: Any) -> list[Path]:
     """A module's in Warp's cache, one for each version of its code."""
-    return list(Path(wp.config.kernel_cache_dir).glob(f"wp_{module.name}_*/"))
+    return list(Path(str(wp.config.kernel_cache_dir)).glob(f"wp_{module.name}_*/"))
 
 
 def _checksums(folder: Path) -> dict[str, str]:

@@ -437,7 +437,7 @@ class Task(ABC):
             KeyError, TypeError, ParameterError: They are not those of this task.
         """
         types = get_type_hints(cls) | {"item": dict[str, float]}
-        given = {
+        given: dict[str, Any] = {
             name: record_of(types[name], with_current_names(value, kind), where=f"task.{name}",
                             fix="make it again", error=ParameterError)
             for name, value in settings.items()
