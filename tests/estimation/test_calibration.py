@@ -1,13 +1,15 @@
 """What makes intervals honest: deviations added to the likelihood's own; and what they stand on."""
 
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from gendom.estimation import IntervalCalibration, LiftScene, Theta
+from gendom.errors import ParameterError, RecordingError
+from gendom.estimation import IntervalCalibration, LiftScene, Theta, estimate
 from gendom.estimation.estimate import _posterior
 from gendom.estimation.likelihood import NoiseModel, Observation
 from gendom.estimation.replay import held_reach, middle
@@ -87,3 +89,15 @@ def test_damping_that_is_not_determined_is_assumed():
         assert ("damping" in found.assumed) == assumed
         wanted = ASSUMED["damping"] if assumed else 0.02
         assert found.rope().material.damping == pytest.approx(wanted)
+
+
+def test_recordings_that_were_made_are_checked_as_those_that_are_read(rope_lift):
+    lift = rope_lift.seen()
+    broken = replace(lift, time=lift.time[::-1].copy())
+    with pytest.raises(RecordingError, match=r"recording 2: time"):
+        estimate([lift, broken])
+    with pytest.raises(RecordingError, match=r"time"):
+        estimate(broken)
+    for other in ([lift, "lift.npz"], 3):
+        with pytest.raises(ParameterError, match="recordings"):
+            estimate(other)

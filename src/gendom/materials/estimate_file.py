@@ -108,13 +108,13 @@ class Calibrated:
     """[4, 4]."""
 
 
-CHECKSUM = "sha256"
-"""Entry of the file: the checksum of all others."""
+CHECKSUM, TIMES = "sha256", ("seconds", "stage_seconds")
+"""Entry of the file: the checksum of all others but these, which differ from run to run."""
 
 
 def checksum(record: Mapping[str, Any]) -> str:
-    """SHA-256 of a record's other entries, however their text is laid out."""
-    rest = {name: value for name, value in record.items() if name != CHECKSUM}
+    """SHA-256 of a record's entries, however their text is laid out."""
+    rest = {name: value for name, value in record.items() if name not in (CHECKSUM, *TIMES)}
     text = json.dumps(json.loads(to_json(rest), parse_int=float), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
