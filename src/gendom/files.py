@@ -57,10 +57,10 @@ FULL = (errno.ENOSPC, errno.EDQUOT)
 LARGEST_FILE = 1 << 28
 """Of a file that is read whole, and of what compressed data unpacks to [bytes]."""
 
-MOST_UNPACKED = 16
+MOST_UNPACKED = 64
 """How many times their size large compressed data may unpack to."""
 
-LARGEST_CSV, LARGEST_JSON, LARGEST_TOML = 1 << 25, 1 << 23, 1 << 16
+LARGEST_CSV, LARGEST_JSON, LARGEST_TOML = 1 << 24, 1 << 23, 1 << 16
 """Of files of text [bytes]: numbers as text take twenty times their size in memory."""
 
 MOST_PIXELS = 1 << 24
@@ -539,19 +539,27 @@ def read_number_table(
     if on_cut is not None and not whole and len(lines) > 1 and _is_cut(last, len(names)):
         on_cut(number)
         del lines[-1]
-    table = np.empty((len(lines), len(names)))
-    for i, (number, row) in enumerate(lines):
-        where = f"{path}, line {number}"
-        if len(row) != len(names):
-            what = f"{len(row)} values under {len(names)} column names"
-            raise error(what, where=where, fix="give one value a column")
-        for j, text in enumerate(row):
-            try:
-                table[i, j] = float(text)
-            except ValueError:
-                where, fix = f"{where}, column {names[j]}", "give seconds and metres"
-                raise error(f"{text!r} is no number", where=where, fix=fix) from None
+    try:
+        table = np.array([row for _, row in lines], dtype=np.float64)
+        if table.shape[1] != len(names):
+            raise ValueError
+    except ValueError:
+        for number, row in lines:
+            _check_row(names, row, f"{path}, line {number}", error)
+        raise
     return names, table, [number for number, _ in lines]
+
+
+def _check_row(names: list[str], row: list[str], where: str, error: type[GendomError]) -> None:
+    """Refuse a row that does not give one number a column."""
+    what = f"{len(row)} values under {len(names)} column names"
+    require(len(row) == len(names), what, where=where, fix="give one value a column", error=error)
+    for name, text in zip(names, row, strict=True):
+        try:
+            float(text)
+        except ValueError:
+            where, fix = f"{where}, column {name}", "give seconds and metres"
+            raise error(f"{text[:60]!r} is no number", where=where, fix=fix) from None
 
 
 def _is_cut(row: Sequence[str], width: int) -> bool:

@@ -57,7 +57,7 @@ def test_every_demonstration_that_did_not_fail_is_an_episode(made):
     table = load(made[0]).to_pylist()
     kept = [row for row in table if row["ok"]]
     frames = pq.read_table(made[1] / DATA)
-    meta = ("gendom.json", "info.json", "stats.json", "tasks.parquet")
+    meta = ("gendom.json", "gendom.sha256", "info.json", "stats.json", "tasks.parquet")
     assert files(made[1]) == sorted([DATA, EPISODES, *(f"meta/{name}" for name in meta)])
     assert len(frames) == len(kept) == 9
     names = ["goal_x", "length", "diameter", *OBJECT]

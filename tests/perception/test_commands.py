@@ -16,7 +16,6 @@ from gendom.perception import (
     PngCamera,
     RealSenseWriter,
     read_cameras,
-    read_seen_by,
 )
 
 RED = ["--colour", "180", "30", "35"]
@@ -73,7 +72,7 @@ def test_recording_of_a_rope(lift, perceive):
         error = rope.distance(recording.frame(t).astype(float))
         # Half the pictures' size doubles the noise.
         assert abs(error.mean()) < 2e-3 and np.sqrt(np.mean(error**2)) < 6e-3
-    seen_by = read_seen_by(out)
+    seen_by = np.load(out)["seen_by"]
     assert seen_by is not None and len(seen_by) == len(recording.points)
     assert set(np.unique(seen_by)) == {1, 2, 3}
 

@@ -110,6 +110,5 @@ def summary_text(path: str, summary: dict[str, Any]) -> str:
         ("table", "none" if table is None else f"at z = {table:.4g} m"),
         ("motion", "quasi-static" if summary["quasi_static"] else "dynamic"),
     ]
-    return "\n".join(
-        [f"{printable(path)}: can be used", *(f"  {name:<9} {text}" for name, text in rows)]
-    )
+    lines = [f"  {name:<9} {text}" for name, text in rows]
+    return "\n".join([f"{printable(path)}: can be used", *lines])

@@ -55,6 +55,7 @@ _MAX_AWAY = 50.0  # [m] that a camera stands from it
 _LENGTHS = {"centimetres": 100.0, "millimetres": 1000.0}  # units given by mistake, in a metre
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of numbers that are told
 def check(recording: RecordingData) -> list[Fault]:
     """Check the content and return all faults, errors before warnings."""
     faults = [*_check_object(recording.object), *_check_fields(recording)]

@@ -26,7 +26,8 @@ from gendom.files import read_number_table, read_toml
 
 _PARTS = re.compile(r"(\d+)")
 _DECIMAL = re.compile(r"((?:(?<![^\W_])-)?\d+(?:\.\d+)?(?:e[-+]\d{1,2}(?!\d))?)")
-_TIME = re.compile(r"\d\.\d{3}|(?<!\d)\d{10,19}(?!\d)")
+_SINCE_1970 = re.compile(r"(?<!\d)1\d{9}(?:\d{3}){0,3}(?!\d)")  # in s, ms, us or ns
+_THOUSANDTHS = re.compile(r"\d\.\d{3}")
 
 READERS: dict[str, Callable[[Path], np.ndarray]] = {
     ".ply": read_ply,
@@ -135,20 +136,22 @@ def in_order(names: list[str], time: np.ndarray, *, where: str) -> list[str]:
 
 
 def check_named(names: list[str], time: np.ndarray, *, where: str) -> None:
-    """Check names of frames in order: where most are times, they must be those of the frames [T],
-    in any unit and from any start.
+    """Check names of frames in order: where most are times since 1970, they must be those of the
+    frames [T], in any unit and from any start; where most have thousandths, they may also grow
+    evenly, as counters do.
 
     Raises:
         RecordingError: They are not.
     """
-    if len(names) < 2 or sum(map(bool, map(_TIME.search, names))) <= len(names) / 2:
-        return
-    off, _ = _misfit(_numbers_of(_DECIMAL, names), time)
-    step = float(np.median(np.diff(time)))
-    what = f"times in names, as {names[0]!r}, are up to {off:.3g} s from those of the frames"
-    fix = "give each frame the time of its row, or name them 0000, 0001, ..."
-    right = off <= step or not np.isfinite(off)
-    require(right, what, where=where, fix=fix, error=RecordingError)
+    as_times, evenly = _misfit(_numbers_of(_DECIMAL, names), time)
+    for pattern, off in ((_SINCE_1970, as_times), (_THOUSANDTHS, min(as_times, evenly))):
+        if sum(map(bool, map(pattern.search, names))) > len(names) / 2 and np.isfinite(off):
+            what = (
+                f"times in names, as {names[0]!r}, are up to {off:.3g} s from those of the frames"
+            )
+            fix = "give each frame the time of its row, or name them 0000, 0001, ..."
+            right = off <= float(np.median(np.diff(time)))
+            require(right, what, where=where, fix=fix, error=RecordingError)
 
 
 def _name_key(pattern: re.Pattern[str], name: str) -> list[tuple[int, Decimal, str]]:

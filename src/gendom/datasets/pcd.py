@@ -33,6 +33,7 @@ _SIZES = {"I": (1, 2, 4, 8), "U": (1, 2, 4, 8), "F": (4, 8)}
 _KEYS = ("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT")
 _KEYS += ("WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _MOST = 1 << 16  # numbers in one field of a point
+_LARGEST_PACKED = 1 << 24  # [bytes]; decompressing many short pieces takes seconds
 
 
 def read_pcd(path: str | os.PathLike) -> np.ndarray:
@@ -112,9 +113,9 @@ def _compressed(data: bytes, element: Element) -> np.ndarray:
     packed, size = struct.unpack_from("<II", data)
     if size != (needed := element.count * element.row().itemsize):
         raise CloudError(f"unpacks to {size} bytes where {needed} are announced")
-    if size > LARGEST_FILE:
-        raise CloudError(f"unpacks to {size} bytes, at most {LARGEST_FILE} are read")
     check_length(len(data), 8 + packed, "bytes")
+    if size > LARGEST_FILE or packed > _LARGEST_PACKED:
+        raise CloudError(f"has {packed} bytes that unpack to {size}, too many: use DATA binary")
     return points_of_columns(_lzf(data[8 : 8 + packed], size), element)
 
 
@@ -140,12 +141,8 @@ def _lzf(data: bytes, size: int) -> bytearray:
             at += 1
             if begin < 0:
                 raise IndexError
-            length += 2
-            while length > 0:  # source and destination of the copy may overlap
-                part = out[begin : begin + length]
-                out += part
-                length -= len(part)
-                begin += len(part)
+            part = out[begin : begin + length + 2]  # short where source and destination overlap
+            out += (part * (length // len(part) + 3))[: length + 2]
             if len(out) > size:
                 raise IndexError
     except IndexError:

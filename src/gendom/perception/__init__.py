@@ -19,7 +19,7 @@ from gendom.perception.frames import (
     match_frames,
 )
 from gendom.perception.live import RealSenseCamera, record_cameras
-from gendom.perception.perceive import Perceived, PerceptionSettings, perceive, read_seen_by
+from gendom.perception.perceive import Perceived, PerceptionSettings, perceive
 from gendom.perception.realsense import RealSenseRecording, RealSenseWriter
 from gendom.perception.robot import CapsulePath, Capsules
 from gendom.perception.ros import RosSettings, bag_files, read_ros_bag
@@ -59,7 +59,6 @@ __all__ = [
     "read_camera",
     "read_cameras",
     "read_ros_bag",
-    "read_seen_by",
     "record_cameras",
     "write_camera",
 ]

@@ -7,7 +7,6 @@ import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ import numpy.typing as npt
 
 from gendom.arguments import require
 from gendom.datasets import Fault, Recording
-from gendom.datasets.npz import from_npz
 from gendom.datasets.recording import check_name
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
@@ -515,16 +513,3 @@ _REMEDIES = {
     "voxels": "check the settings",
     "outliers": "only scattered points are left: check the colour, or lower --min-cluster",
 }
-
-
-def read_seen_by(path: str | os.PathLike) -> npt.NDArray[np.uint8] | None:
-    """The array `seen_by` of a recording's file, uint8 [S]; None where it has none.
-
-    Raises:
-        RecordingError: The file cannot be read.
-    """
-
-    def take(archive: Any) -> npt.NDArray[np.uint8] | None:
-        return archive[SEEN_BY] if SEEN_BY in archive.files else None
-
-    return from_npz(Path(path), take, write="write it with gendom perceive")

@@ -35,6 +35,8 @@ FINGER_MARGIN = 0.003
 """Largest margin around the fingers [m]: about the depth noise at 0.8 m."""
 
 _MAX_JOINT_STEP = 0.05  # [rad]; between two rows: ends then sag by 0.3 mm at most
+_MOST_TURNS = 2000.0  # [rad]; a robot at full speed needs ten minutes
+_MOST_CAPSULES = 1000
 _MAX_GAP_AT_ENDS = 0.1  # [s]; the joints may begin later and end earlier by so much
 _COLUMNS = ("time", "capsule", "x0", "y0", "z0", "x1", "y1", "z1", "radius")
 
@@ -158,6 +160,9 @@ def read_shape(
             states = read_joints(joints, arm, on_cut=lambda line: on_warning(cut_off(joints, line)))
         except RobotError as error:
             raise RecordingError(error.what, where=error.where, fix=error.fix) from None
+        turned = float(np.abs(np.diff(states.q, axis=0)).max(axis=1, initial=0.0).sum())
+        what, fix = f"turn by {turned:.4g} rad in all", "give the joints of one lift, in radians"
+        require(turned < _MOST_TURNS, what, where=str(joints), fix=fix, error=RecordingError)
         sizes = [held.get(size) for size in ("diameter", "thickness")]
         width = next((float(s) for s in sizes if isinstance(s, (int, float))), 0.0)
         shape = arm_capsules(arm, states, held=width)
@@ -215,6 +220,8 @@ def read_capsules(path: str | os.PathLike) -> CapsulePath:
         fix = "give seconds, a name, two ends and a radius above 0 in metres"
         wanted(right and values[-1] > 0.0, f"is no capsule: {','.join(row)[:60]!r}", fix, where)
         track = tracks.setdefault(row[1], [])
+        what, few = f"more than {_MOST_CAPSULES} names", len(tracks) <= _MOST_CAPSULES
+        wanted(few, what, "give the shape fewer capsules", where)
         last = track[-1][0] if track else -np.inf
         what = f"time of capsule {row[1]!r} goes from {last:g} to {values[0]:g} s"
         wanted(values[0] > last, what, "sort the rows", where)

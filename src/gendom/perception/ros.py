@@ -48,7 +48,7 @@ CLOUD, IMAGE, PACKED, INFO = (
 )
 POSE, TF = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
 _SUFFIXES = (".db3", ".mcap")
-_LARGEST_METADATA = 1 << 20  # [bytes]
+_LARGEST_METADATA = 3 << 16  # [bytes]; reading a megabyte of YAML takes ten seconds
 _DENORMAL = 0.01  # of a quaternion's squared length, as tf2 has it
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of PointField
 
@@ -277,8 +277,9 @@ def _reader(
     named = (f"{folder}/camera_info" for folder in above)
     found = next((name for name in named if topics.get(name) == INFO), None)
     info = next((message for _, message in _messages(bag, found)), None) if found else None
-    what = "are depth pictures without a CameraInfo beside them"
-    require(info, what, where=where, fix="record camera_info too", error=RecordingError)
+    if info is None:
+        what = "are depth pictures without a CameraInfo beside them"
+        raise RecordingError(what, where=where, fix="record camera_info too")
     K, D = np.reshape(info.k, (3, 3)), tuple(map(float, info.d))
     if "image_rect" in topic:
         K, D = np.reshape(info.p, (3, 4))[:, :3], ()

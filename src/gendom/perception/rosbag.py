@@ -33,7 +33,7 @@ import numpy.typing as npt
 from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.errors import RecordingError
-from gendom.files import file_size
+from gendom.files import MOST_UNPACKED, file_size
 from gendom.perception.camera import Camera, rigid
 from gendom.perception.png import decode_png
 
@@ -336,19 +336,21 @@ def decompressed(data: bytes, codec: str = "zstd") -> bytes:
     """Decompress data by zstd, if they are so compressed, or by another codec of pyarrow.
 
     Raises:
-        ValueError: They are damaged, or unpack to more than `LARGEST_MESSAGE`.
+        ValueError: They are damaged, or unpack to more than `LARGEST_MESSAGE`, or than 16 MB and
+            `MOST_UNPACKED` times their size.
     """
     if codec == "zstd" and not data.startswith(ZSTD):
         return data
     import pyarrow  # late: few recordings need it
 
+    most = min(LARGEST_MESSAGE, max(1 << 24, MOST_UNPACKED * len(data)))
     try:
         with pyarrow.CompressedInputStream(pyarrow.BufferReader(data), codec) as stream:
-            found = stream.read(LARGEST_MESSAGE + 1)
+            found = stream.read(most + 1)
     except (OSError, pyarrow.ArrowException) as error:
         raise ValueError(str(error)) from None
-    if len(found) > LARGEST_MESSAGE:
-        raise ValueError(f"unpacks to more than {LARGEST_MESSAGE} bytes")
+    if len(found) > most:
+        raise ValueError(f"unpacks to more than {most} bytes")
     return found
 
 

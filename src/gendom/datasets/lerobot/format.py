@@ -16,6 +16,7 @@ lerobot 0.4.4.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Mapping
@@ -27,11 +28,12 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from gendom.datasets.demonstrations import write_parquet
-from gendom.files import atomic_folder, to_json
+from gendom.files import atomic_folder, file_size, to_json
 
 VERSION = "v3.0"
 STATE, ACTION = "observation.state", "action"
 INFO, ABOUT = Path("meta/info.json"), Path("meta/gendom.json")
+SEAL = Path("meta/gendom.sha256")
 
 EPISODES_PER_FILE = 50_000
 """Chosen so that no file, including statistics of episodes, exceeds the format's 100 MB."""
@@ -105,7 +107,18 @@ def write_lerobot(
         write_parquet(_tasks(task), meta / "tasks.parquet")
         _write(root / "data", rows, np.concatenate([[0], np.cumsum(lengths)]))
         _write(meta / "episodes", episodes, np.arange(len(lengths) + 1))
+        (root / SEAL).write_text(seal(root) + "\n", encoding="ascii")
     return info
+
+
+def seal(root: Path) -> str:
+    """SHA-256 of what is read of a data set: Parquet has no checksums."""
+    found = hashlib.sha256()
+    for path in (root / INFO, root / ABOUT, *sorted((root / "data").rglob("*.parquet"))):
+        file_size(path)
+        with open(path, "rb") as file:
+            found.update(hashlib.file_digest(file, "sha256").digest())
+    return found.hexdigest()
 
 
 def _counted(lengths: NDArray[np.integer], fps: int) -> dict[str, NDArray[Any]]:

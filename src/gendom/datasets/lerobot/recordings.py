@@ -27,11 +27,20 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from gendom.datasets.lerobot.format import ABOUT, ACTION, INFO, STATE, statistics, write_lerobot
+from gendom.datasets.lerobot.format import (
+    ABOUT,
+    ACTION,
+    INFO,
+    SEAL,
+    STATE,
+    seal,
+    statistics,
+    write_lerobot,
+)
 from gendom.datasets.npz import short
 from gendom.datasets.recording_form import RecordingData
-from gendom.errors import GendomError, RecordingError
-from gendom.files import read_json
+from gendom.errors import RecordingError
+from gendom.files import check_unpacked, file_size, read_bytes, read_json
 
 POINTS, NUM_POINTS, TIME = "observation.points", "observation.num_points", "observation.time"
 _DATA = Path("data/chunk-000/file-000.parquet")
@@ -110,6 +119,17 @@ def _of_points(points: NDArray[np.float32], T: int, P: int) -> dict[str, Any]:
     return {**alike, "count": [T]}
 
 
+def _read_table(path: Path) -> pa.Table:
+    """The table of a file that does not unpack to too much."""
+    size = file_size(path, RecordingError, missing="is incomplete or damaged (no such file)")
+    # not by its name, which may hold a colon or be no UTF-8
+    with open(path, "rb") as data, pq.ParquetFile(data) as file:
+        groups = [file.metadata.row_group(k) for k in range(file.metadata.num_row_groups)]
+        numbers = sum(g.column(k).num_values for g in groups for k in range(g.num_columns))
+        check_unpacked(8 * numbers, size, str(path), RecordingError)
+        return file.read()
+
+
 def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Read the arrays and meta of a recording from a LeRobot data set.
 
@@ -120,7 +140,7 @@ def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], di
         Arrays by their names in a recording's file, and its `meta`.
 
     Raises:
-        RecordingError: The data set was not made from a recording, is incomplete or damaged.
+        RecordingError: The data set was not made from a recording, or is incomplete or damaged.
     """
     folder = Path(folder)
 
@@ -130,23 +150,23 @@ def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], di
     if not (folder / ABOUT).is_file():
         what = "is a LeRobot data set that was not made of a recording"
         raise fault(what, "give one that gendom export wrote: others lack the object's sizes")
-    try:
-        info, meta = read_json(folder / INFO), read_json(folder / ABOUT)
-    except GendomError as error:
-        raise RecordingError(error.what, where=error.where, fix=error.fix) from None
+    if (folder / SEAL).exists():  # files of older versions have none
+        stated = read_bytes(folder / SEAL, RecordingError).decode("latin-1").strip()
+        if stated != seal(folder):
+            raise fault("is damaged: its files are not those that were written")
+    info, meta = (read_json(folder / name, RecordingError) for name in (INFO, ABOUT))
     if not str(meta.get("format")).startswith("gendom-recording/"):
         raise fault("holds demonstrations, not a recording", "train a policy on them")
     if info.get("total_episodes") != 1:
         raise fault(f"has {info.get('total_episodes')} episodes, not one")
     try:
         names = info["features"][STATE]["names"]
-        with open(folder / _DATA, "rb") as file:  # a name may hold a colon, or be no UTF-8
-            table = pq.read_table(file)
+        table = _read_table(folder / _DATA)
         counts, state = table[NUM_POINTS].to_numpy(), np.array(table[STATE].to_pylist(), float)
         time, order = table[TIME].to_numpy(), table["frame_index"].to_numpy()
         flat = table[POINTS].combine_chunks().flatten().flatten().to_numpy(zero_copy_only=False)
         padded = np.asarray(flat, dtype=np.float32).reshape(len(table), -1, 3)
-    except (FileNotFoundError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
+    except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
         raise fault(f"is incomplete or damaged ({short(error)})") from None
     if len(table) != info.get("total_frames") or (order != np.arange(len(table))).any():
         raise fault(f"has not the {info.get('total_frames')} frames in order that are announced")

@@ -1,0 +1,211 @@
+"""Files of others with random damage: each is read or refused, in bounded time and memory."""
+
+import resource
+import shutil
+import time
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gendom.datasets import ObjectDescription, Recording, write_ply
+from gendom.datasets.lerobot import export_recording
+from gendom.errors import GendomError
+from gendom.perception import Camera, read_cameras, write_camera
+from gendom.perception.calibration import read_views
+from gendom.perception.ros import RosSettings, read_ros_bag
+
+LONGEST, MOST_MEMORY = 2.0, 500e3
+"""Of a case [s of this process], and of all [KiB more than before]."""
+
+WORDS = [b"\0", b"\n", b"-1", b"nan", b"1e400", b"9" * 400, b"../", b"\xff\xfe", b"[" * 2000, b"\\"]
+TOML = 'table_height = 0.0\n[object]\nkind = "rope"\nlength = 0.4\nmass = 0.02\n'
+POINTS = np.random.default_rng(0).normal(size=(12, 3)).astype(np.float32) * 0.05
+
+
+def recording():
+    steps = np.arange(4.0)
+    grip = np.stack([0.0 * steps, 0.0 * steps, 0.01 * steps], axis=1)
+    return Recording.from_frames(
+        [POINTS + at.astype(np.float32) for at in grip],
+        time=0.1 * steps,
+        gripper_position=grip,
+        object=ObjectDescription(kind="rope", length=0.4, mass=0.02),
+        table_height=0.0,
+    )
+
+
+def as_pcd(path, encoding):
+    head = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+    head += f"WIDTH 12\nHEIGHT 1\nPOINTS 12\nDATA {encoding}\n"
+    data = POINTS.T.tobytes()
+    packed = b"".join(bytes([31]) + data[k : k + 32] for k in range(0, len(data) - 16, 32))
+    packed += bytes([15]) + data[-16:]
+    data = {
+        "ascii": "\n".join(" ".join(map(repr, map(float, p))) for p in POINTS).encode(),
+        "binary": POINTS.tobytes(),
+        "binary_compressed": np.array([len(packed), len(data)], "<u4").tobytes() + packed,
+    }[encoding]
+    path.write_bytes(head.encode() + data)
+
+
+def cameras(folder):
+    place = folder / "cameras" / "left"
+    (place / "depth").mkdir(parents=True)
+    K = np.array([[10.0, 0.0, 4.0], [0.0, 10.0, 2.0], [0.0, 0.0, 1.0]])
+    camera = Camera(name="left", width=8, height=4, K=K, T_world_camera=np.eye(4))
+    write_camera(place / "camera.toml", camera)
+    for k in range(3):
+        Image.fromarray(np.full((4, 8), 900, np.uint16)).save(place / "depth" / f"{k}.png")
+    rows = [f"{0.1 * k},depth/{k}.png" for k in range(3)]
+    (place / "frames.csv").write_text("\n".join(["time,depth", *rows, ""]))
+    names = "time,capsule,x0,y0,z0,x1,y1,z1,radius\n"
+    (folder / "capsules.csv").write_text(names + "0.0,hand,0,0,0,0,0,1,0.1\n")
+    joints = ["time,q0,q1,q2,q3,q4,q5,q6", *(f"{0.1 * k},0,0,0,0.5,0,0,0" for k in range(3))]
+    (folder / "joints.csv").write_text("\n".join([*joints, ""]))
+    gripper(folder)
+
+
+def gripper(folder):
+    rows = [f"{0.1 * k},0,0,{0.01 * k}" for k in range(4)]
+    (folder / "gripper.csv").write_text("\n".join(["time,x,y,z", *rows, ""]))
+    (folder / "object.toml").write_text(TOML)
+
+
+def board(folder):
+    text = "squares_x = 5\nsquares_y = 4\nsquare = 0.04\nmarker = 0.03\n"
+    (folder / "board.toml").write_text(text)
+    rows = [f"{k}.png,0,0,0,0,0,0,1" for k in range(2)]
+    (folder / "poses.csv").write_text("\n".join(["picture,x,y,z,qx,qy,qz,qw", *rows, ""]))
+    for k in range(2):
+        Image.fromarray(np.full((4, 8), 90, np.uint8)).save(folder / f"{k}.png")
+
+
+def bag(folder, plugin):
+    rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="needs rosbags: the extra ros")
+    from rosbags.typesys import Stores, get_typestore
+
+    store, stamp = get_typestore(Stores.ROS2_HUMBLE), "builtin_interfaces/msg/Time"
+    made = {name.split("/")[-1]: kind for name, kind in store.types.items()}
+    shutil.rmtree(folder)
+    with rosbag2.Writer(folder, version=9, storage_plugin=rosbag2.StoragePlugin[plugin]) as file:
+        cloud, pose = "sensor_msgs/msg/PointCloud2", "geometry_msgs/msg/PoseStamped"
+        topics = {k: file.add_connection(f"/{k[-4:]}", k, typestore=store) for k in (cloud, pose)}
+        for k in range(4):
+            at = store.types[stamp](sec=k, nanosec=0)
+            header = made["Header"](stamp=at, frame_id="world")
+            fields = [
+                made["PointField"](name=axis, offset=4 * n, datatype=7, count=1)
+                for n, axis in enumerate("xyz")
+            ]
+            seen = made["PointCloud2"](
+                header=header, height=1, width=12, fields=fields, is_bigendian=False,
+                point_step=12, row_step=144, data=POINTS.view(np.uint8).ravel(), is_dense=True,
+            )  # fmt: skip
+            held = made["PoseStamped"](
+                header=header,
+                pose=made["Pose"](
+                    position=made["Point"](x=0.0, y=0.0, z=0.01 * k),
+                    orientation=made["Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+                ),
+            )
+            for kind, message in ((cloud, seen), (pose, held)):
+                file.write(topics[kind], k * 10**9, store.serialize_cdr(message, kind))
+    (folder / "object.toml").write_text(TOML)
+
+
+def clouds(write):
+    def make(folder):
+        for k in range(4):
+            write(folder, f"{k:04d}")
+        gripper(folder)
+
+    return make
+
+
+def read(folder):
+    Recording.read(folder, on_warning=lambda _: None)
+
+
+def read_bag(folder):
+    read_ros_bag(folder, folder / "object.toml", RosSettings(gripper="/mped"))
+
+
+def read_pictures(folder):
+    for source in read_cameras(folder).sources:
+        for frame in source:
+            frame.read()
+
+
+def read_boards(folder):
+    K = np.array([[10.0, 0.0, 4.0], [0.0, 10.0, 2.0], [0.0, 0.0, 1.0]])
+    camera = Camera(name="left", width=8, height=4, K=K, T_world_camera=np.eye(4))
+    read_views(folder, camera, on_warning=lambda _: None)
+
+
+READERS = {
+    "npz": (lambda f: recording().write(f / "a.npz"), lambda f: read(f / "a.npz")),
+    "lerobot": (lambda f: export_recording(recording(), f / "out"), lambda f: read(f / "out")),
+    "ply": (clouds(lambda f, n: write_ply(f / f"{n}.ply", POINTS)), read),
+    "ply as text": (clouds(lambda f, n: write_ply(f / f"{n}.ply", POINTS, text=True)), read),
+    "clouds as npz": (clouds(lambda f, n: np.savez(f / f"{n}.npz", points=POINTS)), read),
+    **{
+        f"pcd {e}": (clouds(lambda f, n, e=e: as_pcd(f / f"{n}.pcd", e)), read)
+        for e in ("ascii", "binary", "binary_compressed")
+    },
+    "mcap": (lambda f: bag(f, "MCAP"), read_bag),
+    "db3": (lambda f: bag(f, "SQLITE3"), read_bag),
+    "cameras": (cameras, read_pictures),
+    "board": (board, read_boards),
+}
+
+
+def damaged(data, rng):
+    """The same bytes with one to three places changed."""
+    data = bytearray(data)
+    for _ in range(rng.integers(1, 4)):
+        at = int(rng.integers(len(data) + 1))
+        end = min(len(data), at + int(rng.integers(1, 40)))
+        kind = rng.integers(6)
+        if kind == 0 and at < len(data):
+            data[at] ^= 1 << rng.integers(8)
+        elif kind == 1:
+            del data[at:end]
+        elif kind == 2:
+            data[at:at] = data[at:end]
+        elif kind == 3:
+            data[at:at] = WORDS[rng.integers(len(WORDS))]
+        elif kind == 4:
+            data[at:end] = rng.bytes(end - at)
+        else:
+            del data[at + int(0.9 * (len(data) - at)) :]
+    return bytes(data)
+
+
+@pytest.mark.parametrize("count", [8, pytest.param(170, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", READERS)
+def test_damaged_files_are_read_or_refused(tmp_path, kind, count):
+    make, take = READERS[kind]
+    folder = tmp_path / "in"
+    folder.mkdir()
+    make(folder)
+    take(folder)
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    rng, before = np.random.default_rng(count), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for case in range(count):
+        path = files[rng.integers(len(files))]
+        whole = path.read_bytes()
+        path.write_bytes(damaged(whole, rng))
+        began = time.process_time()
+        try:
+            take(folder)
+        except GendomError as error:
+            lines = str(error).splitlines()
+            assert len(lines) <= max(1, len(getattr(error, "faults", ()))), case
+        except Exception as error:
+            raise AssertionError(f"case {case}, {path.name}: {error!r}") from error
+        assert time.process_time() - began < LONGEST, (case, path.name)
+        path.write_bytes(whole)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < MOST_MEMORY
+    assert sorted(path for path in folder.rglob("*") if path.is_file()) == files
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
