@@ -157,6 +157,8 @@ def test_description_survives_json(description):
         (lambda d: d["parameters"].pop("nu"), r"lacks parameters\.nu"),
         (lambda d: d["inputs"][0].update(scale="red"), r"inputs\[0\]\.scale: expected float"),
         (lambda d: d.update(goals=3), "goals: expected object, got int"),
+        (lambda d: d["training"].update(demonstrations=9), r"lacks training\.epochs"),
+        (lambda d: d["training"].update(acted=3), "training: acted: expected object"),
         (lambda d: d["goals"]["at"].reverse(), "its goals are no ranges of 1 number"),
         (lambda d: d["goals"]["low"].append([1.0]), "its goals are no ranges of 1 number"),
         (lambda d: d["goals"]["high"][0].append(1.0), "its goals are no ranges of 1 number"),

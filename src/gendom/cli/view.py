@@ -65,7 +65,7 @@ class Command:
         if self.html is not None:
             page = encode_html(model, self.demonstration)
             with atomic_path(self.html) as temporary:
-                temporary.write_text(page, encoding="utf-8")
+                temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
             tell_written(self.html, json=False)
             return 0
         viewer = Viewer(model, case=self.demonstration, port=self.port)

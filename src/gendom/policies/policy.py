@@ -97,6 +97,29 @@ class GoalRange:
 
 
 @dataclass(frozen=True, kw_only=True)
+class _Acted:
+    """What is read of how a policy did in new cases."""
+
+    cases: int
+    error_over_size: dict[str, float | None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Trained:
+    """What is read of `Description.training`."""
+
+    demonstrations: int | None = None
+    failed: int = 0
+    seed: int | None = None
+    epochs: int | None = None
+    architecture: str | None = None
+    refine: int = 0
+    refine_cases: int | None = None
+    refined_in: dict[str, str | int | float | bool | None] | None = None
+    acted: _Acted | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Description:
     """What a policy file says about itself."""
 
@@ -149,7 +172,15 @@ class Description:
         Raises:
             PolicyError: It cannot.
         """
-        lacking = [f"task.{n}" for n in ("name", "item", "ranges") if n not in self.task]
+        place = f"{where}: training"
+        trained = record_of(_Trained, self.training, where=place, fix="train it again",
+                            error=PolicyError)  # fmt: skip
+        errors = trained.acted.error_over_size if trained.acted else {"mean": 0.0, "p95": 0.0}
+        lacking = [f"training.acted.{n}" for n in ("mean", "p95") if n not in errors]
+        made = ("seed", "epochs", "architecture") if trained.demonstrations else ()
+        made += ("refine_cases",) if made and trained.refine else ()
+        lacking += [f"training.{n}" for n in made if getattr(trained, n) is None]
+        lacking += [f"task.{n}" for n in ("name", "item", "ranges") if n not in self.task]
         lacking += [f"parameters.{n}" for n in PARAMETERS if n not in self.parameters]
         goals, G = self.goals, len(self.goal_names)
         at, sides = np.array(goals.at), (goals.low, goals.high)
@@ -282,7 +313,8 @@ class Policy(Shown):
         about = self.description
         middle = {name: sum(about.parameters[name]) / 2.0 for name in about.conditioned_on}
         try:
-            acted = self.actions(about.goals(None).mean(axis=1)[None], middle)
+            with np.errstate(over="ignore"):
+                acted = self.actions(about.goals(None).mean(axis=1)[None], middle)
             fault = "" if acted.shape == (1, len(about.outputs)) else f"of shape {acted.shape}"
             fault = fault or ("" if np.isfinite(acted).all() else "that are not finite")
         except Exception as error:  # onnxruntime's own exceptions share no public base class
