@@ -98,6 +98,7 @@ def test_recordings_that_were_made_are_checked_as_those_that_are_read(rope_lift)
         estimate([lift, broken])
     with pytest.raises(RecordingError, match=r"time"):
         estimate(broken)
-    for other in ([lift, "lift.npz"], 3):
+    others: list[Any] = [[lift, "lift.npz"], 3]
+    for other in others:
         with pytest.raises(ParameterError, match="recordings"):
             estimate(other)

@@ -12,7 +12,7 @@ from gendom.sim import device, open_device
 @wp.kernel
 def doubled(x: wp.array[float]):
     i = wp.tid()
-    x[i] = 2.0 * x[i]
+    x[i] = 2.0 * x[i]  # pyright: ignore[reportIndexIssue]
 
 
 @pytest.fixture

@@ -443,4 +443,5 @@ class Task(ABC):
             for name, value in settings.items()
             for kind in ("range" if name == "ranges" else "quantity",)
         }  # fmt: skip
-        return cls(**given | {"item": from_columns(cls.kind, given["item"])})
+        given["item"] = from_columns(cls.kind, given["item"])
+        return cls(**given)
