@@ -3,6 +3,7 @@
 #   make demo    the whole pipeline on the recorded lift    make bench     speed of the simulator
 #   make test    the tests (make test ARGS="-m slow")       make validate  it, beside mechanics
 #   make check   ruff and pyright                           make docs      the site, in docs/_build
+#   make test-lowest   the fast tests with the oldest versions that pyproject.toml allows
 #   make clean   remove .venv, caches, demo/ and docs/_build
 #
 # PYTHON chooses the interpreter (3.11 or newer): make demo PYTHON=python3.12
@@ -29,7 +30,7 @@ else ifeq ($(shell $(BIN)/python -c "print(1)" 2>/dev/null),)
 .PHONY: $(PLACE)
 endif
 
-.PHONY: demo test check validate bench docs clean
+.PHONY: demo test test-lowest check validate bench docs clean
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
 
@@ -38,6 +39,14 @@ demo: $(CORE)
 
 test: $(FULL)
 	@$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile $(ARGS)
+
+# In an environment of its own. Tests that need torch or Ray skip.
+test-lowest:
+	@echo "installing the oldest versions in .venv-lowest (1 to 5 minutes)"
+	@$(PYTHON) -m venv --clear .venv-lowest
+	@.venv-lowest/bin/python -m pip --disable-pip-version-check install -qq -c constraints-lowest.txt \
+	  -e '.[data,reality,camera,viz,ros]' pytest pytest-xdist
+	@.venv-lowest/bin/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile $(ARGS)
 
 check: $(FULL)
 	@$(BIN)/ruff check
@@ -56,7 +65,7 @@ docs: $(FULL)
 	@echo "docs/_build/index.html"
 
 clean:
-	rm -rf $(VENV) build dist demo docs/_build .pytest_cache .ruff_cache
+	rm -rf $(VENV) .venv-lowest build dist demo docs/_build .pytest_cache .ruff_cache
 	find src tests validation -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(PLACE):

@@ -28,5 +28,5 @@ def test_errors_survive_pickling():
 
 def test_what_cannot_be_printed_is_escaped():
     error = GendomError("is cut short", where="a\nb\x1b[31m.ply", fix="copy it")
-    assert str(error) == r"a\nb\x1b[31m.ply: is cut short; copy it"
+    assert str(error) == r"a\nb\u001b[31m.ply: is cut short; copy it"
     assert len(str(GendomError("x" * 10**6))) < 5000

@@ -2,6 +2,8 @@
 
 import re
 import subprocess
+import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -50,3 +52,29 @@ def test_every_extra_is_imported_somewhere():
     source = "".join(p.read_text(encoding="utf-8") for p in (folder / "src").rglob("*.py"))
     for name in _EXTRAS:
         assert re.search(rf"^\s*(import|from) {name}\b", source, re.MULTILINE), name
+
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_every_place_states_one_version():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    cited = re.search(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert cited is not None and project["version"] == cited[1] == __version__
+    assert f"## [{__version__}]" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_the_oldest_versions_are_those_that_are_tested():
+    """Lower bounds of `pyproject.toml`, but for extras that `make test-lowest` leaves out."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    bounds = [*project["dependencies"]]
+    bounds += [b for extra in ("data", "reality", "camera", "viz", "ros") for b in extras[extra]]
+    tested = dict(
+        line.split("==")
+        for line in (ROOT / "constraints-lowest.txt").read_text().splitlines()
+        if "==" in line
+    )
+    for bound in bounds:
+        name, lowest = bound.partition(";")[0].partition(",")[0].split(">=")
+        assert f"{tested[name]}.".startswith(f"{lowest}."), bound

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from gendom.sim import Simulator
     from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Public name -> module that defines it. Keep in step with the block above and `__all__`.
 _EXPORTS = {

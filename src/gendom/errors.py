@@ -7,6 +7,7 @@ without a traceback and exits with code 2.
 from __future__ import annotations
 
 import difflib
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -118,7 +119,7 @@ class DatasetError(GendomError):
 def one_line(what: str, *, where: str | None = None, fix: str | None = None) -> str:
     """ "where: what; fix", without the parts left out.
 
-    What is longer than `LONGEST` is cut, and the rest as of `printable`.
+    It is `printable`, and what is longer than `LONGEST` is cut.
     """
     line = f"{where}: {what}" if where else what
     line = f"{line}; {fix}" if fix else line
@@ -127,8 +128,10 @@ def one_line(what: str, *, where: str | None = None, fix: str | None = None) -> 
 
 
 def printable(text: object) -> str:
-    """Text in one line, as of names of files: what cannot be printed is escaped."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(text))
+    """A text in which what a terminal would not print but obey, newlines and bytes of names that
+    are no text included, is escaped as in JSON. Names of files and words of files are shown by it.
+    """
+    return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in str(text))
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:

@@ -23,13 +23,15 @@ from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from enum import Enum
 from pathlib import Path, PureWindowsPath
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.errors import GendomError, RecordingError
+
+Record = TypeVar("Record")
 
 FILES = (
     ".csv",
@@ -228,7 +230,8 @@ def to_json(value: Any) -> str:
         GendomError: A number is NaN or infinite (JSON has neither; the message names its
             place), or a value has no JSON form.
     """
-    return json.dumps(_plain(value, ""), indent=2, allow_nan=False, ensure_ascii=False)
+    text = json.dumps(_plain(value, ""), indent=2, allow_nan=False, ensure_ascii=False)
+    return text.encode("utf-8", "backslashreplace").decode()  # names that are not UTF-8
 
 
 def write_json(path: str | os.PathLike, value: Mapping[str, Any]) -> None:
@@ -392,6 +395,32 @@ def parse_json(
         what = f"is not JSON ({fault})"
         raise error(what, where=where, fix="write the file again") from None
     return value
+
+
+def record_of(
+    kind: type[Record], value: Any, *, where: str, fix: str, error: type[GendomError] = GendomError
+) -> Record:
+    """A dataclass of what JSON holds: each of its fields has the type that it says, those without a
+    default are there, and what else is there is left out.
+
+    Args:
+        kind: The dataclass.
+        value: What was read.
+        where: What messages call it.
+        fix: What to do about a fault.
+        error: Raised for every fault.
+
+    Raises:
+        GendomError: As `error`, with the place of the first fault; or what the class raises.
+    """
+    import msgspec
+
+    try:
+        return msgspec.convert(value, kind)
+    except (msgspec.ValidationError, RecursionError) as fault:
+        what, _, place = str(fault).replace("`", "").partition(" - at $")
+        place = f"{where}: {place.lstrip('.')}" if place else where
+        raise error(f"{what[0].lower()}{what[1:]}", where=place, fix=fix) from None
 
 
 def read_toml(

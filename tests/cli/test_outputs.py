@@ -1,12 +1,13 @@
 """Places for results: refused before the work, and named after it."""
 
 import json
-from pathlib import Path
+import os
+import subprocess
+import sys
 
 import pytest
 
 from gendom import cli
-from gendom.cli.outputs import tell_written
 
 FOLDERS = {
     "estimate": ["absent.npz"],
@@ -45,6 +46,8 @@ def test_a_folder_that_cannot_be_is_refused_before_the_work(name, file, capsys):
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_that_cannot_be_is_refused_before_the_work(name, file, capsys):
+    if name == "train":
+        pytest.importorskip("torch")
     words, ending = FILES[name]
     for place, text in (
         (file.with_name("a.mp4"), f"does not end in {ending}, which is what is written"),
@@ -75,6 +78,28 @@ def test_act_prints_then_writes_and_says_so(as_json, tmp_path, capsys):
         assert json.loads(printed.out) == json.loads(out.read_text())
 
 
-def test_names_that_cannot_be_printed_are_escaped(capsys):
-    tell_written(Path("a\nb\x1b[2J.npz"), json=False)
-    assert capsys.readouterr().out == "written: a\\nb\\x1b[2J.npz\n"
+ODD = "a\x1b[31mb\nc\x9b\u202e\udcff"
+"""A name that colours a terminal, fills two lines, turns what follows and is not UTF-8."""
+
+
+@pytest.mark.parametrize("flags", [[], ["--json"]])
+def test_names_are_printed_escaped(tmp_path, capsys, flags):
+    """In errors, in results for people, and in JSON, which gives the name back."""
+    out = tmp_path / ODD / "set"
+    words = ["rope-casting", "--size", "1", "--out", str(out), *flags]
+    assert cli.main(["dataset", *words]) == 0
+    printed = capsys.readouterr()
+    assert cli.main(["check", str(tmp_path / ODD / "no")]) == 2
+    for text in (printed.out, capsys.readouterr().err):
+        assert r"a\u001b[31mb\nc\u009b\u202e\udcff" in text
+        assert all(c.isprintable() for c in text if c != "\n")
+    if flags:
+        assert json.loads(printed.out)["path"] == str(out)
+
+
+def test_what_the_locale_lacks_is_escaped():
+    """Completion holds every help."""
+    words = [sys.executable, "-m", "gendom", "completion", "zsh"]
+    plain = {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}
+    done = subprocess.run(words, capture_output=True, env=os.environ | plain)
+    assert done.returncode == 0 and done.stdout.isascii() and not done.stderr

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,3 +98,26 @@ def test_an_unreachable_cluster_is_told_in_one_line(tmp_path, monkeypatch, recwa
     with pytest.raises(DeviceError, match="no cluster answers there") as error:
         generate(Throwing(), 20, tmp_path / "set", seed=3, cluster="ray://nowhere:10001")
     assert "\n" not in str(error.value) and len(recwarn) == 0
+
+
+ALONE = """
+import os
+from gendom.datasets.cluster import on_cluster
+
+def told(job, device):
+    import ray  # not before on_cluster does
+
+    return ray.get_runtime_context().gcs_address, os.environ["RAY_AUTH_MODE"]
+
+for _, (address, mode) in on_cluster(told, [range(1)], "local", "cpu"):
+    print(address.partition(":")[0], mode)
+print("RAY_AUTH_MODE" in os.environ)
+"""
+
+
+@pytest.mark.slow
+def test_a_cluster_of_this_machine_is_reached_from_nowhere_else():
+    environment = {name: v for name, v in os.environ.items() if not name.startswith("RAY_")}
+    words = [sys.executable, "-c", ALONE]
+    run = subprocess.run(words, capture_output=True, text=True, env=environment)
+    assert run.stdout.split() == ["127.0.0.1", "token", "False"], run.stderr

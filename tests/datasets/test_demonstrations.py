@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from gendom import __version__
 from gendom.datasets import demonstrations
 from gendom.datasets.demonstrations import (
     Outcomes,
@@ -229,7 +230,7 @@ def test_a_set_on_a_full_disk_goes_on_later(tmp_path, whole, monkeypatch, full_a
 
     def fill(table, path, **options):
         if len(written) == full_at:
-            path.write_bytes(b"PAR1")
+            path.write(b"PAR1")
             raise OSError(errno.ENOSPC, "Error writing bytes to file")  # as Arrow says it
         written.append(path)
         write_table(table, path, **options)
@@ -304,7 +305,7 @@ def test_shards_without_a_description_are_refused(whole):
 
 def test_a_set_of_another_version_is_left_alone(whole, monkeypatch):
     monkeypatch.setattr(demonstrations, "__version__", "99.0.0")
-    with pytest.raises(DatasetError, match=r'gendom is "0.1.0" there and "99.0.0" here'):
+    with pytest.raises(DatasetError, match=rf'gendom is "{__version__}" there and "99.0.0" here'):
         make(whole, 20)
     assert len(load(whole)) == 10
 
@@ -328,6 +329,33 @@ def test_a_shard_of_another_set_is_named(tmp_path, whole):
         load(whole)
     rehash(whole)
     with pytest.raises(DatasetError, match=r"shard-00001\.parquet: belongs to another set"):
+        load(whole)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda t: t.drop_columns("goal_x"), "has not the columns of shard-00000"),
+        (lambda t: t.drop_columns("ok"), "lacks columns"),
+        (
+            lambda t: t.drop_columns("speed").append_column("speed", pa.array(["x"] * len(t))),
+            "holds string, not double",
+        ),
+        (lambda t: t.append_column("more", pa.array([1] * len(t))), "more holds int64"),
+        (
+            lambda t: t.drop_columns("fault").append_column(
+                "fault", pa.array(["x" * 10**6] * len(t))
+            ),
+            "unpacks to more than is read",
+        ),
+    ],
+)
+def test_a_shard_with_other_columns_is_named(whole, change, says, monkeypatch):
+    monkeypatch.setattr(demonstrations, "LARGEST_SHARD", 2 * 10**6)
+    table = pq.read_table(shard(whole, 1))
+    pq.write_table(change(table).replace_schema_metadata(table.schema.metadata), shard(whole, 1))
+    rehash(whole)
+    with pytest.raises(DatasetError, match=rf"shard-00001\.parquet: .*{says}"):
         load(whole)
 
 
@@ -355,14 +383,28 @@ def test_folders_that_hold_no_set(tmp_path):
         load(tmp_path / "file")
 
 
+def described(**changes):
+    """A description with other entries."""
+    about = {"format": "gendom-demonstrations/2", "size": 4, "shard_size": 4, "sha256": {}}
+    return json.dumps({**about, "task": {"name": "throwing"}, **changes})
+
+
 @pytest.mark.parametrize(
     "text, says",
     [
         ("{", "is not JSON"),
         ('{"format": "gendom-recording/1"}', "has the format 'gendom-recording/1'"),
         ('{"format": "gendom-demonstrations/1"}', "has the format 'gendom-demonstrations/1'"),
-        ('{"format": "gendom-demonstrations/2", "shard_size": 4, "task": {}}', "usable size"),
-        ('{"format": "gendom-demonstrations/2", "size": 4, "shard_size": 4}', "usable task"),
+        ('{"format": "gendom-demonstrations/2", "shard_size": 4, "task": {}}', "field size"),
+        ('{"format": "gendom-demonstrations/2", "size": 4, "shard_size": 4}', "field task"),
+        (described(size=10**13), "has 2500000000000 shards"),
+        (described(size=0), "size is 0"),
+        (described(size=4.5), "size: expected int, got float"),
+        (described(size=10**400), "not JSON"),
+        (described(task={}), "its task has no name"),
+        (described(sha256={"a": 3}), "sha256.*expected str"),
+        (described(task="x" + "[" * 10_000), "expected object, got str"),
+        ('{"a":' * 10_000 + "1" + "}" * 10_000, "not JSON"),
     ],
 )
 def test_a_bad_description_is_named(tmp_path, text, says):

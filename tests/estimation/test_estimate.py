@@ -32,7 +32,7 @@ KEYS = {
     "friction", "history",
     "identifiable", "interrupted", "intervals", "iterations", "method", "noise", "notes", "object",
     "nu", "posterior", "recordings", "rms", "rms_by_frame", "rms_registered", "seconds",
-    "seed", "simulation", "stage_seconds", "E_over_rho", "starts", "stiffness_slope",
+    "seed", "sha256", "simulation", "stage_seconds", "E_over_rho", "starts", "stiffness_slope",
     "theta", "thickness", "verdict", "E",
 }  # fmt: skip
 

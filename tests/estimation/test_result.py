@@ -103,7 +103,7 @@ def test_an_estimate_comes_back_from_its_file(found, tmp_path):
     ("changes", "words"),
     [
         ({"format": "other/1"}, "not 'gendom-estimate/1'"),
-        ({"posterior": {}}, "cannot be used: KeyError"),
+        ({"posterior": {}}, "posterior: object missing required field names"),
         ({"theta": {"colour": 1.0}}, "cannot be used: TypeError"),
     ],
 )

@@ -1,5 +1,6 @@
 """Training, on a toy task whose forward map is known."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -276,6 +277,63 @@ def test_interrupted_training_goes_on_to_the_same_policy(every, tmp_path, monkey
     goals = np.linspace(1.25, 1.4, 20)
     given = {"bending_ratio": 0.4, "nu": 0.3}
     assert np.array_equal(resumed.actions(goals, given), whole.actions(goals, given))
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda kept: kept["network"]["layers.0.weight"].fill_(math.nan), "not finite"),
+        (lambda kept: kept["network"].update({"layers.0.weight": torch.ones(1)}), "size mismatch"),
+        (lambda kept: kept["optimizer"][0].update(exp_avg_sq=torch.ones(3)), "or too few"),
+        (lambda kept: kept.pop("rng"), "rng"),
+        (lambda kept: kept.update(done=None), "NoneType"),
+    ],
+)
+def test_a_damaged_checkpoint_is_refused_in_one_line(damage, words, tmp_path):
+    network = torch.nn.Sequential()
+    network.add_module("layers", torch.nn.Sequential(torch.nn.Linear(2, 2)))
+    optimizer = torch.optim.AdamW(network.parameters())
+    network(torch.ones(1, 2)).sum().backward()
+    optimizer.step()
+    checkpoint = learning.Checkpoint(tmp_path / "p.pt", {})
+    checkpoint.store("policy", 2, network, optimizer)
+    assert checkpoint.restore("policy", network, optimizer) == 2
+    damage(checkpoint._stages["policy"])
+    with pytest.raises(PolicyError, match=rf"p\.pt: cannot be resumed from.*{words}") as error:
+        checkpoint.restore("policy", network, optimizer)
+    assert "\n" not in str(error.value)
+
+
+def test_a_resumed_schedule_goes_on_where_it_stood(tmp_path):
+    """The rate falls to zero once, not from its beginning again."""
+    settings = learning.FitSettings(epochs=4, batch_size=2, learning_rate=0.1, weight_decay=0.0)
+    rates = []
+
+    class Watched(torch.optim.AdamW):
+        def step(self, closure=None):
+            rates.append(self.param_groups[0]["lr"])
+            return super().step(closure)
+
+    def go(checkpoint, stop_at=None):
+        network = torch.nn.Linear(1, 1)
+
+        def on_epoch(epoch):
+            if epoch.done == stop_at:
+                raise KeyboardInterrupt
+
+        learning.fit(
+            network, lambda rows: network(rows[:, None].float()).square().mean(), torch.arange(6),
+            settings, on_epoch=on_epoch, checkpoint=checkpoint,
+        )  # fmt: skip
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(torch.optim, "AdamW", Watched)
+        go(None)
+        whole, rates[:] = list(rates), []
+        with pytest.raises(KeyboardInterrupt):
+            go(learning.Checkpoint(tmp_path / "p.pt", {}), stop_at=2)
+        go(learning.Checkpoint(tmp_path / "p.pt", {}))
+    assert rates == whole
 
 
 def test_checkpoint_of_another_training_is_not_used(tmp_path, monkeypatch):

@@ -14,6 +14,7 @@ from gendom.robot import (
     find_arm,
     inverse_kinematics,
     jacobian,
+    kinematics,
     link_poses,
     pose_error,
     solutions,
@@ -108,6 +109,21 @@ def test_inverse_kinematics_near_given_angles_returns_them():
     for q in random_q(4, seed=2):
         found = inverse_kinematics(XARM7, tcp_pose(XARM7, q), near=q, starts=4)
         np.testing.assert_allclose(found, q, atol=1e-4)
+
+
+@pytest.mark.parametrize("turns", [-1, 1])
+@pytest.mark.parametrize("offset", [-2.0, 2.0])
+def test_whole_turns_go_to_the_nearest(turns, offset):
+    """Of a joint that goes round twice, wherever within half a turn of the rest its angle lies."""
+    arm = replace(XARM7, q_min=np.full(7, -7.0), q_max=np.full(7, 7.0))
+    rest = 0.1 * np.arange(7.0)
+    q = rest.copy()
+    q[6] += offset + 2.0 * np.pi * turns
+    (found,) = kinematics._unwound(arm, q[None], rest)
+    near = rest.copy()
+    near[6] += offset
+    wanted = near if abs(q[6]) > np.pi else q
+    np.testing.assert_allclose(found, wanted, atol=1e-12)
 
 
 def test_redundancy_leans_towards_home():

@@ -382,3 +382,35 @@ def test_a_page_plays_by_itself(browser, tmp_path):
     until(browser, "document.querySelector('canvas') !== null")
     assert browser.errors == []
     assert [a for a in browser.requested if not a.startswith(("file:", "blob:"))] == []
+
+
+ASKED = [
+    (None, None, True),  # no browser: those always say where a page is from
+    ("http://{own}", None, True),
+    ("http://localhost:9000", "localhost:9000", True),  # behind a tunnel
+    ("http://evil.example", None, False),
+    ("http://127.0.0.1:1", None, False),  # another server of this machine
+    ("https://{own}", None, False),
+    ("null", None, False),
+    ("http://{own}.evil.example", None, False),
+    ("http://evil.example", "evil.example", False),  # a name that was made to lead here
+    (None, "evil.example", False),
+    (None, "127.0.0.1.evil.example:80", False),
+    (None, "[", False),
+]
+"""Origin and host of requests, and whether they are served."""
+
+
+def test_only_its_own_page_opens_a_socket(viewer):
+    own = f"127.0.0.1:{viewer.port}"
+    for origin, host, served in ASKED:
+        lines = [
+            "GET / HTTP/1.1", f"Host: {host or own}", "Upgrade: websocket", "Connection: Upgrade",
+            "Sec-WebSocket-Version: 13", "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
+            "Sec-WebSocket-Protocol: viser-v0",
+        ]  # fmt: skip
+        lines += [f"Origin: {origin.format(own=own)}"] if origin else []
+        with socket.create_connection(("127.0.0.1", viewer.port), timeout=5.0) as asked:
+            asked.sendall("\r\n".join([*lines, "", ""]).encode())
+            answer = asked.recv(12).decode()
+        assert answer.endswith("101" if served else "403"), (origin, host)

@@ -9,6 +9,9 @@ interrupted.
 
 from __future__ import annotations
 
+import codecs
+import io
+import json
 import logging
 import os
 import sys
@@ -17,7 +20,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib import import_module
 
-from gendom.errors import GendomError, ParameterError, did_you_mean
+from gendom.errors import GendomError, ParameterError, did_you_mean, one_line, printable
 from gendom.installation import how_to_install, version
 from gendom.progress import silence
 
@@ -76,6 +79,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code.
     """
     words = list(sys.argv[1:] if argv is None else argv)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        codecs.register_error("escaped", _escaped)
+        sys.stdout.reconfigure(errors="escaped")
     debug, quiet = "--debug" in words, "--quiet" in words
     words = [word for word in words if word not in ("--debug", "--quiet")]
     if words[:1] == ["help"] and len(words) > 1:
@@ -109,6 +115,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(name: str, words: list[str]) -> int:
+    from gendom.cli.outputs import escaped
     from gendom.cli.parsing import parse
 
     try:
@@ -117,7 +124,8 @@ def _run(name: str, words: list[str]) -> int:
         return stop.code if isinstance(stop.code, int) else 2
     if (seed := getattr(command, "seed", 0)) < 0:
         raise ParameterError(f"is {seed}", where="--seed", fix="give 0 or more")
-    return command.run()
+    with escaped() if name != "completion" else nullcontext():
+        return command.run()
 
 
 def _usage() -> str:
@@ -155,9 +163,9 @@ def _explain(error: BaseException) -> tuple[str, int]:
         if package in _EXTRAS:
             return f"needs {package}; install it with: {how_to_install(_EXTRAS[package])}", 2
     if isinstance(error, OSError):
-        place = f"{error.filename}: " if error.filename else ""
-        return f"{place}{error.strerror or error}", 2
-    first = (str(error).splitlines() or [""])[0]
+        place = None if error.filename is None else str(error.filename)
+        return one_line(error.strerror or str(error), where=place), 2
+    first = printable((str(error).splitlines() or [""])[0])
     return (
         f"internal error: {type(error).__name__}: {first}; "
         "run it again with --debug and report what it prints",
@@ -165,11 +173,24 @@ def _explain(error: BaseException) -> tuple[str, int]:
     )
 
 
+def _escaped(error: UnicodeError) -> tuple[str, int]:
+    """What a locale has no signs for, as JSON has it."""
+    assert isinstance(error, UnicodeEncodeError)
+    return json.dumps(error.object[error.start : error.end])[1:-1], error.end
+
+
+class _Line(logging.Formatter):
+    """One line for each entry of the log, whatever names it holds."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        return printable(super().formatMessage(record))
+
+
 @contextmanager
 def _log_to_stderr(name: str, level: int) -> Iterator[None]:
     """Show the package's log while a command runs, and leave logging as it was."""
     handler = logging.StreamHandler()
-    handler.setFormatter(logging.Formatter(f"gendom {name}: %(message)s"))
+    handler.setFormatter(_Line(f"gendom {name}: %(message)s"))
     logger = logging.getLogger("gendom")
     before = logger.level, logger.propagate
     logger.addHandler(handler)

@@ -16,7 +16,7 @@ from gendom.arguments import require
 from gendom.cli.arguments import TaskName
 from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import tell_written
-from gendom.errors import PolicyError, RobotError
+from gendom.errors import PolicyError, RobotError, printable
 from gendom.files import check_file, to_json, write_json
 from gendom.materials import KINDS, LARGEST, PARAMETERS, Item, thickness_of, to_columns
 from gendom.robot import XARM7, TcpPath, follow
@@ -307,7 +307,7 @@ def result_text(result: dict[str, Any], *, motion: bool) -> str:
         if p.column in result["assumed"]:
             unit = "[-]" if p.unit == "1" else p.unit
             rows.append(("assumed", f"{name} {result['assumed'][p.column]:g} {unit}"))
-    rows.append(("policy", result["policy"]["path"]))
+    rows.append(("policy", printable(result["policy"]["path"])))
     lines = [result["task"], *(f"  {name:<8} {text}" for name, text in rows)]
     if motion:
         lines += [f"  time [s]   position [m] in the frame: {path['frame']}"]

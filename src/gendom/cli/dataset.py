@@ -11,7 +11,7 @@ import numpy as np
 import tyro
 
 from gendom.cli.arguments import TaskName
-from gendom.errors import ParameterError
+from gendom.errors import ParameterError, printable
 from gendom.files import check_folder, to_json
 from gendom.progress import bar
 
@@ -122,8 +122,9 @@ def summarize(table: pa.Table) -> dict[str, Any]:
 def summary_text(summary: dict[str, Any]) -> str:
     """The same for people."""
     failed = f", {summary['failed']} of them failed" if summary["failed"] else ""
+    path = printable(summary["path"])
     lines = [
-        f"{summary['path']}: {summary['size']} demonstrations of {summary['task']}{failed}",
+        f"{path}: {summary['size']} demonstrations of {summary['task']}{failed}",
         *(
             f"  {name:<7} {g['min']:.4g} to {g['max']:.4g} m, median {g['median']:.4g} m"
             for name, g in summary["goals"].items()

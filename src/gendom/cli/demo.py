@@ -18,7 +18,7 @@ from gendom.cli.arguments import iterations_shown
 from gendom.cli.estimate import NOT_USABLE, NOT_USABLE_SUMMARY, estimate_text
 from gendom.cli.parsing import command_line
 from gendom.datasets import Recording
-from gendom.errors import ParameterError
+from gendom.errors import ParameterError, printable
 from gendom.files import check_folder, to_json, write_json
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ class Command:
             for reason in found.verdict.reasons:
                 _log.error("not usable: %s", reason)
             report.write(arm_of_lift(clouds, rope), summary=NOT_USABLE_SUMMARY)
-        print(f"report: {self.out / 'report.html'}")
+        print(f"report: {printable(self.out / 'report.html')}")
         return 0 if found.usable else NOT_USABLE
 
     def _rope_and_goals(self) -> tuple[RealRope, tuple[Policy, ...], np.ndarray]:

@@ -16,7 +16,7 @@ from gendom.cli.arguments import MethodName, iterations_shown, settings_of
 from gendom.cli.outputs import tell_written
 from gendom.cli.parsing import command_line
 from gendom.datasets import Recording
-from gendom.errors import ParameterError, RecordingError, SimulationError
+from gendom.errors import ParameterError, RecordingError, SimulationError, printable
 from gendom.files import check_file, check_folder, to_json, write_json
 from gendom.installation import version
 
@@ -293,7 +293,7 @@ def estimate_text(found: FittedEstimate) -> str:
     rows += [(name, ", ".join(filter(None, (value, said)))) for name, value, said in found.rows()]
     for own in record["recordings"]:
         if own["name"]:
-            rows.append(("recording", own["name"]))
+            rows.append(("recording", printable(own["name"])))
         if own["name"] and own["alone"] is not None:
             alone, ends = own["alone"]["E_over_rho"], own["alone"]["interval"]
             said = f"E / density {alone:.4g} m^2/s^2, in [{ends[0]:.4g}, {ends[1]:.4g}]"

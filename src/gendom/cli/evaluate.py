@@ -10,7 +10,7 @@ from typing import Any, Literal
 import tyro
 
 from gendom.cli.arguments import TaskName
-from gendom.errors import ParameterError
+from gendom.errors import ParameterError, printable
 from gendom.files import to_json
 from gendom.progress import bar
 
@@ -112,7 +112,7 @@ def result_text(result: dict[str, Any]) -> str:
     ]
     for entry in result["policies"]:
         names = ", ".join(entry["conditioned_on"]) or "no parameters"
-        lines.append(f"{entry['path']} ({entry['method']}, conditioned on {names})")
+        lines.append(f"{printable(entry['path'])} ({entry['method']}, conditioned on {names})")
         if entry["error"]["mean"] is None:
             lines.append("  all failed")
             continue

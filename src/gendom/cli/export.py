@@ -10,6 +10,7 @@ import tyro
 
 from gendom.datasets import Recording
 from gendom.datasets.recording import is_recording
+from gendom.errors import printable
 from gendom.files import check_folder, to_json
 
 
@@ -47,7 +48,9 @@ class Command:
 
 def info_text(info: dict[str, Any], out: Path) -> str:
     """The same for people."""
-    lines = [f"{out}: {info['total_episodes']} episodes, LeRobot {info['codebase_version']}"]
+    lines = [
+        f"{printable(out)}: {info['total_episodes']} episodes, LeRobot {info['codebase_version']}"
+    ]
     for feature, about in info["features"].items():
         if about["names"]:
             named = zip(about["names"], about["units"], strict=True)

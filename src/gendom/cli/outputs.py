@@ -2,14 +2,37 @@
 
 from __future__ import annotations
 
+import io
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
 from gendom.datasets import Fault
 from gendom.errors import printable
 from gendom.files import to_json
+
+
+class _Lines(io.TextIOBase):
+    """Lines for a terminal, which obeys none of them."""
+
+    def __init__(self, to: Any):
+        self._to = to
+
+    def write(self, text: str) -> int:
+        self._to.write("\n".join(map(printable, text.split("\n"))))
+        return len(text)
+
+    def flush(self) -> None:
+        self._to.flush()
+
+
+@contextmanager
+def escaped() -> Iterator[None]:
+    """What is printed inside comes out `printable`, line by line, whatever names it holds."""
+    with redirect_stdout(_Lines(sys.stdout)):
+        yield
 
 
 def tell_written(path: Path, *, json: bool) -> None:

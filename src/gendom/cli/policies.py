@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gendom.errors import printable
 from gendom.files import to_json
 from gendom.materials import PARAMETERS
 
@@ -69,7 +70,7 @@ def made_by(policy: Policy) -> list[str]:
     if training.get("refine"):
         flags += ["refine", "refine_cases"]
         if (engine := (training.get("refined_in") or {}).get("engine", "thin")) != "thin":
-            train += ["--engine", engine]
+            train += ["--engine", str(engine)]
     for flag in flags:
         train += [f"--{flag.replace('_', '-')}", str(training[flag])]
     size = str(training["demonstrations"])
@@ -80,7 +81,7 @@ def made_by(policy: Policy) -> list[str]:
 
 
 def _text(row: dict[str, Any]) -> str:
-    lines = [f"{Path(row['path']).name}: {row['task']}, {row['method']}"]
+    lines = [f"{printable(Path(row['path']).name)}: {row['task']}, {row['method']}"]
     for name, (low, high) in row["parameters"].items():
         lines.append(f"  input {name:<8} {low:.3g} to {high:.3g} [-] ({PARAMETERS[name].meaning})")
     if not row["parameters"]:
@@ -89,7 +90,8 @@ def _text(row: dict[str, Any]) -> str:
         lines.append(f"  goal {name:<9} {low:.3g} to {high:.3g} sizes")
     failed = f", of which {row['failed']} failed" if row["failed"] else ""
     lines.append(f"  trained on     {row['demonstrations']} demonstrations{failed}")
-    if acted := row["acted"]:
+    acted = row["acted"]
+    if acted and None not in acted["error_over_size"].values():
         off, of = acted["error_over_size"], "the size" if row["goals"] else "its share"
         lines.append(
             f"  misses by      {100.0 * off['mean']:.2g} % of {of} in the mean, "

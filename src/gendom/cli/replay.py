@@ -11,7 +11,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from gendom.arguments import require
+from gendom.arguments import check_numbers, require
 from gendom.cli.arguments import iterations_shown
 from gendom.cli.outputs import tell_written
 from gendom.datasets import Recording
@@ -143,7 +143,7 @@ def replay_setup(
         theta = _theta(params, own)
         settings = _settings(own, device, engine)
         kind = params["object"]["kind"]
-        fitted = 1 + max(map(int, own["compared"])) if same else recording.num_frames
+        fitted = 1 + max(0, *own["compared"]) if same else recording.num_frames
         registration = (own.get("calibration") or {}).get("registration") if same else None
     except (KeyError, TypeError, ValueError) as error:
         raise ParameterError(
@@ -161,7 +161,7 @@ def replay_setup(
     if not same:
         theta, said, registration = _found_anew(LiftScene.of(first, settings), theta)
     if registration is not None:
-        registration = np.array(registration, dtype=float)
+        registration = check_numbers("calibration.registration", registration, (4, 4))
         recording = recording.moved(registration)
     scene = LiftScene.of(first, settings, registration)
     notes = scene.notes + said
@@ -202,7 +202,7 @@ def _settings(params: Mapping[str, Any], device: str, engine: str | None) -> Sce
     """As the estimate was made; another engine has its own number of points."""
     from gendom.estimation import SceneSettings
 
-    made = params.get("simulation", {})
+    made = params.get("simulation") or {}
     used = str(made.get("engine", "mpm"))  # what older versions had
     points = made.get("points")
     return SceneSettings(

@@ -10,7 +10,7 @@ import tyro
 
 from gendom.arguments import require
 from gendom.cli.arguments import TaskName, settings_of
-from gendom.errors import DatasetError
+from gendom.errors import DatasetError, printable
 from gendom.files import check_file, to_json
 from gendom.materials import PARAMETERS
 
@@ -173,5 +173,5 @@ def summary_text(summary: dict[str, Any]) -> str:
             )
         )
     width = max(len(name) for name, _ in rows)
-    lines = [f"{summary['path']}: a policy for {summary['task']['name']}"]
+    lines = [f"{printable(summary['path'])}: a policy for {summary['task']['name']}"]
     return "\n".join(lines + [f"  {name:<{width}}  {text}" for name, text in rows])

@@ -14,7 +14,7 @@ from gendom.arguments import require
 from gendom.cli.outputs import tell_written
 from gendom.datasets import Recording
 from gendom.datasets.recording import is_recording
-from gendom.errors import GendomError
+from gendom.errors import GendomError, printable
 from gendom.files import atomic_path, check_file
 
 if TYPE_CHECKING:
@@ -65,14 +65,14 @@ class Command:
         if self.html is not None:
             page = encode_html(model, self.demonstration)
             with atomic_path(self.html) as temporary:
-                temporary.write_text(page, encoding="utf-8")
+                temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
             tell_written(self.html, json=False)
             return 0
         viewer = Viewer(model, case=self.demonstration, port=self.port)
         try:
             if self.port not in (0, viewer.port):
                 _log.warning("port %d is taken", self.port)
-            viewer.serve(f"{model.title}: {viewer.url} (Ctrl-C ends it)")
+            viewer.serve(f"{printable(model.title)}: {viewer.url} (Ctrl-C ends it)")
         finally:
             viewer.close()
         return 0

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
+import secrets
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from typing import Any
@@ -16,6 +17,13 @@ from gendom.installation import how_to_install
 
 RETRIES = 5
 """How often a job is restarted after its worker died."""
+
+QUIET = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}
+"""Variables that keep Ray from its usage report and a warning."""
+
+LOOPBACK = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_AUTH_MODE": "token"}
+"""Variables by which a cluster of this machine listens on its own address alone, as Ray does on
+Windows and macOS, and takes jobs only with a token."""
 
 
 def on_cluster(
@@ -75,33 +83,50 @@ def _result(ray: Any, done: Any, address: str) -> Any:
 
 @contextmanager
 def _connected(address: str) -> Iterator[Any]:
-    # Ray's start-up messages and usage report
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    try:
-        import ray
-    except ImportError:
-        fix = how_to_install("cluster")
-        raise DeviceError("Ray is not installed", where="--cluster", fix=fix) from None
-    own = not ray.is_initialized()
-    if own:
-        where: dict[str, Any] = (
-            {"address": address} if address != "local" else {"include_dashboard": False}
-        )
+    own = "ray" not in sys.modules or not sys.modules["ray"].is_initialized()
+    local = own and address == "local"
+    closed = LOOPBACK | {"RAY_AUTH_TOKEN": secrets.token_hex(32)} if local else {}
+    with _environment(QUIET | closed):
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # the client warns of what is told below
-                ray.init(logging_level=logging.ERROR, log_to_driver=False, **where)
-        except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-            reason = (str(error).splitlines() or ["no reason given"])[0]
-            what = f"no cluster answers there ({reason})"
-            fix = "start one with ray start --head, or give local"
-            raise DeviceError(what, where=f"--cluster {address}", fix=fix) from None
-    try:
-        yield ray
-    finally:
+            import ray  # reads the variables
+        except ImportError:
+            fix = how_to_install("cluster")
+            raise DeviceError("Ray is not installed", where="--cluster", fix=fix) from None
         if own:
-            ray.shutdown()
+            _start(ray, address)
+        try:
+            yield ray
+        finally:
+            if own:
+                ray.shutdown()
+
+
+def _start(ray: Any, address: str) -> None:
+    """Connect to a cluster, or start one."""
+    where: dict[str, Any] = (
+        {"address": address} if address != "local" else {"include_dashboard": False}
+    )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the client warns of what is told below
+            ray.init(logging_level=logging.ERROR, log_to_driver=False, **where)
+    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+        reason = (str(error).splitlines() or ["no reason given"])[0]
+        what = f"no cluster answers there ({reason})"
+        fix = "start one with ray start --head, or give local"
+        raise DeviceError(what, where=f"--cluster {address}", fix=fix) from None
+
+
+@contextmanager
+def _environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """Variables of this process and its children; those that somebody has set stay as they are."""
+    own = {name: value for name, value in variables.items() if name not in os.environ}
+    os.environ.update(own)
+    try:
+        yield
+    finally:
+        for name in own:
+            os.environ.pop(name, None)
 
 
 def _settings(value: Any) -> Iterator[Any]:

@@ -43,7 +43,14 @@ from gendom import __version__
 from gendom.arguments import require
 from gendom.datasets.cluster import on_cluster
 from gendom.errors import DatasetError, GendomError
-from gendom.files import atomic_path, free_room, read_json, write_json
+from gendom.files import (
+    atomic_path,
+    free_room,
+    read_bytes,
+    read_json,
+    record_of,
+    write_json,
+)
 from gendom.materials.names import current_name
 
 FORMAT = "gendom-demonstrations/2"
@@ -60,6 +67,15 @@ _IN_FLIGHT = 2  # parts of a set on a GPU: one is prepared while the other is si
 _FEWEST_TOGETHER = 1024  # demonstrations that use a GPU well; of several GPUs none gets fewer
 _PARTS_PER_DEVICE = 8  # of several devices; several parts balance the load between them
 _MAKE_AGAIN = "make it again with this version of gendom dataset"
+_COLUMNS = {"demonstration": pa.int64(), "ok": pa.bool_(), "fault": pa.string()}
+"""Types of columns that are not float64."""
+
+MOST_SHARDS = 100_000
+"""Of a set: their names have five digits."""
+
+LARGEST_SHARD = 1 << 28
+"""In memory [bytes]."""
+
 _MEASURED = 6  # about so many values does a task measure in a demonstration
 
 _log = logging.getLogger(__name__)
@@ -213,7 +229,7 @@ def _complete(
         path = _shard_path(folder, number)
         with atomic_path(path) as temporary:
             tagged = table.replace_schema_metadata({_METADATA: json.dumps(identity)})
-            pq.write_table(tagged, temporary)
+            write_parquet(tagged, temporary)
             hashes[path.name] = _sha256(temporary)
             # before the shard: one without its hash would have to be simulated again
             write_json(folder / _DESCRIPTION, {**description, "sha256": hashes})
@@ -378,12 +394,22 @@ def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
         except FileNotFoundError:
             continue
         parts.append(rows.slice(0, size - number * shard_size))
+        what = f"has not the columns of {_shard_path(folder, 0).name}"
+        same, fix = parts[0].schema.equals(rows.schema), _MAKE_AGAIN
+        require(same, what, where=str(path), fix=fix, error=DatasetError)
     have = sum(map(len, parts))
     fix = "finish it with the gendom dataset command that began it"
     what, enough = f"holds {have} of {size} demonstrations", have >= (1 if part else size)
     require(enough, what, where=str(folder), fix=fix, error=DatasetError)
     table = pa.concat_tables(parts).replace_schema_metadata(None)
     return table.rename_columns([current_name(name) for name in table.column_names])
+
+
+def write_parquet(table: pa.Table, path: Path) -> None:
+    """Write a table to a file of any name: pyarrow takes one with a colon for an address, and none
+    that is no UTF-8."""
+    with open(path, "wb") as file:
+        pq.write_table(table, file)
 
 
 def succeeded(
@@ -424,15 +450,31 @@ def read_description(folder: str | os.PathLike) -> dict[str, Any]:
     wanted(folder.is_dir(), what, fix=f"check the path, or {make}")
     path = folder / _DESCRIPTION
     wanted(path.exists(), f"holds no {_DESCRIPTION}")
-    description = read_json(path)
+    description = read_json(path, DatasetError)
     form = description.get("format")
     wanted(form == FORMAT, f"has the format {form!r}, not {FORMAT!r}", path)
-    for name in ("size", "shard_size"):
-        value = description.get(name)
-        wanted(isinstance(value, int) and value > 0, f"lacks a usable {name}", path)
-    for name in ("task", "sha256"):
-        wanted(isinstance(description.get(name), dict), f"lacks a usable {name}", path)
+    set_ = record_of(_Described, description, where=str(path), fix=make, error=DatasetError)
+    for name, value in (("size", set_.size), ("shard_size", set_.shard_size)):
+        wanted(value > 0, f"{name} is {value}", path)
+    wanted(isinstance(set_.task.get("name"), str), "its task has no name", path)
+    count = _count_shards(set_.size, set_.shard_size)
+    wanted(count <= MOST_SHARDS, f"has {count} shards, at most {MOST_SHARDS} are read", path)
     return description
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Described:
+    """What readers need of `dataset.json`; sets of other sources than tasks lack some."""
+
+    task: dict[str, Any]
+    kind: str = ""
+    action_names: tuple[str, ...] = ()
+    action_units: tuple[str, ...] = ()
+    goal_names: tuple[str, ...] = ()
+    goal_units: tuple[str, ...] = ()
+    size: int
+    shard_size: int
+    sha256: dict[str, str]
 
 
 def _describe(
@@ -525,25 +567,43 @@ def _read_shard(
     def wanted(holds: Any, what: str) -> None:
         require(holds, what, where=str(path), fix=fix, error=DatasetError)
 
+    if not path.is_file():
+        raise FileNotFoundError(path)
     try:
-        content = path.read_bytes()
+        content = read_bytes(path, DatasetError, most=LARGEST_SHARD)
         is_whole = hashlib.sha256(content).hexdigest() == hashes.get(path.name)
         wanted(is_whole, "is damaged (its SHA-256 is not that of dataset.json)")
         # not read_table: threads of its scanner may drop Python's bytes after Python has ended, and
         # abort (https://github.com/apache/arrow/issues/33975)
-        rows = pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False)
-        about = json.loads((rows.schema.metadata or {}).get(_METADATA, b"null"))
-    except FileNotFoundError:
-        raise
-    except (OSError, ValueError) as error:  # Arrow's own errors are of these two kinds
+        file = pq.ParquetFile(pa.BufferReader(content))
+        schema = file.schema_arrow
+        types = {n: t for n, t in zip(schema.names, schema.types, strict=True)}
+        wanted(types.keys() >= _COLUMNS.keys(), f"lacks columns: it has {', '.join(types)}")
+        for name, kind in types.items():
+            usual = _COLUMNS.get(name, pa.float64())
+            wanted(kind == usual, f"{name} holds {kind}, not {usual}")
+        wanted(_unpacked(file) <= LARGEST_SHARD, "unpacks to more than is read")
+        rows = file.read(use_threads=False)
+        about = json.loads((schema.metadata or {}).get(_METADATA, b"null"))
+    except (OSError, ValueError, RecursionError) as error:  # Arrow's own are of the first two
         reason = (str(error).splitlines() or ["unreadable"])[0]
         raise DatasetError(f"is damaged ({reason})", where=str(path), fix=fix) from None
     wanted(about == identity, "belongs to another set")
     first = number * identity["shard_size"]
-    named = rows["demonstration"].to_numpy() if "demonstration" in rows.column_names else []
+    named = rows["demonstration"].to_numpy()
     in_order = len(named) and np.array_equal(named, first + np.arange(len(named)))
     wanted(in_order, f"does not hold demonstrations {first} and following")
     return rows
+
+
+def _unpacked(file: pq.ParquetFile) -> int:
+    """At most so many bytes do the rows take in memory: a text that repeats is stored once."""
+    about, bytes_ = file.metadata, 0
+    for group in map(about.row_group, range(about.num_row_groups)):
+        for column in map(group.column, range(group.num_columns)):
+            text = column.physical_type == "BYTE_ARRAY"
+            bytes_ += group.num_rows * (column.total_uncompressed_size if text else 8)
+    return bytes_
 
 
 def generator_of(seed: int, index: int) -> np.random.Generator:

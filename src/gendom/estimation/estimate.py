@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from gendom.arguments import check_list
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.calibration import IntervalCalibration
@@ -70,7 +71,8 @@ def estimate(
             priors.
 
     Raises:
-        RecordingError: If a recording shows too little to place the object.
+        RecordingError: If a recording has faults, as of `Recording.read`, or shows too little to
+            place the object.
         ParameterError: If there is no such method, it cannot do this, or the recordings are of
             different objects.
         SimulationError: If every start diverges.
@@ -81,7 +83,10 @@ def estimate(
     times = [clock.perf_counter()]
     if isinstance(recordings, Recording):
         recordings = [recordings]
+    check_list("recordings", recordings, Recording)
     names = names or recording_names(len(recordings))
+    for recording, name in zip(recordings, names, strict=True):  # perhaps made, not read
+        recording.require_valid(name or "recording", on_warning=lambda _: None)
     # Worlds and clouds go side by side already. Threads of BLAS for matrices this small wait for
     # each other (a search takes 1.6 to 6 times as long), and results would depend on their number.
     with threadpool_limits(limits=1, user_api="blas"):

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import require
-from gendom.errors import GendomError, ParameterError
+from gendom.errors import ParameterError
 from gendom.files import write_json
 from gendom.materials.estimate_file import (
+    CHECKSUM,
     FORMAT,
     HIDDEN,
     LEVEL,
@@ -29,6 +30,7 @@ from gendom.materials.estimate_file import (
     Derived,
     Verdict,
     checked_verdict,
+    checksum,
     derived,
     fields_of,
     ranges,
@@ -340,15 +342,7 @@ class Estimate(Shown):
             ParameterError: It cannot be used.
         """
         read = with_current_names(with_current_names(read), "range")
-        try:
-            posterior = Posterior.from_dict(read, self.posterior.bases)
-        except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise ParameterError(
-                f"cannot be used ({type(error).__name__} {error})",
-                where="posterior",
-                fix="estimate again",
-            ) from None
-        return replace(self, posterior=posterior)
+        return replace(self, posterior=Posterior.from_dict(read, self.posterior.bases))
 
     def with_gaussian(self, mean: Array, covariance: Array) -> Self:
         """With another mean [P] and covariance [P, P]."""
@@ -450,7 +444,7 @@ class Estimate(Shown):
         entries: dict[str, Any] = {**self.about, "format": FORMAT}
         if self.posterior.bases:
             entries["theta"] = dict(self.theta)
-        return {
+        record = {
             **entries,
             **values,
             "density_assumed": "mass" not in self.known,
@@ -462,6 +456,7 @@ class Estimate(Shown):
             "posterior": self.posterior.to_dict(),
             "object": {"kind": self.kind, **object_, **side},
         }
+        return {**record, CHECKSUM: checksum(record)}
 
     @property
     def _derived(self) -> dict[str, Derived]:
@@ -515,14 +510,18 @@ class Estimate(Shown):
             fields, stated = fields_of(read, kind, where)
             found = cls(verdict=verdict, **fields)
             found._check_consistent(stated, where)
-        except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
-            if isinstance(error, GendomError):
-                raise
+        except ParameterError as error:
+            place = where if error.where in (None, where) else f"{where}: {error.where}"
+            raise ParameterError(error.what, where=place, fix=error.fix) from None
+        except (ArithmeticError, KeyError, IndexError, TypeError, ValueError) as error:
             raise ParameterError(
                 f"cannot be used: {type(error).__name__} {error}",
                 where=where,
                 fix="estimate again",
             ) from None
+        fix = "leave the file as it was written; give another number by a flag such as --E"
+        whole = CHECKSUM not in read or read[CHECKSUM] == checksum(read)
+        require(whole, "was changed after it was written", where=where, fix=fix)
         return found
 
     def _check_consistent(self, stated: Mapping[str, float], where: str) -> None:

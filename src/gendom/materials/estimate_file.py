@@ -6,6 +6,8 @@ which they do not is refused. Names of earlier versions are mapped by `gendom.ma
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from gendom.arguments import require
-from gendom.errors import GendomError
-from gendom.files import read_json
+from gendom.errors import GendomError, ParameterError
+from gendom.files import read_json, record_of, to_json
 from gendom.materials import catalogue
 from gendom.materials.names import with_current_names
 from gendom.materials.objects import KINDS
@@ -35,6 +37,9 @@ HIDDEN = ("damping", "friction")
 ASSUMED_DENSITY_SD = 0.5
 """Of the logarithm of a density that is assumed, as ropes and cloths have 300 to 2,000 kg/m^3."""
 
+LARGEST_SD = 10.0
+"""Of the logarithm of a density in a file: twice that of all matter on Earth."""
+
 SIZES = ("length", "width", "height", "diameter", "thickness", "side")
 """Names of sizes in files [m]."""
 
@@ -43,7 +48,7 @@ SIZES = ("length", "width", "height", "diameter", "thickness", "side")
 class Verdict:
     """Whether an estimate is usable."""
 
-    usable: bool
+    usable: bool = True
     reasons: tuple[str, ...] = ()
     """Why it is not usable, one sentence each."""
 
@@ -53,6 +58,65 @@ class Verdict:
 
 
 USABLE = Verdict(usable=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stored:
+    """What is read of the file, by its type; an empty entry counts as none."""
+
+    format: str | None = None
+    verdict: Verdict | None = None
+    object: dict[str, str | float | None] | None = None
+    posterior: dict[str, Any] | None = None
+    theta: dict[str, float | None] | None = None
+    intervals: dict[str, float | tuple[float, float]] | None = None
+    identifiable: dict[str, bool] | None = None
+    density_sd: float | None = None
+    simulation: Simulated | None = None
+    recordings: list[Recorded] | None = None
+    executions: dict[str, list[Any]] | None = None
+    before_executions: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """What is read of one of its recordings."""
+
+    theta: dict[str, float | None] | None = None
+    digest: str | None = None
+    begins_with: str | None = None
+    compared: list[int] | None = None
+    simulation: Simulated | None = None
+    calibration: Calibrated | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulated:
+    """What is read of how it was simulated."""
+
+    engine: str | None = None
+    points: int | None = None
+    cells_across: float = 1.0
+    material: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrated:
+    """What is read of where cameras were found."""
+
+    registration: tuple[tuple[float, ...], ...] | None = None
+    """[4, 4]."""
+
+
+CHECKSUM, TIMES = "sha256", ("seconds", "stage_seconds")
+"""Entry of the file: the checksum of all others but these, which differ from run to run."""
+
+
+def checksum(record: Mapping[str, Any]) -> str:
+    """SHA-256 of a record's entries, however their text is laid out."""
+    rest = {name: value for name, value in record.items() if name not in (CHECKSUM, *TIMES)}
+    text = json.dumps(json.loads(to_json(rest), parse_int=float), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,10 +244,11 @@ def checked_verdict(read: Mapping[str, Any], where: str, *, even_unusable: bool 
         where=where,
         fix="give a file written by gendom estimate",
     )
-    told = read.get("verdict") or {}
-    verdict = Verdict(usable=told.get("usable", True), reasons=tuple(told.get("reasons") or ()))
+    fix = "give the file as gendom estimate wrote it"
+    stored = record_of(Stored, read, where=where, fix=fix, error=ParameterError)
+    verdict = stored.verdict or USABLE
     require(
-        even_unusable or verdict.usable is not False,
+        even_unusable or verdict.usable,
         f"is not usable: {', '.join(verdict.reasons)}",
         where=where,
         fix="record the object again, or add --force",
@@ -214,12 +279,10 @@ def fields_of(
     kind = described.get("kind", kind)
     if kind not in KINDS:
         raise ValueError(f"there is no kind of object {kind!r}")
-    if read.get("posterior") == {}:
-        raise KeyError("names")
     known = _numbers(read, described, where)
     level = float((read.get("intervals") or {}).get("level", LEVEL))
     posterior, stated = _posterior_of(read, known, level), {}
-    if read.get("posterior"):
+    if read.get("posterior") is not None:
         stated = _stated(known, posterior, kind)
     else:
         if "E" in known and "E_over_rho" not in known and "density" in known:
@@ -227,12 +290,15 @@ def fields_of(
         known.pop("E", None)
     material = (read.get("simulation") or {}).get("material")
     sd = catalogue.get(material).density.log_sd if material else ASSUMED_DENSITY_SD
+    density_sd = float(read.get("density_sd", 0.0 if "mass" in known else sd))
+    what = f"density_sd is {density_sd:g}"
+    require(0.0 <= density_sd <= LARGEST_SD, what, fix="estimate again")
     fields = {
         "kind": kind,
         "known": known,
         "posterior": posterior,
         "level": level,
-        "density_sd": float(read.get("density_sd", 0.0 if "mass" in known else sd)),
+        "density_sd": density_sd,
         "about": {k: v for k, v in read.items() if k not in _OWN},
     }
     return fields, stated
@@ -259,7 +325,7 @@ def _stated(known: dict[str, float], posterior: Posterior, kind: str) -> dict[st
 
 _OWN = (
     "format", "theta", "E", "bending_length", "bending_stiffness", "density", "density_assumed",
-    "density_sd", "verdict", "intervals", "bounds", "identifiable", "posterior", "object",
+    "density_sd", "verdict", "intervals", "bounds", "identifiable", "posterior", "object", CHECKSUM,
 )  # fmt: skip
 """Entries of the file that `Estimate.record` computes, beside values of unknowns."""
 
@@ -291,7 +357,7 @@ def _numbers(read: Mapping[str, Any], described: Mapping[str, Any], where: str) 
 
 def _posterior_of(read: Mapping[str, Any], known: Mapping[str, float], level: float) -> Posterior:
     """The file's posterior; of files of earlier versions that of their interval of E."""
-    if read.get("posterior"):
+    if read.get("posterior") is not None:
         first = {k: float(v) for k, v in (read.get("theta") or {}).items()}
         bases = []
         if first:

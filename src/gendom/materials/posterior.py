@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from gendom.arguments import require
+from gendom.arguments import check_numbers, require
+from gendom.errors import ParameterError
+from gendom.files import record_of
 from gendom.materials.unknowns import UNKNOWNS, Theta, Unknown
 
 Array = NDArray[np.floating]
@@ -19,6 +21,9 @@ Array = NDArray[np.floating]
 IDENTIFIABLE = 0.5
 """A parameter counts as determined where its posterior deviation is at most this share of the
 prior's."""
+
+LARGEST, WIDEST = 300.0, 30.0
+"""Of a transformed mean, and of a standard deviation: exp() of 700 is no number."""
 
 NUMBERS = ("low", "high", "mean", "sd", "step", "widest")
 """Fields of `Prior` that are arrays."""
@@ -262,20 +267,53 @@ class Posterior:
         """Inverse of `to_dict`; files of older versions are of one recording.
 
         Raises:
-            KeyError, TypeError, ValueError: It is none.
+            ParameterError: It is none.
         """
-        names = tuple(str(n) for n in read["names"])
+        fix = "estimate again"
+        stored = record_of(_Stored, read, where="posterior", fix=fix, error=ParameterError)
+        names, P = stored.names, len(stored.names)
         usual = prior_of(dict.fromkeys(names))
         index = [usual.names.index(n) for n in names]
         numbers = {n: getattr(usual, n)[index] for n in NUMBERS}
-        keys = {"low": "low", "high": "high", "mean": "prior_mean", "sd": "prior_sd"}
-        numbers |= {n: np.array(read[k], dtype=float) for n, k in keys.items() if k in read}
-        owners = read.get("recordings", owners_of(names))
-        prior = Prior(
-            names=names,
-            owners=tuple(None if owner is None else int(owner) for owner in owners),
-            **numbers,
-        )
-        covariance = np.array(read["covariance"], dtype=float).reshape(len(names), len(names))
-        mean = np.array(read["mean"], dtype=float)
+        told = {"low": stored.low, "high": stored.high, "mean": stored.prior_mean,
+                "sd": stored.prior_sd}  # fmt: skip
+        numbers |= {n: np.array(value) for n, value in told.items() if value is not None}
+        owners = owners_of(names) if stored.recordings is None else stored.recordings
+        mean = check_numbers("mean", np.array(stored.mean), (P,))
+        covariance = check_numbers("covariance", np.array(stored.covariance).reshape(-1, P), (P, P))
+        for name, values in numbers.items():
+            check_numbers(f"posterior's {name}", values, (P,), finite=name in told)
+        count = len(bases) or P  # a Gaussian alone does not say how many recordings there are
+        known = len(owners) == P and all(k is None or 0 <= k < count for k in owners)
+        ordered = bool((numbers["low"] < numbers["high"]).all() and (numbers["sd"] > 0.0).all())
+        beyond = bool((np.abs([mean, numbers["low"], numbers["high"]]) > LARGEST).any())
+        beyond |= bool((np.diag(covariance) > WIDEST**2).any())
+        mirrored = np.allclose(covariance, covariance.T, rtol=1e-6, atol=0.0)
+        for holds, what in (
+            (known, f"recordings are {list(owners)}, there are {len(bases)}"),
+            (ordered, "ends before it begins, or a deviation is not positive"),
+            (not beyond, f"a mean or end is beyond {LARGEST:g}, or a deviation {WIDEST:g}"),
+            (mirrored, "covariance is not symmetric"),
+            (
+                stored.log in (None, tuple(UNKNOWNS[n].log for n in names)),
+                "log is not that of these unknowns",
+            ),
+        ):
+            require(holds, what, where="posterior", fix=fix)
+        prior = Prior(names=names, owners=owners, **numbers)
         return cls(prior=prior, mean=mean, covariance=covariance, bases=tuple(bases))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Stored:
+    """A `Posterior` in JSON; what files of older versions lack is None."""
+
+    names: tuple[str, ...]
+    recordings: tuple[int | None, ...] | None = None
+    log: tuple[bool, ...] | None = None
+    mean: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    prior_mean: tuple[float, ...] | None = None
+    prior_sd: tuple[float, ...] | None = None
+    low: tuple[float, ...] | None = None
+    high: tuple[float, ...] | None = None

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from gendom.errors import ParameterError, SimulationError
+from gendom.files import record_of
 from gendom.materials import Item, size_of
 from gendom.materials.estimate import Estimate
 from gendom.policies.polishing import Discrepancy
@@ -235,24 +236,26 @@ def _discrepancy(
     return (k @ weights)[0] * goal_units, float(np.sqrt(max(variance, 0.0)) * goal_units[0])
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Stored:
+    """An `Execution` in JSON."""
+
+    action: tuple[float, ...]
+    reached: tuple[float, ...]
+
+
 def executions_from(rows: Sequence[Any], where: str) -> list[Execution]:
     """From JSON; inverse of `Execution.to_dict`.
 
     Raises:
         ParameterError: They are none.
     """
-    try:
-        return [
-            Execution(
-                action=np.array(row["action"], dtype=float),
-                reached=np.array(row["reached"], dtype=float),
-            )
-            for row in rows
-        ]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ParameterError(
-            f"executions cannot be used ({type(error).__name__} {error})", where=where
-        ) from None
+    fix = "give an action and what it reached, each a list of numbers"
+    stored = [
+        record_of(_Stored, row, where=f"{where}: executions[{k}]", fix=fix, error=ParameterError)
+        for k, row in enumerate(rows)
+    ]
+    return [Execution(action=np.array(s.action), reached=np.array(s.reached)) for s in stored]
 
 
 def _check(task: Task, executions: Sequence[Execution], item: Item) -> None:

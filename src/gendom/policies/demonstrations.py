@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gendom.arguments import require
 from gendom.datasets.demonstrations import GOAL, load, read_description, succeeded
 from gendom.errors import DatasetError
 from gendom.materials import KINDS, PARAMETERS, dimensionless_columns, unit_of_size
-from gendom.tasks import find_task
+from gendom.tasks import rebuild
 
 SMALLEST = 20
 """Fewer demonstrations than this cannot be split and standardised sensibly."""
@@ -96,9 +97,13 @@ class Demonstrations:
         """
         where = str(folder)
         about = read_description(folder)
+        task = rebuild(about["task"])
+        kind = task.kind
+        actions, goals = (tuple(q.name for q in own) for own in (task.actions, task.goals))
+        said = tuple(about.get("action_names", ())), tuple(about.get("goal_names", ()))
+        what, fix = f"holds no actions and goals of {task.name}", "make it again"
+        require((actions, goals) == said, what, where=where, fix=fix, error=DatasetError)
         table = load(folder, part=True)
-        kind, task = about["kind"], find_task(about["task"]["name"])
-        actions, goals = (tuple(about[f"{what}_names"]) for what in ("action", "goal"))
         risk = [task.risk.name] if task.risk else []
         sizes = KINDS[kind].sizes
         objects = ("E", "nu", "density", "damping", "friction", *sizes)
@@ -114,8 +119,8 @@ class Demonstrations:
             task=dict(about["task"]),
             action_names=actions,
             goal_names=goals,
-            goal=alike(tuple(GOAL + name for name in goals), about["goal_units"]),
-            action=alike(actions, about["action_units"]),
+            goal=alike(tuple(GOAL + name for name in goals), [q.unit for q in task.goals]),
+            action=alike(actions, [q.unit for q in task.actions]),
             parameters=dimensionless_columns(kind, {name: column[name] for name in objects}),
             risk=alike(tuple(risk), [task.risk.unit])[:, 0] if task.risk else None,
             where=where,

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from gendom.arguments import require
-from gendom.errors import GendomError
+from gendom.errors import GendomError, PolicyError
 from gendom.files import atomic_path
 from gendom.installation import how_to_install
 
@@ -97,13 +97,27 @@ class Checkpoint:
             self.write()
 
     def restore(self, stage: str, network: nn.Module, optimizer: torch.optim.Optimizer) -> int:
-        """Bring a stage to where it was stored; the number of epochs that are done."""
+        """Bring a stage to where it was stored; the number of epochs that are done.
+
+        Raises:
+            PolicyError: What is stored is of another network, or not finite.
+        """
         if (kept := self._stages.get(stage)) is None:
             return 0
-        network.load_state_dict(kept["network"])
-        optimizer.load_state_dict({**optimizer.state_dict(), "state": kept["optimizer"]})
-        torch.set_rng_state(kept["rng"])
-        return kept["done"]
+        try:
+            network.load_state_dict(kept["network"])
+            optimizer.load_state_dict({**optimizer.state_dict(), "state": kept["optimizer"]})
+            torch.set_rng_state(kept["rng"])
+            averages = [(p, optimizer.state[p]["exp_avg_sq"]) for p in network.parameters()]
+            alike = all(p.shape == a.shape and a.isfinite().all() for p, a in averages)
+            finite = all(value.isfinite().all() for value in network.state_dict().values())
+            fault = "" if alike and finite else "numbers that are not finite, or too few"
+            done = int(kept["done"])
+        except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+            fault, done = " ".join(f"{type(error).__name__} {error}".split()), 0
+        what, fix = f"cannot be resumed from ({stage}: {fault})", "delete it, and train again"
+        require(not fault, what, where=str(self.path), fix=fix, error=PolicyError)
+        return done
 
     def remembered(self, name: str, make: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
         """Tensors that take long to make: those kept by that name, or made now and written."""

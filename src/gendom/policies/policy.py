@@ -18,7 +18,7 @@ import logging
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
@@ -27,9 +27,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import require
 from gendom.errors import ParameterError, PolicyError
-from gendom.files import read_bytes
+from gendom.files import parse_json, read_bytes, record_of
 from gendom.materials import PARAMETERS, Item, dimensionless_parameters
 from gendom.materials.names import current_name, with_current_names
+from gendom.policies.graph import LARGEST, check_graph
 from gendom.shown import Shown
 
 if TYPE_CHECKING:
@@ -96,6 +97,29 @@ class GoalRange:
 
 
 @dataclass(frozen=True, kw_only=True)
+class _Acted:
+    """What is read of how a policy did in new cases."""
+
+    cases: int
+    error_over_size: dict[str, float | None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Trained:
+    """What is read of `Description.training`."""
+
+    demonstrations: int | None = None
+    failed: int = 0
+    seed: int | None = None
+    epochs: int | None = None
+    architecture: str | None = None
+    refine: int = 0
+    refine_cases: int | None = None
+    refined_in: dict[str, str | int | float | bool | None] | None = None
+    acted: _Acted | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Description:
     """What a policy file says about itself."""
 
@@ -130,47 +154,49 @@ class Description:
         Raises:
             PolicyError: Another format, or fields are missing or of the wrong kind.
         """
-        try:
-            value = json.loads(text)
-            found = value.pop("format", None)
-        except (json.JSONDecodeError, AttributeError) as error:
-            raise PolicyError(
-                f"its {METADATA_KEY} entry is no JSON object", where=where, fix="train it again"
-            ) from error
+        where = f"{where}: {METADATA_KEY}"
+        value = parse_json(text, where, PolicyError)
+        found = value.get("format")
         what = f"has format {found!r}, this version of gendom reads {FORMAT!r}"
         fix = "train it again, or use the version of gendom that wrote it"
         require(found == FORMAT, what, where=where, fix=fix, error=PolicyError)
-        try:
-            goals = value["goals"]
-            for name in ("conditioned_on", "parameters"):
-                value[name] = with_current_names(value[name], "network")
-            value["inputs"] = [{**c, "name": _input_name(c["name"])} for c in value["inputs"]]
-            description = cls(
-                task=dict(value["task"]),
-                method=value["method"],
-                conditioned_on=tuple(value["conditioned_on"]),
-                inputs=tuple(Column(**c) for c in value["inputs"]),
-                outputs=tuple(Column(**c) for c in value["outputs"]),
-                goals=GoalRange(
-                    at=tuple(goals["at"]),
-                    low=tuple(map(tuple, goals["low"])),
-                    high=tuple(map(tuple, goals["high"])),
-                ),
-                parameters={k: (float(v[0]), float(v[1])) for k, v in value["parameters"].items()},
-                training=dict(value["training"]),
-            )
-            # what acting needs; a file that lacks it must not fail later
-            for name in ("name", "item", "ranges"):
-                description.task[name]
-            for name in PARAMETERS:
-                description.parameters[name]
-        except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
-            raise PolicyError(
-                f"its description is incomplete or broken ({type(error).__name__}: {error})",
-                where=where,
-                fix="train it again",
-            ) from error
-        return description
+        for name in ("conditioned_on", "parameters"):
+            value[name] = with_current_names(value.get(name), "network")
+        description = record_of(cls, value, where=where, fix="train it again", error=PolicyError)
+        inputs = tuple(replace(c, name=_input_name(c.name)) for c in description.inputs)
+        return replace(description, inputs=inputs).checked(where)
+
+    def checked(self, where: str) -> Description:
+        """Itself, if acting can rely on its numbers.
+
+        Raises:
+            PolicyError: It cannot.
+        """
+        place = f"{where}: training"
+        trained = record_of(_Trained, self.training, where=place, fix="train it again",
+                            error=PolicyError)  # fmt: skip
+        errors = trained.acted.error_over_size if trained.acted else {"mean": 0.0, "p95": 0.0}
+        lacking = [f"training.acted.{n}" for n in ("mean", "p95") if n not in errors]
+        made = ("seed", "epochs", "architecture") if trained.demonstrations else ()
+        made += ("refine_cases",) if made and trained.refine else ()
+        lacking += [f"training.{n}" for n in made if getattr(trained, n) is None]
+        lacking += [f"task.{n}" for n in ("name", "item", "ranges") if n not in self.task]
+        lacking += [f"parameters.{n}" for n in PARAMETERS if n not in self.parameters]
+        goals, G = self.goals, len(self.goal_names)
+        at, sides = np.array(goals.at), (goals.low, goals.high)
+        rows = [*goals.low, *goals.high]
+        ascend = len(at) > 0 and at[0] > 0.0 and (np.diff(at) > 0.0).all()
+        shaped = all(len(side) == len(at) for side in sides) and all(len(r) == G for r in rows)
+        known = set(self.conditioned_on) <= set(PARAMETERS)
+        ordered = all(low <= high for low, high in self.parameters.values())
+        for holds, what in (
+            (not lacking, f"lacks {', '.join(lacking)}"),
+            (ascend and shaped, f"its goals are no ranges of {G} numbers"),
+            (known, f"is conditioned on {', '.join(self.conditioned_on)}"),
+            (ordered, "has a range of parameters that ends before it begins"),
+        ):
+            require(holds, what, where=where, fix="train it again", error=PolicyError)
+        return self
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,10 +270,12 @@ class Policy(Shown):
         Raises:
             PolicyError: The file is missing, is not ONNX, or does not describe itself.
         """
+        os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # it would write into the home
         import onnxruntime
 
         where = str(path)
-        content = read_bytes(path, PolicyError)
+        content = read_bytes(path, PolicyError, most=LARGEST)
+        check_graph(content, where)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1  # the network is too small for more
         options.log_severity_level = 4
@@ -274,7 +302,26 @@ class Policy(Shown):
         described = inputs.keys() == goals | set(description.conditioned_on)
         what = f"its graph takes {sorted(inputs)}, which its description does not say"
         require(described, what, where=where, fix="train it again", error=PolicyError)
-        return cls(session, description, where=where, graph_names=inputs)
+        return cls(session, description, where=where, graph_names=inputs)._tried()
+
+    def _tried(self) -> Policy:
+        """Itself, if its network gives the numbers of an action.
+
+        Raises:
+            PolicyError: It gives others, or none, as damaged or diverged ones do.
+        """
+        about = self.description
+        middle = {name: sum(about.parameters[name]) / 2.0 for name in about.conditioned_on}
+        try:
+            with np.errstate(over="ignore"):
+                acted = self.actions(about.goals(None).mean(axis=1)[None], middle)
+            fault = "" if acted.shape == (1, len(about.outputs)) else f"of shape {acted.shape}"
+            fault = fault or ("" if np.isfinite(acted).all() else "that are not finite")
+        except Exception as error:  # onnxruntime's own exceptions share no public base class
+            fault = f"not at all ({type(error).__name__})"
+        what = f"its network gives actions {fault}"
+        require(not fault, what, where=self.where, fix="train it again", error=PolicyError)
+        return self
 
     @staticmethod
     def ships(task: str, *, parameters: bool = True) -> bool:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from gendom.arguments import require
 from gendom.errors import RobotError
-from gendom.files import read_json
+from gendom.files import read_json, record_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
 
 LIFT_ENDS = ("hold", "swing", "drop")
@@ -99,20 +99,12 @@ class LiftMotion:
             f"has format {said.get('format')!r}, not {MOTION_FORMAT!r}",
         )
         require(known == MOTION_FORMAT, what, where=str(path), fix=fix, error=RobotError)
-        found: Any = said.get("lift")
+        where = f"{path}: lift"
         try:
-            return cls(
-                kind=found["kind"],
-                rise=float(found["rise"]),
-                speed=float(found["speed"]),
-                end=found["end"],
-            )
-        except (KeyError, TypeError, ValueError):
-            raise RobotError(
-                "its lift lacks a kind, rise, speed or end", where=str(path), fix=fix
-            ) from None
+            return record_of(cls, said.get("lift"), where=where, fix=fix, error=RobotError)
         except RobotError as error:
-            raise RobotError(error.what, where=f"{path}: lift", fix=error.fix) from None
+            place = where if error.where == "motion" else error.where
+            raise RobotError(error.what, where=place, fix=error.fix) from None
 
 
 def predefined_lift(kind: str, end: str = "hold") -> LiftMotion:

@@ -23,7 +23,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gendom.sim.device import making
+from gendom.sim.device import load_kernels
 from gendom.sim.gripper import turns_of
 
 Array = NDArray[Any]
@@ -401,7 +401,6 @@ def _host_kernels() -> SimpleNamespace:
                 w, g, k, wp.float64(0.0), wp.vec3d(), rate * spin_bar[i], paths, turn_bars
             )
 
-    with making:
-        for kernel in (pose, pose_adjoint):
-            wp.load_module(kernel.module, device="cpu")
+    for kernel in (pose, pose_adjoint):
+        load_kernels(kernel.module, "cpu")
     return SimpleNamespace(pose=pose, pose_adjoint=pose_adjoint)

@@ -133,11 +133,11 @@ def rebuild(description: Mapping[str, Any]) -> Task:
     name = settings.pop("name", None)
     try:
         return find_task(name).from_settings(settings)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ParameterError(
-            f"its task {name!r} with {settings} is unknown here ({error})",
-            fix="use this version of gendom to make it again",
-        ) from error
+    except (KeyError, TypeError) as error:
+        what = (
+            f"its task {name!r} has settings that are unknown here ({type(error).__name__} {error})"
+        )
+        raise ParameterError(what, fix="use this version of gendom to make it again") from error
 
 
 __getattr__ = imported_later(

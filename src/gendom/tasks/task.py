@@ -16,13 +16,14 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import check_choice, require
 from gendom.errors import ParameterError
+from gendom.files import record_of
 from gendom.materials import QUANTITIES, Item, Material, Rope, from_columns, to_columns, unit_of
 from gendom.materials.names import with_current_names
 from gendom.robot.path import TcpPath
@@ -435,10 +436,12 @@ class Task(ABC):
         Raises:
             KeyError, TypeError, ParameterError: They are not those of this task.
         """
+        types = get_type_hints(cls) | {"item": dict[str, float]}
         given: dict[str, Any] = {
-            n: tuple(v) if isinstance(v, list) else v for n, v in settings.items()
-        }
+            name: record_of(types[name], with_current_names(value, kind), where=f"task.{name}",
+                            fix="make it again", error=ParameterError)
+            for name, value in settings.items()
+            for kind in ("range" if name == "ranges" else "quantity",)
+        }  # fmt: skip
         given["item"] = from_columns(cls.kind, given["item"])
-        ranges = with_current_names(given["ranges"], "range")
-        given["ranges"] = {name: (ends[0], ends[1]) for name, ends in ranges.items()}
         return cls(**given)

@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from gendom.datasets.demonstrations import write_parquet
 from gendom.files import atomic_folder, file_size, to_json
 
 VERSION = "v3.0"
@@ -104,7 +104,7 @@ def write_lerobot(
         meta.mkdir()
         for name, content in (("info", info), ("gendom", about), ("stats", found)):
             (meta / f"{name}.json").write_text(to_json(content) + "\n", encoding="utf-8")
-        pq.write_table(_tasks(task), meta / "tasks.parquet")
+        write_parquet(_tasks(task), meta / "tasks.parquet")
         _write(root / "data", rows, np.concatenate([[0], np.cumsum(lengths)]))
         _write(meta / "episodes", episodes, np.arange(len(lengths) + 1))
         (root / SEAL).write_text(seal(root) + "\n", encoding="ascii")
@@ -243,4 +243,4 @@ def _write(folder: Path, table: pa.Table, starts: NDArray[np.integer]) -> None:
         path = folder / _FILE.format(chunk_index=chunk, file_index=file)
         path.parent.mkdir(parents=True, exist_ok=True)
         begin, end = starts[first], starts[min(first + EPISODES_PER_FILE, len(starts) - 1)]
-        pq.write_table(table.slice(begin, end - begin), path)
+        write_parquet(table.slice(begin, end - begin), path)

@@ -122,7 +122,8 @@ def _of_points(points: NDArray[np.float32], T: int, P: int) -> dict[str, Any]:
 def _read_table(path: Path) -> pa.Table:
     """The table of a file that does not unpack to too much."""
     size = file_size(path, RecordingError, missing="is incomplete or damaged (no such file)")
-    with pq.ParquetFile(path) as file:
+    # not by its name, which may hold a colon or be no UTF-8
+    with open(path, "rb") as data, pq.ParquetFile(data) as file:
         groups = [file.metadata.row_group(k) for k in range(file.metadata.num_row_groups)]
         numbers = sum(g.column(k).num_values for g in groups for k in range(g.num_columns))
         check_unpacked(8 * numbers, size, str(path), RecordingError)

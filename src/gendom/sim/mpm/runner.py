@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gendom.sim.device import making
+from gendom.sim.device import load_kernels
 from gendom.sim.mpm.block import ROOM_ALONE, ROOMS_OF_TWO
 from gendom.sim.mpm.kernels import make_advance, make_hold_as_at
 from gendom.sim.mpm.model import Worlds
@@ -105,10 +105,9 @@ class Program:
 
     def load(self, kernel: Any, threads: int | None = None) -> None:
         """Compile a kernel, or load it from Warp's cache, before threads call it."""
-        with making:
-            block = self.variant.threads if threads is None else threads
-            device = self.worlds.device
-            wp.load_module(kernel.module, device=device, block_dim=block if device.is_cuda else 1)
+        block = self.variant.threads if threads is None else threads
+        device = self.worlds.device
+        load_kernels(kernel.module, device, block if device.is_cuda else 1)
 
     def groups(self) -> list["Group"]:
         """The groups of worlds, the slowest first."""

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import require
 from gendom.errors import SimulationError
-from gendom.sim.device import making
+from gendom.sim.device import load_kernels
 from gendom.sim.paths import HostPaths, LedPaths, Pose, paths_on
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
@@ -635,10 +635,8 @@ class ThinEngine(ABC):
 
     def load(self, *names: str) -> None:
         """Compile kernels, or load them from Warp's cache, before threads call them."""
-        with making:
-            for name in names:
-                module = getattr(self.kernels, name).module
-                wp.load_module(module, device=self.setting.device, block_dim=self._block)
+        for name in names:
+            load_kernels(getattr(self.kernels, name).module, self.setting.device, self._block)
 
     @property
     def _block(self) -> int:

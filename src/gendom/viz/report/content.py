@@ -129,7 +129,7 @@ def write_report(path: str | os.PathLike, content: ReportContent) -> None:
         GendomError: As `gendom.files.atomic_path`; or a cloud has no points, or a view is
             unknown.
     """
-    data = render_report(content).encode("utf-8")
+    data = render_report(content).encode("utf-8", "backslashreplace")  # names that are no UTF-8
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
 

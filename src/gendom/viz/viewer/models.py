@@ -15,6 +15,7 @@ from gendom.datasets import Recording
 from gendom.errors import DatasetError, RobotError, SimulationError
 from gendom.estimation import UNKNOWNS, LiftScene, Theta, chamfers, replay
 from gendom.estimation.replay import lattice, middle
+from gendom.files import record_of
 from gendom.materials import PARAMETERS, Item, from_columns, size_of, thickness_of, to_columns
 from gendom.robot import ARMS, DOWN, XARM7, JointMotion, TcpPath, follow, inverse_kinematics
 from gendom.tasks import Observed, Task, rebuild
@@ -217,14 +218,16 @@ class DatasetModel:
         from gendom.datasets.demonstrations import load, read_description
 
         about = read_description(folder)
-        made = dict(about["simulation"])
-        if made.pop("world", None) is not None:
+        made = about.get("simulation")
+        if isinstance(made, dict) and made.get("world") is not None:
             raise DatasetError(
                 "was not made by the simulator, which alone can be viewed",
                 where=str(folder),
                 fix="give a set that gendom dataset made without --world reality",
             )
-        self._world = Simulation(everything=True, **made)
+        where, fix = f"{folder}: simulation", "make the set again with gendom dataset"
+        world = record_of(Simulation, made, where=where, fix=fix, error=DatasetError)
+        self._world = replace(world, everything=True)
         self.task: Task = rebuild(about["task"])
         self._rows = load(folder, part=True).to_pylist()
         self.title = f"{folder.name or folder}: {self.task.name}"

@@ -14,10 +14,13 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from http import HTTPStatus
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import viser
+import websockets.asyncio.server as websocket_server
 from viser import uplot
 
 from gendom.arguments import require
@@ -27,6 +30,9 @@ from gendom.viz.viewer.layers import Model, Parameter, ViewerScene
 from gendom.viz.viewer.painter import FIELD_OF_VIEW, Painter, camera_of, square_size
 
 HOST = "127.0.0.1"
+
+OWN_NAMES = ("127.0.0.1", "localhost", "::1")
+"""Names of this machine by which a browser on it, or behind a tunnel to it, may ask."""
 
 SPEEDS = {"1/8": 0.125, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 """Times faster than life, as people write it."""
@@ -51,7 +57,33 @@ _log = logging.getLogger(__name__)
 
 
 class _Server(viser.ViserServer):
-    """Viser's, which does not leave this machine."""
+    """Viser's, which does not leave this machine, and answers no page but its own.
+
+    Viser has no setting for that, so the check is put before its own answers while it starts.
+    """
+
+    def __init__(self, port: int, **settings: Any):
+        serve, guarded = websocket_server.serve, []
+
+        def serve_guarded(*args: Any, process_request: Any, **others: Any) -> Any:
+            def answer(connection: Any, request: Any) -> Any:
+                if not from_own_page(request.headers):
+                    return connection.respond(HTTPStatus.FORBIDDEN, "only its own page is served")
+                return process_request(connection, request)
+
+            guarded.append(True)
+            return serve(*args, process_request=answer, **others)
+
+        setattr(websocket_server, "serve", serve_guarded)  # noqa: B010
+        try:
+            with _silent():
+                super().__init__(HOST, port, verbose=False, **settings)
+        finally:
+            setattr(websocket_server, "serve", serve)  # noqa: B010
+        if not guarded:
+            self.stop()
+            fix = "install the version of viser in constraints.txt"
+            raise GendomError("cannot be kept from pages of others", where="viser", fix=fix)
 
     def request_share_url(self, verbose: bool = True) -> str | None:
         """None: nothing is shared through servers of others."""
@@ -78,8 +110,7 @@ class Viewer:
         self._parameters = {p.name: p for p in model.parameters(case)}
         self._setting = False
         self._closed = threading.Event()
-        with _silent():
-            self._server = _Server(HOST, port, label=model.title, verbose=False)
+        self._server = _Server(port, label=model.title)
         self._painter = Painter(self._server.scene)
         self._server.initial_camera.fov = FIELD_OF_VIEW
         self._camera_set = False
@@ -394,8 +425,7 @@ def encode_html(model: Model, case: int = 0) -> str:
     """
     values = {p.name: p.value for p in model.parameters(case)}
     *_, scene = model.simulate(case, values, lambda: None)
-    with _silent():
-        server = _Server(HOST, 0, verbose=False)  # gone when the page is made
+    server = _Server(0)  # gone when the page is made
     try:
         painter = Painter(server.scene)
         where, at = camera_of(scene)
@@ -411,6 +441,22 @@ def encode_html(model: Model, case: int = 0) -> str:
     finally:
         with _silent():
             server.stop()
+
+
+def from_own_page(headers: Any) -> bool:
+    """Whether a request comes from a page of the server that it asks, or from no page.
+
+    Args:
+        headers: Of the request. ``Host`` must name this machine: a page elsewhere whose name was
+            made to lead here keeps its name there. ``Origin``, which browsers send with every
+            WebSocket, must be the same host and port; programs that are no browsers have none.
+    """
+    hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+    try:
+        named = len(hosts) == 1 and urlsplit(f"//{hosts[0]}").hostname in OWN_NAMES
+    except ValueError:
+        return False
+    return named and origins in ([], [f"http://{hosts[0]}"])
 
 
 class _DroppedError(Exception):

@@ -1,0 +1,80 @@
+"""Where compiled kernels are kept, and what becomes of damaged ones."""
+
+import os
+import tempfile
+
+import pytest
+import warp as wp
+
+from gendom.sim import device, open_device
+
+
+@wp.kernel
+def doubled(x: wp.array[float]):
+    i = wp.tid()
+    x[i] = 2.0 * x[i]  # pyright: ignore[reportIndexIssue]
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    open_device("cpu")
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    doubled.module.unload()
+    device.load_kernels(doubled.module, "cpu")
+    return tmp_path
+
+
+@pytest.mark.parametrize("damage", ["empty", "flipped"])
+@pytest.mark.parametrize("ending", [".o", ".meta"])
+def test_damaged_kernels_are_made_anew(cache, ending, damage):
+    (path,) = cache.rglob(f"*{ending}")
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    path.write_bytes(b"" if damage == "empty" else whole[:middle] + b"\xff" + whole[middle + 1 :])
+    doubled.module.unload()
+    device.load_kernels(doubled.module, "cpu")
+    x = wp.array([1.5], dtype=float, device="cpu")
+    wp.launch(doubled, dim=1, inputs=[x], device="cpu")
+    assert x.numpy() == [3.0]
+    (path,) = cache.rglob(f"*{ending}")
+    assert len(path.read_bytes()) == len(whole)
+
+
+@pytest.fixture
+def nowhere(tmp_path, monkeypatch):
+    """A process whose temporary files go to a folder, and whose cache is nowhere yet."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", None)
+    for name in ("WARP_CACHE_PATH", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH"])
+def test_kernels_go_where_they_can_be_written(nowhere, monkeypatch, caplog, name):
+    monkeypatch.setenv("HOME", str(nowhere))
+    assert device._kernel_cache() is None and not caplog.records
+    monkeypatch.setenv(name, "/dev/null/home")
+    kept = device._kernel_cache()
+    assert kept is not None and os.path.dirname(kept) == str(nowhere)
+    assert [kept in record.getMessage() for record in caplog.records] == [True]
+
+
+def test_no_folder_is_called_tilde(nowhere, monkeypatch):
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)  # as without a home
+    assert str(device._kernel_cache()).startswith(str(nowhere))
+
+
+@pytest.mark.parametrize("kind", ["open", "link", "file"])
+def test_code_of_others_is_not_run(nowhere, kind):
+    """A folder that others can write is not taken, nor a link or a file of that name."""
+    usual = nowhere / f"gendom-kernels-{os.geteuid()}"
+    if kind == "open":
+        usual.mkdir()
+        usual.chmod(0o777)
+    elif kind == "link":
+        usual.symlink_to(nowhere)
+    else:
+        usual.touch()
+    kept = device._folder_of_this_user()
+    assert kept != str(usual) and os.stat(kept).st_mode & 0o077 == 0
