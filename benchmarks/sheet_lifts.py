@@ -14,7 +14,7 @@ import time
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from experiments.coverage import draw_object
+from experiments.lifts import draw_object
 from gendom.materials import AIR_DENSITY
 from gendom.reality import find_object
 from gendom.reality.model import softened
