@@ -33,7 +33,12 @@ from gendom.installation import version
 
 ROOT = Path(__file__).resolve().parents[1]
 STORED = ROOT / "benchmarks" / "figures.json"
-PAGES = (ROOT / "README.md", ROOT / "docs" / "benchmarks.md", ROOT / "docs" / "performance.md")
+PAGES = (
+    ROOT / "README.md",
+    ROOT / "docs" / "benchmarks.md",
+    ROOT / "docs" / "performance.md",
+    ROOT / "docs" / "reality.md",
+)
 RECORDINGS = Path(os.environ.get("GENDOM_TEST_DATA", ROOT.parent / "shared" / "data"))
 
 TEMPLATES = ROOT / "benchmarks" / "figures.md"
