@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from typing import Any
 
@@ -18,7 +18,7 @@ MACHINE = 1.0
 """Relative tolerance of times and speeds, which machines change: a factor of two."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Figure:
     """Numbers that one command prints."""
 
@@ -27,6 +27,7 @@ class Figure:
     """As pages show it."""
     read: Callable[[Any], dict[str, Any]]
     """Numbers, also in lists and mappings, from the command's JSON or text."""
+    _: KW_ONLY
     json: bool = True
     """Whether the command prints JSON with ``--json``; its text is read otherwise."""
     relative: float = 0.05
@@ -86,6 +87,10 @@ def rope(found: Any) -> dict[str, Any]:
 def wire(found: Any) -> dict[str, Any]:
     values = [found["bending_stiffness"], *found["intervals"]["bending_stiffness"]]
     return {"EI": [1e4 * x for x in values]}
+
+
+def elastica(found: Any) -> dict[str, Any]:
+    return {"EI": 1e4 * found["EI"]}
 
 
 def cables(rows: Any) -> dict[str, Any]:
@@ -182,7 +187,7 @@ def jobs(found: Any) -> dict[str, Any]:
 
 def cantilever(found: Any) -> dict[str, Any]:
     """By error and by how many at once, and by simulator."""
-    return {"cpu": found["cpu"], "rate": found["rate"]}
+    return {"cpu": found["cpu"], "rate": {f"of {n}": own for n, own in found["rate"].items()}}
 
 
 def bench(rows: Any) -> dict[str, Any]:
@@ -212,124 +217,82 @@ def seconds(found: Any) -> dict[str, Any]:
 # ---- commands ----------------------------------------------------------------------------------
 
 
-def validation(name: str, words: str, read: Callable[[Any], dict[str, Any]] = cases) -> Figure:
-    return Figure(
-        name=name, command=f"python -m validation {words}", read=read, relative=0.2, absolute=1e-4
-    )
+def covered(name: str, words: str) -> Figure:
+    command = f"python -m experiments coverage {words}"
+    return Figure(f"coverage-{name}", command, coverage, absolute=1.0, needs=("hours",))
 
 
-def dataset(name: str, words: str) -> Figure:
-    return Figure(
-        name=name, command=f"gendom dataset {words} --device cuda --out set", read=seconds,
-        relative=MACHINE, needs=("cuda",),
-    )  # fmt: skip
+def trained(name: str, words: str, read: Callable[[Any], dict[str, Any]]) -> Figure:
+    command = f"python -m experiments {words} --scale full --device cuda"
+    return Figure(name, command, read, relative=0.3, needs=("cuda", "hours"))
 
 
-OF_COVERAGE = partial(Figure, read=coverage, absolute=1.0, needs=("hours",))
+def validation(name: str, read: Callable[[Any], dict[str, Any]], words: str = "") -> Figure:
+    command = f"python -m validation {words or '--only ' + name}"
+    return Figure(name, command, read, relative=0.2, absolute=1e-4)
+
+
+def dataset(name: str, words: str, *needs: str) -> Figure:
+    return TIMED(f"set-{name}", f"gendom dataset {words} --out set", seconds, needs=needs)
+
+
 TIMED = partial(Figure, relative=MACHINE)
 REAL = partial(Figure, needs=("recordings",))
-LONG = partial(Figure, relative=0.3, needs=("cuda", "hours"))
+ON_CUDA = partial(TIMED, needs=("cuda",))
+PEERS = partial(TIMED, needs=("peers",))
 
 FIGURES = (
-    OF_COVERAGE(
-        name="coverage-rope", command="python -m experiments coverage --lifts 12 --measured"
-    ),
-    OF_COVERAGE(
-        name="coverage-wide", command="python -m experiments coverage --wide --lifts 100 --measured"
-    ),
-    OF_COVERAGE(name="coverage-thin", command="python -m experiments coverage --kind thin"),
-    OF_COVERAGE(
-        name="coverage-cloth",
-        command="python -m experiments coverage --kind cloth --lifts 50 --measured",
-    ),
-    OF_COVERAGE(name="coverage-swing", command="python -m experiments coverage --end swing"),
-    Figure(name="demo", command="gendom demo", read=demo, relative=0.3, absolute=0.3),
+    covered("rope", "--lifts 12 --measured"),
+    covered("wide", "--wide --lifts 100 --measured"),
+    covered("thin", "--kind thin"),
+    covered("cloth", "--kind cloth --lifts 50 --measured"),
+    covered("swing", "--end swing"),
+    Figure("demo", "gendom demo", demo, relative=0.3, absolute=0.3),
+    REAL("rope-red", "gendom estimate rope_red_lift.npz --starts 1 --seed 0", rope),
     REAL(
-        name="rope-red", read=rope,
-        command="gendom estimate rope_red_lift.npz --starts 1 --seed 0",
-    ),
-    REAL(name="cables", read=cables, command=(
+        "cables",
         "python benchmarks/cables.py cable_dlo3_train_001.npz cable_dlo3_train_002.npz "
         "cable_dlo3_train_006.npz cable_dlo3_train_011.npz cable_dlo3_eval_004.npz "
-        "cable_dlo3_eval_010.npz"
-    )),
-    REAL(name="wire", read=wire, command="gendom estimate wire_white_loop.npz"),
-    REAL(
-        name="wire-elastica", read=lambda found: {"EI": 1e4 * found["EI"]},
-        command="python benchmarks/wire.py wire_white_loop.npz",
+        "cable_dlo3_eval_010.npz",
+        cables,
     ),
+    REAL("wire", "gendom estimate wire_white_loop.npz", wire),
+    REAL("wire-elastica", "python benchmarks/wire.py wire_white_loop.npz", elastica),
     Figure(
-        name="sim2sim", read=sim2sim, relative=1.0, needs=("hours",),
-        command="python -m experiments sim2sim --scale full",
+        "sim2sim", "python -m experiments sim2sim --scale full", sim2sim,
+        relative=MACHINE, needs=("hours",),
     ),
-    LONG(
-        name="reaching", read=rope_real,
-        command="python -m experiments rope-real --scale full --device cuda",
-    ),
-    LONG(
-        name="casting", read=rope_real,
-        command="python -m experiments rope-real --scale full --device cuda --task rope-casting",
-    ),
+    trained("reaching", "rope-real", rope_real),
+    trained("casting", "rope-real --task rope-casting", rope_real),
+    trained("ablation-reaching", "ablation", ablation),
+    trained("ablation-casting", "ablation --task rope-casting", ablation),
+    Figure("evaluate-casting", "gendom evaluate rope-casting --cases 50 --seed 3", evaluated),
+    Figure("evaluate-reaching", "gendom evaluate rope-reaching --cases 50 --seed 3", evaluated),
+    validation("cantilever", ratios),
+    validation("torsion", cases),
+    validation("ring-down", ring_down),
+    validation("resting", resting),
+    validation("mechanics", cases, "--engine thin"),
+    Figure("two-realities", "python benchmarks/two_realities.py", two_realities, absolute=0.1),
     Figure(
-        name="evaluate-casting", read=evaluated,
-        command="gendom evaluate rope-casting --cases 50 --seed 3",
+        "sheet-lifts",
+        "python benchmarks/sheet_lifts.py cloth-rubber-200mm cloth-cotton-200mm --drawn 3",
+        sheets,
     ),
-    Figure(
-        name="evaluate-reaching", read=evaluated,
-        command="gendom evaluate rope-reaching --cases 50 --seed 3",
+    TIMED("thin", "python benchmarks/thin.py --cpu-time", jobs),
+    ON_CUDA(
+        "thin-cuda", "python benchmarks/thin.py --device cuda --worlds 40000 --sheets 960", jobs
     ),
-    LONG(
-        name="ablation-reaching", read=ablation,
-        command="python -m experiments ablation --scale full --device cuda",
+    PEERS("cantilever-rope", "python benchmarks/cantilever.py rope", cantilever),
+    PEERS("cantilever-strip", "python benchmarks/cantilever.py strip", cantilever),
+    TIMED("bench", "gendom bench --worlds 1 --threads 1 --dtype float32 float64", bench),
+    ON_CUDA(
+        "bench-cuda", "gendom bench --device cuda --worlds 1024 --seconds 0.2 --gradient", bench
     ),
-    LONG(
-        name="ablation-casting", read=ablation,
-        command="python -m experiments ablation --scale full --device cuda --task rope-casting",
-    ),
-    validation("cantilever", "--only cantilever", ratios),
-    validation("torsion", "--only torsion"),
-    validation("ring-down", "--only ring-down", ring_down),
-    validation("resting", "--only resting", resting),
-    validation("mechanics", "--engine thin"),
-    Figure(
-        name="two-realities", read=two_realities, absolute=0.1,
-        command="python benchmarks/two_realities.py",
-    ),
-    TIMED(name="thin", read=jobs, command="python benchmarks/thin.py --cpu-time"),
-    TIMED(
-        name="thin-cuda", read=jobs, needs=("cuda",),
-        command="python benchmarks/thin.py --device cuda --worlds 40000 --sheets 960",
-    ),
-    Figure(
-        name="sheet-lifts", read=sheets,
-        command="python benchmarks/sheet_lifts.py cloth-rubber-200mm cloth-cotton-200mm --drawn 3",
-    ),
-    TIMED(
-        name="cantilever-rope", read=cantilever, needs=("peers",),
-        command="python benchmarks/cantilever.py rope",
-    ),
-    TIMED(
-        name="cantilever-strip", read=cantilever, needs=("peers",),
-        command="python benchmarks/cantilever.py strip",
-    ),
-    TIMED(
-        name="bench", read=bench,
-        command="gendom bench --worlds 1 --threads 1 --dtype float32 float64",
-    ),
-    TIMED(
-        name="bench-cuda", read=bench, needs=("cuda",),
-        command="gendom bench --device cuda --worlds 1024 --seconds 0.2 --gradient",
-    ),
-    TIMED(name="gradient", read=gradient, command="python benchmarks/gradient.py"),
-    dataset("set-reaching", "rope-reaching --size 40000"),
-    dataset("set-casting", "rope-casting --size 20000"),
-    dataset("set-spreading", "cloth-spreading --size 800"),
-    TIMED(
-        name="set-cpu", read=seconds,
-        command="gendom dataset rope-reaching --size 4000 --out set",
-    ),
-    TIMED(
-        name="compare", read=peers, json=False, needs=("peers",),
-        command="make -C benchmarks compare",
-    ),
+    TIMED("gradient", "python benchmarks/gradient.py", gradient),
+    dataset("reaching", "rope-reaching --size 40000 --device cuda", "cuda"),
+    dataset("casting", "rope-casting --size 20000 --device cuda", "cuda"),
+    dataset("spreading", "cloth-spreading --size 800 --device cuda", "cuda"),
+    dataset("cpu", "rope-reaching --size 4000"),
+    PEERS("compare", "make -C benchmarks compare", peers, json=False),
 )  # fmt: skip

@@ -186,9 +186,12 @@ def truth_of(item: RealObject) -> dict[str, float]:
     """By names of `gendom.estimation.UNKNOWNS` and of values of estimates. Lifts show a cloth's
     rigidity E t^3 / (12 (1 - nu^2)) alone: its E is the one that gives this with the nu that
     estimates assume."""
-    m, is_rope = item.material, isinstance(item, RealRope)
-    wide = 1.0 if is_rope else (1.0 - m.nu**2) / (1.0 - UNKNOWNS["nu"].mean ** 2)
-    k = item.diameter / 4.0 if is_rope else item.thickness / math.sqrt(12.0)
+    m, wide = item.material, 1.0
+    if isinstance(item, RealRope):
+        k = item.diameter / 4.0
+    else:
+        k = item.thickness / math.sqrt(12.0)
+        wide = (1.0 - m.nu**2) / (1.0 - UNKNOWNS["nu"].mean ** 2)
     return {
         "E": m.E / wide,
         "E_over_rho": m.E_over_rho / wide,

@@ -76,7 +76,7 @@ def counting(figures, monkeypatch, tmp_path):
 
     def only(exit=0, read=lambda text: {"runs": float(text)}, **options):
         command = f"python {script} {exit}"
-        figure = figures.Figure(name="n", command=command, read=read, json=False, **options)
+        figure = figures.Figure("n", command, read, json=False, **options)
         monkeypatch.setattr(figures, "FIGURES", (figure,))
         return figure
 
@@ -128,7 +128,7 @@ def test_what_cannot_be_run_here_is_left_out(figures, counting, tmp_path, capsys
 
 
 def test_tolerances_are_of_the_smaller_number_and_fixed(figures):
-    figure = figures.Figure(name="n", command="", read=dict, relative=1.0)
+    figure = figures.Figure("n", "", dict, relative=1.0)
     assert figure.agrees("x", 2.0, 4.0) and figure.agrees("x", 4.0, 2.0)
     assert not figure.agrees("x", 2.0, 4.1) and not figure.agrees("rows", 2.0, 3.0)
     near = replace(figure, relative=0.05, absolute=0.1)
