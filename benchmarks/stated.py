@@ -38,7 +38,7 @@ class Figure:
 
     def numbers(self, output: str) -> dict[str, Any]:
         """From the command's output, with five digits."""
-        return _rounded(self.read(json.loads(output) if self.json else output))
+        return _rounded(self.read(_json_in(output) if self.json else output))
 
     def agrees(self, number: str, stated: float, found: float) -> bool:
         if number in COUNTS:
@@ -50,6 +50,14 @@ class Figure:
     def allowed(self) -> str:
         share = "a factor of 2" if self.relative == MACHINE else f"{100.0 * self.relative:g} %"
         return share + (f" + {self.absolute:g}" if self.absolute else "")
+
+
+def _json_in(output: str) -> Any:
+    """The JSON in what a command printed; `gendom demo` tells what it does before."""
+    began = re.search(r"^[\[{]", output, re.MULTILINE)
+    if began is None:
+        raise ValueError("no JSON was printed")
+    return json.JSONDecoder().raw_decode(output, began.start())[0]
 
 
 def _rounded(value: Any) -> Any:
