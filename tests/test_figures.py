@@ -138,3 +138,10 @@ def test_tolerances_are_of_the_smaller_number_and_fixed(figures):
 def test_numbers_of_tables_are_compared_one_by_one(figures):
     numbers = dict(figures.leaves({"table": "| a | 1.5 x (1 to 2) |", "list": [3.0, {"b": 4.0}]}))
     assert numbers == {"table.0": 1.5, "table.1": 1, "table.2": 2, "list.0": 3.0, "list.1.b": 4.0}
+
+
+def test_json_is_found_behind_text(figures):
+    figure = figures.Figure("n", "", lambda found: {"a": found["a"]})
+    assert figure.numbers('told [before]\n{"a": 1.23456789}\nand after\n') == {"a": 1.2346}
+    with pytest.raises(ValueError, match="no JSON"):
+        figure.numbers("nothing")
