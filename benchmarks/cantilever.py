@@ -24,7 +24,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -422,6 +422,7 @@ def main() -> None:
     parser.add_argument("--elastica", type=Path, default=peer)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--worlds", type=int, nargs="*", default=[1, 16, 64])
+    parser.add_argument("--json", action="store_true")
     parser.add_argument("--only", help="a simulator, and a list of runs of it, as JSON")
     given = parser.parse_args()
     if given.only:
@@ -459,27 +460,36 @@ def main() -> None:
             keep = [r for r in rows if r["error"] < bound]
             if keep:
                 chosen[name][bound] = min(keep, key=lambda r: r["cpu"])
+    cpu = turns(given.rounds, chosen, ask, "cpu", {b: (b, 1) for b in BOUNDS})
+    wanted = {n: (BOUNDS[1], n) for n in given.worlds}
+    rate = turns(given.rounds, chosen, ask, "rate", wanted)
+    if given.json:
+        found = {"cpu": by_key(cpu, BOUNDS), "rate": by_key(rate, given.worlds)}
+        print(json.dumps(found, indent=2))
+        return
     print(
         "error below   simulator         edges  option            error   CPU s a simulated second"
     )
-    medians = turns(given.rounds, chosen, ask, "cpu", {b: (b, 1) for b in BOUNDS})
     for bound in BOUNDS:
         for name in chosen:
-            if bound in chosen[name] and (name, bound) in medians:
+            if bound in chosen[name] and (name, bound) in cpu:
                 r = chosen[name][bound]
                 print(
                     f"{bound:11.3f}   {name:16} {r['edges']:6}  {r['option']:16}"
-                    f" {r['error']:7.4f} {medians[name, bound]:12.5f}"
+                    f" {r['error']:7.4f} {cpu[name, bound]:12.5f}"
                 )
     if not given.worlds:
         return
-    wanted = {n: (BOUNDS[1], n) for n in given.worlds}
-    medians = turns(given.rounds, chosen, ask, "rate", wanted)
     print(f"worlds   simulator         simulated seconds a second, {CORES} cores")
     for n in given.worlds:
         for name in chosen:
-            if (name, n) in medians:
-                print(f"{n:6}   {name:16} {medians[name, n]:12.1f}")
+            if (name, n) in rate:
+                print(f"{n:6}   {name:16} {rate[name, n]:12.1f}")
+
+
+def by_key(medians: dict, keys: Sequence[float]) -> dict[str, dict[str, float]]:
+    """Medians by key, and by simulator."""
+    return {f"{key:g}": {n: m for (n, k), m in medians.items() if k == key} for key in keys}
 
 
 def turns(

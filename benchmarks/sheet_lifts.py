@@ -9,12 +9,13 @@ plane than their material is (`docs/reality.md`); the shell has that modulus (`M
 """
 
 import argparse
+import json
 import time
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from experiments.coverage import draw_object
+from experiments.lifts import draw_object
 from gendom.materials import AIR_DENSITY
 from gendom.reality import find_object
 from gendom.reality.model import softened
@@ -79,9 +80,11 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=28, help="a side of the shell")
     parser.add_argument("--step", type=float, help="MuJoCo's [s]")
     parser.add_argument("--contact", action="store_true", help="the shell meets itself")
+    parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
     items = [find_object(name) for name in given.objects]
     items += [draw_object("cloth", seed) for seed in range(given.drawn)]
+    rows = []
     for item in items:
         trial = lift(item)
         times = np.arange(0.0, trial.end, 1.0 / RATE)
@@ -92,12 +95,18 @@ def main() -> None:
         seconds = between - began, time.perf_counter() - between
         far = 1e3 * np.linalg.norm(here - there, axis=2)
         worst = far.mean(axis=1)
+        found = {"mean": float(far.mean()), "worst": float(worst.max())}
+        rows.append({"object": item.name, **found})
+        if given.json:
+            continue
         print(
             f"{item.name:<20} mean {far.mean():.2f} mm, worst frame {worst.max():.2f} mm at "
             f"{times[worst.argmax()]:.2f} of {trial.end:.2f} s, end {worst[-1]:.2f} mm; "
             f"MuJoCo {seconds[0]:.1f} s, shell {seconds[1]:.1f} s",
             flush=True,
         )
+    if given.json:
+        print(json.dumps(rows, indent=2))
 
 
 if __name__ == "__main__":

@@ -20,7 +20,9 @@ GRAVITY = 9.80665
 def main() -> None:
     parser = argparse.ArgumentParser(description="E I of a hanging wire")
     parser.add_argument("file")
-    with np.load(parser.parse_args().file) as read:
+    parser.add_argument("--json", action="store_true")
+    given = parser.parse_args()
+    with np.load(given.file) as read:
         points = read["loops"].mean(axis=0)[:, [0, 2]].astype(float)
         about = json.loads(str(read["meta"]))["object"]
     length, weight = about["length"], about["mass_per_length"] * GRAVITY
@@ -53,6 +55,9 @@ def main() -> None:
     first = [np.log(1.2e-4), chords[0] + 0.5, chords[-1] - 0.5]
     best = least_squares(off, first, x_scale=[0.1, 0.3, 0.3], diff_step=1e-3)
     rms = np.sqrt(np.mean(off(best.x) ** 2))
+    if given.json:
+        print(json.dumps({"EI": float(np.exp(best.x[0])), "rms": float(rms)}))
+        return
     print(f"E I {np.exp(best.x[0]):.3g} N m^2, points {1e3 * rms:.2g} mm off (a coordinate)")
 
 

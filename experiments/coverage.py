@@ -1,38 +1,33 @@
 """Coverage of intervals: random objects of the MuJoCo test scene are lifted, perceived and
 estimated. Objects have the seeds from --seed on; every lift and every estimate is kept.
 
-Also writes the factors of the intervals, from which `gendom/assets/calibration.json` is made.
+Reported are the intervals that users get, of lifts that their calibration has not seen. With
+--calibrate estimates have their likelihood's own deviations, and the factors are written from which
+`gendom/assets/calibration.json` is made.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
+from importlib import resources
 from typing import Any
 
 import numpy as np
 from scipy.stats import binom, norm
 
+from experiments.lifts import LEVEL, Lifts, estimate_settings, measured, truth_of
 from experiments.runs import Chart, Result, Runs, Table
-from gendom.datasets import Recording
-from gendom.errors import GendomError
-from gendom.estimation import (
-    UNKNOWNS,
-    EstimateSettings,
-    IntervalCalibration,
-    SceneSettings,
-    estimate,
-)
-from gendom.estimation.lift_plan import CLOUD_POINTS
+from gendom.errors import GendomError, ParameterError
+from gendom.estimation import IntervalCalibration, estimate
 from gendom.files import write_json
-from gendom.materials import STANDARD_GRAVITY, Material
-from gendom.materials.parameters import E_over_rho_of
-from gendom.reality import RealCloth, RealObject, RealRope
-from gendom.reality.objects import vertices_of
-from gendom.robot import predefined_lift
+
+REPORTED = ("E", "bending_length", "nu", "damping", "friction")
+CALIBRATED = ("E_over_rho", "nu", "damping", "friction")
 
 BAND = 0.95
 """Probability with which all bars of uniform ranks lie within their band."""
@@ -40,133 +35,110 @@ BAND = 0.95
 BINS, A_BIN = (4, 20), 5
 """Bars of a histogram of ranks, at least and at most, and how many ranks each should hold."""
 
-LEVEL = 0.9
-"""Probability that intervals claim."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Lifts:
-    """What is lifted and how; one random object a seed."""
-
-    kind: str = "rope"
-    """``rope`` or ``cloth``."""
-    end: str = "hold"
-    """How lifts end, one of `gendom.robot.LIFT_ENDS`."""
-
-    @property
-    def name(self) -> str:
-        """Part of the names of files."""
-        return f"{self.kind}-{self.end}"
-
-    def recorded(self, runs: Runs, seed: int) -> Recording:
-        """The lift of a random object, of twice as many points a frame as estimates compare."""
-        item, motion = draw_object(self.kind, seed), predefined_lift(self.kind, self.end)
-        own, label = replace(runs, seed=seed), f"{self.name}-{seed:04d}"
-        return own.recorded(label, item, motion, CLOUD_POINTS[self.kind])
-
-
-def estimate_settings(seed: int) -> EstimateSettings:
-    """Of a lift: one start on one thread, as processes work side by side."""
-    return EstimateSettings(starts=1, seed=seed, level=LEVEL, scene=SceneSettings(threads=1))
-
 
 def run(runs: Runs, flags: argparse.Namespace) -> Result:
-    """A row for each lift: what was estimated, without calibration, and what is true."""
-    lifts = Lifts(kind=flags.kind, end=flags.end)
-    seeds = range(flags.seed, flags.seed + flags.lifts)
-    rows = list(runs.each(partial(_row, runs, lifts), seeds, "lifting"))
-    table = covered(rows, LEVEL)
-    factors = {lifts.kind: calibration_of(rows, table)}
-    write_json(runs.folder / f"calibration-{lifts.name}.json", factors)
-    settings = {**asdict(lifts), "lifts": flags.lifts, "level": LEVEL}
+    """A row for each lift: what was estimated and what is true."""
+    lifts, seeds = Lifts.of(flags), range(flags.seed, flags.seed + flags.lifts)
+    if flags.calibrate:
+        return _calibrated(runs, lifts, seeds)
+    check_unseen(lifts, seeds)
+    rows = _rows(runs, lifts, seeds, "")
+    table = covered(rows, LEVEL, REPORTED)
+    by_hand = _rows(runs, lifts, seeds, "-measured") if flags.measured else []
+    beside = covered(by_hand, LEVEL, REPORTED)
     return Result(
         name=f"coverage-{lifts.name}",
-        figures={**settings, "unknowns": [asdict(c) for c in table], "rows": rows},
-        shown=shown_of(rows, table),
+        figures={
+            **_settings(lifts, rows),
+            "unknowns": {c.name: asdict(c) for c in table},
+            "measured": {c.name: asdict(c) for c in beside},
+            "rows": rows,
+        },
+        shown=shown_of(rows, table, beside),
         notes=reasons_of(rows),
     )
 
 
-def draw_object(kind: str, seed: int) -> RealObject:
-    """A random rope or square cloth of the second reality.
-
-    Ropes are 0.25 to 0.36 m long, 3.5 to 6 % of that thick and bend over 0.25 to 0.7 lengths;
-    cloths are 0.2 to 0.36 m wide, 0.4 to 1.2 mm thick and bend over 14 to 50 mm. Density 500 to
-    1,100 (cloths from 300) kg/m^3, nu 0.2 to 0.4, damping log-uniform 1 to 20 ms, friction 0.1 to
-    0.8.
-    """
-    rng = np.random.default_rng([77, seed])
-
-    def between(low: float, high: float) -> float:
-        return float(rng.uniform(low, high))
-
-    nu, friction = between(0.2, 0.4), between(0.1, 0.8)
-    damping = math.exp(between(math.log(0.001), math.log(0.02)))
-    if kind == "rope":
-        length, density = between(0.25, 0.36), between(500.0, 1100.0)
-        diameter, bends = length * between(0.035, 0.06), length * between(0.25, 0.7)
-        E = density * E_over_rho_of(bends, diameter / 4.0, STANDARD_GRAVITY)
-        return RealRope(
-            name=f"rope-{seed}",
-            length=length,
-            diameter=diameter,
-            material=Material(E=E, nu=nu, density=density, damping=damping),
-            friction=friction,
-            colour=(200, 40, 40),
-            # MuJoCo wants vertices farther apart than they are thick
-            vertices=min(18, int(0.95 * length / diameter)),
-        )
-    side, thickness, density = between(0.2, 0.36), between(4e-4, 1.2e-3), between(300.0, 1100.0)
-    bends = math.exp(between(math.log(0.014), math.log(0.05)))
-    k = thickness / math.sqrt(12.0 * (1.0 - nu**2))
-    return RealCloth(
-        name=f"cloth-{seed}",
-        side=side,
-        thickness=thickness,
-        material=Material(
-            E=density * E_over_rho_of(bends, k, STANDARD_GRAVITY),
-            nu=nu,
-            density=density,
-            damping=damping,
-        ),
-        friction=friction,
-        colour=(40, 70, 190),
-        vertices=vertices_of(side),
+def _calibrated(runs: Runs, lifts: Lifts, seeds: range) -> Result:
+    """Deviations without calibration, and the file of factors."""
+    rows = _rows(runs, lifts, seeds, "-raw")
+    table = covered(rows, LEVEL, CALIBRATED)
+    source = {"drawn": lifts.drawn, "seeds": [seeds[0], seeds[-1]]}
+    factors = {lifts.kind: {**source, **calibration_of(rows, table)}}
+    write_json(runs.folder / f"calibration-{lifts.name}.json", factors)
+    return Result(
+        name=f"coverage-{lifts.name}-raw",
+        figures={
+            **_settings(lifts, rows),
+            "unknowns": {c.name: asdict(c) for c in table},
+            "rows": rows,
+        },
+        shown=shown_of(rows, table, calibrate=True),
+        notes=reasons_of(rows),
     )
 
 
-def _row(runs: Runs, lifts: Lifts, seed: int) -> dict[str, Any]:
-    return runs.kept(f"{lifts.name}-{seed:04d}", partial(_estimated, runs, lifts, seed))
+def _settings(lifts: Lifts, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    usable = _usable(rows)
+    took = [row["seconds"] for row in usable if "seconds" in row]
+    return {
+        **asdict(lifts),
+        "level": LEVEL,
+        "lifts": len(rows),
+        "usable": len(usable),
+        "median_seconds": float(np.median(took)) if took else None,
+    }
 
 
-def _estimated(runs: Runs, lifts: Lifts, seed: int) -> dict[str, Any]:
-    row: dict[str, Any] = {"seed": seed, "truth": truth_of(draw_object(lifts.kind, seed))}
+def check_unseen(lifts: Lifts, seeds: range) -> None:
+    """Refuse lifts that the shipped calibration was made from: their intervals hold by making.
+
+    Raises:
+        ParameterError: Some are.
+    """
+    place = resources.files("gendom") / "assets" / "calibration.json"
+    for made in json.loads(place.read_text(encoding="utf-8")).values():
+        if made.get("drawn") == lifts.drawn:
+            first, last = made["seeds"]
+            if seeds[0] <= last and first <= seeds[-1]:
+                raise ParameterError(
+                    f"the shipped intervals were calibrated on the {lifts.kind}s of seeds {first} "
+                    f"to {last}",
+                    where=f"seeds {seeds[0]} to {seeds[-1]}",
+                    fix=f"take --seed {last + 1} or above, or --calibrate",
+                )
+
+
+def _rows(runs: Runs, lifts: Lifts, seeds: range, which: str) -> list[dict[str, Any]]:
+    return list(runs.each(partial(_row, runs, lifts, which), seeds, f"lifting{which}"))
+
+
+def _row(runs: Runs, lifts: Lifts, which: str, seed: int) -> dict[str, Any]:
+    name = f"estimate-{lifts.name}-{seed:04d}{which}"
+    return runs.kept(name, partial(_estimated, runs, lifts, which, seed))
+
+
+def _estimated(runs: Runs, lifts: Lifts, which: str, seed: int) -> dict[str, Any]:
+    """What is estimated with the shipped calibration; ``-raw``: with none; ``-measured``: of what
+    people measured."""
+    row: dict[str, Any] = {"seed": seed, "truth": truth_of(lifts.object(seed))}
     try:
         recording = lifts.recorded(runs, seed)
-        found = estimate(recording, estimate_settings(seed), calibration=IntervalCalibration.none())
+        if which == "-measured":
+            recording = measured(recording, seed)
+        calibration = IntervalCalibration.none() if which == "-raw" else None
+        found = estimate(recording, estimate_settings(seed), calibration=calibration)
     except GendomError as error:
         return {**row, "fault": str(error)}
     return {
         **row,
         "verdict": asdict(found.verdict),
+        "values": {name: found.record[name] for name in row["truth"]},
+        "intervals": found.record["intervals"],
         "posterior": found.posterior.to_dict(),
         "rms": found.record["rms"],
         "seconds": found.record["seconds"],
         "displaced": found.record["noise"]["model"] / found.scene.size,
-    }
-
-
-def truth_of(item: RealObject) -> dict[str, float]:
-    """By names of `gendom.estimation.UNKNOWNS`. Lifts show a cloth's rigidity
-    E t^3 / (12 (1 - nu^2)) alone: its E is the one that gives this with the nu that estimates
-    assume."""
-    m = item.material
-    wide = 1.0 if isinstance(item, RealRope) else (1.0 - m.nu**2) / (1.0 - UNKNOWNS["nu"].mean ** 2)
-    return {
-        "E_over_rho": m.E_over_rho / wide,
-        "nu": m.nu,
-        "damping": m.damping,
-        "friction": item.friction,
     }
 
 
@@ -214,28 +186,24 @@ def rank_band(count: int, bins: int) -> tuple[int, int]:
     return int(low), int(high)
 
 
-def covered(rows: Sequence[dict[str, Any]], level: float) -> list[Covered]:
-    """Of all unknowns whose truth is known, over the usable lifts.
+def covered(
+    rows: Sequence[dict[str, Any]], level: float, names: Sequence[str] = CALIBRATED
+) -> list[Covered]:
+    """Of all that was estimated and whose truth is known, over the usable lifts.
 
     Args:
         rows: Of lifts.
         level: Probability that intervals claim.
+        names: Unknowns, and values of estimates that follow from them.
     """
     usable = _usable(rows)
     z = float(norm.ppf(0.5 + level / 2.0))
     found = []
-    for name in ("E_over_rho", "nu", "damping", "friction"):
-        off, sd = [], []
-        for row in usable:
-            posterior = row["posterior"]
-            if name not in posterior["names"]:
-                continue
-            k = posterior["names"].index(name)
-            truth = row["truth"][name]
-            off.append(posterior["mean"][k] - (math.log(truth) if posterior["log"][k] else truth))
-            sd.append(math.sqrt(posterior["covariance"][k][k]))
-        if not off:
+    for name in names:
+        errors = [known for row in usable if (known := _error(row, name, z)) is not None]
+        if not errors:
             continue
+        off, sd, held = map(list, zip(*errors, strict=True))
         error, deviation = np.abs(off), np.array(sd)
         ranks = norm.cdf(-np.array(off) / deviation)
         bins = min(max(len(off) // A_BIN, BINS[0]), BINS[1])
@@ -247,7 +215,7 @@ def covered(rows: Sequence[dict[str, Any]], level: float) -> list[Covered]:
                 ninety_error=float(np.quantile(error, 0.9)),
                 bias=float(np.mean(off)),
                 half_width=float(np.median(z * deviation)),
-                covered=float(np.mean(error < z * deviation)),
+                covered=float(np.mean(held)),
                 factor=float(np.quantile(error / deviation, level)) / z,
                 added=_added(error / z, deviation, level),
                 ranks=tuple(map(float, ranks)),
@@ -256,6 +224,24 @@ def covered(rows: Sequence[dict[str, Any]], level: float) -> list[Covered]:
             )
         )
     return found
+
+
+def _error(row: dict[str, Any], name: str, z: float) -> tuple[float, float, bool] | None:
+    """Error and standard deviation of what was estimated, in transformed units, and whether its
+    interval of so many deviations holds the truth; None where it was not estimated."""
+    posterior, truth = row["posterior"], row["truth"][name]
+    interval = (row.get("intervals") or {}).get(name)
+    if name in posterior["names"]:
+        k = posterior["names"].index(name)
+        off = posterior["mean"][k] - (math.log(truth) if posterior["log"][k] else truth)
+        sd = math.sqrt(posterior["covariance"][k][k])
+    elif interval is not None:
+        off = math.log(row["values"][name] / truth)
+        sd = math.log(interval[1] / interval[0]) / (2.0 * z)
+    else:
+        return None
+    held = abs(off) < z * sd if interval is None else interval[0] <= truth <= interval[1]
+    return off, sd, held
 
 
 def _added(wanted: np.ndarray, deviation: np.ndarray, level: float) -> float:
@@ -282,15 +268,29 @@ def calibration_of(
     }
 
 
-def shown_of(rows: Sequence[dict[str, Any]], table: Sequence[Covered]) -> list[Table | Chart]:
+def shown_of(
+    rows: Sequence[dict[str, Any]],
+    table: Sequence[Covered],
+    beside: Sequence[Covered] = (),
+    *,
+    calibrate: bool = False,
+) -> list[Table | Chart]:
     """The table of `covered`, and the histogram of each unknown's ranks.
 
     Where posteriors are right, the truth has any rank among their values as often as any other, and
     bars end within the band. Bars that are high on both sides mean posteriors that are too narrow,
     bars that are high on one side a bias.
+
+    Args:
+        rows: Of lifts.
+        table: Of them.
+        beside: Of the same lifts with measured sizes, mass and clamp.
+        calibrate: Whether factors are shown.
     """
-    head = ("error, median", "90 % below", "bias", "half width", "covered", "factor", "or added",
-            "ranks")  # fmt: skip
+    by_hand = {c.name: (f"{c.ninety_error:.4f}", f"{c.covered:.0%}") for c in beside}
+    head = ("error, median", "90 % below", "bias", "half width", "covered", "ranks")
+    head += ("factor", "or added") if calibrate else ()
+    head += ("measured: 90 % below", "covered") if beside else ()
     texts = {
         c.name: (
             f"{c.median_error:.4f}",
@@ -298,9 +298,9 @@ def shown_of(rows: Sequence[dict[str, Any]], table: Sequence[Covered]) -> list[T
             f"{c.bias:+.4f}",
             f"{c.half_width:.4f}",
             f"{c.covered:.0%}",
-            f"{c.factor:.2f}",
-            f"{c.added:.4f}",
             "in the band" if c.uniform else "not uniform",
+            *((f"{c.factor:.2f}", f"{c.added:.4f}") if calibrate else ()),
+            *by_hand.get(c.name, ()),
         )
         for c in table
     }

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from experiments.coverage import truth_of
+from experiments.lifts import truth_of
 from experiments.pointnet import pointnet
 from experiments.runs import Result, Runs, Table
 from experiments.sim2sim import LENGTH, RISE

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.coverage import Lifts, draw_object, estimate_settings, truth_of
+from experiments.lifts import Lifts, estimate_settings, truth_of
 from experiments.runs import Result, Runs, Table
 from gendom.datasets import Recording
 from gendom.errors import GendomError
@@ -237,7 +237,7 @@ intervals miss the truth."""
 
 def run(runs: Runs, flags: argparse.Namespace) -> Result:
     """Of each lift, by `GOOD` and names of `CORRUPTED`, what an estimate said."""
-    lifts = Lifts(kind=flags.kind, end=flags.end)
+    lifts = Lifts.of(flags)
     seeds = range(flags.seed, flags.seed + flags.lifts)
     rows = list(runs.each(partial(_judged, runs, lifts), seeds, "judging"))
     settings = {**asdict(lifts), "lifts": flags.lifts}
@@ -259,12 +259,8 @@ def _judged(runs: Runs, lifts: Lifts, seed: int) -> dict[str, dict[str, Any]]:
 
 
 def _case(recording: Recording, case: str, lifts: Lifts, seed: int) -> dict[str, Any]:
-    item = draw_object(lifts.kind, seed)
-    modulus = truth_of(item)["E_over_rho"]
-    truth = {
-        "E_over_rho": modulus,
-        "E": modulus * item.material.density,
-    }
+    item = lifts.object(seed)
+    truth = {name: truth_of(item)[name] for name in ("E_over_rho", "E")}
     try:
         if case != GOOD:
             recording = CORRUPTED[case](recording)

@@ -6,8 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from experiments.__main__ import main
-from experiments.coverage import covered, rank_band, shown_of
+from experiments.__main__ import FIRST_REPORTED, main
+from experiments.coverage import check_unseen, covered, rank_band, shown_of
+from experiments.lifts import Lifts, draw_widely, measured, truth_of
+from gendom.datasets import ObjectDescription, Recording
+from gendom.errors import GendomError
 
 
 def rows_of(lifts, *, stated=1.0, bias=0.0, seed=0):
@@ -66,7 +69,7 @@ def test_what_is_added_makes_intervals_hold(stated):
     for row in rows:
         row["posterior"]["covariance"] = [[(stated * 0.05) ** 2 + found.added**2]]
     assert covered(rows, 0.9)[0].covered == pytest.approx(0.9, abs=1e-3)
-    assert f"{found.added:.4f}" in str(shown_of(rows, [found])[0])
+    assert f"{found.added:.4f}" in str(shown_of(rows, [found], calibrate=True)[0])
 
 
 @pytest.mark.parametrize("stated", [0.5, 2.0])
@@ -100,20 +103,91 @@ def test_the_band_holds_uniform_ranks_as_often_as_it_says(count, bins):
     assert narrower < 0.95
 
 
-def test_the_command_writes_ranks_and_a_picture(tmp_path, monkeypatch, capsys):
+def test_calibrating_writes_ranks_factors_and_a_picture(tmp_path, capsys):
     """Rows that are kept are not made again."""
     rows = rows_of(40, stated=0.4)
     for row in rows:
-        (tmp_path / f"rope-swing-{row['seed']:04d}.json").write_text(json.dumps(row))
-    words = ["coverage", "--end", "swing", "--jobs", "1", "--out", str(tmp_path)]
+        (tmp_path / f"estimate-rope-swing-{row['seed']:04d}-raw.json").write_text(json.dumps(row))
+    words = ["coverage", "--calibrate", "--end", "swing", "--jobs", "1", "--out", str(tmp_path)]
     assert main(words) == 0
     told = capsys.readouterr().out
     assert "40 lifts, 40 usable" in told and "not uniform" in told
-    result = json.loads((tmp_path / "coverage-rope-swing.json").read_text())
-    (unknown,) = result["unknowns"]
+    result = json.loads((tmp_path / "coverage-rope-swing-raw.json").read_text())
+    unknown = result["unknowns"]["E_over_rho"]
     assert len(unknown["ranks"]) == 40 and unknown["band"] == list(rank_band(40, 8))
     made = json.loads((tmp_path / "calibration-rope-swing.json").read_text())["rope"]
-    assert made["lifts"] == 40 and made["factor"] == {}
+    assert made["lifts"] == 40 and made["factor"] == {} and made["seeds"] == [0, 39]
     assert made["added"]["E_over_rho"] == unknown["added"] > 0.0
-    assert "coverage --end swing" in (tmp_path / "coverage-rope-swing.txt").read_text()
-    assert (tmp_path / "coverage-rope-swing.png").stat().st_size > 1000
+    assert "coverage --calibrate" in (tmp_path / "coverage-rope-swing-raw.txt").read_text()
+    assert (tmp_path / "coverage-rope-swing-raw.png").stat().st_size > 1000
+
+
+def user_row(seed, *, truth, stated):
+    """A lift whose E is estimated to be 1e6 within a factor of `stated`."""
+    (row,) = rows_of(1)
+    row["truth"] |= {"E": truth, "bending_length": 0.1}
+    values = {"E": 1.0e6, "bending_length": 0.1}
+    ends = {"E": [1.0e6 / stated, 1.0e6 * stated], "bending_length": [0.09, 0.11]}
+    return {**row, "seed": seed, "values": values, "intervals": ends}
+
+
+def test_reported_are_the_intervals_that_users_get_and_what_measuring_adds(tmp_path, capsys):
+    """Half of the exact intervals of E hold the truth; with measured sizes none does."""
+    for n in range(4):
+        seed, exact = FIRST_REPORTED + n, user_row(n, truth=1.0e6 * (1.0 + 0.06 * n), stated=1.1)
+        wrong = user_row(n, truth=2.0e6, stated=1.1)
+        for row, which in ((exact, ""), (wrong, "-measured")):
+            path = tmp_path / f"estimate-rope-{seed}{which}.json"
+            path.write_text(json.dumps(row))
+    words = ["coverage", "--lifts", "4", "--measured", "--jobs", "1", "--out", str(tmp_path)]
+    assert main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["unknowns"]["E"]["covered"] == 0.5 and found["seed"] == FIRST_REPORTED
+    assert found["unknowns"]["bending_length"]["covered"] == 1.0
+    assert found["measured"]["E"]["covered"] == 0.0
+    assert found["measured"]["E"]["median_error"] == pytest.approx(math.log(2.0))
+    assert not list(tmp_path.glob("calibration*"))
+
+
+def test_lifts_of_the_shipped_calibration_are_refused(tmp_path, capsys):
+    """Intervals hold on them by making."""
+    words = ["coverage", "--lifts", "2", "--seed", "199", "--out", str(tmp_path)]
+    assert main(words) == 2
+    assert "calibrated on the ropes of seeds 0 to 199" in capsys.readouterr().err
+    check_unseen(Lifts(), range(200, 400))
+    check_unseen(Lifts(wide=True), range(40))  # others of the same seeds
+    with pytest.raises(GendomError, match="cloths of seeds 0 to 52"):
+        check_unseen(Lifts(kind="cloth", end="swing"), range(40, 1000))
+
+
+def test_measured_sizes_differ_by_what_rulers_and_scales_miss():
+    sizes = {"length": 0.3, "diameter": 0.01, "mass": 0.03, "grasp_radius": 0.01}
+    recording = Recording.from_frames(
+        [np.zeros((1, 3))] * 2,
+        time=np.arange(2.0),
+        gripper_position=np.zeros((2, 3)),
+        object=ObjectDescription(kind="rope", grasp_inset=0.0, **sizes),
+    )
+    found = [measured(recording, seed).object for seed in range(200)]
+    assert found[0] == measured(recording, 0).object and found[0] != found[1]
+    off = {name: np.array([getattr(o, name) for o in found]) - v for name, v in sizes.items()}
+    for name, sd in {"length": 1e-3, "diameter": 3e-4, "mass": 3e-4, "grasp_radius": 1e-3}.items():
+        assert off[name].std() == pytest.approx(sd, rel=0.2)
+    assert min(o.grasp_inset for o in found) == 0.0 and found[0].thickness is None
+
+
+@pytest.mark.parametrize("kind", ["rope", "thin", "cloth"])
+def test_wide_draws_stay_in_their_ranges_and_repeat(kind):
+    items = [draw_widely(kind, seed) for seed in range(100)]
+    assert items[3] == draw_widely(kind, 3)
+    truths = [truth_of(item) for item in items]
+    sizes = [i.side if kind == "cloth" else i.length for i in items]
+    shares = [t["bending_length"] / s for t, s in zip(truths, sizes, strict=True)]
+    if kind == "cloth":
+        assert 0.16 <= min(sizes) and max(sizes) <= 0.5
+    else:
+        assert 0.15 <= min(shares) < 0.2 and 0.7 < max(shares) <= 0.8
+        # MuJoCo wants vertices farther apart than they are thick
+        assert all(item.spacing > item.diameter for item in items)
+    assert 0.001 <= min(t["damping"] for t in truths) < 0.0015
+    assert 0.1 <= min(t["friction"] for t in truths) and max(t["friction"] for t in truths) <= 0.9

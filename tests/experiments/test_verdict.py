@@ -33,11 +33,11 @@ def test_the_table_counts_and_resumes(tmp_path, capsys):
         row = {case: answers(False) for case in CORRUPTED}
         row[GOOD] = answers(True, right=True)
         row["mass x 10"] = answers(seed > 0, right=seed > 1, ratio=10.0)
-        (tmp_path / f"verdict-rope-hold-{seed:04d}.json").write_text(json.dumps(row))
+        (tmp_path / f"verdict-rope-{seed:04d}.json").write_text(json.dumps(row))
     words = ["verdict", "--lifts", "3", "--jobs", "1", "--out", str(tmp_path)]
     assert main(words) == 0
     assert "E / true E at worst" in capsys.readouterr().out
-    result = json.loads((tmp_path / "verdict-rope-hold.json").read_text())
+    result = json.loads((tmp_path / "verdict-rope.json").read_text())
     assert result["cases"] == confusion(result["rows"])
     assert result["cases"][GOOD] == {"refused": 0, "right": 3, "wrong": 0}
     assert result["cases"]["mass x 10"] == {"refused": 1, "right": 1, "wrong": 1}

@@ -1,9 +1,9 @@
 """Calibration of intervals.
 
 The likelihood's own deviations are wrong, because the simulator is not exact. The calibration comes
-from lifts whose true parameters are known: `python -m experiments coverage` records random objects
-in the second reality, estimates them and writes, for each unknown, the factor of its deviations or
-the deviation to add in squares, in the form of `assets/calibration.json`.
+from lifts whose true parameters are known: `python -m experiments coverage --calibrate` records
+random objects in the second reality, estimates them and writes, for each unknown, the factor of its
+deviations or the deviation to add in squares, in the form of `assets/calibration.json`.
 """
 
 from __future__ import annotations

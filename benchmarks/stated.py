@@ -1,0 +1,306 @@
+"""What README and the pages of benchmarks state: commands, and how their numbers are read."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+COUNTS = ("lifts", "rows", "passed")
+"""Numbers that have to be equal."""
+
+MACHINE = 1.0
+"""Relative tolerance of times and speeds, which machines change: a factor of two."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Numbers that one command prints."""
+
+    name: str
+    command: str
+    """As pages show it."""
+    read: Callable[[Any], dict[str, Any]]
+    """Numbers, also in lists and mappings, from the command's JSON or text."""
+    _: KW_ONLY
+    json: bool = True
+    """Whether the command prints JSON with ``--json``; its text is read otherwise."""
+    relative: float = 0.05
+    """Of the smaller of both numbers."""
+    absolute: float = 0.0
+    needs: tuple[str, ...] = ()
+    """``cuda``, ``recordings`` (of others), ``peers`` (other simulators), ``hours``."""
+
+    def numbers(self, output: str) -> dict[str, Any]:
+        """From the command's output, with five digits."""
+        return _rounded(self.read(_json_in(output) if self.json else output))
+
+    def agrees(self, number: str, stated: float, found: float) -> bool:
+        if number in COUNTS:
+            return stated == found
+        share = self.relative * min(abs(stated), abs(found))
+        return abs(found - stated) <= share + self.absolute
+
+    @property
+    def allowed(self) -> str:
+        share = "a factor of 2" if self.relative == MACHINE else f"{100.0 * self.relative:g} %"
+        return share + (f" + {self.absolute:g}" if self.absolute else "")
+
+
+def _json_in(output: str) -> Any:
+    """The JSON in what a command printed; `gendom demo` tells what it does before."""
+    began = re.search(r"^[\[{]", output, re.MULTILINE)
+    if began is None:
+        raise ValueError("no JSON was printed")
+    return json.JSONDecoder().raw_decode(output, began.start())[0]
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _rounded(inner) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [_rounded(inner) for inner in value]
+    return value if isinstance(value, str) else float(f"{value:.5g}")
+
+
+# ---- how numbers are read ----------------------------------------------------------------------
+
+
+def coverage(found: Any) -> dict[str, Any]:
+    """Of E, bending length, damping and friction [%], friction in its own unit."""
+    read: dict[str, Any] = {"usable": found["usable"], "lifts": found["lifts"]}
+    fields = ("median_error", "ninety_error", "bias", "half_width", "covered")
+    for which in ("unknowns", "measured"):
+        read[which] = {
+            name: {field: 100.0 * own[field] for field in fields}
+            for name, own in found[which].items()
+        }
+    return read
+
+
+def rope(found: Any) -> dict[str, Any]:
+    names = ("chamfer_last", "chamfer_mean", "chamfer_last_registered", "chamfer_mean_registered")
+    return {
+        "bending": found["bending_length"],
+        "interval": found["intervals"]["bending_length"],
+        "chamfer": [1e3 * found[name] for name in names],
+    }
+
+
+def wire(found: Any) -> dict[str, Any]:
+    values = [found["bending_stiffness"], *found["intervals"]["bending_stiffness"]]
+    return {"EI": [1e4 * x for x in values]}
+
+
+def elastica(found: Any) -> dict[str, Any]:
+    return {"EI": 1e4 * found["EI"]}
+
+
+def cables(rows: Any) -> dict[str, Any]:
+    by_name: dict[str, list[float]] = {"every": [], "eval": []}
+    for row in rows:
+        for name in by_name:
+            if name == "every" or "eval" in row["to"]:
+                by_name[name].append(1e3 * row["error"])
+    return {name: [min(e), max(e)] for name, e in by_name.items()}
+
+
+def demo(found: Any) -> dict[str, Any]:
+    """Misses of three goals [mm] by way to act."""
+    ways = ("with_parameters", "without_parameters", "polished", "after_one_execution")
+    return {way: [1e3 * o[way]["error"] for o in found["outcomes"]] for way in ways}
+
+
+def sim2sim(found: Any) -> dict[str, Any]:
+    return {f"{r['method']}-{r['frames']}": r["E"] for r in found["rows"]}
+
+
+def rope_real(found: Any) -> dict[str, Any]:
+    """Mean and worst miss [mm] by row, and sums over seven goals [m] of each rope."""
+    read: dict[str, Any] = {}
+    for name, errors in found["drawn"]["errors"].items():
+        e = 1e3 * np.array(errors, dtype=float)
+        read[name] = [float(np.nanmean(e)), float(np.nanmax(e))]
+    if seven := found.get("seven"):
+        ropes = np.array(seven["ropes"])
+        sums = {name: np.array(e, dtype=float) for name, e in seven["errors"].items()}
+        each = dict.fromkeys(seven["ropes"])
+        read["sums"] = {n: [float(np.nansum(e[ropes == r])) for r in each] for n, e in sums.items()}
+    return read
+
+
+def evaluated(found: Any) -> dict[str, Any]:
+    return {
+        "with" if p["conditioned_on"] else "without": 1e3 * p["error"]["mean"]
+        for p in found["policies"]
+    }
+
+
+def ablation(found: Any) -> dict[str, Any]:
+    return {name: own["200"]["mean"] for name, own in found["rows"].items()}
+
+
+def cases(found: Any) -> dict[str, Any]:
+    """Of cases of mechanics: how many rows, how many pass, and relative errors [%]."""
+    rows = [row for case in found["cases"] for row in case["checks"]]
+    off = [100.0 * r["error"] for r in rows if r["relative"]]
+    passed = sum(r["passed"] for r in rows)
+    return {"rows": len(rows), "passed": passed, "median": float(np.median(off)), "worst": max(off)}
+
+
+def ratios(found: Any) -> dict[str, Any]:
+    return {"ratios": [r["measured"] / r["expected"] for r in found["cases"][0]["checks"]]}
+
+
+def resting(found: Any) -> dict[str, Any]:
+    return {"largest": max(r["error"] for r in found["cases"][0]["checks"])}
+
+
+def ring_down(found: Any) -> dict[str, Any]:
+    """Only what is compared with theory, not the grid's own damping."""
+    compared = [r for r in found["cases"][0]["checks"] if "rate" in r["quantity"]]
+    return {"worst": 100.0 * max(r["error"] for r in compared)}
+
+
+def two_realities(rows: Any) -> dict[str, Any]:
+    """Count, mean and worst distance [mm], or in thousandths, by task."""
+    read: dict[str, list[float]] = {}
+    for row in rows:
+        if row["steady"] and not any(row["faults"]):
+            between = [row["ours"][n] - row["mujoco"][n] for n in row["ours"]]
+            read.setdefault(row["task"], []).append(1e3 * float(np.linalg.norm(between)))
+    return {task: [len(e), float(np.mean(e)), max(e)] for task, e in read.items()}
+
+
+def sheets(rows: Any) -> dict[str, Any]:
+    return {
+        "mean": [min(r["mean"] for r in rows), max(r["mean"] for r in rows)],
+        "worst": [min(r["worst"] for r in rows), max(r["worst"] for r in rows)],
+    }
+
+
+def jobs(found: Any) -> dict[str, Any]:
+    """Seconds by job; of many ropes and cloths for 40,000 and 9,600."""
+    read = {name.replace("-", "_"): job["seconds"] for name, job in found.items()}
+    for name, whole in (("releases", 40_000), ("spreading", 9600)):
+        if name in read:
+            read[name] *= whole / int(found[name]["what"].split()[0])
+    return read
+
+
+def cantilever(found: Any) -> dict[str, Any]:
+    """By error and by how many at once, and by simulator."""
+    return {"cpu": found["cpu"], "rate": {f"of {n}": own for n, own in found["rate"].items()}}
+
+
+def bench(rows: Any) -> dict[str, Any]:
+    return {
+        "speed": [1e-6 * r["particle_steps_per_second"] for r in rows],
+        "substep": [r["substep_us"] for r in rows],
+        "gradient": [r["gradient_cost"] for r in rows if r["gradient_cost"]],
+    }
+
+
+def gradient(rows: Any) -> dict[str, Any]:
+    """Cost, least and most in forward runs: float32 recorded, repeated, float64 likewise."""
+    return {"cost": [[r["cost"], r["least"], r["most"]] for r in rows]}
+
+
+def peers(text: str) -> dict[str, Any]:
+    tables = re.findall(r"(?:^\|.*\n?)+", text, re.MULTILINE)
+    ratios = [float(ratio) for ratio in re.findall(r"\| (\S+) x \(", tables[0])]
+    range_ = [min(ratios), max(ratios)]
+    return {"forward": tables[0].rstrip(), "gradient": tables[1].rstrip(), "ratios": range_}
+
+
+def seconds(found: Any) -> dict[str, Any]:
+    return {"seconds": found["seconds"]}
+
+
+# ---- commands ----------------------------------------------------------------------------------
+
+
+def covered(name: str, words: str) -> Figure:
+    command = f"python -m experiments coverage {words}"
+    return Figure(f"coverage-{name}", command, coverage, absolute=1.0, needs=("hours",))
+
+
+def trained(name: str, words: str, read: Callable[[Any], dict[str, Any]]) -> Figure:
+    command = f"python -m experiments {words} --scale full --device cuda"
+    return Figure(name, command, read, relative=0.3, needs=("cuda", "hours"))
+
+
+def validation(name: str, read: Callable[[Any], dict[str, Any]], words: str = "") -> Figure:
+    command = f"python -m validation {words or '--only ' + name}"
+    return Figure(name, command, read, relative=0.2, absolute=1e-4)
+
+
+def dataset(name: str, words: str, *needs: str) -> Figure:
+    return TIMED(f"set-{name}", f"gendom dataset {words} --out set", seconds, needs=needs)
+
+
+TIMED = partial(Figure, relative=MACHINE)
+REAL = partial(Figure, needs=("recordings",))
+ON_CUDA = partial(TIMED, needs=("cuda",))
+PEERS = partial(TIMED, needs=("peers",))
+
+FIGURES = (
+    covered("rope", "--lifts 12 --measured"),
+    covered("wide", "--wide --lifts 100 --measured"),
+    covered("thin", "--kind thin"),
+    covered("cloth", "--kind cloth --lifts 50 --measured"),
+    covered("swing", "--end swing"),
+    Figure("demo", "gendom demo", demo, relative=0.3, absolute=0.3),
+    REAL("rope-red", "gendom estimate rope_red_lift.npz --starts 1 --seed 0", rope),
+    REAL(
+        "cables",
+        "python benchmarks/cables.py cable_dlo3_train_001.npz cable_dlo3_train_002.npz "
+        "cable_dlo3_train_006.npz cable_dlo3_train_011.npz cable_dlo3_eval_004.npz "
+        "cable_dlo3_eval_010.npz",
+        cables,
+    ),
+    REAL("wire", "gendom estimate wire_white_loop.npz", wire),
+    REAL("wire-elastica", "python benchmarks/wire.py wire_white_loop.npz", elastica),
+    Figure(
+        "sim2sim", "python -m experiments sim2sim --scale full", sim2sim,
+        relative=MACHINE, needs=("hours",),
+    ),
+    trained("reaching", "rope-real", rope_real),
+    trained("casting", "rope-real --task rope-casting", rope_real),
+    trained("ablation-reaching", "ablation", ablation),
+    trained("ablation-casting", "ablation --task rope-casting", ablation),
+    Figure("evaluate-casting", "gendom evaluate rope-casting --cases 50 --seed 3", evaluated),
+    Figure("evaluate-reaching", "gendom evaluate rope-reaching --cases 50 --seed 3", evaluated),
+    validation("cantilever", ratios),
+    validation("torsion", cases),
+    validation("ring-down", ring_down),
+    validation("resting", resting),
+    validation("mechanics", cases, "--engine thin"),
+    Figure("two-realities", "python benchmarks/two_realities.py", two_realities, absolute=0.1),
+    Figure(
+        "sheet-lifts",
+        "python benchmarks/sheet_lifts.py cloth-rubber-200mm cloth-cotton-200mm --drawn 3",
+        sheets,
+    ),
+    TIMED("thin", "python benchmarks/thin.py --cpu-time", jobs),
+    ON_CUDA(
+        "thin-cuda", "python benchmarks/thin.py --device cuda --worlds 40000 --sheets 960", jobs
+    ),
+    PEERS("cantilever-rope", "python benchmarks/cantilever.py rope", cantilever),
+    PEERS("cantilever-strip", "python benchmarks/cantilever.py strip", cantilever),
+    TIMED("bench", "gendom bench --worlds 1 --threads 1 --dtype float32 float64", bench),
+    ON_CUDA(
+        "bench-cuda", "gendom bench --device cuda --worlds 1024 --seconds 0.2 --gradient", bench
+    ),
+    TIMED("gradient", "python benchmarks/gradient.py", gradient),
+    dataset("reaching", "rope-reaching --size 40000 --device cuda", "cuda"),
+    dataset("casting", "rope-casting --size 20000 --device cuda", "cuda"),
+    dataset("spreading", "cloth-spreading --size 800 --device cuda", "cuda"),
+    dataset("cpu", "rope-reaching --size 4000"),
+    PEERS("compare", "make -C benchmarks compare", peers, json=False),
+)  # fmt: skip
