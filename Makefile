@@ -3,9 +3,8 @@
 #   make demo    the whole pipeline on the recorded lift    make bench     speed of the simulator
 #   make test    the tests (make test ARGS="-m slow")       make validate  it, beside mechanics
 #   make check   ruff and pyright                           make docs      the site, in docs/_build
+#   make figures every stated number, from its command     make clean     remove .venv, caches, demo/, docs/_build
 #   make test-lowest   the fast tests with the oldest versions that pyproject.toml allows
-#   make figures every stated number, from its command (ARGS="--only torsion", "--list")
-#   make clean   remove .venv, caches, demo/ and docs/_build
 #
 # PYTHON chooses the interpreter (3.11 or newer): make demo PYTHON=python3.12
 
@@ -31,8 +30,7 @@ else ifeq ($(shell $(BIN)/python -c "print(1)" 2>/dev/null),)
 .PHONY: $(PLACE)
 endif
 
-.PHONY: demo test test-lowest check validate bench docs clean
-.PHONY: demo test check validate bench figures docs clean
+.PHONY: demo test test-lowest check validate bench figures docs clean
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
 

@@ -98,8 +98,8 @@ def blocks(page: Path) -> Iterator[Block]:
 
 
 def inline(page: Path) -> Iterator[str]:
-    """Commands in backticks outside of blocks."""
-    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    """Commands in backticks outside of blocks; not those of earlier releases."""
+    text = FENCE.sub("", page.read_text(encoding="utf-8")).partition("## [0.1.0]")[0]
     for code in re.findall(r"`([^`\n]+(?:\n[^`\n]+)?)`", text):
         words = " ".join(code.split())
         if re.match(
@@ -183,7 +183,7 @@ def fault_of(command: str, *, whole: bool = True) -> str | None:
     if program == "make":
         folder = ROOT / (rest[rest.index("-C") + 1] if "-C" in rest else ".")
         targets = re.findall(
-            r"^([a-z]+):", (folder / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
+            r"^([a-z-]+):", (folder / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
         )
         wanted = [w for w in rest if "=" not in w and w not in ("-C", folder.name)]
         return next((f"there is no target {w}" for w in wanted if w not in targets), None)
