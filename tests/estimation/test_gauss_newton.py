@@ -9,6 +9,7 @@ import pytest
 
 from gendom.estimation import METHODS, EstimateSettings, LiftScene, Problem, estimate
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
+from gendom.estimation.problem import Start
 from gendom.estimation.replay import replay
 from gendom.estimation.shape import Shape
 
@@ -92,8 +93,20 @@ def test_limp_cloths_get_points_as_near_as_they_bend(cloth_lift, plain_cloth, sh
     assert finer.body.shape == (points, points)
     assert finer.frames == plain_cloth.frames and finer.clock == plain_cloth.clock
     assert (finer is plain_cloth) == (points == 33)
+    limper = cloth_lift.truth.with_values({"E_over_rho": plain_cloth.E_over_rho(0.2 * 0.063)})
+    assert max(finer.finer(limper).body.shape) == max(points, 49)
+    assert len(finer.finer(limper).notes) == len(plain_cloth.notes) + 1
     chosen = LiftScene.of(cloth_lift.at_rest(8), cloth_lift.settings)
     assert chosen.finer(cloth_lift.truth.with_values({"E_over_rho": modulus})) is chosen
+
+
+def test_starts_that_cannot_win_are_given_up():
+    """One goes on while as many of its last steps as patience allows would reach the best one."""
+    leads, near, far = (Start(initial=np.zeros(1), vector=np.zeros(1)) for _ in range(3))
+    leads.value, near.value, far.value = 10.0, 100.0, 100.0
+    leads.won, near.won, far.won = 0.1, 20.0, 10.0
+    steps._give_up([leads, near, far], leads, patience=6)
+    assert [s.done for s in (leads, near, far)] == [False, False, True]
 
 
 def test_what_was_found_is_searched_once_more_in_a_finer_problem(rope_lift, problem, found):

@@ -107,12 +107,14 @@ def _searched(problem: Problem, search: Callable[[Problem], Found]) -> tuple[Pro
     refused = refused_before(problem)
     if refused:
         problem.settings = replace(problem.settings, starts=1, max_iterations=ITERATIONS_IF_REFUSED)
-    found = search(problem)
-    if problem.settings.method == "gauss-newton" and not found.interrupted and not refused:
+    if problem.settings.method != "gauss-newton" or refused:
+        return problem, search(problem)
+    found = gauss_newton(problem, GaussNewtonSettings.of(problem.scene.kind, until_finer=True))
+    while not found.interrupted:
         finer = problem.finer(found.best.vector)
-        if finer is not problem:
-            problem, found = finer, refined(finer, found)
-        found = _searched_widely(problem, found)
+        if finer is problem:
+            return problem, _searched_widely(problem, found)
+        problem, found = finer, refined(finer, found)
     return problem, found
 
 

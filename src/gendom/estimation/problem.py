@@ -90,6 +90,8 @@ class Start:
     comparison: Comparisons | None = None
     value: float = math.inf
     """Of the method's objective."""
+    won: float = math.inf
+    """By how much the last step lowered it."""
     damping: float = 1e-3
     """Levenberg's and Marquardt's."""
     iterations: int = 0
@@ -158,7 +160,10 @@ class Part:
         fewer simulated and recorded points."""
         scene, settings = self.scene, self.scene.settings
         if scene.kind == "cloth" and scene.thin and settings.points is None:
-            coarse = LiftScene.of(scene.recording, replace(settings, points=settings.coarse_points))
+            coarse = replace(
+                settings, points=settings.coarse_points, stretch=settings.coarse_stretch
+            )
+            coarse = LiftScene.of(scene.recording, coarse)
             coarse = replace(coarse, frames=scene.frames, calm=scene.calm)
             return replace(self, scene=coarse, noise=self.noise.of_thinner_clouds())
         if len(scene.calm) == len(scene.frames) or len(scene.calm) < 6:

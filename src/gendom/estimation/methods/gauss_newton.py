@@ -39,6 +39,8 @@ class GaussNewtonSettings:
     leading: tuple[str, ...] = ("E_over_rho", "damping")
     """Unknowns that are free in the coarse stage, so that the others do not absorb their effect.
     None: all."""
+    until_finer: bool = False
+    """Whether it ends with the coarse stage where a finer problem is needed (`refined`)."""
     coarse_noise: float = 0.005
     """Noise of the coarse stage [m]."""
     coarse_share: float = 0.6
@@ -53,7 +55,7 @@ class GaussNewtonSettings:
     rugged: bool = False
     """Whether several steps are tried side by side."""
     jumps: tuple[float, ...] = ()
-    """Size of trial jumps of the object's unknowns after steps have converged, in deviations."""
+    """Size of trial jumps of E / density after steps have converged, in deviations."""
     damping_ratio: float = 30.0
     """Ratio of two dampings side by side."""
     long_step: float = 3.0
@@ -107,6 +109,8 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
             _step(problem.coarse, going, noise, settings.gain[0], settings, free)
             leads = best_of(starts)
             late = late + 1 if leads is not None and leads.done else 0
+            if settings.rugged and leads is not None:
+                _give_up(starts, leads, settings.patience)
             problem.tell("search", iteration, most, leads or starts[0])
         best = best_of(starts)
         if best is None:
@@ -115,9 +119,10 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
         noise, best.damping = stated, settings.damping[0]
         for start in starts:
             start.coarse = start.iterations
-        if free is not None or problem.coarse is not problem:
-            _compare_all(problem, best, settings)
-        noise = _fine_stage(problem, best, noise, settings, iteration, most)
+        if not settings.until_finer or problem.finer(best.vector) is problem:
+            if free is not None or problem.coarse is not problem:
+                _compare_all(problem, best, settings)
+            noise = _fine_stage(problem, best, noise, settings, iteration, most)
     except KeyboardInterrupt:
         interrupted = True
         best = best_of(starts)
@@ -136,6 +141,12 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
         interrupted=interrupted,
         seconds={name: float(t) for name, t in parts},
     )
+
+
+def _give_up(starts: Sequence[Start], leads: Start, patience: int) -> None:
+    """End starts that would not reach the best one with so many steps like their last one."""
+    for s in starts:
+        s.done |= s.value - leads.value > patience * s.won
 
 
 def refined(problem: Problem, found: Found, settings: GaussNewtonSettings | None = None) -> Found:
@@ -190,20 +201,14 @@ def _jump(
 ) -> bool:
     """Move a start to a better point some deviations away. Returns whether there is one.
 
-    Each of the object's unknowns is moved in both directions, the others by their conditional
-    means.
+    E / density is moved in both directions, the others by their conditional means.
     """
-    prior = problem.prior
-    if not settings.jumps or not any(UNKNOWNS[name].material for name in prior.names):
+    prior, name = problem.prior, "E_over_rho"
+    if not settings.jumps or name not in prior.names:
         return False
-    covariance = np.linalg.inv(problem.gradient_and_hessian(start, noise)[1])
-    places = [
-        prior.clipped(start.vector + way * far * covariance[k] / np.sqrt(covariance[k, k]))
-        for k, name in enumerate(prior.names)
-        if UNKNOWNS[name].material
-        for far in settings.jumps
-        for way in (-1.0, 1.0)
-    ]
+    k, covariance = prior.index(name), np.linalg.inv(problem.gradient_and_hessian(start, noise)[1])
+    away = covariance[k] / np.sqrt(covariance[k, k])
+    places = [prior.clipped(start.vector + s * d * away) for d in settings.jumps for s in (-1, 1)]
     assert start.comparison is not None
     compared = problem.compare(places, derivatives=False)
     for comparison in compared:
@@ -264,7 +269,7 @@ def _step(
         best = int(np.argmin(values))
         p, closer = row[best], compared[best]
         if closer is not None and values[best] < s.value:
-            won = s.value - values[best]
+            s.won = won = s.value - values[best]
             little = won < least or (not settings.rugged and p.gain < least)
             closer.inherit_derivatives(former, p.vector - s.vector, p.weight)
             s.done, s.renew = little and s.exact, little or won < settings.least_gain_ratio * p.gain
