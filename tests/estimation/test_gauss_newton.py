@@ -11,6 +11,7 @@ from gendom.estimation import METHODS, EstimateSettings, LiftScene, Problem, est
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
 from gendom.estimation.problem import Start
 from gendom.estimation.replay import replay
+from gendom.estimation.scene_settings import SHELL_ERROR
 from gendom.estimation.shape import Shape
 
 # the package's own name of the module is the function's
@@ -98,6 +99,16 @@ def test_limp_cloths_get_points_as_near_as_they_bend(cloth_lift, plain_cloth, sh
     assert len(finer.finer(limper).notes) == len(plain_cloth.notes) + 1
     chosen = LiftScene.of(cloth_lift.at_rest(8), cloth_lift.settings)
     assert chosen.finer(cloth_lift.truth.with_values({"E_over_rho": modulus})) is chosen
+
+
+def test_a_mesh_blurs_limp_cloths(cloth_lift, plain_cloth):
+    """The more, the fewer points there are for each bending length."""
+    limp, stiff = (
+        cloth_lift.truth.with_values({"E_over_rho": plain_cloth.E_over_rho(share * 0.2)})
+        for share in (1.0 / 32.0, 1.0 / 8.0)
+    )
+    assert plain_cloth.mesh_error(limp) == pytest.approx(SHELL_ERROR)
+    assert plain_cloth.mesh_error(stiff) == pytest.approx(SHELL_ERROR / 64.0)
 
 
 def test_starts_that_cannot_win_are_given_up():

@@ -153,6 +153,8 @@ def _posterior(problem: Problem, found: Found, calibration: IntervalCalibration)
     # what moves otherwise than any simulated object gets no intervals
     if not any(displaced(p, n) for p, n in zip(problem.parts, found.noise, strict=True)):
         added = np.hypot(added, discrepancy(problem, found, covariance, calibration))
+    error = problem.scene.mesh_error(problem.theta(found.best.vector))
+    added = np.hypot(added, error * (np.array(problem.prior.names) == "E_over_rho"))
     posterior = calibration.posterior(
         problem.prior, found.best.vector, covariance, problem.bases, added
     )

@@ -28,6 +28,7 @@ from gendom.estimation.priors import (
 )
 from gendom.estimation.scene_settings import (
     MOST_SHELL_POINTS,
+    SHELL_ERROR,
     SHELL_SPACING,
     SceneSettings,
 )
@@ -252,6 +253,14 @@ class LiftScene:
             registration=self.registration,
             notes=(*(n for n in self.notes if not n.startswith(FINER)), f"{FINER} {points} points"),
         )
+
+    def mesh_error(self, theta: Theta) -> float:
+        """Standard deviation of ln(E) by the distance of a cloth's points."""
+        if self.kind != "cloth" or not self.thin:
+            return 0.0
+        apart = float(np.linalg.norm(self.body.points[1] - self.body.points[0]))
+        bends = self.bending_length(theta.E_over_rho, theta.thickness)
+        return SHELL_ERROR * (apart / bends) ** 3
 
     def body_of(self, theta: Theta) -> Body:
         """The body with the estimated thickness, for display; simulations take the stated
