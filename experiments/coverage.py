@@ -131,7 +131,7 @@ def draw_object(kind: str, seed: int) -> RealObject:
         ),
         friction=friction,
         colour=(40, 70, 190),
-        vertices=vertices_of(side),
+        vertices=vertices_of(side, bends),
     )
 
 
