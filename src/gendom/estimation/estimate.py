@@ -107,10 +107,8 @@ def _searched(problem: Problem, search: Callable[[Problem], Found]) -> tuple[Pro
     refused = refused_before(problem)
     if refused:
         problem.settings = replace(problem.settings, starts=1, max_iterations=ITERATIONS_IF_REFUSED)
-    if problem.settings.method != "gauss-newton" or refused:
-        return problem, search(problem)
-    found = gauss_newton(problem, GaussNewtonSettings.of(problem.scene.kind, until_finer=True))
-    while not found.interrupted:
+    found = search(problem)
+    while problem.settings.method == "gauss-newton" and not (found.interrupted or refused):
         finer = problem.finer(found.best.vector)
         if finer is problem:
             return problem, _searched_widely(problem, found)

@@ -160,10 +160,7 @@ class Part:
         fewer simulated and recorded points."""
         scene, settings = self.scene, self.scene.settings
         if scene.kind == "cloth" and scene.thin and settings.points is None:
-            coarse = replace(
-                settings, points=settings.coarse_points, stretch=settings.coarse_stretch
-            )
-            coarse = LiftScene.of(scene.recording, coarse)
+            coarse = LiftScene.of(scene.recording, replace(settings, points=settings.coarse_points))
             coarse = replace(coarse, frames=scene.frames, calm=scene.calm)
             return replace(self, scene=coarse, noise=self.noise.of_thinner_clouds())
         if len(scene.calm) == len(scene.frames) or len(scene.calm) < 6:

@@ -43,8 +43,6 @@ class SceneSettings:
     that bend over 25 to 45 mm and are 0.5 to 1 mm thick."""
     coarse_points: int = 21
     """Along the longer side of a shell, where a search begins."""
-    coarse_stretch: float = 0.008
-    """`stretch` there: half as many steps."""
     cells_across: float = 1.5
     """Grid cells across a rope's diameter; cloths scale with it. Of the MPM."""
     clock: float | None = None

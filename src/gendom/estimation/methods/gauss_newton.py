@@ -39,8 +39,6 @@ class GaussNewtonSettings:
     leading: tuple[str, ...] = ("E_over_rho", "damping")
     """Unknowns that are free in the coarse stage, so that the others do not absorb their effect.
     None: all."""
-    until_finer: bool = False
-    """Whether it ends with the coarse stage where a finer problem is needed (`refined`)."""
     coarse_noise: float = 0.005
     """Noise of the coarse stage [m]."""
     coarse_share: float = 0.6
@@ -55,7 +53,7 @@ class GaussNewtonSettings:
     rugged: bool = False
     """Whether several steps are tried side by side."""
     jumps: tuple[float, ...] = ()
-    """Size of trial jumps of E / density after steps have converged, in deviations."""
+    """Size of trial jumps of the object's unknowns after steps have converged, in deviations."""
     damping_ratio: float = 30.0
     """Ratio of two dampings side by side."""
     long_step: float = 3.0
@@ -119,10 +117,9 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
         noise, best.damping = stated, settings.damping[0]
         for start in starts:
             start.coarse = start.iterations
-        if not settings.until_finer or problem.finer(best.vector) is problem:
-            if free is not None or problem.coarse is not problem:
-                _compare_all(problem, best, settings)
-            noise = _fine_stage(problem, best, noise, settings, iteration, most)
+        if free is not None or problem.coarse is not problem:
+            _compare_all(problem, best, settings)
+        noise = _fine_stage(problem, best, noise, settings, iteration, most)
     except KeyboardInterrupt:
         interrupted = True
         best = best_of(starts)
@@ -201,14 +198,20 @@ def _jump(
 ) -> bool:
     """Move a start to a better point some deviations away. Returns whether there is one.
 
-    E / density is moved in both directions, the others by their conditional means.
+    Each of the object's unknowns is moved in both directions, the others by their conditional
+    means.
     """
-    prior, name = problem.prior, "E_over_rho"
-    if not settings.jumps or name not in prior.names:
+    prior = problem.prior
+    if not settings.jumps or not any(UNKNOWNS[name].material for name in prior.names):
         return False
-    k, covariance = prior.index(name), np.linalg.inv(problem.gradient_and_hessian(start, noise)[1])
-    away = covariance[k] / np.sqrt(covariance[k, k])
-    places = [prior.clipped(start.vector + s * d * away) for d in settings.jumps for s in (-1, 1)]
+    covariance = np.linalg.inv(problem.gradient_and_hessian(start, noise)[1])
+    places = [
+        prior.clipped(start.vector + way * far * covariance[k] / np.sqrt(covariance[k, k]))
+        for k, name in enumerate(prior.names)
+        if UNKNOWNS[name].material
+        for far in settings.jumps
+        for way in (-1.0, 1.0)
+    ]
     assert start.comparison is not None
     compared = problem.compare(places, derivatives=False)
     for comparison in compared:
