@@ -129,7 +129,7 @@ def draw_object(kind: str, seed: int) -> RealObject:
         ),
         friction=friction,
         colour=(40, 70, 190),
-        vertices=vertices_of(side),
+        vertices=vertices_of(side, bends),
     )
 
 
@@ -178,7 +178,7 @@ def draw_widely(kind: str, seed: int) -> RealObject:
         material=Material(E=E, nu=nu, density=density, damping=damping),
         friction=friction,
         colour=(40, 70, 190),
-        vertices=vertices_of(side),
+        vertices=vertices_of(side, bends),
     )
 
 

@@ -279,7 +279,7 @@ def _train(work: tuple[TrainingJob, str]) -> None:
 def _thinned(recording: Recording, most: int, seed: int) -> Recording:
     """The recording with at most so many points a frame."""
     rng = np.random.default_rng(seed)
-    clouds = []
+    clouds, recording = [], replace(recording, seen_by=None)
     for cloud in recording.frames():
         if len(cloud) > most:
             cloud = cloud[np.sort(rng.choice(len(cloud), most, replace=False))]

@@ -35,6 +35,7 @@ def clouds_of(recording: Recording, clouds: list[Array]) -> Recording:
         recording,
         points=np.concatenate([np.zeros((0, 3)), *clouds]),
         offsets=np.cumsum([0, *map(len, clouds)]),
+        seen_by=None,
     )
 
 

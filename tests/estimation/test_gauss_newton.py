@@ -9,7 +9,9 @@ import pytest
 
 from gendom.estimation import METHODS, EstimateSettings, LiftScene, Problem, estimate
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
+from gendom.estimation.problem import Start
 from gendom.estimation.replay import replay
+from gendom.estimation.scene_settings import SHELL_ERROR
 from gendom.estimation.shape import Shape
 
 # the package's own name of the module is the function's
@@ -92,8 +94,30 @@ def test_limp_cloths_get_points_as_near_as_they_bend(cloth_lift, plain_cloth, sh
     assert finer.body.shape == (points, points)
     assert finer.frames == plain_cloth.frames and finer.clock == plain_cloth.clock
     assert (finer is plain_cloth) == (points == 33)
+    limper = cloth_lift.truth.with_values({"E_over_rho": plain_cloth.E_over_rho(0.2 * 0.063)})
+    assert max(finer.finer(limper).body.shape) == max(points, 49)
+    assert len(finer.finer(limper).notes) == len(plain_cloth.notes) + 1
     chosen = LiftScene.of(cloth_lift.at_rest(8), cloth_lift.settings)
     assert chosen.finer(cloth_lift.truth.with_values({"E_over_rho": modulus})) is chosen
+
+
+def test_a_mesh_blurs_limp_cloths(cloth_lift, plain_cloth):
+    """The more, the fewer points there are for each bending length."""
+    limp, stiff = (
+        cloth_lift.truth.with_values({"E_over_rho": plain_cloth.E_over_rho(share * 0.2)})
+        for share in (1.0 / 32.0, 1.0 / 8.0)
+    )
+    assert plain_cloth.mesh_error(limp) == pytest.approx(SHELL_ERROR)
+    assert plain_cloth.mesh_error(stiff) == pytest.approx(SHELL_ERROR / 64.0)
+
+
+def test_starts_that_cannot_win_are_given_up():
+    """One goes on while as many of its last steps as patience allows would reach the best one."""
+    leads, near, far = (Start(initial=np.zeros(1), vector=np.zeros(1)) for _ in range(3))
+    leads.value, near.value, far.value = 10.0, 100.0, 100.0
+    leads.won, near.won, far.won = 0.1, 20.0, 10.0
+    steps._give_up([leads, near, far], leads, patience=6)
+    assert [s.done for s in (leads, near, far)] == [False, False, True]
 
 
 def test_what_was_found_is_searched_once_more_in_a_finer_problem(rope_lift, problem, found):

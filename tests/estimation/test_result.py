@@ -163,3 +163,18 @@ def test_files_of_earlier_versions_are_read(found, tmp_path):
     write_json(path, record)
     assert Estimate.load(path).record["posterior"] == found.record["posterior"]
     assert Estimate.load(path).E == found.E
+
+
+def test_what_a_likelihood_is_wrong_by_brings_the_prior_back():
+    """A product of Gaussians: the prior's, and the likelihood's with a wider deviation."""
+    prior = prior_of(["nu"], {"nu": {"mean": 0.3, "sd": 0.06}})
+    own, more = 0.02, 0.08
+    alone = 1.0 / (own**-2 - 0.06**-2)
+    peak = 0.3 + (0.36 - 0.3) * alone / own**2
+    calibration = IntervalCalibration(factor={}, added={"nu": more})
+    covariance = np.array([[own**2]])
+    known = calibration.posterior(prior, np.array([0.36]), covariance, [BASE])
+    precision = 0.06**-2 + 1.0 / (alone + more**2)
+    assert known.sd("nu") == pytest.approx(precision**-0.5)
+    mean = (0.3 * 0.06**-2 + peak / (alone + more**2)) / precision
+    assert known.mean[0] == pytest.approx(mean)

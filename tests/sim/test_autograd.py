@@ -113,7 +113,8 @@ def test_every_input_of_rods_and_shells_gets_its_derivative(kind):
         "gripper_rotations": turn, "gripper_radius": torch.tensor([0.0231, 0.0213]),
     }  # fmt: skip
     if sheet:
-        given |= {"membrane": torch.tensor(2e5), "weave": torch.tensor([1.2, 0.9, 0.7])}
+        given |= {"membrane": torch.tensor(2e5), "warp": torch.tensor(1.2),
+                  "weft": torch.tensor(0.9), "shear": torch.tensor(0.7)}  # fmt: skip
     given = {name: a.to(torch.float64).requires_grad_() for name, a in given.items()}
     hands = [Gripper(time=[0.0, 0.03], position=[(0, 0, 0)] * 2, radius=0.01)] * 2
     n = len(body.points)

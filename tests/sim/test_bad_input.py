@@ -10,6 +10,7 @@ import pytest
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
+from gendom.materials.parameters import OF_SHELLS
 from gendom.sim import (
     Gripper,
     Grippers,
@@ -17,7 +18,6 @@ from gendom.sim import (
     Simulator,
     Solver,
     Table,
-    Weave,
     cloth,
     open_device,
     outline_of_mesh,
@@ -94,7 +94,6 @@ def test_ropes(name, value):
         "thickness": ["thick", RAGGED, inf],
         "dx": ["fine", [0.01], 0.0],
         "points": ["many", 8, (8, 8, 8), (8.5, 8), ("8", "8"), (8, 1), (1, 5)],
-        "weave": ["twill", 3],
         "corner": ["here", RAGGED, 3.0, (0.0, nan, 0.0)],
         "yaw": ["left", inf, nan, [0.0]],
     }
@@ -104,12 +103,12 @@ def test_cloths(name, value):
     assert named(name, refused(cloth, **{**sizes, name: value}))
 
 
-@cases({name: ["stiff", RAGGED, 0.0] for name in ("warp", "weft", "shear")})
-def test_weaves(name, value):
-    assert named(name, refused(Weave, **{name: value}))
-
-
-@cases({name: ["much", [1.0, 2.0]] for name in ("E", "nu", "density", "damping", "membrane")})
+@cases(
+    {
+        **{name: ["much", [1.0, 2.0]] for name in ("E", "nu", "density", "damping")},
+        **{name: ["stiff", RAGGED, 0.0] for name in OF_SHELLS},
+    }
+)
 def test_materials(name, value):
     assert named(name, refused(Material, **{name: value}))
 

@@ -8,6 +8,7 @@ On disk it is `gendom-recording/1`, a NumPy `.npz` without pickles:
     gripper_position  float64 [T, G, 3]  where each gripper holds the object [m]
     gripper_axis      float64 [T, G, 3]  optional: unit vector along the object at the clamp
     gripper_closed    bool    [T, G]     optional: whether it holds the object; always if left out
+    seen_by           uint8   [S]        optional: bit k is set where camera k saw the point
     meta              JSON text          object, table_height, gripper_source, quasi_static,
                                          source, notes, camera_positions, cameras_calibrated,
                                          and anything else

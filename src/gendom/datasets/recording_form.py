@@ -44,12 +44,15 @@ ARRAYS = {
     "gripper_position": (np.float64, ("T", "G", 3)),
     "gripper_axis": (np.float64, ("T", "G", 3)),
     "gripper_closed": (np.bool_, ("T", "G")),
+    "seen_by": (np.uint8, ("S",)),
     "camera_positions": (np.float64, ("K", 3)),
 }
 STORED_ARRAYS = tuple(name for name in ARRAYS if name != "camera_positions")
-_OPTIONAL_ARRAYS = ("gripper_axis", "gripper_closed", "camera_positions")
+_OPTIONAL_ARRAYS = ("gripper_axis", "gripper_closed", "seen_by", "camera_positions")
 # Kinds of NumPy types that are converted to each type.
-_CONVERTED_KINDS = {np.float32: "iuf", np.float64: "iuf", np.int64: "iu", np.bool_: "b"}
+_CONVERTED_KINDS = {
+    np.float32: "iuf", np.float64: "iuf", np.int64: "iu", np.uint8: "iu", np.bool_: "b",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -137,6 +140,8 @@ class RecordingData(Shown):
     """[T, G, 3] float64: unit vector along the object at the clamp; None: unknown."""
     gripper_closed: np.ndarray | None = None
     """[T, G] bool: whether each gripper holds the object; None: all do, always."""
+    seen_by: np.ndarray | None = None
+    """[S] uint8: bit k is set where camera k saw the point; None: unknown."""
     object: ObjectDescription
     table_height: float | None = None
     """z of the table [m]; None: no table."""
@@ -235,6 +240,8 @@ class RecordingData(Shown):
         arrays = {name: getattr(self, name) for name in names}
         cut = {name: array[:n] for name, array in arrays.items() if array is not None}
         points = self.points[: self.offsets[n]]
+        if self.seen_by is not None:
+            cut["seen_by"] = self.seen_by[: self.offsets[n]]
         return replace(self, points=points, offsets=self.offsets[: n + 1], **cut)
 
     def moved(self, T: np.ndarray) -> Self:
@@ -377,6 +384,10 @@ def _length_faults(arrays: Mapping[str, np.ndarray | None]) -> Iterator[Fault]:
             t = int(np.argmax(falls))
             what = f"falls from {offsets[t]} to {offsets[t + 1]}"
             yield Fault(what, f"offsets, frame {t}", "let it never decrease")
+    seen_by = arrays["seen_by"]
+    if seen_by is not None and len(seen_by) != len(points):
+        what = f"has {len(seen_by)} entries for {len(points)} points"
+        yield Fault(what, "seen_by", "give one for each point, or leave it out")
     if len(position) != frames:
         what = f"has {len(position)} frames, but time has {frames}"
         yield Fault(what, "gripper_position", "give one position a frame")

@@ -47,10 +47,6 @@ class IntervalCalibration:
     def none(cls) -> IntervalCalibration:
         return cls(factor={}, added={})
 
-    def sd(self, name: str, own: float) -> float:
-        """Standard deviation of a transformed unknown, from the likelihood's own."""
-        return math.hypot(self.factor.get(name, 1.0) * own, self.added.get(name, 0.0))
-
     def posterior(
         self,
         prior: Prior,
@@ -60,10 +56,22 @@ class IntervalCalibration:
         added: Array | float = 0.0,
     ) -> Posterior:
         """A likelihood's Gaussian with calibrated deviations, and further ones [P] added in
-        squares; they are at most those of the prior."""
+        squares; they are at most those of the prior.
+
+        What is added to an unknown's deviation is an error of the likelihood alone: the less it
+        says, the nearer to the prior's mean the posterior's is.
+        """
         own = np.sqrt(np.diag(covariance))
-        sd = np.array([self.sd(n, s) for n, s in zip(prior.names, own, strict=True)])
-        sd = np.hypot(sd, added)
+        factor, more = (
+            np.array([by.get(name, usual) for name in prior.names])
+            for by, usual in ((self.factor, 1.0), (self.added, 0.0))
+        )
+        wide = prior.sd**2
+        both = np.minimum((factor * own) ** 2, (1.0 - 1e-9) * wide)
+        alone = both * wide / (wide - both)  # the likelihood's variance without the prior
+        weight = (wide + alone) / (wide + alone + more**2)
+        mean = prior.mean + weight * (mean - prior.mean)
+        sd = np.hypot(np.sqrt(weight * both * (1.0 + more**2 / alone)), added)
         share = np.minimum(sd, np.maximum(prior.sd, own)) / own
         return Posterior(
             prior=prior,

@@ -113,11 +113,11 @@ def _searched(problem: Problem, search: Callable[[Problem], Found]) -> tuple[Pro
     if refused:
         problem.settings = replace(problem.settings, starts=1, max_iterations=ITERATIONS_IF_REFUSED)
     found = search(problem)
-    if problem.settings.method == "gauss-newton" and not found.interrupted and not refused:
+    while problem.settings.method == "gauss-newton" and not (found.interrupted or refused):
         finer = problem.finer(found.best.vector)
-        if finer is not problem:
-            problem, found = finer, refined(finer, found)
-        found = _searched_widely(problem, found)
+        if finer is problem:
+            return problem, _searched_widely(problem, found)
+        problem, found = finer, refined(finer, found)
     return problem, found
 
 
@@ -156,6 +156,8 @@ def _posterior(problem: Problem, found: Found, calibration: IntervalCalibration)
     # what moves otherwise than any simulated object gets no intervals
     if not any(displaced(p, n) for p, n in zip(problem.parts, found.noise, strict=True)):
         added = np.hypot(added, discrepancy(problem, found, covariance, calibration))
+    error = problem.scene.mesh_error(problem.theta(found.best.vector))
+    added = np.hypot(added, error * (np.array(problem.prior.names) == "E_over_rho"))
     posterior = calibration.posterior(
         problem.prior, found.best.vector, covariance, problem.bases, added
     )

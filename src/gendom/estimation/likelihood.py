@@ -18,6 +18,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,9 @@ from gendom.estimation.shape import Shape, taken
 from gendom.observation import visible
 
 Array = NDArray[np.floating]
+
+FEWEST_POINTS = 100
+"""Of a camera in a third of the frames, whose place is looked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,6 +111,7 @@ class Observation:
             if not scene.ordered:
                 cloud = cloud[:: -(-len(cloud) // most)]
             self.clouds.append(cloud)
+        self.camera = self._cameras()
         self.trees = [KDTree(c) for c in self.clouds]
         self.gaps = np.array([_gap(tree) for tree in self.trees])
         self.centre = np.mean([c.mean(axis=0) for c in self.clouds], axis=0)
@@ -127,6 +132,19 @@ class Observation:
             self.markers = index[0], weight[0]
         self.in_time = self._in_time()
         self.in_place = self._in_place()
+
+    def _cameras(self) -> NDArray[np.intp]:
+        """[T, m] the one camera that saw each point, -1 where several did or none is known."""
+        found = np.full((len(self.clouds), max(map(len, self.clouds))), -1)
+        recording = self.scene.recording
+        if recording.seen_by is None:
+            return found
+        alone = np.full(256, -1)
+        alone[2 ** np.arange(8)] = np.arange(8)
+        for row, cloud, t in zip(found, self.clouds, self.scene.frames, strict=True):
+            own = alone[recording.seen_by[recording.offsets[t] : recording.offsets[t + 1]]]
+            row[: len(cloud)] = own[:: -(-len(own) // len(cloud))]
+        return found
 
     def _in_view(self) -> NDArray[np.bool_]:
         """[S] samples that no fingers hide: farther from what is held than twice its reach."""
@@ -362,6 +380,29 @@ class Comparison:
         points = (away[:, :own] * o.counts).sum(axis=1) / o.counts.sum(axis=1)
         shown = np.maximum(o.shown(self.here).sum(axis=1), 1)
         return float((points + (away * (rows.counts > 0.0))[:, own:].sum(axis=1) / shown).mean())
+
+    def cameras_apart(self, thirds: int = 3) -> tuple[float, int, int]:
+        """How far two cameras' clouds are from each other at the object, in the third of the frames
+        where they are farthest [m], and from which frame to which; 0 where it is not known.
+
+        By the rigid motion with which each camera's points lie on the simulated skin.
+        """
+        o, rows, farthest = self.observation, self.rows, (0.0, 0, 0)
+        own, noise = o.counts.shape[1], o.noise.of_unknown_cameras()
+        rho, D = rows.rho[:, :own], rows.fixed(o.centre)[:, :own]
+        weight = o.counts / np.sqrt(1.0 + (rho / noise.huber_width) ** 2) / noise.sensor**2
+        for part in np.array_split(np.arange(len(rho)), thirds):
+            shifts = []
+            for camera in np.unique(o.camera[part]):
+                mine = (o.camera[part] == camera) & (weight[part] > 0.0)
+                if camera >= 0 and mine.sum() > FEWEST_POINTS:
+                    A, w = D[part][mine], weight[part][mine][:, None]
+                    H = A.T @ (w * A) + np.diag(noise.fixed)
+                    shifts.append(np.linalg.solve(H, A.T @ (w[:, 0] * rho[part][mine]))[:3])
+            for a, b in combinations(shifts, 2):
+                first, last = (o.scene.frames[t] for t in part[[0, -1]])
+                farthest = max(farthest, (float(np.linalg.norm(a - b)), first, last))
+        return farthest
 
     def fit(self, noise: NoiseModel) -> Fit:
         """Register motion, skin and displacement for this noise, or take the last registration."""

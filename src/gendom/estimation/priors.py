@@ -204,6 +204,7 @@ def _shown(recording: Recording, quasi_static: bool) -> tuple[str, ...]:
         names.remove("grip_along")
     if recording.object.kind == "cloth":
         names.remove("nu")
+        names.append("warp_over_weft")
         if recording.object.grasp == "corner":
             names += ["grip_aside", "grip_tilt", "grip_reach", "yaw"]
     return tuple(names)

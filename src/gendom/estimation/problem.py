@@ -90,6 +90,8 @@ class Start:
     comparison: Comparisons | None = None
     value: float = math.inf
     """Of the method's objective."""
+    won: float = math.inf
+    """By how much the last step lowered it."""
     damping: float = 1e-3
     """Levenberg's and Marquardt's."""
     iterations: int = 0

@@ -18,6 +18,9 @@ from gendom.sim import Gripper, Physics, Simulator, Solver, Table
 
 Array = NDArray[np.floating]
 
+HEM = 0.01
+"""Breadth of a cloth's border that may be hemmed [m]."""
+
 
 @dataclass(kw_only=True)
 class WorldInputs:
@@ -36,6 +39,8 @@ class WorldInputs:
     """On the table."""
     stiffness: Array | None = None
     """[N] factors of E along the object; None: 1."""
+    mass: Array | None = None
+    """[N] factors of the mass of points; None: 1."""
     delay: float = 0.0
     """How late clouds show the motion of the grippers, recorded time [s]."""
     raised: float = 0.0
@@ -46,6 +51,8 @@ class WorldInputs:
     """How far a held corner turns as it is lifted [rad]."""
     yaw: float = 0.0
     """Turn of the lying cloth [rad]."""
+    warp_over_weft: float = 1.0
+    """Bending stiffness along a cloth's first side over that along its second one."""
 
     @classmethod
     def of(cls, scene: LiftScene, theta: Theta) -> WorldInputs:
@@ -79,6 +86,27 @@ class WorldInputs:
             share = scene.body.material_coordinates[:, 0] / scene.size - 0.5
             self.stiffness = np.exp(slope * share)
 
+    def hem(self, *, stiffness: float = 1.0, mass: float = 1.0) -> None:
+        """Make a cloth's border so many times as stiff in bending, and as heavy as the rest; its
+        mass stays as stated."""
+        if stiffness != 1.0:
+            self.stiffness = self._bordered(stiffness)[0]
+        if mass != 1.0:
+            factors, area = self._bordered(mass)
+            self.mass = factors * (area.sum() / (factors @ area))
+
+    def _bordered(self, times: float) -> tuple[Array, Array]:
+        """[N] the mean of so many times in a border and once elsewhere, over what each point of a
+        cloth stands for, and the area of that [N] [m^2]."""
+        rest, breadth = [], []
+        for x in lattice(self.scene):
+            inwards, half = np.minimum(x, x[-1] - x), 0.5 * (x[1] - x[0])
+            low, high = np.maximum(inwards - half, 0.0), inwards + half
+            rest.append(1.0 - np.clip((HEM - low) / (high - low), 0.0, 1.0))
+            breadth.append(high - low)
+        within, area = (np.outer(second, first).ravel() for first, second in (rest, breadth))
+        return times + within * (1.0 - times), area
+
     def shift(self, *, along: float = 0.0, aside: float = 0.0) -> None:
         """Hold the object so much farther from its end or corner, or from its diagonal [m]: the
         object is moved, so that what is held is where the gripper closes."""
@@ -99,16 +127,18 @@ class WorldInputs:
     @property
     def material(self) -> Material:
         """The object's material."""
-        scene, membrane = self.scene, None
-        E = self.E_over_rho * scene.density
+        scene, E, of_shell = self.scene, self.E_over_rho * self.scene.density, {}
         if scene.kind == "cloth" and scene.thin:
             width, height = (scene.recording.object.width, scene.recording.object.height)
             assert width is not None and height is not None
             weight = scene.density * STANDARD_GRAVITY * max(width, height)
-            membrane = min(E, weight / (2.0 * scene.settings.stretch))
-        return Material(
-            E=E, nu=self.nu, density=scene.density, damping=self.damping, membrane=membrane
-        )
+            warp = math.sqrt(self.warp_over_weft)
+            of_shell = {
+                "membrane": min(E, weight / (2.0 * scene.settings.stretch)),
+                "warp": warp,
+                "weft": 1.0 / warp,
+            }
+        return Material(E=E, nu=self.nu, density=scene.density, damping=self.damping, **of_shell)
 
     @property
     def grippers(self) -> list[Gripper]:
@@ -180,7 +210,8 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
         [w.material for w in worlds],
         grippers=grippers,
         table=table,
-        stiffness=_stacked(scene, worlds),
+        stiffness=_stacked([w.stiffness for w in worlds], len(scene.initial)),
+        mass=_stacked([w.mass for w in worlds], len(scene.initial)),
         positions=np.stack([w.positions for w in worlds]),
         start_time=begin,
         physics=Physics(velocity_damping=scene.velocity_damping),
@@ -255,12 +286,11 @@ def _ticks(scene: LiftScene) -> tuple[Array, Array]:
     return np.unique(m[:, 0]), np.unique(m[:, 1])
 
 
-def _stacked(scene: LiftScene, worlds: Sequence[WorldInputs]) -> Array | float:
-    """[W, N] factors of the stiffness, or 1."""
-    if all(w.stiffness is None for w in worlds):
+def _stacked(factors: Sequence[Array | None], points: int) -> Array | float:
+    """[W, N] factors of each world's points, or 1."""
+    if all(f is None for f in factors):
         return 1.0
-    one = np.ones(len(scene.initial))
-    return np.stack([one if w.stiffness is None else w.stiffness for w in worlds])
+    return np.stack([np.ones(points) if f is None else f for f in factors])
 
 
 def _closed(scene: LiftScene, g: int, delay: float) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from gendom.estimation.priors import (
 )
 from gendom.estimation.scene_settings import (
     MOST_SHELL_POINTS,
-    SHELL_POINTS,
+    SHELL_ERROR,
     SHELL_SPACING,
     SceneSettings,
 )
@@ -39,6 +39,9 @@ from gendom.materials.unknowns import Theta
 from gendom.sim import Body
 
 Array = NDArray[np.floating]
+
+FINER = "limp: simulated along its longer side with"
+"""Note of a cloth that gets more points than others."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -236,18 +239,28 @@ class LiftScene:
         bends = self.bending_length(theta.E_over_rho, theta.thickness)
         longer = max(described.width or 0.0, described.height or 0.0)
         points = min(math.ceil(longer / (SHELL_SPACING * bends)) + 1, MOST_SHELL_POINTS)
-        if points <= 1.1 * SHELL_POINTS:
+        if points <= 1.1 * max(self.body.shape):
             return self
         fine = LiftScene.of(self.recording, replace(settings, points=points))
+        # the number of points stays open, so that it can grow once more
         return replace(
             fine,
+            settings=settings,
             frames=self.frames,
             calm=self.calm,
             begins_with=self.begins_with,
             digest=self.digest,
             registration=self.registration,
-            notes=(*self.notes, f"simulated with {points} points along its longer side"),
+            notes=(*(n for n in self.notes if not n.startswith(FINER)), f"{FINER} {points} points"),
         )
+
+    def mesh_error(self, theta: Theta) -> float:
+        """Standard deviation of ln(E) by the distance of a cloth's points."""
+        if self.kind != "cloth" or not self.thin:
+            return 0.0
+        apart = float(np.linalg.norm(self.body.points[1] - self.body.points[0]))
+        bends = self.bending_length(theta.E_over_rho, theta.thickness)
+        return SHELL_ERROR * (apart / bends) ** 3
 
     def body_of(self, theta: Theta) -> Body:
         """The body with the estimated thickness, for display; simulations take the stated

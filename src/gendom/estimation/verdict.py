@@ -94,6 +94,8 @@ class VerdictSettings:
     nuisance: float = 5.0
     """Largest difference, in deviations, of a camera, gripper or clock from its stated value, and
     of recordings of one object from each other."""
+    apart: float = 2.0
+    """Largest distance between two cameras' clouds, in deviations of a camera's place."""
     skin: tuple[float, float] = (0.0025, 0.3)
     """Largest distance of points from the skin of an object as thick as stated: the larger of the
     first [m] and the second times the thickness."""
@@ -225,7 +227,21 @@ def _faults(
         reasons.append(
             f"the object moves {1e3 * noise.model:.0f} mm otherwise than any simulated one"
         )
-    return reasons
+    return _blamed_on_cameras(reasons, part, comparison, s) if reasons else []
+
+
+def _blamed_on_cameras(
+    reasons: list[str], part: Part, comparison: Comparison, s: VerdictSettings
+) -> list[str]:
+    """Reasons, with that cameras disagree, where they do, in place of a wrong thickness."""
+    far, first, last = comparison.cameras_apart()
+    if far <= s.apart * part.noise.shift:
+        return reasons
+    said = (
+        f"in frames {first} to {last} two cameras place the object {1e3 * far:.0f} mm apart: do "
+        "their poses, or clocks, drift?"
+    )
+    return [said, *(r for r in reasons if not r.endswith("its thickness right?"))]
 
 
 def _misplaced(

@@ -7,10 +7,16 @@ from gendom.arguments import check_number
 from gendom.errors import ParameterError
 from gendom.shown import Shown
 
+WEAVE = ("warp", "weft", "shear")
+"""A shell's stiffness over that of an isotropic sheet, see `Material`."""
+
+OF_SHELLS = ("membrane", *WEAVE)
+"""Parameters that only shells have."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Material(Shown):
-    """An isotropic elastic material.
+    """An elastic material, isotropic but for the threads of a shell.
 
     Motion under gravity depends on E / density, so two materials of equal ``E_over_rho``
     and ``nu`` move alike.
@@ -31,19 +37,28 @@ class Material(Shown):
     is damped at the ratio w tau / 2; static shapes are not changed."""
     membrane: float | None = None
     """Young's modulus of a shell in its plane [Pa]; E is then that of its bending. None: E."""
+    warp: float = 1.0
+    """Bending stiffness of a shell along its first side, over that of an isotropic one."""
+    weft: float = 1.0
+    """The same along its second side; that of twist is their geometric mean."""
+    shear: float = 1.0
+    """In-plane shear stiffness of a shell, likewise."""
 
     def _shown(self) -> tuple[str, list[tuple[str, str]]]:
         pascals = dict.fromkeys(("E", "membrane"), "Pa")
         units = {"density": "kg/m^3", "damping": "s", **pascals}
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        rows = [(n, f"{v:g} {units.get(n, '')}") for n, v in values.items() if v is not None]
+        usual = {"membrane": None, **dict.fromkeys(WEAVE, 1.0)}
+        given = {n: v for n, v in values.items() if n not in usual or v != usual[n]}
+        rows = [(n, f"{v:g} {units.get(n, '')}") for n, v in given.items()]
         return "Material", [(name, value.strip()) for name, value in rows]
 
     def __post_init__(self) -> None:
         for name in ("E", "nu", "density", "damping"):
             check_number(name, getattr(self, name))
-        if self.membrane is not None:
-            check_number("membrane", self.membrane, above=0.0)
+        for name in OF_SHELLS:
+            if getattr(self, name) is not None:
+                check_number(name, getattr(self, name), above=0.0)
         if self.E <= 0.0:
             raise ParameterError(f"Young's modulus E must be positive [Pa], got {self.E}")
         if not -1.0 < self.nu < 0.5:
@@ -55,6 +70,11 @@ class Material(Shown):
                 f"damping must be at least 0 [s], got {self.damping}",
                 fix="ropes and cloths have 0.001 to 0.02 s; 0 means none",
             )
+
+    @property
+    def of_shells(self) -> bool:
+        """Whether a parameter is set that only shells have."""
+        return self.membrane is not None or any(getattr(self, name) != 1.0 for name in WEAVE)
 
     @property
     def in_plane(self) -> float:

@@ -144,6 +144,29 @@ UNKNOWNS: dict[str, Unknown] = {
             material=True, label="d ln(E) / d(s/L)", form=".2f",
             on_replay=lambda world, value: world.stiffen_along(value),
         ),
+        # of woven cloths one side is up to twice as stiff
+        _unknown(
+            "warp_over_weft", "warp / weft", "1",
+            "bending stiffness along a cloth's first side over that along its second one",
+            log=True, low=0.1, high=10.0, mean=1.0, sd=0.5, step=0.06, widest=0.5,
+            kinds=("cloth",), material=True, above=0.0, label="warp / weft", form=".2f",
+            on_replay=_sets("warp_over_weft"),
+        ),
+        # cloth folded over once or twice, and sewn
+        _unknown(
+            "hem_stiffness", "hem's stiffness", "1",
+            "bending stiffness of a cloth's border over that of the rest",
+            log=True, low=0.5, high=50.0, mean=1.0, sd=1.5, step=0.2, widest=1.0,
+            kinds=("cloth",), material=True, above=0.0, form=".2f",
+            on_replay=lambda world, value: world.hem(stiffness=value),
+        ),
+        _unknown(
+            "hem_mass", "hem's mass", "1",
+            "mass by area of a cloth's border over that of the rest",
+            log=True, low=0.5, high=6.0, mean=1.0, sd=0.6, step=0.1, widest=0.5,
+            kinds=("cloth",), material=True, above=0.0, form=".2f",
+            on_replay=lambda world, value: world.hem(mass=value),
+        ),
         # a ruler on a soft rope: half a millimetre of a centimetre
         _unknown(
             "thickness", "thickness / stated", "1",

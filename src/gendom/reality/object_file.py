@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,8 @@ def read_object(path: str | os.PathLike) -> RealObject:
         item["material"] = Material(**elastic)
         if kind == "rope":
             return RealRope(**item)
-        return RealCloth(vertices=vertices_of(item["side"]), **item)
+        cloth = RealCloth(**item)
+        return replace(cloth, vertices=vertices_of(cloth.side, cloth.bends))
     except ParameterError as error:
         raise ParameterError(error.what, where=where, fix=error.fix) from error
 

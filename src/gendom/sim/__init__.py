@@ -2,7 +2,7 @@
 
 from gendom.arguments import check_numbers
 from gendom.materials import AIR_DENSITY
-from gendom.sim.bodies import Body, Weave, cloth, rope
+from gendom.sim.bodies import Body, cloth, rope
 from gendom.sim.device import claimed, list_devices, open_device
 from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper, Grippers, Targets
@@ -27,7 +27,6 @@ __all__ = [
     "Solver",
     "Table",
     "Targets",
-    "Weave",
     "check_numbers",
     "claimed",
     "cloth",

@@ -13,26 +13,25 @@ from torch import Tensor
 from gendom.arguments import check_list, check_numbers, check_type
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim.bodies import Body, Weave
+from gendom.materials.parameters import OF_SHELLS
+from gendom.sim.bodies import Body
 from gendom.sim.gripper import Gripper
 from gendom.sim.rollout import Rollout
 from gendom.sim.scene import Physics, Solver, Table
 from gendom.sim.simulator import Simulator, engine_of
 from gendom.sim.thin.rotation import left_jacobian_inverse
-from gendom.sim.thin.types import WEAVE
 
 _AXES = {
-    **dict.fromkeys(("E", "nu", "density", "damping", "membrane"), 0),
+    **dict.fromkeys(("E", "nu", "density", "damping", *OF_SHELLS), 0),
     **dict.fromkeys(("velocity_damping", "air_density", "friction", "self_friction"), 0),
     "thickness": 0,
-    **dict.fromkeys(("weave", "gravity", "stiffness", "gripper_radius"), 1),
+    **dict.fromkeys(("gravity", "stiffness", "gripper_radius"), 1),
     **dict.fromkeys(("positions", "velocities"), 2),
     **dict.fromkeys(("gripper_positions", "gripper_rotations"), 3),
 }
 """Inputs that may be tensors, and their number of axes in one world."""
 
-_OF_MATERIAL = ("E", "nu", "density", "damping", "membrane")
-_OF_BODY = ("thickness", "weave")
+_OF_MATERIAL = ("E", "nu", "density", "damping", *OF_SHELLS)
 _OF_PHYSICS = ("velocity_damping", "air_density", "self_friction", "gravity")
 _OF_SIMULATOR = ("stiffness", "positions")
 
@@ -60,14 +59,15 @@ def simulate(
         solver: As of ``Simulator``, in ``float64`` unless it says otherwise.
         memory: Limit on memory for the backward pass [bytes] (default: as ``Rollout``).
         given: ``E`` [Pa], ``nu``, ``density`` [kg/m^3] and optionally ``damping`` [s]
-            (``Material.damping``), ``membrane`` [Pa], ``velocity_damping`` [1/s], ``air_density``
-            [kg/m^3], ``friction``, ``self_friction``: numbers or [W]; ``gravity`` [3] or [W, 3];
-            ``stiffness`` [N] or [W, N]; ``positions`` and ``velocities`` [N, 3] or
-            [W, N, 3]; of grippers, with K the knots of each one's own path, ``gripper_positions``
-            [G, K, 3] or [W, G, K, 3], ``gripper_rotations`` of the same shape, rotation vectors
-            that turn them further, in world axes [rad], and ``gripper_radius`` [G] or [W, G]. For
-            rods and shells also what all worlds share of the body: ``thickness`` (or diameter)
-            [m] and ``weave`` [3] (warp, weft, shear). Tensors that require a gradient get one.
+            (``Material.damping``), of shells ``membrane`` [Pa], ``warp``, ``weft`` and ``shear``,
+            ``velocity_damping`` [1/s], ``air_density`` [kg/m^3], ``friction``,
+            ``self_friction``: numbers or [W]; ``gravity`` [3] or [W, 3]; ``stiffness`` [N] or
+            [W, N]; ``positions`` and ``velocities`` [N, 3] or [W, N, 3]; of grippers, with K the
+            knots of each one's own path, ``gripper_positions`` [G, K, 3] or [W, G, K, 3],
+            ``gripper_rotations`` of the same shape, rotation vectors that turn them further, in
+            world axes [rad], and ``gripper_radius`` [G] or [W, G]. For rods and shells also what
+            all worlds share of the body: ``thickness`` (or diameter) [m]. Tensors that require a
+            gradient get one.
 
     Returns:
         [T, W, N, 3] positions [m], in the dtype of the simulation.
@@ -86,7 +86,7 @@ def simulate(
     check_type("body", body, Body)
     check_list("grippers", grippers, Gripper)
     thin = engine_of(body, solver) == "thin"
-    only_thin = sorted({*_OF_BODY, "membrane"} & set(given))
+    only_thin = sorted({"thickness", *OF_SHELLS} & set(given))
     if only_thin and not thin:
         raise ParameterError(
             f"the MPM has no derivative by {', '.join(only_thin)}",
@@ -109,7 +109,7 @@ def _spread(
 ) -> list[Tensor]:
     """Expand the tensors to one leading axis of worlds; torch sums the derivatives over it."""
     extra = {n: t.dim() - _AXES[n] for n, t in zip(names, tensors, strict=True)}
-    wrong = [n for n, e in extra.items() if e not in ((0,) if n in _OF_BODY else (0, 1))]
+    wrong = [n for n, e in extra.items() if e not in ((0,) if n == "thickness" else (0, 1))]
     if wrong:
         raise ParameterError(f"too many or too few axes: {', '.join(wrong)}")
     counts = {t.shape[0] for n, t in zip(names, tensors, strict=True) if extra[n] == 1}
@@ -124,7 +124,6 @@ def _spread(
         "gripper_positions": (len(grippers), *_knots(grippers), 3),
         "gripper_rotations": (len(grippers), *_knots(grippers), 3),
         "gripper_radius": (len(grippers),),
-        "weave": (3,),
     }
     spread = []
     for n, t in zip(names, tensors, strict=True):
@@ -153,8 +152,6 @@ class _Simulation(torch.autograd.Function):
         if "thickness" in v:
             h = float(v["thickness"][0])
             own = {"thickness": h, "contact_radius": body.contact_radius * h / body.thickness}
-        if "weave" in v:
-            own["weave"] = Weave(**dict(zip(WEAVE, v["weave"][0].tolist(), strict=True)))
         every: Any = [[_changed(g, i, w, v) for i, g in enumerate(grippers)] for w in range(W)]
         if "friction" in v:
             if table is None:

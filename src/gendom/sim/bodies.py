@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gendom.arguments import check_integers, check_number, check_numbers, check_type, require
+from gendom.arguments import check_integers, check_number, check_numbers, require
 from gendom.errors import ParameterError
 from gendom.sim.cut import Cut, cut
 from gendom.sim.lines import along_line, arc_length, around, around_transpose, frames
@@ -29,25 +29,6 @@ BULGE = 0.75
 """Share of the map from a square to a disc that is applied to sections (see ``round_section``);
 with 0.65 to 0.75, sections of 3 to 16 particles across bend within 2 % and twist within 5 % of
 theory at nu up to 0.45."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Weave:
-    """Stiffness of a cloth relative to an isotropic sheet of the same E, nu and thickness.
-
-    Raises:
-        ParameterError: If a number is not positive and finite.
-    """
-
-    warp: float = 1.0
-    """Bending stiffness along the first axis."""
-    weft: float = 1.0
-    """Bending stiffness along the second axis; that of twist is their geometric mean."""
-    shear: float = 1.0
-    """In-plane shear stiffness."""
-
-    def __post_init__(self) -> None:
-        _check_positive(warp=self.warp, weft=self.weft, shear=self.shear)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +66,6 @@ class Body:
     which a cloth with an outline has a part."""
     cut: Cut | None = None
     """That part; None: all of it."""
-    weave: "Weave" = field(default_factory=lambda: Weave())
-    """Stiffness of a cloth's weave relative to an isotropic sheet; for shells."""
 
     @property
     def num_particles(self) -> int:
@@ -305,7 +284,6 @@ def cloth(
     corner: ArrayLike = (0.0, 0.0, 0.0),
     yaw: float = 0.0,
     points: tuple[int, int] | None = None,
-    weave: Weave | None = None,
     outline: Any = None,
 ) -> Body:
     """Make a flat cloth in a horizontal plane: a rectangle, or of any outline.
@@ -327,8 +305,6 @@ def cloth(
         dx: Size of a grid cell [m]. For the MPM.
         points: Numbers of points along the first and second axis, for shells; by default 28 along
             the longer side and the same spacing along the other.
-        weave: Bending stiffness along threads, and shear stiffness; for shells (default:
-            isotropic).
         corner: [3] position of one corner of the mid-plane, from which both axes go, or with an
             outline of the origin of its coordinates [m].
         yaw: Angle of the first axis about z [rad].
@@ -353,7 +329,6 @@ def cloth(
     _check_positive(width=width, height=height, thickness=thickness, dx=dx)
     check_number("yaw", yaw)
     origin = check_numbers("corner", corner, (3,))
-    check_type("weave", weave, Weave, optional=True)
     if points is None:
         spacing = max(width, height) / (POINTS - 1)
         points = (max(2, 1 + round(width / spacing)), max(2, 1 + round(height / spacing)))
@@ -394,7 +369,6 @@ def cloth(
         points=origin + middle @ to_world,
         shape=points[::-1],
         cut=part,
-        weave=weave or Weave(),
     )
 
 

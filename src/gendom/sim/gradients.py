@@ -52,8 +52,13 @@ class Gradients:
     membrane: NDArray[np.float64] | None = None
     """[W] by the modulus in a cloth's plane [1/Pa]; None if no material has its own, and 0 for
     those that have not."""
-    weave: NDArray[np.float64] | None = None
-    """[W, 3] by the weave's warp, weft and shear; None for other bodies than shells."""
+    warp: NDArray[np.float64] | None = None
+    """[W] by a shell's bending stiffness along its first side, over an isotropic one's; None for
+    other bodies."""
+    weft: NDArray[np.float64] | None = None
+    """[W] the same along its second side."""
+    shear: NDArray[np.float64] | None = None
+    """[W] the same of its in-plane shear stiffness."""
     rest_strains: NDArray[np.float64] | None = None
     """[W, n, 6] by a rod's stress-free strains: two shears and the stretch of each edge, two
     bending angles and the twist of each joint [1/rad]; None for other bodies."""

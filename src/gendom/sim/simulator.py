@@ -21,6 +21,7 @@ from gendom.arguments import (
 from gendom.errors import ParameterError, SimulationError
 from gendom.files import atomic_path
 from gendom.materials import Material
+from gendom.materials.parameters import OF_SHELLS
 from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
@@ -53,7 +54,9 @@ class Simulator(Shown):
         table: Table, or None for open space.
         physics: Gravity, air, damping and self-contact.
         solver: Engine, steps, precision and device.
-        stiffness: E of each particle or point over E of its material, [N] or [W, N] [-].
+        stiffness: E of each particle or point over E of its material, [N] or [W, N] [-]; of
+            shells with a membrane's modulus that of bending alone.
+        mass: Mass of each point of a rod or shell over that of its material, likewise [-].
         positions: [N, 3] or [W, N, 3] initial positions of particles (default: ``body.x``) or
             points (default: ``body.points``) [m].
         start_time: Time of the initial state [s].
@@ -74,6 +77,7 @@ class Simulator(Shown):
         physics: Physics = Physics(),
         solver: Solver = Solver(),
         stiffness: ArrayLike = 1.0,
+        mass: ArrayLike = 1.0,
         positions: ArrayLike | None = None,
         start_time: float = 0.0,
     ):
@@ -86,10 +90,10 @@ class Simulator(Shown):
         engine = engine_of(body, solver)
         thin = engine == "thin"
         require(
-            (thin and body.kind == "cloth") or all(m.membrane is None for m in materials),
-            f"only shells have a membrane's modulus, not a {body.kind} of the {engine} engine",
+            (thin and body.kind == "cloth") or not any(m.of_shells for m in materials),
+            f"only shells have a membrane or threads, not a {body.kind} of the {engine} engine",
             where="materials",
-            fix="leave membrane out, or take engine='thin' for a cloth",
+            fix=f"leave out {', '.join(OF_SHELLS)}, or take engine='thin' for a cloth",
         )
         check_number("start_time", start_time)
         W = len(materials)
@@ -98,6 +102,13 @@ class Simulator(Shown):
         require(len(rest), narrow, fix="a smaller dx, or engine='thin'")
         N = len(rest)
         check_numbers("stiffness", stiffness, (), (N,), ("W", N), above=0.0)
+        check_numbers("mass", mass, (), (N,), ("W", N), above=0.0)
+        require(
+            thin or bool(np.all(np.asarray(mass) == 1.0)),
+            "only rods and shells have points of other masses",
+            where="mass",
+            fix="take engine='thin'",
+        )
         x = rest if positions is None else positions
         x = check_numbers("positions", x, (N, 3), ("W", N, 3))
         unit = body.thickness if thin else body.dx
@@ -114,6 +125,7 @@ class Simulator(Shown):
             table=table,
             **vars(physics),
             stiffness=stiffness,
+            mass=mass,
             positions=x,
             start_time=start_time,
             dtype=self.dtype,

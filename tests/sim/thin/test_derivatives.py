@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Gripper, Physics, Rollout, Simulator, Solver, Table, Weave, cloth, rope
-from gendom.sim.thin.types import WEAVE
+from gendom.materials.parameters import OF_SHELLS
+from gendom.sim import Gripper, Physics, Rollout, Simulator, Solver, Table, cloth, rope
 from sim.thin.differences import check_derivative
 from validation.bench import flat_simulator
 
@@ -45,7 +45,7 @@ def given(body, seed=0):
     first, last, up = body.points[0], body.points[-1], np.array([0.003, 0.01, 0.015])
     own: dict[str, Any] = {"thickness": body.thickness}
     if sheet:
-        own["weave"] = np.array([1.1, 0.9, 0.8])
+        own |= {"warp": 1.1, "weft": 0.9, "shear": 0.8}
     if body.cut is not None:
         own["membrane"] = 1.5e5
     return own | {
@@ -77,10 +77,7 @@ def table_height(body):
 
 
 def sized(body, p):
-    own: dict[str, Any] = {"thickness": p["thickness"]}
-    if "weave" in p:
-        own["weave"] = Weave(**dict(zip(WEAVE, p["weave"].tolist(), strict=True)))
-    return replace(body, **own)
+    return replace(body, thickness=p["thickness"])
 
 
 def simulator(body, p, **options):
@@ -95,7 +92,7 @@ def simulator(body, p, **options):
         [
             Material(
                 **{name: float(p[name]) for name in ("E", "nu", "density", "damping")},
-                membrane=p.get("membrane"),
+                **{name: p[name] for name in OF_SHELLS if name in p},
             )
         ],
         engine="thin",

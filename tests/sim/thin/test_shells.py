@@ -8,7 +8,7 @@ import pytest
 
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim import Physics, Simulator, Solver, Weave, cloth, rope
+from gendom.sim import Physics, Simulator, Solver, cloth, rope
 from gendom.sim.thin.shells import Shells
 from validation.readings import bending_energy, membrane_energy
 
@@ -16,38 +16,36 @@ MATERIAL = Material(E=1.0e6, nu=0.0)
 SIZES: dict[str, Any] = {"width": 0.2, "height": 0.15, "thickness": 0.002, "dx": 0.02}
 
 
-def stretched(weave, gradient, material=MATERIAL):
+def stretched(gradient, material=MATERIAL):
     """Membrane energy of a plane deformation [J]."""
-    body = cloth(**SIZES, points=(9, 7), weave=weave)
+    body = cloth(**SIZES, points=(9, 7))
     x = body.points.copy()
     x[:, :2] += body.points[:, :2] @ np.asarray(gradient).T
     return membrane_energy(Simulator(body, [material], positions=x))
 
 
 def test_shear_has_its_own_stiffness():
-    plain, loose = Weave(), Weave(shear=0.3)
+    loose = replace(MATERIAL, shear=0.3)
     shear, stretch = [[0.0, 1e-4], [0.0, 0.0]], [[1e-4, 0.0], [0.0, 2e-4]]
-    assert stretched(loose, shear) == pytest.approx(0.3 * stretched(plain, shear), rel=1e-3)
-    assert stretched(loose, stretch) == pytest.approx(stretched(plain, stretch), rel=1e-3)
+    assert stretched(shear, loose) == pytest.approx(0.3 * stretched(shear), rel=1e-3)
+    assert stretched(stretch, loose) == pytest.approx(stretched(stretch), rel=1e-3)
 
 
-def rolled(weave=None, material=MATERIAL, axis=0):
+def rolled(material=MATERIAL, axis=0, **options):
     """Membrane and bending energy of a cloth on a cylinder [J], and its longest step [s]."""
-    R, body = 0.4, cloth(**SIZES, points=(15, 12), weave=weave)
+    R, body = 0.4, cloth(**SIZES, points=(15, 12))
     u, x = body.points[:, axis] / R, body.points.copy()
     x[:, axis], x[:, 2] = R * np.sin(u), R * (1.0 - np.cos(u))
-    s = Simulator(body, [material], positions=x)
+    s = Simulator(body, [material], positions=x, **options)
     assert isinstance(s.engine, Shells)
-    return (
-        membrane_energy(s),
-        bending_energy(s),
-        s.engine.model.longest_step([material], np.ones((1, 1))),
-    )
+    longest = s.engine.model.longest_step([material], s.engine.local)
+    return membrane_energy(s), bending_energy(s), longest
 
 
 @pytest.mark.parametrize("axis", [0, 1], ids=["warp", "weft"])
 def test_bending_along_threads_is_independent_of_the_plane(axis):
-    plain, woven = (rolled(weave, axis=axis) for weave in (Weave(), Weave(warp=0.1, weft=2.0)))
+    threads = replace(MATERIAL, warp=0.1, weft=2.0)
+    plain, woven = (rolled(material, axis=axis) for material in (MATERIAL, threads))
     assert woven[0] == plain[0]
     assert woven[1] == pytest.approx((0.1, 2.0)[axis] * plain[1])
 
@@ -55,8 +53,8 @@ def test_bending_along_threads_is_independent_of_the_plane(axis):
 def test_the_membrane_may_have_a_modulus_of_its_own():
     """It then takes longer steps, and the bending stays."""
     soft, gradient = replace(MATERIAL, membrane=0.25 * MATERIAL.E), [[1e-4, 2e-5], [0.0, 5e-5]]
-    assert stretched(Weave(), gradient, soft) == pytest.approx(0.25 * stretched(Weave(), gradient))
-    plain, softer = rolled(), rolled(material=soft)
+    assert stretched(gradient, soft) == pytest.approx(0.25 * stretched(gradient))
+    plain, softer = rolled(), rolled(soft)
     assert softer[0] == pytest.approx(0.25 * plain[0])
     assert softer[1] == plain[1]
     assert softer[2] == pytest.approx(2.0 * plain[2])
@@ -100,3 +98,17 @@ def test_a_sharp_bend_about_the_diagonal_is_no_shear(diagonal):
         s.run([t])
         most = max(most, 0.5 * float(mass @ np.sum(s.velocities()[0].astype(float) ** 2, axis=1)))
     assert 0.05 * bending < most < bending
+
+
+def test_points_bend_and_weigh_as_those_of_a_hem():
+    """In its plane a cloth with a modulus of its own there does not change."""
+    soft, points = replace(MATERIAL, membrane=0.25 * MATERIAL.E), 15 * 12
+    plain, hemmed = rolled(soft), rolled(soft, stiffness=3.0 * np.ones(points))
+    assert hemmed[0] == plain[0]
+    assert hemmed[1] == pytest.approx(3.0 * plain[1])
+    body, factors = cloth(**SIZES, points=(15, 12)), np.linspace(0.8, 2.0, points)
+    light, heavy = (Simulator(body, [MATERIAL], mass=mass).engine for mass in (1.0, factors))
+    assert isinstance(light, Shells) and isinstance(heavy, Shells)
+    np.testing.assert_allclose(heavy.mass / light.mass, factors[None])
+    with pytest.raises(ParameterError, match="mass"):
+        Simulator(body, [MATERIAL], mass=0.0)

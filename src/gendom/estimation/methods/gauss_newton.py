@@ -107,6 +107,8 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
             _step(problem.coarse, going, noise, settings.gain[0], settings, free)
             leads = best_of(starts)
             late = late + 1 if leads is not None and leads.done else 0
+            if settings.rugged and leads is not None:
+                _give_up(starts, leads, settings.patience)
             problem.tell("search", iteration, most, leads or starts[0])
         best = best_of(starts)
         if best is None:
@@ -136,6 +138,12 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
         interrupted=interrupted,
         seconds={name: float(t) for name, t in parts},
     )
+
+
+def _give_up(starts: Sequence[Start], leads: Start, patience: int) -> None:
+    """End starts that would not reach the best one with so many steps like their last one."""
+    for s in starts:
+        s.done |= s.value - leads.value > patience * s.won
 
 
 def refined(problem: Problem, found: Found, settings: GaussNewtonSettings | None = None) -> Found:
@@ -264,7 +272,7 @@ def _step(
         best = int(np.argmin(values))
         p, closer = row[best], compared[best]
         if closer is not None and values[best] < s.value:
-            won = s.value - values[best]
+            s.won = won = s.value - values[best]
             little = won < least or (not settings.rugged and p.gain < least)
             closer.inherit_derivatives(former, p.vector - s.vector, p.weight)
             s.done, s.renew = little and s.exact, little or won < settings.least_gain_ratio * p.gain

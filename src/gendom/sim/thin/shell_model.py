@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.materials import Material
-from gendom.sim.bodies import Body, Weave
+from gendom.materials.parameters import WEAVE
+from gendom.sim.bodies import Body
 from gendom.sim.cut import Cut
-from gendom.sim.thin.types import WEAVE, ParameterDerivatives
+from gendom.sim.thin.types import ParameterDerivatives
 
 MOST_COUPLED = 1.5
 """Largest area that couples both curvatures of a point, over the geometric mean of the areas that
@@ -33,7 +34,6 @@ class ShellModel:
     """[n] area represented by each point [m^2]."""
     exists: NDArray[np.float64]
     """[3, n] whether a point has an edge to the next one, to the one below, and a cell."""
-    weave: Weave
     shares: NDArray[np.float64]
     """[8, n] geometric factors of the moduli in each stiffness: areas over spacings."""
     alone: NDArray[np.floating]
@@ -87,10 +87,6 @@ class ShellModel:
             ]
         )
         faster = (1.0, 1.0) if body.cut is None else _faster(body.cut, area, shares[4:])
-        weave = body.weave
-        coupled = math.sqrt(weave.warp * weave.weft)
-        bending = [weave.warp, weave.weft, coupled, coupled]
-        shares *= np.array([1.0, 1.0, 1.0, weave.shear, *bending])[:, None, None]
         return cls(
             shape=(ny, nx),
             at=at,
@@ -98,7 +94,6 @@ class ShellModel:
             thickness=body.thickness,
             area=area.reshape(-1)[at],
             exists=np.stack([after, below, there]).reshape(3, -1)[:, at],
-            weave=weave,
             shares=shares.reshape(8, -1)[:, at],
             alone=np.stack(alone).reshape(2, -1)[:, at],
             faster=faster,
@@ -135,14 +130,14 @@ class ShellModel:
         return np.where(free, 1.0, values[:, :, None]), np.where(free, 0.0, by_nu[:, :, None])
 
     def derivatives(
-        self, name: str, materials: Sequence[Material], share: NDArray[np.floating]
+        self, name: str, materials: Sequence[Material], local: NDArray[np.floating]
     ) -> ParameterDerivatives:
-        """Derivatives by ``E``, ``nu``, ``density``, ``thickness``, ``membrane`` or a parameter of
-        the weave; ``share`` [W, n] is E at each point over its material's E."""
+        """Derivatives by ``E``, ``nu``, ``density``, ``thickness``, ``membrane`` or one of
+        ``WEAVE``; ``local`` [W, 8, n] is the stiffness over that of the material."""
         if name == "density":
             return ParameterDerivatives(mass=1.0 / np.array([[m.density] for m in materials]))
         values, by_nu = self.factors(np.array([m.nu for m in materials]))
-        scale = self.scales(materials) * self.shares * share[:, None]
+        scale = self.scales(materials) * self.shares * local
         if name == "nu":
             return ParameterDerivatives(stiffness=by_nu * scale)
         stiffness = values * scale
@@ -151,8 +146,8 @@ class ShellModel:
             mass = np.full((len(materials), 1), 1.0 / self.thickness)
             return ParameterDerivatives(stiffness=stiffness * per, mass=mass, thickness=1.0)
         if name in WEAVE:
-            per = np.array(_powers(name)) / getattr(self.weave, name)
-            return ParameterDerivatives(stiffness=stiffness * per[:, None])
+            per = np.array([[1.0 / getattr(m, name)] for m in materials]) * _powers(name)
+            return ParameterDerivatives(stiffness=stiffness * per[:, :, None])
         # a separate modulus of the membrane does not depend on E
         own = [m.membrane for m in materials]
         per = np.array([[0.0 if k is None else 1.0 / k, 0.0] for k in own])
@@ -161,13 +156,18 @@ class ShellModel:
         return ParameterDerivatives(stiffness=stiffness * np.repeat(per, 4, axis=1)[:, :, None])
 
     def scales(self, materials: Sequence[Material]) -> NDArray[np.float64]:
-        """Scales [W, 8, 1] of the stiffness: E h with the in-plane modulus, and E h^3 / 12."""
+        """Scales [W, 8, 1] of the stiffness: E h with the in-plane modulus, and E h^3 / 12, each
+        times what threads make of it."""
         h = self.thickness
         rows = [4 * [m.in_plane * h] + 4 * [m.E * h**3 / 12.0] for m in materials]
-        return np.array(rows)[:, :, None]
+        woven = [
+            math.prod(getattr(m, name) ** np.array(_powers(name)) for name in WEAVE)
+            for m in materials
+        ]
+        return (np.array(rows) * woven)[:, :, None]
 
     def longest_step(
-        self, materials: Sequence[Material], share: NDArray[np.floating]
+        self, materials: Sequence[Material], local: NDArray[np.floating]
     ) -> NDArray[np.float64]:
         """Longest stable step [W] [s], 2 / omega of the fastest small vibration in or out of plane.
 
@@ -175,22 +175,23 @@ class ShellModel:
         """
         lx, ly = self.spacing
         k2 = 4.0 / lx**2 + 4.0 / ly**2
-        E, in_plane = np.array([[m.E, m.in_plane] for m in materials]).T * share.max(axis=1)
+        E, in_plane = np.array([[m.E, m.in_plane] for m in materials]).T
+        in_plane, E = in_plane * local[:, 0].max(axis=1), E * local[:, 4].max(axis=1)
         nu = np.array([m.nu for m in materials])
         density = np.array([m.density for m in materials])
-        weave = self.weave
-        stiffest, stiffest_bending = max(1.0, weave.shear), max(weave.warp, weave.weft)
+        sheared = np.array([max(1.0, m.shear) for m in materials])
+        bent = np.array([max(m.warp, m.weft) for m in materials])
         # joints at a gripper's border can be eight times as stiff
         across = 8.0 * self.faster[1] * self.thickness**2 / 12.0 * k2**2
         along = self.faster[0] * k2
-        fastest = np.maximum(in_plane * stiffest * along, E * stiffest_bending * across)
+        fastest = np.maximum(in_plane * sheared * along, E * bent * across)
         fastest = fastest / (1.0 - nu**2) / density
         damped = np.array([m.damping > 0.0 for m in materials])
         return 2.0 / np.sqrt(np.where(damped, 2.0, 1.0) * fastest)
 
 
 def _powers(name: str) -> list[float]:
-    """Powers of a weave's parameter in the stiffness, [8]."""
+    """Powers of one of ``WEAVE`` in the stiffness, [8]."""
     if name == "shear":
         return [0.0, 0.0, 0.0, 1.0] + 4 * [0.0]
     return 4 * [0.0] + [float(name == "warp"), float(name == "weft"), 0.5, 0.5]

@@ -7,15 +7,16 @@ from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.errors import ParameterError
+from gendom.materials.parameters import WEAVE
 from gendom.sim.paths import Pose
-from gendom.sim.setting import DRAG, Setting
+from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin.contact import check_cloth
 from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.grips import STRETCH, Grip, border_of_shell_adjoint, close_shell
 from gendom.sim.thin.run import Event, put_worlds
 from gendom.sim.thin.shell_model import MOST_COUPLED, ShellModel
 from gendom.sim.thin.tape import ThinTape
-from gendom.sim.thin.types import MARGIN, WEAVE, ParameterDerivatives, V, X
+from gendom.sim.thin.types import MARGIN, ParameterDerivatives, V, X
 
 
 class Shells(ThinEngine):
@@ -55,12 +56,21 @@ class Shells(ThinEngine):
         self.model = m = ShellModel.of(setting.body)
         nu = np.array([material.nu for material in setting.materials])
         density = np.array([material.density for material in setting.materials])[:, None]
+        bends_alone = np.array([material.membrane is not None for material in setting.materials])
+        self.varies = np.ones((len(nu), 8, 1))
+        self.varies[bends_alone, :4] = 0.0
         self.drag_by_air = 0.5 * DRAG["cloth"] * m.area
-        self.mass = density * m.thickness * m.area
+        mass = density * m.thickness * m.area
+        self.mass = mass * spread(setting.mass, mass.shape, "mass")
         self.per_mass, self.per_turn = 1.0 / self.mass, np.zeros(())
         self.modulus = m.factors(nu)[0] * m.scales(setting.materials) * m.shares
         self.spacing = max(m.spacing)
-        return m.longest_step(setting.materials, self.share)
+        return m.longest_step(setting.materials, self.local)
+
+    @property
+    def local(self) -> NDArray[np.float64]:
+        """[W, 8, n] stiffness over that of the material."""
+        return 1.0 + self.varies * (self.share[:, None] - 1.0)
 
     def layout(self) -> tuple[NDArray[np.int64], int]:
         ny, nx = self.model.shape
@@ -76,7 +86,7 @@ class Shells(ThinEngine):
         model.first, model.end = model.pitch, model.pitch * (ny + 1)
         model.per_x, model.per_y = 1.0 / m.spacing[0], 1.0 / m.spacing[1]
         model.rest = self.array(self.rows(m.exists)[None])
-        model.stiffness = self.array(self.rows(self.modulus * self.share[:, None]))
+        model.stiffness = self.array(self.rows(self.modulus * self.local))
         model.inertia = self.array(self.rows(inertia))
 
     def first_state(self, x: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -124,7 +134,7 @@ class Shells(ThinEngine):
         return ("thickness", *(("membrane",) if own else ()), *WEAVE)
 
     def derivatives(self, name: str) -> ParameterDerivatives:
-        return self.model.derivatives(name, self.setting.materials, self.share)
+        return self.model.derivatives(name, self.setting.materials, self.local)
 
     # ---- reverse mode ----------------------------------------------------------------------------
 
@@ -144,7 +154,7 @@ class Shells(ThinEngine):
         return border_of_shell_adjoint(event.grip, event.x, event.pose, self.model, stiffer_bar)
 
     def by_shares(self, model_bar: NDArray[np.floating]) -> NDArray[np.float64]:
-        return np.sum(model_bar[:, :8] * self.modulus, axis=1)
+        return np.sum(model_bar[:, :8] * self.modulus * self.varies, axis=1)
 
     def by_start(
         self, x: NDArray[np.floating], v: NDArray[np.floating], bar: NDArray[np.floating]

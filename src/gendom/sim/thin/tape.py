@@ -30,7 +30,6 @@ from gendom.sim.thin.types import (
     SPIN_BAR,
     TURN_BAR,
     VELOCITY_DAMPING,
-    WEAVE,
     V,
     X,
 )
@@ -217,7 +216,6 @@ class ThinTape:
         x, v = e.component(X, self.first), e.component(V, self.first)
         x_bar, v_bar = e.by_start(x, v, np.swapaxes(first, 1, 2))
         own = {name: self._by_parameter(name) for name in e.parameters()}
-        weave = [own.pop(name) for name in WEAVE if name in own]
         found = Gradients(
             E=self._by_parameter("E"),
             nu=self._by_parameter("nu"),
@@ -235,7 +233,6 @@ class ThinTape:
             gripper_rotations=self.adjoint.path_turn.numpy() + self.host.turn_bar,
             gripper_radius=self.radius_bar,
             rest_strains=np.swapaxes(m[:, REST], 1, 2) if e.directed else None,
-            weave=np.stack(weave, axis=1) if weave else None,
             **own,
         )
         for name, values in vars(found).items():

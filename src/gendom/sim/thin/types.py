@@ -39,10 +39,6 @@ MODEL_ROWS = 24
 """Components of derivatives by the model."""
 
 
-WEAVE = ("warp", "weft", "shear")
-"""Parameters of a shell's weave, in the order of the derivatives by it."""
-
-
 def _none() -> NDArray[np.float64]:
     return np.zeros(())
 
