@@ -51,6 +51,7 @@ class Simulator(Shown):
         physics: Gravity, air, damping and self-contact.
         solver: Engine, steps, precision and device.
         stiffness: E of each particle or point over E of its material, [N] or [W, N] [-].
+        mass: Mass of each point of a rod or shell over that of its material, likewise [-].
         positions: [N, 3] or [W, N, 3] initial positions of particles (default: ``body.x``) or
             points (default: ``body.points``) [m].
         start_time: Time of the initial state [s].
@@ -71,6 +72,7 @@ class Simulator(Shown):
         physics: Physics = Physics(),
         solver: Solver = Solver(),
         stiffness: ArrayLike = 1.0,
+        mass: ArrayLike = 1.0,
         positions: ArrayLike | None = None,
         start_time: float = 0.0,
     ):
@@ -95,6 +97,13 @@ class Simulator(Shown):
         require(len(rest), narrow, fix="a smaller dx, or engine='thin'")
         N = len(rest)
         check_numbers("stiffness", stiffness, (), (N,), ("W", N), above=0.0)
+        check_numbers("mass", mass, (), (N,), ("W", N), above=0.0)
+        require(
+            thin or bool(np.all(np.asarray(mass) == 1.0)),
+            "only rods and shells have points of other masses",
+            where="mass",
+            fix="take engine='thin'",
+        )
         x = rest if positions is None else positions
         x = check_numbers("positions", x, (N, 3), ("W", N, 3))
         unit = body.thickness if thin else body.dx
@@ -111,6 +120,7 @@ class Simulator(Shown):
             table=table,
             **vars(physics),
             stiffness=stiffness,
+            mass=mass,
             positions=x,
             start_time=start_time,
             dtype=self.dtype,

@@ -1,5 +1,6 @@
 """Rod engine of ``Simulator``."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from gendom.arguments import require
 from gendom.errors import ParameterError
 from gendom.sim.lines import arc_length
 from gendom.sim.paths import Pose
-from gendom.sim.setting import DRAG, Setting
+from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin import rotation
 from gendom.sim.thin.contact import check_rope
 from gendom.sim.thin.engine import ThinEngine
@@ -49,7 +50,8 @@ class Rods(ThinEngine):
         )
 
     def prepare(self, setting: Setting) -> NDArray[np.float64]:
-        self.model = m = RodModel.of(setting.body, setting.materials, self.share)
+        m = RodModel.of(setting.body, setting.materials, self.share)
+        m = self.model = replace(m, mass=m.mass * spread(setting.mass, m.mass.shape, "mass"))
         self.drag_by_air = 0.5 * DRAG["rope"] * m.section.breadth * m.tributary
         self.per_turn = np.zeros_like(m.inertia)
         self.per_turn[:, :-1] = 1.0 / m.inertia[:, :-1]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from gendom.arguments import require
 from gendom.errors import ParameterError
 from gendom.sim.paths import Pose
-from gendom.sim.setting import DRAG, Setting
+from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin.contact import check_cloth
 from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.grips import STRETCH, Grip, border_of_shell_adjoint, close_shell
@@ -56,7 +56,8 @@ class Shells(ThinEngine):
         nu = np.array([material.nu for material in setting.materials])
         density = np.array([material.density for material in setting.materials])[:, None]
         self.drag_by_air = 0.5 * DRAG["cloth"] * m.area
-        self.mass = density * m.thickness * m.area
+        mass = density * m.thickness * m.area
+        self.mass = mass * spread(setting.mass, mass.shape, "mass")
         self.per_mass, self.per_turn = 1.0 / self.mass, np.zeros(())
         self.modulus = m.factors(nu)[0] * m.scales(setting.materials) * m.shares
         self.spacing = max(m.spacing)
