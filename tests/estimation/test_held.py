@@ -26,8 +26,7 @@ def off(found, truth):
 
 @pytest.mark.parametrize("along", [-0.004, 0.0, 0.004, 0.008])
 def test_a_rope_turns_at_the_fingers(high_lift, along):
-    """Wherever between points they end; less than its first moment says, which the turn relieves.
-    """
+    """Wherever between points they end; a turn relieves the moment that it is stated by."""
     scene = LiftScene.of(high_lift.at_rest(8), replace(high_lift.settings, points=31))
     held = high_lift.truth.with_values({"grip_along": along})
     x = replay(scene, [held.with_values({"grip_turn": t}) for t in (0.0, 0.1, 0.3)])

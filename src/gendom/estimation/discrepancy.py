@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.estimation.calibration import IntervalCalibration
+from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton
 from gendom.estimation.problem import Found, Part, Problem
 from gendom.estimation.replay import middle
 from gendom.materials.posterior import IDENTIFIABLE
@@ -34,8 +35,9 @@ does not determine a parameter."""
 FINGERS = 0.25
 """How far a rope's end may turn otherwise in fingers than its moment says, over its turn."""
 
-SUSPICIOUS = 3.0
-"""Deviations from its usual value at which an unknown that was left out counts."""
+SUSPICIOUS, CERTAIN = 1.0, 9.0
+"""Deviations from its usual value at which an unknown that was left out is looked for, and what it
+then gains in -2 log likelihood, the square of three deviations, where it counts."""
 
 
 def discrepancy(
@@ -149,13 +151,20 @@ def tip_suspected(problem: Problem, found: Found) -> tuple[Array, tuple[str, ...
     gradient, hessian = more.gradient_and_hessian(
         replace(found.best, vector=at, comparison=heavier), found.noise
     )
-    covariance = np.linalg.inv(hessian)
-    step = -covariance @ gradient
-    sd = math.sqrt(covariance[-1, -1])
-    if step[-1] < SUSPICIOUS * sd:
+    step = -np.linalg.solve(hessian, gradient)
+    if step[-1] < SUSPICIOUS * math.sqrt(np.linalg.inv(hessian)[-1, -1]):
         return nothing, ()
+    # from a heavy tip on: near none other unknowns make up for it
+    begin = more.prior.clipped(at + step * more.prior.sd[-1] / step[-1])
+    again = gauss_newton(more, GaussNewtonSettings.of(scene.kind, initial=(begin,))).best
+    assert again.comparison is not None
+    won = more.value(at, heavier, found.noise)
+    won -= more.value(again.vector, again.comparison, found.noise)
+    if won < CERTAIN:
+        return nothing, ()
+    share = float(again.vector[-1])
     said = (
-        f"the free end hangs lower than that of a uniform rope, as if {step[-1]:.0%} of the mass "
+        f"the free end hangs lower than that of a uniform rope, as if {share:.0%} of the mass "
         f"sat there (a knot, a sheath?): estimate it, too, with --also {name}"
     )
-    return step[:-1], (said,)
+    return again.vector[:-1] - found.best.vector, (said,)

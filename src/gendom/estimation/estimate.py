@@ -96,7 +96,7 @@ def estimate(
         alone = _alone(problem, found, posterior, calibration)
         times.append(clock.perf_counter())
         verdict = judge(problem, found, posterior, alone)
-        if "thickness" not in posterior.names:
+        if "E_over_rho" in posterior.names and "thickness" not in posterior.names:
             prior = thickness_prior(problem.scene.recording.object)
             posterior = posterior.with_assumed(prior)
         if not verdict.usable:

@@ -146,8 +146,8 @@ UNKNOWNS: dict[str, Unknown] = {
         ),
         _unknown(
             "tip_mass", "tip mass", "1", "share of a rope's mass at its free end: a knot, a sheath",
-            low=0.0, high=0.5, mean=0.0, sd=0.1, step=0.02, widest=0.1, kinds=("rope",),
-            material=True, least=0.0, form=".3f",
+            low=0.0, high=0.5, mean=0.05, sd=0.1, step=0.02, widest=0.1, kinds=("rope",),
+            default=0.0, material=True, least=0.0, form=".3f",
             on_replay=lambda world, value: world.weigh_tip(value),
         ),
         # a caliper squeezes what is soft: half a millimetre of a centimetre
