@@ -123,7 +123,7 @@ def test_json_is_all_of_stdout(lift, tmp_path, capsys):
     printed = capsys.readouterr()
     record = json.loads(printed.out)
     assert record == read_json(tmp_path / "estimate.json")
-    assert record["posterior"]["names"] == ["E_over_rho"]
+    assert record["posterior"]["names"] == ["E_over_rho", "thickness"]
     assert record["intervals"]["level"] == 0.5
     assert printed.err == f"written: {tmp_path / 'estimate.json'}\n"
 

@@ -33,7 +33,7 @@ KEYS = {
     "identifiable", "interrupted", "intervals", "iterations", "method", "noise", "notes", "object",
     "nu", "posterior", "recordings", "rms", "rms_by_frame", "rms_registered", "seconds",
     "seed", "sha256", "simulation", "stage_seconds", "E_over_rho", "starts", "stiffness_slope",
-    "theta", "thickness", "verdict", "E",
+    "theta", "thickness", "tip_mass", "verdict", "E",
 }  # fmt: skip
 
 

@@ -36,7 +36,7 @@ def together(lifts, settings):
 
 
 def width(found):
-    low, high = found.record["intervals"]["E_over_rho"]
+    low, high = found.record["intervals"]["bending_length"]
     return np.log(high / low)
 
 

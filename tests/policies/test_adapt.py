@@ -143,7 +143,7 @@ def test_what_a_task_depends_on():
 def test_belief_takes_the_posterior_and_doubts_the_rest():
     belief = belief_of(ROPE, POSTERIOR, known=("friction",))
     assert belief.names == ("E_over_rho", "nu", "damping")
-    assert belief.sd == pytest.approx([0.05, 0.06, 0.86])
+    assert belief.sd == pytest.approx([0.05, 0.06, 1.33])
     assert belief.most_likely.material.E == pytest.approx(8e5)
     drawn = belief.draws(4000, seed=1)
     logs = np.log([item.material.E_over_rho for item in drawn])

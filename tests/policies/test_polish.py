@@ -34,7 +34,11 @@ def test_known_object_is_reached_exactly():
 
 def test_uncertain_object_gets_an_action_that_hardly_depends_on_it():
     """What is uncertain counts by z: the polished action is low, whatever the start."""
-    posterior = {"names": ["E_over_rho"], "mean": [math.log(8e5 / 900)], "covariance": [[0.3**2]]}
+    posterior = {
+        "names": ["E_over_rho", "damping"],
+        "mean": [math.log(8e5 / 900), math.log(ROPE.material.damping)],
+        "covariance": [[0.3**2, 0.0], [0.0, 0.86**2]],
+    }
     belief = Estimate.of(ROPE, posterior).of_object(("E_over_rho", "damping"))
     items = belief.draws(16, seed=0)
     start = ROPE.length * np.array([0.35, 0.6])

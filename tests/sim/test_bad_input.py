@@ -204,6 +204,7 @@ def test_tables(name, value):
         "velocity_damping": ["some", RAGGED, -1.0, [1.0, 2.0]],
         "air_density": ["thin", RAGGED, -1.0],
         "stiffness": ["stiff", RAGGED],
+        "mass": ["heavy", RAGGED, 0.0],
         "positions": ["there", RAGGED, np.zeros((5, 3)), np.zeros((31, 2)), np.full((31, 3), nan)],
         "start_time": ["now", [0.0, 1.0], nan],
         "substep": ["short", [1e-4], -1e-3, 0.0],

@@ -85,6 +85,8 @@ class Command:
     unknowns: tuple[str, ...] = ()
     """Unknowns to estimate, such as E_over_rho grip_height; by default those that a recording
     of this kind may determine."""
+    also: tuple[str, ...] = ()
+    """Further ones, such as tip_mass (a knot or a sheath at a rope's end) or thickness."""
     material: str | None = None
     """Its material, by a name of gendom materials: narrows the priors."""
     camera_pose: Literal["stated", "unknown"] | None = None

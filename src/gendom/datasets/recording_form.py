@@ -28,9 +28,11 @@ _OPTIONAL_SIZES = {"rope": ("diameter",), "cloth": ("thickness",)}
 SIZES = (
     "length",
     "diameter",
+    "diameter_sd",
     "width",
     "height",
     "thickness",
+    "thickness_sd",
     "mass",
     "grasp_radius",
     "grasp_inset",
@@ -81,12 +83,16 @@ class ObjectDescription:
     """Rope: length [m]; always needed."""
     diameter: float | None = None
     """Rope: diameter [m]."""
+    diameter_sd: float | None = None
+    """Standard deviation of that [m]; None: a caliper's on something soft."""
     width: float | None = None
     """Cloth: first side [m]; always needed."""
     height: float | None = None
     """Cloth: second side [m]; always needed."""
     thickness: float | None = None
     """Cloth: thickness [m]."""
+    thickness_sd: float | None = None
+    """Standard deviation of that [m], likewise."""
     mass: float | None = None
     """Total mass [kg]."""
     grasp: str = "end"

@@ -14,11 +14,13 @@ only what exceeds theirs counts (`IntervalCalibration.displaced`).
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gendom.estimation.calibration import IntervalCalibration
+from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton
 from gendom.estimation.problem import Found, Part, Problem
 from gendom.estimation.replay import middle
 from gendom.materials.posterior import IDENTIFIABLE
@@ -29,6 +31,13 @@ Array = NDArray[np.floating]
 SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, IDENTIFIABLE)
 """Of the prior's deviation: changes that are simulated, both ways. Beyond the last the recording
 does not determine a parameter."""
+
+FINGERS = 0.25
+"""How far a rope's end may turn otherwise in fingers than its moment says, over its turn."""
+
+SUSPICIOUS, CERTAIN = 1.0, 9.0
+"""Deviations from its usual value at which an unknown that was left out is looked for, and what it
+then gains in -2 log likelihood, the square of three deviations, where it counts."""
 
 
 def discrepancy(
@@ -103,3 +112,59 @@ def _moved(problem: Problem, vector: Array, recording: int, p: int, changes: Arr
     x = middle(scene, problem.positions(worlds, recording))
     off = np.sqrt(np.mean((x[:, 1:] - x[:, :1]) ** 2, axis=(0, 2, 3))).reshape(2, -1)
     return np.where(inside & np.isfinite(off), off, np.inf).min(axis=0)
+
+
+def with_fingers(problem: Problem, found: Found, covariance: Array) -> Array:
+    """[P, P] covariance, where ropes that turn in the fingers do not turn just as their moment."""
+    prior = problem.prior
+    for k, name in enumerate(prior.names):
+        if name == "grip_turn":
+            # what that much turn does to the others
+            moved = covariance[k] / covariance[k, k] * FINGERS * found.best.vector[k]
+            moved = np.clip(moved, -prior.sd, prior.sd)
+            covariance = covariance + np.outer(moved, moved)
+    return covariance
+
+
+def tip_suspected(problem: Problem, found: Found) -> tuple[Array, tuple[str, ...]]:
+    """Whether clouds look as if a rope's free end was heavier than the rest, which the search took
+    for uniform: a Newton step by `tip_mass` beside all other unknowns says so.
+
+    Returns:
+        [P] by how much the others would change then, and what to say of it; 0 and nothing where
+        there is no sign of it.
+    """
+    prior, scene, compared = problem.prior, problem.scene, found.best.comparison
+    nothing, name = np.zeros(len(prior.mean)), "tip_mass"
+    one = len(problem.parts) == len(scene.held) == 1 and not scene.static
+    rope = scene.kind == "rope" and scene.thin and name not in prior.names
+    if not (one and rope) or compared is None:
+        return nothing, ()
+    more = problem.with_unknown(name)
+    at = np.append(found.best.vector, 0.0)
+    (heavier,) = more.compare([at], free=[len(prior.names)])
+    if heavier is None:
+        return nothing, ()
+    (one,), (other,) = compared.parts, heavier.parts
+    other.J[..., :-1], other.widens[:-1] = one.J, one.widens
+    other.warm_start(one)
+    gradient, hessian = more.gradient_and_hessian(
+        replace(found.best, vector=at, comparison=heavier), found.noise
+    )
+    step = -np.linalg.solve(hessian, gradient)
+    if step[-1] < SUSPICIOUS * math.sqrt(np.linalg.inv(hessian)[-1, -1]):
+        return nothing, ()
+    # from a heavy tip on: near none other unknowns make up for it
+    begin = more.prior.clipped(at + step * more.prior.sd[-1] / step[-1])
+    again = gauss_newton(more, GaussNewtonSettings.of(scene.kind, initial=(begin,))).best
+    assert again.comparison is not None
+    won = more.value(at, heavier, found.noise)
+    won -= more.value(again.vector, again.comparison, found.noise)
+    if won < CERTAIN:
+        return nothing, ()
+    share = float(again.vector[-1])
+    said = (
+        f"the free end hangs lower than that of a uniform rope, as if {share:.0%} of the mass "
+        f"sat there (a knot, a sheath?): estimate it, too, with --also {name}"
+    )
+    return again.vector[:-1] - found.best.vector, (said,)

@@ -14,12 +14,12 @@ from gendom.arguments import check_list
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.calibration import IntervalCalibration
-from gendom.estimation.discrepancy import discrepancy
+from gendom.estimation.discrepancy import discrepancy, tip_suspected, with_fingers
 from gendom.estimation.methods import find_method
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
 from gendom.estimation.methods.nearest import nearest
 from gendom.estimation.methods.search import estimated_noise
-from gendom.estimation.priors import assumed_thickness, thickness_stated
+from gendom.estimation.priors import thickness_prior
 from gendom.estimation.problem import (
     EstimateSettings,
     Found,
@@ -96,14 +96,18 @@ def estimate(
         problem, found = _searched(problem, search)
         times.append(clock.perf_counter())
         calibration = calibration or IntervalCalibration.of(problem.scene.kind, settings.frames)
-        posterior = _posterior(problem, found, calibration)
+        shift, suspicion = tip_suspected(problem, found)
+        posterior = _posterior(problem, found, calibration, np.abs(shift))
         alone = _alone(problem, found, posterior, calibration)
         times.append(clock.perf_counter())
         verdict = judge(problem, found, posterior, alone)
+        if "E_over_rho" in posterior.names and "thickness" not in posterior.names:
+            prior = thickness_prior(problem.scene.recording.object)
+            posterior = posterior.with_assumed(prior)
         if not verdict.usable:
             posterior = posterior.of_prior()
         seconds = dict(zip(STAGES, map(float, np.diff(times)), strict=True))
-        return result_of(problem, found, posterior, alone, verdict, seconds)
+        return result_of(problem, found, posterior, alone, verdict, seconds, suspicion)
 
 
 def _searched(problem: Problem, search: Callable[[Problem], Found]) -> tuple[Problem, Found]:
@@ -145,26 +149,26 @@ def _searched_widely(problem: Problem, found: Found) -> Found:
     return replace(found, best=best, starts=[*found.starts, best], noise=noise)
 
 
-def _posterior(problem: Problem, found: Found, calibration: IntervalCalibration) -> Posterior:
+def _posterior(
+    problem: Problem,
+    found: Found,
+    calibration: IntervalCalibration,
+    added: float | NDArray[np.floating] = 0.0,
+) -> Posterior:
+    """The posterior of what was found, with further deviations [P] added in squares."""
     covariance = found.covariance
     if covariance is None:
         covariance = np.linalg.inv(problem.gradient_and_hessian(found.best, found.noise)[1])
-    added: float | NDArray[np.floating] = 0.0
+    covariance = with_fingers(problem, found, covariance)
     elsewhere = problem.settings.method != "gauss-newton" or found.interrupted
     if elsewhere and found.covariance is None:
-        added = _newton_step(problem, found)
+        added = np.hypot(added, _newton_step(problem, found))
     # what moves otherwise than any simulated object gets no intervals
     if not any(displaced(p, n) for p, n in zip(problem.parts, found.noise, strict=True)):
         added = np.hypot(added, discrepancy(problem, found, covariance, calibration))
     error = problem.scene.mesh_error(problem.theta(found.best.vector))
     added = np.hypot(added, error * (np.array(problem.prior.names) == "E_over_rho"))
-    posterior = calibration.posterior(
-        problem.prior, found.best.vector, covariance, problem.bases, added
-    )
-    stated = thickness_stated(problem.scene.recording.object)
-    if stated or "thickness" in posterior.names:
-        return posterior
-    return posterior.with_assumed(assumed_thickness())
+    return calibration.posterior(problem.prior, found.best.vector, covariance, problem.bases, added)
 
 
 def _newton_step(problem: Problem, found: Found) -> NDArray[np.floating]:

@@ -45,22 +45,13 @@ class StatedErrors:
     unknown_corner: tuple[float, float] = (0.01, 0.02)
     axis_tilt: float = 0.1
     """Of a cloth's corner against a recorded axis [rad]."""
-    thickness: float = 0.8
+    unknown_thickness: float = 0.8
     """Of the logarithm of a diameter or thickness that is assumed: ropes are a hundredth to a
-    sixteenth of their length thick."""
-    thickness_range: tuple[float, float] = (0.2, 5.0)
-    """Of such a one, over what is assumed."""
+    sixteenth of their length thick. That of a stated one is `UNKNOWNS`'s where a recording does not
+    state it."""
     density: float = 0.5
     """Of the logarithm of a density that is assumed, as ropes and cloths have 300 to 2,000 kg/m^3.
     """
-
-
-ASSUMED_THICKNESS = {
-    "sd": StatedErrors.thickness,
-    "low": StatedErrors.thickness_range[0],
-    "high": StatedErrors.thickness_range[1],
-}
-"""What makes the prior of a stated thickness that of an assumed one."""
 
 
 def recording_prior(
@@ -68,7 +59,9 @@ def recording_prior(
     moduli: tuple[float, float],
     *,
     quasi_static: bool,
+    thin: bool = True,
     wanted: tuple[str, ...] = (),
+    also: tuple[str, ...] = (),
     material: Listed | None = None,
 ) -> tuple[Prior, Theta]:
     """What is looked for, its prior, and the estimate that has everything else.
@@ -77,7 +70,9 @@ def recording_prior(
         recording: Of a rope or cloth.
         moduli: Ends of the range of E / density [m^2/s^2].
         quasi_static: Whether it is replayed on another clock, or nothing moves.
+        thin: Whether it is simulated as a rod or shell.
         wanted: Names; by default what a recording of this kind shows.
+        also: Names of further ones.
         material: What it is made of, of the catalogue; None: unknown.
 
     Raises:
@@ -87,7 +82,7 @@ def recording_prior(
     described = recording.object
     kind = described.kind
     measured = recording.gripper_source == "measured"
-    for name in wanted:
+    for name in (*wanted, *also):
         if name in UNKNOWNS and kind not in UNKNOWNS[name].kinds:
             raise ParameterError(f"a {kind} has no {name}", where="unknowns")
     logs, e = np.log(moduli), StatedErrors()
@@ -101,7 +96,7 @@ def recording_prior(
         "grip_height": {"sd": e.height if measured else e.commanded_height},
         "delay": _delay(recording, e),
         "grip_along": {"sd": e.unknown_inset if described.grasp_inset is None else e.inset},
-        "thickness": {} if thickness_stated(described) else ASSUMED_THICKNESS,
+        "thickness": _thickness(described, e),
     }  # fmt: skip
     if kind == "cloth":
         inset = e.unknown_corner if described.grasp_inset is None else e.corner
@@ -119,7 +114,7 @@ def recording_prior(
         for name, change in of_material.items():
             changes[name] = changes.get(name, {}) | change
         base = base.with_values({name: change["mean"] for name, change in of_material.items()})
-    prior = prior_of(wanted or _shown(recording, quasi_static), changes)
+    prior = prior_of((*(wanted or _shown(recording, quasi_static, thin)), *also), changes)
     return prior, prior.theta(prior.mean, base)
 
 
@@ -139,15 +134,28 @@ def _delay(recording: Recording, e: StatedErrors) -> dict[str, float]:
     }  # fmt: skip
 
 
+def _thickness(described: ObjectDescription, e: StatedErrors) -> dict[str, float]:
+    """The prior of a diameter or thickness, as changes to that of `UNKNOWNS`."""
+    rope = described.kind == "rope"
+    stated = described.diameter if rope else described.thickness
+    if stated is None:
+        sd = e.unknown_thickness
+    else:
+        own = described.diameter_sd if rope else described.thickness_sd
+        sd = UNKNOWNS["thickness"].sd if own is None else own / stated
+    farthest = math.exp(max(2.0 * sd, math.log(2.0)))
+    return {"sd": sd, "low": 1.0 / farthest, "high": farthest}
+
+
 def thickness_stated(described: ObjectDescription) -> bool:
     """Whether a recording says how thick its object is."""
     stated = described.diameter if described.kind == "rope" else described.thickness
     return stated is not None
 
 
-def assumed_thickness() -> Prior:
-    """Prior of a thickness that is not stated, of ropes and cloths."""
-    return prior_of(["thickness"], {"thickness": ASSUMED_THICKNESS})
+def thickness_prior(described: ObjectDescription) -> Prior:
+    """Prior of a diameter or thickness, over the stated or the assumed one."""
+    return prior_of(["thickness"], {"thickness": _thickness(described, StatedErrors())})
 
 
 def material_prior(
@@ -190,7 +198,7 @@ def material_prior(
     return found
 
 
-def _shown(recording: Recording, quasi_static: bool) -> tuple[str, ...]:
+def _shown(recording: Recording, quasi_static: bool, thin: bool) -> tuple[str, ...]:
     """Unknowns that a recording may determine."""
     names = ["E_over_rho", "nu", "friction", "grip_height", "grip_along"]
     if not quasi_static:
@@ -202,6 +210,8 @@ def _shown(recording: Recording, quasi_static: bool) -> tuple[str, ...]:
     if recording.num_grippers > 1:
         names.remove("grip_height")
         names.remove("grip_along")
+    elif recording.object.kind == "rope" and thin:
+        names.append("grip_turn")
     if recording.object.kind == "cloth":
         names.remove("nu")
         names.append("warp_over_weft")

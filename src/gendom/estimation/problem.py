@@ -19,12 +19,14 @@ from gendom.estimation.likelihood import Comparison, Comparisons, NoiseModel, Ob
 from gendom.estimation.replay import replay
 from gendom.estimation.scene import LiftScene
 from gendom.estimation.scene_settings import SceneSettings
-from gendom.materials.posterior import Prior, joint_prior
+from gendom.materials.posterior import Prior, joint_prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 
 Array = NDArray[np.floating]
 
-SIZES_OF_OBJECT = ("length", "diameter", "width", "height", "thickness", "mass")
+SIZES_OF_OBJECT = (
+    "length", "diameter", "diameter_sd", "width", "height", "thickness", "thickness_sd", "mass",
+)  # fmt: skip
 """Fields of an object's description that all of its recordings share."""
 
 
@@ -38,6 +40,8 @@ class EstimateSettings:
     """Number of starts of a search: the best of a scan, and random ones."""
     unknowns: tuple[str, ...] = ()
     """Names of the `UNKNOWNS` to estimate; by default those that the recording may determine."""
+    also: tuple[str, ...] = ()
+    """Names of further ones."""
     frames: str = "all"
     """``all`` or ``last``: the frames that are compared."""
     camera_pose: str | None = None
@@ -197,7 +201,7 @@ class Problem:
         if settings.frames == "last":
             scenes = [replace(s, frames=s.frames[-1:], calm=s.frames[-1:]) for s in scenes]
         self.settings = settings
-        believed = [scene.prior(settings.unknowns) for scene in scenes]
+        believed = [scene.prior(settings.unknowns, settings.also) for scene in scenes]
         self.prior: Prior = joint_prior([prior for prior, _ in believed])
         parts, noise = [], settings.noise
         for k, (scene, (prior, base)) in enumerate(zip(scenes, believed, strict=True)):
@@ -245,6 +249,14 @@ class Problem:
         finer.__dict__.pop("coarse", None)
         finer.parts = tuple(replace(p, scene=s) for s, p in zip(scenes, self.parts, strict=True))
         return finer
+
+    def with_unknown(self, name: str) -> Problem:
+        """The same of one recording with one more unknown, the last one."""
+        more, part = copy.copy(self), self.only()
+        more.__dict__.pop("coarse", None)
+        more.prior = self.prior.followed_by(prior_of([name]))
+        more.parts = (replace(part, shown=np.append(part.shown, len(part.shown))),)
+        return more
 
     def alone(self, recording: int) -> Problem:
         """The same of one recording."""

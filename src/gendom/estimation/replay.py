@@ -15,6 +15,7 @@ from gendom.estimation.scene import LiftScene
 from gendom.materials import STANDARD_GRAVITY, Material
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.sim import Gripper, Physics, Simulator, Solver, Table
+from gendom.sim.thin.grips import SHORTEST
 
 Array = NDArray[np.floating]
 
@@ -107,6 +108,14 @@ class WorldInputs:
         within, area = (np.outer(second, first).ravel() for first, second in (rest, breadth))
         return times + within * (1.0 - times), area
 
+    def weigh_tip(self, share: float) -> None:
+        """Let a share of a rope's mass, which stays as stated, sit at its free end."""
+        if share:
+            points = len(self.positions)
+            self.mass = np.full(points, 1.0 - share)
+            # half an edge's mass is its own
+            self.mass[-1] += 2.0 * share * (points - 1)
+
     def shift(self, *, along: float = 0.0, aside: float = 0.0) -> None:
         """Hold the object so much farther from its end or corner, or from its diagonal [m]: the
         object is moved, so that what is held is where the gripper closes."""
@@ -121,6 +130,32 @@ class WorldInputs:
         if yaw and len(self.scene.held) == 1:
             turn, held = Rotation.from_euler("z", yaw).as_matrix(), self.scene.held[0]
             self.positions = held + (self.positions - held) @ turn.T
+
+    def soften_grip(self, turn: float) -> None:
+        """Let a rope turn in soft fingers, by its moment there: by so much [rad] when its other end
+        leaves the table.
+
+        The pads are a spring in series with the joint at the fingers' border, which stands for the
+        length between them and the middle of the next free edge, see `sim.thin.grips`. The moment
+        then is half the weight times the length of a stick; of a chain, sqrt(2 E I w L), with w the
+        weight by length.
+        """
+        scene = self.scene
+        if not turn or not scene.thin or len(scene.held) > 1:
+            return
+        x, reach = self.positions, held_reach(scene)
+        step = scene.size / (len(x) - 1)
+        away = np.linalg.norm(0.5 * (x[1:] + x[:-1]) - scene.held[0], axis=1)
+        held = np.flatnonzero(away < max(reach, float(away.min()) + 1e-9))
+        joint = min(int(held[-1]) + 1, len(x) - 2)
+        inset = float(np.linalg.norm(scene.held[0] - x[0]))
+        border = float(np.clip(inset + reach - joint * step, -0.5 * step, 0.5 * step))
+        own = max(0.375 * step - border + 0.5 * border**2 / step, SHORTEST * step)
+        bends = scene.bending_length(self.E_over_rho)
+        lever = min(math.sqrt(2.0 * bends**3 * scene.size), 0.5 * scene.size**2)  # M / w
+        if self.stiffness is None:
+            self.stiffness = np.ones(len(x))
+        self.stiffness[joint] *= own / (own + turn * bends**3 / lever)
 
     # ---- what the simulator takes ----------------------------------------------------------------
 

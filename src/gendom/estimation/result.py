@@ -148,6 +148,7 @@ def result_of(
     alone: Sequence[Posterior],
     verdict: Verdict,
     seconds: Mapping[str, float],
+    notes: Sequence[str] = (),
 ) -> FittedEstimate:
     """Everything about a finished search.
 
@@ -158,6 +159,7 @@ def result_of(
         alone: Of each recording alone; empty where that was not computed.
         verdict: Whether it is usable.
         seconds: Duration of each stage before [s].
+        notes: What else people should know.
     """
     comparison = found.best.comparison
     assert comparison is not None
@@ -178,7 +180,7 @@ def result_of(
             {"name": fit.name, **r, "alone": single}
             for fit, r, single in zip(fits, own, by_itself, strict=True)
         ],
-        "notes": list(dict.fromkeys(note for fit in fits for note in fit.scene.notes)),
+        "notes": [*dict.fromkeys(note for fit in fits for note in fit.scene.notes), *notes],
         **_search(problem, found, seconds),
     }
     weighed = problem.scene.recording.object.mass is not None

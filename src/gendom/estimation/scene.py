@@ -333,11 +333,14 @@ class LiftScene:
         """Starting values of a recording's own unknowns."""
         return first_guesses(self.recording)
 
-    def prior(self, wanted: tuple[str, ...] = ()) -> tuple[Prior, Theta]:
+    def prior(
+        self, wanted: tuple[str, ...] = (), also: tuple[str, ...] = ()
+    ) -> tuple[Prior, Theta]:
         """The prior of the unknowns to estimate, and default values of all others.
 
         Args:
             wanted: Names; by default what a recording of this kind shows.
+            also: Names of further ones.
 
         Raises:
             ParameterError: There is no such unknown, or the object has none, or it cannot be of
@@ -349,7 +352,9 @@ class LiftScene:
             self.recording,
             (low, high),
             quasi_static=self.quasi_static,
+            thin=self.thin,
             wanted=wanted,
+            also=also,
             material=None if material is None else catalogue.get(material),
         )
 

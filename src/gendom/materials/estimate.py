@@ -544,6 +544,8 @@ class Estimate(Shown):
         """Name, value and interval of what was found, with units, for tables."""
         record, ours = self.record, self._derived
         every = ["E", "E_over_rho", *ours, *(n for n, u in UNKNOWNS.items() if u.material)]
+        if self._thickness_blurs:
+            every = list(dict.fromkeys(["bending_length", *every]))
         shown = {name: ours.get(name) or UNKNOWNS[name] for name in every}
         titles = {n: (q.title, "" if q.unit == "1" else q.unit, q.form) for n, q in shown.items()}
         titles["thickness"] = (self._small, "m", ".4g")
@@ -562,6 +564,16 @@ class Estimate(Shown):
                 remarks.append("assumed: the mass is unknown")
             rows.append((title, f"{record[name]:{form}} {unit}".strip(), ", ".join(remarks)))
         return rows
+
+    @property
+    def _thickness_blurs(self) -> bool:
+        """Whether most of the uncertainty of E / density is that of the thickness; the bending
+        length does not depend on it."""
+        name = "E_over_rho"
+        if not {name, "thickness"} <= set(self.names):
+            return False
+        k = self.posterior.prior.index(name)
+        return bool(self._of_this_size()[k, k] < 0.5 * self.covariance[k, k])
 
     def _shown(self) -> tuple[str, list[tuple[str, str, str]]]:
         return f"Estimate ({self.kind}, {self.verdict.text})", self.rows()

@@ -123,17 +123,17 @@ UNKNOWNS: dict[str, Unknown] = {
             low=0.05, high=0.45, mean=0.3, sd=0.06, step=0.02, widest=0.1, material=True,
             label="Poisson's ratio", form=".3f", on_object=_with("nu"), on_replay=_sets("nu"),
         ),
-        # log-uniform 1 to 20 ms, as ropes and cloths have it, has this mean and deviation
+        # log-uniform 0.5 to 50 ms has this mean and deviation
         _unknown(
             "damping", "damping", "s", "viscous over elastic stress",
-            log=True, low=3e-4, high=0.2, mean=0.0045, sd=0.86, step=0.1, widest=1.0,
+            log=True, low=3e-4, high=0.2, mean=0.005, sd=1.33, step=0.1, widest=1.0,
             material=True, least=0.0, form=".2g",
             on_object=_with("damping"), on_replay=_sets("damping"),
         ),
-        # dry materials on tables: 0.1 to 0.8
+        # uniform 0.05 to 1 has this deviation
         _unknown(
             "friction", "friction", "1", "coefficient of friction on the table",
-            low=0.02, high=1.5, mean=0.45, sd=0.22, step=0.03, widest=0.2, material=True,
+            low=0.02, high=1.5, mean=0.5, sd=0.27, step=0.03, widest=0.2, material=True,
             least=0.0, form=".2f",
             on_object=lambda item, value: replace(item, friction=value),
             on_replay=_sets("friction"),
@@ -167,7 +167,13 @@ UNKNOWNS: dict[str, Unknown] = {
             kinds=("cloth",), material=True, above=0.0, form=".2f",
             on_replay=lambda world, value: world.hem(mass=value),
         ),
-        # a ruler on a soft rope: half a millimetre of a centimetre
+        _unknown(
+            "tip_mass", "tip mass", "1", "share of a rope's mass at its free end: a knot, a sheath",
+            low=0.0, high=0.5, mean=0.05, sd=0.1, step=0.02, widest=0.1, kinds=("rope",),
+            default=0.0, material=True, least=0.0, form=".3f",
+            on_replay=lambda world, value: world.weigh_tip(value),
+        ),
+        # a caliper squeezes what is soft: half a millimetre of a centimetre
         _unknown(
             "thickness", "thickness / stated", "1",
             "diameter of a rope, thickness of a cloth, over the stated one",
@@ -213,6 +219,12 @@ UNKNOWNS: dict[str, Unknown] = {
             "yaw", "yaw", "rad", "turn of the lying cloth from the first guess on",
             low=-0.8, high=0.8, mean=0.0, sd=0.15, step=0.02, widest=0.15, kinds=("cloth",),
             on_replay=lambda world, value: world.turn(value),
+        ),
+        # after what moves the object in the fingers
+        _unknown(
+            "grip_turn", "grip turn", "rad", "how far a rope turns in soft fingers by its weight",
+            low=0.0, high=1.5, mean=0.0, sd=0.3, step=0.02, widest=0.2, kinds=("rope",),
+            least=0.0, on_replay=lambda world, value: world.soften_grip(value),
         ),
     )
 }  # fmt: skip

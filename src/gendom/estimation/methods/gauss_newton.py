@@ -36,7 +36,7 @@ class GaussNewtonSettings:
     """Moduli of the scan that precedes the search, over the whole range."""
     initial: tuple[Array, ...] = ()
     """[P] transformed: where to begin instead of there."""
-    leading: tuple[str, ...] = ("E_over_rho", "damping")
+    leading: tuple[str, ...] = ("E_over_rho", "damping", "grip_turn", "tip_mass")
     """Unknowns that are free in the coarse stage, so that the others do not absorb their effect.
     None: all."""
     coarse_noise: float = 0.005
