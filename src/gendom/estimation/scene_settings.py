@@ -78,9 +78,9 @@ class SceneSettings:
     """Longest motion that is simulated [s]; a lift takes 10 s."""
     slow_frames: int = 36
     """Frames that are compared where the gripper is slow, at most."""
-    hanging_rise: float = 0.15
-    """Rise of a held corner from which a cloth hangs, in its longer side: before, clouds show
-    hardly more than how it lay."""
+    lifted: float = 0.15
+    """Rise of the gripper, in a rope's length or a cloth's longer side, from which the object is
+    lifted: before, clouds show hardly more than how it lay."""
     fast_frames: int = 60
     """Frames that are compared elsewhere, at most."""
     dtype: str | None = None

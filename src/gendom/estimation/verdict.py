@@ -232,8 +232,8 @@ def _misplaced(
     part: Part, comparison: Comparison, noise: NoiseModel, s: VerdictSettings
 ) -> list[str]:
     """Cameras, or an object's thickness, that are far from what is stated."""
-    shift, turn, skin = np.split(comparison.fit(noise).a[-7:], [3, 6])
-    reasons, skin = [], float(skin[0])
+    shift, turn = np.split(comparison.fit(noise).a[-7:-1], 2)
+    reasons = []
     most = s.nuisance * noise.shift
     if len(part.scene.held) > 1:
         # clouds cannot follow grippers that hold both ends: it is the object that moves otherwise
@@ -245,11 +245,12 @@ def _misplaced(
             "than stated, or the object has another size"
         )
     thick = part.scene.body.thickness
-    most = max(s.skin[0], s.skin[1] * thick)
-    if thickness_stated(part.scene.recording.object) and abs(skin) > most:
-        side = "outside" if skin > 0.0 else "inside"
+    stated = thickness_stated(part.scene.recording.object)
+    outside = comparison.outside(noise) if stated else 0.0
+    if abs(outside) > max(s.skin[0], s.skin[1] * thick):
+        side = "outside" if outside > 0.0 else "inside"
         reasons.append(
-            f"points lie {1e3 * abs(skin):.1f} mm {side} an object {1e3 * thick:.3g} mm thick: is "
+            f"points lie {1e3 * abs(outside):.1f} mm {side} an object {1e3 * thick:.3g} mm thick: is "
             "its thickness right?"
         )
     return reasons
