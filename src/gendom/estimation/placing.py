@@ -282,22 +282,23 @@ def lying_line(points: Array) -> Array:
     """[K, 2] the smooth line that points [n, 2] of a rope at rest lie along, from its end near the
     origin on [m].
 
-    Points are ordered by shortest paths from the far end; steps cost their square, so that paths
+    Points are ordered by shortest paths from the far end; steps cost their fourth power, so that paths
     follow the cloud. A principal curve (Hastie and Stuetzle 1989) goes through them, a penalised
     spline of its arc length, as smooth as the Bayesian information criterion wants it.
     """
     P = PlacingSettings
-    points = points[:: math.ceil(len(points) / P.line_points)]
     apart = KDTree(points).query(points, k=min(5, len(points)))[0][:, -1]
     points = points[apart <= P.lonely * np.median(apart)]
-    steps = cdist(points, points)
-    first = int(np.linalg.norm(points, axis=1).argmin())
-    last = int(np.argmax(shortest_path(steps**2, indices=first)))
-    cost, before = shortest_path(steps**2, indices=last, return_predecessors=True)
-    along = np.zeros(len(points))
+    some = points[:: math.ceil(len(points) / P.line_points)]
+    steps = cdist(some, some)
+    first = int(np.linalg.norm(some, axis=1).argmin())
+    last = int(np.argmax(shortest_path(steps**4, indices=first)))
+    cost, before = shortest_path(steps**4, indices=last, return_predecessors=True)
+    along = np.zeros(len(some))
     for k in np.argsort(cost)[1:]:
         along[k] = along[before[k]] + steps[k, before[k]]
-    share, count = 1.0 - along / along.max(), len(points) / P.line_patch
+    share = 1.0 - along[KDTree(some).query(points)[1]] / along.max()
+    count = len(points) / P.line_patch
     found = [_principal_curve(points, share, stiff) for stiff in P.smoothing]
     return min(found, key=lambda f: 2.0 * count * math.log(f[1]) + f[2] * math.log(count))[0]
 

@@ -68,6 +68,7 @@ def recording_prior(
     moduli: tuple[float, float],
     *,
     quasi_static: bool,
+    curved: bool = False,
     wanted: tuple[str, ...] = (),
     material: Listed | None = None,
 ) -> tuple[Prior, Theta]:
@@ -77,6 +78,7 @@ def recording_prior(
         recording: Of a rope or cloth.
         moduli: Ends of the range of E / density [m^2/s^2].
         quasi_static: Whether it is replayed on another clock, or nothing moves.
+        curved: Whether it is a rope that lies curved.
         wanted: Names; by default what a recording of this kind shows.
         material: What it is made of, of the catalogue; None: unknown.
 
@@ -119,7 +121,11 @@ def recording_prior(
         for name, change in of_material.items():
             changes[name] = changes.get(name, {}) | change
         base = base.with_values({name: change["mean"] for name, change in of_material.items()})
-    prior = prior_of(wanted or _shown(recording, quasi_static), changes)
+    stated = described.extra.get("natural_curvature")
+    if stated is not None:
+        base, curved = base.with_values({"natural_curvature": stated}), False
+    shown = _shown(recording, quasi_static) + (("natural_curvature",) if curved else ())
+    prior = prior_of(wanted or shown, changes)
     return prior, prior.theta(prior.mean, base)
 
 

@@ -36,6 +36,8 @@ class WorldInputs:
     """On the table."""
     stiffness: Array | None = None
     """[N] factors of E along the object; None: 1."""
+    natural_curvature: float = 1.0
+    """Share of a lying rope's curvature that it has by nature."""
     delay: float = 0.0
     """How late clouds show the motion of the grippers, recorded time [s]."""
     raised: float = 0.0
@@ -181,6 +183,7 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
         grippers=grippers,
         table=table,
         stiffness=_stacked(scene, worlds),
+        natural_curvature=[w.natural_curvature for w in worlds] if scene.curved else 1.0,
         positions=np.stack([w.positions for w in worlds]),
         start_time=begin,
         physics=Physics(velocity_damping=scene.velocity_damping),

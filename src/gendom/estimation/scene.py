@@ -319,6 +319,16 @@ class LiftScene:
             found.append((times, Rotation.concatenate(turned)))
         return found
 
+    @cached_property
+    def curved(self) -> bool:
+        """Whether a rope lies curved, so that it counts how much of that it is by nature."""
+        if self.kind != "rope" or not self.thin or len(self.held) > 1:
+            return False
+        ahead = np.diff(self.body.points, axis=0)
+        ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+        turns = np.linalg.norm(np.diff(ahead, axis=0), axis=1)
+        return float(turns.sum()) > self.settings.straight
+
     @property
     def guesses(self) -> list[dict[str, float]]:
         """Starting values of a recording's own unknowns."""
@@ -340,6 +350,7 @@ class LiftScene:
             self.recording,
             (low, high),
             quasi_static=self.quasi_static,
+            curved=self.curved,
             wanted=wanted,
             material=None if material is None else catalogue.get(material),
         )

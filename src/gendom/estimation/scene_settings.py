@@ -58,6 +58,8 @@ class SceneSettings:
     """Speed of a gripper below which frames are alike [m/s]."""
     after_fast: float = 1.5
     """Time for which an object goes on moving after its gripper was fast or let go [s]."""
+    straight: float = 0.1
+    """Turn of a lying rope up to which it counts as straight [rad]."""
     rope_reach: float = 0.75
     """How far from its point a gripper holds a rope where `grasp_radius` is not stated [diameters]:
     fingertips 1.5 diameters wide."""

@@ -48,6 +48,7 @@ class Setting:
     self_contact: bool
     self_friction: ArrayLike
     stiffness: ArrayLike
+    natural_curvature: ArrayLike
     positions: ArrayLike
     start_time: float
     dtype: str

@@ -51,6 +51,8 @@ class Simulator(Shown):
         physics: Gravity, air, damping and self-contact.
         solver: Engine, steps, precision and device.
         stiffness: E of each particle or point over E of its material, [N] or [W, N] [-].
+        natural_curvature: Share of a rod's bending and twist in ``body`` that is free of stress,
+            one number or [W] [-]; 0: it is straight by nature.
         positions: [N, 3] or [W, N, 3] initial positions of particles (default: ``body.x``) or
             points (default: ``body.points``) [m].
         start_time: Time of the initial state [s].
@@ -71,6 +73,7 @@ class Simulator(Shown):
         physics: Physics = Physics(),
         solver: Solver = Solver(),
         stiffness: ArrayLike = 1.0,
+        natural_curvature: ArrayLike = 1.0,
         positions: ArrayLike | None = None,
         start_time: float = 0.0,
     ):
@@ -95,6 +98,13 @@ class Simulator(Shown):
         require(len(rest), narrow, fix="a smaller dx, or engine='thin'")
         N = len(rest)
         check_numbers("stiffness", stiffness, (), (N,), ("W", N), above=0.0)
+        check_numbers("natural_curvature", natural_curvature, (), ("W",))
+        require(
+            (thin and body.kind == "rope") or bool(np.all(np.asarray(natural_curvature) == 1.0)),
+            "only rods may begin with stress",
+            where="natural_curvature",
+            fix="take engine='thin'",
+        )
         x = rest if positions is None else positions
         x = check_numbers("positions", x, (N, 3), ("W", N, 3))
         unit = body.thickness if thin else body.dx
@@ -111,6 +121,7 @@ class Simulator(Shown):
             table=table,
             **vars(physics),
             stiffness=stiffness,
+            natural_curvature=natural_curvature,
             positions=x,
             start_time=start_time,
             dtype=self.dtype,

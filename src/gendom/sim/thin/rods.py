@@ -9,7 +9,7 @@ from gendom.arguments import require
 from gendom.errors import ParameterError
 from gendom.sim.lines import arc_length
 from gendom.sim.paths import Pose
-from gendom.sim.setting import DRAG, Setting
+from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin import rotation
 from gendom.sim.thin.contact import check_rope
 from gendom.sim.thin.engine import ThinEngine
@@ -67,7 +67,10 @@ class Rods(ThinEngine):
         inertia = np.stack([self.per_mass, self.per_turn, drag, np.ones_like(drag)], axis=1)
         model.contact_apart = self.apart
         model.pitch, model.first, model.end = 0, 0, self.num_points
-        model.rest = self.array(self.rows(self.model.rest)[None])
+        rest = np.repeat(self.rows(self.model.rest)[None], self.num_worlds, axis=0)
+        share = spread(self.setting.natural_curvature, (self.num_worlds,), "natural_curvature")
+        rest[:, 4:] *= share[:, None, None]
+        model.rest = self.array(rest)
         model.stiffness = self.array(self.rows(self.model.stiffness))
         model.inertia = self.array(self.rows(inertia))
 
