@@ -55,10 +55,10 @@ class NoiseModel:
     """Likewise [rad]."""
     skin: float = 0.002
     """Of the distance of points from the true skin [m]: hairs, edges of pixels."""
-    skin_of_rope: float = 1e-5
-    """The same of a rope whose diameter is not estimated [m]. Depth that is mixed at its edges
-    widens a thin rope towards the cameras: a larger skin beside the cloud then fits better than the
-    true one (10 mm outside a rope of 6 mm, with an E 27 % too small)."""
+    skin_of_thin: tuple[float, float] = (0.008, 1e-5)
+    """Diameter of a thin rope [m], and the same of it [m]. Depth is mixed at most of its pixels,
+    which widens it along the views: a larger skin beside the cloud would fit better than the true
+    one (10 mm outside a rope of 6 mm, with an E 27 % too small)."""
     place_scale: float = 0.3
     """Correlation length of displacements along the object, in its size."""
     time_scale: float = 0.1
@@ -82,9 +82,10 @@ class NoiseModel:
         """With the wide prior of cameras whose poses are unknown."""
         return replace(self, shift=self.unknown_shift, turn=self.unknown_turn)
 
-    def of_rope(self) -> NoiseModel:
-        """Of a rope whose diameter is not estimated."""
-        return replace(self, skin=self.skin_of_rope)
+    def of_rope(self, diameter: float) -> NoiseModel:
+        """Of a rope whose diameter [m] is not estimated."""
+        thin, skin = self.skin_of_thin
+        return replace(self, skin=skin) if diameter < thin else self
 
     def of_thinner_clouds(self, times: int = 4) -> NoiseModel:
         """With so many times fewer points of equal total weight."""

@@ -282,8 +282,8 @@ def lying_line(points: Array) -> Array:
     """[K, 2] the smooth line that points [n, 2] of a rope at rest lie along, from its end near the
     origin on [m].
 
-    Points are ordered by shortest paths from the far end; steps cost their fourth power, so that paths
-    follow the cloud. A principal curve (Hastie and Stuetzle 1989) goes through them, a penalised
+    Points are ordered by shortest paths from the far end; steps cost their fourth power, so that
+    paths follow the cloud. A principal curve (Hastie and Stuetzle 1989) goes through them, a penalised
     spline of its arc length, as smooth as the Bayesian information criterion wants it.
     """
     P = PlacingSettings

@@ -203,7 +203,7 @@ class Problem:
                 base = prior.theta(prior.mean, known)
             own = noise if scene.registration is None else noise.of_unknown_cameras()
             if scene.kind == "rope" and "thickness" not in prior.names:
-                own = own.of_rope()
+                own = own.of_rope(scene.body.thickness)
             parts.append(
                 Part(
                     scene=scene,

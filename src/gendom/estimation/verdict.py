@@ -261,8 +261,8 @@ def _misplaced(
     if abs(outside) > max(s.skin[0], s.skin[1] * thick):
         side = "outside" if outside > 0.0 else "inside"
         reasons.append(
-            f"points lie {1e3 * abs(outside):.1f} mm {side} an object {1e3 * thick:.3g} mm thick: is "
-            "its thickness right?"
+            f"points lie {1e3 * abs(outside):.1f} mm {side} an object {1e3 * thick:.3g} mm thick: "
+            "is its thickness right?"
         )
     return reasons
 

@@ -148,8 +148,8 @@ UNKNOWNS: dict[str, Unknown] = {
         _unknown(
             "natural_curvature", "natural curvature", "1",
             "share of a lying rope's curvature that it has by nature",
-            low=0.0, high=1.0, mean=0.5, sd=0.5, step=0.05, widest=0.5, kinds=("rope",), default=1.0,
-            least=0.0, form=".2f", on_replay=_sets("natural_curvature"),
+            low=0.0, high=1.0, mean=0.5, sd=0.5, step=0.05, widest=0.5, kinds=("rope",),
+            default=1.0, least=0.0, form=".2f", on_replay=_sets("natural_curvature"),
         ),
         # a ruler on a soft rope: half a millimetre of a centimetre
         _unknown(
