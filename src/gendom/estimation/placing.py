@@ -283,8 +283,8 @@ def lying_line(points: Array) -> Array:
     origin on [m].
 
     Points are ordered by shortest paths from the far end; steps cost their fourth power, so that
-    paths follow the cloud. A principal curve (Hastie and Stuetzle 1989) goes through them, a penalised
-    spline of its arc length, as smooth as the Bayesian information criterion wants it.
+    paths follow the cloud. A principal curve (Hastie and Stuetzle 1989) goes through them, a
+    penalised spline of its arc length, as smooth as the Bayesian information criterion wants it.
     """
     P = PlacingSettings
     apart = KDTree(points).query(points, k=min(5, len(points)))[0][:, -1]
