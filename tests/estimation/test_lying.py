@@ -44,7 +44,7 @@ def seen_along(line, noise, rng):
 @pytest.mark.parametrize("kind", CURVATURES)
 def test_a_smooth_line_is_followed_by_its_arc_length(kind):
     line = line_of(kind)
-    found = lying_line(seen_along(line, 0.002, np.random.default_rng(0)))
+    found = lying_line(seen_along(line, 0.002, np.random.default_rng(0)), 50.0)
     off = np.linalg.norm(found[:, None] - line, axis=2).min(axis=1)
     assert off.mean() < 0.001 and off.max() < 0.01  # beyond its ends
     assert arc_length(found)[-1] == pytest.approx(LENGTH * 388 / 400, abs=0.012)

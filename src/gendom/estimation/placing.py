@@ -52,6 +52,8 @@ class PlacingSettings:
     """Of a cloud that are ordered along a rope, about."""
     line_patch: float = 4.0
     """Of those that share their noise."""
+    line_cells: float = 8.0
+    """Of them that are independent, for each diameter of the rope's length, at most."""
     line_rounds: int = 6
     """Of projecting them onto a curve and fitting it."""
     spline: int = 20
@@ -264,7 +266,7 @@ def _line_from(
             where=f"frames {frames[0]}-{frames[min(9, len(frames) - 1)]}",
             fix="record from the rope at rest on; is its length in metres?",
         )
-    line = lying_line(flat)
+    line = lying_line(flat, length / diameter)
     s = arc_length(line)
     # where the gripper is along it: before its first point, which fingers may hide, straight on
     k = int(KDTree(line).query(np.zeros(2))[1])
@@ -278,13 +280,18 @@ def _line_from(
     return np.concatenate([xy, np.full((len(s), 1), height)], axis=1)
 
 
-def lying_line(points: Array) -> Array:
+def lying_line(points: Array, slenderness: float) -> Array:
     """[K, 2] the smooth line that points [n, 2] of a rope at rest lie along, from its end near the
     origin on [m].
 
     Points are ordered by shortest paths from the far end; steps cost their fourth power, so that
     paths follow the cloud. A principal curve (Hastie and Stuetzle 1989) goes through them, a
     penalised spline of its arc length, as smooth as the Bayesian information criterion wants it.
+    That of thick ropes has few independent points: cameras that are off show their sides apart.
+
+    Args:
+        points: Seen from the gripper.
+        slenderness: Length over diameter.
     """
     P = PlacingSettings
     apart = KDTree(points).query(points, k=min(5, len(points)))[0][:, -1]
@@ -298,7 +305,7 @@ def lying_line(points: Array) -> Array:
     for k in np.argsort(cost)[1:]:
         along[k] = along[before[k]] + steps[k, before[k]]
     share = 1.0 - along[KDTree(some).query(points)[1]] / along.max()
-    count = len(points) / P.line_patch
+    count = min(len(points) / P.line_patch, P.line_cells * slenderness)
     found = [_principal_curve(points, share, stiff) for stiff in P.smoothing]
     return min(found, key=lambda f: 2.0 * count * math.log(f[1]) + f[2] * math.log(count))[0]
 
