@@ -83,7 +83,7 @@ class NoiseModel:
         return replace(self, shift=self.unknown_shift, turn=self.unknown_turn)
 
     def of_rope(self, diameter: float) -> NoiseModel:
-        """Of a rope whose diameter [m] is not estimated."""
+        """Of a rope of a stated diameter [m], which is not estimated."""
         thin, skin = self.skin_of_thin
         return replace(self, skin=skin) if diameter < thin else self
 

@@ -202,8 +202,9 @@ class Problem:
             if known is not None:
                 base = prior.theta(prior.mean, known)
             own = noise if scene.registration is None else noise.of_unknown_cameras()
-            if scene.kind == "rope" and "thickness" not in prior.names:
-                own = own.of_rope(scene.body.thickness)
+            described = scene.recording.object
+            if described.diameter is not None and "thickness" not in prior.names:
+                own = own.of_rope(described.diameter)
             parts.append(
                 Part(
                     scene=scene,
