@@ -78,7 +78,7 @@ def lifted_from(rope_lift, line, **truth) -> Recording:
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_how_much_curvature_is_natural_is_found(rope_lift, share):
-    """Taken as natural, that of a straight rope makes it 10 % softer."""
+    """Taken as natural, that of a straight rope makes it softer."""
     line = line_of("arc", rope_lift.object.length)
     seen = lifted_from(rope_lift, line, natural_curvature=share)
     found = estimate(seen, EstimateSettings(starts=1, scene=rope_lift.settings))
@@ -86,7 +86,7 @@ def test_how_much_curvature_is_natural_is_found(rope_lift, share):
     assert "natural_curvature" in found.posterior.names
     assert found.theta.natural_curvature == pytest.approx(share, abs=0.25)
     modulus = rope_lift.truth.E_over_rho
-    assert found.theta.E_over_rho == pytest.approx(modulus, rel=0.04)
+    assert found.theta.E_over_rho == pytest.approx(modulus, rel=0.06)
     low, high = found.record["intervals"]["E_over_rho"]
     assert low < modulus < high < 1.2 * low
 

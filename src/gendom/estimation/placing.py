@@ -286,7 +286,7 @@ def lying_line(points: Array, slenderness: float) -> Array:
 
     Points are ordered by shortest paths from the far end; steps cost their fourth power, so that
     paths follow the cloud. A principal curve (Hastie and Stuetzle 1989) goes through them, a
-    penalised spline of its arc length, as smooth as the Bayesian information criterion wants it.
+    penalised spline of its arc length, as smooth as the information criterion of Akaike wants it.
     That of thick ropes has few independent points: cameras that are off show their sides apart.
 
     Args:
@@ -307,7 +307,7 @@ def lying_line(points: Array, slenderness: float) -> Array:
     share = 1.0 - along[KDTree(some).query(points)[1]] / along.max()
     count = min(len(points) / P.line_patch, P.line_cells * slenderness)
     found = [_principal_curve(points, share, stiff) for stiff in P.smoothing]
-    return min(found, key=lambda f: 2.0 * count * math.log(f[1]) + f[2] * math.log(count))[0]
+    return min(found, key=lambda f: 2.0 * count * math.log(f[1]) + 2.0 * f[2])[0]
 
 
 def _principal_curve(points: Array, share: Array, stiff: float) -> tuple[Array, float, float]:
