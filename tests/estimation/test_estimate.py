@@ -238,15 +238,14 @@ def test_ctrl_c_keeps_the_best_so_far(lifted, settings):
 
 def test_ctrl_c_on_the_way_from_calm_to_fast_frames(rope_lift, settings):
     """The search begins with the calm frames; what it is left with is compared with all."""
-    lifted = rope_lift.seen(frames=24)
-    calm = replace(settings, scene=replace(settings.scene, slow=0.1))
-    scene = LiftScene.of(lifted, calm.scene)
+    lifted = rope_lift.seen(frames=24, swing=0.05)
+    scene = LiftScene.of(lifted, settings.scene)
     assert 6 <= len(scene.calm) < len(scene.frames)
 
     def interrupt(progress):
         raise KeyboardInterrupt
 
-    record = estimate(lifted, calm, on_progress=interrupt).record
+    record = estimate(lifted, settings, on_progress=interrupt).record
     assert record["interrupted"]
     assert len(record["rms_by_frame"]) == len(record["compared"]) == len(scene.frames)
 

@@ -227,3 +227,12 @@ def test_a_cloth_of_known_material_is_placed(cloth_lift):
     )
     found = estimate(cloth_lift.seen(frames=8), settings, known=cloth_lift.truth)
     assert found.posterior.names == ("grip_height", "yaw") and found.record["rms"] < 3e-3
+
+
+def test_frames_before_the_lift_are_no_calm_ones(rope_lift):
+    """Of a fast lift they are the only slow ones, and say nothing."""
+    path = np.zeros((24, 1, 3))
+    path[:, 0, 2] = rope_lift.lowest + 0.4 * np.clip(np.arange(24) / 30.0 - 0.4, 0.0, 0.25)
+    fast = replace(rope_lift.at_rest(24), time=np.arange(24) / 30.0, gripper_position=path)
+    problem = Problem([LiftScene.of(fast, rope_lift.settings)], EstimateSettings())
+    assert problem.scene.calm == () and problem.coarse is problem

@@ -9,9 +9,9 @@ import pytest
 from experiments.verdict import CORRUPTED
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
-from gendom.estimation import EstimateSettings, estimate
+from gendom.estimation import EstimateSettings, LiftScene, Problem, Theta, estimate
 from gendom.estimation.placing import lying_rectangle
-from gendom.estimation.verdict import recording_faults
+from gendom.estimation.verdict import recording_faults, refused_before
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +112,39 @@ def test_a_rope_that_slips_through_the_fingers_is_refused(rope_lift, share, usab
         assert found.record["E_over_rho"] == pytest.approx(modulus, rel=0.03)
     else:
         assert any("otherwise than any simulated one" in said for said in found.verdict.reasons)
+
+
+def of_mixed_depth(lift, diameter=0.005):
+    """A lift of a thin rope, half of whose points are moved along the cameras' views."""
+    thin = replace(
+        lift,
+        object=replace(lift.object, diameter=diameter, mass=lift.object.mass / 5.76),
+        truth=Theta(E_over_rho=5.76 * lift.truth.E_over_rho),
+        lying=lift.lying * [1.0, 1.0, diameter / 0.012],
+        lowest=diameter / 2.0,
+    )
+    seen, rng = thin.seen(frames=16, noise=1.5e-3), np.random.default_rng(0)
+    views = np.array([0.0, 0.8, -0.6]) * rng.choice([-1.0, 1.0], size=(len(seen.points), 1))
+    views[:, 2] = -0.6
+    mixed = np.where(rng.random(len(views)) < 0.5, rng.exponential(0.008, len(views)), 0.0)
+    return thin, replace(seen, points=seen.points + mixed[:, None] * views)
+
+
+def test_a_thin_rope_of_mixed_depth_is_usable(rope_lift):
+    thin, seen = of_mixed_depth(rope_lift)
+    found = estimate(seen, EstimateSettings(starts=1, scene=rope_lift.settings))
+    assert found.usable, found.verdict.reasons
+    low, high = found.record["intervals"]["E_over_rho"]
+    assert low < thin.truth.E_over_rho < high < 2.0 * low
+
+
+def test_the_end_of_a_cloud_is_compared_with_a_line(rope_lift):
+    """Not with points of the rod, that are 62 mm apart here."""
+    shorter = replace(rope_lift, lying=rope_lift.lying[rope_lift.lying[:, 0] < 0.244])
+    settings = replace(rope_lift.settings, points=5)
+    scene = LiftScene.of(shorter.at_rest(12), settings)
+    problem = Problem([scene], EstimateSettings(starts=1, scene=settings))
+    assert not refused_before(problem)
 
 
 def one_frame(recording):

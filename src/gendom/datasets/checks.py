@@ -81,6 +81,10 @@ def _check_object(described: ObjectDescription) -> Iterator[Fault]:
     if "outline" in described.extra:
         what = "is not supported: cloths of recordings are rectangles"
         yield Fault(what, "object.outline", "leave it out if the cloth is a rectangle")
+    share = described.extra.get("natural_curvature")
+    if share is not None and not (isinstance(share, (int, float)) and 0.0 <= share <= 1.0):
+        fix = "give a share of the lying curvature, 0 to 1, or null if unknown"
+        yield Fault(f"is {share}", "object.natural_curvature", fix)
     for name in SIZES:
         value, unit = getattr(described, name), "kg" if name == "mass" else "metres"
         if value is None and name in NEEDED_SIZES.get(described.kind, ()):

@@ -8,16 +8,22 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import BSpline, CubicSpline
 from scipy.optimize import minimize_scalar
+from scipy.sparse.csgraph import shortest_path
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
 from gendom.estimation.scene_settings import SHELL_POINTS, SceneSettings
 from gendom.sim import Body, cloth, rope
+from gendom.sim.lines import along_line, arc_length
 
 Array = NDArray[np.floating]
+
+LINE_PLACES = 200
+"""Along the line of a rope at rest."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +46,20 @@ class PlacingSettings:
     """Points farther from the gripper tell which way a rope lies."""
     strays: float = 2.0
     """Points farther from a rope's line, in deviations, are left out of it."""
+    lonely: float = 4.0
+    """So are points whose neighbours are so many times as far away as usual."""
+    line_points: int = 400
+    """Of a cloud that are ordered along a rope, about."""
+    line_patch: float = 4.0
+    """Of those that share their noise."""
+    line_cells: float = 8.0
+    """Of them that are independent, for each diameter of the rope's length, at most."""
+    line_rounds: int = 6
+    """Of projecting them onto a curve and fitting it."""
+    spline: int = 20
+    """Pieces of the curve."""
+    smoothing: tuple[float, ...] = (1e3, 1e1, 1.0, 1e-1, 1e-2, 1e-3)
+    """Weights of its roughness."""
     line: tuple[float, float] = (0.93, 1.04)
     """Length of the line through points of a rope between two grippers: chords are shorter than
     arcs, noise makes them longer. Of six real cables and a wire 0.997 to 1.003."""
@@ -246,21 +266,71 @@ def _line_from(
             where=f"frames {frames[0]}-{frames[min(9, len(frames) - 1)]}",
             fix="record from the rope at rest on; is its length in metres?",
         )
-    axis = far.mean(axis=0) / np.linalg.norm(far.mean(axis=0))
-    side = np.array([-axis[1], axis[0]])
-    along, across = flat @ axis, flat @ side
-    # curvature of the visible line; straight across holes in the cloud
-    fit = np.polynomial.Polynomial.fit(along, across, 2, domain=[0.0, length])
-    keep = np.abs(across - fit(along)) < PlacingSettings.strays * np.std(across - fit(along)) + 1e-6
-    fit = np.polynomial.Polynomial.fit(along[keep], across[keep], 2, domain=[0.0, length])
-    s = np.linspace(-behind, length, 60)
-    inside = np.clip(s, along.min(), along.max())
-    curve = fit(inside) + fit.deriv()(inside) * (s - inside)
+    line = lying_line(flat, length / diameter)
+    s = arc_length(line)
+    # where the gripper is along it: before its first point, which fingers may hide, straight on
+    k = int(KDTree(line).query(np.zeros(2))[1])
+    ahead = (line[1] - line[0]) / s[1]
+    begin = s[k] if k > 0 else min(0.0, float(-line[0] @ ahead))
+    s = np.linspace(begin - behind, begin + length, 4 * LINE_PLACES)
     height = float(np.median(early[:, 2])) - diameter / 2.0
     if recording.table_height is not None:
         height = recording.table_height + diameter / 2.0
-    xy = grip[:2] + s[:, None] * axis + curve[:, None] * side
+    xy = grip[:2] + along_line(line, s)[0]
     return np.concatenate([xy, np.full((len(s), 1), height)], axis=1)
+
+
+def lying_line(points: Array, slenderness: float) -> Array:
+    """[K, 2] the smooth line that points [n, 2] of a rope at rest lie along, from its end near the
+    origin on [m].
+
+    Points are ordered by shortest paths from the far end; steps cost their fourth power, so that
+    paths follow the cloud. A principal curve (Hastie and Stuetzle 1989) goes through them, a
+    penalised spline of its arc length, as smooth as the information criterion of Akaike wants it.
+    That of thick ropes has few independent points: cameras that are off show their sides apart.
+
+    Args:
+        points: Seen from the gripper.
+        slenderness: Length over diameter.
+    """
+    P = PlacingSettings
+    apart = KDTree(points).query(points, k=min(5, len(points)))[0][:, -1]
+    points = points[apart <= P.lonely * np.median(apart)]
+    some = points[:: math.ceil(len(points) / P.line_points)]
+    steps = cdist(some, some)
+    first = int(np.linalg.norm(some, axis=1).argmin())
+    last = int(np.argmax(shortest_path(steps**4, indices=first)))
+    cost, before = shortest_path(steps**4, indices=last, return_predecessors=True)
+    along = np.zeros(len(some))
+    for k in np.argsort(cost)[1:]:
+        along[k] = along[before[k]] + steps[k, before[k]]
+    share = 1.0 - along[KDTree(some).query(points)[1]] / along.max()
+    count = min(len(points) / P.line_patch, P.line_cells * slenderness)
+    found = [_principal_curve(points, share, stiff) for stiff in P.smoothing]
+    return min(found, key=lambda f: 2.0 * count * math.log(f[1]) + 2.0 * f[2])[0]
+
+
+def _principal_curve(points: Array, share: Array, stiff: float) -> tuple[Array, float, float]:
+    """[K, 2] a penalised spline through points [n, 2], from their shares of its length [n] on; how
+    far from it they lie in the mean [m], and its degrees of freedom. The stiffest is a parabola."""
+    P = PlacingSettings
+    knots = np.clip(np.arange(-3, P.spline + 4) / P.spline, -3.0 / P.spline, 1.0 + 3.0 / P.spline)
+    even, kept = np.linspace(0.0, 1.0, LINE_PLACES), np.ones(len(points), dtype=bool)
+    rough = np.diff(np.eye(P.spline + 3), 3, axis=0)
+    line, off, free = points, share, 0.0
+    for _ in range(P.line_rounds):
+        basis = BSpline.design_matrix(share[kept], knots, 3).toarray()
+        inner = basis.T @ basis
+        smooth = inner + stiff * len(basis) * rough.T @ rough
+        free = float(np.trace(np.linalg.solve(smooth, inner)))
+        shape = np.linalg.solve(smooth, basis.T @ points[kept])
+        line = BSpline(knots, shape, 3)(even)
+        off, k = KDTree(line).query(points)
+        kept = off < P.strays * math.sqrt(float((off**2).mean())) + 1e-6
+        s = arc_length(line)[k]
+        begin = s[kept].min()
+        share = np.clip((s - begin) / (s[kept].max() - begin), 0.0, 1.0)
+    return line, float(off.mean()), free
 
 
 def _place_cloth(

@@ -60,6 +60,7 @@ def recording_prior(
     *,
     quasi_static: bool,
     thin: bool = True,
+    curved: bool = False,
     wanted: tuple[str, ...] = (),
     also: tuple[str, ...] = (),
     material: Listed | None = None,
@@ -71,6 +72,7 @@ def recording_prior(
         moduli: Ends of the range of E / density [m^2/s^2].
         quasi_static: Whether it is replayed on another clock, or nothing moves.
         thin: Whether it is simulated as a rod or shell.
+        curved: Whether it is a rope that lies curved.
         wanted: Names; by default what a recording of this kind shows.
         also: Names of further ones.
         material: What it is made of, of the catalogue; None: unknown.
@@ -114,7 +116,11 @@ def recording_prior(
         for name, change in of_material.items():
             changes[name] = changes.get(name, {}) | change
         base = base.with_values({name: change["mean"] for name, change in of_material.items()})
-    prior = prior_of((*(wanted or _shown(recording, quasi_static, thin)), *also), changes)
+    stated = described.extra.get("natural_curvature")
+    if stated is not None:
+        base, curved = base.with_values({"natural_curvature": stated}), False
+    shown = _shown(recording, quasi_static, thin) + (("natural_curvature",) if curved else ())
+    prior = prior_of((*(wanted or shown), *also), changes)
     return prior, prior.theta(prior.mean, base)
 
 

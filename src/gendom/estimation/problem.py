@@ -207,12 +207,16 @@ class Problem:
         for k, (scene, (prior, base)) in enumerate(zip(scenes, believed, strict=True)):
             if known is not None:
                 base = prior.theta(prior.mean, known)
+            own = noise if scene.registration is None else noise.of_unknown_cameras()
+            described = scene.recording.object
+            if described.diameter is not None and "thickness" not in prior.names:
+                own = own.of_rope(described.diameter)
             parts.append(
                 Part(
                     scene=scene,
                     base=base,
                     shown=np.array([self.prior.index(n, k) for n in prior.names], dtype=np.intp),
-                    noise=noise if scene.registration is None else noise.of_unknown_cameras(),
+                    noise=own,
                     name=names[k],
                 )
             )

@@ -42,6 +42,8 @@ class WorldInputs:
     """[N] factors of E along the object; None: 1."""
     mass: Array | None = None
     """[N] factors of the mass of points; None: 1."""
+    natural_curvature: float = 1.0
+    """Share of a lying rope's curvature that it has by nature."""
     delay: float = 0.0
     """How late clouds show the motion of the grippers, recorded time [s]."""
     raised: float = 0.0
@@ -247,6 +249,7 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
         table=table,
         stiffness=_stacked([w.stiffness for w in worlds], len(scene.initial)),
         mass=_stacked([w.mass for w in worlds], len(scene.initial)),
+        natural_curvature=[w.natural_curvature for w in worlds] if scene.curved else 1.0,
         positions=np.stack([w.positions for w in worlds]),
         start_time=begin,
         physics=Physics(velocity_damping=scene.velocity_damping),

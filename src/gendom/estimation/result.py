@@ -70,7 +70,7 @@ class RecordingFit:
             "calibration": {
                 "shift": fit.a[-7:-4].tolist(),
                 "turn": fit.a[-4:-1].tolist(),
-                "skin": float(fit.a[-1]),
+                "skin": comparison.outside(noise),
                 "registration": None if (T := scene.registration) is None else T.tolist(),
             },
             "compared": list(scene.frames),

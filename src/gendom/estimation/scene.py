@@ -68,7 +68,7 @@ class LiftScene:
     frames: tuple[int, ...]
     """Those that hold points and are compared."""
     calm: tuple[int, ...]
-    """Those of them in which nothing moves fast."""
+    """Those of them in which nothing moves fast and, where anything does, the object is lifted."""
     clock: float
     """Recorded seconds for one simulated second."""
     density: float
@@ -117,7 +117,11 @@ class LiftScene:
         clock = _choose_clock(recording, settings)
         lasts = float(recording.time[frames[-1]] - recording.time[frames[0]]) / clock
         _check_duration(lasts, settings)
-        calm, fast = _compared(recording, settings, _hanging(recording, settings, frames))
+        hanging = frames
+        if recording.object.kind == "cloth" and recording.object.grasp == "corner":
+            hanging = _lifted(recording, settings, frames)
+            hanging = hanging if len(hanging) >= 5 else frames
+        calm, fast = _compared(recording, settings, hanging)
         density = _density(recording, body, settings, notes)
         return cls(
             recording=recording,
@@ -128,7 +132,7 @@ class LiftScene:
             held=placed.held,
             inwards=placed.inwards,
             frames=tuple(sorted(calm + fast)),
-            calm=calm,
+            calm=_lifted(recording, settings, calm) if fast else calm,
             clock=clock,
             density=density,
             begins_with=begins_with,
@@ -328,6 +332,16 @@ class LiftScene:
             found.append((times, Rotation.concatenate(turned)))
         return found
 
+    @cached_property
+    def curved(self) -> bool:
+        """Whether a rope lies curved, so that it counts how much of that it is by nature."""
+        if self.kind != "rope" or not self.thin or len(self.held) > 1:
+            return False
+        ahead = np.diff(self.body.points, axis=0)
+        ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+        turns = np.linalg.norm(np.diff(ahead, axis=0), axis=1)
+        return float(turns.sum()) > self.settings.straight
+
     @property
     def guesses(self) -> list[dict[str, float]]:
         """Starting values of a recording's own unknowns."""
@@ -353,6 +367,7 @@ class LiftScene:
             (low, high),
             quasi_static=self.quasi_static,
             thin=self.thin,
+            curved=self.curved,
             wanted=wanted,
             also=also,
             material=None if material is None else catalogue.get(material),
@@ -450,17 +465,17 @@ def _choose_clock(recording: Recording, settings: SceneSettings) -> float:
     return clock if clock > 1.5 else 1.0
 
 
-def _hanging(
+def _lifted(
     recording: Recording, settings: SceneSettings, frames: tuple[int, ...]
 ) -> tuple[int, ...]:
-    """Frames in which a cloth that is held by a corner hangs; all frames of other objects."""
-    described = recording.object
-    if described.kind != "cloth" or described.grasp != "corner":
+    """Those of some frames in which one gripper has lifted the object."""
+    if recording.num_grippers > 1:
         return frames
-    height = recording.gripper_position[:, 0, 2]
-    least = settings.hanging_rise * max(described.width or 0.0, described.height or 0.0)
-    found = tuple(t for t in frames if height[t] - height[frames[0]] > least)
-    return found if len(found) >= 5 else frames
+    height, described = recording.gripper_position[:, 0, 2], recording.object
+    sides = (described.length, described.width, described.height)
+    least = settings.lifted * max(side for side in sides if side is not None)
+    begin = height[np.argmax(recording.frame_valid)]
+    return tuple(t for t in frames if height[t] - begin > least)
 
 
 def _compared(

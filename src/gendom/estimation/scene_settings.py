@@ -63,6 +63,8 @@ class SceneSettings:
     """Speed of a gripper below which frames are alike [m/s]."""
     after_fast: float = 1.5
     """Time for which an object goes on moving after its gripper was fast or let go [s]."""
+    straight: float = 0.1
+    """Turn of a lying rope up to which it counts as straight [rad]."""
     rope_reach: float = 0.75
     """How far from its point a gripper holds a rope where `grasp_radius` is not stated [diameters]:
     fingertips 1.5 diameters wide."""
@@ -83,9 +85,9 @@ class SceneSettings:
     """Longest motion that is simulated [s]; a lift takes 10 s."""
     slow_frames: int = 36
     """Frames that are compared where the gripper is slow, at most."""
-    hanging_rise: float = 0.15
-    """Rise of a held corner from which a cloth hangs, in its longer side: before, clouds show
-    hardly more than how it lay."""
+    lifted: float = 0.15
+    """Rise of the gripper, in a rope's length or a cloth's longer side, from which the object is
+    lifted: before, clouds show hardly more than how it lay."""
     fast_frames: int = 60
     """Frames that are compared elsewhere, at most."""
     dtype: str | None = None

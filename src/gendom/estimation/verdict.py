@@ -11,6 +11,7 @@ import numpy as np
 from numpy.linalg import norm
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from gendom.datasets import Recording
 from gendom.datasets.checks import (
@@ -22,12 +23,18 @@ from gendom.datasets.checks import (
     usual_speed,
 )
 from gendom.estimation.likelihood import Comparison, NoiseModel
-from gendom.estimation.placing import early_points, lying_rectangle, with_points
+from gendom.estimation.placing import (
+    LINE_PLACES,
+    early_points,
+    lying_rectangle,
+    with_points,
+)
 from gendom.estimation.priors import thickness_stated
 from gendom.estimation.problem import Found, Part, Problem
 from gendom.materials.estimate import Verdict
 from gendom.materials.posterior import Posterior
 from gendom.materials.unknowns import UNKNOWNS, Theta
+from gendom.sim.lines import along_line
 
 Array = NDArray[np.floating]
 
@@ -50,6 +57,10 @@ class VerdictSettings:
     and what moves too fast for its stiffness looks damped."""
     at_rest: float = 0.02
     """A gripper has not lifted an object before it has moved by more, in the object's size."""
+    beside: tuple[float, float, float] = (0.015, 1.5, 0.15)
+    """Points of a rope at rest lie along one line: beside it is what is farther from it than the
+    larger of the first [m] and the second [diameters], for a share above the third the rope
+    crosses itself."""
     end: float = 0.99
     """Share of a cloud of a rope at rest that ends before the rope does."""
     top: float = 0.9
@@ -248,8 +259,8 @@ def _misplaced(
     part: Part, comparison: Comparison, noise: NoiseModel, s: VerdictSettings
 ) -> list[str]:
     """Cameras, or an object's thickness, that are far from what is stated."""
-    shift, turn, skin = np.split(comparison.fit(noise).a[-7:], [3, 6])
-    reasons, skin = [], float(skin[0])
+    shift, turn = np.split(comparison.fit(noise).a[-7:-1], 2)
+    reasons = []
     most = s.nuisance * noise.shift
     if len(part.scene.held) > 1:
         # clouds cannot follow grippers that hold both ends: it is the object that moves otherwise
@@ -261,12 +272,13 @@ def _misplaced(
             "than stated, or the object has another size"
         )
     thick = part.scene.body.thickness
-    most = max(s.skin[0], s.skin[1] * thick)
-    if thickness_stated(part.scene.recording.object) and abs(skin) > most:
-        side = "outside" if skin > 0.0 else "inside"
+    stated = thickness_stated(part.scene.recording.object)
+    outside = comparison.outside(noise) if stated else 0.0
+    if abs(outside) > max(s.skin[0], s.skin[1] * thick):
+        side = "outside" if outside > 0.0 else "inside"
         reasons.append(
-            f"points lie {1e3 * abs(skin):.1f} mm {side} an object {1e3 * thick:.3g} mm thick: is "
-            "its thickness right?"
+            f"points lie {1e3 * abs(outside):.1f} mm {side} an object {1e3 * thick:.3g} mm thick: "
+            "is its thickness right?"
         )
     return reasons
 
@@ -281,16 +293,24 @@ def _at_rest(part: Part, theta: Theta, s: VerdictSettings) -> list[str]:
     thick = theta.thickness * scene.body.thickness
     prior, _ = scene.prior(("grip_along", "grip_height"))
     cloud = early_points(recording, with_points(recording), s.at_rest * scene.size)
-    line, reasons = scene.body.points, []
-    # beyond its last point, straight on
-    ahead = line[-1] - line[-2]
-    tail = line[-1] + np.linspace(0.0, 0.5 * scene.size, 100)[1:, None] * ahead / norm(ahead)
-    places = np.concatenate([line, tail])[:, :2]
-    along = np.concatenate([[0.0], np.cumsum(norm(np.diff(places, axis=0), axis=1))])
-    nearest = KDTree(places).query(cloud[:, :2])[1]
-    beyond = float(np.quantile(along[nearest], s.end)) - float(along[len(line) - 1])
+    reasons: list[str] = []
+    along = np.linspace(0.0, scene.size, LINE_PLACES)
+    places = along_line(scene.body.points, along)[0][:, :2]
+    away, nearest = KDTree(places).query(cloud[:, :2])
+    # beyond its end, straight on
+    ahead = (places[-1] - places[-2]) / norm(places[-1] - places[-2])
+    tail = np.where(nearest == len(along) - 1, (cloud[:, :2] - places[-1]) @ ahead, 0.0)
+    beyond = float(np.quantile(along[nearest] + tail, s.end)) - scene.size
     place = math.hypot(part.noise.shift, *map(float, prior.sd))
-    if abs(beyond) > s.nuisance * place:
+    far_off = max(s.beside[0], s.beside[1] * thick)
+    beside = float((away[nearest < len(along) - 1] > far_off).mean())
+    apart = np.where(np.abs(along[:, None] - along) > 2.0 * far_off, cdist(places, places), np.inf)
+    if beside > s.beside[2] or apart.min() < 0.5 * thick:
+        reasons.append(
+            f"at rest {beside:.0%} of the points lie beside the line that the others follow: the "
+            "rope crosses itself, or something else is in view"
+        )
+    elif abs(beyond) > s.nuisance * place:
         ends = "beyond" if beyond > 0.0 else "before"
         reasons.append(
             f"at rest the cloud ends {1e3 * abs(beyond):.0f} mm {ends} the end of an object "

@@ -144,6 +144,13 @@ UNKNOWNS: dict[str, Unknown] = {
             material=True, label="d ln(E) / d(s/L)", form=".2f",
             on_replay=lambda world, value: world.stiffen_along(value),
         ),
+        # all of it in a hose from its coil, nothing in a string that somebody laid down
+        _unknown(
+            "natural_curvature", "natural curvature", "1",
+            "share of a lying rope's curvature that it has by nature",
+            low=0.0, high=1.0, mean=0.5, sd=0.5, step=0.05, widest=0.5, kinds=("rope",),
+            default=1.0, least=0.0, form=".2f", on_replay=_sets("natural_curvature"),
+        ),
         # of woven cloths one side is up to twice as stiff
         _unknown(
             "warp_over_weft", "warp / weft", "1",

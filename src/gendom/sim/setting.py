@@ -49,6 +49,7 @@ class Setting:
     self_friction: ArrayLike
     stiffness: ArrayLike
     mass: ArrayLike
+    natural_curvature: ArrayLike
     positions: ArrayLike
     start_time: float
     dtype: str

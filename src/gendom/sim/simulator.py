@@ -57,6 +57,8 @@ class Simulator(Shown):
         stiffness: E of each particle or point over E of its material, [N] or [W, N] [-]; of
             shells with a membrane's modulus that of bending alone.
         mass: Mass of each point of a rod or shell over that of its material, likewise [-].
+        natural_curvature: Share of a rod's bending and twist in ``body`` that is free of stress,
+            one number or [W] [-]; 0: it is straight by nature.
         positions: [N, 3] or [W, N, 3] initial positions of particles (default: ``body.x``) or
             points (default: ``body.points``) [m].
         start_time: Time of the initial state [s].
@@ -78,6 +80,7 @@ class Simulator(Shown):
         solver: Solver = Solver(),
         stiffness: ArrayLike = 1.0,
         mass: ArrayLike = 1.0,
+        natural_curvature: ArrayLike = 1.0,
         positions: ArrayLike | None = None,
         start_time: float = 0.0,
     ):
@@ -109,6 +112,13 @@ class Simulator(Shown):
             where="mass",
             fix="take engine='thin'",
         )
+        check_numbers("natural_curvature", natural_curvature, (), ("W",))
+        require(
+            (thin and body.kind == "rope") or bool(np.all(np.asarray(natural_curvature) == 1.0)),
+            "only rods may begin with stress",
+            where="natural_curvature",
+            fix="take engine='thin'",
+        )
         x = rest if positions is None else positions
         x = check_numbers("positions", x, (N, 3), ("W", N, 3))
         unit = body.thickness if thin else body.dx
@@ -126,6 +136,7 @@ class Simulator(Shown):
             **vars(physics),
             stiffness=stiffness,
             mass=mass,
+            natural_curvature=natural_curvature,
             positions=x,
             start_time=start_time,
             dtype=self.dtype,

@@ -69,7 +69,10 @@ class Rods(ThinEngine):
         inertia = np.stack([self.per_mass, self.per_turn, drag, np.ones_like(drag)], axis=1)
         model.contact_apart = self.apart
         model.pitch, model.first, model.end = 0, 0, self.num_points
-        model.rest = self.array(self.rows(self.model.rest)[None])
+        rest = np.repeat(self.rows(self.model.rest)[None], self.num_worlds, axis=0)
+        share = spread(self.setting.natural_curvature, (self.num_worlds,), "natural_curvature")
+        rest[:, 4:] *= share[:, None, None]
+        model.rest = self.array(rest)
         model.stiffness = self.array(self.rows(self.model.stiffness))
         model.inertia = self.array(self.rows(inertia))
 

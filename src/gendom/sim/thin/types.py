@@ -89,7 +89,7 @@ def make_types(real: Any) -> Types:
         end: int
         per_x: real  # 1 / spacing along rows [1/m]
         per_y: real
-        rest: wp.array3d(dtype=real)  # [1, ., P] shape, and stress-free strains
+        rest: wp.array3d(dtype=real)  # [W or 1, ., P] shape, and stress-free strains
         stiffness: wp.array3d(dtype=real)  # [W, ., P]
         inertia: wp.array3d(dtype=real)  # [W, ., P]
         scratch: wp.array3d(dtype=real)  # [W, ., P]

@@ -96,7 +96,7 @@ CUDA_CALLABLE inline real rod_forces(const Model& model, int w, const wp::array_
                                      int next, real dt) {
     typedef typename several<real>::lanes T;
     const int n = model.points;
-    const rows_of<real> s(state, row), to(state, next), rest(model.rest, 0), k(model.stiffness, w),
+    const rows_of<real> s(state, row), to(state, next), rest(model.rest, w), k(model.stiffness, w),
         m(model.inertia, w), out(model.scratch, w);
     const viscosity<real> visc(wp::index(model.damping, w), dt);
     const T c = T(visc.share), a = T(visc.follows);

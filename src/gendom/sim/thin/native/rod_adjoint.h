@@ -79,7 +79,7 @@ CUDA_CALLABLE inline void rod_forces_adjoint(const Model& model, const Adjoint& 
                                              const wp::array_t<real>& state, int row, real dt) {
     typedef typename several<real>::lanes T;
     const int n = model.points;
-    const rows_of<real> s(state, row), rest(model.rest, 0), k(model.stiffness, w), m(model.inertia, w),
+    const rows_of<real> s(state, row), rest(model.rest, w), k(model.stiffness, w), m(model.inertia, w),
         b(adjoint.state, w), by(adjoint.model, w), at(adjoint.scratch, w);
     const viscosity<real> visc(wp::index(model.damping, w), dt);
     const T c = T(visc.share), a = T(visc.follows), whole = T(real(1)) + c, left = T(real(1)) - a;
