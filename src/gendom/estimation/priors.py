@@ -55,6 +55,9 @@ class StatedErrors:
     """
 
 
+CLAMPS = ("first_clamp_x", "first_clamp_y", "last_clamp_x", "last_clamp_y", "clamp_twist")
+"""How two hands hold a rope."""
+
 ASSUMED_THICKNESS = {
     "sd": StatedErrors.thickness,
     "low": StatedErrors.thickness_range[0],
@@ -195,13 +198,18 @@ def _shown(recording: Recording, quasi_static: bool) -> tuple[str, ...]:
     names = ["E_over_rho", "nu", "friction", "grip_height", "grip_along"]
     if not quasi_static:
         names.append("damping")
-    if not recording.extra.get("static", False):
+    # markers are seen by what sees the hands that hold them
+    if not recording.extra.get("static", False) and not recording.extra.get("ordered_markers"):
         names.append("delay")
     if recording.table_height is None:
         names.remove("friction")
     if recording.num_grippers > 1:
-        names.remove("grip_height")
-        names.remove("grip_along")
+        for name in ("nu", "grip_height", "grip_along"):
+            names.remove(name)
+        if not recording.extra.get("static", False):
+            names += CLAMPS
+            if not thickness_stated(recording.object) or recording.object.mass is None:
+                names.append("air_drag")
     if recording.object.kind == "cloth":
         names.remove("nu")
         if recording.object.grasp == "corner":

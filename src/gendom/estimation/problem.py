@@ -206,7 +206,7 @@ class Problem:
                     scene=scene,
                     base=base,
                     shown=np.array([self.prior.index(n, k) for n in prior.names], dtype=np.intp),
-                    noise=noise if scene.registration is None else noise.of_unknown_cameras(),
+                    noise=noise.of_cameras(scene),
                     name=names[k],
                 )
             )
@@ -217,6 +217,11 @@ class Problem:
     def scene(self) -> LiftScene:
         """The first recording's; the object, the engine and the resolution are those of all."""
         return self.parts[0].scene
+
+    @property
+    def captured(self) -> bool:
+        """Whether all recordings are of markers in motion, which are seen without errors."""
+        return all(part.scene.captured for part in self.parts)
 
     @property
     def bases(self) -> tuple[Theta, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from gendom.estimation.scene import LiftScene
-from gendom.materials import STANDARD_GRAVITY, Material
+from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.sim import Gripper, Physics, Simulator, Solver, Table
 
@@ -46,6 +46,11 @@ class WorldInputs:
     """How far a held corner turns as it is lifted [rad]."""
     yaw: float = 0.0
     """Turn of the lying cloth [rad]."""
+    air_drag: float = 1.0
+    """Of the object's mass, over that of what is stated or assumed."""
+    clamps: Array = field(default_factory=lambda: np.zeros((2, 3)))
+    """Turn of the clamps at a rope's first and last end from what is recorded [rad]: across the
+    rope, in two directions, and about it."""
 
     @classmethod
     def of(cls, scene: LiftScene, theta: Theta) -> WorldInputs:
@@ -99,13 +104,14 @@ class WorldInputs:
     @property
     def material(self) -> Material:
         """The object's material."""
-        scene, membrane = self.scene, None
+        scene, membrane, described = self.scene, None, self.scene.recording.object
         E = self.E_over_rho * scene.density
+        hangs = described.length or max(described.width or 0.0, described.height or 0.0)
+        along = scene.density * STANDARD_GRAVITY * hangs / (2.0 * scene.settings.stretch)
         if scene.kind == "cloth" and scene.thin:
-            width, height = (scene.recording.object.width, scene.recording.object.height)
-            assert width is not None and height is not None
-            weight = scene.density * STANDARD_GRAVITY * max(width, height)
-            membrane = min(E, weight / (2.0 * scene.settings.stretch))
+            membrane = min(E, along)
+        elif scene.thin and described.diameter is None and E < along:
+            membrane = along  # a real one is as thin as that
         return Material(
             E=E, nu=self.nu, density=scene.density, damping=self.damping, membrane=membrane
         )
@@ -158,6 +164,11 @@ class WorldInputs:
             angle = self.tilt * np.clip(rise / (2.0 * reach), 0.0, 1.0)
             tilted = Rotation.from_rotvec(angle[:, None] * axis)
             turned = tilted if turned is None else turned * tilted
+        if len(scene.held) > 1 and self.clamps[g].any():
+            # the first frame shows how markers lie, not how the rope leaves the clamp
+            begun = np.clip((knots - knots[0]) / scene.settings.clamping, 0.0, 1.0)
+            clamped = Rotation.from_rotvec(begun[:, None] * (scene.clamp_frame(g) @ self.clamps[g]))
+            turned = clamped if turned is None else turned * clamped
         return None if turned is None else turned.as_quat()
 
 
@@ -183,7 +194,10 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
         stiffness=_stacked(scene, worlds),
         positions=np.stack([w.positions for w in worlds]),
         start_time=begin,
-        physics=Physics(velocity_damping=scene.velocity_damping),
+        physics=Physics(
+            velocity_damping=scene.velocity_damping,
+            air_density=[AIR_DENSITY * w.air_drag for w in worlds],
+        ),
         solver=Solver(
             engine=scene.settings.engine,
             substep=scene.settings.substep,

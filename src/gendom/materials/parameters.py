@@ -30,7 +30,8 @@ class Material(Shown):
     Maxwell branch is as stiff as the elastic law. Free motion at a frequency w well below 1 / tau
     is damped at the ratio w tau / 2; static shapes are not changed."""
     membrane: float | None = None
-    """Young's modulus of a shell in its plane [Pa]; E is then that of its bending. None: E."""
+    """Young's modulus of a shell in its plane, or of a rod along it [Pa]; E is then that of bending
+    (and twisting). None: E."""
 
     def _shown(self) -> tuple[str, list[tuple[str, str]]]:
         pascals = dict.fromkeys(("E", "membrane"), "Pa")
@@ -58,7 +59,7 @@ class Material(Shown):
 
     @property
     def in_plane(self) -> float:
-        """Young's modulus of a shell in its plane [Pa]."""
+        """Young's modulus of a shell in its plane, of a rod along it [Pa]."""
         return self.E if self.membrane is None else self.membrane
 
     @property

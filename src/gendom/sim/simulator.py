@@ -83,10 +83,10 @@ class Simulator(Shown):
         engine = engine_of(body, solver)
         thin = engine == "thin"
         require(
-            (thin and body.kind == "cloth") or all(m.membrane is None for m in materials),
-            f"only shells have a membrane's modulus, not a {body.kind} of the {engine} engine",
+            thin or all(m.membrane is None for m in materials),
+            "only rods and shells have a modulus of their own along them",
             where="materials",
-            fix="leave membrane out, or take engine='thin' for a cloth",
+            fix="leave membrane out, or take engine='thin'",
         )
         check_number("start_time", start_time)
         W = len(materials)

@@ -7,7 +7,8 @@ cloth with several dampings and once by the object's own unknowns alone: the set
 changes in jumps, and those unknowns do not cause any. In the coarse stage only the most influential
 unknowns are free, clouds are not registered, and frames with fast motion are left out where enough
 others are left. In the fine stage, about the best start's result, everything is free, the model's
-displacement is registered, and noise and displacement are estimated in turns with steps.
+displacement is registered, and noise and displacement are estimated in turns with steps. A motion
+capture has no fine stage: displacement would take the place of how clamps hold and of the air.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from gendom.estimation.likelihood import NoiseModel
 from gendom.estimation.methods.search import best_of, estimated_noise, first_starts
+from gendom.estimation.priors import CLAMPS
 from gendom.estimation.problem import Found, Problem, Start
 from gendom.materials.unknowns import UNKNOWNS
 
@@ -36,7 +38,7 @@ class GaussNewtonSettings:
     """Moduli of the scan that precedes the search, over the whole range."""
     initial: tuple[Array, ...] = ()
     """[P] transformed: where to begin instead of there."""
-    leading: tuple[str, ...] = ("E_over_rho", "damping")
+    leading: tuple[str, ...] = ("E_over_rho", "damping", "air_drag", *CLAMPS)
     """Unknowns that are free in the coarse stage, so that the others do not absorb their effect.
     None: all."""
     coarse_noise: float = 0.005
@@ -117,7 +119,8 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
             start.coarse = start.iterations
         if free is not None or problem.coarse is not problem:
             _compare_all(problem, best, settings)
-        noise = _fine_stage(problem, best, noise, settings, iteration, most)
+        done = most if problem.captured else iteration
+        noise = _fine_stage(problem, best, noise, settings, done, most)
     except KeyboardInterrupt:
         interrupted = True
         best = best_of(starts)
