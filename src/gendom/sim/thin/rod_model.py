@@ -99,7 +99,7 @@ class RodModel:
     def derivatives(
         self, name: str, body: Body, materials: Sequence[Material], share: NDArray[np.floating]
     ) -> ParameterDerivatives:
-        """Derivatives by ``E``, ``nu``, ``density``, ``membrane`` or ``thickness``, the diameter."""
+        """Derivatives by ``E``, ``nu``, ``density``, ``membrane`` or ``thickness`` (diameter)."""
         if name in ("E", "membrane"):
             # a separate modulus along the rod does not depend on E
             own = [m.membrane for m in materials]
