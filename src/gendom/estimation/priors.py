@@ -13,9 +13,10 @@ from gendom.materials.catalogue import NINE_OF_TEN, Listed
 from gendom.materials.posterior import Prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 
-BENDING_RANGE = {"rope": (0.04, 2.5), "cloth": (0.01, 0.2)}
+BENDING_RANGE = {"rope": (0.04, 2.5), "held rope": (0.04, 1.2), "cloth": (0.01, 0.2)}
 """Range of bending lengths that is searched, in lengths of a rope or diagonals of a cloth: below it
-the object hangs like a chain, above it it does not bend."""
+the object hangs like a chain, above it it does not bend; a rope between two hands then
+has one shape whatever its E."""
 
 
 @dataclass(frozen=True, kw_only=True)

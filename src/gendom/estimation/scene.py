@@ -356,7 +356,8 @@ class LiftScene:
             ParameterError: There is no such unknown, or the object has none, or it cannot be of
                 the stated material.
         """
-        low, high = (self.E_over_rho(b * self.size) for b in BENDING_RANGE[self.kind])
+        kind = self.kind if len(self.held) == 1 else "held rope"
+        low, high = (self.E_over_rho(b * self.size) for b in BENDING_RANGE[kind])
         material = self.settings.material
         return recording_prior(
             self.recording,
