@@ -33,7 +33,8 @@ KEYS = {
     "identifiable", "interrupted", "intervals", "iterations", "method", "noise", "notes", "object",
     "nu", "posterior", "recordings", "rms", "rms_by_frame", "rms_registered", "seconds",
     "seed", "simulation", "stage_seconds", "E_over_rho", "starts", "stiffness_slope",
-    "theta", "thickness", "verdict", "E",
+    "theta", "thickness", "verdict", "E", "air_drag", "clamp_twist",
+    "first_clamp_x", "first_clamp_y", "last_clamp_x", "last_clamp_y",
 }  # fmt: skip
 
 
