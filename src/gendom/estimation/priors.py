@@ -57,7 +57,7 @@ class StatedErrors:
 
 
 CLAMPS = ("first_clamp_x", "first_clamp_y", "last_clamp_x", "last_clamp_y", "clamp_twist")
-"""How two hands hold a rope."""
+"""How two hands hold a rope, where markers beside it show its ends."""
 
 ASSUMED_THICKNESS = {
     "sd": StatedErrors.thickness,
@@ -205,9 +205,10 @@ def _shown(recording: Recording, quasi_static: bool) -> tuple[str, ...]:
     if recording.table_height is None:
         names.remove("friction")
     if recording.num_grippers > 1:
-        for name in ("nu", "grip_height", "grip_along"):
-            names.remove(name)
-        if not recording.extra.get("static", False):
+        names.remove("grip_height")
+        names.remove("grip_along")
+        if recording.extra.get("ordered_markers") and not recording.extra.get("static", False):
+            names.remove("nu")
             names += CLAMPS
             if not thickness_stated(recording.object) or recording.object.mass is None:
                 names.append("air_drag")
