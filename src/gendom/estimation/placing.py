@@ -194,7 +194,10 @@ def _place_between(
     s, line, speeds = _line_between(recording, grip, frames, length)
     body = rope(diameter=diameter, length=length, points=settings.points)
     u = np.linspace(0.0, length, len(body.points))
-    x = _as_long(CubicSpline(s, line)(u), s / u[1], line, u[1])
+    near = PlacingSettings.marker
+    if not recording.extra.get("ordered_markers", False):
+        near = max(near, 0.5 * diameter)
+    x = _as_long(CubicSpline(s, line)(u), s / u[1], line, u[1], near)
     ends = np.stack([x[1] - x[0], x[-2] - x[-1]])
     notes.append("held at both ends: straight by nature, as far as is known")
     return Placed(
@@ -236,9 +239,9 @@ def lost_time(recording: Recording) -> Array:
     return late
 
 
-def _as_long(x: Array, places: Array, shown: Array, edge: float) -> Array:
-    """Points of a rod [n, 3] whose edges are so long, and which pass by points [K, 3] at these
-    places along it [K] [edges].
+def _as_long(x: Array, places: Array, shown: Array, edge: float, near: float) -> Array:
+    """Points of a rod [n, 3] whose edges are so long, and which pass near points [K, 3], about so
+    near, at these places along it [K] [edges].
 
     Splines between markers have edges that are up to a quarter too long or too short: a shock as
     the motion begins. Gauss-Newton steps for edges, points, and a smooth line, in this order.
@@ -249,14 +252,14 @@ def _as_long(x: Array, places: Array, shown: Array, edge: float) -> Array:
     at[np.arange(len(places)), own] = 1.0 - (places - own)
     at[np.arange(len(places)), own + 1] = places - own
     bend = np.diff(np.eye(n), 2, axis=0)
-    linear = np.concatenate([at / P.marker, bend / (P.turn * edge)])
+    linear = np.concatenate([at / near, bend / (P.turn * edge)])
     for _ in range(P.rounds):
         step = np.diff(x, axis=0)
         length = np.linalg.norm(step, axis=1)
         rows = np.zeros((n - 1, n, 3))
         e = np.arange(n - 1)
         rows[e, e + 1], rows[e, e] = step / length[:, None], -step / length[:, None]
-        wanted = np.concatenate([shown / P.marker, np.zeros((n - 2, 3))])
+        wanted = np.concatenate([shown / near, np.zeros((n - 2, 3))])
         off = [(edge - length) / (P.strain * edge), *(wanted - linear @ x).T]
         J = np.concatenate([rows.reshape(n - 1, -1) / (P.strain * edge),
                             *(np.kron(linear, axis) for axis in np.eye(3))])  # fmt: skip
