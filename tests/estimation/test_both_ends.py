@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from gendom.datasets import Recording
+from gendom.errors import ParameterError
 from gendom.estimation import EstimateSettings, LiftScene, SceneSettings, estimate, replay
 from gendom.estimation.likelihood import Observation
+from gendom.estimation.placing import lost_time
+from gendom.estimation.problem import Problem
 
 
 def markers(scene, x):
@@ -27,32 +30,124 @@ def cable(real_data):
 
 
 def test_a_cable_in_fast_motion_comes_back(cable):
-    """What is simulated with known stiffness and damping, from the real cable's first frame and
-    grippers, is found again."""
+    """What is simulated with known stiffness, damping, clamps and air, from the real cable's first
+    frame and grippers, is found again."""
     recording = cable.head(120)
     every = SceneSettings(fast_frames=200, slow_frames=200)
     scene = LiftScene.of(recording, every)
     assert scene.velocities is not None and np.abs(scene.velocities).max() > 0.3
     prior, base = scene.prior()
     assert "friction" not in prior.names and "damping" in prior.names
-    truth = base.with_values({"E_over_rho": 6000.0, "damping": 0.02, "nu": 0.3})
+    clamps = {"first_clamp_x": 0.1, "last_clamp_y": -0.2, "clamp_twist": 0.8}
+    truth = base.with_values({"E_over_rho": 6000.0, "damping": 0.02, "air_drag": 4.0, **clamps})
     seen = markers(scene, replay(scene, [truth])[:, 0]).astype(np.float32)
     made = replace(recording, points=seen.reshape(-1, 3))
     found = estimate(made, EstimateSettings(starts=1))
     assert found.usable
     assert found.theta.E_over_rho == pytest.approx(6000.0, rel=0.03)
     assert found.theta.damping == pytest.approx(0.02, rel=0.1)
+    ends = found.interval("air_drag")  # in 1.2 s it hardly shows
+    assert ends is not None and ends[0] < 4.0 < ends[1]
+    for name, value in clamps.items():
+        assert found.theta[name] == pytest.approx(value, abs=0.1 if "twist" in name else 0.02)
+
+
+def without(recording, lost):
+    """A recording whose recorder has lost frames and numbered the others."""
+    kept = np.delete(np.arange(recording.num_frames), lost)
+    frames = recording.points.reshape(recording.num_frames, -1, 3)[kept]
+    assert recording.gripper_axis is not None
+    return replace(
+        recording,
+        points=frames.reshape(-1, 3),
+        offsets=recording.offsets[: len(kept) + 1],
+        time=recording.time[: len(kept)],
+        gripper_position=recording.gripper_position[kept],
+        gripper_axis=recording.gripper_axis[kept],
+    )
+
+
+def test_lost_frames_are_told_from_leaping_hands(cable):
+    assert not lost_time(cable).any()
+    leaps = without(cable, [100, 101, 300])
+    late = lost_time(leaps)
+    assert np.flatnonzero(np.diff(late)).tolist() == [99, 297]
+    assert late[-1] == pytest.approx(0.03)
+    scene = LiftScene.of(leaps)
+    assert scene.sim_time(leaps.time[-1]) == pytest.approx(cable.time[-1])
+    assert any("frames were lost" in note for note in scene.notes)
+    # a hand that starts, waits or stops at once loses nothing, nor does one with times of a clock
+    at = np.cumsum(np.repeat([0.0, 0.01, 0.0, 0.02, 0.0], 20))
+    path = np.zeros((100, 2, 3))
+    path[..., 0] = at[:, None]
+    assert not lost_time(replace(cable.head(100), gripper_position=path)).any()
+    clock = leaps.time + 0.003 * np.random.default_rng(0).random(len(leaps.time))
+    assert not lost_time(replace(leaps, time=clock)).any()
+
+
+@pytest.mark.parametrize("angle", [40.0, 90.0, 150.0])
+def test_a_bent_cable_begins_as_long_as_it_is(cable, angle):
+    """Also where it bends sharply between two markers, which are then nearer than along it."""
+    s = np.linspace(0.0, 0.97, 400)
+    turn = np.radians(angle) * np.clip((s - 0.45) / 0.03, 0.0, 1.0)
+    line = np.cumsum(np.stack([np.cos(turn), np.zeros_like(s), np.sin(turn)], axis=1), axis=0)
+    line *= s[1]
+    frame = line[np.linspace(0, 399, 12).round().astype(int)]
+    made = replace(
+        cable.head(20),
+        points=np.tile(frame, (20, 1)),
+        gripper_position=np.tile(frame[[0, -1]], (20, 1, 1)),
+    )
+    scene = LiftScene.of(made)
+    edges = np.linalg.norm(np.diff(scene.initial, axis=0), axis=1)
+    assert np.abs(edges * (len(edges) / scene.size) - 1.0).max() < 0.05
+    assert np.linalg.norm(markers(scene, scene.initial[None])[0] - frame, axis=1).max() < 0.02
+
+
+def test_recordings_of_different_cables_are_refused(cable):
+    frames = cable.points.reshape(cable.num_frames, 12, 3)
+    fewer = replace(
+        cable,
+        points=np.delete(frames, 5, axis=1).reshape(-1, 3),
+        offsets=np.arange(cable.num_frames + 1) * 11,
+    )
+    scenes = [LiftScene.of(r) for r in (cable, fewer)]
+    with pytest.raises(ParameterError, match="shows 11 markers in order, recording 1 12"):
+        Problem(scenes, EstimateSettings())
+    measured = cable.object.length
+    for times, same in ((1.004, True), (1.02, False)):
+        other = replace(cable, object=replace(cable.object, length=times * measured))
+        scenes[1] = LiftScene.of(other)
+        if same:
+            Problem(scenes, EstimateSettings())
+        else:
+            with pytest.raises(ParameterError, match="length is"):
+                Problem(scenes, EstimateSettings())
 
 
 @pytest.mark.slow
-def test_a_cable_is_predicted_from_one_sequence(cable, real_data):
-    """Better than a network that was trained on 56 sequences (0.0099 m)."""
-    theta = estimate(cable, EstimateSettings(starts=1)).theta
-    for name in ("eval_004", "eval_010"):
-        other = Recording.read(real_data / f"cable_dlo3_{name}.npz", on_warning=lambda _: None)
+@pytest.mark.parametrize(
+    ("number", "fitted", "seen", "most"),
+    [
+        (1, "train_048", ["eval_054"], 0.008),
+        (3, "train_001", ["eval_004", "eval_010"], 0.008),
+        (4, "train_001", ["eval_035"], 0.005),
+    ],
+)
+def test_a_cable_is_predicted_from_one_sequence(real_data, number, fitted, seen, most):
+    """Better than networks that were trained on 56 sequences (0.0103, 0.0099 and 0.0115 m)."""
+
+    def read(name):
+        path = real_data / f"cable_dlo{number}_{name}.npz"
+        if not path.is_file():
+            pytest.skip(f"no {path.name} in {real_data}")
+        return Recording.read(path, on_warning=lambda _: None)
+
+    theta = estimate(read(fitted), EstimateSettings(starts=1)).theta
+    for other in map(read, seen):
         scene = LiftScene.of(other, SceneSettings(fast_frames=500, slow_frames=500))
         x = markers(scene, replay(scene, [theta])[:, 0])
-        assert np.abs(x - other.points.reshape(x.shape)).mean() < 0.0099
+        assert np.abs(x - other.points.reshape(x.shape)).mean() < most
 
 
 def test_a_wire_at_rest(real_data):

@@ -57,6 +57,8 @@ class NoiseModel:
     registration."""
     unknown_turn: float = 0.1
     """Likewise [rad]."""
+    same_frame: float = 1e-4
+    """Both of a motion capture [m and rad]."""
     skin: float = 0.002
     """Of the distance of points from the true skin [m]: hairs, edges of pixels."""
     skin_of_thin: tuple[float, float] = (0.008, 1e-5)
@@ -82,9 +84,14 @@ class NoiseModel:
     registered: float = 0.1
     """A registration ends where a step lowers -2 log likelihood by no more than this."""
 
-    def of_unknown_cameras(self) -> NoiseModel:
-        """With the wide prior of cameras whose poses are unknown."""
-        return replace(self, shift=self.unknown_shift, turn=self.unknown_turn)
+    def of_cameras(self, scene: LiftScene) -> NoiseModel:
+        """With the wide prior of cameras whose poses are unknown, or that of a motion capture,
+        which measures hands and markers in one frame."""
+        if scene.registration is not None:
+            return replace(self, shift=self.unknown_shift, turn=self.unknown_turn)
+        if scene.captured:
+            return replace(self, shift=self.same_frame, turn=self.same_frame)
+        return self
 
     def of_rope(self, diameter: float) -> NoiseModel:
         """Of a rope of a stated diameter [m], which is not estimated."""

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, CubicSpline
 from scipy.optimize import minimize_scalar
-from scipy.sparse.csgraph import shortest_path
+from scipy.sparse.csgraph import dijkstra, shortest_path
 from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist
+from scipy.spatial.distance import cdist, pdist, squareform
 
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
@@ -63,6 +63,22 @@ class PlacingSettings:
     line: tuple[float, float] = (0.93, 1.04)
     """Length of the line through points of a rope between two grippers: chords are shorter than
     arcs, noise makes them longer. Of six real cables and a wire 0.997 to 1.003."""
+    hops: int = 600
+    """Points of a cloud between two grippers that are put in order, at most."""
+    marker: float = 0.001
+    """How well such points are met by the simulated rope [m]."""
+    strain: float = 1e-3
+    """How well its edges are as long as they are at rest."""
+    turn: float = 0.1
+    """Turn from one edge to the next that counts as much [rad]."""
+    rounds: int = 6
+    """Gauss-Newton steps of these."""
+    even: float = 1e-3
+    """Recorded times that differ by less than this share of their distance are a frame's number."""
+    leap: tuple[float, float, float] = (6.0, 1.5, 0.5)
+    """Frames are lost where hands leap by so many times the ninetieth percentile of how much their
+    speed changes; steps before and after differ by less than this share, and so does a step of
+    several intervals from their multiple [of the leap]."""
     flat: float = 0.03
     """How far a cloth at rest and its flat outline may differ for it to lie flat [longer sides].
     Cloths of the second reality have 0.012, real ones that lie in folds 0.11 and more."""
@@ -196,7 +212,10 @@ def _place_between(
     s, line, speeds = _line_between(recording, grip, frames, length)
     body = rope(diameter=diameter, length=length, points=settings.points)
     u = np.linspace(0.0, length, len(body.points))
-    x = CubicSpline(s, line)(u)
+    near = PlacingSettings.marker
+    if not recording.extra.get("ordered_markers", False):
+        near = max(near, 0.5 * diameter)
+    x = _as_long(CubicSpline(s, line)(u), s / u[1], line, u[1], near)
     ends = np.stack([x[1] - x[0], x[-2] - x[-1]])
     notes.append("held at both ends: straight by nature, as far as is known")
     return Placed(
@@ -206,6 +225,64 @@ def _place_between(
         held=grip,
         inwards=ends / np.linalg.norm(ends, axis=1, keepdims=True),
     )
+
+
+def lost_time(recording: Recording) -> Array:
+    """[T] time that is missing in the recorded times by each frame [s].
+
+    A recorder that numbers its frames and loses some states times that are too short. Where
+    measured hands leap, and their steps before and after are alike, the leap took as many intervals
+    as it has such steps.
+    """
+    P = PlacingSettings
+    time, late = recording.time, np.zeros(recording.num_frames)
+    if recording.gripper_source != "measured" or recording.quasi_static or len(time) < 8:
+        return late
+    between, steps = (
+        np.diff(time),
+        np.diff(recording.gripper_position.reshape(len(time), -1), axis=0),
+    )
+    if np.ptp(between) > P.even * between.mean():
+        return late  # these are times of a clock
+    before, leap, after = steps[:-2], steps[1:-1], steps[2:]
+    usual = 0.5 * (before + after)
+    size = np.linalg.norm(usual, axis=1)
+    count = np.round((leap * usual).sum(axis=1) / np.maximum(size, 1e-9) ** 2)
+    off = np.linalg.norm(leap - usual, axis=1)
+    leaps = (count >= 2) & (off > P.leap[0] * np.percentile(off, 90))
+    leaps &= np.linalg.norm(after - before, axis=1) < P.leap[1] * size
+    leaps &= np.linalg.norm(leap - count[:, None] * usual, axis=1) < P.leap[2] * off
+    late[2:-1] = np.cumsum(np.where(leaps, count - 1.0, 0.0) * between[1:-1])
+    late[-1] = late[-2]
+    return late
+
+
+def _as_long(x: Array, places: Array, shown: Array, edge: float, near: float) -> Array:
+    """Points of a rod [n, 3] whose edges are so long, and which pass near points [K, 3], about so
+    near, at these places along it [K] [edges].
+
+    Splines between markers have edges that are up to a quarter too long or too short: a shock as
+    the motion begins. Gauss-Newton steps for edges, points, and a smooth line, in this order.
+    """
+    P, n = PlacingSettings, len(x)
+    own = np.clip(places.astype(int), 0, n - 2)
+    at = np.zeros((len(places), n))
+    at[np.arange(len(places)), own] = 1.0 - (places - own)
+    at[np.arange(len(places)), own + 1] = places - own
+    bend = np.diff(np.eye(n), 2, axis=0)
+    linear = np.concatenate([at / near, bend / (P.turn * edge)])
+    for _ in range(P.rounds):
+        step = np.diff(x, axis=0)
+        length = np.linalg.norm(step, axis=1)
+        rows = np.zeros((n - 1, n, 3))
+        e = np.arange(n - 1)
+        rows[e, e + 1], rows[e, e] = step / length[:, None], -step / length[:, None]
+        wanted = np.concatenate([shown / near, np.zeros((n - 2, 3))])
+        off = [(edge - length) / (P.strain * edge), *(wanted - linear @ x).T]
+        J = np.concatenate([rows.reshape(n - 1, -1) / (P.strain * edge),
+                            *(np.kron(linear, axis) for axis in np.eye(3))])  # fmt: skip
+        x = x + np.linalg.lstsq(J, np.concatenate(off), rcond=None)[0].reshape(n, 3)
+    return x
 
 
 def _line_between(
@@ -224,13 +301,16 @@ def _line_between(
         x = np.stack([recording.frame(t) for t in first]).astype(float)
         if len(first) == 5 and not recording.extra.get("static", False):
             # the speed in the first frame, by a parabola through five
-            t = recording.time[first] - recording.time[first[0]]
+            t = (recording.time + lost_time(recording))[first]
+            t -= t[0]
             fit = np.polynomial.polynomial.polyfit(t, x.reshape(len(t), -1), 2)
             speeds = fit[1].reshape(-1, 3)
         gaps = np.linalg.norm(np.diff(x, axis=1), axis=2).mean(axis=0)
     else:
-        axis = (grip[1] - grip[0]) / np.linalg.norm(grip[1] - grip[0])
-        cloud = cloud[np.argsort((cloud - grip[0]) @ axis)]
+        # in the order of paths of short hops from the first hand on: a loop may hang beside it
+        cloud = cloud[:: -(-len(cloud) // PlacingSettings.hops)]
+        hops = squareform(pdist(np.concatenate([grip[:1], cloud]), "sqeuclidean"))
+        cloud = cloud[np.argsort(dijkstra(hops, indices=0)[1:])]
         bins = np.array_split(cloud, min(24, max(2, len(cloud) // 4)))
         cloud = np.array([grip[0], *(b.mean(axis=0) for b in bins), grip[1]])
         gaps = np.linalg.norm(np.diff(cloud, axis=0), axis=1)

@@ -13,9 +13,10 @@ from gendom.materials.catalogue import NINE_OF_TEN, Listed
 from gendom.materials.posterior import Prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 
-BENDING_RANGE = {"rope": (0.04, 2.5), "cloth": (0.01, 0.2)}
+BENDING_RANGE = {"rope": (0.04, 2.5), "held rope": (0.04, 1.2), "cloth": (0.01, 0.2)}
 """Range of bending lengths that is searched, in lengths of a rope or diagonals of a cloth: below it
-the object hangs like a chain, above it it does not bend."""
+the object hangs like a chain, above it it does not bend; a rope between two hands then
+has one shape whatever its E."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +53,10 @@ class StatedErrors:
     density: float = 0.5
     """Of the logarithm of a density that is assumed, as ropes and cloths have 300 to 2,000 kg/m^3.
     """
+
+
+CLAMPS = ("first_clamp_x", "first_clamp_y", "last_clamp_x", "last_clamp_y", "clamp_twist")
+"""How two hands hold a rope, where markers beside it show its ends."""
 
 
 def recording_prior(
@@ -209,13 +214,19 @@ def _shown(recording: Recording, quasi_static: bool, thin: bool) -> tuple[str, .
     names = ["E_over_rho", "nu", "friction", "grip_height", "grip_along"]
     if not quasi_static:
         names.append("damping")
-    if not recording.extra.get("static", False):
+    # markers are seen by what sees the hands that hold them
+    if not recording.extra.get("static", False) and not recording.extra.get("ordered_markers"):
         names.append("delay")
     if recording.table_height is None:
         names.remove("friction")
     if recording.num_grippers > 1:
         names.remove("grip_height")
         names.remove("grip_along")
+        if recording.extra.get("ordered_markers") and not recording.extra.get("static", False):
+            names.remove("nu")
+            names += CLAMPS
+            if not thickness_stated(recording.object) or recording.object.mass is None:
+                names.append("air_drag")
     elif recording.object.kind == "rope" and thin:
         names.append("grip_turn")
     if recording.object.kind == "cloth":

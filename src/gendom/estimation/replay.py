@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from gendom.estimation.scene import LiftScene
-from gendom.materials import STANDARD_GRAVITY, Material
+from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.sim import Gripper, Physics, Simulator, Solver, Table
 from gendom.sim.thin.grips import SHORTEST
@@ -56,6 +56,11 @@ class WorldInputs:
     """Turn of the lying cloth [rad]."""
     warp_over_weft: float = 1.0
     """Bending stiffness along a cloth's first side over that along its second one."""
+    air_drag: float = 1.0
+    """Of the object's mass, over that of what is stated or assumed."""
+    clamps: Array = field(default_factory=lambda: np.zeros((2, 3)))
+    """Turn of the clamps at a rope's first and last end from what is recorded [rad]: across the
+    rope, in two directions, and about it."""
 
     @classmethod
     def of(cls, scene: LiftScene, theta: Theta) -> WorldInputs:
@@ -164,18 +169,16 @@ class WorldInputs:
     @property
     def material(self) -> Material:
         """The object's material."""
-        scene, E, of_shell = self.scene, self.E_over_rho * self.scene.density, {}
+        scene, described, more = self.scene, self.scene.recording.object, {}
+        E = self.E_over_rho * scene.density
+        hangs = described.length or max(described.width or 0.0, described.height or 0.0)
+        along = scene.density * STANDARD_GRAVITY * hangs / (2.0 * scene.settings.stretch)
         if scene.kind == "cloth" and scene.thin:
-            width, height = (scene.recording.object.width, scene.recording.object.height)
-            assert width is not None and height is not None
-            weight = scene.density * STANDARD_GRAVITY * max(width, height)
             warp = math.sqrt(self.warp_over_weft)
-            of_shell = {
-                "membrane": min(E, weight / (2.0 * scene.settings.stretch)),
-                "warp": warp,
-                "weft": 1.0 / warp,
-            }
-        return Material(E=E, nu=self.nu, density=scene.density, damping=self.damping, **of_shell)
+            more = {"membrane": min(E, along), "warp": warp, "weft": 1.0 / warp}
+        elif scene.thin and described.diameter is None and E < along:
+            more = {"membrane": along}  # a real one is as thin as that
+        return Material(E=E, nu=self.nu, density=scene.density, damping=self.damping, **more)
 
     @property
     def grippers(self) -> list[Gripper]:
@@ -225,6 +228,11 @@ class WorldInputs:
             angle = self.tilt * np.clip(rise / (2.0 * reach), 0.0, 1.0)
             tilted = Rotation.from_rotvec(angle[:, None] * axis)
             turned = tilted if turned is None else turned * tilted
+        if len(scene.held) > 1 and self.clamps[g].any():
+            # the first frame shows how markers lie, not how the rope leaves the clamp
+            begun = np.clip((knots - knots[0]) / scene.settings.clamping, 0.0, 1.0)
+            clamped = Rotation.from_rotvec(begun[:, None] * (scene.clamp_frame(g) @ self.clamps[g]))
+            turned = clamped if turned is None else turned * clamped
         return None if turned is None else turned.as_quat()
 
 
@@ -252,7 +260,10 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
         natural_curvature=[w.natural_curvature for w in worlds] if scene.curved else 1.0,
         positions=np.stack([w.positions for w in worlds]),
         start_time=begin,
-        physics=Physics(velocity_damping=scene.velocity_damping),
+        physics=Physics(
+            velocity_damping=scene.velocity_damping,
+            air_density=[AIR_DENSITY * w.air_drag for w in worlds],
+        ),
         solver=Solver(
             engine=scene.settings.engine,
             substep=scene.settings.substep,

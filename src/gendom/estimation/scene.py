@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from gendom.arguments import require
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
-from gendom.estimation.placing import place, with_points
+from gendom.estimation.placing import lost_time, place, with_points
 from gendom.estimation.priors import (
     BENDING_RANGE,
     StatedErrors,
@@ -112,6 +112,11 @@ class LiftScene:
         frames = with_points(recording)
         if not frames:
             raise RecordingError("no frame holds a point", where="points", fix="record again")
+        missing = float(lost_time(recording)[-1])
+        if missing > 0.0:
+            notes.append(
+                f"the hands leap where frames were lost: {missing:.3g} s added to the times"
+            )
         placed = place(recording, settings, frames, notes)
         body = placed.body
         clock = _choose_clock(recording, settings)
@@ -183,6 +188,11 @@ class LiftScene:
     def ordered(self) -> bool:
         """Whether points are the same markers in every frame, in order along the rope."""
         return bool(self.recording.extra.get("ordered_markers", False))
+
+    @property
+    def captured(self) -> bool:
+        """Whether a motion capture saw markers and hands move."""
+        return self.ordered and not self.static
 
     @property
     def begins(self) -> int:
@@ -297,7 +307,13 @@ class LiftScene:
     def sim_time(self, recorded: Array | float) -> Array:
         """Simulated time of recorded ones; 0 in the first frame [s]."""
         t = np.asarray(recorded, dtype=float)
-        return (t - self.recording.time[self.begins]) / self.clock
+        time, late = self.recording.time, self._lost
+        return (t + np.interp(t, time, late - late[self.begins]) - time[self.begins]) / self.clock
+
+    @cached_property
+    def _lost(self) -> Array:
+        """[T] time that is missing in the recorded times by each frame [s]."""
+        return lost_time(self.recording)
 
     def path(self, g: int) -> tuple[Array, Array]:
         """Simulated times [K] [s] and stated positions [K, 3] [m] of a gripper from the first
@@ -323,11 +339,7 @@ class LiftScene:
                 continue
             turned = [Rotation.identity()]
             for a, b in pairwise(axes[first:, g].astype(float)):
-                # the smallest turn from one axis to the next
-                normal = np.cross(a, b)
-                size = float(np.linalg.norm(normal))
-                step = normal * (math.atan2(size, float(a @ b)) / max(size, 1e-12))
-                turned.append(Rotation.from_rotvec(step) * turned[-1])
+                turned.append(_turn_between(a, b) * turned[-1])
             times = self.sim_time(self.recording.time[first:])
             found.append((times, Rotation.concatenate(turned)))
         return found
@@ -341,6 +353,20 @@ class LiftScene:
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
         turns = np.linalg.norm(np.diff(ahead, axis=0), axis=1)
         return float(turns.sum()) > self.settings.straight
+
+    def clamp_frame(self, g: int) -> Array:
+        """[3, 3] axes of a hand as columns: x and y, and the recorded one along the rope.
+
+        They are the world's, turned the shortest way so that the one that is nearest to the
+        recorded axis in the mean lies along it: alike in all recordings of one rig.
+        """
+        axes = self.recording.gripper_axis
+        along = self.inwards[g : g + 1] if axes is None else axes[self.begins :, g].astype(float)
+        mean = along.mean(axis=0)
+        k = int(np.abs(mean).argmax())
+        nearest = math.copysign(1.0, mean[k]) * np.eye(3)[k]
+        others = np.delete(np.eye(3), k, axis=0)
+        return np.stack([*_turn_between(nearest, along[0]).apply(others), along[0]], axis=1)
 
     @property
     def guesses(self) -> list[dict[str, float]]:
@@ -360,7 +386,8 @@ class LiftScene:
             ParameterError: There is no such unknown, or the object has none, or it cannot be of
                 the stated material.
         """
-        low, high = (self.E_over_rho(b * self.size) for b in BENDING_RANGE[self.kind])
+        kind = self.kind if len(self.held) == 1 else "held rope"
+        low, high = (self.E_over_rho(b * self.size) for b in BENDING_RANGE[kind])
         material = self.settings.material
         return recording_prior(
             self.recording,
@@ -372,6 +399,13 @@ class LiftScene:
             also=also,
             material=None if material is None else catalogue.get(material),
         )
+
+
+def _turn_between(a: Array, b: Array) -> Rotation:
+    """The smallest turn from one direction [3] to another."""
+    normal = np.cross(a, b)
+    size = float(np.linalg.norm(normal))
+    return Rotation.from_rotvec(normal * (math.atan2(size, float(a @ b)) / max(size, 1e-12)))
 
 
 # ---- material ----------------------------------------------------------------------------------

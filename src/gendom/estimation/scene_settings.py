@@ -40,7 +40,8 @@ class SceneSettings:
     stretch: float = 0.002
     """A cloth's own weight lengthens it by this at most, hanging by a side: the simulated stiffness
     in its plane is limited to that. This allows longer time steps: two to four times for cloths
-    that bend over 25 to 45 mm and are 0.5 to 1 mm thick."""
+    that bend over 25 to 45 mm and are 0.5 to 1 mm thick. A rope whose diameter is not stated is
+    lengthened by no more: a soft one of the diameter that is assumed would stretch by 4 %."""
     coarse_points: int = 21
     """Along the longer side of a shell, where a search begins."""
     cells_across: float = 1.5
@@ -59,6 +60,8 @@ class SceneSettings:
     """Time in which such an object comes to rest [s]; its slowest swing then has e^-9 left."""
     ramp_speed: float = 0.1
     """Speed at which the gripper takes the object from rest to its first recorded position [m/s]"""
+    clamping: float = 0.1
+    """Time in which clamps turn from where markers show them to how they hold the rope [s]."""
     slow: float = 0.15
     """Speed of a gripper below which frames are alike [m/s]."""
     after_fast: float = 1.5

@@ -10,8 +10,8 @@ from gendom.shown import Shown
 WEAVE = ("warp", "weft", "shear")
 """A shell's stiffness over that of an isotropic sheet, see `Material`."""
 
-OF_SHELLS = ("membrane", *WEAVE)
-"""Parameters that only shells have."""
+OF_THIN = ("membrane", *WEAVE)
+"""Parameters that only rods and shells have."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,8 @@ class Material(Shown):
     Maxwell branch is as stiff as the elastic law. Free motion at a frequency w well below 1 / tau
     is damped at the ratio w tau / 2; static shapes are not changed."""
     membrane: float | None = None
-    """Young's modulus of a shell in its plane [Pa]; E is then that of its bending. None: E."""
+    """Young's modulus of a shell in its plane, or of a rod along it [Pa]; E is then that of bending
+    (and twisting). None: E."""
     warp: float = 1.0
     """Bending stiffness of a shell along its first side, over that of an isotropic one."""
     weft: float = 1.0
@@ -56,7 +57,7 @@ class Material(Shown):
     def __post_init__(self) -> None:
         for name in ("E", "nu", "density", "damping"):
             check_number(name, getattr(self, name))
-        for name in OF_SHELLS:
+        for name in OF_THIN:
             if getattr(self, name) is not None:
                 check_number(name, getattr(self, name), above=0.0)
         if self.E <= 0.0:
@@ -72,13 +73,13 @@ class Material(Shown):
             )
 
     @property
-    def of_shells(self) -> bool:
-        """Whether a parameter is set that only shells have."""
-        return self.membrane is not None or any(getattr(self, name) != 1.0 for name in WEAVE)
+    def has_threads(self) -> bool:
+        """Whether it has threads, which only shells do."""
+        return any(getattr(self, name) != 1.0 for name in WEAVE)
 
     @property
     def in_plane(self) -> float:
-        """Young's modulus of a shell in its plane [Pa]."""
+        """Young's modulus of a shell in its plane, of a rod along it [Pa]."""
         return self.E if self.membrane is None else self.membrane
 
     @property

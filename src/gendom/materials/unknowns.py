@@ -105,6 +105,25 @@ def _raise(world: Any, value: float) -> None:
     world.raised += value
 
 
+def _clamp(end: int, across: int) -> Unknown:
+    """How a clamp's direction differs from that of two markers that are glued beside the rope."""
+    which, axis = ("first", "last")[end], "xy"[across]
+
+    def turn(world: Any, value: float) -> None:
+        world.clamps[end, across] = value
+
+    return _unknown(
+        f"{which}_clamp_{axis}", f"{which} clamp, {axis}", "rad",
+        f"turn of the clamp at the {which} end from its stated axis, about the hand's {axis} axis",
+        low=-1.0, high=1.0, mean=0.0, sd=0.3, step=0.01, widest=0.1, kinds=("rope",),
+        material=True, form=".3f", on_replay=turn,
+    )  # fmt: skip
+
+
+def _twist(world: Any, value: float) -> None:
+    world.clamps[1, 2] = value
+
+
 def _unknown(name: str, symbol: str, unit: str, meaning: str, **other) -> Unknown:
     return Unknown(name=name, symbol=symbol, unit=unit, meaning=meaning, **other)
 
@@ -188,6 +207,20 @@ UNKNOWNS: dict[str, Unknown] = {
             above=0.0,
             steps_with=(("E_over_rho", -2.0),),
             on_replay=lambda world, value: world.thicken(value),
+        ),
+        # of a cable 6 mm thick and of 1,500 kg/m^3 twice that of the 20 mm and 1,000 kg/m^3 assumed
+        _unknown(
+            "air_drag", "air drag / assumed", "1",
+            "drag of the air over mass, over that of the assumed diameter and density",
+            log=True, low=0.1, high=10.0, mean=2.0, sd=0.7, step=0.1, widest=0.7, default=1.0,
+            kinds=("rope",), material=True, above=0.0, form=".2f", on_replay=_sets("air_drag"),
+        ),
+        *(_clamp(end, across) for end in (0, 1) for across in (0, 1)),
+        # a rope is clamped as it comes: half a turn more or less
+        _unknown(
+            "clamp_twist", "clamp twist", "rad", "twist of a rope between two clamps",
+            low=-8.0, high=8.0, mean=0.0, sd=1.5, step=0.1, widest=1.0, kinds=("rope",),
+            material=True, form=".2f", on_replay=_twist,
         ),
         _unknown(
             "delay", "delay", "s", "how late clouds show the stated motion of the gripper",

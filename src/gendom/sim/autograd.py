@@ -13,7 +13,7 @@ from torch import Tensor
 from gendom.arguments import check_list, check_numbers, check_type
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.materials.parameters import OF_SHELLS
+from gendom.materials.parameters import OF_THIN
 from gendom.sim.bodies import Body
 from gendom.sim.gripper import Gripper
 from gendom.sim.rollout import Rollout
@@ -22,7 +22,7 @@ from gendom.sim.simulator import Simulator, engine_of
 from gendom.sim.thin.rotation import left_jacobian_inverse
 
 _AXES = {
-    **dict.fromkeys(("E", "nu", "density", "damping", *OF_SHELLS), 0),
+    **dict.fromkeys(("E", "nu", "density", "damping", *OF_THIN), 0),
     **dict.fromkeys(("velocity_damping", "air_density", "friction", "self_friction"), 0),
     "thickness": 0,
     **dict.fromkeys(("gravity", "stiffness", "gripper_radius"), 1),
@@ -31,7 +31,7 @@ _AXES = {
 }
 """Inputs that may be tensors, and their number of axes in one world."""
 
-_OF_MATERIAL = ("E", "nu", "density", "damping", *OF_SHELLS)
+_OF_MATERIAL = ("E", "nu", "density", "damping", *OF_THIN)
 _OF_PHYSICS = ("velocity_damping", "air_density", "self_friction", "gravity")
 _OF_SIMULATOR = ("stiffness", "positions")
 
@@ -86,7 +86,7 @@ def simulate(
     check_type("body", body, Body)
     check_list("grippers", grippers, Gripper)
     thin = engine_of(body, solver) == "thin"
-    only_thin = sorted({"thickness", *OF_SHELLS} & set(given))
+    only_thin = sorted({"thickness", *OF_THIN} & set(given))
     if only_thin and not thin:
         raise ParameterError(
             f"the MPM has no derivative by {', '.join(only_thin)}",

@@ -21,7 +21,7 @@ from gendom.arguments import (
 from gendom.errors import ParameterError, SimulationError
 from gendom.files import atomic_path
 from gendom.materials import Material
-from gendom.materials.parameters import OF_SHELLS
+from gendom.materials.parameters import WEAVE
 from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
@@ -93,10 +93,16 @@ class Simulator(Shown):
         engine = engine_of(body, solver)
         thin = engine == "thin"
         require(
-            (thin and body.kind == "cloth") or not any(m.of_shells for m in materials),
-            f"only shells have a membrane or threads, not a {body.kind} of the {engine} engine",
+            thin or all(m.membrane is None for m in materials),
+            "only rods and shells have a modulus of their own along them",
             where="materials",
-            fix=f"leave out {', '.join(OF_SHELLS)}, or take engine='thin' for a cloth",
+            fix="leave membrane out, or take engine='thin'",
+        )
+        require(
+            (thin and body.kind == "cloth") or not any(m.has_threads for m in materials),
+            f"only shells have threads, not a {body.kind} of the {engine} engine",
+            where="materials",
+            fix=f"leave out {', '.join(WEAVE)}, or take engine='thin' for a cloth",
         )
         check_number("start_time", start_time)
         W = len(materials)

@@ -46,7 +46,7 @@ def given(body, seed=0):
     own: dict[str, Any] = {"thickness": body.thickness}
     if sheet:
         own |= {"warp": 1.1, "weft": 0.9, "shear": 0.8}
-    if body.cut is not None:
+    if body.cut is not None or body is CURVED:
         own["membrane"] = 1.5e5
     return own | {
         "E": 2e5 if sheet else 1e6,

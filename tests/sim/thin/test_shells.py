@@ -61,11 +61,10 @@ def test_the_membrane_may_have_a_modulus_of_its_own():
 
 
 @pytest.mark.parametrize("body", ["rope", "cloth"])
-def test_only_shells_have_a_membrane(body):
+def test_particles_have_no_modulus_of_their_own_along(body):
     made = cloth(**SIZES) if body == "cloth" else rope(diameter=0.01, length=0.2)
-    engine = "mpm" if body == "cloth" else "thin"
-    with pytest.raises(ParameterError, match="only shells have a membrane"):
-        Simulator(made, [replace(MATERIAL, membrane=1e5)], solver=Solver(engine=engine))
+    with pytest.raises(ParameterError, match="only rods and shells have a modulus"):
+        Simulator(made, [replace(MATERIAL, membrane=1e5)], solver=Solver(engine="mpm"))
     with pytest.raises(ParameterError, match="membrane must be positive"):
         replace(MATERIAL, membrane=0.0)
 

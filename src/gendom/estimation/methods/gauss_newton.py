@@ -7,7 +7,9 @@ cloth with several dampings and once by the object's own unknowns alone: the set
 changes in jumps, and those unknowns do not cause any. In the coarse stage only the most influential
 unknowns are free, clouds are not registered, and frames with fast motion are left out where enough
 others are left. In the fine stage, about the best start's result, everything is free, the model's
-displacement is registered, and noise and displacement are estimated in turns with steps.
+displacement is registered, and noise and displacement are estimated in turns with steps. Of a
+motion capture displacement is left out until the end: it would take the place of how clamps hold
+and of the air.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from numpy.typing import NDArray
 
 from gendom.estimation.likelihood import NoiseModel
 from gendom.estimation.methods.search import best_of, estimated_noise, first_starts
+from gendom.estimation.priors import CLAMPS
 from gendom.estimation.problem import Found, Problem, Start
 from gendom.materials.unknowns import UNKNOWNS
 
@@ -36,7 +39,9 @@ class GaussNewtonSettings:
     """Moduli of the scan that precedes the search, over the whole range."""
     initial: tuple[Array, ...] = ()
     """[P] transformed: where to begin instead of there."""
-    leading: tuple[str, ...] = ("E_over_rho", "damping", "grip_turn", "tip_mass")
+    leading: tuple[str, ...] = (
+        "E_over_rho", "damping", "grip_turn", "tip_mass", "air_drag", *CLAMPS,
+    )  # fmt: skip
     """Unknowns that are free in the coarse stage, so that the others do not absorb their effect.
     None: all."""
     coarse_noise: float = 0.005
@@ -177,7 +182,13 @@ def _fine_stage(
     while iteration < most:
         iteration += 1
         assert best.comparison is not None
-        noise = estimated_noise(best.comparison, noise, settings.em_rounds)
+        if problem.captured:
+            noise = tuple(
+                replace(n, sensor=max(c.rms, n.least_sensor), model=n.least_model)
+                for n, c in zip(noise, best.comparison.parts, strict=True)
+            )
+        else:
+            noise = estimated_noise(best.comparison, noise, settings.em_rounds)
         best.value = problem.value(best.vector, best.comparison, noise)
         best.done = False
         _step(problem, [best], noise, settings.gain[1], settings)

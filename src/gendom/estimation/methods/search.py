@@ -12,6 +12,9 @@ from gendom.estimation.problem import Problem, Start
 
 Array = NDArray[np.floating]
 
+ALIKE = 1.08
+"""Moduli of a scan whose distances differ by less than this ratio are taken from the softest on."""
+
 
 def first_starts(problem: Problem, scanned: int, initial: Sequence[Array] = ()) -> list[Start]:
     """Starting points: the best of a scan over the modulus, and random points about it.
@@ -68,7 +71,10 @@ def _scanned(problem: Problem, k: int, scan: Array) -> list[Array]:
         chosen = np.take_along_axis(vectors, order[recording][..., None], axis=0)
         vectors = np.where(np.isin(np.arange(vectors.shape[2]), own), chosen, vectors)
     total = np.square(np.take_along_axis(rms, order, axis=1)).sum(axis=0)
-    return list(vectors.reshape(-1, vectors.shape[2])[np.argsort(total, axis=None)])
+    if problem.captured:
+        # before clamps are found, stiff cables fit a little better whatever they are
+        total = np.maximum(total, ALIKE**2 * total.min())
+    return list(vectors.reshape(-1, vectors.shape[2])[np.argsort(total, axis=None, kind="stable")])
 
 
 def best_of(starts: Sequence[Start]) -> Start | None:

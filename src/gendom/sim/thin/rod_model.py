@@ -99,10 +99,18 @@ class RodModel:
     def derivatives(
         self, name: str, body: Body, materials: Sequence[Material], share: NDArray[np.floating]
     ) -> ParameterDerivatives:
-        """Derivatives by ``E``, ``nu``, ``density`` or ``thickness``, the diameter."""
-        if name == "E":
-            E = np.array([m.E for m in materials])
-            return ParameterDerivatives(stiffness=self.stiffness / E[:, None, None])
+        """Derivatives by ``E``, ``nu``, ``density``, ``membrane`` or ``thickness`` (diameter)."""
+        if name in ("E", "membrane"):
+            # a separate modulus along the rod does not depend on E
+            own = [m.membrane for m in materials]
+            per = np.array([[0.0 if k is None else 1.0 / k, 0.0] for k in own])
+            if name == "E":
+                per = np.array([[k is None, True] for k in own]) / np.array(
+                    [[m.E] for m in materials]
+                )
+            return ParameterDerivatives(
+                stiffness=self.stiffness * np.repeat(per, 3, axis=1)[:, :, None]
+            )
         shares = _shares(share, self.length)
         if name == "nu":
             return ParameterDerivatives(
@@ -183,12 +191,13 @@ def _moduli(
     beam theory".
     """
     E = np.array([m.E for m in materials])
+    along = np.array([m.in_plane for m in materials])
     nu = np.array([m.nu for m in materials])
-    G, G_slope = E / (2.0 * (1.0 + nu)), -E / (2.0 * (1.0 + nu) ** 2)
+    per, slope = 0.5 / (1.0 + nu), -0.5 / (1.0 + nu) ** 2
     kappa, kappa_slope = 6.0 * (1.0 + nu) / (7.0 + 6.0 * nu), 6.0 / (7.0 + 6.0 * nu) ** 2
     A, I, J = section.area, section.bending, 2.0 * section.bending
     none = np.zeros_like(E)
-    values = [kappa * G * A, kappa * G * A, E * A, E * I, E * I, G * J]
-    shear = (kappa_slope * G + kappa * G_slope) * A
-    by_nu = [shear, shear, none, none, none, G_slope * J]
+    shear, by_shear = (f * along * A for f in (kappa * per, kappa_slope * per + kappa * slope))
+    values = [shear, shear, along * A, E * I, E * I, E * per * J]
+    by_nu = [by_shear, by_shear, none, none, none, E * slope * J]
     return np.stack(values, axis=1), np.stack(by_nu, axis=1)

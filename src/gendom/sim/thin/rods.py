@@ -122,7 +122,8 @@ class Rods(ThinEngine):
         put_worlds(model.inertia, worlds, inertia)
 
     def parameters(self) -> tuple[str, ...]:
-        return ("thickness",)
+        own = any(m.membrane is not None for m in self.setting.materials)
+        return ("thickness", *(("membrane",) if own else ()))
 
     def derivatives(self, name: str) -> ParameterDerivatives:
         s = self.setting
