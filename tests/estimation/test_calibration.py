@@ -33,7 +33,10 @@ def test_a_deviation_is_added_in_squares_beside_the_factor():
         IntervalCalibration(factor={"E_over_rho": 2.0}, added={"E_over_rho": 0.08})
     )
     assert plain.sd("E_over_rho") == pytest.approx(0.06)
-    assert wider.sd("E_over_rho") == pytest.approx(0.1) and wider.sd("nu") == plain.sd("nu")
+    # the prior, 1.4 wide, adds a little
+    assert wider.sd("E_over_rho") == pytest.approx(0.1, rel=1e-3) and wider.sd("nu") == plain.sd(
+        "nu"
+    )
     more = posterior_of(IntervalCalibration.none(), added=np.array([0.04, 0.0]))
     assert more.sd("E_over_rho") == pytest.approx(0.05)
 
@@ -46,7 +49,9 @@ def test_what_the_simulator_cannot_explain_widens_intervals(monkeypatch):
     problem: Any = SimpleNamespace(
         prior=prior_of(("E_over_rho", "nu")), parts=[None], bases=(BASE,),
         settings=SimpleNamespace(method="gauss-newton"),
+        theta=lambda _: BASE,
         scene=SimpleNamespace(
+            mesh_error=lambda _: 0.0,
             recording=SimpleNamespace(
                 object=SimpleNamespace(kind="rope", diameter=0.01, thickness=None)
             )

@@ -229,8 +229,9 @@ MOTION = {"kind": "rope", "rise": 0.2, "speed": 0.1, "end": "hold"}
     ("content", "says"),
     [
         ({"lift": MOTION}, "has format None, not 'gendom-motion/1'"),
-        ({"format": "gendom-motion/1"}, "its lift lacks a kind, rise, speed or end"),
-        ({"format": "gendom-motion/1", "lift": {**MOTION, "rise": "high"}}, "its lift lacks"),
+        ({"format": "gendom-motion/1"}, "lift: expected object, got null"),
+        ({"format": "gendom-motion/1", "lift": {**MOTION, "rise": "high"}},
+         "lift: rise: expected float"),
         ({"format": "gendom-motion/1", "lift": {**MOTION, "end": "throw"}}, "end is 'throw'"),
         ({"format": "gendom-motion/1", "lift": {**MOTION, "kind": "cloth"}},
          "is for a cloth, and rope-cotton is a rope"),

@@ -19,6 +19,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gendom.errors import SimulationError
 from gendom.estimation.calibration import IntervalCalibration
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton
 from gendom.estimation.problem import Found, Part, Problem
@@ -156,7 +157,10 @@ def tip_suspected(problem: Problem, found: Found) -> tuple[Array, tuple[str, ...
         return nothing, ()
     # from a heavy tip on: near none other unknowns make up for it
     begin = more.prior.clipped(at + step * more.prior.sd[-1] / step[-1])
-    again = gauss_newton(more, GaussNewtonSettings.of(scene.kind, initial=(begin,))).best
+    try:
+        again = gauss_newton(more, GaussNewtonSettings.of(scene.kind, initial=(begin,))).best
+    except SimulationError:  # it diverges with such a tip
+        return nothing, ()
     assert again.comparison is not None
     won = more.value(at, heavier, found.noise)
     won -= more.value(again.vector, again.comparison, found.noise)

@@ -88,10 +88,14 @@ class NoiseModel:
         """With the wide prior of cameras whose poses are unknown, or that of a motion capture,
         which measures hands and markers in one frame."""
         if scene.registration is not None:
-            return replace(self, shift=self.unknown_shift, turn=self.unknown_turn)
+            return self.with_unknown_cameras()
         if scene.captured:
             return replace(self, shift=self.same_frame, turn=self.same_frame)
         return self
+
+    def with_unknown_cameras(self) -> NoiseModel:
+        """With the wide prior of cameras whose poses are unknown."""
+        return replace(self, shift=self.unknown_shift, turn=self.unknown_turn)
 
     def of_rope(self, diameter: float) -> NoiseModel:
         """Of a rope of a stated diameter [m], which is not estimated."""
@@ -404,7 +408,7 @@ class Comparison:
         By the rigid motion with which each camera's points lie on the simulated skin.
         """
         o, rows, farthest = self.observation, self.rows, (0.0, 0, 0)
-        own, noise = o.counts.shape[1], o.noise.of_unknown_cameras()
+        own, noise = o.counts.shape[1], o.noise.with_unknown_cameras()
         rho, D = rows.rho[:, :own], rows.fixed(o.centre)[:, :own]
         weight = o.counts / np.sqrt(1.0 + (rho / noise.huber_width) ** 2) / noise.sensor**2
         for part in np.array_split(np.arange(len(rho)), thirds):

@@ -349,9 +349,10 @@ def _line_from(
     line = lying_line(flat, length / diameter)
     s = arc_length(line)
     # where the gripper is along it: before its first point, which fingers may hide, straight on
-    k = int(KDTree(line).query(np.zeros(2))[1])
-    ahead = (line[1] - line[0]) / s[1]
-    begin = s[k] if k > 0 else min(0.0, float(-line[0] @ ahead))
+    steps, gaps = np.diff(line, axis=0), np.diff(s)
+    share = np.clip(-np.sum(line[:-1] * steps, axis=1) / gaps**2, 0.0, 1.0)
+    k = int(np.linalg.norm(line[:-1] + share[:, None] * steps, axis=1).argmin())
+    begin = float(s[k] + share[k] * gaps[k]) or min(0.0, float(-line[0] @ steps[0] / gaps[0]))
     s = np.linspace(begin - behind, begin + length, 4 * LINE_PLACES)
     height = float(np.median(early[:, 2])) - diameter / 2.0
     if recording.table_height is not None:
@@ -386,17 +387,21 @@ def lying_line(points: Array, slenderness: float) -> Array:
         along[k] = along[before[k]] + steps[k, before[k]]
     share = 1.0 - along[KDTree(some).query(points)[1]] / along.max()
     count = min(len(points) / P.line_patch, P.line_cells * slenderness)
-    found = [_principal_curve(points, share, stiff) for stiff in P.smoothing]
+    found = [_principal_curve(points, share, P.smoothing[0], order=2)]
+    found += [_principal_curve(points, share, stiff) for stiff in P.smoothing]
     return min(found, key=lambda f: 2.0 * count * math.log(f[1]) + 2.0 * f[2])[0]
 
 
-def _principal_curve(points: Array, share: Array, stiff: float) -> tuple[Array, float, float]:
+def _principal_curve(
+    points: Array, share: Array, stiff: float, order: int = 3
+) -> tuple[Array, float, float]:
     """[K, 2] a penalised spline through points [n, 2], from their shares of its length [n] on; how
-    far from it they lie in the mean [m], and its degrees of freedom. The stiffest is a parabola."""
+    far from it they lie in the mean [m], and its degrees of freedom. The stiffest is a parabola, of
+    order 2 a straight line."""
     P = PlacingSettings
     knots = np.clip(np.arange(-3, P.spline + 4) / P.spline, -3.0 / P.spline, 1.0 + 3.0 / P.spline)
     even, kept = np.linspace(0.0, 1.0, LINE_PLACES), np.ones(len(points), dtype=bool)
-    rough = np.diff(np.eye(P.spline + 3), 3, axis=0)
+    rough = np.diff(np.eye(P.spline + 3), order, axis=0)
     line, off, free = points, share, 0.0
     for _ in range(P.line_rounds):
         basis = BSpline.design_matrix(share[kept], knots, 3).toarray()

@@ -269,6 +269,8 @@ def _step(
     """
     _renew(problem, [s for s in going if s.comparison is None or s.renew], noise, free)
     going = [s for s in going if not s.done]
+    if not going:
+        return
     proposed = [_propose(problem, s, noise, settings, free) for s in going]
     tried = iter(problem.compare([p.vector for row in proposed for p in row], derivatives=False))
     for s, row in zip(going, proposed, strict=True):
