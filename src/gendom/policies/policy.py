@@ -185,7 +185,7 @@ class Description:
         goals, G = self.goals, len(self.goal_names)
         at, sides = np.array(goals.at), (goals.low, goals.high)
         rows = [*goals.low, *goals.high]
-        ascend = len(at) > 0 and at[0] > 0.0 and (np.diff(at) > 0.0).all()
+        ascend = len(at) > 0 and at[0] > 0.0 and (np.diff(at) >= 0.0).all()
         shaped = all(len(side) == len(at) for side in sides) and all(len(r) == G for r in rows)
         known = set(self.conditioned_on) <= set(PARAMETERS)
         ordered = all(low <= high for low, high in self.parameters.values())

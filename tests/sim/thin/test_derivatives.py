@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.materials.parameters import OF_SHELLS
+from gendom.materials.parameters import OF_THIN
 from gendom.sim import Gripper, Physics, Rollout, Simulator, Solver, Table, cloth, rope
 from sim.thin.differences import check_derivative
 from validation.bench import flat_simulator
@@ -92,7 +92,7 @@ def simulator(body, p, **options):
         [
             Material(
                 **{name: float(p[name]) for name in ("E", "nu", "density", "damping")},
-                **{name: p[name] for name in OF_SHELLS if name in p},
+                **{name: p[name] for name in OF_THIN if name in p},
             )
         ],
         engine="thin",
