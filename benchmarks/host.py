@@ -44,7 +44,7 @@ def main():
     ThinEngine._advance = made_up
     # in batches as large as on a GPU
     demonstrations._count_together = lambda kind, shard_size, left, devices: shard_size
-    ThinEngine.each_group = lambda self, job: job(slice(0, self.num_worlds))
+    ThinEngine.each_group = lambda self, job, most=0: job(slice(0, self.num_worlds))
     source = Demonstrator(task=find_task(given.task)())
     with tempfile.TemporaryDirectory() as folder:
         for size in (64, given.size):  # the first one compiles

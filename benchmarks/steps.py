@@ -24,7 +24,7 @@ ROPE = Material(E=1e6, nu=0.35, density=800.0, damping=0.005)
 
 def main() -> None:
     """Print a row for each number of worlds: medians of rounds in turn."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--worlds", type=int, nargs="+", default=[1, 16, 64, 256])
     parser.add_argument("--rounds", type=int, default=5)
     flags = parser.parse_args()

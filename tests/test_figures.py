@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(
 @pytest.fixture
 def figures(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    import figures
+    import figures  # pyright: ignore[reportMissingImports]
 
     yield figures
     for name in ("figures", "stated"):
@@ -42,6 +42,7 @@ def test_pages_state_what_was_measured(figures, stored):
 def test_a_number_that_was_edited_is_found(figures, stored):
     text = figures.PAGES[1].read_text(encoding="utf-8")
     number = re.search(r"bending length \| (0\.\d+) m", text)
+    assert number is not None
     edited = text[: number.start(1)] + "0.999" + text[number.end(1) :]
     assert figures.made(edited, stored) == text != edited
 

@@ -56,6 +56,7 @@ def test_a_file_keeps_them(tmp_path, seen):
     seen.write(tmp_path / "lift.npz")
     again = Recording.read(tmp_path / "lift.npz")
     np.testing.assert_array_equal(again.seen_by, seen.seen_by)
-    assert again.head(3).seen_by is not None and len(again.head(3).seen_by) == seen.offsets[3]
+    few = again.head(3).seen_by
+    assert few is not None and len(few) == seen.offsets[3]
     with pytest.raises(RecordingError, match="seen_by: has 5 entries for"):
         replace(seen, seen_by=np.ones(5, dtype=np.uint8))

@@ -36,6 +36,7 @@ def test_a_hem_counts_by_its_area(scene, cloth_lift):
     area = 1.0 - (1.0 - 2.0 * HEM / side) ** 2
     assert hemmed.stiffness @ mean == pytest.approx(1.0 + 4.0 * area)
     assert hemmed.mass @ mean == pytest.approx(1.0)
+    assert hemmed.mass is not None
     middle = hemmed.mass.reshape(counts)[counts[0] // 2, counts[1] // 2]
     assert middle == pytest.approx(1.0 / (1.0 + area))
 

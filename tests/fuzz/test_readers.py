@@ -3,6 +3,7 @@
 import resource
 import shutil
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -94,7 +95,7 @@ def bag(folder, plugin):
         for k in range(4):
             at = store.types[stamp](sec=k, nanosec=0)
             header = made["Header"](stamp=at, frame_id="world")
-            fields = [
+            fields: Any = [
                 made["PointField"](name=axis, offset=4 * n, datatype=7, count=1)
                 for n, axis in enumerate("xyz")
             ]

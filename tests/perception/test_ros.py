@@ -8,6 +8,7 @@ import sys
 from contextlib import closing
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -336,7 +337,7 @@ def test_the_command(lifted, tmp_path, capsys):
 @pytest.mark.parametrize("height", [1, 4])
 @pytest.mark.parametrize("step", ["none", "whole"])
 def test_rows_whose_length_is_not_said(lifted, tmp_path, height, step):
-    rows = messages(lifted, height=height)
+    rows: Any = messages(lifted, height=height)
     for k, (topic, kind, message) in enumerate(rows):
         if topic == "/camera/points":
             data = message.data.reshape(height, -1)[:, :-4].ravel()
@@ -421,7 +422,7 @@ def pictures(form):
         **calibrated,
         **plain,
     )
-    rows = [
+    rows: list[Any] = [
         ("/tf_static", tf, made(tf, transforms=[transform(0, "world", "eye", [0, 0, 1.0], down)])),
         ("/camera/depth/camera_info", "sensor_msgs/msg/CameraInfo", info),
     ]
