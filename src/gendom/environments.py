@@ -1,9 +1,11 @@
-"""Names of Gymnasium environments; Gymnasium calls `register` itself, through an entry point.
+"""Gymnasium environments by name, registered when this module is imported, here by Gymnasium:
 
-Nothing is imported here, since every `import gymnasium` comes by.
+gymnasium.make_vec("gendom.environments:gendom/RopeReachingSteps-v0", num_envs=64)
 """
 
 from collections.abc import Iterable
+
+import gymnasium
 
 BUILT_IN = ("rope-reaching", "rope-casting", "rope-casting-at-speed", "cloth-spreading")
 """Tasks with environments by these names: ``gendom/RopeReaching-v0`` and so on carry out one action
@@ -12,8 +14,6 @@ in the MuJoCo test scene, ``gendom/RopeReachingSteps-v0`` are led step by step i
 
 def register(names: Iterable[str] = BUILT_IN) -> None:
     """Register the environments of tasks that have none yet."""
-    import gymnasium
-
     for name in names:
         title = "gendom/" + "".join(word.capitalize() for word in name.split("-"))
         if f"{title}-v0" not in gymnasium.registry:
@@ -29,3 +29,6 @@ def register(names: Iterable[str] = BUILT_IN) -> None:
                 kwargs={"task": name},
                 disable_env_checker=True,
             )
+
+
+register()

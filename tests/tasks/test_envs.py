@@ -8,13 +8,11 @@ pytest.importorskip("gymnasium", reason="needs the extra reality")
 import gymnasium
 from gymnasium.utils.env_checker import check_env
 
-from gendom.environments import register
 from gendom.errors import ParameterError
 from gendom.materials import size_of
 from gendom.tasks.envs import MARKERS, STEPS, StepsEnv, StepsVectorEnv
 
-register()
-W = 3
+W, MODULE = 3, "gendom.environments:"
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +23,7 @@ def envs():
 
 
 def _reaching():
-    made = gymnasium.make_vec("gendom/RopeReachingSteps-v0", num_envs=W, parameters=True)
+    made = gymnasium.make_vec(f"{MODULE}gendom/RopeReachingSteps-v0", num_envs=W, parameters=True)
     made.reset(seed=0)
     yield made
 
@@ -88,7 +86,7 @@ def test_gymnasium_finds_nothing_amiss(monkeypatch):
 
 def test_steps_before_a_reset_and_after_the_end_are_refused(monkeypatch):
     monkeypatch.setattr("gendom.tasks.envs.BANK", 2)
-    one = gymnasium.make("gendom/RopeCastingSteps-v0").unwrapped
+    one = gymnasium.make(f"{MODULE}gendom/RopeCastingSteps-v0").unwrapped
     with pytest.raises(ParameterError, match="call reset first"):
         one.step(np.zeros(2))
     one.reset(seed=0)

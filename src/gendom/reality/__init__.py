@@ -4,7 +4,6 @@ Tasks are Gymnasium environments in it, where that is installed: `gendom/RopeRea
 on, one for each, see `gendom.reality.envs`.
 """
 
-from gendom.environments import register
 from gendom.materials import AIR_DENSITY
 from gendom.reality.air import Air
 from gendom.reality.model import Layout, build_model, default_cameras, looking_at
@@ -61,9 +60,10 @@ __all__ = [
 def _register() -> None:
     """Add the environments of other packages' tasks."""
     try:
-        register(task_names())
+        from gendom.environments import register
     except ImportError:  # Gymnasium is not installed
         return
+    register(task_names())
 
 
 _register()

@@ -1,6 +1,6 @@
 """Tasks led step by step in our simulator, as Gymnasium environments, many worlds side by side.
 
-    envs = gymnasium.make_vec("gendom/RopeReachingSteps-v0", num_envs=64)
+    envs = gymnasium.make_vec("gendom.environments:gendom/RopeReachingSteps-v0", num_envs=64)
 
 ``RopeReachingSteps``, ``RopeCastingSteps``, ``RopeCastingAtSpeedSteps``, ``ClothSpreadingSteps``:
 each has the task's scene, time and outcome, in its frame. An episode takes `STEPS` steps; all
