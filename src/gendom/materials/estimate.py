@@ -558,7 +558,9 @@ class Estimate(Shown):
             ends = self.interval(name)
             if ends is not None:
                 remarks.append(f"{self.level:.0%} in [{ends[0]:{form}}, {ends[1]:{form}}]")
-            if record["identifiable"].get(name) is False:
+            if name == "thickness" and record["object"].get(self._small) is not None:
+                remarks.append("as stated")
+            elif record["identifiable"].get(name) is False:
                 remarks.append("not determined: mostly the prior")
             if name == "density" and record["density_assumed"]:
                 remarks.append("assumed: the mass is unknown")
