@@ -60,7 +60,8 @@ def verdict_banner(summary: EstimateSummary) -> str:
     names = {True: [], False: []}
     for key in _of_material():
         known = summary.determined(key)
-        if known is not None and summary.value(key) is not None:
+        measured = key == "thickness" and not known  # by a caliper, or assumed
+        if known is not None and summary.value(key) is not None and not measured:
             names[known].append(_NAMES.get(key) or UNKNOWNS[key].title)
     text = "The recording and the fit pass every check."
     if names[True]:
