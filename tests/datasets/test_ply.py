@@ -92,6 +92,15 @@ def test_list_among_the_vertex_properties(tmp_path):
     assert read_ply(path).dtype == np.float32
 
 
+@pytest.mark.parametrize(("name", "order"), [("little", "<"), ("big", ">")])
+def test_lengths_of_lists_have_the_order_of_the_file(tmp_path, name, order):
+    lines = [line.replace("uchar", "ushort") for line in LIST_IN_VERTEX]
+    data = struct.pack(f"{order}fHffff", 3, 2, 0.5, 0.5, 2, 1)
+    data += struct.pack(f"{order}fHff", 6, 0, 5, 4)
+    (tmp_path / "a.ply").write_bytes(header(f"binary_{name}_endian", *lines) + data)
+    np.testing.assert_array_equal(read_ply(tmp_path / "a.ply"), [[1, 2, 3], [4, 5, 6]])
+
+
 def test_long_ascii_numbers(tmp_path):
     """More digits than a double holds, in one of them."""
     data = b"1 2 3\n4 5 6" + b"0" * 40 + b"e-40"
