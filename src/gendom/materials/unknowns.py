@@ -263,7 +263,7 @@ UNKNOWNS: dict[str, Unknown] = {
         # after what moves the object in the fingers
         _unknown(
             "grip_turn", "grip turn", "rad", "how far a rope turns in soft fingers by its weight",
-            low=0.0, high=1.5, mean=0.0, sd=0.3, step=0.02, widest=0.2, kinds=("rope",),
+            low=0.0, high=1.5, mean=0.0, sd=0.15, step=0.02, widest=0.2, kinds=("rope",),
             least=0.0, on_replay=lambda world, value: world.soften_grip(value),
         ),
     )
