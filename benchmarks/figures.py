@@ -28,8 +28,9 @@ from typing import Any
 
 from stated import COUNTS, FIGURES, Figure
 
-from gendom.files import read_json, write_json
+from gendom.files import write_json
 from gendom.installation import version
+from gendom.reading import read_json
 
 ROOT = Path(__file__).resolve().parents[1]
 STORED = ROOT / "benchmarks" / "figures.json"

@@ -103,34 +103,13 @@ def draw_object(kind: str, seed: int) -> RealObject:
     if kind == "rope":
         length, density = between(0.25, 0.36), between(500.0, 1100.0)
         diameter, bends = length * between(0.035, 0.06), length * between(0.25, 0.7)
-        E = density * E_over_rho_of(bends, diameter / 4.0, STANDARD_GRAVITY)
-        return RealRope(
-            name=f"rope-{seed}",
-            length=length,
-            diameter=diameter,
-            material=Material(E=E, nu=nu, density=density, damping=damping),
-            friction=friction,
-            colour=(200, 40, 40),
-            # MuJoCo wants vertices farther apart than they are thick
-            vertices=min(18, int(0.95 * length / diameter)),
-        )
+        material = _bending_over(bends, diameter / 4.0, nu=nu, density=density, damping=damping)
+        return _rope(f"rope-{seed}", length, diameter, material, friction, most=18)
     side, thickness, density = between(0.2, 0.36), between(4e-4, 1.2e-3), between(300.0, 1100.0)
     bends = math.exp(between(math.log(0.014), math.log(0.05)))
     k = thickness / math.sqrt(12.0 * (1.0 - nu**2))
-    return RealCloth(
-        name=f"cloth-{seed}",
-        side=side,
-        thickness=thickness,
-        material=Material(
-            E=density * E_over_rho_of(bends, k, STANDARD_GRAVITY),
-            nu=nu,
-            density=density,
-            damping=damping,
-        ),
-        friction=friction,
-        colour=(40, 70, 190),
-        vertices=vertices_of(side, bends),
-    )
+    material = _bending_over(bends, k, nu=nu, density=density, damping=damping)
+    return _cloth(f"cloth-{seed}", side, thickness, material, friction, bends)
 
 
 def draw_widely(kind: str, seed: int) -> RealObject:
@@ -156,26 +135,45 @@ def draw_widely(kind: str, seed: int) -> RealObject:
         if kind == "thin":
             length = between(0.25, 0.6)
         bends = length * log_between(0.15, 0.8)
-        E = density * E_over_rho_of(bends, diameter / 4.0, STANDARD_GRAVITY)
+        material = _bending_over(bends, diameter / 4.0, nu=nu, density=density, damping=damping)
         most = 30 if kind == "thin" else 22
-        return RealRope(
-            name=f"{kind}-wide-{seed}",
-            length=length,
-            diameter=diameter,
-            material=Material(E=E, nu=nu, density=density, damping=damping),
-            friction=friction,
-            colour=(200, 40, 40),
-            vertices=min(most, int(0.95 * length / diameter)),
-        )
+        return _rope(f"{kind}-wide-{seed}", length, diameter, material, friction, most=most)
     side, thickness = between(0.16, 0.5), log_between(3e-4, 1.5e-3)
     density, bends = between(300.0, 1100.0), log_between(0.012, 0.07)
     k = thickness / math.sqrt(12.0 * (1.0 - nu**2))
+    material = _bending_over(bends, k, nu=nu, density=density, damping=damping)
+    return _cloth(f"cloth-wide-{seed}", side, thickness, material, friction, bends)
+
+
+def _bending_over(bends: float, k: float, *, density: float, **other: float) -> Material:
+    """The material of what has a bending length and a radius of gyration [m]."""
     E = density * E_over_rho_of(bends, k, STANDARD_GRAVITY)
+    return Material(E=E, density=density, **other)
+
+
+def _rope(
+    name: str, length: float, diameter: float, material: Material, friction: float, *, most: int
+) -> RealRope:
+    return RealRope(
+        name=name,
+        length=length,
+        diameter=diameter,
+        material=material,
+        friction=friction,
+        colour=(200, 40, 40),
+        # MuJoCo wants vertices farther apart than they are thick
+        vertices=min(most, int(0.95 * length / diameter)),
+    )
+
+
+def _cloth(
+    name: str, side: float, thickness: float, material: Material, friction: float, bends: float
+) -> RealCloth:
     return RealCloth(
-        name=f"cloth-wide-{seed}",
+        name=name,
         side=side,
         thickness=thickness,
-        material=Material(E=E, nu=nu, density=density, damping=damping),
+        material=material,
         friction=friction,
         colour=(40, 70, 190),
         vertices=vertices_of(side, bends),

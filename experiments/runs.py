@@ -18,7 +18,7 @@ from gendom.cli.outputs import columns, tell_written
 from gendom.datasets import Recording
 from gendom.datasets.demonstrations import generate
 from gendom.errors import GendomError, PolicyError
-from gendom.files import atomic_path, read_json, to_json, write_json
+from gendom.files import atomic_path, to_json, write_json
 from gendom.installation import version
 from gendom.materials import Item, to_columns
 from gendom.materials.estimate import Estimate
@@ -29,6 +29,7 @@ from gendom.policies.evaluation import Cases
 from gendom.policies.polishing import polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.progress import bar
+from gendom.reading import read_json
 from gendom.robot import LiftMotion, predefined_lift
 from gendom.robot.motions import LIFT_FRAME_RATE
 from gendom.tasks import Task

@@ -22,7 +22,8 @@ from experiments.runs import Result, Runs, Table
 from gendom.datasets import Recording
 from gendom.errors import GendomError
 from gendom.estimation import estimate
-from gendom.files import read_json, write_json
+from gendom.files import write_json
+from gendom.reading import read_json
 
 Array = NDArray[np.floating]
 

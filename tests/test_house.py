@@ -22,6 +22,7 @@ FLOORS = (
         "progress",
         "arguments",
         "files",
+        "reading",
     ),
     ("materials", "observation", "robot"),
     ("sim", "datasets"),

@@ -14,7 +14,7 @@ from gendom import cli
 from gendom.cli.estimate import Command
 from gendom.errors import RecordingError, SimulationError
 from gendom.estimation import METHODS, Estimate
-from gendom.files import read_json
+from gendom.reading import read_json
 
 QUICK = ("--starts", "1", "--points", "15")
 

@@ -18,7 +18,8 @@ from gendom.cli.view import find_recording
 from gendom.datasets import Recording
 from gendom.errors import DatasetError, GendomError, SimulationError
 from gendom.estimation import LiftScene, Theta, chamfers, replay
-from gendom.files import read_json, write_json
+from gendom.files import write_json
+from gendom.reading import read_json
 from gendom.viz.viewer.layers import MATERIAL, RING, MeshLayer
 from gendom.viz.viewer.models import CHAMFER, FRAMES, DatasetModel, RecordingModel
 

@@ -15,8 +15,9 @@ from gendom.estimation import (
     Theta,
     estimate,
 )
-from gendom.files import read_json, write_json
+from gendom.files import write_json
 from gendom.materials.posterior import prior_of
+from gendom.reading import read_json
 
 BASE = Theta(E_over_rho=700.0)
 

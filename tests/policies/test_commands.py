@@ -11,9 +11,10 @@ from gendom import cli
 from gendom.cli.act import predicted_text, result_text, units_of
 from gendom.cli.policies import made_by
 from gendom.datasets.demonstrations import generate
-from gendom.files import read_json, write_json
+from gendom.files import write_json
 from gendom.materials import size_of
 from gendom.policies import Policy
+from gendom.reading import read_json
 from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.task import Outcome

@@ -7,9 +7,10 @@ import pytest
 
 from gendom.datasets.demonstrations import generate
 from gendom.errors import DatasetError
-from gendom.files import read_json, write_json
+from gendom.files import write_json
 from gendom.materials import Rope, dimensionless_parameters
 from gendom.policies.demonstrations import Demonstrations
+from gendom.reading import read_json
 from gendom.tasks import RopeCasting, RopeReaching, Task
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.task import Outcome

@@ -11,8 +11,8 @@ import pytest
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
 from gendom.errors import DeviceError, GendomError, ParameterError, RobotError
-from gendom.files import read_json
 from gendom.perception import PerceptionSettings, perceive, read_cameras
+from gendom.reading import read_json
 from gendom.reality import (
     OBJECTS,
     DepthSensor,

@@ -14,9 +14,10 @@ from gendom.arguments import require
 from gendom.cli.arguments import TaskName
 from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import tell_written
-from gendom.files import check_file, read_json, to_json, write_json
+from gendom.files import check_file, to_json, write_json
 from gendom.materials.estimate_file import LEVEL
 from gendom.materials.unknowns import UNKNOWNS
+from gendom.reading import read_json
 from gendom.tasks import find_task
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from itertools import islice
 import numpy as np
 
 from gendom.errors import RecordingError
-from gendom.files import LARGEST_FILE, read_bytes
+from gendom.reading import LARGEST_FILE, read_bytes
 
 MAX_HEADER = 1 << 16
 """Longest header that is searched [bytes]."""

@@ -43,15 +43,9 @@ from gendom import __version__
 from gendom.arguments import require
 from gendom.datasets.cluster import on_cluster
 from gendom.errors import DatasetError, GendomError
-from gendom.files import (
-    atomic_path,
-    free_room,
-    read_bytes,
-    read_json,
-    record_of,
-    write_json,
-)
+from gendom.files import atomic_path, free_room, write_json
 from gendom.materials.names import current_name
+from gendom.reading import read_bytes, read_json, record_of
 
 FORMAT = "gendom-demonstrations/2"
 

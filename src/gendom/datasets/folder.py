@@ -22,7 +22,7 @@ from gendom.datasets.pcd import read_pcd
 from gendom.datasets.ply import read_ply
 from gendom.datasets.recording_form import joined
 from gendom.errors import RecordingError
-from gendom.files import read_number_table, read_toml
+from gendom.reading import read_number_table, read_toml
 
 _PARTS = re.compile(r"(\d+)")
 _DECIMAL = re.compile(r"((?:(?<![^\W_])-)?\d+(?:\.\d+)?(?:e[-+]\d{1,2}(?!\d))?)")

@@ -17,7 +17,7 @@ from gendom.arguments import require
 from gendom.datasets.cloud_fields import seen
 from gendom.datasets.recording_form import FORMAT, STORED_ARRAYS
 from gendom.errors import RecordingError
-from gendom.files import LARGEST_JSON, check_unpacked, file_size, parse_json
+from gendom.reading import LARGEST_JSON, check_unpacked, file_size, parse_json
 
 NAMES = ("points", "xyz")
 """Names of the cloud's array in files with several arrays."""

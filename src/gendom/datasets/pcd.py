@@ -27,7 +27,7 @@ from gendom.datasets.cloud_fields import (
     points_of_text,
     read_cloud,
 )
-from gendom.files import LARGEST_FILE
+from gendom.reading import LARGEST_FILE
 
 _SIZES = {"I": (1, 2, 4, 8), "U": (1, 2, 4, 8), "F": (4, 8)}
 _KEYS = ("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT")

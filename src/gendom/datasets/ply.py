@@ -21,7 +21,8 @@ from gendom.datasets.cloud_fields import (
     read_cloud,
 )
 from gendom.errors import RecordingError
-from gendom.files import LARGEST_FILE, atomic_path
+from gendom.files import atomic_path
+from gendom.reading import LARGEST_FILE
 
 _TYPES = {
     **{"char": "i1", "short": "i2", "int": "i4", "long": "i8", "float": "f4", "double": "f8"},

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, CubicSpline
 from scipy.optimize import minimize_scalar
-from scipy.sparse.csgraph import dijkstra, shortest_path
+from scipy.sparse.csgraph import shortest_path
 from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist, pdist, squareform
+from scipy.spatial.distance import cdist
 
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
@@ -309,8 +309,9 @@ def _line_between(
     else:
         # in the order of paths of short hops from the first hand on: a loop may hang beside it
         cloud = cloud[:: -(-len(cloud) // PlacingSettings.hops)]
-        hops = squareform(pdist(np.concatenate([grip[:1], cloud]), "sqeuclidean"))
-        cloud = cloud[np.argsort(dijkstra(hops, indices=0)[1:])]
+        begun = np.concatenate([grip[:1], cloud])
+        hops = cdist(begun, begun) ** 2
+        cloud = cloud[np.argsort(shortest_path(hops, indices=0)[1:])]
         bins = np.array_split(cloud, min(24, max(2, len(cloud) // 4)))
         cloud = np.array([grip[0], *(b.mean(axis=0) for b in bins), grip[1]])
         gaps = np.linalg.norm(np.diff(cloud, axis=0), axis=1)

@@ -19,12 +19,13 @@ import numpy as np
 
 from gendom.arguments import require
 from gendom.errors import GendomError, ParameterError
-from gendom.files import read_json, record_of, to_json
+from gendom.files import to_json
 from gendom.materials import catalogue
 from gendom.materials.names import with_current_names
 from gendom.materials.objects import KINDS
 from gendom.materials.posterior import Posterior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
+from gendom.reading import read_json, record_of
 
 FORMAT = "gendom-estimate/1"
 

@@ -13,8 +13,8 @@ from scipy.stats import norm
 
 from gendom.arguments import check_numbers, require
 from gendom.errors import ParameterError
-from gendom.files import record_of
 from gendom.materials.unknowns import UNKNOWNS, Theta, Unknown
+from gendom.reading import record_of
 
 Array = NDArray[np.floating]
 

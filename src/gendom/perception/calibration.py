@@ -27,9 +27,9 @@ from scipy.spatial.transform import Rotation
 from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.errors import GendomError, RecordingError
-from gendom.files import inside, read_rows, read_toml
 from gendom.perception.camera import Camera, rigid
 from gendom.perception.png import read_png
+from gendom.reading import inside, read_rows, read_toml
 
 MIN_PICTURES = 5
 MIN_TURN = 5.0

@@ -25,7 +25,8 @@ import numpy.typing as npt
 
 from gendom.arguments import require
 from gendom.errors import RecordingError
-from gendom.files import MOST_PIXELS, atomic_path, read_toml
+from gendom.files import atomic_path
+from gendom.reading import MOST_PIXELS, read_toml
 
 _DISTORTION_LENGTHS = (0, 4, 5, 8)
 _MAX_DISTANCE = 20.0  # [m]; a camera farther from the robot's base was given in millimetres

@@ -35,13 +35,13 @@ from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.datasets.folder import check_named, read_gripper, read_object
 from gendom.errors import RecordingError
-from gendom.files import inside, read_rows
 from gendom.perception.camera import Camera, read_camera, write_camera
 from gendom.perception.frames import CameraReader, Frame, FrameSource, Pictures, interpolate
 from gendom.perception.png import read_png
 from gendom.perception.realsense import RealSenseRecording
 from gendom.perception.robot import CapsulePath, cut_off, read_shape
 from gendom.plugins import plugins
+from gendom.reading import inside, read_rows
 
 _HEADER = "time,depth,colour"
 _ROUNDING = 1e-6  # [s]; files of different formats round the same time differently

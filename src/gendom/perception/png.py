@@ -11,7 +11,7 @@ from PIL import Image
 
 from gendom.arguments import require
 from gendom.errors import RecordingError
-from gendom.files import MOST_PIXELS, read_bytes
+from gendom.reading import MOST_PIXELS, read_bytes
 
 # Exceptions that Pillow raises for damaged PNG data.
 _PNG_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error)

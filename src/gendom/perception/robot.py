@@ -27,8 +27,8 @@ import numpy.typing as npt
 from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.errors import RecordingError, RobotError
-from gendom.files import read_rows
 from gendom.perception.frames import interpolate
+from gendom.reading import read_rows
 from gendom.robot import XARM7, Arm, JointStates, arm_shape, find_arm, read_joints
 
 FINGER_MARGIN = 0.003

@@ -30,7 +30,6 @@ from gendom.datasets.folder import read_object
 from gendom.datasets.npz import short
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
-from gendom.files import check_unpacked, file_size
 from gendom.perception.camera import Camera
 from gendom.perception.rosbag import (
     ANY_SIZE,
@@ -40,6 +39,7 @@ from gendom.perception.rosbag import (
     packed_picture,
     raw_picture,
 )
+from gendom.reading import check_unpacked, file_size
 
 Array = NDArray[np.float64]
 

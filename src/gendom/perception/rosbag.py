@@ -33,9 +33,9 @@ import numpy.typing as npt
 from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.errors import RecordingError
-from gendom.files import MOST_UNPACKED, file_size
 from gendom.perception.camera import Camera, rigid
 from gendom.perception.png import decode_png
+from gendom.reading import MOST_UNPACKED, file_size
 
 _SQLITE = b"SQLite format 3\0"
 ZSTD = b"\x28\xb5\x2f\xfd"

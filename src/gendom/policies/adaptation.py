@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from gendom.errors import ParameterError, SimulationError
-from gendom.files import record_of
 from gendom.materials import Item, size_of
 from gendom.materials.estimate import Estimate
 from gendom.policies.polishing import Discrepancy
 from gendom.policies.rollouts import Asking, Rollouts, side_by_side
+from gendom.reading import record_of
 from gendom.tasks import Task
 from gendom.tasks.task import World
 from gendom.tasks.world import Simulation

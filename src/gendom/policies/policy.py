@@ -27,10 +27,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import require
 from gendom.errors import ParameterError, PolicyError
-from gendom.files import parse_json, read_bytes, record_of
 from gendom.materials import PARAMETERS, Item, dimensionless_parameters
 from gendom.materials.names import current_name, with_current_names
 from gendom.policies.graph import LARGEST, check_graph
+from gendom.reading import parse_json, read_bytes, record_of
 from gendom.shown import Shown
 
 if TYPE_CHECKING:

@@ -25,8 +25,8 @@ from typing import Any
 
 from gendom.arguments import require
 from gendom.errors import ParameterError
-from gendom.files import read_toml
 from gendom.materials import ASSUMED, KINDS, Material, catalogue
+from gendom.reading import read_toml
 from gendom.reality.objects import OBJECTS, PLAIN, RealCloth, RealObject, RealRope, vertices_of
 
 DEFAULTS = {name: ASSUMED[name] for name in ("damping", "friction")}

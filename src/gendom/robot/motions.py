@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from gendom.arguments import require
 from gendom.errors import RobotError
-from gendom.files import read_json, record_of
+from gendom.reading import read_json, record_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
 
 LIFT_ENDS = ("hold", "swing", "drop")

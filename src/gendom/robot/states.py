@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.errors import RobotError
-from gendom.files import read_number_table
+from gendom.reading import read_number_table
 from gendom.robot.arm import Arm
 
 

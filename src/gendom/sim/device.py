@@ -20,7 +20,8 @@ import warp as wp
 
 from gendom.arguments import check_type
 from gendom.errors import DeviceError, GendomError
-from gendom.files import check_folder, read_json, write_json
+from gendom.files import check_folder, write_json
+from gendom.reading import read_json
 
 making = threading.RLock()
 """Lock for making a simulator and its kernels: Warp compiles in one thread at a time."""

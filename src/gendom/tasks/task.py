@@ -23,9 +23,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import check_choice, require
 from gendom.errors import ParameterError
-from gendom.files import record_of
 from gendom.materials import QUANTITIES, Item, Material, Rope, from_columns, to_columns, unit_of
 from gendom.materials.names import with_current_names
+from gendom.reading import record_of
 from gendom.robot.path import TcpPath
 
 Array = NDArray[np.float64]

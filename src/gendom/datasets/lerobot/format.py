@@ -28,7 +28,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from gendom.datasets.demonstrations import write_parquet
-from gendom.files import atomic_folder, file_size, to_json
+from gendom.files import atomic_folder, to_json
+from gendom.reading import file_size
 
 VERSION = "v3.0"
 STATE, ACTION = "observation.state", "action"

@@ -40,7 +40,7 @@ from gendom.datasets.lerobot.format import (
 from gendom.datasets.npz import short
 from gendom.datasets.recording_form import RecordingData
 from gendom.errors import RecordingError
-from gendom.files import check_unpacked, file_size, read_bytes, read_json
+from gendom.reading import check_unpacked, file_size, read_bytes, read_json
 
 POINTS, NUM_POINTS, TIME = "observation.points", "observation.num_points", "observation.time"
 _DATA = Path("data/chunk-000/file-000.parquet")

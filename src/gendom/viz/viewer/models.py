@@ -15,8 +15,8 @@ from gendom.datasets import Recording
 from gendom.errors import DatasetError, RobotError, SimulationError
 from gendom.estimation import UNKNOWNS, LiftScene, Theta, chamfers, replay
 from gendom.estimation.replay import lattice, middle
-from gendom.files import record_of
 from gendom.materials import PARAMETERS, Item, from_columns, size_of, thickness_of, to_columns
+from gendom.reading import record_of
 from gendom.robot import ARMS, DOWN, XARM7, JointMotion, TcpPath, follow, inverse_kinematics
 from gendom.tasks import Observed, Task, rebuild
 from gendom.tasks.world import Simulation

@@ -1,0 +1,374 @@
+"""JSON, TOML and CSV tables of others, those included that an interrupted program left.
+
+What is read is bounded before memory is taken: only regular files, of sizes up to those below; text
+that is nested `DEEPEST` times at most, with integers of 64 bits.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+import json
+import math
+import os
+import stat
+import tomllib
+from collections.abc import Callable, Sequence
+from pathlib import Path, PureWindowsPath
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.arguments import require
+from gendom.errors import GendomError, RecordingError
+
+Record = TypeVar("Record")
+
+LARGEST_FILE = 1 << 28
+"""Of a file that is read whole, and of what compressed data unpacks to [bytes]."""
+
+MOST_UNPACKED = 64
+"""How many times their size large compressed data may unpack to."""
+
+LARGEST_CSV, LARGEST_JSON, LARGEST_TOML = 1 << 24, 1 << 23, 1 << 16
+"""Of files of text [bytes]: numbers as text take twenty times their size in memory."""
+
+MOST_PIXELS = 1 << 24
+"""Of a picture: four times those of the largest depth cameras."""
+
+DEEPEST = 64
+"""How deep lists and tables may be nested."""
+
+MOST_DOTS = 256
+"""In a line of TOML: reading a key of so many parts takes a time that grows with their cube."""
+
+
+def file_size(
+    path: str | os.PathLike,
+    error: type[GendomError] = GendomError,
+    *,
+    most: int = LARGEST_FILE,
+    missing: str = "no such file",
+    fix: str = "check the path",
+) -> int:
+    """Size of a regular file [bytes]; it is not opened, as pipes and devices would wait or never
+    end.
+
+    Args:
+        path: Named by a person.
+        error: Raised for every fault.
+        most: Largest size that may be read [bytes].
+        missing: What is wrong when there is no such file.
+        fix: What to do then.
+
+    Raises:
+        GendomError: As `error`: the file is missing, no regular one, or too large.
+    """
+    try:
+        found = os.stat(path)
+    except FileNotFoundError:
+        raise error(missing, where=str(path), fix=fix) from None
+    except (OSError, ValueError) as fault:  # ValueError: a zero byte in the name
+        what = f"cannot be read ({getattr(fault, 'strerror', fault)})"
+        raise error(what, where=str(path), fix="check the path") from None
+    what = "is a folder" if stat.S_ISDIR(found.st_mode) else "is a pipe or device, not a file"
+    regular = stat.S_ISREG(found.st_mode)
+    require(regular, what, where=str(path), fix="name a file", error=error)
+    what = f"has {found.st_size} bytes, at most {most} are read"
+    fits = found.st_size <= most
+    require(fits, what, where=str(path), fix="check that it is the right file", error=error)
+    return found.st_size
+
+
+def read_bytes(
+    path: str | os.PathLike, error: type[GendomError] = GendomError, **bounds: Any
+) -> bytes:
+    """All of a file.
+
+    Args:
+        path: Named by a person.
+        error: Raised for every fault.
+        bounds: `most`, `missing` and `fix` of `file_size`.
+
+    Raises:
+        GendomError: As `error`: the file is missing, no regular one, too large or cannot be read.
+    """
+    size = file_size(path, error, **bounds)
+    try:
+        with open(path, "rb") as file:
+            return file.read(size)
+    except OSError as fault:
+        raise error(
+            f"cannot be read ({fault.strerror})", where=str(path), fix="check the file"
+        ) from None
+
+
+def check_unpacked(
+    size: int, packed: int, where: str, error: type[GendomError] = GendomError
+) -> None:
+    """Refuse compressed data that unpack to more than `LARGEST_FILE` and `MOST_UNPACKED` times
+    their size [bytes]; real arrays and pictures shrink less.
+
+    Raises:
+        GendomError: As `error`: they do.
+    """
+    most = max(LARGEST_FILE, MOST_UNPACKED * packed)
+    what = f"unpacks to {size} bytes or more, at most {most} are read"
+    fix = "check where it comes from"
+    require(size <= most, what, where=where, fix=fix, error=error)
+
+
+def inside(
+    folder: str | os.PathLike, name: str, *, where: str, error: type[GendomError] = RecordingError
+) -> Path:
+    """The path of a file that another file names, in its folder.
+
+    Args:
+        folder: The file's folder.
+        name: Relative to that, with / or, as Windows writes them, backslashes.
+        where: What messages call the place of the name.
+        error: Raised for every fault.
+
+    Raises:
+        GendomError: As `error`: the name leads out of the folder.
+    """
+    parts = PureWindowsPath(name)
+    stays = not parts.anchor and ".." not in parts.parts and "\0" not in name
+    fix = "name files below that folder"
+    require(stays, f"{name!r} is not in {folder}", where=where, fix=fix, error=error)
+    return Path(folder, *parts.parts)
+
+
+def decoded(data: bytes, errors: str = "strict") -> str:
+    """Text of bytes: UTF-8, or UTF-16 after its byte order mark.
+
+    Raises:
+        UnicodeDecodeError: They are neither, and `errors` is "strict".
+    """
+    wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return data.decode("utf-16" if wide else "utf-8-sig", errors)
+
+
+def read_json(path: str | os.PathLike, error: type[GendomError] = GendomError) -> dict[str, Any]:
+    """The JSON object in `path`.
+
+    Raises:
+        GendomError: As `error`: the file is missing, unreadable, no JSON, or no object; or as
+            `parse_json`.
+    """
+    return parse_json(read_bytes(path, error, most=LARGEST_JSON), str(path), error)
+
+
+def parse_json(
+    content: bytes | str, where: str, error: type[GendomError] = GendomError
+) -> dict[str, Any]:
+    """The object that JSON text holds.
+
+    Args:
+        content: The text.
+        where: What messages call it.
+        error: Raised for every fault.
+
+    Raises:
+        GendomError: As `error`: it is no JSON or no object, is nested too deep, or has a number
+            that is too large.
+    """
+    try:
+        text = decoded(content) if isinstance(content, bytes) else content
+        value = json.loads(text, parse_constant=_refuse_constant)
+        if not isinstance(value, dict):
+            raise error(
+                f"holds a JSON {type(value).__name__}, not an object",
+                where=where,
+                fix="check that it is the right file",
+            )
+        _check_tree(value, finite=True)
+    except json.JSONDecodeError as fault:
+        what = f"is not JSON ({fault.msg} in line {fault.lineno})"
+        raise error(what, where=where, fix="write the file again") from None
+    except (ValueError, RecursionError) as fault:  # not UTF-8, NaN, or `_check_tree`
+        what = f"is not JSON ({fault})"
+        raise error(what, where=where, fix="write the file again") from None
+    return value
+
+
+def record_of(
+    kind: type[Record], value: Any, *, where: str, fix: str, error: type[GendomError] = GendomError
+) -> Record:
+    """A dataclass of what JSON holds: each of its fields has the type that it says, those without a
+    default are there, and what else is there is left out.
+
+    Args:
+        kind: The dataclass.
+        value: What was read.
+        where: What messages call it.
+        fix: What to do about a fault.
+        error: Raised for every fault.
+
+    Raises:
+        GendomError: As `error`, with the place of the first fault; or what the class raises.
+    """
+    import msgspec
+
+    try:
+        return msgspec.convert(value, kind)
+    except (msgspec.ValidationError, RecursionError) as fault:
+        what, _, place = str(fault).replace("`", "").partition(" - at $")
+        place = f"{where}: {place.lstrip('.')}" if place else where
+        raise error(f"{what[0].lower()}{what[1:]}", where=place, fix=fix) from None
+
+
+def read_toml(
+    path: str | os.PathLike, *, error: type[GendomError] = GendomError, **bounds: Any
+) -> dict[str, Any]:
+    """The TOML table in `path`.
+
+    Args:
+        path: The file.
+        error: Raised for every fault.
+        bounds: `missing` and `fix` of `file_size`.
+
+    Raises:
+        GendomError: As `error`: the file is missing, unreadable or no TOML, is nested too deep, or
+            has an integer that is too large.
+    """
+    content = read_bytes(path, error, most=LARGEST_TOML, **bounds)
+    try:
+        text = decoded(content)
+        if max(line.count(".") for line in text.split("\n")) > MOST_DOTS:
+            raise ValueError(f"a line with more than {MOST_DOTS} dots")
+        value = tomllib.loads(text)
+        _check_tree(value)
+        return value
+    except (ValueError, RecursionError) as fault:
+        raise error(f"is not TOML ({fault})", where=str(path), fix="mend that line") from None
+
+
+def _check_tree(value: Any, *, finite: bool = False) -> None:
+    """Check what is nested in lists and tables.
+
+    Raises:
+        ValueError: It is so too deep, holds an integer that no 64 bits hold or, with `finite`, a
+            number that overflowed.
+    """
+    level = [value]
+    for _ in range(DEEPEST):
+        level = [
+            inner
+            for outer in level
+            for inner in (outer.values() if isinstance(outer, dict) else outer)
+            if not isinstance(inner, str)
+        ]
+        for number in level:
+            if isinstance(number, int) and not -(1 << 63) <= number < 1 << 63:
+                raise ValueError(f"an integer of {number.bit_length()} bits")
+            if finite and isinstance(number, float) and not math.isfinite(number):
+                raise ValueError("a number beyond 1e308")
+        level = [inner for inner in level if isinstance(inner, (dict, list))]
+        if not level:
+            return
+    raise ValueError(f"it is nested more than {DEEPEST} times")
+
+
+def read_rows(
+    path: str | os.PathLike,
+    *,
+    header: str,
+    damaged: bool = False,
+    error: type[GendomError] = RecordingError,
+) -> list[tuple[int, list[str]]]:
+    """Number and values of each line of a CSV file that is not empty, without blanks around values.
+
+    Args:
+        path: The file.
+        header: What its first line should be, for messages.
+        damaged: Whether bytes that are no UTF-8 are replaced in place of refused.
+        error: Raised for every fault.
+
+    Raises:
+        GendomError: As `error`: the file is missing, too large, empty or no CSV.
+    """
+    fix = f"write one row a frame under {header}"
+    content = read_bytes(path, error, most=LARGEST_CSV, fix=fix)
+    try:
+        text = decoded(content, "replace" if damaged else "strict")
+        reader = csv.reader(io.StringIO(text, newline=""))
+        lines = [(reader.line_num, [text.strip() for text in row]) for row in reader if row]
+    except (UnicodeDecodeError, csv.Error) as fault:
+        raise error(f"is not CSV ({fault})", where=str(path), fix="save it as CSV") from None
+    if not lines:
+        raise error("is empty", where=str(path), fix=f"write the header {header}")
+    return lines
+
+
+def read_number_table(
+    path: str | os.PathLike,
+    *,
+    header: str,
+    check_header: Callable[[list[str]], Any],
+    on_cut: Callable[[int], None] | None = None,
+    error: type[GendomError] = RecordingError,
+) -> tuple[list[str], NDArray[np.float64], list[int]]:
+    """Read a CSV file of numbers under a header.
+
+    Args:
+        path: The file.
+        header: What its first line should be, for messages.
+        check_header: Called with the names of the columns; raises an error for wrong ones.
+        on_cut: Called with the number of the last line if it is incomplete because the recording
+            was interrupted. The line is then skipped; None: an incomplete line is an error.
+        error: Raised for every fault.
+
+    Returns:
+        Names of the C columns, numbers [N, C], and the N lines' numbers in the file.
+
+    Raises:
+        GendomError: As `error`: the file cannot be read, holds no rows, or a row is malformed.
+    """
+    (_, names), *lines = read_rows(path, header=header, error=error)
+    if not lines:
+        raise error("holds a header and no rows", where=str(path), fix="write one row a frame")
+    check_header(names)
+    whole = Path(path).read_bytes().endswith((b"\n", b"\r"))
+    number, last = lines[-1]
+    if on_cut is not None and not whole and len(lines) > 1 and _is_cut(last, len(names)):
+        on_cut(number)
+        del lines[-1]
+    try:
+        table = np.array([row for _, row in lines], dtype=np.float64)
+        if table.shape[1] != len(names):
+            raise ValueError
+    except ValueError:
+        for number, row in lines:
+            _check_row(names, row, f"{path}, line {number}", error)
+        raise
+    return names, table, [number for number, _ in lines]
+
+
+def _check_row(names: list[str], row: list[str], where: str, error: type[GendomError]) -> None:
+    """Refuse a row that does not give one number a column."""
+    what = f"{len(row)} values under {len(names)} column names"
+    require(len(row) == len(names), what, where=where, fix="give one value a column", error=error)
+    for name, text in zip(names, row, strict=True):
+        try:
+            float(text)
+        except ValueError:
+            where, fix = f"{where}, column {name}", "give seconds and metres"
+            raise error(f"{text[:60]!r} is no number", where=where, fix=fix) from None
+
+
+def _is_cut(row: Sequence[str], width: int) -> bool:
+    """Whether a row of `width` numbers ends too early, as where its writer was interrupted."""
+    if len(row) != width:
+        return len(row) < width
+    try:
+        float(row[-1])
+    except ValueError:
+        return True
+    return False
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is not a JSON number")
