@@ -50,6 +50,16 @@ def test_a_smooth_line_is_followed_by_its_arc_length(kind):
     assert arc_length(found)[-1] == pytest.approx(LENGTH * 388 / 400, abs=0.012)
 
 
+def test_a_straight_rope_is_seldom_an_arc_of_its_noise():
+    straight, sag = np.linspace([0.0, 0.0], [LENGTH, 0.0], 400), []
+    for seed in range(5):
+        found = lying_line(seen_along(straight, 0.002, np.random.default_rng(seed)), 50.0)
+        chord = found[-1] - found[0]
+        across = (found - found[0]) @ [-chord[1], chord[0]] / np.linalg.norm(chord)
+        sag.append(np.ptp(across))
+    assert np.median(sag) < 5e-5
+
+
 def lifted_from(rope_lift, line, **truth) -> Recording:
     """The lift of the shared fixture, of a rope that lies along a line [k, 2]."""
     radius = rope_lift.object.diameter / 2.0

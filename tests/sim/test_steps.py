@@ -1,5 +1,7 @@
 """Steps of a simulation whose grippers are under control."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -75,6 +77,9 @@ def test_grippers_open_and_close_again_in_each_world():
     moved = worlds.positions()[:, 0] - at[:, 0]
     assert moved[0, 2] < -1e-4
     assert np.abs(moved[1]).max() < 1e-9
+    at = worlds.positions()[:, 0]
+    worlds.step(0.01, Targets(position=[END], closed=[[True], [True]]))
+    np.testing.assert_allclose(worlds.positions()[:, 0], at, atol=1e-9)
 
 
 def test_what_is_let_go_flies_on_with_the_hand():
@@ -85,21 +90,25 @@ def test_what_is_let_go_flies_on_with_the_hand():
     assert thrown.velocities()[0, 0, 2] > 0.8
 
 
-def test_a_gripper_that_stood_lets_go_at_rest():
-    stood = simulator(still())
-    stood.step(0.01, Targets(position=[above(0.01)]))
-    stood.step(0.3, Targets(position=[above(0.01)]))
-    before = stood.velocities()
-    stood.step(1e-4, Targets(position=[above(0.01)], closed=[False]))
-    np.testing.assert_allclose(stood.velocities()[0, 0], before[0, 0], atol=0.1)
+@pytest.mark.parametrize("axis", [(0.0, 0.0, 0.0), (0.0, 1.0, 0.0)])
+def test_a_gripper_that_stood_lets_go_at_rest(axis):
+    """Whatever speed it came with, moving or turning."""
+    stood, turned = simulator(still()), Rotation.from_rotvec(0.2 * np.array(axis)).as_quat()
+    there = Targets(position=[above(0.01)], quat_xyzw=[turned])
+    stood.step(0.01, there)
+    stood.step(0.3)
+    stood.step(1e-5, replace(there, closed=[False]))
+    assert np.abs(stood.velocities()[0, :2]).max() < 0.05
 
 
 def test_hands_that_pull_a_rope_apart_are_found():
-    both = simulator(still(), still(ROPE.points[-1]))
-    apart = Targets(position=[END, ROPE.points[-1] + [0.2, 0, 0]])
-    with pytest.raises(SimulationError, match="apart"):
-        for _ in range(20):
-            both.step(0.01, apart)
+    """In the step in which they do, by the time at which they would be too far apart."""
+    both, last = simulator(still(), still(ROPE.points[-1])), ROPE.points[-1]
+    both.step(0.01, Targets(position=[END, last]))
+    with pytest.raises(SimulationError, match="apart") as raised:
+        both.step(0.01, Targets(position=[END, last + np.array([0.2, 0.0, 0.0])]))
+    assert raised.value.time is not None and 0.01 < raised.value.time < 0.02
+    assert "grippers 0 and 1" in str(raised.value)
 
 
 @pytest.mark.parametrize(

@@ -54,6 +54,8 @@ def test_a_tool_that_goes_back_and_lets_go_swings_the_tip(envs):
     assert np.all((reward > -2.0) & (reward <= 0.0))
     L, goal = size_of(StepsVectorEnv("rope-reaching").task.item), seen[0][:, -6]
     np.testing.assert_allclose(-reward, np.abs(info["reached"][:, 0] / L - goal), atol=1e-4)
+    holds = 6 * MARKERS + 3
+    assert np.all(seen[:21, :, holds] == 1.0) and not seen[21:, :, holds].any()
     tip = slice(3 * (MARKERS - 1), 3 * MARKERS)
     assert np.all(np.ptp(seen[:, :, tip], axis=0)[:, 0] > 0.3)
     assert np.all(np.ptp(rest[:, :, tip], axis=0)[:, 0] < 0.02)
