@@ -14,11 +14,11 @@ import numpy.typing as npt
 from gendom.materials.unknowns import UNKNOWNS
 from gendom.viz.charts import Axis, Entry, Plot
 from gendom.viz.report.markup import Section, cell, chart_figure, escaped, folded, number, table
-from gendom.viz.report.summary import SHOWN_UNITS, EstimateSummary, pascal_unit, with_minus
+from gendom.viz.report.summary import SHOWN_UNITS, EstimateSummary, with_minus
 
 # What people call some unknowns here; others go by the registry.
 _TITLES = {
-    "E_over_rho": "Young's modulus",
+    "E_over_rho": "Specific modulus E / ρ",
     "friction": "Friction on the table",
     "stiffness_slope": "d ln E / d(s / L)",
     "thickness": "Thickness over the stated one",
@@ -109,13 +109,6 @@ def _figure(summary: EstimateSummary, marginal: Marginal, name: str, of_which: s
     title = _TITLES.get(name, _name_of(name).capitalize()) + of_which
     factor, unit = SHOWN_UNITS.get(_unit_of(name), (1.0, _unit_of(name)))
     true = summary.true("" if name == "thickness" else name)
-    density = summary.value("density")
-    if name == "E_over_rho" and density is not None:
-        factor, unit = pascal_unit(summary.values["E"])
-        true = None if (E := summary.true("E")) is None else E / density
-        factor *= density
-    elif name == "E_over_rho":
-        title = "Specific modulus E / ρ"
     plots = _charts(marginal, factor, true, f"{title} [{unit}]" if unit else title)
     times = marginal.narrowed
     if times < 1.25:
