@@ -1,0 +1,149 @@
+"""The contracts of a robot and of a depth camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gendom.errors import DeviceError, did_you_mean
+from gendom.perception import FrameSource
+from gendom.plugins import plugins
+from gendom.robot import Arm, JointMotion
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobotState:
+    """What a robot last reported."""
+
+    time: float
+    """When the report arrived, on the clock of `time.monotonic` [s]."""
+    q: NDArray[np.float64]
+    """[J] measured joint angles [rad]."""
+    opening: float | None = None
+    """Measured distance of the fingers' inner faces [m]; None: not reported."""
+    moving: bool = False
+    fault: str | None = None
+    """What is wrong and what a person has to do; None: nothing."""
+
+    def age(self, now: float) -> float:
+        """Seconds since the report, at a time `now` of `time.monotonic`."""
+        return now - self.time
+
+
+@runtime_checkable
+class Robot(Protocol):
+    """An arm with a gripper. All methods but `state` block until what they ask for is done.
+
+    After a fault every method but `state`, `stop` and `disconnect` raises until the robot is
+    connected again.
+    """
+
+    arm: Arm
+
+    def connect(self) -> None:
+        """Raises: `DeviceError` where there is no robot, or it has a fault."""
+
+    def state(self) -> RobotState: ...
+
+    def approach(self, q: ArrayLike) -> None:
+        """Move slowly, point to point, to joint angles [J] [rad]."""
+
+    def play(self, motion: JointMotion, *, on_tick: Callable[[Tick], None] | None = None) -> None:
+        """Follow a motion in real time, its gripper events included.
+
+        Raises:
+            DeviceError: The arm is not at the motion's start, or a fault stopped it: the message
+                says which, and what to do.
+        """
+
+    def gripper(self, opening: float) -> None:
+        """Move the fingers' inner faces to a distance [m] or until they hold something."""
+
+    def stop(self) -> None:
+        """Brake along the path and hold. May be called from another thread."""
+
+    def disconnect(self) -> None: ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tick:
+    """One row of an execution's log."""
+
+    time: float
+    """Since the motion's start [s]."""
+    command: NDArray[np.float64]
+    """[J] [rad]."""
+    measured: NDArray[np.float64]
+    """[J] [rad]."""
+    age: float
+    """Of the report that `measured` comes from [s]."""
+    opening: float | None = None
+    """[m]."""
+
+
+@runtime_checkable
+class DepthCamera(FrameSource, Protocol):
+    """A live depth camera; iterating gives frames while it is connected."""
+
+    def connect(self) -> None:
+        """Raises: `DeviceError` where there is no such camera, or it does not stream."""
+
+    def start_recording(self, folder: Path) -> None:
+        """Write all pictures into a folder, as `gendom.perception.read_camera` reads it."""
+
+    def stop_recording(self) -> tuple[int, int]:
+        """Pictures written, and pictures that the device numbered but that never came."""
+        ...
+
+    def disconnect(self) -> None: ...
+
+
+ROBOTS = {
+    "xarm7": "gendom.hardware.xarm7:XArm7",
+    "fr3": "gendom.hardware.franky:FrankaFR3",
+    "simulated": "gendom.hardware.simulated:SimulatedRobot",
+}
+"""Robots by their names: what constructs one from the cell that it stands in."""
+
+DEPTH_CAMERAS = {
+    "realsense": "gendom.hardware.realsense:RealSenseCamera",
+    "simulated": "gendom.hardware.simulated:SimulatedCamera",
+    "replay": "gendom.hardware.replay:ReplayedCamera",
+}
+"""Depth cameras likewise."""
+
+
+def find_robot(name: str) -> Any:
+    """The class of a robot: one of `ROBOTS`, or of an entry point ``gendom.robots``.
+
+    Raises:
+        DeviceError: There is none.
+    """
+    return _find("robot", name, ROBOTS, plugins("robots"))
+
+
+def find_depth_camera(name: str) -> Any:
+    """The class of a depth camera: one of `DEPTH_CAMERAS`, or of an entry point
+    ``gendom.depth_cameras``.
+
+    Raises:
+        DeviceError: There is none.
+    """
+    return _find("depth camera", name, DEPTH_CAMERAS, plugins("depth_cameras"))
+
+
+def _find(kind: str, name: str, own: dict[str, str], others: dict[str, Any]) -> Any:
+    if name in others:
+        return others[name]
+    if name not in own:
+        names = [*own, *others]
+        fix = did_you_mean(name, names) or f"have {', '.join(names)}"
+        raise DeviceError(f"there is no {kind} {name!r}", fix=fix)
+    module, _, attribute = own[name].partition(":")
+    return getattr(import_module(module), attribute)
