@@ -13,7 +13,7 @@ import warp as wp
 
 from gendom.sim.mpm.block import bounds, make_block, put_near
 from gendom.sim.mpm.boundary import make_boundary, make_grips
-from gendom.sim.mpm.elasticity import make_maxwell_branch
+from gendom.sim.mpm.internal_forces import make_maxwell_branch
 from gendom.sim.mpm.grid import MARGIN, make_rebuild
 from gendom.sim.mpm.gripped import AHEAD, make_gripped, make_poses
 from gendom.sim.mpm.native import MODULE_OPTIONS

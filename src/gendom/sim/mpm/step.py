@@ -1,6 +1,6 @@
 """The substep of the material point method, forward and transposed: the algorithm at a glance.
 
-    1. forces          impulses between particles, damping, air      (internal_forces, elasticity)
+    1. forces          impulses between particles, damping, air      (internal_forces)
     2. touch           the table changes velocities                  (boundary)
     3. p2g             mass and momentum of particles to the grid    (transfer)
     4. normalise       velocity of a node = momentum / mass          (transfer)
@@ -21,9 +21,8 @@ import warp as wp
 
 from gendom.sim.mpm.block import make_block
 from gendom.sim.mpm.boundary import FOLLOWS, make_boundary
-from gendom.sim.mpm.elasticity import make_maxwell_branch
 from gendom.sim.mpm.gripped import make_gripped
-from gendom.sim.mpm.internal_forces import make_internal_forces
+from gendom.sim.mpm.internal_forces import make_internal_forces, make_maxwell_branch
 from gendom.sim.mpm.particles import MASS, Variant, make_adjoint, make_moving, make_taped
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
 from gendom.sim.mpm.types import make_types

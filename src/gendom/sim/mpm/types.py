@@ -48,8 +48,7 @@ def make_types(real: Any) -> Namespace:
         grip_stiffness: real  # see ``boundary.STIFFNESS``
         contact_radius: real  # height of a section's centre above the table at rest [m]
         lattice: wp.array3d(dtype=wp.int32)  # [N, 3, 2]
-        rest_frame: wp.array(dtype=mat33)  # [N] [1/m]
-        frame: wp.array2d(dtype=real)  # [6, N] its upper triangle but for a rotation
+        frame: wp.array2d(dtype=real)  # [6, N] rest frame's upper triangle but for a rotation [1/m]
         per_span: wp.array2d(dtype=real)  # [2, N] 1 / spacings between neighbours along two axes
         dx: real  # edge of a cell of the grid [m]
         gravity: wp.array(dtype=vec3)  # [W] [m/s^2]
