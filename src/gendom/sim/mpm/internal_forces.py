@@ -142,7 +142,7 @@ def make_internal_forces(variant: Variant) -> Namespace:
     @wp.func
     def impulse_on_adjoint(now: Substep, i: int, model: Model, adjoint: Adjoint):
         """Derivatives by x, through all differences, and by v, through the air."""
-        return -pulled(now.w, i, model, adjoint), wind_bar(now.w, i, adjoint)
+        return -pulled(now.w, i, model, adjoint), wind_bar(adjoint, now.w, i)
 
     return Namespace(forces, impulse_on, forces_adjoint, impulse_on_adjoint)
 
@@ -164,7 +164,7 @@ def _pulled(variant: Variant) -> tuple[Any, Any]:
             return pulled_row(w, i, model.lattice, stored.impulses)
 
         @wp.func
-        def wind_bar(w: int, i: int, adjoint: Any):
+        def wind_bar(adjoint: Any, w: int, i: int):
             own = adjoint.impulses[w, i]
             return vec3(own[0, 3], own[1, 3], own[2, 3])
 

@@ -40,7 +40,7 @@ def make_types(real: Any) -> Namespace:
         lam: wp.array2d(dtype=real)  # [W, N] [Pa]
         mass: wp.array(dtype=real)  # [W] of a particle [kg]
         damping: wp.array(dtype=real)  # [W] viscous over elastic stress in slow motion [s]
-        drag: wp.array(dtype=real)  # [W] see ``elasticity``; 0: no air
+        drag: wp.array(dtype=real)  # [W] see ``internal_forces``; 0: no air
         volume: real  # of a particle [m^3]
         sheet: int  # 1: a cloth, 0: a rope
         section: int  # particles that share a cross-section; they follow each other
@@ -72,7 +72,7 @@ def make_types(real: Any) -> Namespace:
         dx: real
         inv_dx: real
         keep_velocity: real  # share of velocity that damping leaves
-        keep: real  # what the Maxwell branch keeps of Z, see ``elasticity``
+        keep: real  # what the Maxwell branch keeps of Z, see ``internal_forces``
         share: real  # and its g
         layout: int  # of the grid
         slot: int  # row of the grid's momentum, and of the tape
@@ -192,7 +192,7 @@ def make_types(real: Any) -> Namespace:
         # of substeps until they are added to the rates'
         damping_factor: wp.array(dtype=wp.float64)  # [W] share of velocity that damping leaves
         branch_factor: wp.array(dtype=wp.float64)  # [W] share of Z that stays
-        branch_share: wp.array(dtype=wp.float64)  # [W] g, see ``elasticity``
+        branch_share: wp.array(dtype=wp.float64)  # [W] g, see ``internal_forces``
         touched: wp.array2d(dtype=vec3)  # [W, sections] scratch: velocity changed by the table
         # where a derivative overflowed
         status: wp.array(dtype=wp.int32)  # [W]
