@@ -13,14 +13,6 @@ namespace gendom {
 
 enum { CONTACT_X_BAR = 0, CONTACT_V_BAR = 3, CONTACT_PER_MASS_BAR = 12, SELF_FRICTION_BAR = 21, CONTACT_RADIUS_BAR = 22, DISTANCE_BAR = 23 };
 
-// A row keeps where points were when pairs were listed.
-template <typename Model, typename real>
-CUDA_CALLABLE inline void keep_list(const Model& model, int w, const wp::array_t<real>& state, int row, int c) {
-    typedef typename several<real>::lanes T;
-    const rows_of<real> to(state, row), listed(model.listed, w);
-    for (EACH_IN(p, model.first, model.end)) to.put3(c, p, listed.template get3<T>(0, p));
-}
-
 // Before a turn all points are kept, [worlds, turns * 6, P].
 template <typename Model, typename real>
 CUDA_CALLABLE inline void keep_turn(const Model& model, const wp::array_t<real>& kept, int at,
@@ -196,6 +188,33 @@ CUDA_CALLABLE inline void contact_impulses_adjoint(const Model& model, const Adj
     for (EACH_ONE_IN(j, 0, all.number())) {
         const int k = all.at(j);
         if (all.find(k, c)) push_adjoint(all, k, c, b, by);
+    }
+}
+
+// Of `resolve`; the row is as that found it, and rows from c on tell what its list was made from.
+template <typename Model, typename Adjoint, typename real>
+CUDA_CALLABLE inline void resolve_adjoint(const Model& model, const Adjoint& adjoint, int w,
+                                          const wp::array_t<real>& kept, int at,
+                                          const wp::array_t<real>& state, int row, int c, real dt) {
+    rebuild_lists(model, w, state, row, c, real(0));
+    if (near_pairs(model, w).number() == 0) return;
+    list_close(model, w, state, row);
+    int turns = 0;
+    for (bool again = true; again && turns < model.contact_most_turns; ++turns) {
+        keep_turn(model, kept, at, state, row, turns);
+        again = turn_once(model, w, state, row, dt, turns);
+    }
+    while (turns-- > 0) {
+        end_turn_adjoint(model, adjoint, w, state, row);
+        block_sync();
+        put_back(model, kept, at, state, row, turns);
+        block_sync();
+        count_contacts(model, w, state, row);
+        block_sync();
+        contact_impulses_adjoint(model, adjoint, w, state, row, dt, turns);
+        block_sync();
+        take_impulses(model, w, adjoint.state, w);
+        block_sync();
     }
 }
 

@@ -267,20 +267,19 @@ CUDA_CALLABLE inline bool is_folded(const Model& model, const rows_of<real>& s, 
     return false;
 }
 
-template <typename Model> CUDA_CALLABLE inline void begin_close(const Model& model, int w) {
-    close_pairs(model, w).clear();
-}
-
-// The listed pairs that are close; `begin_close` and a meeting of the threads come before.
+// Lists those of the listed pairs that are close.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void list_close(const Model& model, int w, const wp::array_t<real>& state, int row) {
     const rows_of<real> s(state, row);
     const pairs_of near = near_pairs(model, w), close = close_pairs(model, w);
+    close.clear();
+    block_sync();
     for (EACH_ONE_IN(k, 0, near.number())) {
         int one, other;
         near.read(k, one, other);
         if (pair_meets(s, one, other, model.pitch).distance < model.contact_close) close.append(one, other);
     }
+    block_sync();
 }
 
 // Whether features of p and of q > p never meet: those of a rod's neighbours, and of a shell's whose cells are
@@ -408,5 +407,24 @@ template <typename Model> CUDA_CALLABLE inline void list_pairs(const Model& mode
 }
 
 #endif
+
+// Lists pairs anew if a point of rows c to c + 2 has moved farther than this.
+template <typename Model, typename real>
+CUDA_CALLABLE inline void rebuild_lists(const Model& model, int w, const wp::array_t<real>& state, int row,
+                                        int c, real far) {
+    if (!block_any(moved_on(model, w, state, row, c, far))) return;
+    begin_list(model, w, state, row, c);
+    block_sync();
+    list_pairs(model, w);
+    block_sync();
+}
+
+// A row keeps where points were when pairs were listed.
+template <typename Model, typename real>
+CUDA_CALLABLE inline void keep_list(const Model& model, int w, const wp::array_t<real>& state, int row, int c) {
+    typedef typename several<real>::lanes T;
+    const rows_of<real> to(state, row), listed(model.listed, w);
+    for (EACH_IN(p, model.first, model.end)) to.put3(c, p, listed.template get3<T>(0, p));
+}
 
 }  // namespace gendom
