@@ -71,9 +71,15 @@ def make_store(real: Any, *, resident: bool) -> Namespace:
         [rows, components, N], and ``vector``, ``put_vector``, ``matrix`` and ``put_matrix`` of the
         components from c on.
     """
-    get, put = _numbers(real, resident=resident)
     types = make_types(real)
     vec3, mat33 = types.vec3, types.mat33
+    number = f"gendom::component<{int(resident)}>(of, row, c, i)"
+
+    @wp.func_native(f"return {number};")
+    def get(of: wp.array3d(dtype=real), row: int, c: int, i: int) -> real: ...
+
+    @wp.func_native(f"{number} = value;")
+    def put(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real): ...
 
     @wp.func
     def vector(of: wp.array3d(dtype=real), row: int, c: int, i: int):
@@ -115,26 +121,3 @@ def put_near(
     for axis in range(3):
         before = place[row, lattice[p, axis, 0]]
         near[w, axis, i] = before | (place[row, lattice[p, axis, 1]] << 16)
-
-
-def _numbers(real: Any, *, resident: bool) -> tuple[Any, Any]:
-    """``get`` and ``put`` of ``make_store``."""
-    if not resident:
-
-        @wp.func
-        def get_from_array(of: wp.array3d(dtype=real), row: int, c: int, i: int):
-            return of[row, c, i]
-
-        @wp.func
-        def put_in_array(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real):
-            of[row, c, i] = value
-
-        return get_from_array, put_in_array
-
-    @wp.func_native("return gendom::resident(of, row, c, i);")
-    def get(of: wp.array3d(dtype=real), row: int, c: int, i: int) -> real: ...
-
-    @wp.func_native("gendom::resident(of, row, c, i) = value;")
-    def put(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real): ...
-
-    return get, put

@@ -1,5 +1,4 @@
-"""Internal forces of bodies, forward and transposed: what particles do to their neighbours, and what
-the air does to them.
+"""Internal forces of bodies and the air's, forward and transposed.
 
 A body remembers its shape at rest. F of a particle is what the differences D of the positions of
 its neighbours in the rest lattice say, F = D B with the inverse B of the same at rest; the elastic
@@ -35,7 +34,7 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.mpm.block import make_block
-from gendom.sim.mpm.particles import Variant, make_adjoint, make_moving, make_taped
+from gendom.sim.mpm.particles import Variant, make_moving, make_taped
 from gendom.sim.mpm.types import Namespace, make_types
 
 FILLS = 1.0e-30
@@ -92,8 +91,8 @@ def make_internal_forces(variant: Variant) -> Namespace:
     types = make_types(real)
     Model, Clock, Substep = types.Model, types.Clock, types.Substep
     ConditionsAdjoint = types.ConditionsAdjoint
-    Particles, Tape = make_moving(variant).Struct, make_taped(variant).Struct
-    Adjoint, block = make_adjoint(variant).Struct, make_block(real)
+    Particles = Adjoint = make_moving(variant).Struct
+    Tape, block = make_taped(variant).Struct, make_block(real)
     pulled, wind_bar = _pulled(variant)
     kind = "rows(w, " if variant.rows else f"records<{int(variant.room > 0)}>(w, thread, threads, "
 
@@ -103,9 +102,7 @@ def make_internal_forces(variant: Variant) -> Namespace:
         particles: Particles,
     ) -> int: ...  # fmt: skip
 
-    @wp.func_native(
-        f"return gendom::adjoint_of_{kind}row, dt, keep, share, model, tape, adjoint);"
-    )
+    @wp.func_native(f"return gendom::adjoint_of_{kind}row, dt, keep, share, model, tape, adjoint);")
     def set_adjoint(
         w: int, thread: int, threads: int, row: int, dt: real, keep: real, share: real,
         model: Model, tape: Tape, adjoint: Adjoint,
@@ -156,15 +153,18 @@ def _pulled(variant: Variant) -> tuple[Any, Any]:
 
         @wp.func_native("return gendom::pulled_row(w, i, lattice, impulses);")
         def pulled_row(
-            w: int, i: int, lattice: wp.array3d(dtype=wp.int32), impulses: wp.array2d(dtype=impulses)
+            w: int,
+            i: int,
+            lattice: wp.array3d(dtype=wp.int32),
+            impulses: wp.array2d(dtype=impulses),
         ) -> vec3: ...
 
         @wp.func
-        def pulled(w: int, i: int, model: types.Model, stored: Any):
+        def pulled(w: int, i: int, model: types.Model, stored: types.State):
             return pulled_row(w, i, model.lattice, stored.impulses)
 
         @wp.func
-        def wind_bar(adjoint: Any, w: int, i: int):
+        def wind_bar(adjoint: types.State, w: int, i: int):
             own = adjoint.impulses[w, i]
             return vec3(own[0, 3], own[1, 3], own[2, 3])
 
@@ -176,7 +176,7 @@ def _pulled(variant: Variant) -> tuple[Any, Any]:
     ) -> vec3: ...
 
     @wp.func
-    def pulled_in_order(w: int, i: int, model: types.Model, stored: Any):
+    def pulled_in_order(w: int, i: int, model: types.Model, stored: types.Records):
         return pulled_record(w, i, stored.of, stored.near)
 
-    return pulled_in_order, make_adjoint(variant).fields.low
+    return pulled_in_order, make_moving(variant).fields.low

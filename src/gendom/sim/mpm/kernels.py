@@ -13,14 +13,13 @@ import warp as wp
 
 from gendom.sim.mpm.block import bounds, make_block, put_near
 from gendom.sim.mpm.boundary import make_boundary, make_grips
-from gendom.sim.mpm.internal_forces import make_maxwell_branch
 from gendom.sim.mpm.grid import MARGIN, make_rebuild
 from gendom.sim.mpm.gripped import AHEAD, make_gripped, make_poses
+from gendom.sim.mpm.internal_forces import make_maxwell_branch
 from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.particles import (
     ORDERLY,
     Variant,
-    make_adjoint,
     make_loading,
     make_moving,
     make_sorting,
@@ -326,10 +325,10 @@ def make_reverse(variant: Variant) -> Any:
     real = variant.real
     types = make_types(real)
     Clock, Model, Grid, Substep = types.Clock, types.Model, types.Grid, types.Substep
-    Paths, Grips, StateAdjoint = types.Paths, types.Grips, types.StateAdjoint
+    Paths, Grips, State = types.Paths, types.Grips, types.State
     ConditionsAdjoint = types.ConditionsAdjoint
     Tape = make_taped(variant).Struct
-    adjoint_of = make_adjoint(variant)
+    adjoint_of = make_moving(variant)
     Adjoint, fields = adjoint_of.Struct, adjoint_of.fields
     substep_adjoint, boundary = make_substep_adjoint(variant), make_boundary(variant)
     poses, beginning = make_poses(real), _make_beginning(real)
@@ -345,13 +344,11 @@ def make_reverse(variant: Variant) -> Any:
     if variant.rows:
 
         @wp.func
-        def load_all(
-            now: Substep, model: Model, tape: Tape, by_state: StateAdjoint, adjoint: Adjoint
-        ):
+        def load_all(now: Substep, model: Model, tape: Tape, by_state: State, adjoint: Adjoint):
             """Rows are the derivatives themselves."""
 
         @wp.func
-        def unload_all(now: Substep, by_state: StateAdjoint, adjoint: Adjoint):
+        def unload_all(now: Substep, by_state: State, adjoint: Adjoint):
             """Rows are the derivatives themselves."""
 
         @wp.func
@@ -371,9 +368,7 @@ def make_reverse(variant: Variant) -> Any:
                 put_near(adjoint.near, now.w, i, p, model.lattice, tape.place, now.layout)
 
         @wp.func
-        def load_all(
-            now: Substep, model: Model, tape: Tape, by_state: StateAdjoint, adjoint: Adjoint
-        ):
+        def load_all(now: Substep, model: Model, tape: Tape, by_state: State, adjoint: Adjoint):
             """Make the records of a world in the order of a layout."""
             for i in range(now.thread, adjoint.near.shape[2], now.threads):
                 loading.load(adjoint, now.w, i, tape.order[now.layout, i], by_state)
@@ -382,7 +377,7 @@ def make_reverse(variant: Variant) -> Any:
             set_order(now, model, tape, adjoint)
 
         @wp.func
-        def unload_all(now: Substep, by_state: StateAdjoint, adjoint: Adjoint):
+        def unload_all(now: Substep, by_state: State, adjoint: Adjoint):
             """Write the records of a world back."""
             for i in range(now.thread, adjoint.near.shape[2], now.threads):
                 p = adjoint.order[now.w, i]
@@ -428,7 +423,7 @@ def make_reverse(variant: Variant) -> Any:
         tape: Tape,
         adjoint: Adjoint,
         # by the state: after the tape on entry, before it on return
-        by_state: StateAdjoint,
+        by_state: State,
         by: ConditionsAdjoint,
     ):
         turn, block_thread = wp.tid()

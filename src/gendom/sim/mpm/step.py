@@ -23,7 +23,7 @@ from gendom.sim.mpm.block import make_block
 from gendom.sim.mpm.boundary import FOLLOWS, make_boundary
 from gendom.sim.mpm.gripped import make_gripped
 from gendom.sim.mpm.internal_forces import make_internal_forces, make_maxwell_branch
-from gendom.sim.mpm.particles import MASS, Variant, make_adjoint, make_moving, make_taped
+from gendom.sim.mpm.particles import MASS, Variant, make_moving, make_taped
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
 from gendom.sim.mpm.types import make_types
 
@@ -242,7 +242,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
     vec3, mat33 = types.vec3, types.mat33
     Model, Grips = types.Model, types.Grips
     ConditionsAdjoint, Substep, Grid = types.ConditionsAdjoint, types.Substep, types.Grid
-    taped, adjoint_of = make_taped(variant), make_adjoint(variant)
+    taped, adjoint_of = make_taped(variant), make_moving(variant)
     Tape, Adjoint = taped.Struct, adjoint_of.Struct
     before, fields = taped.fields, adjoint_of.fields
     forces_of = make_internal_forces(variant)

@@ -19,7 +19,7 @@ from gendom.errors import SimulationError
 from gendom.sim.gradients import Gradients
 from gendom.sim.mpm.kernels import SUMS, make_advance, make_reverse
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.mpm.particles import DRAG, LAM, MASS, MU, make_adjoint, make_taped
+from gendom.sim.mpm.particles import DRAG, LAM, MASS, MU, make_taped
 from gendom.sim.mpm.runner import REBUILD, Group, Plan, Program, for_groups
 from gendom.sim.mpm.step import GRID_FULL, NOT_FINITE
 
@@ -318,22 +318,13 @@ class Sums:
         s, variant = program.worlds, program.variant
         types, W, N = s.types, s.num_worlds, s.num_particles
         G, K = s.paths.time.shape[1:]
-        state = s.make_state(W, wp.zeros)
-        self.state = s.allocate(
-            types.StateAdjoint, sums=(W, SUMS, N), **({"impulses": (W, N)} if variant.rows else {})
-        )
-        for name in ("x", "v", "C", "Z"):
-            setattr(self.state, name, getattr(state, name))
-        self.adjoint = self.state
-        if not variant.rows:
-            components = variant.components
-            self.adjoint = s.allocate(
-                make_adjoint(variant).Struct,
-                of=(1 if variant.room else W, components, N),
-                sums=(W, SUMS, N),
-                spare=(W, components + SUMS, N),
-                near=(W, 3, N),
-                **dict.fromkeys(("order", "place"), (W, N)),
+        self.adjoint = self.state = s.make_state(W, wp.zeros)
+        self.state.sums = s.zeros((W, SUMS, N), s.real)
+        if variant.rows:
+            self.state.impulses = s.zeros((W, N), types.impulses)
+        else:
+            self.adjoint = program.records(
+                sums=(W, SUMS, N), spare=(W, variant.components + SUMS, N)
             )
         by_world = (
             "friction", "velocity_damping", "damping", "gravity", "damping_factor",

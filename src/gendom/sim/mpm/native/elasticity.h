@@ -227,10 +227,7 @@ template <typename real, bool in_shared> struct components {
     const wp::array_t<real>& of;
     const int row;
 
-    GENDOM_INLINE real& at(int c, int i) const {
-        if constexpr (in_shared) return resident(of, row, c, i);
-        else return wp::index(of, row, c, i);
-    }
+    GENDOM_INLINE real& at(int c, int i) const { return component<in_shared>(of, row, c, i); }
     GENDOM_INLINE vec<real> get3(int c, int i) const { return {at(c, i), at(c + 1, i), at(c + 2, i)}; }
     GENDOM_INLINE void put3(int c, int i, const vec<real>& a) const {
         at(c, i) = a.x, at(c + 1, i) = a.y, at(c + 2, i) = a.z;
