@@ -194,7 +194,7 @@ GENDOM_INLINE void internal_forces_adjoint(const At& at, const Model& model, int
         const vec<T> on = {dot(F.a, P.a), dot(F.b, P.b), dot(F.c, P.c)};
         const vec<T> off = {dot(F.a, P.b) + dot(F.b, P.a), dot(F.a, P.c) + dot(F.c, P.a),
                             dot(F.b, P.c) + dot(F.c, P.b)};
-        at.put_filtered_bar({keep * Z_bar.on - g * on, keep * Z_bar.off - g * off});
+        at.put_filtered({keep * Z_bar.on - g * on, keep * Z_bar.off - g * off});
     }
     matrix<T> D_bar = U.unframed(F_bar);
     vec<T> v_bar = {zero, zero, zero};
@@ -243,17 +243,20 @@ template <typename real, bool in_shared> struct components {
     }
 };
 
-template <typename real, bool in_shared, typename Model, typename Stored> struct record {
+// The i-th record of a world as it moves, or its derivatives while a tape is reversed.
+template <bool in_shared, bool reversed, typename real, typename Model, typename Records> struct record {
     typedef real T;
     const Model& model;
-    const Stored& stored;
+    const Records& stored;
     const int w, i, p;
     const neighbours near;
     const components<real, in_shared> own;
+    const components<real, in_shared && !reversed> state;
 
-    GENDOM_INLINE record(const Model& model, const Stored& stored, int w, int i)
+    GENDOM_INLINE record(const Model& model, const Records& stored, int w, int i,
+                         const wp::array_t<real>& states, int row)
         : model(model), stored(stored), w(w), i(i), p(wp::index(stored.order, w, i)),
-          near(stored.near, w, i), own{stored.of, w} {}
+          near(stored.near, w, i), own{stored.of, w}, state{states, row} {}
     GENDOM_INLINE rest_frame<real> frame() const {
         const auto u = [&](int c) { return wp::index(model.frame, c, p); };
         const real zero = real(0);
@@ -262,64 +265,40 @@ template <typename real, bool in_shared, typename Model, typename Stored> struct
     GENDOM_INLINE real per_span(int axis) const {
         return near.before(axis) == i || near.behind(axis) == i ? real(1) : real(0.5);
     }
-};
-
-template <typename real, bool in_shared, typename Model, typename Records>
-struct moving_record : record<real, in_shared, Model, Records> {
-    using record<real, in_shared, Model, Records>::record;
-    GENDOM_INLINE matrix<real> differences() const { return this->own.differences(0, this->near); }
-    GENDOM_INLINE real mu() const { return wp::index(this->stored.moduli, this->w, 0, this->i); }
-    GENDOM_INLINE real lam() const { return wp::index(this->stored.moduli, this->w, 1, this->i); }
-    GENDOM_INLINE vec<real> velocity() const { return this->own.get3(RECORD_V, this->i); }
-    GENDOM_INLINE symmetric<real> filtered() const { return this->own.get_symmetric(RECORD_Z, this->i); }
-    GENDOM_INLINE void put_filtered(const symmetric<real>& Z) const {
-        this->own.put_symmetric(RECORD_Z, this->i, Z);
+    GENDOM_INLINE real mu() const {
+        return reversed ? wp::index(model.mu, w, p) : wp::index(stored.moduli, w, 0, i);
+    }
+    GENDOM_INLINE real lam() const {
+        return reversed ? wp::index(model.lam, w, p) : wp::index(stored.moduli, w, 1, i);
+    }
+    GENDOM_INLINE matrix<real> differences() const { return state.differences(0, near); }
+    GENDOM_INLINE matrix<real> differences_bar() const { return own.differences(RECORD_V, near); }
+    GENDOM_INLINE vec<real> velocity() const { return state.get3(RECORD_V, i); }
+    GENDOM_INLINE vec<real> velocity_bar() const { return own.get3(RECORD_V, i); }
+    GENDOM_INLINE symmetric<real> filtered() const {
+        return state.get_symmetric(reversed ? TAPED_Z : RECORD_Z, i);
+    }
+    GENDOM_INLINE symmetric<real> filtered_bar() const { return own.get_symmetric(RECORD_Z, i); }
+    GENDOM_INLINE void put_filtered(const symmetric<real>& Z) const { own.put_symmetric(RECORD_Z, i, Z); }
+    GENDOM_INLINE void put_pulls(const matrix<real>& P) const {
+        own.put3(RECORD_IMPULSES, i, P.a), own.put3(RECORD_IMPULSES + 3, i, P.b);
+        own.put3(RECORD_IMPULSES + 6, i, P.c);
     }
     GENDOM_INLINE void put(const matrix<real>& P, const vec<real>& wind) const {
-        put_pulls(this->own, this->i, P);
-        if (wp::index(this->model.drag, this->w) > real(0))
-            this->own.put3(RECORD_V, this->i,
-                           velocity() + real(1) / wp::index(this->model.mass, this->w) * wind);
+        put_pulls(P);
+        if (wp::index(model.drag, w) > real(0))
+            own.put3(RECORD_V, i, velocity() + real(1) / wp::index(model.mass, w) * wind);
     }
-    GENDOM_INLINE int inverted(real J) const { return J > real(0) ? -1 : this->p; }
-};
-
-template <typename real, bool in_shared>
-GENDOM_INLINE void put_pulls(const components<real, in_shared>& to, int i, const matrix<real>& P) {
-    to.put3(RECORD_IMPULSES, i, P.a), to.put3(RECORD_IMPULSES + 3, i, P.b);
-    to.put3(RECORD_IMPULSES + 6, i, P.c);
-}
-
-template <typename real, bool in_shared, typename Model, typename Adjoint>
-struct reversed_record : record<real, in_shared, Model, Adjoint> {
-    const components<real, false> tape;
-
-    GENDOM_INLINE reversed_record(const Model& model, const Adjoint& adjoint, int w, int i,
-                                  const wp::array_t<real>& tape, int row)
-        : record<real, in_shared, Model, Adjoint>(model, adjoint, w, i), tape{tape, row} {}
-    GENDOM_INLINE matrix<real> differences() const { return tape.differences(0, this->near); }
-    GENDOM_INLINE matrix<real> differences_bar() const {
-        return this->own.differences(RECORD_V, this->near);
-    }
-    GENDOM_INLINE real mu() const { return wp::index(this->model.mu, this->w, this->p); }
-    GENDOM_INLINE real lam() const { return wp::index(this->model.lam, this->w, this->p); }
-    GENDOM_INLINE vec<real> velocity() const { return tape.get3(RECORD_V, this->i); }
-    GENDOM_INLINE vec<real> velocity_bar() const { return this->own.get3(RECORD_V, this->i); }
-    GENDOM_INLINE symmetric<real> filtered() const { return tape.get_symmetric(TAPED_Z, this->i); }
-    GENDOM_INLINE symmetric<real> filtered_bar() const {
-        return this->own.get_symmetric(RECORD_Z, this->i);
-    }
-    GENDOM_INLINE void put_filtered_bar(const symmetric<real>& bar) const {
-        this->own.put_symmetric(RECORD_Z, this->i, bar);
-    }
-    GENDOM_INLINE void add_up(real value, double& sum) const { sum += value; }
     GENDOM_INLINE void put_bars(const matrix<real>& D_bar, const vec<real>& v_bar, real by_mu,
                                 real by_lam, real by_drag) const {
-        put_pulls(this->own, this->i, D_bar);
-        this->own.put3(RECORD_LOW, this->i, v_bar);
-        const auto add = [&](int c, real a) { wp::index(this->stored.sums, this->w, c, this->i) += a; };
-        add(BY_MU, by_mu), add(BY_LAM, by_lam), add(BY_DRAG, by_drag);
+        put_pulls(D_bar);
+        own.put3(RECORD_LOW, i, v_bar);
+        wp::index(stored.sums, w, BY_MU, i) += by_mu;
+        wp::index(stored.sums, w, BY_LAM, i) += by_lam;
+        wp::index(stored.sums, w, BY_DRAG, i) += by_drag;
     }
+    GENDOM_INLINE int inverted(real J) const { return J > real(0) ? -1 : p; }
+    GENDOM_INLINE void add_up(real value, double& sum) const { sum += value; }
 };
 
 // By the threads of a block.
@@ -328,18 +307,18 @@ GENDOM_INLINE int forces_of_records(int w, int thread, int threads, real dt, rea
                                     const Model& model, const Records& records) {
     int failed = -1;
     for (int i = thread; i < records.of.shape[2]; i += threads) {
-        const moving_record<real, in_shared, Model, Records> at(model, records, w, i);
+        const record<in_shared, false, real, Model, Records> at(model, records, w, i, records.of, w);
         failed = wp::max(failed, internal_forces(at, model, w, dt, maxwell<real>{keep, share}));
     }
     return failed;
 }
-template <bool in_shared, typename real, typename Model, typename Tape, typename Adjoint>
-GENDOM_INLINE wp::vec2d adjoint_of_records(int w, int thread, int threads, int row, real dt,
-                                                  real keep, real share, const Model& model,
-                                                  const Tape& tape, const Adjoint& adjoint) {
+template <bool in_shared, typename real, typename Model, typename Records>
+GENDOM_INLINE wp::vec2d adjoint_of_records(int w, int thread, int threads, int row, real dt, real keep,
+                                           real share, const Model& model, const Records& tape,
+                                           const Records& adjoint) {
     wp::vec2d by_damped;
     for (int i = thread; i < adjoint.of.shape[2]; i += threads) {
-        const reversed_record<real, in_shared, Model, Adjoint> at(model, adjoint, w, i, tape.of, row);
+        const record<in_shared, true, real, Model, Records> at(model, adjoint, w, i, tape.of, row);
         internal_forces_adjoint(at, model, w, dt, maxwell<real>{keep, share}, by_damped);
     }
     return by_damped;
@@ -368,11 +347,12 @@ GENDOM_INLINE vec3<real> pulled_record(int w, int i, const wp::array_t<real>& of
 
 template <typename real> using impulses_of = wp::mat_t<3, 4, real>;  // a row for each axis, padded
 
-template <typename real, typename Model, typename State> struct row_particles {
+// Particles of a row of states, as they move, or their derivatives while a tape is reversed.
+template <typename real, typename Model, typename State> struct side_by_side {
     typedef typename several<real>::lanes T;
     static constexpr int width = sizeof(T) / sizeof(real);
     const Model& model;
-    const State& state;  // positions and velocities
+    const State &state, &own;
     const int row, w, first, fresh;  // particles before `fresh` have been done
 
     static T numbers(const real& a) {
@@ -401,6 +381,9 @@ template <typename real, typename Model, typename State> struct row_particles {
         }
         return d;
     }
+    matrix<T> differences_of(const wp::array_t<vec3<real>>& of, int row) const {
+        return {along(of, row, 0), along(of, row, 1), along(of, row, 2)};
+    }
     rest_frame<T> frame() const {
         const auto u = [&](int c) { return numbers(wp::index(model.frame, c, first)); };
         const T zero = T(real(0));
@@ -409,16 +392,18 @@ template <typename real, typename Model, typename State> struct row_particles {
     T per_span(int axis) const { return numbers(wp::index(model.per_span, axis, first)); }
     T mu() const { return numbers(wp::index(model.mu, w, first)); }
     T lam() const { return numbers(wp::index(model.lam, w, first)); }
-    matrix<T> differences() const { return {along(state.x, row, 0), along(state.x, row, 1), along(state.x, row, 2)}; }
+    matrix<T> differences() const { return differences_of(state.x, row); }
+    matrix<T> differences_bar() const { return differences_of(own.v, w); }
     vec<T> velocity() const { return lanes_of(state.v, row, first); }
+    vec<T> velocity_bar() const { return lanes_of(own.v, w, first); }
     symmetric<T> filtered() const { return symmetric_of(state.Z, row); }
-    void put_filtered(const symmetric<T>& Z) const { put_symmetric(Z, state.Z); }
+    symmetric<T> filtered_bar() const { return symmetric_of(own.Z, w); }
     void put(const matrix<T>& P, const vec<T>& wind) const {
-        put_padded(P, wind, state.impulses);
+        put_padded(P, wind);
         if (wp::index(model.drag, w) == real(0)) return;
         const real per_mass = real(1) / wp::index(model.mass, w);
         for (int l = begin(); l < width; ++l)
-            wp::index(state.v, w, first + l) += per_mass * vec3<real>(wind.x[l], wind.y[l], wind.z[l]);
+            wp::index(own.v, w, first + l) += per_mass * vec3<real>(wind.x[l], wind.y[l], wind.z[l]);
     }
     int inverted(const T& J) const {
         int found = -1;
@@ -432,51 +417,32 @@ template <typename real, typename Model, typename State> struct row_particles {
         const auto at = [&](int c) { return numbers(wp::index(of, row, c, first)); };
         return {{at(0), at(1), at(2)}, {at(3), at(4), at(5)}};
     }
-    void put_symmetric(const symmetric<T>& Z, const wp::array_t<real>& of) const {
+    void put_filtered(const symmetric<T>& Z) const {
         const T* parts = &Z.on.x;
         #pragma unroll
         for (int c = 0; c < 6; ++c) {
-            real* at = &wp::index(of, w, c, first);
+            real* at = &wp::index(own.Z, w, c, first);
             if (fresh <= first) __builtin_memcpy(at, parts + c, sizeof(T));
             else
                 for (int l = begin(); l < width; ++l) at[l] = parts[c][l];
         }
     }
-    void put_padded(const matrix<T>& P, const vec<T>& padding,
-                    const wp::array_t<impulses_of<real>>& to) const {
+    void put_padded(const matrix<T>& P, const vec<T>& padding) const {
         typedef typename simd<real>::four four;
         const auto put = [&](int axis, const vec<T>& h, const T& pad) {
             for (int l = begin(); l < width; ++l)
-                *(four*)wp::index(to, w, first + l).data[axis] = four{h.x[l], h.y[l], h.z[l], pad[l]};
+                *(four*)wp::index(own.impulses, w, first + l).data[axis] = four{h.x[l], h.y[l], h.z[l], pad[l]};
         };
         put(0, P.a, padding.x), put(1, P.b, padding.y), put(2, P.c, padding.z);
     }
-};
-
-template <typename real, typename Model, typename Tape, typename Adjoint>
-struct reversed_rows : row_particles<real, Model, Tape> {
-    typedef row_particles<real, Model, Tape> rows;
-    typedef typename rows::T T;
-    const Adjoint& adjoint;
-
-    reversed_rows(const rows& of, const Adjoint& adjoint) : rows(of), adjoint(adjoint) {}
-    matrix<T> differences_bar() const {
-        return {rows::along(adjoint.v, rows::w, 0), rows::along(adjoint.v, rows::w, 1),
-                rows::along(adjoint.v, rows::w, 2)};
-    }
-    vec<T> velocity_bar() const { return rows::lanes_of(adjoint.v, rows::w, rows::first); }
-    symmetric<T> filtered_bar() const { return rows::symmetric_of(adjoint.Z, rows::w); }
-    void put_filtered_bar(const symmetric<T>& bar) const { rows::put_symmetric(bar, adjoint.Z); }
     void add_up(const T& value, double& sum) const {
-        for (int l = rows::begin(); l < rows::width; ++l) sum += value[l];
+        for (int l = begin(); l < width; ++l) sum += value[l];
     }
     void put_bars(const matrix<T>& D_bar, const vec<T>& v_bar, const T& by_mu, const T& by_lam,
                   const T& by_drag) const {
-        rows::put_padded(D_bar, v_bar, adjoint.impulses);
-        for (int l = rows::begin(); l < rows::width; ++l) {
-            const auto by = [&](int c) -> real& {
-                return wp::index(adjoint.sums, rows::w, c, rows::first + l);
-            };
+        put_padded(D_bar, v_bar);
+        for (int l = begin(); l < width; ++l) {
+            const auto by = [&](int c) -> real& { return wp::index(own.sums, w, c, first + l); };
             by(BY_MU) += by_mu[l], by(BY_LAM) += by_lam[l], by(BY_DRAG) += by_drag[l];
         }
     }
@@ -484,26 +450,25 @@ struct reversed_rows : row_particles<real, Model, Tape> {
 
 // Calls `one` for all particles, several at a time; the last ones overlap with those done before.
 template <typename real, typename Model, typename State, typename Job>
-inline void over_rows(const Model& model, const State& state, int row, int w, Job one) {
-    typedef row_particles<real, Model, State> rows;
+inline void over_rows(const Model& model, const State& state, const State& own, int row, int w, Job one) {
+    typedef side_by_side<real, Model, State> some;
     const int N = model.lattice.shape[0];
-    for (int p = 0; p < N; p += rows::width)
-        one(rows{model, state, row, w, p < N - rows::width ? p : N - rows::width, p});
+    for (int p = 0; p < N; p += some::width)
+        one(some{model, state, own, row, w, p < N - some::width ? p : N - some::width, p});
 }
 template <typename real, typename Model, typename State>
 inline int forces_of_rows(int w, real dt, real keep, real share, const Model& model, const State& state) {
     int failed = -1;
-    over_rows<real>(model, state, w, w, [&](const auto& at) {
+    over_rows<real>(model, state, state, w, w, [&](const auto& at) {
         failed = wp::max(failed, internal_forces(at, model, w, dt, maxwell<real>{keep, share}));
     });
     return failed;
 }
-template <typename real, typename Model, typename Tape, typename Adjoint>
-inline wp::vec2d adjoint_of_rows(int w, int row, real dt, real keep, real share,
-                                        const Model& model, const Tape& tape, const Adjoint& adjoint) {
+template <typename real, typename Model, typename State>
+inline wp::vec2d adjoint_of_rows(int w, int row, real dt, real keep, real share, const Model& model,
+                                 const State& tape, const State& adjoint) {
     wp::vec2d by_damped;
-    over_rows<real>(model, tape, row, w, [&](const auto& of) {
-        const reversed_rows<real, Model, Tape, Adjoint> at(of, adjoint);
+    over_rows<real>(model, tape, adjoint, row, w, [&](const auto& at) {
         internal_forces_adjoint(at, model, w, dt, maxwell<real>{keep, share}, by_damped);
     });
     return by_damped;
