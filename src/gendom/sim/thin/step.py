@@ -167,11 +167,11 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def begin_adjoint(
-        first: int, threads: int, model: ThinModel, state: rows, offset: int, adjoint: ModelAdjoint
+        first: int, threads: int, model: ThinModel, state: rows, adjoint: ModelAdjoint
     ):
         """Transpose of ``begin``; the scratch of the derivatives is 0."""
         w = first + wp.tid() // threads
-        native.forces_adjoint(model, adjoint, w, state, w - offset, real(1.0e30))
+        native.forces_adjoint(model, adjoint, w, state, w, real(1.0e30))
         native.block_sync()
         native.gather_adjoint(model, adjoint, w)
 

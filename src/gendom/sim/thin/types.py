@@ -29,8 +29,8 @@ PER_MASS, DRAG, GRAVITY, DAMPING, FRICTION, VELOCITY_DAMPING = 12, 13, slice(15,
 SELF_FRICTION, RADIUS, DISTANCE = 21, 22, 23
 """Components of derivatives by the model that are common to rods and shells."""
 
-REST, PER_TURN = slice(6, 12), 14
-"""Those of rods only: by stress-free strains, and by 1 / inertia of edges."""
+PER_TURN = 14
+"""That of rods only: by 1 / inertia of edges."""
 
 TURN_BAR, SPIN_BAR = slice(6, 9), slice(9, 12)
 """Components of derivatives by a rod's state: by rotations of directions, and by spins."""

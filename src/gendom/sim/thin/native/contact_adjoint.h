@@ -11,8 +11,6 @@
 
 namespace gendom {
 
-enum { CONTACT_X_BAR = 0, CONTACT_V_BAR = 3, CONTACT_PER_MASS_BAR = 12, SELF_FRICTION_BAR = 21, CONTACT_RADIUS_BAR = 22, DISTANCE_BAR = 23 };
-
 // Before a turn all points are kept, [worlds, turns * 6, P].
 template <typename Model, typename real>
 CUDA_CALLABLE inline void keep_turn(const Model& model, const wp::array_t<real>& kept, int at,
@@ -44,7 +42,7 @@ CUDA_CALLABLE inline void end_turn_adjoint(const Model& model, const Adjoint& ad
         const T moves = is_above(loose.template get<T>(0, p), T(real(0)));
         const vec<T> x_bar = b.template get3<T>(0, p);
         vec<T> moved_bar = moves * x_bar;
-        by.add(CONTACT_RADIUS_BAR, p, around.brought_back_adjoint(s.template get3<T>(0, p), moved_bar));
+        by.add(RADIUS_BAR, p, around.brought_back_adjoint(s.template get3<T>(0, p), moved_bar));
         b.put3(0, p, moved_bar + (T(real(1)) - moves) * x_bar);
     }
 }
@@ -137,8 +135,8 @@ CUDA_CALLABLE inline void push_adjoint(const contacts<Model, real>& all, int k, 
     vec<real> by_impulse = none, by_shift = none;
     real moved[4], loose[4], by_per_mass[4];
     for (int i = 0; i < 4; ++i) {
-        const vec<real> xb = b.template get3<real>(CONTACT_X_BAR, m.point[i]);
-        const vec<real> vb = b.template get3<real>(CONTACT_V_BAR, m.point[i]);
+        const vec<real> xb = b.template get3<real>(X_BAR, m.point[i]);
+        const vec<real> vb = b.template get3<real>(V_BAR, m.point[i]);
         loose[i] = all.loose.template get<real>(0, m.point[i]);
         by_impulse = by_impulse + m.share[i] * loose[i] * vb;
         by_shift = by_shift + m.share[i] * loose[i] * xb;
@@ -173,7 +171,7 @@ CUDA_CALLABLE inline void push_adjoint(const contacts<Model, real>& all, int k, 
         add_to(all.push, 3, m.point[i], add);
         add_to(all.push, 0, m.point[i], m.share[i] * bar.v);
         if (loose[i] > real(0))
-            add_to(by, CONTACT_PER_MASS_BAR, m.point[i],
+            add_to(by, PER_MASS_BAR, m.point[i],
                    m.share[i] * (moved[i] + by_per_mass[i]));
     }
 }
