@@ -7,7 +7,6 @@ segment, from which the segment is run again and recorded when it is to be rever
 
 # pyright: basic
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -255,10 +254,7 @@ class Recording:
         self.room, self.substeps = s.room, substeps
         n, N = group.shared, s.num_particles
         # nothing is read before it was written: memory that is never needed is never touched
-        make = wp.empty
-        if not s.device.is_cuda:
-            make = Pages(n * substeps * (int(_row_bytes(program, 1)) + 1024)).take
-        self.grid = s.make_grid(layouts * n, rows=substeps * n, make=make)
+        self.grid = s.make_grid(layouts * n, rows=substeps * n, make=wp.empty)
         self.grid.velocity = wp.zeros((n, s.room[2]), dtype=s.types.vec4, device=s.device)
         rows = substeps * n
         if variant.rows:
@@ -268,7 +264,7 @@ class Recording:
             shapes = {"of": (rows, variant.taped, N)} | dict.fromkeys(
                 ("order", "place"), (layouts * n, N)
             )
-        self.tape = s.allocate(make_taped(variant).Struct, make, layout_of=rows, **shapes)
+        self.tape = s.allocate(make_taped(variant).Struct, wp.empty, layout_of=rows, **shapes)
 
 
 def _row_bytes(program: Program, substeps_a_layout: int) -> float:
@@ -278,36 +274,6 @@ def _row_bytes(program: Program, substeps_a_layout: int) -> float:
     N, real = s.num_particles, s.numpy_type.itemsize
     layout = 4 * (3 * X * Y + 2 * N + 7)
     return real * (program.variant.taped * N + 4 * M) + layout / substeps_a_layout
-
-
-class Pages:
-    """Memory for many arrays in one piece, for which the system may use large pages.
-
-    To touch a page of 4 KB for the first time takes as long as to compute what is written to it.
-
-    Args:
-        size: Of all arrays together [bytes]; a little more is set aside.
-    """
-
-    ALIGNED = 64
-    """Multiple at which each array begins [bytes]."""
-
-    def __init__(self, size: int):
-        # numpy asks the system for large pages
-        self._memory = np.empty(size + (1 << 12), dtype=np.uint8)
-        self._taken = 0
-
-    def take(self, shape: int | tuple[int, ...], *, dtype: Any, device: Any) -> wp.array:
-        """An array that is not filled."""
-        shape = (shape,) if isinstance(shape, int) else shape
-        inner = getattr(dtype, "_shape_", ())
-        scalar = np.dtype(wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)))
-        size = math.prod(shape + inner) * scalar.itemsize
-        self._taken += -(self._memory.ctypes.data + self._taken) % self.ALIGNED
-        piece = self._memory[self._taken : self._taken + size]
-        self._taken += size
-        numbers = piece.view(scalar).reshape(shape + inner)
-        return wp.array(numbers, dtype=dtype, device=device, copy=False)
 
 
 class Sums:
