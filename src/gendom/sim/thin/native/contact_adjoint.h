@@ -11,26 +11,6 @@
 
 namespace gendom {
 
-// Before a turn all points are kept, [worlds, turns * 6, P].
-template <typename Model, typename real>
-CUDA_CALLABLE inline void keep_turn(const Model& model, const wp::array_t<real>& kept, int at,
-                                    const wp::array_t<real>& state, int row, int turn) {
-    typedef typename several<real>::lanes T;
-    const rows_of<real> s(state, row), to(kept, at);
-    for (EACH_IN(p, model.first, model.end))
-        for (int c = 0; c < 6; ++c) to.put(6 * turn + c, p, s.template get<T>(c, p));
-}
-
-// All points as they were before a turn.
-template <typename Model, typename real>
-CUDA_CALLABLE inline void put_back(const Model& model, const wp::array_t<real>& kept, int at,
-                                   const wp::array_t<real>& state, int row, int turn) {
-    typedef typename several<real>::lanes T;
-    const rows_of<real> s(state, row), from(kept, at);
-    for (EACH_IN(p, model.first, model.end))
-        for (int c = 0; c < 6; ++c) s.put(c, p, from.template get<T>(6 * turn + c, p));
-}
-
 // Of `end_turn`, but for `take_impulses`; the row is as the turn left it.
 template <typename Model, typename Adjoint, typename real>
 CUDA_CALLABLE inline void end_turn_adjoint(const Model& model, const Adjoint& adjoint, int w,
@@ -189,7 +169,8 @@ CUDA_CALLABLE inline void contact_impulses_adjoint(const Model& model, const Adj
     }
 }
 
-// Of `resolve`; the row is as that found it, and rows from c on tell what its list was made from.
+// Of `resolve`; the row is as that found it, and rows from c on tell what its list was made from. `kept` has
+// room for the points before each turn, [worlds, turns * 6, P].
 template <typename Model, typename Adjoint, typename real>
 CUDA_CALLABLE inline void resolve_adjoint(const Model& model, const Adjoint& adjoint, int w,
                                           const wp::array_t<real>& kept, int at,
@@ -197,15 +178,16 @@ CUDA_CALLABLE inline void resolve_adjoint(const Model& model, const Adjoint& adj
     rebuild_lists(model, w, state, row, c, real(0));
     if (near_pairs(model, w).number() == 0) return;
     list_close(model, w, state, row);
+    const rows_of<real> s(state, row), before(kept, at);  // all points before each turn
     int turns = 0;
     for (bool again = true; again && turns < model.contact_most_turns; ++turns) {
-        keep_turn(model, kept, at, state, row, turns);
+        copy_rows(model, 6, s, 0, before, 6 * turns);
         again = turn_once(model, w, state, row, dt, turns);
     }
     while (turns-- > 0) {
         end_turn_adjoint(model, adjoint, w, state, row);
         block_sync();
-        put_back(model, kept, at, state, row, turns);
+        copy_rows(model, 6, before, 6 * turns, s, 0);
         block_sync();
         count_contacts(model, w, state, row);
         block_sync();

@@ -180,6 +180,15 @@ CUDA_CALLABLE inline void list_pair(const Model& model, int w, const rows_of<rea
     near_pairs(model, w).append(one, other);
 }
 
+// Copies rows of numbers from c on to those from d on.
+template <typename Model, typename real>
+CUDA_CALLABLE inline void copy_rows(const Model& model, int count, const rows_of<real>& from, int c,
+                                    const rows_of<real>& to, int d) {
+    typedef typename several<real>::lanes T;
+    for (EACH_IN(p, model.first, model.end))
+        for (int n = 0; n < count; ++n) to.put(d + n, p, from.template get<T>(c + n, p));
+}
+
 // Whether a point of rows c to c + 2 is farther than this from where it was when pairs were listed. What the
 // middle of the body has moved by, all have in common, and no pair comes nearer by it.
 template <typename Model, typename real>
@@ -204,9 +213,8 @@ CUDA_CALLABLE inline int moved_on(const Model& model, int w, const wp::array_t<r
 template <typename Model, typename real>
 CUDA_CALLABLE inline void begin_list(const Model& model, int w, const wp::array_t<real>& state, int row,
                                      int c) {
-    typedef typename several<real>::lanes T;
     const rows_of<real> s(state, row), then(model.listed, w), rest(model.rest, 0), m(model.inertia, w);
-    for (EACH_IN(p, model.first, model.end)) then.put3(0, p, s.template get3<T>(c, p));
+    copy_rows(model, 3, s, c, then, 0);
     const int pitch = model.pitch;
     for (EACH_ONE_IN(p, model.first, model.end)) {
         const auto has = [&](int kind) { return pitch > 0 && rest.template get<real>(kind, p) > real(0); };
@@ -419,12 +427,10 @@ CUDA_CALLABLE inline void rebuild_lists(const Model& model, int w, const wp::arr
     block_sync();
 }
 
-// A row keeps where points were when pairs were listed.
+// A state keeps where points were when pairs were listed.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void keep_list(const Model& model, int w, const wp::array_t<real>& state, int row, int c) {
-    typedef typename several<real>::lanes T;
-    const rows_of<real> to(state, row), listed(model.listed, w);
-    for (EACH_IN(p, model.first, model.end)) to.put3(c, p, listed.template get3<T>(0, p));
+    copy_rows(model, 3, rows_of<real>(model.listed, w), 0, rows_of<real>(state, row), c);
 }
 
 }  // namespace gendom
