@@ -90,7 +90,23 @@ QUANTITIES: dict[str, Parameter] = {p.column: p for p in PARAMETERS.values()}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rope:
+class _Thing:
+    """What ropes and cloths have in common."""
+
+    kind: ClassVar[str]
+    sizes: ClassVar[tuple[str, str]]
+    """Names of its sizes, the larger one first [m]."""
+
+    material: Material = field(default_factory=Material)
+    friction: float = 0.3
+    """Coefficient of friction on the table, and of a cloth on itself [-]."""
+
+    def __post_init__(self) -> None:
+        _check_units(self)  # pyright: ignore[reportArgumentType]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rope(_Thing):
     """A round rope.
 
     Raises:
@@ -98,20 +114,13 @@ class Rope:
             its length, friction is negative, or a number was given in another unit.
     """
 
-    kind: ClassVar[str] = "rope"
-    sizes: ClassVar[tuple[str, str]] = ("length", "diameter")
-    """Names of its sizes, the larger one first [m]."""
+    kind = "rope"
+    sizes = ("length", "diameter")
 
     length: float
     """[m]."""
     diameter: float
     """[m]."""
-    material: Material = field(default_factory=Material)
-    friction: float = 0.3
-    """Coefficient of friction on the table [-]."""
-
-    def __post_init__(self) -> None:
-        _check_units(self)
 
     @property
     def radius_of_gyration(self) -> float:
@@ -130,7 +139,7 @@ class Rope:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cloth:
+class Cloth(_Thing):
     """A square cloth.
 
     Raises:
@@ -138,20 +147,13 @@ class Cloth:
             its side, friction is negative, or a number was given in another unit.
     """
 
-    kind: ClassVar[str] = "cloth"
-    sizes: ClassVar[tuple[str, str]] = ("side", "thickness")
-    """Names of its sizes, the larger one first [m]."""
+    kind = "cloth"
+    sizes = ("side", "thickness")
 
     side: float
     """[m]."""
     thickness: float
     """[m]."""
-    material: Material = field(default_factory=Material)
-    friction: float = 0.3
-    """Coefficient of friction on the table and on itself [-]."""
-
-    def __post_init__(self) -> None:
-        _check_units(self)
 
     @property
     def radius_of_gyration(self) -> float:

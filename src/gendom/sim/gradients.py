@@ -59,6 +59,3 @@ class Gradients:
     """[W] the same along its second side."""
     shear: NDArray[np.float64] | None = None
     """[W] the same of its in-plane shear stiffness."""
-    rest_strains: NDArray[np.float64] | None = None
-    """[W, n, 6] by a rod's stress-free strains: two shears and the stretch of each edge, two
-    bending angles and the twist of each joint [1/rad]; None for other bodies."""

@@ -29,7 +29,7 @@ from gendom.sim.gripper import Gripper, Grippers, Targets
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
 from gendom.sim.scene import Physics, Solver, Table
-from gendom.sim.setting import Frames, Setting, spread
+from gendom.sim.setting import Frames, Setting
 from gendom.sim.thin import THIN_ENGINES, ThinEngine
 
 START_INSIDE = 0.1
@@ -192,13 +192,6 @@ class Simulator(Shown):
     def substep(self) -> NDArray[np.float64]:
         """[W] longest substep of each world [s]."""
         return self.engine.setting.substep
-
-    @property
-    def stiffness(self) -> NDArray[np.floating]:
-        """[W, N] E of each particle over E of its material."""
-        return spread(
-            self.engine.setting.stiffness, (self.num_worlds, self.num_points), "stiffness"
-        )
 
     @property
     def worlds(self) -> Worlds:

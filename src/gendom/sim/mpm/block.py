@@ -11,12 +11,6 @@ import warp as wp
 
 from gendom.sim.mpm.types import Namespace, make_types
 
-Near = wp.types.vector(6, wp.int32)
-"""Where a particle's neighbours are, before and behind along each axis of the lattice."""
-
-LOWER = wp.constant(0xFFFF)
-"""Bits of the first of two indices in one number."""
-
 ROOMS_OF_TWO = (96_000, 114_000)
 """Shared memory for the particles of one of two blocks on a multiprocessor [bytes]; the smaller
 leaves more of it to the cache."""
@@ -74,13 +68,18 @@ def make_store(real: Any, *, resident: bool) -> Namespace:
 
     Returns:
         Namespace with ``get`` and ``put`` of component c of particle i in a row of the array ``of``
-        [rows, components, N]; with ``vector``, ``put_vector``, ``matrix``, ``put_matrix`` and
-        ``symmetric``, ``put_symmetric`` of the components from c on; and with ``differences`` and
-        ``pulled``, those of ``internal_forces`` between the particles of a row.
+        [rows, components, N], and ``vector``, ``put_vector``, ``matrix`` and ``put_matrix`` of the
+        components from c on.
     """
-    get, put = _numbers(real, resident=resident)
     types = make_types(real)
     vec3, mat33 = types.vec3, types.mat33
+    number = f"gendom::component<{int(resident)}>(of, row, c, i)"
+
+    @wp.func_native(f"return {number};")
+    def get(of: wp.array3d(dtype=real), row: int, c: int, i: int) -> real: ...
+
+    @wp.func_native(f"{number} = value;")
+    def put(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real): ...
 
     @wp.func
     def vector(of: wp.array3d(dtype=real), row: int, c: int, i: int):
@@ -105,54 +104,7 @@ def make_store(real: Any, *, resident: bool) -> Namespace:
             for n in range(3):
                 put(of, row, c + 3 * m + n, i, A[m, n])
 
-    @wp.func
-    def symmetric(of: wp.array3d(dtype=real), row: int, c: int, i: int):
-        """From the numbers xx, yy, zz, xy, xz, yz."""
-        xy = get(of, row, c + 3, i)
-        xz = get(of, row, c + 4, i)
-        yz = get(of, row, c + 5, i)
-        return mat33(
-            get(of, row, c, i), xy, xz, xy, get(of, row, c + 1, i), yz, xz, yz,
-            get(of, row, c + 2, i),
-        )  # fmt: skip
-
-    @wp.func
-    def put_symmetric(of: wp.array3d(dtype=real), row: int, c: int, i: int, A: mat33):
-        for n in range(3):
-            put(of, row, c + n, i, A[n, n])
-        put(of, row, c + 3, i, A[0, 1])
-        put(of, row, c + 4, i, A[0, 2])
-        put(of, row, c + 5, i, A[1, 2])
-
-    @wp.func
-    def differences(of: wp.array3d(dtype=real), row: int, c: int, near: Near):
-        """Differences [3, axis] of the vectors at c between a particle's neighbours."""
-        D = mat33()
-        for axis in range(3):
-            d = vector(of, row, c, near[2 * axis + 1]) - vector(of, row, c, near[2 * axis])
-            for n in range(3):
-                D[n, axis] = d[n]
-        return D
-
-    @wp.func
-    def pulled(of: wp.array3d(dtype=real), row: int, c: int, near: Near, i: int):
-        """Sum of the pulls, the matrices at c, on a particle."""
-        total = vec3()
-        for axis in range(3):
-            a = near[2 * axis]
-            b = near[2 * axis + 1]
-            # where the lattice ends a particle stands in for the neighbour that it lacks
-            back = wp.where(a == i, real(-1.0), real(1.0))
-            forth = wp.where(b == i, real(-1.0), real(1.0))
-            for n in range(3):
-                total[n] += forth * get(of, row, c + 3 * n + axis, b)
-                total[n] -= back * get(of, row, c + 3 * n + axis, a)
-        return total
-
-    return Namespace(
-        vector, put_vector, matrix, put_matrix, symmetric, put_symmetric, differences, pulled,
-        get=get, put=put,
-    )  # fmt: skip
+    return Namespace(vector, put_vector, matrix, put_matrix, get=get, put=put)
 
 
 @wp.func
@@ -169,44 +121,3 @@ def put_near(
     for axis in range(3):
         before = place[row, lattice[p, axis, 0]]
         near[w, axis, i] = before | (place[row, lattice[p, axis, 1]] << 16)
-
-
-@wp.func
-def get_near(near: wp.array3d(dtype=wp.int32), row: int, i: int):
-    a = near[row, 0, i]
-    b = near[row, 1, i]
-    c = near[row, 2, i]
-    return Near(a & LOWER, a >> 16, b & LOWER, b >> 16, c & LOWER, c >> 16)
-
-
-@wp.func
-def spans_of(near: Near, i: int):
-    """Lattice spacings between a particle's neighbours along each axis: 2, or 1 at an end."""
-    spans = wp.vec3i(2, 2, 2)
-    for axis in range(3):
-        if near[2 * axis] == i or near[2 * axis + 1] == i:
-            spans[axis] = 1
-    return spans
-
-
-def _numbers(real: Any, *, resident: bool) -> tuple[Any, Any]:
-    """``get`` and ``put`` of ``make_store``."""
-    if not resident:
-
-        @wp.func
-        def get_from_array(of: wp.array3d(dtype=real), row: int, c: int, i: int):
-            return of[row, c, i]
-
-        @wp.func
-        def put_in_array(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real):
-            of[row, c, i] = value
-
-        return get_from_array, put_in_array
-
-    @wp.func_native("return gendom::resident(of, row, c, i);")
-    def get(of: wp.array3d(dtype=real), row: int, c: int, i: int) -> real: ...
-
-    @wp.func_native("gendom::resident(of, row, c, i) = value;")
-    def put(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real): ...
-
-    return get, put

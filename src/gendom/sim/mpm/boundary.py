@@ -34,7 +34,7 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.bodies import Body
-from gendom.sim.mpm.particles import Variant, make_adjoint, make_moving, make_taped
+from gendom.sim.mpm.particles import Variant, make_moving, make_taped
 from gendom.sim.mpm.types import Namespace, make_types
 from gendom.sim.paths import make_paths
 
@@ -81,10 +81,10 @@ def make_boundary(variant: Variant) -> Namespace:
     vec3, mat33 = types.vec3, types.mat33
     Model, Paths, Grips = types.Model, types.Paths, types.Grips
     Substep, ConditionsAdjoint = types.Substep, types.ConditionsAdjoint
-    stored, taped, adjoint_of = make_moving(variant), make_taped(variant), make_adjoint(variant)
+    stored, taped = make_moving(variant), make_taped(variant)
     Stored, x_of = stored.Struct, stored.x_of
-    Tape, Adjoint, taped_x_of = taped.Struct, adjoint_of.Struct, taped.x_of
-    fields, place = adjoint_of.fields, adjoint_of.place
+    Tape, Adjoint, taped_x_of = taped.Struct, stored.Struct, taped.x_of
+    fields, place = stored.fields, stored.place
     paths_of = make_paths(real)
     hold_on = make_grips(real).hold_on
     section_centre = _section_centre(variant, taped=False)

@@ -14,7 +14,7 @@ import warp as wp
 
 from gendom.sim.mpm.block import make_block
 from gendom.sim.mpm.boundary import FOLLOWS, make_boundary
-from gendom.sim.mpm.particles import LAM, MASS, MU, Variant, make_adjoint, make_taped
+from gendom.sim.mpm.particles import LAM, MASS, MU, Variant, make_moving, make_taped
 from gendom.sim.mpm.types import Namespace, make_types
 from gendom.sim.paths import make_paths
 
@@ -39,7 +39,7 @@ def make_gripped(variant: Variant) -> Namespace:
     types = make_types(real)
     vec3, Model, Grips, Substep = types.vec3, types.Model, types.Grips, types.Substep
     ConditionsAdjoint = types.ConditionsAdjoint
-    taped, adjoint_of = make_taped(variant), make_adjoint(variant)
+    taped, adjoint_of = make_taped(variant), make_moving(variant)
     Tape, Adjoint = taped.Struct, adjoint_of.Struct
     before, fields, particle = taped.fields, adjoint_of.fields, adjoint_of.particle
     sync, add_by_warp = make_block(real).sync, make_block(real).add_by_warp

@@ -13,14 +13,13 @@ import warp as wp
 
 from gendom.sim.mpm.block import bounds, make_block, put_near
 from gendom.sim.mpm.boundary import make_boundary, make_grips
-from gendom.sim.mpm.elasticity import make_maxwell_branch
 from gendom.sim.mpm.grid import MARGIN, make_rebuild
 from gendom.sim.mpm.gripped import AHEAD, make_gripped, make_poses
+from gendom.sim.mpm.internal_forces import make_maxwell_branch
 from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.particles import (
     ORDERLY,
     Variant,
-    make_adjoint,
     make_loading,
     make_moving,
     make_sorting,
@@ -62,7 +61,7 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
     substep, beginning = make_substep(variant, taped=taped), _make_beginning(real)
     block = make_block(real)
     compensates = wp.constant(int(types.compensates))
-    keeps, rows = wp.constant(int(taped)), wp.constant(int(variant.rows))
+    keeps = wp.constant(int(taped))
     # known when a kernel is made: on the CPU, kernels with tiles must not run on several threads
     IN_SHARED_MEMORY, numbers = wp.constant(variant.room > 0), wp.constant(variant.numbers)
     resident = wp.constant(int(variant.room > 0))
@@ -94,24 +93,10 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         grid.velocity = wp.array(ptr=ptr, shape=(1, grid.momentum.shape[1]), dtype=vec4)
         return grid
 
-    if variant.rows:
-
-        @wp.func
-        def load_all(now: Substep, afresh: int, model: Model, state: State, particles: Particles):
-            """Rows are the state itself."""
-
-        @wp.func
-        def unload_all(now: Substep, state: State, particles: Particles):
-            """Rows are the state itself."""
-
-        @wp.func
-        def sort(
-            now: Substep, far: real, model: Model, grid: Grid, particles: Particles, tape: Tape
-        ):
-            """Rows stay in their order. Returns whether the order changed."""
-            return 0
-
-    else:
+    # rows are the state itself, and stay in their order
+    IN_RECORDS = wp.constant(not variant.rows)
+    load_all = unload_all = sort = None
+    if not variant.rows:
         sort_records = make_sorting(variant)
 
         @wp.func
@@ -180,11 +165,11 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         tape: Tape,
     ):
         turn, block_thread = wp.tid()
-        thread = int(block_thread)
-        threads = int(block_threads)
-        if rows == 1:  # known to the compiler
-            thread = 0
-            threads = 1
+        thread = int(0)
+        threads = int(1)
+        if IN_RECORDS:
+            thread = int(block_thread)
+            threads = int(block_threads)
         if IN_SHARED_MEMORY:
             wp.tile_empty(shape=numbers, dtype=real, storage="shared")
         w = order[turn]
@@ -223,7 +208,8 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         if resident == 1 and offset + 4 * world_grid.momentum.shape[1] <= numbers:
             velocity_at = block.resident_at(number_bytes * offset)
         grid = velocities_at(world_grid, velocity_at)
-        load_all(now, afresh, model, state, particles)
+        if IN_RECORDS:
+            load_all(now, afresh, model, state, particles)
         block.sync()
         if step == 0:
             for i in range(thread, now.N, threads):
@@ -248,9 +234,10 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
                             if boundary.near_table(fields.x(particles, w, i), model):
                                 near = 1
                         now.near_table = block.any(near)
-                        if sort(now, far, model, grid, particles, tape) == 1:
-                            far = real(0.0)
-                            now.holding = list_gripped(now, particles, model, grips)
+                        if IN_RECORDS:  # noqa: SIM102 - known when the kernel is made
+                            if sort(now, far, model, grid, particles, tape) == 1:
+                                far = real(0.0)
+                                now.holding = list_gripped(now, particles, model, grips)
                     elif thread == 0:
                         # the grid's need is read from the world's first layout
                         for a in range(4):
@@ -305,7 +292,8 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
                     now.keep_velocity = wp.exp(-model.velocity_damping[w] * now.h)
             t = plan.time[frame] + wp.float64(step) * dt
         block.sync()
-        unload_all(now, state, particles)
+        if IN_RECORDS:
+            unload_all(now, state, particles)
         if thread == 0:
             unsorted[w] = far
             clock.frame[w] = frame
@@ -326,10 +314,10 @@ def make_reverse(variant: Variant) -> Any:
     real = variant.real
     types = make_types(real)
     Clock, Model, Grid, Substep = types.Clock, types.Model, types.Grid, types.Substep
-    Paths, Grips, StateAdjoint = types.Paths, types.Grips, types.StateAdjoint
+    Paths, Grips, State = types.Paths, types.Grips, types.State
     ConditionsAdjoint = types.ConditionsAdjoint
     Tape = make_taped(variant).Struct
-    adjoint_of = make_adjoint(variant)
+    adjoint_of = make_moving(variant)
     Adjoint, fields = adjoint_of.Struct, adjoint_of.fields
     substep_adjoint, boundary = make_substep_adjoint(variant), make_boundary(variant)
     poses, beginning = make_poses(real), _make_beginning(real)
@@ -338,27 +326,13 @@ def make_reverse(variant: Variant) -> Any:
         make_loading(variant),
         make_block(real),
     )
-    rows, numbers = wp.constant(int(variant.rows)), wp.constant(variant.numbers)
-    IN_SHARED_MEMORY = wp.constant(variant.room > 0)
+    IN_SHARED_MEMORY, numbers = wp.constant(variant.room > 0), wp.constant(variant.numbers)
     COMPONENTS = wp.constant(variant.components)
 
-    if variant.rows:
-
-        @wp.func
-        def load_all(
-            now: Substep, model: Model, tape: Tape, by_state: StateAdjoint, adjoint: Adjoint
-        ):
-            """Rows are the derivatives themselves."""
-
-        @wp.func
-        def unload_all(now: Substep, by_state: StateAdjoint, adjoint: Adjoint):
-            """Rows are the derivatives themselves."""
-
-        @wp.func
-        def change_layout(now: Substep, earlier: int, model: Model, tape: Tape, adjoint: Adjoint):
-            """Rows stay in their order."""
-
-    else:
+    # rows are the derivatives themselves, and stay in their order
+    IN_RECORDS = wp.constant(not variant.rows)
+    load_all = unload_all = change_layout = None
+    if not variant.rows:
         store = fields.store
 
         @wp.func
@@ -371,9 +345,7 @@ def make_reverse(variant: Variant) -> Any:
                 put_near(adjoint.near, now.w, i, p, model.lattice, tape.place, now.layout)
 
         @wp.func
-        def load_all(
-            now: Substep, model: Model, tape: Tape, by_state: StateAdjoint, adjoint: Adjoint
-        ):
+        def load_all(now: Substep, model: Model, tape: Tape, by_state: State, adjoint: Adjoint):
             """Make the records of a world in the order of a layout."""
             for i in range(now.thread, adjoint.near.shape[2], now.threads):
                 loading.load(adjoint, now.w, i, tape.order[now.layout, i], by_state)
@@ -382,7 +354,7 @@ def make_reverse(variant: Variant) -> Any:
             set_order(now, model, tape, adjoint)
 
         @wp.func
-        def unload_all(now: Substep, by_state: StateAdjoint, adjoint: Adjoint):
+        def unload_all(now: Substep, by_state: State, adjoint: Adjoint):
             """Write the records of a world back."""
             for i in range(now.thread, adjoint.near.shape[2], now.threads):
                 p = adjoint.order[now.w, i]
@@ -428,15 +400,15 @@ def make_reverse(variant: Variant) -> Any:
         tape: Tape,
         adjoint: Adjoint,
         # by the state: after the tape on entry, before it on return
-        by_state: StateAdjoint,
+        by_state: State,
         by: ConditionsAdjoint,
     ):
         turn, block_thread = wp.tid()
-        thread = int(block_thread)
-        threads = int(block_threads)
-        if rows == 1:  # known to the compiler
-            thread = 0
-            threads = 1
+        thread = int(0)
+        threads = int(1)
+        if IN_RECORDS:
+            thread = int(block_thread)
+            threads = int(block_threads)
         w = order[turn]
         own = w % shared
         if slots[w] < 1:
@@ -450,7 +422,8 @@ def make_reverse(variant: Variant) -> Any:
         now.gone = slots[w] - 1
         now.row = own
         now.layout = tape.layout_of[now.gone * shared + own]
-        load_all(now, model, tape, by_state, adjoint)
+        if IN_RECORDS:
+            load_all(now, model, tape, by_state, adjoint)
         now.holding = list_gripped(now, adjoint, model, grips)
         posed = int(now.gone + 1)  # the substep from which on poses are known, and how many of them
         count = int(0)
@@ -459,7 +432,7 @@ def make_reverse(variant: Variant) -> Any:
             now.age = clock.age[w] + now.gone
             earlier = tape.layout_of[now.slot]
             if earlier != now.layout:
-                if rows == 0:
+                if IN_RECORDS:
                     change_layout(now, earlier, model, tape, adjoint)
                     now.holding = list_gripped(now, adjoint, model, grips)
                 now.layout = earlier
@@ -486,7 +459,8 @@ def make_reverse(variant: Variant) -> Any:
         poses.close_poses(now, posed, count, t0, dt, paths, grips, by)
         if thread == 0:
             beginning.close_rates(w, dt, model, by)
-        unload_all(now, by_state, adjoint)
+        if IN_RECORDS:
+            unload_all(now, by_state, adjoint)
 
     return reverse
 

@@ -87,7 +87,6 @@ class Worlds:
             grip_stiffness=grip_stiffness,
             contact_radius=s.body.contact_radius,
             lattice=s.body.lattice,
-            rest_frame=s.body.rest_frames,
             frame=_triangles(s.body.rest_frames),
             per_span=np.where(alone, 1.0, 0.5).T[:2],
             dx=s.body.dx,

@@ -82,171 +82,84 @@ class Stored:
     """(stored, row, p) -> x of particle p."""
 
 
+@functools.cache
 def make_moving(variant: Variant) -> Stored:
-    """Particles while they move."""
-    return _rows(variant.real).moving if variant.rows else _records(variant).moving
-
-
-def make_taped(variant: Variant) -> Stored:
-    """Particles on a tape; row n * W + w is substep n of world w."""
-    return _rows(variant.real).taped if variant.rows else _records(variant).taped
-
-
-def make_adjoint(variant: Variant) -> Stored:
-    """Derivatives by particles."""
-    return _rows(variant.real).adjoint if variant.rows else _records(variant).adjoint
-
-
-@functools.cache
-def _rows(real: Any) -> Namespace:
-    types = make_types(real)
-    State, StateAdjoint = types.State, types.StateAdjoint
-    vec3, mat33 = types.vec3, types.mat33
-
-    @wp.struct
-    class RowTape:
-        """S recorded substeps of a world, the state before each."""
-
-        x: wp.array2d(dtype=vec3)  # [S, N]
-        v: wp.array2d(dtype=vec3)
-        C: wp.array2d(dtype=mat33)
-        Z: wp.array3d(dtype=real)  # [S, 6, N]
-        q: wp.array2d(dtype=vec3)  # momentum with all impulses but the table's
-        layout_of: wp.array(dtype=wp.int32)  # [S] layout of each substep
+    """Particles while they move, or derivatives by them."""
+    if variant.rows:
+        return _rows(variant.real)
+    Records = make_types(variant.real).Records
+    fields = _record_fields(variant.real, STRESS, resident=variant.room > 0)
+    own_x = fields.x
 
     @wp.func
-    def x(s: Any, row: int, i: int):
-        return s.x[row, i]
-
-    @wp.func
-    def v(s: Any, row: int, i: int):
-        return s.v[row, i]
-
-    @wp.func
-    def C(s: Any, row: int, i: int):
-        return s.C[row, i]
-
-    @wp.func
-    def q(s: Any, row: int, i: int):
-        return s.q[row, i]
-
-    @wp.func
-    def low(s: State, row: int, i: int):
-        return s.low[row, i]
-
-    @wp.func
-    def put_x(s: Any, row: int, i: int, value: vec3):
-        s.x[row, i] = value
-
-    @wp.func
-    def put_v(s: Any, row: int, i: int, value: vec3):
-        s.v[row, i] = value
-
-    @wp.func
-    def put_C(s: Any, row: int, i: int, value: mat33):
-        s.C[row, i] = value
-
-    @wp.func
-    def put_q(s: Any, row: int, i: int, value: vec3):
-        s.q[row, i] = value
-
-    @wp.func
-    def put_low(s: State, row: int, i: int, value: vec3):
-        s.low[row, i] = value
-
-    @wp.func
-    def get_Z(s: Any, row: int, c: int, i: int):
-        return s.Z[row, c, i]
-
-    @wp.func
-    def put_Z(s: Any, row: int, c: int, i: int, value: real):
-        s.Z[row, c, i] = value
-
-    @wp.func
-    def same(s: Any, row: int, i: int):
-        return i
-
-    fields = Namespace(x, v, C, q, low, put_x, put_v, put_C, put_q, put_low, get_Z, put_Z)
-
-    return Namespace(
-        moving=Stored(State, fields, same, same, x),
-        taped=Stored(RowTape, fields, same, same, x),
-        adjoint=Stored(StateAdjoint, fields, same, same, x),
-    )
-
-
-@functools.cache
-def _records(variant: Variant) -> Namespace:
-    real = variant.real
-
-    @wp.struct
-    class Records:
-        """Particles of W worlds in order."""
-
-        of: wp.array3d(dtype=real)  # [W, components, N], or [1, ...] in shared memory
-        moduli: wp.array3d(dtype=real)  # [W, 2, N] mu, lam
-        order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record
-        place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle
-        near: wp.array3d(dtype=wp.int32)  # [W, 3, N] records of its neighbours
-        unsorted: wp.array(dtype=real)  # [W] distance travelled since they were sorted [m]
-        # scratch
-        spare: wp.array3d(dtype=real)  # [W, components + 2, N]
-        spare_order: wp.array2d(dtype=wp.int32)  # [W, N]
-        tally: wp.array2d(dtype=wp.int32)  # [W, M]
-
-    @wp.struct
-    class RecordTape:
-        """S recorded substeps of W worlds; layouts may be fewer than substeps."""
-
-        of: wp.array3d(dtype=real)  # [S * W, taped, N] records before the substep
-        order: wp.array2d(dtype=wp.int32)  # [L, N] of each layout
-        place: wp.array2d(dtype=wp.int32)  # [L, N]
-        layout_of: wp.array(dtype=wp.int32)  # [S * W] layout of each substep
-
-    @wp.struct
-    class RecordAdjoint:
-        """Derivatives by W worlds' particles in order."""
-
-        of: wp.array3d(dtype=real)  # [W, components, N], or [1, ...] in shared memory
-        sums: wp.array3d(dtype=real)  # [W, 4, N] by mu, lam, mass and drag
-        near: wp.array3d(dtype=wp.int32)  # [W, 3, N] records of its neighbours
-        order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record
-        place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle
-        spare: wp.array3d(dtype=real)  # [W, components + 4, N] scratch
-
-    @wp.func
-    def particle(s: Any, row: int, i: int):
+    def particle(s: Records, row: int, i: int):
         return s.order[row, i]
 
     @wp.func
-    def place(s: Any, row: int, p: int):
+    def place(s: Records, row: int, p: int):
         return s.place[row, p]
 
     @wp.func
-    def taped_particle(s: RecordTape, row: int, i: int):
+    def x_of(s: Records, row: int, p: int):
+        return own_x(s, row, s.place[row, p])
+
+    return Stored(Records, fields, particle, place, x_of)
+
+
+@functools.cache
+def make_taped(variant: Variant) -> Stored:
+    """Particles on a tape; row n * W + w is substep n of world w."""
+    if variant.rows:
+        return _rows(variant.real)
+    Records = make_types(variant.real).Records
+    fields = _record_fields(variant.real, TAPED_STRESS, resident=False)
+    taped_x = fields.x
+
+    @wp.func
+    def taped_particle(s: Records, row: int, i: int):
         return s.order[s.layout_of[row], i]
 
     @wp.func
-    def taped_place(s: RecordTape, row: int, p: int):
+    def taped_place(s: Records, row: int, p: int):
         return s.place[s.layout_of[row], p]
 
-    own = _record_fields(real, STRESS, resident=variant.room > 0)
-    taped = _record_fields(real, TAPED_STRESS, resident=False)
-    own_x, taped_x = own.x, taped.x
-
     @wp.func
-    def x_of(s: Any, row: int, p: int):
-        return own_x(s, row, s.place[row, p])
-
-    @wp.func
-    def taped_x_of(s: RecordTape, row: int, p: int):
+    def taped_x_of(s: Records, row: int, p: int):
         return taped_x(s, row, taped_place(s, row, p))
 
-    return Namespace(
-        moving=Stored(Records, own, particle, place, x_of),
-        taped=Stored(RecordTape, taped, taped_particle, taped_place, taped_x_of),
-        adjoint=Stored(RecordAdjoint, own, particle, place, x_of),
-    )
+    return Stored(Records, fields, taped_particle, taped_place, taped_x_of)
+
+
+@functools.cache
+def _rows(real: Any) -> Stored:
+    types = make_types(real)
+    State, vec3 = types.State, types.vec3
+
+    def field(name: str, kind: Any) -> dict[str, Any]:
+        @wp.func_native(f"return wp::index(s.{name}, row, i);")
+        def get(s: State, row: int, i: int) -> kind: ...
+
+        @wp.func_native(f"wp::index(s.{name}, row, i) = value;")
+        def put(s: State, row: int, i: int, value: kind): ...
+
+        return {name: get, f"put_{name}": put}
+
+    @wp.func
+    def get_Z(s: State, row: int, c: int, i: int):
+        return s.Z[row, c, i]
+
+    @wp.func
+    def put_Z(s: State, row: int, c: int, i: int, value: real):
+        s.Z[row, c, i] = value
+
+    @wp.func
+    def same(s: State, row: int, i: int):
+        return i
+
+    fields = Namespace(get_Z, put_Z, **field("C", types.mat33))
+    for name in ("x", "v", "q", "low"):
+        vars(fields).update(field(name, vec3))
+    return Stored(State, fields, same, same, fields.x)
 
 
 def _record_fields(real: Any, stress: int, *, resident: bool) -> Namespace:
@@ -256,7 +169,7 @@ def _record_fields(real: Any, stress: int, *, resident: bool) -> Namespace:
     vec3, mat33 = types.vec3, types.mat33
     STRESS_AT = wp.constant(stress)
 
-    def vector(first: int) -> tuple[Any, Any]:
+    def vector(name: str, first: int) -> dict[str, Any]:
         FIRST = wp.constant(first)
 
         @wp.func
@@ -267,7 +180,7 @@ def _record_fields(real: Any, stress: int, *, resident: bool) -> Namespace:
         def put(s: Any, row: int, i: int, value: vec3):
             store.put_vector(s.of, row, FIRST, i, value)
 
-        return get, put
+        return {name: get, f"put_{name}": put}
 
     @wp.func
     def C(s: Any, row: int, i: int):
@@ -285,10 +198,10 @@ def _record_fields(real: Any, stress: int, *, resident: bool) -> Namespace:
     def put_Z(s: Any, row: int, c: int, i: int, value: real):
         store.put(s.of, row, STRESS_AT + c, i, value)
 
-    vectors: dict[str, Any] = {}
+    fields = Namespace(C, put_C, get_Z, put_Z, store=store)
     for name, first in (("x", X), ("v", V), ("q", MOMENTUM), ("low", LOW)):
-        vectors[name], vectors[f"put_{name}"] = vector(first)
-    return Namespace(C, put_C, get_Z, put_Z, store=store, **vectors)
+        vars(fields).update(vector(name, first))
+    return fields
 
 
 @functools.cache

@@ -19,7 +19,7 @@ from gendom.sim.device import load_kernels
 from gendom.sim.mpm.block import ROOM_ALONE, ROOMS_OF_TWO
 from gendom.sim.mpm.kernels import make_advance, make_hold_as_at
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.mpm.particles import Variant, make_moving, make_taped
+from gendom.sim.mpm.particles import Variant, make_taped
 from gendom.sim.mpm.step import DIVERGED, GRID_FULL, OK
 from gendom.sim.setting import Frames
 
@@ -76,7 +76,10 @@ class Program:
             self.variant = Variant(
                 worlds.real, worlds.damped, rows=False, room=room, threads=threads if cuda else 1
             )
-        self.particles = worlds.state if self.variant.rows else self._records()
+        self.particles = worlds.state
+        if in_blocks:
+            spare = (W, self.variant.components + 2, N)
+            self.particles = self.records(moduli=(W, 2, N), spare=spare, spare_order=(W, N))
         self.unsorted = worlds.zeros(W, worlds.real)
         self.load(make_advance(self.variant, taped=False))
         self.load(make_hold_as_at(worlds.real), ANY_THREADS)
@@ -91,16 +94,15 @@ class Program:
                 return room
         return 0
 
-    def _records(self) -> Any:
+    def records(self, **more: tuple[int, ...]) -> Any:
+        """Room for records of all worlds, and arrays of further shapes."""
         W, N = self.worlds.num_worlds, self.worlds.num_particles
-        components = self.variant.components
         return self.worlds.allocate(
-            make_moving(self.variant).Struct,
-            of=(1 if self.variant.room else W, components, N),
-            moduli=(W, 2, N),
+            self.worlds.types.Records,
+            of=(1 if self.variant.room else W, self.variant.components, N),
             near=(W, 3, N),
-            spare=(W, components + 2, N),
-            **dict.fromkeys(("order", "place", "spare_order"), (W, N)),
+            **dict.fromkeys(("order", "place"), (W, N)),
+            **more,
         )
 
     def load(self, kernel: Any, threads: int | None = None) -> None:

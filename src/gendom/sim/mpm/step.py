@@ -1,6 +1,6 @@
 """The substep of the material point method, forward and transposed: the algorithm at a glance.
 
-    1. forces          impulses between particles, damping, air      (internal_forces, elasticity)
+    1. forces          impulses between particles, damping, air      (internal_forces)
     2. touch           the table changes velocities                  (boundary)
     3. p2g             mass and momentum of particles to the grid    (transfer)
     4. normalise       velocity of a node = momentum / mass          (transfer)
@@ -21,10 +21,9 @@ import warp as wp
 
 from gendom.sim.mpm.block import make_block
 from gendom.sim.mpm.boundary import FOLLOWS, make_boundary
-from gendom.sim.mpm.elasticity import make_maxwell_branch
 from gendom.sim.mpm.gripped import make_gripped
-from gendom.sim.mpm.internal_forces import make_internal_forces
-from gendom.sim.mpm.particles import MASS, Variant, make_adjoint, make_moving, make_taped
+from gendom.sim.mpm.internal_forces import make_internal_forces, make_maxwell_branch
+from gendom.sim.mpm.particles import MASS, Variant, make_moving, make_taped
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
 from gendom.sim.mpm.types import make_types
 
@@ -243,7 +242,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
     vec3, mat33 = types.vec3, types.mat33
     Model, Grips = types.Model, types.Grips
     ConditionsAdjoint, Substep, Grid = types.ConditionsAdjoint, types.Substep, types.Grid
-    taped, adjoint_of = make_taped(variant), make_adjoint(variant)
+    taped, adjoint_of = make_taped(variant), make_moving(variant)
     Tape, Adjoint = taped.Struct, adjoint_of.Struct
     before, fields = taped.fields, adjoint_of.fields
     forces_of = make_internal_forces(variant)

@@ -7,7 +7,6 @@ segment, from which the segment is run again and recorded when it is to be rever
 
 # pyright: basic
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +18,7 @@ from gendom.errors import SimulationError
 from gendom.sim.gradients import Gradients
 from gendom.sim.mpm.kernels import SUMS, make_advance, make_reverse
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.mpm.particles import DRAG, LAM, MASS, MU, make_adjoint, make_taped
+from gendom.sim.mpm.particles import DRAG, LAM, MASS, MU, make_taped
 from gendom.sim.mpm.runner import REBUILD, Group, Plan, Program, for_groups
 from gendom.sim.mpm.step import GRID_FULL, NOT_FINITE
 
@@ -255,10 +254,7 @@ class Recording:
         self.room, self.substeps = s.room, substeps
         n, N = group.shared, s.num_particles
         # nothing is read before it was written: memory that is never needed is never touched
-        make = wp.empty
-        if not s.device.is_cuda:
-            make = Pages(n * substeps * (int(_row_bytes(program, 1)) + 1024)).take
-        self.grid = s.make_grid(layouts * n, rows=substeps * n, make=make)
+        self.grid = s.make_grid(layouts * n, rows=substeps * n, make=wp.empty)
         self.grid.velocity = wp.zeros((n, s.room[2]), dtype=s.types.vec4, device=s.device)
         rows = substeps * n
         if variant.rows:
@@ -268,7 +264,7 @@ class Recording:
             shapes = {"of": (rows, variant.taped, N)} | dict.fromkeys(
                 ("order", "place"), (layouts * n, N)
             )
-        self.tape = s.allocate(make_taped(variant).Struct, make, layout_of=rows, **shapes)
+        self.tape = s.allocate(make_taped(variant).Struct, wp.empty, layout_of=rows, **shapes)
 
 
 def _row_bytes(program: Program, substeps_a_layout: int) -> float:
@@ -280,36 +276,6 @@ def _row_bytes(program: Program, substeps_a_layout: int) -> float:
     return real * (program.variant.taped * N + 4 * M) + layout / substeps_a_layout
 
 
-class Pages:
-    """Memory for many arrays in one piece, for which the system may use large pages.
-
-    To touch a page of 4 KB for the first time takes as long as to compute what is written to it.
-
-    Args:
-        size: Of all arrays together [bytes]; a little more is set aside.
-    """
-
-    ALIGNED = 64
-    """Multiple at which each array begins [bytes]."""
-
-    def __init__(self, size: int):
-        # numpy asks the system for large pages
-        self._memory = np.empty(size + (1 << 12), dtype=np.uint8)
-        self._taken = 0
-
-    def take(self, shape: int | tuple[int, ...], *, dtype: Any, device: Any) -> wp.array:
-        """An array that is not filled."""
-        shape = (shape,) if isinstance(shape, int) else shape
-        inner = getattr(dtype, "_shape_", ())
-        scalar = np.dtype(wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)))
-        size = math.prod(shape + inner) * scalar.itemsize
-        self._taken += -(self._memory.ctypes.data + self._taken) % self.ALIGNED
-        piece = self._memory[self._taken : self._taken + size]
-        self._taken += size
-        numbers = piece.view(scalar).reshape(shape + inner)
-        return wp.array(numbers, dtype=dtype, device=device, copy=False)
-
-
 class Sums:
     """Derivatives by state and parameters while they are summed up."""
 
@@ -318,22 +284,13 @@ class Sums:
         s, variant = program.worlds, program.variant
         types, W, N = s.types, s.num_worlds, s.num_particles
         G, K = s.paths.time.shape[1:]
-        state = s.make_state(W, wp.zeros)
-        self.state = s.allocate(
-            types.StateAdjoint, sums=(W, SUMS, N), **({"impulses": (W, N)} if variant.rows else {})
-        )
-        for name in ("x", "v", "C", "Z"):
-            setattr(self.state, name, getattr(state, name))
-        self.adjoint = self.state
-        if not variant.rows:
-            components = variant.components
-            self.adjoint = s.allocate(
-                make_adjoint(variant).Struct,
-                of=(1 if variant.room else W, components, N),
-                sums=(W, SUMS, N),
-                spare=(W, components + SUMS, N),
-                near=(W, 3, N),
-                **dict.fromkeys(("order", "place"), (W, N)),
+        self.adjoint = self.state = s.make_state(W, wp.zeros)
+        self.state.sums = s.zeros((W, SUMS, N), s.real)
+        if variant.rows:
+            self.state.impulses = s.zeros((W, N), types.impulses)
+        else:
+            self.adjoint = program.records(
+                sums=(W, SUMS, N), spare=(W, variant.components + SUMS, N)
             )
         by_world = (
             "friction", "velocity_damping", "damping", "gravity", "damping_factor",

@@ -24,8 +24,8 @@ class Namespace(SimpleNamespace):
 def make_types(real: Any) -> Namespace:
     """The types for ``wp.float32`` or ``wp.float64``: vectors, matrices, and the structs below.
 
-    A particle's ``impulses`` on its neighbours are a row for each lattice axis, padded with the
-    air's impulse on itself. ``compensates`` says whether positions keep what rounding leaves out.
+    A particle's ``impulses`` on its neighbours are a row for each lattice axis, padded.
+    ``compensates`` says whether positions keep what rounding leaves out.
     """
     vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
@@ -40,7 +40,7 @@ def make_types(real: Any) -> Namespace:
         lam: wp.array2d(dtype=real)  # [W, N] [Pa]
         mass: wp.array(dtype=real)  # [W] of a particle [kg]
         damping: wp.array(dtype=real)  # [W] viscous over elastic stress in slow motion [s]
-        drag: wp.array(dtype=real)  # [W] see ``elasticity``; 0: no air
+        drag: wp.array(dtype=real)  # [W] see ``internal_forces``; 0: no air
         volume: real  # of a particle [m^3]
         sheet: int  # 1: a cloth, 0: a rope
         section: int  # particles that share a cross-section; they follow each other
@@ -48,8 +48,7 @@ def make_types(real: Any) -> Namespace:
         grip_stiffness: real  # see ``boundary.STIFFNESS``
         contact_radius: real  # height of a section's centre above the table at rest [m]
         lattice: wp.array3d(dtype=wp.int32)  # [N, 3, 2]
-        rest_frame: wp.array(dtype=mat33)  # [N] [1/m]
-        frame: wp.array2d(dtype=real)  # [6, N] its upper triangle but for a rotation
+        frame: wp.array2d(dtype=real)  # [6, N] rest frame's upper triangle but for a rotation [1/m]
         per_span: wp.array2d(dtype=real)  # [2, N] 1 / spacings between neighbours along two axes
         dx: real  # edge of a cell of the grid [m]
         gravity: wp.array(dtype=vec3)  # [W] [m/s^2]
@@ -73,7 +72,7 @@ def make_types(real: Any) -> Namespace:
         dx: real
         inv_dx: real
         keep_velocity: real  # share of velocity that damping leaves
-        keep: real  # what the Maxwell branch keeps of Z, see ``elasticity``
+        keep: real  # what the Maxwell branch keeps of Z, see ``internal_forces``
         share: real  # and its g
         layout: int  # of the grid
         slot: int  # row of the grid's momentum, and of the tape
@@ -127,15 +126,36 @@ def make_types(real: Any) -> Namespace:
 
     @wp.struct
     class State:
-        """Particles, a row for each world or each recorded substep."""
+        """Particles, a row for each world or each recorded substep, or derivatives by them."""
 
         x: wp.array2d(dtype=vec3)  # [rows, N] [m]
         v: wp.array2d(dtype=vec3)  # [rows, N] [m/s]
         C: wp.array2d(dtype=mat33)  # [rows, N] [1/s]
         Z: wp.array3d(dtype=real)  # [rows, 6, N] filtered stress, of bodies with damping [Pa]
-        # [W, N], not by rows
-        low: wp.array2d(dtype=vec3)  # what x leaves out of the position by rounding [m], in float32
-        impulses: wp.array2d(dtype=impulse_rows)  # on neighbours in this substep; on the CPU
+        # [W, N] what x leaves out of the position by rounding, in float32 [m]; not by rows
+        low: wp.array2d(dtype=vec3)
+        # [W, N] on neighbours in this substep; or derivatives by the differences between
+        # neighbours, and by v through the air; on the CPU
+        impulses: wp.array2d(dtype=impulse_rows)
+        q: wp.array2d(dtype=vec3)  # [rows, N] recorded: momentum with all impulses but the table's
+        layout_of: wp.array(dtype=wp.int32)  # [rows] recorded: layout of each substep
+        sums: wp.array3d(dtype=real)  # [W, 4, N] derivatives by each particle's parameters
+
+    @wp.struct
+    class Records:
+        """The same in an order of their own, see ``particles``."""
+
+        of: wp.array3d(dtype=real)  # [rows, components, N], or [1, ...] in shared memory
+        moduli: wp.array3d(dtype=real)  # [W, 2, N] mu, lam
+        order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record; recorded: [L, N]
+        place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle; recorded: [L, N]
+        near: wp.array3d(dtype=wp.int32)  # [W, 3, N] records of its neighbours
+        layout_of: wp.array(dtype=wp.int32)  # as of ``State``
+        sums: wp.array3d(dtype=real)
+        # scratch
+        spare: wp.array3d(dtype=real)  # [W, components + 4, N]
+        spare_order: wp.array2d(dtype=wp.int32)  # [W, N]
+        tally: wp.array2d(dtype=wp.int32)  # [W, M]
 
     @wp.struct
     class Clock:
@@ -161,18 +181,6 @@ def make_types(real: Any) -> Namespace:
         x: wp.array3d(dtype=vec3)  # [T, W, P] [m]
 
     @wp.struct
-    class StateAdjoint:
-        """Derivatives by the particles' state, and sums of those by their parameters."""
-
-        x: wp.array2d(dtype=vec3)  # [W, N]
-        v: wp.array2d(dtype=vec3)
-        C: wp.array2d(dtype=mat33)
-        Z: wp.array3d(dtype=real)  # [W, 6, N]
-        sums: wp.array3d(dtype=real)  # [W, 4, N] by mu, lam, mass and drag of each particle
-        # [W, N] by the differences between neighbours, and by v through the air; on the CPU
-        impulses: wp.array2d(dtype=impulse_rows)
-
-    @wp.struct
     class ConditionsAdjoint:
         """Derivatives by conditions and grippers, summed up."""
 
@@ -193,7 +201,7 @@ def make_types(real: Any) -> Namespace:
         # of substeps until they are added to the rates'
         damping_factor: wp.array(dtype=wp.float64)  # [W] share of velocity that damping leaves
         branch_factor: wp.array(dtype=wp.float64)  # [W] share of Z that stays
-        branch_share: wp.array(dtype=wp.float64)  # [W] g, see ``elasticity``
+        branch_share: wp.array(dtype=wp.float64)  # [W] g, see ``internal_forces``
         touched: wp.array2d(dtype=vec3)  # [W, sections] scratch: velocity changed by the table
         # where a derivative overflowed
         status: wp.array(dtype=wp.int32)  # [W]
@@ -203,6 +211,6 @@ def make_types(real: Any) -> Namespace:
     return Namespace(
         real=real, vec3=vec3, vec4=vec4, mat33=mat33, impulses=impulse_rows,
         compensates=real == wp.float32, Model=Model, Substep=Substep, Grid=Grid,
-        Paths=make_path_type(real), Grips=Grips, State=State, Clock=Clock, FramePlan=FramePlan,
-        StateAdjoint=StateAdjoint, ConditionsAdjoint=ConditionsAdjoint,
+        Paths=make_path_type(real), Grips=Grips, State=State, Records=Records, Clock=Clock,
+        FramePlan=FramePlan, ConditionsAdjoint=ConditionsAdjoint,
     )  # fmt: skip

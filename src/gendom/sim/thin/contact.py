@@ -1,27 +1,18 @@
-"""Contact of thin bodies with themselves: functions for kernels, arrays, and checks of a start.
+"""Contact of thin bodies with themselves: arrays of the kernels' model, and checks of a start.
 
 See ``native/contact.h`` and its adjoint.
 """
 
-# Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
-# pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportOperatorIssue=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAttributeAccessIssue=false
-
-import functools
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from gendom.arguments import require
 from gendom.errors import ParameterError
 from gendom.sim.setting import Setting, spread
-from gendom.sim.thin.native import make_native
 from gendom.sim.thin.shell_model import ShellModel
-from gendom.sim.thin.types import make_types
 
 MARGIN_OF_LISTS = 0.3
 """Margin of the list of pairs that may come into contact [spacings]."""
@@ -55,83 +46,6 @@ LEAST_BETWEEN_LAYERS = 0.5
 
 NEIGHBOURS = 2
 """Columns and rows between a point and a cell of a cloth that are not layers."""
-
-
-@functools.cache
-def make_contact(real: Any, kind: str) -> SimpleNamespace:
-    """Build ``resolve``, which applies contact at the end of a step, its transpose, and
-    ``rebuild_lists``."""
-    types, native = make_types(real), make_native(real, kind)
-    ThinModel, ModelAdjoint, rows = types.ThinModel, types.ModelAdjoint, wp.array3d(dtype=real)
-
-    @wp.func
-    def rebuild_lists(model: ThinModel, w: int, state: rows, row: int, c: int, far: real):
-        """List pairs anew if a point of components c to c + 2 has moved farther than this."""
-        if native.block_any(native.moved_on(model, w, state, row, c, far)) != 0:
-            native.begin_list(model, w, state, row, c)
-            native.block_sync()
-            native.list_pairs(model, w)
-            native.block_sync()
-
-    @wp.func
-    def choose_close(model: ThinModel, w: int, state: rows, row: int):
-        """List those of the pairs that a step's turns go over."""
-        native.begin_close(model, w)
-        native.block_sync()
-        native.list_close(model, w, state, row)
-        native.block_sync()
-
-    @wp.func
-    def turn_once(model: ThinModel, w: int, state: rows, row: int, dt: real, turn: int) -> int:
-        """Push apart what is too near; tells whether another turn is needed."""
-        native.count_contacts(model, w, state, row)
-        native.block_sync()
-        again = native.block_any(native.contact_impulses(model, w, state, row, dt, turn))
-        native.end_turn(model, w, state, row)
-        native.block_sync()
-        return again
-
-    @wp.func
-    def resolve(model: ThinModel, w: int, state: rows, row: int, dt: real):
-        """Apply contact of the body with itself at the end of a step."""
-        rebuild_lists(model, w, state, row, 0, real(0.5) * model.contact_margin)
-        if native.number_near(model, w) > 0:
-            choose_close(model, w, state, row)
-            for turn in range(model.contact_most_turns):
-                if turn_once(model, w, state, row, dt, turn) == 0:
-                    break
-
-    @wp.func
-    def resolve_adjoint(
-        model: ThinModel, adjoint: ModelAdjoint, turns_kept: rows, w: int, at: int, state: rows,
-        row: int, dt: real,
-    ):  # fmt: skip
-        """Transpose of ``resolve``; the row is as that found it, with the list it kept."""
-        rebuild_lists(model, w, state, row, state.shape[1] - LISTED, real(0.0))
-        if native.number_near(model, w) > 0:
-            choose_close(model, w, state, row)
-            turns = int(0)
-            for turn in range(model.contact_most_turns):
-                native.keep_turn(model, turns_kept, at, state, row, turn)
-                turns += 1
-                if turn_once(model, w, state, row, dt, turn) == 0:
-                    break
-            for back in range(turns):
-                turn = turns - 1 - back
-                native.end_turn_adjoint(model, adjoint, w, state, row)
-                native.block_sync()
-                native.put_back(model, turns_kept, at, state, row, turn)
-                native.block_sync()
-                native.count_contacts(model, w, state, row)
-                native.block_sync()
-                native.contact_impulses_adjoint(model, adjoint, w, state, row, dt, turn)
-                native.block_sync()
-                native.take_impulses(model, w, adjoint.state, w)
-                native.block_sync()
-
-    return SimpleNamespace(
-        rebuild_lists=rebuild_lists, resolve=resolve, resolve_adjoint=resolve_adjoint
-    )
 
 
 def contact_arrays(setting: Setting, n: int, spacing: float, rows: Any) -> dict[str, Any]:

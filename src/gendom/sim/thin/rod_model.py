@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gendom.materials import Material
 from gendom.sim.bodies import Body
 from gendom.sim.thin import rotation
-from gendom.sim.thin.types import ParameterDerivatives
+from gendom.sim.thin.types import ParameterDerivatives, by_modulus
 
 
 @dataclass(frozen=True)
@@ -101,16 +101,8 @@ class RodModel:
     ) -> ParameterDerivatives:
         """Derivatives by ``E``, ``nu``, ``density``, ``membrane`` or ``thickness`` (diameter)."""
         if name in ("E", "membrane"):
-            # a separate modulus along the rod does not depend on E
-            own = [m.membrane for m in materials]
-            per = np.array([[0.0 if k is None else 1.0 / k, 0.0] for k in own])
-            if name == "E":
-                per = np.array([[k is None, True] for k in own]) / np.array(
-                    [[m.E] for m in materials]
-                )
-            return ParameterDerivatives(
-                stiffness=self.stiffness * np.repeat(per, 3, axis=1)[:, :, None]
-            )
+            per = np.repeat(by_modulus(name, materials), 3, axis=1)
+            return ParameterDerivatives(stiffness=self.stiffness * per[:, :, None])
         shares = _shares(share, self.length)
         if name == "nu":
             return ParameterDerivatives(

@@ -12,7 +12,7 @@ from gendom.materials import Material
 from gendom.materials.parameters import WEAVE
 from gendom.sim.bodies import Body
 from gendom.sim.cut import Cut
-from gendom.sim.thin.types import ParameterDerivatives
+from gendom.sim.thin.types import ParameterDerivatives, by_modulus
 
 MOST_COUPLED = 1.5
 """Largest area that couples both curvatures of a point, over the geometric mean of the areas that
@@ -148,12 +148,8 @@ class ShellModel:
         if name in WEAVE:
             per = np.array([[1.0 / getattr(m, name)] for m in materials]) * _powers(name)
             return ParameterDerivatives(stiffness=stiffness * per[:, :, None])
-        # a separate modulus of the membrane does not depend on E
-        own = [m.membrane for m in materials]
-        per = np.array([[0.0 if k is None else 1.0 / k, 0.0] for k in own])
-        if name == "E":
-            per = np.array([[k is None, True] for k in own]) / np.array([[m.E] for m in materials])
-        return ParameterDerivatives(stiffness=stiffness * np.repeat(per, 4, axis=1)[:, :, None])
+        per = np.repeat(by_modulus(name, materials), 4, axis=1)
+        return ParameterDerivatives(stiffness=stiffness * per[:, :, None])
 
     def scales(self, materials: Sequence[Material]) -> NDArray[np.float64]:
         """Scales [W, 8, 1] of the stiffness: E h with the in-plane modulus, and E h^3 / 12, each

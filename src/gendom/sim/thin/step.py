@@ -19,7 +19,7 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.paths import make_path_type, make_paths
-from gendom.sim.thin.contact import LISTED, make_contact
+from gendom.sim.thin.contact import LISTED
 from gendom.sim.thin.native import MODULE_OPTIONS, make_native
 from gendom.sim.thin.types import make_types
 
@@ -31,7 +31,7 @@ CHECKED = 256
 def make_steps(real: Any, kind: str) -> SimpleNamespace:
     """Build ``step`` and its transpose for one scalar type and one kind of body, ``rod`` or
     ``shell``."""
-    types, native, contact = make_types(real), make_native(real, kind), make_contact(real, kind)
+    types, native = make_types(real), make_native(real, kind)
     grips = _make_holding(real, kind)
     ThinModel, ModelAdjoint = types.ThinModel, types.ModelAdjoint
     Paths, rows = make_path_type(real), wp.array3d(dtype=real)
@@ -56,7 +56,7 @@ def make_steps(real: Any, kind: str) -> SimpleNamespace:
         native.block_sync()
         grips.hold_all(model, w, began, t, paths, state, next)
         if model.contact == 1:
-            contact.resolve(model, w, state, next, dt)
+            native.resolve(model, w, state, next, dt)
         return stretch
 
     @wp.func
@@ -73,7 +73,8 @@ def make_steps(real: Any, kind: str) -> SimpleNamespace:
             native.move(model, w, state, row, next, dt, kick)
             native.block_sync()
             grips.hold_all(model, w, began, t, paths, state, next)
-            contact.resolve_adjoint(model, adjoint, turns_kept, w, at, state, next, dt)
+            listed = state.shape[1] - LISTED
+            native.resolve_adjoint(model, adjoint, w, turns_kept, at, state, next, listed, dt)
         grips.hold_all_adjoint(model, adjoint, w, thread, began, t, paths)
         native.move_adjoint(model, adjoint, w, state, row, dt, kick)
         native.block_sync()
@@ -140,7 +141,7 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         Namespace with ``begin`` (lagged strains from the first state), ``advance`` (pieces of equal
         steps), their transposes ``begin_adjoint`` and ``reverse``, and ``let_go``.
     """
-    types, native, contact = make_types(real), make_native(real, kind), make_contact(real, kind)
+    types, native = make_types(real), make_native(real, kind)
     steps = make_steps(real, kind)
     ThinModel, ModelAdjoint = types.ThinModel, types.ModelAdjoint
     FramePlan, vec3, Paths = types.FramePlan, types.vec3, make_path_type(real)
@@ -166,11 +167,11 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def begin_adjoint(
-        first: int, threads: int, model: ThinModel, state: rows, offset: int, adjoint: ModelAdjoint
+        first: int, threads: int, model: ThinModel, state: rows, adjoint: ModelAdjoint
     ):
         """Transpose of ``begin``; the scratch of the derivatives is 0."""
         w = first + wp.tid() // threads
-        native.forces_adjoint(model, adjoint, w, state, w - offset, real(1.0e30))
+        native.forces_adjoint(model, adjoint, w, state, w, real(1.0e30))
         native.block_sync()
         native.gather_adjoint(model, adjoint, w)
 
@@ -225,7 +226,7 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
                 if every >= 0:
                     keep(model, w, thread, threads, state, row, kept, w + p * every)
                 if model.contact * stride > 0:
-                    contact.rebuild_lists(model, w, state, row, state.shape[1] - LISTED, real(0.0))
+                    native.rebuild_lists(model, w, state, row, state.shape[1] - LISTED, real(0.0))
                 began = plan.begins[w, p]
                 h = real(plan.dt[w, p])
                 t = end_of(plan, w, p, -1)

@@ -25,7 +25,6 @@ from gendom.sim.thin.types import (
     PER_MASS,
     PER_TURN,
     RADIUS,
-    REST,
     SELF_FRICTION,
     SPIN_BAR,
     TURN_BAR,
@@ -201,12 +200,7 @@ class ThinTape:
         e = self.engine
         nothing = np.zeros((group.stop - group.start, e.scratch_bars, e.row_length))
         put(self.adjoint.scratch, group, nothing)
-        e.launch(
-            e.kernels.begin_adjoint, group, [e.device_model, self.first, 0, self.adjoint]
-        )  # fmt: skip
-        if e.directed:
-            found = self.adjoint.model.numpy()[group][..., e.slots].astype(float)
-            self.model_bar[group, REST] += found[:, REST]
+        e.launch(e.kernels.begin_adjoint, group, [e.device_model, self.first, self.adjoint])
 
     # ---- sums ------------------------------------------------------------------------------------
 
@@ -232,7 +226,6 @@ class ThinTape:
             gripper_positions=self.adjoint.position.numpy() + self.host.position_bar,
             gripper_rotations=self.adjoint.path_turn.numpy() + self.host.turn_bar,
             gripper_radius=self.radius_bar,
-            rest_strains=np.swapaxes(m[:, REST], 1, 2) if e.directed else None,
             **own,
         )
         for name, values in vars(found).items():

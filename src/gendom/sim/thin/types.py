@@ -9,12 +9,15 @@ are named in ``native/rod.h``, ``native/shell.h`` and their adjoints.
 # pyright: reportInvalidTypeForm=false
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
+
+from gendom.materials import Material
 
 MARGIN = 8
 """Length of the margin at the start of a row."""
@@ -29,8 +32,8 @@ PER_MASS, DRAG, GRAVITY, DAMPING, FRICTION, VELOCITY_DAMPING = 12, 13, slice(15,
 SELF_FRICTION, RADIUS, DISTANCE = 21, 22, 23
 """Components of derivatives by the model that are common to rods and shells."""
 
-REST, PER_TURN = slice(6, 12), 14
-"""Those of rods only: by stress-free strains, and by 1 / inertia of edges."""
+PER_TURN = 14
+"""That of rods only: by 1 / inertia of edges."""
 
 TURN_BAR, SPIN_BAR = slice(6, 9), slice(9, 12)
 """Components of derivatives by a rod's state: by rotations of directions, and by spins."""
@@ -57,6 +60,15 @@ class ParameterDerivatives:
     """Of the area that is exposed to the air, over it."""
     thickness: float = 0.0
     """Of the thickness at which the body touches."""
+
+
+def by_modulus(name: str, materials: Sequence[Material]) -> NDArray[np.float64]:
+    """[W, 2] derivatives by ``E`` or ``membrane`` of the logarithms of the moduli along a body and
+    of bending: a modulus of its own along it does not depend on E."""
+    own = [m.membrane for m in materials]
+    if name == "E":
+        return np.array([[k is None, True] for k in own]) / np.array([[m.E] for m in materials])
+    return np.array([[0.0 if k is None else 1.0 / k, 0.0] for k in own])
 
 
 @dataclass(frozen=True)

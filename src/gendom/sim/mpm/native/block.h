@@ -49,15 +49,14 @@ CUDA_CALLABLE inline int sum_before(int value) {
 #endif
 }
 
-// Component c of particle i of a block whose particles stay in shared memory; on the CPU, of an array.
-template <typename real>
-CUDA_CALLABLE inline real& resident(const wp::array_t<real>& of, int row, int c, int i) {
+// Component c of particle i: of an array's row, or of a block whose particles stay in shared memory.
+template <bool in_shared, typename real>
+CUDA_CALLABLE inline real& component(const wp::array_t<real>& of, int row, int c, int i) {
 #if defined(__CUDA_ARCH__)
     extern __shared__ __align__(16) unsigned char gendom_shared[];
-    return ((real*)gendom_shared)[c * of.shape[2] + i];
-#else
-    return wp::index(of, row, c, i);
+    if (in_shared) return ((real*)gendom_shared)[c * of.shape[2] + i];
 #endif
+    return wp::index(of, row, c, i);
 }
 
 // Where a byte of that memory is.

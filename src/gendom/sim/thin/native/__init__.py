@@ -14,7 +14,7 @@ from gendom.sim.thin.types import make_types
 
 MODULE_OPTIONS = module_options(
     __name__,
-    "vectors.h", "ground.h", "hold.h", "contact_lists.h", "contact.h", "contact_adjoint.h",
+    "ground.h", "hold.h", "contact_lists.h", "contact.h", "contact_adjoint.h",
     "rod.h", "rod_adjoint.h", "shell.h", "shell_adjoint.h",
 )  # fmt: skip
 """Options of every Warp module of the engine."""
@@ -67,56 +67,20 @@ def make_native(real: Any, kind: str) -> SimpleNamespace:
 
     # contact of a body with itself
 
-    @wp.func_native("return gendom::moved_on(model, w, state, row, c, far);")
-    def moved_on(model: ThinModel, w: int, state: rows, row: int, c: int, far: real) -> int: ...
-
-    @wp.func_native("gendom::begin_list(model, w, state, row, c);")
-    def begin_list(model: ThinModel, w: int, state: rows, row: int, c: int): ...
-
-    @wp.func_native("gendom::list_pairs(model, w);")
-    def list_pairs(model: ThinModel, w: int): ...
+    @wp.func_native("gendom::rebuild_lists(model, w, state, row, c, far);")
+    def rebuild_lists(model: ThinModel, w: int, state: rows, row: int, c: int, far: real): ...
 
     @wp.func_native("gendom::keep_list(model, w, state, row, c);")
     def keep_list(model: ThinModel, w: int, state: rows, row: int, c: int): ...
 
-    @wp.func_native("return gendom::near_pairs(model, w).number();")
-    def number_near(model: ThinModel, w: int) -> int: ...
+    @wp.func_native("gendom::resolve(model, w, state, row, dt);")
+    def resolve(model: ThinModel, w: int, state: rows, row: int, dt: real): ...
 
-    @wp.func_native("gendom::begin_close(model, w);")
-    def begin_close(model: ThinModel, w: int): ...
-
-    @wp.func_native("gendom::list_close(model, w, state, row);")
-    def list_close(model: ThinModel, w: int, state: rows, row: int): ...
-
-    @wp.func_native("gendom::count_contacts(model, w, state, row);")
-    def count_contacts(model: ThinModel, w: int, state: rows, row: int): ...
-
-    @wp.func_native("return gendom::contact_impulses(model, w, state, row, dt, turn);")
-    def contact_impulses(
-        model: ThinModel, w: int, state: rows, row: int, dt: real, turn: int
-    ) -> int: ...
-
-    @wp.func_native("gendom::contact_impulses_adjoint(model, adjoint, w, state, row, dt, turn);")
-    def contact_impulses_adjoint(
-        model: ThinModel, adjoint: ModelAdjoint, w: int, state: rows, row: int, dt: real, turn: int
-    ): ...
-
-    @wp.func_native("gendom::take_impulses(model, w, state, row);")
-    def take_impulses(model: ThinModel, w: int, state: rows, row: int): ...
-
-    @wp.func_native("gendom::end_turn(model, w, state, row);")
-    def end_turn(model: ThinModel, w: int, state: rows, row: int): ...
-
-    @wp.func_native("gendom::end_turn_adjoint(model, adjoint, w, state, row);")
-    def end_turn_adjoint(
-        model: ThinModel, adjoint: ModelAdjoint, w: int, state: rows, row: int
-    ): ...
-
-    @wp.func_native("gendom::keep_turn(model, kept, at, state, row, turn);")
-    def keep_turn(model: ThinModel, kept: rows, at: int, state: rows, row: int, turn: int): ...
-
-    @wp.func_native("gendom::put_back(model, kept, at, state, row, turn);")
-    def put_back(model: ThinModel, kept: rows, at: int, state: rows, row: int, turn: int): ...
+    @wp.func_native("gendom::resolve_adjoint(model, adjoint, w, kept, at, state, row, c, dt);")
+    def resolve_adjoint(
+        model: ThinModel, adjoint: ModelAdjoint, w: int, kept: rows, at: int, state: rows, row: int,
+        c: int, dt: real,
+    ): ...  # fmt: skip
 
     return SimpleNamespace(
         **{name: f for name, f in locals().items() if isinstance(f, wp.Function)}

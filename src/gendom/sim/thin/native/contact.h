@@ -160,4 +160,26 @@ CUDA_CALLABLE inline void end_turn(const Model& model, int w, const wp::array_t<
     }
 }
 
+// One turn; tells whether another one is needed.
+template <typename Model, typename real>
+CUDA_CALLABLE inline int turn_once(const Model& model, int w, const wp::array_t<real>& state, int row, real dt,
+                                   int turn) {
+    count_contacts(model, w, state, row);
+    block_sync();
+    const int again = block_any(contact_impulses(model, w, state, row, dt, turn));
+    end_turn(model, w, state, row);
+    block_sync();
+    return again;
+}
+
+// Applies contact of the body with itself at the end of a step.
+template <typename Model, typename real>
+CUDA_CALLABLE inline void resolve(const Model& model, int w, const wp::array_t<real>& state, int row, real dt) {
+    rebuild_lists(model, w, state, row, 0, real(0.5) * model.contact_margin);
+    if (near_pairs(model, w).number() == 0) return;
+    list_close(model, w, state, row);
+    for (int turn = 0; turn < model.contact_most_turns; ++turn)
+        if (!turn_once(model, w, state, row, dt, turn)) break;
+}
+
 }  // namespace gendom

@@ -11,36 +11,6 @@
 
 namespace gendom {
 
-enum { CONTACT_X_BAR = 0, CONTACT_V_BAR = 3, CONTACT_PER_MASS_BAR = 12, SELF_FRICTION_BAR = 21, CONTACT_RADIUS_BAR = 22, DISTANCE_BAR = 23 };
-
-// A row keeps where points were when pairs were listed.
-template <typename Model, typename real>
-CUDA_CALLABLE inline void keep_list(const Model& model, int w, const wp::array_t<real>& state, int row, int c) {
-    typedef typename several<real>::lanes T;
-    const rows_of<real> to(state, row), listed(model.listed, w);
-    for (EACH_IN(p, model.first, model.end)) to.put3(c, p, listed.template get3<T>(0, p));
-}
-
-// Before a turn all points are kept, [worlds, turns * 6, P].
-template <typename Model, typename real>
-CUDA_CALLABLE inline void keep_turn(const Model& model, const wp::array_t<real>& kept, int at,
-                                    const wp::array_t<real>& state, int row, int turn) {
-    typedef typename several<real>::lanes T;
-    const rows_of<real> s(state, row), to(kept, at);
-    for (EACH_IN(p, model.first, model.end))
-        for (int c = 0; c < 6; ++c) to.put(6 * turn + c, p, s.template get<T>(c, p));
-}
-
-// All points as they were before a turn.
-template <typename Model, typename real>
-CUDA_CALLABLE inline void put_back(const Model& model, const wp::array_t<real>& kept, int at,
-                                   const wp::array_t<real>& state, int row, int turn) {
-    typedef typename several<real>::lanes T;
-    const rows_of<real> s(state, row), from(kept, at);
-    for (EACH_IN(p, model.first, model.end))
-        for (int c = 0; c < 6; ++c) s.put(c, p, from.template get<T>(6 * turn + c, p));
-}
-
 // Of `end_turn`, but for `take_impulses`; the row is as the turn left it.
 template <typename Model, typename Adjoint, typename real>
 CUDA_CALLABLE inline void end_turn_adjoint(const Model& model, const Adjoint& adjoint, int w,
@@ -52,7 +22,7 @@ CUDA_CALLABLE inline void end_turn_adjoint(const Model& model, const Adjoint& ad
         const T moves = is_above(loose.template get<T>(0, p), T(real(0)));
         const vec<T> x_bar = b.template get3<T>(0, p);
         vec<T> moved_bar = moves * x_bar;
-        by.add(CONTACT_RADIUS_BAR, p, around.brought_back_adjoint(s.template get3<T>(0, p), moved_bar));
+        by.add(RADIUS_BAR, p, around.brought_back_adjoint(s.template get3<T>(0, p), moved_bar));
         b.put3(0, p, moved_bar + (T(real(1)) - moves) * x_bar);
     }
 }
@@ -145,8 +115,8 @@ CUDA_CALLABLE inline void push_adjoint(const contacts<Model, real>& all, int k, 
     vec<real> by_impulse = none, by_shift = none;
     real moved[4], loose[4], by_per_mass[4];
     for (int i = 0; i < 4; ++i) {
-        const vec<real> xb = b.template get3<real>(CONTACT_X_BAR, m.point[i]);
-        const vec<real> vb = b.template get3<real>(CONTACT_V_BAR, m.point[i]);
+        const vec<real> xb = b.template get3<real>(X_BAR, m.point[i]);
+        const vec<real> vb = b.template get3<real>(V_BAR, m.point[i]);
         loose[i] = all.loose.template get<real>(0, m.point[i]);
         by_impulse = by_impulse + m.share[i] * loose[i] * vb;
         by_shift = by_shift + m.share[i] * loose[i] * xb;
@@ -181,7 +151,7 @@ CUDA_CALLABLE inline void push_adjoint(const contacts<Model, real>& all, int k, 
         add_to(all.push, 3, m.point[i], add);
         add_to(all.push, 0, m.point[i], m.share[i] * bar.v);
         if (loose[i] > real(0))
-            add_to(by, CONTACT_PER_MASS_BAR, m.point[i],
+            add_to(by, PER_MASS_BAR, m.point[i],
                    m.share[i] * (moved[i] + by_per_mass[i]));
     }
 }
@@ -196,6 +166,35 @@ CUDA_CALLABLE inline void contact_impulses_adjoint(const Model& model, const Adj
     for (EACH_ONE_IN(j, 0, all.number())) {
         const int k = all.at(j);
         if (all.find(k, c)) push_adjoint(all, k, c, b, by);
+    }
+}
+
+// Of `resolve`; the row is as that found it, and rows from c on tell what its list was made from. `kept` has
+// room for the points before each turn, [worlds, turns * 6, P].
+template <typename Model, typename Adjoint, typename real>
+CUDA_CALLABLE inline void resolve_adjoint(const Model& model, const Adjoint& adjoint, int w,
+                                          const wp::array_t<real>& kept, int at,
+                                          const wp::array_t<real>& state, int row, int c, real dt) {
+    rebuild_lists(model, w, state, row, c, real(0));
+    if (near_pairs(model, w).number() == 0) return;
+    list_close(model, w, state, row);
+    const rows_of<real> s(state, row), before(kept, at);  // all points before each turn
+    int turns = 0;
+    for (bool again = true; again && turns < model.contact_most_turns; ++turns) {
+        copy_rows(model, 6, s, 0, before, 6 * turns);
+        again = turn_once(model, w, state, row, dt, turns);
+    }
+    while (turns-- > 0) {
+        end_turn_adjoint(model, adjoint, w, state, row);
+        block_sync();
+        copy_rows(model, 6, before, 6 * turns, s, 0);
+        block_sync();
+        count_contacts(model, w, state, row);
+        block_sync();
+        contact_impulses_adjoint(model, adjoint, w, state, row, dt, turns);
+        block_sync();
+        take_impulses(model, w, adjoint.state, w);
+        block_sync();
     }
 }
 

@@ -180,6 +180,15 @@ CUDA_CALLABLE inline void list_pair(const Model& model, int w, const rows_of<rea
     near_pairs(model, w).append(one, other);
 }
 
+// Copies rows of numbers from c on to those from d on.
+template <typename Model, typename real>
+CUDA_CALLABLE inline void copy_rows(const Model& model, int count, const rows_of<real>& from, int c,
+                                    const rows_of<real>& to, int d) {
+    typedef typename several<real>::lanes T;
+    for (EACH_IN(p, model.first, model.end))
+        for (int n = 0; n < count; ++n) to.put(d + n, p, from.template get<T>(c + n, p));
+}
+
 // Whether a point of rows c to c + 2 is farther than this from where it was when pairs were listed. What the
 // middle of the body has moved by, all have in common, and no pair comes nearer by it.
 template <typename Model, typename real>
@@ -204,9 +213,8 @@ CUDA_CALLABLE inline int moved_on(const Model& model, int w, const wp::array_t<r
 template <typename Model, typename real>
 CUDA_CALLABLE inline void begin_list(const Model& model, int w, const wp::array_t<real>& state, int row,
                                      int c) {
-    typedef typename several<real>::lanes T;
     const rows_of<real> s(state, row), then(model.listed, w), rest(model.rest, 0), m(model.inertia, w);
-    for (EACH_IN(p, model.first, model.end)) then.put3(0, p, s.template get3<T>(c, p));
+    copy_rows(model, 3, s, c, then, 0);
     const int pitch = model.pitch;
     for (EACH_ONE_IN(p, model.first, model.end)) {
         const auto has = [&](int kind) { return pitch > 0 && rest.template get<real>(kind, p) > real(0); };
@@ -267,20 +275,19 @@ CUDA_CALLABLE inline bool is_folded(const Model& model, const rows_of<real>& s, 
     return false;
 }
 
-template <typename Model> CUDA_CALLABLE inline void begin_close(const Model& model, int w) {
-    close_pairs(model, w).clear();
-}
-
-// The listed pairs that are close; `begin_close` and a meeting of the threads come before.
+// Lists those of the listed pairs that are close.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void list_close(const Model& model, int w, const wp::array_t<real>& state, int row) {
     const rows_of<real> s(state, row);
     const pairs_of near = near_pairs(model, w), close = close_pairs(model, w);
+    close.clear();
+    block_sync();
     for (EACH_ONE_IN(k, 0, near.number())) {
         int one, other;
         near.read(k, one, other);
         if (pair_meets(s, one, other, model.pitch).distance < model.contact_close) close.append(one, other);
     }
+    block_sync();
 }
 
 // Whether features of p and of q > p never meet: those of a rod's neighbours, and of a shell's whose cells are
@@ -408,5 +415,22 @@ template <typename Model> CUDA_CALLABLE inline void list_pairs(const Model& mode
 }
 
 #endif
+
+// Lists pairs anew if a point of rows c to c + 2 has moved farther than this.
+template <typename Model, typename real>
+CUDA_CALLABLE inline void rebuild_lists(const Model& model, int w, const wp::array_t<real>& state, int row,
+                                        int c, real far) {
+    if (!block_any(moved_on(model, w, state, row, c, far))) return;
+    begin_list(model, w, state, row, c);
+    block_sync();
+    list_pairs(model, w);
+    block_sync();
+}
+
+// A state keeps where points were when pairs were listed.
+template <typename Model, typename real>
+CUDA_CALLABLE inline void keep_list(const Model& model, int w, const wp::array_t<real>& state, int row, int c) {
+    copy_rows(model, 3, rows_of<real>(model.listed, w), 0, rows_of<real>(state, row), c);
+}
 
 }  // namespace gendom

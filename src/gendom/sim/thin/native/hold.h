@@ -3,8 +3,8 @@
 
 namespace gendom {
 
-// Rows of every state and of derivatives by it; those by directions are by turns, in world axes.
-enum { HELD_X = 0, HELD_V = 3, HELD_Q = 6, HELD_W = 10, HELD_Q_BAR = 6, HELD_W_BAR = 9 };
+// Rows of directions and spins in states, and of derivatives, which are by turns in world axes.
+enum { Q = 6, W = 10, Q_BAR = 6, W_BAR = 9 };
 
 // At the end of a step, by a gripper's pose.
 template <typename Model, typename real>
@@ -19,16 +19,16 @@ CUDA_CALLABLE inline void hold(const Model& model, int w, int g, const wp::vec_t
     for (EACH_ONE(i, model.points)) {
         const int holds = wp::index(model.holds, w, g, i), p = wp::index(model.slot, i) - margin;
         if (holds & 1) {
-            to.put3(HELD_X, p, c + R.to_world(place.template get3<real>(0, p)));
-            to.put3(HELD_V, p, still);
+            to.put3(X, p, c + R.to_world(place.template get3<real>(0, p)));
+            to.put3(V, p, still);
         }
         if (holds & 2) {
             // q and -q are one direction, but not to the joints: it stays on the side where it is
             const quat<real> q = by * place.template get4<real>(3, p);
-            const quat<real> was = to.template get4<real>(HELD_Q, p);
+            const quat<real> was = to.template get4<real>(Q, p);
             const real side = dot(q.v, was.v) + q.w * was.w < real(0) ? real(-1) : real(1);
-            to.put4(HELD_Q, p, quat<real>{side * q.v, side * q.w});
-            to.put3(HELD_W, p, still);
+            to.put4(Q, p, quat<real>{side * q.v, side * q.w});
+            to.put3(W, p, still);
         }
     }
 }
@@ -45,19 +45,19 @@ CUDA_CALLABLE inline void hold_adjoint(const Model& model, const Adjoint& adjoin
     for (int i = 0; i < model.points; ++i) {
         const int holds = wp::index(model.holds, w, g, i), p = wp::index(model.slot, i) - margin;
         if (holds & 1) {
-            const vec<real> x_bar = b.template get3<real>(HELD_X, p);
+            const vec<real> x_bar = b.template get3<real>(X_BAR, p);
             centre = centre + x_bar;
             turn = turn + cross(R.to_world(place.template get3<real>(0, p)), x_bar);
             place_bar.add3(0, p, R.to_body(x_bar));
-            b.put3(HELD_X, p, none);
-            b.put3(HELD_V, p, none);
+            b.put3(X_BAR, p, none);
+            b.put3(V_BAR, p, none);
         }
         if (holds & 2) {
-            const vec<real> q_bar = b.template get3<real>(HELD_Q_BAR, p);
+            const vec<real> q_bar = b.template get3<real>(Q_BAR, p);
             turn = turn + q_bar;
             place_bar.add3(3, p, R.to_body(q_bar));
-            b.put3(HELD_Q_BAR, p, none);
-            b.put3(HELD_W_BAR, p, none);
+            b.put3(Q_BAR, p, none);
+            b.put3(W_BAR, p, none);
         }
     }
     wp::index(adjoint.centre, w, g) = wp::vec_t<3, real>(centre.x, centre.y, centre.z);

@@ -67,7 +67,7 @@ template <typename T> struct rod_joint {
 // ---- explicit steps ------------------------------------------------------------------------------
 
 // Rows of a state, of the model and of what a step leaves for its second half.
-enum { X = 0, V = 3, Q = 6, W = 10, LAG_E = 13, LAG_U = 16 };
+enum { LAG_E = 13, LAG_U = 16 };
 enum { SHEAR = 0, BENDING = 3 };
 enum { PER_LENGTH = 0, REST_E = 1, REST_U = 4 };
 enum { PER_MASS = 0, PER_TURN = 1, DRAG = 2, STIFFER = 3 };
@@ -155,26 +155,21 @@ CUDA_CALLABLE inline void rod_move(const Model& model, int w, const wp::array_t<
     typedef typename several<real>::lanes T;
     const int n = model.points;
     const rows_of<real> s(state, row), to(state, next), m(model.inertia, w), in(model.scratch, w);
-    const T h = T(dt), one = T(real(1)), half = T(real(0.5));
-    const T keep = T(wp::exp(-kick * wp::index(model.velocity_damping, w)));
-    const vec<T> g = gravity_of<T>(model, w);
-    const ground<T> around(model, w, dt);
+    const T one = T(real(1)), half = T(real(0.5));
+    const motion<T> go(model, w, dt, kick);
     for (EACH(i, n)) {
         const vec<T> x = s.template get3<T>(X, i), v0 = s.template get3<T>(V, i);
         const vec<T> along = in.template get3<T>(ALONG, i - 1) + in.template get3<T>(ALONG, i);
         const vec<T> vn = across(v0, along);
         const vec<T> f = in.template get3<T>(PULL, i) - in.template get3<T>(PULL, i - 1) -
                          m.template get<T>(DRAG, i) * root(dot(vn, vn)) * vn;
-        vec<T> v = keep * (v0 + T(kick) * (m.template get<T>(PER_MASS, i) * f + g));
-        v = around.stopped(x, v);
-        to.put3(V, i, v);
-        to.put3(X, i, x + h * v);
+        go.step(to, i, x, v0, m.template get<T>(PER_MASS, i), f);
 
         const vec<T> torque = in.template get3<T>(MOMENT, i + 1) - in.template get3<T>(MOMENT, i) -
                               in.template get3<T>(TURN, i);
         const vec<T> spin =
-            keep * (s.template get3<T>(W, i) + T(kick) * m.template get<T>(PER_TURN, i) * torque);
-        quat<T> q = quat<T>{half * h * spin, one} * s.template get4<T>(Q, i);
+            go.keep * (s.template get3<T>(W, i) + go.kick * m.template get<T>(PER_TURN, i) * torque);
+        quat<T> q = quat<T>{half * go.h * spin, one} * s.template get4<T>(Q, i);
         const T per = one / root(dot(q.v, q.v) + q.w * q.w);
         to.put3(W, i, spin);
         to.put4(Q, i, quat<T>{per * q.v, per * q.w});

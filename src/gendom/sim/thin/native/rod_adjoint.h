@@ -5,12 +5,8 @@
 namespace gendom {
 
 // Rows of the derivatives by a state, by the model, and of what is handed from half to half.
-enum { X_BAR = 0, V_BAR = 3, Q_BAR = 6, W_BAR = 9, LAG_E_BAR = 12, LAG_U_BAR = 15 };
-enum {
-    SHEAR_BAR = 0, BENDING_BAR = 3, REST_E_BAR = 6, REST_U_BAR = 9, PER_MASS_BAR = 12,
-    DRAG_BAR = 13, PER_TURN_BAR = 14, GRAVITY_BAR = 15, DAMPING_BAR = 18,
-    FRICTION_BAR = 19, VELOCITY_DAMPING_BAR = 20, RADIUS_BAR = 22
-};
+enum { LAG_E_BAR = 12, LAG_U_BAR = 15 };
+enum { SHEAR_BAR = 0, BENDING_BAR = 3, PER_TURN_BAR = 14 };
 enum { PULL_BAR = 0, TORQUE_BAR = 3, ALONG_BAR = 6, D_BAR = 9, JOINT_H = 12, JOINT_G = 15 };
 
 // Of `rod_move`; the scratch is as `rod_forces` left it.
@@ -21,10 +17,8 @@ CUDA_CALLABLE inline void rod_move_adjoint(const Model& model, const Adjoint& ad
     typedef typename several<real>::lanes T;
     const int n = model.points;
     const rows_of<real> s(state, row), m(model.inertia, w), in(model.scratch, w), b(adjoint.state, w), by(adjoint.model, w), out(adjoint.scratch, w);
-    const T h = T(dt), by_kick = T(kick), one = T(real(1)), half = T(real(0.5));
-    const T tiny = T(real(1e-12));
-    const T keep = T(wp::exp(-kick * wp::index(model.velocity_damping, w)));
-    const vec<T> g = gravity_of<T>(model, w);
+    const T one = T(real(1)), half = T(real(0.5)), tiny = T(real(1e-12));
+    const motion<T> go(model, w, dt, kick);
     for (EACH(i, n)) {
         // as in the step
         const vec<T> x = s.template get3<T>(X, i), v0 = s.template get3<T>(V, i);
@@ -33,19 +27,8 @@ CUDA_CALLABLE inline void rod_move_adjoint(const Model& model, const Adjoint& ad
         const T speed_n = root(dot(vn, vn)), drag = m.template get<T>(DRAG, i);
         const vec<T> f = in.template get3<T>(PULL, i) - in.template get3<T>(PULL, i - 1) -
                          drag * speed_n * vn;
-        const T per_mass = m.template get<T>(PER_MASS, i);
-        const vec<T> v1 = keep * (v0 + by_kick * (per_mass * f + g));
-
-        vec<T> x_bar = b.template get3<T>(X_BAR, i);
-        vec<T> v_bar = b.template get3<T>(V_BAR, i) + h * x_bar;
-        const ground_bar<T> stopped = ground<T>(model, w, dt).stopped_adjoint(x, v1, x_bar, v_bar);
-        by.add(FRICTION_BAR, i, stopped.mu);
-        by.add(RADIUS_BAR, i, stopped.radius);
-        by.add(VELOCITY_DAMPING_BAR, i, -by_kick * dot(v1, v_bar));
-        v_bar = keep * v_bar;
-        by.add3(GRAVITY_BAR, i, by_kick * v_bar);
-        by.add(PER_MASS_BAR, i, by_kick * dot(f, v_bar));
-        const vec<T> f_bar = by_kick * per_mass * v_bar;
+        vec<T> v_bar;
+        const vec<T> f_bar = go.step_adjoint(b, by, i, x, v0, m.template get<T>(PER_MASS, i), f, v_bar);
         const T f_vn = dot(f_bar, vn);
         by.add(DRAG_BAR, i, -speed_n * f_vn);
         const vec<T> vn_bar = -drag * (speed_n * f_bar + f_vn / larger(speed_n, tiny) * vn);
@@ -54,20 +37,19 @@ CUDA_CALLABLE inline void rod_move_adjoint(const Model& model, const Adjoint& ad
         out.put3(ALONG_BAR, i, T(real(2)) * per * per * v_t * t_bar * along -
                                    per * (t_bar * v0 + v_t * vn_bar));
         out.put3(PULL_BAR, i, f_bar);
-        b.put3(X_BAR, i, x_bar);
         b.put3(V_BAR, i, v_bar + across(vn_bar, along));
 
         const vec<T> torque = in.template get3<T>(MOMENT, i + 1) - in.template get3<T>(MOMENT, i) -
                               in.template get3<T>(TURN, i);
         const T per_turn = m.template get<T>(PER_TURN, i);
-        const vec<T> spin = keep * (s.template get3<T>(W, i) + by_kick * per_turn * torque);
-        const vec<T> a = half * h * spin, q_bar = b.template get3<T>(Q_BAR, i);
+        const vec<T> spin = go.keep * (s.template get3<T>(W, i) + go.kick * per_turn * torque);
+        const vec<T> a = half * go.h * spin, q_bar = b.template get3<T>(Q_BAR, i);
         const T squared = one + dot(a, a), unit = one / root(squared);
-        vec<T> spin_bar = b.template get3<T>(W_BAR, i) + h / squared * (q_bar - cross(a, q_bar));
-        by.add(VELOCITY_DAMPING_BAR, i, -by_kick * dot(spin, spin_bar));
-        spin_bar = keep * spin_bar;
-        by.add(PER_TURN_BAR, i, by_kick * dot(torque, spin_bar));
-        out.put3(TORQUE_BAR, i, by_kick * per_turn * spin_bar);
+        vec<T> spin_bar = b.template get3<T>(W_BAR, i) + go.h / squared * (q_bar - cross(a, q_bar));
+        by.add(VELOCITY_DAMPING_BAR, i, -go.kick * dot(spin, spin_bar));
+        spin_bar = go.keep * spin_bar;
+        by.add(PER_TURN_BAR, i, go.kick * dot(torque, spin_bar));
+        out.put3(TORQUE_BAR, i, go.kick * per_turn * spin_bar);
         b.put3(Q_BAR, i, directors<T>(quat<T>{unit * a, unit}).to_body(q_bar));
         b.put3(W_BAR, i, spin_bar);
     }
@@ -101,7 +83,6 @@ CUDA_CALLABLE inline void rod_forces_adjoint(const Model& model, const Adjoint& 
         b.add3(Q_BAR, i, cross(N, A) + cross(y, edge.d));
         b.put3(LAG_E_BAR, i, left * lag_e_bar - c * (C * A_body));
         by.add3(SHEAR_BAR, i, A_body * stress_e);
-        by.add3(REST_E_BAR, i, -e_bar);
 
         const quat<T> before = s.template get4<T>(Q, i - 1);
         const directors<T> R(before);
@@ -116,7 +97,6 @@ CUDA_CALLABLE inline void rod_forces_adjoint(const Model& model, const Adjoint& 
         at.put3(JOINT_G, i, T(real(0.5)) * cross(R.to_world(joint.turn_gradient(moment)), L));
         b.put3(LAG_U_BAR, i, left * lag_u_bar - c * (B * su));
         by.add3(BENDING_BAR, i, su * stress_u);
-        by.add3(REST_U_BAR, i, -u_bar);
 
         by.add(DAMPING_BAR, i,
                T(visc.share_slope) * (dot(A_body, C * late_e) + dot(su, B * late_u)) +

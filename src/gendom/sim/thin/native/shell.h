@@ -20,7 +20,7 @@
 namespace gendom {
 
 // Rows of a state, of what all worlds share, of stiffness, of inertia, of the scratch.
-enum { SHELL_X = 0, SHELL_V = 3, LAG_ROW = 6, LAG_COLUMN = 8, LAG_SHEAR = 10, LAG_BEND = 11 };
+enum { LAG_ROW = 6, LAG_COLUMN = 8, LAG_SHEAR = 10, LAG_BEND = 11 };
 enum { NEXT = 0, BELOW = 1, CELL = 2 };
 enum { C11 = 0, C22 = 1, C12 = 2, G12 = 3, BXX = 4, BYY = 5, BXY = 6, TWIST = 7 };
 enum { POINT_PER_MASS = 0, POINT_DRAG = 1, STIFFER_X = 2, STIFFER_Y = 3 };
@@ -38,9 +38,9 @@ template <typename T> struct shell_cell {
     template <typename Rows>
     CUDA_CALLABLE inline shell_cell(const Rows& s, int p, int pitch, real per_x, real per_y)
         : lx2(T(per_x * per_x)), ly2(T(per_y * per_y)), lxy(T(per_x * per_y)) {
-        const vec<T> a = s.template get3<T>(SHELL_X, p), b = s.template get3<T>(SHELL_X, p + 1);
-        const vec<T> c = s.template get3<T>(SHELL_X, p + pitch);
-        const vec<T> d = s.template get3<T>(SHELL_X, p + pitch + 1);
+        const vec<T> a = s.template get3<T>(X, p), b = s.template get3<T>(X, p + 1);
+        const vec<T> c = s.template get3<T>(X, p + pitch);
+        const vec<T> d = s.template get3<T>(X, p + pitch + 1);
         u[0] = b - a, u[1] = d - c, v[0] = c - a, v[1] = d - b;
         const T half = T(real(0.5)), one = T(real(1));
         for (int k = 0; k < 2; ++k) {
@@ -98,18 +98,18 @@ template <typename T> struct shell_bend {
     template <typename Rows, typename Shape>
     CUDA_CALLABLE inline shell_bend(const Rows& s, const Shape& shape, int p, int pitch) {
         typedef typename number_of<T>::type real;
-        const vec<T> x = s.template get3<T>(SHELL_X, p);
+        const vec<T> x = s.template get3<T>(X, p);
         const T after = shape.template get<T>(NEXT, p), before = shape.template get<T>(NEXT, p - 1);
         const T below = shape.template get<T>(BELOW, p), above = shape.template get<T>(BELOW, p - pitch);
-        const vec<T> to_next = after * (s.template get3<T>(SHELL_X, p + 1) - x);
-        const vec<T> from_last = before * (x - s.template get3<T>(SHELL_X, p - 1));
-        const vec<T> to_below = below * (s.template get3<T>(SHELL_X, p + pitch) - x);
-        const vec<T> from_above = above * (x - s.template get3<T>(SHELL_X, p - pitch));
+        const vec<T> to_next = after * (s.template get3<T>(X, p + 1) - x);
+        const vec<T> from_last = before * (x - s.template get3<T>(X, p - 1));
+        const vec<T> to_below = below * (s.template get3<T>(X, p + pitch) - x);
+        const vec<T> from_above = above * (x - s.template get3<T>(X, p - pitch));
         xx = after * before * (to_next - from_last);
         yy = below * above * (to_below - from_above);
         xy = shape.template get<T>(CELL, p) *
-             (s.template get3<T>(SHELL_X, p + pitch + 1) - s.template get3<T>(SHELL_X, p + pitch) -
-              s.template get3<T>(SHELL_X, p + 1) + x);
+             (s.template get3<T>(X, p + pitch + 1) - s.template get3<T>(X, p + pitch) -
+              s.template get3<T>(X, p + 1) + x);
         tx = to_next + from_last;
         ty = to_below + from_above;
         const vec<T> N = cross(tx, ty);
@@ -196,8 +196,8 @@ CUDA_CALLABLE inline real shell_stretch(const Model& model, const wp::array_t<re
         for (int k = 0; k < 2; ++k) {
             const real exists = shape.template get<real>(k == 0 ? NEXT : BELOW, p);
             if (exists == real(0)) continue;
-            const vec<real> d = s.template get3<real>(SHELL_X, p + (k == 0 ? 1 : model.pitch)) -
-                                s.template get3<real>(SHELL_X, p);
+            const vec<real> d = s.template get3<real>(X, p + (k == 0 ? 1 : model.pitch)) -
+                                s.template get3<real>(X, p);
             const real stretch = wp::sqrt(dot(d, d)) * (k == 0 ? model.per_x : model.per_y) - real(1);
             sum[k] += stretch < real(0) ? -stretch : stretch;
             count[k] += real(1);
@@ -228,19 +228,14 @@ CUDA_CALLABLE inline void shell_move(const Model& model, int w, const wp::array_
     typedef typename several<real>::lanes T;
     const rows_of<real> s(state, row), to(state, next), shape(model.rest, 0), m(model.inertia, w),
         in(model.scratch, w);
-    const T h = T(dt), keep = T(wp::exp(-kick * wp::index(model.velocity_damping, w)));
-    const vec<T> g = gravity_of<T>(model, w);
-    const ground<T> around(model, w, dt);
+    const motion<T> go(model, w, dt, kick);
     for (EACH_IN(p, model.first, model.end)) {
-        const vec<T> x = s.template get3<T>(SHELL_X, p), v0 = s.template get3<T>(SHELL_V, p);
+        const vec<T> x = s.template get3<T>(X, p), v0 = s.template get3<T>(V, p);
         const vec<T> normal = in.template get3<T>(NORMAL, p);
         const T vn = dot(v0, normal);
         const vec<T> f = shell_pull<T>(in, shape, p, model.pitch) -
                          m.template get<T>(POINT_DRAG, p) * root(vn * vn) * vn * normal;
-        const vec<T> free = keep * (v0 + T(kick) * (m.template get<T>(POINT_PER_MASS, p) * f + g));
-        const vec<T> v = around.stopped(x, free);
-        to.put3(SHELL_V, p, v);
-        to.put3(SHELL_X, p, x + h * v);
+        go.step(to, p, x, v0, m.template get<T>(POINT_PER_MASS, p), f);
     }
 }
 

@@ -3,12 +3,8 @@
 
 namespace gendom {
 
-enum { SHELL_X_BAR = 0, SHELL_V_BAR = 3, LAG_ROW_BAR = 6, LAG_COLUMN_BAR = 8, LAG_SHEAR_BAR = 10, LAG_BEND_BAR = 11 };
-enum {
-    C11_BAR = 0, C22_BAR = 1, C12_BAR = 2, G12_BAR = 3, BXX_BAR = 4, BYY_BAR = 5, BXY_BAR = 6,
-    TWIST_BAR = 7, POINT_PER_MASS_BAR = 12, POINT_DRAG_BAR = 13, SHELL_GRAVITY_BAR = 15, SHELL_DAMPING_BAR = 18, SHELL_FRICTION_BAR = 19,
-    SHELL_VELOCITY_DAMPING_BAR = 20, SHELL_RADIUS_BAR = 22
-};
+enum { LAG_ROW_BAR = 6, LAG_COLUMN_BAR = 8, LAG_SHEAR_BAR = 10, LAG_BEND_BAR = 11 };
+enum { C11_BAR = 0, C22_BAR = 1, C12_BAR = 2, G12_BAR = 3, BXX_BAR = 4, BYY_BAR = 5, BXY_BAR = 6, TWIST_BAR = 7 };
 enum { F_BAR = 0, N_BAR = 3, U_BAR = 6, V_EDGE_BAR = 12, XX_BAR = 18, YY_BAR = 21, XY_BAR = 24, TX_BAR = 27, TY_BAR = 30 };
 
 template <typename Model, typename Adjoint, typename real>
@@ -18,32 +14,20 @@ CUDA_CALLABLE inline void shell_move_adjoint(const Model& model, const Adjoint& 
     typedef typename several<real>::lanes T;
     const rows_of<real> s(state, row), shape(model.rest, 0), m(model.inertia, w), in(model.scratch, w),
         b(adjoint.state, w), by(adjoint.model, w), out(adjoint.scratch, w);
-    const T h = T(dt), by_kick = T(kick), keep = T(wp::exp(-kick * wp::index(model.velocity_damping, w)));
-    const vec<T> g = gravity_of<T>(model, w);
-    const ground<T> around(model, w, dt);
+    const motion<T> go(model, w, dt, kick);
     for (EACH_IN(p, model.first, model.end)) {
-        const vec<T> x = s.template get3<T>(SHELL_X, p), v0 = s.template get3<T>(SHELL_V, p);
+        const vec<T> x = s.template get3<T>(X, p), v0 = s.template get3<T>(V, p);
         const vec<T> normal = in.template get3<T>(NORMAL, p);
         const T vn = dot(v0, normal), size = root(vn * vn), drag = m.template get<T>(POINT_DRAG, p);
         const vec<T> f = shell_pull<T>(in, shape, p, model.pitch) - drag * size * vn * normal;
+        vec<T> v_bar;
         const T per_mass = m.template get<T>(POINT_PER_MASS, p);
-        const vec<T> v1 = keep * (v0 + by_kick * (per_mass * f + g));
-        vec<T> x_bar = b.template get3<T>(SHELL_X_BAR, p);
-        vec<T> v_bar = b.template get3<T>(SHELL_V_BAR, p) + h * x_bar;
-        const ground_bar<T> stopped = around.stopped_adjoint(x, v1, x_bar, v_bar);
-        by.add(SHELL_FRICTION_BAR, p, stopped.mu);
-        by.add(SHELL_RADIUS_BAR, p, stopped.radius);
-        by.add(SHELL_VELOCITY_DAMPING_BAR, p, -by_kick * dot(v1, v_bar));
-        v_bar = keep * v_bar;
-        by.add3(SHELL_GRAVITY_BAR, p, by_kick * v_bar);
-        by.add(POINT_PER_MASS_BAR, p, by_kick * dot(f, v_bar));
-        const vec<T> f_bar = by_kick * per_mass * v_bar;
+        const vec<T> f_bar = go.step_adjoint(b, by, p, x, v0, per_mass, f, v_bar);
         const T by_drag = -dot(f_bar, normal), vn_bar = (size + size) * drag * by_drag;
-        by.add(POINT_DRAG_BAR, p, size * vn * by_drag);
+        by.add(DRAG_BAR, p, size * vn * by_drag);
         out.put3(F_BAR, p, f_bar);
         out.put3(N_BAR, p, vn_bar * v0 - drag * size * vn * f_bar);
-        b.put3(SHELL_X_BAR, p, x_bar);
-        b.put3(SHELL_V_BAR, p, v_bar + vn_bar * normal);
+        b.put3(V_BAR, p, v_bar + vn_bar * normal);
     }
 }
 
@@ -151,7 +135,7 @@ CUDA_CALLABLE inline void shell_forces_adjoint(const Model& model, const Adjoint
         by.add(BXY_BAR, p, dot(mxx_bar, bend.yy) + dot(myy_bar, bend.xx) +
                                along_bar.x * lagging.y + along_bar.y * lagging.x);
         by.add(TWIST_BAR, p, dot(mxy_bar, bend.xy) + along_bar.z * lagging.z);
-        by.add(SHELL_DAMPING_BAR, p, damping_bar);
+        by.add(DAMPING_BAR, p, damping_bar);
     }
 }
 
@@ -181,7 +165,7 @@ CUDA_CALLABLE inline void shell_gather_adjoint(const Model& model, const Adjoint
         // tangents: differences to both neighbours that there are
         x_bar = x_bar + (before - after) * of(TX_BAR, p) + before * of(TX_BAR, last) - after * of(TX_BAR, next) +
                 (over - under) * of(TY_BAR, p) + over * of(TY_BAR, above) - under * of(TY_BAR, below);
-        b.add3(SHELL_X_BAR, p, x_bar);
+        b.add3(X_BAR, p, x_bar);
     }
 }
 
