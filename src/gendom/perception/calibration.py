@@ -52,7 +52,7 @@ _MIN_CORNERS = 6
 _DOUBTED = 0.5  # above this error of the median view [pixels] other readings of poses are tried
 _ROBUST = 0.3  # residuals above this [pixels] count linearly
 _POSE, _ALL = 12, 16  # of the unknowns: those of both poses; with focal length, scale and centre
-_COLUMNS = ("picture", "x", "y", "z", "qx", "qy", "qz", "qw")
+COLUMNS = ("picture", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,12 +190,12 @@ def calibrate(camera: Camera, views: Sequence[BoardView]) -> Calibration:
     require(len(views) >= MIN_PICTURES, what, fix=fix, error=GendomError)
     _check_turns(views)
     problem = _Problem(camera, views)
-    x = problem.fit(np.zeros(_POSE))
+    x, covariance = problem.fit(np.zeros(_POSE))
     by_view = problem.rms(x)
     typical = float(np.median(by_view))
     if typical > _DOUBTED:
         _check_readings(camera, views, typical)
-    free, free_covariance = problem.jackknife(problem.fit(np.pad(x, (0, _ALL - _POSE))))
+    free, free_covariance = problem.fit(np.pad(x, (0, _ALL - _POSE)))
     refit = _refit(camera, free, np.sqrt(np.diag(free_covariance)))
     if np.median(problem.rms(free)) <= MAX_RMS:
         _check_refit(camera, refit)
@@ -204,7 +204,6 @@ def calibrate(camera: Camera, views: Sequence[BoardView]) -> Calibration:
     what += f"{views[worst].name} ({by_view[worst]:.2g})"
     fix = "check that poses belong to the pictures, K to the stream, and the board's sizes"
     require(typical <= MAX_RMS, what, fix=fix, error=GendomError)
-    _, covariance = problem.jackknife(x)
     shift, variance = free[:6] - x[:6], np.diag(covariance)
     quantile = student.ppf(0.95, len(views) - 1)
     angle, position = (
@@ -262,19 +261,20 @@ class _Problem:
         squares = (self.residual(x).reshape(-1, 2) ** 2).sum(axis=1)
         return np.sqrt(np.bincount(self.view, squares) / np.bincount(self.view))
 
-    def fit(self, x: np.ndarray, without: int = -1) -> np.ndarray:
-        """The best x from one, without one of the views."""
-        kept = np.repeat(self.view != without, 2)
+    def fit(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The best x from one, and its covariance: a jackknife over views, each of whose fits is
+        one Newton step from the best (Simonoff and Tsai, 1986)."""
         # Radians and metres in one vector: the columns' own sizes make them comparable.
-        return least_squares(
-            lambda x: self.residual(x)[kept], x, x_scale="jac", loss="soft_l1", f_scale=_ROBUST
-        ).x
-
-    def jackknife(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The best x, and its covariance from fits without one view each."""
-        count = len(self.T_world_gripper)
-        apart = np.stack([self.fit(x, k) for k in range(count)]) - x
-        return x, (count - 1) / count * apart.T @ apart
+        found = least_squares(self.residual, x, x_scale="jac", loss="soft_l1", f_scale=_ROBUST)
+        # SciPy's jac is scaled so that jac^T jac is the Hessian; so scaled the gradient of view k
+        # is jac_k^T residual_k.
+        residual = found.fun * (1.0 + (found.fun / _ROBUST) ** 2) ** 0.25
+        count, rows = len(self.T_world_gripper), np.repeat(self.view, 2)
+        steps = []
+        for k in range(count):
+            rest, own = found.jac[rows != k], found.jac[rows == k]
+            steps.append(np.linalg.pinv(rest.T @ rest) @ own.T @ residual[rows == k])
+        return found.x, (count - 1) / count * np.transpose(steps) @ np.array(steps)
 
 
 def _refit(camera: Camera, x: np.ndarray, sd: np.ndarray) -> dict[str, tuple[float, float]]:
@@ -326,18 +326,19 @@ def _check_readings(camera: Camera, views: Sequence[BoardView], typical: float) 
     Raises:
         GendomError: They do; the error says how they were written.
     """
-    for whats, other in _readings(views):
-        problem = _Problem(camera, other)
-        x = problem.fit(np.zeros(_POSE))
-        if np.median(problem.rms(x)) > min(0.5 * typical, MAX_RMS):
-            continue
-        X, Y = (np.linalg.norm(T[:3, 3]) for T in problem.poses(x))
-        if "inverse" in whats:  # the same equation: who is near the gripper, camera or board?
-            in_hand = "the camera is on the gripper (eye in hand)"
-            whats["inverse"] = in_hand if X < Y else "they are inverse, T_gripper_world"
-        what = "the poses fit the pictures only if " + " and ".join(whats.values())
-        fix = "write T_world_gripper of each picture, x,y,z,qx,qy,qz,qw, with the camera at rest"
-        raise GendomError(what, fix=f"{fix} and the board on the gripper")
+    readings = [(whats, _Problem(camera, other)) for whats, other in _readings(views)]
+    errors = [np.median(problem.rms(np.zeros(_POSE))) for _, problem in readings]
+    whats, problem = readings[int(np.argmin(errors))]
+    x, _ = problem.fit(np.zeros(_POSE))
+    if np.median(problem.rms(x)) > min(0.5 * typical, MAX_RMS):
+        return
+    X, Y = (np.linalg.norm(T[:3, 3]) for T in problem.poses(x))
+    if "inverse" in whats:  # the same equation: what is near the gripper, camera or board?
+        in_hand = "the camera is on the gripper (eye in hand)"
+        whats["inverse"] = in_hand if X < Y else "they are inverse, T_gripper_world"
+    what = "the poses fit the pictures only if " + " and ".join(whats.values())
+    fix = "write T_world_gripper of each picture, x,y,z,qx,qy,qz,qw, with the camera at rest"
+    raise GendomError(what, fix=f"{fix} and the board on the gripper")
 
 
 def _readings(views: Sequence[BoardView]) -> Iterator[tuple[dict[str, str], list[BoardView]]]:
@@ -472,13 +473,13 @@ def read_board(path: str | os.PathLike) -> Board:
 
 def read_poses(path: Path) -> list[tuple[Path, np.ndarray]]:
     """Pictures and T_world_gripper [4, 4] of poses.csv."""
-    lines = read_rows(path, header=",".join(_COLUMNS))
+    lines = read_rows(path, header=",".join(COLUMNS))
 
     def wanted(holds: Any, what: str, where: str, fix: str) -> None:
         require(holds, what, where=where, fix=fix, error=RecordingError)
 
-    right = tuple(lines[0][1]) == _COLUMNS
-    wanted(right, "has another header", str(path), f"write {','.join(_COLUMNS)}")
+    right = tuple(lines[0][1]) == COLUMNS
+    wanted(right, "has another header", str(path), f"write {','.join(COLUMNS)}")
     poses = []
     for number, row in lines[1:]:
         where = f"{path}, line {number}"
