@@ -30,8 +30,8 @@ TABLES = {
     "shipped intervals that hold the truth, refused lifts; a lift takes about a minute on a core",
     "verdict": "the same lifts, each recording corrupted in 48 ways, and what estimates say: "
     "refused, right or wrong; a lift of a rope takes about five minutes on a core",
-    "calibration": "random sets of a board's corners with one fault each: refused, or true and stated "
-    "errors of the camera's pose; half a second a set",
+    "calibration": "random pictures of a board with one fault each: refused, or true and stated "
+    "errors of the camera's pose; a fifth of a second a set",
 }
 
 FIRST_REPORTED = 1000

@@ -5,9 +5,7 @@ the true error. Corners are projected with noise, poses go through a file as use
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -114,7 +112,7 @@ def draw(rng: np.random.Generator, *, in_hand: bool) -> tuple[Camera, list[Any],
     camera = Camera(name="drawn", width=640, height=480, K=K, T_world_camera=T_world_camera)
     size = np.array([board.squares_x, board.squares_y, 0.0]) * board.square
     corners = np.asarray(board.opencv().getChessboardCorners(), float)
-    away = rng.uniform(1.2, 2.0) * f * size[0] / 640.0  # fills 50 to 80 % of the width
+    away = rng.uniform(1.2, 3.6) * f * size[0] / 640.0  # fills 28 to 80 % of the width
     sighted, poses = [], []
     for places in _path(rng, int(count)):
         T = rigid(_turn(tilt * places[:3]).as_matrix(), np.zeros(3))

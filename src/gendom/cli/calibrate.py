@@ -55,6 +55,9 @@ class Command:
             raise GendomError(
                 error.what + lost, where=error.where or str(self.folder), fix=error.fix
             ) from None
+        for name in found.outliers:
+            what = f"is {found.rms_by_picture[name]:.3g} pixels off: its pose is not the picture's"
+            warnings.append(Fault(what, name, "take it again or leave it out", "warning"))
         summary = {"out": self.out, **_summary(found)}
         print_result(summary, _text(found), warnings, json=self.json)
         if self.out is not None:
@@ -87,5 +90,7 @@ def _text(found: Calibration) -> str:
         f"below {found.error_angle:.3f} degrees)",
         f"  reprojection   {found.rms:.3f} pixels RMS, most in {worst} "
         f"({found.rms_by_picture[worst]:.3f})",
+        "  where free     "
+        + ", ".join(f"{k} {v:.5g} +- {sd:.2g}" for k, (v, sd) in found.refit.items()),
     ]
     return "\n".join(lines)
