@@ -175,9 +175,9 @@ def spoiled(
             axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
             turned = 0.0 if "mm" in fault else rng.uniform(0.5, 10.0)
             moved = 0.0 if "degrees" in fault else rng.uniform(0.002, 0.03)
-            poses[k] = poses[k] @ rigid(_turn(turned * axis).as_matrix(), moved * way)
+            poses[k] @= rigid(_turn(turned * axis).as_matrix(), moved * way)
     elif fault == "inverse poses":
-        poses = np.linalg.inv(poses)
+        poses = np.asarray(np.linalg.inv(poses), float)
     elif fault == "poses shifted by a row":
         poses = np.roll(poses, int(sign), axis=0)
     elif fault == "quaternions w, x, y, z":

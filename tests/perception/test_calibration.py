@@ -312,6 +312,15 @@ def test_pictures_that_cannot_be_used_are_left_out(copy, capsys):
     assert "2.png: is damaged" in out and "3.png: the board is not found" in out
 
 
+def test_a_picture_whose_pose_is_wrong_is_named(copy, capsys):
+    path = copy / "pictures" / "poses.csv"
+    lines = path.read_text().splitlines()
+    name, x, rest = lines[8].split(",", 2)
+    path.write_text("\n".join([*lines[:8], f"{name},{float(x) + 0.01!r},{rest}", *lines[9:]]))
+    assert run(copy) == 0
+    assert "7.png: is 4" in (out := capsys.readouterr().out) and "its pose is not" in out
+
+
 @pytest.mark.parametrize(
     ("file", "change", "line"),
     [

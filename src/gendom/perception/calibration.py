@@ -344,7 +344,7 @@ def _check_readings(camera: Camera, views: Sequence[BoardView], typical: float) 
         return
     X, Y = (np.linalg.norm(T[:3, 3]) for T in problem.poses(x))
     if "inverse" in whats:  # the same equation: what is near the gripper, camera or board?
-        in_hand = "of a camera on the gripper (eye in hand)"
+        in_hand = "those of a camera on the gripper (eye in hand)"
         whats["inverse"] = in_hand if X < Y else "T_gripper_world, the inverse"
     what = "the poses fit the pictures only if read as " + " and ".join(whats.values())
     fix = "write T_world_gripper of each picture, x,y,z,qx,qy,qz,qw, with the camera at rest"
