@@ -31,7 +31,7 @@ TABLES = {
     "verdict": "the same lifts, each recording corrupted in 48 ways, and what estimates say: "
     "refused, right or wrong; a lift of a rope takes about five minutes on a core",
     "calibration": "random pictures of a board with one fault each: refused, or true and stated "
-    "errors of the camera's pose; a fifth of a second a set",
+    "errors of the camera's pose; a third of a second a set",
 }
 
 FIRST_REPORTED = 1000
