@@ -30,6 +30,8 @@ TABLES = {
     "shipped intervals that hold the truth, refused lifts; a lift takes about a minute on a core",
     "verdict": "the same lifts, each recording corrupted in 48 ways, and what estimates say: "
     "refused, right or wrong; a lift of a rope takes about five minutes on a core",
+    "calibration": "random pictures of a board with one fault each: refused, or true and stated "
+    "errors of the camera's pose; a third of a second a set",
 }
 
 FIRST_REPORTED = 1000
@@ -108,7 +110,7 @@ def parser() -> argparse.ArgumentParser:
         default="hold",
         help="of coverage and verdict: how lifts end",
     )
-    add("--lifts", type=int, default=40, help="of coverage and verdict: how many")
+    add("--lifts", type=int, default=40, help="of coverage, verdict and calibration: how many")
     add("--jobs", type=int, default=2, help="processes of the MuJoCo test scene and of training")
     add(
         "--out",

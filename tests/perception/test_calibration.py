@@ -18,7 +18,7 @@ from gendom.perception import (
     read_camera,
     write_camera,
 )
-from gendom.perception.calibration import Board, BoardView, calibrate, find_board
+from gendom.perception.calibration import Board, BoardView, calibrate, find_board, read_views
 
 cv2 = pytest.importorskip("cv2", reason="needs the extra `camera`")
 
@@ -77,17 +77,18 @@ def good_tilts(n=12, seed=1):
     return tilts
 
 
-def write_pictures(folder, camera, tilts, noise=0.0):
+def write_pictures(folder, camera, tilts, noise=0.0, board=BOARD):
     poses, boards, _ = robot_poses(camera, tilts)
     folder.mkdir(parents=True)
     rows = ["picture,x,y,z,qx,qy,qz,qw"]
-    for k, (pose, board) in enumerate(zip(poses, boards, strict=True)):
-        Image.fromarray(render(camera, board, noise=noise, seed=k)).save(folder / f"{k}.png")
+    for k, (pose, T) in enumerate(zip(poses, boards, strict=True)):
+        Image.fromarray(render(camera, T, board, noise, seed=k)).save(folder / f"{k}.png")
         quaternion = Rotation.from_matrix(pose[:3, :3]).as_quat()
         rows.append(",".join([f"{k}.png", *(repr(float(x)) for x in (*pose[:3, 3], *quaternion))]))
     (folder / "poses.csv").write_text("\n".join(rows) + "\n")
     (folder / "board.toml").write_text(
-        'squares_x = 7\nsquares_y = 5\nsquare = 0.05\nmarker = 0.037\ndictionary = "DICT_4X4_50"\n'
+        f"squares_x = 7\nsquares_y = {board.squares_y}\nsquare = 0.05\nmarker = 0.037\n"
+        'dictionary = "DICT_4X4_50"\n'
     )
 
 
@@ -205,17 +206,57 @@ def test_exact_corners_give_the_exact_pose(world, distortion):
     np.testing.assert_allclose(found.T_gripper_board, hold, atol=1e-6)
 
 
-def test_standard_deviation_is_honest(world):
-    """The error over many noisy trials has the size that each trial states."""
+def test_stated_errors_hold_and_are_no_excuse(world):
+    """Both of nine sets in ten, and a few times the true ones in the median."""
     camera = world.make_camera()
     found = [
         calibrate(camera, exact_views(camera, good_tilts(10), 0.3, seed)[0]) for seed in range(20)
     ]
-    errors = np.array([error_of(f.T_world_camera, camera) for f in found])
-    rms = np.sqrt((errors**2).mean(axis=0))
-    assert rms[0] == pytest.approx(np.mean([f.sigma_position for f in found]), rel=0.4)
-    assert rms[1] == pytest.approx(np.mean([f.sigma_angle for f in found]), rel=0.4)
+    true = np.array([error_of(f.T_world_camera, camera) for f in found])
+    stated = np.array([[f.error_position, f.error_angle] for f in found])
+    assert (true <= stated).all(axis=1).mean() >= 0.9
+    assert (np.median(stated, axis=0) < 8.0 * np.median(true, axis=0)).all()
     assert np.mean([f.rms for f in found]) == pytest.approx(0.3 * np.sqrt(2), rel=0.1)
+
+
+def moved(views, which, T):
+    """Views whose reported poses are off."""
+    return [
+        replace(v, T_world_gripper=v.T_world_gripper @ T) if k in which else v
+        for k, v in enumerate(views)
+    ]
+
+
+@pytest.mark.parametrize("T", [transform([0, 0, 0], [0.006, -0.008, 0]), transform([3, 0, 0], 0)])
+def test_one_wrong_pose_of_twelve_is_outvoted_and_named(world, T):
+    """Least squares are 6 and 11 mm off."""
+    camera = world.make_camera()
+    found = calibrate(camera, moved(exact_views(camera, good_tilts(), 0.2)[0], [7], T))
+    assert error_of(found.T_world_camera, camera)[0] < min(2e-3, found.error_position)
+    assert found.outliers == ["picture 7"]
+
+
+def test_the_same_as_kinhec(world):
+    """Poses with errors of an arm; another program's least squares over poses, not corners."""
+    reason = "needs kinhec: the extra dev"
+    solvers = pytest.importorskip("kinhec.solvers", reason=reason)
+    camera, rng = world.make_camera(), np.random.default_rng(0)
+    views, hold = exact_views(camera, good_tilts(20), 0.05)
+    to_camera = np.linalg.inv(camera.T_world_camera)
+    seen = np.stack([to_camera @ view.T_world_gripper @ hold for view in views])
+    views = [
+        v
+        for k in range(20)
+        for v in moved(
+            views[k : k + 1], [0], transform(rng.normal(0, 0.03, 3), rng.normal(0, 3e-4, 3))
+        )
+    ]
+    poses = np.stack([view.T_world_gripper for view in views])
+    X, Y = solvers.refine_lm_axyb(poses, seen, *solvers.shah(poses, seen))
+    found = calibrate(camera, views)
+    apart = error_of(found.T_world_camera, camera.at(Y))
+    assert apart[0] < found.error_position < 4e-3 and apart[1] < min(found.error_angle, 0.1)
+    np.testing.assert_allclose(found.T_gripper_board, X, atol=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -244,11 +285,22 @@ def test_poses_of_other_pictures_are_refused(world):
     camera = world.make_camera()
     views, _ = exact_views(camera, good_tilts(8))
     mixed = [
-        BoardView(a.name, a.points, a.pixels, b.T_world_gripper)
-        for a, b in zip(views, views[1:] + views[:1], strict=True)
+        replace(a, T_world_gripper=views[k].T_world_gripper)
+        for a, k in zip(views, (5, 2, 7, 0, 6, 1, 3, 4), strict=True)
     ]
     with pytest.raises(GendomError, match="check that poses belong to the pictures"):
         calibrate(camera, mixed)
+
+
+@pytest.mark.parametrize("legacy", [True, False])
+def test_boards_of_the_other_side_of_opencv_4_6_are_named(world, tmp_path, legacy):
+    camera = world.make_camera()
+    printed = replace(BOARD, squares_y=6, legacy=legacy)
+    write_pictures(tmp_path / "board", camera, good_tilts(1), board=printed)
+    path = tmp_path / "board" / "board.toml"
+    path.write_text(path.read_text() + f"legacy = {str(not legacy).lower()}\n")
+    with pytest.raises(GendomError, match=f"; write legacy = {str(legacy).lower()} in board.toml"):
+        read_views(tmp_path / "board", camera, on_warning=lambda _: None)
 
 
 def test_pictures_that_cannot_be_used_are_left_out(copy, capsys):
@@ -258,6 +310,15 @@ def test_pictures_that_cannot_be_used_are_left_out(copy, capsys):
     out = capsys.readouterr().out
     assert "from 10 pictures" in out
     assert "2.png: is damaged" in out and "3.png: the board is not found" in out
+
+
+def test_a_picture_whose_pose_is_wrong_is_named(copy, capsys):
+    path = copy / "pictures" / "poses.csv"
+    lines = path.read_text().splitlines()
+    name, x, rest = lines[8].split(",", 2)
+    path.write_text("\n".join([*lines[:8], f"{name},{float(x) + 0.01!r},{rest}", *lines[9:]]))
+    assert run(copy) == 0
+    assert "7.png: is 4" in (out := capsys.readouterr().out) and "its pose is not" in out
 
 
 @pytest.mark.parametrize(
@@ -272,7 +333,9 @@ def test_pictures_that_cannot_be_used_are_left_out(copy, capsys):
         ("pictures/poses.csv", ("0.png,", "0.png,1,"), "line 2: is no pose"),
         ("pictures/poses.csv", ("qw\n", "qw\na.png,900,0,0,0,0,0,1\n"), "metres, not millimetres"),
         ("camera.toml", ("width = 640", "width = 848"), "is 640 x 480, the camera 848 x 480"),
-        ("camera.toml", ("385.0", "200.0"), "check that poses belong"),
+        ("pictures/poses.csv", ("qw\n", "qw\na.png,0,0,0,170,5,9,0\n"), "angles in degrees?"),
+        ("camera.toml", ("385.0", "200.0"), "fit a focal length of 384.5 pixels, not 200; K is of"),
+        ("pictures/board.toml", ("square = 0.05", "square = 0.051"), "the board is printed to"),
     ],
 )
 def test_bad_input(copy, capsys, file, change, line):

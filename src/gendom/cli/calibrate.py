@@ -55,6 +55,9 @@ class Command:
             raise GendomError(
                 error.what + lost, where=error.where or str(self.folder), fix=error.fix
             ) from None
+        for name in found.outliers:
+            what = f"is {found.rms_by_picture[name]:.3g} pixels off: its pose is not the picture's"
+            warnings.append(Fault(what, name, "take it again or leave it out", "warning"))
         summary = {"out": self.out, **_summary(found)}
         print_result(summary, _text(found), warnings, json=self.json)
         if self.out is not None:
@@ -69,8 +72,9 @@ def _summary(found: Calibration) -> dict[str, Any]:
         "T_gripper_board": found.T_gripper_board,
         "reprojection_rms": found.rms,
         "reprojection_rms_by_picture": found.rms_by_picture,
-        "sigma_position": found.sigma_position,
-        "sigma_angle": found.sigma_angle,
+        "error_position": found.error_position,
+        "error_angle": found.error_angle,
+        "refit": found.refit,
     }
 
 
@@ -80,11 +84,13 @@ def _text(found: Calibration) -> str:
     quaternion = Rotation.from_matrix(found.T_world_camera[:3, :3]).as_quat()
     lines = [
         f"T_world_camera from {len(found.rms_by_picture)} pictures",
-        f"  position       {x:.4f}, {y:.4f}, {z:.4f} m (standard deviation "
-        f"{1e3 * found.sigma_position:.2f} mm)",
-        f"  quaternion     {', '.join(f'{q:.5f}' for q in quaternion)} (x, y, z, w; standard "
-        f"deviation {found.sigma_angle:.3f} degrees)",
+        f"  position       {x:.4f}, {y:.4f}, {z:.4f} m (error below "
+        f"{1e3 * found.error_position:.2f} mm)",
+        f"  quaternion     {', '.join(f'{q:.5f}' for q in quaternion)} (x, y, z, w; error "
+        f"below {found.error_angle:.3f} degrees)",
         f"  reprojection   {found.rms:.3f} pixels RMS, most in {worst} "
         f"({found.rms_by_picture[worst]:.3f})",
+        "  where free     "
+        + ", ".join(f"{k} {v:.5g} +- {sd:.2g}" for k, (v, sd) in found.refit.items()),
     ]
     return "\n".join(lines)
