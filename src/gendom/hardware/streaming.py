@@ -172,7 +172,7 @@ class Streamer:
         what = f"the last report of the joints is {1e3 * age:.0f} ms old"
         require(age <= BLIND[1], what, fix=fix, error=DeviceError)
         motion.check_limits(self.limits)
-        self._check_place(motion)
+        self._check_tool(motion)
         self._check_start(motion, report.q)
         kinds = ("speed", "tool speed")
         full = replace(self.arm, max_tcp_speed=MOST_TOOL_SPEED)
@@ -199,7 +199,7 @@ class Streamer:
         self.s = self.motion.time[0]
         self.began = math.nan if self._next else self.clock()
 
-    def _check_place(self, motion: JointMotion) -> None:
+    def _check_tool(self, motion: JointMotion) -> None:
         p = motion.tcp_at(self.arm, motion.sampled(1.0 / self.driver.period))[:, :3, 3]
         low, high = self.cell.workspace
         out = np.maximum(low - p, p - high)
@@ -208,6 +208,11 @@ class Streamer:
         what += f"{'xyz'[axis]} at {np.round(p[k], 3).tolist()} m"
         fix = "plan another motion, or jog the arm inside by hand"
         require(out[k, axis] <= 0.0, what, where="motion", fix=fix, error=RobotError)
+        speed = np.linalg.norm(np.diff(p, axis=0), axis=1).max() / self.driver.period
+        most = self.limits.max_tcp_speed
+        fix = f"take {speed / most:.3f} times as long"
+        what = f"the tool moves at {speed:.3f} m/s, limit {most:g}"
+        require(speed <= _SLACK * most, what, where="motion", fix=fix, error=RobotError)
 
     def _check_start(self, motion: JointMotion, q: Array) -> None:
         off = np.abs(motion.q[0] - q)
@@ -230,7 +235,8 @@ class Streamer:
             self.fault = self.fault or report.fault or self.fingers.fault
             return
         late, self.last = now - self.last - self.driver.period, now
-        stop = report.fault or self._lost(report) or self._stalled(late)
+        stop = report.fault or self._stalled(late)
+        stop = stop or (None if self.braking else self._lost(report))
         if stop:
             self._halt(stop)
             return
