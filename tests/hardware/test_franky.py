@@ -111,8 +111,13 @@ def test_it_brakes_within_its_accelerations(streamer):
 
 def test_nobody_there():
     with pytest.raises(DeviceError, match="FCI"):
-        Driver(cells.Cell(
-            robot="fr3", address="127.0.78.2", arm="fr3",
-            tool=cells.Tool(max_opening=0.08, latency=0.05), surroundings=NO_OBSTACLES,
-            workspace=(np.full(3, -1.5), np.full(3, 1.5)),
-        )).connect()
+        Driver(
+            cells.Cell(
+                robot="fr3",
+                address="127.0.78.2",
+                arm="fr3",
+                tool=cells.Tool(max_opening=0.08, latency=0.05),
+                surroundings=NO_OBSTACLES,
+                workspace=(np.full(3, -1.5), np.full(3, 1.5)),
+            )
+        ).connect()

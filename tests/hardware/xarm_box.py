@@ -36,7 +36,7 @@ class Driver(XArmDriver):
     def connect(self):
         from xarm.core.config.x_config import XCONF
 
-        XCONF.SocketConf.TCP_CONTROL_PORT = PORT
+        setattr(XCONF.SocketConf, "TCP_CONTROL_PORT", PORT)  # noqa: B010
         super().connect()
 
 

@@ -66,6 +66,8 @@ _EXTRAS = {
     "ray": "cluster",
     "viser": "viz",
     "rosbags": "ros",
+    "xarm": "robot",
+    "franky": "franka",
 }
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from gendom.errors import DeviceError
 from gendom.hardware.cell import Cell
 from gendom.hardware.streamed import StreamedRobot
 from gendom.hardware.streaming import Array, Report
+from gendom.installation import how_to_install
 
 _GAIN = 10.0  # [1/s]; of the distance from the last command
 _HOLD = 50  # [ms]
@@ -56,10 +56,12 @@ class FrankaDriver:
     def connect(self) -> None:
         """Connect to arm and hand; reflexes of before are forgotten."""
         try:
-            self._franky = sdk = import_module("franky")
+            import franky  # pyright: ignore[reportMissingImports]
         except ImportError as error:
-            fix = "pip install franky-control"
-            raise DeviceError(f"franky cannot be imported ({error})", fix=fix) from None
+            what = f"franky cannot be imported ({error})"
+            raise DeviceError(what, fix=how_to_install("franka")) from None
+        self._franky: Any = franky
+        sdk = self._franky
         config = getattr(sdk.RealtimeConfig, self.realtime)
         self._robot = self._try(lambda: sdk.Robot(self.cell.address, realtime_config=config))
         if self._robot.has_errors:

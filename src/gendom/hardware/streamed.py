@@ -65,6 +65,8 @@ def _serve(link: Connection, board: _Board, cell: Cell, make: Callable[[Cell], D
     parent = os.getppid()
     leaving: list[str] = []
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # until there is a motion to end
+    with suppress(AttributeError, OSError):  # where it is allowed, ticks go before other work
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
     link.send(("started", ""))
     driver = make(cell)
     try:
@@ -75,8 +77,6 @@ def _serve(link: Connection, board: _Board, cell: Cell, make: Callable[[Cell], D
         return
     signal.signal(signal.SIGINT, lambda *_: streamer.brake("interrupted by Ctrl-C"))
     signal.signal(signal.SIGTERM, lambda *_: leaving.append("ended from outside"))
-    with suppress(AttributeError, OSError):  # where it is allowed, ticks go before other work
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
     link.send(("done", ""))
     due, asked = time.monotonic(), False
     while not (leaving and not streamer.moving):
@@ -233,9 +233,8 @@ class StreamedRobot:
 
     def _ready(self) -> RobotState:
         state = self.state()
-        what = state.fault or ""
         fix = "then connect() again"
-        require(state.fault is None, what, where=self.cell.address, fix=fix, error=DeviceError)
+        require(state.fault is None, state.fault or "", fix=fix, error=DeviceError)
         return state
 
     def _do(self, name: str, what: Any, on_tick: Callable[[Tick], None] | None = None) -> None:
@@ -263,7 +262,7 @@ class StreamedRobot:
     def _gone(self) -> DeviceError:
         self._asked = False
         self._fault = f"the process that moves the arm is gone or hangs; {_REPORT}"
-        return DeviceError(self._fault, where=self.cell.address)
+        return DeviceError(self._fault)
 
     def _answered(self) -> None:
         try:
@@ -274,7 +273,7 @@ class StreamedRobot:
         if kind == "fault":
             self._fault = text
         ok = kind in ("started", "done")
-        require(ok, text, where=self.cell.address, error=DeviceError)
+        require(ok, text, error=DeviceError)
 
     def _wait(self, done: Callable[[], bool], most: float) -> None:
         end = time.monotonic() + most
@@ -291,8 +290,8 @@ class StreamedRobot:
             rows = self._board.read(first)
             first = self._board.count.value if not rows else first + len(rows)
             heard = time.monotonic() if rows else heard
-            for row in rows if on_tick else ():
-                if math.isfinite(row[1]):
+            for row in rows:
+                if on_tick is not None and math.isfinite(row[1]):
                     on_tick(
                         Tick(
                             time=row[1],

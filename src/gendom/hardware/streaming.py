@@ -228,7 +228,12 @@ class Streamer:
 
     def tick(self) -> None:
         """Look at what was reported, and send the next command."""
-        now = self.clock()
+        try:
+            self._tick(self.clock())
+        except Exception as error:  # whatever a driver, its SDK or we raise: the arm must stand
+            self._halt(str(error) if isinstance(error, GendomError) else f"internal: {error!r}")
+
+    def _tick(self, now: float) -> None:
         self.report = report = self.driver.report()
         if not self.moving:
             self.elapsed = math.nan
@@ -249,11 +254,7 @@ class Streamer:
             self.motion = _Line(self.command, self.velocity, self.s)
             self.brake(broken, fault=True)
             rate, s, q = self._advanced()
-        try:
-            self.driver.servo(q)
-        except GendomError as error:
-            self._halt(str(error))
-            return
+        self.driver.servo(q)
         self.velocity = (q - self.command) / self.driver.period
         self.command, self.tool = q, tcp_pose(self.limits, q)[:3, 3]
         self._sent.append((now, q))
@@ -261,7 +262,11 @@ class Streamer:
         while self._orders and not self._next and s >= self._orders[0][0] and not self.braking:
             self.fingers.move(self._orders.pop(0)[1])
         if rate == 0.0 or s >= self.motion.end:
-            self._arrive()
+            if self._next and not self.braking:
+                self._take_next()
+            else:
+                self.driver.end()
+                self.moving = False
 
     def brake(self, why: str, *, fault: bool = False) -> None:
         """Slow down along the path as fast as the arm's accelerations allow, and stand."""
@@ -272,27 +277,18 @@ class Streamer:
             else:
                 self.ended = why
 
-    def _arrive(self) -> None:
-        if self._next and not self.braking:
-            self._take_next()
-            return
-        self.moving = False
-        try:
-            self.driver.end()
-        except GendomError as error:
-            self._latch(str(error))
-
     def _latch(self, what: str) -> None:
         when = f" (at t = {self.elapsed:.3f} s)" if math.isfinite(self.elapsed) else ""
         self.fault = self.fault or f"{what}{when}"
 
     def _halt(self, what: str) -> None:
         self._latch(what)
-        self.moving = False
         try:
-            self.driver.halt()
-        except GendomError as error:
-            self.fault = f"{self.fault}; it did not take the order to stop either ({error})"
+            if self.moving:
+                self.driver.halt()
+        except Exception:
+            self.fault = f"{self.fault}; it cannot be told to stop: press the emergency stop"
+        self.moving = False
 
     def _advanced(self) -> tuple[float, float, Array]:
         """Rate of the motion's clock, its time [s] and the command [J] of the next tick."""
@@ -345,27 +341,21 @@ class Streamer:
 
     def _unseen(self, report: Report, now: float) -> str | None:
         """Whether a report is too old, or repeats itself although the arm was sent away."""
-        if not np.array_equal(report.q, self._seen) or self._quiet():
-            self._seen, self._from, self._fresh = report.q, self.command, report.time
+        if not np.array_equal(report.q, self._seen):
+            self._seen, self._from = report.q, self.command
+        if np.abs(self.command - self._from).max() <= _STILL:
+            self._fresh = report.time
         age = now - min(report.time, self._fresh)
         if age <= self.blind:
             return None
-        frozen = "repeats itself" if now - report.time <= self.blind else "is old"
-        what = f"the report of the joints {frozen}: {1e3 * age:.0f} ms, at most "
-        return (
-            f"{what}{1e3 * self.blind:.0f} at this speed; check the cable and the computer's load"
-        )
-
-    def _quiet(self) -> bool:
-        return bool(np.abs(self.command - self._from).max() <= _STILL)
+        old = now - report.time > self.blind
+        what = f"is {1e3 * age:.0f} ms old" if old else "repeats itself or the arm does not move"
+        what = f"the report of the joints {what}, {1e3 * self.blind:.0f} ms allowed at this speed"
+        return f"{what}; check the cable, the arm and what else this computer does"
 
     def _stalled(self, late: float) -> str | None:
-        if late <= self.blind:
-            return None
-        what = (
-            f"a command was {1e3 * late:.0f} ms late, at most {1e3 * self.blind:.0f} at this speed"
-        )
-        return f"{what}; end other programs on this computer"
+        what = f"a command was {1e3 * late:.0f} ms late, {1e3 * self.blind:.0f} allowed"
+        return f"{what}; end other programs on this computer" if late > self.blind else None
 
 
 def speed_limits(arm: Arm, cell: Cell) -> Arm:
@@ -379,9 +369,7 @@ def speed_limits(arm: Arm, cell: Cell) -> Arm:
     )
 
 
-def slow_move(
-    limits: Arm, cell: Cell, q_from: Array, q_to: ArrayLike, **around: Any
-) -> JointMotion:
+def slow_move(limits: Arm, cell: Cell, q: Array, q_to: ArrayLike, **around: Any) -> JointMotion:
     """A move from point to point within `APPROACH_SHARE`; arguments as of `joint_move`."""
     share = min(1.0, APPROACH_SHARE / cell.speed.share)
-    return joint_move(limits, q_from, q_to, share=share, **around)
+    return joint_move(limits, q, q_to, share=share, **around)

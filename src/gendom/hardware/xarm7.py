@@ -23,6 +23,7 @@ from gendom.errors import DeviceError
 from gendom.hardware.cell import Cell
 from gendom.hardware.streamed import StreamedRobot
 from gendom.hardware.streaming import Array, Report
+from gendom.installation import how_to_install
 
 SERVO_MODE = 1
 """The controller follows a stream of joint angles; it does not limit their speed itself."""
@@ -169,7 +170,8 @@ class XArmDriver:
                 return sdk(self.cell.address, is_radian=True, check_joint_limit=False, **options)
         except Exception as error:  # the SDK raises no narrower class
             fix = "check its power, the cable and `address`"
-            raise DeviceError(f"no xArm ({error})", where=self.cell.address, fix=fix) from None
+            where = f"xArm at {self.cell.address}"
+            raise DeviceError(f"it is not there ({error})", where=where, fix=fix) from None
         finally:
             socket.setdefaulttimeout(before)
 
@@ -193,9 +195,9 @@ class XArmDriver:
 
     def _pulses(self) -> int:
         answer = self._hand.get_gripper_position()
-        code, pulses = answer if isinstance(answer, tuple) else (answer, None)
+        code, pulses = answer if isinstance(answer, tuple) else (answer, 0)
         fix = "check its cable and power, and look at UFACTORY Studio"
-        self._require(code == 0 and pulses is not None, f"the gripper has a fault ({code})", fix)
+        self._require(code == 0, f"the gripper has a fault ({code})", fix)
         self._opening = self.cell.tool.max_opening * pulses / _PULSES
         return pulses
 
@@ -207,7 +209,7 @@ class XArmDriver:
         if code != 0:
             self._ask(self._joints)
         said = self._said(self._code) if self._code else None
-        silent = "it does not answer" if code == 3 else f"it refuses to {what} (code {code})"
+        silent = "it does not answer" if code in (-1, 3) else f"it refuses to {what} (code {code})"
         self._require(code == 0, said or silent, None if said else "look at the controller")
 
     def _said(self, code: int) -> str:
@@ -233,8 +235,8 @@ def _sdk() -> Any:
             from xarm.core.utils.log import logger, origin_logger
             from xarm.wrapper import XArmAPI
     except (ImportError, OSError) as error:  # it makes a folder at home when imported
-        fix = "pip install 'gendom[robot]'"
-        raise DeviceError(f"xArm's SDK cannot be imported ({error})", fix=fix) from None
+        what = f"the xArm's SDK cannot be imported ({error})"
+        raise DeviceError(what, fix=how_to_install("robot")) from None
     for words in (logger, origin_logger):  # they go to standard output
         words.setLevel(logging.CRITICAL)
     return XArmAPI
