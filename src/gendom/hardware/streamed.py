@@ -54,10 +54,11 @@ class _Board:
         self._table()[self.count.value % _ROWS] = row
         self.count.value += 1
 
-    def read(self, first: int) -> list[Array]:
-        """Rows from number `first` on."""
+    def read(self, first: int) -> tuple[list[Array], int]:
+        """Rows from number `first` on, and the number of the next one."""
         table, end = self._table(), self.count.value
-        return [table[k % _ROWS].copy() for k in range(max(first, end - _ROWS + 8), end)]
+        numbers = range(max(first, end - _ROWS + 8), end)  # older ones are being overwritten
+        return [table[k % _ROWS].copy() for k in numbers], end
 
 
 def _serve(link: Connection, board: _Board, cell: Cell, make: Callable[[Cell], Driver]) -> None:
@@ -178,7 +179,7 @@ class StreamedRobot:
             DeviceError: The robot was never connected.
         """
         require(self._process is not None, "not connected", fix="connect()", error=DeviceError)
-        (row,) = self._board.read(self._board.count.value - 1)[-1:]
+        row = self._board.read(self._board.count.value - 1)[0][-1]
         fault = self._fault or self._board.text.value.decode(errors="replace") or None
         if fault is None and not self._process.is_alive():
             fault = f"the process that moves the arm is gone; {_REPORT}"
@@ -287,8 +288,7 @@ class StreamedRobot:
         heard, J = time.monotonic(), self.arm.joints
         while True:
             answered = self._link.poll(0.02)
-            rows = self._board.read(first)
-            first = self._board.count.value if not rows else first + len(rows)
+            rows, first = self._board.read(first)
             heard = time.monotonic() if rows else heard
             for row in rows:
                 if on_tick is not None and math.isfinite(row[1]):
