@@ -23,7 +23,7 @@ squares the error."""
 _ANGLE_LENGTH = 0.3  # [m]; an angle of 1 rad weighs as much as this distance
 _DAMPING = 0.1  # damping^2 = (this)^2 |error|: zero at the solution, so that the end is Newton's
 _LARGEST_STEP = 0.4  # [rad]; a joint's step in one iteration
-_ITERATIONS = 200
+_ITERATIONS = 100
 _HOMING = 0.5  # share of the distance to the resting pose in one iteration, within the null space
 _SETTLED = 1e-5  # [rad]; the null space's steps end below this
 
