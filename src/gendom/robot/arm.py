@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,8 @@ class LinkCapsule:
     """The other end [m]."""
     radius: float
     """[m]."""
+    held: bool = False
+    """Whether it is what the fingers hold, which may touch the table."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,6 +156,19 @@ class Arm:
     def joints(self) -> int:
         """Number of joints, J."""
         return len(self.T_links)
+
+    def holding(self, length: float, radius: float) -> Arm:
+        """The arm with a capsule that stands out of its fingers: what it holds [m]."""
+        start, along = self.T_flange_tcp[:3, 3], self.T_flange_tcp[:3, 2]
+        held = LinkCapsule(
+            name="held object",
+            link=self.joints,
+            start=(*start.tolist(),),
+            end=(*(start + length * along).tolist(),),
+            radius=radius,
+            held=True,
+        )
+        return replace(self, capsules=(*self.capsules, held))
 
     def check_q(self, q: ArrayLike) -> NDArray[np.float64]:
         """Joint angles [..., J] as float64.
