@@ -28,6 +28,7 @@ from gendom.robot.collision import (
     collision_at,
 )
 from gendom.robot.description import read_arm
+from gendom.robot.fr3 import FR3
 from gendom.robot.kinematics import (
     inverse_kinematics,
     jacobian,
@@ -51,7 +52,7 @@ from gendom.robot.shape import ArmShape, arm_shape
 from gendom.robot.states import JointStates, read_joints
 from gendom.robot.xarm7 import XARM7
 
-ARMS = {XARM7.name: XARM7}
+ARMS = {XARM7.name: XARM7, FR3.name: FR3}
 """Arms by their names."""
 
 
@@ -79,6 +80,7 @@ def find_arm(name: str, *, files: bool = False) -> Arm:
 __all__ = [
     "ARMS",
     "DOWN",
+    "FR3",
     "LIFT_ENDS",
     "MOTION_FORMAT",
     "NO_OBSTACLES",
