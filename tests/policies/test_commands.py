@@ -54,7 +54,7 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     assert (code, err) == (0, f"written: {tmp_path / 'action.json'}\n")
     result = json.loads(out)
     assert result == read_json(tmp_path / "action.json")
-    assert result["format"] == "gendom-action/3"
+    assert result["format"] == "gendom-action/4"
     x, z = result["action"]["release_x"], result["action"]["release_z"]
     assert (x, z) == pytest.approx((0.15, 0.1), abs=0.005)
     motion = result["trajectory"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,16 +18,15 @@ from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import tell_written
 from gendom.errors import PolicyError, RobotError, printable
 from gendom.files import check_file, to_json, write_json
-from gendom.materials import KINDS, LARGEST, PARAMETERS, Item, thickness_of, to_columns
-from gendom.robot import XARM7, TcpPath, follow
+from gendom.materials import KINDS, LARGEST, PARAMETERS, Item, size_of, thickness_of, to_columns
+from gendom.robot import TcpPath
 from gendom.tasks import Task
 
 if TYPE_CHECKING:
+    from gendom.hardware.cell import Cell, PlannedMotion
     from gendom.materials.estimate import Estimate
     from gendom.policies.policy import Action, Policy
-    from gendom.tasks.task import World
-
-_ACTION = "gendom-action/3"
+    from gendom.tasks.task import Outcome, World
 
 _log = logging.getLogger(__name__)
 
@@ -36,6 +35,16 @@ DRAWS = 64
 
 POLISHED_FOR = 8
 """Objects drawn to polish an action for."""
+
+LATE = 0.1
+"""By which a late release is simulated [s]."""
+
+UNSTEADY = 0.015
+"""How far a late release may move what is reached [units of similarity]; those of steady releases
+do so by a tenth of it."""
+
+FORMAT = "gendom-action/4"
+"""Of what is written; ``plan`` is what `gendom.hardware.execution.read_action` reads."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +63,9 @@ class Command(KnownObject):
     goal: tuple[float, ...] = ()
     """The goal in SI units and the task's frame: rope-reaching x, rope-casting x and z [m]; none
     for cloth-spreading."""
+    cell: Path | None = None
+    """cell.toml (gendom cell) in which the arm will act: its table, obstacles, distances and speeds.
+    Without it the arm is planned beside its table alone, for simulation only."""
     origin: tuple[float, float, float] | None = None
     """Where the task's frame has its origin in the robot's base frame [m] (default: the task's)."""
     policy: Path | None = None
@@ -73,16 +85,25 @@ class Command(KnownObject):
     seed: int = 0
     """Seed of the objects drawn from an estimate."""
     out: Path | None = None
-    """Also write the result, with the robot's motion, to this JSON file."""
+    """Also write the result, with the robot's motion, to this JSON file, which gendom execute
+    takes."""
+    joints: Path | None = None
+    """CSV file for the joint angles of the motion at 100 Hz (joints.csv of gendom perceive)."""
+    trajectory: Path | None = None
+    """File for the motion as a ROS JointTrajectory: .json, which YAML readers take, too."""
     json: bool = False
     """Print JSON."""
 
     def run(self) -> int:
+        from gendom.hardware.cell import Cell
         from gendom.policies.belief import believed, for_task
         from gendom.tasks.world import Simulation
 
-        if self.out is not None:
-            check_file(self.out, ".json")
+        places = ((self.out, ".json"), (self.joints, ".csv"), (self.trajectory, ".json"))
+        for place, ending in places:
+            if place is not None:
+                check_file(place, ending)
+        cell = None if self.cell is None else Cell.read(self.cell)
         policy = self._policy()
         task = policy.task()
         held = self.held(task, needs=policy.description.conditioned_on)
@@ -100,7 +121,7 @@ class Command(KnownObject):
             values, polished = self._polished(task, held, values, world)
         names = [q.name for q in task.actions]
         result = {
-            "format": _ACTION,
+            "format": FORMAT,
             "task": self.task,
             "goal": action.goal,
             "action": dict(zip(names, map(float, values), strict=True)),
@@ -110,13 +131,14 @@ class Command(KnownObject):
             **_about(policy, action),
         }
         T, path = placed(task, item, values, self.origin)
-        result |= self._followed(path, item, result["warnings"])
+        result |= self._followed(path, item, result["warnings"], cell)
         result["trajectory"] = {"T_base_task": T.tolist(), **path.to_dict()}
         if polished is not None:
             result["polished"] = polished
         if not self.no_prediction and held.value("E_over_rho") is not None:
             others = believed(held, task).draws(DRAWS, self.seed) if held.names else []
             result["predicted"] = predicted(task, item, values, others, self.seed, world)
+            self._check_steady(task, item, result)
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
         if self.out is not None:
             write_json(self.out, result)
@@ -142,14 +164,20 @@ class Command(KnownObject):
         require(own == self.task, f"is for {own}", where=policy.where, fix=fix)
         return policy
 
-    def _followed(self, path: TcpPath, item: Item, warnings: list[str]) -> dict[str, Any]:
+    def _followed(
+        self, path: TcpPath, item: Item, warnings: list[str], cell: Cell | None
+    ) -> dict[str, Any]:
         """How the arm follows a path, ready for JSON; with --force a warning where it cannot.
 
         Raises:
             RobotError: It cannot.
         """
+        from gendom.hardware.cell import table_alone
+        from gendom.hardware.execution import plan_record
+
         try:
-            motion = follow(XARM7, path, slow_down=True, opening=thickness_of(item))
+            plan = table_alone if cell is None else cell.plan
+            planned = plan(path, opening=thickness_of(item))
         except RobotError as error:
             if not self.force:
                 fix = "choose another --origin, or add --force"
@@ -157,7 +185,40 @@ class Command(KnownObject):
             warnings.append(str(error))
             _log.warning("%s", error)
             return {}
-        return {"arm": {"name": XARM7.name, "slowed_by": motion.slowed_by}}
+        slower = planned.motion.slowed_by
+        if slower > 1.02:
+            warnings.append(
+                f"the arm takes {slower:.3g} times as long as the task asks for, and what is "
+                "predicted is for the task's own pace"
+            )
+        self._export(planned)
+        return {"arm": {"name": planned.arm.name, "slowed_by": slower}, "plan": plan_record(planned)}
+
+    def _export(self, planned: PlannedMotion) -> None:
+        from gendom.hardware.execution import write_trajectory
+
+        if self.joints is not None:
+            widest = planned.arm.gripper.max_opening
+            planned.motion.write_joints(self.joints, opening=(planned.opening, widest))
+            tell_written(self.joints, json=self.json)
+        if self.trajectory is not None:
+            write_trajectory(self.trajectory, planned.motion)
+            tell_written(self.trajectory, json=self.json)
+
+    def _check_steady(self, task: Task, item: Item, result: dict[str, Any]) -> None:
+        """Refuse a release that reaches something else when it comes late.
+
+        Raises:
+            PolicyError: It does, and there is no --force.
+        """
+        moved = result["predicted"].get("late_release", {}).get("moves")
+        if moved is None or moved <= UNSTEADY * size_of(item):
+            return
+        what = f"a release {1e3 * LATE:g} ms late would reach something {1e3 * moved:.0f} mm away"
+        if not self.force:
+            raise PolicyError(what, where=self.task, fix="choose another goal, or add --force")
+        result["warnings"].append(what)
+        _log.warning("%s", what)
 
     def _polished(
         self, task: Task, held: Estimate, start: np.ndarray, world: World
@@ -243,7 +304,7 @@ def predicted(
     outcomes = world.carry_out(task, items, np.tile(action, (len(items), 1)))
     if outcomes[0].fault is not None:
         return {"fault": outcomes[0].fault}
-    found: dict[str, Any] = {"reached": outcomes[0].values}
+    found: dict[str, Any] = {"reached": outcomes[0].values, **_late(task, item, action, world, outcomes[0])}
     values = [o.values for o in outcomes[1:] if o.fault is None]
     if values:
         names = [q.name for q in task.goals] or list(values[0])
@@ -254,6 +315,29 @@ def predicted(
         ends = np.quantile(some, [0.05, 0.95], axis=0).T
         found["interval_90"] = dict(zip(names, ends.tolist(), strict=True))
     return found
+
+
+def _late(
+    task: Task, item: Item, action: np.ndarray, world: World, on_time: Outcome
+) -> dict[str, Any]:
+    """What a release `LATE` reaches, and how far from what was meant [m]; nothing for tasks without
+    goals or without a release."""
+    path = task.tool_path(item, action)
+    if not task.goals or all(event.closed for event in path.events):
+        return {}
+
+    class Late(type(task)):
+        def tool_path(self, item: Item, action: np.ndarray) -> TcpPath:
+            path = super().tool_path(item, action)
+            events = [e if e.closed else replace(e, time=e.time + LATE) for e in path.events]
+            return replace(path, events=tuple(events))
+
+    same = {f.name: getattr(task, f.name) for f in fields(task)}
+    late = world.carry_out(Late(**same), [item], action[None])[0]
+    if late.fault is not None:
+        return {}
+    moves = task.error(item, np.array([on_time.values[q.name] for q in task.goals]), late.values)
+    return {"late_release": {"seconds": LATE, "reached": late.values, "moves": moves}}
 
 
 def units_of(task: Task) -> dict[str, str]:
