@@ -64,7 +64,7 @@ class Command(KnownObject):
     """The goal in SI units and the task's frame: rope-reaching x, rope-casting x and z [m]; none
     for cloth-spreading."""
     cell: Path | None = None
-    """cell.toml (gendom cell) in which the arm will act: its table, obstacles, distances and speeds.
+    """cell.toml (gendom cell) in which the arm will act: table, obstacles, distances and speeds.
     Without it the arm is planned beside its table alone, for simulation only."""
     origin: tuple[float, float, float] | None = None
     """Where the task's frame has its origin in the robot's base frame [m] (default: the task's)."""
@@ -131,7 +131,8 @@ class Command(KnownObject):
             **_about(policy, action),
         }
         T, path = placed(task, item, values, self.origin)
-        result |= self._followed(path, item, result["warnings"], cell)
+        hangs = 0.0 if task.scene(item).stand else size_of(item)
+        result |= self._followed(path, (thickness_of(item), hangs), result["warnings"], cell)
         result["trajectory"] = {"T_base_task": T.tolist(), **path.to_dict()}
         if polished is not None:
             result["polished"] = polished
@@ -165,7 +166,7 @@ class Command(KnownObject):
         return policy
 
     def _followed(
-        self, path: TcpPath, item: Item, warnings: list[str], cell: Cell | None
+        self, path: TcpPath, held: tuple[float, float], warnings: list[str], cell: Cell | None
     ) -> dict[str, Any]:
         """How the arm follows a path, ready for JSON; with --force a warning where it cannot.
 
@@ -177,7 +178,7 @@ class Command(KnownObject):
 
         try:
             plan = table_alone if cell is None else cell.plan
-            planned = plan(path, opening=thickness_of(item))
+            planned = plan(path, opening=held[0], hangs=held[1])
         except RobotError as error:
             if not self.force:
                 fix = "choose another --origin, or add --force"
@@ -192,7 +193,10 @@ class Command(KnownObject):
                 "predicted is for the task's own pace"
             )
         self._export(planned)
-        return {"arm": {"name": planned.arm.name, "slowed_by": slower}, "plan": plan_record(planned)}
+        return {
+            "arm": {"name": planned.arm.name, "slowed_by": slower},
+            "plan": plan_record(planned),
+        }
 
     def _export(self, planned: PlannedMotion) -> None:
         from gendom.hardware.execution import write_trajectory
@@ -304,7 +308,10 @@ def predicted(
     outcomes = world.carry_out(task, items, np.tile(action, (len(items), 1)))
     if outcomes[0].fault is not None:
         return {"fault": outcomes[0].fault}
-    found: dict[str, Any] = {"reached": outcomes[0].values, **_late(task, item, action, world, outcomes[0])}
+    found: dict[str, Any] = {
+        "reached": outcomes[0].values,
+        **_late(task, item, action, world, outcomes[0]),
+    }
     values = [o.values for o in outcomes[1:] if o.fault is None]
     if values:
         names = [q.name for q in task.goals] or list(values[0])

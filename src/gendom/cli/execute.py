@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import logging
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import tyro
 
 from gendom.arguments import require
@@ -15,13 +18,20 @@ from gendom.cli.cell import write_picture
 from gendom.cli.outputs import tell_written
 from gendom.errors import DeviceError, printable
 from gendom.files import check_file
+from gendom.materials import Cloth, Item, from_columns
 from gendom.reading import read_json
+from gendom.tasks import find_task
 
 if TYPE_CHECKING:
-    from gendom.hardware.cell import Cell
+    from gendom.hardware.cell import Cell, PlannedMotion
+    from gendom.hardware.contracts import Robot
     from gendom.hardware.execution import PlannedAction
+    from gendom.robot import JointMotion
 
 _log = logging.getLogger(__name__)
+
+FINGER_WIDTH = 0.025
+"""Of what holds the object [m]."""
 
 WORD = "move"
 """What a person types before the arm moves."""
@@ -76,7 +86,15 @@ class Command:
             return 0
         if not self.yes:
             confirm("The arm will move as above. Is the cell empty and the emergency stop at hand?")
-        carry_out(cell, action, slow, read_plan(self.action), self.cell.parent, self.record)
+        record = None
+        if self.record is not None:
+            task = find_task(action.task)()
+            item = from_columns(task.kind, action.object)
+            record = self.record, described(cell, item, "the execution of an action")
+        carry_out(
+            cell, slow, read_plan(self.action), self.cell.parent / "executions",
+            bring=lambda robot: bring(robot, action, ask=not self.yes), record=record,
+        )  # fmt: skip
         return 0
 
     def _drawn(self, cell: Cell, action: PlannedAction) -> Any:
@@ -91,15 +109,11 @@ class Command:
             paths["measured"] = measured
         ends = [planned.approach.q[0], planned.motion.q[0], planned.motion.q[-1]]
         points = {name: tcp_pose(arm, q)[:, :3, 3] for name, q in paths.items()}
-        import numpy as np
-
         return draw_cell(cell, np.array(ends), points)
 
 
 def _measured(path: Path) -> str:
     """What a log tells, in some lines."""
-    import numpy as np
-
     from gendom.hardware.execution import read_log
 
     seen = read_log(path)
@@ -107,7 +121,7 @@ def _measured(path: Path) -> str:
              f"end: {printable(seen.end or 'none: it was killed')}"]  # fmt: skip
     if len(seen.time):
         off = np.abs(seen.command - seen.measured).max()
-        lines.append(f"{'':<9} measured joints at most {np.degrees(off):.3f} degrees from the commanded, "
+        lines.append(f"{'':<9} joints at most {np.degrees(off):.3f} degrees from the commanded, "
                      f"reports at most {1e3 * seen.age.max():.0f} ms old")  # fmt: skip
     lines += [f"{'':<9} fault in {e.get('call')}: {printable(e['fault'])}"
               for e in seen.events if "fault" in e]  # fmt: skip
@@ -138,63 +152,111 @@ def read_plan(path: Path) -> dict[str, Any]:
 
 
 def carry_out(
-    cell: Cell, action: PlannedAction, planned: Any, said: dict[str, Any], beside: Path,
-    record: Path | None = None, devices: Any = None,
-) -> Path:  # fmt: skip
-    """Execute an action, logged in executions/ beside a cell, under the cameras where asked for.
+    cell: Cell,
+    planned: PlannedMotion,
+    said: dict[str, Any],
+    logs: Path,
+    *,
+    bring: Callable[[Any], None],
+    record: tuple[Path, str] | None = None,
+    devices: tuple[Any, Sequence[Any]] | None = None,
+) -> Path:
+    """Execute a motion, logged, under the cell's cameras where asked for.
 
     Args:
         cell: Where.
-        action: What.
-        planned: Its motion, as fast as it is to be.
-        said: Its file, for the log.
-        beside: Folder of the cell's file.
-        record: Folder for pictures; None: none are taken.
+        planned: The motion, as fast as it is to be.
+        said: What the log begins with.
+        logs: Folder of logs.
+        bring: Called with the robot where it waits for the object.
+        record: Folder for pictures, and the content of its object.toml; None: none are taken.
         devices: Robot and cameras; None: those of the cell.
 
     Returns:
         The log.
     """
     from gendom.hardware.execution import ExecutionLog, execute
-    from gendom.hardware.recording import record_lift
+    from gendom.hardware.recording import record_motion
 
     robot, cameras = devices or cell.devices()
     name = datetime.now().strftime("%Y-%m-%dT%H-%M-%S-%f")
-    log = ExecutionLog(beside / "executions" / f"{name}.jsonl", said)
-    play = None
-    if record is not None:
-        play = lambda r, motion: record_lift(r, cameras, motion, record)  # noqa: E731
-    execute(planned, cell, robot, log, ready=lambda: bring(robot, action), play=play)
-    tell_written(log.path, json=False)
+    log = ExecutionLog(logs / f"{name}.jsonl", said)
+    if record is None:
+        execute(planned, cell, robot, log, ready=lambda: bring(robot))
+        return log.path
+    folder, description = record
+
+    def play(robot: Robot, motion: JointMotion) -> None:
+        record_motion(robot, cameras, motion, folder, description=description)
+
+    try:
+        for camera in cameras:
+            camera.connect()
+        execute(planned, cell, robot, log, ready=lambda: bring(robot), play=play)
+    finally:
+        for camera in cameras:
+            camera.disconnect()
     return log.path
 
 
-def bring(robot: Any, action: PlannedAction | None) -> None:
+def described(cell: Cell, item: Item, source: str, *, quasi_static: bool = False) -> str:
+    """Content of object.toml for a recording in a cell.
+
+    Args:
+        cell: Its table and arm.
+        item: The object, held by its end or corner.
+        source: Of the recording, in words.
+        quasi_static: Whether inertia plays no part.
+    """
+    sizes = {"width": item.side, "height": item.side} if isinstance(item, Cloth) else {}
+    sizes |= {name: getattr(item, name) for name in item.sizes if name != "side"}
+    table = cell.surroundings.table_height
+    lines = [
+        *([] if table is None else [f"table_height = {table!r}"]),
+        'gripper_source = "measured"',
+        f'robot = "{cell.arm}"',
+        f"quasi_static = {str(quasi_static).lower()}",
+        f"source = {json.dumps(source)}",
+        "",
+        "[object]",
+        f'kind = "{item.kind}"',
+        f'grasp = "{"end" if item.kind == "rope" else "corner"}"',
+        f"grasp_radius = {0.5 * FINGER_WIDTH!r}",
+        f"grasp_inset = {0.5 * FINGER_WIDTH!r}",
+        f"mass = {item.mass!r}",
+        *(f"{name} = {float(value)!r}" for name, value in sizes.items()),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def bring(robot: Any, action: PlannedAction | None, *, ask: bool = True) -> None:
     """Ask a person to bring the object; in simulation it is brought.
 
     Args:
         robot: At the motion's first pose, its fingers open.
         action: What will be done; None: a lift.
+        ask: Whether a person is there; else the object is.
     """
     from gendom.hardware.simulated import SimulatedRobot
-    from gendom.materials import from_columns
     from gendom.reality import as_real, task_trial
-    from gendom.tasks import find_task
 
+    simulated = isinstance(robot, SimulatedRobot)
     if action is None:
-        if isinstance(robot, SimulatedRobot):
+        if simulated:
             robot.arrange()
-        else:
+        elif ask:
             confirm("Lay the object down, its end between the fingers, and step back.")
         return
     task = find_task(action.task)()
-    item = from_columns(task.kind, {k: v for k, v in action.object.items() if k != "kind"})
-    if isinstance(robot, SimulatedRobot):
+    item = from_columns(task.kind, action.object)
+    if simulated:
         real = robot.item if task.kind == robot.item.kind else as_real(item)
         robot.arrange(task_trial(task, real, action.action))
-        return
-    scene = task.scene(item)
-    where = action.T_base_task[:3, :3] @ scene.origin + action.T_base_task[:3, 3]
-    at = ", ".join(f"{x:.3f}" for x in where)
-    hung = f"Fix the object's first end in the stand at ({at}) m, and hold" if scene.stand else "Hold"
-    confirm(f"{hung} its free end between the fingers; they close when you have typed.")
+    elif ask:
+        scene = task.scene(item)
+        T = action.T_base_task
+        at = ", ".join(f"{x:.3f}" for x in T[:3, :3] @ scene.origin + T[:3, 3])
+        hung = f"Fix the object's first end in the stand at ({at}) m. " if scene.stand else ""
+        confirm(
+            f"{hung}Put what is to be held between the fingers: they close when you have typed."
+        )

@@ -1,37 +1,37 @@
 """A cell: a robot, its cameras and what stands around them, as cell.toml describes them.
 
-    robot = "xarm7"                     # xarm7, fr3, simulated, or of an entry point
-    address = "192.168.1.203"           # of its controller; simulated: the object that is handled
-    table_height = 0.0                  # metres in the robot's base frame, as all that follows
-    workspace = [[0.2, -0.5, 0.0], [0.75, 0.5, 0.8]]
+robot = "xarm7"                     # xarm7, fr3, simulated, or of an entry point
+address = "192.168.1.203"           # of its controller; simulated: the object that is handled
+table_height = 0.0                  # metres in the robot's base frame, as all that follows
+workspace = [[0.2, -0.5, 0.0], [0.75, 0.5, 0.8]]
 
-    [tool]
-    max_opening = 0.084                 # metres
-    latency = 0.2                       # seconds from the command until the fingers move
-    mass = 0.82                         # kg
+[tool]
+max_opening = 0.084                 # metres
+latency = 0.2                       # seconds from the command until the fingers move
+mass = 0.82                         # kg
 
-    [speed]                             # may be left out, as the clearances: 0.02 and 0.01 m
-    tool = 0.25                         # m/s
-    share = 0.3                         # of the arm's own limits
+[speed]                             # may be left out, as the clearances: 0.02 and 0.01 m
+tool = 0.25                         # m/s
+share = 0.3                         # of the arm's own limits
 
-    [[camera]]
-    name = "left"
-    device = "realsense"
-    serial = "032622070000"
-    calibration = "left/camera.toml"    # of gendom calibrate; or T_world_camera = [[...], ...]
-    calibrated = 2026-11-25
-    stated_error = 0.003                # metres
+[[camera]]
+name = "left"
+device = "realsense"
+serial = "032622070000"
+calibration = "left/camera.toml"    # of gendom calibrate; or T_world_camera = [[...], ...]
+calibrated = 2026-11-25
+stated_error = 0.003                # metres
 
-    [[box]]                             # keep out
-    name = "shelf"
-    position = [0.5, 0.7, 0.2]          # of its middle; quat_xyzw where it is turned
-    size = [0.4, 0.2, 0.4]
+[[box]]                             # keep out
+name = "shelf"
+position = [0.5, 0.7, 0.2]          # of its middle; quat_xyzw where it is turned
+size = [0.4, 0.2, 0.4]
 
-    [[stand]]                           # a pole of a camera, or one that holds a rope
-    name = "pole"
-    start = [0.9, 0.6, 0.0]
-    end = [0.9, 0.6, 0.8]
-    radius = 0.02
+[[stand]]                           # a pole of a camera, or one that holds a rope
+name = "pole"
+start = [0.9, 0.6, 0.0]
+end = [0.9, 0.6, 0.8]
+radius = 0.02
 """
 
 from __future__ import annotations
@@ -65,6 +65,8 @@ from gendom.robot import (
     Post,
     Surroundings,
     TcpPath,
+    arm_shape,
+    check_collisions,
     clearances,
     collision_at,
     find_arm,
@@ -86,7 +88,7 @@ CAREFUL = 0.1
 """Share of the arm's speeds that an approach has, and any motion that no person confirmed."""
 
 RATE = 50.0
-"""At which clearances along a motion are measured [1/s]; collisions are searched between, too."""
+"""At which the tool's way is compared with the workspace [1/s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +140,8 @@ class PlannedMotion:
     surroundings: Surroundings
     opening: float
     """Distance of the fingers' inner faces where they hold the object [m]."""
+    hangs: float = 0.0
+    """How far the object hangs out of them [m]."""
     cell: str | None = None
     """The cell's file; None: planned for a table alone, for simulation only."""
 
@@ -171,7 +175,7 @@ class Cell:
         """The cell of a file; see the top of this module.
 
         Raises:
-            DeviceError: The file cannot be read, a key is unknown or missing, or a value impossible.
+            DeviceError: The file cannot be read, a key is unknown or missing, a value impossible.
             RecordingError: A camera's calibration cannot be read.
         """
         path, where = Path(path), str(path)
@@ -192,7 +196,10 @@ class Cell:
         cell = cls(
             **{name: getattr(said, name) for name in own},
             surroundings=Surroundings(
-                table_height=said.table_height, obstacles=tuple(obstacles)
+                table_height=said.table_height,
+                obstacles=tuple(obstacles),
+                clearance=said.scene_clearance,
+                self_clearance=said.self_clearance,
             ),
             workspace=(low, high),
             cameras=cameras,
@@ -232,7 +239,7 @@ class Cell:
             (self.speed.share <= 1.0, "speed.share", f"is {self.speed.share:g}", "give 1 or less"),
             (self.tool.max_opening <= widest + 1e-6, "tool.max_opening",
              f"is {self.tool.max_opening:g} m", open_fix),
-            (bool(np.all(low < high)), "workspace", "has a lowest corner that is not below the other",
+            (bool(np.all(low < high)), "workspace", "has no lowest and highest corner",
              "give the lowest corner and the highest, in metres"),
             (len(set(names)) == len(names), "box, stand, camera", "share a name", "rename one"),
         ]  # fmt: skip
@@ -269,8 +276,8 @@ class Cell:
         Raises:
             DeviceError: A vendor's SDK is missing, or a camera has no pose.
         """
-        cameras = [find_depth_camera(c.device)(self, c) for c in self.cameras]
-        return find_robot(self.robot)(self), cameras
+        robot = find_robot(self.robot)(self)
+        return robot, [find_depth_camera(c.device)(c) for c in self.cameras]
 
     # ---- what is wrong with it -------------------------------------------------------------------
 
@@ -285,10 +292,8 @@ class Cell:
 
     def _wrong(self) -> Iterator[tuple[str, str, str]]:
         arm, (low, high) = self.model, self.workspace
-        try:
-            self.check_clearances(arm.home[None], opening=0.0)
-        except RobotError as error:
-            yield f"the arm's home pose: {error.what}", "home", error.fix or ""
+        if hit := collision_at(arm, arm.home, self.surroundings):
+            yield f"at the arm's home pose {hit}", "home", f"move the {hit.second}"
         home = tcp_pose(arm, arm.home)[:3, 3]
         if not np.all((home >= low) & (home <= high)):
             what = f"does not hold the tool point of the arm's home pose, {_point(home)} m"
@@ -297,7 +302,9 @@ class Cell:
         reach = float(np.hypot(arm.a, arm.d)[1:].sum() + np.linalg.norm(arm.T_flange_tcp[:3, 3]))
         far = np.maximum(np.abs(low - shoulder), np.abs(high - shoulder))
         if np.linalg.norm(far) > 1.5 * reach:
-            what = f"goes {np.linalg.norm(far):.3g} m from the shoulder, the arm at most {reach:.3g}"
+            what = (
+                f"goes {np.linalg.norm(far):.3g} m from the shoulder, the arm at most {reach:.3g}"
+            )
             yield what, "workspace", "give metres, and no more than the arm needs"
         table = self.surroundings.table_height
         if table is not None and low[2] < table - 1e-9:
@@ -327,29 +334,30 @@ class Cell:
 
     # ---- planning --------------------------------------------------------------------------------
 
-    def plan(self, path: TcpPath, *, opening: float) -> PlannedMotion:
+    def plan(self, path: TcpPath, *, opening: float, hangs: float = 0.0) -> PlannedMotion:
         """How the arm follows a path of the tool here.
 
         Args:
             path: In the base's frame.
-            opening: Distance of the fingers' inner faces [m].
+            opening: Distance of the fingers' inner faces, the object's thickness [m].
+            hangs: How far the object hangs out of them [m].
 
         Raises:
             RobotError: It cannot within its limits, or leaves the workspace, or comes too near to
                 something.
         """
-        motion = follow(
-            self.limited, path, slow_down=True, surroundings=self.surroundings, opening=opening
-        )
+        arm, around = held(self.limited, opening, hangs), self.surroundings
+        motion = follow(arm, path, slow_down=True, surroundings=around, opening=opening)
         planned = PlannedMotion(
             arm=self.model,
             motion=motion,
             approach=self.approach(self.model.home, motion.q[0]),
-            surroundings=self.surroundings,
+            surroundings=around,
             opening=opening,
+            hangs=hangs,
             cell=None if self.path is None else str(self.path),
         )
-        self.check(planned)
+        self._check_workspace(planned)
         return planned
 
     def approach(self, q_from: NDArray[np.float64], q_to: NDArray[np.float64]) -> JointMotion:
@@ -358,12 +366,10 @@ class Cell:
         Raises:
             RobotError: It comes too near to something.
         """
-        move = joint_move(
+        return joint_move(
             self.model, q_from, q_to, share=min(CAREFUL, self.speed.share),
             surroundings=self.surroundings, opening=self.tool.max_opening,
         )  # fmt: skip
-        self.check_clearances(move.at(move.sampled(RATE)), opening=self.tool.max_opening)
-        return move
 
     def check(self, planned: PlannedMotion) -> None:
         """Check a planned motion against this cell, whatever it was planned for.
@@ -371,17 +377,24 @@ class Cell:
         Raises:
             RobotError: A limit is passed, the tool leaves the workspace, or a clearance is missed.
         """
-        moves = ((planned.motion, planned.opening), (planned.approach, self.tool.max_opening))
-        for move, opening in moves:
+        arm, around = held(self.limited, planned.opening, planned.hangs), self.surroundings
+        moves = (
+            (arm, planned.motion, planned.opening),
+            (self.limited, planned.approach, self.tool.max_opening),
+        )
+        for body, move, opening in moves:
             move.check_limits(self.limited)
-            q = move.at(move.sampled(RATE))
-            self.check_clearances(q, opening=opening)
+            check_collisions(body, move, around, opening=opening)
+        self._check_workspace(planned)
+
+    def _check_workspace(self, planned: PlannedMotion) -> None:
         low, high = self.workspace
         x = planned.motion.tcp_at(self.model, planned.motion.sampled(RATE))[:, :3, 3]
         out = np.maximum(low - x, x - high).max(axis=1)
         k = int(np.argmax(out))
         what = f"the tool leaves the workspace by {1e3 * out[k]:.0f} mm, at {_point(x[k])} m"
-        self._require(out[k] <= 1e-6, what, "choose another --origin, or enlarge the workspace")
+        fix, where = "choose another --origin, or enlarge the workspace", str(self.path or "cell")
+        require(out[k] <= 1e-6, what, where=where, fix=fix, error=RobotError)
 
     def least_clearances(
         self, q: NDArray[np.float64], *, opening: float
@@ -392,8 +405,8 @@ class Cell:
         found = clearances(self.model, q, self.surroundings, opening=opening)
         distance = found.distance.min(axis=0)
         others = {"table", *(o.name for o in self.surroundings.obstacles)}
-        fingers = {f"{side} {part.name}" for side in ("left", "right")
-                   for part in self.model.gripper.fingers}  # fmt: skip
+        shape = arm_shape(self.model, self.model.home, opening)
+        fingers = {n for n, t in zip(shape.names, shape.touches_object, strict=True) if t}
         least = []
         for outside in (True, False):
             some = [
@@ -404,43 +417,31 @@ class Cell:
             least.append(min(some, default=(math.inf, "")))
         return least[0], least[1]
 
-    def check_clearances(self, q: NDArray[np.float64], *, opening: float) -> None:
-        """Check distances at joint angles [N, J] [rad].
 
-        Raises:
-            RobotError: One is less than this cell asks for.
-        """
-        for row in q:  # what overlaps is named first
-            if len(q) == 1 and (hit := collision_at(self.model, row, self.surroundings)):
-                self._require(False, str(hit), f"keep away from the {hit.second}, or move that")
-        wanted = self.scene_clearance, self.self_clearance
-        for (least, who), want in zip(
-            self.least_clearances(q, opening=opening), wanted, strict=True
-        ):
-            what = f"{who} come within {1e3 * least:.1f} mm, the cell asks for {1e3 * want:g}"
-            self._require(least >= want, what, "move what is in the way, or the path away from it")
-
-    def _require(self, holds: Any, what: str, fix: str) -> None:
-        require(holds, what, where=str(self.path or "cell"), fix=fix, error=RobotError)
+def held(arm: Arm, opening: float, hangs: float) -> Arm:
+    """The arm with an object in its fingers, of the thickness of their opening [m], that hangs out
+    of them [m]; 0: none."""
+    return arm.holding(hangs, 0.5 * opening) if hangs > 0.0 else arm
 
 
-def table_alone(path: TcpPath, *, opening: float, height: float = 0.0) -> PlannedMotion:
+def table_alone(path: TcpPath, *, opening: float, hangs: float = 0.0) -> PlannedMotion:
     """How the xArm 7 follows a path beside nothing but its table, for simulation only.
 
     Args:
         path: In the base's frame.
-        opening: Distance of the fingers' inner faces [m].
-        height: Of the table, on which the base stands [m].
+        opening: Distance of the fingers' inner faces, the object's thickness [m].
+        hangs: How far the object hangs out of them [m].
 
     Raises:
         RobotError: It cannot within its limits, or would touch itself or the table.
     """
-    around = Surroundings(table_height=height)
-    motion = follow(XARM7, path, slow_down=True, surroundings=around, opening=opening)
+    around, arm = Surroundings(table_height=0.0), held(XARM7, opening, hangs)
+    motion = follow(arm, path, slow_down=True, surroundings=around, opening=opening)
     approach = joint_move(XARM7, XARM7.home, motion.q[0], share=0.15, surroundings=around)
     return PlannedMotion(
-        arm=XARM7, motion=motion, approach=approach, surroundings=around, opening=opening
-    )
+        arm=XARM7, motion=motion, approach=approach, surroundings=around, opening=opening,
+        hangs=hangs,
+    )  # fmt: skip
 
 
 def _point(x: NDArray[np.float64]) -> str:
@@ -528,14 +529,19 @@ def _camera(said: _CameraEntry, path: Path) -> CellCamera:
     where, T = f"{path}: camera {said.name}", None
     twice = said.calibration is not None and said.T_world_camera is not None
     fix = "leave one of them out"
-    require(not twice, "has calibration and T_world_camera", where=where, fix=fix, error=DeviceError)
+    require(
+        not twice, "has calibration and T_world_camera", where=where, fix=fix, error=DeviceError
+    )
     if said.calibration is not None:
         T = read_camera(path.parent / said.calibration, said.name).T_world_camera
     elif said.T_world_camera is not None:
         T = np.array(said.T_world_camera)
         turned = np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3)
         good = turned and np.linalg.det(T[:3, :3]) > 0.0 and np.allclose(T[3], [0, 0, 0, 1])
-        what, fix = "T_world_camera is no rigid transform", "give [[R, t], [0, 0, 0, 1]], t in metres"
+        what, fix = (
+            "T_world_camera is no rigid transform",
+            "give [[R, t], [0, 0, 0, 1]], t in metres",
+        )
         require(good, what, where=where, fix=fix, error=DeviceError)
     day = None if said.calibrated is None else said.calibrated.isoformat()
     return CellCamera(

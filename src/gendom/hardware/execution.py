@@ -70,11 +70,14 @@ def plan_record(planned: PlannedMotion) -> dict[str, Any]:
         "arm": planned.arm.name,
         "cell": planned.cell,
         "opening": planned.opening,
+        "hangs": planned.hangs,
         "first": planned.motion.q[0],
         "motion": asdict(planned.motion),
         "approach": {"time": planned.approach.time, "q": planned.approach.q},
         "surroundings": {
             "table_height": around.table_height,
+            "clearance": around.clearance,
+            "self_clearance": around.self_clearance,
             "boxes": [asdict(o) for o in around.obstacles if isinstance(o, Box)],
             "posts": [asdict(o) for o in around.obstacles if isinstance(o, Post)],
         },
@@ -112,6 +115,8 @@ class _Post:
 @dataclass(frozen=True, kw_only=True)
 class _Around:
     table_height: float | None = None
+    clearance: float = 0.0
+    self_clearance: float = 0.0
     boxes: tuple[_Box, ...] = ()
     posts: tuple[_Post, ...] = ()
 
@@ -124,6 +129,7 @@ class _Plan:
     motion: _Motion
     approach: _Motion
     surroundings: _Around
+    hangs: float = 0.0
     cell: str | None = None
 
 
@@ -173,9 +179,13 @@ def _action_of(said: dict[str, Any], where: str) -> PlannedAction:
             motion=plan.motion.motion(),
             approach=plan.approach.motion(),
             surroundings=Surroundings(
-                table_height=plan.surroundings.table_height, obstacles=(*boxes, *posts)
+                table_height=plan.surroundings.table_height,
+                clearance=plan.surroundings.clearance,
+                self_clearance=plan.surroundings.self_clearance,
+                obstacles=(*boxes, *posts),
             ),
             opening=plan.opening,
+            hangs=plan.hangs,
             cell=plan.cell,
         )
         require(T.shape == (4, 4), "T_base_task is no 4 x 4 matrix", error=RobotError)
@@ -250,8 +260,8 @@ def preview(planned: PlannedMotion, cell: Cell) -> list[str]:
         fastest = next(u.value for u in motion.limit_uses(planned.arm) if u.joint is None)
         scene, own = cell.least_clearances(q, opening=opening)
         lines.append(
-            f"{name:<9} {motion.end - motion.start:.2f} s, the tool goes {1e3 * way:.0f} mm, at most "
-            f"{fastest:.3f} m/s, and lies {', '.join(f'{v:.3f}' for v in x[-1])} m at its end"
+            f"{name:<9} {motion.end - motion.start:.2f} s, the tool goes {1e3 * way:.0f} mm, "
+            f"at most {fastest:.3f} m/s, and lies {', '.join(f'{v:.3f}' for v in x[-1])} m at its end"
         )
         lines.append(
             f"{'':<9} nearest {1e3 * scene[0]:.0f} mm ({scene[1] or 'nothing around'}), to itself "
@@ -479,9 +489,12 @@ def execute(
         told.approach(planned.motion.q[0])
         ready()
         told.gripper(planned.opening)
-        (play or (lambda r, m: r.play(m)))(told, planned.motion)
+        motion = planned.motion.shifted(-planned.motion.start)
+        (play or (lambda r, m: r.play(m)))(told, motion)
     except BaseException as error:
-        by = "Ctrl-C" if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}"
+        by = (
+            "Ctrl-C" if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}"
+        )
         try:
             told.stop()
         finally:

@@ -51,7 +51,9 @@ def reached(
         require(holds, what, where=where, fix=fix, error=RecordingError)
 
     fix = "write down what was reached, and give it to gendom adapt"
-    wanted(task.watches == "tip" and item.kind == "rope", f"{task.name} watches more than a tip", fix)
+    wanted(
+        task.watches == "tip" and item.kind == "rope", f"{task.name} watches more than a tip", fix
+    )
     path, motion = task.tool_path(item, np.array(action.action)), action.planned.motion
     # on the clock of the task's path, which the arm may lag behind
     lag = motion.events[-1].time - path.events[-1].time

@@ -83,7 +83,7 @@ class _View:
             self._arm(pose, (222, 226, 232))
         self._arm(q[-1], _ARM)
         self._obstacles()
-        for (name, path), colour in zip(paths.items(), COLOURS * 9, strict=False):
+        for path, colour in zip(paths.values(), COLOURS * 9, strict=False):
             self.pen.line(self.at(path), fill=colour, width=2 * FINER)
             x, y = self.at(path[-1])[0]
             self.pen.ellipse([x - 7, y - 7, x + 7, y + 7], fill=colour)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from weakref import WeakKeyDictionary
@@ -21,9 +21,9 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.arguments import require
 from gendom.errors import DeviceError, SimulationError
 from gendom.hardware.cell import Cell, CellCamera
-from gendom.hardware.contracts import RobotState, Tick
+from gendom.hardware.contracts import Recorded, RobotState, Tick
 from gendom.materials import thickness_of
-from gendom.perception import Camera, Frame, Pictures, PngWriter
+from gendom.perception import Camera, PngWriter
 from gendom.reality import (
     DepthSensor,
     Reality,
@@ -47,7 +47,8 @@ BRAKING = 0.12
 FARTHEST_START = math.radians(1.0), 0.005
 """How far joints [rad] and tool [m] may be from where a motion starts."""
 
-_scenes: WeakKeyDictionary[Cell, _Scene] = WeakKeyDictionary()
+_scenes: WeakKeyDictionary[CellCamera, _Scene] = WeakKeyDictionary()
+"""Where cameras are, once their cell's robot is there."""
 
 
 class _Scene:
@@ -84,12 +85,6 @@ class _Scene:
         )
 
 
-def _scene(cell: Cell) -> _Scene:
-    if cell not in _scenes:
-        _scenes[cell] = _Scene(cell)
-    return _scenes[cell]
-
-
 class SimulatedRobot:
     """The arm of the MuJoCo scene as a `Robot`.
 
@@ -103,7 +98,8 @@ class SimulatedRobot:
 
     def __init__(self, cell: Cell):
         self.arm = cell.model
-        self._scene = _scene(cell)
+        self._scene = _Scene(cell)
+        _scenes.update((camera, self._scene) for camera in cell.cameras)
         self._widest = cell.tool.max_opening
         self._connected = False
         self._moving = False
@@ -152,7 +148,9 @@ class SimulatedRobot:
         q, start = self.state().q, motion.q[0]
         turn = float(np.abs(q - start).max())
         shift = np.linalg.norm((tcp_pose(self.arm, q) - tcp_pose(self.arm, start))[:3, 3])
-        what = f"the arm is {math.degrees(turn):.1f} degrees and {1e3 * shift:.0f} mm from the start"
+        what = (
+            f"the arm is {math.degrees(turn):.1f} degrees and {1e3 * shift:.0f} mm from the start"
+        )
         near = turn <= FARTHEST_START[0] and shift <= FARTHEST_START[1]
         fix = "approach it first"
         require(near, what, where="simulated robot", fix=fix, error=DeviceError)
@@ -211,7 +209,7 @@ class SimulatedRobot:
                     on_tick(self._tick(now))
                 if now in frames:
                     for camera in recording:
-                        camera.take(now)
+                        camera.take()
                 if self._stopping.is_set():
                     self._brake()
                     return
@@ -228,8 +226,9 @@ class SimulatedRobot:
         command = scene.arm.motion.at(scene.world.time)
         measured = scene.arm.measured(scene.world.data)
         return Tick(
-            time=now, command=command, measured=measured, age=0.0, opening=self._opening
-        )
+            time=now, command=command, measured=measured, age=0.0, stamp=scene.world.time,
+            opening=self._opening,
+        )  # fmt: skip
 
     def _brake(self) -> None:
         """Slow down to rest along the path at a constant rate, and stay there."""
@@ -246,29 +245,38 @@ class SimulatedRobot:
 class SimulatedCamera:
     """A noisy depth camera of the MuJoCo scene as a `DepthCamera`.
 
-    Its calibration is off as the cell's says; pictures are stamped on the clock of the motion that
-    plays, from its start.
+    It stands where the cell says but for the usual error of a calibration; pictures are stamped
+    with the scene's time. Its cell's robot is made before it.
 
     Args:
-        cell: Where it stands.
-        camera: Which of its cameras.
+        cell_camera: Which it is.
 
     Raises:
-        DeviceError: It is not calibrated: where it stands is not known.
+        DeviceError: It is not calibrated: where it stands is not known; or there is no robot.
     """
 
-    def __init__(self, cell: Cell, camera: CellCamera):
-        fix = "give calibration or T_world_camera"
-        require(camera.T_world_camera is not None, "has no pose", where=f"camera {camera.name}",
-                fix=fix, error=DeviceError)  # fmt: skip
-        self._scene = _scene(cell)
-        names = [c.name for c in self._scene.believed]
-        self._index = names.index(camera.name)
-        self.camera: Camera = self._scene.believed[self._index]
+    def __init__(self, cell_camera: CellCamera):
+        self.name = cell_camera.name
+        pose, fix = cell_camera.T_world_camera, "give calibration or T_world_camera"
+        self._require(pose is not None, "has no pose", fix)
+        scene = _scenes.get(cell_camera)
+        self._require(
+            scene is not None, "has no simulated robot", 'give the cell robot = "simulated"'
+        )
+        assert scene is not None
+        self._scene = scene
+        self._index = [c.name for c in scene.believed].index(self.name)
         self._sensor, self._rng = DepthSensor(), np.random.default_rng(self._index + 1)
         self._writer: PngWriter | None = None
         self._written = 0
         self._connected = False
+
+    def _require(self, holds: bool, what: str, fix: str) -> None:
+        require(holds, what, where=f"camera {self.name}", fix=fix, error=DeviceError)
+
+    @property
+    def camera(self) -> Camera:
+        return self._scene.believed[self._index]
 
     @property
     def recording(self) -> bool:
@@ -281,33 +289,29 @@ class SimulatedCamera:
         if self not in self._scene.cameras:
             self._scene.cameras.append(self)
 
+    def start_recording(self, folder: Path) -> None:
+        self._require(self._connected, "is not connected", "connect it first")
+        self._writer, self._written = PngWriter(folder, self.camera), 0
+
+    def wait_for_pictures(self) -> None:
+        """They come when something moves."""
+
+    def fault(self) -> None:
+        """There is none."""
+
+    def stop_recording(self) -> Recorded:
+        self._writer = None
+        return Recorded(pictures=self._written, missing=0)
+
     def disconnect(self) -> None:
         self._connected = False
         if self in self._scene.cameras:
             self._scene.cameras.remove(self)
 
-    def __iter__(self) -> Iterator[Frame]:
-        """What it sees, again and again, one frame's time later each; nothing moves meanwhile."""
-        while self._connected:
-            world = self._scene.world
-            yield Frame(world.time, f"camera {self.camera.name}", self._look)
-            world.step_to(world.time + 1.0 / FRAMES)
-
-    def start_recording(self, folder: Path) -> None:
-        where, fix = f"camera {self.camera.name}", "connect it first"
-        require(self._connected, "is not connected", where=where, fix=fix, error=DeviceError)
-        self._writer, self._written = PngWriter(folder, self.camera), 0
-
-    def stop_recording(self) -> tuple[int, int]:
-        self._writer = None
-        return self._written, 0
-
-    def take(self, moment: float) -> None:
-        """Write what it sees now, stamped with a time [s]."""
+    def take(self) -> None:
+        """Write what it sees now."""
         assert self._writer is not None
-        self._writer.write(self._scene.errors.stamp(self._index, moment), self._look())
-        self._written += 1
-
-    def _look(self) -> Pictures:
         clean = self._scene.world.render(self._index)
-        return self._sensor.observe(*clean, self.camera, self._rng)
+        pictures = self._sensor.observe(*clean, self.camera, self._rng)
+        self._writer.write(self._scene.errors.stamp(self._index, self._scene.world.time), pictures)
+        self._written += 1
