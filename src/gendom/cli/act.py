@@ -173,12 +173,11 @@ class Command(KnownObject):
         Raises:
             RobotError: It cannot.
         """
-        from gendom.hardware.cell import table_alone
+        from gendom.hardware.cell import BARE
         from gendom.hardware.execution import plan_record
 
         try:
-            plan = table_alone if cell is None else cell.plan
-            planned = plan(path, opening=held[0], hangs=held[1])
+            planned = (cell or BARE).plan(path, opening=held[0], hangs=held[1])
         except RobotError as error:
             if not self.force:
                 fix = "choose another --origin, or add --force"

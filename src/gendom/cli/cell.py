@@ -61,7 +61,7 @@ class Command:
         }  # fmt: skip
         rows = [
             ("robot", f"{cell.robot} at {cell.address}, arm {cell.arm}"),
-            ("speed", f"tool {cell.speed.tool:g} m/s, joints {100 * cell.speed.share:g} % of theirs"),
+            ("speed", f"tool {cell.speed.tool:g} m/s, joints {100 * cell.speed.share:g} %"),
             ("distance", f"{1e3 * cell.scene_clearance:g} mm to the scene, "
              f"{1e3 * cell.self_clearance:g} mm to itself"),
             ("cameras", ", ".join(summary["cameras"]) or "none"),

@@ -39,7 +39,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from datetime import date
 from functools import cached_property
 from pathlib import Path
@@ -53,7 +53,7 @@ from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.errors import DeviceError, RobotError, did_you_mean
 from gendom.hardware.contracts import DepthCamera, Robot, find_depth_camera, find_robot
-from gendom.perception import read_camera
+from gendom.perception import Camera, read_camera
 from gendom.perception.camera import rigid
 from gendom.reading import read_toml, record_of
 from gendom.reality.arm import housing
@@ -137,7 +137,8 @@ class PlannedMotion:
     motion: JointMotion
     approach: JointMotion
     """Slow, from the arm's home to the motion's first pose."""
-    surroundings: Surroundings
+    surroundings: dict[str, Any]
+    """What it was planned among, as in files."""
     opening: float
     """Distance of the fingers' inner faces where they hold the object [m]."""
     hangs: float = 0.0
@@ -214,37 +215,26 @@ class Cell:
         Raises:
             DeviceError: It has.
         """
-        where, (low, high) = str(self.path), self.workspace
-        names = [o.name for o in self.surroundings.obstacles]
-        positive = {
-            "tool.max_opening": self.tool.max_opening,
-            "speed.tool": self.speed.tool,
-            "speed.share": self.speed.share,
-        }
-        not_below = {
-            "tool.latency": self.tool.latency,
-            "tool.mass": self.tool.mass,
-            "scene_clearance": self.scene_clearance,
-            "self_clearance": self.self_clearance,
-        }
-        checks = [(0.0 < v < math.inf, n, f"is {v:g}", "give a number above 0, in SI units")
-                  for n, v in positive.items()]  # fmt: skip
-        checks += [(0.0 <= v < math.inf, n, f"is {v:g}", "give 0 or more, in SI units")
-                   for n, v in not_below.items()]  # fmt: skip
-        fastest = f"give {FASTEST_TOOL} m/s or less"
+        tool, speed, (low, high) = self.tool, self.speed, self.workspace
         widest = self.model.gripper.max_opening
-        open_fix = f"the gripper of {self.arm} opens to {widest:g} m"
-        checks += [
-            (self.speed.tool <= FASTEST_TOOL, "speed.tool", f"is {self.speed.tool:g}", fastest),
-            (self.speed.share <= 1.0, "speed.share", f"is {self.speed.share:g}", "give 1 or less"),
-            (self.tool.max_opening <= widest + 1e-6, "tool.max_opening",
-             f"is {self.tool.max_opening:g} m", open_fix),
-            (bool(np.all(low < high)), "workspace", "has no lowest and highest corner",
-             "give the lowest corner and the highest, in metres"),
-            (len(set(names)) == len(names), "box, stand, camera", "share a name", "rename one"),
-        ]  # fmt: skip
-        for holds, name, what, fix in checks:
-            require(holds, what, where=f"{where}: {name}", fix=fix, error=DeviceError)
+        names = [o.name for o in self.surroundings.obstacles]
+        near = min(self.scene_clearance, self.self_clearance)
+        checks = {
+            "tool.max_opening": (
+                0.0 < tool.max_opening <= widest + 1e-6,
+                f"metres up to {widest:g}",
+            ),
+            "tool.latency": (0.0 <= tool.latency <= 5.0, "seconds"),
+            "tool.mass": (0.0 <= tool.mass <= 50.0, "kilograms"),
+            "speed.tool": (0.0 < speed.tool <= FASTEST_TOOL, f"m/s up to {FASTEST_TOOL}"),
+            "speed.share": (0.0 < speed.share <= 1.0, "a share up to 1"),
+            "scene_clearance, self_clearance": (near >= 0.0, "metres, 0 or more"),
+            "workspace": (bool(np.all(low < high)), "its lowest corner, then the highest"),
+            "box, stand, camera": (len(set(names)) == len(names), "each a name of its own"),
+        }
+        for name, (holds, fix) in checks.items():
+            where = f"{self.path}: {name}"
+            require(holds, "is out of range", where=where, fix=f"give {fix}", error=DeviceError)
         find_robot(self.robot)
         for camera in self.cameras:
             find_depth_camera(camera.device)
@@ -298,8 +288,8 @@ class Cell:
         if not np.all((home >= low) & (home <= high)):
             what = f"does not hold the tool point of the arm's home pose, {_point(home)} m"
             yield what, "workspace", "enlarge it, or check that it is in the base's frame"
-        shoulder = np.array([0.0, 0.0, arm.d[0]])
-        reach = float(np.hypot(arm.a, arm.d)[1:].sum() + np.linalg.norm(arm.T_flange_tcp[:3, 3]))
+        links = [*arm.T_links[1:], arm.T_flange_tcp]
+        shoulder, reach = arm.T_links[0][:3, 3], sum(np.linalg.norm(T[:3, 3]) for T in links)
         far = np.maximum(np.abs(low - shoulder), np.abs(high - shoulder))
         if np.linalg.norm(far) > 1.5 * reach:
             what = (
@@ -352,7 +342,7 @@ class Cell:
             arm=self.model,
             motion=motion,
             approach=self.approach(self.model.home, motion.q[0]),
-            surroundings=around,
+            surroundings=asdict(around),
             opening=opening,
             hangs=hangs,
             cell=None if self.path is None else str(self.path),
@@ -424,24 +414,16 @@ def held(arm: Arm, opening: float, hangs: float) -> Arm:
     return arm.holding(hangs, 0.5 * opening) if hangs > 0.0 else arm
 
 
-def table_alone(path: TcpPath, *, opening: float, hangs: float = 0.0) -> PlannedMotion:
-    """How the xArm 7 follows a path beside nothing but its table, for simulation only.
-
-    Args:
-        path: In the base's frame.
-        opening: Distance of the fingers' inner faces, the object's thickness [m].
-        hangs: How far the object hangs out of them [m].
-
-    Raises:
-        RobotError: It cannot within its limits, or would touch itself or the table.
-    """
-    around, arm = Surroundings(table_height=0.0), held(XARM7, opening, hangs)
-    motion = follow(arm, path, slow_down=True, surroundings=around, opening=opening)
-    approach = joint_move(XARM7, XARM7.home, motion.q[0], share=0.15, surroundings=around)
-    return PlannedMotion(
-        arm=XARM7, motion=motion, approach=approach, surroundings=around, opening=opening,
-        hangs=hangs,
-    )  # fmt: skip
+BARE = Cell(
+    robot="simulated",
+    address="",
+    arm=XARM7.name,
+    tool=Tool(max_opening=XARM7.gripper.max_opening, latency=0.0),
+    surroundings=Surroundings(table_height=0.0),
+    workspace=(np.full(3, -np.inf), np.full(3, np.inf)),
+    speed=SpeedLimits(tool=XARM7.max_tcp_speed, share=1.0),
+)
+"""An xArm 7 on its table and nothing else, for simulation only."""
 
 
 def _point(x: NDArray[np.float64]) -> str:
@@ -523,28 +505,19 @@ def _camera(said: _CameraEntry, path: Path) -> CellCamera:
     """A camera, with the pose of its calibration's file.
 
     Raises:
-        DeviceError: Its pose is given twice or is none.
-        RecordingError: That file cannot be read.
+        DeviceError: Its pose is given twice.
+        RecordingError: That file cannot be read, or the pose is none.
     """
-    where, T = f"{path}: camera {said.name}", None
-    twice = said.calibration is not None and said.T_world_camera is not None
-    fix = "leave one of them out"
-    require(
-        not twice, "has calibration and T_world_camera", where=where, fix=fix, error=DeviceError
-    )
+    where, T = f"{path}: camera {said.name}", said.T_world_camera
+    once, fix = said.calibration is None or T is None, "leave one of them out"
+    require(once, "has calibration and T_world_camera", where=where, fix=fix, error=DeviceError)
     if said.calibration is not None:
-        T = read_camera(path.parent / said.calibration, said.name).T_world_camera
-    elif said.T_world_camera is not None:
-        T = np.array(said.T_world_camera)
-        turned = np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3)
-        good = turned and np.linalg.det(T[:3, :3]) > 0.0 and np.allclose(T[3], [0, 0, 0, 1])
-        what, fix = (
-            "T_world_camera is no rigid transform",
-            "give [[R, t], [0, 0, 0, 1]], t in metres",
-        )
-        require(good, what, where=where, fix=fix, error=DeviceError)
+        pose = read_camera(path.parent / said.calibration, said.name).T_world_camera
+    else:  # whose checks are those of calibrations
+        T = None if T is None else np.array(T)
+        pose = Camera(name=where, width=1, height=1, K=np.eye(3), T_world_camera=T).T_world_camera
     day = None if said.calibrated is None else said.calibrated.isoformat()
     return CellCamera(
-        name=said.name, device=said.device, serial=said.serial, T_world_camera=T,
+        name=said.name, device=said.device, serial=said.serial, T_world_camera=pose,
         calibrated=day, stated_error=said.stated_error,
     )  # fmt: skip

@@ -11,15 +11,14 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.errors import DeviceError, RobotError
@@ -28,12 +27,9 @@ from gendom.hardware.cell import CAREFUL, Cell, PlannedMotion
 from gendom.hardware.contracts import Robot, RobotState, Tick
 from gendom.reading import parse_json, read_bytes, read_json, record_of
 from gendom.robot import (
-    Box,
     Deviation,
     GripperEvent,
     JointMotion,
-    Post,
-    Surroundings,
     find_arm,
     tcp_pose,
 )
@@ -65,23 +61,9 @@ class PlannedAction:
 
 def plan_record(planned: PlannedMotion) -> dict[str, Any]:
     """A planned motion, ready for JSON."""
-    around = planned.surroundings
-    return {
-        "arm": planned.arm.name,
-        "cell": planned.cell,
-        "opening": planned.opening,
-        "hangs": planned.hangs,
-        "first": planned.motion.q[0],
-        "motion": asdict(planned.motion),
-        "approach": {"time": planned.approach.time, "q": planned.approach.q},
-        "surroundings": {
-            "table_height": around.table_height,
-            "clearance": around.clearance,
-            "self_clearance": around.self_clearance,
-            "boxes": [asdict(o) for o in around.obstacles if isinstance(o, Box)],
-            "posts": [asdict(o) for o in around.obstacles if isinstance(o, Post)],
-        },
-    }
+    said = {name: getattr(planned, name) for name in ("cell", "opening", "hangs", "surroundings")}
+    motions = {name: asdict(getattr(planned, name)) for name in ("motion", "approach")}
+    return {"arm": planned.arm.name, **said, "first": planned.motion.q[0], **motions}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,37 +80,13 @@ class _Motion:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Box:
-    name: str
-    pose: list[list[float]]
-    size: tuple[float, float, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Post:
-    name: str
-    start: list[float]
-    end: list[float]
-    radius: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Around:
-    table_height: float | None = None
-    clearance: float = 0.0
-    self_clearance: float = 0.0
-    boxes: tuple[_Box, ...] = ()
-    posts: tuple[_Post, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Plan:
     arm: str
     opening: float
     first: list[float]
     motion: _Motion
     approach: _Motion
-    surroundings: _Around
+    surroundings: dict[str, Any]
     hangs: float = 0.0
     cell: str | None = None
 
@@ -172,21 +130,12 @@ def _action_of(said: dict[str, Any], where: str) -> PlannedAction:
     assert plan is not None
     T = np.array(stored.trajectory.T_base_task, dtype=float)
     try:
-        boxes = [Box(**vars(b) | {"pose": np.array(b.pose)}) for b in plan.surroundings.boxes]
-        posts = [Post(**vars(p)) for p in plan.surroundings.posts]
+        own = {name: getattr(plan, name) for name in ("cell", "opening", "hangs", "surroundings")}
         planned = PlannedMotion(
             arm=find_arm(plan.arm),
             motion=plan.motion.motion(),
             approach=plan.approach.motion(),
-            surroundings=Surroundings(
-                table_height=plan.surroundings.table_height,
-                clearance=plan.surroundings.clearance,
-                self_clearance=plan.surroundings.self_clearance,
-                obstacles=(*boxes, *posts),
-            ),
-            opening=plan.opening,
-            hangs=plan.hangs,
-            cell=plan.cell,
+            **own,
         )
         require(T.shape == (4, 4), "T_base_task is no 4 x 4 matrix", error=RobotError)
         start = planned.motion.q[0]
@@ -261,7 +210,7 @@ def preview(planned: PlannedMotion, cell: Cell) -> list[str]:
         scene, own = cell.least_clearances(q, opening=opening)
         lines.append(
             f"{name:<9} {motion.end - motion.start:.2f} s, the tool goes {1e3 * way:.0f} mm, "
-            f"at most {fastest:.3f} m/s, and lies {', '.join(f'{v:.3f}' for v in x[-1])} m at its end"
+            f"at most {fastest:.3f} m/s, and ends at {', '.join(f'{v:.3f}' for v in x[-1])} m"
         )
         lines.append(
             f"{'':<9} nearest {1e3 * scene[0]:.0f} mm ({scene[1] or 'nothing around'}), to itself "
@@ -393,23 +342,26 @@ def last_time(folder: Path) -> str | None:
 
 
 class LoggedRobot:
-    """A robot whose calls, ticks and faults are logged."""
+    """A robot whose calls, ticks and faults are logged: a `Robot`, too."""
 
     def __init__(self, robot: Robot, log: ExecutionLog):
         self.arm, self._robot, self._log = robot.arm, robot, log
 
-    def connect(self) -> None:
-        with self._told("connect"):
-            self._robot.connect()
-        self._log.write(state=_state(self._robot.state()))
+    def __getattr__(self, name: str) -> Any:
+        call = getattr(self._robot, name)
+        if name == "state":
+            return call
 
-    def state(self) -> RobotState:
-        return self._robot.state()
+        def logged(*given: Any, **others: Any) -> None:
+            self._log.write(call=name, given=given if name != "play" else ())
+            try:
+                call(*given, **others)
+            except BaseException as error:
+                self._log.write(call=name, fault=f"{type(error).__name__}: {error}")
+                raise
+            self._log.write(call=name, state=_state(self._robot.state()))
 
-    def approach(self, q: ArrayLike) -> None:
-        with self._told("approach", q=np.asarray(q)):
-            self._robot.approach(q)
-        self._log.write(state=_state(self._robot.state()))
+        return logged
 
     def play(self, motion: JointMotion, *, on_tick: Callable[[Tick], None] | None = None) -> None:
         def told(tick: Tick) -> None:
@@ -417,30 +369,7 @@ class LoggedRobot:
             if on_tick is not None:
                 on_tick(tick)
 
-        with self._told("play"):
-            self._robot.play(motion, on_tick=told)
-        self._log.write(state=_state(self._robot.state()))
-
-    def gripper(self, opening: float) -> None:
-        with self._told("gripper", opening=opening):
-            self._robot.gripper(opening)
-
-    def stop(self) -> None:
-        with self._told("stop"):
-            self._robot.stop()
-
-    def disconnect(self) -> None:
-        with self._told("disconnect"):
-            self._robot.disconnect()
-
-    @contextmanager
-    def _told(self, call: str, **said: Any) -> Iterator[None]:
-        self._log.write(call=call, **said)
-        try:
-            yield
-        except BaseException as error:
-            self._log.write(fault=f"{type(error).__name__}: {error}", call=call)
-            raise
+        self.__getattr__("play")(motion, on_tick=told)
 
 
 def _state(state: RobotState) -> dict[str, Any]:
@@ -490,6 +419,10 @@ def execute(
         ready()
         told.gripper(planned.opening)
         motion = planned.motion.shifted(-planned.motion.start)
+        events = motion.events
+        if events and events[0].closed:  # they are: from the first report on
+            events = (replace(events[0], time=0.0), *events[1:])
+        motion = replace(motion, events=events)
         (play or (lambda r, m: r.play(m)))(told, motion)
     except BaseException as error:
         by = (
