@@ -5,12 +5,12 @@ from datetime import date
 import numpy as np
 import pytest
 from PIL import Image
-from simulated_cell import box, write_cell
 
 from gendom import cli
 from gendom.errors import GendomError, RobotError
 from gendom.hardware.cell import BARE, Cell
 from gendom.robot import DOWN, XARM7, TcpPath, tcp_pose
+from simulated_cell import box, write_cell
 
 
 def line(*points, seconds=2.0):

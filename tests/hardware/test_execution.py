@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated_cell import write_cell
 
 from gendom import cli
 from gendom.errors import DeviceError, RobotError
@@ -33,6 +32,7 @@ from gendom.hardware.execution import (
 )
 from gendom.reading import read_json
 from gendom.robot import DOWN, XARM7, GripperEvent, TcpPath, read_joints
+from simulated_cell import write_cell
 
 
 class FakeRobot:

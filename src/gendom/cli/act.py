@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from gendom.hardware.cell import Cell, PlannedMotion
     from gendom.materials.estimate import Estimate
     from gendom.policies.policy import Action, Policy
+    from gendom.policies.polishing import Discrepancy
     from gendom.tasks.task import Outcome, World
 
 _log = logging.getLogger(__name__)
@@ -42,6 +43,9 @@ LATE = 0.1
 UNSTEADY = 0.015
 """How far a late release may move what is reached [units of similarity]; those of steady releases
 do so by a tenth of it."""
+
+REPLACEMENTS = 200
+"""Actions that are drawn where the wanted one is unsteady."""
 
 FORMAT = "gendom-action/4"
 """Of what is written; ``plan`` is what `gendom.hardware.execution.read_action` reads."""
@@ -115,10 +119,13 @@ class Command(KnownObject):
                 fix=f"{', '.join(dict.fromkeys(o.fix for o in outside))}, or add --force",
             )
         action = policy.act(self.goal, item, force=self.force)
-        values, polished = np.array(action.values), None
+        values, polished, wrong, notes = np.array(action.values), None, None, []
         world = Simulation(engine=self.engine)
         if self.polish:
-            values, polished = self._polished(task, held, values, world)
+            values, polished, wrong = self._polished(task, held, values, world)
+        simulated = not self.no_prediction and held.value("E_over_rho") is not None
+        if simulated and not self.force:
+            values, notes = steady(task, item, action.goal, values, wrong, world, self.seed)
         names = [q.name for q in task.actions]
         result = {
             "format": FORMAT,
@@ -130,16 +137,18 @@ class Command(KnownObject):
             "assumed": held.assumed,
             **_about(policy, action),
         }
+        result["warnings"] += notes
+        for note in notes:
+            _log.warning("%s", note)
         T, path = placed(task, item, values, self.origin)
         hangs = 0.0 if task.scene(item).stand else size_of(item)
         result |= self._followed(path, (thickness_of(item), hangs), result["warnings"], cell)
         result["trajectory"] = {"T_base_task": T.tolist(), **path.to_dict()}
         if polished is not None:
             result["polished"] = polished
-        if not self.no_prediction and held.value("E_over_rho") is not None:
+        if simulated:
             others = believed(held, task).draws(DRAWS, self.seed) if held.names else []
             result["predicted"] = predicted(task, item, values, others, self.seed, world)
-            self._check_steady(task, item, result)
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
         if self.out is not None:
             write_json(self.out, result)
@@ -208,25 +217,10 @@ class Command(KnownObject):
             write_trajectory(self.trajectory, planned.motion)
             tell_written(self.trajectory, json=self.json)
 
-    def _check_steady(self, task: Task, item: Item, result: dict[str, Any]) -> None:
-        """Refuse a release that reaches something else when it comes late.
-
-        Raises:
-            PolicyError: It does, and there is no --force.
-        """
-        moved = result["predicted"].get("late_release", {}).get("moves")
-        if moved is None or moved <= UNSTEADY * size_of(item):
-            return
-        what = f"a release {1e3 * LATE:g} ms late would reach something {1e3 * moved:.0f} mm away"
-        if not self.force:
-            raise PolicyError(what, where=self.task, fix="choose another goal, or add --force")
-        result["warnings"].append(what)
-        _log.warning("%s", what)
-
     def _polished(
         self, task: Task, held: Estimate, start: np.ndarray, world: World
-    ) -> tuple[np.ndarray, dict[str, Any]]:
-        """A better action, and what is expected of it, ready for JSON."""
+    ) -> tuple[np.ndarray, dict[str, Any], Discrepancy | None]:
+        """A better action, what is expected of it, ready for JSON, and what executions showed."""
         from gendom.policies.adaptation import adapt
         from gendom.policies.belief import believed
         from gendom.policies.polishing import polish
@@ -248,7 +242,7 @@ class Command(KnownObject):
         )
         about = {"expected": found.expected, "before": found.before,
                  "rollouts": found.rollouts, "seconds": found.seconds}  # fmt: skip
-        return found.action, about
+        return found.action, about, discrepancy
 
 
 def _about(policy: Policy, action: Action) -> dict[str, Any]:
@@ -307,10 +301,10 @@ def predicted(
     outcomes = world.carry_out(task, items, np.tile(action, (len(items), 1)))
     if outcomes[0].fault is not None:
         return {"fault": outcomes[0].fault}
-    found: dict[str, Any] = {
-        "reached": outcomes[0].values,
-        **_late(task, item, action, world, outcomes[0]),
-    }
+    found: dict[str, Any] = {"reached": outcomes[0].values}
+    if releases(task, item, action):
+        (late,) = reached_late(task, item, action[None], world)
+        found["late_release"] = {"seconds": LATE, "reached": late.values}
     values = [o.values for o in outcomes[1:] if o.fault is None]
     if values:
         names = [q.name for q in task.goals] or list(values[0])
@@ -323,14 +317,13 @@ def predicted(
     return found
 
 
-def _late(
-    task: Task, item: Item, action: np.ndarray, world: World, on_time: Outcome
-) -> dict[str, Any]:
-    """What a release `LATE` reaches, and how far from what was meant [m]; nothing for tasks without
-    goals or without a release."""
-    path = task.tool_path(item, action)
-    if not task.goals or all(event.closed for event in path.events):
-        return {}
+def releases(task: Task, item: Item, action: np.ndarray) -> bool:
+    """Whether a task reaches its goal by opening the hand."""
+    return bool(task.goals) and not all(e.closed for e in task.tool_path(item, action).events)
+
+
+def reached_late(task: Task, item: Item, actions: np.ndarray, world: World) -> list[Outcome]:
+    """What actions [N, A] reach whose release comes late, by `LATE`."""
 
     class Late(type(task)):
         def tool_path(self, item: Item, action: np.ndarray) -> TcpPath:
@@ -338,12 +331,69 @@ def _late(
             events = [e if e.closed else replace(e, time=e.time + LATE) for e in path.events]
             return replace(path, events=tuple(events))
 
-    same = {f.name: getattr(task, f.name) for f in fields(task)}
-    late = world.carry_out(Late(**same), [item], action[None])[0]
-    if late.fault is not None:
-        return {}
-    moves = task.error(item, np.array([on_time.values[q.name] for q in task.goals]), late.values)
-    return {"late_release": {"seconds": LATE, "reached": late.values, "moves": moves}}
+    late = Late(**{f.name: getattr(task, f.name) for f in fields(task)})
+    return world.carry_out(late, [item] * len(actions), actions)
+
+
+def _goal_of(task: Task, outcome: Outcome) -> np.ndarray:
+    """[G] NaN where it failed."""
+    return np.array([outcome.values.get(q.name, math.nan) for q in task.goals])
+
+
+def steady(
+    task: Task,
+    item: Item,
+    goal: Mapping[str, float],
+    action: np.ndarray,
+    wrong: Discrepancy | None,
+    world: World,
+    seed: int,
+) -> tuple[np.ndarray, list[str]]:
+    """An action whose release may come late: the given one, or the best of drawn ones.
+
+    Args:
+        task: What is done.
+        item: The object.
+        goal: By name [SI].
+        action: [A] that is wanted.
+        wrong: What is added to what the simulator says is reached; None: nothing.
+        world: Where actions are simulated.
+        seed: Of those that are drawn.
+
+    Returns:
+        The action, and what was changed in words.
+
+    Raises:
+        PolicyError: No drawn one that reaches the goal is steady either.
+    """
+    if not releases(task, item, action):
+        return action, []
+    drawn = task.sample_actions(item, np.random.default_rng(seed), REPLACEMENTS)
+    moved = math.nan
+    for k, tried in enumerate((action[None], drawn)):
+        on_time = world.carry_out(task, [item] * len(tried), tried)
+        shift = [0.0 if wrong is None else wrong(a)[0] for a in tried]
+        misses = [
+            float(np.linalg.norm(_goal_of(task, o) + s - list(goal.values())))
+            if o.fault is None and task.within_risk(item, o.values)
+            else math.inf
+            for o, s in zip(on_time, shift, strict=True)
+        ]
+        best = np.argsort(misses)[: 1 + k * REPLACEMENTS // 8]
+        late = reached_late(task, item, tried[best], world)
+        for n, o in zip(best, late, strict=True):
+            off = float(np.linalg.norm(_goal_of(task, o) - _goal_of(task, on_time[n])))
+            if k == 0:
+                moved = off
+            if off <= UNSTEADY * size_of(item) and (k == 0 or misses[n] < math.inf):
+                said = f"a release {1e3 * LATE:g} ms late would have moved what is reached by "
+                said += f"{1e3 * moved:.1f} mm: replaced by an action that should miss by "
+                return tried[n], [f"{said}{1e3 * misses[n]:.1f} mm"] * k
+    what = (
+        f"a release {1e3 * LATE:g} ms late moves what is reached by {1e3 * moved:.1f} mm, and no "
+    )
+    what += "steady action was found"
+    raise PolicyError(what, where=task.name, fix="choose another goal, or add --force")
 
 
 def units_of(task: Task) -> dict[str, str]:
