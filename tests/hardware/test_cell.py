@@ -23,8 +23,8 @@ def line(*points, seconds=2.0):
     ("more", "changed", "words"),
     [
         (["[[boxes]]"], {}, "unknown key 'boxes'; did you mean 'box'?"),
-        (['[[stand]]\nname = "a"\nradios = 1.0'], {}, "stand[0]: has the unknown key 'radios'; did"),
-        ([], {"share": "0.3\nshar = 1"}, "speed: has the unknown key 'shar'; did you mean 'share'?"),
+        (['[[stand]]\nname = "a"\nradios = 1.0'], {}, "stand[0]: has the unknown key 'radios'"),
+        ([], {"share": "0.3\nshar = 1"}, "speed: has the unknown key 'shar'; did you mean"),
         ([], {"tool": "0.9"}, "speed.tool: is out of range; give m/s up to 0.8"),
         ([], {"share": "30.0"}, "speed.share: is out of range; give a share up to 1"),
         ([], {"max_opening": "84.0"}, "tool.max_opening: is out of range; give metres up to 0.084"),
@@ -33,8 +33,8 @@ def line(*points, seconds=2.0):
         ([], {"robot": '"xarm6"'}, "there is no robot 'xarm6'; did you mean 'xarm7'?"),
         ([], {"robot": '"simulated"\narm = "ur5"'}, "there is no robot 'ur5'"),
         ([box("a", (0, 0, 1), (1, 1, 0))], {}, "a: its size is"),
-        ([box("left", (0, 1, 1), (1, 1, 1)), box("left", (0, 2, 1), (1, 1, 1))], {}, "name of its own"),
-        (['[[camera]]\nname = "c"\ndevice = "simulated"\ncalibration = "no.toml"'], {}, "no such file"),
+        ([box("left", (0, 1, 1), (1, 1, 1)), box("left", (0, 2, 1), (1, 1, 1))], {}, "name of its"),
+        (['[[camera]]\nname = "c"\ndevice = "simulated"\ncalibration = "no.toml"'], {}, "no such"),
         (['[[camera]]\nname = "c"\ndevice = "realsens"'], {}, "did you mean 'realsense'?"),
     ],
 )  # fmt: skip
@@ -65,9 +65,9 @@ def test_a_camera_s_pose_is_a_rigid_transform_given_once(tmp_path, old, new, wor
         ([], {}, set()),
         ([box("board", tcp_pose(XARM7, XARM7.home)[:3, 3], (0.1, 0.1, 0.1))], {},
          {"at the arm's home pose left pad front and board are less than 20 mm"}),
-        ([], {"workspace": "[[0.5, -0.6, 0.0], [0.8, 0.6, 0.8]]"}, {"does not hold the tool point"}),
+        ([], {"workspace": "[[0.5, -0.6, 0.0], [0.8, 0.6, 0.8]]"}, {"does not hold the tool"}),
         ([], {"workspace": "[[-800, -600, 0], [800, 600, 800]]"}, {"goes 1.28e+03 m from the"}),
-        ([], {"workspace": "[[0.15, -0.6, -0.03], [0.8, 0.6, 0.8]]"}, {"begins 30 mm below the table"}),
+        ([], {"workspace": "[[0.15, -0.6, -0.03], [0.8, 0.6, 0.8]]"}, {"begins 30 mm below"}),
     ],
 )  # fmt: skip
 def test_errors_of_a_cell(tmp_path, more, changed, words):

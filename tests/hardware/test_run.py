@@ -1,4 +1,4 @@
-"""`gendom run`: steps that are skipped, done again and go on; and all of it on simulated devices."""
+"""`gendom run`: steps that are skipped and done again; and all of it on simulated devices."""
 
 import json
 

@@ -10,7 +10,7 @@ from gendom.hardware import DepthCamera, Robot
 from gendom.hardware.cell import Cell
 from gendom.hardware.recording import record_motion
 from gendom.perception import read_cameras
-from gendom.robot import DOWN, GripperEvent, JointMotion, TcpPath, tcp_pose
+from gendom.robot import DOWN, GripperEvent, JointMotion, TcpPath
 from simulated_cell import write_cell
 
 pytest.importorskip("mujoco", reason="needs mujoco: the extra reality")
@@ -131,7 +131,8 @@ def test_a_lift_is_recorded_through_the_contracts(devices, tmp_path):
     assert [len(list(source)) for source in read.sources] == [frames, frames]
     path = read.robot.position[:, 0]
     assert path[-1] - path[0] == pytest.approx([0.0, 0.0, 0.04], abs=1e-3)
-    assert path == pytest.approx(tcp_pose(robot.arm, motion.at(read.robot.time - read.robot.time[0]))[:, :3, 3], abs=2e-3)  # fmt: skip
+    told = motion.tcp_at(robot.arm, read.robot.time - read.robot.time[0])[:, :3, 3]
+    assert path == pytest.approx(told, abs=2e-3)
     first, last = (list(read.sources[0])[k] for k in (0, -1))
     assert first.time == pytest.approx(read.robot.time[0], abs=2e-3)
     assert last.time <= read.robot.time[-1] + 2e-3
