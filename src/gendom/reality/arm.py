@@ -114,12 +114,15 @@ class RobotArm:
 
 def surroundings(cameras: Sequence[Camera]) -> Surroundings:
     """What the arm must not touch: the table at z = 0, and the cameras' housings."""
-    boxes = []
-    for camera in cameras:
-        pose = camera.calibrated().copy()
-        pose[:3, 3] += pose[:3, :3] @ _HOUSING_MIDDLE
-        boxes.append(Box(name=f"camera {camera.name}", pose=pose, size=HOUSING))
-    return Surroundings(table_height=0.0, obstacles=tuple(boxes))
+    boxes = tuple(housing(camera.name, camera.calibrated()) for camera in cameras)
+    return Surroundings(table_height=0.0, obstacles=boxes)
+
+
+def housing(name: str, T_world_camera: npt.NDArray[np.float64]) -> Box:
+    """The housing of a D435i at a pose [4, 4] of its depth camera [m]."""
+    pose = T_world_camera.copy()
+    pose[:3, 3] += pose[:3, :3] @ _HOUSING_MIDDLE
+    return Box(name=f"camera {name}", pose=pose, size=HOUSING)
 
 
 def _place(T: npt.NDArray[np.float64]) -> str:
