@@ -70,7 +70,7 @@ class Controller(Driver):
 @pytest.fixture
 def streamer():
     controller = Controller()
-    return Streamer(controller, cell("nowhere", tool=1.0, share=1.0), clock=lambda: controller.now)
+    return Streamer(controller, cell("nowhere", tool=0.8, share=1.0), clock=lambda: controller.now)
 
 
 def run(streamer, motion=None, *, at=math.inf, then=lambda: None, late=()):

@@ -25,8 +25,8 @@ from gendom.arguments import check_number, require
 from gendom.errors import DeviceError, GendomError
 from gendom.hardware.cell import Cell
 from gendom.hardware.contracts import RobotState, Tick
-from gendom.hardware.streaming import Array, Driver, Streamer, slow_move, speed_limits
-from gendom.robot import JointMotion, find_arm
+from gendom.hardware.streaming import Array, Driver, Streamer, slow_move
+from gendom.robot import JointMotion
 
 _CONNECTING, _STARTING, _SILENT = 20.0, 60.0, 5.0  # [s]; to connect, to start, without a row
 _ROWS, _TEXT = 1 << 14, 2000  # of the board; ticks of 160 s
@@ -138,7 +138,7 @@ class StreamedRobot:
     """
 
     def __init__(self, cell: Cell, driver: Callable[[Cell], Driver]) -> None:
-        self.cell, self.arm = cell, find_arm(cell.arm)
+        self.cell, self.arm = cell, cell.model
         self._driver = driver
         self._process: Any = None
         self._lock = threading.Lock()
@@ -202,7 +202,7 @@ class StreamedRobot:
         at = np.clip(state.q, self.arm.q_min, self.arm.q_max)
         opening = cell.tool.max_opening if state.opening is None else state.opening
         around: dict[str, Any] = {"surroundings": cell.surroundings, "opening": opening}
-        self.play(slow_move(speed_limits(self.arm, cell), cell, at, q, **around))
+        self.play(slow_move(cell, at, q, **around))
 
     def play(self, motion: JointMotion, *, on_tick: Callable[[Tick], None] | None = None) -> None:
         """Follow a motion; `gendom.hardware.Robot.play`."""
@@ -286,6 +286,7 @@ class StreamedRobot:
     def _until_answered(self, first: int, on_tick: Callable[[Tick], None] | None) -> None:
         """Hand on rows from number `first` on, until the other process answers."""
         heard, J = time.monotonic(), self.arm.joints
+        since_1970 = time.time() - heard
         while True:
             answered = self._link.poll(0.02)
             rows, first = self._board.read(first)
@@ -298,6 +299,7 @@ class StreamedRobot:
                             command=row[6 : 6 + J],
                             measured=row[6 + J :],
                             age=row[0] - row[2],
+                            stamp=row[2] + since_1970,
                             opening=None if math.isnan(row[3]) else row[3],
                         )
                     )

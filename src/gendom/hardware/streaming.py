@@ -22,13 +22,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import require
 from gendom.errors import DeviceError, GendomError, RobotError
-from gendom.hardware.cell import Cell
-from gendom.robot import Arm, JointMotion, find_arm, joint_move, tcp_pose
+from gendom.hardware.cell import FASTEST_TOOL, Cell
+from gendom.robot import JointMotion, joint_move, tcp_pose
 
 Array = NDArray[np.float64]
 
-MOST_TOOL_SPEED = 0.8
-"""Of the tool while commands are streamed [m/s]."""
 BLIND = (0.03, 0.1)
 """Largest age of a report, and lateness of a tick, at full speed and at most [s]. In between it is
 inversely proportional to the motion's largest share of the speed limits: 0.1 s from 30 % down."""
@@ -145,8 +143,7 @@ class Streamer:
         self, driver: Driver, cell: Cell, *, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.driver, self.cell, self.clock = driver, cell, clock
-        self.arm = find_arm(cell.arm)
-        self.limits = speed_limits(self.arm, cell)
+        self.arm, self.limits = cell.model, cell.limited
         self.fingers = Fingers(driver)
         self.report = driver.report()
         self.command = self.report.q
@@ -175,12 +172,12 @@ class Streamer:
         self._check_tool(motion)
         self._check_start(motion, report.q)
         kinds = ("speed", "tool speed")
-        full = replace(self.arm, max_tcp_speed=MOST_TOOL_SPEED)
+        full = replace(self.arm, max_tcp_speed=FASTEST_TOOL)
         share = max(use.share for use in motion.limit_uses(full) if use.kind in kinds)
         self.blind = min(BLIND[0] / max(share, 1e-9), BLIND[1])
         # What the arm is off the first pose is made up for slowly, before the motion's clock runs.
         at = np.clip(report.q, self.arm.q_min, self.arm.q_max)
-        self._next = [slow_move(self.limits, self.cell, at, motion.q[0]), motion]
+        self._next = [slow_move(self.cell, at, motion.q[0]), motion]
         self._orders = [
             (e.time - self.cell.tool.latency, 0.0 if e.closed else self.cell.tool.max_opening)
             for e in motion.events
@@ -358,18 +355,7 @@ class Streamer:
         return f"{what}; end other programs on this computer" if late > self.blind else None
 
 
-def speed_limits(arm: Arm, cell: Cell) -> Arm:
-    """The arm with the limits of speed and acceleration that a cell allows while it streams."""
-    share = cell.speed.share
-    return replace(
-        arm,
-        max_speed=share * arm.max_speed,
-        max_acceleration=share * arm.max_acceleration,
-        max_tcp_speed=min(cell.speed.tool, MOST_TOOL_SPEED, arm.max_tcp_speed),
-    )
-
-
-def slow_move(limits: Arm, cell: Cell, q: Array, q_to: ArrayLike, **around: Any) -> JointMotion:
+def slow_move(cell: Cell, q: Array, q_to: ArrayLike, **around: Any) -> JointMotion:
     """A move from point to point within `APPROACH_SHARE`; arguments as of `joint_move`."""
     share = min(1.0, APPROACH_SHARE / cell.speed.share)
-    return joint_move(limits, q, q_to, share=share, **around)
+    return joint_move(cell.limited, q, q_to, share=share, **around)
