@@ -19,7 +19,7 @@ import pytest
 pytest.importorskip("xarm", reason="pip install xarm-python-sdk")
 
 from gendom.errors import DeviceError
-from gendom.hardware import Robot, streamed, streaming
+from gendom.hardware import Robot, find_robot, streamed, streaming
 from gendom.hardware.streamed import StreamedRobot
 from gendom.hardware.streaming import Streamer
 from gendom.robot import XARM7, GripperEvent, joint_move
@@ -182,6 +182,19 @@ def test_the_process_that_moves_the_arm_dies(box, robot):
     with pytest.raises(DeviceError, match=r"gone or hangs.*emergency stop"):
         robot.play(there_and())
     assert "gone" in robot.state().fault
+
+
+@pytest.mark.parametrize(
+    ("name", "module", "extra"), [("xarm7", "xarm.wrapper", "robot"), ("fr3", "franky", "franka")]
+)
+def test_without_its_sdk_a_robot_says_what_to_install(monkeypatch, name, module, extra):
+    robot = find_robot(name)(replace(cell("127.0.0.1"), robot=name, arm=name))
+    assert isinstance(robot, Robot)
+    with pytest.raises(DeviceError, match="not connected"):
+        robot.state()
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(DeviceError, match=rf"cannot be imported .*\[{extra}\]"):
+        robot._driver(robot.cell).connect()
 
 
 # ---- connecting ----------------------------------------------------------------------------------
