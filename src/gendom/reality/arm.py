@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from gendom.installation import load_mujoco
 from gendom.perception.camera import Camera
-from gendom.reality.model import load_mujoco
 from gendom.robot import Arm, Box, JointMotion, Surroundings, arm_shape, link_poses
 
 STIFFNESS, DAMPING, INERTIA = 2.0e4, 4.0e2, 0.3

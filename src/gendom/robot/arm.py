@@ -32,12 +32,15 @@ class LinkCapsule:
 
 @dataclass(frozen=True, kw_only=True)
 class KnuckleCapsule:
-    """A capsule along one of the links that carry the finger on the side of +y."""
+    """A capsule of one of the parallel links that carry the finger on the side of +y."""
 
     name: str
-    offset: tuple[float, float]
-    """Its pivot's (y, z) in the flange's axes, from that of the link `ParallelGripper` names
-    [m]."""
+    pivot: tuple[float, float]
+    """(y, z) about which it turns, in the gripper's frame [m]."""
+    start: tuple[float, float, float]
+    """One end from its pivot, y towards the finger's [m]."""
+    end: tuple[float, float, float]
+    """The other end [m]."""
     radius: float
     """[m]."""
 
@@ -48,7 +51,7 @@ class FingerCapsule:
 
     name: str
     start: tuple[float, float, float]
-    """One end from the finger's pivot, in the flange's axes [m]."""
+    """One end from the finger's pivot, in the gripper's axes [m]."""
     end: tuple[float, float, float]
     """The other end [m]."""
     radius: float
@@ -62,7 +65,7 @@ class ParallelGripper:
     """A gripper whose two fingers are carried by parallel links, so that they stay parallel.
 
     The finger on the side of +y is attached to a link, the knuckle, that rotates about (0, pivot_y,
-    pivot_z) in the flange's frame; the finger's inner face is closer to the middle than its pivot
+    pivot_z) in the gripper's frame; the finger's inner face is closer to the middle than its pivot
     by `face`. With the knuckle's angle theta from y towards z,
 
         opening / 2 = pivot_y + knuckle cos(theta) - face,
@@ -71,6 +74,8 @@ class ParallelGripper:
     image.
     """
 
+    length: float
+    """From the gripper's frame along z to the point between the fingertips, the tool point [m]."""
     max_opening: float
     """Largest distance of the fingers' inner faces [m]."""
     pivot_y: float
@@ -85,7 +90,7 @@ class ParallelGripper:
     fingers: tuple[FingerCapsule, ...]
 
     def finger_pivot(self, opening: ArrayLike) -> NDArray[np.float64]:
-        """[..., 2] y and z of the +y finger's pivot in the flange's frame [m].
+        """[..., 2] y and z of the +y finger's pivot in the gripper's frame [m].
 
         Args:
             opening: [...] distance of the inner faces [m], limited to 0 and `max_opening`.

@@ -326,7 +326,9 @@ class _CollisionPairs:
         arm = self.arm
         shape = arm_shape(arm, arm.home, self.opening)
         own = _extents(arm, shape, self._link)
-        step = np.linalg.norm(arm.T_links[:, :3, 3], axis=1)  # from frame i to frame i + 1 at most, however it is turned
+        step = np.linalg.norm(
+            arm.T_links[:, :3, 3], axis=1
+        )  # from frame i to frame i + 1 at most, however it is turned
         lever = np.zeros((arm.joints, len(own)))
         for j in range(arm.joints):
             for c, link in enumerate(self._link):

@@ -63,8 +63,16 @@ _CAPSULES = (
 )
 
 _KNUCKLES = (
-    KnuckleCapsule(name="knuckle", offset=(0.0, 0.0), radius=0.016),
-    KnuckleCapsule(name="inner knuckle", offset=(-0.015, 0.015), radius=0.010),
+    KnuckleCapsule(
+        name="knuckle", pivot=(0.035, 0.059098), start=(0, 0, 0), end=(0, 0.055, 0), radius=0.016
+    ),
+    KnuckleCapsule(
+        name="inner knuckle",
+        pivot=(0.02, 0.074098),
+        start=(0, 0, 0),
+        end=(0, 0.055, 0),
+        radius=0.010,
+    ),
 )
 
 _FINGERS = (
@@ -117,6 +125,7 @@ XARM7 = Arm(
     home=np.array([0.0, -0.2, 0.0, 0.9, 0.0, 1.1, 0.0]),
     capsules=_CAPSULES,
     gripper=ParallelGripper(
+        length=TCP_DISTANCE,
         max_opening=0.084,
         pivot_y=0.035,
         pivot_z=0.059098,
