@@ -69,6 +69,8 @@ _EXTRAS = {
     "ray": "cluster",
     "viser": "viz",
     "rosbags": "ros",
+    "xarm": "robot",
+    "franky": "franka",
 }
 
 
