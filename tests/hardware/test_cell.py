@@ -15,7 +15,9 @@ from simulated_cell import box, write_cell
 
 def line(*points, seconds=2.0):
     return TcpPath(
-        time=np.linspace(0.0, seconds, len(points)), position=np.array(points), quat_xyzw=DOWN
+        time=np.linspace(0.0, seconds, len(points)),
+        position=np.array(points),
+        quat_xyzw=np.array(DOWN),
     )
 
 
@@ -30,6 +32,9 @@ def line(*points, seconds=2.0):
         ([], {"max_opening": "84.0"}, "tool.max_opening: is out of range; give metres up to 0.084"),
         ([], {"workspace": "[[0, 0, 0.5], [1, 1, 0.2]]"}, "workspace: is out of range"),
         ([], {"workspace": '"all"'}, "workspace: expected `array`".replace("`", "")),
+        ([], {"table_height": "nan"}, "table_height: is out of range"),
+        ([], {"table_height": "0.0\nself_clearance = nan"}, "self_clearance: is out of range"),
+        ([box("a", (0, 0, 1), (1, 1, 1)) + "\nquat_xyzw = [0, 0, 0, 0]"], {}, "no quaternion"),
         ([], {"robot": '"xarm6"'}, "there is no robot 'xarm6'; did you mean 'xarm7'?"),
         ([], {"robot": '"simulated"\narm = "ur5"'}, "there is no robot 'ur5'"),
         ([box("a", (0, 0, 1), (1, 1, 0))], {}, "a: its size is"),

@@ -56,7 +56,7 @@ class FakeRobot:
             self.q = motion.at(t)
             if k == 20 and self.fails is not None:
                 raise self.fails
-            on_tick(Tick(time=t, command=self.q, measured=self.q, age=0.001, stamp=t))
+            (on_tick or print)(Tick(time=t, command=self.q, measured=self.q, age=0.001, stamp=t))
             time.sleep(self.pace)
 
     def __getattr__(self, name):
@@ -71,7 +71,7 @@ def made(tmp_path_factory):
     path = TcpPath(
         time=np.array([0.0, 0.4]),
         position=np.array([[0.45, 0.0, 0.3], [0.45, 0.1, 0.3]]),
-        quat_xyzw=DOWN,
+        quat_xyzw=np.array(DOWN),
         events=(GripperEvent(time=0.0, closed=True), GripperEvent(time=0.35, closed=False)),
     )
     said = {
@@ -94,7 +94,7 @@ def test_an_action_is_read_as_it_was_planned(made):
         TcpPath(
             time=np.array([0.0, 0.4]),
             position=np.array([[0.45, 0.0, 0.3], [0.45, 0.1, 0.3]]),
-            quat_xyzw=DOWN,
+            quat_xyzw=np.array(DOWN),
             events=read.planned.motion.events,
         ),
         opening=0.016,

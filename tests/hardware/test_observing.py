@@ -50,6 +50,7 @@ def made(fps=30.0, **changed):
     T = task.T_world_task(ROPE)
     planned = BARE.plan(task.tool_path(ROPE, np.array(action)).moved(T), opening=ROPE.diameter)
     motion, seen, rng = planned.motion, outcome.seen, np.random.default_rng(0)
+    assert seen is not None
     start = max(float(seen.times[0]), motion.start)
     time = np.arange(start, seen.times[-1], 1.0 / fps)
     moved = CubicSpline(seen.times, seen.points)

@@ -105,7 +105,9 @@ def test_a_motion_is_recorded_as_perception_reads_it(record, motion):
     folder, found = record()
     assert isinstance(connected(SoftwareCamera(camera())), DepthCamera)
     read = read_cameras(folder)
-    for source, (name, went) in zip(read.sources, found.items(), strict=True):
+    for source in read.sources:
+        name = source.camera.name
+        went = found[name]
         frames = list(source)
         assert source.camera.name == name and went.missing == 0 and not went.warnings
         assert went.pictures == 2 * len(frames) and 20 <= len(frames) <= 60

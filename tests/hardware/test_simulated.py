@@ -109,7 +109,7 @@ def test_a_lift_is_recorded_through_the_contracts(devices, tmp_path):
     rise = TcpPath(
         time=np.array([0.0, 0.1, 0.5]),
         position=np.array([[0.3325, 0.0, 0.008]] * 2 + [[0.3325, 0.0, 0.048]]),
-        quat_xyzw=DOWN,
+        quat_xyzw=np.array(DOWN),
         events=(GripperEvent(time=0.0, closed=True),),
         max_blend=0.2,
     )

@@ -20,7 +20,7 @@ from gendom.cli.policies import made_by
 from gendom.datasets.demonstrations import generate
 from gendom.files import write_json
 from gendom.hardware.execution import read_action
-from gendom.materials import size_of
+from gendom.materials import Rope, size_of
 from gendom.policies import Policy
 from gendom.reading import read_json
 from gendom.reality import OBJECTS
@@ -88,6 +88,7 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
 def test_an_unsteady_release_is_replaced():
     """The shipped policy's for the cotton rope at 0.485 m: 7.7 mm by 100 ms."""
     task, item, world = RopeReaching(), OBJECTS["rope-cotton"], Simulation()
+    assert isinstance(item, Rope)
     action = item.length * np.array([0.49461472, 0.35117316])
     found, (note,) = steady(task, item, {"x": 0.485}, action, None, world, 0)
     assert "moves what is reached by 7.7 mm: replaced" in note and not np.array_equal(found, action)

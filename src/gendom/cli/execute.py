@@ -255,7 +255,7 @@ def bring(robot: Any, action: PlannedAction | None, *, ask: bool = True) -> None
     elif ask:
         scene = task.scene(item)
         T = action.T_base_task
-        at = ", ".join(f"{x:.3f}" for x in T[:3, :3] @ scene.origin + T[:3, 3])
+        at = ", ".join(f"{x:.3f}" for x in T[:3, :3] @ np.asarray(scene.origin) + T[:3, 3])
         hung = f"Fix the object's first end in the stand at ({at}) m. " if scene.stand else ""
         confirm(
             f"{hung}Put what is to be held between the fingers: they close when you have typed."

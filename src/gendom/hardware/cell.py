@@ -1,37 +1,5 @@
-"""A cell: a robot, its cameras and what stands around them, as cell.toml describes them.
-
-robot = "xarm7"                     # xarm7, fr3, simulated, or of an entry point
-address = "192.168.1.203"           # of its controller; simulated: the object that is handled
-table_height = 0.0                  # metres in the robot's base frame, as all that follows
-workspace = [[0.2, -0.5, 0.0], [0.75, 0.5, 0.8]]
-
-[tool]
-max_opening = 0.084                 # metres
-latency = 0.2                       # seconds from the command until the fingers move
-mass = 0.82                         # kg
-
-[speed]                             # may be left out, as the clearances: 0.02 and 0.01 m
-tool = 0.25                         # m/s
-share = 0.3                         # of the arm's own limits
-
-[[camera]]
-name = "left"
-device = "realsense"
-serial = "032622070000"
-calibration = "left/camera.toml"    # of gendom calibrate; or T_world_camera = [[...], ...]
-calibrated = 2026-11-25
-stated_error = 0.003                # metres
-
-[[box]]                             # keep out
-name = "shelf"
-position = [0.5, 0.7, 0.2]          # of its middle; quat_xyzw where it is turned
-size = [0.4, 0.2, 0.4]
-
-[[stand]]                           # a pole of a camera, or one that holds a rope
-name = "pole"
-start = [0.9, 0.6, 0.0]
-end = [0.9, 0.6, 0.8]
-radius = 0.02
+"""A cell: a robot, its cameras and what stands around them, as cell.toml describes them
+(docs/hardware.md).
 """
 
 from __future__ import annotations
@@ -173,7 +141,7 @@ class Cell:
 
     @classmethod
     def read(cls, path: str | os.PathLike) -> Cell:
-        """The cell of a file; see the top of this module.
+        """The cell of a file (docs/hardware.md).
 
         Raises:
             DeviceError: The file cannot be read, a key is unknown or missing, a value impossible.
@@ -188,10 +156,13 @@ class Cell:
         try:
             obstacles = [Box(name=b.name, pose=b.pose(), size=b.size) for b in said.box]
             obstacles += [Post(**vars(s)) for s in said.stand]
+        except ValueError:
+            fix = "give four numbers, not all 0"
+            raise DeviceError("a box is turned by no quaternion", where=where, fix=fix) from None
         except RobotError as error:
             raise DeviceError(error.what, where=f"{where}: {error.where}", fix=error.fix) from None
-        seen = [c for c in cameras if c.T_world_camera is not None]
-        obstacles += [housing(c.name, c.T_world_camera) for c in seen]
+        poses = {c.name: c.T_world_camera for c in cameras}
+        obstacles += [housing(name, T) for name, T in poses.items() if T is not None]
         own = ("robot", "address", "arm", "tool", "speed", "scene_clearance", "self_clearance")
         low, high = (np.array(corner) for corner in said.workspace)
         cell = cls(
@@ -218,17 +189,17 @@ class Cell:
         tool, speed, (low, high) = self.tool, self.speed, self.workspace
         widest = self.model.gripper.max_opening
         names = [o.name for o in self.surroundings.obstacles]
-        near = min(self.scene_clearance, self.self_clearance)
+        table = self.surroundings.table_height
+        opens = 0.0 < tool.max_opening <= widest + 1e-6
         checks = {
-            "tool.max_opening": (
-                0.0 < tool.max_opening <= widest + 1e-6,
-                f"metres up to {widest:g}",
-            ),
+            "tool.max_opening": (opens, f"metres up to {widest:g}"),
             "tool.latency": (0.0 <= tool.latency <= 5.0, "seconds"),
             "tool.mass": (0.0 <= tool.mass <= 50.0, "kilograms"),
             "speed.tool": (0.0 < speed.tool <= FASTEST_TOOL, f"m/s up to {FASTEST_TOOL}"),
             "speed.share": (0.0 < speed.share <= 1.0, "a share up to 1"),
-            "scene_clearance, self_clearance": (near >= 0.0, "metres, 0 or more"),
+            "scene_clearance": (0.0 <= self.scene_clearance <= 1.0, "metres, 0 or more"),
+            "self_clearance": (0.0 <= self.self_clearance <= 1.0, "metres, 0 or more"),
+            "table_height": (table is None or math.isfinite(table), "metres"),
             "workspace": (bool(np.all(low < high)), "its lowest corner, then the highest"),
             "box, stand, camera": (len(set(names)) == len(names), "each a name of its own"),
         }
@@ -293,7 +264,7 @@ class Cell:
         far = np.maximum(np.abs(low - shoulder), np.abs(high - shoulder))
         if np.linalg.norm(far) > 1.5 * reach:
             what = (
-                f"goes {np.linalg.norm(far):.3g} m from the shoulder, the arm at most {reach:.3g}"
+                f"goes {np.linalg.norm(far):.3g} m from the shoulder, the arm {reach:.3g} at most"
             )
             yield what, "workspace", "give metres, and no more than the arm needs"
         table = self.surroundings.table_height
@@ -307,12 +278,9 @@ class Cell:
             if camera.T_world_camera is None:
                 yield "is not calibrated", where, fix
                 continue
-            days = None
-            if camera.calibrated is not None:
-                days = (today - date.fromisoformat(camera.calibrated)).days
-            if days is None:
+            if camera.calibrated is None:
                 yield "does not say when it was calibrated", where, "give calibrated = YYYY-MM-DD"
-            elif days > OLD:
+            elif (days := (today - date.fromisoformat(camera.calibrated)).days) > OLD:
                 yield f"was calibrated {days} days ago", where, f"{fix} again"
             if not camera.stated_error <= LARGEST_ERROR:
                 said = "nothing" if math.isnan(camera.stated_error) else f"{camera.stated_error} m"

@@ -76,7 +76,8 @@ class _Motion:
     slowed_by: float = 1.0
 
     def motion(self) -> JointMotion:
-        return JointMotion(**(vars(self) | {"time": np.array(self.time), "q": np.array(self.q)}))
+        own: dict[str, Any] = vars(self) | {"time": np.array(self.time), "q": np.array(self.q)}
+        return JointMotion(**own)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -407,7 +408,7 @@ def execute(
         DeviceError: The robot has a fault.
     """
     cell.check(planned)
-    told = LoggedRobot(robot, log)
+    told: Any = LoggedRobot(robot, log)
     try:
         told.connect()
         q = robot.state().q

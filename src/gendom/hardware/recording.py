@@ -16,6 +16,7 @@ from __future__ import annotations
 import shutil
 import threading
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -63,13 +64,15 @@ def record_motion(
         place.mkdir(parents=True, exist_ok=True)
     (folder / "object.toml").write_text(description, encoding="utf-8")
     watch = _Watch(robot, cameras, folder)
+    started: list[DepthCamera] = []
     recorded: dict[str, Recorded] = {}
     ended = "done"
     try:
         with ExitStack() as stack:
+            stack.callback(lambda: recorded.update(_stop_all(started)))
             for camera in cameras:
                 camera.start_recording(folder / "cameras" / camera.name)
-                stack.callback(lambda c=camera: recorded.update({c.name: c.stop_recording()}))
+                started.append(camera)
             for camera in cameras:
                 camera.wait_for_pictures()
             rows = stack.enter_context(_Rows(folder, robot, motion))
@@ -89,7 +92,7 @@ def record_motion(
     if watch.fault:
         fix = "mend it and record again; what was recorded so far is kept"
         raise DeviceError(watch.fault, where=str(folder), fix=fix)
-    return {camera.name: recorded[camera.name] for camera in cameras}
+    return recorded
 
 
 def _check(folder: Path, cameras: Sequence[DepthCamera], seconds: float) -> None:
@@ -103,6 +106,13 @@ def _check(folder: Path, cameras: Sequence[DepthCamera], seconds: float) -> None
     what = f"the disk has {1e-9 * free:.1f} GB left, {seconds:.0f} s take {1e-9 * need:.1f}"
     fix = "free some, or name another folder"
     require(free >= need, what, where=str(folder), fix=fix, error=DeviceError)
+
+
+def _stop_all(cameras: Sequence[DepthCamera]) -> dict[str, Recorded]:
+    """Stop recordings at the same time: each then waits for its disk."""
+    with ThreadPoolExecutor(max(1, len(cameras))) as pool:
+        stopped = pool.map(lambda camera: camera.stop_recording(), cameras)
+        return dict(zip((camera.name for camera in cameras), stopped, strict=True))
 
 
 class _Watch:
