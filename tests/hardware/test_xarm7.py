@@ -20,10 +20,13 @@ pytest.importorskip("xarm", reason="pip install xarm-python-sdk")
 
 from gendom.errors import DeviceError
 from gendom.hardware import Robot, find_robot, streamed, streaming, xarm7
+from gendom.hardware.cell import Cell
+from gendom.hardware.execution import ExecutionLog, execute, read_log
 from gendom.hardware.streamed import StreamedRobot
 from gendom.hardware.streaming import Streamer
-from gendom.robot import XARM7, GripperEvent, joint_move
+from gendom.robot import DOWN, XARM7, GripperEvent, TcpPath, joint_move
 from hardware.xarm_box import Box, Driver, cell
+from simulated_cell import write_cell
 
 AWAY = XARM7.home + np.array([0.6, 0.1, 0.0, 0.2, 0.0, 0.1, 0.3])
 
@@ -83,6 +86,27 @@ def test_a_robot_approaches_plays_grips_and_says_where_it_is(box, robot):
     robot.approach(AWAY - 0.02)
     assert box.true == pytest.approx(AWAY - 0.02, abs=1e-3)
     assert box.orders("mode") == [1, 0, 1, 0]
+
+
+def test_a_planned_action_is_executed_and_logged(box, tmp_path):
+    here = Cell.read(write_cell(tmp_path, cameras=False, latency="0.1"))
+    here = replace(here, robot="xarm7", address=box.address)
+    path = TcpPath(
+        time=np.array([0.0, 0.8]),
+        position=np.array([[0.45, 0.0, 0.3], [0.45, 0.15, 0.3]]),
+        quat_xyzw=np.array(DOWN),
+        events=(GripperEvent(time=0.0, closed=True), GripperEvent(time=0.7, closed=False)),
+    )
+    planned = here.plan(path, opening=0.016)
+    execute(planned, here, StreamedRobot(here, patient), ExecutionLog(tmp_path / "log.jsonl", {}))
+    log = read_log(tmp_path / "log.jsonl")
+    end = planned.motion.end - planned.motion.start
+    assert log.time[-1] == pytest.approx(end, abs=0.3)
+    assert box.true == pytest.approx(planned.motion.q[-1], abs=1e-3)
+    asked = [t for t, name, value in box.log if name == "gripper 0x700" and value == 850]
+    begun = [t for t, name, _ in box.log if name == "servo"][-len(log.time)]
+    release = planned.motion.events[-1].time - planned.motion.start
+    assert asked[-1] - begun == pytest.approx(release - 0.1, abs=0.05)
 
 
 def test_a_fault_stays_until_the_robot_is_connected_again(box, robot):

@@ -141,6 +141,7 @@ class StreamedRobot:
         self.cell, self.arm = cell, cell.model
         self._driver = driver
         self._process: Any = None
+        self._board: Any = None
         self._lock = threading.Lock()
         self._asked = False
         self._fault: str | None = None
@@ -169,25 +170,28 @@ class StreamedRobot:
         except BaseException:
             self._process.kill()
             self.disconnect()
+            self._board = None
             raise
         self._fault = None
 
     def state(self) -> RobotState:
-        """What was last reported.
+        """What was last reported, also after `disconnect`.
 
         Raises:
             DeviceError: The robot was never connected.
         """
-        require(self._process is not None, "not connected", fix="connect()", error=DeviceError)
+        require(self._board is not None, "not connected", fix="connect()", error=DeviceError)
         row = self._board.read(self._board.count.value - 1)[0][-1]
+        alive = self._process is not None and self._process.is_alive()
         fault = self._fault or self._board.text.value.decode(errors="replace") or None
-        if fault is None and not self._process.is_alive():
-            fault = f"the process that moves the arm is gone; {_REPORT}"
+        if fault is None and not alive:
+            gone = f"the process that moves the arm is gone; {_REPORT}"
+            fault = "not connected" if self._process is None else gone
         return RobotState(
             time=row[2],
             q=row[5 + self.arm.joints :],
             opening=None if math.isnan(row[3]) else row[3],
-            moving=bool(row[4]) and self._process.is_alive(),
+            moving=bool(row[4]) and alive,
             fault=fault,
         )
 
