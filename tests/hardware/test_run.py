@@ -66,7 +66,7 @@ def test_what_cannot_be_run(tmp_path, capsys, words, line):
 
 @pytest.mark.slow
 def test_from_lift_to_adapted_second_execution(tmp_path, monkeypatch, capsys):
-    """On simulated devices; the second miss, after what the first one showed, is small."""
+    """On simulated devices, with the noise of cameras and the errors of their calibration."""
     pytest.importorskip("mujoco", reason="needs mujoco: the extra reality")
     asked = []
     monkeypatch.setattr("builtins.input", lambda question: asked.append(question) or "move")
@@ -76,7 +76,7 @@ def test_from_lift_to_adapted_second_execution(tmp_path, monkeypatch, capsys):
     assert len(asked) == 3  # the lift and two executions
     found = [read_json(out / f"reached-{k}.json")["executions"][0] for k in (1, 2)]
     misses = [abs(f["reached"][0] - 0.45) for f in found]
-    assert misses[1] < 0.008 and misses[0] < 0.03
+    assert max(misses) < 0.015
     estimate = read_json(out / "estimate.json")
     assert estimate["verdict"]["usable"]
     assert np.log(estimate["E_over_rho"] / 962.5) == pytest.approx(0.0, abs=0.2)
