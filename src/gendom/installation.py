@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import subprocess
 from pathlib import Path
+from typing import Any
 
 from gendom import __version__
+from gendom.errors import DeviceError
+
+_log = logging.getLogger(__name__)
 
 
 def clone() -> Path | None:
@@ -32,3 +38,48 @@ def how_to_install(extra: str) -> str:
     the installed one."""
     folder = clone()
     return f"pip install -e '{folder}[{extra}]'" if folder else f"pip install 'gendom[{extra}]'"
+
+
+gl_faults: list[tuple[str, str]] = []
+"""What MUJOCO_GL asked for and what MuJoCo raised, if `load_mujoco` had to turn rendering off."""
+
+
+def load_mujoco() -> Any:
+    """Import the module `mujoco`.
+
+    Rendering is off-screen if there is no screen. Warnings go to gendom's log; by default MuJoCo
+    would write MUJOCO_LOG.TXT into the working directory.
+
+    Raises:
+        DeviceError: It is not installed.
+    """
+    mujoco = _imported()
+    if mujoco.get_mju_user_warning() is None:
+        mujoco.set_mju_user_warning(_log.debug)
+    return mujoco
+
+
+def _imported() -> Any:
+    if headless():
+        # mujoco reads this variable on import, and the import fails if the library is missing.
+        os.environ.setdefault("MUJOCO_GL", "egl")
+    try:
+        import mujoco
+
+        return mujoco
+    except (ImportError, AttributeError, OSError, RuntimeError) as error:
+        fault = os.environ.get("MUJOCO_GL", ""), f"{type(error).__name__}: {error}"
+    os.environ["MUJOCO_GL"] = "disable"
+    try:
+        import mujoco
+    except ImportError:
+        raise DeviceError(
+            "MuJoCo is not installed", where="reality", fix=how_to_install("reality")
+        ) from None
+    gl_faults.append(fault)
+    return mujoco
+
+
+def headless() -> bool:
+    """Whether there is no screen."""
+    return not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

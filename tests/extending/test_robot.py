@@ -17,10 +17,7 @@ from gendom.robot import Arm, LinkCapsule, ParallelGripper
 
 turntable = Arm(
     name="turntable",
-    a=np.zeros(1),
-    alpha=np.zeros(1),
-    d=np.zeros(1),
-    offset=np.zeros(1),
+    T_links=np.eye(4)[None],
     T_flange_tcp=np.eye(4),
     q_min=np.array([-3.2]),
     q_max=np.array([3.2]),

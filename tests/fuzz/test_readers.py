@@ -12,9 +12,21 @@ from PIL import Image
 from gendom.datasets import ObjectDescription, Recording, write_ply
 from gendom.datasets.lerobot import export_recording
 from gendom.errors import GendomError
+from gendom.files import write_json
+from gendom.hardware.cell import Cell, PlannedMotion
+from gendom.hardware.contracts import Tick
+from gendom.hardware.execution import (
+    ACTION_FORMAT,
+    ExecutionLog,
+    plan_record,
+    read_action,
+    read_log,
+)
 from gendom.perception import Camera, read_cameras, write_camera
 from gendom.perception.calibration import read_views
 from gendom.perception.ros import RosSettings, read_ros_bag
+from gendom.robot import XARM7, joint_move
+from simulated_cell import write_cell
 
 LONGEST, MOST_MEMORY = 2.0, 500e3
 """Of a case [s of this process], and of all [KiB more than before]."""
@@ -144,7 +156,33 @@ def read_boards(folder):
     read_views(folder, camera, on_warning=lambda _: None)
 
 
+def action(folder):
+    there = XARM7.home + 0.1
+    planned = PlannedMotion(
+        arm=XARM7,
+        motion=joint_move(XARM7, there, XARM7.home),
+        approach=joint_move(XARM7, XARM7.home, there),
+        surroundings={},
+        opening=0.01,
+    )
+    said = {"format": ACTION_FORMAT, "task": "t", "goal": {}, "action": {"a": 1.0}, "object": {}}
+    said |= {"trajectory": {"T_base_task": np.eye(4)}, "plan": plan_record(planned)}
+    write_json(folder / "action.json", said)
+
+
+def log(folder):
+    written = ExecutionLog(folder / "a.jsonl", {"format": "gendom-action/4"})
+    for k in range(4):
+        q = np.zeros(7)
+        written.tick(Tick(time=0.01 * k, command=q, measured=q, age=0.0, stamp=0.0))
+    written.write(call="stop")
+    written.end("done")
+
+
 READERS = {
+    "cell": (write_cell, lambda f: Cell.read(f / "cell.toml").faults()),
+    "action": (action, lambda f: read_action(f / "action.json")),
+    "log": (log, lambda f: read_log(f / "a.jsonl")),
     "npz": (lambda f: recording().write(f / "a.npz"), lambda f: read(f / "a.npz")),
     "lerobot": (lambda f: export_recording(recording(), f / "out"), lambda f: read(f / "out")),
     "ply": (clouds(lambda f, n: write_ply(f / f"{n}.ply", POINTS)), read),

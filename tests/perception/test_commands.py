@@ -14,9 +14,9 @@ from gendom.datasets import Recording
 from gendom.perception import (
     FrameSource,
     PngCamera,
-    RealSenseWriter,
     read_cameras,
 )
+from software_camera import recording
 
 RED = ["--colour", "180", "30", "35"]
 
@@ -445,9 +445,9 @@ def to_realsense(folder, names=("left", "right"), shift=0.0, unit=1.0):
         place = folder / "cameras" / name
         source = PngCamera(place)
         camera = replace(source.camera, depth_unit=unit * source.camera.depth_unit)
-        with RealSenseWriter(place.with_name("new"), camera) as writer:
+        with recording(place.with_name("new"), camera) as write:
             for frame in source:
-                writer.write(frame.time + (shift if name == "right" else 0.0), frame.read())
+                write(frame.time + (shift if name == "right" else 0.0), frame.read())
         shutil.rmtree(place)
         place.with_name("new").rename(place)
     return folder

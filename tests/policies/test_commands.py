@@ -8,17 +8,28 @@ import numpy as np
 import pytest
 
 from gendom import cli
-from gendom.cli.act import predicted_text, result_text, units_of
+from gendom.cli.act import (
+    UNSTEADY,
+    predicted_text,
+    reached_late,
+    result_text,
+    steady,
+    units_of,
+)
 from gendom.cli.policies import made_by
 from gendom.datasets.demonstrations import generate
 from gendom.files import write_json
-from gendom.materials import size_of
+from gendom.hardware.execution import read_action
+from gendom.materials import Rope, size_of
 from gendom.policies import Policy
 from gendom.reading import read_json
+from gendom.reality import OBJECTS
+from gendom.robot import XARM7, read_joints
 from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
+from simulated_cell import write_cell
 
 ESTIMATE = {
     "format": "gendom-estimate/1",
@@ -37,6 +48,7 @@ def act(make_policy, monkeypatch, tmp_path, capsys):
     """Run `gendom act` with the stand-in policy; returns exit code, stdout and stderr."""
     policies = {True: make_policy()[0], False: make_policy(conditioned_on=())[0]}
     monkeypatch.setattr(Policy, "pretrained", lambda task, *, parameters: policies[parameters])
+    monkeypatch.setattr("gendom.cli.act.UNSTEADY", 0.04)  # the stand-in's move by 0.03
 
     def run(*flags, estimate=ESTIMATE, goal="0.35"):
         words = ["act", "rope-reaching", "--goal", goal, *flags]
@@ -54,7 +66,7 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     assert (code, err) == (0, f"written: {tmp_path / 'action.json'}\n")
     result = json.loads(out)
     assert result == read_json(tmp_path / "action.json")
-    assert result["format"] == "gendom-action/3"
+    assert result["format"] == "gendom-action/4"
     x, z = result["action"]["release_x"], result["action"]["release_z"]
     assert (x, z) == pytest.approx((0.15, 0.1), abs=0.005)
     motion = result["trajectory"]
@@ -71,6 +83,55 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     assert re.search(r"\n  goal +x 0\.\d+ m\n", out) and re.search(r"predicts x 0\.\d+ m \(90", out)
     assert result["units"]["release_x"] == result["units"]["x"] == "m"
     assert out.count("\n") > len(motion["time"])
+
+
+def test_an_unsteady_release_is_replaced():
+    """The shipped policy's for the cotton rope at 0.485 m: 7.7 mm by 100 ms."""
+    task, item, world = RopeReaching(), OBJECTS["rope-cotton"], Simulation()
+    assert isinstance(item, Rope)
+    action = item.length * np.array([0.49461472, 0.35117316])
+    found, (note,) = steady(task, item, {"x": 0.485}, action, None, world, 0)
+    assert "moves what is reached by 7.7 mm: replaced" in note and not np.array_equal(found, action)
+    (on_time,) = world.carry_out(task, [item], [found])
+    (late,) = reached_late(task, item, found[None], world)
+    assert abs(late.values["x"] - on_time.values["x"]) <= UNSTEADY * item.length
+    assert on_time.values["x"] == pytest.approx(0.485, abs=0.004)
+    kept, none = steady(task, item, {"x": 0.45}, np.array([0.17, 0.085]), None, world, 0)
+    assert kept.tolist() == [0.17, 0.085] and none == []
+
+
+def test_where_none_is_steady_act_refuses(monkeypatch, act):
+    monkeypatch.setattr("gendom.cli.act.UNSTEADY", 0.0)
+    code, _, err = act()
+    assert code == 2 and re.search(r"a release 100 ms late moves what .* no steady one was", err)
+    assert act("--force")[0] == 0
+
+
+@pytest.mark.parametrize("cell", [False, True])
+def test_nothing_below_the_table_is_planned(act, tmp_path, cell):
+    """An origin 0.2 m lower: the release point lies 30 mm below the table, in a cell or none."""
+    flags = ["--cell", str(write_cell(tmp_path, cameras=False))] if cell else []
+    assert act(*flags)[0] == 0
+    code, _, err = act(*flags, "--origin", "0.48", "0.30", "-0.13")
+    assert code == 2 and re.search("table.*; choose another --origin, or add --force", err)
+
+
+def test_act_plans_what_execute_reads(act, tmp_path):
+    cell, out = write_cell(tmp_path, cameras=False), tmp_path / "action.json"
+    joints, points = tmp_path / "joints.csv", tmp_path / "ros.json"
+    flags = ["--cell", cell, "--out", out, "--joints", joints, "--trajectory", points]
+    code, text, _ = act(*map(str, flags))
+    assert code == 0
+    action = read_action(out)
+    motion = action.planned.motion
+    assert action.planned.cell == str(cell) and [e.closed for e in motion.events] == [True, False]
+    states = read_joints(joints, XARM7)
+    assert states.q == pytest.approx(motion.at(states.time), abs=1e-6)
+    assert read_json(points)["points"][-1]["positions"] == pytest.approx(motion.q[-1])
+    said = read_json(out)
+    assert said["plan"]["surroundings"]["table_height"] == 0.0
+    assert said["plan"]["motion"]["deviation"]["at_equal_times"] < 0.02
+    assert ("takes" in text) == any("times as long" in w for w in said["warnings"])
 
 
 def test_act_says_which_numbers_are_dimensionless(act):

@@ -31,6 +31,9 @@ COMMANDS = {
     "replay": ("gendom.cli.replay", "simulate a recorded motion and compare it with the clouds"),
     "view": ("gendom.cli.view", "look at a recording or demonstrations, and simulate them again"),
     "act": ("gendom.cli.act", "the action that reaches a goal with a given object"),
+    "cell": ("gendom.cli.cell", "check and draw the cell in which a robot acts"),
+    "execute": ("gendom.cli.execute", "show what an action would do in a cell, and do it"),
+    "run": ("gendom.cli.run", "from lift to adapted action in a cell, step by step"),
     "adapt": ("gendom.cli.adapt", "update parameters from executed actions and what they reached"),
     "dataset": ("gendom.cli.dataset", "simulate demonstrations"),
     "export": ("gendom.cli.export", "demonstrations or a recording in the format of LeRobot"),
@@ -66,6 +69,8 @@ _EXTRAS = {
     "ray": "cluster",
     "viser": "viz",
     "rosbags": "ros",
+    "xarm": "robot",
+    "franky": "franka",
 }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,16 +18,16 @@ from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import tell_written
 from gendom.errors import PolicyError, RobotError, printable
 from gendom.files import check_file, to_json, write_json
-from gendom.materials import KINDS, LARGEST, PARAMETERS, Item, thickness_of, to_columns
-from gendom.robot import XARM7, TcpPath, follow
+from gendom.materials import KINDS, LARGEST, PARAMETERS, Item, size_of, thickness_of, to_columns
+from gendom.robot import TcpPath
 from gendom.tasks import Task
 
 if TYPE_CHECKING:
+    from gendom.hardware.cell import Cell, PlannedMotion
     from gendom.materials.estimate import Estimate
     from gendom.policies.policy import Action, Policy
-    from gendom.tasks.task import World
-
-_ACTION = "gendom-action/3"
+    from gendom.policies.polishing import Discrepancy
+    from gendom.tasks.task import Outcome, World
 
 _log = logging.getLogger(__name__)
 
@@ -36,6 +36,20 @@ DRAWS = 64
 
 POLISHED_FOR = 8
 """Objects drawn to polish an action for."""
+
+LATE = 0.1
+"""By which a late release is simulated [s]."""
+
+UNSTEADY = 0.025
+"""How far a late release may move what is reached [units of similarity]: of the shipped policy's it
+does so by 0.005 in the median, of unstable ones by up to 0.2."""
+
+REPLACEMENTS, NEARBY = 200, 0.03
+"""Actions that are drawn where the wanted one is unsteady, first from all, then around the best
+with a standard deviation [units of similarity]."""
+
+FORMAT = "gendom-action/4"
+"""Of what is written; ``plan`` is what `gendom.hardware.execution.read_action` reads."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +68,9 @@ class Command(KnownObject):
     goal: tuple[float, ...] = ()
     """The goal in SI units and the task's frame: rope-reaching x, rope-casting x and z [m]; none
     for cloth-spreading."""
+    cell: Path | None = None
+    """cell.toml (gendom cell) in which the arm will act: table, obstacles, distances and speeds.
+    Without it the arm is planned beside its table alone, for simulation only."""
     origin: tuple[float, float, float] | None = None
     """Where the task's frame has its origin in the robot's base frame [m] (default: the task's)."""
     policy: Path | None = None
@@ -73,16 +90,25 @@ class Command(KnownObject):
     seed: int = 0
     """Seed of the objects drawn from an estimate."""
     out: Path | None = None
-    """Also write the result, with the robot's motion, to this JSON file."""
+    """Also write the result, with the robot's motion, to this JSON file, which gendom execute
+    takes."""
+    joints: Path | None = None
+    """CSV file for the joint angles of the motion at 100 Hz (joints.csv of gendom perceive)."""
+    trajectory: Path | None = None
+    """File for the motion as a ROS JointTrajectory: .json, which YAML readers take, too."""
     json: bool = False
     """Print JSON."""
 
     def run(self) -> int:
+        from gendom.hardware.cell import Cell
         from gendom.policies.belief import believed, for_task
         from gendom.tasks.world import Simulation
 
-        if self.out is not None:
-            check_file(self.out, ".json")
+        places = ((self.out, ".json"), (self.joints, ".csv"), (self.trajectory, ".json"))
+        for place, ending in places:
+            if place is not None:
+                check_file(place, ending)
+        cell = None if self.cell is None else Cell.read(self.cell)
         policy = self._policy()
         task = policy.task()
         held = self.held(task, needs=policy.description.conditioned_on)
@@ -94,13 +120,16 @@ class Command(KnownObject):
                 fix=f"{', '.join(dict.fromkeys(o.fix for o in outside))}, or add --force",
             )
         action = policy.act(self.goal, item, force=self.force)
-        values, polished = np.array(action.values), None
+        values, polished, wrong, notes = np.array(action.values), None, None, []
         world = Simulation(engine=self.engine)
         if self.polish:
-            values, polished = self._polished(task, held, values, world)
+            values, polished, wrong = self._polished(task, held, values, world)
+        simulated = not self.no_prediction and held.value("E_over_rho") is not None
+        if simulated and not self.force:
+            values, notes = steady(task, item, action.goal, values, wrong, world, self.seed)
         names = [q.name for q in task.actions]
         result = {
-            "format": _ACTION,
+            "format": FORMAT,
             "task": self.task,
             "goal": action.goal,
             "action": dict(zip(names, map(float, values), strict=True)),
@@ -109,12 +138,16 @@ class Command(KnownObject):
             "assumed": held.assumed,
             **_about(policy, action),
         }
+        result["warnings"] += notes
+        for note in notes:
+            _log.warning("%s", note)
         T, path = placed(task, item, values, self.origin)
-        result |= self._followed(path, item, result["warnings"])
+        hangs = 0.0 if task.scene(item).stand else size_of(item)
+        result |= self._followed(path, (thickness_of(item), hangs), result["warnings"], cell)
         result["trajectory"] = {"T_base_task": T.tolist(), **path.to_dict()}
         if polished is not None:
             result["polished"] = polished
-        if not self.no_prediction and held.value("E_over_rho") is not None:
+        if simulated:
             others = believed(held, task).draws(DRAWS, self.seed) if held.names else []
             result["predicted"] = predicted(task, item, values, others, self.seed, world)
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
@@ -142,14 +175,19 @@ class Command(KnownObject):
         require(own == self.task, f"is for {own}", where=policy.where, fix=fix)
         return policy
 
-    def _followed(self, path: TcpPath, item: Item, warnings: list[str]) -> dict[str, Any]:
+    def _followed(
+        self, path: TcpPath, held: tuple[float, float], warnings: list[str], cell: Cell | None
+    ) -> dict[str, Any]:
         """How the arm follows a path, ready for JSON; with --force a warning where it cannot.
 
         Raises:
             RobotError: It cannot.
         """
+        from gendom.hardware.cell import BARE
+        from gendom.hardware.execution import plan_record
+
         try:
-            motion = follow(XARM7, path, slow_down=True, opening=thickness_of(item))
+            planned = (cell or BARE).plan(path, opening=held[0], hangs=held[1])
         except RobotError as error:
             if not self.force:
                 fix = "choose another --origin, or add --force"
@@ -157,12 +195,33 @@ class Command(KnownObject):
             warnings.append(str(error))
             _log.warning("%s", error)
             return {}
-        return {"arm": {"name": XARM7.name, "slowed_by": motion.slowed_by}}
+        slower = planned.motion.slowed_by
+        if slower > 1.02:
+            warnings.append(
+                f"the arm takes {slower:.3g} times as long as the task asks for, and what is "
+                "predicted is for the task's own pace"
+            )
+        self._export(planned)
+        return {
+            "arm": {"name": planned.arm.name, "slowed_by": slower},
+            "plan": plan_record(planned),
+        }
+
+    def _export(self, planned: PlannedMotion) -> None:
+        from gendom.hardware.execution import write_trajectory
+
+        if self.joints is not None:
+            widest = planned.arm.gripper.max_opening
+            planned.motion.write_joints(self.joints, opening=(planned.opening, widest))
+            tell_written(self.joints, json=self.json)
+        if self.trajectory is not None:
+            write_trajectory(self.trajectory, planned.motion)
+            tell_written(self.trajectory, json=self.json)
 
     def _polished(
         self, task: Task, held: Estimate, start: np.ndarray, world: World
-    ) -> tuple[np.ndarray, dict[str, Any]]:
-        """A better action, and what is expected of it, ready for JSON."""
+    ) -> tuple[np.ndarray, dict[str, Any], Discrepancy | None]:
+        """A better action, what is expected of it, ready for JSON, and what executions showed."""
         from gendom.policies.adaptation import adapt
         from gendom.policies.belief import believed
         from gendom.policies.polishing import polish
@@ -184,7 +243,7 @@ class Command(KnownObject):
         )
         about = {"expected": found.expected, "before": found.before,
                  "rollouts": found.rollouts, "seconds": found.seconds}  # fmt: skip
-        return found.action, about
+        return found.action, about, discrepancy
 
 
 def _about(policy: Policy, action: Action) -> dict[str, Any]:
@@ -244,6 +303,9 @@ def predicted(
     if outcomes[0].fault is not None:
         return {"fault": outcomes[0].fault}
     found: dict[str, Any] = {"reached": outcomes[0].values}
+    if releases(task, item, action):
+        (late,) = reached_late(task, item, action[None], world)
+        found["late_release"] = {"seconds": LATE, "reached": late.values}
     values = [o.values for o in outcomes[1:] if o.fault is None]
     if values:
         names = [q.name for q in task.goals] or list(values[0])
@@ -254,6 +316,90 @@ def predicted(
         ends = np.quantile(some, [0.05, 0.95], axis=0).T
         found["interval_90"] = dict(zip(names, ends.tolist(), strict=True))
     return found
+
+
+def releases(task: Task, item: Item, action: np.ndarray) -> bool:
+    """Whether a task reaches its goal by opening the hand."""
+    return bool(task.goals) and not all(e.closed for e in task.tool_path(item, action).events)
+
+
+def reached_late(task: Task, item: Item, actions: np.ndarray, world: World) -> list[Outcome]:
+    """What actions [N, A] reach whose release comes late, by `LATE`."""
+
+    class Late(type(task)):
+        def tool_path(self, item: Item, action: np.ndarray) -> TcpPath:
+            path = super().tool_path(item, action)
+            events = [e if e.closed else replace(e, time=e.time + LATE) for e in path.events]
+            return replace(path, events=tuple(events))
+
+    made: Any = Late
+    late = made(**{f.name: getattr(task, f.name) for f in fields(task)})
+    return world.carry_out(late, [item] * len(actions), actions)
+
+
+def _goal_of(task: Task, outcome: Outcome) -> np.ndarray:
+    """[G] NaN where it failed."""
+    return np.array([outcome.values.get(q.name, math.nan) for q in task.goals])
+
+
+def steady(
+    task: Task,
+    item: Item,
+    goal: Mapping[str, float],
+    action: np.ndarray,
+    wrong: Discrepancy | None,
+    world: World,
+    seed: int,
+) -> tuple[np.ndarray, list[str]]:
+    """An action whose release may come late: the given one, or the best of drawn ones.
+
+    Args:
+        task: What is done.
+        item: The object.
+        goal: By name [SI].
+        action: [A] that is wanted.
+        wrong: What is added to what the simulator says is reached; None: nothing.
+        world: Where actions are simulated.
+        seed: Of those that are drawn.
+
+    Returns:
+        The action, and what was changed in words.
+
+    Raises:
+        PolicyError: No drawn one that reaches the goal is steady either.
+    """
+    if not releases(task, item, action):
+        return action, []
+    wanted, limit = np.array(list(goal.values())), UNSTEADY * size_of(item)
+    units, rng = task.action_units(item), np.random.default_rng(seed)
+
+    def judged(tried: np.ndarray, most: int) -> list[tuple[float, float, np.ndarray]]:
+        """Misses, movements by a late release and actions, of those that miss least."""
+        on_time = world.carry_out(task, [item] * len(tried), tried)
+        shift = [0.0 if wrong is None else wrong(a)[0] for a in tried]
+        miss = [float(np.linalg.norm(_goal_of(task, o) + s - wanted))
+                for o, s in zip(on_time, shift, strict=True)]  # fmt: skip
+        safe = [n for n, o in enumerate(on_time) if o.values and task.within_risk(item, o.values)]
+        best = sorted(safe if most > 1 else range(1), key=lambda n: miss[n])[:most]
+        late = reached_late(task, item, tried[best], world)
+        moves = [float(np.linalg.norm(_goal_of(task, o) - _goal_of(task, on_time[n])))
+                 for n, o in zip(best, late, strict=True)]  # fmt: skip
+        return [(miss[n], move, tried[n]) for n, move in zip(best, moves, strict=True)]
+
+    ((_, moved, _),) = judged(action[None], 1)
+    if moved <= limit:
+        return action, []
+    what = f"a release {1e3 * LATE:g} ms late moves what is reached by {1e3 * moved:.1f} mm"
+    tried, best = task.sample_actions(item, rng, REPLACEMENTS), (math.inf, math.inf, action)
+    for _ in range(2):
+        found = [j for j in judged(tried, REPLACEMENTS // 8) if j[1] <= limit]
+        best = min([best, *found], key=lambda j: j[0])
+        around = best[2] + NEARBY * units * rng.normal(size=(REPLACEMENTS // 2, len(units)))
+        tried = np.array([task.nearest(item, a) for a in around])
+    if best[0] > moved:
+        fix = "choose another goal, or add --force"
+        raise PolicyError(f"{what}, and no steady one was found", where=task.name, fix=fix)
+    return best[2], [f"{what}: replaced by an action that should miss by {1e3 * best[0]:.1f} mm"]
 
 
 def units_of(task: Task) -> dict[str, str]:

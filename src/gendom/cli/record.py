@@ -58,8 +58,6 @@ class Command:
     """Newtons that the fingers hold at most: pulled harder, the object slips."""
     air_density: float = AIR_DENSITY
     """Of the still air in kg/m^3; 0: none."""
-    format: Literal["png", "db3"] = "png"
-    """png: folders of pictures. db3: RealSense recordings; needs the extra camera."""
     seed: int = 0
     """Seed of all noise and errors."""
 

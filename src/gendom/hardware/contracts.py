@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.errors import DeviceError, did_you_mean
-from gendom.perception import FrameSource
+from gendom.perception import Camera
 from gendom.plugins import plugins
 from gendom.robot import Arm, JointMotion
 
@@ -83,23 +83,49 @@ class Tick:
     """[J] [rad]."""
     age: float
     """Of the report that `measured` comes from [s]."""
+    stamp: float
+    """When `measured` was true, on the clock of the cameras' time stamps [s]: since 1970, or
+    simulated."""
     opening: float | None = None
     """[m]."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """How one camera's recording went."""
+
+    pictures: int
+    """On disk, of all streams."""
+    missing: int
+    """That the device numbered but that are not on disk."""
+    warnings: tuple[str, ...] = ()
+
+
 @runtime_checkable
-class DepthCamera(FrameSource, Protocol):
-    """A live depth camera; iterating gives frames while it is connected."""
+class DepthCamera(Protocol):
+    """A live depth camera. Its pictures are read from its recordings."""
+
+    name: str
+
+    @property
+    def camera(self) -> Camera:
+        """Intrinsics, depth unit and pose, once it is connected."""
+        ...
 
     def connect(self) -> None:
-        """Raises: `DeviceError` where there is no such camera, or it does not stream."""
+        """Raises: `DeviceError` where there is no such camera, or it has no such streams."""
 
     def start_recording(self, folder: Path) -> None:
-        """Write all pictures into a folder, as `gendom.perception.read_camera` reads it."""
+        """Write all pictures into a folder, as `gendom.perception.read_cameras` reads it."""
 
-    def stop_recording(self) -> tuple[int, int]:
-        """Pictures written, and pictures that the device numbered but that never came."""
+    def wait_for_pictures(self) -> None:
+        """Return when pictures arrive. Raises: `DeviceError` where none do."""
+
+    def fault(self) -> str | None:
+        """What is wrong with the camera while it records; None: nothing."""
         ...
+
+    def stop_recording(self) -> Recorded: ...
 
     def disconnect(self) -> None: ...
 

@@ -18,9 +18,8 @@ from gendom.perception.frames import (
     Pictures,
     match_frames,
 )
-from gendom.perception.live import RealSenseCamera, record_cameras
 from gendom.perception.perceive import Perceived, PerceptionSettings, perceive
-from gendom.perception.realsense import RealSenseRecording, RealSenseWriter
+from gendom.perception.realsense import RealSenseRecording
 from gendom.perception.robot import CapsulePath, Capsules
 from gendom.perception.ros import RosSettings, bag_files, read_ros_bag
 
@@ -45,9 +44,7 @@ __all__ = [
     "Pictures",
     "PngCamera",
     "PngWriter",
-    "RealSenseCamera",
     "RealSenseRecording",
-    "RealSenseWriter",
     "RobotPath",
     "RosSettings",
     "bag_files",
@@ -59,6 +56,5 @@ __all__ = [
     "read_camera",
     "read_cameras",
     "read_ros_bag",
-    "record_cameras",
     "write_camera",
 ]

@@ -1,4 +1,4 @@
-"""RealSense recordings: reading them as a source of frames, and writing simulated cameras.
+"""RealSense recordings as a source of frames.
 
 A recorded camera is a folder with one recording and camera.toml:
 
@@ -16,6 +16,7 @@ first, in a process of its own: the SDK ends the process on some damaged files.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -32,11 +33,13 @@ import numpy as np
 from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.errors import DeviceError, RecordingError
+from gendom.files import atomic_path
 from gendom.installation import how_to_install
 from gendom.perception.alignment import Alignment
-from gendom.perception.camera import Camera, adopt_camera, write_camera
+from gendom.perception.camera import Camera, adopt_camera
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Pictures
 from gendom.perception.rosbag import Bag, Entry
+from gendom.reading import read_bytes
 
 _DEVICE_CLOCK = "Hardware Clock"
 
@@ -71,6 +74,7 @@ class RealSenseRecording:
         if self.path.is_dir():
             self.path = self.find(self.path) or self.path
         self._on_warning = on_warning
+        _check_checksum(self.path)
         self._bag = Bag(self._as_db3(), on_warning=on_warning)
         where = str(self.path)
         name = name or self.path.resolve().parent.name
@@ -151,6 +155,39 @@ class RealSenseRecording:
         return self._align(depth, colour)  # pyright: ignore[reportArgumentType]
 
 
+def write_checksum(path: Path) -> None:
+    """Write the SHA-256 of a recording beside it, as ``sha256sum`` does: uncompressed pictures have
+    no checksum of their own."""
+    with atomic_path(_checksum_path(path)) as temporary:
+        temporary.write_text(f"{_checksum(path)}  {path.name}\n", encoding="utf-8")
+
+
+def _check_checksum(path: Path) -> None:
+    """Check a recording against the checksum beside it, if there is one.
+
+    Raises:
+        RecordingError: They differ.
+    """
+    if not (beside := _checksum_path(path)).exists():
+        return
+    stated = read_bytes(beside, error=RecordingError).split(b" ", 1)[0]
+    fix = f"copy it again, or delete {beside.name} to use what is left of it"
+    same = stated.decode("ascii", "replace") == _checksum(path)
+    require(same, "differs from its checksum", where=str(path), fix=fix, error=RecordingError)
+
+
+def _checksum_path(path: Path) -> Path:
+    return path.with_name(path.name + ".sha256")
+
+
+def _checksum(path: Path) -> str:
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise RecordingError(f"cannot be read ({error.strerror})", where=str(path)) from None
+
+
 def _check_size(picture: np.ndarray, size: tuple[int, int], kind: type, where: str) -> None:
     right = picture.shape[:2] == size and picture.dtype == kind
     what = f"is {picture.shape[1]} x {picture.shape[0]} of {picture.dtype}, the stream "
@@ -213,142 +250,3 @@ def realsense_sdk() -> Any:
         fix = "install the library it names; on Debian: apt install libusb-1.0-0"
         raise DeviceError(what, fix=fix) from None
     return pyrealsense2
-
-
-class RealSenseWriter:
-    """Writes one camera's folder as a RealSense recording, to be read by `RealSenseRecording`.
-
-    It is meant for other cameras, mainly simulated ones, and uses the SDK's software device. Depth
-    and colour are lossless; colour is a stream with the geometry of depth. Time stamps are "Global
-    Time", to the nanosecond. Close it, or use it in a `with` block; otherwise data that the SDK has
-    not yet written is lost. Recordings of interrupted programs can be read.
-
-    Args:
-        folder: Output folder, created if missing.
-        camera: Its T_world_camera goes to camera.toml.
-
-    Raises:
-        DeviceError: The SDK is missing.
-        RecordingError: The SDK has no form for such a camera.
-        GendomError: The folder cannot be written.
-    """
-
-    def __init__(self, folder: str | os.PathLike, camera: Camera):
-        self._sdk = realsense_sdk()
-        self._camera = camera
-        self._path = Path(folder) / "recording.db3"
-        self._written = 0
-        self._coloured: bool | None = None
-        self._open = False
-        # The SDK writes the unit with six digits behind the point.
-        whole_unit = abs(round(camera.depth_unit, 6) - camera.depth_unit) <= 1e-9
-        for fits, key, fix in (
-            (camera.K[0, 1] == 0.0, "K", "give a K without skew"),
-            (len(camera.distortion) <= 5, "distortion", "give five coefficients at most"),
-            (whole_unit, "depth_unit", "give whole micrometres"),
-        ):
-            what, where = "does not fit into a RealSense recording", f"{camera.name}: {key}"
-            require(fits, what, where=where, fix=f"{fix}, or write PNG", error=RecordingError)
-        write_camera(self._path.with_name("camera.toml"), camera, pose_only=True)
-
-    def __enter__(self) -> RealSenseWriter:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def write(self, time: float, pictures: Pictures) -> None:
-        """Append a frame; `time` [s] is later than the one before.
-
-        Raises:
-            RecordingError: Only some frames have colour.
-        """
-        coloured = pictures.colour is not None
-        if not self._open:
-            self._start(coloured)
-        what, fix = "only some frames have colour", "write colour with all frames or with none"
-        alike = coloured == self._coloured
-        require(alike, what, where=str(self._path), fix=fix, error=RecordingError)
-        self._written += 1
-        for sensor, profile, array in zip(
-            self._sensors, self._profiles, (pictures.depth, pictures.colour), strict=False
-        ):
-            assert array is not None
-            frame = self._sdk.software_video_frame()
-            frame.pixels = np.ascontiguousarray(array)
-            frame.bpp = array.itemsize * (array.shape[2] if array.ndim == 3 else 1)
-            frame.stride = frame.bpp * self._camera.width
-            frame.timestamp = 1e3 * time
-            frame.domain = self._sdk.timestamp_domain.global_time
-            frame.frame_number = self._written
-            frame.profile = profile.as_video_stream_profile()
-            if array.ndim == 2:
-                frame.depth_units = self._camera.depth_unit
-            sensor.on_video_frame(frame)
-
-    def close(self) -> None:
-        """Wait until everything is on disk.
-
-        Raises:
-            RecordingError: The SDK has lost frames.
-        """
-        if not self._open:
-            return
-        self._open = False
-        for sensor in self._recorded:
-            sensor.stop()
-            sensor.close()
-        # The recorder flushes its buffers when the last reference is deleted.
-        del sensor, self._recorded, self._recorder, self._sensors, self._profiles, self._device
-        faults: list[Fault] = []
-        bag = Bag(self._path, on_warning=faults.append)
-        kept = [len(s.entries) for s in map(bag.stream, ("Depth", "Color")) if s is not None]
-        whole = not faults and all(count == self._written for count in kept)
-        what = f"{min(kept, default=0)} of {self._written} frames are written"
-        fix = "record for a shorter time, or write PNG"
-        require(whole, what, where=str(self._path), fix=fix, error=RecordingError)
-
-    def _start(self, coloured: bool) -> None:
-        sdk, camera = self._sdk, self._camera
-        self._device = sdk.software_device()
-        self._device.register_info(sdk.camera_info.name, f"GenDOM {camera.name}")
-        self._device.register_info(sdk.camera_info.serial_number, camera.name)
-        self._sensors, self._profiles = [], []
-        streams = [("Stereo Module", sdk.stream.depth, sdk.format.z16, 2)]
-        if coloured:
-            streams.append(("RGB Camera", sdk.stream.color, sdk.format.rgb8, 3))
-        for number, (name, kind, form, size) in enumerate(streams, start=1):
-            sensor = self._device.add_sensor(name)
-            stream = sdk.video_stream()
-            stream.type, stream.fmt, stream.bpp, stream.uid = kind, form, size, number
-            stream.index, stream.fps = 0, 30
-            stream.width, stream.height = camera.width, camera.height
-            stream.intrinsics = self._intrinsics()
-            self._sensors.append(sensor)
-            self._profiles.append(sensor.add_video_stream(stream))
-        self._sensors[0].add_read_only_option(sdk.option.depth_units, camera.depth_unit)
-        if coloured:
-            same = sdk.extrinsics()
-            same.rotation, same.translation = [1, 0, 0, 0, 1, 0, 0, 0, 1], [0, 0, 0]
-            self._profiles[0].register_extrinsics_to(self._profiles[1], same)
-        try:
-            self._recorder = sdk.recorder(str(self._path), self._device)
-        except RuntimeError as error:
-            what, where = f"the RealSense SDK cannot write it ({error})", str(self._path)
-            raise RecordingError(what, where=where, fix="choose another place") from None
-        self._recorded = self._recorder.query_sensors()
-        for sensor, profile in zip(self._recorded, self._profiles, strict=True):
-            sensor.open(profile)
-            sensor.start(lambda _: None)
-        self._coloured, self._open = coloured, True
-
-    def _intrinsics(self) -> Any:
-        camera, K = self._camera, self._camera.K
-        found = self._sdk.intrinsics()
-        found.width, found.height = camera.width, camera.height
-        found.fx, found.fy, found.ppx, found.ppy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-        distorted = any(camera.distortion)
-        kinds = self._sdk.distortion
-        found.model = kinds.brown_conrady if distorted else kinds.none
-        found.coeffs = [*camera.distortion, 0.0, 0.0, 0.0, 0.0, 0.0][:5]
-        return found

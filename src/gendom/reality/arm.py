@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from gendom.installation import load_mujoco
 from gendom.perception.camera import Camera
-from gendom.reality.model import load_mujoco
 from gendom.robot import Arm, Box, JointMotion, Surroundings, arm_shape, link_poses
 
 STIFFNESS, DAMPING, INERTIA = 2.0e4, 4.0e2, 0.3
@@ -114,12 +114,15 @@ class RobotArm:
 
 def surroundings(cameras: Sequence[Camera]) -> Surroundings:
     """What the arm must not touch: the table at z = 0, and the cameras' housings."""
-    boxes = []
-    for camera in cameras:
-        pose = camera.calibrated().copy()
-        pose[:3, 3] += pose[:3, :3] @ _HOUSING_MIDDLE
-        boxes.append(Box(name=f"camera {camera.name}", pose=pose, size=HOUSING))
-    return Surroundings(table_height=0.0, obstacles=tuple(boxes))
+    boxes = tuple(housing(camera.name, camera.calibrated()) for camera in cameras)
+    return Surroundings(table_height=0.0, obstacles=boxes)
+
+
+def housing(name: str, T_world_camera: npt.NDArray[np.float64]) -> Box:
+    """The housing of a D435i at a pose [4, 4] of its depth camera [m]."""
+    pose = T_world_camera.copy()
+    pose[:3, 3] += pose[:3, :3] @ _HOUSING_MIDDLE
+    return Box(name=f"camera {name}", pose=pose, size=HOUSING)
 
 
 def _place(T: npt.NDArray[np.float64]) -> str:

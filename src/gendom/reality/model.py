@@ -7,8 +7,6 @@ compares both with closed-form solutions; `gendom.reality.twist` describes what 
 
 from __future__ import annotations
 
-import logging
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,13 +16,11 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
-from gendom.errors import DeviceError, ParameterError
-from gendom.installation import how_to_install
+from gendom.errors import ParameterError
+from gendom.installation import load_mujoco
 from gendom.materials import STANDARD_GRAVITY
 from gendom.perception.camera import Camera
 from gendom.reality.objects import RealCloth, RealObject, RealRope
-
-_log = logging.getLogger(__name__)
 
 ROPE_STEP, CLOTH_STEP = 0.001, 0.004
 """Time steps [s]."""
@@ -360,48 +356,3 @@ def _camera(camera: Camera) -> str:
 
 def _row(values: Any) -> str:
     return " ".join(repr(float(x)) for x in np.ravel(values))
-
-
-gl_faults: list[tuple[str, str]] = []
-"""What MUJOCO_GL asked for and what MuJoCo raised, if `load_mujoco` had to turn rendering off."""
-
-
-def load_mujoco() -> Any:
-    """Import the module `mujoco`.
-
-    Rendering is off-screen if there is no screen. Warnings go to gendom's log; by default MuJoCo
-    would write MUJOCO_LOG.TXT into the working directory.
-
-    Raises:
-        DeviceError: It is not installed.
-    """
-    mujoco = _imported()
-    if mujoco.get_mju_user_warning() is None:
-        mujoco.set_mju_user_warning(_log.debug)
-    return mujoco
-
-
-def _imported() -> Any:
-    if headless():
-        # mujoco reads this variable on import, and the import fails if the library is missing.
-        os.environ.setdefault("MUJOCO_GL", "egl")
-    try:
-        import mujoco
-
-        return mujoco
-    except (ImportError, AttributeError, OSError, RuntimeError) as error:
-        fault = os.environ.get("MUJOCO_GL", ""), f"{type(error).__name__}: {error}"
-    os.environ["MUJOCO_GL"] = "disable"
-    try:
-        import mujoco
-    except ImportError:
-        raise DeviceError(
-            "MuJoCo is not installed", where="reality", fix=how_to_install("reality")
-        ) from None
-    gl_faults.append(fault)
-    return mujoco
-
-
-def headless() -> bool:
-    """Whether there is no screen."""
-    return not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -33,11 +33,9 @@ from gendom.perception import (
     CameraRecording,
     PerceptionSettings,
     PngWriter,
-    RealSenseWriter,
     perceive,
     read_cameras,
 )
-from gendom.perception.realsense import realsense_sdk
 from gendom.reality.objects import RealObject
 from gendom.reality.sensor import MAX_CLOCK_OFFSET, DepthSensor, RigErrors
 from gendom.reality.trials import TrialRun, lift_cameras, lifted_by
@@ -46,9 +44,6 @@ from gendom.robot import LiftMotion, predefined_lift, tcp_pose
 
 PATH_RATE = 100.0
 """Sampling rate of the robot's measured path [1/s]."""
-
-
-_WRITERS = {"png": PngWriter, "db3": RealSenseWriter}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,8 +56,6 @@ class RecordSettings:
 
     frame_rate: float = 30.0
     """Frame rate of the cameras [1/s]."""
-    format: str = "png"
-    """png: folders of pictures; db3: RealSense recordings, through the vendor's SDK."""
     notes: str = ""
     """Free text, stored with the recording."""
     seed: int = 0
@@ -100,13 +93,11 @@ def record(
 
     Raises:
         GendomError: The folder holds a recording already, or cannot be written.
-        ParameterError: There is no camera, or the format cannot be written.
+        ParameterError: There is no camera.
         DeviceError: Nothing can be rendered here.
         SimulationError: The world diverged.
     """
     settings = RecordSettings() if settings is None else settings
-    known, fix = settings.format in _WRITERS, f"choose {' or '.join(_WRITERS)}"
-    require(known, f"there is no format {settings.format!r}", fix=fix)
     world, folder = run.world, Path(folder)
     require(world.cameras, "there is no camera", where="record", fix="give the trial cameras")
     if (folder / "cameras").exists():
@@ -119,13 +110,11 @@ def record(
         np.random.default_rng(s)
         for s in np.random.SeedSequence(settings.seed).spawn(2 + len(world.cameras))
     ]
-    # Where nothing can be rendered or the SDK is missing, before anything is written.
+    # Where nothing can be rendered, before anything is written.
     world.render(0)
-    if settings.format == "db3":
-        realsense_sdk()
     _make_folder(folder)
     believed = errors.believed(world.cameras, rig)
-    writers = [_WRITERS[settings.format](folder / "cameras" / c.name, c) for c in believed]
+    writers = [PngWriter(folder / "cameras" / c.name, c) for c in believed]
     _write_object(folder / "object.toml", run, settings)
     path, truth = _PathWriter(folder, world, errors, encoders), []
 

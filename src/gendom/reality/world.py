@@ -19,17 +19,11 @@ import numpy.typing as npt
 
 from gendom.arguments import require
 from gendom.errors import DeviceError, SimulationError
+from gendom.installation import gl_faults, headless, load_mujoco
 from gendom.materials import AIR_DENSITY
 from gendom.perception.camera import Camera
 from gendom.reality.air import Air
-from gendom.reality.model import (
-    Layout,
-    build_model,
-    clamped_vertices,
-    gl_faults,
-    headless,
-    load_mujoco,
-)
+from gendom.reality.model import Layout, build_model, clamped_vertices
 from gendom.reality.objects import RealObject, RealRope
 from gendom.reality.twist import Twist
 

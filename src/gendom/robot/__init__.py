@@ -12,7 +12,9 @@ from gendom.robot.arm import (
     KnuckleCapsule,
     LinkCapsule,
     ParallelGripper,
+    modified_dh,
 )
+from gendom.robot.capsules import fit_capsules
 from gendom.robot.collision import (
     NO_OBSTACLES,
     Box,
@@ -25,6 +27,8 @@ from gendom.robot.collision import (
     collision_along,
     collision_at,
 )
+from gendom.robot.description import read_arm
+from gendom.robot.fr3 import FR3
 from gendom.robot.kinematics import (
     inverse_kinematics,
     jacobian,
@@ -48,18 +52,25 @@ from gendom.robot.shape import ArmShape, arm_shape
 from gendom.robot.states import JointStates, read_joints
 from gendom.robot.xarm7 import XARM7
 
-ARMS = {XARM7.name: XARM7}
+ARMS = {XARM7.name: XARM7, FR3.name: FR3}
 """Arms by their names."""
 
 
-def find_arm(name: str) -> Arm:
+def find_arm(name: str, *, files: bool = False) -> Arm:
     """The arm with a given name: one of `ARMS`, or of an entry point ``gendom.arms``.
 
+    Args:
+        name: Its name.
+        files: Whether it may also be the path of a URDF or MJCF file, as people may type it; names
+            in files are names alone.
+
     Raises:
-        RobotError: There is none.
+        RobotError: There is none, or the file is not read (`read_arm`).
     """
+    if files and str(name).lower().endswith((".urdf", ".xml", ".mjcf")):
+        return read_arm(name)
     arms = {**ARMS, **plugins("arms")}
-    fix = f"have {', '.join(arms)}"
+    fix = f"have {', '.join(arms)}" + ", or name a .urdf or .xml file" * files
     require(
         isinstance(arms.get(name), Arm), f"there is no robot {name!r}", fix=fix, error=RobotError
     )
@@ -69,6 +80,7 @@ def find_arm(name: str) -> Arm:
 __all__ = [
     "ARMS",
     "DOWN",
+    "FR3",
     "LIFT_ENDS",
     "MOTION_FORMAT",
     "NO_OBSTACLES",
@@ -98,15 +110,18 @@ __all__ = [
     "collision_along",
     "collision_at",
     "find_arm",
+    "fit_capsules",
     "follow",
     "inverse_kinematics",
     "jacobian",
     "joint_move",
     "lift",
     "link_poses",
+    "modified_dh",
     "pointing",
     "pose_error",
     "predefined_lift",
+    "read_arm",
     "read_joints",
     "solutions",
     "tcp_pose",

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
 from gendom.errors import RobotError
@@ -25,16 +26,21 @@ class LinkCapsule:
     """The other end [m]."""
     radius: float
     """[m]."""
+    held: bool = False
+    """Whether it is what the fingers hold, which may touch the table."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class KnuckleCapsule:
-    """A capsule along one of the links that carry the finger on the side of +y."""
+    """A capsule of one of the parallel links that carry the finger on the side of +y."""
 
     name: str
-    offset: tuple[float, float]
-    """Its pivot's (y, z) in the flange's axes, from that of the link `ParallelGripper` names
-    [m]."""
+    pivot: tuple[float, float]
+    """(y, z) about which it turns, in the gripper's frame [m]."""
+    start: tuple[float, float, float]
+    """One end from its pivot, y towards the finger's [m]."""
+    end: tuple[float, float, float]
+    """The other end [m]."""
     radius: float
     """[m]."""
 
@@ -45,7 +51,7 @@ class FingerCapsule:
 
     name: str
     start: tuple[float, float, float]
-    """One end from the finger's pivot, in the flange's axes [m]."""
+    """One end from the finger's pivot, in the gripper's axes [m]."""
     end: tuple[float, float, float]
     """The other end [m]."""
     radius: float
@@ -59,7 +65,7 @@ class ParallelGripper:
     """A gripper whose two fingers are carried by parallel links, so that they stay parallel.
 
     The finger on the side of +y is attached to a link, the knuckle, that rotates about (0, pivot_y,
-    pivot_z) in the flange's frame; the finger's inner face is closer to the middle than its pivot
+    pivot_z) in the gripper's frame; the finger's inner face is closer to the middle than its pivot
     by `face`. With the knuckle's angle theta from y towards z,
 
         opening / 2 = pivot_y + knuckle cos(theta) - face,
@@ -68,6 +74,8 @@ class ParallelGripper:
     image.
     """
 
+    length: float
+    """From the gripper's frame along z to the point between the fingertips, the tool point [m]."""
     max_opening: float
     """Largest distance of the fingers' inner faces [m]."""
     pivot_y: float
@@ -75,45 +83,60 @@ class ParallelGripper:
     pivot_z: float
     """[m]."""
     knuckle: float
-    """Length of the knuckle [m]."""
+    """Length of the knuckle [m]; 0: the fingers slide along y."""
     face: float
     """[m]."""
     knuckles: tuple[KnuckleCapsule, ...]
     fingers: tuple[FingerCapsule, ...]
 
     def finger_pivot(self, opening: ArrayLike) -> NDArray[np.float64]:
-        """[..., 2] y and z of the +y finger's pivot in the flange's frame [m].
+        """[..., 2] y and z of the +y finger's pivot in the gripper's frame [m].
 
         Args:
             opening: [...] distance of the inner faces [m], limited to 0 and `max_opening`.
         """
         half = 0.5 * np.clip(np.asarray(opening, dtype=float), 0.0, self.max_opening)
         y = half + self.face
-        reach = np.sqrt(self.knuckle**2 - (y - self.pivot_y) ** 2)
+        reach = np.sqrt(np.maximum(self.knuckle**2 - (y - self.pivot_y) ** 2, 0.0))
         return np.stack([y, self.pivot_z + reach], axis=-1)
+
+
+def modified_dh(
+    a: ArrayLike, alpha: ArrayLike, d: ArrayLike, offset: ArrayLike = 0.0
+) -> NDArray[np.float64]:
+    """`Arm.T_links` [J, 4, 4] of modified Denavit-Hartenberg parameters (Craig, "Introduction to
+    Robotics", chapter 3),
+
+        T_(i-1)_i = Rot_x(alpha_i) Trans_x(a_i) Rot_z(q_i + offset_i) Trans_z(d_i).
+
+    Args:
+        a, d: [J] [m].
+        alpha, offset: [J] [rad].
+    """
+    a, alpha, d, offset = np.broadcast_arrays(*map(np.atleast_1d, (a, alpha, d, offset)))
+    T = np.tile(np.eye(4), (len(a), 1, 1))
+    T[:, :3, :3] = (
+        Rotation.from_rotvec(np.multiply.outer(alpha, [1.0, 0.0, 0.0]))
+        * Rotation.from_rotvec(np.multiply.outer(offset, [0.0, 0.0, 1.0]))
+    ).as_matrix()
+    T[:, :3, 3] = np.stack([a, -np.sin(alpha) * d, np.cos(alpha) * d], axis=1)
+    return T
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Arm:
     """A serial arm of J revolute joints with a parallel gripper.
 
-    Kinematics are modified Denavit-Hartenberg parameters (Craig, "Introduction to Robotics",
-    chapter 3): frame i is fixed to link i, its z is the axis of joint i, and
+    Frame i is fixed to link i, its z is the axis of joint i, and
 
-        T_(i-1)_i = Rot_x(alpha_i) Trans_x(a_i) Rot_z(q_i + offset_i) Trans_z(d_i).
+        T_(i-1)_i = T_links[i] Rot_z(q_i).
 
     Frame J lies in the flange's face; the gripper's fingers open along its y.
     """
 
     name: str
-    a: NDArray[np.float64]
-    """[J] [m]."""
-    alpha: NDArray[np.float64]
-    """[J] [rad]."""
-    d: NDArray[np.float64]
-    """[J] [m]."""
-    offset: NDArray[np.float64]
-    """[J] [rad]."""
+    T_links: NDArray[np.float64]
+    """[J, 4, 4] each link's frame in the one before, at zero [m]; `modified_dh` gives them."""
     T_flange_tcp: NDArray[np.float64]
     """[4, 4] the point between the fingertips [m]."""
     q_min: NDArray[np.float64]
@@ -137,7 +160,20 @@ class Arm:
     @property
     def joints(self) -> int:
         """Number of joints, J."""
-        return len(self.a)
+        return len(self.T_links)
+
+    def holding(self, length: float, radius: float) -> Arm:
+        """The arm with a capsule that stands out of its fingers: what it holds [m]."""
+        start, along = self.T_flange_tcp[:3, 3], self.T_flange_tcp[:3, 2]
+        held = LinkCapsule(
+            name="held object",
+            link=self.joints,
+            start=(*start.tolist(),),
+            end=(*(start + length * along).tolist(),),
+            radius=radius,
+            held=True,
+        )
+        return replace(self, capsules=(*self.capsules, held))
 
     def check_q(self, q: ArrayLike) -> NDArray[np.float64]:
         """Joint angles [..., J] as float64.

@@ -1,13 +1,14 @@
 """Whether the arm touches itself, the table or what stands around it.
 
 Shapes are the capsules of `gendom.robot.shape`. Capsules of one link and of neighbouring links
-overlap by their making and are not compared; what stands around is not compared with the base,
-which never moves. The object in the fingers is not looked at.
+overlap by their making and are not compared, nor are those of links two apart that overlap at home;
+what stands around is not compared with the base, which never moves. The object in the fingers is
+looked at where the arm is `Arm.holding` it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -99,6 +100,10 @@ class Surroundings:
     """z of a table below all of the arm but its base [m]; None: there is none."""
     obstacles: tuple[Box | Post, ...] = ()
     """With different names."""
+    clearance: float = 0.0
+    """Least distance of the arm from them [m]; the fingers may touch the table."""
+    self_clearance: float = 0.0
+    """Least distance of links that are not neighbours [m], or what they have at home."""
 
 
 NO_OBSTACLES = Surroundings()
@@ -114,18 +119,24 @@ class Collision:
     second: str
     """Another one, "table", or an obstacle's name."""
     depth: float
-    """How far they overlap at worst [m]."""
+    """How far they overlap at worst, or come below the clearance [m]."""
+    clearance: float = 0.0
+    """Least distance asked of them [m]."""
     time: float | None = None
     """When they first touch [s]; None: at a pose."""
     deepest: float | None = None
     """When they overlap most [s]."""
 
     def __str__(self) -> str:
+        far = f"{1e3 * self.depth:.1f} mm"
+        near = f"less than {1e3 * self.clearance:.3g} mm apart, {far} too near"
         if self.time is None or self.deepest is None:
-            return f"{self.first} and {self.second} overlap by {1e3 * self.depth:.1f} mm"
+            how = f"are {near}" if self.clearance else f"overlap by {far}"
+            return f"{self.first} and {self.second} {how}"
+        how = f"come {near}" if self.clearance else f"collide, {far} deep"
         return (
-            f"from t = {self.time:.3f} s on {self.first} and {self.second} collide, "
-            f"{1e3 * self.depth:.1f} mm deep at t = {self.deepest:.3f} s"
+            f"from t = {self.time:.3f} s on {self.first} and {self.second} {how} "
+            f"at t = {self.deepest:.3f} s"
         )
 
 
@@ -164,12 +175,10 @@ def collision_at(
     Raises:
         RobotError: As `link_poses`.
     """
-    found = clearances(arm, q, surroundings, opening=opening)
-    k = int(np.argmin(found.distance))
-    if found.distance[k] >= 0.0:
-        return None
-    first, second = found.pairs[k]
-    return Collision(first=first, second=second, depth=float(-found.distance[k]))
+    pairs = _CollisionPairs(arm, surroundings, opening)
+    found = pairs.gaps(arm.check_q(q))
+    k = int(np.argmin(found))
+    return None if found[k] >= 0.0 else pairs.collision(k, found[k])
 
 
 def collision_along(
@@ -190,7 +199,7 @@ def collision_along(
     """
     pairs = _CollisionPairs(arm, surroundings, opening)
     time = np.union1d(motion.time, motion.sampled(_RATE))
-    gap = pairs.at(motion.at(time)).distance
+    gap = pairs.gaps(motion.at(time))
     seen = [(time, gap)]
     a, b, gap_a, gap_b = time[:-1], time[1:], gap[:-1], gap[1:]
     while len(a):
@@ -200,7 +209,7 @@ def collision_along(
         some = (unsure & (gap_a > 0.0) & (gap_b > 0.0)).any(axis=1)
         a, b, gap_a, gap_b = a[some], b[some], gap_a[some], gap_b[some]
         middle = 0.5 * (a + b)
-        gap = pairs.at(motion.at(middle)).distance if len(middle) else gap_a
+        gap = pairs.gaps(motion.at(middle)) if len(middle) else gap_a
         seen.append((middle, gap))
         a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
         gap_a, gap_b = np.concatenate([gap_a, gap]), np.concatenate([gap, gap_b])
@@ -213,20 +222,14 @@ def collision_along(
     free = float(time[time < begin].max(initial=motion.start))
     while begin - free > 1e-4:
         middle = 0.5 * (free + begin)
-        if pairs.at(motion.at(middle)).distance.min() < 0.0:
+        if pairs.gaps(motion.at(middle)).min() < 0.0:
             begin = middle
         else:
             free = middle
-    pair = int(np.argmin(pairs.at(motion.at(begin)).distance))
+    pair = int(np.argmin(pairs.gaps(motion.at(begin))))
     deepest = int(np.argmin(gap[:, pair]))
-    first, second = pairs.pairs[pair]
-    return Collision(
-        first=first,
-        second=second,
-        depth=float(-gap[deepest, pair]),
-        time=begin,
-        deepest=float(time[deepest]),
-    )
+    found = pairs.collision(pair, gap[deepest, pair])
+    return replace(found, time=begin, deepest=float(time[deepest]))
 
 
 def check_collisions(
@@ -262,16 +265,34 @@ class _CollisionPairs:
         link = np.array([c.link for c in arm.capsules])
         link = np.append(link, np.full(len(shape.names) - len(link), arm.joints))
         first, second = np.triu_indices(len(link), 1)
-        apart = np.abs(link[second] - link[first]) >= 2
+        between, a, b = link[second] - link[first], shape.start, shape.end
+        home = segments_apart(a[first], b[first], a[second], b[second])
+        home -= shape.radius[first] + shape.radius[second]
+        apart = (np.abs(between) > 2) | ((np.abs(between) == 2) & (home >= 0.0))
         self.first, self.second = first[apart], second[apart]
         self.moving = np.flatnonzero(link > 0)
-        others = [] if surroundings.table_height is None else ["table"]
-        others += [obstacle.name for obstacle in surroundings.obstacles]
-        names = shape.names
-        self.pairs = tuple(
-            (names[a], names[b]) for a, b in zip(self.first, self.second, strict=True)
-        ) + tuple((names[c], other) for other in others for c in self.moving)
-        self._link, self._others = link, len(others)
+        held = [c for c, capsule in enumerate(arm.capsules) if capsule.held]
+        self.above = np.setdiff1d(self.moving, held)
+        own = np.clip(home[apart], 0.0, surroundings.self_clearance)
+        names, around = shape.names, surroundings.obstacles
+        pairs, margin = list(zip(self.first, self.second, strict=True)), [own]
+        self.pairs = tuple((names[a], names[b]) for a, b in pairs)
+        if surroundings.table_height is not None:
+            self.pairs += tuple((names[c], "table") for c in self.above)
+            margin.append(surroundings.clearance * ~shape.touches_object[self.above])
+        self.pairs += tuple((names[c], other.name) for other in around for c in self.moving)
+        margin.append(np.full(len(around) * len(self.moving), surroundings.clearance))
+        self.margin, self._link = np.concatenate(margin), link
+
+    def gaps(self, q: Array) -> Array:
+        """[..., P] distances above the clearances at joint angles [..., J] [m]."""
+        return self.at(q).distance - self.margin
+
+    def collision(self, pair: int, gap: float) -> Collision:
+        """That of a pair with a gap below 0 [m]."""
+        first, second = self.pairs[pair]
+        margin = float(self.margin[pair])
+        return Collision(first=first, second=second, depth=float(-gap), clearance=margin)
 
     def at(self, q: Array) -> Clearances:
         """At joint angles [..., J]."""
@@ -288,8 +309,8 @@ class _CollisionPairs:
         ]
         start, end, radius = shape.start[:, c], shape.end[:, c], shape.radius[c]
         if self.surroundings.table_height is not None:
-            low = np.minimum(start[..., 2], end[..., 2])
-            found.append(low - self.surroundings.table_height - radius)
+            low = np.minimum(shape.start[..., 2], shape.end[..., 2]) - shape.radius
+            found.append(low[:, self.above] - self.surroundings.table_height)
         found += [
             obstacle.distance(start, end) - radius for obstacle in self.surroundings.obstacles
         ]
@@ -305,7 +326,9 @@ class _CollisionPairs:
         arm = self.arm
         shape = arm_shape(arm, arm.home, self.opening)
         own = _extents(arm, shape, self._link)
-        step = np.hypot(arm.a, arm.d)  # from frame i to frame i + 1 at most, however it is turned
+        step = np.linalg.norm(
+            arm.T_links[:, :3, 3], axis=1
+        )  # from frame i to frame i + 1 at most, however it is turned
         lever = np.zeros((arm.joints, len(own)))
         for j in range(arm.joints):
             for c, link in enumerate(self._link):
@@ -315,7 +338,9 @@ class _CollisionPairs:
             np.where(np.arange(arm.joints) >= self._link[a], lever[:, b], 0.0)
             for a, b in zip(self.first, self.second, strict=True)
         ]
-        return np.column_stack([*between, *([lever[:, self.moving]] * self._others)])
+        table = [] if self.surroundings.table_height is None else [lever[:, self.above]]
+        others = [lever[:, self.moving]] * len(self.surroundings.obstacles)
+        return np.column_stack([*between, *table, *others])
 
 
 def _extents(arm: Arm, shape: ArmShape, link: NDArray[np.intp]) -> Array:

@@ -23,7 +23,7 @@ squares the error."""
 _ANGLE_LENGTH = 0.3  # [m]; an angle of 1 rad weighs as much as this distance
 _DAMPING = 0.1  # damping^2 = (this)^2 |error|: zero at the solution, so that the end is Newton's
 _LARGEST_STEP = 0.4  # [rad]; a joint's step in one iteration
-_ITERATIONS = 200
+_ITERATIONS = 100
 _HOMING = 0.5  # share of the distance to the resting pose in one iteration, within the null space
 _SETTLED = 1e-5  # [rad]; the null space's steps end below this
 
@@ -42,16 +42,11 @@ def link_poses(arm: Arm, q: ArrayLike) -> Array:
         RobotError: The shape is wrong or an angle is not finite.
     """
     q = arm.check_q(np.asarray(q))
-    theta = q + arm.offset
-    c, s = np.cos(theta), np.sin(theta)
-    ca, sa = np.cos(arm.alpha), np.sin(arm.alpha)
-    step = np.zeros((*q.shape, 4, 4))
-    step[..., 0, 0], step[..., 0, 1], step[..., 0, 3] = c, -s, arm.a
-    step[..., 1, 0], step[..., 1, 1] = s * ca, c * ca
-    step[..., 1, 2], step[..., 1, 3] = -sa, -arm.d * sa
-    step[..., 2, 0], step[..., 2, 1] = s * sa, c * sa
-    step[..., 2, 2], step[..., 2, 3] = ca, arm.d * ca
-    step[..., 3, 3] = 1.0
+    c, s = np.cos(q)[..., None], np.sin(q)[..., None]
+    step = np.empty((*q.shape, 4, 4))
+    step[...] = arm.T_links
+    x, y = arm.T_links[..., 0], arm.T_links[..., 1]
+    step[..., 0], step[..., 1] = c * x + s * y, c * y - s * x
     poses = np.empty((*q.shape[:-1], arm.joints + 2, 4, 4))
     poses[..., 0, :, :] = np.eye(4)
     for i in range(arm.joints):

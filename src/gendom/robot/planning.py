@@ -47,6 +47,8 @@ _LARGEST_JUMP = 0.1  # [rad]; between two solved times: more asks for smaller st
 _MARGIN = 1e-3  # [rad]; along paths joints keep so far from the ends of their ranges
 _SPLINE_TOLERANCE = 3e-6  # [m], [rad]; by which splines may miss the path between solved times
 _REFINEMENTS = 8  # rounds in which knots are added until splines keep that tolerance
+_DENSE = 4096  # places along a path that are compared between two blends
+_BATCHED = 20  # iterations in which angles at all of them must be found
 _SMALLEST_SPACING = 1e-5  # [m]; joints that still jump at this spacing cannot follow the path
 
 # ---- from joint to joint -------------------------------------------------------------------------
@@ -165,7 +167,7 @@ def follow(
     shortest = min(SHORTEST_BLEND, path.max_blend)
     if blend is None and best.blend > shortest:
         # The blend was chosen for the path's speed; at a lower speed a shorter one may suffice.
-        sharper = in_time(arm, _track(kept, path, best.q[0], shortest))
+        sharper = in_time(arm, _track(kept, path, best.q[0], shortest, best))
         motion = min(motion, sharper, key=lambda m: m.end - m.start)
     motion.check_limits(arm)
     check_collisions(arm, motion, surroundings, opening=opening)
@@ -226,13 +228,13 @@ def _from_posture(arm: Arm, path: TcpPath, q: Array, blend: float | None) -> Joi
         if longer > max(path.end - path.start, 4.0 * SHORTEST_BLEND):
             break
         too_short, blend = blend, longer
-        motion = _track(arm, path, q, blend)
+        motion = _track(arm, path, q, blend, motion)
     # A blend longer than a move between two stops counts twice, so the last step was too long.
     while too_short > 0.0 and motion.blend > 1.06 * too_short:
         if _acceleration_use(motion, arm) > 1.0:
             break
         between = math.sqrt(too_short * motion.blend)
-        shorter = _track(arm, path, q, between)
+        shorter = _track(arm, path, q, between, motion)
         if _acceleration_use(shorter, arm) <= 1.0:
             motion = shorter
         else:
@@ -244,8 +246,44 @@ def _acceleration_use(motion: JointMotion, arm: Arm) -> float:
     return max(use.share for use in motion.limit_uses(arm) if use.kind == "acceleration")
 
 
-def _track(arm: Arm, path: TcpPath, q: Array, blend: float) -> JointMotion:
-    """Solve the joint angles along a path, each from the one before."""
+def _track(
+    arm: Arm, path: TcpPath, q: Array, blend: float, known: JointMotion | None = None
+) -> JointMotion:
+    """Solve the joint angles along a path from a start [J], or from those of another blend."""
+    solved = None if known is None else _reblended(arm, path, blend, known)
+    time, solved = _refined(arm, path, blend, *(solved or _stepped(arm, path, q, blend)))
+    return JointMotion(
+        time=time, q=solved, events=path.events, blend=blend, deviation=path.deviation(blend)
+    )
+
+
+def _reblended(
+    arm: Arm, path: TcpPath, blend: float, known: JointMotion
+) -> tuple[Array, Array] | None:
+    """Times [K] and joint angles [K, J] of a path, all at once from those at the same places of
+    another blend; None: not all are reached."""
+    times = _solved_times(path, blend)
+    (new, new_way), (old, old_way) = _ways(path, blend), _ways(path, known.blend)
+    share = np.interp(times, new, new_way / max(new_way[-1], 1e-12))
+    guess = known.at(np.interp(share, old_way / max(old_way[-1], 1e-12), old))
+    found, error = descend(
+        arm, path.pose_at(times, blend), guess, arm.home, homing=0.0, iterations=_BATCHED
+    )
+    close = np.abs(np.diff(found, axis=0)).max() <= _LARGEST_JUMP
+    return (times, found) if close and reached(error).all() else None
+
+
+def _ways(path: TcpPath, blend: float) -> tuple[Array, Array]:
+    """Dense times [s] and how far the tool has moved by then, rotation included [m]."""
+    time = np.linspace(path.start - 0.5 * blend, path.end + 0.5 * blend, _DENSE)
+    T = path.pose_at(time, blend)
+    shift = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
+    turn = np.linalg.norm(np.diff(T[:, :3, :3], axis=0), axis=(1, 2)) / math.sqrt(2.0)
+    return time, np.concatenate([[0.0], np.cumsum(shift + _ANGLE_LENGTH * turn)])
+
+
+def _stepped(arm: Arm, path: TcpPath, q: Array, blend: float) -> tuple[Array, Array]:
+    """Times [K] and joint angles [K, J] of a path from a start [J], each from those before."""
     ahead = list(_solved_times(path, blend)[::-1])
     times, found = [ahead.pop()], [q]
     while ahead:
@@ -259,14 +297,7 @@ def _track(arm: Arm, path: TcpPath, q: Array, blend: float) -> JointMotion:
         if _movement(T, path.pose_at(times[-1], blend)) < _SMALLEST_SPACING:
             raise _not_followed(arm, T, found[-1], step, ahead[-1])
         ahead.append(0.5 * (times[-1] + ahead[-1]))
-    time, solved = _refined(arm, path, blend, np.array(times), np.array(found))
-    return JointMotion(
-        time=time,
-        q=solved,
-        events=path.events,
-        blend=blend,
-        deviation=path.deviation(blend),
-    )
+    return np.array(times), np.array(found)
 
 
 def _refined(arm: Arm, path: TcpPath, blend: float, time: Array, q: Array) -> tuple[Array, Array]:

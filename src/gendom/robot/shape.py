@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gendom.robot.arm import Arm
+from gendom.robot.arm import Arm, FingerCapsule, ParallelGripper
 from gendom.robot.kinematics import link_poses
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,40 +42,51 @@ def arm_shape(arm: Arm, q: ArrayLike, opening: ArrayLike = 0.0) -> ArmShape:
     """
     poses = link_poses(arm, q)
     opening = np.broadcast_to(np.asarray(opening, dtype=float), poses.shape[:-3])
-    flange = poses[..., -2, :, :]
-    names, ends, radius, touches = [], [], [], []
-    for capsule in arm.capsules:
-        names.append(capsule.name)
-        ends.append(_placed(poses[..., capsule.link, :, :], capsule.start, capsule.end))
-        radius.append(capsule.radius)
-        touches.append(False)
-    gripper = arm.gripper
-    pivot = np.array([gripper.pivot_y, gripper.pivot_z])
+    fixed, gripper = arm.capsules, arm.gripper
+    own = np.array([(c.start, c.end) for c in fixed], dtype=float).reshape(-1, 2, 3)
+    hand = poses[..., -1, :, :].copy()
+    hand[..., :3, 3] -= gripper.length * hand[..., :3, 2]
     carried = gripper.finger_pivot(opening)
-    for side, sign in (("left", 1.0), ("right", -1.0)):  # as the URDF calls them
-        mirror = np.array([1.0, sign, 1.0])
-        for knuckle in gripper.knuckles:
-            y, z = np.moveaxis(np.stack([np.broadcast_to(pivot, carried.shape), carried]), -1, 0)
-            yz = np.stack([y + knuckle.offset[0], z + knuckle.offset[1]], axis=-1)
-            a, b = (np.concatenate([0.0 * p[..., :1], p], axis=-1) * mirror for p in yz)
-            names.append(f"{side} {knuckle.name}")
-            ends.append(_placed(flange, a, b))
-            radius.append(knuckle.radius)
-            touches.append(False)
-        origin = np.concatenate([0.0 * carried[..., :1], carried], axis=-1)
-        for finger in gripper.fingers:
-            a, b = ((origin + np.array(p)) * mirror for p in (finger.start, finger.end))
-            names.append(f"{side} {finger.name}")
-            ends.append(_placed(flange, a, b))
-            radius.append(finger.radius)
-            touches.append(finger.touches_object)
-    both = np.stack(ends, axis=-3)
+    moved = [_turned(gripper, carried), _shifted(gripper, carried)]
+    right = np.concatenate(moved, axis=-3)
+    both = np.concatenate([right, right * [1.0, -1.0, 1.0]], axis=-3)
+    ends = np.concatenate(
+        [
+            _placed(poses[..., [c.link for c in fixed], :, :], own),
+            _placed(hand[..., None, :, :], both),
+        ],
+        axis=-3,
+    )
+    movable = (*gripper.knuckles, *gripper.fingers)
+    names = [c.name for c in fixed]
+    names += [f"{side} {c.name}" for side in ("left", "right") for c in movable]  # as the URDF
+    touches = [isinstance(c, FingerCapsule) and c.touches_object for c in movable]
     return ArmShape(
-        tuple(names), both[..., 0, :], both[..., 1, :], np.array(radius), np.array(touches)
+        tuple(names),
+        ends[..., 0, :],
+        ends[..., 1, :],
+        np.array([c.radius for c in (*fixed, *movable, *movable)]),
+        np.array([False] * len(fixed) + 2 * touches, dtype=bool),
     )
 
 
-def _placed(T: NDArray[np.float64], start: ArrayLike, end: ArrayLike) -> NDArray[np.float64]:
-    """[..., 2, 3] two points [..., 3] of a frame T [..., 4, 4], in the base's."""
-    points = np.stack(np.broadcast_arrays(np.asarray(start), np.asarray(end)), axis=-2)
-    return points @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
+def _turned(gripper: ParallelGripper, carried: Array) -> Array:
+    """[..., K, 2, 3] ends of the +y knuckles' capsules [m] that carry a finger [..., 2]."""
+    ends = np.array([(c.start, c.end) for c in gripper.knuckles], dtype=float).reshape(-1, 2, 3)
+    pivots = np.array([c.pivot for c in gripper.knuckles], dtype=float).reshape(-1, 1, 2)
+    along = (carried - [gripper.pivot_y, gripper.pivot_z]) / max(gripper.knuckle, 1e-9)
+    c, s = along[..., None, None, 0], along[..., None, None, 1]
+    x, y, z = np.moveaxis(ends, -1, 0)
+    y, z = c * y - s * z + pivots[..., 0], s * y + c * z + pivots[..., 1]
+    return np.stack([np.broadcast_to(x, y.shape), y, z], axis=-1)
+
+
+def _shifted(gripper: ParallelGripper, carried: Array) -> Array:
+    """[..., F, 2, 3] ends of the +y finger's capsules [m]."""
+    ends = np.array([(c.start, c.end) for c in gripper.fingers], dtype=float).reshape(-1, 2, 3)
+    return ends + np.insert(carried, 0, 0.0, axis=-1)[..., None, None, :]
+
+
+def _placed(T: Array, ends: Array) -> Array:
+    """[..., C, 2, 3] points of frames [..., C or 1, 4, 4], in the base's."""
+    return ends @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]

@@ -18,7 +18,14 @@ import math
 
 import numpy as np
 
-from gendom.robot.arm import Arm, FingerCapsule, KnuckleCapsule, LinkCapsule, ParallelGripper
+from gendom.robot.arm import (
+    Arm,
+    FingerCapsule,
+    KnuckleCapsule,
+    LinkCapsule,
+    ParallelGripper,
+    modified_dh,
+)
 
 _HALF_PI, _TWO_PI = 0.5 * math.pi, 2.0 * math.pi
 
@@ -56,8 +63,16 @@ _CAPSULES = (
 )
 
 _KNUCKLES = (
-    KnuckleCapsule(name="knuckle", offset=(0.0, 0.0), radius=0.016),
-    KnuckleCapsule(name="inner knuckle", offset=(-0.015, 0.015), radius=0.010),
+    KnuckleCapsule(
+        name="knuckle", pivot=(0.035, 0.059098), start=(0, 0, 0), end=(0, 0.055, 0), radius=0.016
+    ),
+    KnuckleCapsule(
+        name="inner knuckle",
+        pivot=(0.02, 0.074098),
+        start=(0, 0, 0),
+        end=(0, 0.055, 0),
+        radius=0.010,
+    ),
 )
 
 _FINGERS = (
@@ -94,10 +109,11 @@ def _transform(z: float) -> np.ndarray:
 
 XARM7 = Arm(
     name="xarm7",
-    a=np.array([0.0, 0.0, 0.0, 0.0525, 0.0775, 0.0, 0.076]),
-    alpha=np.array([0.0, -_HALF_PI, _HALF_PI, _HALF_PI, _HALF_PI, _HALF_PI, -_HALF_PI]),
-    d=np.array([0.267, 0.0, 0.293, 0.0, 0.3425, 0.0, 0.097]),
-    offset=np.zeros(7),
+    T_links=modified_dh(
+        a=[0.0, 0.0, 0.0, 0.0525, 0.0775, 0.0, 0.076],
+        alpha=[0.0, -_HALF_PI, _HALF_PI, _HALF_PI, _HALF_PI, _HALF_PI, -_HALF_PI],
+        d=[0.267, 0.0, 0.293, 0.0, 0.3425, 0.0, 0.097],
+    ),
     T_flange_tcp=_transform(TCP_DISTANCE),
     q_min=np.array([-_TWO_PI, -2.059, -_TWO_PI, -0.19198, -_TWO_PI, -1.69297, -_TWO_PI]),
     q_max=np.array([_TWO_PI, 2.0944, _TWO_PI, 3.927, _TWO_PI, math.pi, _TWO_PI]),
@@ -109,6 +125,7 @@ XARM7 = Arm(
     home=np.array([0.0, -0.2, 0.0, 0.9, 0.0, 1.1, 0.0]),
     capsules=_CAPSULES,
     gripper=ParallelGripper(
+        length=TCP_DISTANCE,
         max_opening=0.084,
         pivot_y=0.035,
         pivot_z=0.059098,

@@ -1,0 +1,262 @@
+"""`gendom execute`: carry out a planned action on a robot."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import tyro
+
+from gendom.arguments import require
+from gendom.cli.cell import write_picture
+from gendom.cli.outputs import tell_written
+from gendom.errors import DeviceError, printable
+from gendom.files import check_file
+from gendom.materials import Cloth, Item, from_columns
+from gendom.reading import read_json
+from gendom.tasks import find_task
+
+if TYPE_CHECKING:
+    from gendom.hardware.cell import Cell, PlannedMotion
+    from gendom.hardware.contracts import Robot
+    from gendom.hardware.execution import PlannedAction
+    from gendom.robot import JointMotion
+
+_log = logging.getLogger(__name__)
+
+FINGER_WIDTH = 0.025
+"""Of what holds the object [m]."""
+
+WORD = "move"
+"""What a person types before the arm moves."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """Show what an action of `gendom act` would do in a cell; with --move do it.
+
+    Nothing moves without --move. It prints times and distances, then asks for a typed word; with
+    --yes it does not ask, and goes at a tenth of the arm's speeds at most. All states, commands and
+    faults are written to a log as they happen, beside the cell's file (executions/). A log in place
+    of the action shows what was measured, and with --move does the same again.
+
+    For example: gendom execute action.json --cell cell.toml --picture action.png
+    """
+
+    action: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ACTION")]
+    """File of gendom act --cell CELL --out, or the log of an execution."""
+    cell: Path
+    """cell.toml, see gendom cell."""
+    move: bool = False
+    """Move, after a typed confirmation."""
+    yes: bool = False
+    """Do not ask, and move slowly."""
+    picture: Path | None = None
+    """PNG file: the cell, with the tool's path."""
+    record: Path | None = None
+    """Folder for what the cell's cameras see of it."""
+
+    def run(self) -> int:
+        from gendom.hardware.cell import Cell
+        from gendom.hardware.execution import careful, last_time, preview, read_action
+
+        if self.picture is not None:
+            check_file(self.picture, ".png")
+        fix = "add --move"
+        require(self.move or not self.yes, "goes with --move", where="--yes", fix=fix)
+        require(self.move or self.record is None, "goes with --move", where="--record", fix=fix)
+        cell, action = Cell.read(self.cell), read_action(self.action)
+        if killed := last_time(self.cell.parent / "executions"):
+            _log.warning("%s", killed)
+        slow = careful(action.planned) if self.yes else action.planned
+        print("\n".join(preview(slow, cell)))
+        if self.action.suffix == ".jsonl":
+            print(_measured(self.action))
+        if self.picture is not None:
+            write_picture(self.picture, self._drawn(cell, action))
+            tell_written(self.picture, json=False)
+        if not self.move:
+            print("nothing moved: this was a dry run (--move)")
+            return 0
+        if not self.yes:
+            confirm("The arm will move as above. Is the cell empty and the emergency stop at hand?")
+        record = None
+        if self.record is not None:
+            task = find_task(action.task)()
+            item = from_columns(task.kind, action.object)
+            record = self.record, described(cell, item, "the execution of an action")
+        carry_out(
+            cell, slow, read_plan(self.action), self.cell.parent / "executions",
+            bring=lambda robot: bring(robot, action, ask=not self.yes), record=record,
+        )  # fmt: skip
+        return 0
+
+    def _drawn(self, cell: Cell, action: PlannedAction) -> Any:
+        from gendom.hardware.execution import read_log
+        from gendom.hardware.picture import draw_cell
+        from gendom.robot import tcp_pose
+
+        arm, planned = cell.model, action.planned
+        moves = {"approach": planned.approach, "motion": planned.motion}
+        paths = {name: m.at(m.sampled(50.0)) for name, m in moves.items()}
+        if self.action.suffix == ".jsonl" and len(measured := read_log(self.action).measured):
+            paths["measured"] = measured
+        ends = [planned.approach.q[0], planned.motion.q[0], planned.motion.q[-1]]
+        points = {name: tcp_pose(arm, q)[:, :3, 3] for name, q in paths.items()}
+        return draw_cell(cell, np.array(ends), points)
+
+
+def _measured(path: Path) -> str:
+    """What a log tells, in some lines."""
+    from gendom.hardware.execution import read_log
+
+    seen = read_log(path)
+    lines = [f"{'log':<9} {seen.header.get('started')}, {len(seen.time)} ticks; "
+             f"end: {printable(seen.end or 'none: it was killed')}"]  # fmt: skip
+    if len(seen.time):
+        off = np.abs(seen.command - seen.measured).max()
+        lines.append(f"{'':<9} joints at most {np.degrees(off):.3f} degrees from the commanded, "
+                     f"reports at most {1e3 * seen.age.max():.0f} ms old")  # fmt: skip
+    lines += [f"{'':<9} fault in {e.get('call')}: {printable(e['fault'])}"
+              for e in seen.events if "fault" in e]  # fmt: skip
+    return "\n".join(lines)
+
+
+def confirm(question: str) -> None:
+    """Let a person type a word.
+
+    Raises:
+        DeviceError: Something else was typed, or nothing can be.
+    """
+    try:
+        typed = input(f"{question} Type {WORD} to go on: ")
+    except EOFError:
+        typed = ""
+    fix = "nothing moved"
+    require(typed.strip() == WORD, "was not confirmed", fix=fix, error=DeviceError)
+
+
+def read_plan(path: Path) -> dict[str, Any]:
+    """All of an action's file, or of that in a log, for the log to hold."""
+    from gendom.hardware.execution import read_log
+
+    own = ("log", "started", "at")
+    said = read_log(path).header if path.suffix == ".jsonl" else read_json(path)
+    return {key: value for key, value in said.items() if key not in own}
+
+
+def carry_out(
+    cell: Cell,
+    planned: PlannedMotion,
+    said: dict[str, Any],
+    logs: Path,
+    *,
+    bring: Callable[[Any], None],
+    record: tuple[Path, str] | None = None,
+    devices: tuple[Any, Sequence[Any]] | None = None,
+) -> Path:
+    """Execute a motion, logged, under the cell's cameras where asked for.
+
+    Args:
+        cell: Where.
+        planned: The motion, as fast as it is to be.
+        said: What the log begins with.
+        logs: Folder of logs.
+        bring: Called with the robot where it waits for the object.
+        record: Folder for pictures, and the content of its object.toml; None: none are taken.
+        devices: Robot and cameras; None: those of the cell.
+
+    Returns:
+        The log.
+    """
+    from gendom.hardware.execution import ExecutionLog, execute
+    from gendom.hardware.recording import record_motion
+
+    robot, cameras = devices or cell.devices()
+    name = datetime.now().strftime("%Y-%m-%dT%H-%M-%S-%f")
+    log = ExecutionLog(logs / f"{name}.jsonl", said)
+    if record is None:
+        execute(planned, cell, robot, log, ready=lambda: bring(robot))
+        return log.path
+    folder, description = record
+
+    def play(robot: Robot, motion: JointMotion) -> None:
+        record_motion(robot, cameras, motion, folder, description=description)
+
+    try:
+        for camera in cameras:
+            camera.connect()
+        execute(planned, cell, robot, log, ready=lambda: bring(robot), play=play)
+    finally:
+        for camera in cameras:
+            camera.disconnect()
+    return log.path
+
+
+def described(cell: Cell, item: Item, source: str, *, quasi_static: bool = False) -> str:
+    """Content of object.toml for a recording in a cell.
+
+    Args:
+        cell: Its table and arm.
+        item: The object, held by its end or corner.
+        source: Of the recording, in words.
+        quasi_static: Whether inertia plays no part.
+    """
+    sizes = {"width": item.side, "height": item.side} if isinstance(item, Cloth) else {}
+    sizes |= {name: getattr(item, name) for name in item.sizes if name != "side"}
+    table = cell.surroundings.table_height
+    lines = [
+        *([] if table is None else [f"table_height = {table!r}"]),
+        'gripper_source = "measured"',
+        f'robot = "{cell.arm}"',
+        f"quasi_static = {str(quasi_static).lower()}",
+        f"source = {json.dumps(source)}",
+        "",
+        "[object]",
+        f'kind = "{item.kind}"',
+        f'grasp = "{"end" if item.kind == "rope" else "corner"}"',
+        f"grasp_radius = {0.5 * FINGER_WIDTH!r}",
+        f"grasp_inset = {0.5 * FINGER_WIDTH!r}",
+        f"mass = {item.mass!r}",
+        *(f"{name} = {float(value)!r}" for name, value in sizes.items()),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def bring(robot: Any, action: PlannedAction | None, *, ask: bool = True) -> None:
+    """Ask a person to bring the object; in simulation it is brought.
+
+    Args:
+        robot: At the motion's first pose, its fingers open.
+        action: What will be done; None: a lift.
+        ask: Whether a person is there; else the object is.
+    """
+    from gendom.hardware.simulated import SimulatedRobot
+    from gendom.reality import as_real, task_trial
+
+    simulated = isinstance(robot, SimulatedRobot)
+    if action is None:
+        if simulated:
+            robot.arrange()
+        elif ask:
+            confirm("Lay the object down, its end between the fingers, and step back.")
+        return
+    task = find_task(action.task)()
+    item = from_columns(task.kind, action.object)
+    if simulated:
+        real = robot.item if task.kind == robot.item.kind else as_real(item)
+        robot.arrange(task_trial(task, real, action.action))
+    elif ask:
+        scene = task.scene(item)
+        T = action.T_base_task
+        at = ", ".join(f"{x:.3f}" for x in T[:3, :3] @ np.asarray(scene.origin) + T[:3, 3])
+        hung = f"Fix the object's first end in the stand at ({at}) m. " if scene.stand else ""
+        confirm(
+            f"{hung}Put what is to be held between the fingers: they close when you have typed."
+        )

@@ -1,0 +1,268 @@
+"""`gendom run`: from lift to adapted action in a cell."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import tyro
+
+from gendom.arguments import require
+from gendom.cli import act, adapt, estimate, perceive
+from gendom.cli.arguments import TaskName
+from gendom.cli.execute import FINGER_WIDTH, bring, carry_out, confirm, described, read_plan
+from gendom.cli.outputs import columns
+from gendom.errors import DeviceError
+from gendom.files import check_folder, to_json, write_json
+from gendom.materials import Item, size_of, thickness_of
+from gendom.reading import read_json
+from gendom.tasks import Task, find_task
+
+if TYPE_CHECKING:
+    from gendom.hardware.cell import Cell, PlannedMotion
+
+_log = logging.getLogger(__name__)
+
+AHEAD = 0.32
+"""How far in front of the base an object's near end lies, unless --grasp says so [m]."""
+
+WAIT = 0.5
+"""Pauses of the lift [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """Lift an object in a cell, estimate its parameters, act, see what was reached and adapt.
+
+    Steps: lift, perceive, estimate with its verdict, then for each execution act, execute, observe
+    and adapt. Each leaves a file or a folder in --out; started again, it skips what is finished and
+    goes on, and does again what depends on anything that has changed. Before each motion it asks.
+
+    For example: gendom run rope-reaching --goal 0.45 --cell cell.toml --object rope.toml --out run
+    """
+
+    task: tyro.conf.Positional[TaskName]
+    """A task with a goal."""
+    goal: tuple[float, ...]
+    """As gendom act takes it."""
+    cell: Path
+    """cell.toml, see gendom cell."""
+    out: Path
+    """Folder for all files."""
+    object: Path | None = None
+    """TOML file with the object's kind, sizes, mass and colour (docs/own-object.md); its stiffness
+    is not looked at. With a simulated robot, what the cell names."""
+    grasp: tuple[float, float, float] | None = None
+    """Where the fingers take the lying object in metres; by default 0.33 m ahead, on the table."""
+    executions: int = 2
+    """How often the task is done; from the second time on with what was learnt."""
+    yes: bool = False
+    """Do not ask, and move slowly (gendom execute --yes)."""
+    force: bool = False
+    """As for gendom act."""
+
+    def run(self) -> int:
+        from gendom.hardware.cell import Cell
+        from gendom.hardware.execution import last_time
+
+        check_folder(self.out)
+        cell, task = Cell.read(self.cell), find_task(self.task)()
+        require(task.goals, f"{task.name} has no goal to learn from", fix="choose another task")
+        fix = "give 1 or more"
+        require(self.executions >= 1, f"is {self.executions}", where="--executions", fix=fix)
+        if killed := last_time(self.out / "executions"):
+            _log.warning("%s", killed)
+        known = self._known(cell)
+        steps = _Steps(self.out)
+        lift = steps.do("lift", "lift", [self.cell, *self._named],
+                        lambda to: self._lift(cell, known, to), settings=[self.grasp])  # fmt: skip
+        colour = known.colour
+        seen = steps.do("perceive", "lift.npz", [lift], lambda to: perceive.Command(
+            folder=lift, out=to, perception=_by(colour)).run())  # fmt: skip
+        code = 0
+
+        def estimated(to: Path) -> None:
+            nonlocal code
+            code = estimate.Command(recording=seen, out=to.parent).run()
+
+        params = steps.do("estimate", "estimate.json", [seen], estimated)
+        if code == 0 and not read_json(params)["verdict"]["usable"]:
+            code = estimate.NOT_USABLE
+        if code != 0 and not self.force:
+            _log.error(
+                "nothing is done with an estimate that is not usable; lift again, or --force"
+            )
+            return code
+        rows = {}
+        for k in range(1, self.executions + 1):
+            params, rows[f"execution {k}"] = self._execution(steps, k, cell, task, known, params)
+        print(columns("", ("goal", "predicted", "reached", "miss [mm]"), rows))
+        return 0
+
+    @property
+    def _named(self) -> list[Path]:
+        return [] if self.object is None else [self.object]
+
+    def _known(self, cell: Cell) -> Any:
+        """The object as it is described; its stiffness is not looked at.
+
+        Raises:
+            GendomError: It is not described.
+        """
+        from gendom.reality import find_object
+
+        fix = "give its kind, sizes, mass and colour in a TOML file"
+        known = self.object is not None or cell.simulated
+        require(known, "is missing", where="--object", fix=fix)
+        return find_object(cell.address if self.object is None else str(self.object))
+
+    # ---- steps -----------------------------------------------------------------------------------
+
+    def _move(
+        self, cell: Cell, planned: PlannedMotion, what: str, record: tuple[Path, str], **others: Any
+    ) -> None:
+        """Show a motion, ask, and carry it out under the cameras."""
+        from gendom.hardware.execution import careful, preview
+
+        planned = careful(planned) if self.yes else planned
+        print("\n".join([what, *preview(planned, cell)]))
+        if not self.yes:
+            confirm("Is the cell empty and the emergency stop at hand?")
+        carry_out(cell, planned, logs=self.out / "executions", record=record, **others)
+
+    def _lift(self, cell: Cell, known: Item, to: Path) -> None:
+        from gendom.hardware.execution import plan_record
+        from gendom.robot import motions
+
+        usual, size = motions.predefined_lift(known.kind), size_of(known)
+        table = cell.surroundings.table_height or 0.0
+        near = (AHEAD + 0.5 * FINGER_WIDTH, 0.0, table + max(0.5 * thickness_of(known), 0.002))
+        path = motions.lift(
+            self.grasp or near, height=usual.rise * size, speed=usual.speed, wait=WAIT, after=WAIT
+        )
+        planned = cell.plan(path, opening=thickness_of(known), hangs=size)
+        self._move(
+            cell, planned, "lift",
+            (to, described(cell, known, "a lift in a cell", quasi_static=known.kind == "rope")),
+            said={"plan": plan_record(planned)},
+            bring=lambda robot: bring(robot, None, ask=not self.yes),
+        )  # fmt: skip
+
+    def _execution(
+        self, steps: _Steps, k: int, cell: Cell, task: Task, known: Any, params: Path
+    ) -> tuple[Path, tuple[str, ...]]:
+        """Act, execute, observe, adapt; returns the estimate after it, and a row of the table."""
+        from gendom.hardware.execution import read_action
+
+        def acted(to: Path) -> None:
+            act.Command(
+                task=self.task, goal=self.goal, params=params, cell=self.cell, polish=k > 1, out=to,
+                force=self.force,
+            ).run()  # fmt: skip
+
+        plan = steps.do(f"act {k}", f"action-{k}.json", [params, self.cell], acted,
+                        settings=[self.goal])  # fmt: skip
+
+        def executed(to: Path) -> None:
+            action = read_action(plan)
+            self._move(
+                cell, action.planned, f"execution {k} of {task.name}",
+                (to, described(cell, known, f"execution {k} of {task.name}")),
+                said=read_plan(plan), bring=lambda robot: bring(robot, action, ask=not self.yes),
+            )  # fmt: skip
+
+        shown = steps.do(f"execute {k}", f"seen-{k}", [plan], executed, settings=[self.yes])
+        found = steps.do(f"observe {k}", f"reached-{k}.json", [shown],
+                         lambda to: _observe(task, known, plan, shown, to))  # fmt: skip
+
+        def adapted(to: Path) -> None:
+            adapt.Command(
+                task=self.task, params=params, executions=found, out=to, force=self.force
+            ).run()
+
+        better = steps.do(f"adapt {k}", f"adapted-{k}.json", [params, found], adapted)
+        predicted = read_json(plan).get("predicted", {}).get("reached", {})
+        (seen,) = read_json(found)["executions"]
+        said = [[predicted.get(q.name, float("nan")) for q in task.goals], seen["reached"]]
+        miss = float(np.linalg.norm(np.array(seen["reached"]) - np.array(self.goal)))
+        texts = (", ".join(f"{x:.4f}" for x in row) for row in (self.goal, *said))
+        return better, (*texts, f"{1e3 * miss:.1f}")
+
+
+def _by(colour: tuple[int, int, int]) -> Any:
+    from gendom.perception import PerceptionSettings
+
+    return PerceptionSettings(colour=colour)
+
+
+def _observe(task: Task, known: Any, plan: Path, shown: Path, to: Path) -> None:
+    """Write what an execution reached, as gendom adapt takes it."""
+    from gendom.hardware.execution import read_action
+    from gendom.hardware.observing import reached
+    from gendom.perception import perceive, read_cameras
+
+    action, recorded = read_action(plan), read_cameras(shown)
+    seen = perceive(recorded, _by(known.colour), on_warning=lambda fault: _log.info("%s", fault))
+    values = reached(task, known, action, seen.recording, float(recorded.robot.time[0]))
+    goals = [values[q.name] for q in task.goals]
+    row = {"action": action.action, "reached": goals}
+    write_json(to, {"executions": [row], "outcome": values, "goal": action.goal})
+    print(f"reached {', '.join(f'{n} {v:.4f}' for n, v in values.items())}")
+
+
+class _Steps:
+    """Steps whose results are files or folders, and what each was made from (run.json)."""
+
+    def __init__(self, folder: Path):
+        self.folder, self.path = folder, folder / "run.json"
+        self.done: dict[str, Any] = read_json(self.path) if self.path.exists() else {}
+
+    def do(
+        self, name: str, makes: str, needs: Sequence[Path], work: Callable[[Path], Any],
+        *, settings: Sequence[Any] = (),
+    ) -> Path:  # fmt: skip
+        """Do a step, unless it was finished from the same inputs; a folder of an earlier try is
+        kept under another name.
+
+        Args:
+            name: What it is called.
+            makes: Name of what it makes.
+            needs: Files and folders that it depends on.
+            work: Called with the path of what it makes.
+            settings: What else it depends on.
+
+        Returns:
+            That path.
+        """
+        to = self.folder / makes
+        inputs = _digest([*(_content(path) for path in needs), to_json(list(settings))])
+        if self.done.get(name) == inputs and to.exists():
+            _log.info("%s: finished before", name)
+            return to
+        if to.is_dir():
+            count = len(list(self.folder.glob(f"{makes}.before-*")))
+            to.rename(self.folder / f"{makes}.before-{count + 1}")
+        _log.info("%s", name)
+        work(to)
+        fix = "see above"
+        require(to.exists(), f"{name} made no {makes}", fix=fix, error=DeviceError)
+        self.done[name] = inputs
+        write_json(self.path, self.done)
+        return to
+
+
+def _content(path: Path) -> str:
+    """Digest of a file, or of all files of a folder with their names."""
+    if path.is_file():
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    files = sorted(p for p in path.rglob("*") if p.is_file())
+    return _digest([text for p in files for text in (str(p.relative_to(path)), _content(p))])
+
+
+def _digest(texts: Sequence[str]) -> str:
+    return hashlib.sha256("\0".join(texts).encode()).hexdigest()

@@ -1,0 +1,439 @@
+"""Planned actions as files, their execution, and the log of it.
+
+A log is JSON lines, `gendom-execution/1`: the action's plan first, then every call of the robot,
+every tick (`Tick`) and every fault as it happens, an `end` last. What was written before a program
+was killed can be read; a log without an `end` is told at the next start.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.arguments import require
+from gendom.errors import DeviceError, RobotError
+from gendom.files import LEAST_ROOM, atomic_path, free_room, to_json
+from gendom.hardware.cell import CAREFUL, Cell, PlannedMotion
+from gendom.hardware.contracts import Robot, RobotState, Tick
+from gendom.reading import parse_json, read_bytes, read_json, record_of
+from gendom.robot import (
+    Deviation,
+    GripperEvent,
+    JointMotion,
+    find_arm,
+    tcp_pose,
+)
+
+ACTION_FORMAT = "gendom-action/4"
+LOG_FORMAT = "gendom-execution/1"
+
+_FIX = "make it again with gendom act --cell"
+
+
+# ---- planned actions -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannedAction:
+    """What ``gendom act`` planned."""
+
+    task: str
+    action: tuple[float, ...]
+    """[A] [SI]."""
+    goal: tuple[float, ...]
+    """[G] [SI]."""
+    object: dict[str, Any]
+    """Kind, sizes and parameters, as `gendom.materials.from_columns` takes them."""
+    T_base_task: NDArray[np.float64]
+    """[4, 4] [m]."""
+    planned: PlannedMotion
+
+
+def plan_record(planned: PlannedMotion) -> dict[str, Any]:
+    """A planned motion, ready for JSON."""
+    said = {name: getattr(planned, name) for name in ("cell", "opening", "hangs", "surroundings")}
+    motions = {name: asdict(getattr(planned, name)) for name in ("motion", "approach")}
+    return {"arm": planned.arm.name, **said, "first": planned.motion.q[0], **motions}
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Motion:
+    time: list[float]
+    q: list[list[float]]
+    events: tuple[GripperEvent, ...] = ()
+    blend: float = 0.0
+    deviation: Deviation | None = None
+    slowed_by: float = 1.0
+
+    def motion(self) -> JointMotion:
+        own: dict[str, Any] = vars(self) | {"time": np.array(self.time), "q": np.array(self.q)}
+        return JointMotion(**own)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Plan:
+    arm: str
+    opening: float
+    first: list[float]
+    motion: _Motion
+    approach: _Motion
+    surroundings: dict[str, Any]
+    hangs: float = 0.0
+    cell: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Trajectory:
+    T_base_task: list[list[float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Action:
+    format: str
+    task: str
+    goal: dict[str, float]
+    action: dict[str, float]
+    object: dict[str, Any]
+    trajectory: _Trajectory
+    plan: _Plan | None = None
+
+
+def read_action(path: str | os.PathLike) -> PlannedAction:
+    """The action in a file of ``gendom act --out``, or in the log of its execution.
+
+    Raises:
+        GendomError: The file cannot be read.
+        RobotError: It holds no planned action, or one that cannot be: a number is not finite, a
+            pose leaves the arm's limits, the approach does not lead to the motion's start.
+    """
+    where = str(path)
+    said = read_log(path).header if Path(path).suffix == ".jsonl" else read_json(path, RobotError)
+    return _action_of(said, where)
+
+
+def _action_of(said: dict[str, Any], where: str) -> PlannedAction:
+    what = f"has format {said.get('format')!r}, not {ACTION_FORMAT!r}"
+    require(said.get("format") == ACTION_FORMAT, what, where=where, fix=_FIX, error=RobotError)
+    stored = record_of(_Action, said, where=where, fix=_FIX, error=RobotError)
+    what = "holds no plan: the arm could not follow it"
+    require(stored.plan is not None, what, where=where, fix=_FIX, error=RobotError)
+    plan = stored.plan
+    assert plan is not None
+    T = np.array(stored.trajectory.T_base_task, dtype=float)
+    try:
+        own = {name: getattr(plan, name) for name in ("cell", "opening", "hangs", "surroundings")}
+        planned = PlannedMotion(
+            arm=find_arm(plan.arm),
+            motion=plan.motion.motion(),
+            approach=plan.approach.motion(),
+            **own,
+        )
+        require(T.shape == (4, 4), "T_base_task is no 4 x 4 matrix", error=RobotError)
+        start = planned.motion.q[0]
+        ends = (planned.approach.q[-1], np.array(plan.first))
+        meets = all(e.shape == start.shape and np.abs(e - start).max() < 1e-6 for e in ends)
+        require(meets, "its approach does not end where it starts", error=RobotError)
+        for motion in (planned.motion, planned.approach):
+            planned.arm.check_q(motion.q)
+            motion.check_limits(planned.arm)
+    except (RobotError, ValueError) as error:
+        raise RobotError(getattr(error, "what", str(error)), where=where, fix=_FIX) from None
+    return PlannedAction(
+        task=stored.task,
+        action=tuple(stored.action.values()),
+        goal=tuple(stored.goal.values()),
+        object=stored.object,
+        T_base_task=T,
+        planned=planned,
+    )
+
+
+def write_trajectory(path: str | os.PathLike, motion: JointMotion, rate: float = 100.0) -> None:
+    """Write a motion as a ROS ``trajectory_msgs/JointTrajectory``: JSON, which is YAML, too.
+
+    Args:
+        path: The file.
+        motion: Its joints become joint1 and so on, as the vendor's URDF names them.
+        rate: Points a second.
+    """
+    points = []
+    for t in motion.sampled(rate):
+        whole = round((t - motion.start) * 1e9)
+        points.append(
+            {
+                "positions": motion.at(t),
+                "velocities": motion.speed_at(t),
+                "accelerations": motion.acceleration_at(t),
+                "time_from_start": {"sec": whole // 10**9, "nanosec": whole % 10**9},
+            }
+        )
+    names = [f"joint{j + 1}" for j in range(motion.q.shape[1])]
+    stamp = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+    with atomic_path(path) as temporary:
+        text = to_json({"header": stamp, "joint_names": names, "points": points})
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+# ---- before it moves -----------------------------------------------------------------------------
+
+
+def preview(planned: PlannedMotion, cell: Cell) -> list[str]:
+    """What will happen, for a person: times, distances, speeds.
+
+    Raises:
+        RobotError: The cell does not allow it.
+    """
+    what = f"was planned for {planned.arm.name}, the cell has {cell.arm}"
+    same = planned.arm.name == cell.arm
+    require(same, what, where="action", fix=_FIX, error=RobotError)
+    what, free = "was planned without a cell", planned.cell is not None or cell.simulated
+    require(free, what, where="action", fix=_FIX, error=RobotError)
+    cell.check(planned)
+    lines = []
+    for name, motion, opening in (
+        ("approach", planned.approach, cell.tool.max_opening),
+        ("motion", planned.motion, planned.opening),
+    ):
+        q = motion.at(motion.sampled(100.0))
+        x = tcp_pose(planned.arm, q)[:, :3, 3]
+        way = float(np.linalg.norm(np.diff(x, axis=0), axis=1).sum())
+        fastest = next(u.value for u in motion.limit_uses(planned.arm) if u.joint is None)
+        scene, own = cell.least_clearances(q, opening=opening)
+        lines.append(
+            f"{name:<9} {motion.end - motion.start:.2f} s, the tool goes {1e3 * way:.0f} mm, "
+            f"at most {fastest:.3f} m/s, and ends at {', '.join(f'{v:.3f}' for v in x[-1])} m"
+        )
+        lines.append(
+            f"{'':<9} nearest {1e3 * scene[0]:.0f} mm ({scene[1] or 'nothing around'}), to itself "
+            f"{1e3 * own[0]:.0f} mm ({own[1]})"
+        )
+    for event in planned.motion.events:
+        word = "closes" if event.closed else "opens"
+        lines.append(f"{'hand':<9} {word} at {event.time - planned.motion.start:.3f} s")
+    return lines
+
+
+def careful(planned: PlannedMotion) -> PlannedMotion:
+    """The same motion, so slow that no joint and not the tool passes `CAREFUL` of its speed."""
+
+    def slowed(motion: JointMotion) -> JointMotion:
+        uses = motion.limit_uses(planned.arm)
+        most = max(u.share for u in uses if u.kind in ("speed", "tool speed"))
+        return motion.stretched(max(1.0, most / CAREFUL))
+
+    return replace(planned, motion=slowed(planned.motion), approach=slowed(planned.approach))
+
+
+# ---- the log -------------------------------------------------------------------------------------
+
+
+class ExecutionLog:
+    """Lines of a log, each on its way to the disk as soon as it is written.
+
+    Raises:
+        DeviceError: The disk is full.
+    """
+
+    def __init__(self, path: Path, header: dict[str, Any]):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        what, fix = "the disk is full", "make room first: what happens must be written down"
+        full = free_room(path.parent) < LEAST_ROOM
+        require(not full, what, where=str(path.parent), fix=fix, error=DeviceError)
+        self.path = path
+        self._file = open(path, "x", buffering=1, encoding="utf-8")  # noqa: SIM115
+        fcntl.flock(self._file, fcntl.LOCK_EX)
+        self._begun = time.monotonic()
+        self.write(log=LOG_FORMAT, started=datetime.now().isoformat(), **header)
+
+    def write(self, **said: Any) -> None:
+        said = {"at": round(time.monotonic() - self._begun, 4), **said}
+        line = json.dumps(json.loads(to_json(said)), separators=(",", ":"))
+        self._file.write(line + "\n")
+
+    def tick(self, tick: Tick) -> None:
+        """Without the detour of `write`: a hundred a second."""
+        row = {"t": tick.time, "command": tick.command.tolist(), "measured": tick.measured.tolist(),
+               "age": tick.age, "opening": tick.opening}  # fmt: skip
+        self._file.write(json.dumps(row, separators=(",", ":")) + "\n")
+
+    def end(self, said: str) -> None:
+        self.write(end=said)
+        self._file.close()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExecutionRecord:
+    """What a log says."""
+
+    header: dict[str, Any]
+    """The action's file as it was executed, when, and how fast."""
+    time: NDArray[np.float64]
+    """[N] since the motion's start [s]."""
+    command: NDArray[np.float64]
+    """[N, J] [rad]."""
+    measured: NDArray[np.float64]
+    """[N, J] [rad]."""
+    age: NDArray[np.float64]
+    """[N] of the reports [s]."""
+    events: list[dict[str, Any]] = field(default_factory=list)
+    """Calls and faults in order."""
+    end: str | None = None
+    """How it ended; None: the program was killed."""
+
+
+def read_log(path: str | os.PathLike) -> ExecutionRecord:
+    """What a log says, up to its last whole line.
+
+    Raises:
+        DeviceError: It cannot be read, or is no log.
+    """
+    where, fix = str(path), "name a log of gendom execute"
+    lines = read_bytes(path, DeviceError).split(b"\n")
+    rows = [parse_json(line, f"{where}, line {n + 1}", DeviceError)
+            for n, line in enumerate(lines[:-1]) if line.strip()]  # fmt: skip
+    good = bool(rows) and rows[0].get("log") == LOG_FORMAT
+    require(good, f"does not begin with {LOG_FORMAT}", where=where, fix=fix, error=DeviceError)
+    ticks = [row for row in rows if "command" in row]
+    try:
+        arrays = {
+            name: np.array([t[key] for t in ticks], dtype=float)
+            for name, key in (("time", "t"), ("command", "command"), ("measured", "measured"),
+                              ("age", "age"))
+        }  # fmt: skip
+    except (KeyError, TypeError, ValueError):
+        raise DeviceError("holds a malformed tick", where=where, fix=fix) from None
+    events = [row for row in rows[1:] if "command" not in row]
+    end = next((row["end"] for row in reversed(events) if "end" in row), None)
+    return ExecutionRecord(header=rows[0], events=events, end=end, **arrays)
+
+
+def last_time(folder: Path) -> str | None:
+    """What happened in the last execution of a folder of logs, if it has no end; told once.
+
+    Raises:
+        DeviceError: It still runs.
+    """
+    logs = sorted(folder.glob("*.jsonl"))
+    if not logs:
+        return None
+    with open(logs[-1], "a", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            fix = "wait for it, or stop it"
+            raise DeviceError("another execution runs", where=str(logs[-1]), fix=fix) from None
+        seen = read_log(logs[-1])
+        if seen.end is not None:
+            return None
+        when = f"{seen.time[-1]:.2f} s into the motion" if len(seen.time) else "before the motion"
+        last = next((e["call"] for e in reversed(seen.events) if "call" in e), "connect")
+        said = f"the last execution was killed {when} (last call: {last})"
+        file.write("\n" + json.dumps({"end": f"{said}; told at the next start"}) + "\n")
+    return f"{said}: see {logs[-1]}, and look at arm, gripper and object before going on"
+
+
+class LoggedRobot:
+    """A robot whose calls, ticks and faults are logged: a `Robot`, too."""
+
+    def __init__(self, robot: Robot, log: ExecutionLog):
+        self.arm, self._robot, self._log = robot.arm, robot, log
+
+    def __getattr__(self, name: str) -> Any:
+        call = getattr(self._robot, name)
+        if name == "state":
+            return call
+
+        def logged(*given: Any, **others: Any) -> None:
+            self._log.write(call=name, given=given if name != "play" else ())
+            try:
+                call(*given, **others)
+            except BaseException as error:
+                self._log.write(call=name, fault=f"{type(error).__name__}: {error}")
+                raise
+            self._log.write(call=name, state=_state(self._robot.state()))
+
+        return logged
+
+    def play(self, motion: JointMotion, *, on_tick: Callable[[Tick], None] | None = None) -> None:
+        def told(tick: Tick) -> None:
+            self._log.tick(tick)
+            if on_tick is not None:
+                on_tick(tick)
+
+        self.__getattr__("play")(motion, on_tick=told)
+
+
+def _state(state: RobotState) -> dict[str, Any]:
+    return {"q": state.q, "opening": state.opening, "moving": state.moving, "fault": state.fault,
+            "age": state.age(time.monotonic())}  # fmt: skip
+
+
+# ---- execution -----------------------------------------------------------------------------------
+
+
+def execute(
+    planned: PlannedMotion,
+    cell: Cell,
+    robot: Robot,
+    log: ExecutionLog,
+    *,
+    ready: Callable[[], None] = lambda: None,
+    play: Callable[[Robot, JointMotion], None] | None = None,
+) -> None:
+    """Carry out a planned motion: connect, approach, wait for the object, close, play.
+
+    Whatever goes wrong, Ctrl-C included, the arm is told to brake, and the log to end.
+
+    Args:
+        planned: Checked against the cell again.
+        cell: Where.
+        robot: Not connected.
+        log: Of all that happens.
+        ready: Called at the motion's first pose with open fingers, for a person to bring the
+            object; returns when the fingers may close.
+        play: How the motion is played, e.g. under cameras that record; None: by `Robot.play`.
+
+    Raises:
+        RobotError: The cell does not allow it.
+        DeviceError: The robot has a fault.
+    """
+    cell.check(planned)
+    told: Any = LoggedRobot(robot, log)
+    try:
+        told.connect()
+        q = robot.state().q
+        away = float(np.abs(q - planned.approach.q[0]).max())
+        if away > 1e-3:  # from wherever the arm is, if that way is free
+            cell.approach(q, planned.motion.q[0])
+        told.gripper(cell.tool.max_opening)
+        told.approach(planned.motion.q[0])
+        ready()
+        told.gripper(planned.opening)
+        motion = planned.motion.shifted(-planned.motion.start)
+        events = motion.events
+        if events and events[0].closed:  # they are: from the first report on
+            events = (replace(events[0], time=0.0), *events[1:])
+        motion = replace(motion, events=events)
+        (play or (lambda r, m: r.play(m)))(told, motion)
+    except BaseException as error:
+        by = (
+            "Ctrl-C" if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}"
+        )
+        try:
+            told.stop()
+        finally:
+            log.end(f"stopped by {by}")
+            robot.disconnect()
+        raise
+    told.disconnect()
+    log.end("done")

@@ -1,0 +1,274 @@
+"""Intel RealSense cameras, recorded by the vendor's SDK.
+
+The SDK's own recorder writes what the camera sends, for `gendom.perception.RealSenseRecording`.
+Aligning and encoding pictures while they arrive would lose most of them.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gendom.arguments import require
+from gendom.errors import DeviceError
+from gendom.hardware.cell import CellCamera
+from gendom.hardware.contracts import Recorded
+from gendom.perception import Camera, write_camera
+from gendom.perception.realsense import own_clock, realsense_sdk, write_checksum
+from gendom.perception.rosbag import Bag
+
+RECORDING = "recording.db3"
+"""Name of the file in a camera's folder."""
+
+_FIRST_PICTURE = 5.0  # [s] that a camera may take to start
+_SILENT = 1.0  # [s] without a new picture after which a camera counts as lost
+_FLUSH = 0.3  # [s] in which the SDK's threads hand the last pictures to its recorder
+
+
+@dataclass
+class _Stream:
+    """What has come of one stream."""
+
+    pictures: int = 0
+    first: int = 0
+    last: int = 0
+    stamp: float = -np.inf
+    advanced: float = -np.inf  # when `stamp` last grew, on the clock of time.monotonic [s]
+
+
+class RealSenseCamera:
+    """A connected RealSense camera; a `gendom.hardware.DepthCamera`.
+
+    Args:
+        cell_camera: Its name, serial number and pose.
+        width, height: Of both streams [pixel].
+        rate: Frames a second.
+        colour: Whether to record colour too.
+        compress: Whether the SDK encodes pictures as PNG while it records: a third of the size, but
+            two cameras keep two cores busy, and lose pictures beside other work.
+        device: A device of the SDK to use instead of a connected one.
+    """
+
+    def __init__(
+        self,
+        cell_camera: CellCamera,
+        *,
+        width: int = 848,
+        height: int = 480,
+        rate: int = 30,
+        colour: bool = True,
+        compress: bool = False,
+        device: Any = None,
+    ):
+        self.name = cell_camera.name
+        self._described = cell_camera
+        self._mode = width, height, rate
+        self._kinds = ("depth", "color") if colour else ("depth",)
+        self._compress = compress
+        self._device = device
+        self._context: Any = None
+        self._camera: Camera | None = None
+        self._recorder: Any = None
+        self._sensors: list[Any] = []
+        self._streams: dict[str, _Stream] = {}
+        self._path = Path()
+        self._unplugged = False
+
+    @property
+    def camera(self) -> Camera:
+        """Intrinsics, depth unit and pose, once it is connected."""
+        if self._camera is None:
+            raise DeviceError("is not connected", where=self._where, fix="call connect() first")
+        return self._camera
+
+    @property
+    def _where(self) -> str:
+        return f"camera {self.name}"
+
+    def connect(self) -> None:
+        """Find the camera and its streams.
+
+        Raises:
+            DeviceError: The SDK or the camera is missing, or it has no such streams.
+        """
+        sdk = realsense_sdk()
+        if self._device is None:
+            self._context = sdk.context()
+            self._device = _connected(sdk, self._context, self._described.serial)
+            self._context.set_devices_changed_callback(self._devices_changed)
+        (sensor, profile), *_ = [self._profile(self._device, kind) for kind in self._kinds]
+        # The SDK holds it as float32, whose shortest text is the number that was meant.
+        unit = float(str(np.float32(sensor.as_depth_sensor().get_depth_scale())))
+        camera = _intrinsics(self.name, profile)
+        self._camera = replace(
+            camera, depth_unit=unit, T_world_camera=self._described.T_world_camera
+        )
+
+    def _profile(self, device: Any, kind: str) -> tuple[Any, Any]:
+        """A device's sensor and its profile of a stream, in this camera's mode."""
+        sdk = realsense_sdk()
+        form = sdk.format.z16 if kind == "depth" else sdk.format.rgb8
+        modes = set()
+        for sensor in device.query_sensors():
+            for profile in sensor.get_stream_profiles():
+                if profile.stream_type().name != kind or profile.format() != form:
+                    continue
+                video = profile.as_video_stream_profile()
+                modes.add((video.width(), video.height(), profile.fps()))
+                if (video.width(), video.height(), profile.fps()) == self._mode:
+                    return sensor, video
+        have = ", ".join(f"{w} x {h} at {f}" for w, h, f in sorted(modes)) or "none"
+        width, height, rate = self._mode
+        what = f"has no {kind} of {width} x {height} at {rate} a second"
+        raise DeviceError(what, where=self._where, fix=f"choose of {have}")
+
+    def _devices_changed(self, changes: Any) -> None:
+        self._unplugged |= changes.was_removed(self._device)
+
+    def start_recording(self, folder: Path) -> None:
+        """Record both streams into ``folder/recording.db3`` until `stop_recording`, with the
+        camera's pose in camera.toml. Returns when both streams have begun.
+
+        Raises:
+            DeviceError: The camera does not stream, or the SDK cannot write there.
+        """
+        sdk, camera = realsense_sdk(), self.camera
+        self._path = Path(folder) / RECORDING
+        taken = self._path.exists()
+        require(not taken, "is there already", where=str(self._path), fix="name another folder")
+        write_camera(self._path.with_name("camera.toml"), camera, pose_only=True)
+        try:
+            self._recorder = sdk.recorder(str(self._path), self._device, self._compress)
+            self._streams = {kind: _Stream() for kind in self._kinds}
+            # Of cameras whose depth and colour come from one sensor both open at once.
+            by_sensor: dict[str, tuple[Any, list[Any]]] = {}
+            for kind in self._kinds:
+                sensor, profile = self._profile(self._recorder, kind)
+                name = sensor.get_info(sdk.camera_info.name)
+                by_sensor.setdefault(name, (sensor, []))[1].append(profile)
+            for sensor, profiles in by_sensor.values():
+                if sensor.supports(sdk.option.global_time_enabled):
+                    sensor.set_option(sdk.option.global_time_enabled, 1)
+                sensor.open(profiles)
+                self._sensors.append(sensor)
+                sensor.start(self._take)
+        except RuntimeError as error:
+            self._close()
+            fix = (
+                "close other programs that use it, plug it in again (USB 3), or name another folder"
+            )
+            raise DeviceError(f"does not record ({error})", where=self._where, fix=fix) from None
+
+    def wait_for_pictures(self) -> None:
+        """Return when every stream has begun.
+
+        Raises:
+            DeviceError: One does not within five seconds.
+        """
+        until = time.monotonic() + _FIRST_PICTURE
+        while silent := [k for k, s in self._streams.items() if not s.pictures]:
+            if time.monotonic() > until or self._unplugged:
+                what = f"gives no {' and no '.join(silent)} picture"
+                fix = "check cable and hub: it needs USB 3"
+                raise DeviceError(what, where=self._where, fix=fix)
+            time.sleep(0.01)
+
+    def _take(self, frame: Any) -> None:
+        """Called by the SDK, in a thread for each sensor."""
+        number, stamp = frame.get_frame_number(), 1e-3 * frame.get_timestamp()
+        stream = self._streams[frame.get_profile().stream_type().name]
+        if not stream.pictures:
+            stream.first = number
+        stream.pictures += 1
+        if stamp > stream.stamp:
+            stream.stamp, stream.last, stream.advanced = stamp, number, time.monotonic()
+
+    def fault(self) -> str | None:
+        """What is wrong with the camera while it records; None: nothing."""
+        if self._unplugged:
+            return "was unplugged"
+        for name, stream in self._streams.items():
+            silent = time.monotonic() - stream.advanced
+            if stream.pictures and silent > _SILENT:
+                return f"has given no new {name} picture for {silent:.1f} s"
+        return None
+
+    def stop_recording(self) -> Recorded:
+        """Stop, wait until everything is on disk, and count the pictures there.
+
+        Raises:
+            DeviceError: It does not record.
+            RecordingError: The file cannot be read.
+        """
+        if self._recorder is None:
+            raise DeviceError("does not record", where=self._where, fix="start a recording first")
+        time.sleep(_FLUSH)
+        self._close()
+        if not self._compress:  # PNG has checksums of its own
+            write_checksum(self._path)
+        warnings: list[Any] = []
+        bag = Bag(self._path, on_warning=warnings.append)
+        pictures = missing = 0
+        for kind, seen in self._streams.items():
+            stream = bag.stream(kind.capitalize(), self.name)
+            written = 0 if stream is None else len(stream.entries)
+            sent = seen.last - seen.first + 1 if seen.pictures else 0
+            pictures, missing = pictures + written, missing + max(0, sent - written)
+            own = stream and stream.entries and stream.entries[0].domain == "Hardware Clock"
+            if own and kind == "depth":
+                warnings.append(own_clock(self._where))
+        return Recorded(
+            pictures=pictures, missing=missing, warnings=tuple(str(w.what) for w in warnings)
+        )
+
+    def _close(self) -> None:
+        for sensor in self._sensors:
+            try:
+                sensor.stop()
+                sensor.close()
+            except RuntimeError:  # not started, or no longer connected
+                continue
+        self._sensors = []
+        # The recorder flushes its buffers when the last reference is deleted.
+        self._recorder = None
+
+    def disconnect(self) -> None:
+        """Stop a recording that still runs, and let the camera go."""
+        self._close()
+        self._camera = None
+
+
+def _connected(sdk: Any, context: Any, serial: str) -> Any:
+    """The connected device of a serial number."""
+    serials = []
+    for device in context.query_devices():
+        serials.append(device.get_info(sdk.camera_info.serial_number))
+        if serials[-1] == serial:
+            return device
+    what, fix = f"no RealSense camera {serial!r} is connected", f"have {', '.join(serials)}"
+    if not serials:
+        what = "no RealSense camera is connected"
+        fix = "plug it in (USB 3); on Linux install the SDK's udev rules"
+    raise DeviceError(what, fix=fix)
+
+
+def _intrinsics(name: str, profile: Any) -> Camera:
+    """Size and intrinsics of a stream."""
+    found = profile.get_intrinsics()
+    distorted = any(found.coeffs) and found.model.name != "none"
+    known = not distorted or "brown_conrady" in found.model.name
+    what = f"has the distortion {found.model.name}, which is not known here"
+    fix = "use a camera of the D400 series"
+    require(known, what, where=f"camera {name}", fix=fix, error=DeviceError)
+    return Camera(
+        name=name,
+        width=found.width,
+        height=found.height,
+        K=np.array([[found.fx, 0.0, found.ppx], [0.0, found.fy, found.ppy], [0.0, 0.0, 1.0]]),
+        T_world_camera=None,
+        distortion=tuple(found.coeffs) if distorted else (),
+    )

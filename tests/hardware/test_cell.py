@@ -1,0 +1,152 @@
+"""`Cell` and `gendom cell`: what a file may say, what is wrong with a cell, what may be planned."""
+
+from datetime import date
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gendom import cli
+from gendom.errors import GendomError, RobotError
+from gendom.hardware.cell import BARE, Cell
+from gendom.robot import DOWN, XARM7, TcpPath, tcp_pose
+from simulated_cell import box, write_cell
+
+
+def line(*points, seconds=2.0):
+    return TcpPath(
+        time=np.linspace(0.0, seconds, len(points)),
+        position=np.array(points),
+        quat_xyzw=np.array(DOWN),
+    )
+
+
+@pytest.mark.parametrize(
+    ("more", "changed", "words"),
+    [
+        (["[[boxes]]"], {}, "unknown key 'boxes'; did you mean 'box'?"),
+        (['[[stand]]\nname = "a"\nradios = 1.0'], {}, "stand[0]: has the unknown key 'radios'"),
+        ([], {"share": "0.3\nshar = 1"}, "speed: has the unknown key 'shar'; did you mean"),
+        ([], {"tool": "0.9"}, "speed.tool: is out of range; give m/s up to 0.8"),
+        ([], {"share": "30.0"}, "speed.share: is out of range; give a share up to 1"),
+        ([], {"max_opening": "84.0"}, "tool.max_opening: is out of range; give metres up to 0.084"),
+        ([], {"workspace": "[[0, 0, 0.5], [1, 1, 0.2]]"}, "workspace: is out of range"),
+        ([], {"workspace": '"all"'}, "workspace: expected `array`".replace("`", "")),
+        ([], {"table_height": "nan"}, "table_height: is out of range"),
+        ([], {"table_height": "0.0\nself_clearance = nan"}, "self_clearance: is out of range"),
+        ([box("a", (0, 0, 1), (1, 1, 1)) + "\nquat_xyzw = [0, 0, 0, 0]"], {}, "no quaternion"),
+        ([], {"robot": '"xarm6"'}, "there is no robot 'xarm6'; did you mean 'xarm7'?"),
+        ([], {"robot": '"simulated"\narm = "ur5"'}, "there is no robot 'ur5'"),
+        ([box("a", (0, 0, 1), (1, 1, 0))], {}, "a: its size is"),
+        ([box("left", (0, 1, 1), (1, 1, 1)), box("left", (0, 2, 1), (1, 1, 1))], {}, "name of its"),
+        (['[[camera]]\nname = "c"\ndevice = "simulated"\ncalibration = "no.toml"'], {}, "no such"),
+        (['[[camera]]\nname = "c"\ndevice = "realsens"'], {}, "did you mean 'realsense'?"),
+    ],
+)  # fmt: skip
+def test_what_no_cell_can_say_is_refused_in_one_line(tmp_path, capsys, more, changed, words):
+    path = write_cell(tmp_path, *more, **changed)
+    assert cli.main(["cell", "check", str(path)]) == 2
+    err = capsys.readouterr().err
+    assert words in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("T_world_camera = [[-", "T_world_camera = [[-9", "T_world_camera: is no rigid transform"),
+        ('serial = "left"', 'calibration = "a.toml"', "leave one of them out"),
+    ],
+)
+def test_a_camera_s_pose_is_a_rigid_transform_given_once(tmp_path, old, new, words):
+    path = write_cell(tmp_path)
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(GendomError, match=words):
+        Cell.read(path)
+
+
+@pytest.mark.parametrize(
+    ("more", "changed", "words"),
+    [
+        ([], {}, set()),
+        ([box("board", tcp_pose(XARM7, XARM7.home)[:3, 3], (0.1, 0.1, 0.1))], {},
+         {"at the arm's home pose left pad front and board are less than 20 mm"}),
+        ([], {"workspace": "[[0.5, -0.6, 0.0], [0.8, 0.6, 0.8]]"}, {"does not hold the tool"}),
+        ([], {"workspace": "[[-800, -600, 0], [800, 600, 800]]"}, {"goes 1.28e+03 m from the"}),
+        ([], {"workspace": "[[0.15, -0.6, -0.03], [0.8, 0.6, 0.8]]"}, {"begins 30 mm below"}),
+    ],
+)  # fmt: skip
+def test_errors_of_a_cell(tmp_path, more, changed, words):
+    faults = Cell.read(write_cell(tmp_path, *more, **changed)).faults(date(2026, 11, 25))
+    found = [f.what for f in faults]
+    assert len(found) == len(words) and all(any(w in f for f in found) for w in words), found
+    assert all(f.severity == "error" for f in faults)
+
+
+def test_calibrations_that_are_old_or_absent_are_warned_of(tmp_path):
+    path = write_cell(tmp_path, '[[camera]]\nname = "new"\ndevice = "realsense"')
+    path.write_text(path.read_text().replace("stated_error = 0.002", "stated_error = 0.02", 1))
+    faults = Cell.read(path).faults(date(2027, 3, 1))
+    said = sorted((f.where, f.what) for f in faults)
+    assert said == [
+        ("camera left", "states 0.02 m as its error"),
+        ("camera left", "was calibrated 101 days ago"),
+        ("camera new", "is not calibrated"),
+        ("camera right", "was calibrated 101 days ago"),
+    ]
+    assert {f.severity for f in faults} == {"warning"}
+
+
+def test_nothing_below_the_table_through_a_box_or_out_of_the_workspace_is_planned(tmp_path):
+    shelf = box("shelf", (0.5, 0.3, 0.1), (0.2, 0.1, 0.2))  # up to y = 0.25
+    cell = Cell.read(write_cell(tmp_path, shelf))
+    down = line((0.45, 0.0, 0.2), (0.45, 0.0, -0.03))
+    for where in (cell, BARE):
+        with pytest.raises(RobotError, match="table"):
+            where.plan(down, opening=0.016)
+    with pytest.raises(RobotError, match="shelf"):
+        cell.plan(line((0.5, 0.0, 0.1), (0.5, 0.3, 0.1)), opening=0.016)
+    with pytest.raises(RobotError, match="leaves the workspace by 50 mm, at"):
+        cell.plan(line((0.3, 0.0, 0.3), (0.1, 0.0, 0.3)), opening=0.016)
+    with pytest.raises(RobotError, match="held object and shelf"):  # which hangs beside the fingers
+        cell.plan(line((0.5, 0.0, 0.35), (0.5, 0.3, 0.35)), opening=0.016, hangs=0.3)
+    assert cell.plan(line((0.5, 0.0, 0.35), (0.5, 0.3, 0.35)), opening=0.016).motion.end > 2.0
+
+
+def test_clearances_count(tmp_path):
+    """A hand that stops 50 mm beside a box, half of it 43 mm wide: 20 mm are asked for."""
+    beside = {gap: line((0.5, 0.0, 0.2), (0.5, 0.15, 0.2)) for gap in (0.0, 0.02)}
+    near = 0.15 + 0.0745 + 0.01  # 10 mm beside the open fingers' knuckles
+    walls = box("wall", (0.5, near + 0.05, 0.2), (0.2, 0.1, 0.4))
+    loose = Cell.read(write_cell(tmp_path, walls, table_height="0.0\nscene_clearance = 0.0"))
+    planned = loose.plan(beside[0.0], opening=0.016)
+    scene, own = loose.least_clearances(planned.motion.at(planned.motion.time), opening=0.016)
+    assert 0.0 < scene[0] < 0.1 and "wall" in scene[1] and own[0] > 0.01
+    strict = f"0.0\nscene_clearance = {scene[0] + 0.002}"
+    with pytest.raises(RobotError, match=r"wall come less than .* mm apart"):
+        Cell.read(write_cell(tmp_path, walls, table_height=strict)).plan(beside[0.0], opening=0.016)
+
+
+def test_speeds_are_the_cell_s(tmp_path):
+    cell = Cell.read(write_cell(tmp_path, tool="0.25"))
+    planned = cell.plan(line((0.4, -0.2, 0.3), (0.4, 0.2, 0.3), seconds=0.5), opening=0.016)
+    uses = planned.motion.limit_uses(XARM7)
+    assert planned.motion.slowed_by > 3.0
+    assert max(u.value for u in uses if u.joint is None) == pytest.approx(0.25, rel=0.02)
+    assert max(u.share for u in uses if u.kind in ("speed", "acceleration")) <= 0.3 + 1e-9
+    slow = planned.approach.limit_uses(XARM7)
+    assert max(u.share for u in slow if u.kind != "angle") <= 0.1 + 1e-6
+    assert planned.approach.q[0] == pytest.approx(XARM7.home)
+    assert planned.approach.q[-1] == pytest.approx(planned.motion.q[0])
+
+
+def test_the_picture_shows_what_stands_where(tmp_path, capsys):
+    """A box that is moved towards larger y goes left in the view from the top, as the camera's."""
+    columns = []
+    for y in (-0.4, 0.4):
+        path = write_cell(tmp_path, box("shelf", (0.5, y, 0.1), (0.1, 0.1, 0.2)), cameras=False)
+        picture = tmp_path / "cell.png"
+        assert cli.main(["cell", "check", str(path), "--picture", str(picture)]) == 0
+        assert "warning" in capsys.readouterr().out  # no camera
+        top = np.asarray(Image.open(picture).convert("RGB")).astype(int)[:500]
+        columns.append(np.nonzero(np.abs(top - (214, 170, 140)).max(axis=2) < 12)[1].mean())
+    assert columns[0] - columns[1] > 200

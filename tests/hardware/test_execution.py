@@ -1,0 +1,300 @@
+"""Planned actions as files, their execution, and what is left of it when something goes wrong."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gendom import cli
+from gendom.errors import DeviceError, RobotError
+from gendom.files import to_json, write_json
+from gendom.hardware.cell import Cell
+from gendom.hardware.contracts import RobotState, Tick
+from gendom.hardware.execution import (
+    ACTION_FORMAT,
+    ExecutionLog,
+    careful,
+    execute,
+    last_time,
+    plan_record,
+    preview,
+    read_action,
+    read_log,
+    write_trajectory,
+)
+from gendom.reading import read_json
+from gendom.robot import DOWN, XARM7, GripperEvent, TcpPath, read_joints
+from simulated_cell import write_cell
+
+
+class FakeRobot:
+    """A robot that is where it is told to be, a tick every 10 ms of real time; it can fail."""
+
+    arm = XARM7
+
+    def __init__(self, cell=None, fails=None, pace=0.0):
+        self.q, self.calls, self.fails, self.pace = XARM7.home, [], fails, pace
+
+    def state(self):
+        return RobotState(time=time.monotonic(), q=self.q)
+
+    def approach(self, q):
+        self.calls.append("approach")
+        self.q = np.asarray(q)
+
+    def play(self, motion, *, on_tick=None):
+        self.calls.append("play")
+        for k, t in enumerate(np.arange(0.0, motion.end, 0.01)):
+            self.q = motion.at(t)
+            if k == 20 and self.fails is not None:
+                raise self.fails
+            (on_tick or print)(Tick(time=t, command=self.q, measured=self.q, age=0.001, stamp=t))
+            time.sleep(self.pace)
+
+    def __getattr__(self, name):
+        return lambda *given: self.calls.append(name)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A cell, and an action that was planned in it: 0.1 m sideways, as a file."""
+    folder = tmp_path_factory.mktemp("made")
+    cell = Cell.read(write_cell(folder, cameras=False))
+    path = TcpPath(
+        time=np.array([0.0, 0.4]),
+        position=np.array([[0.45, 0.0, 0.3], [0.45, 0.1, 0.3]]),
+        quat_xyzw=np.array(DOWN),
+        events=(GripperEvent(time=0.0, closed=True), GripperEvent(time=0.35, closed=False)),
+    )
+    said = {
+        "format": ACTION_FORMAT,
+        "task": "rope-reaching",
+        "goal": {"x": 0.45},
+        "action": {"release_x": 0.15, "release_z": 0.1},
+        "object": {"kind": "rope", "length": 0.3},
+        "trajectory": {"T_base_task": np.eye(4).tolist()},
+        "plan": plan_record(cell.plan(path, opening=0.016)),
+    }
+    write_json(folder / "action.json", said)
+    return cell, folder / "action.json"
+
+
+def test_an_action_is_read_as_it_was_planned(made):
+    cell, path = made
+    read = read_action(path)
+    again = cell.plan(
+        TcpPath(
+            time=np.array([0.0, 0.4]),
+            position=np.array([[0.45, 0.0, 0.3], [0.45, 0.1, 0.3]]),
+            quat_xyzw=np.array(DOWN),
+            events=read.planned.motion.events,
+        ),
+        opening=0.016,
+    )
+    assert read.task == "rope-reaching" and read.action == (0.15, 0.1) and read.goal == (0.45,)
+    assert json.loads(to_json(plan_record(read.planned)))["motion"]["q"] == again.motion.q.tolist()
+    assert read.planned.surroundings["table_height"] == 0.0
+    assert read.planned.motion.deviation == again.motion.deviation
+    assert "approach" in " ".join(preview(read.planned, cell))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda s: s.update(format="gendom-action/3"), "not 'gendom-action/4'; make it again"),
+        (lambda s: s.pop("plan"), "holds no plan"),
+        (lambda s: s["plan"].pop("approach"), "plan: object missing required field approach"),
+        (lambda s: s["plan"].update(arm="ur5"), "there is no robot 'ur5'"),
+        (lambda s: s["plan"]["first"].__setitem__(0, 0.5), "approach does not end where it starts"),
+        (lambda s: s["plan"]["motion"]["q"][7].__setitem__(1, 3.0), "joint 2"),
+        (lambda s: s["plan"]["motion"]["q"][7].__setitem__(1, "a"), "q[7][1]"),
+        (lambda s: s["plan"]["motion"]["q"].pop(), "needs time"),
+        (lambda s: s["plan"]["motion"]["time"].reverse(), "its times do not increase"),
+    ],
+)
+def test_a_damaged_action_is_refused_in_one_line(made, tmp_path, capsys, change, words):
+    cell, path = made
+    said = read_json(path)
+    change(said)
+    write_json(tmp_path / "bad.json", said)
+    code = cli.main(["execute", str(tmp_path / "bad.json"), "--cell", str(cell.path)])
+    err = capsys.readouterr().err
+    assert code == 2 and words in err and err.count("\n") == 1 and "bad.json" in err
+
+
+def test_a_real_arm_wants_a_plan_of_its_cell_and_the_cell_is_checked_again(made, tmp_path):
+    """A shelf that was put up after planning; an action that was planned for no cell at all."""
+    _, path = made
+    planned = read_action(path).planned
+    real = replace(made[0], robot="xarm7")
+    assert preview(planned, real)
+    object.__setattr__(planned, "cell", None)
+    with pytest.raises(RobotError, match="was planned without a cell; make it again"):
+        preview(planned, real)
+    shelf = '[[box]]\nname = "shelf"\nposition = [0.45, 0.1, 0.2]\nsize = [0.1, 0.1, 0.1]'
+    with pytest.raises(RobotError, match="shelf"):
+        preview(planned, Cell.read(write_cell(tmp_path, shelf, cameras=False)))
+
+
+def test_careful_is_a_tenth(made):
+    planned = careful(read_action(made[1]).planned)
+    uses = [u for m in (planned.motion, planned.approach) for u in m.limit_uses(XARM7)]
+    shares = [u.share for u in uses if u.kind in ("speed", "tool speed")]
+    assert max(shares) == pytest.approx(0.1, rel=1e-6)
+
+
+def test_exports(made, tmp_path):
+    """joints.csv is read back; in the JointTrajectory speeds are the positions' differences."""
+    motion = read_action(made[1]).planned.motion
+    motion.write_joints(tmp_path / "joints.csv", opening=(0.016, 0.084))
+    states = read_joints(tmp_path / "joints.csv", XARM7)
+    assert np.abs(states.q - motion.at(states.time)).max() < 1e-6
+    write_trajectory(tmp_path / "t.json", motion)
+    said = read_json(tmp_path / "t.json")
+    assert said["joint_names"] == [f"joint{j}" for j in range(1, 8)]
+    points = said["points"]
+    q, v = (np.array([p[name] for p in points]) for name in ("positions", "velocities"))
+    t = np.array(
+        [p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"] for p in points]
+    )
+    assert t[0] == 0.0 and t[-1] == pytest.approx(motion.end - motion.start, abs=1e-8)
+    slope = (q[2:] - q[:-2]) / (t[2:] - t[:-2])[:, None]
+    assert np.abs(slope - v[1:-1]).max() < 0.05 * np.abs(v).max()
+
+
+# ---- execution -----------------------------------------------------------------------------------
+
+
+def run_it(made, tmp_path, robot):
+    cell, path = made
+    log = ExecutionLog(tmp_path / "a.jsonl", read_json(path))
+    execute(read_action(path).planned, cell, robot, log)
+
+
+def test_all_is_logged_in_order(made, tmp_path):
+    robot = FakeRobot()
+    run_it(made, tmp_path, robot)
+    order = ["connect", "gripper", "approach", "gripper", "play", "disconnect"]
+    assert robot.calls == order
+    seen = read_log(tmp_path / "a.jsonl")
+    assert [e["call"] for e in seen.events if "state" not in e and "call" in e] == order
+    motion = read_action(made[1]).planned.motion
+    assert np.abs(seen.command - motion.at(seen.time + motion.start)).max() < 1e-12
+    assert seen.end == "done" and len(seen.time) == pytest.approx(
+        100 * (motion.end - motion.start), abs=1
+    )
+    assert read_action(tmp_path / "a.jsonl").planned.motion.q.tolist() == motion.q.tolist()
+    assert last_time(tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("fault", "end"),
+    [
+        (KeyboardInterrupt(), "stopped by Ctrl-C"),
+        (DeviceError("C31, collision", fix="look"), "stopped by DeviceError: C31, collision; look"),
+    ],
+)
+def test_whatever_ends_it_the_arm_brakes_and_the_log_says_why(made, tmp_path, fault, end):
+    robot = FakeRobot(fails=fault)
+    with pytest.raises(type(fault)):
+        run_it(made, tmp_path, robot)
+    assert robot.calls[-3:] == ["play", "stop", "disconnect"]
+    seen = read_log(tmp_path / "a.jsonl")
+    assert seen.end == end and len(seen.time) == 20
+    assert [e["call"] for e in seen.events if "fault" in e] == ["play"]
+
+
+KILLED = """
+import sys
+from pathlib import Path
+sys.path[:0] = [{tests!r}, {here!r}]
+from test_execution import FakeRobot, ExecutionLog, Cell, execute, read_action, read_json
+log = ExecutionLog(Path({log!r}), read_json({action!r}))
+execute(read_action({action!r}).planned, Cell.read({cell!r}), FakeRobot(pace=0.01), log)
+"""
+
+
+def test_after_kill_9_the_log_is_whole_and_the_next_start_says_so(made, tmp_path):
+    cell, path = made
+    log = tmp_path / "executions" / "a.jsonl"
+    here = Path(__file__).parent
+    code = KILLED.format(
+        tests=str(here.parent), here=str(here), log=str(log), action=str(path), cell=str(cell.path)
+    )
+    child = subprocess.Popen([sys.executable, "-c", code], env=os.environ)
+    end = time.monotonic() + 60.0
+    while not (log.exists() and b'"t":0.3,' in log.read_bytes()) and time.monotonic() < end:
+        time.sleep(0.01)
+    with pytest.raises(DeviceError, match="another execution runs"):
+        last_time(log.parent)
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    seen = read_log(log)
+    assert seen.end is None and seen.time[-1] >= 0.3 and len(seen.time) >= 31
+    said = last_time(log.parent)
+    assert (
+        said is not None and "the last execution was killed" in said and "(last call: play)" in said
+    )
+    assert f"{seen.time[-1]:.2f} s into the motion" in said
+    assert last_time(log.parent) is None
+    assert "told at the next start" in (read_log(log).end or "")
+
+
+def test_nothing_moves_without_move_and_a_typed_word(made, monkeypatch, capsys):
+    cell, path = made
+    robots = []
+    monkeypatch.setattr(
+        Cell, "devices", lambda self: robots.append(FakeRobot()) or (robots[-1], [])
+    )
+    words = ["execute", str(path), "--cell", str(cell.path)]
+    assert cli.main(words) == 0 and "nothing moved: this was a dry run" in capsys.readouterr().out
+    assert cli.main([*words, "--yes"]) == 2
+    monkeypatch.setattr("builtins.input", lambda _: "yes")
+    assert cli.main([*words, "--move"]) == 2 and robots == []
+    assert "was not confirmed; nothing moved" in capsys.readouterr().err
+
+
+def test_yes_moves_slowly_and_the_log_can_be_looked_at(made, monkeypatch, capsys, tmp_path):
+    cell, path = made
+    monkeypatch.setattr(Cell, "devices", lambda self: (FakeRobot(), []))
+    monkeypatch.setattr("gendom.cli.execute.bring", lambda *given, **others: None)
+    words = ["execute", str(path), "--cell", str(cell.path), "--move", "--yes"]
+    assert cli.main(words) == 0
+    logs = sorted((cell.path.parent / "executions").glob("*.jsonl"))
+    slow, usual = read_log(logs[-1]), read_action(path).planned.motion
+    assert slow.time[-1] > 1.5 * (usual.end - usual.start)
+    speed = np.abs(np.diff(slow.measured, axis=0)).max(axis=0) / 0.01
+    assert np.all(speed <= 0.1001 * XARM7.max_speed)
+    capsys.readouterr()
+    picture = tmp_path / "log.png"
+    words = ["execute", str(logs[-1]), "--cell", str(cell.path), "--picture", str(picture)]
+    assert cli.main(words) == 0
+    out = capsys.readouterr().out
+    assert f"{len(slow.time)} ticks; end: done" in out and picture.exists()
+
+
+def test_two_threads_write_whole_lines(tmp_path):
+    """A watch's stop is logged beside the ticks of a motion."""
+    log = ExecutionLog(tmp_path / "a.jsonl", {})
+    q = np.zeros(7)
+
+    def ticks():
+        for k in range(300):
+            log.tick(Tick(time=0.01 * k, command=q, measured=q, age=0.0, stamp=0.0))
+
+    thread = threading.Thread(target=ticks)
+    thread.start()
+    for _ in range(300):
+        log.write(call="stop")
+    thread.join()
+    log.end("done")
+    seen = read_log(tmp_path / "a.jsonl")
+    assert len(seen.time) == 300 and sum("call" in e for e in seen.events) == 300

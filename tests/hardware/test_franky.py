@@ -1,0 +1,123 @@
+"""The Franka driver on franky-sim, which speaks libfranka's protocol.
+
+The simulation's clock is the test's, since it may be slower than the real one.
+"""
+
+import math
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from gendom.errors import DeviceError, RobotError
+from gendom.hardware import cell as cells
+from gendom.hardware.franky import FrankaDriver
+from gendom.hardware.streaming import Streamer
+from gendom.robot import NO_OBSTACLES, find_arm, joint_move
+
+pytest.importorskip("franky", reason="pip install franky-control")
+pytest.importorskip("franky_sim", reason="pip install franky-sim")
+try:
+    find_arm("fr3")
+except RobotError as error:
+    pytest.skip(str(error), allow_module_level=True)
+
+ADDRESS = "127.0.78.1"
+
+
+class Driver(FrankaDriver):
+    realtime = "Ignore"
+
+    def __init__(self, cell):
+        super().__init__(cell, clock=self.simulated)
+
+    def simulated(self):
+        return self._robot.state.time.to_sec()
+
+
+@pytest.fixture(scope="module")
+def address():
+    order = [sys.executable, "-m", "franky_sim.run_server", "-s", "mujoco", "--hostname", ADDRESS]
+    server = subprocess.Popen(order, stdout=subprocess.PIPE, text=True)
+    assert server.stdout is not None
+    for line in server.stdout:
+        if "Connect to" in line:
+            break
+    yield ADDRESS
+    server.kill()
+    server.wait()
+
+
+@pytest.fixture
+def streamer(address):
+    cell = cells.Cell(
+        robot="fr3",
+        address=address,
+        arm="fr3",
+        tool=cells.Tool(max_opening=0.08, latency=0.05),
+        surroundings=NO_OBSTACLES,
+        workspace=(np.full(3, -1.5), np.full(3, 1.5)),
+    )
+    driver = Driver(cell)
+    driver.connect()
+    yield Streamer(driver, cell, clock=driver.simulated)
+    driver.disconnect()
+
+
+def play(streamer, motion, also=lambda: None):
+    streamer.start(motion)
+    errors, end = [], time.monotonic() + 60.0
+    while streamer.moving and time.monotonic() < end:
+        due = streamer.clock() + streamer.driver.period
+        while streamer.clock() < due:
+            time.sleep(0.0005)
+        streamer.tick()
+        errors.append(np.abs(streamer.command - streamer.report.q).max())
+        also()
+    return max(errors)
+
+
+def test_motions_are_followed_and_the_hand_moves(streamer):
+    q = streamer.report.q
+    there = q + np.array([0.2, 0.1, 0.0, 0.1, 0.0, 0.0, -0.2])
+    for a, b in ((q, there), (there, q)):
+        error = play(streamer, joint_move(streamer.arm, a, b, share=0.1))
+        assert streamer.fault is None
+        assert error < math.radians(2.0)
+        time.sleep(0.3)
+        assert streamer.driver.report().q == pytest.approx(b, abs=2e-3)
+    for opening in (0.05, 0.02):
+        streamer.driver.grip(opening)
+        assert streamer.driver.report().opening == pytest.approx(opening, abs=5e-3)
+
+
+def test_it_brakes_within_its_accelerations(streamer):
+    q = streamer.report.q
+    motion = joint_move(streamer.arm, q, q + np.array([0.5, 0, 0, 0, 0, 0, 0]), share=0.1)
+
+    def brake():
+        if streamer.elapsed > 0.5 * motion.end:
+            streamer.brake("stopped")
+
+    play(streamer, motion, brake)
+    assert (streamer.fault, streamer.ended) == (None, "stopped")
+    first = streamer.driver.report().q
+    time.sleep(0.5)
+    assert streamer.driver.report().q == pytest.approx(first, abs=2e-3)
+    assert 0.2 < (first - q)[0] < 0.4
+
+
+def test_nobody_there():
+    with pytest.raises(DeviceError, match="FCI"):
+        Driver(
+            cells.Cell(
+                robot="fr3",
+                address="127.0.78.2",
+                arm="fr3",
+                tool=cells.Tool(max_opening=0.08, latency=0.05),
+                surroundings=NO_OBSTACLES,
+                workspace=(np.full(3, -1.5), np.full(3, 1.5)),
+            )
+        ).connect()

@@ -1,0 +1,81 @@
+"""Where a rope ends, from its cloud; and what that says an action reached."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from gendom.datasets import ObjectDescription, Recording
+from gendom.errors import RecordingError
+from gendom.hardware.cell import BARE
+from gendom.hardware.execution import PlannedAction
+from gendom.hardware.observing import reached, rope_tip
+from gendom.materials import Material, Rope
+from gendom.tasks import ClothSpreading, RopeReaching
+from gendom.tasks.world import Simulation
+
+ROPE = Rope(length=0.3, diameter=0.016, material=Material(E=8.0e5, density=800.0))
+
+
+def cloud_of(line, rng, side=(0.0, -1.0, 0.3)):
+    """Points of the half of a tube's surface that faces one side, with 1 mm of noise."""
+    s = rng.uniform(0.0, 1.0, 600)
+    along = np.linspace(0.0, 1.0, len(line))
+    x = np.stack([np.interp(s, along, line[:, k]) for k in range(3)], axis=1)
+    turned = rng.normal(size=(600, 3)) + 1.5 * np.array(side)
+    tangent = np.gradient(line, axis=0)[np.clip((s * len(line)).astype(int), 0, len(line) - 1)]
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    turned -= np.sum(turned * tangent, axis=1, keepdims=True) * tangent
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    cloud = x + 0.5 * ROPE.diameter * turned + rng.normal(scale=1e-3, size=(600, 3))
+    return cloud[np.unique((cloud / 0.005).astype(int), axis=0, return_index=True)[1]]
+
+
+@pytest.mark.parametrize("bend", [0.0, 2.0, 4.5])
+def test_the_tip_is_where_the_rope_ends_however_it_bends(bend):
+    """4.5 rad: the tip comes near to the middle again, and is not the farthest point."""
+    rng = np.random.default_rng(0)
+    angle = bend * np.linspace(0.0, 1.0, 61)
+    steps = 0.005 * np.stack([np.sin(angle), 0.0 * angle, -np.cos(angle)], axis=1)[:60]
+    line = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    tip = rope_tip(cloud_of(line, rng), line[0], ROPE.diameter, 0.24)
+    assert tip is not None and np.linalg.norm(tip - line[-1]) < 0.008
+    hidden = cloud_of(line[:40], rng)
+    assert rope_tip(hidden, line[0], ROPE.diameter, 0.24) is None
+
+
+def made(fps=30.0, **changed):
+    """A simulated release as a recording of clouds, and what it reached."""
+    task, action = RopeReaching(), (0.18, 0.09)
+    outcome = Simulation(everything=True).carry_out(task, [ROPE], [action], keep=True)[0]
+    T = task.T_world_task(ROPE)
+    planned = BARE.plan(task.tool_path(ROPE, np.array(action)).moved(T), opening=ROPE.diameter)
+    motion, seen, rng = planned.motion, outcome.seen, np.random.default_rng(0)
+    assert seen is not None
+    start = max(float(seen.times[0]), motion.start)
+    time = np.arange(start, seen.times[-1], 1.0 / fps)
+    moved = CubicSpline(seen.times, seen.points)
+    lines = moved(time)
+    clouds = [(cloud_of(x, rng) @ T[:3, :3].T + T[:3, 3]).astype(np.float32) for x in lines]
+    hand = motion.tcp_at(planned.arm, time)[:, :3, 3]
+    recording = Recording.from_frames(
+        clouds, time=time + 5.0, gripper_position=hand,
+        object=ObjectDescription(kind="rope", length=0.3, mass=0.05),
+    )  # fmt: skip
+    done = PlannedAction(task=task.name, action=action, goal=(0.45,), object={}, T_base_task=T,
+                         planned=planned)  # fmt: skip
+    return task, done, recording, motion.start + 5.0, outcome.values
+
+
+def test_what_was_reached_is_seen_within_millimetres():
+    task, action, recording, start, truth = made()
+    found = reached(task, ROPE, action, recording, start)
+    assert found["x"] == pytest.approx(truth["x"], abs=0.006)
+    assert found["sideways"] < 0.01
+
+
+def test_what_is_not_seen_is_not_made_up():
+    task, action, recording, start, _ = made(fps=6.0)
+    with pytest.raises(RecordingError, match=r"tip is seen in \d pictures after the release"):
+        reached(task, ROPE, action, recording, start)
+    with pytest.raises(RecordingError, match="cloth-spreading watches more than a tip; write down"):
+        reached(ClothSpreading(), ClothSpreading().item, action, recording, start)

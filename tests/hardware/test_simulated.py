@@ -1,0 +1,140 @@
+"""The MuJoCo scene as robot and cameras, through the contracts of real ones."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from gendom.errors import DeviceError
+from gendom.hardware import DepthCamera, Robot
+from gendom.hardware.cell import Cell
+from gendom.hardware.recording import record_motion
+from gendom.perception import read_cameras
+from gendom.robot import DOWN, GripperEvent, JointMotion, TcpPath
+from simulated_cell import write_cell
+
+pytest.importorskip("mujoco", reason="needs mujoco: the extra reality")
+
+
+@pytest.fixture
+def devices(tmp_path):
+    cell = Cell.read(write_cell(tmp_path))
+    robot, cameras = cell.devices()
+    robot.connect()
+    return cell, robot, cameras
+
+
+def shifted(q, angle, seconds=0.5):
+    """Joint 1 turns there and rests, as a motion of many knots."""
+    s = np.linspace(0.0, 1.0, 33)
+    turned = q + np.outer(s**3 * (10.0 - 15.0 * s + 6.0 * s * s), angle * np.eye(7)[0])
+    return JointMotion(time=seconds * s, q=turned)
+
+
+def test_they_are_what_the_contracts_ask_for(devices):
+    _, robot, cameras = devices
+    assert isinstance(robot, Robot) and all(isinstance(c, DepthCamera) for c in cameras)
+
+
+def test_a_motion_is_followed_and_told_at_100_hz(devices):
+    cell, robot, _ = devices
+    motion, ticks = shifted(cell.model.home, 0.2), []
+    robot.play(motion, on_tick=ticks.append)
+    assert [t.time for t in ticks] == pytest.approx(np.arange(51) / 100.0)
+    assert np.abs([t.command - motion.at(t.time) for t in ticks]).max() < 1e-6
+    assert np.abs([t.measured - t.command for t in ticks]).max() < 1e-3
+    assert robot.state().q == pytest.approx(motion.q[-1], abs=1e-3) and not robot.state().moving
+    assert np.diff([t.stamp for t in ticks]) == pytest.approx(0.01, abs=1e-6)
+
+
+def test_a_far_start_and_no_connection_are_refused(devices):
+    cell, robot, _ = devices
+    far = shifted(cell.model.home + 0.03 * np.eye(7)[0], 0.1)
+    with pytest.raises(DeviceError, match=r"1\.7 degrees and \d+ mm from the start; approach it"):
+        robot.play(far)
+    robot.approach(far.q[0])
+    robot.play(far)
+    robot.disconnect()
+    with pytest.raises(DeviceError, match="is not connected"):
+        robot.play(far)
+
+
+@pytest.mark.parametrize("how", ["stop", "Ctrl-C"])
+def test_it_brakes_along_its_path(devices, how):
+    """At full pace in the middle: at rest within 0.24 s, the joint that alone moves not back."""
+    cell, robot, _ = devices
+    motion, seen = shifted(cell.model.home, 0.4), []
+
+    def tick(at):
+        seen.append(at.measured)
+        if at.time == 0.25:
+            if how == "Ctrl-C":
+                raise KeyboardInterrupt
+            thread = threading.Thread(target=robot.stop)
+            thread.start()
+            thread.join()
+
+    if how == "Ctrl-C":
+        with pytest.raises(KeyboardInterrupt):
+            robot.play(motion, on_tick=tick)
+    else:
+        robot.play(motion, on_tick=tick)
+    stopped, q = robot.state(), robot.state().q
+    assert len(seen) == 26 and not stopped.moving
+    travel = q[0] - seen[-1][0]
+    fastest = (seen[-1][0] - seen[-2][0]) / 0.01
+    assert travel == pytest.approx(fastest * 0.06, rel=0.15)  # half of BRAKING at that speed
+    assert np.abs(q[1:] - motion.q[0, 1:]).max() < 1e-3
+    assert robot._scene.arm.measured(robot._scene.world.data) == pytest.approx(q)
+    robot._scene.world.step_to(robot._scene.world.time + 0.1)
+    assert robot.state().q == pytest.approx(q, abs=2e-4)
+
+
+def test_fingers_that_close_on_nothing_are_a_fault_until_it_is_connected_again(devices):
+    _, robot, _ = devices
+    with pytest.raises(DeviceError, match="closes on nothing"):
+        robot.gripper(0.016)
+    assert "closes on nothing" in (robot.state().fault or "")
+    with pytest.raises(DeviceError, match="closes on nothing"):
+        robot.gripper(0.08)
+    robot.stop()
+    robot.connect()
+    robot.gripper(0.08)
+    assert robot.state().fault is None and robot.state().opening == 0.084
+
+
+def test_a_lift_is_recorded_through_the_contracts(devices, tmp_path):
+    """The rope rises with the hand; pictures and path are of one clock, and of what moved."""
+    cell, robot, cameras = devices
+    rise = TcpPath(
+        time=np.array([0.0, 0.1, 0.5]),
+        position=np.array([[0.3325, 0.0, 0.008]] * 2 + [[0.3325, 0.0, 0.048]]),
+        quat_xyzw=np.array(DOWN),
+        events=(GripperEvent(time=0.0, closed=True),),
+        max_blend=0.2,
+    )
+    planned = cell.plan(rise, opening=0.016, hangs=0.3)
+    robot.approach(planned.motion.q[0])
+    robot.arrange()
+    robot.gripper(0.016)
+    for camera in cameras:
+        camera.connect()
+    motion = planned.motion.shifted(-planned.motion.start)
+    text = 'robot = "xarm7"\n[object]\nkind = "rope"\nlength = 0.3\n'
+    recorded = record_motion(robot, cameras, motion, tmp_path / "lift", description=text)
+    frames = int(motion.end * 30.0 + 1e-6) + 1
+    assert {n: (r.pictures, r.missing) for n, r in recorded.items()} == {
+        "left": (frames, 0),
+        "right": (frames, 0),
+    }
+    read = read_cameras(tmp_path / "lift")
+    assert [len(list(source)) for source in read.sources] == [frames, frames]
+    path = read.robot.position[:, 0]
+    assert path[-1] - path[0] == pytest.approx([0.0, 0.0, 0.04], abs=1e-3)
+    told = motion.tcp_at(robot.arm, read.robot.time - read.robot.time[0])[:, :3, 3]
+    assert path == pytest.approx(told, abs=2e-3)
+    first, last = (list(read.sources[0])[k] for k in (0, -1))
+    assert first.time == pytest.approx(read.robot.time[0], abs=2e-3)
+    assert last.time <= read.robot.time[-1] + 2e-3
+    vertices = robot._scene.world.vertices()
+    assert vertices[:, 2].max() == pytest.approx(0.048, abs=5e-3)

@@ -1,0 +1,293 @@
+"""What is checked in a tick, on a clock and a controller of the test's own."""
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from gendom.errors import DeviceError, GendomError
+from gendom.hardware.streaming import BLIND, LAG, TRACKING, Driver, Report, Streamer
+from gendom.robot import XARM7, GripperEvent, JointMotion, joint_move, tcp_pose
+from hardware.xarm_box import cell
+
+T = 0.01
+BETWEEN_KNOTS = np.array([-1.19, -0.21, -0.86, -0.78, 0.71, 0.69, 0.56])
+"""A way whose tool is quicker a quarter from its ends than in the middle [rad]."""
+AWAY = XARM7.home + np.array([0.8, 0.2, -0.3, 0.3, 0.2, -0.3, 0.5])
+
+
+class Controller(Driver):
+    """A controller whose arm is where it was sent `lag` seconds ago."""
+
+    period = T
+
+    def __init__(self):
+        self.now, self.lag, self.age = 100.0, 0.02, 0.005
+        self.sent = [(self.now - 10.0, XARM7.home)]
+        self.calls, self.gripped = [], []
+        self.code = self.grips = self.broken = None
+        self.frozen = None
+
+    def q(self, time):
+        return [q for t, q in self.sent if t <= time][-1]
+
+    def report(self):
+        seen = self.now - self.age
+        q = self.q(seen - self.lag) if self.frozen is None else self.frozen
+        return Report(time=seen, q=q, fault=self.code)
+
+    def connect(self):
+        pass
+
+    disconnect = connect
+
+    def begin(self):
+        self.calls.append("begin")
+
+    def servo(self, q):
+        if self.broken:
+            raise DeviceError(self.broken)
+        self.sent.append((self.now, q))
+
+    def end(self):
+        self.calls.append("end")
+
+    def halt(self):
+        self.calls.append("halt")
+
+    def grip(self, opening):
+        self.gripped.append(opening)
+        if self.grips:
+            raise DeviceError(self.grips)
+
+    def commands(self):
+        return np.array([q for _, q in self.sent])
+
+
+@pytest.fixture
+def streamer():
+    controller = Controller()
+    return Streamer(controller, cell("nowhere", tool=0.8, share=1.0), clock=lambda: controller.now)
+
+
+def run(streamer, motion=None, *, at=math.inf, then=lambda: None, late=()):
+    """Play a motion, or go on; `then` is called once its clock has reached `at`, and `late` are
+    ticks' numbers with their lateness. Gives the time since `then` in which the arm was sent on."""
+    controller, since, k = streamer.driver, None, 0
+    if motion is not None:
+        streamer.start(motion)
+    while streamer.moving:
+        controller.now += T + dict(late).get(k, 0.0)
+        if since is None and not streamer._next and streamer.s >= at:
+            then()
+            since = controller.now
+        streamer.tick()
+        k += 1
+        assert k < 2000
+    changed = np.abs(np.diff(controller.commands(), axis=0)).max(axis=1) > 0.0
+    last = controller.sent[1 + int(np.nonzero(changed)[0][-1])][0] if changed.any() else 0.0
+    streamer.fingers._orders.join()
+    streamer.tick()
+    return last - since if since else math.nan
+
+
+def motion_to(share=1.0, **changes):
+    limits = replace(XARM7, max_tcp_speed=0.8)
+    return replace(joint_move(limits, XARM7.home, AWAY, share=share), **changes)
+
+
+def on_path(streamer, motion):
+    """How far the commands are from the path, in the space of joints [rad]."""
+    path = KDTree(motion.at(np.linspace(motion.start, motion.end, 20001)))
+    return path.query(streamer.driver.commands(), p=math.inf)[0].max()
+
+
+def test_a_motion_is_followed_and_the_gripper_is_told_its_latency_earlier(streamer):
+    events = (GripperEvent(time=0.3, closed=True), GripperEvent(time=0.6, closed=False))
+    motion, controller, told = motion_to(events=events), streamer.driver, []
+    streamer.fingers.move = lambda opening: told.append((controller.now, opening))
+    run(streamer, motion)
+    assert (streamer.fault, streamer.ended, controller.calls) == (None, None, ["begin", "end"])
+    assert controller.commands()[-1] == pytest.approx(AWAY)
+    begun = controller.sent[-1][0] - math.ceil(motion.end / T) * T
+    assert told == [
+        (pytest.approx(begun + e.time - 0.1, abs=1.5 * T), 0.0 if e.closed else 0.084)
+        for e in events
+    ]
+
+
+def test_a_small_distance_from_the_first_pose_is_made_up_for_slowly(streamer):
+    streamer.driver.sent = [(0.0, XARM7.home + np.array([0, 0, 0, 0, 0.01, 0, 0.01]))]
+    run(streamer, motion_to())
+    assert streamer.fault is None
+    speed = np.abs(np.diff(streamer.driver.commands()[1:], axis=0)).max(axis=1) / T
+    assert speed[:5].max() < 0.15
+
+
+@pytest.mark.parametrize(
+    ("share", "change", "message"),
+    [
+        (1.0, {"q": XARM7.home + np.array([0, 0, 0, 0, 0, 0, math.radians(1.5)])}, "1.5 degrees"),
+        (1.0, {"q": XARM7.home + np.array([0.013, 0, 0, 0, 0, 0, 0])}, "5 mm off"),
+        (1.0, {"code": "the user stop is pressed"}, "user stop"),
+        (1.0, {"age": 0.15}, "150 ms old"),
+        (0.3, {}, "take .* times as long"),
+        (1.0, {"low": 0.5}, "leaves the workspace"),
+        (1.0, {"to": np.array([0, 0, 0, 0, 0, 2.1, 0])}, "limit 3.14"),
+        (1.0, {"to": BETWEEN_KNOTS, "knots": 2, "in": 0.84}, "moves at 0.89.*limit 0.8"),
+    ],
+    ids=["far joint", "far tool", "fault", "old report", "speed", "workspace", "angle", "knots"],
+)
+def test_what_is_refused_before_the_arm_moves(streamer, share, change, message):
+    controller, here = streamer.driver, streamer.cell
+    controller.sent = [(0.0, change.get("q", XARM7.home))]
+    controller.code, controller.age = change.get("code"), change.get("age", 0.0)
+    low = np.array([-0.8, -0.8, change.get("low", 0.0)])
+    limited = replace(here, workspace=(low, here.workspace[1]))
+    limited = replace(limited, speed=replace(here.speed, share=share))
+    streamer = Streamer(controller, limited, clock=streamer.clock)
+    motion = motion_to()
+    if "to" in change:
+        time = np.linspace(0.0, change.get("in", 2.0), change.get("knots", 9))
+        motion = JointMotion(time=time, q=XARM7.home + np.outer(time / time[-1], change["to"]))
+    with pytest.raises(GendomError, match=message):
+        streamer.start(motion)
+    assert not streamer.moving
+    assert controller.calls == []
+
+
+def grip(streamer):
+    streamer.fingers.move(0.0)
+    streamer.fingers._orders.join()
+
+
+FAULTS = {
+    "stopped": (lambda s: s.brake("stopped"), "stopped", "path"),
+    "reports late": (lambda s: setattr(s.driver, "age", BLIND[0] + 0.005), "ms old", "path"),
+    "frozen": (lambda s: setattr(s.driver, "frozen", s.report.q), "repeats itself", "path"),
+    "gripper": (
+        lambda s: (setattr(s.driver, "grips", "it does not move"), grip(s)),
+        "does not move",
+        "path",
+    ),
+    "error": (lambda s: setattr(s.driver, "code", "C31: collision"), "C31", "halt"),
+    "dead": (lambda s: setattr(s.driver, "broken", "no answer"), "no answer", "halt"),
+    "tracking": (lambda s: setattr(s.driver, "lag", LAG + 0.06), "off its commands", "halt"),
+    "late tick": (lambda s: setattr(s.driver, "now", s.driver.now + 0.05), "50 ms late", "halt"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_faults_in_mid_motion_stop_the_arm(streamer, name):
+    """At full speed: along the path within 0.16 s, or at once by the controller's own stop."""
+    inject, message, way = FAULTS[name]
+    motion, controller = motion_to(), streamer.driver
+    soon = 0.5 * motion.end + streamer.cell.tool.latency + 0.03
+    motion = replace(motion, events=(GripperEvent(time=soon, closed=False),))
+    seconds = run(streamer, motion, at=0.5 * motion.end, then=lambda: inject(streamer))
+    said = streamer.fault or streamer.ended
+    assert said is not None
+    assert re.search(message, said), said
+    assert controller.calls == ["begin", "end" if way == "path" else "halt"]
+    assert on_path(streamer, motion) < 1e-3
+    assert seconds <= {"frozen": 0.19, "tracking": LAG + 0.03}.get(name, 0.16)
+    if name == "stopped":
+        assert streamer.fault is None
+        assert controller.gripped == []  # not while it brakes
+    else:
+        with pytest.raises(DeviceError, match=message):  # until it is connected again
+            streamer.start(motion)
+
+
+class Damaged:
+    """A motion that gives a bad command once, whatever it was checked for."""
+
+    def __init__(self, motion, add):
+        self.motion, self.add = motion, add
+        self.time = motion.time
+
+    def __getattr__(self, name):
+        return getattr(self.motion, name)
+
+    def at(self, time):
+        return self.motion.at(time) + (self.add if time > 0.5 * self.motion.end else 0.0)
+
+
+@pytest.mark.parametrize(
+    ("add", "message"),
+    [
+        (math.nan, "not finite"),
+        (math.inf, "not finite"),
+        (3.0 * np.eye(7)[3], "limit of angle"),
+        (0.03 * np.eye(7)[6], "limit of speed"),
+        (0.004 * np.eye(7)[6], "limit of acceleration"),
+        (0.008 * np.eye(7)[0], "limit of tool speed"),
+    ],
+    ids=["nan", "inf", "angle", "speed", "acceleration", "tool speed"],
+)
+def test_bad_commands_are_not_sent(streamer, add, message):
+    motion, controller = motion_to(), streamer.driver
+    # Limits of acceleration are far above what the tool may do: those not asked about are lifted.
+    lifted = {} if "acceleration" in message else {"max_acceleration": np.full(7, 1e3)}
+    streamer.limits = replace(streamer.limits, **lifted)
+    streamer.start(motion)
+    streamer._next[-1] = Damaged(motion, add)
+    run(streamer)
+    assert message in streamer.fault
+    assert controller.calls == ["begin", "end"]
+    assert on_path(streamer, motion) < 0.05  # straight on, where the path bends
+    changes = np.diff(controller.commands()[1:], n=2, axis=0) / T**2
+    assert np.abs(changes).max() <= 1.05 * XARM7.max_acceleration[0]
+
+
+def test_a_command_out_of_the_workspace_is_not_sent(streamer):
+    motion = motion_to()
+    streamer.start(motion)
+    edge = tcp_pose(XARM7, motion.at(0.5 * motion.end))[1, 3]
+    low, high = streamer.cell.workspace
+    streamer.cell = replace(streamer.cell, workspace=(low, np.array([high[0], edge, high[2]])))
+    run(streamer)
+    assert "limit of workspace" in streamer.fault
+
+
+@pytest.mark.parametrize("share", [1.0, 0.3])
+def test_how_old_a_report_may_be_depends_on_the_speed(streamer, share):
+    motion = motion_to(share)
+    run(streamer, motion, at=0.5 * motion.end, then=lambda: setattr(streamer.driver, "age", 0.06))
+    assert ("report" in (streamer.fault or "")) == (share == 1.0)
+
+
+def test_a_late_tick_moves_the_clock_and_never_bursts(streamer):
+    motion = motion_to()
+    run(streamer, motion, late={20: 0.025, 21: 0.01, 40: 0.028}.items())
+    assert streamer.fault is None
+    steps = np.abs(np.diff(streamer.driver.commands(), axis=0)).max()
+    smooth = np.abs(motion.speed_at(motion.sampled(1000.0))).max() * T
+    assert steps <= smooth * (1.0 + 1e-6)
+    times = np.array([t for t, _ in streamer.driver.sent])
+    assert times[-1] - times[1] == pytest.approx(motion.end + 0.063, abs=2.1 * T)
+
+
+def test_braking_keeps_to_the_path_and_to_the_accelerations(streamer):
+    """Random motions at the arm's limits, braked at random times."""
+    rng, longest = np.random.default_rng(0), 0.0
+    for _ in range(20):
+        time = np.linspace(0.0, 2.0, 9)
+        steps = rng.normal(size=(8, 7)) * [0.3, 0.2, 0.3, 0.2, 0.4, 0.2, 0.5]
+        q = XARM7.home + np.concatenate([np.zeros((1, 7)), np.cumsum(steps, axis=0)])
+        motion = JointMotion(time=time, q=np.clip(q, XARM7.q_min + 0.2, XARM7.q_max - 0.2))
+        motion = motion.stretched(motion.slowdown(replace(XARM7, max_tcp_speed=0.68)))
+        here = replace(streamer.cell, workspace=(np.full(3, -2.0), np.full(3, 2.0)))
+        one = Streamer(controller := Controller(), here, clock=lambda c=controller: c.now)
+        at = rng.uniform(0.2, 0.8) * motion.end
+        seconds = run(one, motion, at=at, then=lambda one=one: one.brake("stopped"))
+        assert (one.fault, one.ended) == (None, "stopped")
+        longest = max(longest, seconds)
+        assert on_path(one, motion) < 2e-3
+        changes = np.abs(np.diff(controller.commands()[1:], n=2, axis=0)) / T**2
+        assert np.all(changes <= 1.1 * XARM7.max_acceleration)
+    assert longest < 0.2
+    assert TRACKING < 0.05

@@ -1,0 +1,320 @@
+"""The xArm 7 through the vendor's SDK, on a loopback box that checks what the real one does.
+
+The machine that runs this may be busy: reports may be older here than `BLIND` says.
+"""
+
+import math
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("xarm", reason="pip install xarm-python-sdk")
+
+from gendom.errors import DeviceError
+from gendom.hardware import Robot, find_robot, streamed, streaming, xarm7
+from gendom.hardware.cell import Cell
+from gendom.hardware.execution import ExecutionLog, execute, read_log
+from gendom.hardware.streamed import StreamedRobot
+from gendom.hardware.streaming import Streamer
+from gendom.robot import DOWN, XARM7, GripperEvent, TcpPath, joint_move
+from hardware.xarm_box import Box, Driver, cell
+from simulated_cell import write_cell
+
+AWAY = XARM7.home + np.array([0.6, 0.1, 0.0, 0.2, 0.0, 0.1, 0.3])
+
+
+def patient(here):
+    """The driver, for a computer that has other work to do."""
+    streaming.BLIND, xarm7._QUICK = (0.3, 1.0), 1.0
+    return Driver(here)
+
+
+@pytest.fixture
+def box():
+    with Box() as box:
+        yield box
+
+
+@pytest.fixture
+def robot(box):
+    robot = StreamedRobot(cell(box.address, tool=0.5, share=1.0), patient)
+    robot.connect()
+    yield robot
+    robot.disconnect()
+
+
+@pytest.fixture
+def streamer(box, monkeypatch):
+    monkeypatch.setattr(streaming, "BLIND", (0.15, 0.5))
+    monkeypatch.setattr(xarm7, "_QUICK", 0.5)
+    here = cell(box.address, tool=0.5, share=1.0)
+    driver = Driver(here)
+    driver.connect()
+    yield Streamer(driver, here)
+    driver.disconnect()
+
+
+def there_and(share=0.4, **changes):
+    return replace(joint_move(XARM7, XARM7.home, AWAY, share=share), **changes)
+
+
+# ---- in a process of its own ---------------------------------------------------------------------
+
+
+def test_a_robot_approaches_plays_grips_and_says_where_it_is(box, robot):
+    assert isinstance(robot, Robot)
+    assert robot.state().q == pytest.approx(XARM7.home, abs=1e-4)
+    assert robot.state().opening == pytest.approx(0.084, abs=1e-3)
+    motion, ticks = there_and(), []
+    robot.play(replace(motion, events=(GripperEvent(time=0.3, closed=True),)), on_tick=ticks.append)
+    assert ticks[-1].command == pytest.approx(AWAY, abs=1e-6)
+    assert np.diff([t.time for t in ticks]).min() > 0.004  # never a burst
+    assert all(np.abs(t.measured - t.command).max() < 0.2 for t in ticks)
+    assert robot.state().opening == pytest.approx(0.0, abs=2e-3)
+    robot.gripper(0.04)
+    assert box.gripper == pytest.approx(850.0 * 0.04 / 0.084, abs=12)
+    with pytest.raises(DeviceError, match="approach it first"):
+        robot.play(motion)
+    robot.approach(AWAY - 0.02)
+    assert box.true == pytest.approx(AWAY - 0.02, abs=1e-3)
+    assert box.orders("mode") == [1, 0, 1, 0]
+
+
+def test_a_planned_action_is_executed_and_logged(box, tmp_path):
+    here = Cell.read(write_cell(tmp_path, cameras=False, latency="0.1"))
+    here = replace(here, robot="xarm7", address=box.address)
+    path = TcpPath(
+        time=np.array([0.0, 0.8]),
+        position=np.array([[0.45, 0.0, 0.3], [0.45, 0.15, 0.3]]),
+        quat_xyzw=np.array(DOWN),
+        events=(GripperEvent(time=0.0, closed=True), GripperEvent(time=0.7, closed=False)),
+    )
+    planned = here.plan(path, opening=0.016)
+    execute(planned, here, StreamedRobot(here, patient), ExecutionLog(tmp_path / "log.jsonl", {}))
+    log = read_log(tmp_path / "log.jsonl")
+    end = planned.motion.end - planned.motion.start
+    assert log.time[-1] == pytest.approx(end, abs=0.3)
+    assert box.true == pytest.approx(planned.motion.q[-1], abs=1e-3)
+    asked = [t for t, name, value in box.log if name == "gripper 0x700" and value == 850]
+    begun = [t for t, name, _ in box.log if name == "servo"][-len(log.time)]
+    release = planned.motion.events[-1].time - planned.motion.start
+    assert asked[-1] - begun == pytest.approx(release - 0.1, abs=0.05)
+
+
+def test_a_fault_stays_until_the_robot_is_connected_again(box, robot):
+    threading.Timer(0.4, box.fail, [31]).start()
+    with pytest.raises(DeviceError, match=r"C31: Collision.*clear it in UFACTORY Studio"):
+        robot.play(there_and(0.1))
+    box.code = 0
+    for order in (lambda: robot.approach(AWAY), lambda: robot.gripper(0.0)):
+        with pytest.raises(DeviceError, match="C31"):
+            order()
+    assert "C31" in robot.state().fault
+    robot.connect()
+    assert robot.state().fault is None
+    robot.approach(XARM7.home)
+
+
+def test_stop_and_an_error_of_the_callers_brake_along_the_path(box, robot):
+    threading.Timer(0.5, robot.stop).start()
+    with pytest.raises(DeviceError, match="stopped"):
+        robot.play(there_and())
+    assert_braked(box)
+    robot.approach(XARM7.home)
+
+    def fail(tick):
+        if tick.time > 0.4:
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        robot.play(there_and(), on_tick=fail)
+    assert_braked(box)
+    assert robot.state().fault is None
+
+
+def assert_braked(box):
+    """The last motion ended before its end, along its path, without a jump."""
+    commands = np.array(box.orders("servo"))
+    assert np.abs(commands[-1] - AWAY).max() > 0.02
+    changes = np.abs(np.diff(commands[-15:], n=2, axis=0)).max() / 0.01**2
+    assert changes < 1.1 * XARM7.max_acceleration[0]
+    assert np.abs(commands[-1] - commands[-2]).max() < 0.005
+    assert box.orders("mode")[-1] == 0
+
+
+PROGRAM = """
+import sys
+from hardware.test_xarm7 import StreamedRobot, cell, patient, there_and
+if __name__ == "__main__":
+    robot = StreamedRobot(cell(sys.argv[1], tool=0.5, share=1.0), patient)
+    robot.connect()
+    said = []
+    def tick(tick):
+        if tick.time > 0.5 and not said:
+            said.append(1)
+            print("moving", robot._process.pid, flush=True)
+    robot.play(there_and(), on_tick=tick)
+"""
+
+
+@pytest.mark.parametrize("end", ["SIGKILL", "SIGINT"])
+def test_the_arm_brakes_when_its_program_ends(box, tmp_path, end):
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    path = os.pathsep.join(filter(None, sys.path))
+    with subprocess.Popen(
+        [sys.executable, str(program), box.address],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": path},
+    ) as parent:
+        assert parent.stdout is not None
+        child = next(int(line.split()[1]) for line in parent.stdout if line.startswith("moving"))
+        ended = time.monotonic()
+        parent.send_signal(getattr(signal, end))
+        parent.wait(20)
+    for _ in range(500):
+        if not alive(child):
+            break
+        time.sleep(0.01)
+    else:
+        os.kill(child, signal.SIGKILL)
+        pytest.fail("the process that moves the arm did not end")
+    assert_braked(box)
+    seconds, metres = box.stopping(ended)
+    assert seconds < 2.0  # 0.2 where nothing else runs: benchmarks/faults.py
+    assert metres < 0.3
+
+
+def alive(process):
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    with open(f"/proc/{process}/stat") as file:
+        return file.read().split()[2] != "Z"
+
+
+def test_the_process_that_moves_the_arm_dies(box, robot):
+    threading.Timer(0.5, robot._process.kill).start()
+    with pytest.raises(DeviceError, match=r"gone or hangs.*emergency stop"):
+        robot.play(there_and())
+    assert "gone" in robot.state().fault
+
+
+@pytest.mark.parametrize(
+    ("name", "module", "extra"), [("xarm7", "xarm.wrapper", "robot"), ("fr3", "franky", "franka")]
+)
+def test_without_its_sdk_a_robot_says_what_to_install(monkeypatch, name, module, extra):
+    robot = find_robot(name)(replace(cell("127.0.0.1"), robot=name, arm=name))
+    with pytest.raises(DeviceError, match="not connected"):
+        robot.state()
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(DeviceError, match=rf"cannot be imported .*\[{extra}\]"):
+        robot._driver(robot.cell).connect()
+
+
+# ---- connecting ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("version", "prepare", "message"),
+    [
+        ("v1.12.10", lambda box: box.die(), "it is not there"),
+        ("v1.9.200", lambda box: None, "firmware 1.9.200 .* update"),
+        ("v1.12.10", lambda box: box.fail(1), "C1: The Emergency Stop Button"),
+        ("v1.12.10", lambda box: setattr(box, "reports", 0), "no reports arrive"),
+    ],
+    ids=["refused", "old firmware", "emergency stop", "no reports"],
+)
+def test_what_is_said_when_connecting_fails(version, prepare, message):
+    before = socket.getdefaulttimeout()
+    with Box(version) as box:
+        prepare(box)
+        with pytest.raises(DeviceError, match=message):
+            Driver(cell(box.address)).connect()
+    assert socket.getdefaulttimeout() == before
+
+
+def test_a_silent_box_is_given_up(box, monkeypatch):
+    monkeypatch.setattr(streamed, "_CONNECTING", 1.0)
+    box.silent = True
+    robot = StreamedRobot(cell(box.address), Driver)
+    with pytest.raises(DeviceError, match="does not answer; check power"):
+        robot.connect()
+    with pytest.raises(DeviceError, match="not connected"):
+        robot.state()
+
+
+# ---- faults in mid-motion, with the SDK in this process ------------------------------------------
+
+
+def run(streamer, motion, at, then):
+    streamer.start(motion)
+    done = False
+    while streamer.moving:
+        due = time.monotonic() + streamer.driver.period
+        if not done and streamer.elapsed >= at:
+            done = True
+            then()
+        streamer.tick()
+        time.sleep(max(0.0, due - time.monotonic()))
+    assert done
+
+
+FAULTS = {
+    "silent": (lambda box: setattr(box, "silent", True), "does not answer|ms old"),
+    "dies": (lambda box: box.die(), "does not answer|refuses|ms old"),
+    "reports end": (lambda box: setattr(box, "reports", 0), "ms old"),
+    "frozen": (lambda box: setattr(box, "frozen", True), "repeats itself|off its commands"),
+    "off": (lambda box: setattr(box, "off", np.full(7, 0.1)), "degrees off its commands"),
+    "C24": (lambda box: box.fail(24), "C24: Speed Exceeds Limit"),
+    "C31": (lambda box: box.fail(31), "C31: Collision"),
+    "C60": (lambda box: box.fail(60), "C60: Linear speed"),
+    "emergency stop": (lambda box: box.fail(1), "C1: .*release"),
+    "other mode": (lambda box: setattr(box, "mode", 2), "something else set mode 2"),
+    "paused": (lambda box: setattr(box, "state", 3), "state 3"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_faults_of_the_box_in_mid_motion(box, streamer, name):
+    """The arm stands, and what is said is what to do. True joints show that it does."""
+    inject, message = FAULTS[name]
+    run(streamer, there_and(0.2), 0.3, lambda: inject(box))
+    with pytest.raises(DeviceError, match=message):
+        streamer.start(there_and())
+    time.sleep(0.3)
+    first = box.true
+    time.sleep(0.1)
+    assert box.true == pytest.approx(first, abs=1e-4)
+    assert np.abs(first - AWAY).max() > 0.05
+
+
+def test_the_box_itself_refuses_what_is_too_fast(box, streamer):
+    """What the limits are for: without them the box stops the arm by C24."""
+    streamer.driver.begin()
+    streamer.driver.servo(XARM7.home)
+    with pytest.raises(DeviceError, match="C24"):
+        streamer.driver.servo(XARM7.home + 0.05)
+        streamer.driver.servo(XARM7.home)
+    assert box.true == pytest.approx(XARM7.home, abs=1e-3)
+
+
+def test_a_gripper_that_does_not_close(box, streamer):
+    box.stuck = True
+    with pytest.raises(DeviceError, match="gripper does not move, at 84 mm; check its power"):
+        streamer.driver.grip(0.0)
+    box.stuck = False
+    streamer.driver.grip(0.0)
+    assert box.gripper < 12.0
+    assert math.isclose(streamer.driver.report().opening, 0.0, abs_tol=2e-3)

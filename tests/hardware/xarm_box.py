@@ -1,0 +1,242 @@
+"""A loopback control box of an xArm 7, as xarm-python-sdk 1.18 talks to it.
+
+Frames: >H transaction, >H protocol, >H length, B function, parameters; answers repeat the head and
+add a byte of state. Floats are little endian, other numbers big endian. What is checked as the box
+does: servo commands only in mode 1 and after state 0, speed of joints (C24) and of the tool (C60),
+errors stop the arm until they are cleared. Reports say where the arm was sent; where it is, which
+lags by `LAG` and is `off`, is asked for by function 42 with a parameter.
+"""
+
+import itertools
+import math
+import os
+import socket
+import struct
+import threading
+import time
+from contextlib import suppress
+
+import numpy as np
+
+from gendom.hardware import cell as cells
+from gendom.hardware.xarm7 import XArmDriver
+from gendom.robot import NO_OBSTACLES, XARM7, tcp_pose
+
+PORT = 15020
+"""Of commands: the box's own, 502, asks for rights."""
+LAG, MOST_SPEED, MOST_TOOL_SPEED = 0.015, math.pi, 1.0
+BRAKED = 20.0
+"""How fast the box itself stops joints [rad/s^2]."""
+_hosts = itertools.count(1)
+
+
+class Driver(XArmDriver):
+    """The driver, at the port of these boxes."""
+
+    def connect(self):
+        from xarm.core.config.x_config import XCONF
+
+        setattr(XCONF.SocketConf, "TCP_CONTROL_PORT", PORT)  # noqa: B010
+        super().connect()
+
+
+def cell(address, **speed):
+    """A cell with the given address and speed limits."""
+    return cells.Cell(
+        robot="xarm7",
+        address=address,
+        arm="xarm7",
+        tool=cells.Tool(max_opening=0.084, latency=0.1),
+        surroundings=NO_OBSTACLES,
+        workspace=(np.array([-0.8, -0.8, 0.0]), np.array([0.8, 0.8, 1.2])),
+        speed=cells.SpeedLimits(**speed),
+    )
+
+
+class Box:
+    """A box at an address of its own. Faults are injected by setting attributes."""
+
+    def __init__(self, version="v1.12.10"):
+        pid = os.getpid()
+        self.address = f"127.{pid >> 8 & 127}.{pid & 255}.{next(_hosts)}"
+        self.version = version
+        self.commanded, self.true = XARM7.home.copy(), XARM7.home.copy()
+        self.speed = np.zeros(7)
+        self.mode, self.state, self.code = 0, 4, 0
+        self.off = np.zeros(7)  # of what is measured, from where the arm is
+        self.silent = self.frozen = self.stuck = self.unmoved = False
+        self.delay = 0.0  # of answers [s]
+        self.reports = 100.0  # a second
+        self.gripper = self.pulses = 850.0
+        self.log = []  # (time, what, value)
+        self.path = []  # (time, true joints)
+        self.alive, self.sockets = True, []
+        self.lock = threading.RLock()
+        self.frozen_q = self.true
+        for port, talk in ((PORT, self._answer), (30003, self._report)):
+            self.sockets.append(socket.create_server((self.address, port)))
+            self._thread(self._accept, self.sockets[-1], talk)
+        self._thread(self._move)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.die()
+
+    def die(self):
+        """Close everything, in the middle of whatever it is."""
+        self.alive = False
+        for s in self.sockets:
+            with suppress(OSError):
+                s.shutdown(socket.SHUT_RDWR)
+            s.close()
+
+    def fail(self, code):
+        """An error: the arm stops."""
+        with self.lock:
+            self.code, self.state = code, 4
+            self.log.append((time.monotonic(), "error", code))
+
+    def orders(self, name):
+        """Values of the log's entries of one name."""
+        return [value for _, what, value in self.log if what == name]
+
+    def stopping(self, since):
+        """Seconds and metres of the tool from a time until the arm stands."""
+        rows = [(t, q) for t, q in self.path if t >= since]
+        points = tcp_pose(XARM7, np.array([q for _, q in rows]))[:, :3, 3]
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        ends = np.nonzero(np.linalg.norm(points - points[-1], axis=1) > 5e-4)[0]
+        return (rows[ends[-1]][0] - since if len(ends) else 0.0), float(steps.sum())
+
+    # ---- threads -----------------------------------------------------------------------------
+
+    def _thread(self, target, *args):
+        threading.Thread(target=target, args=args, daemon=True).start()
+
+    def _accept(self, server, talk):
+        with suppress(OSError):
+            while self.alive:
+                link, _ = server.accept()
+                link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self.sockets.append(link)
+                self._thread(talk, link)
+
+    def _report(self, link):
+        due = time.monotonic()
+        with suppress(OSError):
+            while self.alive:
+                if not self.silent and self.reports:
+                    head = bytes([self.mode << 4 | self.state, 0, 0])
+                    body = head + struct.pack("<7f", *self.commanded) + bytes(24 + 28)
+                    link.sendall(struct.pack(">I", len(body) + 4) + body)
+                due = max(due + 1.0 / (self.reports or 100.0), time.monotonic())
+                time.sleep(max(0.0, due - time.monotonic()))
+
+    def _move(self):
+        last = time.monotonic()
+        while self.alive:
+            time.sleep(0.002)
+            with self.lock:
+                now, before = time.monotonic(), self.true
+                dt, last = now - last, now
+                if self.unmoved:
+                    self.speed = np.zeros(7)
+                elif self.state in (0, 1, 2):
+                    share = 1.0 - math.exp(-dt / LAG)
+                    self.true = before + share * (self.commanded - before)
+                    self.speed = (self.true - before) / dt
+                else:
+                    fall = max(0.0, 1.0 - BRAKED * dt / max(np.abs(self.speed).max(), 1e-9))
+                    self.speed = fall * self.speed
+                    self.true = before + self.speed * dt
+                    self.commanded = self.true.copy()
+                if not self.stuck:
+                    self.gripper += np.clip(self.pulses - self.gripper, -1500 * dt, 1500 * dt)
+                self.path.append((now, self.true))
+
+    def _answer(self, link):
+        with suppress(OSError):
+            while self.alive:
+                transaction, protocol, length = struct.unpack(">HHH", self._read(link, 6))
+                body = self._read(link, length)
+                if self.silent or protocol not in (2, 3):  # or a heartbeat
+                    continue
+                time.sleep(self.delay)
+                with self.lock:
+                    answer = self._do(body[0], body[1:])
+                    state = 0x40 * (self.code != 0) | 0x10 * (self.state >= 4)
+                head = struct.pack(">HHHBB", transaction, protocol, len(answer) + 2, body[0], state)
+                link.sendall(head + answer)
+
+    @staticmethod
+    def _read(link, n):
+        data = b""
+        while len(data) < n:
+            more = link.recv(n - len(data))
+            if not more:
+                raise OSError
+            data += more
+        return data
+
+    # ---- orders ------------------------------------------------------------------------------
+
+    def _do(self, function, values):
+        names = {11: "enable", 12: "state", 19: "mode"}
+        if function in names:
+            self.log.append(
+                (time.monotonic(), names[function], values[-1 if function == 11 else 0])
+            )
+        if function == 1:
+            name = f"7,7,XS1300000000,AC1300000000,{self.version}"
+            return name.encode().ljust(40, b"\0")
+        if function == 12 and not (self.code and values[0] == 0):
+            self.state = {0: 2, 3: 3, 4: 4}[values[0]]
+        if function == 13:
+            return bytes([self.state])
+        if function == 14:
+            return bytes(2)
+        if function == 15:
+            return bytes([self.code, 0])
+        if function == 19:
+            self.mode, self.state = values[0], 5  # until state 0 is asked for
+        if function == 29:
+            self._servo(np.array(struct.unpack("<7f", values[:28]), dtype=float))
+        if function == 42 and not values:
+            return struct.pack("<7f", *self.commanded)
+        if function == 42:
+            self.frozen_q = self.frozen_q if self.frozen else self.true + self.off
+            return struct.pack("<7f", *self.frozen_q)
+        if function == 124:
+            return self._modbus(values)
+        if function == 128:
+            return struct.pack(">i", 11)  # rate of the gripper's line: 2 Mbit/s
+        return b""
+
+    def _servo(self, q):
+        now = time.monotonic()
+        if self.mode != 1 or self.state not in (0, 1, 2):
+            return
+        self.log.append((now, "servo", q))
+        # The box interpolates over the time between commands, which is 10 ms here.
+        step = (tcp_pose(XARM7, q) - tcp_pose(XARM7, self.commanded))[:3, 3]
+        if np.any(np.abs(q - self.commanded) > MOST_SPEED * 0.0101):
+            self.fail(24)
+        elif np.linalg.norm(step) > MOST_TOOL_SPEED * 0.0101:
+            self.fail(60)
+        else:
+            self.commanded = q
+
+    def _modbus(self, frame):
+        """RTU frames to the gripper, without checksums: host, 8, function, register, count."""
+        host, line, function, register, count = struct.unpack(">BBBHH", frame[:7])
+        assert (host, line) == (9, 8)
+        if function == 0x10:
+            value = int.from_bytes(frame[8 : 8 + 2 * count], "big", signed=True)
+            self.log.append((time.monotonic(), f"gripper {register:#x}", value))
+            if register == 0x0700:
+                self.pulses = float(value)
+            return frame[:7]
+        value = {0x0702: round(self.gripper)}.get(register, 0)
+        return frame[:3] + bytes([2 * count]) + value.to_bytes(2 * count, "big", signed=True)
