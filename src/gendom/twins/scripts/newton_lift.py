@@ -90,7 +90,7 @@ def carry(state, offset):
     array.assign(x)
 
 
-start = (now.body_q if rope else now.particle_q).numpy()
+start = (now.body_q if rope else now.particle_q).numpy().copy()  # on a CPU it is a view
 hand, times, dt = about["hand"], about["time"], float(about["step"])
 shapes, step = [], 0
 for moment in about["frames"]:
