@@ -28,7 +28,7 @@ FLOORS = (
     ("sim", "datasets"),
     ("tasks", "perception"),
     ("estimation", "policies", "viz", "reality"),
-    ("hardware",),
+    ("hardware", "twins"),
     ("cli",),
 )
 """Rooms from the ground up: each may import from those below it, and from itself."""

@@ -41,6 +41,7 @@ COMMANDS = {
     "evaluate": ("gendom.cli.evaluate", "measure how well a policy reaches its goals"),
     "policies": ("gendom.cli.policies", "the shipped policies"),
     "materials": ("gendom.cli.materials", "ropes, cables and cloths with parameters and sources"),
+    "twin": ("gendom.cli.twin", "the estimated object for MuJoCo, Newton or USD"),
     "check": ("gendom.cli.check", "validate a recording and say what is in it"),
     "calibrate": ("gendom.cli.calibrate", "a camera's pose, from pictures of a board"),
     "plan-lift": ("gendom.cli.plan_lift", "which lift shows an object's parameters best"),

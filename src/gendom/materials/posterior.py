@@ -280,7 +280,11 @@ class Posterior:
         numbers |= {n: np.array(value) for n, value in told.items() if value is not None}
         owners = owners_of(names) if stored.recordings is None else stored.recordings
         mean = check_numbers("mean", np.array(stored.mean), (P,))
-        covariance = check_numbers("covariance", np.array(stored.covariance).reshape(-1, P), (P, P))
+        covariance = check_numbers(
+            "covariance",
+            np.array(stored.covariance).reshape(-1, P) if P else np.zeros((0, 0)),
+            (P, P),
+        )
         for name, values in numbers.items():
             check_numbers(f"posterior's {name}", values, (P,), finite=name in told)
         count = len(bases) or P  # a Gaussian alone does not say how many recordings there are

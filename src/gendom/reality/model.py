@@ -159,11 +159,10 @@ def build_model(
         DeviceError: MuJoCo is not installed.
         ParameterError: MuJoCo refuses the model.
     """
-    mujoco = load_mujoco()
     step = timestep or (ROPE_STEP if isinstance(item, RealRope) else CLOTH_STEP)
-    flex, vertices = _flex(item, layout, step)
+    vertices = len(rest_shape(item, layout))
     connections = [
-        _connect(f"{hand}_{v}", f"object_{v}", hand, step, active=False)
+        connection(f"{hand}_{v}", f"object_{v}", hand, step, active=False)
         for hand in hands
         for v in range(vertices)
     ]
@@ -171,24 +170,65 @@ def build_model(
         f'<connect name="stand_{v}" body1="object_{v}" anchor="0 0 0" {_firm(step)}/>'
         for v in clamped_vertices(item, layout)
     ]
+    xml = scene_xml(
+        item,
+        layout,
+        step=step,
+        tolerance=tolerance,
+        gravity=gravity,
+        bodies=("".join(map(_camera, cameras)), arm),
+        actuators=actuators,
+        connections=connections,
+        table=table,
+    )
+    return compiled(item, xml)
+
+
+def scene_xml(
+    item: RealObject,
+    layout: Layout,
+    *,
+    step: float,
+    bodies: Sequence[str],
+    connections: Sequence[str],
+    actuators: str = "",
+    table: bool = True,
+    tolerance: float | None = None,
+    gravity: npt.ArrayLike = (0.0, 0.0, -STANDARD_GRAVITY),
+) -> str:
+    """The scene as MJCF; other arguments as of `build_model`.
+
+    Args:
+        step: Time step [s].
+        bodies: Elements beside table and object.
+        connections: Equality constraints.
+    """
     # CG needs many iterations where a cloth lies on itself; with too few, vertices penetrate.
     solver, usual = ("Newton", 1e-8) if isinstance(item, RealRope) else ("CG", 1e-6)
     options = (
         f'timestep="{step}" integrator="discrete" solver="{solver}" iterations="400"'
         f' tolerance="{usual if tolerance is None else tolerance}" gravity="{_row(gravity)}"'
     )
-    bodies = [_table(item, step)] if table else []
-    bodies += [*map(_camera, cameras), arm, flex]
-    xml = _SCENE.format(
+    around = [_table(item, step)] if table else []
+    return _SCENE.format(
         name=item.name,
         options=options,
         floor=f'contype="{_FIXED}" conaffinity="{_OBJECT}"',
-        bodies="".join(bodies),
+        bodies="".join([*around, *bodies, _flex(item, layout, step)]),
         actuators=actuators,
         connections="".join(connections),
     )
+
+
+def compiled(item: RealObject, xml: str) -> Any:
+    """The `mujoco.MjModel` of a scene, with what MJCF cannot say of its object.
+
+    Raises:
+        DeviceError: MuJoCo is not installed.
+        ParameterError: MuJoCo refuses the scene.
+    """
     try:
-        model = mujoco.MjModel.from_xml_string(xml)
+        model = load_mujoco().MjModel.from_xml_string(xml)
     except ValueError as error:
         raise ParameterError(
             f"MuJoCo refuses the scene ({error})", where=item.name, fix="check its sizes"
@@ -273,8 +313,8 @@ def rest_shape(item: RealObject, layout: Layout) -> npt.NDArray[np.float64]:
     return origin + points @ np.array([layout.along, layout.across], dtype=np.float64)
 
 
-def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
-    """XML element of the object, and its number of vertices."""
+def _flex(item: RealObject, layout: Layout, step: float) -> str:
+    """XML element of the object."""
     centre = rest_shape(item, layout).mean(axis=0)
     turned = layout.rotation().as_quat(scalar_first=True)
     place = f'pos="{_row(centre)}" quat="{_row(turned)}" mass="{item.mass!r}"'
@@ -297,8 +337,7 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
             f'<edge equality="true" solref="{2 * step} 1" solimp="0.99 0.999 0.001"/>'
             f'<elasticity young="{float(E)!r}" poisson="{nu}" damping="{damping}"'
             f' section="circle"/>'
-            f"{contact}</flexcomp>",
-            n,
+            f"{contact}</flexcomp>"
         )
     # Implicit steps damp like a damping as long as they are: with 4 ms a sheet of 12 ms was damped
     # like one of 15.5 ms, one of 2 ms like one of 6.4 ms.
@@ -312,8 +351,7 @@ def _flex(item: RealObject, layout: Layout, step: float) -> tuple[str, int]:
         f' {place} radius="{item.radius}" rgba="{colour}">'
         f'<elasticity young="{float(softened(item) * E)!r}" poisson="{nu}" damping="{damping}"'
         f' thickness="{float(item.thickness)!r}" elastic2d="both"/>'
-        f"{contact}</flexcomp>",
-        len(points),
+        f"{contact}</flexcomp>"
     )
 
 
@@ -327,7 +365,8 @@ def clamped_vertices(item: RealObject, layout: Layout) -> npt.NDArray[np.intp]:
     return np.flatnonzero(along <= max(layout.clamped, second) + 1e-9)
 
 
-def _connect(name: str, body: str, hand: str, step: float, *, active: bool) -> str:
+def connection(name: str, body: str, hand: str, step: float, *, active: bool) -> str:
+    """XML element that ties a body's origin to a hand."""
     state = "true" if active else "false"
     return (
         f'<connect name="{name}" body1="{body}" body2="{hand}" anchor="0 0 0" active="{state}"'

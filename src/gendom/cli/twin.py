@@ -1,0 +1,104 @@
+"""`gendom twin`: an estimated object for other simulators."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from gendom.arguments import require
+from gendom.cli.outputs import tell_written
+from gendom.errors import GendomError, ParameterError, did_you_mean
+from gendom.files import check_folder
+from gendom.materials import KINDS, catalogue
+
+if TYPE_CHECKING:
+    from gendom.materials import Item
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """Write an estimated rope or cloth for another simulator, with a lift that runs there.
+
+    SOURCE is a file of gendom estimate, or a name of gendom materials with sizes. DIR/lift.py lifts
+    the object in that simulator and says how far it is from GenDOM's; it does not need GenDOM. With
+    --draws the estimate's uncertainty becomes variants for domain randomisation. See docs/twins.md.
+
+    For example: gendom twin estimate.json --to mjcf --out twin
+    """
+
+    source: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SOURCE")]
+    """estimate.json, or a material."""
+    to: Literal["mjcf", "newton", "usd"]
+    """mjcf: MuJoCo 4; newton: Newton 1.8; usd: moving geometry with the parameters."""
+    out: Path
+    """DIR to write; with --draws DIR/000, DIR/001 and so on."""
+    draws: int = 0
+    """Write so many objects drawn from the estimate, in place of the most likely one."""
+    seed: int = 0
+    """Of the draws."""
+    length: float | None = None
+    """Of a rope of a material [m]."""
+    diameter: float | None = None
+    """Likewise [m] (default: the usual one)."""
+    side: float | None = None
+    """Of a cloth of a material [m]."""
+    thickness: float | None = None
+    """Likewise [m] (default: the usual one)."""
+    force: bool = False
+    """Accept an estimate that is not usable."""
+
+    def run(self) -> int:
+        from gendom.twins import write_twin
+
+        require(self.draws >= 0, f"is {self.draws}", where="--draws", fix="give 0 or more")
+        check_folder(self.out)
+        if self.source in catalogue.materials():
+            what, fix = "needs an estimate: a material has no posterior", "leave it out"
+            require(self.draws == 0, what, where="--draws", fix=fix)
+            items, about = [self._of_material()], {"source": f"gendom materials {self.source}"}
+        else:
+            items, about = self._of_estimate()
+        for k, item in enumerate(items):
+            folder = self.out / f"{k:03d}" if self.draws else self.out
+            write_twin(item, self.to, folder, about=about | {"draw": k if self.draws else None})
+        tell_written(self.out, json=False)
+        first = self.out / "000" if self.draws else self.out
+        if (first / "lift.py").exists():
+            print(f"next: python {first / 'lift.py'}")
+        return 0
+
+    def _of_material(self) -> Item:
+        found = catalogue.get(self.source)
+        kind = KINDS[found.kind]
+        large, small = kind.sizes
+        sizes = {large: getattr(self, large), small: getattr(self, small) or found.across.typical}
+        other = {"length", "diameter", "side", "thickness"} - set(kind.sizes)
+        given = [name for name in sorted(other) if getattr(self, name) is not None]
+        what = f"is a {found.kind}, which has no {' and no '.join(given)}"
+        require(not given, what, where=self.source, fix=f"give --{large} and --{small}")
+        what = f"a material has no {large}"
+        require(sizes[large] is not None, what, where=self.source, fix=f"give --{large} in metres")
+        return kind(**sizes, material=found.material(), friction=found.friction.typical)
+
+    def _of_estimate(self) -> tuple[list[Item], dict[str, Any]]:
+        from gendom.materials.estimate import Estimate
+
+        path = Path(self.source)
+        if not path.exists():
+            near = did_you_mean(self.source, catalogue.materials())
+            fix = near or "name a file of gendom estimate, or one of gendom materials"
+            raise GendomError("is no file and no material", where=self.source, fix=fix)
+        given = [n for n in ("length", "diameter", "side", "thickness") if getattr(self, n)]
+        what = "are sizes of a material; an estimate has its own"
+        require(not given, what, where=", ".join(f"--{n}" for n in given), fix="leave them out")
+        found = Estimate.load(path, even_unusable=self.force)
+        if not self.draws:
+            return [found.item], {"source": str(path.name), "assumed": found.assumed}
+        if not found.names:
+            raise ParameterError("has no posterior", where=self.source, fix="leave out --draws")
+        items = found.draws(self.draws, self.seed)
+        about = {"source": str(path.name), "assumed": found.assumed, "seed": self.seed}
+        return list(items), about

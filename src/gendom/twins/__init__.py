@@ -1,0 +1,64 @@
+"""An estimated rope or cloth for other simulators, ready to run there.
+
+A twin is a folder: the scene in the simulator's own form, lift.py, which lifts the object there and
+compares every frame with our simulator, lift.npz with the numbers that it reads, README.md and
+twin.json with the parameters and where they come from. lift.py does not need GenDOM.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module, resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gendom.arguments import require
+from gendom.errors import GendomError
+from gendom.files import atomic_path, write_json
+from gendom.materials import Item, to_columns
+from gendom.twins.lift import Lift
+
+TARGETS = {
+    "mjcf": "MuJoCo 4: chain of edges, flex",
+    "newton": "Newton 1.8: rods, cloth (VBD)",
+    "usd": "USD: geometry, parameters as attributes",
+}
+"""Forms of twins, and what they are."""
+
+TWIN_FORMAT = "gendom-twin/1"
+
+
+def write_twin(item: Item, target: str, folder: Path, *, about: dict[str, Any]) -> None:
+    """Write the twin of an object.
+
+    Args:
+        item: The object.
+        target: One of `TARGETS`.
+        folder: Made; must not hold a twin.
+        about: Where the parameters come from, for twin.json.
+
+    Raises:
+        GendomError: The folder holds a twin, or cannot be written.
+        DeviceError: A target needs a package that is not installed.
+    """
+    taken = (folder / "twin.json").exists()
+    require(not taken, "holds a twin already", where=str(folder), fix="name another folder",
+            error=GendomError)  # fmt: skip
+    module = import_module(f"gendom.twins.{target}")
+    lift = module.held_by(Lift(item=item))
+    texts, places, arrays = module.written(lift)
+    folder.mkdir(parents=True, exist_ok=True)
+    if module.SCRIPT:
+        script = resources.files("gendom.twins") / "scripts" / module.SCRIPT
+        texts["lift.py"] = script.read_text(encoding="utf-8")
+        time, hand = lift.path
+        expected = lift.at(lift.simulated(), places)
+        arrays |= {"time": time, "hand": hand, "frames": lift.frames, "rest": places}
+        with atomic_path(folder / "lift.npz") as temporary:
+            np.savez_compressed(temporary, gendom=expected, **arrays)
+    for name, text in texts.items():
+        with atomic_path(folder / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    said = {"format": TWIN_FORMAT, "target": target, "kind": item.kind, "hold": lift.hold}
+    write_json(folder / "twin.json", said | {"object": to_columns(item), **about})

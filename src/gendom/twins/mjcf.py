@@ -1,0 +1,72 @@
+"""Twins for MuJoCo 4: a rope as a chain of edges, a cloth as a shell of triangles (flex).
+
+The scene is the second reality's (`gendom.reality.model`), with the corrections that MuJoCo's
+models need. What MJCF cannot say, each vertex's mass and each hinge's stiffness, lift.py sets from
+lift.npz.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gendom.materials import Rope
+from gendom.reality import Layout, as_real
+from gendom.reality.model import (
+    CLOTH_STEP,
+    compiled,
+    connection,
+    rest_shape,
+    scene_xml,
+)
+from gendom.reality.trials import ROPE_TIMESTEP
+from gendom.twins.lift import FINGERS, Array, Lift
+
+SCRIPT = "mujoco_lift.py"
+NEEDS = "mujoco>=4,<5"
+
+
+def held_by(lift: Lift) -> Lift:
+    """The same lift, of a rope so far held as vertices can have it: it bends at its vertices, the
+    last that is held too, which stands for half an edge on both sides, so it is free from half an
+    edge before that on."""
+    item = as_real(lift.item)
+    if not isinstance(item, Rope):
+        return lift
+    edges = max(round(FINGERS / item.spacing + 0.5), 1)
+    return Lift(item=lift.item, hold=(edges - 0.5) * item.spacing)
+
+
+def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
+    """Text files by name, the vertices [V, 3] at rest [m], and arrays for the script.
+
+    Raises:
+        DeviceError: MuJoCo is not installed.
+        ParameterError: MuJoCo refuses the scene.
+    """
+    item = as_real(lift.item)
+    half = np.sqrt(0.5)
+    origin = (0.0, 0.0, item.radius)
+    layout = Layout(origin=origin)
+    if not isinstance(item, Rope):
+        layout = Layout(origin=origin, along=(half, -half, 0.0), across=(half, half, 0.0))
+    places = rest_shape(item, layout)
+    reach = lift.hold + (0.5 * item.spacing if isinstance(item, Rope) else 0.0)
+    held = np.flatnonzero(np.linalg.norm(places - origin, axis=1) <= reach + 1e-9)
+    step = ROPE_TIMESTEP if isinstance(item, Rope) else CLOTH_STEP
+    xml = scene_xml(
+        item,
+        layout,
+        step=step,
+        bodies=[f'<body name="hand" mocap="true" pos="0 0 {item.radius!r}"/>'],
+        connections=[
+            connection(f"hand_{v}", f"object_{v}", "hand", step, active=True) for v in held
+        ],
+    )
+    model = compiled(item, xml)
+    return (
+        {"scene.xml": xml},
+        places,
+        {"masses": item.vertex_masses, "bending": np.array(model.flex_bending)},
+    )

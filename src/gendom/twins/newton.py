@@ -1,0 +1,96 @@
+"""Twins for Newton 1.8: a rope as a rod of rigid segments, a cloth as a shell, by its VBD solver.
+
+A sheet's hinges. With squares halved along one diagonal and the other by turns, a hinge of energy
+k l theta^2 / 2 over a side of length h sees the angle h w_xx, one over a diagonal sqrt(2) h w_xy.
+In the terms of `gendom.reality.objects` that is a = k_side h and g a / 2 = sqrt(2) k_diagonal h; a
+plate's rigidity D in every direction needs g = 2 and a = 4 D / 3, so k_side = 4 D / (3 h) and
+k_diagonal = k_side / sqrt(2).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from gendom.materials import STANDARD_GRAVITY, Cloth, Rope
+from gendom.reality.model import SHEET_STRETCH
+from gendom.reality.objects import grid
+from gendom.twins.lift import FINGERS, Array, Lift
+
+SCRIPT = "newton_lift.py"
+
+SEGMENTS, SIDE = 32, 33
+"""Segments of a rope, and points along a cloth's side."""
+
+STEP, ITERATIONS = {"rope": 1e-3, "cloth": 1e-3}, {"rope": 20, "cloth": 20}
+"""Time step [s] and iterations a step of the solver."""
+
+
+def held_by(lift: Lift) -> Lift:
+    """The same lift, of a rope so far held as segments can have it: the joint beyond the last that
+    is held stands for half a segment on both sides."""
+    if not isinstance(lift.item, Rope):
+        return lift
+    edge = lift.item.length / SEGMENTS
+    count = max(round(FINGERS / edge + 0.5), 1)
+    return Lift(item=lift.item, hold=(count - 0.5) * edge)
+
+
+def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
+    """Text files by name, the places [M, 3] that are compared, at rest [m]: the middles of a rope's
+    segments or a cloth's vertices, and arrays for the script."""
+    item, m = lift.item, lift.item.material
+    common = {
+        "kind": item.kind,
+        "friction": item.friction,
+        "damping": m.damping,
+        "step": STEP[item.kind],
+        "iterations": ITERATIONS[item.kind],
+    }
+    if isinstance(item, Rope):
+        nodes = np.zeros((SEGMENTS + 1, 3))
+        nodes[:, 0] = np.linspace(0.0, item.length, SEGMENTS + 1)
+        nodes[:, 2] = lift.height
+        area, second = math.pi * item.diameter**2 / 4.0, math.pi * item.diameter**4 / 64.0
+        edge = item.length / SEGMENTS
+        return (
+            {},
+            0.5 * (nodes[1:] + nodes[:-1]),
+            common
+            | {
+                "nodes": nodes,
+                "held": round(lift.hold / edge + 0.5),
+                "radius": item.diameter / 2.0,
+                "mass": m.density * area * edge,
+                "EI": m.E * second,
+                "GJ": m.E / (1.0 + m.nu) * second,
+                "EA": m.E * area,
+            },
+        )
+    flat, triangles = grid(SIDE, SIDE, item.side / (SIDE - 1))
+    half = math.sqrt(0.5)
+    places = np.column_stack(
+        [flat @ [[half, -half], [half, half]], np.full(len(flat), lift.height)]
+    )
+    return {}, places, common | _sheet(item, places, triangles, lift.hold)
+
+
+def _sheet(item: Cloth, places: Array, triangles: Any, hold: float) -> dict[str, Any]:
+    m, h = item.material, item.side / (SIDE - 1)
+    D = m.E * item.thickness**3 / (12.0 * (1.0 - m.nu**2))
+    weight = m.density * item.thickness * STANDARD_GRAVITY * item.side
+    stretch = min(m.E * item.thickness, weight / (2.0 * SHEET_STRETCH))
+    return {
+        "vertices": places,
+        "triangles": triangles,
+        "held": np.flatnonzero(np.linalg.norm(places[:, :2], axis=1) <= hold + 1e-9),
+        "radius": item.thickness / 2.0,
+        "mass_per_area": m.density * item.thickness,
+        "mu": stretch / (2.0 * (1.0 + m.nu)),
+        "lam": stretch * m.nu / (1.0 - m.nu**2),
+        "side_hinge": 4.0 * D / (3.0 * h),
+        "diagonal_hinge": 4.0 * D / (3.0 * math.sqrt(2.0) * h),
+        "spacing": h,
+    }

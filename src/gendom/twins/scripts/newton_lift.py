@@ -1,0 +1,113 @@
+"""Lift the object in Newton, and compare it with GenDOM's simulator: python lift.py"""
+
+from itertools import combinations
+from pathlib import Path
+
+import newton  # pyright: ignore[reportMissingImports]
+import numpy as np
+import warp as wp
+
+here = Path(__file__).parent
+about = {name: value[()] for name, value in np.load(here / "lift.npz").items()}
+rope = about["kind"] == "rope"
+damping, friction = float(about["damping"]), float(about["friction"])
+
+builder = newton.ModelBuilder()
+builder.default_shape_cfg.mu = friction
+builder.default_shape_cfg.ke = 1e5
+if rope:
+    rod = newton.Rod(
+        [wp.vec3(*x) for x in about["nodes"]],
+        radius=float(about["radius"]),
+        stretch_rigidity=float(about["EA"]),
+        shear_rigidity=float(about["EA"]),
+        bend_rigidity=float(about["EI"]),
+        twist_rigidity=float(about["GJ"]),
+    )
+    edge = float(about["nodes"][1, 0] - about["nodes"][0, 0])
+    bodies, _ = builder.add_rod(
+        rod=rod,
+        bend_damping=damping * float(about["EI"]) / edge,
+        twist_damping=damping * float(about["GJ"]) / edge,
+    )
+    for k, body in enumerate(bodies):
+        # capsules overlap at their ends: a segment has the mass of its cylinder
+        mass = 0.0 if k < about["held"] else float(about["mass"])
+        share = mass / builder.body_mass[body]
+        builder.body_mass[body] = mass
+        builder.body_inv_mass[body] = 1.0 / mass if mass else 0.0
+        inertia = share * np.array(builder.body_inertia[body]).reshape(3, 3)
+        builder.body_inertia[body] = wp.mat33(inertia)
+        inverse = np.linalg.inv(inertia) if mass else np.zeros((3, 3))
+        builder.body_inv_inertia[body] = wp.mat33(inverse)
+    # neighbours' capsules overlap; a lifted rope touches itself nowhere else
+    shapes = [shape for body in bodies for shape in builder.body_shapes[body]]
+    for first, second in combinations(shapes, 2):
+        builder.add_shape_collision_filter_pair(first, second)
+    held = np.array(bodies[: int(about["held"])])
+else:
+    builder.add_cloth_mesh(
+        pos=wp.vec3(0.0),
+        rot=wp.quat_identity(),
+        scale=1.0,
+        vel=wp.vec3(0.0),
+        vertices=[wp.vec3(*x) for x in about["vertices"]],
+        indices=about["triangles"].ravel().tolist(),
+        density=float(about["mass_per_area"]),
+        tri_ke=float(about["mu"]),
+        tri_ka=float(about["lam"]),
+        tri_kd=0.0,
+        edge_ke=float(about["side_hinge"]),
+        edge_kd=damping * float(about["side_hinge"]),
+        particle_radius=max(float(about["radius"]), 5e-4),
+    )
+    ends = about["vertices"][np.array(builder.edge_indices)[:, 2:]]
+    diagonal = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > 1.2 * about["spacing"]
+    hinges = np.where(diagonal, about["diagonal_hinge"], about["side_hinge"])
+    builder.edge_bending_properties = [(float(k), damping * float(k)) for k in hinges]
+    held = about["held"]
+    for v in held:
+        builder.particle_mass[v] = 0.0
+        builder.particle_flags[v] &= ~int(newton.ParticleFlags.ACTIVE)
+builder.add_ground_plane()
+builder.color(include_bending=not rope)
+model = builder.finalize()
+model.soft_contact_mu = friction
+model.soft_contact_ke = 1e4
+solver = newton.solvers.SolverVBD(
+    model, iterations=int(about["iterations"]), particle_enable_self_contact=False
+)
+now, then, control = model.state(), model.state(), model.control()
+pipeline = newton.CollisionPipeline(model)
+contacts = pipeline.contacts()
+
+
+def carry(state, offset):
+    """Put what the hand holds where the hand is."""
+    array = state.body_q if rope else state.particle_q
+    x = array.numpy()
+    x[held, :3] = start[held, :3] + offset
+    array.assign(x)
+
+
+start = (now.body_q if rope else now.particle_q).numpy().copy()  # on a CPU it is a view
+hand, times, dt = about["hand"], about["time"], float(about["step"])
+shapes, step = [], 0
+for moment in about["frames"]:
+    while (step + 0.5) * dt < moment:
+        step += 1
+        offset = [np.interp(step * dt, times, hand[:, a] - hand[0, a]) for a in range(3)]
+        carry(now, offset)
+        carry(then, offset)
+        now.clear_forces()
+        pipeline.collide(now, contacts)
+        solver.step(now, then, control, contacts, dt)
+        now, then = then, now
+    x = (now.body_q if rope else now.particle_q).numpy()
+    shapes.append(x[bodies if rope else slice(None), :3].copy())
+
+shapes = np.array(shapes)
+np.save(here / "positions.npy", shapes)
+off = np.linalg.norm(shapes - about["gendom"], axis=2)
+worst = 1e3 * off.mean(axis=1).max()
+print(f"{len(off)} frames, mean distance {1e3 * off.mean():.2f} mm, worst frame's {worst:.2f}")

@@ -1,0 +1,156 @@
+"""Twins for other simulators: written by the command, run as their users run them."""
+
+import json
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from gendom import cli
+from gendom.materials import catalogue
+from gendom.materials.estimate import Estimate
+from gendom.reality import OBJECTS
+
+COTTON = ["cotton-rope", "--length", "0.3"]
+
+
+def written(tmp_path, *words):
+    assert cli.main(["twin", *words, "--out", str(tmp_path / "twin")]) == 0
+    return tmp_path / "twin"
+
+
+def lifted(folder):
+    """Mean distance from our simulator over the lift, and in the worst frame [mm]."""
+    done = subprocess.run(
+        [sys.executable, str(folder / "lift.py")], capture_output=True, text=True, timeout=900
+    )
+    assert done.returncode == 0, done.stderr
+    found = re.search(r"mean distance ([\d.]+) mm, worst frame's ([\d.]+)", done.stdout)
+    assert found, done.stdout
+    return float(found[1]), float(found[2])
+
+
+@pytest.fixture
+def estimate(tmp_path):
+    """Function (an object of the second reality) -> its estimate's file."""
+
+    def saved(item):
+        path = tmp_path / "estimate.json"
+        Estimate.of(item).with_uncertain("E_over_rho", 0.1).save(path)
+        return str(path)
+
+    return saved
+
+
+def test_a_rope_lifted_in_mujoco_moves_as_ours(tmp_path, estimate):
+    pytest.importorskip("mujoco")
+    folder = written(tmp_path, estimate(OBJECTS["rope-polyester"]), "--to", "mjcf")
+    mean, worst = lifted(folder)
+    assert mean < 2.0 and worst < 6.0
+    about = json.loads((folder / "twin.json").read_text())
+    assert about["object"]["E"] == pytest.approx(OBJECTS["rope-polyester"].material.E)
+    assert np.load(folder / "positions.npy").shape == np.load(folder / "lift.npz")["gendom"].shape
+
+
+def test_a_rope_of_another_stiffness_moves_otherwise(tmp_path):
+    """So the distance tells something: a twin of four times the E is compared with ours of one."""
+    pytest.importorskip("mujoco")
+    folder = written(tmp_path, *COTTON, "--to", "mjcf")
+    scene = (folder / "scene.xml").read_text()
+    (E,) = map(float, re.findall(r'young="([^"]+)"', scene))
+    (folder / "scene.xml").write_text(scene.replace(f'young="{E!r}"', f'young="{4.0 * E!r}"'))
+    script = (folder / "lift.py").read_text()
+    line = 'model.flex_bending[:] = about["bending"]'
+    assert line in script
+    (folder / "lift.py").write_text(script.replace(line, ""))
+    assert lifted(folder)[0] > 5.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cloth-cotton", "cloth-rubber"])
+def test_a_cloth_lifted_in_mujoco_moves_as_ours(tmp_path, estimate, name):
+    pytest.importorskip("mujoco")
+    folder = written(tmp_path, estimate(OBJECTS[name]), "--to", "mjcf")
+    assert lifted(folder)[0] < 4.0
+
+
+@pytest.mark.parametrize(
+    "words", [COTTON, ["cotton-shirting", "--side", "0.3"]], ids=["rope", "cloth"]
+)
+def test_usd_holds_the_lift_and_the_parameters(tmp_path, words):
+    if words[0] not in catalogue.materials():
+        words = [next(n for n, m in catalogue.materials().items() if m.kind == "cloth"), *words[1:]]
+    folder = written(tmp_path, *words, "--to", "usd")
+    text = (folder / "object.usda").read_text()
+    E = catalogue.get(words[0]).E.typical
+    assert f"custom double gendom:E = {E!r} " in text
+    frames = re.findall(r"^ +(\d+): \[(.*)\],$", text, re.MULTILINE)
+    points = [
+        np.array(re.findall(r"-?[\d.]+", row), dtype=float).reshape(-1, 3) for _, row in frames
+    ]
+    assert [int(k) for k, _ in frames] == list(range(len(frames))) and len(frames) > 20
+    assert points[0][:, 2].max() < 0.02 < 0.2 < points[-1][:, 2].max()
+    try:
+        from pxr import Usd
+    except ImportError:
+        return
+    stage = Usd.Stage.Open(str(folder / "object.usda"))
+    prim = stage.GetPrimAtPath("/World/object")
+    assert len(prim.GetAttribute("points").Get(5)) == len(points[5])
+
+
+def test_newtons_twin_holds_what_its_script_reads(tmp_path):
+    folder = written(tmp_path, *COTTON, "--to", "newton")
+    arrays = np.load(folder / "lift.npz")
+    script = (folder / "lift.py").read_text()
+    compile(script, "lift.py", "exec")
+    cloth = {"vertices", "triangles", "mass_per_area", "mu", "lam", "side_hinge",
+             "diagonal_hinge", "spacing"}  # fmt: skip
+    read = set(re.findall(r'about\["(\w+)"', script)) - cloth
+    assert read <= set(arrays)
+    m, d, L = (
+        catalogue.get("cotton-rope").material(),
+        catalogue.get("cotton-rope").across.typical,
+        0.3,
+    )
+    assert float(arrays["EI"]) == pytest.approx(m.E * np.pi * d**4 / 64.0)
+    segments = len(arrays["nodes"]) - 1
+    assert float(arrays["mass"]) * segments == pytest.approx(m.density * np.pi * d**2 / 4.0 * L)
+
+
+def test_draws_are_variants_for_randomisation(tmp_path, estimate):
+    item = OBJECTS["rope-cotton"]
+    found = Estimate.of(item).with_uncertain("E_over_rho", 0.2)
+    path = tmp_path / "estimate.json"
+    found.save(path)
+    folder = written(tmp_path, str(path), "--to", "usd", "--draws", "3", "--seed", "5")
+    E = [json.loads((p / "twin.json").read_text())["object"]["E"] for p in sorted(folder.iterdir())]
+    assert E == pytest.approx([d.material.E for d in found.draws(3, 5)]) and len(set(E)) == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["cotton-rop", "--to", "usd"], "cotton-rop: is no file and no material; did you mean"),
+        (["cotton-rope", "--to", "usd"], "a material has no length; give --length in metres"),
+        ([*COTTON, "--side", "0.3", "--to", "usd"], "which has no side; give --length and"),
+        ([*COTTON, "--to", "usd", "--draws", "2"], "--draws: needs an estimate"),
+    ],
+)
+def test_what_cannot_become_a_twin(tmp_path, capsys, words, said):
+    assert cli.main(["twin", *words, "--out", str(tmp_path / "twin")]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "twin" / "twin.json").exists()
+
+
+def test_a_twin_is_never_overwritten(tmp_path, capsys):
+    folder = written(tmp_path, *COTTON, "--to", "usd")
+    before = (folder / "object.usda").read_bytes()
+    assert (
+        cli.main(["twin", "cotton-rope", "--length", "0.5", "--to", "usd", "--out", str(folder)])
+        == 2
+    )
+    assert "holds a twin already; name another folder" in capsys.readouterr().err
+    assert (folder / "object.usda").read_bytes() == before
