@@ -151,6 +151,24 @@ def read_plan(path: Path) -> dict[str, Any]:
     return {key: value for key, value in said.items() if key not in own}
 
 
+def move(cell: Cell, planned: PlannedMotion, what: str, *, yes: bool, **others: Any) -> None:
+    """Show a motion, ask, and carry it out; other arguments as of `carry_out`.
+
+    Args:
+        cell: Where.
+        planned: The motion.
+        what: What it is, for the person.
+        yes: Do not ask, and move slowly.
+    """
+    from gendom.hardware.execution import careful, preview
+
+    planned = careful(planned) if yes else planned
+    print("\n".join([what, *preview(planned, cell)]))
+    if not yes:
+        confirm("Is the cell empty and the emergency stop at hand?")
+    carry_out(cell, planned, **others)
+
+
 def carry_out(
     cell: Cell,
     planned: PlannedMotion,

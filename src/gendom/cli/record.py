@@ -5,17 +5,29 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from gendom.arguments import require
 from gendom.cli.arguments import settings_of
+from gendom.cli.execute import FINGER_WIDTH, bring, described, move
 from gendom.errors import ParameterError
 from gendom.files import check_folder
-from gendom.materials import AIR_DENSITY
+from gendom.materials import AIR_DENSITY, Item, size_of, thickness_of
 from gendom.progress import bar
+
+if TYPE_CHECKING:
+    from gendom.hardware.cell import Cell
+    from gendom.reality import RealObject
+    from gendom.robot import LiftMotion
 
 MAX_RISE = 2.0
 """In lengths of a rope or sides of a cloth; more was not given in metres."""
+
+AHEAD = 0.32
+"""How far in front of the base an object's near end lies, unless --grasp says so [m]."""
+
+LEAST_HEIGHT, WAIT = 0.002, 0.5
+"""Of the tool point above the table [m], and pauses of the lift [s]."""
 
 MAX_ENCODER_NOISE = 0.1
 """Far more than any robot's [rad]."""
@@ -23,18 +35,30 @@ MAX_ENCODER_NOISE = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Record the predefined lift of an object in the MuJoCo test scene (the second reality).
+    """Record the predefined lift of an object: with --cell in a cell, by its robot and cameras,
+    with --reality in the MuJoCo test scene (the second reality).
 
-    A robot arm lifts it under two depth cameras like a D435i, with their noise, their
-    calibration's errors and a clock that is ahead. Writes what `gendom perceive` reads; the truth
-    goes into DIR/truth, for evaluation only. See docs/reality.md.
+    Writes what `gendom perceive` reads. In a cell it shows what will move and asks first
+    (docs/hardware.md). In MuJoCo a robot arm lifts the object under two depth cameras like a D435i,
+    with their noise, their calibration's errors and a clock that is ahead; the truth goes into
+    DIR/truth, for evaluation only (docs/reality.md).
 
     For example: gendom record --reality rope-cotton --out lift
     """
 
-    reality: str
+    reality: str | None = None
     """The object: rope-cotton, rope-polyester, rope-polyethylene, cloth-cotton, cloth-rubber..., or
     a TOML file that describes your own (docs/own-object.md)."""
+    cell: Path | None = None
+    """In place of it cell.toml, see gendom cell."""
+    object: Path | None = None
+    """In a cell: TOML file with the object's kind, sizes and mass; its stiffness is not looked at.
+    Of a simulated robot by default what the cell names."""
+    grasp: tuple[float, float, float] | None = None
+    """In a cell: where the fingers take the lying object in metres; by default 0.33 m ahead, on the
+    table."""
+    yes: bool = False
+    """In a cell: do not ask, and move slowly."""
     out: Path
     """DIR to write; must not hold a recording."""
     rise: float | None = None
@@ -62,6 +86,34 @@ class Command:
     """Seed of all noise and errors."""
 
     def run(self) -> int:
+        one = (self.reality is None) != (self.cell is None)
+        require(one, "give either --reality or --cell", fix="see gendom record --help")
+        return self._in_cell() if self.cell is not None else self._in_mujoco(str(self.reality))
+
+    def _in_cell(self) -> int:
+        from gendom.hardware.cell import Cell
+
+        check_folder(self.out)
+        cell = Cell.read(self.cell)
+        known = known_in(cell, self.object)
+        self._check_rise(size_of(known), f"the {known.kind} {size_of(known):g} m long")
+        lift_in(cell, known, self.out, motion=self._motion(known), grasp=self.grasp, yes=self.yes)
+        print(f"written: {self.out}")
+        print(f"next: gendom perceive {self.out} --out {self.out.name}.npz")
+        return 0
+
+    def _motion(self, item: Item) -> LiftMotion:
+        """The lift that flags ask for."""
+        from gendom.robot import LiftMotion, predefined_lift
+
+        if self.motion is not None:
+            what, fix = "says how high and with which end", "leave out --rise and --end"
+            require(self.rise is None and self.end is None, what, where="--motion", fix=fix)
+            return LiftMotion.read(self.motion)
+        usual = predefined_lift(item.kind, self.end or "hold")
+        return usual if self.rise is None else replace(usual, rise=self.rise / size_of(item))
+
+    def _in_mujoco(self, reality: str) -> int:
         from gendom.reality import (
             DepthSensor,
             RealRope,
@@ -69,12 +121,10 @@ class Command:
             RigErrors,
             TrialRun,
             find_object,
-            lift,
             lift_cameras,
             lifted_by,
             record,
         )
-        from gendom.robot import LiftMotion
 
         rate, noise = self.frame_rate, self.encoder_noise
         fix = "give 90 or less, above 0"
@@ -85,17 +135,12 @@ class Command:
         what = f"is {noise:g} radians"
         require(0.0 <= noise <= MAX_ENCODER_NOISE, what, where="--encoder-noise", fix=fix)
         check_folder(self.out)
-        item = find_object(self.reality)
+        item = find_object(reality)
         if isinstance(item, RealRope):
             self._check_rise(item.length, f"the rope {item.length:g} m long")
         else:
             self._check_rise(item.side, f"the cloth {item.side:g} m wide")
-        if self.motion is None:
-            trial = lift(item, rise=self.rise, end=self.end or "hold")
-        else:
-            what, fix = "says how high and with which end", "leave out --rise and --end"
-            require(self.rise is None and self.end is None, what, where="--motion", fix=fix)
-            trial = lifted_by(item, LiftMotion.read(self.motion))
+        trial = lifted_by(item, self._motion(item))
         trial_run = TrialRun(
             trial,
             cameras=lift_cameras(item),
@@ -135,3 +180,68 @@ class Command:
             unit, metres = ("cm", 1e-2) if self.rise <= 100.0 * MAX_RISE * size else ("mm", 1e-3)
             fix = f"give metres: {self.rise:g} {unit} are {metres * self.rise:g}"
         raise ParameterError(f"is {self.rise:g} m, and {called}", where="--rise", fix=fix)
+
+
+def known_in(cell: Cell, path: Path | None) -> RealObject:
+    """An object as it is described; its stiffness is not looked at.
+
+    Args:
+        cell: Where it is; that of a simulated robot names one.
+        path: Its TOML file.
+
+    Raises:
+        GendomError: It is not described.
+    """
+    from gendom.reality import find_object
+
+    fix = "give its kind, sizes, mass and colour in a TOML file"
+    described = path is not None or cell.simulated
+    require(described, "is missing", where="--object", fix=fix)
+    return find_object(cell.address if path is None else str(path))
+
+
+def lift_in(
+    cell: Cell,
+    known: RealObject,
+    out: Path,
+    *,
+    motion: LiftMotion,
+    grasp: tuple[float, float, float] | None,
+    yes: bool,
+    logs: Path | None = None,
+) -> None:
+    """Lift an object in a cell, and record it.
+
+    Args:
+        cell: Where.
+        known: The object as it is described.
+        out: Folder for the recording.
+        motion: How it is lifted.
+        grasp: Where the fingers take it [m]; None: ahead, on the table.
+        yes: Do not ask, and move slowly.
+        logs: Folder of logs; None: ``executions`` beside the cell's file.
+    """
+    from gendom.hardware.execution import plan_record
+    from gendom.robot import motions
+
+    size, thick = size_of(known), thickness_of(known)
+    table = cell.surroundings.table_height or 0.0
+    usual = (AHEAD + 0.5 * FINGER_WIDTH, 0.0, table + max(0.5 * thick, LEAST_HEIGHT))
+    require(motion.kind == known.kind, f"is for a {motion.kind}, the object is a {known.kind}",
+            where="motion", fix=f"plan one with gendom plan-lift {known.kind}")  # fmt: skip
+    path = motions.lift(
+        grasp or usual, height=motion.rise * size, speed=motion.speed, wait=WAIT, end=motion.end,
+        after=WAIT if motion.end == "hold" else None,
+    )  # fmt: skip
+    planned = cell.plan(path, opening=thick, hangs=size)
+    slow = known.kind == "rope" and motion.end == "hold" and motion.speed <= motions.ROPE_LIFT_SPEED
+    move(
+        cell,
+        planned,
+        "lift",
+        logs=logs or Path(cell.path or ".").parent / "executions",
+        said={"plan": plan_record(planned)},
+        bring=lambda robot: bring(robot, None, ask=not yes),
+        record=(out, described(cell, known, "a lift in a cell", quasi_static=slow)),
+        yes=yes,
+    )

@@ -15,24 +15,18 @@ import tyro
 from gendom.arguments import require
 from gendom.cli import act, adapt, estimate, perceive
 from gendom.cli.arguments import TaskName
-from gendom.cli.execute import FINGER_WIDTH, bring, carry_out, confirm, described, read_plan
+from gendom.cli.execute import bring, described, move, read_plan
 from gendom.cli.outputs import columns
+from gendom.cli.record import known_in, lift_in
 from gendom.errors import DeviceError
 from gendom.files import check_folder, to_json, write_json
-from gendom.materials import Item, size_of, thickness_of
 from gendom.reading import read_json
 from gendom.tasks import Task, find_task
 
 if TYPE_CHECKING:
-    from gendom.hardware.cell import Cell, PlannedMotion
+    from gendom.hardware.cell import Cell
 
 _log = logging.getLogger(__name__)
-
-AHEAD = 0.32
-"""How far in front of the base an object's near end lies, unless --grasp says so [m]."""
-
-WAIT = 0.5
-"""Pauses of the lift [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +71,7 @@ class Command:
         require(self.executions >= 1, f"is {self.executions}", where="--executions", fix=fix)
         if killed := last_time(self.out / "executions"):
             _log.warning("%s", killed)
-        known = self._known(cell)
+        known = known_in(cell, self.object)
         steps = _Steps(self.out)
         lift = steps.do("lift", "lift", [self.cell, *self._named],
                         lambda to: self._lift(cell, known, to), settings=[self.grasp])  # fmt: skip
@@ -108,50 +102,13 @@ class Command:
     def _named(self) -> list[Path]:
         return [] if self.object is None else [self.object]
 
-    def _known(self, cell: Cell) -> Any:
-        """The object as it is described; its stiffness is not looked at.
-
-        Raises:
-            GendomError: It is not described.
-        """
-        from gendom.reality import find_object
-
-        fix = "give its kind, sizes, mass and colour in a TOML file"
-        known = self.object is not None or cell.simulated
-        require(known, "is missing", where="--object", fix=fix)
-        return find_object(cell.address if self.object is None else str(self.object))
-
     # ---- steps -----------------------------------------------------------------------------------
 
-    def _move(
-        self, cell: Cell, planned: PlannedMotion, what: str, record: tuple[Path, str], **others: Any
-    ) -> None:
-        """Show a motion, ask, and carry it out under the cameras."""
-        from gendom.hardware.execution import careful, preview
+    def _lift(self, cell: Cell, known: Any, to: Path) -> None:
+        from gendom.robot import predefined_lift
 
-        planned = careful(planned) if self.yes else planned
-        print("\n".join([what, *preview(planned, cell)]))
-        if not self.yes:
-            confirm("Is the cell empty and the emergency stop at hand?")
-        carry_out(cell, planned, logs=self.out / "executions", record=record, **others)
-
-    def _lift(self, cell: Cell, known: Item, to: Path) -> None:
-        from gendom.hardware.execution import plan_record
-        from gendom.robot import motions
-
-        usual, size = motions.predefined_lift(known.kind), size_of(known)
-        table = cell.surroundings.table_height or 0.0
-        near = (AHEAD + 0.5 * FINGER_WIDTH, 0.0, table + max(0.5 * thickness_of(known), 0.002))
-        path = motions.lift(
-            self.grasp or near, height=usual.rise * size, speed=usual.speed, wait=WAIT, after=WAIT
-        )
-        planned = cell.plan(path, opening=thickness_of(known), hangs=size)
-        self._move(
-            cell, planned, "lift",
-            (to, described(cell, known, "a lift in a cell", quasi_static=known.kind == "rope")),
-            said={"plan": plan_record(planned)},
-            bring=lambda robot: bring(robot, None, ask=not self.yes),
-        )  # fmt: skip
+        usual, logs = predefined_lift(known.kind), self.out / "executions"
+        lift_in(cell, known, to, motion=usual, grasp=self.grasp, yes=self.yes, logs=logs)
 
     def _execution(
         self, steps: _Steps, k: int, cell: Cell, task: Task, known: Any, params: Path
@@ -170,10 +127,11 @@ class Command:
 
         def executed(to: Path) -> None:
             action = read_action(plan)
-            self._move(
-                cell, action.planned, f"execution {k} of {task.name}",
-                (to, described(cell, known, f"execution {k} of {task.name}")),
-                said=read_plan(plan), bring=lambda robot: bring(robot, action, ask=not self.yes),
+            what = f"execution {k} of {task.name}"
+            move(
+                cell, action.planned, what, logs=self.out / "executions", said=read_plan(plan),
+                bring=lambda robot: bring(robot, action, ask=not self.yes),
+                record=(to, described(cell, known, what)), yes=self.yes,
             )  # fmt: skip
 
         shown = steps.do(f"execute {k}", f"seen-{k}", [plan], executed, settings=[self.yes])
