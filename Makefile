@@ -92,6 +92,6 @@ $(CORE): $(PLACE) pyproject.toml constraints.txt
 $(FULL): $(PLACE) pyproject.toml constraints.txt
 	@echo "installing gendom with test and training tools (torch is large: 1 to 10 minutes)"
 	@touch $(INSTALLING)
-	@$(PIP) install -qq -c constraints.txt -e '.[dev,data,train,reality,camera,cluster,docs,ros,viz]'
+	@$(PIP) install -qq -c constraints.txt -e '.[dev,data,train,reality,camera,robot,cluster,docs,ros,viz]'
 	@rm $(INSTALLING)
 	@touch $(CORE) $@

@@ -19,18 +19,21 @@ import pytest
 pytest.importorskip("xarm", reason="pip install xarm-python-sdk")
 
 from gendom.errors import DeviceError
-from gendom.hardware import Robot, streamed, streaming
+from gendom.hardware import Robot, find_robot, streamed, streaming, xarm7
+from gendom.hardware.cell import Cell
+from gendom.hardware.execution import ExecutionLog, execute, read_log
 from gendom.hardware.streamed import StreamedRobot
 from gendom.hardware.streaming import Streamer
-from gendom.robot import XARM7, GripperEvent, joint_move
+from gendom.robot import DOWN, XARM7, GripperEvent, TcpPath, joint_move
 from hardware.xarm_box import Box, Driver, cell
+from simulated_cell import write_cell
 
 AWAY = XARM7.home + np.array([0.6, 0.1, 0.0, 0.2, 0.0, 0.1, 0.3])
 
 
 def patient(here):
     """The driver, for a computer that has other work to do."""
-    streaming.BLIND = (0.3, 1.0)
+    streaming.BLIND, xarm7._QUICK = (0.3, 1.0), 1.0
     return Driver(here)
 
 
@@ -51,6 +54,7 @@ def robot(box):
 @pytest.fixture
 def streamer(box, monkeypatch):
     monkeypatch.setattr(streaming, "BLIND", (0.15, 0.5))
+    monkeypatch.setattr(xarm7, "_QUICK", 0.5)
     here = cell(box.address, tool=0.5, share=1.0)
     driver = Driver(here)
     driver.connect()
@@ -82,6 +86,27 @@ def test_a_robot_approaches_plays_grips_and_says_where_it_is(box, robot):
     robot.approach(AWAY - 0.02)
     assert box.true == pytest.approx(AWAY - 0.02, abs=1e-3)
     assert box.orders("mode") == [1, 0, 1, 0]
+
+
+def test_a_planned_action_is_executed_and_logged(box, tmp_path):
+    here = Cell.read(write_cell(tmp_path, cameras=False, latency="0.1"))
+    here = replace(here, robot="xarm7", address=box.address)
+    path = TcpPath(
+        time=np.array([0.0, 0.8]),
+        position=np.array([[0.45, 0.0, 0.3], [0.45, 0.15, 0.3]]),
+        quat_xyzw=np.array(DOWN),
+        events=(GripperEvent(time=0.0, closed=True), GripperEvent(time=0.7, closed=False)),
+    )
+    planned = here.plan(path, opening=0.016)
+    execute(planned, here, StreamedRobot(here, patient), ExecutionLog(tmp_path / "log.jsonl", {}))
+    log = read_log(tmp_path / "log.jsonl")
+    end = planned.motion.end - planned.motion.start
+    assert log.time[-1] == pytest.approx(end, abs=0.3)
+    assert box.true == pytest.approx(planned.motion.q[-1], abs=1e-3)
+    asked = [t for t, name, value in box.log if name == "gripper 0x700" and value == 850]
+    begun = [t for t, name, _ in box.log if name == "servo"][-len(log.time)]
+    release = planned.motion.events[-1].time - planned.motion.start
+    assert asked[-1] - begun == pytest.approx(release - 0.1, abs=0.05)
 
 
 def test_a_fault_stays_until_the_robot_is_connected_again(box, robot):
@@ -161,7 +186,9 @@ def test_the_arm_brakes_when_its_program_ends(box, tmp_path, end):
         if not alive(child):
             break
         time.sleep(0.01)
-    assert not alive(child)
+    else:
+        os.kill(child, signal.SIGKILL)
+        pytest.fail("the process that moves the arm did not end")
     assert_braked(box)
     seconds, metres = box.stopping(ended)
     assert seconds < 2.0  # 0.2 where nothing else runs: benchmarks/faults.py
@@ -182,6 +209,18 @@ def test_the_process_that_moves_the_arm_dies(box, robot):
     with pytest.raises(DeviceError, match=r"gone or hangs.*emergency stop"):
         robot.play(there_and())
     assert "gone" in robot.state().fault
+
+
+@pytest.mark.parametrize(
+    ("name", "module", "extra"), [("xarm7", "xarm.wrapper", "robot"), ("fr3", "franky", "franka")]
+)
+def test_without_its_sdk_a_robot_says_what_to_install(monkeypatch, name, module, extra):
+    robot = find_robot(name)(replace(cell("127.0.0.1"), robot=name, arm=name))
+    with pytest.raises(DeviceError, match="not connected"):
+        robot.state()
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(DeviceError, match=rf"cannot be imported .*\[{extra}\]"):
+        robot._driver(robot.cell).connect()
 
 
 # ---- connecting ----------------------------------------------------------------------------------

@@ -38,7 +38,7 @@ class _Board:
 
     def __init__(self, context: Any, joints: int) -> None:
         self.joints = joints
-        self.rows = context.RawArray("d", _ROWS * (6 + 2 * joints))
+        self.rows = context.RawArray("d", _ROWS * (5 + 2 * joints))
         self.count = context.RawValue("q", 0)
         self.text = context.RawArray("c", _TEXT)
 
@@ -48,7 +48,7 @@ class _Board:
     def write(self, streamer: Streamer) -> None:
         report, fault = streamer.report, streamer.fault
         opening = math.nan if report.opening is None else report.opening
-        head = (time.monotonic(), streamer.elapsed, report.time, opening, streamer.moving, 0.0)
+        head = (time.monotonic(), streamer.elapsed, report.time, opening, streamer.moving)
         self.text.value = (fault or "").encode()[: _TEXT - 1]
         row = np.concatenate([head, streamer.command, report.q])
         self._table()[self.count.value % _ROWS] = row
@@ -73,7 +73,7 @@ def _serve(link: Connection, board: _Board, cell: Cell, make: Callable[[Cell], D
     try:
         driver.connect()
         streamer = Streamer(driver, cell)
-    except GendomError as error:
+    except Exception as error:  # SDKs raise what they like
         link.send(("fault", str(error)))
         return
     signal.signal(signal.SIGINT, lambda *_: streamer.brake("interrupted by Ctrl-C"))
@@ -111,7 +111,7 @@ def _obey(order: tuple[str, Any], streamer: Streamer, leaving: list[str]) -> boo
     if name == "play":
         try:
             streamer.start(what)
-        except GendomError as error:
+        except Exception as error:
             streamer.ended = str(error)
     elif name == "grip":
         streamer.fingers.move(what)
@@ -141,6 +141,7 @@ class StreamedRobot:
         self.cell, self.arm = cell, cell.model
         self._driver = driver
         self._process: Any = None
+        self._board: Any = None
         self._lock = threading.Lock()
         self._asked = False
         self._fault: str | None = None
@@ -169,25 +170,28 @@ class StreamedRobot:
         except BaseException:
             self._process.kill()
             self.disconnect()
+            self._board = None
             raise
         self._fault = None
 
     def state(self) -> RobotState:
-        """What was last reported.
+        """What was last reported, also after `disconnect`.
 
         Raises:
             DeviceError: The robot was never connected.
         """
-        require(self._process is not None, "not connected", fix="connect()", error=DeviceError)
+        require(self._board is not None, "not connected", fix="connect()", error=DeviceError)
         row = self._board.read(self._board.count.value - 1)[0][-1]
+        alive = self._process is not None and self._process.is_alive()
         fault = self._fault or self._board.text.value.decode(errors="replace") or None
-        if fault is None and not self._process.is_alive():
-            fault = f"the process that moves the arm is gone; {_REPORT}"
+        if fault is None and not alive:
+            gone = f"the process that moves the arm is gone; {_REPORT}"
+            fault = "not connected" if self._process is None else gone
         return RobotState(
             time=row[2],
-            q=row[6 + self.arm.joints :],
+            q=row[5 + self.arm.joints :],
             opening=None if math.isnan(row[3]) else row[3],
-            moving=bool(row[4]) and self._process.is_alive(),
+            moving=bool(row[4]) and alive,
             fault=fault,
         )
 
@@ -296,8 +300,8 @@ class StreamedRobot:
                     on_tick(
                         Tick(
                             time=row[1],
-                            command=row[6 : 6 + J],
-                            measured=row[6 + J :],
+                            command=row[5 : 5 + J],
+                            measured=row[5 + J :],
                             age=row[0] - row[2],
                             stamp=row[2] + since_1970,
                             opening=None if math.isnan(row[3]) else row[3],

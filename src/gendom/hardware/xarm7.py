@@ -85,7 +85,7 @@ class XArmDriver:
             code = getattr(self._hand, f"set_gripper_{order}")(value)
             fix = "check its cable and power, and look at UFACTORY Studio"
             self._require(code == 0, f"the gripper refuses to set its {order} ({code})", fix)
-        self._opening = self._fingers()
+        self._pulses()
 
     def report(self) -> Report:
         """The newest measured joints; as old as they or the stream, whichever is older."""
@@ -105,9 +105,9 @@ class XArmDriver:
     def begin(self) -> None:
         """Enable the motors and enter servo mode."""
         api = self._commands
-        for order in (api.motion_enable, lambda _: api.set_mode(SERVO_MODE)):
-            self._check(order(True), "get ready")
-        self._check(api.set_state(0), "get ready")
+        self._check(api.motion_enable(True), "enable its motors")
+        self._check(api.set_mode(SERVO_MODE), "enter servo mode")
+        self._check(api.set_state(0), "enter servo mode")
         end = time.monotonic() + _WAIT
         while not (self._stream[1] == SERVO_MODE and self._stream[2] in _READY):
             mode, state = self._stream[1:]
@@ -149,9 +149,8 @@ class XArmDriver:
             moved, last = (now, at) if abs(at - last) > _STUCK else (moved, last)
         stuck = abs(last - start) <= _STUCK and abs(start - target) > _NEAR
         fix = "check its power and what blocks it, then connect again"
-        self._require(
-            not stuck, f"the gripper does not move, at {1e3 * self._fingers():.0f} mm", fix
-        )
+        what = f"the gripper does not move, at {1e3 * (self._opening or 0.0):.0f} mm"
+        self._require(not stuck, what, fix)
         self._holding = last - target > _NEAR
 
     def disconnect(self) -> None:
@@ -200,10 +199,6 @@ class XArmDriver:
         self._require(code == 0, f"the gripper has a fault ({code})", fix)
         self._opening = self.cell.tool.max_opening * pulses / _PULSES
         return pulses
-
-    def _fingers(self) -> float:
-        self._pulses()
-        return self._opening or 0.0
 
     def _check(self, code: int, what: str) -> None:
         if code != 0:
