@@ -19,7 +19,7 @@ from gendom.cli.outputs import tell_written
 from gendom.errors import PolicyError, RobotError, printable
 from gendom.files import check_file, to_json, write_json
 from gendom.materials import KINDS, LARGEST, PARAMETERS, Item, thickness_of, to_columns
-from gendom.robot import XARM7, TcpPath, follow
+from gendom.robot import TcpPath, find_arm, follow
 from gendom.tasks import Task
 
 if TYPE_CHECKING:
@@ -56,6 +56,8 @@ class Command(KnownObject):
     for cloth-spreading."""
     origin: tuple[float, float, float] | None = None
     """Where the task's frame has its origin in the robot's base frame [m] (default: the task's)."""
+    arm: str = "xarm7"
+    """The robot: xarm7, fr3, another package's, or a URDF or MJCF file (docs/robot.md)."""
     policy: Path | None = None
     """Policy file; by default the shipped one."""
     no_parameters: bool = False
@@ -148,8 +150,9 @@ class Command(KnownObject):
         Raises:
             RobotError: It cannot.
         """
+        arm = find_arm(self.arm, files=True)
         try:
-            motion = follow(XARM7, path, slow_down=True, opening=thickness_of(item))
+            motion = follow(arm, path, slow_down=True, opening=thickness_of(item))
         except RobotError as error:
             if not self.force:
                 fix = "choose another --origin, or add --force"
@@ -157,7 +160,7 @@ class Command(KnownObject):
             warnings.append(str(error))
             _log.warning("%s", error)
             return {}
-        return {"arm": {"name": XARM7.name, "slowed_by": motion.slowed_by}}
+        return {"arm": {"name": arm.name, "slowed_by": motion.slowed_by}}
 
     def _polished(
         self, task: Task, held: Estimate, start: np.ndarray, world: World
