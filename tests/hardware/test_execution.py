@@ -237,6 +237,8 @@ def test_after_kill_9_the_log_is_whole_and_the_next_start_says_so(made, tmp_path
         last_time(log.parent)
     child.send_signal(signal.SIGKILL)
     child.wait()
+    with open(log, "ab") as file:
+        file.write(b'{"t":9.0,"comm')
     seen = read_log(log)
     assert seen.end is None and seen.time[-1] >= 0.3 and len(seen.time) >= 31
     said = last_time(log.parent)

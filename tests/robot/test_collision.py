@@ -252,3 +252,46 @@ def test_checking_a_motion_says_what_is_wrong():
     )
     with pytest.raises(RobotError, match="and ball collide"):
         check_collisions(XARM7, still, Surroundings(obstacles=(ball,)))
+
+
+# ---- clearances ----------------------------------------------------------------------------------
+
+
+def test_a_clearance_is_kept_from_boxes_and_the_table_but_the_fingers_may_grasp():
+    path = lift([0.45, 0.0, 0.01], height=0.2, speed=0.2)
+    beside = Box(name="wall", pose=placed((0.45, 0.26, 0.2)), size=(0.5, 0.3, 0.4))
+    free = Surroundings(table_height=0.0, obstacles=(beside,))
+    motion = follow(XARM7, path, surroundings=free, opening=0.02)
+    gap = clearances(XARM7, motion.q, free, opening=0.02)
+    to_wall = gap.distance[:, [second == "wall" for _, second in gap.pairs]].min()
+    assert 0.02 < to_wall < 0.06
+    follow(XARM7, path, surroundings=replace(free, clearance=to_wall - 1e-3), opening=0.02)
+    with pytest.raises(RobotError, match=r"and wall come less than .* mm apart, 1\.0 mm too near"):
+        asked = replace(free, clearance=to_wall + 1e-3)
+        check_collisions(XARM7, motion, asked, opening=0.02)
+    low = replace(path, position=path.position - [0.0, 0.0, 0.03])
+    with pytest.raises(RobotError, match="and table collide"):
+        follow(XARM7, low, surroundings=replace(free, clearance=0.02), opening=0.02)
+
+
+def test_links_keep_a_clearance_from_each_other():
+    q = random_q(400)
+    gaps = clearances(XARM7, q).distance.min(axis=1)
+    near = int(np.flatnonzero((gaps > 0.002) & (gaps < 0.02))[0])
+    bent, gap = q[near], gaps[near]
+    assert collision_at(XARM7, bent) is None
+    found = collision_at(XARM7, bent, Surroundings(self_clearance=gap + 0.01))
+    assert found is not None and found.depth == pytest.approx(0.01)
+    assert collision_at(XARM7, XARM7.home, Surroundings(self_clearance=0.01)) is None
+
+
+def test_what_is_held_belongs_to_the_collision_world():
+    """It may lie on the table, and touches what the fingers do not."""
+    holding = XARM7.holding(0.3, 0.01)
+    T = tcp_pose(XARM7, XARM7.home)
+    post = Post(name="post", start=T[:3, 3] - 0.15 * UP, end=T[:3, 3] - 0.16 * UP, radius=0.01)
+    around = Surroundings(table_height=0.0, obstacles=(post,))
+    assert collision_at(XARM7, XARM7.home, around) is None
+    found = collision_at(holding, XARM7.home, around)
+    assert found is not None and (found.first, found.second) == ("held object", "post")
+    assert collision_at(holding, XARM7.home, TABLE) is None

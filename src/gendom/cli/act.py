@@ -73,6 +73,9 @@ class Command(KnownObject):
     Without it the arm is planned beside its table alone, for simulation only."""
     origin: tuple[float, float, float] | None = None
     """Where the task's frame has its origin in the robot's base frame [m] (default: the task's)."""
+    arm: str = "xarm7"
+    """The robot without --cell: xarm7, fr3, another package's, or a URDF or MJCF file
+    (docs/robot.md)."""
     policy: Path | None = None
     """Policy file; by default the shipped one."""
     no_parameters: bool = False
@@ -187,7 +190,9 @@ class Command(KnownObject):
         from gendom.hardware.execution import plan_record
 
         try:
-            planned = (cell or BARE).plan(path, opening=held[0], hangs=held[1])
+            planned = (cell or replace(BARE, arm=self.arm)).plan(
+                path, opening=held[0], hangs=held[1]
+            )
         except RobotError as error:
             if not self.force:
                 fix = "choose another --origin, or add --force"

@@ -21,6 +21,7 @@ from gendom.perception import (
     perceive,
     read_cameras,
 )
+from gendom.robot import find_arm
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +40,8 @@ class Command:
     """The gendom-recording/1 file to write."""
     cameras: tuple[str, ...] = ()
     """Cameras to use; by default all."""
+    arm: str = ""
+    """The robot of joints.csv: a name, or a URDF or MJCF file; by default object.toml names it."""
     perception: PerceptionSettings = field(default_factory=PerceptionSettings)
     frames: bool = False
     """Print the counts of every frame."""
@@ -48,7 +51,10 @@ class Command:
     def run(self) -> int:
         check_file(self.out, ".npz")
         warnings: list[Fault] = []
-        recorded = read_cameras(self.folder, cameras=self.cameras, on_warning=warnings.append)
+        arm = find_arm(self.arm, files=True) if self.arm else None
+        recorded = read_cameras(
+            self.folder, cameras=self.cameras, arm=arm, on_warning=warnings.append
+        )
         show = self.frames and not self.json
         if show:
             print(_row("time", STAGES))

@@ -213,7 +213,7 @@ class Cell:
     @cached_property
     def model(self) -> Arm:
         """The arm, with its own limits."""
-        return find_arm(self.arm)
+        return find_arm(self.arm, files=True)
 
     @cached_property
     def limited(self) -> Arm:
@@ -389,9 +389,9 @@ BARE = Cell(
     tool=Tool(max_opening=XARM7.gripper.max_opening, latency=0.0),
     surroundings=Surroundings(table_height=0.0),
     workspace=(np.full(3, -np.inf), np.full(3, np.inf)),
-    speed=SpeedLimits(tool=XARM7.max_tcp_speed, share=1.0),
+    speed=SpeedLimits(tool=math.inf, share=1.0),
 )
-"""An xArm 7 on its table and nothing else, for simulation only."""
+"""An arm on its table and nothing else, for simulation only."""
 
 
 def _point(x: NDArray[np.float64]) -> str:

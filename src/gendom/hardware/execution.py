@@ -338,7 +338,8 @@ def last_time(folder: Path) -> str | None:
         when = f"{seen.time[-1]:.2f} s into the motion" if len(seen.time) else "before the motion"
         last = next((e["call"] for e in reversed(seen.events) if "call" in e), "connect")
         said = f"the last execution was killed {when} (last call: {last})"
-        file.write("\n" + json.dumps({"end": f"{said}; told at the next start"}) + "\n")
+        file.truncate(logs[-1].read_bytes().rfind(b"\n") + 1)  # a line that was cut
+        file.write(json.dumps({"end": f"{said}; told at the next start"}) + "\n")
     return f"{said}: see {logs[-1]}, and look at arm, gripper and object before going on"
 
 

@@ -42,6 +42,7 @@ from gendom.perception.realsense import RealSenseRecording
 from gendom.perception.robot import CapsulePath, cut_off, read_shape
 from gendom.plugins import plugins
 from gendom.reading import inside, read_rows
+from gendom.robot import Arm
 
 _HEADER = "time,depth,colour"
 _ROUNDING = 1e-6  # [s]; files of different formats round the same time differently
@@ -197,6 +198,7 @@ def read_cameras(
     folder: str | os.PathLike,
     *,
     cameras: Sequence[str] = (),
+    arm: Arm | None = None,
     on_warning: Callable[[Fault], None] = lambda _: None,
 ) -> CameraRecording:
     """Read a folder of the layout above; pictures are read later, one by one.
@@ -204,6 +206,7 @@ def read_cameras(
     Args:
         folder: DIR.
         cameras: Names of those to use; by default all, in order of their names.
+        arm: The robot of joints.csv; by default the one that object.toml names.
         on_warning: Called with every fault that does not prevent use.
 
     Raises:
@@ -236,7 +239,7 @@ def read_cameras(
             arrays.get("gripper_closed"),
         ),
         meta=meta,
-        capsules=read_shape(folder, meta, (time[0], time[-1]), on_warning=on_warning),
+        capsules=read_shape(folder, meta, (time[0], time[-1]), arm=arm, on_warning=on_warning),
         where=str(folder),
     )
 

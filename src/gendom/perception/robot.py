@@ -134,6 +134,7 @@ def read_shape(
     meta: Mapping[str, Any],
     span: tuple[float, float],
     *,
+    arm: Arm | None = None,
     on_warning: Callable[[Fault], None] = lambda _: None,
 ) -> CapsulePath | None:
     """The robot's shape in a folder, from joints.csv, capsules.csv or both; None: from neither.
@@ -144,6 +145,7 @@ def read_shape(
             object's diameter or thickness says how far the fingers are open where joints.csv
             does not.
         span: First and last time at which the shape is needed [s].
+        arm: In place of that which the content names.
         on_warning: Called when the joints' times do not span that.
 
     Raises:
@@ -155,7 +157,7 @@ def read_shape(
     if joints.exists():
         held = meta.get("object")
         held = held if isinstance(held, dict) else {}
-        arm = _arm_named(meta.get("robot", held.get("robot", XARM7.name)), folder)
+        arm = arm or _arm_named(meta.get("robot", held.get("robot", XARM7.name)), folder)
         try:
             states = read_joints(joints, arm, on_cut=lambda line: on_warning(cut_off(joints, line)))
         except RobotError as error:

@@ -103,7 +103,8 @@ class Surroundings:
     clearance: float = 0.0
     """Least distance of the arm from them [m]; the fingers may touch the table."""
     self_clearance: float = 0.0
-    """Least distance of links that are not neighbours [m], or what they have at home."""
+    """Least distance of links that are not neighbours [m]; those two apart that are nearer at home
+    must not touch."""
 
 
 NO_OBSTACLES = Surroundings()
@@ -273,7 +274,8 @@ class _CollisionPairs:
         self.moving = np.flatnonzero(link > 0)
         held = [c for c, capsule in enumerate(arm.capsules) if capsule.held]
         self.above = np.setdiff1d(self.moving, held)
-        own = np.clip(home[apart], 0.0, surroundings.self_clearance)
+        asked = surroundings.self_clearance
+        own = np.where((np.abs(between) > 2) | (home >= asked), asked, 0.0)[apart]
         names, around = shape.names, surroundings.obstacles
         pairs, margin = list(zip(self.first, self.second, strict=True)), [own]
         self.pairs = tuple((names[a], names[b]) for a, b in pairs)

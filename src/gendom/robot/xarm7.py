@@ -8,8 +8,8 @@ table and the URDF agree to the digit.
 
 The capsules are our own: fitted to the outer dimensions of the links' published shapes, of
 which nothing sticks out by more than 5 mm; their round ends reach up to 3 cm beyond flat ends,
-mostly into the neighbouring link. The gripper's are about 1 cm rough: they follow from its
-pivots, pads and moments of inertia in the URDF.
+mostly into the neighbouring link. The gripper's and the surface of its published shapes are within
+5 mm of each other.
 """
 
 from __future__ import annotations
@@ -37,6 +37,19 @@ def _body(name, link, start, end, radius) -> LinkCapsule:
     return LinkCapsule(name=name, link=link, start=start, end=end, radius=radius)
 
 
+_GRIPPER = (
+    (0.0095, 0.0340, 0.0188, 0.0175),
+    (0.0091, 0.0269, 0.0408, 0.0195),
+    (0.0081, 0.0301, 0.0646, 0.0190),
+    (0.0106, 0.0282, 0.0823, 0.0155),
+    (0.0145, 0.0395, 0.0910, 0.0085),
+    (-0.0123, 0.0329, 0.0189, 0.0157),
+    (-0.0122, 0.0341, 0.0402, 0.0174),
+    (-0.0130, 0.0351, 0.0643, 0.0176),
+    (-0.0146, 0.0322, 0.0843, 0.0167),
+)
+"""Of capsules across its body: x, half of their axis along y, z, and radius [m]."""
+
 _CAPSULES = (
     _body("base", 0, (0.0, 0.0, 0.025), (0.0, 0.0, 0.109), 0.065),
     _body("base connector", 0, (-0.046, 0.0, 0.021), (-0.063, 0.0, 0.025), 0.029),
@@ -58,46 +71,43 @@ _CAPSULES = (
     _body("link6 column", 6, (0.075, -0.004, 0.0), (0.076, 0.046, 0.0), 0.042),
     _body("link7 flange", 7, (0.0, -0.007, -0.011), (0.0, 0.007, -0.012), 0.037),
     _body("link7 connector", 7, (0.0, -0.030, -0.014), (0.0, -0.038, -0.015), 0.015),
-    _body("gripper mount", 7, (0.0, -0.018, 0.030), (0.0, 0.018, 0.030), 0.040),
-    _body("gripper body", 7, (0.0, -0.025, 0.060), (0.0, 0.025, 0.060), 0.032),
+    *(
+        _body(f"gripper {k}", 7, (x, -y, z), (x, y, z), radius)
+        for k, (x, y, z, radius) in enumerate(_GRIPPER, 1)
+    ),
 )
 
+
+def _knuckle(name, pivot, start, end, radius) -> KnuckleCapsule:
+    """A knuckle's capsule, its ends (x, y, z) as in the URDF, where the gripper is open."""
+    u = np.array([0.035465, 0.042039]) / math.hypot(0.035465, 0.042039)
+    a, b = ((x, u[0] * y + u[1] * z, u[0] * z - u[1] * y) for x, y, z in (start, end))
+    return KnuckleCapsule(name=name, pivot=pivot, start=a, end=b, radius=radius)
+
+
+_OUTER, _INNER = (0.035, 0.059098), (0.02, 0.074098)
 _KNUCKLES = (
-    KnuckleCapsule(
-        name="knuckle", pivot=(0.035, 0.059098), start=(0, 0, 0), end=(0, 0.055, 0), radius=0.016
-    ),
-    KnuckleCapsule(
-        name="inner knuckle",
-        pivot=(0.02, 0.074098),
-        start=(0, 0, 0),
-        end=(0, 0.055, 0),
-        radius=0.010,
-    ),
+    _knuckle("knuckle tail", _OUTER, (0.0, -0.0200, -0.002), (0.0, 0.008, 0.002), 0.0065),
+    _knuckle("knuckle", _OUTER, (0.0, 0.008, 0.004), (0.0, 0.045, 0.0237), 0.0076),
+    _knuckle("knuckle tip", _OUTER, (0.0, 0.0353, 0.0422), (0.0, 0.043, 0.030), 0.0064),
+    _knuckle("inner front", _INNER, (0.0115, -0.0013, 0.0013), (0.0087, 0.0368, 0.0432), 0.0048),
+    _knuckle("inner back", _INNER, (-0.0115, -0.0013, 0.0013), (-0.0087, 0.0368, 0.0432), 0.0048),
+    _knuckle("inner middle", _INNER, (0.0, 0.016, 0.023), (0.0, 0.024, 0.029), 0.0040),
 )
+
+
+def _finger(name, start, end, radius) -> FingerCapsule:
+    return FingerCapsule(name=name, start=start, end=end, radius=radius, touches_object=True)
+
 
 _FINGERS = (
-    FingerCapsule(
-        name="finger",
-        start=(0.0, -0.004, 0.004),
-        end=(0.0, -0.014, 0.026),
-        radius=0.012,
-        touches_object=True,
-    ),
-    # The pad's face is flat, 26 mm wide: two thin capsules keep to it better than a thick one.
-    FingerCapsule(
-        name="pad front",
-        start=(-0.005, -0.018, 0.026),
-        end=(-0.005, -0.018, 0.052),
-        radius=0.008,
-        touches_object=True,
-    ),
-    FingerCapsule(
-        name="pad back",
-        start=(0.005, -0.018, 0.026),
-        end=(0.005, -0.018, 0.052),
-        radius=0.008,
-        touches_object=True,
-    ),
+    _finger("finger front", (0.0057, 0.0, 0.0), (0.0, -0.019, 0.020), 0.006),
+    _finger("finger back", (-0.0057, 0.0, 0.0), (0.0, -0.019, 0.020), 0.006),
+    # The pad is a flat plate, 32 mm wide, with a rib behind it.
+    _finger("finger rib", (0.0, -0.0195, 0.026), (0.0, -0.0195, 0.047), 0.0065),
+    _finger("pad front", (0.011, -0.021, 0.024), (0.011, -0.021, 0.055), 0.005),
+    _finger("pad middle", (0.0, -0.021, 0.024), (0.0, -0.021, 0.055), 0.005),
+    _finger("pad back", (-0.011, -0.021, 0.024), (-0.011, -0.021, 0.055), 0.005),
 )
 
 
