@@ -87,3 +87,37 @@ def test_from_lift_to_adapted_second_execution(tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     assert cli.main(words) == 0 and len(asked) == 3  # nothing is done twice
     assert json.loads((out / "run.json").read_text()).keys() >= {"lift", "observe 2", "adapt 2"}
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ([], "give either --reality or --cell"),
+        (["--reality", "rope-cotton", "--cell"], "give either --reality or --cell"),
+        (["--rise", "30", "--cell"], "--rise: is 30 m, and the rope 0.3 m long"),
+        (["--end", "swing", "--rise", "0.2", "--object", "no.toml", "--cell"], "no.toml"),
+    ],
+)
+def test_lifts_that_cannot_be_recorded(tmp_path, capsys, words, line):
+    pytest.importorskip("mujoco", reason="needs mujoco: the extra reality")
+    words = [*words, str(write_cell(tmp_path))] if "--cell" in words else words
+    assert cli.main(["record", *words, "--out", str(tmp_path / "lift")]) == 2
+    assert line in capsys.readouterr().err
+    assert not (tmp_path / "lift").exists()
+
+
+@pytest.mark.slow
+def test_a_lift_is_recorded_in_a_cell(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("mujoco", reason="needs mujoco: the extra reality")
+    monkeypatch.setattr("builtins.input", lambda _: "no")
+    words = ["record", "--cell", str(write_cell(tmp_path)), "--rise", "0.05", "--out"]
+    assert cli.main([*words, str(tmp_path / "none")]) == 2
+    assert "was not confirmed; nothing moved" in capsys.readouterr().err
+    lift = tmp_path / "lift"
+    assert cli.main([*words, str(lift), "--yes"]) == 0
+    said = read_json(lift / "recording.json")
+    assert said["ended"] == "done" and all(c["missing"] == 0 for c in said["cameras"].values())
+    (log,) = (tmp_path / "executions").glob("*.jsonl")
+    joints = np.loadtxt(lift / "joints.csv", delimiter=",", skiprows=1)
+    assert read_log(log).end == "done" and len(joints) == len(read_log(log).time)
+    assert cli.main(["perceive", str(lift), "--out", str(tmp_path / "lift.npz")]) in (0, 2)
