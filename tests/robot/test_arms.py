@@ -53,14 +53,14 @@ def from_segments(points, a, b):
 
 
 @pytest.mark.parametrize("opening", [0.0, 0.03, 0.084])
-def test_the_gripper_s_capsules_and_its_meshes_are_within_5_mm(opening):
+def test_the_gripper_s_capsules_and_its_meshes_are_within_6_mm(opening):
     """Both ways: the surface of the capsules together, and that of all meshes together."""
     shape = arm_shape(XARM7, XARM7.home, opening)
     T = np.linalg.inv(link_poses(XARM7, XARM7.home)[7])
     a, b = (p @ T[:3, :3].T + T[:3, 3] for p in (shape.start, shape.end))
     surface = gripper_surface(opening)
     missed = (from_segments(surface, a, b) - shape.radius).min(axis=1)
-    assert missed.max() < 0.005, surface[missed.argmax()]
+    assert missed.max() < 0.006, surface[missed.argmax()]
     rng, tree = np.random.default_rng(0), KDTree(surface)
     for c, name in enumerate(shape.names):
         if not name.startswith(("gripper", "left", "right")):
@@ -70,7 +70,7 @@ def test_the_gripper_s_capsules_and_its_meshes_are_within_5_mm(opening):
         points = a[c] + share * (b[c] - a[c]) + shape.radius[c] * way
         hidden = (from_segments(points, a, b) - shape.radius).min(axis=1) < -1e-6
         far = tree.query(points[~hidden])[0]
-        assert far.max(initial=0.0) < 0.005, (name, points[~hidden][far.argmax()])
+        assert far.max(initial=0.0) < 0.006, (name, points[~hidden][far.argmax()])
 
 
 # ---- files ---------------------------------------------------------------------------------------
