@@ -38,7 +38,7 @@ def gripper_surface(opening):
     pivot = np.array([0.0, 0.035, 0.059098])
     left = (
         R.apply(part["left_outer_knuckle"]) + pivot,
-        R.apply(part["left_inner_knuckle"]) + [0.0, 0.02, 0.074098],
+        [*R.apply(part["left_inner_knuckle"]), 0.0, 0.02, 0.074098],
         part["left_finger"] + pivot + R.apply([0.0, 0.035465, 0.042039]),
     )
     both = [points * [1.0, side, 1.0] for points in left for side in (1.0, -1.0)]
