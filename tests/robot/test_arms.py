@@ -16,12 +16,14 @@ from gendom.robot import (
     arm_shape,
     collision_at,
     find_arm,
+    fit_capsules,
     follow,
     lift,
     link_poses,
     read_arm,
     tcp_pose,
 )
+from gendom.robot.description import hull_faces
 from gendom.tasks import RopeCasting, RopeReaching
 
 POINTS = np.load(Path(__file__).parent / "xarm_gripper.npz")
@@ -73,6 +75,19 @@ def test_the_gripper_s_capsules_and_its_meshes_are_within_6_mm(opening):
         assert far.max(initial=0.0) < 0.006, (name, points[~hidden][far.argmax()])
 
 
+def test_capsules_hold_a_mesh_and_say_how_far_they_stick_out():
+    """One that holds a cube is at least the ball through its corners."""
+    cube = hull_faces(np.array([*product((-0.05, 0.05), repeat=3)]))
+    ((a, b, radius),), out = fit_capsules(cube, excess=0.005, most=1)
+    assert 0.05 * np.sqrt(3.0) - 0.05 < out + 1e-3 < 0.05
+    several, less = fit_capsules(cube, excess=0.005, most=8)
+    assert less < out
+    for capsules in ([(a, b, radius)], several):
+        starts, ends, radii = (np.array(part) for part in zip(*capsules, strict=True))
+        held = (from_segments(cube.mean(axis=1), starts, ends) - radii).min(axis=1)
+        assert held.max() < 1e-9
+
+
 # ---- files ---------------------------------------------------------------------------------------
 
 
@@ -114,13 +129,11 @@ def test_an_arm_of_a_urdf_turns_as_it_says_and_its_capsules_hold_its_shapes(tmp_
         assert depth.min(axis=1).max() < 1e-9
     # The tool points along the last axis, beyond what the arm has.
     np.testing.assert_allclose(arm.T_flange_tcp[:3, :3], np.eye(3), atol=1e-12)
-    path = lift(tcp_pose(arm, q[0])[:3, 3], height=0.02, speed=0.05, quat_xyzw=turn_of(arm, q[0]))
-    motion = follow(arm, path, near=q[0], slow_down=True)
+    T = tcp_pose(arm, arm.home)
+    turned = Rotation.from_matrix(T[:3, :3]).as_quat()
+    path = lift(T[:3, 3], height=0.02, speed=0.05, quat_xyzw=turned)
+    motion = follow(arm, path, slow_down=True)
     assert abs(motion.tcp_at(arm, motion.end)[2, 3] - path.position[-1, 2]) < 1e-5
-
-
-def turn_of(arm, q):
-    return Rotation.from_matrix(tcp_pose(arm, q)[:3, :3]).as_quat()
 
 
 MJCF = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body name="base" pos="1 2 3">

@@ -74,7 +74,7 @@ class ParallelGripper:
     image.
     """
 
-    length: float
+    length: float = 0.0
     """From the gripper's frame along z to the point between the fingertips, the tool point [m]."""
     max_opening: float
     """Largest distance of the fingers' inner faces [m]."""

@@ -243,7 +243,7 @@ class _Chain:
         elif kind in (types.mjGEOM_PLANE, types.mjGEOM_HFIELD):
             return np.empty((0, 3, 3))
         else:
-            faces = _hull(_corners(types, kind, size))
+            faces = hull_faces(_corners(types, kind, size))
         T = np.linalg.inv(self.frames[0]) @ _pose(
             self._data.geom_xpos[geom], self._data.geom_xmat[geom]
         )
@@ -329,7 +329,7 @@ def _corners(types: Any, kind: int, size: Array) -> Array:
     return ball * (size if kind == types.mjGEOM_ELLIPSOID else size[0])
 
 
-def _hull(points: Array) -> Array:
+def hull_faces(points: Array) -> Array:
     """[T, 3, 3] triangles of a convex hull, anticlockwise seen from outside."""
     hull = ConvexHull(points)
     faces = points[hull.simplices]
