@@ -37,10 +37,10 @@ def gripper_surface(opening):
     turn = np.arccos((0.5 * opening + 0.026 - 0.035) / np.hypot(0.042039, 0.035465)) - start
     R = Rotation.from_rotvec([turn, 0.0, 0.0])
     part = {name: 1e-4 * POINTS[name].astype(float) for name in POINTS.files}
-    pivot = np.array([0.0, 0.035, 0.059098])
+    pivot, inner = np.array([[0.0, 0.035, 0.059098], [0.0, 0.02, 0.074098]])
     left = (
         R.apply(part["left_outer_knuckle"]) + pivot,
-        [*R.apply(part["left_inner_knuckle"]), 0.0, 0.02, 0.074098],
+        R.apply(part["left_inner_knuckle"]) + inner,
         part["left_finger"] + pivot + R.apply([0.0, 0.035465, 0.042039]),
     )
     both = [points * [1.0, side, 1.0] for points in left for side in (1.0, -1.0)]
