@@ -25,7 +25,7 @@ from gendom.hardware.execution import (
 from gendom.perception import Camera, read_cameras, write_camera
 from gendom.perception.calibration import read_views
 from gendom.perception.ros import RosSettings, read_ros_bag
-from gendom.robot import XARM7, joint_move
+from gendom.robot import XARM7, joint_move, read_arm
 from simulated_cell import write_cell
 
 LONGEST, MOST_MEMORY = 2.0, 500e3
@@ -92,6 +92,25 @@ def board(folder):
     (folder / "poses.csv").write_text("\n".join(["picture,x,y,z,qx,qy,qz,qw", *rows, ""]))
     for k in range(2):
         Image.fromarray(np.full((4, 8), 90, np.uint8)).save(folder / f"{k}.png")
+
+
+def arm(folder):
+    """Six joints with meshes, and the .toml beside them."""
+    pytest.importorskip("mujoco", reason="needs the extra reality")
+    mesh = '<collision><geometry><mesh filename="package://a/b.stl"/></geometry></collision>'
+    rows = ['<robot name="r"><link name="l0"/>']
+    rows += [
+        f'<link name="l{k}">{mesh}</link><joint name="j{k}" type="revolute"><origin xyz="0 0 0.1"/>'
+        f'<parent link="l{k - 1}"/><child link="l{k}"/><axis xyz="0 {k % 2} {1 - k % 2}"/>'
+        '<limit lower="-2" upper="2" velocity="2"/></joint>'
+        for k in range(1, 7)
+    ]
+    (folder / "arm.urdf").write_text("\n".join([*rows, "</robot>"]))
+    (folder / "arm.toml").write_text('flange = "l6"\ntool = 0.2\nhome = [0, 0, 0, 1, 0, 0]\n')
+    corners = 0.05 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "<f4")
+    faces = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
+    rows = [np.zeros(3, "<f4").tobytes() + face.tobytes() + b"\0\0" for face in faces]
+    (folder / "b.stl").write_bytes(bytes(80) + np.array([4], "<u4").tobytes() + b"".join(rows))
 
 
 def bag(folder, plugin):
@@ -196,6 +215,7 @@ READERS = {
     "db3": (lambda f: bag(f, "SQLITE3"), read_bag),
     "cameras": (cameras, read_pictures),
     "board": (board, read_boards),
+    "arm": (arm, lambda f: read_arm(f / "arm.urdf")),
 }
 
 

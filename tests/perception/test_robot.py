@@ -82,7 +82,7 @@ def test_what_the_fingers_hold_is_not_erased(q):
     rope = tcp + np.concatenate([around, height[..., None]], axis=-1)
     erased = capsules.contain(rope.reshape(-1, 3), 0.01).reshape(height.shape)
     between = (height[:, 0] > 0.0) & (height[:, 0] < 0.025)
-    assert 0.2 < 1.0 - erased[between].mean() < 0.4
+    assert 0.2 < 1.0 - erased[between].mean() < 0.45
     middle = np.abs(around[..., 1]) < 0.5 * DIAMETER - FINGER_MARGIN - 1e-3
     assert not erased[between][middle[between]].any()
     assert not erased[height[:, 0] < -0.015].any()

@@ -16,12 +16,14 @@ from gendom.robot import (
     arm_shape,
     collision_at,
     find_arm,
+    fit_capsules,
     follow,
     lift,
     link_poses,
     read_arm,
     tcp_pose,
 )
+from gendom.robot.description import hull_faces
 from gendom.tasks import RopeCasting, RopeReaching
 
 POINTS = np.load(Path(__file__).parent / "xarm_gripper.npz")
@@ -35,10 +37,10 @@ def gripper_surface(opening):
     turn = np.arccos((0.5 * opening + 0.026 - 0.035) / np.hypot(0.042039, 0.035465)) - start
     R = Rotation.from_rotvec([turn, 0.0, 0.0])
     part = {name: 1e-4 * POINTS[name].astype(float) for name in POINTS.files}
-    pivot = np.array([0.0, 0.035, 0.059098])
+    pivot, inner = np.array([[0.0, 0.035, 0.059098], [0.0, 0.02, 0.074098]])
     left = (
         R.apply(part["left_outer_knuckle"]) + pivot,
-        R.apply(part["left_inner_knuckle"]) + [0.0, 0.02, 0.074098],
+        R.apply(part["left_inner_knuckle"]) + inner,
         part["left_finger"] + pivot + R.apply([0.0, 0.035465, 0.042039]),
     )
     both = [points * [1.0, side, 1.0] for points in left for side in (1.0, -1.0)]
@@ -53,14 +55,14 @@ def from_segments(points, a, b):
 
 
 @pytest.mark.parametrize("opening", [0.0, 0.03, 0.084])
-def test_the_gripper_s_capsules_and_its_meshes_are_within_5_mm(opening):
+def test_the_gripper_s_capsules_and_its_meshes_are_within_6_mm(opening):
     """Both ways: the surface of the capsules together, and that of all meshes together."""
     shape = arm_shape(XARM7, XARM7.home, opening)
     T = np.linalg.inv(link_poses(XARM7, XARM7.home)[7])
     a, b = (p @ T[:3, :3].T + T[:3, 3] for p in (shape.start, shape.end))
     surface = gripper_surface(opening)
     missed = (from_segments(surface, a, b) - shape.radius).min(axis=1)
-    assert missed.max() < 0.005, surface[missed.argmax()]
+    assert missed.max() < 0.006, surface[missed.argmax()]
     rng, tree = np.random.default_rng(0), KDTree(surface)
     for c, name in enumerate(shape.names):
         if not name.startswith(("gripper", "left", "right")):
@@ -70,7 +72,20 @@ def test_the_gripper_s_capsules_and_its_meshes_are_within_5_mm(opening):
         points = a[c] + share * (b[c] - a[c]) + shape.radius[c] * way
         hidden = (from_segments(points, a, b) - shape.radius).min(axis=1) < -1e-6
         far = tree.query(points[~hidden])[0]
-        assert far.max(initial=0.0) < 0.005, (name, points[~hidden][far.argmax()])
+        assert far.max(initial=0.0) < 0.006, (name, points[~hidden][far.argmax()])
+
+
+def test_capsules_hold_a_mesh_and_say_how_far_they_stick_out():
+    """One that holds a cube is at least the ball through its corners."""
+    cube = hull_faces(np.array([*product((-0.05, 0.05), repeat=3)]))
+    ((a, b, radius),), out = fit_capsules(cube, excess=0.005, most=1)
+    assert 0.05 * np.sqrt(3.0) - 0.05 < out + 1e-3 < 0.05
+    several, less = fit_capsules(cube, excess=0.005, most=8)
+    assert less < out
+    for capsules in ([(a, b, radius)], several):
+        starts, ends, radii = (np.array(part) for part in zip(*capsules, strict=True))
+        held = (from_segments(cube.mean(axis=1), starts, ends) - radii).min(axis=1)
+        assert held.max() < 1e-9
 
 
 # ---- files ---------------------------------------------------------------------------------------
@@ -114,13 +129,11 @@ def test_an_arm_of_a_urdf_turns_as_it_says_and_its_capsules_hold_its_shapes(tmp_
         assert depth.min(axis=1).max() < 1e-9
     # The tool points along the last axis, beyond what the arm has.
     np.testing.assert_allclose(arm.T_flange_tcp[:3, :3], np.eye(3), atol=1e-12)
-    path = lift(tcp_pose(arm, q[0])[:3, 3], height=0.02, speed=0.05, quat_xyzw=turn_of(arm, q[0]))
-    motion = follow(arm, path, near=q[0], slow_down=True)
+    T = tcp_pose(arm, arm.home)
+    turned = Rotation.from_matrix(T[:3, :3]).as_quat()
+    path = lift(T[:3, 3], height=0.02, speed=0.05, quat_xyzw=turned)
+    motion = follow(arm, path, slow_down=True)
     assert abs(motion.tcp_at(arm, motion.end)[2, 3] - path.position[-1, 2]) < 1e-5
-
-
-def turn_of(arm, q):
-    return Rotation.from_matrix(tcp_pose(arm, q)[:3, :3]).as_quat()
 
 
 MJCF = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body name="base" pos="1 2 3">

@@ -12,7 +12,7 @@ from gendom.arguments import require
 from gendom.errors import RobotError
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class LinkCapsule:
     """A capsule that is fixed to one link."""
 
@@ -30,7 +30,7 @@ class LinkCapsule:
     """Whether it is what the fingers hold, which may touch the table."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class KnuckleCapsule:
     """A capsule of one of the parallel links that carry the finger on the side of +y."""
 
@@ -45,7 +45,7 @@ class KnuckleCapsule:
     """[m]."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class FingerCapsule:
     """A capsule of the finger on the side of +y, which shifts but does not turn."""
 
@@ -74,7 +74,7 @@ class ParallelGripper:
     image.
     """
 
-    length: float
+    length: float = 0.0
     """From the gripper's frame along z to the point between the fingertips, the tool point [m]."""
     max_opening: float
     """Largest distance of the fingers' inner faces [m]."""
@@ -165,14 +165,8 @@ class Arm:
     def holding(self, length: float, radius: float) -> Arm:
         """The arm with a capsule that stands out of its fingers: what it holds [m]."""
         start, along = self.T_flange_tcp[:3, 3], self.T_flange_tcp[:3, 2]
-        held = LinkCapsule(
-            name="held object",
-            link=self.joints,
-            start=(*start.tolist(),),
-            end=(*(start + length * along).tolist(),),
-            radius=radius,
-            held=True,
-        )
+        ends = ((*p.tolist(),) for p in (start, start + length * along))
+        held = LinkCapsule("held object", self.joints, *ends, radius=radius, held=True)
         return replace(self, capsules=(*self.capsules, held))
 
     def check_q(self, q: ArrayLike) -> NDArray[np.float64]:

@@ -106,17 +106,19 @@ def _axes(points: Array) -> Array:
     return np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
 
 
-def _about(points: Array, axis: Array, middle: Array) -> Capsule:
-    """The least capsule about a line that holds points [N, 3]."""
+def _about(points: Array, axis: Array, middle: Array, wider: float = 0.0) -> Capsule:
+    """The shortest capsule about a line that holds points [N, 3]; `wider` than the least it is
+    blunter."""
     axis = axis / np.linalg.norm(axis)
     off = points - middle
     t = off @ axis
     d2 = np.maximum((off * off).sum(axis=1) - t * t, 0.0)
-    room = np.sqrt(d2.max() - d2)
+    r2 = (1.0 + wider * wider) * d2.max()
+    room = np.sqrt(r2 - d2)
     low, high = (t + room).min(), (t - room).max()
     if low > high:
         low = high = 0.5 * (low + high)
-    return middle + low * axis, middle + high * axis, float(np.sqrt(d2.max()))
+    return middle + low * axis, middle + high * axis, float(np.sqrt(r2))
 
 
 def _volume(capsule: Capsule) -> float:
@@ -130,24 +132,25 @@ def _rough(points: Array) -> Capsule:
     axes = _axes(points)
     ends = hull @ axes.T
     middle = 0.5 * (ends.min(axis=0) + ends.max(axis=0)) @ axes
-    return min((_about(hull, axis, middle) for axis in axes), key=_volume)
+    return min((_about(hull, axis, middle, w) for axis in axes for w in (0.0, 0.6)), key=_volume)
 
 
 def _fit(triangles: Array) -> Capsule:
     """The least capsule found that holds triangles [T, 3, 3]."""
     points = _hull(triangles.reshape(-1, 3))
     a, b, r = _rough(points)
-    start = np.concatenate([0.5 * (a + b), (b - a) / max(np.linalg.norm(b - a), 1e-12)])
-    if not start[3:].any():
+    along = (b - a) / max(np.linalg.norm(b - a), 1e-12)
+    start = np.concatenate([0.5 * (a + b), along, [0.4]])
+    if not along.any():
         start[5] = 1.0
     start[:3] /= r
     found = minimize(
-        lambda x: _volume(_about(points, x[3:], r * x[:3])) / r**3,
+        lambda x: _volume(_about(points, x[3:6], r * x[:3], x[6])) / r**3,
         start,
         method="Nelder-Mead",
         options={"maxiter": 600, "xatol": 1e-3, "fatol": 1e-4},
     ).x
-    return _about(points, found[3:], r * found[:3])
+    return _about(points, found[3:6], r * found[:3], found[6])
 
 
 def _halves(triangles: Array) -> list[Array]:

@@ -243,7 +243,7 @@ class _Chain:
         elif kind in (types.mjGEOM_PLANE, types.mjGEOM_HFIELD):
             return np.empty((0, 3, 3))
         else:
-            faces = _hull(_corners(types, kind, size))
+            faces = hull_faces(_corners(types, kind, size))
         T = np.linalg.inv(self.frames[0]) @ _pose(
             self._data.geom_xpos[geom], self._data.geom_xmat[geom]
         )
@@ -259,9 +259,8 @@ class _Chain:
                 continue
             found, _ = fit_capsules(triangles, excess=EXCESS, most=MOST_CAPSULES)
             for k, (a, b, radius) in enumerate(found, 1):
-                start, end = (*a.tolist(),), (*b.tolist(),)
                 name = f"link{link} part {k}" if link else f"base part {k}"
-                yield LinkCapsule(name=name, link=link, start=start, end=end, radius=radius)
+                yield LinkCapsule(name, link, (*a.tolist(),), (*b.tolist(),), radius)
 
     def tool(self, hand: Hand) -> Array:
         """[4, 4] pose of the point between the fingertips in MuJoCo's world.
@@ -301,10 +300,7 @@ class _Chain:
 def _gripper(hand: Hand) -> ParallelGripper:
     """Two round fingers that slide."""
     r = hand.finger_radius
-    finger = FingerCapsule(
-        name="finger", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, max(_FINGER - r, 0.0)), radius=r,
-        touches_object=True,
-    )  # fmt: skip
+    finger = FingerCapsule("finger", (0.0, 0.0, 0.0), (0.0, 0.0, max(_FINGER - r, 0.0)), r, True)
     return ParallelGripper(
         length=_FINGER, max_opening=hand.opening, pivot_y=0.0, pivot_z=0.0, knuckle=0.0, face=r,
         knuckles=(), fingers=(finger,),
@@ -333,7 +329,7 @@ def _corners(types: Any, kind: int, size: Array) -> Array:
     return ball * (size if kind == types.mjGEOM_ELLIPSOID else size[0])
 
 
-def _hull(points: Array) -> Array:
+def hull_faces(points: Array) -> Array:
     """[T, 3, 3] triangles of a convex hull, anticlockwise seen from outside."""
     hull = ConvexHull(points)
     faces = points[hull.simplices]
