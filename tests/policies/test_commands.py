@@ -96,8 +96,8 @@ def test_an_unsteady_release_is_replaced():
     (late,) = reached_late(task, item, found[None], world)
     assert abs(late.values["x"] - on_time.values["x"]) <= UNSTEADY * item.length
     assert on_time.values["x"] == pytest.approx(0.485, abs=0.004)
-    kept, none = steady(task, item, {"x": 0.45}, np.array([0.17, 0.085]), None, world, 0)
-    assert kept.tolist() == [0.17, 0.085] and none == []
+    kept, none = steady(task, item, {"x": 0.45}, np.array([0.175, 0.084]), None, world, 0)
+    assert kept.tolist() == [0.175, 0.084] and none == []
 
 
 def test_where_none_is_steady_act_refuses(monkeypatch, act):
@@ -111,7 +111,8 @@ def test_where_none_is_steady_act_refuses(monkeypatch, act):
 def test_nothing_below_the_table_is_planned(act, tmp_path, cell):
     """An origin 0.2 m lower: the release point lies 30 mm below the table, in a cell or none."""
     flags = ["--cell", str(write_cell(tmp_path, cameras=False))] if cell else []
-    assert act(*flags)[0] == 0
+    code, _, err = act(*flags)
+    assert code == 0, err
     code, _, err = act(*flags, "--origin", "0.48", "0.30", "-0.13")
     assert code == 2 and re.search("table.*; choose another --origin, or add --force", err)
 
@@ -120,8 +121,8 @@ def test_act_plans_what_execute_reads(act, tmp_path):
     cell, out = write_cell(tmp_path, cameras=False), tmp_path / "action.json"
     joints, points = tmp_path / "joints.csv", tmp_path / "ros.json"
     flags = ["--cell", cell, "--out", out, "--joints", joints, "--trajectory", points]
-    code, text, _ = act(*map(str, flags))
-    assert code == 0
+    code, text, err = act(*map(str, flags))
+    assert code == 0, err
     action = read_action(out)
     motion = action.planned.motion
     assert action.planned.cell == str(cell) and [e.closed for e in motion.events] == [True, False]

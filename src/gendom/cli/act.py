@@ -386,7 +386,7 @@ def steady(
                 for o, s in zip(on_time, shift, strict=True)]  # fmt: skip
         safe = [n for n, o in enumerate(on_time) if o.values and task.within_risk(item, o.values)]
         best = sorted(safe if most > 1 else range(1), key=lambda n: miss[n])[:most]
-        late = reached_late(task, item, tried[best], world)
+        late = reached_late(task, item, tried[best], world) if best else []
         moves = [float(np.linalg.norm(_goal_of(task, o) - _goal_of(task, on_time[n])))
                  for n, o in zip(best, late, strict=True)]  # fmt: skip
         return [(miss[n], move, tried[n]) for n, move in zip(best, moves, strict=True)]

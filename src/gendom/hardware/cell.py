@@ -319,15 +319,30 @@ class Cell:
         return planned
 
     def approach(self, q_from: NDArray[np.float64], q_to: NDArray[np.float64]) -> JointMotion:
-        """A slow move from joint to joint, at `CAREFUL` of the arm's limits, with the fingers open.
+        """A slow move from joint to joint, at `CAREFUL` of the arm's limits, with the fingers open:
+        straight, or with a stop where some joints have moved and the others not yet.
 
         Raises:
             RobotError: It comes too near to something.
         """
-        return joint_move(
-            self.model, q_from, q_to, share=min(CAREFUL, self.speed.share),
-            surroundings=self.surroundings, opening=self.tool.max_opening,
-        )  # fmt: skip
+        joint, refused = np.arange(self.model.joints), None
+        masks = [mask for k in joint[1:] for mask in (joint < k, joint >= k)]
+        for via in [q_from, *(np.where(mask, q_to, q_from) for mask in masks)]:
+            ways = [(q_from, q_to)] if via is q_from else [(q_from, via), (via, q_to)]
+            try:
+                first, *more = [
+                    joint_move(
+                        self.model, *way, share=min(CAREFUL, self.speed.share),
+                        surroundings=self.surroundings, opening=self.tool.max_opening,
+                    )
+                    for way in ways
+                ]  # fmt: skip
+            except RobotError as error:
+                refused = refused or error
+                continue
+            return first.then(more[0]) if more else first
+        assert refused is not None
+        raise RobotError(f"the approach: {refused.what}", where=refused.where, fix=refused.fix)
 
     def check(self, planned: PlannedMotion) -> None:
         """Check a planned motion against this cell, whatever it was planned for.

@@ -278,7 +278,7 @@ class ExecutionRecord:
     header: dict[str, Any]
     """The action's file as it was executed, when, and how fast."""
     time: NDArray[np.float64]
-    """[N] since the motion's start [s]."""
+    """[N] since the start [s] of what was played last: the approach, or the motion."""
     command: NDArray[np.float64]
     """[N, J] [rad]."""
     measured: NDArray[np.float64]
@@ -303,7 +303,8 @@ def read_log(path: str | os.PathLike) -> ExecutionRecord:
             for n, line in enumerate(lines[:-1]) if line.strip()]  # fmt: skip
     good = bool(rows) and rows[0].get("log") == LOG_FORMAT
     require(good, f"does not begin with {LOG_FORMAT}", where=where, fix=fix, error=DeviceError)
-    ticks = [row for row in rows if "command" in row]
+    plays = [n for n, row in enumerate(rows) if row.get("call") == "play" and "given" in row]
+    ticks = [row for row in rows[max(plays, default=0) :] if "command" in row]
     try:
         arrays = {
             name: np.array([t[key] for t in ticks], dtype=float)
@@ -412,12 +413,9 @@ def execute(
     told: Any = LoggedRobot(robot, log)
     try:
         told.connect()
-        q = robot.state().q
-        away = float(np.abs(q - planned.approach.q[0]).max())
-        if away > 1e-3:  # from wherever the arm is, if that way is free
-            cell.approach(q, planned.motion.q[0])
         told.gripper(cell.tool.max_opening)
-        told.approach(planned.motion.q[0])
+        told.approach(planned.approach.q[0])  # home, from wherever the arm is, if that way is free
+        told.play(planned.approach)
         ready()
         told.gripper(planned.opening)
         motion = planned.motion.shifted(-planned.motion.start)
