@@ -184,7 +184,7 @@ class Command:
         report: DemoReport,
     ) -> None:
         """Let the arm act for each goal, say what it reached, and write all files."""
-        from gendom.cli.demo_actions import VARIANTS, carry_out, predicted, runs_of
+        from gendom.cli.demo_actions import VARIANTS, carry_out, predicted
         from gendom.policies.belief import believed
         from gendom.viz import ActionSummary, write_gif
         from gendom.viz.sources import arm_of_lift
@@ -197,13 +197,14 @@ class Command:
             motion = predicted(task, shown, belief.item, self.device)
         entries: list[dict[str, Any]] = []
         for outcome in outcomes:
-            ours, runs = outcome.ours, runs_of(outcome)
+            runs = outcome.runs
+            ours, *_ = runs.values()
             named = zip(task.actions, ours.action, strict=True)
             action = ", ".join(f"{q.name} {value:.3f} {q.unit}" for q, value in named)
             print(f"goal {_place(outcome.goal)} m: {action}, reached {_place(ours.reached)} m")
-            off = (f"{VARIANTS[w]} {1e3 * outcome.error(run):.1f} mm" for w, run in runs.items())
+            off = (f"{name} {1e3 * outcome.error(run):.1f} mm" for name, run in runs.items())
             print(f"  off by: {', '.join(off)}")
-            entry = {name: _entry(outcome, run) for name, run in runs.items()}
+            entry = {key: _entry(outcome, runs[name]) for key, name in VARIANTS.items()}
             entries.append({"goal": outcome.goal.tolist(), **entry})
         actions = {"format": "gendom-demo/2", "task": task.name, "outcomes": entries}
         with _timed(seconds, "pictures and report"):

@@ -8,22 +8,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from gendom.files import atomic_path
-from gendom.viz.report.action import ActionSummary, action_section
+from gendom.viz.report.action import WITHOUT, ActionSummary, action_section
 from gendom.viz.report.estimate import (
     parameters_section,
     refusal_banner,
     verdict_banner,
 )
 from gendom.viz.report.lift import LiftPictures, lift_section
-from gendom.viz.report.markup import (
-    Section,
-    cell,
-    escaped,
-    facts_list,
-    number,
-    render_page,
-    table,
-)
+from gendom.viz.report.markup import Section, escaped, facts_list, render_page, table
 from gendom.viz.report.posterior import beliefs_section
 from gendom.viz.report.search import search_section
 from gendom.viz.report.summary import (
@@ -31,6 +23,7 @@ from gendom.viz.report.summary import (
     interval_text,
     length_text,
     quantity_text,
+    title_of,
 )
 
 SUMMARY = (
@@ -74,8 +67,6 @@ class Provenance:
     seeds: Mapping[str, int] = field(default_factory=dict)
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     """Seconds of each stage, in order."""
-    facts: Mapping[str, str] = field(default_factory=dict)
-    """Anything else worth knowing, by name."""
     warnings: Sequence[str] = ()
 
 
@@ -148,14 +139,13 @@ def _opening(content: ReportContent) -> str:
     if content.estimate is not None:
         parts.append(verdict_banner(content.estimate))
     parts.append(f'<p class="lead">{escaped(content.summary)}</p>')
-    cards = _cards(content)
+    cards = "\n".join(
+        f'<li><span class="value">{escaped(value)}</span>'
+        f'<span class="name">{escaped(name)}</span></li>'
+        for value, name in _cards(content)
+    )
     if cards:
-        items = "\n".join(
-            f'<li><span class="value">{escaped(value)}</span>'
-            f'<span class="name">{escaped(name)}</span></li>'
-            for value, name in cards
-        )
-        parts.append(f'<ul class="cards">\n{items}\n</ul>')
+        parts.append(f'<ul class="cards">\n{cards}\n</ul>')
     if content.recording_source:
         parts.append(
             '<div class="source"><p><strong>Where the recording comes from.</strong> '
@@ -166,18 +156,20 @@ def _opening(content: ReportContent) -> str:
 
 def _cards(content: ReportContent) -> list[tuple[str, str]]:
     """The few numbers to remember: value and name."""
-    cards = []
-    if content.estimate is not None:
-        cards += _parameter_cards(content.estimate)
-    distance = _mean_chamfer(content)
+    cards, summary, lift = [], content.estimate, content.lift
+    if summary is not None:
+        cards += _parameter_cards(summary)
+    distance = None if summary is None else summary.value("chamfer_mean")
+    if distance is None and lift is not None and lift.clouds.chamfer is not None:
+        distance = float(lift.clouds.chamfer.mean())
     if distance is not None:
         cards.append((length_text(distance), "Chamfer distance of both lifts, mean of all frames"))
     if content.action is not None:
-        ours, without = content.action.mean_errors()
+        ours, *_ = (errors := content.action.mean_errors()).values()
         goals = len(content.action.outcomes)
         name = "distance from the goal" if goals == 1 else f"mean distance from {goals} goals"
-        if without is not None:
-            name += f"; without parameters {length_text(without)}"
+        if WITHOUT in errors:
+            name += f"; {WITHOUT} {length_text(errors[WITHOUT])}"
         cards.append((length_text(ours), name))
     return cards
 
@@ -186,8 +178,8 @@ def _parameter_cards(summary: EstimateSummary) -> list[tuple[str, str]]:
     if summary.usable is False:
         return []
     cards = []
-    for key, name in (("E", "Young's modulus"), ("nu", "Poisson's ratio")):
-        value = quantity_text(key, summary.values[key])
+    for key in ("E", "nu"):
+        name, value = title_of(key), quantity_text(key, summary.values[key])
         interval = summary.interval(key)
         if summary.determined(key) is False:
             cards.append(("not determined", f"{name} by this lift; best guess {value}"))
@@ -201,16 +193,6 @@ def _parameter_cards(summary: EstimateSummary) -> list[tuple[str, str]]:
         value, name = cards[0]
         cards[0] = (value, f"{name}; density assumed: {quantity_text('density', density)}")
     return cards
-
-
-def _mean_chamfer(content: ReportContent) -> float | None:
-    if content.estimate is not None:
-        value = content.estimate.value("chamfer_mean")
-        if value is not None:
-            return value
-    if content.lift is not None and content.lift.clouds.chamfer is not None:
-        return float(content.lift.clouds.chamfer.mean())
-    return None
 
 
 def cameras_section(views: CameraViews) -> Section:
@@ -240,15 +222,11 @@ def provenance_section(made: Provenance) -> Section:
     ]
     if made.commands:
         parts.append(f"<pre>{escaped(chr(10).join(made.commands))}</pre>")
-    facts = [("GenDOM", made.version), ("date", made.date), ("device", made.device)]
-    if made.seeds:
-        facts.append(("seeds", ", ".join(f"{k} {v}" for k, v in made.seeds.items())))
-    facts += list(made.facts.items())
-    parts.append(facts_list([(name, value) for name, value in facts if value]))
+    seeds = ", ".join(f"{k} {v}" for k, v in made.seeds.items())
+    facts = {"GenDOM": made.version, "date": made.date, "device": made.device, "seeds": seeds}
+    parts.append(facts_list([(name, value) for name, value in facts.items() if value]))
     if made.stage_seconds:
-        stages = [(name, f"{s:.1f} s") for name, s in made.stage_seconds.items()]
-        rows = [f"<tr>{cell(escaped(name))}{number(value)}</tr>" for name, value in stages]
-        total = sum(made.stage_seconds.values())
-        rows.append(f'<tr class="total">{cell("all")}{number(f"{total:.1f} s")}</tr>')
-        parts.append(table(["<th>Stage</th>", '<th class="number">Time</th>'], rows, "narrow"))
+        stages = {**made.stage_seconds, "all": sum(made.stage_seconds.values())}
+        rows = [[name, f"{seconds:.1f} s"] for name, seconds in stages.items()]
+        parts.append(table({"Stage": "", "Time": "number"}, rows, totals=1, kind="narrow"))
     return Section(title="How this was made", body="\n".join(part for part in parts if part))
