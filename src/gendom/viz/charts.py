@@ -44,7 +44,9 @@ class Axis:
             ends = np.log(ends)
         middle, half = ends.mean(), 0.5 * float(ends[1] - ends[0])
         half = (1.0 + 2.0 * margin) * max(half, 1e-3 if log else 1e-3 * abs(middle), 1e-9)
-        low, high = np.exp([middle - half, middle + half]) if log else (middle - half, middle + half)
+        low, high = (
+            np.exp([middle - half, middle + half]) if log else (middle - half, middle + half)
+        )
         return cls(low=float(low), high=float(high), log=log, label=label)
 
     def share(self, values: npt.ArrayLike) -> np.ndarray:

@@ -44,9 +44,7 @@ def search_section(summary: EstimateSummary) -> Section | None:
     return Section(title="The search", body=body) if body else None
 
 
-def _chart(
-    summary: EstimateSummary, key: str, title: str, scale: float, note: str = ""
-) -> str:
+def _chart(summary: EstimateSummary, key: str, title: str, scale: float, note: str = "") -> str:
     """A quantity against iteration, a line for each stage of each start."""
     series: dict[tuple[int, str], list[tuple[float, float]]] = {}
     for entry in summary.values.get("history") or []:
@@ -99,7 +97,9 @@ def _facts(summary: EstimateSummary) -> str:
         for key, name in _DISTANCES.items()
         if (value := summary.value(key)) is not None
     ]
-    facts += [(n, str(values[n])) for n in ("method", "device", "seed") if values.get(n) is not None]
+    facts += [
+        (n, str(values[n])) for n in ("method", "device", "seed") if values.get(n) is not None
+    ]
     for key, name in (("iterations", "iterations, all starts"), ("seconds", "time [s]")):
         if (value := summary.value(key)) is not None:
             facts.append((name, f"{value:.4g}"))

@@ -38,9 +38,7 @@ _TITLES = {
 
 def title_of(key: str) -> str:
     """What people call a quantity, with a capital letter."""
-    title = _TITLES.get(key) or (
-        UNKNOWNS[key].title if key in UNKNOWNS else key.replace("_", " ")
-    )
+    title = _TITLES.get(key) or (UNKNOWNS[key].title if key in UNKNOWNS else key.replace("_", " "))
     return title[0].upper() + title[1:]
 
 
