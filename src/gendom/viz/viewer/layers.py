@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +16,7 @@ from gendom.robot import Arm
 from gendom.sim import Body
 from gendom.tasks.cloth_spreading import lattice_triangles
 from gendom.viz.palette import INK, SIMULATED_COLOR
-from gendom.viz.report.summary import with_minus
+from gendom.viz.report.summary import SHOWN_UNITS, with_minus
 from gendom.viz.sources import arm_capsules
 
 ARM_COLOR = "#d0d0d0"
@@ -32,15 +32,6 @@ MATERIAL, ACTION, SETUP = "Material", "Action", "Grip and clock"
 
 _LATITUDES = np.concatenate([np.linspace(0.0, 0.5, 5), np.linspace(0.5, 1.0, 5)]) * np.pi
 
-_SHOWN = {
-    "1": (1.0, ""),
-    "m": (1e3, "mm"),
-    "s": (1e3, "ms"),
-    "m^2/s^2": (1.0, "m²/s²"),
-    "kg/m^3": (1.0, "kg/m³"),
-}
-"""SI unit -> what values are multiplied by, and the unit, to be read."""
-
 Array = NDArray[np.floating]
 
 
@@ -55,8 +46,7 @@ class PointLayer:
     """T clouds [n_t, 3] [m]."""
     radius: float
     """A dot's radius [m]."""
-    framed: bool = True
-    """Whether the camera is placed so that it is seen."""
+    framed: ClassVar[bool] = True
 
     def __len__(self) -> int:
         return len(self.points)
@@ -94,11 +84,7 @@ Layer = PointLayer | MeshLayer
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ViewerScene:
-    """T frames of some layers. World frame, z up.
-
-    Raises:
-        ParameterError: There is no frame, lengths differ, or two layers have one name.
-    """
+    """T frames of some layers, each of its own name. World frame, z up."""
 
     times: Array
     """[T] increasing [s]."""
@@ -112,19 +98,6 @@ class ViewerScene:
     """Names and values to read."""
     backdrop: Array | None = None
     """[3] a place that the camera is to see behind everything else [m]; None: any."""
-
-    def __post_init__(self) -> None:
-        T = len(self.times)
-        require(T > 0, "is empty", where="times", fix="give at least one frame")
-        counts = [(layer.name, len(layer), "frames") for layer in self.layers if len(layer) != 1]
-        counts += [(name, len(values), "numbers") for name, values in self.curves.items()]
-        for name, count, noun in counts:
-            what = f"has {count} {noun}, but times has {T}"
-            require(count == T, what, where=name, fix="give 1 each")
-        names = [layer.name for layer in self.layers]
-        what = f"are {', '.join(names)}"
-        fix = "give each a name"
-        require(len(set(names)) == len(names), what, where="layers", fix=fix)
 
     @property
     def num_frames(self) -> int:
@@ -182,7 +155,7 @@ class Parameter:
 
     def text(self, value: float) -> str:
         """A value with its unit."""
-        factor, unit = _SHOWN.get(self.unit, (1.0, self.unit))
+        factor, unit = SHOWN_UNITS.get(self.unit, (1.0, self.unit))
         return with_minus(f"{factor * value:.3g} {unit}".rstrip())
 
 

@@ -140,33 +140,6 @@ class Viewer:
         """The address's port."""
         return self._server.get_port()
 
-    @property
-    def scene(self) -> ViewerScene | None:
-        """What is shown now."""
-        return self._scene
-
-    @property
-    def frame(self) -> int:
-        """Number of the frame that is shown."""
-        return self._time.value
-
-    @property
-    def status(self) -> str:
-        """What was said last of a simulation."""
-        return self._status_text
-
-    def set_value(self, name: str, value: float) -> None:
-        """Move a parameter's slider, as a hand would.
-
-        Raises:
-            KeyError: There is no such parameter.
-        """
-        self._sliders[name].value = self._parameters[name].position(value)
-
-    def set_frame(self, frame: int) -> None:
-        """Move the slider of time."""
-        self._time.value = frame
-
     def play(self, playing: bool) -> None:
         """Let time run, or stop it."""
         self._playing = playing
