@@ -15,7 +15,6 @@ from gendom.perception import PerceptionSettings, perceive, read_cameras
 from gendom.reading import read_json
 from gendom.reality import (
     OBJECTS,
-    DepthSensor,
     RealRope,
     RecordSettings,
     RigErrors,
@@ -41,8 +40,7 @@ def recorded(folder, *, noise=True, rate=RATE, seed=0, rise=0.04, end="hold", **
         record(
             run,
             folder,
-            RecordSettings(frame_rate=rate, seed=seed),
-            sensor=DepthSensor() if noise else DepthSensor.exact(),
+            RecordSettings(frame_rate=rate, seed=seed, noisy=noise),
             errors=None if noise else RigErrors.none(),
             **kwargs,
         )
@@ -208,8 +206,7 @@ def test_truth_says_what_was_true(clean, noisy):
     assert truth["E"] == ROPE.material.E
     assert truth["nu"] == ROPE.material.nu
     assert truth["errors"]["clock_offset"] == 0.02
-    # Without noise nothing is too far, which JSON has no number for.
-    assert read_json(clean / "truth" / "truth.json")["sensor"]["max_range"] is None
+    assert truth["noisy"] and not read_json(clean / "truth" / "truth.json")["noisy"]
 
 
 def test_an_interrupted_recording_can_be_perceived(rendering, tmp_path):

@@ -10,7 +10,7 @@ from gendom.reality.model import Layout, build_model, default_cameras, looking_a
 from gendom.reality.object_file import find_object
 from gendom.reality.objects import OBJECTS, RealCloth, RealObject, RealRope, as_real
 from gendom.reality.recording import RecordSettings, record
-from gendom.reality.sensor import DepthSensor, RigErrors
+from gendom.reality.sensor import RigErrors
 from gendom.reality.trials import (
     RealWorld,
     Trial,
@@ -30,7 +30,6 @@ __all__ = [
     "AIR_DENSITY",
     "OBJECTS",
     "Air",
-    "DepthSensor",
     "Layout",
     "RealCloth",
     "RealObject",

@@ -39,7 +39,7 @@ from gendom.perception import (
 )
 from gendom.perception.realsense import realsense_sdk
 from gendom.reality.objects import RealObject
-from gendom.reality.sensor import MAX_CLOCK_OFFSET, DepthSensor, RigErrors
+from gendom.reality.sensor import MAX_CLOCK_OFFSET, RigErrors, observe
 from gendom.reality.trials import TrialRun, lift_cameras, lifted_by
 from gendom.reality.world import Reality
 from gendom.robot import LiftMotion, predefined_lift, tcp_pose
@@ -67,6 +67,8 @@ class RecordSettings:
     """Free text, stored with the recording."""
     seed: int = 0
     """Seed of all sensor errors."""
+    noisy: bool = True
+    """Whether the cameras have the errors of a D435i (`gendom.reality.sensor.observe`)."""
 
     def __post_init__(self) -> None:
         within, fix = 0.0 < self.frame_rate <= PATH_RATE, f"give {PATH_RATE:g} or less"
@@ -79,7 +81,6 @@ def record(
     folder: str | os.PathLike,
     settings: RecordSettings | None = None,
     *,
-    sensor: DepthSensor | None = None,
     errors: RigErrors | None = None,
     on_frame: Callable[[float], None] = lambda _: None,
 ) -> None:
@@ -93,7 +94,6 @@ def record(
         run: The trial, with cameras.
         folder: Output folder, created if missing; must not hold a recording.
         settings: Settings of the recording.
-        sensor: Error model of the cameras; by default that of a D435i.
         errors: Errors of the rig; by default the usual ones, or for a quick trial those of
             synchronised cameras.
         on_frame: Called with the recorded time [s] after each frame.
@@ -111,7 +111,6 @@ def record(
     require(world.cameras, "there is no camera", where="record", fix="give the trial cameras")
     if (folder / "cameras").exists():
         raise GendomError("holds a recording already", where=str(folder), fix="name another folder")
-    sensor = DepthSensor() if sensor is None else sensor
     if errors is None:
         errors = RigErrors.synchronised() if run.trial.quick else RigErrors()
     # One stream of random numbers for each use: more frames do not change the calibration.
@@ -130,7 +129,7 @@ def record(
     path, truth = _PathWriter(folder, world, errors, encoders), []
 
     def keep(c: int, moment: float, clean: tuple[np.ndarray, np.ndarray]) -> None:
-        pictures = sensor.observe(*clean, world.cameras[c], eyes[c])
+        pictures = observe(*clean, world.cameras[c], eyes[c], noisy=settings.noisy)
         writers[c].write(errors.stamp(c, moment), pictures)
 
     began = world.time
@@ -152,7 +151,7 @@ def record(
         for writer in writers:
             writer.close()
         path.close()
-        _write_truth(folder / "truth", world, settings, sensor, errors, truth)
+        _write_truth(folder / "truth", world, settings, errors, truth)
 
 
 def _make_folder(folder: Path) -> None:
@@ -241,7 +240,7 @@ def _write_object(path: Path, run: TrialRun, settings: RecordSettings) -> None:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _write_truth(folder, world, settings, sensor, errors, truth) -> None:
+def _write_truth(folder, world, settings, errors, truth) -> None:
     item = world.item
     with atomic_path(folder / "truth.npz") as temporary:
         np.savez_compressed(
@@ -261,8 +260,7 @@ def _write_truth(folder, world, settings, sensor, errors, truth) -> None:
             "friction": item.friction,
             "air_density": world.air.density,
             "grip_force": world.grip_force if math.isfinite(world.grip_force) else None,
-            # JSON has no infinity: an unlimited range is null.
-            "sensor": {k: v if math.isfinite(v) else None for k, v in asdict(sensor).items()},
+            "noisy": settings.noisy,
             "errors": asdict(errors),
             "seed": settings.seed,
         },
