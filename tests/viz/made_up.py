@@ -8,11 +8,9 @@ from PIL import Image
 
 from gendom.viz import (
     ActionSummary,
-    CameraViews,
     CloudSequence,
     EstimateSummary,
     LiftPictures,
-    NextStep,
     PolicyRun,
     Provenance,
     ReachOutcome,
@@ -95,7 +93,7 @@ def content(recorded_lift, **changes):
     parts = {
         "title": "A rope",
         "recording_source": "Made by a simulator.",
-        "cameras": CameraViews(picture=picture()),
+        "cameras": picture(),
         "lift": LiftPictures(clouds=CloudSequence(**recorded_lift)),
         "estimate": EstimateSummary(
             values=estimate(),
@@ -105,6 +103,6 @@ def content(recorded_lift, **changes):
         "provenance": Provenance(
             commands=("gendom demo",), seeds={"all": 7}, stage_seconds={"estimate": 3.0}
         ),
-        "next_steps": [NextStep(command="gendom check a.npz", purpose="Look at it.")],
+        "next_steps": [("gendom check a.npz", "Look at it.")],
     }
     return ReportContent(**parts | changes)

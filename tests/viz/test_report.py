@@ -16,15 +16,14 @@ from gendom.viz import (
     CloudSequence,
     EstimateSummary,
     LiftPictures,
-    NextStep,
     Provenance,
     ReachOutcome,
     ReportContent,
     write_report,
 )
 from gendom.viz.report import lift as lift_section
-from gendom.viz.report import render_report
 from gendom.viz.report.action import WITH, WITHOUT
+from gendom.viz.report.content import render_report
 from gendom.viz.report.lift import encode_scene
 from viz import made_up
 from viz.made_up import content, estimate, outcomes, run
@@ -265,7 +264,7 @@ def test_all_text_is_escaped(make_lift):
             stage_seconds={bad: 1.0},
             warnings=(bad,),
         ),
-        next_steps=[NextStep(command=bad, purpose=bad)],
+        next_steps=[(bad, bad)],
     )
     source = render_report(report)
     assert "<script>alert" not in source

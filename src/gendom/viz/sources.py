@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -12,12 +11,12 @@ from numpy.typing import NDArray
 from gendom.materials import thickness_of
 
 if TYPE_CHECKING:
-    from gendom.estimation import Estimate, LiftScene, Theta
+    from gendom.estimation import LiftScene, Theta
     from gendom.reality import RealRope
     from gendom.reality.trials import TrialRun
     from gendom.robot import Arm
     from gendom.tasks import Observed
-    from gendom.viz import CloudSequence, EstimateSummary
+    from gendom.viz import CloudSequence
 
 
 def clouds_of(
@@ -50,18 +49,6 @@ def clouds_of(
 def view_of(scene: LiftScene) -> str:
     """From where a lift of this object is looked at: one of `gendom.viz.clouds.VIEWS`."""
     return "oblique" if scene.kind == "cloth" else "auto"
-
-
-def summary_of(found: Estimate, truth: Mapping[str, float] | None = None) -> EstimateSummary:
-    """An estimate for a report.
-
-    Args:
-        found: The estimate.
-        truth: True values under the keys of its record, as far as known.
-    """
-    from gendom.viz import EstimateSummary
-
-    return EstimateSummary(values=found.record, truth=truth)
 
 
 def arm_of_lift(clouds: CloudSequence, rope: RealRope) -> CloudSequence:

@@ -37,26 +37,6 @@ SUMMARY = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class CameraViews:
-    """Both cameras' pictures of one moment of the lift."""
-
-    picture: bytes
-    """A JPEG, see `gendom.viz.encode_camera_views`."""
-    note: str = ""
-    """Text below the heading: which cameras, where, when."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class NextStep:
-    """A command to try."""
-
-    command: str
-    """As typed into a shell where the report was made."""
-    purpose: str
-    """What it does; plain text."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Provenance:
     """How a result was made, so that it can be made again."""
 
@@ -78,15 +58,18 @@ class ReportContent:
     summary: str = SUMMARY
     recording_source: str = ""
     """Where the recording came from, and how far it may be trusted."""
-    cameras: CameraViews | None = None
+    cameras: bytes | None = None
+    """What all cameras saw at one moment, see `gendom.viz.encode_camera_views`."""
+    cameras_note: str = ""
+    """Which cameras, where, when."""
     lift: LiftPictures | None = None
     estimate: EstimateSummary | None = None
     action: ActionSummary | None = None
     provenance: Provenance = field(default_factory=Provenance)
     refused: Sequence[str] = ()
     """Why nothing could be estimated, where nothing could."""
-    next_steps: Sequence[NextStep] = ()
-    """Commands that go on from what was written."""
+    next_steps: Sequence[tuple[str, str]] = ()
+    """Commands that go on from what was written, as typed into a shell, and what they do."""
 
     def sections(self) -> list[Section]:
         """The page's sections in order. A new part is a field above and two lines here.
@@ -96,7 +79,7 @@ class ReportContent:
         """
         sections: list[Section | None] = []
         if self.cameras is not None:
-            sections.append(cameras_section(self.cameras))
+            sections.append(_cameras_section(self.cameras, self.cameras_note))
         if self.lift is not None:
             sections.append(lift_section(self.lift, self.estimate))
         if self.estimate is not None:
@@ -105,9 +88,9 @@ class ReportContent:
             sections.append(search_section(self.estimate))
         if self.action is not None:
             sections.append(action_section(self.action))
-        sections.append(provenance_section(self.provenance))
+        sections.append(_provenance_section(self.provenance))
         if self.next_steps:
-            sections.append(next_section(self.next_steps))
+            sections.append(_next_section(self.next_steps))
         return [section for section in sections if section is not None]
 
 
@@ -195,26 +178,25 @@ def _parameter_cards(summary: EstimateSummary) -> list[tuple[str, str]]:
     return cards
 
 
-def cameras_section(views: CameraViews) -> Section:
+def _cameras_section(views: bytes, note: str) -> Section:
     """Colour and depth of each camera."""
-    parts = [f"<p>{escaped(views.note)}</p>"] if views.note else []
     caption = "A row for each camera: colour, and depth (yellow: near, black: none measured)."
-    code = base64.b64encode(views.picture).decode("ascii")
+    code = base64.b64encode(views).decode("ascii")
     picture = f'<img src="data:image/jpeg;base64,{code}" alt="What both cameras see">'
-    parts.append(f"<figure>{picture}<figcaption>{caption}</figcaption></figure>")
-    return Section(title="What the cameras saw", body="\n".join(parts))
+    body = f"<figure>{picture}<figcaption>{caption}</figcaption></figure>"
+    return Section(title="What the cameras saw", body=f"<p>{escaped(note)}</p>{body}")
 
 
-def next_section(steps: Sequence[NextStep]) -> Section:
+def _next_section(steps: Sequence[tuple[str, str]]) -> Section:
     """What each command does, and the command."""
     items = "\n".join(
-        f"<li><p>{escaped(step.purpose)}</p><pre>{escaped(step.command)}</pre></li>"
-        for step in steps
+        f"<li><p>{escaped(purpose)}</p><pre>{escaped(command)}</pre></li>"
+        for command, purpose in steps
     )
     return Section(title="What to try next", body=f'<ol class="steps">\n{items}\n</ol>')
 
 
-def provenance_section(made: Provenance) -> Section:
+def _provenance_section(made: Provenance) -> Section:
     """Warnings, commands, versions and seeds, and how long each stage took."""
     parts = [
         f'<p class="warning"><strong>Warning.</strong> {escaped(text)}</p>'
