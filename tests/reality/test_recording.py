@@ -249,7 +249,7 @@ def test_a_recording_is_not_overwritten(noisy):
 
 def test_a_folder_that_cannot_be_made(rendering, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(GendomError, match="file: cannot be made"):
+    with pytest.raises(GendomError, match="file: is a file, not a folder"):
         recorded(tmp_path / "file")
 
 

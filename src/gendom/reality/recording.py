@@ -12,7 +12,6 @@ Perception, estimation and control never read `truth`.
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import os
@@ -21,6 +20,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,7 @@ import numpy.typing as npt
 from gendom.arguments import require
 from gendom.datasets import Recording
 from gendom.errors import GendomError
-from gendom.files import atomic_path, write_json
+from gendom.files import atomic_path, check_folder, write_json
 from gendom.perception import (
     CameraRecording,
     PerceptionSettings,
@@ -122,7 +122,8 @@ def record(
     world.render(0)
     if settings.format == "db3":
         realsense_sdk()
-    _make_folder(folder)
+    check_folder(folder)
+    folder.mkdir(parents=True, exist_ok=True)
     believed = errors.believed(world.cameras, rig)
     writers = [_WRITERS[settings.format](folder / "cameras" / c.name, c) for c in believed]
     _write_object(folder / "object.toml", run, settings)
@@ -154,14 +155,6 @@ def record(
         _write_truth(folder / "truth", world, settings, errors, truth)
 
 
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        what = f"cannot be made ({error.strerror})"
-        raise GendomError(what, where=str(folder), fix="name another folder") from None
-
-
 def _moments(seconds: float, frame_rate: float) -> tuple[np.ndarray, np.ndarray]:
     """Times of the pictures and of the robot's path [s].
 
@@ -178,45 +171,34 @@ class _PathWriter:
     def __init__(
         self, folder: Path, world: Reality, errors: RigErrors, encoders: np.random.Generator
     ):
-        self._world = world
-        self._errors = errors
-        self._encoders = encoders
-        header = ["time", "x", "y", "z", "ax", "ay", "az", "closed"]
-        self._hand = _NumberFile(folder / "gripper.csv", header)
-        self._joints = None
+        self._world, self._errors, self._encoders = world, errors, encoders
+        self._files: dict[str, IO[str]] = {}
+        self._write(folder / "gripper.csv", "time,x,y,z,ax,ay,az,closed")
         if (robot := world.robot) is not None:
             names = [f"q{k}" for k in range(robot.arm.joints)]
-            self._joints = _NumberFile(folder / "joints.csv", ["time", *names])
+            self._write(folder / "joints.csv", ",".join(["time", *names]))
 
     def add(self, moment: float) -> None:
         world, hand = self._world, self._world.hand
         moment = self._errors.stamp_of_robot(moment)
-        if self._joints is not None:
-            arm, q = world.robot.arm, world.robot.measured(world.data)
+        if (robot := world.robot) is not None:
+            q = robot.measured(world.data)
             wrong = q + self._errors.encoders * self._encoders.standard_normal(len(q))
-            hand = hand + tcp_pose(arm, wrong)[:3, 3] - tcp_pose(arm, q)[:3, 3]
-            self._joints.add([moment, *wrong])
-        self._hand.add([moment, *hand, *world.hand_axis, len(world.held) > 0])
+            hand = hand + tcp_pose(robot.arm, wrong)[:3, 3] - tcp_pose(robot.arm, q)[:3, 3]
+            self._row("joints.csv", [moment, *wrong])
+        self._row("gripper.csv", [moment, *hand, *world.hand_axis, len(world.held) > 0])
 
     def close(self) -> None:
-        for file in (self._hand, self._joints):
-            if file is not None:
-                file.close()
+        for file in self._files.values():
+            file.close()
 
+    def _write(self, path: Path, header: str) -> None:
+        file = open(path, "w", buffering=1, encoding="utf-8")  # noqa: SIM115
+        self._files[path.name] = file
+        file.write(f"{header}\n")
 
-class _NumberFile:
-    """A CSV file of numbers to which rows are appended."""
-
-    def __init__(self, path: Path, header: Sequence[str]):
-        self._file = open(path, "w", newline="", buffering=1, encoding="utf-8")  # noqa: SIM115
-        self._writer = csv.writer(self._file)
-        self._writer.writerow(header)
-
-    def add(self, row: Sequence[float]) -> None:
-        self._writer.writerow([f"{float(x):.6f}" for x in row])
-
-    def close(self) -> None:
-        self._file.close()
+    def _row(self, name: str, numbers: Sequence[float]) -> None:
+        self._files[name].write(",".join(f"{float(x):.6f}" for x in numbers) + "\n")
 
 
 def _write_object(path: Path, run: TrialRun, settings: RecordSettings) -> None:
