@@ -45,12 +45,6 @@ FRAMES = 160
 
 GOAL_COLOR = "#009E73"
 
-_RANGES = {"nu": (0.05, 0.45), "friction": (0.0, 1.5)}
-"""Ranges of parameters that a task does not draw, where differences count."""
-
-_FACTOR = 3.0
-"""How far from its value such a parameter goes, where ratios count."""
-
 _LATE = 1.02
 """How many times longer than asked for the arm may take and still be shown."""
 
@@ -255,12 +249,9 @@ class DatasetModel:
                 )
             )
         for p in PARAMETERS.values():
-            value = float(row[p.column])
-            if p.log and value == 0.0:
+            if p.column not in self.task.ranges:
                 continue
-            low, high = self.task.ranges.get(p.column) or (
-                (value / _FACTOR, value * _FACTOR) if p.log else _RANGES[p.name]
-            )
+            value, (low, high) = float(row[p.column]), self.task.ranges[p.column]
             made.append(
                 Parameter(
                     name=p.column,
@@ -365,18 +356,15 @@ class DatasetModel:
         objects of one size have the same."""
         key = _key(path)
         if key not in self._planned:
-            self._planned = {key: self._plan(path, item)}
+            moved = path.moved(self.task.T_world_task(item))
+            try:
+                found = follow(XARM7, moved, slow_down=True, opening=thickness_of(item))
+                if found.slowed_by > _LATE:
+                    found = f"it would take {found.slowed_by:.2g} times as long"
+            except RobotError as error:
+                found = error.what
+            self._planned = {key: found}
         return self._planned[key]
-
-    def _plan(self, path: TcpPath, item: Item) -> JointMotion | str:
-        moved = path.moved(self.task.T_world_task(item))
-        try:
-            motion = follow(XARM7, moved, slow_down=True, opening=thickness_of(item))
-        except RobotError as error:
-            return error.what
-        if motion.slowed_by > _LATE:
-            return f"it would take {motion.slowed_by:.2g} times as long"
-        return motion
 
 
 def _key(path: TcpPath) -> tuple[bytes, ...]:
