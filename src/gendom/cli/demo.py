@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import date
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -22,7 +21,6 @@ from gendom.cli.parsing import command_line
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, printable
 from gendom.files import check_folder, to_json, write_json
-from gendom.installation import version
 
 if TYPE_CHECKING:
     from gendom.estimation import FittedEstimate
@@ -134,8 +132,6 @@ class Command:
             action=action,
             provenance=Provenance(
                 commands=[command_line("demo", self, without=("json",))],
-                version=version(),
-                date=date.today().isoformat(),
                 device=self.device,
                 seeds={"estimate": self.seed},
                 stage_seconds=seconds,

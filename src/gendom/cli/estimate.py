@@ -6,7 +6,6 @@ import logging
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,7 +17,6 @@ from gendom.cli.parsing import command_line
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError, SimulationError, printable
 from gendom.files import check_file, check_folder, to_json, write_json
-from gendom.installation import version
 
 if TYPE_CHECKING:
     from gendom.estimation import EstimateSettings, FittedEstimate
@@ -221,8 +219,6 @@ class Command:
 
         return Provenance(
             commands=[self._command_line()],
-            version=version(),
-            date=date.today().isoformat(),
             device=self.device,
             seeds={"estimate": self.seed},
             stage_seconds=seconds,

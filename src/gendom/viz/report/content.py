@@ -6,8 +6,10 @@ import base64
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import date
 
 from gendom.files import atomic_path
+from gendom.installation import version
 from gendom.viz.report.action import WITHOUT, ActionSummary, action_section
 from gendom.viz.report.estimate import (
     parameters_section,
@@ -41,8 +43,7 @@ class Provenance:
     """How a result was made, so that it can be made again."""
 
     commands: Sequence[str] = ()
-    version: str = ""
-    date: str = ""
+    date: str = field(default_factory=lambda: date.today().isoformat())
     device: str = ""
     seeds: Mapping[str, int] = field(default_factory=dict)
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
@@ -205,7 +206,7 @@ def _provenance_section(made: Provenance) -> Section:
     if made.commands:
         parts.append(f"<pre>{escaped(chr(10).join(made.commands))}</pre>")
     seeds = ", ".join(f"{k} {v}" for k, v in made.seeds.items())
-    facts = {"GenDOM": made.version, "date": made.date, "device": made.device, "seeds": seeds}
+    facts = {"GenDOM": version(), "date": made.date, "device": made.device, "seeds": seeds}
     parts.append(facts_list([(name, value) for name, value in facts.items() if value]))
     if made.stage_seconds:
         stages = {**made.stage_seconds, "all": sum(made.stage_seconds.values())}

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from gendom.materials.unknowns import UNKNOWNS
-from gendom.viz.report.markup import DASH, Html, Section, escaped, table
+from gendom.viz.report.markup import DASH, Section, escaped, table
 from gendom.viz.report.summary import (
-    RATIOS,
     EstimateSummary,
     difference_text,
     interval_text,
@@ -56,7 +54,7 @@ def refusal_banner(reasons: Sequence[str], text: str = "") -> str:
 
 
 def parameters_section(summary: EstimateSummary) -> Section:
-    """A row for each quantity, and how to read the bars if there are any."""
+    """A row for each quantity."""
     keys = [*_of_material(), "density", "E_over_rho", "bending_length"]
     knows_truth = any(summary.true(key) is not None for key in keys)
     has_interval = any(summary.interval(key) is not None for key in keys)
@@ -74,21 +72,13 @@ def parameters_section(summary: EstimateSummary) -> Section:
         interval, true = summary.interval(key), summary.true(key)
         row = [title_of(key), quantity_text(key, value)]
         if has_interval:
-            row.append(DASH if interval is None else _interval(key, value, interval, summary))
+            row.append(DASH if interval is None else interval_text(key, interval))
         if knows_truth and true is None:
             row += [DASH, DASH]
         elif knows_truth:
             row += [quantity_text(key, true), difference_text(key, value, true)]
         rows.append([*row, _remark(key, summary)])
-    text = table(columns, rows)
-    if any("range" in cell for row in rows for cell in row):
-        text += (
-            '\n<p class="soft">Bars: the grey range was searched, the blue part is the interval, '
-            "the thick mark the estimate"
-            + (", the thin mark the true value" if knows_truth else "")
-            + ". Scales are logarithmic, but for ratios.</p>"
-        )
-    return Section(title="The estimate", body=text)
+    return Section(title="The estimate", body=table(columns, rows))
 
 
 def _remark(key: str, summary: EstimateSummary) -> str:
@@ -117,27 +107,3 @@ def _remark(key: str, summary: EstimateSummary) -> str:
         inside = interval[0] <= true <= interval[1]
         texts.append(f"The true value lies {'inside' if inside else 'outside'} the interval.")
     return " ".join(texts)
-
-
-def _interval(
-    key: str, value: float, interval: tuple[float, float], summary: EstimateSummary
-) -> Html:
-    """The interval, also as a bar inside the range that was searched."""
-    linear, bounds, bar = key in RATIOS, summary.searched(key), ""
-    positive = linear or min(*(bounds or ()), *interval, value) > 0.0
-    if bounds is not None and bounds[0] < bounds[1] and positive:
-        scale = float if linear else math.log  # moduli are searched over decades
-        low, high = scale(bounds[0]), scale(bounds[1])
-
-        def percent(x: float) -> float:
-            # what is not positive has no place on a logarithmic scale but its lower end
-            at = scale(x) if linear or x > 0.0 else low
-            return 100.0 * min(max((at - low) / (high - low), 0.0), 1.0)
-
-        left, right = map(percent, interval)
-        bar = f'<span class="interval" style="left:{left:.2f}%;width:{right - left:.2f}%"></span>'
-        for name, mark in (("estimate", value), ("truth", summary.true(key))):
-            if mark is not None:
-                bar += f'<span class="{name}" style="left:{percent(mark):.2f}%"></span>'
-        bar = f'<div class="range">{bar}</div>'
-    return Html(f"<span>{escaped(interval_text(key, interval))}{bar}</span>")

@@ -12,13 +12,9 @@ DASH = "–"
 """Stands where a table has no value."""
 
 
-class Html(str):
-    """HTML; all other text is escaped where it becomes part of a page."""
-
-
 def escaped(text: str) -> str:
     """Plain text as HTML, also inside an attribute."""
-    return text if isinstance(text, Html) else html.escape(text, quote=True)
+    return html.escape(text, quote=True)
 
 
 def table(

@@ -69,14 +69,7 @@ class EstimateSummary:
 
     def interval(self, key: str) -> tuple[float, float] | None:
         """Lowest and highest plausible value."""
-        return self._ends("intervals", key)
-
-    def searched(self, key: str) -> tuple[float, float] | None:
-        """Lowest and highest value that was looked at."""
-        return self._ends("bounds", key)
-
-    def _ends(self, name: str, key: str) -> tuple[float, float] | None:
-        ends = (self.values.get(name) or {}).get(key)
+        ends = (self.values.get("intervals") or {}).get(key)
         return None if ends is None else (float(ends[0]), float(ends[1]))
 
     @property

@@ -162,25 +162,14 @@ class Parameter:
 class Model(Protocol):
     """Something to view."""
 
-    @property
-    def title(self) -> str:
-        """One line."""
-        ...
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Sentences to be read beside it."""
-        ...
-
-    @property
-    def cases(self) -> tuple[str, int]:
-        """What its cases are, in the singular, and how many there are."""
-        ...
-
-    @property
-    def initial(self) -> ViewerScene | None:
-        """What is known before anything is simulated."""
-        ...
+    title: str
+    """One line."""
+    notes: tuple[str, ...]
+    """Sentences to be read beside it."""
+    cases: tuple[str, int]
+    """What its cases are, in the singular, and how many there are."""
+    initial: ViewerScene | None
+    """What is known before anything is simulated."""
 
     def parameters(self, case: int) -> tuple[Parameter, ...]:
         """Parameters of a case; of the same names in all cases."""

@@ -70,8 +70,8 @@ class RecordingModel:
         self._arm = arm_of(scene)
         if self._arm is not None:
             notes.append("The arm is drawn with its fingers pointing down.")
-        self.notes = tuple(notes)
-        self.initial = self._shown(())
+        self.notes: tuple[str, ...] = tuple(notes)
+        self.initial: ViewerScene | None = self._shown(())
         self._parameters = _parameters(scene, theta)
 
     @classmethod
@@ -206,7 +206,7 @@ class DatasetModel:
         ParameterError: Its task is unknown here.
     """
 
-    initial = None
+    initial: ViewerScene | None = None
 
     def __init__(self, folder: Path):
         from gendom.datasets.demonstrations import load, read_description
