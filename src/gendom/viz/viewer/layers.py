@@ -239,10 +239,9 @@ def gripper_layer(position: Array, size: float, axis: Array | None = None) -> Me
     return MeshLayer(name="gripper", color=color, vertices=vertices, faces=faces)
 
 
-def arm_layer(arm: Arm, q: Array, opening: float, T_world_frame: Array | None = None) -> MeshLayer:
-    """An arm as capsules; arguments as of `arm_capsules`, where None is the world's frame."""
-    pose = np.eye(4) if T_world_frame is None else T_world_frame
-    vertices, faces = capsules(*arm_capsules(arm, q, opening, pose))
+def arm_layer(arm: Arm, q: Array, opening: float, T_world_frame: Array) -> MeshLayer:
+    """An arm as capsules; arguments as of `arm_capsules`."""
+    vertices, faces = capsules(*arm_capsules(arm, q, opening, T_world_frame))
     return MeshLayer(name="arm", color=ARM_COLOR, vertices=vertices, faces=faces, framed=False)
 
 

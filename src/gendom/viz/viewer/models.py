@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from gendom.datasets import Recording
 from gendom.errors import DatasetError, RobotError, SimulationError
@@ -17,7 +16,7 @@ from gendom.estimation import UNKNOWNS, LiftScene, Theta, chamfers, replay
 from gendom.estimation.replay import lattice, middle
 from gendom.materials import PARAMETERS, Item, from_columns, size_of, thickness_of, to_columns
 from gendom.reading import record_of
-from gendom.robot import ARMS, DOWN, XARM7, JointMotion, TcpPath, follow, inverse_kinematics
+from gendom.robot import XARM7, JointMotion, TcpPath, follow
 from gendom.tasks import Observed, Task, rebuild
 from gendom.tasks.world import Simulation
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_OPACITY
@@ -67,9 +66,6 @@ class RecordingModel:
         notes = list(scene.notes)
         if scene.kind == "cloth" or not scene.thin:
             notes.insert(0, "This takes longer to simulate than a rope as a rod.")
-        self._arm = arm_of(scene)
-        if self._arm is not None:
-            notes.append("The arm is drawn with its fingers pointing down.")
         self.notes: tuple[str, ...] = tuple(notes)
         self.initial: ViewerScene | None = self._shown(())
         self._parameters = _parameters(scene, theta)
@@ -120,39 +116,10 @@ class RecordingModel:
                 recorded,
                 *layers,
                 gripper_layer(recording.gripper_position[frames], scene.size, axis),
-                *([] if self._arm is None else [self._arm]),
             ),
             table_height=recording.table_height,
             **other,
         )
-
-
-def arm_of(scene: LiftScene) -> MeshLayer | None:
-    """The arm that a recording names, its fingers pointing down where the gripper was.
-
-    Recordings have the place of the gripper, not how it is turned.
-
-    Args:
-        scene: What was recorded.
-
-    Returns:
-        None where the recording names no known arm, has several grippers, or the arm cannot reach.
-    """
-    recording = scene.recording
-    arm = ARMS.get(str(recording.extra.get("robot")))
-    if arm is None or recording.num_grippers != 1:
-        return None
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_quat(DOWN).as_matrix()
-    q: list[_Array] = []
-    try:
-        for position in recording.gripper_position[list(scene.frames), 0]:
-            T[:3, 3] = position
-            near = q[-1] if q else None
-            q.append(inverse_kinematics(arm, T, near=near, starts=2 if q else 24))
-    except RobotError:
-        return None
-    return arm_layer(arm, np.array(q), scene.body.thickness)
 
 
 def _parameters(scene: LiftScene, theta: Theta) -> tuple[Parameter, ...]:
