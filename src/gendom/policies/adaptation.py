@@ -25,7 +25,7 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Item, size_of
 from gendom.materials.estimate import Estimate
 from gendom.policies.polishing import Discrepancy
-from gendom.policies.rollouts import Asking, Rollouts, side_by_side
+from gendom.policies.rollouts import Asking, side_by_side
 from gendom.reading import record_of
 from gendom.tasks import Task
 from gendom.tasks.task import World
@@ -180,7 +180,7 @@ def _simulated(
     """[V, N, G] what N executions reach with V vectors of unknowns, in units of similarity; NaN
     where one cannot be simulated."""
     items = [belief.at(v) for v in vectors for _ in executions]
-    outcomes = yield Rollouts(items=items, actions=[e.action for _ in vectors for e in executions])
+    outcomes = yield items, [e.action for _ in vectors for e in executions]
     found = np.full((len(items), len(task.goals)), np.nan)
     for row, outcome in zip(found, outcomes, strict=True):
         if outcome.fault is None:

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.arguments import require
 from gendom.errors import SimulationError
 from gendom.materials import Item, unit_of
-from gendom.policies.rollouts import Asking, Rollouts, central_differences, side_by_side, stencil
+from gendom.policies.rollouts import Asking, central_differences, side_by_side, stencil
 from gendom.tasks import Task
 from gendom.tasks.task import Outcome, World
 from gendom.tasks.world import Simulation
@@ -117,7 +117,7 @@ class _Problem:
         rows = np.repeat(np.array(actions) * self.units, K, axis=0)
         # objects of one size may differ in what they allow
         rows = [self.task.nearest(i, a) for i, a in zip(items, rows, strict=True)]
-        outcomes = yield Rollouts(items=items, actions=rows)
+        outcomes = yield items, rows
         self.rollouts += len(items)
         unit = self.goal_units[0] if self.task.goals else 1.0
         found = []

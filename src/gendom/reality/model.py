@@ -116,7 +116,7 @@ def build_model(
     *,
     arm: str = "",
     actuators: str = "",
-    hands: Sequence[str] = (),
+    hand: str = "",
     cameras: Sequence[Camera] = (),
     table: bool = True,
     timestep: float | None = None,
@@ -125,7 +125,7 @@ def build_model(
 ) -> Any:
     """Compile the scene.
 
-    Each vertex of the object has one connect constraint to each hand, named HAND_INDEX and
+    Each vertex of the object has one connect constraint to the hand, named HAND_INDEX and
     initially inactive; `Reality` switches them to attach and release. Vertices held by the stand
     are connected to the world.
 
@@ -134,7 +134,7 @@ def build_model(
         layout: Its initial placement.
         arm: Bodies of a robot, see `gendom.reality.arm`, or of a free hand.
         actuators: The robot's actuators.
-        hands: Names of bodies that can hold the object.
+        hand: Name of a body that can hold the object.
         cameras: Fixed cameras.
         table: Whether the scene has a table.
         timestep: Time step [s]; by default 1 ms for ropes, 4 ms for cloths.
@@ -152,9 +152,9 @@ def build_model(
     step = timestep or (ROPE_STEP if isinstance(item, RealRope) else CLOTH_STEP)
     flex, vertices = _flex(item, layout, step)
     connections = [
-        _connect(f"{hand}_{v}", f"object_{v}", hand, step, active=False)
-        for hand in hands
-        for v in range(vertices)
+        f'<connect name="{hand}_{v}" body1="object_{v}" body2="{hand}" anchor="0 0 0"'
+        f' active="false" {_firm(step)}/>'
+        for v in range(vertices if hand else 0)
     ]
     connections += [
         f'<connect name="stand_{v}" body1="object_{v}" anchor="0 0 0" {_firm(step)}/>'
@@ -314,14 +314,6 @@ def clamped_vertices(item: RealObject, layout: Layout) -> npt.NDArray[np.intp]:
     # A single row would be a hinge.
     second = np.unique(along.round(9))[1]
     return np.flatnonzero(along <= max(layout.clamped, second) + 1e-9)
-
-
-def _connect(name: str, body: str, hand: str, step: float, *, active: bool) -> str:
-    state = "true" if active else "false"
-    return (
-        f'<connect name="{name}" body1="{body}" body2="{hand}" anchor="0 0 0" active="{state}"'
-        f" {_firm(step)}/>"
-    )
 
 
 def _firm(step: float) -> str:

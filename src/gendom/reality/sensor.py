@@ -202,12 +202,23 @@ class RigErrors:
         return cls(clock_offset=0.001)
 
     def believed(self, cameras: Sequence[Camera], rng: np.random.Generator) -> list[Camera]:
-        """Return the cameras with erroneous calibrated poses, to be stored with their pictures.
+        """The cameras with erroneous calibrated poses, to be stored with their pictures.
+
+        Each is translated by a vector and rotated about its centre by a rotation vector. Both have
+        independent, identically distributed normal components, scaled so that their lengths have
+        the given RMS; a third of the draws is longer.
 
         Raises:
             RecordingError: One is not calibrated.
         """
-        return [camera.at(self._calibration_error(camera.calibrated(), rng)) for camera in cameras]
+        found = []
+        for camera in cameras:
+            T = np.array(camera.calibrated(), dtype=np.float64)
+            moved, turned = rng.normal(0.0, np.sqrt(1.0 / 3.0), (2, 3))
+            T[:3, 3] += self.translation * moved
+            T[:3, :3] = Rotation.from_rotvec(self.rotation * turned).as_matrix() @ T[:3, :3]
+            found.append(camera.at(T))
+        return found
 
     def stamp(self, camera: int, time: float) -> float:
         """Time stamp [s] that the camera with this index assigns to a true time [s]."""
@@ -216,21 +227,6 @@ class RigErrors:
     def stamp_of_robot(self, time: float) -> float:
         """Time stamp [s] that the robot assigns to a true time [s]."""
         return time + self.robot_clock
-
-    def _calibration_error(
-        self, T_world_camera: npt.NDArray[np.float64], rng: np.random.Generator
-    ) -> npt.NDArray[np.float64]:
-        """A pose [4, 4] [m] with a random calibration error.
-
-        The camera is translated by a vector and rotated about its centre by a rotation vector. Both
-        have independent, identically distributed normal components, scaled so that their lengths
-        have the given RMS; a third of the draws is longer.
-        """
-        T = np.array(T_world_camera, dtype=np.float64)
-        moved, turned = rng.normal(0.0, np.sqrt(1.0 / 3.0), (2, 3))
-        T[:3, 3] += self.translation * moved
-        T[:3, :3] = Rotation.from_rotvec(self.rotation * turned).as_matrix() @ T[:3, :3]
-        return T
 
 
 @lru_cache(maxsize=4)

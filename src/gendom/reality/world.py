@@ -170,7 +170,7 @@ class Reality:
             layout,
             arm=_FREE_HAND if robot is None else robot.xml(),
             actuators="" if robot is None else robot.actuators(),
-            hands=("hand",),
+            hand="hand",
             cameras=cameras,
             table=table,
             timestep=timestep,

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from gendom.viz.charts import Axis, Plot
-from gendom.viz.report.markup import DASH, Section, facts_list, folded, side_by_side, table
+from gendom.viz.report.markup import Section, facts_list, side_by_side
 from gendom.viz.report.summary import (
     EstimateSummary,
     finite,
     length_text,
     pascal_unit,
-    quantity_text,
 )
 
 _SERIES = 6  # colours of `report.css` for the starts of a search
@@ -28,7 +27,7 @@ _DISTANCES = {
 
 
 def search_section(summary: EstimateSummary) -> Section | None:
-    """Distance and E against iteration, where each start ended, and how well it fits."""
+    """Distance and E against iteration, and how well it fits."""
     factor, unit = pascal_unit(summary.values["E"])
     note = (
         "Root mean square, logarithmic scale. The search makes the fit as probable as it can be, "
@@ -39,7 +38,7 @@ def search_section(summary: EstimateSummary) -> Section | None:
         _chart(summary, "loss", "Distance of the clouds from the fit [mm]", 1e3, note),
         _chart(summary, "E", f"Young's modulus [{unit}]", factor),
     ]
-    parts = [side_by_side([f for f in figures if f]), _starts_table(summary), _facts(summary)]
+    parts = [side_by_side([f for f in figures if f]), _facts(summary)]
     body = "\n".join(part for part in parts if part)
     return Section(title="The search", body=body) if body else None
 
@@ -68,25 +67,6 @@ def _chart(summary: EstimateSummary, key: str, title: str, scale: float, note: s
     if true is not None:
         plot.level(scale * true, "truth", "true value")
     return plot.figure(title, note)
-
-
-def _starts_table(summary: EstimateSummary) -> str:
-    """Where each start of the search began and ended."""
-    starts = summary.values.get("starts") or []
-    if len(starts) < 2:
-        return ""
-    columns = {"Start": "name", "E at the start": "number", "ν at the start": "number"}
-    columns |= {"E found": "number", "ν found": "number", "distance": "number"}
-    rows = []
-    for k, start in enumerate(starts):
-        row = [f"start {k + 1}"]
-        for stage in ("initial", "final"):
-            for key in ("E", "nu"):
-                value = finite((start.get(stage) or {}).get(key))
-                row.append(DASH if value is None else quantity_text(key, value))
-        loss = finite(start.get("loss"))
-        rows.append([*row, DASH if loss is None else length_text(loss)])
-    return folded(f"All {len(starts)} starts", table(columns, rows))
 
 
 def _facts(summary: EstimateSummary) -> str:
