@@ -95,9 +95,8 @@ def test_a_frame_lasts_until_the_next():
     assert [scene.frame_at(t) for t in (-1.0, 0.0, 0.09, 0.1, 0.59, 5.0)] == [0, 0, 0, 1, 2, 3]
 
 
-def test_the_box_leaves_out_stray_points_and_what_is_not_framed():
-    arm = square(name="arm", framed=False, vertices=np.full((1, 4, 3), 5.0))
-    scene = ViewerScene(times=TIMES, layers=(cloud(), square(0.2), arm))
+def test_the_box_leaves_out_stray_points():
+    scene = ViewerScene(times=TIMES, layers=(cloud(), square(0.2)))
     np.testing.assert_allclose(scene.box[1], [0.4, 0.2, 0.26], atol=0.005)
     np.testing.assert_allclose(scene.box[0], 0.0, atol=0.005)
 

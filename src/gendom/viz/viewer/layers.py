@@ -6,20 +6,16 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import require
-from gendom.robot import Arm
 from gendom.sim import Body
 from gendom.tasks.cloth_spreading import lattice_triangles
 from gendom.viz.palette import INK, SIMULATED_COLOR
 from gendom.viz.report.summary import SHOWN_UNITS, with_minus
-from gendom.viz.sources import arm_capsules
-
-ARM_COLOR = "#d0d0d0"
 
 RING = 8
 """Points of a rod's skin around its centre line, see `gendom.sim.Body.surface`."""
@@ -46,7 +42,6 @@ class PointLayer:
     """T clouds [n_t, 3] [m]."""
     radius: float
     """A dot's radius [m]."""
-    framed: ClassVar[bool] = True
 
     def __len__(self) -> int:
         return len(self.points)
@@ -68,8 +63,6 @@ class MeshLayer:
     faces: NDArray[np.integer]
     """[F, 3] its triangles."""
     opacity: float = 1.0
-    framed: bool = True
-    """Whether the camera is placed so that it is seen."""
 
     def __len__(self) -> int:
         return len(self.vertices)
@@ -96,8 +89,6 @@ class ViewerScene:
     """[T] each: numbers over time, by name and unit."""
     facts: tuple[tuple[str, str], ...] = ()
     """Names and values to read."""
-    backdrop: Array | None = None
-    """[3] a place that the camera is to see behind everything else [m]; None: any."""
 
     @property
     def num_frames(self) -> int:
@@ -110,15 +101,14 @@ class ViewerScene:
 
     @cached_property
     def box(self) -> Array:
-        """[2, 3] lowest and highest corner of the layers that the camera is to show, without stray
-        points [m].
+        """[2, 3] lowest and highest corner of all layers, without stray points [m].
 
         Raises:
             ParameterError: There are no points at all.
         """
         ends = []
         for layer in self.layers:
-            points = layer.all_points() if layer.framed else ()
+            points = layer.all_points()
             if len(points):
                 # a depth camera's flying pixels would shrink everything else
                 share = (0.005, 0.995) if isinstance(layer, PointLayer) else (0.0, 1.0)
@@ -237,12 +227,6 @@ def gripper_layer(position: Array, size: float, axis: Array | None = None) -> Me
     vertices, faces = capsules(every, np.full(every.shape[1], 0.012 * size))
     color = "#" + "".join(f"{c:02x}" for c in INK)
     return MeshLayer(name="gripper", color=color, vertices=vertices, faces=faces)
-
-
-def arm_layer(arm: Arm, q: Array, opening: float, T_world_frame: Array) -> MeshLayer:
-    """An arm as capsules; arguments as of `arm_capsules`."""
-    vertices, faces = capsules(*arm_capsules(arm, q, opening, T_world_frame))
-    return MeshLayer(name="arm", color=ARM_COLOR, vertices=vertices, faces=faces, framed=False)
 
 
 def tube_faces(rings: int, sides: int) -> NDArray[np.integer]:

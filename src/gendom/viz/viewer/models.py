@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.datasets import Recording
-from gendom.errors import DatasetError, RobotError, SimulationError
+from gendom.errors import DatasetError, SimulationError
 from gendom.estimation import UNKNOWNS, LiftScene, Theta, chamfers, replay
 from gendom.estimation.replay import lattice, middle
-from gendom.materials import PARAMETERS, Item, from_columns, size_of, thickness_of, to_columns
+from gendom.materials import PARAMETERS, Item, from_columns, size_of, to_columns
 from gendom.reading import record_of
-from gendom.robot import XARM7, JointMotion, TcpPath, follow
 from gendom.tasks import Observed, Task, rebuild
 from gendom.tasks.world import Simulation
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_OPACITY
@@ -31,7 +30,6 @@ from gendom.viz.viewer.layers import (
     Parameter,
     PointLayer,
     ViewerScene,
-    arm_layer,
     capsules,
     gripper_layer,
     object_layer,
@@ -43,9 +41,6 @@ FRAMES = 160
 """Most frames shown of a demonstration."""
 
 GOAL_COLOR = "#009E73"
-
-_LATE = 1.02
-"""How many times longer than asked for the arm may take and still be shown."""
 
 _Array = NDArray[np.floating]
 
@@ -195,7 +190,6 @@ class DatasetModel:
         self.cases = ("demonstration", len(self._rows))
         cloth = self.task.kind == "cloth"
         self.notes = ("A cloth takes seconds to simulate.",) if cloth else ()
-        self._planned: dict[tuple, JointMotion | str] = {}
 
     def parameters(self, case: int) -> tuple[Parameter, ...]:
         """The action within its limits, and the object's parameters within those drawn."""
@@ -237,7 +231,7 @@ class DatasetModel:
     def simulate(
         self, case: int, values: Mapping[str, float], go_on: Callable[[], None]
     ) -> Iterator[ViewerScene]:
-        """The object under that action, then with the arm that would do it."""
+        """The object under that action."""
         task, item = self.task, self._item(case, values)
         asked = np.array([values[q.name] for q in task.actions])
         action = task.nearest(item, asked)
@@ -254,24 +248,12 @@ class DatasetModel:
         if not np.allclose(action, asked):
             numbers = ", ".join(f"{a:.4g}" for a in action)
             facts.append(("action", f"{numbers}: the nearest that is allowed"))
-        layers = self._layers(case, item, seen)
-        scene = task.scene(item)
-        base = np.linalg.inv(task.T_world_task(item))[:3, 3]
-        shown = {
-            "times": seen.times - seen.times[0],
-            "table_height": scene.table,
-            "backdrop": base,
-        }
-        path = task.tool_path(item, action)
-        if _key(path) not in self._planned:
-            yield ViewerScene(layers=layers, facts=tuple(facts), **shown)
-        arm = self._arm(path, item)
-        if isinstance(arm, str):
-            facts.append(("arm", arm))
-        else:
-            T = task.T_world_task(item)
-            layers += (arm_layer(XARM7, arm.at(seen.times), thickness_of(item), T),)
-        yield ViewerScene(layers=layers, facts=tuple(facts), **shown)
+        yield ViewerScene(
+            times=seen.times - seen.times[0],
+            layers=self._layers(case, item, seen),
+            table_height=task.scene(item).table,
+            facts=tuple(facts),
+        )
 
     def _item(self, case: int, values: Mapping[str, float] | None = None) -> Item:
         """A demonstration's object, with other parameters."""
@@ -317,26 +299,6 @@ class DatasetModel:
             vertices, faces = capsules(mark[[0, -1]][None, None], [share * size_of(item)])
             layers.append(MeshLayer(name="goal", color=GOAL_COLOR, vertices=vertices, faces=faces))
         return tuple(layers)
-
-    def _arm(self, path: TcpPath, item: Item) -> JointMotion | str:
-        """The arm's motion along a path, or why there is none; that of the last one is kept, since
-        objects of one size have the same."""
-        key = _key(path)
-        if key not in self._planned:
-            moved = path.moved(self.task.T_world_task(item))
-            try:
-                found = follow(XARM7, moved, slow_down=True, opening=thickness_of(item))
-                if found.slowed_by > _LATE:
-                    found = f"it would take {found.slowed_by:.2g} times as long"
-            except RobotError as error:
-                found = error.what
-            self._planned = {key: found}
-        return self._planned[key]
-
-
-def _key(path: TcpPath) -> tuple[bytes, ...]:
-    """The same for the same path alone."""
-    return tuple(a.tobytes() for a in (path.time, path.position, path.quat_xyzw))
 
 
 def _thinned(seen: Observed) -> Observed:

@@ -144,8 +144,6 @@ def camera_of(scene: ViewerScene, aspect: float = 1.0) -> tuple[Array, Array]:
     middle, (x, y, _) = 0.5 * (low + high), high - low
     turn = (-0.5 * math.pi if x >= y else 0.0) + _TURN
     towards = np.array([math.cos(turn), math.sin(turn), 0.0])
-    if scene.backdrop is not None and towards @ (scene.backdrop - middle) > 0.0:
-        towards = -towards
     direction = math.cos(_TILT) * towards + math.sin(_TILT) * np.array([0.0, 0.0, 1.0])
     radius = 0.5 * float(np.linalg.norm(high - low)) + 1e-3
     away = 1.05 * radius / math.sin(0.5 * FIELD_OF_VIEW) / min(aspect, 1.0)
