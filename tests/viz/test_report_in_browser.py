@@ -177,19 +177,6 @@ def test_dragging_turns_the_view_and_not_the_film(browser, report):
     assert film == before[0] and turned != before[1]
 
 
-def test_the_button_changes_the_colours_and_is_remembered(browser, report):
-    browser.open(report, width=800)
-    colour = "getComputedStyle(document.body).backgroundColor"
-    light, picture = browser.evaluate(colour), drawn(browser, "lift", "film")
-    browser.evaluate("document.getElementById('theme').click()")
-    assert browser.evaluate(colour) != light and drawn(browser, "lift", "film") != picture
-    dark = browser.evaluate(colour)
-    browser.open(report, width=800)
-    assert browser.evaluate(colour) == dark
-    browser.evaluate("document.getElementById('theme').click()")
-    assert browser.evaluate(colour) == light
-
-
 def test_contents_lead_to_sections(browser, report):
     browser.open(report, width=1280)
     links = browser.evaluate(

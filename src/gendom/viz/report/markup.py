@@ -110,7 +110,7 @@ style-src 'unsafe-inline'; script-src 'unsafe-inline'">
 <body>
 <div class="page">
 <nav class="contents" aria-label="Contents">
-<div class="bar"><strong>Contents</strong><button type="button" id="theme" hidden></button></div>
+<strong>Contents</strong>
 <ol>{links}</ol>
 </nav>
 <main>
@@ -118,7 +118,7 @@ style-src 'unsafe-inline'; script-src 'unsafe-inline'">
 </main>
 </div>
 <script>
-{_asset("report.js")}{_asset("viewer.js")}</script>
+{_asset("viewer.js")}</script>
 </body>
 </html>
 """

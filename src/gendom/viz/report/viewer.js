@@ -97,7 +97,7 @@
         turnBy(...step);
       });
       new ResizeObserver(() => this.draw()).observe(this.root);
-      document.addEventListener("themechange", () => this.draw());
+      matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
     }
 
     start() {
@@ -257,4 +257,7 @@
   }
 
   for (const root of document.querySelectorAll(".viewer")) new Viewer(root);
+  addEventListener("beforeprint", () => {
+    for (const folded of document.querySelectorAll("details")) folded.open = true;
+  });
 })();
