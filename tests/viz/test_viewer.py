@@ -13,6 +13,7 @@ from gendom.errors import GendomError
 from gendom.viz.viewer.layers import (
     MATERIAL,
     MeshLayer,
+    Model,
     Parameter,
     PointLayer,
     ViewerScene,
@@ -45,13 +46,13 @@ def cloud(**other):
     return PointLayer(**{**values, **other})
 
 
-class Square:
+class Square(Model):
     """A model whose square lies as high as its slider says."""
 
     title = "a square"
     notes = ("It is flat.",)
     cases = ("square", 3)
-    initial = ViewerScene(times=TIMES, layers=(cloud(),), table_height=0.0)
+    initial: ViewerScene = ViewerScene(times=TIMES, layers=(cloud(),), table_height=0.0)
 
     def __init__(self, seconds=0.0):
         self.seconds = seconds

@@ -88,7 +88,8 @@ def _connected(address: str) -> Iterator[Any]:
         except ImportError:
             fix = how_to_install("cluster")
             raise DeviceError("Ray is not installed", where="--cluster", fix=fix) from None
-        where = {"include_dashboard": False} if address == "local" else {"address": address}
+        where: dict[str, Any] = {"include_dashboard": False}
+        where = where if address == "local" else {"address": address}
         try:
             if own:
                 with warnings.catch_warnings():

@@ -17,6 +17,7 @@ from gendom.viz.palette import nice_step
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 10.0, 8.0, 40.0
 _WIDTH, _HEIGHT = 420.0, 250.0
+_MARKED = 5
 
 _MARKS = {"dot": "h0", "square": "h0", "cross": "m-7 0h14m-7 -7v14"}
 """How a mark is drawn from its place on: of dots and squares only the line's cap is seen."""
@@ -56,20 +57,20 @@ class Axis:
             return np.log(array / self.low) / math.log(self.high / self.low)
         return (array - self.low) / (self.high - self.low)
 
-    def ticks(self, most: int = 5) -> list[float]:
-        """Values that are marked: about `most`."""
+    def ticks(self) -> list[float]:
+        """Values that are marked: about `_MARKED`."""
         if not self.log or self.high / self.low < 3.0:
-            step = nice_step((self.high - self.low) / most)
+            step = nice_step((self.high - self.low) / _MARKED)
             ends = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
             return [k * step for k in range(ends[0], ends[1] + 1)]
         decades = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
-        every = max(1, math.ceil(math.log10(self.high / self.low) / most))
+        every = max(1, math.ceil(math.log10(self.high / self.low) / _MARKED))
         within = [
             (k, k * 10.0**d)
             for d in decades if d % every == 0
             for k in (1, 2, 5) if self.low <= k * 10.0**d <= self.high
         ]  # fmt: skip
-        fine = len(within) <= most + 1
+        fine = len(within) <= _MARKED + 1
         return [value for k, value in within if k == 1 or fine]
 
 
@@ -110,12 +111,12 @@ class Plot:
         places = "".join(f"M{a:.1f} {b:.1f}{_MARKS[shape]}" for a, b in self._places(x, y))
         self._add(f'<path class="{kind} marks {shape}" d="{places}"/>', kind, label, shape)
 
-    def area(self, x: npt.ArrayLike, y: npt.ArrayLike, kind: str, label: str = "") -> None:
+    def area(self, x: npt.ArrayLike, y: npt.ArrayLike, kind: str) -> None:
         """What lies between a line and the lower end."""
         (first, _), *_, (last, _) = self._places(x, y)
         base = self._bottom
         path = f"{self._through(x, y)}L{last:.1f} {base:.1f}L{first:.1f} {base:.1f}Z"
-        self._add(f'<path class="{kind} area" d="{path}"/>', kind, label, "area")
+        self._drawn.append(f'<path class="{kind} area" d="{path}"/>')
 
     def upright(self, x: float, kind: str, label: str = "") -> None:
         """A dashed line from top to bottom."""

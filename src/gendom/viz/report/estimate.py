@@ -75,7 +75,7 @@ def parameters_section(summary: EstimateSummary) -> Section:
             row.append(DASH if interval is None else interval_text(key, interval))
         if knows_truth and true is None:
             row += [DASH, DASH]
-        elif knows_truth:
+        elif true is not None:
             row += [quantity_text(key, true), difference_text(key, value, true)]
         rows.append([*row, _remark(key, summary)])
     return Section(title="The estimate", body=table(columns, rows))

@@ -80,9 +80,10 @@ def _unknown(
         height=190.0,
     )
     for of, kind, between in ((prior, "prior", part), (after, "posterior", ends(after, sds))):
-        at = np.linspace(*np.clip(between, *part), 241)
+        first, last = np.clip(between, *part)
+        at = np.linspace(first, last, 241)
         plot.area(shown(at), [of.pdf(x) for x in at], kind)
-        at = np.linspace(*part, 241)
+        at = np.linspace(part[0], part[1], 241)
         plot.line(shown(at), [of.pdf(x) for x in at], kind, kind)
     plot.entries.append(("posterior", f"{summary.level_text} interval", "area"))
     if true is not None:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -149,7 +148,7 @@ class Parameter:
         return with_minus(f"{factor * value:.3g} {unit}".rstrip())
 
 
-class Model(Protocol):
+class Model:
     """Something to view."""
 
     title: str
@@ -163,7 +162,7 @@ class Model(Protocol):
 
     def parameters(self, case: int) -> tuple[Parameter, ...]:
         """Parameters of a case; of the same names in all cases."""
-        ...
+        raise NotImplementedError
 
     def simulate(
         self, case: int, values: Mapping[str, float], go_on: Callable[[], None]
@@ -178,7 +177,7 @@ class Model(Protocol):
         Raises:
             ParameterError: It cannot be simulated.
         """
-        ...
+        raise NotImplementedError
 
 
 def object_layer(

@@ -27,6 +27,7 @@ from gendom.viz.viewer.layers import (
     SETUP,
     Layer,
     MeshLayer,
+    Model,
     Parameter,
     PointLayer,
     ViewerScene,
@@ -42,10 +43,8 @@ FRAMES = 160
 
 GOAL_COLOR = "#009E73"
 
-_Array = NDArray[np.floating]
 
-
-class RecordingModel:
+class RecordingModel(Model):
     """A recording that is replayed with the parameters of sliders.
 
     Args:
@@ -61,8 +60,8 @@ class RecordingModel:
         notes = list(scene.notes)
         if scene.kind == "cloth" or not scene.thin:
             notes.insert(0, "This takes longer to simulate than a rope as a rod.")
-        self.notes: tuple[str, ...] = tuple(notes)
-        self.initial: ViewerScene | None = self._shown(())
+        self.notes = tuple(notes)
+        self.initial = self._shown(())
         self._parameters = _parameters(scene, theta)
 
     @classmethod
@@ -157,7 +156,7 @@ def _facts(scene: LiftScene, theta: Theta) -> tuple[tuple[str, str], ...]:
     return tuple(facts)
 
 
-class DatasetModel:
+class DatasetModel(Model):
     """Demonstrations of a set, one at a time, with other actions and parameters on request.
 
     Args:
@@ -168,7 +167,7 @@ class DatasetModel:
         ParameterError: Its task is unknown here.
     """
 
-    initial: ViewerScene | None = None
+    initial = None
 
     def __init__(self, folder: Path):
         from gendom.datasets.demonstrations import load, read_description
