@@ -85,6 +85,8 @@ def _facts(summary: EstimateSummary) -> str:
             facts.append((name, f"{value:.4g}"))
     held = dict(values.get("object") or {})
     kind, mass = str(held.pop("kind", "")), finite(held.pop("mass", None))
+    if kind == "rope":
+        held.pop("thickness", None)  # a rope's is a share of its diameter
     known = [f"{n} {length_text(v)}" for n, v in held.items() if finite(v) is not None]
     known += [] if mass is None else [f"mass {mass:.4g} kg"]
     return facts_list([*facts, *([("object", ", ".join([kind, *known]))] if kind else [])])
