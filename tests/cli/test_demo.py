@@ -8,9 +8,8 @@ import pytest
 import tyro
 
 from gendom import cli
-from gendom.cli.demo import Command
+from gendom.cli.demo import Command, next_steps
 from gendom.cli.parsing import command_line
-from gendom.viz.report.demo import next_steps
 
 
 @pytest.mark.parametrize(

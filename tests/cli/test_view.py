@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ import pytest
 from gendom import cli
 from gendom.cli.replay import of_all_frames, replay_setup
 from gendom.cli.view import find_recording
-from gendom.datasets import Recording
 from gendom.errors import DatasetError, GendomError, SimulationError
 from gendom.estimation import LiftScene, Theta, chamfers, replay
 from gendom.files import write_json
@@ -117,30 +115,6 @@ def test_a_cloth_is_a_lattice_and_says_that_it_takes_longer(cloth_lift):
     rows, columns = model.scene.body.shape
     assert len(cloth.faces) == 2 * (rows - 1) * (columns - 1)
     assert "longer" in model.notes[0] and "yaw" in {p.name for p in model.parameters(0)}
-
-
-def test_a_named_arm_holds_the_object():
-    """The tool points of the drawn arm are where the gripper was."""
-    path = files("gendom").joinpath("assets/demo-rope-lift.npz")
-    recording = Recording.read(str(path)).head(6)
-    assert recording.extra["robot"] == "xarm7"
-    arm = layers(RecordingModel.of(recording, "a lift").initial)["arm"]
-    assert isinstance(arm, MeshLayer) and not arm.framed
-    for t in (0, 5):
-        tips = np.linalg.norm(arm.vertices[t] - recording.gripper_position[t, 0], axis=1)
-        assert tips.min() < 0.02
-    far = replace(recording, extra={**recording.extra, "robot": "another"})
-    assert "arm" not in layers(RecordingModel.of(far, "a lift").initial)
-
-
-def test_an_arm_that_cannot_reach_is_not_drawn(lifted):
-    away = replace(
-        lifted,
-        points=lifted.points + np.array([3.0, 0.0, 0.0], np.float32),
-        gripper_position=lifted.gripper_position + np.array([3.0, 0.0, 0.0]),
-        extra={"robot": "xarm7"},
-    )
-    assert "arm" not in layers(RecordingModel.of(away, "a lift").initial)
 
 
 def test_an_unknown_object_begins_in_the_middle(lifted):
@@ -258,29 +232,10 @@ def casts_model(casts):
 def test_a_demonstration_is_simulated_as_it_was(casts_model):
     """Its own action and parameters reach its own goal."""
     assert casts_model.cases == ("demonstration", 3)
-    before, after = shown(casts_model, 1)  # no other test plans its arm before
-    assert list(layers(before)) == ["object", "gripper", "goal"]
-    assert list(layers(after)) == ["object", "gripper", "goal", "arm"]
+    (after,) = shown(casts_model, 1)
+    assert list(layers(after)) == ["object", "gripper", "goal"]
     assert len(after.times) <= FRAMES and after.times[0] == 0.0
     assert re.search(r"missed by (0|\d\S*e-\d\d) m", dict(after.facts)["goal"])
-
-
-def test_the_arm_s_fingers_are_where_the_rope_is_held(casts_model):
-    """Within a few centimetres of the tool point at all times."""
-    found = layers(shown(casts_model)[-1])
-    hand = found["gripper"].vertices.mean(axis=1)
-    away = np.linalg.norm(found["arm"].vertices - hand[:, None], axis=-1).min(axis=1)
-    assert away.max() < 0.05
-    assert not found["arm"].framed
-
-
-def test_the_arm_stays_while_only_the_material_changes(casts_model):
-    """It is planned once for a path, and then shown at once."""
-    shown(casts_model)
-    (scene,) = shown(casts_model, nu=0.25)
-    assert "arm" in layers(scene)
-    before, _ = shown(casts_model, way=0.15)
-    assert "arm" not in layers(before)
 
 
 def test_another_action_and_stiffness_go_elsewhere(casts_model):

@@ -65,7 +65,7 @@ def test_a_new_unknown_is_found_everywhere(unknown, rope_lift, tmp_path, capsys)
     page = report.read_text(encoding="utf-8").lower()
     assert unknown.title in page
     if unknown.material:
-        assert f'class="name">{unknown.title}</td>' in page  # a row of the parameters
+        assert f'class="name" data-label="quantity">{unknown.title}</td>' in page
         assert unknown.title in page.split("usable.", 1)[1].split("</p>", 1)[0]  # the verdict
     scene = LiftScene.of(rope_lift.seen(), rope_lift.settings)
     assert unknown.name in [p.name for p in _parameters(scene, found.theta)]

@@ -9,11 +9,32 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gendom.perception import Camera, PngWriter
-from gendom.reality.sensor import BASELINE, DepthSensor
+from gendom.perception import Camera, Pictures, PngWriter
+from gendom.reality.sensor import BASELINE
 
-EXACT = DepthSensor.exact(colour_noise=3.0)
-NOISE = DepthSensor.exact(subpixel=0.08, quantisation=1.0 / 32.0, colour_noise=3.0)
+
+@dataclass(frozen=True)
+class Sensor:
+    """Only white noise and steps of the disparity [pixel], and noise of the colour."""
+
+    subpixel: float = 0.0
+    quantisation: float = 0.0
+
+    def observe(self, depth, colour, camera, rng):
+        if self.quantisation:
+            fB = camera.K[0, 0] * BASELINE
+            disparity = np.divide(fB, depth, out=np.zeros_like(depth), where=depth > 0.0)
+            noisy = disparity + self.subpixel * rng.standard_normal(depth.shape)
+            noisy = np.round(noisy / self.quantisation) * self.quantisation
+            seen = (depth > 0.0) & (noisy > 0.0)
+            depth = np.divide(fB, noisy, out=np.zeros_like(depth), where=seen)
+        colour = np.clip(np.rint(colour + 3.0 * rng.standard_normal(colour.shape)), 0.0, 255.0)
+        counts = np.round(depth / camera.depth_unit)
+        return Pictures(np.where(counts < 65536, counts, 0).astype("u2"), colour.astype("u1"))
+
+
+EXACT = Sensor()
+NOISE = Sensor(subpixel=0.08, quantisation=1.0 / 32.0)
 RED, BLUE, GREY = (180, 30, 35), (30, 60, 170), (150, 150, 145)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from gendom.perception import CameraView, Capsules, CloudSettings, perceive_frame
 from gendom.perception.colour import ObjectColour, lab
-from gendom.reality.sensor import DepthSensor
+from gendom.reality import sensor
 
 
 def settings(low=(-0.4, -0.4, -0.1), high=(0.4, 0.4, 0.5), **other):
@@ -85,9 +85,7 @@ def test_whole_sensor_has_no_bias_either(world, name):
     cameras = [world.make_camera(), world.make_camera("right", eye=(0.1, 0.65, 0.47))]
     views = [CameraView(camera, settings()) for camera in cameras]
     scene = world.Scene([world.Plane(), thing])
-    pictures = [
-        scene.pictures(camera, sensor=DepthSensor(), seed=k) for k, camera in enumerate(cameras)
-    ]
+    pictures = [scene.pictures(camera, sensor=sensor, seed=k) for k, camera in enumerate(cameras)]
     for view, seen in zip(views, pictures, strict=True):
         view.find_table(seen.depth, 0.0)
     cloud = perceive_frame(views, pictures, colour=ObjectColour.near(lab(world.RED)))

@@ -133,7 +133,7 @@ def seen(world, tmp_path_factory):
         frames=frames,
         rope=False,
         things=scene,
-        sensor=world.DepthSensor.exact(subpixel=0.04, quantisation=1.0 / 64.0, colour_noise=3.0),
+        sensor=world.Sensor(subpixel=0.04, quantisation=1.0 / 64.0),
         time=lambda k, t: t / rate,
         cameras=[
             world.make_camera("left", eye=(0.45, -0.65, 0.47), target=(0.45, 0.0, 0.1), scale=0.5),

@@ -9,7 +9,8 @@ import pytest
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Cloth, dimensionless_parameters, size_of
 from gendom.materials.estimate import Estimate
-from gendom.policies.adaptation import AdaptSettings, Execution, adapt, executions_from
+from gendom.policies import adaptation
+from gendom.policies.adaptation import Execution, adapt, executions_from
 from gendom.policies.belief import uncertain
 from gendom.policies.polishing import polish
 from gendom.tasks import ClothSpreading
@@ -22,7 +23,6 @@ POSTERIOR = {
 }
 KNOWN = ("nu", "friction")
 TRUE = replace(ROPE, material=replace(ROPE.material, E=7.7e5, damping=0.009))
-EXACT = AdaptSettings(discrepancy=1e-5, noise=1e-5)
 
 
 EVERY = ("E_over_rho", "nu", "damping", "friction")
@@ -39,10 +39,12 @@ def executed(x, z, *, off=0.0, item=TRUE) -> Execution:
     return Execution(action=L * np.array([x, z]), reached=np.array([reached]))
 
 
-def test_two_exact_executions_tell_what_one_cannot():
+def test_two_exact_executions_tell_what_one_cannot(monkeypatch):
     """E and damping move the reach alike, so the sum is learnt; the prior shares it out."""
+    monkeypatch.setattr(adaptation, "DISCREPANCY", 1e-5)
+    monkeypatch.setattr(adaptation, "NOISE", 1e-5)
     belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
-    found = adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(), settings=EXACT).belief
+    found = adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws()).belief
     alike = dimensionless_parameters(found.most_likely)
     (reached,) = executed(0.4, 0.4).reached / ROPE.length
     assert reach_of(0.4, 0.4, alike["bending_ratio"], alike["damping"]) == pytest.approx(
@@ -58,11 +60,10 @@ def test_two_exact_executions_tell_what_one_cannot():
 def test_belief_is_that_of_the_linear_model():
     """Near its mean the world is linear: mean and covariance are Kalman's."""
     belief = belief_of(ROPE, POSTERIOR, known=(*KNOWN, "damping"))
-    settings = AdaptSettings(discrepancy=0.01, noise=0.002)
     seen = executed(0.4, 0.4, item=replace(ROPE, material=replace(ROPE.material, E=8.1e5)))
-    found = adapt(TASK, belief, [seen], world=Throws(), settings=settings)
+    found = adapt(TASK, belief, [seen], world=Throws())
     slope = 0.6 * 0.4 / 3.0  # the bending length goes by the cube root of E
-    variance = 0.01**2 + 0.002**2
+    variance = 0.008**2 + 0.002**2
     gain = 0.05**2 * slope / (slope**2 * 0.05**2 + variance)
     assert found.belief.mean[0] - belief.mean[0] == pytest.approx(
         gain * slope * math.log(8.1 / 8.0), rel=1e-3

@@ -8,7 +8,7 @@ import pytest
 from gendom.errors import ParameterError, PolicyError, SimulationError
 from gendom.materials import PARAMETERS, Rope, dimensionless_parameters, size_of
 from gendom.policies import Column, Description, GoalRange, Policy
-from gendom.policies.evaluation import draw_cases, score
+from gendom.policies.evaluation import choose, draw_cases, judge, score
 from gendom.tasks import RopeReaching
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
@@ -94,7 +94,7 @@ def test_exact_policy_has_no_error_and_blind_policy_has():
 def test_a_policy_may_know_less_than_the_truth():
     cases = draw_cases(TASK, 40, seed=3, simulation=Quick())
     wrong = [replace(i, material=replace(i.material, E=i.material.E * 1.1**3)) for i in cases.items]
-    result = score(make_policy(), cases, world=Quick(), known=wrong)
+    result = judge(cases, choose(make_policy(), cases, known=wrong), world=Quick())
     off = 0.25 * 0.15 * np.log(1.1)
     assert result.error[free(result)] == pytest.approx(off, abs=1e-6)
 

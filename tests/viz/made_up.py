@@ -8,16 +8,15 @@ from PIL import Image
 
 from gendom.viz import (
     ActionSummary,
-    CameraViews,
     CloudSequence,
     EstimateSummary,
     LiftPictures,
-    NextStep,
     PolicyRun,
     Provenance,
     ReachOutcome,
     ReportContent,
 )
+from gendom.viz.report.action import WITH, WITHOUT
 
 POSTERIOR = {
     "names": ["E_over_rho", "grip_height"],
@@ -71,15 +70,15 @@ def estimate(**changes):
 
 def run(reached):
     reached = np.array(reached)
-    path = np.stack([np.linspace(0.1, reached.flat[0], 9), np.zeros(9), np.ones(9)], axis=1)
-    return PolicyRun(
-        action=np.array([0.2, 0.5]), reached=reached, tip_path=path, shape_at_release=path[::-1]
-    )
+    path = np.stack([np.linspace(0.1, reached[0], 9), np.zeros(9), np.ones(9)], axis=1)
+    return PolicyRun(action=np.array([0.2, 0.5]), reached=reached, tip_path=path)
 
 
 def outcomes():
     return [
-        ReachOutcome(goal=np.array(goal), ours=run(goal + 0.004), without=run(goal - 0.02))
+        ReachOutcome(
+            goal=np.array([goal]), runs={WITH: run([goal + 0.004]), WITHOUT: run([goal - 0.02])}
+        )
         for goal in (0.3, 0.35, 0.4)
     ]
 
@@ -94,7 +93,7 @@ def content(recorded_lift, **changes):
     parts = {
         "title": "A rope",
         "recording_source": "Made by a simulator.",
-        "cameras": CameraViews(picture=picture()),
+        "cameras": picture(),
         "lift": LiftPictures(clouds=CloudSequence(**recorded_lift)),
         "estimate": EstimateSummary(
             values=estimate(),
@@ -104,6 +103,6 @@ def content(recorded_lift, **changes):
         "provenance": Provenance(
             commands=("gendom demo",), seeds={"all": 7}, stage_seconds={"estimate": 3.0}
         ),
-        "next_steps": [NextStep(command="gendom check a.npz", purpose="Look at it.")],
+        "next_steps": [("gendom check a.npz", "Look at it.")],
     }
     return ReportContent(**parts | changes)

@@ -14,9 +14,9 @@ def count(image):
 
 def test_frames_durations_and_loop(make_lift, tmp_path):
     path = tmp_path / "lift.gif"
-    write_gif(path, CloudSequence(**make_lift(frames=20)), fps=12.5, max_frames=8, width=320)
+    write_gif(path, CloudSequence(**make_lift(frames=8)))
     with Image.open(path) as image:
-        assert (image.format, count(image), image.width) == ("GIF", 8, 320)
+        assert (image.format, count(image), image.width) == ("GIF", 8, 640)
         assert image.info["loop"] == 0
         durations = []
         for t in range(8):
@@ -35,7 +35,7 @@ def test_equal_frames_are_not_merged(make_lift, tmp_path):
     lift["gripper"] = None
     lift["chamfer"] = None
     for name in ("a.gif", "b.gif"):
-        write_gif(tmp_path / name, CloudSequence(**lift), width=320)
+        write_gif(tmp_path / name, CloudSequence(**lift))
     with Image.open(tmp_path / "a.gif") as image:
         assert count(image) == 5
     assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
@@ -49,19 +49,10 @@ def test_a_long_lift_stays_small(make_lift, tmp_path):
         assert count(image) == 60
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"fps": 0.0}, "fps: is 0; give 1 to 50"),
-        ({"fps": float("nan")}, "fps: is nan"),
-        ({"max_frames": 0}, "max_frames: is 0"),
-        ({"view": "yx"}, "view: is 'yx'"),
-    ],
-)
-def test_bad_input_keeps_the_old_file(make_lift, tmp_path, change, message):
+def test_bad_input_keeps_the_old_file(make_lift, tmp_path):
     path = tmp_path / "lift.gif"
     path.write_text("old")
-    with pytest.raises(GendomError, match=message):
-        write_gif(path, CloudSequence(**make_lift(frames=3)), **change)
+    with pytest.raises(GendomError, match="view: is 'yx'"):
+        write_gif(path, CloudSequence(**make_lift(frames=3)), view="yx")
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]

@@ -82,7 +82,7 @@ def act(browser, element, change, event="input"):
 
 
 @pytest.mark.parametrize("dark", [False, True])
-@pytest.mark.parametrize("width", [390, 800, 1160, 1280])
+@pytest.mark.parametrize("width", [390, 800, 1280])
 def test_it_fits_and_is_silent(browser, report, width, dark):
     browser.open(report, width=width, dark=dark)
     browser.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
@@ -144,18 +144,13 @@ def test_layers_go_and_come_back(browser, report, layer):
     assert (drawn(browser, "motion", "film"), drawn(browser, "motion", "turning")) == before
 
 
-@pytest.mark.parametrize("width", [390, 800])
-def test_fade_and_side_by_side(browser, report, width):
-    browser.open(report, width=width)
+def test_one_cloud_fades_into_the_other(browser, report):
+    browser.open(report, width=390)
     pictures = [drawn(browser, "lift", "film")]
     for fade in (-1, 1):
         act(browser, "#lift input.fade", f"value = {fade}")
         pictures.append(drawn(browser, "lift", "film"))
-    act(browser, "#lift input.fade", "value = 0")
-    act(browser, "#lift select.layout", "value = 'beside'")
-    pictures.append(drawn(browser, "lift", "film"))
-    assert len(set(pictures)) == 4
-    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    assert len(set(pictures)) == 3
 
 
 def test_dragging_turns_the_view_and_not_the_film(browser, report):
@@ -180,19 +175,6 @@ def test_dragging_turns_the_view_and_not_the_film(browser, report):
         )
     film, turned = (drawn(browser, "lift", canvas) for canvas in ("film", "turning"))
     assert film == before[0] and turned != before[1]
-
-
-def test_the_button_changes_the_colours_and_is_remembered(browser, report):
-    browser.open(report, width=800)
-    colour = "getComputedStyle(document.body).backgroundColor"
-    light, picture = browser.evaluate(colour), drawn(browser, "lift", "film")
-    browser.evaluate("document.getElementById('theme').click()")
-    assert browser.evaluate(colour) != light and drawn(browser, "lift", "film") != picture
-    dark = browser.evaluate(colour)
-    browser.open(report, width=800)
-    assert browser.evaluate(colour) == dark
-    browser.evaluate("document.getElementById('theme').click()")
-    assert browser.evaluate(colour) == light
 
 
 def test_contents_lead_to_sections(browser, report):

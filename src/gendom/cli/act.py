@@ -301,7 +301,7 @@ def predicted(
         seed: Of the simulator's error, as `gendom.policies.adaptation` expects it.
         world: Where it is simulated.
     """
-    from gendom.policies.adaptation import AdaptSettings
+    from gendom.policies.adaptation import DISCREPANCY
 
     items = [item, *others]
     outcomes = world.carry_out(task, items, np.tile(action, (len(items), 1)))
@@ -317,7 +317,7 @@ def predicted(
         some = np.array([[v[name] for name in names] for v in values])
         if task.goals:
             error = np.random.default_rng(seed).normal(size=some.shape)
-            some += AdaptSettings().discrepancy * task.goal_units(item) * error
+            some += DISCREPANCY * task.goal_units(item) * error
         ends = np.quantile(some, [0.05, 0.95], axis=0).T
         found["interval_90"] = dict(zip(names, ends.tolist(), strict=True))
     return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -25,8 +26,7 @@ if TYPE_CHECKING:
     from gendom.estimation import FittedEstimate
     from gendom.policies import Policy
     from gendom.reality import RealRope
-    from gendom.viz import CloudSequence, PolicyRun, ReachOutcome
-    from gendom.viz.report.demo import DemoReport
+    from gendom.viz import ActionSummary, CloudSequence, PolicyRun, ReachOutcome
 
 RECORDING, VIEWS = "demo-rope-lift.npz", "demo-rope-lift.jpg"
 """The demo's recording in the package's assets, and what its cameras saw halfway: made by
@@ -37,6 +37,13 @@ SHIPPED = "rope-cotton"
 
 GOALS = 3
 """Default number of goals."""
+
+ACTS = ", and an action that reaches its goal"
+
+CAMERAS_NOTE = (
+    "Halfway up. Depth has the noise of a stereo camera, lost and mixed pixels at edges, and an "
+    "error of calibration. The arm's points are removed by its joint angles."
+)
 
 _log = logging.getLogger(__name__)
 
@@ -77,7 +84,14 @@ class Command:
 
     def run(self) -> int:
         from gendom.sim import open_device
-        from gendom.viz.report.demo import DemoReport
+        from gendom.viz import (
+            EstimateSummary,
+            LiftPictures,
+            Provenance,
+            ReportContent,
+            write_report,
+        )
+        from gendom.viz.report.content import SUMMARY
         from gendom.viz.sources import arm_of_lift, clouds_of
 
         check_folder(self.out)
@@ -102,24 +116,35 @@ class Command:
         recording.write(self.out / "recording.npz")
         assert found.scene is not None and found.positions is not None
         clouds = clouds_of(found.scene, found.positions, found.theta, found.chamfer)
-        report = DemoReport(
-            out=self.out,
-            task=self.task,
-            command=command_line("demo", self, without=("json",)),
-            device=self.device,
-            seed=self.seed,
-            recording=recording,
-            views=views,
-            estimate=found,
-            truth=truth,
-            seconds=seconds,
-        )
+        action = None
         if found.usable:
-            self._act(rope, policies, goals, found, clouds, report)
-        else:
-            for reason in found.verdict.reasons:
-                _log.error("not usable: %s", reason)
-            report.write(arm_of_lift(clouds, rope), summary=NOT_USABLE_SUMMARY)
+            action = self._act(rope, policies, goals, found, clouds, seconds)
+        for reason in found.verdict.reasons:
+            _log.error("not usable: %s", reason)
+        content = ReportContent(
+            title=f"GenDOM: one lift of an unknown rope{ACTS if action else ''}",
+            summary=SUMMARY if found.usable else NOT_USABLE_SUMMARY,
+            recording_source=_source(recording, acts=action is not None),
+            cameras=views,
+            cameras_note=CAMERAS_NOTE,
+            lift=LiftPictures(clouds=arm_of_lift(clouds, rope)),
+            estimate=EstimateSummary(values=found.record, truth=truth),
+            action=action,
+            provenance=Provenance(
+                commands=[command_line("demo", self, without=("json",))],
+                device=self.device,
+                seeds={"estimate": self.seed},
+                stage_seconds=seconds,
+                warnings=found.record["notes"],
+            ),
+            next_steps=[
+                (shlex.join(map(str, words)), purpose)
+                for words, purpose in next_steps(
+                    self.out, self.task, action.outcomes[0].goal.tolist() if action else None
+                )
+            ],
+        )
+        write_report(self.out / "report.html", content)
         print(f"report: {printable(self.out / 'report.html')}")
         return 0 if found.usable else NOT_USABLE
 
@@ -181,15 +206,14 @@ class Command:
         goals: np.ndarray,
         found: FittedEstimate,
         clouds: CloudSequence,
-        report: DemoReport,
-    ) -> None:
-        """Let the arm act for each goal, say what it reached, and write all files."""
-        from gendom.cli.demo_actions import VARIANTS, carry_out, predicted, runs_of
+        seconds: dict[str, float],
+    ) -> ActionSummary:
+        """Let the arm act for each goal, say what it reached, and write it."""
+        from gendom.cli.demo_actions import VARIANTS, carry_out, predicted
         from gendom.policies.belief import believed
         from gendom.viz import ActionSummary, write_gif
-        from gendom.viz.sources import arm_of_lift
 
-        task, seconds = policies[0].task(), report.seconds
+        task = policies[0].task()
         with _timed(seconds, "act and carry out"):
             belief = believed(found, task)
             outcomes, shown = carry_out(rope, policies, goals, belief, self.seed)
@@ -197,28 +221,70 @@ class Command:
             motion = predicted(task, shown, belief.item, self.device)
         entries: list[dict[str, Any]] = []
         for outcome in outcomes:
-            ours, runs = outcome.ours, runs_of(outcome)
+            runs = outcome.runs
+            ours, *_ = runs.values()
             named = zip(task.actions, ours.action, strict=True)
             action = ", ".join(f"{q.name} {value:.3f} {q.unit}" for q, value in named)
             print(f"goal {_place(outcome.goal)} m: {action}, reached {_place(ours.reached)} m")
-            off = (f"{VARIANTS[w]} {1e3 * outcome.error(run):.1f} mm" for w, run in runs.items())
+            off = (f"{name} {1e3 * outcome.error(run):.1f} mm" for name, run in runs.items())
             print(f"  off by: {', '.join(off)}")
-            entry = {name: _entry(outcome, run) for name, run in runs.items()}
+            entry = {key: _entry(outcome, runs[name]) for key, name in VARIANTS.items()}
             entries.append({"goal": outcome.goal.tolist(), **entry})
         actions = {"format": "gendom-demo/2", "task": task.name, "outcomes": entries}
-        with _timed(seconds, "pictures and report"):
+        with _timed(seconds, "film"):
             write_gif(self.out / "lift.gif", clouds)
             write_json(self.out / "actions.json", actions)
-            action = ActionSummary(
-                outcomes=outcomes,
-                motion=motion,
-                goal_name=", ".join(f"{q.name} {q.meaning}" for q in task.goals),
-                action_names=[f"{q.name.replace('_', ' ')} [{q.unit}]" for q in task.actions],
-            )
-            report.write(arm_of_lift(clouds, rope), action=action)
         if self.json:
             print(to_json({"estimate": found.record, **actions, "seconds": seconds}))
         print()
+        return ActionSummary(
+            outcomes=outcomes,
+            motion=motion,
+            goal_name=", ".join(f"{q.name} {q.meaning}" for q in task.goals),
+            action_names=[f"{q.name.replace('_', ' ')} [{q.unit}]" for q in task.actions],
+        )
+
+
+def _source(recording: Recording, *, acts: bool) -> str:
+    """Where the recording comes from."""
+    text = (
+        f"Recorded in the MuJoCo test scene (the second reality). {recording.notes} This scene has "
+        "other equations than the simulator that estimates. A simulated arm moves the rope, and "
+        "two simulated depth cameras see it."
+    )
+    return text + " The actions below are carried out in the same scene." * acts
+
+
+def next_steps(out: Path, task: str, goal: Sequence[float] | None) -> list[tuple[list[Any], str]]:
+    """Commands that go on from the demo's files, and what each does; without a goal there is no
+    usable estimate."""
+    recording, estimate = out / "recording.npz", out / "estimate.json"
+    other = "rope-reaching" if task == "rope-casting" else "rope-casting"
+    steps: list[tuple[list[Any], str]] = [
+        (["gendom", "check", recording], "See what the recording holds."),
+        (
+            ["gendom", "estimate", recording, "--frames", "last", "--out", out / "last",
+             "--report", out / "last" / "report.html"],
+            "Estimate from the last frame alone, with a report of its own.",
+        ),
+    ]  # fmt: skip
+    if goal is None:
+        return steps
+    return [
+        *steps,
+        (
+            ["gendom", "replay", recording, "--params", estimate, "--gif", out / "replay.gif"],
+            "Simulate the recorded lift, every frame of it, with the estimate.",
+        ),
+        (
+            ["gendom", "act", task, "--goal", *goal, "--params", estimate],
+            "Get an action for a goal, the robot's motion, and what will be reached.",
+        ),
+        (
+            ["gendom", "demo", "--task", other, "--out", f"{out}-{other}"],
+            "Run the demo with the other task.",
+        ),
+    ]
 
 
 def _given_goals(numbers: Sequence[float], policy: Policy, rope: RealRope) -> np.ndarray:

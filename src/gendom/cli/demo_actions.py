@@ -18,11 +18,12 @@ from gendom.reality import RealRope, RealWorld, observe
 from gendom.tasks import Observed, Task
 from gendom.tasks.world import Simulation
 from gendom.viz import CloudSequence, PolicyRun, ReachOutcome
+from gendom.viz.report.action import WITH, WITHOUT
 from gendom.viz.sources import arm_poses, goal_mark
 
 VARIANTS = {
-    "with_parameters": "with the estimate",
-    "without_parameters": "without parameters",
+    "with_parameters": WITH,
+    "without_parameters": WITHOUT,
     "polished": "polished in the simulator",
     "after_one_execution": "after one execution",
 }
@@ -61,13 +62,6 @@ class Executed:
     """z of the table [m]."""
 
 
-def runs_of(outcome: ReachOutcome) -> dict[str, PolicyRun]:
-    """What was reached for a goal, by the names of `VARIANTS`."""
-    assert outcome.without is not None
-    runs = outcome.ours, outcome.without, *outcome.further.values()
-    return dict(zip(VARIANTS, runs, strict=True))
-
-
 def carry_out(
     rope: RealRope, policies: Sequence[Policy], goals: np.ndarray, belief: Estimate, seed: int
 ) -> tuple[list[ReachOutcome], Executed]:
@@ -97,9 +91,8 @@ def carry_out(
         learnt = adapt(task, belief, [Execution(action=action, reached=runs[-1].reached)])
         action = polished(action, learnt.belief, learnt.discrepancy)
         runs.append(_execute(rope, task, action, goal)[0])
-        further = [VARIANTS[name].capitalize() for name in ("polished", "after_one_execution")]
-        further = dict(zip(further, runs[2:], strict=True))
-        outcomes.append(ReachOutcome(goal=goal, ours=run, without=runs[1], further=further))
+        named = dict(zip(VARIANTS.values(), runs, strict=True))
+        outcomes.append(ReachOutcome(goal=goal, runs=named))
     assert shown is not None
     return outcomes, shown
 
@@ -112,17 +105,8 @@ def _execute(
     seen = observe(task, trial_run, MOTION_RATE * _FINER)
     values = task.outcome(rope, seen)
     reached = np.array([values[q.name] for q in task.goals])
-    free = _free(seen)
-    tip = seen.tip[free:]
-    away = tip[:, :1] if len(reached) == 1 else tip[:, [0, 2]] - seen.tip[0, [0, 2]]
-    there = free + int(np.argmin(np.linalg.norm(away - reached, axis=1)))
-    run = PolicyRun(
-        action=action,
-        reached=reached,
-        tip_path=tip,
-        shape_at_release=_filled(seen.points[free]),
-        shape_at_farthest=_filled(seen.points[there]),
-    )
+    tip = seen.tip[_free(seen) :]
+    run = PolicyRun(action=action, reached=reached, tip_path=tip)
     shown = np.arange(0, len(seen.times), _FINER)
     clock = trial_run.closes + shown / (MOTION_RATE * _FINER)
     return run, Executed(

@@ -6,7 +6,6 @@ import logging
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,11 +17,10 @@ from gendom.cli.parsing import command_line
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError, SimulationError, printable
 from gendom.files import check_file, check_folder, to_json, write_json
-from gendom.installation import version
 
 if TYPE_CHECKING:
     from gendom.estimation import EstimateSettings, FittedEstimate
-    from gendom.viz.report import NextStep, Provenance
+    from gendom.viz import Provenance
 
 NOT_USABLE = 3
 """Exit code where a recording cannot be used."""
@@ -174,8 +172,8 @@ class Command:
         tell_written(path, json=self.json)
 
     def _write_report(self, found: FittedEstimate) -> None:
-        from gendom.viz.report import LiftPictures, ReportContent, write_report
-        from gendom.viz.sources import clouds_of, summary_of, view_of
+        from gendom.viz import EstimateSummary, LiftPictures, ReportContent, write_report
+        from gendom.viz.sources import clouds_of, view_of
 
         assert self.report is not None
         record, first = found.record, found.fits[0]
@@ -192,7 +190,7 @@ class Command:
                     view=view_of(first.scene),
                     note=note,
                 ),
-                estimate=summary_of(found),
+                estimate=EstimateSummary(values=found.record),
                 provenance=self._provenance(record["stage_seconds"], record["notes"]),
                 next_steps=self._next_steps(found),
             ),
@@ -200,7 +198,7 @@ class Command:
         tell_written(self.report, json=self.json)
 
     def _write_refusal(self, reasons: list[str]) -> None:
-        from gendom.viz.report import ReportContent, write_report
+        from gendom.viz import ReportContent, write_report
 
         assert self.report is not None
         write_report(
@@ -217,42 +215,38 @@ class Command:
         tell_written(self.report, json=self.json)
 
     def _provenance(self, seconds: dict[str, float], warnings: list[str]) -> Provenance:
-        from gendom.viz.report import Provenance
+        from gendom.viz import Provenance
 
         return Provenance(
             commands=[self._command_line()],
-            version=version(),
-            date=date.today().isoformat(),
             device=self.device,
             seeds={"estimate": self.seed},
             stage_seconds=seconds,
             warnings=warnings,
         )
 
-    def _next_steps(self, found: FittedEstimate | None) -> list[NextStep]:
+    def _next_steps(self, found: FittedEstimate | None) -> list[tuple[str, str]]:
         """Commands to run next on the written files."""
-        from gendom.viz.report import NextStep
-
         words = ["gendom", "check", self.recordings[0]]
-        steps = [NextStep(command=_shell(words), purpose="See what the recording holds.")]
+        steps = [(_shell(words), "See what the recording holds.")]
         if found is None or self.report is None:
             return steps
         if self.out is None:
             words = [*shlex.split(self._command_line()), "--out", self.report.parent]
             purpose = "Write the estimate to a file, which other commands take."
-            return [*steps, NextStep(command=_shell(words), purpose=purpose)]
+            return [*steps, (_shell(words), purpose)]
         params = ["--params", self.out / "estimate.json"]
         words = ["gendom", "replay", self.recordings[0], *params, "--gif", self.out / "replay.gif"]
         words += [] if found.usable else ["--force"]
         purpose = "Simulate the recorded motion, every frame of it, with the estimate."
-        steps.append(NextStep(command=_shell(words), purpose=purpose))
+        steps.append((_shell(words), purpose))
         if found.usable:
             words = ["gendom", "act", *_task_and_goal(found), *params, "--force"]
             purpose = (
                 "Get an action for this object, and the robot's motion; --force allows objects and "
                 "goals beyond what the policy was trained on, with a warning."
             )
-            steps.append(NextStep(command=_shell(words), purpose=purpose))
+            steps.append((_shell(words), purpose))
         return steps
 
     @property

@@ -115,7 +115,6 @@ class Command:
 
     def _in_mujoco(self, reality: str) -> int:
         from gendom.reality import (
-            DepthSensor,
             RealRope,
             RecordSettings,
             RigErrors,
@@ -156,8 +155,7 @@ class Command:
             record(
                 trial_run,
                 self.out,
-                settings_of(RecordSettings, self, notes=notes),
-                sensor=DepthSensor.exact() if self.no_noise else DepthSensor(),
+                settings_of(RecordSettings, self, notes=notes, noisy=not self.no_noise),
                 errors=RigErrors.none() if self.no_errors else errors,
                 on_frame=lambda moment: show(round(moment, 1)),
             )

@@ -44,9 +44,9 @@ def on_cluster(
         DeviceError: Ray is not installed, or there is no such cluster, or it lacks GPUs.
         GendomError: What `simulate` raises.
     """
+    needs = {"num_gpus": 1} if device.startswith("cuda") else {"num_cpus": 1}
+    kind = "GPU" if "num_gpus" in needs else "CPU"
     with _connected(address) as ray:
-        needs = {"num_gpus": 1} if device.startswith("cuda") else {"num_cpus": 1}
-        kind = "GPU" if "num_gpus" in needs else "CPU"
         if not ray.cluster_resources().get(kind):
             raise DeviceError(f"the cluster has no {kind}", where=f"--cluster {address}")
         # a class loaded from a separate file cannot be imported on workers
@@ -59,7 +59,14 @@ def on_cluster(
         try:
             while waiting:
                 for done in ray.wait(list(waiting))[0]:
-                    yield waiting.pop(done), _result(ray, done, address)
+                    yield waiting.pop(done), ray.get(done)
+        except ray.exceptions.RayTaskError as error:
+            cause = error.cause if isinstance(error.cause, GendomError) else None
+            raise cause or error from None
+        except ray.exceptions.RayError as error:
+            what = f"a job was lost {RETRIES + 1} times ({str(error).splitlines()[0]})"
+            fix = "look at the cluster's log; run the same command again to go on"
+            raise DeviceError(what, where=f"--cluster {address}", fix=fix) from None
         finally:
             for task in waiting:
                 ray.cancel(task, force=True)
@@ -69,20 +76,9 @@ def _work(simulate: Callable[..., Any], job: range, device: str) -> Any:
     return simulate(job, device=device)
 
 
-def _result(ray: Any, done: Any, address: str) -> Any:
-    try:
-        return ray.get(done)
-    except ray.exceptions.RayTaskError as error:
-        cause = error.cause if isinstance(error.cause, GendomError) else None
-        raise cause or error from None
-    except ray.exceptions.RayError as error:
-        what = f"a job was lost {RETRIES + 1} times ({str(error).splitlines()[0]})"
-        fix = "look at the cluster's log; run the same command again to go on"
-        raise DeviceError(what, where=f"--cluster {address}", fix=fix) from None
-
-
 @contextmanager
 def _connected(address: str) -> Iterator[Any]:
+    """Ray, connected to a cluster, or with one that it starts."""
     own = "ray" not in sys.modules or not sys.modules["ray"].is_initialized()
     local = own and address == "local"
     closed = LOOPBACK | {"RAY_AUTH_TOKEN": secrets.token_hex(32)} if local else {}
@@ -92,29 +88,22 @@ def _connected(address: str) -> Iterator[Any]:
         except ImportError:
             fix = how_to_install("cluster")
             raise DeviceError("Ray is not installed", where="--cluster", fix=fix) from None
-        if own:
-            _start(ray, address)
+        where: dict[str, Any] = {"include_dashboard": False}
+        where = where if address == "local" else {"address": address}
+        try:
+            if own:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # the client warns of what is told below
+                    ray.init(logging_level=logging.ERROR, log_to_driver=False, **where)
+        except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+            what = f"no cluster answers there ({str(error).partition(chr(10))[0]})"
+            fix = "start one with ray start --head, or give local"
+            raise DeviceError(what, where=f"--cluster {address}", fix=fix) from None
         try:
             yield ray
         finally:
             if own:
                 ray.shutdown()
-
-
-def _start(ray: Any, address: str) -> None:
-    """Connect to a cluster, or start one."""
-    where: dict[str, Any] = (
-        {"address": address} if address != "local" else {"include_dashboard": False}
-    )
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the client warns of what is told below
-            ray.init(logging_level=logging.ERROR, log_to_driver=False, **where)
-    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        reason = (str(error).splitlines() or ["no reason given"])[0]
-        what = f"no cluster answers there ({reason})"
-        fix = "start one with ray start --head, or give local"
-        raise DeviceError(what, where=f"--cluster {address}", fix=fix) from None
 
 
 @contextmanager

@@ -25,7 +25,6 @@ from gendom.hardware.contracts import Recorded, RobotState, Tick
 from gendom.materials import thickness_of
 from gendom.perception import Camera, PngWriter
 from gendom.reality import (
-    DepthSensor,
     Reality,
     RealObject,
     RigErrors,
@@ -35,6 +34,7 @@ from gendom.reality import (
     lift,
 )
 from gendom.reality.arm import RobotArm
+from gendom.reality.sensor import observe
 from gendom.reality.trials import SETTLE, START_DELAY
 from gendom.robot import JointMotion, tcp_pose
 
@@ -266,7 +266,7 @@ class SimulatedCamera:
         assert scene is not None
         self._scene = scene
         self._index = [c.name for c in scene.believed].index(self.name)
-        self._sensor, self._rng = DepthSensor(), np.random.default_rng(self._index + 1)
+        self._rng = np.random.default_rng(self._index + 1)
         self._writer: PngWriter | None = None
         self._written = 0
         self._connected = False
@@ -312,6 +312,6 @@ class SimulatedCamera:
         """Write what it sees now."""
         assert self._writer is not None
         clean = self._scene.world.render(self._index)
-        pictures = self._sensor.observe(*clean, self.camera, self._rng)
+        pictures = observe(*clean, self.camera, self._rng)
         self._writer.write(self._scene.errors.stamp(self._index, self._scene.world.time), pictures)
         self._written += 1

@@ -11,7 +11,7 @@ from gendom.lazy import imported_later
 from gendom.policies.policy import Action, Column, Description, GoalRange, Outside, Policy
 
 if TYPE_CHECKING:
-    from gendom.policies.adaptation import Adapted, AdaptSettings, Execution, adapt
+    from gendom.policies.adaptation import Adapted, Execution, adapt
     from gendom.policies.belief import believed
     from gendom.policies.demonstrations import Demonstrations
     from gendom.policies.evaluation import draw_cases, score
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 # Public name -> module that defines it. Keep in step with the block above and `__all__`.
 _LATER = {
-    "AdaptSettings": "adaptation",
     "Adapted": "adaptation",
     "believed": "belief",
     "Demonstrations": "demonstrations",
@@ -37,7 +36,6 @@ _LATER = {
 
 __all__ = [
     "Action",
-    "AdaptSettings",
     "Adapted",
     "Column",
     "Demonstrations",

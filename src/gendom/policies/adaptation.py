@@ -13,7 +13,7 @@ for similar actions.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -25,7 +25,7 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Item, size_of
 from gendom.materials.estimate import Estimate
 from gendom.policies.polishing import Discrepancy
-from gendom.policies.rollouts import Asking, Rollouts, side_by_side
+from gendom.policies.rollouts import Asking, side_by_side
 from gendom.reading import record_of
 from gendom.tasks import Task
 from gendom.tasks.task import World
@@ -39,8 +39,16 @@ STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)
 LARGEST_REACHED = 10.0
 """In sizes of the object; what was reached farther away was not given in metres."""
 
-LEAST_GAIN = 1e-3
-"""Gain in the sum of squares that ends the search."""
+ITERATIONS, LEAST_GAIN = 6, 1e-3
+"""Gauss-Newton steps, at most, and the gain in the sum of squares that ends the search."""
+
+STEP = 0.05
+"""Of differences by parameters, in their prior deviations."""
+
+DISCREPANCY, REACH, NOISE = 0.008, 0.05, 0.002
+"""Standard deviation of b, distance of actions over which it is alike, and standard deviation of
+what is seen [units of similarity]. The discrepancy is what our simulator and a second reality
+differ by (docs/tasks.md): 1.6 mm in the mean for ropes of 0.3 m."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,26 +74,6 @@ class Execution:
         return {"action": self.action.tolist(), "reached": self.reached.tolist()}
 
 
-@dataclass(frozen=True, kw_only=True)
-class AdaptSettings:
-    """What is expected of the world.
-
-    Lengths are in units of similarity. The discrepancy is what our simulator and a second reality
-    differ by (docs/tasks.md): 1.6 mm in the mean for ropes of 0.3 m.
-    """
-
-    discrepancy: float = 0.008
-    """Standard deviation of b."""
-    reach: float = 0.05
-    """Distance of actions over which b is alike."""
-    noise: float = 0.002
-    """Standard deviation of what is seen."""
-    iterations: int = 6
-    """Gauss-Newton steps, at most."""
-    step: float = 0.05
-    """Of differences by parameters, in their prior deviations."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Adapted:
     """What is known after N executions."""
@@ -104,7 +92,6 @@ def adapt(
     executions: Sequence[Execution],
     *,
     world: World | None = None,
-    settings: AdaptSettings | None = None,
     refine: bool = True,
 ) -> Adapted:
     """Update a belief by executions.
@@ -114,7 +101,6 @@ def adapt(
         belief: Before any of them.
         executions: All that were seen of this object.
         world: Where they are simulated (default: our simulator).
-        settings: What is expected of the world.
         refine: Whether parameters are learnt; else the belief holds them already, and only the
             discrepancy is found.
 
@@ -122,22 +108,14 @@ def adapt(
         ParameterError: The task has no goals, or numbers do not agree.
         SimulationError: One of them cannot be simulated.
     """
-    settings = settings or AdaptSettings()
-    if not refine:
-        settings = replace(settings, iterations=0)
-    search = adapting(task, belief, executions, settings=settings)
+    search = adapting(task, belief, executions, refine=refine)
     return side_by_side(task, world or Simulation(), [search])[0]
 
 
 def adapting(
-    task: Task,
-    belief: Estimate,
-    executions: Sequence[Execution],
-    *,
-    settings: AdaptSettings | None = None,
+    task: Task, belief: Estimate, executions: Sequence[Execution], *, refine: bool = True
 ) -> Asking[Adapted]:
     """`adapt` as a search that asks for rollouts, for many at once (`side_by_side`)."""
-    settings = settings or AdaptSettings()
     _check(task, executions, belief.item)
     G, item = len(task.goals), belief.item
     if not executions:
@@ -146,7 +124,7 @@ def adapting(
     simulated = partial(_simulated, task, belief, executions, goal_units)
     A = np.array([e.action for e in executions]) / units
     y = np.array([e.reached for e in executions]) / goal_units
-    K = _kernel(A, A, settings) + settings.noise**2 * np.eye(len(A))
+    K = _kernel(A, A) + NOISE**2 * np.eye(len(A))
     L = np.linalg.cholesky(K)
     prior = np.linalg.inv(belief.covariance)
 
@@ -157,14 +135,14 @@ def adapting(
         d, r = v - belief.mean, whitened(y - f)
         return float(r @ r + d @ prior @ d)
 
-    vector, h = belief.mean.copy(), settings.step * belief.sd
+    vector, h = belief.mean.copy(), STEP * belief.sd
     (f,) = yield from simulated([vector])
     if not np.isfinite(f).all():
         raise SimulationError(
             "an execution cannot be simulated", fix="check the object's numbers and the action"
         )
     H = prior
-    for _ in range(settings.iterations):
+    for _ in range(ITERATIONS if refine else 0):
         ends = [vector + s * h * e for e in np.eye(len(h)) for s in (1.0, -1.0)]
         all_f = yield from simulated(ends)
         derivatives = np.nan_to_num((all_f[0::2] - all_f[1::2]) / (2.0 * h[:, None, None]))
@@ -184,7 +162,7 @@ def adapting(
         vector, f = vector + STEP_LENGTHS[k] * step, tried[k]
         if gained < LEAST_GAIN:
             break
-    error = partial(_discrepancy, settings, K, A, np.linalg.solve(K, y - f), units, goal_units)
+    error = partial(_discrepancy, K, A, np.linalg.solve(K, y - f), units, goal_units)
     return Adapted(
         belief=belief.with_gaussian(vector, np.linalg.inv(H)),
         discrepancy=error,
@@ -202,7 +180,7 @@ def _simulated(
     """[V, N, G] what N executions reach with V vectors of unknowns, in units of similarity; NaN
     where one cannot be simulated."""
     items = [belief.at(v) for v in vectors for _ in executions]
-    outcomes = yield Rollouts(items=items, actions=[e.action for _ in vectors for e in executions])
+    outcomes = yield items, [e.action for _ in vectors for e in executions]
     found = np.full((len(items), len(task.goals)), np.nan)
     for row, outcome in zip(found, outcomes, strict=True):
         if outcome.fault is None:
@@ -211,7 +189,6 @@ def _simulated(
 
 
 def _discrepancy(
-    settings: AdaptSettings,
     K: Array,
     seen: Array,
     weights: Array,
@@ -222,7 +199,6 @@ def _discrepancy(
     """[G] the Gaussian process's mean at an action, and its deviation [SI].
 
     Args:
-        settings: Of the process.
         K: [N, N] covariance of what was seen.
         seen: [N, A] actions, in units of similarity.
         weights: [N, G] of their kernels.
@@ -231,8 +207,8 @@ def _discrepancy(
         action: [A] in SI units.
     """
     here = np.atleast_2d(np.asarray(action, dtype=float)) / units
-    k = _kernel(here, seen, settings)
-    variance = settings.discrepancy**2 - (k @ np.linalg.solve(K, k.T))[0, 0]
+    k = _kernel(here, seen)
+    variance = DISCREPANCY**2 - (k @ np.linalg.solve(K, k.T))[0, 0]
     return (k @ weights)[0] * goal_units, float(np.sqrt(max(variance, 0.0)) * goal_units[0])
 
 
@@ -278,6 +254,6 @@ def _check(task: Task, executions: Sequence[Execution], item: Item) -> None:
                 )
 
 
-def _kernel(a: Array, b: Array, settings: AdaptSettings) -> Array:
-    distance = np.linalg.norm(a[:, None] - b[None], axis=2) / settings.reach
-    return settings.discrepancy**2 * np.exp(-0.5 * distance**2)
+def _kernel(a: Array, b: Array) -> Array:
+    distance = np.linalg.norm(a[:, None] - b[None], axis=2) / REACH
+    return DISCREPANCY**2 * np.exp(-0.5 * distance**2)

@@ -130,17 +130,13 @@ class Demonstrations:
 def joined(first: Demonstrations, second: Demonstrations) -> Demonstrations:
     """Both, one after the other; of the first's task."""
 
-    def stacked(a: Array, b: Array) -> Array:
-        return np.concatenate([a, b])
+    def both(a: Any, b: Any) -> Any:
+        return None if a is None or b is None else np.concatenate([a, b])
 
-    risks = first.risk, second.risk
     return replace(
         first,
-        goal=stacked(first.goal, second.goal),
-        action=stacked(first.action, second.action),
-        parameters={
-            name: stacked(values, second.parameters[name])
-            for name, values in first.parameters.items()
-        },
-        risk=None if risks[0] is None or risks[1] is None else stacked(risks[0], risks[1]),
+        goal=both(first.goal, second.goal),
+        action=both(first.action, second.action),
+        parameters={n: both(a, second.parameters[n]) for n, a in first.parameters.items()},
+        risk=both(first.risk, second.risk),
     )

@@ -138,7 +138,6 @@ def score(
     cases: Cases,
     *,
     world: World | None = None,
-    known: Sequence[Item] | None = None,
     on_frame: Callable[[int], None] | None = None,
 ) -> Score:
     """Let a policy act in all cases, and measure the outcomes.
@@ -147,13 +146,12 @@ def score(
         policy: Who acts.
         cases: Objects and goals.
         world: Where (default: our simulator).
-        known: W objects as the policy knows them, e.g. estimates (default: as they are).
         on_frame: As in `World.carry_out`.
 
     Raises:
         PolicyError: The policy is for another task.
     """
-    action = choose(policy, cases, known=known)
+    action = choose(policy, cases)
     found = judge(cases, action, world=world, on_frame=on_frame)
     ends = np.array([policy.goal_range(item) for item in cases.items]).reshape(len(cases), -1, 2)
     outside = (cases.goal < ends[..., 0]) | (cases.goal > ends[..., 1])

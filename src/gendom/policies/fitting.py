@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,21 +101,6 @@ class Training:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Split:
-    """Rows that are trained on, and rows held out."""
-
-    trained: Tensor
-    held_out: Tensor
-
-    @classmethod
-    def drawn(cls, first: int, count: int, share: float) -> Split:
-        """Of `count` rows from `first` on."""
-        order = first + torch.randperm(count)
-        held = max(1, round(share * count))
-        return cls(trained=order[held:], held_out=order[:held])
-
-
 class PhysicalNetwork(nn.Module):
     """A multilayer perceptron whose inputs and outputs are physical quantities.
 
@@ -194,10 +179,10 @@ class TrainingProblem:
             raise PolicyError(
                 "has neither goals nor parameters to act on", fix="condition it on a parameter"
             )
-        self._simulated = Split.drawn(0, len(d), VALIDATION_SHARE)
+        self._simulated = _split(0, len(d))
         self._real = None
         if finetune is not None:
-            self._real = Split.drawn(len(d), len(finetune), VALIDATION_SHARE)
+            self._real = _split(len(d), len(finetune))
             d = joined(d, finetune)
         self.action = torch.tensor(d.action, dtype=torch.float32)
         self.goal = torch.tensor(d.goal, dtype=torch.float32)
@@ -222,12 +207,12 @@ class TrainingProblem:
     @property
     def trained(self) -> Tensor:
         """Rows of the demonstrations that are trained on first."""
-        return self._simulated.trained
+        return self._simulated[0]
 
     @property
     def held_out(self) -> Tensor:
         """Rows that nothing is learnt from: of those for fine-tuning, if there are."""
-        return (self._real or self._simulated).held_out
+        return (self._real or self._simulated)[1]
 
     def act(self, rows: Tensor) -> Tensor:
         """[B, A] what the policy does for some demonstrations' goals and objects."""
@@ -262,28 +247,17 @@ class TrainingProblem:
         Raises:
             PolicyError: It diverged.
         """
-        training = self.training
-        settings = FitSettings(
-            epochs=training.epochs,
-            batch_size=training.batch_size,
-            learning_rate=training.learning_rate,
-            weight_decay=training.weight_decay,
-        )
-        stages = [(name, self._simulated, settings)]
+        how = self.training
+        stages = [(name, self._simulated, how.epochs, how.learning_rate)]
         if self._real is not None:
-            finetuning = replace(
-                settings,
-                epochs=training.finetune_epochs,
-                learning_rate=FINETUNE_LEARNING_RATE,
-            )
-            stages.append((f"{name}, fine-tuned", self._real, finetuning))
-        for stage, split, how in stages:
-            trained, held_out = split.trained, split.held_out
+            tuned = f"{name}, fine-tuned"
+            stages.append((tuned, self._real, how.finetune_epochs, FINETUNE_LEARNING_RATE))
+        for stage, (trained, held_out), epochs, rate in stages:
             if only is not None:
                 chosen = trained[only[trained]]
                 trained = chosen if len(chosen) >= SMALLEST else trained
                 held_out = held_out[only[held_out]]
-            self.fit_to(stage, network, loss_of, trained, how, held_out=held_out)
+            self.fit_to(stage, network, loss_of, trained, epochs, rate, held_out)
 
     def fit_to(
         self,
@@ -291,28 +265,22 @@ class TrainingProblem:
         network: nn.Module,
         loss_of: Callable[[Tensor], Tensor],
         rows: Tensor,
-        settings: FitSettings,
-        *,
+        epochs: int,
+        learning_rate: float,
         held_out: Tensor | None = None,
     ) -> None:
-        """Fit a network to rows of any kind.
-
-        Args:
-            name: For people and for the checkpoint.
-            network: What is trained.
-            loss_of: Loss of some rows.
-            rows: [M] all of them.
-            settings: How.
-            held_out: Rows whose loss is only reported.
-
-        Raises:
-            PolicyError: It diverged.
-        """
+        """`fit` to rows [M] of any kind; the loss of those held out is only reported."""
 
         def observe(epoch: Epoch) -> None:
             if self._observe is not None:
                 self._observe(name, epoch)
 
+        settings = FitSettings(
+            epochs=epochs,
+            batch_size=self.training.batch_size,
+            learning_rate=learning_rate,
+            weight_decay=self.training.weight_decay,
+        )
         fit(
             network,
             loss_of,
@@ -324,6 +292,13 @@ class TrainingProblem:
             checkpoint=self._checkpoint,
             error=PolicyError,
         )
+
+
+def _split(first: int, count: int) -> tuple[Tensor, Tensor]:
+    """Of `count` rows from `first` on those that are trained on, and those held out."""
+    order = first + torch.randperm(count)
+    held = max(1, round(VALIDATION_SHARE * count))
+    return order[held:], order[:held]
 
 
 def standardised(name: str, values: NDArray[np.float64], *, log: bool = False) -> Column:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.arguments import require
 from gendom.errors import SimulationError
 from gendom.materials import Item, unit_of
-from gendom.policies.rollouts import Asking, Rollouts, central_differences, side_by_side, stencil
+from gendom.policies.rollouts import Asking, central_differences, side_by_side, stencil
 from gendom.tasks import Task
 from gendom.tasks.task import Outcome, World
 from gendom.tasks.world import Simulation
@@ -117,7 +117,7 @@ class _Problem:
         rows = np.repeat(np.array(actions) * self.units, K, axis=0)
         # objects of one size may differ in what they allow
         rows = [self.task.nearest(i, a) for i, a in zip(items, rows, strict=True)]
-        outcomes = yield Rollouts(items=items, actions=rows)
+        outcomes = yield items, rows
         self.rollouts += len(items)
         unit = self.goal_units[0] if self.task.goals else 1.0
         found = []
@@ -169,29 +169,11 @@ def polish(
     start: ArrayLike,
     *,
     world: World | None = None,
-    seconds: float = 10.0,
-    seed: int = 0,
-    discrepancy: Discrepancy | None = None,
+    **how: Any,
 ) -> Polished:
-    """The action whose miss is smallest over objects that are plausible.
-
-    Args:
-        task: What is done.
-        goal: [G] in SI units.
-        items: K objects of one size: one that is known, or draws of an `Estimate`.
-        start: [A] where to begin, such as a policy's action, in SI units.
-        world: Where it is simulated (default: our simulator).
-        seconds: Wall time after which the best so far is taken [s].
-        seed: Of the actions that are looked at beside the start.
-        discrepancy: What is added to what the simulator says is reached.
-
-    Raises:
-        ParameterError: Numbers do not agree, or the start is not allowed.
-        SimulationError: No action could be simulated.
-    """
-    search = polishing(
-        task, goal, items, start, seconds=seconds, seed=seed, discrepancy=discrepancy
-    )
+    """The action whose miss is smallest over plausible objects, found in a world (default: our
+    simulator); other arguments and errors as of `polishing`."""
+    search = polishing(task, goal, items, start, **how)
     return side_by_side(task, world or Simulation(), [search])[0]
 
 
@@ -205,7 +187,21 @@ def polishing(
     seed: int = 0,
     discrepancy: Discrepancy | None = None,
 ) -> Asking[Polished]:
-    """`polish` as a search that asks for rollouts, for many at once (`side_by_side`)."""
+    """`polish` as a search that asks for rollouts, for many at once (`side_by_side`).
+
+    Args:
+        task: What is done.
+        goal: [G] in SI units.
+        items: K objects of one size: one that is known, or draws of an `Estimate`.
+        start: [A] where to begin, such as a policy's action, in SI units.
+        seconds: Wall time after which the best so far is taken [s].
+        seed: Of the actions that are looked at beside the start.
+        discrepancy: What is added to what the simulator says is reached.
+
+    Raises:
+        ParameterError: Numbers do not agree, or the start is not allowed.
+        SimulationError: No action could be simulated.
+    """
     began = time.monotonic()
     wanted = np.atleast_1d(np.asarray(goal, dtype=float)) if task.goals else np.empty(0)
     fits = wanted.shape == (len(task.goals),) and np.isfinite(wanted).all()

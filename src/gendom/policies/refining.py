@@ -22,14 +22,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import PolicyError
-from gendom.policies.learning import FitSettings  # explains a missing torch
+from gendom.policies.fitting import (  # explains a missing torch
+    RISK_FLOOR,
+    TrainingProblem,
+    huber,
+)
 
 # isort: split
 import torch
 from torch import Tensor
 
 from gendom.materials import PARAMETERS, Item, unit_of, with_dimensionless
-from gendom.policies.fitting import RISK_FLOOR, TrainingProblem, huber
 from gendom.policies.rollouts import central_differences, stencil
 from gendom.progress import bar
 from gendom.tasks import Task
@@ -147,18 +150,9 @@ def _fit(problem: TrainingProblem, models: Models, name: str, times: int) -> Non
         return total
 
     batch = min(training.batch_size, len(models.row))
-    problem.fit_to(
-        name,
-        problem.policy,
-        loss,
-        torch.arange(len(models.row)),
-        FitSettings(
-            epochs=max(1, round(times * training.refine_steps / (len(models.row) // batch))),
-            batch_size=batch,
-            learning_rate=LEARNING_RATE,
-            weight_decay=training.weight_decay,
-        ),
-    )
+    epochs = max(1, round(times * training.refine_steps / (len(models.row) // batch)))
+    rows = torch.arange(len(models.row))
+    problem.fit_to(name, problem.policy, loss, rows, epochs, LEARNING_RATE)
 
 
 def _simulated(

@@ -7,7 +7,6 @@ little longer than one world, so searches for many goals or objects are as quick
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -21,15 +20,8 @@ T = TypeVar("T")
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Rollouts:
-    """Actions to carry out."""
-
-    items: Sequence[Item]
-    """W objects."""
-    actions: Sequence[Array]
-    """W of [A], within the limits."""
-
+Rollouts = tuple[Sequence[Item], Sequence[Array]]
+"""Actions to carry out: W objects, and W actions [A] within the limits."""
 
 Asking = Generator[Rollouts, list[Outcome], T]
 """A search with a result."""
@@ -50,12 +42,12 @@ def side_by_side(task: Task, world: World, searches: Sequence[Asking[T]]) -> lis
                 asked[k] = searches[k].send(answer) if answer is not None else next(searches[k])
             except StopIteration as done:
                 results[k] = done.value
-        items = [item for rollouts in asked.values() for item in rollouts.items]
-        actions = [action for rollouts in asked.values() for action in rollouts.actions]
+        items = [item for many, _ in asked.values() for item in many]
+        actions = [action for _, many in asked.values() for action in many]
         outcomes = world.carry_out(task, items, np.array(actions)) if items else []
         answers = {}
-        for k, rollouts in asked.items():
-            count = len(rollouts.items)
+        for k, (many, _) in asked.items():
+            count = len(many)
             answers[k], outcomes = outcomes[:count], outcomes[count:]
     return [results[k] for k in range(len(searches))]
 

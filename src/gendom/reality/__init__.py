@@ -4,13 +4,12 @@ Tasks are Gymnasium environments in it, where that is installed: `gendom/RopeRea
 on, one for each, see `gendom.reality.envs`.
 """
 
-from gendom.materials import AIR_DENSITY
 from gendom.reality.air import Air
-from gendom.reality.model import Layout, build_model, default_cameras, looking_at
+from gendom.reality.model import Layout, default_cameras, looking_at
 from gendom.reality.object_file import find_object
 from gendom.reality.objects import OBJECTS, RealCloth, RealObject, RealRope, as_real
 from gendom.reality.recording import RecordSettings, record
-from gendom.reality.sensor import DepthSensor, RigErrors
+from gendom.reality.sensor import RigErrors
 from gendom.reality.trials import (
     RealWorld,
     Trial,
@@ -27,10 +26,8 @@ from gendom.reality.world import Reality
 from gendom.tasks import task_names
 
 __all__ = [
-    "AIR_DENSITY",
     "OBJECTS",
     "Air",
-    "DepthSensor",
     "Layout",
     "RealCloth",
     "RealObject",
@@ -43,7 +40,6 @@ __all__ = [
     "TrialRun",
     "arm_motion",
     "as_real",
-    "build_model",
     "default_cameras",
     "end_of",
     "find_object",

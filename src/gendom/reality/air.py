@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
-from gendom.errors import ParameterError
+from gendom.arguments import require
 from gendom.materials import AIR_DENSITY
 from gendom.reality.objects import RealObject, RealRope
 
@@ -49,12 +49,9 @@ class Air:
     """
 
     def __init__(self, item: RealObject, density: float = AIR_DENSITY):
-        if not (math.isfinite(density) and density >= 0.0):
-            raise ParameterError(
-                f"is {density}",
-                where="air_density",
-                fix=f"give kg/m^3: 0 for none, {AIR_DENSITY:g} in a room",
-            )
+        fix = f"give kg/m^3: 0 for none, {AIR_DENSITY:g} in a room"
+        good = math.isfinite(density) and density >= 0.0
+        require(good, f"is {density}", where="air_density", fix=fix)
         self.density = density
         """[kg/m^3]."""
         if isinstance(item, RealRope):

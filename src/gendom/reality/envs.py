@@ -43,14 +43,13 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from gendom.arguments import require
+from gendom.arguments import check_numbers, require
 from gendom.errors import DeviceError, ParameterError, RobotError
 from gendom.installation import how_to_install
-from gendom.materials import LARGEST, PARAMETERS, size_of, to_columns, unit_of
-from gendom.reality.model import default_cameras, looking_at
+from gendom.materials import LARGEST, PARAMETERS, to_columns, unit_of
 from gendom.reality.object_file import find_object
 from gendom.reality.objects import OBJECTS, RealObject
-from gendom.reality.trials import TrialRun, observe, task_trial
+from gendom.reality.trials import RealWorld, observe
 from gendom.tasks import Task, find_task
 from gendom.tasks.world import Simulation
 
@@ -74,13 +73,6 @@ ACTIONS_A_BATCH, MAX_BATCHES = 32, 8
 """Actions simulated in one batch, and the largest number of batches, to find a goal of a task with
 a risk: a tenth of one rope's releases stay within its limit."""
 
-CAMERA_OFFSETS = {"rope": (1.0, 0.0, 0.3), "cloth": (0.4, 0.6, 0.5)}
-"""Where the camera of `render` is from the middle of the scene [m]: ropes swing across, in front of
-the arm."""
-
-FRAME_RATE = 10
-"""Of a video of initial and final pictures [1/s]."""
-
 
 class TaskEnv(gymnasium.Env[Any, Any]):
     """One task in the MuJoCo test scene.
@@ -92,15 +84,13 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         parameters: Whether observations hold the object's parameters, or those that `reset` is
             given in their place.
         robot: True: the xArm 7 acts; False: a free hand, about twice as quick.
-        render_mode: None or "rgb_array".
 
     Raises:
         DeviceError: MuJoCo is not installed.
-        ParameterError: There is no such task, object or render mode, or the object is of another
-            kind.
+        ParameterError: There is no such task or object, or the object is of another kind.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": FRAME_RATE}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
     action_space: gymnasium.spaces.Box
     observation_space: gymnasium.spaces.Dict
 
@@ -111,22 +101,17 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         objects: Sequence[str | RealObject] | None = None,
         parameters: bool = False,
         robot: bool = True,
-        render_mode: str | None = None,
     ):
         self.task = find_task(task)() if isinstance(task, str) else task
         if objects is None:
             objects = [item for item in OBJECTS.values() if item.kind == self.task.kind]
         self.objects = [self._find(item) for item in objects]
         require(self.objects, "is empty", where="objects", fix="name one at least")
-        known, fix = render_mode in (None, "rgb_array"), "give 'rgb_array' or None"
-        require(known, f"is {render_mode!r}", where="render_mode", fix=fix)
-        self.render_mode = render_mode
-        self.robot = robot
+        self.world = RealWorld(robot=robot)
         box = gymnasium.spaces.Box
         limits = np.array([self.task.limits(item) for item in self.objects])
-        self.action_space = box(
-            limits[..., 0].min(axis=0), limits[..., 1].max(axis=0), dtype=np.float64
-        )
+        low, high = limits[..., 0].min(axis=0), limits[..., 1].max(axis=0)
+        self.action_space = box(low, high, dtype=np.float64)
         spaces: dict[str, gymnasium.Space[Any]] = {"sizes": box(0.0, LARGEST, (2,))}
         units = {
             "sizes": ("m", "m"),
@@ -143,10 +128,8 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         # Gymnasium reads this from the instance, not from the class
         vars(self)["metadata"] = {**self.metadata, "units": units}
         self.observation_space = gymnasium.spaces.Dict(spaces)
-        self._item: Any = None
-        self._goal = np.zeros(len(self.task.goals))
-        self._parameters = np.zeros(len(PARAMETERS))
-        self._run: TrialRun | None = None
+        self._item: RealObject | None = None
+        self._seen: dict[str, Array] = {}
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -167,43 +150,35 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             ParameterError: An option is unknown or out of its range.
         """
         super().reset(seed=seed)
-        given = dict(options or {})
-        rng = self.np_random
+        given, rng, spaces = dict(options or {}), self.np_random, self.observation_space.spaces
         drawn = self.objects[int(rng.integers(len(self.objects)))]
         # a separate random stream: the object and given options do not change later draws
         actions = np.random.default_rng(int(rng.integers(2**63)))
-        item = self._find(given.pop("object")) if "object" in given else drawn
-        goal = self._goal_of(given.pop("goal", None), item, actions)
-        parameters = self._parameters_of(given.pop("parameters", None), item)
-        what = f"there is no option {next(iter(given), None)!r}"
-        require(not given, what, where="reset", fix="have object, goal and parameters")
-        self._end_run()
-        self._item, self._goal, self._parameters = item, goal, parameters
-        observation = self._observe()
-        for name, space in self.observation_space.spaces.items():
-            what = f"is {observation[name].tolist()}"
-            within = observation[name] in space
-            require(within, what, where=f"option {name}", fix=f"keep to {space}")
-        return observation, {"object": item.name}
-
-    def _goal_of(self, wanted: Any, item: RealObject, rng: np.random.Generator) -> Array:
-        """The goal [G] that is asked for; None: one that can be reached."""
-        count = len(self.task.goals)
-        if wanted is None:
-            return self._reachable(item, rng) if count else np.zeros(0)
-        what = f"{self.task.name} has no goal"
-        require(count or not np.size(wanted), what, where="option goal", fix="leave it out")
-        return _numbers(wanted, count, "goal")
-
-    def _parameters_of(self, wanted: Any, item: RealObject) -> Array:
-        """The parameters [5] to be seen: those that are asked for, or the object's own."""
-        if wanted is None:
-            columns = to_columns(item)
-            return np.array([columns[p.column] for p in PARAMETERS.values()])
-        seen = "parameters" in self.observation_space.spaces
-        fix = "make it with parameters=True"
-        require(seen, "are not observed", where="option parameters", fix=fix)
-        return _numbers(wanted, len(PARAMETERS), "parameters")
+        item = self._find(given.pop("object", drawn))
+        for name in given:
+            what, fix = (
+                f"there is no option {name!r} here",
+                "have object, goal and, if seen, parameters",
+            )
+            require(name in spaces and name != "sizes", what, where="reset", fix=fix)
+        if self.task.goals and "goal" not in given:
+            given["goal"] = self._reachable(item, actions)
+        columns = to_columns(item)
+        seen = {
+            "sizes": [getattr(item, name) for name in item.sizes],
+            "parameters": [columns[p.column] for p in PARAMETERS.values()],
+            **given,
+        }
+        found = {
+            name: check_numbers(f"option {name}", np.atleast_1d(seen[name]), space.shape or ())
+            for name, space in spaces.items()
+        }
+        for name, value in found.items():
+            within = value.astype(np.float32) in spaces[name]
+            fix = f"keep to {spaces[name]}"
+            require(within, f"is {value.tolist()}", where=f"option {name}", fix=fix)
+        self._item, self._seen = item, found
+        return self._observe(), {"object": item.name}
 
     def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Carry an action out to its end, from the start; see the top of this module.
@@ -219,50 +194,32 @@ class TaskEnv(gymnasium.Env[Any, Any]):
                 shape.
             SimulationError: The world diverged.
         """
-        task, item = self.task, self._require_item()
-        wanted = task.nearest(item, _numbers(action, len(task.actions), "action"))
-        self._end_run()
+        task, item = self.task, self._item
+        if item is None:
+            raise ParameterError("there is no object yet", where="step", fix="call reset first")
+        asked = check_numbers("action", np.atleast_1d(action), (len(task.actions),))
+        wanted = task.nearest(item, asked)
         info: dict[str, Any] = {"action": wanted, "refused": None}
         try:
-            self._run = self._begin(wanted)
+            run = self.world.begin(task, item, wanted)
         except RobotError as error:
             info |= {"reached": np.full(len(task.goals), np.nan), "refused": str(error)}
             return self._observe(), REFUSED, True, False, info
-        values = task.outcome(item, observe(task, self._run))
-        reached = np.array([values[q.name] for q in task.goals])
-        deviation = self._run.deviation
+        values = task.outcome(item, observe(task, run))
+        deviation = run.deviation
         info |= {name: value for name, value in values.items() if name not in info}
         info |= {
-            "reached": reached,
-            "slowed_by": self._run.slowed_by,
+            "reached": np.array([values[q.name] for q in task.goals]),
+            "slowed_by": run.slowed_by,
             "deviation": 0.0 if deviation is None else deviation.at_equal_times,
         }
-        reward = (
-            -task.error(item, self._goal, values) if task.goals else next(iter(values.values()))
-        )
+        reward = next(iter(values.values()))
+        if task.goals:
+            reward = -task.error(item, self._seen["goal"], values)
         return self._observe(), float(reward), True, False, info
 
-    def render(self) -> npt.NDArray[np.uint8] | None:
-        """[480, 640, 3] the scene as it is now, from one camera; None without a render mode.
-
-        Before the first step the arm stands where an action from the middle of the space begins.
-
-        Raises:
-            DeviceError: Nothing can be rendered here; says which packages are missing.
-        """
-        if self.render_mode is None:
-            return None
-        item = self._require_item()
-        if self._run is None:
-            middle = np.mean([self.action_space.low, self.action_space.high], axis=0)
-            self._run = self._begin(self.task.nearest(item, middle))
-        return self._run.world.render(0)[1]
-
-    def close(self) -> None:
-        """Free the renderer's memory."""
-        self._end_run()
-
-    # ---- inside ----------------------------------------------------------------------------------
+    def _observe(self) -> Observation:
+        return {name: value.astype(np.float32) for name, value in self._seen.items()}
 
     def _find(self, item: str | RealObject) -> RealObject:
         found = find_object(item) if isinstance(item, str) else item
@@ -293,45 +250,3 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             what = f"no goal can be drawn ({fault})"
             raise ParameterError(what, where="reset", fix="give option goal")
         return np.array([best.values[q.name] for q in task.goals])
-
-    def _begin(self, action: Array) -> TrialRun:
-        cameras = []
-        trial = task_trial(self.task, self._item, action)
-        if self.render_mode is not None:
-            middle = np.asarray(trial.layout.origin) + 0.5 * size_of(self._item) * np.asarray(
-                trial.layout.along
-            )
-            position = middle + CAMERA_OFFSETS[self.task.kind]
-            cameras = [default_cameras()[0].at(looking_at(position, middle))]
-        return TrialRun(trial, robot=self.robot, cameras=cameras)
-
-    def _observe(self) -> Observation:
-        item = self._item
-        known = {
-            "goal": self._goal,
-            "sizes": [getattr(item, name) for name in item.sizes],
-            "parameters": self._parameters,
-        }
-        return {n: np.array(known[n], dtype=np.float32) for n in self.observation_space.spaces}
-
-    def _require_item(self) -> Any:
-        if self._item is None:
-            raise ParameterError("there is no object yet", where="step", fix="call reset first")
-        return self._item
-
-    def _end_run(self) -> None:
-        if self._run is not None:
-            self._run.world.close()
-            self._run = None
-
-
-def _numbers(value: Any, count: int, name: str) -> Array:
-    """`count` finite numbers; one may come alone."""
-    try:
-        numbers = np.atleast_1d(np.asarray(value, dtype=float))
-    except (TypeError, ValueError):
-        numbers = np.empty(0)
-    good = numbers.shape == (count,) and np.isfinite(numbers).all()
-    fix = f"give {count} finite number{'s' * (count > 1)}"
-    require(good, f"is {value}", where=name, fix=fix)
-    return numbers

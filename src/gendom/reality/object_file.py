@@ -60,15 +60,14 @@ def read_object(path: str | os.PathLike) -> RealObject:
     table = read_toml(path, error=ParameterError)
     kind = table.pop("kind", None)
     require(kind in KINDS, f"kind is {kind!r}", where=where, fix=f"give {' or '.join(KINDS)}")
-    colour = table.pop("colour", list(PLAIN))
-    usual = _usual(table.pop("material", None), kind, where)
+    colour, material = table.pop("colour", list(PLAIN)), table.pop("material", None)
     require(
         "outline" not in table,
         "objects of tasks and of the MuJoCo test scene are squares or ropes, without outline",
         where=where,
         fix="gendom.sim.cloth(outline=...) simulates it; or give its side",
     )
-    number = _numbers(table, usual, kind, where)
+    number = _numbers(table, _usual(material, kind, where), kind, where)
     good = isinstance(colour, list) and len(colour) == 3
     good = good and all(isinstance(c, int) and 0 <= c <= 255 for c in colour)
     require(good, f"colour is {colour}", where=where, fix="give three of 0 to 255")
@@ -86,7 +85,7 @@ def read_object(path: str | os.PathLike) -> RealObject:
 
 
 def _numbers(
-    table: Mapping[str, Any], usual: Mapping[str, float], kind: str, where: str
+    given: Mapping[str, Any], usual: Mapping[str, float], kind: str, where: str
 ) -> dict[str, float]:
     """Sizes, E, nu, damping, friction and density: a file's, its material's, or defaults.
 
@@ -95,23 +94,22 @@ def _numbers(
     """
     large, small = KINDS[kind].sizes
     known = {large, small, "mass", "density", "E", "nu", *DEFAULTS}
-    for name in table:
+    for name, value in given.items():
         fix = f"have material, {', '.join(sorted(known))}"
         require(name in known, f"{name} means nothing", where=where, fix=fix)
-    given = {name: _number(value, name, where) for name, value in table.items()}
-    number = {**DEFAULTS, **usual, **given}
+        good = isinstance(value, int | float) and not isinstance(value, bool)
+        good = good and math.isfinite(value)
+        require(good, f"{name} is {value!r}", where=where, fix="give a number")
+    number: dict[str, float] = {**DEFAULTS, **usual, **given}
     if "mass" in given and "density" not in given:
         number.pop("density", None)
     missing = [name for name in (large, small, "E", "nu") if name not in number]
     if ("mass" in number) == ("density" in number):
         missing.append("one of mass and density")
     require(not missing, f"lacks {', '.join(missing)}", where=where, fix="give it")
-    for name, most, unit in (
-        (large, LARGEST, "metres"),
-        (small, THICKEST, "metres"),
-        ("density", DENSEST, "kg/m^3"),
-        ("E", STIFFEST, "pascals"),
-    ):
+    limits = {large: (LARGEST, "metres"), small: (THICKEST, "metres")}
+    limits |= {"density": (DENSEST, "kg/m^3"), "E": (STIFFEST, "pascals")}
+    for name, (most, unit) in limits.items():
         value = number.get(name, most)
         require(0.0 < value <= most, f"{name} is {value:g}", where=where, fix=f"give {unit}")
     area = math.pi / 4.0 * number[small] ** 2 if kind == "rope" else number[large] * number[small]
@@ -132,9 +130,3 @@ def _usual(name: Any, kind: str, where: str) -> dict[str, float]:
         raise ParameterError(error.what, where=where, fix=error.fix) from None
     require(listed.kind == kind, f"{name} is a {listed.kind}, and kind is {kind!r}", where=where)
     return {quantity: found.typical for quantity, (_, found) in listed.ranges().items()}
-
-
-def _number(value: Any, name: str, where: str) -> float:
-    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    require(number, f"{name} is {value!r}", where=where, fix="give a number")
-    return float(value)

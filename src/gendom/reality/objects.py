@@ -41,6 +41,7 @@ That is a plate's for g = 2 alone, with a rigidity of 3 a / 4 and a Poisson's ra
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -206,84 +207,39 @@ class RealCloth(Cloth):
 RealObject = RealRope | RealCloth
 
 
-def _rope(
-    name: str,
-    paper_E: float,
-    nu: float,
-    *,
-    density: float,
-    length: float = 0.3,
-    diameter: float = 0.016,
-    damping: float,
-    **rest: Any,
-) -> RealRope:
-    """A rope of the paper's; `paper_E` is its estimate in the paper's units."""
-    E = paper_E * STANDARD_GRAVITY * length / (12.0 * 0.5) * density
-    # The paper's rope is 0.056 lengths thick: equal bending at another thickness.
-    E *= (0.028 / 0.5 * length / diameter) ** 2
-    material = Material(E=E, nu=nu, density=density, damping=damping)
-    return RealRope(name=name, length=length, diameter=diameter, material=material, **rest)
-
-
-def _cloths(suffix: str, *, side: float, vertices: int) -> tuple[RealCloth, RealCloth]:
-    """The cotton and the rubber cloth, cut to a size."""
-    thickness, nu = 0.5e-3, 0.3
-    E = 7e-6 * 12.0 * (1.0 - nu**2) / thickness**3
-    cotton = RealCloth(
-        name=f"cloth-cotton{suffix}",
-        side=side,
-        thickness=thickness,
-        material=Material(E=E, nu=nu, density=400.0, damping=0.01),
-        friction=0.5,
-        colour=(40, 70, 150),
-        vertices=vertices,
-    )
-    rubber = RealCloth(
-        name=f"cloth-rubber{suffix}",
-        side=side,
-        thickness=1e-3,
-        material=Material(E=2e6, nu=0.45, density=1100.0, damping=0.004),
-        friction=0.7,
-        colour=(30, 130, 70),
-        vertices=vertices,
-    )
-    return cotton, rubber
-
-
-OBJECTS: dict[str, RealObject] = {
-    item.name: item
-    for item in (
-        _rope(
-            "rope-cotton",
-            1779.38,
-            0.35,
-            density=800.0,
-            damping=0.005,
-            friction=0.45,
-            colour=(190, 45, 40),
-        ),
-        _rope(
-            "rope-polyester",
-            3276.12,
-            0.346,
-            density=900.0,
-            damping=0.004,
-            friction=0.35,
-            colour=(35, 85, 170),
-        ),
-        _rope(
-            "rope-polyethylene",
-            8000.31,
-            0.36,
-            density=600.0,
-            damping=0.003,
-            friction=0.25,
-            colour=(225, 190, 30),
-        ),
-        *_cloths("", side=0.3, vertices=41),
-        *_cloths("-200mm", side=0.2, vertices=21),
-    )
+_ROPES = {
+    # E of the paper, nu, density, damping, friction, colour
+    "rope-cotton": (1779.38, 0.35, 800.0, 0.005, 0.45, (190, 45, 40)),
+    "rope-polyester": (3276.12, 0.346, 900.0, 0.004, 0.35, (35, 85, 170)),
+    "rope-polyethylene": (8000.31, 0.36, 600.0, 0.003, 0.25, (225, 190, 30)),
 }
+
+_CLOTHS = {
+    # thickness, E, nu, density, damping, friction, colour
+    "cloth-cotton": (
+        0.5e-3, 7e-6 * 12.0 * (1.0 - 0.3**2) / 0.5e-3**3, 0.3, 400.0, 0.01, 0.5, (40, 70, 150),
+    ),
+    "cloth-rubber": (1e-3, 2e6, 0.45, 1100.0, 0.004, 0.7, (30, 130, 70)),
+}  # fmt: skip
+
+
+def _objects() -> Iterator[RealObject]:
+    length, diameter = 0.3, 0.016
+    for name, (E, nu, density, damping, friction, colour) in _ROPES.items():
+        E = E * STANDARD_GRAVITY * length / (12.0 * 0.5) * density
+        # The paper's rope is 0.056 lengths thick: equal bending at another thickness.
+        E *= (0.028 / 0.5 * length / diameter) ** 2
+        material = Material(E=E, nu=nu, density=density, damping=damping)
+        yield RealRope(name=name, length=length, diameter=diameter, material=material,
+                       friction=friction, colour=colour)  # fmt: skip
+    for suffix, side, vertices in (("", 0.3, 41), ("-200mm", 0.2, 21)):
+        for name, (thickness, E, nu, density, damping, friction, colour) in _CLOTHS.items():
+            material = Material(E=E, nu=nu, density=density, damping=damping)
+            yield RealCloth(name=name + suffix, side=side, thickness=thickness, material=material,
+                            friction=friction, colour=colour, vertices=vertices)  # fmt: skip
+
+
+OBJECTS: dict[str, RealObject] = {item.name: item for item in _objects()}
 """The objects by name."""
 
 

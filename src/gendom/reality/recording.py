@@ -12,7 +12,6 @@ Perception, estimation and control never read `truth`.
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import os
@@ -21,6 +20,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,7 @@ import numpy.typing as npt
 from gendom.arguments import require
 from gendom.datasets import Recording
 from gendom.errors import GendomError
-from gendom.files import atomic_path, write_json
+from gendom.files import atomic_path, check_folder, write_json
 from gendom.perception import (
     CameraRecording,
     PerceptionSettings,
@@ -37,7 +37,7 @@ from gendom.perception import (
     read_cameras,
 )
 from gendom.reality.objects import RealObject
-from gendom.reality.sensor import MAX_CLOCK_OFFSET, DepthSensor, RigErrors
+from gendom.reality.sensor import MAX_CLOCK_OFFSET, RigErrors, observe
 from gendom.reality.trials import TrialRun, lift_cameras, lifted_by
 from gendom.reality.world import Reality
 from gendom.robot import LiftMotion, predefined_lift, tcp_pose
@@ -60,6 +60,8 @@ class RecordSettings:
     """Free text, stored with the recording."""
     seed: int = 0
     """Seed of all sensor errors."""
+    noisy: bool = True
+    """Whether the cameras have the errors of a D435i (`gendom.reality.sensor.observe`)."""
 
     def __post_init__(self) -> None:
         within, fix = 0.0 < self.frame_rate <= PATH_RATE, f"give {PATH_RATE:g} or less"
@@ -72,7 +74,6 @@ def record(
     folder: str | os.PathLike,
     settings: RecordSettings | None = None,
     *,
-    sensor: DepthSensor | None = None,
     errors: RigErrors | None = None,
     on_frame: Callable[[float], None] = lambda _: None,
 ) -> None:
@@ -86,7 +87,6 @@ def record(
         run: The trial, with cameras.
         folder: Output folder, created if missing; must not hold a recording.
         settings: Settings of the recording.
-        sensor: Error model of the cameras; by default that of a D435i.
         errors: Errors of the rig; by default the usual ones, or for a quick trial those of
             synchronised cameras.
         on_frame: Called with the recorded time [s] after each frame.
@@ -102,7 +102,6 @@ def record(
     require(world.cameras, "there is no camera", where="record", fix="give the trial cameras")
     if (folder / "cameras").exists():
         raise GendomError("holds a recording already", where=str(folder), fix="name another folder")
-    sensor = DepthSensor() if sensor is None else sensor
     if errors is None:
         errors = RigErrors.synchronised() if run.trial.quick else RigErrors()
     # One stream of random numbers for each use: more frames do not change the calibration.
@@ -112,14 +111,15 @@ def record(
     ]
     # Where nothing can be rendered, before anything is written.
     world.render(0)
-    _make_folder(folder)
+    check_folder(folder)
+    folder.mkdir(parents=True, exist_ok=True)
     believed = errors.believed(world.cameras, rig)
     writers = [PngWriter(folder / "cameras" / c.name, c) for c in believed]
     _write_object(folder / "object.toml", run, settings)
     path, truth = _PathWriter(folder, world, errors, encoders), []
 
     def keep(c: int, moment: float, clean: tuple[np.ndarray, np.ndarray]) -> None:
-        pictures = sensor.observe(*clean, world.cameras[c], eyes[c])
+        pictures = observe(*clean, world.cameras[c], eyes[c], noisy=settings.noisy)
         writers[c].write(errors.stamp(c, moment), pictures)
 
     began = world.time
@@ -141,15 +141,7 @@ def record(
         for writer in writers:
             writer.close()
         path.close()
-        _write_truth(folder / "truth", world, settings, sensor, errors, truth)
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        what = f"cannot be made ({error.strerror})"
-        raise GendomError(what, where=str(folder), fix="name another folder") from None
+        _write_truth(folder / "truth", world, settings, errors, truth)
 
 
 def _moments(seconds: float, frame_rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -168,45 +160,34 @@ class _PathWriter:
     def __init__(
         self, folder: Path, world: Reality, errors: RigErrors, encoders: np.random.Generator
     ):
-        self._world = world
-        self._errors = errors
-        self._encoders = encoders
-        header = ["time", "x", "y", "z", "ax", "ay", "az", "closed"]
-        self._hand = _NumberFile(folder / "gripper.csv", header)
-        self._joints = None
+        self._world, self._errors, self._encoders = world, errors, encoders
+        self._files: dict[str, IO[str]] = {}
+        self._write(folder / "gripper.csv", "time,x,y,z,ax,ay,az,closed")
         if (robot := world.robot) is not None:
             names = [f"q{k}" for k in range(robot.arm.joints)]
-            self._joints = _NumberFile(folder / "joints.csv", ["time", *names])
+            self._write(folder / "joints.csv", ",".join(["time", *names]))
 
     def add(self, moment: float) -> None:
         world, hand = self._world, self._world.hand
         moment = self._errors.stamp_of_robot(moment)
-        if self._joints is not None:
-            arm, q = world.robot.arm, world.robot.measured(world.data)
+        if (robot := world.robot) is not None:
+            q = robot.measured(world.data)
             wrong = q + self._errors.encoders * self._encoders.standard_normal(len(q))
-            hand = hand + tcp_pose(arm, wrong)[:3, 3] - tcp_pose(arm, q)[:3, 3]
-            self._joints.add([moment, *wrong])
-        self._hand.add([moment, *hand, *world.hand_axis, len(world.held) > 0])
+            hand = hand + tcp_pose(robot.arm, wrong)[:3, 3] - tcp_pose(robot.arm, q)[:3, 3]
+            self._row("joints.csv", [moment, *wrong])
+        self._row("gripper.csv", [moment, *hand, *world.hand_axis, len(world.held) > 0])
 
     def close(self) -> None:
-        for file in (self._hand, self._joints):
-            if file is not None:
-                file.close()
+        for file in self._files.values():
+            file.close()
 
+    def _write(self, path: Path, header: str) -> None:
+        file = open(path, "w", buffering=1, encoding="utf-8")  # noqa: SIM115
+        self._files[path.name] = file
+        file.write(f"{header}\n")
 
-class _NumberFile:
-    """A CSV file of numbers to which rows are appended."""
-
-    def __init__(self, path: Path, header: Sequence[str]):
-        self._file = open(path, "w", newline="", buffering=1, encoding="utf-8")  # noqa: SIM115
-        self._writer = csv.writer(self._file)
-        self._writer.writerow(header)
-
-    def add(self, row: Sequence[float]) -> None:
-        self._writer.writerow([f"{float(x):.6f}" for x in row])
-
-    def close(self) -> None:
-        self._file.close()
+    def _row(self, name: str, numbers: Sequence[float]) -> None:
+        self._files[name].write(",".join(f"{float(x):.6f}" for x in numbers) + "\n")
 
 
 def _write_object(path: Path, run: TrialRun, settings: RecordSettings) -> None:
@@ -230,7 +211,7 @@ def _write_object(path: Path, run: TrialRun, settings: RecordSettings) -> None:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _write_truth(folder, world, settings, sensor, errors, truth) -> None:
+def _write_truth(folder, world, settings, errors, truth) -> None:
     item = world.item
     with atomic_path(folder / "truth.npz") as temporary:
         np.savez_compressed(
@@ -250,8 +231,7 @@ def _write_truth(folder, world, settings, sensor, errors, truth) -> None:
             "friction": item.friction,
             "air_density": world.air.density,
             "grip_force": world.grip_force if math.isfinite(world.grip_force) else None,
-            # JSON has no infinity: an unlimited range is null.
-            "sensor": {k: v if math.isfinite(v) else None for k, v in asdict(sensor).items()},
+            "noisy": settings.noisy,
             "errors": asdict(errors),
             "seed": settings.seed,
         },

@@ -1,17 +1,18 @@
-"""Error models of a stereo depth camera, `DepthSensor`, and of a camera rig, `RigErrors`.
+"""Error models of a stereo depth camera, `observe`, and of a camera rig, `RigErrors`.
 
 The values are those of an Intel RealSense D435i. Stereo measures disparity d = f B / z in
 pixels (f: focal length in pixels, B: baseline), so errors are added to the disparity: an error s
 of the disparity gives an error z^2 s / (f B) of the depth, and quantised disparity gives depth
 steps that grow with z^2 (Keselman et al., "Intel RealSense Stereoscopic Depth Cameras", 2017,
-section 2).
+section 2). Random errors are drawn independently for each pixel and picture, so a pixel lost in
+one picture can be present in the next.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -24,212 +25,142 @@ from gendom.perception import Camera, Pictures
 BASELINE = 0.05
 """Distance of the two imagers, B [m] (D400 series data sheet)."""
 
+SUBPIXEL = 0.08
+"""Standard deviation of the disparity, s [pixel]; 0.05 to 0.1 is usual for a well textured
+surface."""
+
+CORRELATION = 2.0
+"""Correlation length of the noise: white noise is blurred by a Gaussian of this standard
+deviation [pixel], with unchanged RMS. 2.0 corresponds to the 7 x 7 windows that the R200 of
+Keselman et al. sums over; the D400's filters are not published."""
+
+QUANTISATION = 1.0 / 32.0
+"""Quantisation step of the disparity [pixel] (Grunnet-Jepsen et al., "Subpixel linearity
+improvement for Intel RealSense depth cameras", 2019)."""
+
 EDGE_STEP = 0.25
 """An edge is where the disparity departs by more than this [pixel] from a straight line through
 three pixels, on which any plane lies; the pixel on either side of it is affected."""
+
+EDGE_LOST, EDGE_MIXED = 0.5, 0.25
+"""Shares of the pixels at edges that have no depth, and mixed depth ("flying pixels"): their
+disparity is uniformly distributed between the smallest and the largest in their neighbourhood."""
+
+GRAZING_FROM, GRAZING_TO = np.radians(65.0), np.radians(85.0)
+"""Angle between ray and normal [rad] from which pixels are lost: none at this angle, and linearly
+more up to the second, at which all are."""
+
+DROPOUT = 0.005
+"""Share of all other pixels that have no depth."""
+
+MIN_RANGE, MAX_RANGE = 0.17, 3.0
+"""Smallest and largest measurable depth [m]. 126 disparities are searched, which gives
+z = f B / 126: 0.17 m for 848 x 480; 3 m is the end of the data sheet's ideal range."""
+
+COLOUR_NOISE = 2.0
+"""Standard deviation of colour noise, on the scale 0 to 255."""
 
 MAX_CLOCK_OFFSET = 0.1
 """Largest offset between the robot's clock and the first camera's [s]; the robot's path is recorded
 for this much longer than the pictures."""
 
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
-@dataclass(frozen=True, kw_only=True)
-class DepthSensor:
-    """Errors of a D435i, added to rendered depth.
 
-    A value of 0 switches an error off (both `grazing` angles: pi / 2, `max_range`: infinity);
-    `DepthSensor.exact` switches all of them off. Random errors are drawn independently for each
-    pixel and picture, so a pixel lost in one picture can be present in the next.
+def observe(
+    depth: npt.ArrayLike,
+    colour: npt.NDArray[np.uint8],
+    camera: Camera,
+    rng: np.random.Generator,
+    *,
+    noisy: bool = True,
+) -> Pictures:
+    """Add the sensor's errors to clean pictures of the camera's size.
 
-    Raises:
-        ParameterError: A value is out of its range.
+    There is no depth where the right imager does not see a point of the left one, i.e. to the left
+    of near objects and in the f B / z leftmost columns.
+
+    Args:
+        depth: [height, width] along the optical axis [m]; 0 or infinity: no surface.
+        colour: [height, width, 3] aligned with depth.
+        camera: Its K scales disparity, its depth_unit the counts. Lens distortion is ignored,
+            because the stereo matching of a D400 works on rectified pictures.
+        rng: Random number generator.
+        noisy: False for depth that is only rounded to the depth unit, and the colour as it is.
+
+    Returns:
+        Depth in counts of `camera.depth_unit`, colour with noise.
     """
+    z = np.asarray(depth, dtype=np.float64)
+    if not noisy:
+        return Pictures(_counted(np.where(np.isfinite(z), z, 0.0), camera), colour)
+    counts = _counted(_measured(z, camera, rng), camera)
+    noise = colour + COLOUR_NOISE * rng.standard_normal(colour.shape)
+    return Pictures(counts, np.clip(np.rint(noise), 0.0, 255.0).astype(np.uint8))
 
-    subpixel: float = 0.08
-    """Standard deviation of the disparity, s [pixel]; 0.05 to 0.1 is usual for a well textured
-    surface."""
-    correlation: float = 2.0
-    """Correlation length of the noise: white noise is blurred by a Gaussian of this standard
-    deviation [pixel], with unchanged RMS. 2.0 corresponds to the 7 x 7 windows that the R200 of
-    Keselman et al. sums over; the D400's filters are not published."""
-    quantisation: float = 1.0 / 32.0
-    """Quantisation step of the disparity [pixel] (Grunnet-Jepsen et al., "Subpixel linearity
-    improvement for Intel RealSense depth cameras", 2019)."""
-    shadow: bool = True
-    """Whether occlusion is modelled: there is no depth where the right imager does not see a point
-    of the left one, i.e. to the left of near objects and in the f B / z leftmost columns."""
-    edge_lost: float = 0.5
-    """Share of the pixels at edges (`EDGE_STEP`) that have no depth."""
-    edge_mixed: float = 0.25
-    """Share of them with mixed depth ("flying pixels"): their disparity is uniformly
-    distributed between the smallest and the largest in their neighbourhood."""
-    grazing_from: float = np.radians(65.0)
-    """Angle between ray and normal [rad] from which pixels are lost: none at this angle, and
-    linearly more up to `grazing_to`."""
-    grazing_to: float = np.radians(85.0)
-    """Angle between ray and normal [rad] at which all pixels are lost. Both pi / 2: none are."""
-    dropout: float = 0.005
-    """Share of all other pixels that have no depth."""
-    min_range: float = 0.17
-    """Smallest measurable depth [m]. 126 disparities are searched, which gives
-    z = f B / 126: 0.17 m for 848 x 480."""
-    max_range: float = 3.0
-    """Largest measurable depth [m], the end of the data sheet's ideal range."""
-    colour_noise: float = 2.0
-    """Standard deviation of colour noise, on the scale 0 to 255."""
 
-    def __post_init__(self):
-        for item in fields(self):
-            value = getattr(self, item.name)
-            require(value >= 0.0, f"{item.name} is {value}", fix="give 0 or more")
-        for name in ("edge_lost", "edge_mixed", "dropout"):
-            value = getattr(self, name)
-            require(value <= 1.0, f"{name} is {value}", fix="give a share, 0 to 1")
-        both = self.edge_lost + self.edge_mixed
-        fix = "give shares of the same pixels, 1 at most"
-        require(both <= 1.0, f"edge_lost and edge_mixed are {both:g} together", fix=fix)
-        for low, high in (("grazing_from", "grazing_to"), ("min_range", "max_range")):
-            a, b = getattr(self, low), getattr(self, high)
-            what = f"{low} {a:g} is above {high} {b:g}"
-            require(a <= b, what, fix="give the lower one first")
+def _counted(z: Array, camera: Camera) -> npt.NDArray[np.uint16]:
+    """Depth [m] in counts of the depth unit, 0 where it is beyond what they hold."""
+    counts = np.round(z / camera.depth_unit)
+    return np.where(counts > 65535.0, 0.0, counts).astype(np.uint16)
 
-    @classmethod
-    def exact(cls, **parts) -> DepthSensor:
-        """Return a sensor without errors, except those given by name."""
-        off = {
-            "subpixel": 0.0,
-            "correlation": 0.0,
-            "quantisation": 0.0,
-            "shadow": False,
-            "edge_lost": 0.0,
-            "edge_mixed": 0.0,
-            "grazing_from": np.pi / 2,
-            "grazing_to": np.pi / 2,
-            "dropout": 0.0,
-            "min_range": 0.0,
-            "max_range": np.inf,
-            "colour_noise": 0.0,
-        }
-        return cls(**{**off, **parts})
 
-    def observe(
-        self,
-        depth: npt.ArrayLike,
-        colour: npt.NDArray[np.uint8] | None,
-        camera: Camera,
-        rng: np.random.Generator,
-    ) -> Pictures:
-        """Add the sensor's errors to clean pictures.
+def _measured(z: Array, camera: Camera, rng: np.random.Generator) -> Array:
+    """Measured depth [m], 0 where there is none."""
+    seen = (z > 0.0) & np.isfinite(z)
+    fB = camera.K[0, 0] * BASELINE
+    # Where nothing is, nothing is infinitely far away.
+    clean = np.divide(fB, z, out=np.zeros_like(z), where=seen)
+    disparity = clean.copy()
+    lost, mixed = _at_edges(clean, seen, rng)
+    disparity[mixed] = _between(clean, seen, mixed, rng)
+    seen &= ~lost & ~_in_shadow(clean) & ~_grazed(clean / fB, camera, rng)
+    seen &= rng.random(z.shape) >= DROPOUT
+    noise = np.fft.rfft2(rng.standard_normal(z.shape)) * _blur(z.shape, CORRELATION)
+    disparity += SUBPIXEL * np.fft.irfft2(noise, s=z.shape)
+    disparity = np.round(disparity / QUANTISATION) * QUANTISATION
+    seen &= disparity > 0.0
+    measured = np.divide(fB, disparity, out=np.zeros_like(z), where=seen)
+    return np.where((measured >= MIN_RANGE) & (measured <= MAX_RANGE), measured, 0.0)
 
-        Args:
-            depth: [height, width] along the optical axis [m]; 0 or infinity: no surface.
-            colour: [height, width, 3] aligned with depth; None: no colour.
-            camera: Its K scales disparity, its depth_unit the counts. Lens distortion is ignored,
-                because the stereo matching of a D400 works on rectified pictures.
-            rng: Random number generator.
 
-        Returns:
-            Depth in counts of `camera.depth_unit`, colour with noise.
+def _at_edges(disparity: Array, seen: Mask, rng: np.random.Generator) -> tuple[Mask, Mask]:
+    """Masks [height, width] of the pixels lost at edges, and of those with mixed depth."""
+    edge = np.zeros(disparity.shape, dtype=bool)
+    for axis in (0, 1):
+        bend = np.abs(np.diff(disparity, n=2, axis=axis)) > EDGE_STEP
+        np.moveaxis(edge, axis, 0)[1:-1] |= np.moveaxis(bend, axis, 0)
+    # The bend is at both pixels next to the edge.
+    near = edge & seen
+    draw = rng.random(disparity.shape)
+    lost = near & (draw < EDGE_LOST)
+    return lost, near & ~lost & (draw < EDGE_LOST + EDGE_MIXED)
 
-        Raises:
-            ParameterError: A picture is not of the camera's size, or depth is negative or NaN.
-        """
-        depth = np.asarray(depth, dtype=np.float64)
-        shape = camera.height, camera.width
-        sizes = {"depth": depth.shape, "colour": shape if colour is None else colour.shape[:2]}
-        for name, size in sizes.items():
-            what = f"is {' x '.join(map(str, size[::-1]))}, the camera {shape[1]} x {shape[0]}"
-            fix = "render with the camera's size"
-            require(size == shape, what, where=f"{camera.name}: {name}", fix=fix)
-        where, fix = f"{camera.name}: depth", "give 0 where nothing is"
-        require((depth >= 0.0).all(), "is negative or NaN", where=where, fix=fix)
-        measured = self._measure(depth, camera, rng)
-        counts = np.round(measured / camera.depth_unit)
-        counts[counts > 65535.0] = 0.0
-        return Pictures(counts.astype(np.uint16), self._coloured(colour, rng))
 
-    def _measure(
-        self, z: npt.NDArray[np.float64], camera: Camera, rng: np.random.Generator
-    ) -> npt.NDArray[np.float64]:
-        """Measured depth [m], 0 where there is none."""
-        seen = (z > 0.0) & np.isfinite(z)
-        fB = camera.K[0, 0] * BASELINE
-        # Where nothing is, nothing is infinitely far away.
-        clean = np.divide(fB, z, out=np.zeros_like(z), where=seen)
-        disparity = clean.copy()
-        if self.edge_lost + self.edge_mixed > 0.0:
-            lost, mixed = self._at_edges(clean, seen, rng)
-            disparity[mixed] = _between(clean, seen, mixed, rng)
-            seen &= ~lost
-        if self.shadow:
-            seen &= ~_in_shadow(clean)
-        if self.grazing_from < np.pi / 2:
-            seen &= ~self._grazed(clean / fB, camera, rng)
-        if self.dropout > 0.0:
-            seen &= rng.random(z.shape) >= self.dropout
-        if self.subpixel > 0.0:
-            disparity += self.subpixel * _noise(
-                (camera.height, camera.width), self.correlation, rng
-            )
-        if self.quantisation > 0.0:
-            disparity = np.round(disparity / self.quantisation) * self.quantisation
-        # An untouched disparity must not cost the last bits of depth.
-        seen &= disparity > 0.0
-        untouched = disparity == clean
-        measured = np.where(untouched, z, 0.0)
-        np.divide(fB, disparity, out=measured, where=seen & ~untouched)
-        seen &= (measured >= self.min_range) & (measured <= self.max_range)
-        return np.where(seen, measured, 0.0)
+def _grazed(inverse: Array, camera: Camera, rng: np.random.Generator) -> Mask:
+    """Pixels [height, width] lost to steep surfaces.
 
-    def _at_edges(
-        self, disparity: np.ndarray, seen: np.ndarray, rng: np.random.Generator
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Masks [height, width] of the pixels lost at edges, and of those with mixed depth."""
-        edge = np.zeros(disparity.shape, dtype=bool)
-        for axis in (0, 1):
-            bend = np.abs(np.diff(disparity, n=2, axis=axis)) > EDGE_STEP
-            np.moveaxis(edge, axis, 0)[1:-1] |= np.moveaxis(bend, axis, 0)
-        # The bend is at both pixels next to the edge.
-        near = edge & seen
-        draw = rng.random(disparity.shape)
-        lost = near & (draw < self.edge_lost)
-        return lost, near & ~lost & (draw < self.edge_lost + self.edge_mixed)
+    In a picture a plane n . p = h has 1 / z = n . ray / h, linear in the ray: the
+    derivatives of 1 / z are the normal.
 
-    def _grazed(
-        self, inverse: np.ndarray, camera: Camera, rng: np.random.Generator
-    ) -> npt.NDArray[np.bool_]:
-        """Pixels [height, width] lost to steep surfaces.
-
-        In a picture a plane n . p = h has 1 / z = n . ray / h, linear in the ray: the
-        derivatives of 1 / z are the normal.
-
-        Args:
-            inverse: 1 / z [1/m], 0 where nothing is.
-        """
-        x, y, squared = _rays(camera)
-        normal_x = camera.K[0, 0] * _slope(inverse, 1)
-        normal_y = camera.K[1, 1] * _slope(inverse, 0) - camera.K[0, 1] / camera.K[0, 0] * normal_x
-        normal_z = inverse - normal_x * x - normal_y * y
-        length = np.sqrt((normal_x**2 + normal_y**2 + normal_z**2) * squared)
-        cosine = np.divide(inverse, length, out=np.ones_like(inverse), where=length > 0.0)
-        draw = rng.random(inverse.shape)
-        # Most are less steep than `grazing_from`: leave their arc cosine out.
-        steep = cosine < np.cos(self.grazing_from)
-        angle = np.arccos(np.clip(cosine[steep], 0.0, 1.0))
-        width = max(self.grazing_to - self.grazing_from, 1e-9)
-        steep[steep] = draw[steep] < (angle - self.grazing_from) / width
-        return steep
-
-    def _coloured(
-        self, colour: npt.NDArray[np.uint8] | None, rng: np.random.Generator
-    ) -> npt.NDArray[np.uint8] | None:
-        if colour is None or self.colour_noise == 0.0:
-            return colour
-        noisy = rng.standard_normal(colour.shape)
-        noisy *= self.colour_noise
-        noisy += colour
-        np.rint(noisy, out=noisy)
-        return np.clip(noisy, 0.0, 255.0, out=noisy).astype(np.uint8)
+    Args:
+        inverse: 1 / z [1/m], 0 where nothing is.
+        camera: That sees it.
+        rng: Random number generator.
+    """
+    x, y, squared = _rays(camera)
+    normal_x = camera.K[0, 0] * _slope(inverse, 1)
+    normal_y = camera.K[1, 1] * _slope(inverse, 0) - camera.K[0, 1] / camera.K[0, 0] * normal_x
+    normal_z = inverse - normal_x * x - normal_y * y
+    length = np.sqrt((normal_x**2 + normal_y**2 + normal_z**2) * squared)
+    cosine = np.divide(inverse, length, out=np.ones_like(inverse), where=length > 0.0)
+    draw = rng.random(inverse.shape)
+    # Most are less steep than `GRAZING_FROM`: leave their arc cosine out.
+    steep = cosine < np.cos(GRAZING_FROM)
+    angle = np.arccos(np.clip(cosine[steep], 0.0, 1.0))
+    steep[steep] = draw[steep] < (angle - GRAZING_FROM) / (GRAZING_TO - GRAZING_FROM)
+    return steep
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,12 +202,23 @@ class RigErrors:
         return cls(clock_offset=0.001)
 
     def believed(self, cameras: Sequence[Camera], rng: np.random.Generator) -> list[Camera]:
-        """Return the cameras with erroneous calibrated poses, to be stored with their pictures.
+        """The cameras with erroneous calibrated poses, to be stored with their pictures.
+
+        Each is translated by a vector and rotated about its centre by a rotation vector. Both have
+        independent, identically distributed normal components, scaled so that their lengths have
+        the given RMS; a third of the draws is longer.
 
         Raises:
             RecordingError: One is not calibrated.
         """
-        return [camera.at(self._calibration_error(camera.calibrated(), rng)) for camera in cameras]
+        found = []
+        for camera in cameras:
+            T = np.array(camera.calibrated(), dtype=np.float64)
+            moved, turned = rng.normal(0.0, np.sqrt(1.0 / 3.0), (2, 3))
+            T[:3, 3] += self.translation * moved
+            T[:3, :3] = Rotation.from_rotvec(self.rotation * turned).as_matrix() @ T[:3, :3]
+            found.append(camera.at(T))
+        return found
 
     def stamp(self, camera: int, time: float) -> float:
         """Time stamp [s] that the camera with this index assigns to a true time [s]."""
@@ -285,32 +227,6 @@ class RigErrors:
     def stamp_of_robot(self, time: float) -> float:
         """Time stamp [s] that the robot assigns to a true time [s]."""
         return time + self.robot_clock
-
-    def _calibration_error(
-        self, T_world_camera: npt.NDArray[np.float64], rng: np.random.Generator
-    ) -> npt.NDArray[np.float64]:
-        """A pose [4, 4] [m] with a random calibration error.
-
-        The camera is translated by a vector and rotated about its centre by a rotation vector. Both
-        have independent, identically distributed normal components, scaled so that their lengths
-        have the given RMS; a third of the draws is longer.
-        """
-        T = np.array(T_world_camera, dtype=np.float64)
-        moved, turned = rng.normal(0.0, np.sqrt(1.0 / 3.0), (2, 3))
-        T[:3, 3] += self.translation * moved
-        T[:3, :3] = Rotation.from_rotvec(self.rotation * turned).as_matrix() @ T[:3, :3]
-        return T
-
-
-def _noise(
-    shape: tuple[int, ...], correlation: float, rng: np.random.Generator
-) -> npt.NDArray[np.float64]:
-    """Normal noise of unit variance, blurred by a Gaussian of a standard deviation [pixel]."""
-    white = rng.standard_normal(shape)
-    if correlation == 0.0:
-        return white
-    blur = _blur(shape, correlation)
-    return np.fft.irfft2(np.fft.rfft2(white) * blur, s=shape)
 
 
 @lru_cache(maxsize=4)

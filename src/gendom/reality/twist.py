@@ -17,7 +17,6 @@ rate of strain is worth in strain.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -100,18 +99,6 @@ def _cross(a: Array, b: Array) -> Array:
     return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TwistLoad:
-    """Forces of a twisted rope on its vertices, and the moment on its last clamp."""
-
-    angle: float
-    """[rad]."""
-    forces: Array
-    """[V, 3] on the vertices [N]."""
-    moment: Array
-    """[3] on what clamps the last section [N m]."""
-
-
 class Twist:
     """The twist of a rope between two clamps; it is 0 at first.
 
@@ -136,8 +123,8 @@ class Twist:
         self.angle = 0.0
         """Now [rad]; it may pass several turns."""
 
-    def load(self, vertices: Array, rotation: Array, seconds: float) -> TwistLoad:
-        """The rope's forces now.
+    def load(self, vertices: Array, rotation: Array, seconds: float) -> tuple[Array, Array]:
+        """Forces [V, 3] on the vertices now [N], and the moment [3] on the last clamp [N m].
 
         Args:
             vertices: [V, 3] [m].
@@ -153,7 +140,7 @@ class Twist:
         forces = np.zeros_like(vertices)
         forces[self._first : self._last + 2] = -moment * twist_gradient(edges)
         along = edges[-1] / math.sqrt(edges[-1] @ edges[-1])
-        return TwistLoad(angle=angle, forces=forces, moment=-moment * along)
+        return forces, -moment * along
 
     def _edges(self, vertices: Array) -> Array:
         return np.diff(vertices[self._first : self._last + 2], axis=0)

@@ -164,7 +164,7 @@ class Reality:
             layout,
             arm=_FREE_HAND if robot is None else robot.xml(),
             actuators="" if robot is None else robot.actuators(),
-            hands=("hand",),
+            hand="hand",
             cameras=cameras,
             table=table,
             timestep=timestep,
@@ -260,9 +260,9 @@ class Reality:
         forces = self.air.forces(x, self.data.qvel[self._dofs])
         if self._twist is not None:
             rotation = self.data.xmat[self._hand].reshape(3, 3)
-            load = self._twist.load(x, rotation, self.model.opt.timestep)
-            forces += load.forces
-            self.data.xfrc_applied[self._hand, 3:] = load.moment
+            more, moment = self._twist.load(x, rotation, self.model.opt.timestep)
+            forces += more
+            self.data.xfrc_applied[self._hand, 3:] = moment
         if len(self._slip.vertices):
             self._apply_friction(x, forces)
         # As forces on the slides: for wrenches on bodies MuJoCo computes a Jacobian each.
@@ -397,23 +397,19 @@ class Reality:
 
     # ---- pictures ----------------------------------------------------------------------------
 
-    def render(self, camera: int | str) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8]]:
+    def render(self, camera: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8]]:
         """What a perfect camera sees now.
 
         Args:
-            camera: Index or name of one of `cameras`.
+            camera: Index of one of `cameras`.
 
         Returns:
             depth [height, width] along the optical axis [m] and colour [height, width, 3].
 
         Raises:
-            ParameterError: There is no such camera.
             DeviceError: There is no OpenGL context; says which packages provide one.
         """
-        names = [c.name for c in self.cameras]
-        known, fix = camera in (*names, *range(len(names))), f"have {', '.join(names)}"
-        require(known, f"there is no camera {camera!r}", where="render", fix=fix)
-        seen = self.cameras[names.index(camera) if isinstance(camera, str) else camera]
+        seen = self.cameras[camera]
         renderer = self._open_renderer(seen.width, seen.height)
         renderer.enable_depth_rendering()
         renderer.update_scene(self.data, camera=seen.name)

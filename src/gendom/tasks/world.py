@@ -87,40 +87,26 @@ class Simulation:
                 "keeps them apart",
                 task.name,
             )
-        for group in groups:
-            for some in np.split(group, range(BATCH, len(group), BATCH)):
-                made = self._as_memory_allows(
+        parts = [some for g in groups for some in np.split(g, range(BATCH, len(g), BATCH))]
+        while parts:
+            some = parts.pop(0)
+            try:
+                made = self._side_by_side(
                     task, [items[w] for w in some], wanted[some], keep, on_frame
                 )
-                for w, outcome in zip(some, made, strict=True):
-                    found[w] = outcome
+            except RuntimeError as error:  # Warp's own
+                if "allocate" not in str(error) or len(some) == 1:
+                    raise
+                _log.warning(
+                    "%s has no memory for %d objects at once; simulating smaller batches",
+                    self.device,
+                    len(some),
+                )
+                parts[:0] = np.split(some, [len(some) // 2])
+                continue
+            for w, outcome in zip(some, made, strict=True):
+                found[w] = outcome
         return found
-
-    def _as_memory_allows(
-        self,
-        task: Task,
-        items: Sequence[Item],
-        actions: Array,
-        keep: bool,
-        on_frame: Callable[[int], None] | None,
-    ) -> list[Outcome]:
-        """Objects of one size, in two halves if the device's memory does not hold them at once."""
-        try:
-            return self._side_by_side(task, items, actions, keep, on_frame)
-        except RuntimeError as error:  # Warp's own
-            if "allocate" not in str(error) or len(items) == 1:
-                raise
-            half = len(items) // 2
-            _log.warning(
-                "%s has no memory for %d objects at once; simulating smaller batches",
-                self.device,
-                len(items),
-            )
-        return [
-            outcome
-            for part in (slice(0, half), slice(half, None))
-            for outcome in self._as_memory_allows(task, items[part], actions[part], keep, on_frame)
-        ]
 
     def on(self, device: str) -> Simulation:
         """As `World.on`."""

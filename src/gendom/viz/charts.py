@@ -17,6 +17,10 @@ from gendom.viz.palette import nice_step
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 10.0, 8.0, 40.0
 _WIDTH, _HEIGHT = 420.0, 250.0
+_MARKED = 5
+
+_MARKS = {"dot": "h0", "square": "h0", "cross": "m-7 0h14m-7 -7v14"}
+"""How a mark is drawn from its place on: of dots and squares only the line's cap is seen."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,52 +39,39 @@ class Axis:
     def around(
         cls, values: npt.ArrayLike, *, margin: float = 0.06, log: bool = False, label: str = ""
     ) -> Axis:
-        """From the lowest to the highest finite value, with a margin on both sides."""
-        array = np.asarray(values, dtype=float).ravel()
-        array = array[np.isfinite(array) & ((array > 0.0) | (not log))]
-        ends = np.array([array.min(), array.max()])
+        """From the lowest to the highest value, with a margin on both sides."""
+        ends = np.array([np.min(values), np.max(values)], dtype=float)
         if log:
             ends = np.log(ends)
         middle, half = ends.mean(), 0.5 * float(ends[1] - ends[0])
         half = (1.0 + 2.0 * margin) * max(half, 1e-3 if log else 1e-3 * abs(middle), 1e-9)
-        low, high = middle - half, middle + half
-        if log:
-            low, high = math.exp(low), math.exp(high)
+        low, high = (
+            np.exp([middle - half, middle + half]) if log else (middle - half, middle + half)
+        )
         return cls(low=float(low), high=float(high), log=log, label=label)
 
     def share(self, values: npt.ArrayLike) -> np.ndarray:
         """Where values lie, 0 at the low end and 1 at the high one."""
         array = np.asarray(values, dtype=float)
-        if not self.log:
-            return (array - self.low) / (self.high - self.low)
-        with np.errstate(divide="ignore", invalid="ignore"):
+        if self.log:
             return np.log(array / self.low) / math.log(self.high / self.low)
+        return (array - self.low) / (self.high - self.low)
 
-    def ticks(self, most: int = 6) -> list[float]:
-        """Values that are marked: about `most`."""
+    def ticks(self) -> list[float]:
+        """Values that are marked: about `_MARKED`."""
         if not self.log or self.high / self.low < 3.0:
-            step = nice_step((self.high - self.low) / most)
+            step = nice_step((self.high - self.low) / _MARKED)
             ends = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
             return [k * step for k in range(ends[0], ends[1] + 1)]
         decades = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
-        every = max(1, math.ceil(math.log10(self.high / self.low) / most))
-        found: list[float] = []
-        for steps in ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)):
-            marks = [s * 10.0**d for d in decades if d % every == 0 for s in steps]
-            marks = [m for m in marks if self.low * 0.999 <= m <= self.high * 1.001]
-            if len(marks) <= most or not found:
-                found = marks
-        return found
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One line of a legend."""
-
-    kind: str
-    label: str
-    shape: str
-    """ "line", "dashed", "dot", "area" or "cross"."""
+        every = max(1, math.ceil(math.log10(self.high / self.low) / _MARKED))
+        within = [
+            (k, k * 10.0**d)
+            for d in decades if d % every == 0
+            for k in (1, 2, 5) if self.low <= k * 10.0**d <= self.high
+        ]  # fmt: skip
+        fine = len(within) <= _MARKED + 1
+        return [value for k, value in within if k == 1 or fine]
 
 
 @dataclass(kw_only=True)
@@ -90,92 +81,50 @@ class Plot:
     x: Axis
     y: Axis
     height: float = _HEIGHT
-    compact: bool = False
-    """A strip: no numbers upwards, and little room below."""
-    entries: list[Entry] = field(default_factory=list)
-    """The legend."""
+    entries: list[tuple[str, str, str]] = field(default_factory=list)
+    """The legend: class, label, and its mark's shape."""
     _drawn: list[str] = field(default_factory=list)
 
     @classmethod
     def to_scale(cls, x: Axis, y: Axis) -> Plot:
         """A plot whose axes have one scale; the shorter one is made longer."""
         inner = _WIDTH - _LEFT - _RIGHT
-        tall = (y.high - y.low) / (x.high - x.low)
-        height = min(max(tall, 0.55), 0.95) * inner
+        height = min(max((y.high - y.low) / (x.high - x.low), 0.55), 0.95) * inner
         scale = max((x.high - x.low) / inner, (y.high - y.low) / height)
-        wide = [
-            Axis(
-                low=0.5 * (a.low + a.high - scale * pixels),
-                high=0.5 * (a.low + a.high + scale * pixels),
-                label=a.label,
-            )
-            for a, pixels in ((x, inner), (y, height))
-        ]
-        return cls(x=wide[0], y=wide[1], height=height + _TOP + _BOTTOM)
+
+        def longer(a: Axis, pixels: float) -> Axis:
+            middle, half = 0.5 * (a.low + a.high), 0.5 * scale * pixels
+            return Axis(low=middle - half, high=middle + half, label=a.label)
+
+        return cls(x=longer(x, inner), y=longer(y, height), height=height + _TOP + _BOTTOM)
 
     def line(
-        self,
-        x: npt.ArrayLike,
-        y: npt.ArrayLike,
-        kind: str,
-        label: str = "",
-        *,
-        dashed: bool = False,
-        dots: bool = False,
+        self, x: npt.ArrayLike, y: npt.ArrayLike, kind: str, label: str = "", shape: str = "line"
     ) -> None:
-        """A line through points, and perhaps dots on them; what is not finite breaks it."""
-        px, py = self._places(x, y)
-        shape = "dashed" if dashed else "line"
-        self._drawn.append(f'<path class="{kind} {shape}" d="{_through(px, py)}"/>')
-        if dots:
-            self.dots(x, y, kind, size=4.5)
-        self._name(kind, label, shape)
+        """A line through points; `shape` is "line" or "dashed"."""
+        self._add(f'<path class="{kind} {shape}" d="{self._through(x, y)}"/>', kind, label, shape)
 
-    def dots(
-        self,
-        x: npt.ArrayLike,
-        y: npt.ArrayLike,
-        kind: str,
-        label: str = "",
-        *,
-        size: float = 7.0,
-        faint: bool = False,
-        square: bool = False,
+    def marks(
+        self, x: npt.ArrayLike, y: npt.ArrayLike, kind: str, label: str = "", shape: str = "dot"
     ) -> None:
-        """Round dots, or squares, at points; sizes in units of the chart's width of 420."""
-        px, py = self._places(x, y)
-        places = "".join(
-            f"M{a:.1f} {b:.1f}h0" for a, b in zip(px, py, strict=True) if np.isfinite(a + b)
-        )
-        more = ("faint " if faint else "") + ("square " if square else "")
-        self._drawn.append(
-            f'<path class="{kind} dots {more}" stroke-width="{size:g}" d="{places}"/>'
-        )
-        self._name(kind, label, "square" if square else "dot")
+        """A mark at each point: a "dot", "square" or "cross"."""
+        places = "".join(f"M{a:.1f} {b:.1f}{_MARKS[shape]}" for a, b in self._places(x, y))
+        self._add(f'<path class="{kind} marks {shape}" d="{places}"/>', kind, label, shape)
 
-    def area(self, x: npt.ArrayLike, y: npt.ArrayLike, kind: str, label: str = "") -> None:
+    def area(self, x: npt.ArrayLike, y: npt.ArrayLike, kind: str) -> None:
         """What lies between a line and the lower end."""
-        px, py = self._places(x, y)
+        (first, _), *_, (last, _) = self._places(x, y)
         base = self._bottom
-        path = f"{_through(px, py)}L{px[-1]:.1f} {base:.1f}L{px[0]:.1f} {base:.1f}Z"
+        path = f"{self._through(x, y)}L{last:.1f} {base:.1f}L{first:.1f} {base:.1f}Z"
         self._drawn.append(f'<path class="{kind} area" d="{path}"/>')
-        self._name(kind, label, "area")
 
-    def upright(self, x: float, kind: str, label: str = "", *, dashed: bool = True) -> None:
-        """A line from top to bottom."""
-        self.line([x, x], [self.y.low, self.y.high], kind, label, dashed=dashed)
+    def upright(self, x: float, kind: str, label: str = "") -> None:
+        """A dashed line from top to bottom."""
+        self.line([x, x], [self.y.low, self.y.high], kind, label, "dashed")
 
     def level(self, y: float, kind: str, label: str) -> None:
         """A dashed line from left to right."""
-        self.line([self.x.low, self.x.high], [y, y], kind, label, dashed=True)
-
-    def cross(self, x: float, y: float, kind: str, label: str = "") -> None:
-        """An upright cross."""
-        (px,), (py,) = self._places([x], [y])
-        self._drawn.append(
-            f'<path class="{kind} cross" d="M{px - 7:.1f} {py:.1f}h14M{px:.1f} {py - 7:.1f}v14"/>'
-        )
-        self._name(kind, label, "cross")
+        self.line([self.x.low, self.x.high], [y, y], kind, label, "dashed")
 
     def cursor(self, scene: str) -> None:
         """A line at the time that the viewer with this scene shows, moved by its script."""
@@ -186,34 +135,27 @@ class Plot:
             f'y2="{self._bottom:.1f}" visibility="hidden"/>'
         )
 
-    def svg(self, description: str) -> str:
-        """An `svg` element; the description is for those who do not see it."""
+    def figure(self, title: str, note: str = "") -> str:
+        """HTML: the chart under a heading, with its legend and a note; plain text."""
+        parts = [f'<figcaption class="title">{html.escape(title)}</figcaption>']
+        if self.entries:
+            items = "".join(
+                f'<li><i class="{kind} key {shape}"></i>{html.escape(label)}</li>'
+                for kind, label, shape in self.entries
+            )
+            parts.append(f'<ul class="legend">{items}</ul>')
+        parts.append(self._svg(title))
+        if note:
+            parts.append(f'<p class="note">{html.escape(note)}</p>')
+        return f'<figure class="chart">{"".join(parts)}</figure>'
+
+    def _svg(self, description: str) -> str:
         left, right, top, bottom = self._left, self._right, _TOP, self._bottom
         parts = [
             f'<svg class="plot" viewBox="0 0 {_WIDTH:.0f} {self.height:.0f}" role="img" '
             f'aria-label="{html.escape(description)}">'
         ]
-        if self.x.marked:
-            parts += self._x_marks(left, right, top, bottom)
-        if self.y.marked and not self.compact:
-            for value, text in _written(self.y.ticks(5)):
-                at = bottom - (bottom - top) * float(self.y.share(value))
-                parts.append(
-                    f'<path class="grid" d="M{left:.1f} {at:.1f}H{right:.1f}"/>'
-                    f'<text x="{left - 6:.1f}" y="{at + 4:.1f}" text-anchor="end">{text}</text>'
-                )
-        parts.append(f'<path class="frame" d="M{left:.1f} {bottom:.1f}H{right:.1f}"/>')
-        # the view box of an inner svg cuts off what lies outside the axes
-        w, h = right - left, bottom - top
-        parts.append(
-            f'<svg x="{left:.1f}" y="{top:.1f}" width="{w:.1f}" height="{h:.1f}" '
-            f'viewBox="{left:.1f} {top:.1f} {w:.1f} {h:.1f}">{"".join(self._drawn)}</svg></svg>'
-        )
-        return "\n".join(parts)
-
-    def _x_marks(self, left: float, right: float, top: float, bottom: float) -> list[str]:
-        parts = []
-        for value, text in _written(self.x.ticks(5 if self.x.log else 6)):
+        for value, text in _written(self.x.ticks()):
             at = left + (right - left) * float(self.x.share(value))
             # a label at the very end would be cut off
             anchor = "end" if at > _WIDTH - 14 else "start" if at < 14 else "middle"
@@ -221,16 +163,26 @@ class Plot:
                 f'<path class="grid" d="M{at:.1f} {top:.1f}V{bottom:.1f}"/>'
                 f'<text x="{at:.1f}" y="{bottom + 15:.1f}" text-anchor="{anchor}">{text}</text>'
             )
-        if self.x.label:
+        for value, text in _written(self.y.ticks()) if self.y.marked else ():
+            at = bottom - (bottom - top) * float(self.y.share(value))
             parts.append(
-                f'<text class="label" x="{(left + right) / 2:.1f}" y="{bottom + 33:.1f}" '
-                f'text-anchor="middle">{html.escape(self.x.label)}</text>'
+                f'<path class="grid" d="M{left:.1f} {at:.1f}H{right:.1f}"/>'
+                f'<text x="{left - 6:.1f}" y="{at + 4:.1f}" text-anchor="end">{text}</text>'
             )
-        return parts
+        # the view box of an inner svg cuts off what lies outside the axes
+        w, h = right - left, bottom - top
+        parts.append(
+            f'<text class="label" x="{(left + right) / 2:.1f}" y="{bottom + 33:.1f}" '
+            f'text-anchor="middle">{html.escape(self.x.label)}</text>'
+            f'<path class="frame" d="M{left:.1f} {bottom:.1f}H{right:.1f}"/>'
+            f'<svg x="{left:.1f}" y="{top:.1f}" width="{w:.1f}" height="{h:.1f}" '
+            f'viewBox="{left:.1f} {top:.1f} {w:.1f} {h:.1f}">{"".join(self._drawn)}</svg></svg>'
+        )
+        return "\n".join(parts)
 
     @property
     def _left(self) -> float:
-        return 10.0 if self.compact or not self.y.marked else _LEFT
+        return _LEFT if self.y.marked else _RIGHT
 
     @property
     def _right(self) -> float:
@@ -238,38 +190,22 @@ class Plot:
 
     @property
     def _bottom(self) -> float:
-        return self.height - (_BOTTOM if self.x.label else 22.0)
+        return self.height - _BOTTOM
 
-    def _places(self, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def _places(self, x: npt.ArrayLike, y: npt.ArrayLike) -> list[tuple[float, float]]:
+        """Where points are in the picture."""
         px = self._left + (self._right - self._left) * self.x.share(x)
         py = self._bottom - (self._bottom - _TOP) * self.y.share(y)
-        return px, py
+        return list(zip(px.tolist(), py.tolist(), strict=True))
 
-    def _name(self, kind: str, label: str, shape: str) -> None:
+    def _through(self, x: npt.ArrayLike, y: npt.ArrayLike) -> str:
+        """A path's data."""
+        return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in self._places(x, y))
+
+    def _add(self, drawn: str, kind: str, label: str, shape: str) -> None:
+        self._drawn.append(drawn)
         if label:
-            self.entries.append(Entry(kind, label, shape))
-
-
-def legend(entries: Sequence[Entry]) -> str:
-    """What the marks of a chart mean, as a list that wraps."""
-    if not entries:
-        return ""
-    items = "".join(
-        f'<li><i class="{e.kind} key {e.shape}"></i>{html.escape(e.label)}</li>' for e in entries
-    )
-    return f'<ul class="legend">{items}</ul>'
-
-
-def _through(px: np.ndarray, py: np.ndarray) -> str:
-    """A path's data; places that are not finite break it."""
-    path, pen_up = [], True
-    for a, b in zip(px, py, strict=True):
-        if not np.isfinite(a + b):
-            pen_up = True
-            continue
-        path.append(f"{'M' if pen_up else 'L'}{a:.1f} {b:.1f}")
-        pen_up = False
-    return "".join(path)
+            self.entries.append((kind, label, shape))
 
 
 def _written(values: Sequence[float]) -> list[tuple[float, str]]:

@@ -12,10 +12,7 @@ import numpy as np
 
 from gendom.arguments import check_numbers, require
 
-VIEWS = ("auto", "xz", "yz", "xy", "oblique")
-
-OBLIQUE_TILT = 25.0
-"""How far the view "oblique" looks downwards [degrees]."""
+VIEWS = ("auto", "oblique")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,23 +103,16 @@ class CloudSequence:
         Raises:
             ParameterError: There are no points at all.
         """
-        return self.extent(np.eye(3))
-
-    def extent(self, axes: np.ndarray) -> np.ndarray:
-        """[2, K] lowest and highest coordinate along K axes [K, 3], without stray points [m].
-
-        Raises:
-            ParameterError: There are no points at all.
-        """
-        ends = []
-        for clouds in (self.recorded, self.simulated or ()):
-            for cloud in clouds:
-                if len(cloud):
-                    # A depth camera's flying pixels would shrink everything else.
-                    ends.append(np.quantile(cloud @ axes.T, (0.005, 0.995), axis=0))
+        # A depth camera's flying pixels would shrink everything else.
+        ends = [
+            np.quantile(cloud, (0.005, 0.995), axis=0)
+            for clouds in (self.recorded, self.simulated or ())
+            for cloud in clouds
+            if len(cloud)
+        ]
         require(ends, "has no points at all", where="recorded", fix="record it again")
         if self.gripper is not None:
-            ends.append(self.gripper.reshape(-1, 3) @ axes.T)
+            ends.append(self.gripper.reshape(-1, 3))
         ends = np.concatenate(ends)
         return np.stack([ends.min(axis=0), ends.max(axis=0)])
 
@@ -135,8 +125,6 @@ class Projection:
     """Angle about z from x to the direction that points right in the picture [rad]."""
     tilt: float
     """Angle by which the picture looks downwards [rad]: 0 from the side, pi / 2 from above."""
-    names: tuple[str, str] | None
-    """Names of the two axes; None: the picture shows all three."""
 
     @property
     def axes(self) -> np.ndarray:
@@ -150,24 +138,17 @@ class Projection:
 
 
 def choose_view(sequence: CloudSequence, view: str = "auto") -> Projection:
-    """A view by name, or the side view that shows most.
+    """A view by name.
 
-    "auto" has z upwards and the longer of x and y to the right; if the object hardly rises it
-    looks from above. "oblique" shows all three axes, from 25 degrees above.
+    "auto" is the side view that shows most: z upwards and the longer of x and y to the right; if
+    the object hardly rises it looks from above. "oblique" looks down by 25 degrees.
 
     Raises:
         ParameterError: There is no view of this name.
     """
     require(view in VIEWS, f"is {view!r}", where="view", fix=f"choose from {', '.join(VIEWS)}")
+    x, y, z = np.ptp(sequence.box(), axis=0).tolist()
+    turn, tilt = 30.0, 25.0
     if view == "auto":
-        low, high = sequence.box()
-        x, y, z = (high - low).tolist()
-        view = "xy" if z < 0.25 * min(x, y) else "xz" if x >= y else "yz"
-    turn, tilt = {
-        "xz": (0.0, 0.0),
-        "yz": (90.0, 0.0),
-        "xy": (0.0, 90.0),
-        "oblique": (30.0, OBLIQUE_TILT),
-    }[view]
-    names = None if view == "oblique" else (view[0], view[1])
-    return Projection(turn=math.radians(turn), tilt=math.radians(tilt), names=names)
+        turn, tilt = (0.0, 90.0) if z < 0.25 * min(x, y) else (0.0 if x >= y else 90.0, 0.0)
+    return Projection(turn=math.radians(turn), tilt=math.radians(tilt))

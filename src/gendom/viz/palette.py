@@ -19,9 +19,14 @@ SIMULATED_COLOR = "#E69F00"
 DEPTH_COLORS = ("#fde725", "#5ec962", "#21918c", "#3b528b", "#440154")
 """From near to far: five of the colours of matplotlib's viridis."""
 
+NEAR, FAR = 0.5, 1.3
+"""Depths of their ends [m]; black is no depth."""
+
+WIDTH = 1280
+"""Of a picture of what all cameras saw [pixels]."""
+
 INK = (34, 34, 34)
 SOFT_INK = (110, 110, 110)
-GRID = (234, 234, 234)
 TABLE_FILL = (244, 244, 244)
 TABLE_LINE = (150, 150, 150)
 SIMULATED_OPACITY = 0.55
@@ -41,18 +46,12 @@ def nice_step(at_least: float) -> float:
 
 def encode_camera_views(
     views: Sequence[tuple[npt.NDArray[np.uint8], npt.NDArray[np.floating]]],
-    *,
-    width: int = 1280,
-    near: float = 0.5,
-    far: float = 1.3,
 ) -> bytes:
     """One JPEG: a row for each camera, colour on the left and depth on the right.
 
     Args:
         views: Colour [height, width, 3] and depth [height, width] [m], 0 where there is none,
             of each camera; pictures of one size.
-        width: Of the whole [pixels].
-        near, far: Depths of the ends of the colour scale [m]; black is no depth.
 
     Raises:
         ParameterError: There is no picture, or their sizes differ.
@@ -63,13 +62,13 @@ def encode_camera_views(
     scale = np.transpose([rgb(color) for color in DEPTH_COLORS])
     rows = []
     for colour, depth in views:
-        share = np.clip((depth - near) / (far - near), 0.0, 1.0)
+        share = np.clip((depth - NEAR) / (FAR - NEAR), 0.0, 1.0)
         channels = [np.interp(share, np.linspace(0.0, 1.0, len(c)), c) for c in scale]
         painted = np.stack(channels, axis=-1).astype(np.uint8)
         painted[depth <= 0.0] = 0
         rows.append(np.concatenate([colour, painted], axis=1))
     whole = Image.fromarray(np.concatenate(rows))
-    size = width, round(whole.height * width / whole.width)
+    size = WIDTH, round(whole.height * WIDTH / whole.width)
     buffer = io.BytesIO()
     whole.resize(size, Image.Resampling.LANCZOS).save(buffer, "JPEG", quality=80, optimize=True)
     return buffer.getvalue()

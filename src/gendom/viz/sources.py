@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -12,12 +11,11 @@ from numpy.typing import NDArray
 from gendom.materials import thickness_of
 
 if TYPE_CHECKING:
-    from gendom.estimation import Estimate, LiftScene, Theta
+    from gendom.estimation import LiftScene, Theta
     from gendom.reality import RealRope
     from gendom.reality.trials import TrialRun
-    from gendom.robot import Arm
     from gendom.tasks import Observed
-    from gendom.viz import CloudSequence, EstimateSummary
+    from gendom.viz import CloudSequence
 
 
 def clouds_of(
@@ -52,18 +50,6 @@ def view_of(scene: LiftScene) -> str:
     return "oblique" if scene.kind == "cloth" else "auto"
 
 
-def summary_of(found: Estimate, truth: Mapping[str, float] | None = None) -> EstimateSummary:
-    """An estimate for a report.
-
-    Args:
-        found: The estimate.
-        truth: True values under the keys of its record, as far as known.
-    """
-    from gendom.viz import EstimateSummary
-
-    return EstimateSummary(values=found.record, truth=truth)
-
-
 def arm_of_lift(clouds: CloudSequence, rope: RealRope) -> CloudSequence:
     """A lift in the MuJoCo test scene with its arm, which moves the same each time."""
     from gendom.reality.trials import TrialRun, lift
@@ -76,32 +62,15 @@ def arm_of_lift(clouds: CloudSequence, rope: RealRope) -> CloudSequence:
 def arm_poses(
     run: TrialRun, times: NDArray[np.floating], T_world_frame: NDArray[np.floating]
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]] | None:
-    """[T, C, 2, 3] ends of the arm's capsules in a frame, and [C] their radii [m].
+    """[T, C, 2, 3] ends of the arm's capsules in a frame [4, 4], and [C] their radii [m].
 
     None where a free hand moves. `times` [T] [s] are the run's own.
     """
-    from gendom.robot import XARM7
+    from gendom.robot import XARM7, arm_shape
 
     if run.motion is None:
         return None
-    opening = thickness_of(run.trial.item)
-    return arm_capsules(XARM7, run.motion.at(times), opening, T_world_frame)
-
-
-def arm_capsules(
-    arm: Arm, q: NDArray[np.floating], opening: float, T_world_frame: NDArray[np.floating]
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """[T, C, 2, 3] ends of an arm's capsules in a frame, and [C] their radii [m].
-
-    Args:
-        arm: The arm, whose base frame is the world.
-        q: [T, J] joint angles [rad].
-        opening: Between its fingers [m].
-        T_world_frame: [4, 4] pose of the frame.
-    """
-    from gendom.robot import arm_shape
-
-    shape = arm_shape(arm, q, opening)
+    shape = arm_shape(XARM7, run.motion.at(times), thickness_of(run.trial.item))
     ends = np.stack([shape.start, shape.end], axis=-2)
     T = np.linalg.inv(T_world_frame)
     return ends @ T[:3, :3].T + T[:3, 3], shape.radius

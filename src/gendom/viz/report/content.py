@@ -6,24 +6,18 @@ import base64
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import date
 
 from gendom.files import atomic_path
-from gendom.viz.report.action import ActionSummary, action_section
+from gendom.installation import version
+from gendom.viz.report.action import WITHOUT, ActionSummary, action_section
 from gendom.viz.report.estimate import (
     parameters_section,
     refusal_banner,
     verdict_banner,
 )
 from gendom.viz.report.lift import LiftPictures, lift_section
-from gendom.viz.report.markup import (
-    Section,
-    cell,
-    escaped,
-    facts_list,
-    number,
-    render_page,
-    table,
-)
+from gendom.viz.report.markup import Section, escaped, facts_list, render_page, table
 from gendom.viz.report.posterior import beliefs_section
 from gendom.viz.report.search import search_section
 from gendom.viz.report.summary import (
@@ -31,6 +25,7 @@ from gendom.viz.report.summary import (
     interval_text,
     length_text,
     quantity_text,
+    title_of,
 )
 
 SUMMARY = (
@@ -44,38 +39,15 @@ SUMMARY = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class CameraViews:
-    """Both cameras' pictures of one moment of the lift."""
-
-    picture: bytes
-    """A JPEG, see `gendom.viz.encode_camera_views`."""
-    note: str = ""
-    """Text below the heading: which cameras, where, when."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class NextStep:
-    """A command to try."""
-
-    command: str
-    """As typed into a shell where the report was made."""
-    purpose: str
-    """What it does; plain text."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Provenance:
     """How a result was made, so that it can be made again."""
 
     commands: Sequence[str] = ()
-    version: str = ""
-    date: str = ""
+    date: str = field(default_factory=lambda: date.today().isoformat())
     device: str = ""
     seeds: Mapping[str, int] = field(default_factory=dict)
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     """Seconds of each stage, in order."""
-    facts: Mapping[str, str] = field(default_factory=dict)
-    """Anything else worth knowing, by name."""
     warnings: Sequence[str] = ()
 
 
@@ -87,15 +59,18 @@ class ReportContent:
     summary: str = SUMMARY
     recording_source: str = ""
     """Where the recording came from, and how far it may be trusted."""
-    cameras: CameraViews | None = None
+    cameras: bytes | None = None
+    """What all cameras saw at one moment, see `gendom.viz.encode_camera_views`."""
+    cameras_note: str = ""
+    """Which cameras, where, when."""
     lift: LiftPictures | None = None
     estimate: EstimateSummary | None = None
     action: ActionSummary | None = None
     provenance: Provenance = field(default_factory=Provenance)
     refused: Sequence[str] = ()
     """Why nothing could be estimated, where nothing could."""
-    next_steps: Sequence[NextStep] = ()
-    """Commands that go on from what was written."""
+    next_steps: Sequence[tuple[str, str]] = ()
+    """Commands that go on from what was written, as typed into a shell, and what they do."""
 
     def sections(self) -> list[Section]:
         """The page's sections in order. A new part is a field above and two lines here.
@@ -105,7 +80,7 @@ class ReportContent:
         """
         sections: list[Section | None] = []
         if self.cameras is not None:
-            sections.append(cameras_section(self.cameras))
+            sections.append(_cameras_section(self.cameras, self.cameras_note))
         if self.lift is not None:
             sections.append(lift_section(self.lift, self.estimate))
         if self.estimate is not None:
@@ -114,9 +89,9 @@ class ReportContent:
             sections.append(search_section(self.estimate))
         if self.action is not None:
             sections.append(action_section(self.action))
-        sections.append(provenance_section(self.provenance))
+        sections.append(_provenance_section(self.provenance))
         if self.next_steps:
-            sections.append(next_section(self.next_steps))
+            sections.append(_next_section(self.next_steps))
         return [section for section in sections if section is not None]
 
 
@@ -148,14 +123,13 @@ def _opening(content: ReportContent) -> str:
     if content.estimate is not None:
         parts.append(verdict_banner(content.estimate))
     parts.append(f'<p class="lead">{escaped(content.summary)}</p>')
-    cards = _cards(content)
+    cards = "\n".join(
+        f'<li><span class="value">{escaped(value)}</span>'
+        f'<span class="name">{escaped(name)}</span></li>'
+        for value, name in _cards(content)
+    )
     if cards:
-        items = "\n".join(
-            f'<li><span class="value">{escaped(value)}</span>'
-            f'<span class="name">{escaped(name)}</span></li>'
-            for value, name in cards
-        )
-        parts.append(f'<ul class="cards">\n{items}\n</ul>')
+        parts.append(f'<ul class="cards">\n{cards}\n</ul>')
     if content.recording_source:
         parts.append(
             '<div class="source"><p><strong>Where the recording comes from.</strong> '
@@ -166,18 +140,20 @@ def _opening(content: ReportContent) -> str:
 
 def _cards(content: ReportContent) -> list[tuple[str, str]]:
     """The few numbers to remember: value and name."""
-    cards = []
-    if content.estimate is not None:
-        cards += _parameter_cards(content.estimate)
-    distance = _mean_chamfer(content)
+    cards, summary, lift = [], content.estimate, content.lift
+    if summary is not None:
+        cards += _parameter_cards(summary)
+    distance = None if summary is None else summary.value("chamfer_mean")
+    if distance is None and lift is not None and lift.clouds.chamfer is not None:
+        distance = float(lift.clouds.chamfer.mean())
     if distance is not None:
         cards.append((length_text(distance), "Chamfer distance of both lifts, mean of all frames"))
     if content.action is not None:
-        ours, without = content.action.mean_errors()
+        ours, *_ = (errors := content.action.mean_errors()).values()
         goals = len(content.action.outcomes)
         name = "distance from the goal" if goals == 1 else f"mean distance from {goals} goals"
-        if without is not None:
-            name += f"; without parameters {length_text(without)}"
+        if WITHOUT in errors:
+            name += f"; {WITHOUT} {length_text(errors[WITHOUT])}"
         cards.append((length_text(ours), name))
     return cards
 
@@ -186,8 +162,8 @@ def _parameter_cards(summary: EstimateSummary) -> list[tuple[str, str]]:
     if summary.usable is False:
         return []
     cards = []
-    for key, name in (("E", "Young's modulus"), ("nu", "Poisson's ratio")):
-        value = quantity_text(key, summary.values[key])
+    for key in ("E", "nu"):
+        name, value = title_of(key), quantity_text(key, summary.values[key])
         interval = summary.interval(key)
         if summary.determined(key) is False:
             cards.append(("not determined", f"{name} by this lift; best guess {value}"))
@@ -203,36 +179,25 @@ def _parameter_cards(summary: EstimateSummary) -> list[tuple[str, str]]:
     return cards
 
 
-def _mean_chamfer(content: ReportContent) -> float | None:
-    if content.estimate is not None:
-        value = content.estimate.value("chamfer_mean")
-        if value is not None:
-            return value
-    if content.lift is not None and content.lift.clouds.chamfer is not None:
-        return float(content.lift.clouds.chamfer.mean())
-    return None
-
-
-def cameras_section(views: CameraViews) -> Section:
+def _cameras_section(views: bytes, note: str) -> Section:
     """Colour and depth of each camera."""
-    parts = [f"<p>{escaped(views.note)}</p>"] if views.note else []
     caption = "A row for each camera: colour, and depth (yellow: near, black: none measured)."
-    code = base64.b64encode(views.picture).decode("ascii")
+    code = base64.b64encode(views).decode("ascii")
     picture = f'<img src="data:image/jpeg;base64,{code}" alt="What both cameras see">'
-    parts.append(f"<figure>{picture}<figcaption>{caption}</figcaption></figure>")
-    return Section(title="What the cameras saw", body="\n".join(parts))
+    body = f"<figure>{picture}<figcaption>{caption}</figcaption></figure>"
+    return Section(title="What the cameras saw", body=f"<p>{escaped(note)}</p>{body}")
 
 
-def next_section(steps: Sequence[NextStep]) -> Section:
+def _next_section(steps: Sequence[tuple[str, str]]) -> Section:
     """What each command does, and the command."""
     items = "\n".join(
-        f"<li><p>{escaped(step.purpose)}</p><pre>{escaped(step.command)}</pre></li>"
-        for step in steps
+        f"<li><p>{escaped(purpose)}</p><pre>{escaped(command)}</pre></li>"
+        for command, purpose in steps
     )
     return Section(title="What to try next", body=f'<ol class="steps">\n{items}\n</ol>')
 
 
-def provenance_section(made: Provenance) -> Section:
+def _provenance_section(made: Provenance) -> Section:
     """Warnings, commands, versions and seeds, and how long each stage took."""
     parts = [
         f'<p class="warning"><strong>Warning.</strong> {escaped(text)}</p>'
@@ -240,15 +205,11 @@ def provenance_section(made: Provenance) -> Section:
     ]
     if made.commands:
         parts.append(f"<pre>{escaped(chr(10).join(made.commands))}</pre>")
-    facts = [("GenDOM", made.version), ("date", made.date), ("device", made.device)]
-    if made.seeds:
-        facts.append(("seeds", ", ".join(f"{k} {v}" for k, v in made.seeds.items())))
-    facts += list(made.facts.items())
-    parts.append(facts_list([(name, value) for name, value in facts if value]))
+    seeds = ", ".join(f"{k} {v}" for k, v in made.seeds.items())
+    facts = {"GenDOM": version(), "date": made.date, "device": made.device, "seeds": seeds}
+    parts.append(facts_list([(name, value) for name, value in facts.items() if value]))
     if made.stage_seconds:
-        stages = [(name, f"{s:.1f} s") for name, s in made.stage_seconds.items()]
-        rows = [f"<tr>{cell(escaped(name))}{number(value)}</tr>" for name, value in stages]
-        total = sum(made.stage_seconds.values())
-        rows.append(f'<tr class="total">{cell("all")}{number(f"{total:.1f} s")}</tr>')
-        parts.append(table(["<th>Stage</th>", '<th class="number">Time</th>'], rows, "narrow"))
+        stages = {**made.stage_seconds, "all": sum(made.stage_seconds.values())}
+        rows = [[name, f"{seconds:.1f} s"] for name, seconds in stages.items()]
+        parts.append(table({"Stage": "", "Time": "number"}, rows, totals=1, kind="narrow"))
     return Section(title="How this was made", body="\n".join(part for part in parts if part))

@@ -1,62 +1,59 @@
-"""The page of a report, and its pieces: escaped text, tables, lists of facts, figures, charts."""
+"""The page of a report, and its pieces: escaped text, tables, lists of facts."""
 
 from __future__ import annotations
 
 import html
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
-
-from gendom.viz.charts import Plot, legend
 
 DASH = "–"
 """Stands where a table has no value."""
 
 
-def escaped(value: str) -> str:
+def escaped(text: str) -> str:
     """Plain text as HTML, also inside an attribute."""
-    return html.escape(value, quote=True)
+    return html.escape(text, quote=True)
 
 
-def cell(inner: str, kind: str = "", *, label: str = "", columns: int = 1) -> str:
-    """A table's cell of HTML.
+def table(
+    columns: Mapping[str, str],
+    rows: Sequence[Sequence[str]],
+    *,
+    totals: int = 0,
+    kind: str = "stacked",
+) -> str:
+    """A table as HTML.
 
     Args:
-        inner: HTML.
-        kind: A class of `report.css`.
-        label: Plain text that stands before it where a narrow page stacks the cells.
-        columns: How many it covers.
+        columns: Titles, and the class of `report.css` of each column's cells.
+        rows: A text for each column.
+        totals: How many of the last rows are sums or means.
+        kind: A class of `report.css`; "stacked" puts a row's cells below each other on a narrow
+            page.
     """
-    more = f' class="{kind}"' if kind else ""
-    more += f' data-label="{escaped(label)}"' if label else ""
-    more += f' colspan="{columns}"' if columns > 1 else ""
-    return f"<td{more}>{inner}</td>"
-
-
-def number(text: str, label: str = "") -> str:
-    """A cell with a number, or `DASH`; plain text."""
-    return cell(escaped(text), "number none" if text == DASH else "number", label=label)
-
-
-def table(head: Iterable[str], rows: Iterable[str], kind: str = "stacked") -> str:
-    """A table of HTML cells: those of the head, and rows.
-
-    `kind` is a class of `report.css`; "stacked" puts a row's cells below each other on a narrow
-    page.
-    """
+    head = "".join(f'<th class="{of}">{escaped(title)}</th>' for title, of in columns.items())
+    lines = []
+    for k, row in enumerate(rows):
+        cells = "".join(
+            f'<td class="{of}{" none" * (text == DASH)}" data-label="{escaped(title)}">'
+            f"{escaped(text)}</td>"
+            for (title, of), text in zip(columns.items(), row, strict=True)
+        )
+        total = ' class="total"' if k >= len(rows) - totals else ""
+        lines.append(f"<tr{total}>{cells}</tr>")
+    body = "\n".join(lines)
     return (
-        f'<div class="scroll"><table class="{kind}"><thead><tr>{"".join(head)}</tr></thead>\n'
-        "<tbody>\n" + "\n".join(rows) + "\n</tbody></table></div>"
+        f'<div class="scroll"><table class="{kind}"><thead><tr>{head}</tr></thead>\n'
+        f"<tbody>\n{body}\n</tbody></table></div>"
     )
 
 
 def facts_list(facts: Sequence[tuple[str, str]]) -> str:
     """Names and what they stand for, both plain text."""
-    if not facts:
-        return ""
     items = [f"<div><dt>{escaped(n)}</dt><dd>{escaped(v)}</dd></div>" for n, v in facts]
-    return '<dl class="facts">\n' + "\n".join(items) + "\n</dl>"
+    return '<dl class="facts">\n' + "\n".join(items) + "\n</dl>" if items else ""
 
 
 def folded(summary: str, inner: str) -> str:
@@ -64,14 +61,9 @@ def folded(summary: str, inner: str) -> str:
     return f"<details><summary>{escaped(summary)}</summary>{inner}</details>"
 
 
-def chart_figure(title: str, plots: Sequence[Plot], note: str = "") -> str:
-    """Charts below each other under one heading, with their legends and a note; plain text."""
-    parts = [f'<figcaption class="title">{escaped(title)}</figcaption>']
-    for plot in plots:
-        parts += [legend(plot.entries), plot.svg(title)]
-    if note:
-        parts.append(f'<p class="note">{escaped(note)}</p>')
-    return f'<figure class="chart">{"".join(parts)}</figure>'
+def side_by_side(figures: Sequence[str]) -> str:
+    """HTML of figures, two in a row where there is room."""
+    return f'<div class="pair">{"".join(figures)}</div>' if figures else ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +110,7 @@ style-src 'unsafe-inline'; script-src 'unsafe-inline'">
 <body>
 <div class="page">
 <nav class="contents" aria-label="Contents">
-<div class="bar"><strong>Contents</strong><button type="button" id="theme" hidden></button></div>
+<strong>Contents</strong>
 <ol>{links}</ol>
 </nav>
 <main>
@@ -126,7 +118,7 @@ style-src 'unsafe-inline'; script-src 'unsafe-inline'">
 </main>
 </div>
 <script>
-{_asset("report.js")}{_asset("viewer.js")}</script>
+{_asset("viewer.js")}</script>
 </body>
 </html>
 """

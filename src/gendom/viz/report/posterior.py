@@ -4,79 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gendom.materials.unknowns import UNKNOWNS
-from gendom.viz.charts import Axis, Entry, Plot
-from gendom.viz.report.markup import Section, cell, chart_figure, escaped, folded, number, table
-from gendom.viz.report.summary import SHOWN_UNITS, EstimateSummary, with_minus
-
-# What people call some unknowns here; others go by the registry.
-_TITLES = {
-    "E_over_rho": "Specific modulus E / ρ",
-    "friction": "Friction on the table",
-    "stiffness_slope": "d ln E / d(s / L)",
-    "thickness": "Thickness over the stated one",
-    "delay": "Delay of the clouds",
-    "grip_height": "Grip height, correction",
-    "grip_along": "Grip along the object, correction",
-    "grip_aside": "Grip beside the diagonal, correction",
-    "grip_tilt": "Tilt of the held corner",
-    "grip_reach": "Reach of the grip, correction",
-    "yaw": "Turn of the lying cloth, correction",
-}
+from gendom.viz.charts import Axis, Plot
+from gendom.viz.report.markup import Section, escaped, folded, side_by_side, table
+from gendom.viz.report.summary import EstimateSummary, title_of, unit_of, with_minus
 
 _DRAWN_SDS = 4.2
-_ZOOM = 5.0  # a posterior narrower than its prior by more than this has a strip of the whole prior
-
-
-@dataclass(frozen=True, kw_only=True)
-class Marginal:
-    """One unknown's Gaussian before and after, in its transformed value, within what was searched.
-
-    Densities of parameters on a logarithmic scale are those of the logarithm, so that areas are
-    probabilities in either case.
-    """
-
-    log: bool
-    prior: NormalDist
-    posterior: NormalDist
-    low: float
-    high: float
-    level: float
-    """Probability of intervals."""
-
-    @classmethod
-    def of(cls, posterior: Mapping[str, Any], k: int, level: float) -> Marginal:
-        """Of unknown k in the posterior of an estimate's file."""
-        return cls(
-            log=bool(posterior["log"][k]),
-            prior=NormalDist(posterior["prior_mean"][k], posterior["prior_sd"][k]),
-            posterior=NormalDist(posterior["mean"][k], math.sqrt(posterior["covariance"][k][k])),
-            low=posterior["low"][k],
-            high=posterior["high"][k],
-            level=level,
-        )
-
-    def value(self, transformed: npt.ArrayLike) -> np.ndarray:
-        """In the unknown's unit."""
-        array = np.asarray(transformed, dtype=float)
-        return np.exp(array) if self.log else array
-
-    def ends(self, of: NormalDist) -> np.ndarray:
-        """[2] transformed ends of the prior's or the posterior's interval."""
-        half = NormalDist().inv_cdf(0.5 + self.level / 2.0) * of.stdev
-        return np.clip([of.mean - half, of.mean + half], self.low, self.high)
-
-    @property
-    def narrowed(self) -> float:
-        """By how much the posterior is narrower."""
-        return self.prior.stdev / self.posterior.stdev
+_WHOLE = 5.0  # a prior that is wider than the posterior by more than this is drawn in part
 
 
 def beliefs_section(summary: EstimateSummary) -> Section | None:
@@ -84,123 +23,82 @@ def beliefs_section(summary: EstimateSummary) -> Section | None:
     posterior = summary.values.get("posterior")
     if not posterior or summary.level is None:
         return None
-    material, recording, rows = [], [], []
+    figures: dict[bool, list[str]] = {True: [], False: []}
+    rows = []
     for k, name in enumerate(posterior["names"]):
-        own = name in UNKNOWNS and UNKNOWNS[name].material
-        marginal, of_which = Marginal.of(posterior, k, summary.level), _of_which(posterior, k)
-        (material if own else recording).append(_figure(summary, marginal, name, of_which))
-        rows.append(_row(marginal, name, of_which))
+        figure, row = _unknown(summary, posterior, k)
+        figures[name in UNKNOWNS and UNKNOWNS[name].material].append(figure)
+        rows.append(row)
     parts = [
         '<p class="soft">Grey: what was assumed before the lift (prior). Blue: what is known after '
         "it (posterior). Areas are probabilities; a scale with unequal steps is logarithmic.</p>",
-        f'<div class="pair">{"".join(material)}</div>',
+        side_by_side(figures[True]),
     ]
-    if recording:
-        pair = f'<div class="pair">{"".join(recording)}</div>'
-        parts.append(folded("Grip and clock of the recording", pair))
-    head = ["<th>Unknown</th>", '<th class="number">Prior</th>']
-    head.append('<th class="number">Posterior</th>')
-    numbers = table(head, rows) + f'<p class="soft">{escaped(summary.level_text)} intervals.</p>'
+    if figures[False]:
+        parts.append(folded("Grip and clock of the recording", side_by_side(figures[False])))
+    numbers = table({"Unknown": "name", "Prior": "number", "Posterior": "number"}, rows)
+    numbers += f'<p class="soft">{escaped(summary.level_text)} intervals.</p>'
     parts.append(folded("The same in numbers", numbers))
     return Section(title="Prior and posterior", body="\n".join(parts))
 
 
-def _figure(summary: EstimateSummary, marginal: Marginal, name: str, of_which: str) -> str:
-    title = _TITLES.get(name, _name_of(name).capitalize()) + of_which
-    factor, unit = SHOWN_UNITS.get(_unit_of(name), (1.0, _unit_of(name)))
+def _unknown(
+    summary: EstimateSummary, posterior: Mapping[str, Any], k: int
+) -> tuple[str, list[str]]:
+    """Both Gaussians of unknown k as a figure, and both intervals as a table's row.
+
+    Densities of parameters on a logarithmic scale are those of the logarithm, so that areas are
+    probabilities in either case.
+    """
+    name, log = posterior["names"][k], bool(posterior["log"][k])
+    low, high = posterior["low"][k], posterior["high"][k]
+    prior = NormalDist(posterior["prior_mean"][k], posterior["prior_sd"][k])
+    after = NormalDist(posterior["mean"][k], math.sqrt(posterior["covariance"][k][k]))
+    factor, unit = (1.0, "of the stated one") if name == "thickness" else unit_of(name)
+    title = title_of(name) + _of_which(posterior, k) + (f" [{unit}]" if unit else "")
+    sds = NormalDist().inv_cdf(0.5 + (summary.level or 0.0) / 2.0)
+
+    def shown(transformed: np.ndarray) -> np.ndarray:
+        return factor * (np.exp(transformed) if log else transformed)
+
+    def ends(of: NormalDist, width: float) -> np.ndarray:
+        return np.clip([of.mean - width * of.stdev, of.mean + width * of.stdev], low, high)
+
+    part, whole = ends(after, _DRAWN_SDS), ends(prior, 3.0)
     true = summary.true("" if name == "thickness" else name)
-    plots = _charts(marginal, factor, true, f"{title} [{unit}]" if unit else title)
-    times = marginal.narrowed
+    if true is not None and (true > 0.0 or not log):
+        at, margin = math.log(true) if log else true, 0.3 * _DRAWN_SDS * after.stdev
+        part = np.array([min(part[0], at - margin), max(part[1], at + margin)])
+    if np.ptp(whole) <= _WHOLE * np.ptp(part):
+        part = np.array([min(part[0], whole[0]), max(part[1], whole[1])])
+    part = np.clip(part, low, high)
+    top = max(of.pdf(float(np.clip(of.mean, *part))) for of in (prior, after))
+    left, right = shown(part).tolist()
+    plot = Plot(
+        x=Axis(low=left, high=right, log=log, label=title),
+        y=Axis(low=0.0, high=1.08 * top, marked=False),
+        height=190.0,
+    )
+    for of, kind, between in ((prior, "prior", part), (after, "posterior", ends(after, sds))):
+        first, last = np.clip(between, *part)
+        at = np.linspace(first, last, 241)
+        plot.area(shown(at), [of.pdf(x) for x in at], kind)
+        at = np.linspace(part[0], part[1], 241)
+        plot.line(shown(at), [of.pdf(x) for x in at], kind, kind)
+    plot.entries.append(("posterior", f"{summary.level_text} interval", "area"))
+    if true is not None:
+        plot.upright(factor * true, "truth", "true value")
+    times = prior.stdev / after.stdev
+    note = f"{times:.{0 if times >= 9.5 else 1}f} times as narrow as the prior."
     if times < 1.25:
         note = "As wide as the prior: the lift says next to nothing about it."
-    else:
-        shown = f"{times:.0f}" if times >= 9.5 else f"{times:.1f}"
-        note = f"{shown} times as narrow as the prior."
-    plots[0].entries.append(Entry("posterior", f"{summary.level_text} interval", "area"))
-    if true is not None:
-        plots[0].upright(factor * true, "truth", "true value")
-    return chart_figure(title, plots, note)
-
-
-def _charts(marginal: Marginal, factor: float, true: float | None, label: str) -> list[Plot]:
-    """Both densities, and a strip of the whole prior where they show a part of it.
-
-    Args:
-        marginal: The unknown.
-        factor: From its unit to the chart's.
-        true: Its true value, where that is known.
-        label: Of the axis.
-    """
-    prior, posterior = marginal.prior, marginal.posterior
-    reach = _DRAWN_SDS * posterior.stdev
-    low, high = posterior.mean - reach, posterior.mean + reach
-    if true is not None and (true > 0.0 or not marginal.log):
-        at = math.log(true) if marginal.log else true
-        low, high = min(low, at - 0.3 * reach), max(high, at + 0.3 * reach)
-    whole = np.clip(
-        [prior.mean - 3.0 * prior.stdev, prior.mean + 3.0 * prior.stdev],
-        marginal.low,
-        marginal.high,
-    )
-    zoomed = (whole[1] - whole[0]) > _ZOOM * (high - low)
-    if not zoomed:
-        low, high = min(low, whole[0]), max(high, whole[1])
-    part = np.clip([low, high], marginal.low, marginal.high)
-
-    def plot(ends: np.ndarray, top: float, height: float, label: str) -> Plot:
-        left, right = (factor * marginal.value(ends)).tolist()
-        x = Axis(low=left, high=right, log=marginal.log, label=label)
-        y = Axis(low=0.0, high=1.08 * top, marked=False)
-        return Plot(x=x, y=y, height=height, compact=True)
-
-    def density(of: NormalDist, ends: np.ndarray) -> tuple[np.ndarray, list[float]]:
-        at = np.linspace(ends[0], ends[1], 241)
-        return factor * marginal.value(at), [of.pdf(x) for x in at]
-
-    top = max(of.pdf(float(np.clip(of.mean, *part))) for of in (prior, posterior))
-    main = plot(part, top, 190.0, label)
-    main.area(*density(prior, part), "prior")
-    main.line(*density(prior, part), "prior", "prior")
-    main.area(*density(posterior, np.clip(marginal.ends(posterior), *part)), "posterior")
-    main.line(*density(posterior, part), "posterior", "posterior")
-    if not zoomed:
-        return [main]
-    top = prior.pdf(float(np.clip(prior.mean, *whole)))
-    strip = plot(whole, top, 86.0, "the whole prior")
-    strip.area(*density(prior, whole), "prior")
-    strip.line(*density(prior, whole), "prior")
-    window = factor * marginal.value(part)
-    strip.area(window, [top, top], "window", "the part drawn above")
-    for end in window:
-        strip.upright(float(end), "window", dashed=False)
-    return [main, strip]
-
-
-def _name_of(name: str) -> str:
-    """What people call an unknown."""
-    return UNKNOWNS[name].title if name in UNKNOWNS else name.replace("_", " ")
-
-
-def _unit_of(name: str) -> str:
-    return UNKNOWNS[name].unit if name in UNKNOWNS else ""
+    texts = [" to ".join(f"{x:.3g}" for x in shown(ends(of, sds))) for of in (prior, after)]
+    return plot.figure(title, note), [title, *map(with_minus, texts)]
 
 
 def _of_which(posterior: Mapping[str, Any], k: int) -> str:
     """Which recording an unknown is of, where there are several."""
     owners = posterior.get("recordings") or [None]
-    several, owner = (
-        any(other not in (None, 0) for other in owners),
-        owners[min(k, len(owners) - 1)],
-    )
+    owner = owners[min(k, len(owners) - 1)]
+    several = any(other not in (None, 0) for other in owners)
     return f", recording {owner + 1}" if several and owner is not None else ""
-
-
-def _row(marginal: Marginal, name: str, of_which: str) -> str:
-    """Both intervals in numbers."""
-    unit = _unit_of(name)
-    label = _name_of(name) + (f" [{unit}]" if unit not in ("", "1") else "")
-    cells = [cell(escaped(label.replace("^2", "²") + of_which), "name")]
-    for of, said in ((marginal.prior, "prior"), (marginal.posterior, "posterior")):
-        low, high = marginal.value(marginal.ends(of)).tolist()
-        cells.append(number(with_minus(f"{low:.3g} to {high:.3g}"), said))
-    return f"<tr>{''.join(cells)}</tr>"

@@ -2,186 +2,91 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from gendom.viz.charts import Axis, Plot
-from gendom.viz.report.markup import (
-    DASH,
-    Section,
-    cell,
-    chart_figure,
-    facts_list,
-    folded,
-    number,
-    table,
-)
+from gendom.viz.report.markup import Section, facts_list, side_by_side
 from gendom.viz.report.summary import (
     EstimateSummary,
     finite,
     length_text,
     pascal_unit,
-    property_text,
-    quantity_text,
 )
 
 _SERIES = 6  # colours of `report.css` for the starts of a search
 
+_DISTANCES = {
+    "rms": "distance of recorded points from the simulated surface, root mean square",
+    "chamfer_mean": "Chamfer distance, all frames",
+    "chamfer_last": "Chamfer distance, last frame",
+    "chamfer_mean_surface": "Chamfer distance, seen surface, all frames",
+    "chamfer_last_surface": "Chamfer distance, seen surface, last frame",
+    "chamfer_mean_registered": "Chamfer distance with the cameras' motion, all frames",
+    "chamfer_last_registered": "Chamfer distance with the cameras' motion, last frame",
+}
+
 
 def search_section(summary: EstimateSummary) -> Section | None:
-    """Distance and parameters against iteration, where each start ended, and how well it fits."""
-    charts = _search_charts(summary)
-    parts = []
-    if charts:
-        parts.append(f'<div class="pair">{"".join(charts)}</div>')
-    parts += [_starts_table(summary), _fit_facts(summary)]
+    """Distance and E against iteration, and how well it fits."""
+    factor, unit = pascal_unit(summary.values["E"])
+    note = (
+        "Root mean square, logarithmic scale. The search makes the fit as probable as it can be, "
+        "noise and priors included, so this distance need not fall in every step. Stages compare "
+        "different points or move different parameters."
+    )
+    figures = [
+        _chart(summary, "loss", "Distance of the clouds from the fit [mm]", 1e3, note),
+        _chart(summary, "E", f"Young's modulus [{unit}]", factor),
+    ]
+    parts = [side_by_side([f for f in figures if f]), _facts(summary)]
     body = "\n".join(part for part in parts if part)
     return Section(title="The search", body=body) if body else None
 
 
-def _fit_facts(summary: EstimateSummary) -> str:
+def _chart(summary: EstimateSummary, key: str, title: str, scale: float, note: str = "") -> str:
+    """A quantity against iteration, a line for each stage of each start."""
+    series: dict[tuple[int, str], list[tuple[float, float]]] = {}
+    for entry in summary.values.get("history") or []:
+        at, value = finite(entry.get("iteration")), finite(entry.get(key))
+        if at is not None and value is not None and value > 0.0:
+            name = int(entry.get("start", 0)), str(entry.get("stage", ""))
+            series.setdefault(name, []).append((at, scale * value))
+    if not series:
+        return ""
+    every, true = np.concatenate(list(series.values())), summary.true(key)
+    shown = every[:, 1] if true is None else np.append(every[:, 1], scale * true)
+    x = Axis(low=every[:, 0].min() - 0.5, high=every[:, 0].max() + 0.5, label="iteration")
+    plot = Plot(x=x, y=Axis.around(shown, log=True))
+    last = {start: stage for start, stage in series}  # of each start
+    for (start, stage), points in sorted(series.items(), key=lambda named: named[0][0]):
+        kind, early = f"start-{start % _SERIES + 1}", stage != last[start]
+        at, values = np.transpose(points)
+        label = ", ".join(filter(None, (f"start {start + 1}", stage)))
+        plot.line(at, values, kind, label, "dashed" if early else "line")
+        plot.marks(at, values, kind)
+    if true is not None:
+        plot.level(scale * true, "truth", "true value")
+    return plot.figure(title, note)
+
+
+def _facts(summary: EstimateSummary) -> str:
     """How well both lifts match, how the search went, and what was held."""
     values = summary.values
-    facts = []
-    for key, name in (
-        ("rms", "distance of recorded points from the simulated surface, root mean square"),
-        ("chamfer_mean", "Chamfer distance, all frames"),
-        ("chamfer_last", "Chamfer distance, last frame"),
-        ("chamfer_mean_surface", "Chamfer distance, seen surface, all frames"),
-        ("chamfer_last_surface", "Chamfer distance, seen surface, last frame"),
-        ("chamfer_mean_registered", "Chamfer distance with the cameras' motion, all frames"),
-        ("chamfer_last_registered", "Chamfer distance with the cameras' motion, last frame"),
-    ):
-        value = summary.value(key)
-        if value is not None:
-            facts.append((name, length_text(value)))
-    for key, name in (("method", "method"), ("device", "device"), ("seed", "seed")):
-        if values.get(key) is not None:
-            facts.append((name, str(values[key])))
-    for key, name, unit in (
-        ("iterations", "iterations, all starts", ""),
-        ("seconds", "time", " s"),
-    ):
-        value = summary.value(key)
-        if value is not None:
-            facts.append((name, f"{value:.4g}{unit}"))
-    described = values.get("object")
-    if isinstance(described, Mapping):
-        known = [
-            f"{name} {property_text(name, value)}"
-            for name, value in described.items()
-            if isinstance(value, (str, int, float))
-        ]
-        facts.append(("object", ", ".join(known)))
-    return facts_list(facts)
-
-
-def _starts_table(summary: EstimateSummary) -> str:
-    """Where each start of the search began and ended."""
-    starts = summary.values.get("starts") or []
-    if len(starts) < 2:
-        return ""
-    keys = ("E", "nu")
-    titles = ("E at the start", "ν at the start", "E found", "ν found", "distance")
-    rows = []
-    for start in starts:
-        texts = []
-        for stage in ("initial", "final"):
-            for key in keys:
-                value = finite((start.get(stage) or {}).get(key))
-                texts.append(DASH if value is None else quantity_text(key, value))
-        loss = finite(start.get("loss"))
-        texts.append(DASH if loss is None else length_text(loss))
-        cells = [cell(f"start {len(rows) + 1}", "name")]
-        cells += [number(text, title) for text, title in zip(texts, titles, strict=True)]
-        rows.append(f"<tr>{''.join(cells)}</tr>")
-    head = ["<th>Start</th>", *(f'<th class="number">{title}</th>' for title in titles)]
-    return folded(f"All {len(starts)} starts", table(head, rows))
-
-
-def _search_charts(summary: EstimateSummary) -> list[str]:
-    """Distance and both parameters against iteration, a line for each stage of each start."""
-    values = summary.values
-    factor, unit = pascal_unit(values["E"])
-    figures = []
-    for key, name, scale in (
-        ("loss", "Distance of the clouds from the fit [mm]", 1e3),
-        ("E", f"Young's modulus [{unit}]", factor),
-        ("nu", "Poisson's ratio", 1.0),
-    ):
-        stages = _stages(summary, key, scale)
-        # what the lift does not determine hardly moves
-        if not stages or (key == "nu" and summary.determined(key) is False):
-            continue
-        true = summary.true(key)
-        ends = np.concatenate([numbers for *_, numbers in stages.values()])
-        ends = ends if true is None else np.append(ends, scale * true)
-        last = max(float(iterations[-1]) for iterations, _ in stages.values())
-        log = key != "nu" and bool((ends > 0.0).all())
-        plot = Plot(
-            x=Axis(low=0.5, high=max(last, 2.0) + 0.5, label="iteration"),
-            y=Axis.around(ends, log=log),
-        )
-        _draw_stages(plot, stages, _chosen_start(summary))
-        if true is not None:
-            plot.level(scale * true, "truth", "true value")
-        note = ""
-        if key == "loss":
-            note = (
-                "Root mean square, logarithmic scale. The search makes the fit as probable as it "
-                "can be, noise and priors included, so this distance need not fall in every step. "
-                "Stages compare different points or move different parameters."
-            )
-        figures.append(chart_figure(name, [plot], note))
-    return figures
-
-
-_Stages = dict[tuple[int, str], tuple[np.ndarray, np.ndarray]]
-
-
-def _stages(summary: EstimateSummary, key: str, scale: float) -> _Stages:
-    """[k] iterations and [k] values of each stage of each start. A stage begins where the one
-    before it has ended."""
-    found: dict[tuple[int, str], list[tuple[float, float]]] = {}
-    for entry in summary.values.get("history") or []:
-        iteration, value = finite(entry.get("iteration")), finite(entry.get(key))
-        if iteration is not None and value is not None:
-            name = int(entry.get("start", 0)), str(entry.get("stage", ""))
-            found.setdefault(name, []).append((iteration, scale * value))
-    stages: _Stages = {}
-    before: dict[int, tuple[float, float]] = {}
-    for name in sorted(found, key=lambda name: name[0]):  # by start; stages stay in their order
-        points = sorted(found[name])
-        first = [before[name[0]]] if name[0] in before else []
-        iterations, numbers = np.array([*first, *points]).T
-        stages[name] = iterations, numbers
-        before[name[0]] = points[-1]
-    return stages
-
-
-def _draw_stages(plot: Plot, stages: _Stages, chosen: int | None) -> None:
-    """A line for each; those before the search's last stage are dashed."""
-    several_starts = len({start for start, _ in stages}) > 1
-    several_stages = len({stage for _, stage in stages}) > 1
-    last = dict(list(stages))  # stage of each start
-    for (start, stage), (iterations, numbers) in stages.items():
-        label = f"start {start + 1}" if several_starts else ""
-        if several_stages:
-            label = ", ".join(filter(None, (label, stage)))
-        if several_starts and start == chosen and stage == last[start]:
-            label += " (chosen)"
-        kind, early = f"start-{start % _SERIES + 1}", stage != last.get(chosen or 0)
-        plot.line(iterations, numbers, kind, label, dashed=early, dots=True)
-
-
-def _chosen_start(summary: EstimateSummary) -> int | None:
-    """The start that ended at the estimate; where several did or none, that of least distance."""
-    starts = summary.values.get("starts") or []
-    found = summary.value("E")
-    ended = [finite((start.get("final") or {}).get("E")) for start in starts]
-    if ended.count(found) == 1:
-        return ended.index(found)
-    losses = [finite(start.get("loss")) for start in starts]
-    known = [(loss, i) for i, loss in enumerate(losses) if loss is not None]
-    return min(known)[1] if known else None
+    facts = [
+        (name, length_text(value))
+        for key, name in _DISTANCES.items()
+        if (value := summary.value(key)) is not None
+    ]
+    facts += [
+        (n, str(values[n])) for n in ("method", "device", "seed") if values.get(n) is not None
+    ]
+    for key, name in (("iterations", "iterations, all starts"), ("seconds", "time [s]")):
+        if (value := summary.value(key)) is not None:
+            facts.append((name, f"{value:.4g}"))
+    held = dict(values.get("object") or {})
+    kind, mass = str(held.pop("kind", "")), finite(held.pop("mass", None))
+    if kind == "rope":
+        held.pop("thickness", None)  # a rope's is a share of its diameter
+    known = [f"{n} {length_text(v)}" for n, v in held.items() if finite(v) is not None]
+    known += [] if mass is None else [f"mass {mass:.4g} kg"]
+    return facts_list([*facts, *([("object", ", ".join([kind, *known]))] if kind else [])])

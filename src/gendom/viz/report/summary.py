@@ -15,24 +15,39 @@ from gendom.materials.unknowns import UNKNOWNS
 RATIOS = tuple(n for n, u in UNKNOWNS.items() if u.material and u.unit == "1" and not u.log)
 """Quantities without a unit, on a linear scale."""
 
-SHOWN_UNITS = {"m": (1e3, "mm"), "s": (1e3, "ms"), "rad": (180.0 / math.pi, "°"), "1": (1.0, "")}
+SHOWN_UNITS = {
+    "m": (1e3, "mm"),
+    "s": (1e3, "ms"),
+    "rad": (180.0 / math.pi, "°"),
+    "1": (1.0, ""),
+    "m^2/s^2": (1.0, "m²/s²"),
+    "kg/m^3": (1.0, "kg/m³"),
+}
 """What numbers in SI units are multiplied by, and the unit, to be read."""
 
-_UNITS = {
-    "density": (1.0, "kg/m³"),
-    "E_over_rho": (1.0, "m²/s²"),
-    "bending_length": SHOWN_UNITS["m"],
-    "thickness": SHOWN_UNITS["m"],
+# Of quantities that are no unknowns, or shown in another form.
+_UNITS = {"density": "kg/m^3", "bending_length": "m", "thickness": "m"}
+_TITLES = {
+    "E": "Young's modulus",
+    "density": "density",
+    "E_over_rho": "specific modulus E / ρ",
+    "bending_length": "bending length",
+    "thickness": "diameter or thickness",
 }
-"""The same of quantities that are no unknowns, or shown in another form."""
 
 
-def _unit_of(key: str, value: float) -> tuple[float, str]:
+def title_of(key: str) -> str:
+    """What people call a quantity, with a capital letter."""
+    title = _TITLES.get(key) or (UNKNOWNS[key].title if key in UNKNOWNS else key.replace("_", " "))
+    return title[0].upper() + title[1:]
+
+
+def unit_of(key: str, value: float = 0.0) -> tuple[float, str]:
     """What a quantity is multiplied by, and its unit, to be read."""
     if key == "E":
         return pascal_unit(value)
-    unit = UNKNOWNS[key].unit if key in UNKNOWNS else ""
-    return _UNITS.get(key) or SHOWN_UNITS.get(unit, (1.0, unit))
+    unit = _UNITS.get(key) or (UNKNOWNS[key].unit if key in UNKNOWNS else "")
+    return SHOWN_UNITS.get(unit, (1.0, unit))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,14 +69,7 @@ class EstimateSummary:
 
     def interval(self, key: str) -> tuple[float, float] | None:
         """Lowest and highest plausible value."""
-        return self._ends("intervals", key)
-
-    def searched(self, key: str) -> tuple[float, float] | None:
-        """Lowest and highest value that was looked at."""
-        return self._ends("bounds", key)
-
-    def _ends(self, name: str, key: str) -> tuple[float, float] | None:
-        ends = (self.values.get(name) or {}).get(key)
+        ends = (self.values.get("intervals") or {}).get(key)
         return None if ends is None else (float(ends[0]), float(ends[1]))
 
     @property
@@ -79,11 +87,6 @@ class EstimateSummary:
         """Whether the estimate is of any use; None: not said."""
         return (self.values.get("verdict") or {}).get("usable")
 
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """Why it is not."""
-        return tuple((self.values.get("verdict") or {}).get("reasons") or ())
-
     def determined(self, key: str) -> bool | None:
         """Whether the lift determines a parameter; None: not said."""
         return (self.values.get("identifiable") or {}).get(key)
@@ -91,28 +94,24 @@ class EstimateSummary:
 
 def finite(value: Any) -> float | None:
     """A finite float, or None."""
-    if value is None or isinstance(value, (bool, str)):
+    if not isinstance(value, int | float) or isinstance(value, bool):
         return None
-    try:
-        value = float(value)
-    except (TypeError, ValueError):
-        return None
-    return value if math.isfinite(value) else None
+    return float(value) if math.isfinite(value) else None
 
 
 def quantity_text(key: str, value: float) -> str:
     """A value with its unit."""
     if key in RATIOS:
         return with_minus(f"{value:.3f}")
-    if key in ("bending_length", "thickness"):
+    factor, unit = unit_of(key, value)
+    if unit == "mm":
         return length_text(value)
-    factor, unit = _unit_of(key, value)
     return with_minus(f"{factor * value:.{3 if key == 'damping' else 4}g} {unit}".rstrip())
 
 
 def interval_text(key: str, interval: tuple[float, float]) -> str:
     """Both ends in one unit."""
-    factor, unit = _unit_of(key, interval[1])
+    factor, unit = unit_of(key, interval[1])
     low, high = factor * interval[0], factor * interval[1]
     decimals = 3
     if key not in RATIOS:
@@ -141,20 +140,6 @@ def length_text(value: float) -> str:
         return with_minus(f"{value:.2f} m")
     form = ".0f" if abs(value) >= 0.1 else ".1f" if abs(value) >= 1e-4 else ".2g"
     return with_minus(f"{1e3 * value:{form}} mm")
-
-
-def property_text(name: str, value: float | str) -> str:
-    """A property of the object by its name in a recording, to four digits and with its unit."""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, (str, int)):
-        return str(value)
-    if name == "mass":
-        return with_minus(f"{value:.4g} kg")
-    if name in ("length", "width", "height", "diameter", "thickness"):
-        text = f"{value:.4g} m" if abs(value) >= 1.0 else f"{1e3 * value:.4g} mm"
-        return with_minus(text)
-    return with_minus(f"{value:.4g}")
 
 
 def place_text(coordinates: np.ndarray) -> str:

@@ -6,20 +6,15 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import require
-from gendom.robot import Arm
 from gendom.sim import Body
 from gendom.tasks.cloth_spreading import lattice_triangles
 from gendom.viz.palette import INK, SIMULATED_COLOR
-from gendom.viz.report.summary import with_minus
-from gendom.viz.sources import arm_capsules
-
-ARM_COLOR = "#d0d0d0"
+from gendom.viz.report.summary import SHOWN_UNITS, with_minus
 
 RING = 8
 """Points of a rod's skin around its centre line, see `gendom.sim.Body.surface`."""
@@ -31,15 +26,6 @@ MATERIAL, ACTION, SETUP = "Material", "Action", "Grip and clock"
 """Groups of parameters."""
 
 _LATITUDES = np.concatenate([np.linspace(0.0, 0.5, 5), np.linspace(0.5, 1.0, 5)]) * np.pi
-
-_SHOWN = {
-    "1": (1.0, ""),
-    "m": (1e3, "mm"),
-    "s": (1e3, "ms"),
-    "m^2/s^2": (1.0, "m²/s²"),
-    "kg/m^3": (1.0, "kg/m³"),
-}
-"""SI unit -> what values are multiplied by, and the unit, to be read."""
 
 Array = NDArray[np.floating]
 
@@ -55,8 +41,6 @@ class PointLayer:
     """T clouds [n_t, 3] [m]."""
     radius: float
     """A dot's radius [m]."""
-    framed: bool = True
-    """Whether the camera is placed so that it is seen."""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -78,8 +62,6 @@ class MeshLayer:
     faces: NDArray[np.integer]
     """[F, 3] its triangles."""
     opacity: float = 1.0
-    framed: bool = True
-    """Whether the camera is placed so that it is seen."""
 
     def __len__(self) -> int:
         return len(self.vertices)
@@ -94,11 +76,7 @@ Layer = PointLayer | MeshLayer
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ViewerScene:
-    """T frames of some layers. World frame, z up.
-
-    Raises:
-        ParameterError: There is no frame, lengths differ, or two layers have one name.
-    """
+    """T frames of some layers, each of its own name. World frame, z up."""
 
     times: Array
     """[T] increasing [s]."""
@@ -110,21 +88,6 @@ class ViewerScene:
     """[T] each: numbers over time, by name and unit."""
     facts: tuple[tuple[str, str], ...] = ()
     """Names and values to read."""
-    backdrop: Array | None = None
-    """[3] a place that the camera is to see behind everything else [m]; None: any."""
-
-    def __post_init__(self) -> None:
-        T = len(self.times)
-        require(T > 0, "is empty", where="times", fix="give at least one frame")
-        counts = [(layer.name, len(layer), "frames") for layer in self.layers if len(layer) != 1]
-        counts += [(name, len(values), "numbers") for name, values in self.curves.items()]
-        for name, count, noun in counts:
-            what = f"has {count} {noun}, but times has {T}"
-            require(count == T, what, where=name, fix="give 1 each")
-        names = [layer.name for layer in self.layers]
-        what = f"are {', '.join(names)}"
-        fix = "give each a name"
-        require(len(set(names)) == len(names), what, where="layers", fix=fix)
 
     @property
     def num_frames(self) -> int:
@@ -137,15 +100,14 @@ class ViewerScene:
 
     @cached_property
     def box(self) -> Array:
-        """[2, 3] lowest and highest corner of the layers that the camera is to show, without stray
-        points [m].
+        """[2, 3] lowest and highest corner of all layers, without stray points [m].
 
         Raises:
             ParameterError: There are no points at all.
         """
         ends = []
         for layer in self.layers:
-            points = layer.all_points() if layer.framed else ()
+            points = layer.all_points()
             if len(points):
                 # a depth camera's flying pixels would shrink everything else
                 share = (0.005, 0.995) if isinstance(layer, PointLayer) else (0.0, 1.0)
@@ -182,36 +144,25 @@ class Parameter:
 
     def text(self, value: float) -> str:
         """A value with its unit."""
-        factor, unit = _SHOWN.get(self.unit, (1.0, self.unit))
+        factor, unit = SHOWN_UNITS.get(self.unit, (1.0, self.unit))
         return with_minus(f"{factor * value:.3g} {unit}".rstrip())
 
 
-class Model(Protocol):
+class Model:
     """Something to view."""
 
-    @property
-    def title(self) -> str:
-        """One line."""
-        ...
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Sentences to be read beside it."""
-        ...
-
-    @property
-    def cases(self) -> tuple[str, int]:
-        """What its cases are, in the singular, and how many there are."""
-        ...
-
-    @property
-    def initial(self) -> ViewerScene | None:
-        """What is known before anything is simulated."""
-        ...
+    title: str
+    """One line."""
+    notes: tuple[str, ...]
+    """Sentences to be read beside it."""
+    cases: tuple[str, int]
+    """What its cases are, in the singular, and how many there are."""
+    initial: ViewerScene | None
+    """What is known before anything is simulated."""
 
     def parameters(self, case: int) -> tuple[Parameter, ...]:
         """Parameters of a case; of the same names in all cases."""
-        ...
+        raise NotImplementedError
 
     def simulate(
         self, case: int, values: Mapping[str, float], go_on: Callable[[], None]
@@ -226,7 +177,7 @@ class Model(Protocol):
         Raises:
             ParameterError: It cannot be simulated.
         """
-        ...
+        raise NotImplementedError
 
 
 def object_layer(
@@ -275,13 +226,6 @@ def gripper_layer(position: Array, size: float, axis: Array | None = None) -> Me
     vertices, faces = capsules(every, np.full(every.shape[1], 0.012 * size))
     color = "#" + "".join(f"{c:02x}" for c in INK)
     return MeshLayer(name="gripper", color=color, vertices=vertices, faces=faces)
-
-
-def arm_layer(arm: Arm, q: Array, opening: float, T_world_frame: Array | None = None) -> MeshLayer:
-    """An arm as capsules; arguments as of `arm_capsules`, where None is the world's frame."""
-    pose = np.eye(4) if T_world_frame is None else T_world_frame
-    vertices, faces = capsules(*arm_capsules(arm, q, opening, pose))
-    return MeshLayer(name="arm", color=ARM_COLOR, vertices=vertices, faces=faces, framed=False)
 
 
 def tube_faces(rings: int, sides: int) -> NDArray[np.integer]:

@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from gendom.datasets import Recording
-from gendom.errors import DatasetError, RobotError, SimulationError
+from gendom.errors import DatasetError, SimulationError
 from gendom.estimation import UNKNOWNS, LiftScene, Theta, chamfers, replay
 from gendom.estimation.replay import lattice, middle
-from gendom.materials import PARAMETERS, Item, from_columns, size_of, thickness_of, to_columns
+from gendom.materials import PARAMETERS, Item, from_columns, size_of, to_columns
 from gendom.reading import record_of
-from gendom.robot import ARMS, DOWN, XARM7, JointMotion, TcpPath, follow, inverse_kinematics
 from gendom.tasks import Observed, Task, rebuild
 from gendom.tasks.world import Simulation
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_OPACITY
@@ -29,10 +27,10 @@ from gendom.viz.viewer.layers import (
     SETUP,
     Layer,
     MeshLayer,
+    Model,
     Parameter,
     PointLayer,
     ViewerScene,
-    arm_layer,
     capsules,
     gripper_layer,
     object_layer,
@@ -45,19 +43,8 @@ FRAMES = 160
 
 GOAL_COLOR = "#009E73"
 
-_RANGES = {"nu": (0.05, 0.45), "friction": (0.0, 1.5)}
-"""Ranges of parameters that a task does not draw, where differences count."""
 
-_FACTOR = 3.0
-"""How far from its value such a parameter goes, where ratios count."""
-
-_LATE = 1.02
-"""How many times longer than asked for the arm may take and still be shown."""
-
-_Array = NDArray[np.floating]
-
-
-class RecordingModel:
+class RecordingModel(Model):
     """A recording that is replayed with the parameters of sliders.
 
     Args:
@@ -73,9 +60,6 @@ class RecordingModel:
         notes = list(scene.notes)
         if scene.kind == "cloth" or not scene.thin:
             notes.insert(0, "This takes longer to simulate than a rope as a rod.")
-        self._arm = arm_of(scene)
-        if self._arm is not None:
-            notes.append("The arm is drawn with its fingers pointing down.")
         self.notes = tuple(notes)
         self.initial = self._shown(())
         self._parameters = _parameters(scene, theta)
@@ -126,39 +110,10 @@ class RecordingModel:
                 recorded,
                 *layers,
                 gripper_layer(recording.gripper_position[frames], scene.size, axis),
-                *([] if self._arm is None else [self._arm]),
             ),
             table_height=recording.table_height,
             **other,
         )
-
-
-def arm_of(scene: LiftScene) -> MeshLayer | None:
-    """The arm that a recording names, its fingers pointing down where the gripper was.
-
-    Recordings have the place of the gripper, not how it is turned.
-
-    Args:
-        scene: What was recorded.
-
-    Returns:
-        None where the recording names no known arm, has several grippers, or the arm cannot reach.
-    """
-    recording = scene.recording
-    arm = ARMS.get(str(recording.extra.get("robot")))
-    if arm is None or recording.num_grippers != 1:
-        return None
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_quat(DOWN).as_matrix()
-    q: list[_Array] = []
-    try:
-        for position in recording.gripper_position[list(scene.frames), 0]:
-            T[:3, 3] = position
-            near = q[-1] if q else None
-            q.append(inverse_kinematics(arm, T, near=near, starts=2 if q else 24))
-    except RobotError:
-        return None
-    return arm_layer(arm, np.array(q), scene.body.thickness)
 
 
 def _parameters(scene: LiftScene, theta: Theta) -> tuple[Parameter, ...]:
@@ -201,7 +156,7 @@ def _facts(scene: LiftScene, theta: Theta) -> tuple[tuple[str, str], ...]:
     return tuple(facts)
 
 
-class DatasetModel:
+class DatasetModel(Model):
     """Demonstrations of a set, one at a time, with other actions and parameters on request.
 
     Args:
@@ -234,7 +189,6 @@ class DatasetModel:
         self.cases = ("demonstration", len(self._rows))
         cloth = self.task.kind == "cloth"
         self.notes = ("A cloth takes seconds to simulate.",) if cloth else ()
-        self._planned: dict[tuple, JointMotion | str] = {}
 
     def parameters(self, case: int) -> tuple[Parameter, ...]:
         """The action within its limits, and the object's parameters within those drawn."""
@@ -255,12 +209,9 @@ class DatasetModel:
                 )
             )
         for p in PARAMETERS.values():
-            value = float(row[p.column])
-            if p.log and value == 0.0:
+            if p.column not in self.task.ranges:
                 continue
-            low, high = self.task.ranges.get(p.column) or (
-                (value / _FACTOR, value * _FACTOR) if p.log else _RANGES[p.name]
-            )
+            value, (low, high) = float(row[p.column]), self.task.ranges[p.column]
             made.append(
                 Parameter(
                     name=p.column,
@@ -279,7 +230,7 @@ class DatasetModel:
     def simulate(
         self, case: int, values: Mapping[str, float], go_on: Callable[[], None]
     ) -> Iterator[ViewerScene]:
-        """The object under that action, then with the arm that would do it."""
+        """The object under that action."""
         task, item = self.task, self._item(case, values)
         asked = np.array([values[q.name] for q in task.actions])
         action = task.nearest(item, asked)
@@ -296,24 +247,12 @@ class DatasetModel:
         if not np.allclose(action, asked):
             numbers = ", ".join(f"{a:.4g}" for a in action)
             facts.append(("action", f"{numbers}: the nearest that is allowed"))
-        layers = self._layers(case, item, seen)
-        scene = task.scene(item)
-        base = np.linalg.inv(task.T_world_task(item))[:3, 3]
-        shown = {
-            "times": seen.times - seen.times[0],
-            "table_height": scene.table,
-            "backdrop": base,
-        }
-        path = task.tool_path(item, action)
-        if _key(path) not in self._planned:
-            yield ViewerScene(layers=layers, facts=tuple(facts), **shown)
-        arm = self._arm(path, item)
-        if isinstance(arm, str):
-            facts.append(("arm", arm))
-        else:
-            T = task.T_world_task(item)
-            layers += (arm_layer(XARM7, arm.at(seen.times), thickness_of(item), T),)
-        yield ViewerScene(layers=layers, facts=tuple(facts), **shown)
+        yield ViewerScene(
+            times=seen.times - seen.times[0],
+            layers=self._layers(case, item, seen),
+            table_height=task.scene(item).table,
+            facts=tuple(facts),
+        )
 
     def _item(self, case: int, values: Mapping[str, float] | None = None) -> Item:
         """A demonstration's object, with other parameters."""
@@ -359,29 +298,6 @@ class DatasetModel:
             vertices, faces = capsules(mark[[0, -1]][None, None], [share * size_of(item)])
             layers.append(MeshLayer(name="goal", color=GOAL_COLOR, vertices=vertices, faces=faces))
         return tuple(layers)
-
-    def _arm(self, path: TcpPath, item: Item) -> JointMotion | str:
-        """The arm's motion along a path, or why there is none; that of the last one is kept, since
-        objects of one size have the same."""
-        key = _key(path)
-        if key not in self._planned:
-            self._planned = {key: self._plan(path, item)}
-        return self._planned[key]
-
-    def _plan(self, path: TcpPath, item: Item) -> JointMotion | str:
-        moved = path.moved(self.task.T_world_task(item))
-        try:
-            motion = follow(XARM7, moved, slow_down=True, opening=thickness_of(item))
-        except RobotError as error:
-            return error.what
-        if motion.slowed_by > _LATE:
-            return f"it would take {motion.slowed_by:.2g} times as long"
-        return motion
-
-
-def _key(path: TcpPath) -> tuple[bytes, ...]:
-    """The same for the same path alone."""
-    return tuple(a.tobytes() for a in (path.time, path.position, path.quat_xyzw))
 
 
 def _thinned(seen: Observed) -> Observed:

@@ -30,7 +30,7 @@ class Painter:
         self._canvas = canvas
         self._handles: dict[str, viser.PointCloudHandle | viser.MeshHandle] = {}
         self._drawn: dict[str, Layer] = {}
-        self._table: tuple[Array, Array, float] | None = None
+        self._table: float | None = None
         self._hidden: set[str] = set()
 
     def paint(self, scene: ViewerScene, frame: int) -> None:
@@ -96,21 +96,17 @@ class Painter:
         self._handles[layer.name] = handle
 
     def _lay_table(self, scene: ViewerScene) -> None:
-        """A table as large as what was shown of it first, in squares of a round size."""
+        """A table as large as what was shown first, in squares of a round size."""
         z = scene.table_height
+        if z == self._table:
+            return
+        self._table = z
         if z is None:
-            if self._table is not None:
-                self._canvas.remove_by_name("/table")
-                self._table = None
+            self._canvas.remove_by_name("/table")
             return
         step = square_size(scene)
         low = np.floor(scene.box[0, :2] / step - 2.0) * step
         high = np.ceil(scene.box[1, :2] / step + 2.0) * step
-        if self._table is not None:
-            old_low, old_high, old_z = self._table
-            if old_z == z and (old_low <= low + 1e-9).all() and (old_high >= high - 1e-9).all():
-                return
-        self._table = low, high, z
         (width, depth), (x, y) = (high - low).tolist(), (0.5 * (low + high)).tolist()
         self._canvas.add_grid(
             "/table",
@@ -144,8 +140,6 @@ def camera_of(scene: ViewerScene, aspect: float = 1.0) -> tuple[Array, Array]:
     middle, (x, y, _) = 0.5 * (low + high), high - low
     turn = (-0.5 * math.pi if x >= y else 0.0) + _TURN
     towards = np.array([math.cos(turn), math.sin(turn), 0.0])
-    if scene.backdrop is not None and towards @ (scene.backdrop - middle) > 0.0:
-        towards = -towards
     direction = math.cos(_TILT) * towards + math.sin(_TILT) * np.array([0.0, 0.0, 1.0])
     radius = 0.5 * float(np.linalg.norm(high - low)) + 1e-3
     away = 1.05 * radius / math.sin(0.5 * FIELD_OF_VIEW) / min(aspect, 1.0)

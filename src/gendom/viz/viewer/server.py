@@ -14,6 +14,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor, wait
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import urlsplit
@@ -139,33 +140,6 @@ class Viewer:
     def port(self) -> int:
         """The address's port."""
         return self._server.get_port()
-
-    @property
-    def scene(self) -> ViewerScene | None:
-        """What is shown now."""
-        return self._scene
-
-    @property
-    def frame(self) -> int:
-        """Number of the frame that is shown."""
-        return self._time.value
-
-    @property
-    def status(self) -> str:
-        """What was said last of a simulation."""
-        return self._status_text
-
-    def set_value(self, name: str, value: float) -> None:
-        """Move a parameter's slider, as a hand would.
-
-        Raises:
-            KeyError: There is no such parameter.
-        """
-        self._sliders[name].value = self._parameters[name].position(value)
-
-    def set_frame(self, frame: int) -> None:
-        """Move the slider of time."""
-        self._time.value = frame
 
     def play(self, playing: bool) -> None:
         """Let time run, or stop it."""
@@ -483,43 +457,33 @@ class Resimulation:
     ):
         self._model = model
         self._on_begin, self._on_scene, self._on_fault = on_begin, on_scene, on_fault
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
         self._request: tuple[int, Mapping[str, float]] | None = None
-        self._busy = self._closed = False
-        self._thread = threading.Thread(target=self._run, name="resimulation", daemon=True)
-        self._thread.start()
+        self._closed = False
+        self._pool = ThreadPoolExecutor(1, "resimulation")
+        self._last = self._pool.submit(lambda: None)
 
     def ask(self, case: int, values: Mapping[str, float]) -> None:
         """Simulate a case with parameters by name, as soon as possible."""
-        with self._changed:
+        with self._lock:
             self._request = (case, dict(values))
-            self._changed.notify_all()
+        self._last = self._pool.submit(self._simulate)
 
     def wait(self, timeout: float) -> bool:
         """Whether all that was asked for is done within a time [s]."""
-        with self._changed:
-            return self._changed.wait_for(lambda: self._request is None and not self._busy, timeout)
+        return self._last in wait([self._last], timeout).done
 
     def close(self) -> None:
         """Drop everything, and end the thread."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        self._thread.join(5.0)
+        self._closed = True
+        self._pool.shutdown(cancel_futures=True)
 
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._busy = False
-                self._changed.notify_all()
-                self._changed.wait_for(lambda: self._request is not None or self._closed)
-                if self._closed or self._request is None:
-                    return
-                case, values = self._request
-                self._request, self._busy = None, True
-            self._simulate(case, values)
-
-    def _simulate(self, case: int, values: Mapping[str, float]) -> None:
+    def _simulate(self) -> None:
+        with self._lock:
+            request, self._request = self._request, None
+        if request is None:
+            return
+        case, values = request
         began = time.monotonic()
 
         def go_on() -> None:
