@@ -7,6 +7,7 @@ import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from gendom.perception.cloud import (
     CameraView,
     CloudSettings,
     FusedCloud,
+    Held,
     perceive_frame,
 )
 from gendom.perception.colour import (
@@ -37,12 +39,17 @@ from gendom.perception.colour import (
 )
 from gendom.perception.folder import CameraRecording
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Matching, Pictures, match_frames
+from gendom.perception.png import read_png
 from gendom.perception.quality import (
     MAX_DISAGREEMENT,
+    MOST_COVERED,
     offset_between,
+    own_area,
     seen_share,
     sides_apart,
+    times_own_area,
 )
+from gendom.perception.robot import Capsules
 
 _AGREEMENT_FRAMES = 5  # disagreement is judged from so many comparisons in a row
 _AGREEMENT_STRIDE = 5  # beyond the first of them, one frame of so many is compared
@@ -55,6 +62,11 @@ _MAX_CORRECTION = (
 )  # [m], [rad]; beyond, a camera ought to be calibrated again
 _BELOW_TABLE = 0.05  # [m]; the workspace reaches so far below a known table
 _MARGIN = 0.05  # [m]; and so far beyond what the object can reach
+_BEYOND = 0.03  # [m]; points farther from a gripper than the object is long may be its own
+_LOW = 0.01  # [m]; points so near to the table may be the table's
+_MOST_CROWDED = 0.5  # of the frames may be left out because more than the object is in them
+_MASKS = "give a PNG a picture, of its name and size, above 0 where the object is"
+_CHOOSE = "narrow the colour (--lightness-weight 1, --colour-tolerance), or give --masks"
 
 SEEN_BY = "seen_by"
 """Name of the array that a perceived recording has besides `gendom-recording/1`'s own: uint8
@@ -73,6 +85,9 @@ class PerceptionSettings:
     """Or CAMERA U V: a pixel on the object in the first frame."""
     box: tuple[str, int, int, int, int] | None = None
     """Or CAMERA U0 V0 U1 V1: a box around it there, first and after-last pixel."""
+    masks: Path | None = None
+    """Or DIR of another program's masks: DIR/CAMERA/ has a PNG for each depth picture, of its name
+    (of a RealSense recording 000000.png and so on) and size, above 0 where the object is."""
     colour_tolerance: float = TOLERANCE
     """Largest distance from that colour in L*a*b*."""
     lightness_weight: float = LIGHTNESS_WEIGHT
@@ -91,7 +106,7 @@ class PerceptionSettings:
     """Connected points fewer than this are dropped."""
 
     def __post_init__(self):
-        given = [n for n in ("colour", "pick", "box") if getattr(self, n) is not None]
+        given = [n for n in ("colour", "pick", "box", "masks") if getattr(self, n) is not None]
         require(len(given) <= 1, f"{' and '.join(given)} are both given", fix="choose one")
         right = all(0 <= c <= 255 for c in self.colour or ())
         require(right, f"colour {self.colour}", fix="give R G B, each 0 to 255")
@@ -193,10 +208,11 @@ class _Perception:
         self.offsets: list[np.ndarray] = []
         self.comparable = 0  # frames with points enough in all views
         self.fewest = [self._fewest(view.camera) for view in self.views]
-        self.disagreement: float | None = None
+        self.apart: dict[str, float] = {}  # [m]; see `_history`
         self.seen = np.zeros(len(self.names), dtype=np.int64)  # points of each camera
         self.unreadable: list[RecordingError] = []
         self.off_path = 0
+        self.crowded: list[float] = []  # how many times its area clouds have that are too large
         self.levelled: dict[str, dict[str, float]] = {}
 
     def run(self) -> Perceived:
@@ -214,20 +230,28 @@ class _Perception:
             pictures = self._read(frames)
             if pictures is None:
                 continue
+            capsules = self.recorded.capsules and self.recorded.capsules.at(time)
             if not ready:
-                self._begin(pictures)
+                self._begin(pictures, capsules)
                 ready = True
+            closed = self.recorded.robot.closed_at(time)
+            reach = (self.object.size or 0.0) + _BEYOND
+            held = Held(gripper[0], reach, self.colour is not None)
             cloud = perceive_frame(
                 self.views,
                 pictures,
                 colour=self.colour,
-                capsules=self.recorded.capsules and self.recorded.capsules.at(time),
-                on_clouds=self._compare,
+                capsules=capsules,
+                held=held if closed is None or closed.all() else None,
             )
+            self.on_frame(time, cloud)
+            if (times := times_own_area(cloud.points, self.object)) > MOST_COVERED:
+                self.crowded.append(times)
+                continue
+            self._compare(cloud.parts)
             self.clouds.append(cloud)
             self.times.append(time)
             self.grippers.append(gripper)
-            self.on_frame(time, cloud)
         self._tell_left_out(matching)
         return self._result()
 
@@ -259,19 +283,15 @@ class _Perception:
 
     def _fewest(self, camera: Camera) -> float:
         """Minimum number of points of a camera's cloud for comparison with others."""
-        known = self.object
-        area = (
-            (known.length or 0.0) * (known.diameter or 0.0)
-            if known.kind == "rope"
-            else (known.width or 0.0) * (known.height or 0.0)
-        )
         away = np.linalg.norm(self.recorded.robot.position.mean(axis=(0, 1)) - camera.position)
-        filled = area * camera.K[0, 0] * camera.K[1, 1] / max(float(away), 1e-3) ** 2
+        filled = (
+            own_area(self.object) * camera.K[0, 0] * camera.K[1, 1] / max(float(away), 1e-3) ** 2
+        )
         return max(_AGREEMENT_POINTS, _AGREEMENT_SHARE * filled)
 
     def _read(self, frames: tuple[Frame, ...]) -> list[Pictures] | None:
         try:
-            pictures = [frame.read() for frame in frames]
+            pictures = list(map(self._picture, self.names, frames))
             for frame, seen in zip(frames, pictures, strict=True):
                 # Sensors give such pictures just after they are switched on.
                 has = np.count_nonzero(seen.depth)
@@ -283,13 +303,41 @@ class _Perception:
             return None
         return pictures
 
-    def _begin(self, pictures: list[Pictures]) -> None:
+    def _picture(self, name: str, frame: Frame) -> Pictures:
+        """What a camera saw; where there are masks, white is the object and the rest black."""
+        seen = frame.read()
+        if self.settings.masks is None:
+            return seen
+        file = Path(frame.where).name
+        if not file.endswith(".png"):
+            file = f"{file.rsplit(' ', 1)[-1]:0>6}.png"
+        path = self.settings.masks / name / file
+        self._require(path.is_file(), "there is no such mask", _MASKS, str(path))
+        picture = read_png(path)
+        found = np.asarray(picture if picture.mode[0] == "I" else picture.convert("RGB")) > 0
+        mask = found.any(axis=2) if found.ndim == 3 else found
+        (height, width), (h, w) = seen.depth.shape, mask.shape
+        what = f"is {w} x {h}, the pictures are {width} x {height}"
+        self._require((h, w) == (height, width), what, _MASKS, str(path))
+        self._require(mask.any(), "masks nothing: all pixels are 0", _MASKS, str(path))
+        return Pictures(seen.depth, np.repeat(mask[..., None], 3, axis=2) * np.uint8(255))
+
+    def _begin(self, pictures: list[Pictures], capsules: Capsules | None) -> None:
         """Determine units, table and colour from the first frame."""
         for view, seen in zip(self.views, pictures, strict=True):
             view.check_depth(seen.depth, self._expected_table())
         if not self.settings.no_table:
             self._find_table(pictures)
         self.colour = self._find_colour(pictures)
+        for view, seen in zip(self.views, pictures, strict=True):
+            if self.colour is not None and view.table is not None:
+                points, _ = view.segment(seen, self.colour, capsules)
+                low = np.abs(points @ view.table.normal - view.table.offset) < _LOW
+                if times_own_area(points[low], self.object) > MOST_COVERED:
+                    view.drop_table()
+                    what = "sees the object's colour on the table, too: all that lies within the "
+                    what += "noise of the table is left out"
+                    self._warn(what, f"camera {view.camera.name!r}", f"{_CHOOSE} if too much is")
 
     def _expected_table(self) -> float | None:
         """z of the table [m], if it is known and looked for."""
@@ -311,6 +359,8 @@ class _Perception:
         what = f"the table is at z = {listed}: more than {1e3 * MAX_DISAGREEMENT:.0f} mm apart"
         fix = "calibrate the cameras again, or correct table_height"
         self._require(apart <= MAX_DISAGREEMENT, what, fix)
+        if len(heights) > 1:
+            self.apart["table"] = max(heights.values()) - min(heights.values())
         if heights and not self.settings.no_level:
             mean = sum(heights.values()) / len(heights)
             self._level(pictures, middle, mean if expected is None else expected)
@@ -343,7 +393,9 @@ class _Perception:
 
     def _find_colour(self, pictures: list[Pictures]) -> ObjectColour | None:
         chosen = self.settings
-        if chosen.colour is not None:
+        if chosen.masks is not None:
+            reference = lab((255, 255, 255))
+        elif chosen.colour is not None:
             reference = lab(chosen.colour)
         elif (place := chosen.pick or chosen.box) is None:
             return None
@@ -406,7 +458,8 @@ class _Perception:
         latest = self.offsets[-_AGREEMENT_FRAMES:]
         offset = np.median(np.array(latest), axis=0)
         apart = float(np.linalg.norm(offset))
-        self.disagreement = max(apart, self.disagreement or 0.0)
+        self.apart.setdefault("at_rest", apart)
+        self.apart["at_worst"] = max(apart, self.apart.get("at_worst", 0.0))
         x, y, z = 1e3 * offset
         what = f"cameras {', '.join(self.names)} place the object {1e3 * apart:.0f} mm apart "
         what += f"({x:.0f}, {y:.0f}, {z:.0f} mm)"
@@ -437,6 +490,15 @@ class _Perception:
             what = f"{self.off_path} of {matching.used} frames are outside of its times, {times}; "
             fix = "put robot and cameras on one clock if there are many"
             self._warn(f"{what}they are left out", f"{self.recorded.where}/gripper.csv", fix)
+        if self.crowded:
+            what = f"in {len(self.crowded)} of {matching.used} frames points cover "
+            what += f"{np.median(self.crowded):.0f} times the object's own area: other things are "
+            what += "among them, such as a hand, a cable, the table or the robot"
+            fix = "take them out of view, narrow --workspace, choose the object by --colour or "
+            fix += "--masks, and check its sizes in object.toml"
+            few = len(self.crowded) <= _MOST_CROWDED * (len(self.crowded) + len(self.clouds))
+            self._require(few, what, fix)
+            self._warn(f"{what}; they are left out", self.recorded.where, fix)
         if self.unreadable:
             what = f"none of {len(self.unreadable)} frames can be read; the first: "
             first = self.unreadable[0]
@@ -464,7 +526,8 @@ class _Perception:
             fix = "check workspace, colour and what hides it; the estimate will be poor"
             self._warn(what, "points", fix)
         seen_by = np.concatenate([cloud.seen_by for cloud in self.clouds])
-        return Perceived(recording, seen_by, counts, self.names, share, self.disagreement)
+        worst = self.apart.get("at_worst")
+        return Perceived(recording, seen_by, counts, self.names, share, worst)
 
     def _recording(self) -> Recording:
         """The recording of all frames, not yet validated."""
@@ -493,11 +556,16 @@ class _Perception:
         return float(np.median([seen_share(recording.frame(int(t)), self.object) for t in some]))
 
     def _history(self) -> dict[str, Any]:
-        """Description of the processing, stored in the recording's meta."""
+        """Description of the processing, stored in the recording's meta.
+
+        `cameras_apart` is how far apart cameras place the table before they are levelled, and the
+        object at first and at worst [m].
+        """
         return {
             "cameras": self.names,
             "settings": asdict(self.cloud_settings),
             "colour_lab": None if self.colour is None else self.colour.reference,
+            "cameras_apart": self.apart,
             "levelled": self.levelled,
             "depth_noise": [None if v.table is None else v.table.noise for v in self.views],
         }
