@@ -121,14 +121,14 @@ def things(kind: Kind, x: NDArray[np.float64]) -> str:
     (x0, y0, _), (x1, y1, _) = x.min(axis=0), x.max(axis=0)
     own, size = kind.own, float(np.ptp(x[:, 0]))
     far = np.array([x1 + 0.03, 0.0, 0.07])
-    hand = capsules([far + (0.03, 0.03, 0.0), far + (0.1, 0.12, 0.03)], 0.035, SKIN)
+    hand = capsules([np.add(far, (0.03, 0.03, 0.0)), np.add(far, (0.1, 0.12, 0.03))], 0.035, SKIN)
     for k in range(4):
-        finger = far + (0.02 * k - 0.02, 0.0, 0.0)
-        hand += capsules([finger, finger + (-0.03, -0.04, -0.03)], 0.009, SKIN)
+        finger = np.add(far, (0.02 * k - 0.02, 0.0, 0.0))
+        hand += capsules([finger, np.add(finger, (-0.03, -0.04, -0.03))], 0.009, SKIN)
     if kind.things == "checks":
         edge, places = 0.025, np.mgrid[-6:7, -5:6].reshape(2, -1).T
         middle = [(x0 + x1) / 2.0, (y0 + y1) / 2.0]
-        tiles = [middle + 2.0 * edge * (p + (0.5 * (p[1] % 2), 0.0)) for p in places]
+        tiles = [middle + 2.0 * edge * np.add(p, (0.5 * (p[1] % 2), 0.0)) for p in places]
         return "".join(box([*t, 0.0001], [edge / 2, edge / 2, 1e-4], own) for t in tiles)
     if kind.things in ("hand", "touching"):
         if kind.things == "hand":
@@ -283,6 +283,13 @@ def measured(found: Lifted, recorded: CameraRecording, kind: Kind, colour: bool)
         row["points"].append(len(points))
         row["far"].append(int((off > FAR).sum()))
     return row
+
+
+def right(row: dict[str, Any]) -> bool:
+    """Whether there is a recording of which nearly all points are the object's."""
+    kept = np.array(row["kept"], bool)
+    points, far = (np.array(row[key])[kept].sum() for key in ("points", "far"))
+    return not row["said"] and bool(far <= MOST_FAR * points)
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ of 16-bit integers, and only the remaining pixels are converted to points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -46,6 +46,9 @@ ROBOT_MARGIN = 0.01
 
 OUTLIER_RADIUS = 0.015
 """Points in the same or in touching cubes of this edge [m] are connected."""
+
+FINGERTIP = 0.02
+"""Points farther than this from what grippers hold [m] may be as near to fingers as to links."""
 
 HANGING_TOGETHER = 0.06
 """What is held hangs together: gaps in it are smaller than this [m]."""
@@ -311,10 +314,16 @@ class Held:
     chosen: bool
     """Whether its colour or masks chose the points: then most of them are the object's, even if
     they lie apart from the grippers."""
+    robot: Capsules | None = None
+    """The grippers' shape, of which noise is left where nothing chose the points; None: unknown."""
 
     def among(self, points: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
         """[n] those of points [n, 3] [m] that belong to it."""
-        near = (np.linalg.norm(points[:, None] - self.places, axis=2) <= self.reach).all(axis=1)
+        away = np.linalg.norm(points[:, None] - self.places, axis=2)
+        near = (away <= self.reach).all(axis=1)
+        if self.robot is not None and not self.chosen:
+            whole = replace(self.robot, largest_margin=None).contain(points, ROBOT_MARGIN)
+            near &= ~(whole & (away > FINGERTIP).all(axis=1))
         if not near.any():
             return near
         label = np.full(len(points), -1)
@@ -334,7 +343,7 @@ class FusedCloud:
     counts: npt.NDArray[np.int64]
     """[8] points left at each of `STAGES`, summed over the cameras."""
     parts: list[npt.NDArray[np.float32]]
-    """[n, 3] each camera's own points before they were fused [m]."""
+    """[n, 3] each camera's own points, before they were fused [m]."""
 
 
 def fuse(

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import KDTree
 
 from gendom.arguments import require
 from gendom.datasets import Fault, Recording
@@ -22,6 +23,7 @@ from gendom.files import atomic_path
 from gendom.perception.camera import Camera
 from gendom.perception.cloud import (
     MIN_DEPTH_PIXELS,
+    OUTLIER_RADIUS,
     STAGES,
     CameraView,
     CloudSettings,
@@ -64,7 +66,7 @@ _BELOW_TABLE = 0.05  # [m]; the workspace reaches so far below a known table
 _MARGIN = 0.05  # [m]; and so far beyond what the object can reach
 _BEYOND = 0.03  # [m]; points farther from a gripper than the object is long may be its own
 _LOW = 0.01  # [m]; points so near to the table may be the table's
-_MOST_CROWDED = 0.5  # of the frames may be left out because more than the object is in them
+_MOST_CROWDED = 1 / 3  # of the frames may be left out because more than the object is in them
 _MASKS = "give a PNG a picture, of its name and size, above 0 where the object is"
 _CHOOSE = "narrow the colour (--lightness-weight 1, --colour-tolerance), or give --masks"
 
@@ -212,6 +214,7 @@ class _Perception:
         self.seen = np.zeros(len(self.names), dtype=np.int64)  # points of each camera
         self.unreadable: list[RecordingError] = []
         self.off_path = 0
+        self.most = MOST_COVERED.get(self.object.kind, math.inf)
         self.crowded: list[float] = []  # how many times its area clouds have that are too large
         self.levelled: dict[str, dict[str, float]] = {}
 
@@ -236,7 +239,7 @@ class _Perception:
                 ready = True
             closed = self.recorded.robot.closed_at(time)
             reach = (self.object.size or 0.0) + _BEYOND
-            held = Held(gripper[0], reach, self.colour is not None)
+            held = Held(gripper[0], reach, self.colour is not None, capsules)
             cloud = perceive_frame(
                 self.views,
                 pictures,
@@ -245,10 +248,10 @@ class _Perception:
                 held=held if closed is None or closed.all() else None,
             )
             self.on_frame(time, cloud)
-            if (times := times_own_area(cloud.points, self.object)) > MOST_COVERED:
+            if (times := times_own_area(cloud.points, self.object)) > self.most:
                 self.crowded.append(times)
                 continue
-            self._compare(cloud.parts)
+            self._compare(cloud)
             self.clouds.append(cloud)
             self.times.append(time)
             self.grippers.append(gripper)
@@ -333,7 +336,7 @@ class _Perception:
             if self.colour is not None and view.table is not None:
                 points, _ = view.segment(seen, self.colour, capsules)
                 low = np.abs(points @ view.table.normal - view.table.offset) < _LOW
-                if times_own_area(points[low], self.object) > MOST_COVERED:
+                if times_own_area(points[low], self.object) > self.most:
                     view.drop_table()
                     what = "sees the object's colour on the table, too: all that lies within the "
                     what += "noise of the table is left out"
@@ -426,22 +429,23 @@ class _Perception:
             raise RecordingError("has no colour pictures", where=where, fix=fix)
         return colour
 
-    def _compare(self, clouds: list[np.ndarray]) -> None:
+    def _compare(self, cloud: FusedCloud) -> None:
         """Raise an error if cameras disagree about the position of the object.
 
         A shift along a straight rope is visible only later, when the rope is bent, so the whole
         recording is compared. A cloth's outline shows any shift at once, and later each camera may
         see a different side of it.
         """
-        self.seen += [len(cloud) for cloud in clouds]
-        if len(clouds) < 2 or any(
-            len(cloud) < least for cloud, least in zip(clouds, self.fewest, strict=True)
-        ):
+        self.seen += [len(part) for part in cloud.parts]
+        done = self.comparable >= _AGREEMENT_FRAMES and self.object.kind != "rope"
+        if done or len(cloud.parts) < 2 or len(cloud.points) == 0:
+            return
+        tree, near = KDTree(cloud.points), max(OUTLIER_RADIUS, self.settings.voxel)
+        clouds = [part[tree.query(part)[0] < near] for part in cloud.parts]
+        if any(len(own) < least for own, least in zip(clouds, self.fewest, strict=True)):
             return
         self.comparable += 1
-        if self.comparable > _AGREEMENT_FRAMES and (
-            self.object.kind != "rope" or self.comparable % _AGREEMENT_STRIDE
-        ):
+        if self.comparable > _AGREEMENT_FRAMES and self.comparable % _AGREEMENT_STRIDE:
             return
         # With more than two cameras: the one farthest from the first.
         first, *others = (view.camera.position for view in self.views)
