@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,10 +14,8 @@ from scipy.spatial import KDTree
 
 from gendom.arguments import require
 from gendom.datasets import Fault, Recording
-from gendom.datasets.recording import check_name
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
-from gendom.files import atomic_path
 from gendom.perception.camera import Camera
 from gendom.perception.cloud import (
     MIN_DEPTH_PIXELS,
@@ -69,10 +65,6 @@ _LOW = 0.01  # [m]; points so near to the table may be the table's
 _MOST_CROWDED = 1 / 3  # of the frames may be left out because more than the object is in them
 _MASKS = "give a PNG a picture, of its name and size, above 0 where the object is"
 _CHOOSE = "narrow the colour (--lightness-weight 1, --colour-tolerance), or give --masks"
-
-SEEN_BY = "seen_by"
-"""Name of the array that a perceived recording has besides `gendom-recording/1`'s own: uint8
-[S], bit k is set where the camera of row k of `camera_positions` saw the point."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,32 +117,15 @@ class Perceived:
 
     recording: Recording
     """The object's clouds and the grippers."""
-    seen_by: npt.NDArray[np.uint8]
-    """[S] bit k is set where camera k saw the point."""
     counts: npt.NDArray[np.int64]
     """[T, 8] points left at each of `gendom.perception.STAGES`, summed over the cameras."""
     cameras: list[str]
-    """Their names, in the order of `seen_by` and `camera_positions`."""
+    """Their names, in the order of the recording's `seen_by` and `camera_positions`."""
     seen_share: float
     """About how much of the object is seen in the middle of all frames, 0 to 1."""
     disagreement: float | None
     """How far another camera's clouds are from the first's [m], the sides of the object that
     they see allowed for, at the worst stretch of the recording; None: unknown."""
-
-    def write(self, path: str | os.PathLike) -> None:
-        """Write a `gendom-recording/1` file with the array `seen_by`, atomically.
-
-        Raises:
-            RecordingError, GendomError: As `Recording.write`.
-        """
-        check_name(path)
-        with atomic_path(path) as temporary:
-            self.recording.write(temporary)
-            with (
-                zipfile.ZipFile(temporary, "a", zipfile.ZIP_DEFLATED) as archive,
-                archive.open(f"{SEEN_BY}.npy", "w") as file,
-            ):
-                np.lib.format.write_array(file, self.seen_by, allow_pickle=False)
 
 
 def perceive(
@@ -529,9 +504,7 @@ class _Perception:
             what = f"only about {100 * share:.0f} % of the object is seen"
             fix = "check workspace, colour and what hides it; the estimate will be poor"
             self._warn(what, "points", fix)
-        seen_by = np.concatenate([cloud.seen_by for cloud in self.clouds])
-        worst = self.apart.get("at_worst")
-        return Perceived(recording, seen_by, counts, self.names, share, worst)
+        return Perceived(recording, counts, self.names, share, self.apart.get("at_worst"))
 
     def _recording(self) -> Recording:
         """The recording of all frames, not yet validated."""
@@ -551,6 +524,7 @@ class _Perception:
             gripper_position=np.array(positions),
             gripper_axis=None if axes[0] is None else np.array(axes),
             gripper_closed=None if closed[0] is None else np.array(closed),
+            seen_by=np.concatenate([cloud.seen_by for cloud in self.clouds]),
             extra=extra,
             **values,
         )
