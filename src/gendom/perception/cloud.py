@@ -311,7 +311,7 @@ class Held:
     """[G, 3] the grippers [m]."""
     reach: float
     """How far it reaches from each of them at most [m]."""
-    chosen: bool
+    chosen: bool = False
     """Whether its colour or masks chose the points: then most of them are the object's, even if
     they lie apart from the grippers."""
     robot: Capsules | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,6 @@ from gendom.perception.quality import (
     sides_apart,
     times_own_area,
 )
-from gendom.perception.robot import Capsules
 
 _AGREEMENT_FRAMES = 5  # disagreement is judged from so many comparisons in a row
 _AGREEMENT_STRIDE = 5  # beyond the first of them, one frame of so many is compared
@@ -61,6 +60,7 @@ _MAX_CORRECTION = (
 _BELOW_TABLE = 0.05  # [m]; the workspace reaches so far below a known table
 _MARGIN = 0.05  # [m]; and so far beyond what the object can reach
 _BEYOND = 0.03  # [m]; points farther from a gripper than the object is long may be its own
+_ALIKE = 0.5  # of its own area, apart from it on the table: the table has the object's colour
 _LOW = 0.01  # [m]; points so near to the table may be the table's
 _MOST_CROWDED = 1 / 3  # of the frames may be left out because more than the object is in them
 _MASKS = "give a PNG a picture, of its name and size, above 0 where the object is"
@@ -209,12 +209,13 @@ class _Perception:
             if pictures is None:
                 continue
             capsules = self.recorded.capsules and self.recorded.capsules.at(time)
-            if not ready:
-                self._begin(pictures, capsules)
-                ready = True
-            closed = self.recorded.robot.closed_at(time)
             reach = (self.object.size or 0.0) + _BEYOND
-            held = Held(gripper[0], reach, self.colour is not None, capsules)
+            held = Held(gripper[0], reach, robot=capsules)
+            if not ready:
+                self._begin(pictures, held)
+                ready = True
+            held = replace(held, chosen=self.colour is not None)
+            closed = self.recorded.robot.closed_at(time)
             cloud = perceive_frame(
                 self.views,
                 pictures,
@@ -300,22 +301,26 @@ class _Perception:
         self._require(mask.any(), "masks nothing: all pixels are 0", _MASKS, str(path))
         return Pictures(seen.depth, np.repeat(mask[..., None], 3, axis=2) * np.uint8(255))
 
-    def _begin(self, pictures: list[Pictures], capsules: Capsules | None) -> None:
+    def _begin(self, pictures: list[Pictures], held: Held) -> None:
         """Determine units, table and colour from the first frame."""
         for view, seen in zip(self.views, pictures, strict=True):
             view.check_depth(seen.depth, self._expected_table())
         if not self.settings.no_table:
             self._find_table(pictures)
         self.colour = self._find_colour(pictures)
+        alike = False
         for view, seen in zip(self.views, pictures, strict=True):
             if self.colour is not None and view.table is not None:
-                points, _ = view.segment(seen, self.colour, capsules)
+                points, _ = view.segment(seen, self.colour, held.robot)
                 low = np.abs(points @ view.table.normal - view.table.offset) < _LOW
-                if times_own_area(points[low], self.object) > self.most:
-                    view.drop_table()
-                    what = "sees the object's colour on the table, too: all that lies within the "
-                    what += "noise of the table is left out"
-                    self._warn(what, f"camera {view.camera.name!r}", f"{_CHOOSE} if too much is")
+                apart = low & ~held.among(points)
+                alike |= times_own_area(points[low], self.object) > self.most
+                alike |= times_own_area(points[apart], self.object) > _ALIKE
+        if alike:
+            for view in self.views:
+                view.drop_table()
+            what = "it, or what lies on it, has the object's colour: all within its noise is left out"
+            self._warn(what, "table", f"{_CHOOSE} if too much is")
 
     def _expected_table(self) -> float | None:
         """z of the table [m], if it is known and looked for."""
