@@ -11,7 +11,6 @@ and in those that are kept, how many times the object's own area the clouds cove
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -213,6 +212,7 @@ def scene(found: Lifted, kind: Kind, seed: int = 0) -> CameraRecording:
         camera.at(moved_away(camera.calibrated(), kind.away))
         for camera in lift_cameras(item)[: kind.cameras]
     ]
+    assert found.run.motion is not None
     arm = Crowded(XARM7, found.run.motion, opening=thickness(item))
     arm.others = things(kind, found.vertices[0])
     world = Reality(item, found.run.trial.layout, robot=arm, cameras=cameras)
@@ -229,7 +229,7 @@ def scene(found: Lifted, kind: Kind, seed: int = 0) -> CameraRecording:
     described = {**item.description(), "grasp": trial.grasp}
     states = JointStates(found.time, found.joints)
     return CameraRecording(
-        sources,
+        [*sources],
         RobotPath(found.time, found.hand[:, None], found.axis[:, None]),
         {"object": described, "table_height": 0.0, "gripper_source": "measured"},
         arm_capsules(XARM7, states, held=thickness(item)) if kind.arm else None,
@@ -296,16 +296,28 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--kinds", nargs="*", default=list(KINDS))
-    parser.add_argument("--objects", nargs="*", default=["rope:0", "thin:0", "cloth:0"])
+    parser.add_argument("--objects", nargs="*", default=["rope:3", "rope:5", "thin:2", "cloth:1"])
     args = parser.parse_args()
     args.folder.mkdir(parents=True, exist_ok=True)
-    for name in args.objects:
-        found = lifted(name, args.folder)
-        for kind in args.kinds:
+    for kind in args.kinds:
+        for name in args.objects:
+            found = lifted(name, args.folder)
             recorded = scene(found, KINDS[kind])
             for colour in (False, True):
                 row = measured(found, recorded, KINDS[kind], colour)
-                print(json.dumps({"object": name, "kind": kind, **row}), flush=True)
+                print(shown(f"{kind}, {name}, {'colour' if colour else 'height'}", row), flush=True)
+
+
+def shown(name: str, row: dict[str, Any]) -> str:
+    """A row of the table in words."""
+    points, far, kept = (np.array(row[key]) for key in ("points", "far", "kept"))
+    said = (
+        row["said"] or f"{kept.sum()} of {len(kept)} frames, {'right' if right(row) else 'WRONG'}"
+    )
+    share = 100.0 * far.sum() / max(points.sum(), 1)
+    own = 100.0 * far[kept].sum() / max(points[kept].sum(), 1)
+    area = float(np.median(row["area"])) if row["area"] else 0.0
+    return f"{name:40}{share:8.1f} %{own:8.1f} %{area:8.2f}  {said}"
 
 
 if __name__ == "__main__":

@@ -294,8 +294,8 @@ class _Perception:
         self._require(path.is_file(), "there is no such mask", _MASKS, str(path))
         picture = read_png(path)
         found = np.asarray(picture if picture.mode[0] == "I" else picture.convert("RGB")) > 0
-        mask = found.any(axis=2) if found.ndim == 3 else found
-        (height, width), (h, w) = seen.depth.shape, mask.shape
+        mask = found.reshape(*found.shape[:2], -1).any(axis=2)
+        (height, width), (h, w) = seen.depth.shape[:2], mask.shape[:2]
         what = f"is {w} x {h}, the pictures are {width} x {height}"
         self._require((h, w) == (height, width), what, _MASKS, str(path))
         self._require(mask.any(), "masks nothing: all pixels are 0", _MASKS, str(path))
@@ -319,7 +319,7 @@ class _Perception:
         if alike:
             for view in self.views:
                 view.drop_table()
-            what = "it, or what lies on it, has the object's colour: all within its noise is left out"
+            what = "it, or what is on it, has the object's colour: all within its noise is left out"
             self._warn(what, "table", f"{_CHOOSE} if too much is")
 
     def _expected_table(self) -> float | None:
