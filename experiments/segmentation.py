@@ -310,7 +310,8 @@ def main() -> None:
 
 def shown(name: str, row: dict[str, Any]) -> str:
     """A row of the table in words."""
-    points, far, kept = (np.array(row[key]) for key in ("points", "far", "kept"))
+    points, far = np.array(row["points"]), np.array(row["far"])
+    kept = np.array(row["kept"], bool)
     said = (
         row["said"] or f"{kept.sum()} of {len(kept)} frames, {'right' if right(row) else 'WRONG'}"
     )

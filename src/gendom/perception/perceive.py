@@ -60,6 +60,7 @@ _MAX_CORRECTION = (
 _BELOW_TABLE = 0.05  # [m]; the workspace reaches so far below a known table
 _MARGIN = 0.05  # [m]; and so far beyond what the object can reach
 _BEYOND = 0.03  # [m]; points farther from a gripper than the object is long may be its own
+_BY_ONE = 0.6  # of what all may cover, one camera's points of the object on the table may
 _ALIKE = 0.5  # of its own area, apart from it on the table: the table has the object's colour
 _LOW = 0.01  # [m]; points so near to the table may be the table's
 _MOST_CROWDED = 1 / 3  # of the frames may be left out because more than the object is in them
@@ -314,7 +315,7 @@ class _Perception:
                 points, _ = view.segment(seen, self.colour, held.robot)
                 low = np.abs(points @ view.table.normal - view.table.offset) < _LOW
                 apart = low & ~held.among(points)
-                alike |= times_own_area(points[low], self.object) > self.most
+                alike |= times_own_area(points[low], self.object) > _BY_ONE * self.most
                 alike |= times_own_area(points[apart], self.object) > _ALIKE
         if alike:
             for view in self.views:
