@@ -52,6 +52,16 @@ def test_cameras_that_agree_are_not_blamed(cloth_lift, seen):
     assert nameless.cameras_apart() == (0.0, 0, 0)
 
 
+@pytest.mark.parametrize(("apart", "said"), [(0.011, []), (0.013, ["13 mm"]), ("far", [])])
+def test_what_perception_measured_is_a_reason_by_itself(cloth_lift, seen, apart, said):
+    extra = {"perception": {"cameras_apart": {"table": 0.1, "at_worst": apart}}}
+    part, comparison = compared(cloth_lift, replace(seen, extra=extra))
+    reasons = _blamed_on_cameras([], part, comparison, VerdictSettings())
+    assert reasons == [
+        f"cameras' clouds of the object are {by} apart: calibrate again" for by in said
+    ]
+
+
 def test_a_file_keeps_them(tmp_path, seen):
     seen.write(tmp_path / "lift.npz")
     again = Recording.read(tmp_path / "lift.npz")

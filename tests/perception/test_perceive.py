@@ -63,13 +63,13 @@ def test_any_source_of_frames_will_do(world, live, tmp_path):
     )
     assert seen == found.counts[:, -1].tolist() == np.diff(found.recording.offsets).tolist()
     np.testing.assert_allclose(found.recording.gripper_position[:, 0, 2], 0.2 + 0.01 * np.arange(4))
-    found.write(tmp_path / "a.npz")
+    found.recording.write(tmp_path / "a.npz")
     again = Recording.read(tmp_path / "a.npz")
     np.testing.assert_array_equal(again.points, found.recording.points)
-    np.testing.assert_array_equal(np.load(tmp_path / "a.npz")["seen_by"], found.seen_by)
+    np.testing.assert_array_equal(again.seen_by, found.recording.seen_by)
     assert again.extra["perception"]["cameras"] == ["left", "right"]
     with pytest.raises(RecordingError, match=r"name the file \.npz"):
-        found.write(tmp_path / "a.txt")
+        found.recording.write(tmp_path / "a.txt")
 
 
 def test_a_cloth_lifted_by_its_corner(world):
@@ -172,7 +172,7 @@ def test_cameras_are_levelled_by_the_table(live, world, degrees, rise, told):
         held = np.array([[[-0.2, 0.0, 0.005]], [[-0.2, 0.0, 0.3]]])
         found = replace(found, robot=RobotPath(np.array([0.0, 1.0]), held))
         p = perceive(found, replace(SETTINGS, no_level=not level), on_warning=warnings.append)
-        points = [p.recording.points[p.seen_by == 1 << k] for k in (0, 1)]
+        points = [p.recording.points[p.recording.seen_by == 1 << k] for k in (0, 1)]
         told = sum("it is moved to where that is right" in str(w) for w in warnings)
         return (
             np.array([np.median(x[:, 2]) for x in points]),

@@ -67,7 +67,7 @@ class Command:
         summary = _summary(perceived)
         text = _text(summary)
         print_result({"out": self.out, **summary}, text, warnings, json=self.json)
-        perceived.write(self.out)
+        perceived.recording.write(self.out)
         tell_written(self.out, json=self.json)
         return 0
 
@@ -82,7 +82,8 @@ def _row(head: str, cells: Any) -> str:
 
 def _summary(perceived: Perceived) -> dict[str, Any]:
     counts = perceived.counts
-    seen_by = perceived.seen_by
+    seen_by = perceived.recording.seen_by
+    assert seen_by is not None
     return {
         "frames": len(counts),
         "cameras": perceived.cameras,

@@ -191,6 +191,14 @@ class RecordingData(Shown):
         return self.gripper_closed
 
     @property
+    def cameras_apart(self) -> float:
+        """How far apart perception found cameras' clouds of the object at worst [m]; 0: unknown."""
+        found: Any = self.extra
+        for key in ("perception", "cameras_apart", "at_worst"):
+            found = found.get(key) if isinstance(found, dict) else None
+        return float(found) if _is_number_or_none(found) and found else 0.0
+
+    @property
     def frame_valid(self) -> np.ndarray:
         """[T] bool: the frame has points."""
         return np.diff(self.offsets) > 0

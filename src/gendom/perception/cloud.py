@@ -7,8 +7,8 @@ of 16-bit integers, and only the remaining pixels are converted to points.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -46,6 +46,12 @@ ROBOT_MARGIN = 0.01
 
 OUTLIER_RADIUS = 0.015
 """Points in the same or in touching cubes of this edge [m] are connected."""
+
+FINGERTIP = 0.02
+"""Points farther than this from what grippers hold [m] may be as near to fingers as to links."""
+
+HANGING_TOGETHER = 0.06
+"""What is held hangs together: gaps in it are smaller than this [m]."""
 
 _NO_TABLE = np.uint16(65535)  # counts that no depth exceeds
 _STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table shows it
@@ -235,6 +241,10 @@ class CameraView:
             bottom = np.where(meets, z + band, np.inf)
         self._top, self._bottom = self._counts(top, np.ceil), self._counts(bottom, np.floor)
 
+    def drop_table(self) -> None:
+        """Leave out what lies within the table's noise, whatever its colour."""
+        self._bottom = self._top - np.uint16(1)
+
     def segment(
         self,
         pictures: Pictures,
@@ -294,6 +304,35 @@ class CameraView:
 
 
 @dataclass(frozen=True, eq=False)
+class Held:
+    """What grippers hold: the rest of a scene is farther away or apart from it."""
+
+    places: npt.NDArray[np.floating]
+    """[G, 3] the grippers [m]."""
+    reach: float
+    """How far it reaches from each of them at most [m]."""
+    chosen: bool = False
+    """Whether its colour or masks chose the points: then most of them are the object's, even if
+    they lie apart from the grippers."""
+    robot: Capsules | None = None
+    """The grippers' shape, of which noise is left where nothing chose the points; None: unknown."""
+
+    def among(self, points: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+        """[n] those of points [n, 3] [m] that belong to it."""
+        away = np.linalg.norm(points[:, None] - self.places, axis=2)
+        near = (away <= self.reach).all(axis=1)
+        if self.robot is not None and not self.chosen:
+            whole = replace(self.robot, largest_margin=None).contain(points, ROBOT_MARGIN)
+            near &= ~(whole & (away > FINGERTIP).all(axis=1))
+        if not near.any():
+            return near
+        label = np.full(len(points), -1)
+        label[near] = _clusters(points[near], HANGING_TOGETHER / 2.0)
+        own = near & np.isin(label, label[near][KDTree(points[near]).query(self.places)[1]])
+        return near if self.chosen and 2 * own.sum() < near.sum() else own
+
+
+@dataclass(frozen=True, eq=False)
 class FusedCloud:
     """The object's points of one moment, from all cameras."""
 
@@ -303,16 +342,21 @@ class FusedCloud:
     """[n] bit k is set where camera k saw the point."""
     counts: npt.NDArray[np.int64]
     """[8] points left at each of `STAGES`, summed over the cameras."""
+    parts: list[npt.NDArray[np.float32]]
+    """[n, 3] each camera's own points, before they were fused [m]."""
 
 
 def fuse(
-    clouds: Sequence[npt.NDArray[np.float32]], settings: CloudSettings
+    clouds: Sequence[npt.NDArray[np.float32]],
+    settings: CloudSettings,
+    held: Held | None = None,
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8], int]:
     """One cloud of several cameras' clouds: one point a voxel, without outliers.
 
     Args:
         clouds: [n_k, 3] of each camera [m].
         settings: Voxel and outliers.
+        held: What grippers hold, of which only what hangs together with them is kept; None: all.
 
     Returns:
         Points [n, 3] [m], `seen_by` [n] (bit k: camera k), and how many voxels there were.
@@ -328,7 +372,11 @@ def fuse(
         points, bits = _voxel_means(points, bits, settings.voxel)
     voxels = len(points)
     if voxels and settings.min_cluster > 1:
-        keep = _in_clusters(points, settings.min_cluster)
+        label = _clusters(points, OUTLIER_RADIUS)
+        keep = np.bincount(label)[label] >= settings.min_cluster
+        points, bits = points[keep], bits[keep]
+    if held is not None and len(points):
+        keep = held.among(points)
         points, bits = points[keep], bits[keep]
     return points, bits, voxels
 
@@ -339,7 +387,7 @@ def perceive_frame(
     *,
     colour: ObjectColour | None = None,
     capsules: Capsules | None = None,
-    on_clouds: Callable[[list[npt.NDArray[np.float32]]], None] | None = None,
+    held: Held | None = None,
 ) -> FusedCloud:
     """The object's cloud of one moment.
 
@@ -348,15 +396,13 @@ def perceive_frame(
         pictures: One of each.
         colour: The object's colours; None: everything above the table is the object.
         capsules: The robot at that moment; None: it is not taken out.
-        on_clouds: Called with each camera's own points before they are fused.
+        held: What grippers hold, as for `fuse`.
     """
     parts = [view.segment(p, colour, capsules) for view, p in zip(views, pictures, strict=True)]
     clouds = [points for points, _ in parts]
-    if on_clouds is not None:
-        on_clouds(clouds)
-    points, seen_by, voxels = fuse(clouds, views[0].settings)
+    points, seen_by, voxels = fuse(clouds, views[0].settings, held)
     counts = np.sum([counts for _, counts in parts], axis=0).tolist()
-    return FusedCloud(points, seen_by, np.array([*counts, voxels, len(points)]))
+    return FusedCloud(points, seen_by, np.array([*counts, voxels, len(points)]), clouds)
 
 
 def _box_depths(
@@ -376,7 +422,7 @@ def _voxel_means(
     points: npt.NDArray[np.float32], bits: npt.NDArray[np.uint8], voxel: float
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8]]:
     """Mean point and united bits of each occupied voxel."""
-    cells, place = _unique_cells(points, voxel)
+    cells, place = unique_cells(points, voxel)
     n = len(cells)
     count = np.bincount(place, minlength=n)
     means = np.empty((n, 3), np.float32)
@@ -388,7 +434,7 @@ def _voxel_means(
     return means, united
 
 
-def _unique_cells(points: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
+def unique_cells(points: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
     """Occupied cells [m, 3] of a grid of an edge [m], and the cell [n] of each point."""
     cell = np.floor(points * (1.0 / edge)).astype(np.int32)
     low = cell.min(axis=0)
@@ -405,19 +451,14 @@ def _unique_cells(points: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarr
     return np.stack(np.unravel_index(keys, tuple(size)), axis=1), place
 
 
-def _in_clusters(points: np.ndarray, least: int) -> npt.NDArray[np.bool_]:
-    """[n] points in clusters of `least` or more.
-
-    A cluster is what lies in cells of edge `OUTLIER_RADIUS` that touch, by a corner at least.
-    Grouping cells instead of points keeps large objects as fast as small ones.
-    """
-    cells, place = _unique_cells(points, OUTLIER_RADIUS)
+def _clusters(points: np.ndarray, edge: float) -> npt.NDArray[np.intp]:
+    """[n] the cluster of each point: those in cells of an edge [m] that touch, by a corner at
+    least. Grouping cells instead of points keeps large objects as fast as small ones."""
+    cells, place = unique_cells(points, edge)
     pairs = KDTree(cells).query_pairs(1.8, output_type="ndarray")  # sqrt(3) is a corner away
     n = len(cells)
     graph = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
-    label = label[place]
-    return np.bincount(label)[label] >= least
+    return connected_components(graph, directed=False)[1][place]
 
 
 def _corners(settings: CloudSettings) -> str:

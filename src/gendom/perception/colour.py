@@ -27,6 +27,10 @@ SHADOW_SATURATION = 0.6
 """How far from it a colour in shadow may be, at most, in the saturation it has there: grey is no
 shadow of a colour."""
 
+NEUTRAL = 12.0
+"""Less saturated than this, a reference is white, grey or black, and a* and b* count twice: light
+skin is within 25 of white."""
+
 _BITS = 6  # of each channel in the table of colours; 2^18 answers, found in a millisecond
 _WHITE = np.array([0.95047, 1.0, 1.08883])  # D65
 _RGB_TO_XYZ = np.array(
@@ -81,7 +85,8 @@ class ObjectColour:
         middle = (np.arange(1 << _BITS) + 0.5) * (256 >> _BITS) - 0.5
         rgb = np.stack(np.meshgrid(middle, middle, middle, indexing="ij"), axis=-1).reshape(-1, 3)
         at = np.asarray(reference, dtype=np.float64)
-        weight, black = np.array([lightness_weight, 1.0, 1.0]), np.array([-16.0, 0.0, 0.0])
+        hue = 2.0 if np.hypot(at[1], at[2]) < NEUTRAL else 1.0
+        weight, black = np.array([lightness_weight, hue, hue]), np.array([-16.0, 0.0, 0.0])
         colours = lab(rgb)
         own = (((colours - at) * weight) ** 2).sum(axis=1) <= tolerance**2
         if lightness_weight < 1.0:

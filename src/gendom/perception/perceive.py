@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 import math
-import os
-import zipfile
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import KDTree
 
 from gendom.arguments import require
 from gendom.datasets import Fault, Recording
-from gendom.datasets.recording import check_name
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
-from gendom.files import atomic_path
 from gendom.perception.camera import Camera
 from gendom.perception.cloud import (
     MIN_DEPTH_PIXELS,
+    OUTLIER_RADIUS,
     STAGES,
     CameraView,
     CloudSettings,
     FusedCloud,
+    Held,
     perceive_frame,
 )
 from gendom.perception.colour import (
@@ -37,11 +37,15 @@ from gendom.perception.colour import (
 )
 from gendom.perception.folder import CameraRecording
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Matching, Pictures, match_frames
+from gendom.perception.png import read_png
 from gendom.perception.quality import (
     MAX_DISAGREEMENT,
+    MOST_COVERED,
     offset_between,
+    own_area,
     seen_share,
     sides_apart,
+    times_own_area,
 )
 
 _AGREEMENT_FRAMES = 5  # disagreement is judged from so many comparisons in a row
@@ -55,10 +59,13 @@ _MAX_CORRECTION = (
 )  # [m], [rad]; beyond, a camera ought to be calibrated again
 _BELOW_TABLE = 0.05  # [m]; the workspace reaches so far below a known table
 _MARGIN = 0.05  # [m]; and so far beyond what the object can reach
-
-SEEN_BY = "seen_by"
-"""Name of the array that a perceived recording has besides `gendom-recording/1`'s own: uint8
-[S], bit k is set where the camera of row k of `camera_positions` saw the point."""
+_BEYOND = 0.03  # [m]; points farther from a gripper than the object is long may be its own
+_BY_ONE = 0.6  # of what all may cover, one camera's points of the object on the table may
+_ALIKE = 0.5  # of its own area, apart from it on the table: the table has the object's colour
+_LOW = 0.01  # [m]; points so near to the table may be the table's
+_MOST_CROWDED = 1 / 3  # of the frames may be left out because more than the object is in them
+_MASKS = "give a PNG a picture, of its name and size, above 0 where the object is"
+_CHOOSE = "narrow the colour (--lightness-weight 1, --colour-tolerance), or give --masks"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +80,9 @@ class PerceptionSettings:
     """Or CAMERA U V: a pixel on the object in the first frame."""
     box: tuple[str, int, int, int, int] | None = None
     """Or CAMERA U0 V0 U1 V1: a box around it there, first and after-last pixel."""
+    masks: Path | None = None
+    """Or DIR of another program's masks: DIR/CAMERA/ has a PNG for each depth picture, of its name
+    (of a RealSense recording 000000.png and so on) and size, above 0 where the object is."""
     colour_tolerance: float = TOLERANCE
     """Largest distance from that colour in L*a*b*."""
     lightness_weight: float = LIGHTNESS_WEIGHT
@@ -91,7 +101,7 @@ class PerceptionSettings:
     """Connected points fewer than this are dropped."""
 
     def __post_init__(self):
-        given = [n for n in ("colour", "pick", "box") if getattr(self, n) is not None]
+        given = [n for n in ("colour", "pick", "box", "masks") if getattr(self, n) is not None]
         require(len(given) <= 1, f"{' and '.join(given)} are both given", fix="choose one")
         right = all(0 <= c <= 255 for c in self.colour or ())
         require(right, f"colour {self.colour}", fix="give R G B, each 0 to 255")
@@ -108,32 +118,15 @@ class Perceived:
 
     recording: Recording
     """The object's clouds and the grippers."""
-    seen_by: npt.NDArray[np.uint8]
-    """[S] bit k is set where camera k saw the point."""
     counts: npt.NDArray[np.int64]
     """[T, 8] points left at each of `gendom.perception.STAGES`, summed over the cameras."""
     cameras: list[str]
-    """Their names, in the order of `seen_by` and `camera_positions`."""
+    """Their names, in the order of the recording's `seen_by` and `camera_positions`."""
     seen_share: float
     """About how much of the object is seen in the middle of all frames, 0 to 1."""
     disagreement: float | None
     """How far another camera's clouds are from the first's [m], the sides of the object that
     they see allowed for, at the worst stretch of the recording; None: unknown."""
-
-    def write(self, path: str | os.PathLike) -> None:
-        """Write a `gendom-recording/1` file with the array `seen_by`, atomically.
-
-        Raises:
-            RecordingError, GendomError: As `Recording.write`.
-        """
-        check_name(path)
-        with atomic_path(path) as temporary:
-            self.recording.write(temporary)
-            with (
-                zipfile.ZipFile(temporary, "a", zipfile.ZIP_DEFLATED) as archive,
-                archive.open(f"{SEEN_BY}.npy", "w") as file,
-            ):
-                np.lib.format.write_array(file, self.seen_by, allow_pickle=False)
 
 
 def perceive(
@@ -193,10 +186,12 @@ class _Perception:
         self.offsets: list[np.ndarray] = []
         self.comparable = 0  # frames with points enough in all views
         self.fewest = [self._fewest(view.camera) for view in self.views]
-        self.disagreement: float | None = None
+        self.apart: dict[str, float] = {}  # [m]; see `_history`
         self.seen = np.zeros(len(self.names), dtype=np.int64)  # points of each camera
         self.unreadable: list[RecordingError] = []
         self.off_path = 0
+        self.most = MOST_COVERED.get(self.object.kind, math.inf)
+        self.crowded: list[float] = []  # how many times its area clouds have that are too large
         self.levelled: dict[str, dict[str, float]] = {}
 
     def run(self) -> Perceived:
@@ -214,20 +209,29 @@ class _Perception:
             pictures = self._read(frames)
             if pictures is None:
                 continue
+            capsules = self.recorded.capsules and self.recorded.capsules.at(time)
+            reach = (self.object.size or 0.0) + _BEYOND
+            held = Held(gripper[0], reach, robot=capsules)
             if not ready:
-                self._begin(pictures)
+                self._begin(pictures, held)
                 ready = True
+            held = replace(held, chosen=self.colour is not None)
+            closed = self.recorded.robot.closed_at(time)
             cloud = perceive_frame(
                 self.views,
                 pictures,
                 colour=self.colour,
-                capsules=self.recorded.capsules and self.recorded.capsules.at(time),
-                on_clouds=self._compare,
+                capsules=capsules,
+                held=held if closed is None or closed.all() else None,
             )
+            self.on_frame(time, cloud)
+            if (times := times_own_area(cloud.points, self.object)) > self.most:
+                self.crowded.append(times)
+                continue
+            self._compare(cloud)
             self.clouds.append(cloud)
             self.times.append(time)
             self.grippers.append(gripper)
-            self.on_frame(time, cloud)
         self._tell_left_out(matching)
         return self._result()
 
@@ -259,19 +263,15 @@ class _Perception:
 
     def _fewest(self, camera: Camera) -> float:
         """Minimum number of points of a camera's cloud for comparison with others."""
-        known = self.object
-        area = (
-            (known.length or 0.0) * (known.diameter or 0.0)
-            if known.kind == "rope"
-            else (known.width or 0.0) * (known.height or 0.0)
-        )
         away = np.linalg.norm(self.recorded.robot.position.mean(axis=(0, 1)) - camera.position)
-        filled = area * camera.K[0, 0] * camera.K[1, 1] / max(float(away), 1e-3) ** 2
+        filled = (
+            own_area(self.object) * camera.K[0, 0] * camera.K[1, 1] / max(float(away), 1e-3) ** 2
+        )
         return max(_AGREEMENT_POINTS, _AGREEMENT_SHARE * filled)
 
     def _read(self, frames: tuple[Frame, ...]) -> list[Pictures] | None:
         try:
-            pictures = [frame.read() for frame in frames]
+            pictures = list(map(self._picture, self.names, frames))
             for frame, seen in zip(frames, pictures, strict=True):
                 # Sensors give such pictures just after they are switched on.
                 has = np.count_nonzero(seen.depth)
@@ -283,13 +283,45 @@ class _Perception:
             return None
         return pictures
 
-    def _begin(self, pictures: list[Pictures]) -> None:
+    def _picture(self, name: str, frame: Frame) -> Pictures:
+        """What a camera saw; where there are masks, white is the object and the rest black."""
+        seen = frame.read()
+        if self.settings.masks is None:
+            return seen
+        file = Path(frame.where).name
+        if not file.endswith(".png"):
+            file = f"{file.rsplit(' ', 1)[-1]:0>6}.png"
+        path = self.settings.masks / name / file
+        self._require(path.is_file(), "there is no such mask", _MASKS, str(path))
+        picture = read_png(path)
+        found = np.asarray(picture if picture.mode[0] == "I" else picture.convert("RGB")) > 0
+        mask = found.reshape(*found.shape[:2], -1).any(axis=2)
+        (height, width), (h, w) = seen.depth.shape[:2], mask.shape[:2]
+        what = f"is {w} x {h}, the pictures are {width} x {height}"
+        self._require((h, w) == (height, width), what, _MASKS, str(path))
+        self._require(mask.any(), "masks nothing: all pixels are 0", _MASKS, str(path))
+        return Pictures(seen.depth, np.repeat(mask[..., None], 3, axis=2) * np.uint8(255))
+
+    def _begin(self, pictures: list[Pictures], held: Held) -> None:
         """Determine units, table and colour from the first frame."""
         for view, seen in zip(self.views, pictures, strict=True):
             view.check_depth(seen.depth, self._expected_table())
         if not self.settings.no_table:
             self._find_table(pictures)
         self.colour = self._find_colour(pictures)
+        alike = False
+        for view, seen in zip(self.views, pictures, strict=True):
+            if self.colour is not None and view.table is not None:
+                points, _ = view.segment(seen, self.colour, held.robot)
+                low = np.abs(points @ view.table.normal - view.table.offset) < _LOW
+                apart = low & ~held.among(points)
+                alike |= times_own_area(points[low], self.object) > _BY_ONE * self.most
+                alike |= times_own_area(points[apart], self.object) > _ALIKE
+        if alike:
+            for view in self.views:
+                view.drop_table()
+            what = "it, or what is on it, has the object's colour: all within its noise is left out"
+            self._warn(what, "table", f"{_CHOOSE} if too much is")
 
     def _expected_table(self) -> float | None:
         """z of the table [m], if it is known and looked for."""
@@ -311,6 +343,8 @@ class _Perception:
         what = f"the table is at z = {listed}: more than {1e3 * MAX_DISAGREEMENT:.0f} mm apart"
         fix = "calibrate the cameras again, or correct table_height"
         self._require(apart <= MAX_DISAGREEMENT, what, fix)
+        if len(heights) > 1:
+            self.apart["table"] = max(heights.values()) - min(heights.values())
         if heights and not self.settings.no_level:
             mean = sum(heights.values()) / len(heights)
             self._level(pictures, middle, mean if expected is None else expected)
@@ -343,7 +377,9 @@ class _Perception:
 
     def _find_colour(self, pictures: list[Pictures]) -> ObjectColour | None:
         chosen = self.settings
-        if chosen.colour is not None:
+        if chosen.masks is not None:
+            reference = lab((255, 255, 255))
+        elif chosen.colour is not None:
             reference = lab(chosen.colour)
         elif (place := chosen.pick or chosen.box) is None:
             return None
@@ -374,22 +410,23 @@ class _Perception:
             raise RecordingError("has no colour pictures", where=where, fix=fix)
         return colour
 
-    def _compare(self, clouds: list[np.ndarray]) -> None:
+    def _compare(self, cloud: FusedCloud) -> None:
         """Raise an error if cameras disagree about the position of the object.
 
         A shift along a straight rope is visible only later, when the rope is bent, so the whole
         recording is compared. A cloth's outline shows any shift at once, and later each camera may
         see a different side of it.
         """
-        self.seen += [len(cloud) for cloud in clouds]
-        if len(clouds) < 2 or any(
-            len(cloud) < least for cloud, least in zip(clouds, self.fewest, strict=True)
-        ):
+        self.seen += [len(part) for part in cloud.parts]
+        done = self.comparable >= _AGREEMENT_FRAMES and self.object.kind != "rope"
+        if done or len(cloud.parts) < 2 or len(cloud.points) == 0:
+            return
+        tree, near = KDTree(cloud.points), max(OUTLIER_RADIUS, self.settings.voxel)
+        clouds = [part[tree.query(part)[0] < near] for part in cloud.parts]
+        if any(len(own) < least for own, least in zip(clouds, self.fewest, strict=True)):
             return
         self.comparable += 1
-        if self.comparable > _AGREEMENT_FRAMES and (
-            self.object.kind != "rope" or self.comparable % _AGREEMENT_STRIDE
-        ):
+        if self.comparable > _AGREEMENT_FRAMES and self.comparable % _AGREEMENT_STRIDE:
             return
         # With more than two cameras: the one farthest from the first.
         first, *others = (view.camera.position for view in self.views)
@@ -406,7 +443,8 @@ class _Perception:
         latest = self.offsets[-_AGREEMENT_FRAMES:]
         offset = np.median(np.array(latest), axis=0)
         apart = float(np.linalg.norm(offset))
-        self.disagreement = max(apart, self.disagreement or 0.0)
+        self.apart.setdefault("at_rest", apart)
+        self.apart["at_worst"] = max(apart, self.apart.get("at_worst", 0.0))
         x, y, z = 1e3 * offset
         what = f"cameras {', '.join(self.names)} place the object {1e3 * apart:.0f} mm apart "
         what += f"({x:.0f}, {y:.0f}, {z:.0f} mm)"
@@ -437,6 +475,15 @@ class _Perception:
             what = f"{self.off_path} of {matching.used} frames are outside of its times, {times}; "
             fix = "put robot and cameras on one clock if there are many"
             self._warn(f"{what}they are left out", f"{self.recorded.where}/gripper.csv", fix)
+        if self.crowded:
+            what = f"in {len(self.crowded)} of {matching.used} frames points cover "
+            what += f"{np.median(self.crowded):.0f} times the object's own area: other things are "
+            what += "among them, such as a hand, a cable, the table or the robot"
+            fix = "take them out of view, narrow --workspace, choose the object by --colour or "
+            fix += "--masks, and check its sizes in object.toml"
+            few = len(self.crowded) <= _MOST_CROWDED * (len(self.crowded) + len(self.clouds))
+            self._require(few, what, fix)
+            self._warn(f"{what}; they are left out", self.recorded.where, fix)
         if self.unreadable:
             what = f"none of {len(self.unreadable)} frames can be read; the first: "
             first = self.unreadable[0]
@@ -463,8 +510,7 @@ class _Perception:
             what = f"only about {100 * share:.0f} % of the object is seen"
             fix = "check workspace, colour and what hides it; the estimate will be poor"
             self._warn(what, "points", fix)
-        seen_by = np.concatenate([cloud.seen_by for cloud in self.clouds])
-        return Perceived(recording, seen_by, counts, self.names, share, self.disagreement)
+        return Perceived(recording, counts, self.names, share, self.apart.get("at_worst"))
 
     def _recording(self) -> Recording:
         """The recording of all frames, not yet validated."""
@@ -484,6 +530,7 @@ class _Perception:
             gripper_position=np.array(positions),
             gripper_axis=None if axes[0] is None else np.array(axes),
             gripper_closed=None if closed[0] is None else np.array(closed),
+            seen_by=np.concatenate([cloud.seen_by for cloud in self.clouds]),
             extra=extra,
             **values,
         )
@@ -493,11 +540,16 @@ class _Perception:
         return float(np.median([seen_share(recording.frame(int(t)), self.object) for t in some]))
 
     def _history(self) -> dict[str, Any]:
-        """Description of the processing, stored in the recording's meta."""
+        """Description of the processing, stored in the recording's meta.
+
+        `cameras_apart` is how far apart cameras place the table before they are levelled, and the
+        object at first and at worst [m].
+        """
         return {
             "cameras": self.names,
             "settings": asdict(self.cloud_settings),
             "colour_lab": None if self.colour is None else self.colour.reference,
+            "cameras_apart": self.apart,
             "levelled": self.levelled,
             "depth_noise": [None if v.table is None else v.table.noise for v in self.views],
         }

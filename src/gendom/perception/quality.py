@@ -9,10 +9,16 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from gendom.datasets import ObjectDescription
+from gendom.perception.cloud import unique_cells
 
 MAX_DISAGREEMENT = 0.02
 """Two cameras' clouds of one object may be this far apart [m]."""
 
+MOST_COVERED = {"rope": 3.5, "cloth": 2.5}
+"""Largest `times_own_area` by kind (docs/perception.md#what-else-is-in-view has the evidence)."""
+
+_CELL = 0.005  # [m]
+_THICKEST = 0.07  # of its length, a rope of unknown diameter
 _PAIRED_SHARE = 0.6  # of the points: each camera also sees what the other cannot
 _MAX_POINTS = 500
 
@@ -65,6 +71,26 @@ def _thinned(points: np.ndarray) -> np.ndarray:
     if len(points) <= _MAX_POINTS:
         return points
     return points[np.random.default_rng(0).choice(len(points), _MAX_POINTS, replace=False)]
+
+
+def own_area(description: ObjectDescription, thinnest: float = 0.0) -> float:
+    """Of an object as it is seen [m^2]: a rope's length times its diameter, which counts as this
+    [m] at least, or a cloth's width times its height."""
+    d = description
+    if d.kind == "rope":
+        length = d.length or 0.0
+        return length * max(d.diameter or _THICKEST * length, thinnest)
+    return (d.width or 0.0) * (d.height or 0.0)
+
+
+def times_own_area(points: npt.ArrayLike, description: ObjectDescription) -> float:
+    """Area of the 5 mm cells that a cloud [n, 3] occupies [m], over the object's own.
+
+    Its sizes are known; a rope thinner than a cell counts as thick as one.
+    """
+    p = np.asarray(points, dtype=np.float64)
+    cells = len(unique_cells(p, _CELL)[0]) if len(p) else 0
+    return cells * _CELL**2 / own_area(description, _CELL)
 
 
 def seen_share(points: npt.ArrayLike, description: ObjectDescription) -> float:

@@ -285,7 +285,7 @@ def record_and_perceive(
         )
     recorded = read_cameras(folder)
     perceived = perceive(recorded, PerceptionSettings(colour=item.colour))
-    perceived.write(folder / "recording.npz")
+    perceived.recording.write(folder / "recording.npz")
     return perceived.recording, _halfway(recorded)
 
 

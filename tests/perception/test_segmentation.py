@@ -1,0 +1,205 @@
+"""What else is in view: the cloud is right, or it is refused with the reason."""
+
+import shutil
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gendom import cli
+from gendom.datasets import Recording
+from gendom.errors import RecordingError
+from gendom.perception import CameraRecording, Frame, PerceptionSettings, RobotPath, perceive
+
+WHITE, BEIGE, GREY, BLACK = (235, 235, 230), (205, 190, 160), (150, 150, 145), (30, 30, 30)
+RED, SKIN = (180, 30, 35), (215, 165, 135)
+META = {"object": {"kind": "rope", "length": 0.4, "diameter": 0.016}, "table_height": 0.0}
+LARGE = r"in 6 of 6 frames points cover \d+ times the object's own area"
+
+
+class Rendered:
+    def __init__(self, camera, scene):
+        self.camera = self.real = camera
+        self.scene = scene
+
+    def __iter__(self):
+        for t in range(6):
+            yield Frame(t / 30, f"frame {t}", lambda t=t: self.scene(t).pictures(self.real))
+
+
+def rope_of(world, t, own):
+    rope = world.lifted_rope(tip=(0.0, 0.0, 0.2 + 0.01 * t), radius=0.008)
+    rope.colour = own
+    return rope
+
+
+def things(world, name, own):
+    """What is beside the rope, which lies on the table along x up to about 0.25 m."""
+    if name == "checks":
+        places = np.mgrid[-2:6, -3:4].reshape(2, -1).T * 0.06
+        return [world.Sheet((x, y, 1e-4), (0.03, 0, 0), (0, 0.03, 0), own) for x, y in places]
+    if name in ("hand", "own hand", "far hand"):
+        y = 0.12 if name == "far hand" else 0.0
+        colour = own if name == "own hand" else SKIN
+        fingers = [((0.2, y, 0.03), (0.24, y + 0.1, 0.06), r) for r in (0.025, 0.04)]
+        return [world.Cylinder(*ends, colour=colour) for ends in fingers]
+    if name in ("cable", "own cable"):
+        line = np.array([[-0.1, 0.12, 0.006], [0.1, 0.15, 0.006], [0.3, 0.12, 0.006]])
+        return [world.Rope(line, 0.006, own if name == "own cable" else BLACK)]
+    if name == "crossing":
+        line = np.array([[0.15, -0.25, 0.012], [0.17, 0.0, 0.012], [0.2, 0.25, 0.012]])
+        return [world.Rope(line, 0.006, own)]
+    return []
+
+
+def recorded(world, own=RED, table=GREY, beside=""):
+    def scene(t):
+        late = beside == "late hand" and t >= 4
+        others = things(world, "hand" if late else beside, own)
+        return world.Scene([world.Plane(colour=table), rope_of(world, t, own), *others])
+
+    cameras = [
+        world.make_camera("left", scale=0.5),
+        world.make_camera("right", eye=(0.1, 0.65, 0.47), scale=0.5),
+    ]
+    path = np.array([[[0.0, 0.0, 0.2]], [[0.0, 0.0, 0.5]]])
+    robot = RobotPath(np.array([0.0, 1.0]), path)
+    return CameraRecording([Rendered(c, scene) for c in cameras], robot, META, where="lift")
+
+
+def far(world, recording):
+    """Share of the points farther than 20 mm from the rope."""
+    ropes = (rope_of(world, round(30 * t), BLACK) for t in recording.time)
+    off = [r.distance(recording.frame(k).astype(float)) for k, r in enumerate(ropes)]
+    return float((np.concatenate(off) > 0.02).mean())
+
+
+@pytest.mark.parametrize(
+    ("own", "table", "beside", "chosen"),
+    [
+        (WHITE, WHITE, "", True),
+        (WHITE, BEIGE, "far hand", True),
+        (WHITE, GREY, "far hand", False),
+        (RED, GREY, "checks", True),
+        (RED, GREY, "own cable", False),
+        (RED, GREY, "own cable", True),
+    ],
+)
+def test_what_is_not_the_object_is_left_out(world, own, table, beside, chosen):
+    warned = []
+    found = perceive(
+        recorded(world, own, table, beside),
+        PerceptionSettings(colour=own if chosen else None),
+        on_warning=lambda fault: warned.append(str(fault)),
+    )
+    assert found.recording.num_frames == 6 and found.seen_share > 0.8
+    assert far(world, found.recording) < 0.05
+    assert any("has the object's colour" in said for said in warned) == chosen
+
+
+@pytest.mark.parametrize(
+    ("beside", "chosen"),
+    [("hand", False), ("own hand", False), ("own hand", True), ("crossing", True)],
+)
+def test_what_touches_the_object_is_refused(world, beside, chosen):
+    settings = PerceptionSettings(colour=RED if chosen else None)
+    with pytest.raises(RecordingError, match=LARGE):
+        perceive(recorded(world, beside=beside), settings)
+
+
+def test_a_table_that_is_not_looked_for_is_refused(world):
+    with pytest.raises(RecordingError, match=LARGE):
+        perceive(recorded(world, WHITE, WHITE), PerceptionSettings(colour=WHITE, no_table=True))
+
+
+def test_frames_with_a_hand_are_left_out(world):
+    warned = []
+    found = perceive(recorded(world, beside="late hand"), on_warning=warned.append)
+    assert found.recording.num_frames == 4 and far(world, found.recording) < 0.05
+    assert "in 2 of 6 frames points cover" in str(warned[0])
+
+
+def test_cameras_are_compared(world):
+    lift = recorded(world)
+    right: Any = lift.sources[1]
+    T = right.real.T_world_camera.copy()
+    T[:3, 3] += [0.0, 0.008, 0.006]
+    right.camera = right.real.at(T)
+    found = perceive(lift, PerceptionSettings(colour=RED))
+    apart = found.recording.extra["perception"]["cameras_apart"]
+    assert apart["table"] == pytest.approx(0.006, abs=0.001)
+    assert 0.005 < apart["at_rest"] < 0.011
+    assert found.recording.cameras_apart == apart["at_worst"] == found.disagreement
+
+
+@pytest.fixture(scope="module")
+def masked(world, tmp_path_factory):
+    """A lift whose rope has the table's colour, and masks of it."""
+    folder = tmp_path_factory.mktemp("masked")
+    ropes = world.write_lift(folder / "lift", things=lambda t: things(world, "hand", SKIN))
+    for name, eye in (("left", (0.0, -0.65, 0.47)), ("right", (0.1, 0.65, 0.47))):
+        (folder / "masks" / name).mkdir(parents=True)
+        camera = world.make_camera(name, eye=eye, scale=0.5)
+        for t, rope in enumerate(ropes):
+            R, origin = camera.T_world_camera[:3, :3], camera.T_world_camera[:3, 3]
+            rays = camera.rays() @ R.T
+            hand = np.min([thing.hit(origin, rays) for thing in things(world, "hand", SKIN)], 0)
+            hit = (rope.hit(origin, rays) < hand).reshape(240, 320)
+            picture = Image.fromarray(hit * np.uint8(7))
+            picture.save(folder / "masks" / name / f"{t:06d}.png")
+    return folder, ropes
+
+
+def run(folder, masks, out, capsys):
+    words = ["perceive", str(folder / "lift"), "--masks", str(masks), "--out", str(out)]
+    code = cli.main(words)
+    return code, capsys.readouterr()
+
+
+def test_masks_of_another_program(masked, tmp_path, capsys):
+    """They take the rope, with what lies on the table, and not the hand that touches it."""
+    folder, ropes = masked
+    code, said = run(folder, folder / "masks", tmp_path / "a.npz", capsys)
+    assert code == 0, said.err
+    recording = Recording.read(tmp_path / "a.npz")
+    for t, rope in enumerate(ropes):
+        off = rope.distance(recording.frame(t).astype(float))
+        assert (off > 0.02).mean() < 0.05 and abs(np.median(off)) < 0.003
+    assert recording.frame(0)[:, 0].max() > 0.15
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda path: path.unlink(missing_ok=True), "there is no such mask"),
+        (lambda path: Image.new("L", (320, 240)).save(path), "masks nothing"),
+        (lambda path: Image.new("L", (640, 480), 1).save(path), "640 x 480, the pictures are 320"),
+        (lambda path: path.write_bytes(b"GIF"), "is damaged"),
+    ],
+)
+def test_bad_masks(masked, tmp_path, capsys, spoil, said):
+    """One leaves a frame out with a warning; where all are bad, one line says why."""
+    folder, _ = masked
+    masks = shutil.copytree(folder / "masks", tmp_path / "masks")
+    spoil(masks / "left" / "000002.png")
+    code, printed = run(folder, masks, tmp_path / "a.npz", capsys)
+    assert code == 0 and said in printed.out
+    assert Recording.read(tmp_path / "a.npz").num_frames == 5
+    for path in masks.rglob("00000[0-9].png"):
+        spoil(path)
+    code, printed = run(folder, masks, tmp_path / "b.npz", capsys)
+    assert code == 2 and said in printed.err and len(printed.err.splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_rendered_scenes_are_right_or_refused(tmp_path):
+    segmentation = pytest.importorskip("experiments.segmentation")
+    found = segmentation.lifted("rope:3", tmp_path)
+    for name in ("plain", "white on white", "checks of its colour", "hand near", "cable crosses"):
+        kind = segmentation.KINDS[name]
+        scene = segmentation.scene(found, kind)
+        for chosen in (False, True):
+            row = segmentation.measured(found, scene, kind, chosen)
+            assert segmentation.right(row) or row["said"], name
+            assert not (kind.good and row["said"]), name
