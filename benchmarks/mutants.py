@@ -4,56 +4,68 @@
     python benchmarks/mutants.py --only readers --count 80
     python benchmarks/mutants.py --again                 # what survived, with today's tests
 
-Changes are those of cosmic-ray (`pip install cosmic-ray`), made in a copy of the repository. Of each
-room `--count` places are drawn by `--seed`, and one change of each; annotations are left out. What
-was tried is kept in --out as long as the room's code stays the same, so an interrupted run goes on.
-The table and the changes that survived are printed.
+Changes are those of cosmic-ray, made in a copy of the repository. Of each room `--count` places are
+drawn by `--seed`, and one change of each; annotations are left out. What was tried is kept in --out
+as long as the room's code stays the same, so an interrupted run goes on. The table and the changes
+that survived are printed.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import contextlib
+import difflib
 import hashlib
+import importlib
 import os
 import random
+import resource
 import shutil
-import subprocess
+import signal
 import sys
-import time
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
 from cosmic_ray.commands.init import init
-from cosmic_ray.mutating import mutate_and_test
+from cosmic_ray.mutating import use_mutation
+from cosmic_ray.plugins import get_operator
 from cosmic_ray.work_db import use_db
-from cosmic_ray.work_item import TestOutcome, WorkItem
+from cosmic_ray.work_item import TestOutcome, WorkerOutcome, WorkItem, WorkResult
 
 ROOT = Path(__file__).resolve().parents[1]
-IN, TESTS = "src/gendom/", "tests/"
+
+LONGEST, MOST_MEMORY = 600.0, 1 << 33
+"""Of a room's tests [s of CPU], [bytes]."""
+
+PRELOADED = (
+    "numpy",
+    "scipy",
+    "warp",
+    "PIL",
+    "msgspec",
+    "pyarrow",
+    "onnxruntime",
+    "mujoco",
+    "tyro",
+    "cv2",
+)
+"""Packages that are imported once."""
 
 ROOMS = {
-    "likelihood": (
-        ["estimation/likelihood.py"],
-        ["estimation/test_gauss_newton.py", "estimation/test_camera_pose.py"],
-    ),
-    "discrepancy": (["estimation/discrepancy.py"], ["estimation/test_discrepancy.py"]),
-    "verdict": (["estimation/verdict.py"], ["estimation/test_verdict.py"]),
-    "readers": (
-        ["reading.py", *(f"datasets/{n}.py" for n in ("cloud_fields", "ply", "pcd", "npz", "folder"))],
-        ["datasets/test_ply.py", "datasets/test_pcd.py", "datasets/test_npz.py",
-         "datasets/test_folder.py", "test_reading.py", "test_files.py"],
-    ),
-    "policies": (
-        ["policies/policy.py", "policies/adaptation.py", "policies/graph.py"],
-        ["policies/test_policy.py", "policies/test_adapt.py"],
-    ),
-    "robot": (
-        [f"robot/{n}.py" for n in ("kinematics", "path", "motion", "timing", "states", "collision")],
-        ["robot"],
-    ),
+    "discrepancy": ("estimation", "discrepancy", "estimation/test_discrepancy"),
+    "readers": ("datasets", "cloud_fields ply pcd npz folder ../reading", "datasets/test_ply "
+                "datasets/test_pcd datasets/test_npz datasets/test_folder test_reading"),
+    "policies": ("policies", "policy adaptation graph", "policies/test_policy policies/test_adapt"),
+    "robot": ("robot", "kinematics path motion timing states collision", "robot/test_kinematics "
+              "robot/test_path robot/test_motion robot/test_timing robot/test_collision"),
+    "verdict": ("estimation", "verdict", "estimation/test_verdict"),
+    "likelihood": ("estimation", "likelihood", "estimation/test_gauss_newton "
+                   "estimation/test_camera_pose estimation/test_estimate"),
 }  # fmt: skip
-"""Modules and tests by room."""
+"""Folder, modules and tests by room."""
 
 
 def main() -> int:
@@ -72,7 +84,7 @@ def main() -> int:
     left = shutil.ignore_patterns(".*", out.name, "_build", "__pycache__")
     shutil.copytree(ROOT, tree, ignore=left, symlinks=True)
     os.environ.setdefault("GENDOM_TEST_DATA", str(ROOT.parent / "shared" / "data"))
-    os.environ["PYTHONPATH"] = os.pathsep.join(["src", "tests", "."])
+    sys.path[:0] = [str(tree / "src"), str(tree / "tests"), str(tree)]
     os.chdir(tree)
     rows, alive = [], []
     for room in given.only:
@@ -85,10 +97,8 @@ def main() -> int:
 
 def tested(room: str, given: argparse.Namespace, out: Path) -> tuple[int, int, list[str]]:
     """Number of changes tried, of those that a test found, and the diffs of the others."""
-    modules = [Path(IN + name) for name in ROOMS[room][0]]
-    command = f"{sys.executable} -m pytest -q -x -p no:cacheprovider -m 'not slow' " + " ".join(
-        TESTS + name for name in ROOMS[room][1]
-    )
+    folder, names, tests = ROOMS[room]
+    modules = [Path("src/gendom", folder, f"{name}.py") for name in names.split()]
     code = hashlib.sha256(b"".join(path.read_bytes() for path in modules)).hexdigest()[:8]
     session = out / f"{room}-{code}-{given.seed}-{given.count}.sqlite"
     with use_db(str(session)) as db:
@@ -104,16 +114,56 @@ def tested(room: str, given: argparse.Namespace, out: Path) -> tuple[int, int, l
             if item.job_id not in kept
             or (given.again and kept[item.job_id].test_outcome == TestOutcome.SURVIVED)
         ]
-        if todo:
-            began = time.monotonic()
-            subprocess.run(command, shell=True, check=True, stdout=sys.stderr)
-            limit = 3.0 * (time.monotonic() - began) + 10.0
-        for k, item in enumerate(todo):
-            print(f"{room}: {k} of {len(todo)}", end="\r", file=sys.stderr, flush=True)
-            db.set_result(item.job_id, mutate_and_test(item.mutations, command, limit))
+        limit = LONGEST
+        for k, item in enumerate([None, *todo] if todo else []):
+            change = item and item.mutations[0]
+            print(f"{room}: {k} of {len(todo)}", file=sys.stderr, flush=True)
+            with contextlib.ExitStack() as stack:
+                codes = ("", "")
+                if change:
+                    operator = get_operator(change.operator_name)(**change.operator_args)
+                    made = use_mutation(change.module_path, operator, change.occurrence)
+                    codes = stack.enter_context(made)
+                for path in modules:  # what was compiled in the same second would be taken again
+                    for old in (path.parent / "__pycache__").glob(f"{path.stem}.*"):
+                        old.unlink()
+                failed, seconds = run([f"tests/{name}.py" for name in tests.split()], limit)
+            if item is None:
+                if failed:
+                    sys.exit(f"mutants: the tests of {room} fail without any change")
+                limit = 5.0 + 3.0 * seconds
+                continue
+            diff = difflib.unified_diff(*(c.splitlines() for c in codes), n=0, lineterm="")
+            said = f"{change.module_path}:{change.start_pos[0]}\n" + "\n".join(list(diff)[3:])
+            outcome = TestOutcome.KILLED if failed else TestOutcome.SURVIVED
+            db.set_result(item.job_id, WorkResult(WorkerOutcome.NORMAL, None, outcome, said))
         results = [found for _, found in db.results]
     left = [f"\n{found.diff}" for found in results if not found.is_killed]
     return len(results), len(results) - len(left), left
+
+
+def run(tests: list[str], limit: float) -> tuple[bool, float]:
+    """Whether a test fails or takes more than `limit`, and the time taken [s of CPU]. A fork has
+    what other packages bring, so only ours are imported anew."""
+    with tempfile.TemporaryFile("w+") as known:
+        if (pid := os.fork()) == 0:
+            resource.setrlimit(resource.RLIMIT_CPU, (int(limit) + 1, int(limit) + 2))
+            resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
+            signal.alarm(30 * int(limit))  # of waits
+            sys.dont_write_bytecode = limit < LONGEST
+            silent = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(silent, 1)
+            os.dup2(silent, 2)
+            code = pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-m", "not slow", *tests])
+            print(*sys.modules, file=known, flush=True)
+            os._exit(int(code))
+        _, status, used = os.wait4(pid, 0)
+        known.seek(0)
+        others = [n for n in known.read().split() if n.split(".")[0] in PRELOADED]
+    for name in others:
+        with contextlib.suppress(Exception):
+            importlib.import_module(name)
+    return status != 0, used.ru_utime + used.ru_stime
 
 
 def drawn(items: list[WorkItem], rng: random.Random, count: int) -> list[WorkItem]:

@@ -103,9 +103,8 @@ def read_bytes(
         with open(path, "rb") as file:
             return file.read(size)
     except OSError as fault:
-        raise error(
-            f"cannot be read ({fault.strerror})", where=str(path), fix="check the file"
-        ) from None
+        what = f"cannot be read ({fault.strerror})"
+        raise error(what, where=str(path), fix="check the file") from None
 
 
 def check_unpacked(
@@ -181,12 +180,8 @@ def parse_json(
     try:
         text = decoded(content) if isinstance(content, bytes) else content
         value = json.loads(text, parse_constant=_refuse_constant)
-        if not isinstance(value, dict):
-            raise error(
-                f"holds a JSON {type(value).__name__}, not an object",
-                where=where,
-                fix="check that it is the right file",
-            )
+        what, fix = f"holds a JSON {type(value).__name__}, not an object", "is it the right file?"
+        require(isinstance(value, dict), what, where=where, fix=fix, error=error)
         _check_tree(value, finite=True)
     except json.JSONDecodeError as fault:
         what = f"is not JSON ({fault.msg} in line {fault.lineno})"
