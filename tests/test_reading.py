@@ -102,6 +102,13 @@ def test_toml_beyond_bounds(tmp_path, content):
         read_toml(path)
 
 
+@pytest.mark.parametrize("end", ["\n", "\r"])
+def test_tables_of_too_many_rows(tmp_path, end):
+    (tmp_path / "x.csv").write_text("x" + f"{end}1" * 40_000, newline="")
+    with pytest.raises(RecordingError, match=r"x\.csv: has 40000 rows, at most 32768 are read"):
+        read_rows(tmp_path / "x.csv", header="x")
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
 def test_byte_order_marks(tmp_path, encoding):
     path = tmp_path / "x"

@@ -186,6 +186,9 @@ def test_bool_and_64_bit_properties(tmp_path):
 
 BOMBS = {
     "a long token": header("ascii", *XYZ) + b"1" * (8 << 20),
+    "a word of odd numbers": header("ascii", *XYZ) + b"nan(1)." * (1 << 22),
+    "many numbers": header("ascii", "element vertex 1100000", *XYZ[1:]) + b"0 0 0\n" * 1_100_000,
+    "much text": header("ascii", *XYZ) + b"1 2 3" + b" " * (33 << 20),
     "many points": header("ascii", "element vertex 99999999999", *XYZ[1:]) + b"1 2 3",
     "rows of nothing": header("ascii", "element a 9" + "9" * 4000, *XYZ) + b"1 2 3 4 5 6",
     "rows of lists": header(
@@ -200,9 +203,9 @@ BOMBS = {
 @pytest.mark.parametrize("case", BOMBS)
 def test_bombs_are_refused_at_once(tmp_path, case):
     (tmp_path / "a.ply").write_bytes(BOMBS[case])
-    before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
+    before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
     with pytest.raises(RecordingError) as caught:
         read_ply(tmp_path / "a.ply")
     assert len(str(caught.value)) < 500
-    assert time.perf_counter() - began < 1.0
+    assert time.process_time() - began < 1.0
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100e3  # [KiB]
