@@ -170,7 +170,7 @@ def test_one_without_a_digest_is_not_read(lift, tmp_path):
     """Of a damaged Parquet file pyarrow may end the process."""
     export_recording(lift, tmp_path / "out")
     (tmp_path / "out/meta/gendom.sha256").unlink()
-    with pytest.raises(RecordingError, match="gendom.sha256: no such file; export it again"):
+    with pytest.raises(RecordingError, match=r"gendom\.sha256: no such file; export it again"):
         Recording.read(tmp_path / "out")
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from gendom.datasets import Recording
-from gendom.estimation import EstimateSettings, estimate
-from gendom.estimation.calibration import IntervalCalibration
 from gendom.errors import SimulationError
+from gendom.estimation import EstimateSettings, estimate
 from gendom.estimation import discrepancy as room
+from gendom.estimation.calibration import IntervalCalibration
 from gendom.estimation.discrepancy import discrepancy, tip_suspected, with_fingers
 from gendom.estimation.likelihood import NoiseModel
 from gendom.materials.posterior import IDENTIFIABLE
@@ -27,6 +27,7 @@ class Given:
     x: Any
     held: int = 2
     static: bool = False
+    shown: Any = (0, 1)
 
     def __post_init__(self):
         self.prior = SimpleNamespace(
@@ -35,7 +36,7 @@ class Given:
         scene = SimpleNamespace(
             size=SIZE, held=[None] * self.held, static=self.static, thin=True, kind="rope"
         )
-        self.parts = [SimpleNamespace(scene=scene, shown=np.array([0, 1]))]
+        self.parts = [SimpleNamespace(scene=scene, shown=np.array(self.shown))]
 
     def positions(self, worlds, recording):
         x = np.zeros((1, len(worlds), 1, 3))
@@ -64,6 +65,10 @@ def test_a_parameter_is_as_uncertain_as_the_displacement_that_it_makes():
     sd = deviations(0.004, lambda v: 0.02 * v)
     assert sd[0] == pytest.approx(0.2)
     assert sd[1] == 0.0  # how it is held is not the object's
+
+
+def test_what_no_recording_shows_is_left_alone():
+    assert deviations(0.004, lambda v: 0.02 * v, shown=(1,)).tolist() == [0.0, 0.0]
 
 
 def test_changes_too_small_to_be_tried_are_extrapolated():
