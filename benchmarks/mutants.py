@@ -114,27 +114,22 @@ def tested(room: str, given: argparse.Namespace, out: Path) -> tuple[int, int, l
             if item.job_id not in kept
             or (given.again and kept[item.job_id].test_outcome == TestOutcome.SURVIVED)
         ]
+        files = [f"tests/{name}.py" for name in tests.split()]
         limit = LONGEST
-        for k, item in enumerate([None, *todo] if todo else []):
-            change = item and item.mutations[0]
+        if todo:
+            failed, seconds = run(files, modules, LONGEST)
+            if failed:
+                sys.exit(f"mutants: the tests of {room} fail without any change")
+            limit = 5.0 + 3.0 * seconds
+        for k, item in enumerate(todo):
             print(f"{room}: {k} of {len(todo)}", file=sys.stderr, flush=True)
-            with contextlib.ExitStack() as stack:
-                codes = ("", "")
-                if change:
-                    operator = get_operator(change.operator_name)(**change.operator_args)
-                    made = use_mutation(change.module_path, operator, change.occurrence)
-                    codes = stack.enter_context(made)
-                for path in modules:  # what was compiled in the same second would be taken again
-                    for old in (path.parent / "__pycache__").glob(f"{path.stem}.*"):
-                        old.unlink()
-                failed, seconds = run([f"tests/{name}.py" for name in tests.split()], limit)
-            if item is None:
-                if failed:
-                    sys.exit(f"mutants: the tests of {room} fail without any change")
-                limit = 5.0 + 3.0 * seconds
-                continue
-            diff = difflib.unified_diff(*(c.splitlines() for c in codes), n=0, lineterm="")
-            said = f"{change.module_path}:{change.start_pos[0]}\n" + "\n".join(list(diff)[3:])
+            (change,) = item.mutations
+            operator = get_operator(change.operator_name)(**change.operator_args)
+            with use_mutation(change.module_path, operator, change.occurrence) as codes:
+                failed, _ = run(files, modules, limit)
+            old, new = (str(code).splitlines() for code in codes)
+            diff = list(difflib.unified_diff(old, new, n=0, lineterm=""))[3:]
+            said = "\n".join([f"{change.module_path}:{change.start_pos[0]}", *diff])
             outcome = TestOutcome.KILLED if failed else TestOutcome.SURVIVED
             db.set_result(item.job_id, WorkResult(WorkerOutcome.NORMAL, None, outcome, said))
         results = [found for _, found in db.results]
@@ -142,9 +137,12 @@ def tested(room: str, given: argparse.Namespace, out: Path) -> tuple[int, int, l
     return len(results), len(results) - len(left), left
 
 
-def run(tests: list[str], limit: float) -> tuple[bool, float]:
+def run(tests: list[str], modules: list[Path], limit: float) -> tuple[bool, float]:
     """Whether a test fails or takes more than `limit`, and the time taken [s of CPU]. A fork has
     what other packages bring, so only ours are imported anew."""
+    for path in modules:  # what was compiled in the same second would be taken again
+        for old in (path.parent / "__pycache__").glob(f"{path.stem}.*"):
+            old.unlink()
     with tempfile.TemporaryFile("w+") as known:
         if (pid := os.fork()) == 0:
             resource.setrlimit(resource.RLIMIT_CPU, (int(limit) + 1, int(limit) + 2))

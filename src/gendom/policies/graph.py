@@ -27,7 +27,7 @@ _INPUT, _OPERATOR = 1, 4  # of a node
 _DIMS, _EXTERNAL, _LOCATION = 1, 13, 14  # of a tensor
 
 SEAL = b"\x72\x51\x0a\x0dgendom-sha256\x12\x40"
-"""Head of the last entry of a model's metadata: the SHA-256 of the bytes before, as hexadecimals."""
+"""Head of the last entry of a model's metadata: the SHA-256 of what is before."""
 
 
 def sealed(content: bytes) -> bytes:
@@ -43,7 +43,7 @@ def check_graph(content: bytes, where: str) -> None:
         PolicyError: It is none, or not one of a policy.
     """
     try:
-        fault = next(_faults(memoryview(content)), None)
+        fault = next(_faults(content), None)
     except ValueError:
         fault = "is not an ONNX file"
     if fault is not None:
@@ -51,11 +51,11 @@ def check_graph(content: bytes, where: str) -> None:
         raise PolicyError(fault, where=where, fix=fix)
 
 
-def _faults(model: memoryview) -> Iterator[str]:
-    if SEAL in model.obj and sealed(model.obj) != model.obj:  # files of 0.1 have none
+def _faults(content: bytes) -> Iterator[str]:
+    if SEAL in content and sealed(content) != content:  # files of 0.1 have none
         yield "is damaged: it is not what was written"
     nodes = joined = 0
-    for number, graph in _fields(model):
+    for number, graph in _fields(memoryview(content)):
         if number in (_TRAINING, _FUNCTION):
             yield "holds functions of its own"
         if number != _GRAPH or not isinstance(graph, memoryview):

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import require
 from gendom.errors import RobotError
@@ -55,15 +55,15 @@ def read_joints(
         fix = f"write rows under {form}"
         require(names in known, what, where=str(path), fix=fix, error=RobotError)
 
-    names, table, lines = read_number_table(
+    _, table, lines = read_number_table(
         path, header=form, check_header=check_header, on_cut=on_cut, error=RobotError
     )
     time, q, opening = table[:, 0], table[:, 1 : 1 + arm.joints], table[:, 1 + arm.joints :]
     beyond = np.maximum(arm.q_min - q, q - arm.q_max)
     j, widest = beyond.argmax(axis=1), arm.gripper.max_opening
 
-    def wanted(holds: NDArray[np.bool_], what: Callable[[int], str], fix: str) -> None:
-        for k in np.flatnonzero(~holds)[:1]:
+    def wanted(holds: ArrayLike, what: Callable[[int], str], fix: str) -> None:
+        for k in np.flatnonzero(~np.asarray(holds))[:1]:
             raise RobotError(what(k), where=f"{path}, line {lines[k]}", fix=fix)
 
     wanted(
@@ -78,8 +78,10 @@ def read_joints(
     )
     wanted(
         beyond.max(axis=1) <= 0.1,
-        lambda k: f"joint {j[k] + 1} is at {q[k, j[k]]:g} rad, its range on {arm.name} is "
-        f"{arm.q_min[j[k]]:.3f} to {arm.q_max[j[k]]:.3f}",
+        lambda k: (
+            f"joint {j[k] + 1} is at {q[k, j[k]]:g} rad, its range on {arm.name} is "
+            f"{arm.q_min[j[k]]:.3f} to {arm.q_max[j[k]]:.3f}"
+        ),
         "give radians, from the base to the flange",
     )
     wanted(
