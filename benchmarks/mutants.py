@@ -27,6 +27,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from cosmic_ray.commands.init import init
@@ -107,7 +108,7 @@ def tested(room: str, given: argparse.Namespace, out: Path) -> tuple[int, int, l
             chosen = drawn(list(db.work_items), random.Random(given.seed), given.count)
             db.clear()
             db.add_work_items(chosen)
-        kept = dict(db.results)
+        kept: dict[Any, WorkResult] = dict(db.results)
         todo = [
             item
             for item in db.work_items
@@ -167,7 +168,7 @@ def run(tests: list[str], modules: list[Path], limit: float) -> tuple[bool, floa
 def drawn(items: list[WorkItem], rng: random.Random, count: int) -> list[WorkItem]:
     """One change at each of some places."""
     at: dict[tuple[Path, tuple[int, int]], list[WorkItem]] = {}
-    notes = {path: set(annotations(path)) for path in {i.mutations[0].module_path for i in items}}
+    notes = {path: set(type_hints(path)) for path in {i.mutations[0].module_path for i in items}}
     for item in items:
         change = item.mutations[0]
         if not any(a <= change.start_pos < b for a, b in notes[change.module_path]):
@@ -178,7 +179,7 @@ def drawn(items: list[WorkItem], rng: random.Random, count: int) -> list[WorkIte
     return [rng.choice(sorted(at[place], key=order)) for place in chosen]
 
 
-def annotations(path: Path) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+def type_hints(path: Path) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
     """Where a module tells types: lines and columns of beginnings and ends."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         notes = [node.annotation] if isinstance(node, (ast.arg, ast.AnnAssign)) else []

@@ -3,6 +3,7 @@
 import json
 import logging
 import math
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from gendom.errors import ParameterError, PolicyError
 from gendom.materials import Cloth, Material, Rope, dimensionless_parameters
 from gendom.policies import Description, GoalRange, Policy
+from gendom.policies.graph import SEAL, sealed
 
 
 def rope(bending=0.4, nu=0.3, length=0.25, diameter=0.014):
@@ -221,6 +223,22 @@ def test_graphs_that_no_policy_has_are_refused_before_they_run(tmp_path):
         path.write_bytes(helper.make_model(graph).SerializeToString())
         with pytest.raises(PolicyError, match=words):
             Policy.read(path)
+
+
+def test_a_policy_that_was_changed_is_refused(tmp_path):
+    whole = (resources.files("gendom") / "assets" / "rope-reaching.onnx").read_bytes()
+    assert sealed(whole) == whole and whole.count(SEAL) == 1
+    path, rng = tmp_path / "p.onnx", np.random.default_rng(0)
+    for at in rng.integers(8 * len(whole), size=20):
+        data = bytearray(whole)
+        data[at // 8] ^= 1 << (at % 8)
+        path.write_bytes(data)
+        with pytest.raises(PolicyError, match="is damaged: it is not what was written"):
+            Policy.read(path)
+    path.write_bytes(whole.partition(SEAL)[0])  # as 0.1 wrote it
+    kept = Policy.read(path).description
+    path.write_bytes(sealed(path.read_bytes()))
+    assert path.read_bytes() == whole and Policy.read(path).description == kept
 
 
 def test_networks_that_give_no_action_are_refused(tmp_path, description):
