@@ -15,7 +15,7 @@ import os
 import stat
 import tomllib
 from collections.abc import Callable, Sequence
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -136,11 +136,11 @@ def inside(
     Raises:
         GendomError: As `error`: the name leads out of the folder.
     """
-    parts = PureWindowsPath(name)
-    stays = not parts.anchor and ".." not in parts.parts and "\0" not in name
+    parts = name.replace("\\", "/").split("/")
+    stays = parts[0] and parts[0][1:2] != ":" and ".." not in parts and "\0" not in name
     fix = "name files below that folder"
     require(stays, f"{name!r} is not in {folder}", where=where, fix=fix, error=error)
-    return Path(folder, *parts.parts)
+    return Path(folder, *parts)
 
 
 def decoded(data: bytes, errors: str = "strict") -> str:

@@ -112,11 +112,9 @@ def arm_capsules(arm: Arm, states: JointStates, *, held: float = 0.0) -> Capsule
     time, q = states.time, states.q
     opening = np.full(len(time), held) if states.opening is None else states.opening
     turns = np.abs(np.diff(q, axis=0)).max(axis=1, initial=0.0)
-    dense = [time[:1]]
-    for k, turn in enumerate(turns):
-        steps = max(1, math.ceil(turn / _MAX_JOINT_STEP))
-        dense.append(np.linspace(time[k], time[k + 1], steps + 1)[1:])
-    times = np.concatenate(dense)
+    steps = np.maximum(1, np.ceil(turns / _MAX_JOINT_STEP)).astype(int)
+    knots = np.append(0, np.cumsum(steps))
+    times = np.interp(np.arange(knots[-1] + 1), knots, time)
     angles = np.stack([np.interp(times, time, joint) for joint in q.T], axis=1)
     shape = arm_shape(arm, angles, np.interp(times, time, opening))
     tracks, margins = {}, {}
