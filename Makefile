@@ -3,7 +3,8 @@
 #   make demo    the whole pipeline on the recorded lift    make bench     speed of the simulator
 #   make test    the tests (make test ARGS="-m slow")       make validate  it, beside mechanics
 #   make check   ruff and pyright                           make docs      the site, in docs/_build
-#   make figures every stated number, from its command     make clean     remove .venv, caches, demo/, docs/_build
+#   make figures every stated number, from its command     make mutants   whether tests find small changes to the code
+#   make clean   remove .venv, caches, demo/, docs/_build
 #   make test-lowest   the fast tests with the oldest versions that pyproject.toml allows
 #
 # PYTHON chooses the interpreter (3.11 or newer): make demo PYTHON=python3.12
@@ -30,7 +31,7 @@ else ifeq ($(shell $(BIN)/python -c "print(1)" 2>/dev/null),)
 .PHONY: $(PLACE)
 endif
 
-.PHONY: demo test test-lowest check validate bench figures docs clean
+.PHONY: demo test test-lowest check validate bench figures mutants docs clean
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
 
@@ -61,6 +62,10 @@ bench: $(CORE)
 
 figures: $(FULL)
 	@$(BIN)/python benchmarks/figures.py $(ARGS)
+
+# About four minutes of CPU a room; interrupted, it goes on where it was.
+mutants: $(FULL)
+	@$(BIN)/python benchmarks/mutants.py $(ARGS)
 
 # Warnings, such as a link or a reference that leads nowhere, end it.
 docs: $(FULL)

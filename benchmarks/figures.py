@@ -41,6 +41,7 @@ PAGES = (
     ROOT / "docs" / "reality.md",
 )
 RECORDINGS = Path(os.environ.get("GENDOM_TEST_DATA", ROOT.parent / "shared" / "data"))
+WHERE = {"recordings": "recordings (docs/recordings.md, Recordings of others)"}
 
 TEMPLATES = ROOT / "benchmarks" / "figures.md"
 """Text of every block of the pages, with numbers as `{figure[number]}`. `{figure:command}` is its
@@ -75,7 +76,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             continue
         lacks = [n for n in figure.needs if not (here(n) or (n == "hours" and given.hours))]
         if lacks and not (given.only and lacks == ["hours"]):
-            lines.append(row(figure.name, "", "", "", "", f"not run: needs {', '.join(lacks)}"))
+            needs = ", ".join(WHERE.get(need, need) for need in lacks)
+            lines.append(row(figure.name, "", "", "", "", f"not run: needs {needs}"))
             continue
         found = checked(figure, given, stored.get(figure.name))
         good = good and all(cells[-1] == "" for cells in found)

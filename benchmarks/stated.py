@@ -34,7 +34,7 @@ class Figure:
     """Of the smaller of both numbers."""
     absolute: float = 0.0
     needs: tuple[str, ...] = ()
-    """``cuda``, ``recordings`` (of others), ``peers`` (other simulators), ``hours``."""
+    """``cuda``, ``recordings`` (docs/recordings.md), ``peers`` (other simulators), ``hours``."""
 
     def numbers(self, output: str) -> dict[str, Any]:
         """From the command's output, with five digits."""
@@ -248,6 +248,7 @@ TIMED = partial(Figure, relative=MACHINE)
 REAL = partial(Figure, needs=("recordings",))
 ON_CUDA = partial(TIMED, needs=("cuda",))
 PEERS = partial(TIMED, needs=("peers",))
+WIRE = "benchmarks/recordings/wire_white_loop.npz"
 
 FIGURES = (
     covered("rope", "--lifts 12 --measured"),
@@ -264,8 +265,8 @@ FIGURES = (
         "cable_dlo3_eval_010.npz",
         cables,
     ),
-    REAL("wire", "gendom estimate wire_white_loop.npz", wire),
-    REAL("wire-elastica", "python benchmarks/wire.py wire_white_loop.npz", elastica),
+    Figure("wire", f"gendom estimate {WIRE}", wire),
+    Figure("wire-elastica", f"python benchmarks/wire.py {WIRE}", elastica),
     Figure(
         "sim2sim", "python -m experiments sim2sim --scale full", sim2sim,
         relative=MACHINE, needs=("hours",),

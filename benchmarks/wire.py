@@ -1,6 +1,6 @@
 """E I of a wire that hangs in a loop, by a plane elastica, without GenDOM.
 
-    python benchmarks/wire.py wire_white_loop.npz
+    python benchmarks/wire.py benchmarks/recordings/wire_white_loop.npz
 
 Fits E I and the directions of both ends to the mean of a `gendom-static/1` file's repeats. With the
 force n(s) in the wire and its direction f(s), E I f'' = n_x sin f - n_z cos f and n_z' = w

@@ -90,6 +90,16 @@ def test_json_beyond_bounds(tmp_path, content):
         read_json(path)
 
 
+@pytest.mark.parametrize(("most", "read"), [(2**63 - 1, True), (2**63, False), (-(2**63), True)])
+def test_integers_have_64_bits(tmp_path, most, read):
+    (tmp_path / "x.json").write_text(f'{{"x": [[{most}]]}}')
+    if read:
+        assert read_json(tmp_path / "x.json") == {"x": [[most]]}
+        return
+    with pytest.raises(GendomError, match="an integer of 64 bits"):
+        read_json(tmp_path / "x.json")
+
+
 @pytest.mark.parametrize(
     "content",
     ["x = " + "[" * 9000, "x = " + "9" * 400, "x = " + "9" * 5000, "a" + ".a" * 30_000 + " = 1"],
@@ -100,6 +110,13 @@ def test_toml_beyond_bounds(tmp_path, content):
     path.write_text(content)
     with pytest.raises(GendomError, match=r"x\.toml: is not TOML \("):
         read_toml(path)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r"])
+def test_tables_of_too_many_rows(tmp_path, end):
+    (tmp_path / "x.csv").write_text("x" + f"{end}1" * 40_000, newline="")
+    with pytest.raises(RecordingError, match=r"x\.csv: has 40000 rows, at most 32768 are read"):
+        read_rows(tmp_path / "x.csv", header="x")
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])

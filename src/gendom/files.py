@@ -18,21 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from gendom.arguments import require
 from gendom.errors import GendomError
 
-FILES = (
-    ".csv",
-    ".gif",
-    ".html",
-    ".json",
-    ".mp4",
-    ".npz",
-    ".onnx",
-    ".parquet",
-    ".rrd",
-    ".toml",
-    ".zip",
-)
+FILES = (".csv", ".gif", ".html", ".json", ".mp4", ".npz", ".onnx", ".parquet", ".toml", ".zip")
 """What no folder's name ends in."""
 
 LEAST_ROOM = 1 << 22
@@ -55,8 +44,7 @@ def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
             full.
     """
     path = Path(path)
-    if path.is_dir():
-        raise GendomError("is a folder", where=str(path), fix="name a file")
+    _wanted(not path.is_dir(), "is a folder", path, "name a file")
     with _beside(path) as temporary:
         yield temporary
         _sync(temporary)
@@ -74,8 +62,7 @@ def atomic_folder(path: str | os.PathLike) -> Iterator[Path]:
             is full.
     """
     path = Path(path)
-    if path.exists():
-        raise GendomError("is there already", where=str(path), fix="name a new folder")
+    _wanted(not path.exists(), "is there already", path, "name a new folder")
     with _beside(path) as temporary:
         temporary.mkdir()
         yield temporary
@@ -93,10 +80,9 @@ def check_folder(folder: str | os.PathLike) -> None:
             there.
     """
     folder = Path(folder)
-    if folder.suffix.lower() in FILES and not folder.exists():
-        raise GendomError(
-            "is named like a file, and a folder is written", where=str(folder), fix="name a folder"
-        )
+    new_file = folder.suffix.lower() in FILES and not folder.exists()
+    what = "is named like a file, and a folder is written"
+    _wanted(not new_file, what, folder, "name a folder")
     _check_place(folder)
 
 
@@ -111,20 +97,19 @@ def check_file(path: str | os.PathLike, ending: str) -> None:
         GendomError: It ends otherwise or is a folder, or nothing can be written there.
     """
     path = Path(path)
-    if path.suffix.lower() != ending:
-        raise GendomError(
-            f"does not end in {ending}, which is what is written",
-            where=str(path),
-            fix=f"name a file that ends in {ending}",
-        )
-    if path.is_dir():
-        raise GendomError("is a folder", where=str(path), fix="name a file")
+    what = f"does not end in {ending}, which is what is written"
+    _wanted(path.suffix.lower() == ending, what, path, f"name a file that ends in {ending}")
+    _wanted(not path.is_dir(), "is a folder", path, "name a file")
     _check_place(path.parent)
 
 
 def free_room(folder: str | os.PathLike) -> int:
     """Free space on the disk of a folder that need not exist yet [bytes]."""
     return shutil.disk_usage(_nearest(Path(folder))).free
+
+
+def _wanted(holds: object, what: str, where: Path, fix: str) -> None:
+    require(holds, what, where=str(where), fix=fix, error=GendomError)
 
 
 def _nearest(path: Path) -> Path:
@@ -138,18 +123,15 @@ def _nearest(path: Path) -> Path:
 def _check_place(folder: Path) -> None:
     """Refuse a folder that cannot be made or written, by writing to the nearest that is there."""
     there = _nearest(folder)
-    if not there.is_dir():
-        raise GendomError("is a file, not a folder", where=str(there), fix="name a folder")
+    _wanted(there.is_dir(), "is a file, not a folder", there, "name a folder")
     try:
         with tempfile.TemporaryFile(dir=there) as probe:
             probe.write(bytes(LEAST_ROOM))
     except OSError as error:
         full = error.errno in FULL
-        raise GendomError(
-            "the disk is full" if full else f"cannot be written ({error.strerror})",
-            where=str(there),
-            fix="make room, or choose another place" if full else "choose another place",
-        ) from None
+        what = "the disk is full" if full else f"cannot be written ({error.strerror})"
+        fix = "make room, or choose another place" if full else "choose another place"
+        raise GendomError(what, where=str(there), fix=fix) from None
 
 
 @contextmanager
@@ -159,24 +141,18 @@ def _beside(path: Path) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise GendomError(
-            f"cannot make the folder ({error.strerror})",
-            where=str(path.parent),
-            fix="choose another place",
-        ) from error
-    if not os.access(path.parent, os.W_OK):
-        raise GendomError(
-            "no permission to write here", where=str(path.parent), fix="choose another place"
-        )
+        what = f"cannot make the folder ({error.strerror})"
+        raise GendomError(what, where=str(path.parent), fix="choose another place") from error
+    may, what = os.access(path.parent, os.W_OK), "no permission to write here"
+    _wanted(may, what, path.parent, "choose another place")
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.tmp{path.suffix}")
     try:
         yield temporary
     except OSError as error:
         if error.errno not in FULL:
             raise
-        raise GendomError(
-            "the disk is full", where=str(path), fix="make room, and run the same command again"
-        ) from error
+        fix = "make room, and run the same command again"
+        raise GendomError("the disk is full", where=str(path), fix=fix) from error
     finally:
         if temporary.is_dir():
             shutil.rmtree(temporary, ignore_errors=True)
@@ -227,11 +203,8 @@ def _plain(value: Any, where: str) -> Any:
         return int(value)
     if isinstance(value, float):
         if not math.isfinite(value):
-            raise GendomError(
-                f"is {value}, which JSON cannot hold",
-                where=where or "value",
-                fix="store null where a number is unknown",
-            )
+            what, fix = f"is {value}, which JSON cannot hold", "store null where none is known"
+            raise GendomError(what, where=where or "value", fix=fix)
         return float(value)
     if isinstance(value, Mapping):
         return {str(k): _plain(v, f"{where}.{k}" if where else str(k)) for k, v in value.items()}
@@ -243,8 +216,5 @@ def _plain(value: Any, where: str) -> Any:
         return _plain(value.tolist(), where)
     if is_dataclass(value) and not isinstance(value, type):
         return _plain(asdict(value), where)
-    raise GendomError(
-        f"is a {type(value).__name__}, which JSON cannot hold",
-        where=where or "value",
-        fix="convert it first",
-    )
+    what = f"is a {type(value).__name__}, which JSON cannot hold"
+    raise GendomError(what, where=where or "value", fix="convert it first")

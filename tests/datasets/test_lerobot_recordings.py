@@ -10,6 +10,7 @@ import pytest
 from gendom import cli
 from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.lerobot import export_recording, read_lerobot
+from gendom.datasets.lerobot.format import seal
 from gendom.errors import RecordingError
 
 DATA = "data/chunk-000/file-000.parquet"
@@ -132,7 +133,8 @@ def test_what_cannot_be_read(case, lift, tmp_path):
     spoil, said = SPOILT[case]
     export_recording(lift, tmp_path / "out")
     spoil(tmp_path / "out")
-    (tmp_path / "out/meta/gendom.sha256").unlink()
+    if case != "of others":
+        (tmp_path / "out/meta/gendom.sha256").write_text(seal(tmp_path / "out"))
     with pytest.raises(RecordingError) as caught:
         read_lerobot(tmp_path / "out")
     assert str(caught.value).startswith(str(tmp_path / "out"))
@@ -162,6 +164,14 @@ def test_lerobot_reads_it(uneven, tmp_path, monkeypatch):
         "gendom/test", root=tmp_path / "out", delta_timestamps={"action": [0.0, 1.0 / 7.0]}
     )
     assert later[4]["action_is_pad"].tolist() == [False, True]
+
+
+def test_one_without_a_digest_is_not_read(lift, tmp_path):
+    """Of a damaged Parquet file pyarrow may end the process."""
+    export_recording(lift, tmp_path / "out")
+    (tmp_path / "out/meta/gendom.sha256").unlink()
+    with pytest.raises(RecordingError, match=r"gendom\.sha256: no such file; export it again"):
+        Recording.read(tmp_path / "out")
 
 
 def test_changed_numbers_are_found(lift, tmp_path):

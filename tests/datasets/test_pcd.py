@@ -28,6 +28,9 @@ def header(encoding, points=3, **changes):
     return "\n".join(["# by a test", *lines, f"DATA {encoding}", ""]).encode()
 
 
+KNOWN = [f"{kind}{n}" for kind in "IUF" for n in (1, 2, 4, 8) if kind != "F" or n > 2]
+
+
 def rows(cloud):
     table = np.zeros(len(cloud), FIELDS)
     table["rgb"], table["normal"] = 7, 0.5
@@ -173,6 +176,39 @@ def test_bad_headers(tmp_path, case):
         read_pcd(tmp_path / "a.pcd")
     assert str(caught.value).startswith(f"{tmp_path / 'a.pcd'}: {said}")
     assert str(caught.value).endswith("; export the point cloud again as PCD")
+
+
+@pytest.mark.parametrize("kind", [*KNOWN, "I3", "U16", "F2"])
+def test_numbers_of_every_type(tmp_path, kind):
+    table = np.array([[1, 2, 3], [-4 if kind[0] != "U" else 4, 100, 6]])
+    words = {"SIZE": f"{kind[1:]} " * 3, "TYPE": f"{kind[0]} " * 3, "COUNT": "1 1 1"}
+    head, known = header("binary", 2, FIELDS="x y z", **words), kind in KNOWN
+    data = table.astype(f"<{kind.lower()}").tobytes() if known else bytes(96)
+    (tmp_path / "a.pcd").write_bytes(head + data)
+    if known:
+        assert read_pcd(tmp_path / "a.pcd").tolist() == table.tolist()
+        return
+    with pytest.raises(RecordingError, match="which there is not"):
+        read_pcd(tmp_path / "a.pcd")
+
+
+@pytest.mark.parametrize(
+    ("largest", "change"),
+    [
+        (1 << 22, lambda n: {"WIDTH": n, "POINTS": n, "HEIGHT": 1}),
+        (1 << 16, lambda n: {"COUNT": f"1 1 {n} 1 1"}),
+        (10**18 - 1, lambda n: {"WIDTH": 0, "POINTS": 0, "HEIGHT": n}),
+    ],
+)
+def test_bounds_are_exact(tmp_path, largest, change):
+    for n in (largest, largest + 1):
+        (tmp_path / "a.pcd").write_bytes(header("binary", **change(n)))
+        if largest > 1 << 22 and n == largest:
+            assert len(read_pcd(tmp_path / "a.pcd")) == 0
+            continue
+        with pytest.raises(RecordingError) as caught:
+            read_pcd(tmp_path / "a.pcd")
+        assert ("is cut short" in str(caught.value)) == (n == largest)
 
 
 def test_other_bad_files(tmp_path):

@@ -177,6 +177,24 @@ def test_points_that_were_not_seen_are_left_out(tmp_path, nan):
     assert read_ply(tmp_path / "a.ply").tolist() == [[1, 2, 3]]
 
 
+TYPES = {
+    **{"char": "b", "short": "h", "int": "i", "long": "q", "float": "f", "double": "d"},
+    **{"uchar": "B", "ushort": "H", "uint": "I", "ulong": "Q", "bool": "B"},
+    **{"int8": "b", "int16": "h", "int32": "i", "int64": "q", "float32": "f", "float64": "d"},
+    **{"uint8": "B", "uint16": "H", "uint32": "I", "uint64": "Q"},
+}
+
+
+@pytest.mark.parametrize("name", TYPES)
+def test_numbers_of_every_type(tmp_path, name):
+    lines = ["element vertex 2", *(f"property {name} {axis}" for axis in "xyz")]
+    values = [1, 2, 3, 4, 5, 100 if TYPES[name].isupper() else -100]
+    for order, encoding in (("<", "binary_little_endian"), (">", "binary_big_endian")):
+        data = struct.pack(order + 6 * TYPES[name], *values)
+        (tmp_path / "a.ply").write_bytes(header(encoding, *lines) + data)
+        assert read_ply(tmp_path / "a.ply").ravel().tolist() == values
+
+
 def test_bool_and_64_bit_properties(tmp_path):
     extra = ["property bool seen", "property uint64 stamp", "property long row"]
     data = struct.pack("<fff?Qq", 1, 2, 3, True, 2**60, -1) * 2
@@ -186,6 +204,9 @@ def test_bool_and_64_bit_properties(tmp_path):
 
 BOMBS = {
     "a long token": header("ascii", *XYZ) + b"1" * (8 << 20),
+    "a word of odd numbers": header("ascii", *XYZ) + b"nan(1)." * (1 << 22),
+    "many numbers": header("ascii", "element vertex 1100000", *XYZ[1:]) + b"0 0 0\n" * 1_100_000,
+    "much text": header("ascii", *XYZ) + b"1 2 3" + b" " * (33 << 20),
     "many points": header("ascii", "element vertex 99999999999", *XYZ[1:]) + b"1 2 3",
     "rows of nothing": header("ascii", "element a 9" + "9" * 4000, *XYZ) + b"1 2 3 4 5 6",
     "rows of lists": header(
@@ -200,9 +221,9 @@ BOMBS = {
 @pytest.mark.parametrize("case", BOMBS)
 def test_bombs_are_refused_at_once(tmp_path, case):
     (tmp_path / "a.ply").write_bytes(BOMBS[case])
-    before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
+    before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
     with pytest.raises(RecordingError) as caught:
         read_ply(tmp_path / "a.ply")
     assert len(str(caught.value)) < 500
-    assert time.perf_counter() - began < 1.0
+    assert time.process_time() - began < 1.0
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100e3  # [KiB]

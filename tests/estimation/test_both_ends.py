@@ -1,6 +1,7 @@
 """Ropes, cables and wires that are held at both ends, and shapes at rest."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -150,11 +151,9 @@ def test_a_cable_is_predicted_from_one_sequence(real_data, number, fitted, seen,
         assert np.abs(x - other.points.reshape(x.shape)).mean() < most
 
 
-def test_a_wire_at_rest(real_data):
+def test_a_wire_at_rest():
     """Its authors found 1.22e-4 N m^2 in another way, an elastica with free ends has 0.98e-4."""
-    path = real_data / "wire_white_loop.npz"
-    if not path.is_file():
-        pytest.skip(f"no {path.name} in {real_data}")
+    path = Path(__file__).parents[2] / "benchmarks" / "recordings" / "wire_white_loop.npz"
     found = estimate(Recording.read(path, on_warning=lambda _: None), EstimateSettings(starts=1))
     assert found.usable
     assert found.record["bending_stiffness"] == pytest.approx(1.2166e-4, rel=0.15)

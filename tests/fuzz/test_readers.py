@@ -3,12 +3,15 @@
 import resource
 import shutil
 import time
+from importlib import resources
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from gendom.cli.adapt import Command as Adapt
 from gendom.datasets import ObjectDescription, Recording, write_ply
 from gendom.datasets.lerobot import export_recording
 from gendom.errors import GendomError
@@ -22,10 +25,15 @@ from gendom.hardware.execution import (
     read_action,
     read_log,
 )
+from gendom.materials import Material, Rope
+from gendom.materials.estimate import Estimate
+from gendom.materials.posterior import Posterior, prior_of
 from gendom.perception import Camera, read_cameras, write_camera
 from gendom.perception.calibration import read_views
 from gendom.perception.ros import RosSettings, read_ros_bag
+from gendom.policies import Policy
 from gendom.robot import XARM7, joint_move, read_arm
+from gendom.robot.motions import LiftMotion, predefined_lift
 from simulated_cell import write_cell
 
 LONGEST, MOST_MEMORY = 2.0, 500e3
@@ -146,6 +154,41 @@ def bag(folder, plugin):
     (folder / "object.toml").write_text(TOML)
 
 
+def estimate(folder):
+    rope = Rope(length=0.4, diameter=0.01, material=Material(E=8e5, nu=0.3, density=800.0))
+    prior, mean = prior_of(("E_over_rho", "nu")), np.array([np.log(1000.0), 0.3])
+    found = Posterior(prior=prior, mean=mean, covariance=np.diag([1e-3, 1e-4]), bases=())
+    Estimate.of(rope, found.to_dict()).save(folder / "estimate.json")
+
+
+def policy(folder):
+    shipped = resources.files("gendom") / "assets" / "rope-reaching.onnx"
+    (folder / "policy.onnx").write_bytes(shipped.read_bytes())
+
+
+def demonstrations(folder):
+    demonstrations = pytest.importorskip("gendom.datasets.demonstrations", reason="needs pyarrow")
+    throwing = SimpleNamespace(
+        cost=1.0,
+        about=lambda: {"task": {"name": "throwing"}},
+        draw=lambda rngs: {"speed": np.array([rng.uniform(0.0, 9.0) for rng in rngs])},
+        demonstrate=lambda draws, **_: demonstrations.Outcomes(
+            columns={"goal_x": draws["speed"] ** 2}, faults=(None,) * len(draws["speed"])
+        ),
+    )
+    demonstrations.generate(throwing, 40, folder / "set", seed=5, shard_size=16)
+
+
+def executions(folder):
+    rows = [{"action": [0.4, 0.1], "reached": [0.02 * k]} for k in range(3)]
+    write_json(folder / "executions.json", {"executions": rows})
+
+
+def motion(folder):
+    record = {"format": "gendom-motion/1", "lift": predefined_lift("rope").to_dict()}
+    write_json(folder / "motion.json", record)
+
+
 def clouds(write):
     def make(folder):
         for k in range(4):
@@ -157,6 +200,32 @@ def clouds(write):
 
 def read(folder):
     Recording.read(folder, on_warning=lambda _: None)
+
+
+def numbers(path):
+    """All that a recording holds, as text."""
+    recording = Recording.read(path, on_warning=lambda _: None)
+    arrays = (recording.points, recording.offsets, recording.time, recording.gripper_position)
+    return repr([recording.meta(), *(a.tolist() for a in arrays)])
+
+
+def estimated(folder):
+    found = Estimate.load(folder / "estimate.json")
+    return repr([found.rows(), found.posterior.to_dict(), found.verdict])
+
+
+def acted(path):
+    """What a policy says of itself, and does."""
+    read = Policy.read(path)
+    middle = {name: sum(ends) / 2.0 for name, ends in read.description.parameters.items()}
+    goals = read.description.goals(None).T
+    return repr([read.description, read.actions(goals, middle).tolist()])
+
+
+def rows_of(folder):
+    from gendom.datasets.demonstrations import load, read_description
+
+    return repr([read_description(folder), load(folder).to_pydict()])
 
 
 def read_bag(folder):
@@ -199,11 +268,19 @@ def log(folder):
 
 
 READERS = {
-    "cell": (write_cell, lambda f: Cell.read(f / "cell.toml").faults()),
-    "action": (action, lambda f: read_action(f / "action.json")),
-    "log": (log, lambda f: read_log(f / "a.jsonl")),
-    "npz": (lambda f: recording().write(f / "a.npz"), lambda f: read(f / "a.npz")),
-    "lerobot": (lambda f: export_recording(recording(), f / "out"), lambda f: read(f / "out")),
+    "cell": (write_cell, lambda f: [Cell.read(f / "cell.toml").faults()] and None),
+    "action": (action, lambda f: read_action(f / "action.json") and None),
+    "log": (log, lambda f: read_log(f / "a.jsonl") and None),
+    "npz": (lambda f: recording().write(f / "a.npz"), lambda f: numbers(f / "a.npz")),
+    "lerobot": (lambda f: export_recording(recording(), f / "out"), lambda f: numbers(f / "out")),
+    "estimate": (estimate, estimated),
+    "policy": (policy, lambda f: acted(f / "policy.onnx")),
+    "demonstrations": (demonstrations, lambda f: rows_of(f / "set")),
+    "executions": (
+        executions,
+        lambda f: [Adapt(task="rope-reaching", executions=f / "executions.json")._new()] and None,
+    ),
+    "motion": (motion, lambda f: LiftMotion.read(f / "motion.json") and None),
     "ply": (clouds(lambda f, n: write_ply(f / f"{n}.ply", POINTS)), read),
     "ply as text": (clouds(lambda f, n: write_ply(f / f"{n}.ply", POINTS, text=True)), read),
     "clouds as npz": (clouds(lambda f, n: np.savez(f / f"{n}.npz", points=POINTS)), read),
@@ -248,7 +325,7 @@ def test_damaged_files_are_read_or_refused(tmp_path, kind, count):
     folder = tmp_path / "in"
     folder.mkdir()
     make(folder)
-    take(folder)
+    stated = take(folder)
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     rng, before = np.random.default_rng(count), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for case in range(count):
@@ -257,10 +334,12 @@ def test_damaged_files_are_read_or_refused(tmp_path, kind, count):
         path.write_bytes(damaged(whole, rng))
         began = time.process_time()
         try:
-            take(folder)
+            assert take(folder) == stated, f"case {case}, {path.name}: other numbers"
         except GendomError as error:
             lines = str(error).splitlines()
             assert len(lines) <= max(1, len(getattr(error, "faults", ()))), case
+        except AssertionError:
+            raise
         except Exception as error:
             raise AssertionError(f"case {case}, {path.name}: {error!r}") from error
         assert time.process_time() - began < LONGEST, (case, path.name)

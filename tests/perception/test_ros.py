@@ -516,6 +516,16 @@ def test_tables_that_are_none(tmp_path, table):
             read()
 
 
+@pytest.mark.parametrize("text", ["[" * 100_000, "{a: " * 9000, "- 1\n" * 9000, "[" + "1," * 9000])
+def test_metadata_that_takes_long_to_read(lifted, tmp_path, text):
+    path = bag(tmp_path / "bag", messages(lifted))
+    (path / "metadata.yaml").write_text(text)
+    with pytest.raises(
+        RecordingError, match=r"metadata\.yaml: has \d+ lines and parts, at most 6000"
+    ):
+        read_ros_bag(path, path / "object.toml", RosSettings(gripper="tool"))
+
+
 def test_links_to_devices_in_a_bag(lifted, tmp_path):
     path = bag(tmp_path / "bag", messages(lifted))
     (path / "metadata.yaml").unlink()

@@ -3,6 +3,7 @@
 import json
 import logging
 import math
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from gendom.errors import ParameterError, PolicyError
 from gendom.materials import Cloth, Material, Rope, dimensionless_parameters
 from gendom.policies import Description, GoalRange, Policy
+from gendom.policies.graph import SEAL, check_graph, sealed
 
 
 def rope(bending=0.4, nu=0.3, length=0.25, diameter=0.014):
@@ -221,6 +223,74 @@ def test_graphs_that_no_policy_has_are_refused_before_they_run(tmp_path):
         path.write_bytes(helper.make_model(graph).SerializeToString())
         with pytest.raises(PolicyError, match=words):
             Policy.read(path)
+
+
+def field(number, value):
+    """A field of a message: a whole number, or bytes."""
+    if isinstance(value, int):
+        return varint(number << 3) + varint(value)
+    return varint(number << 3 | 2) + varint(len(value)) + value
+
+
+def varint(n):
+    return bytes([*[n & 127 | 128] * (n > 127), *varint(n >> 7)]) if n > 127 else bytes([n])
+
+
+def weights(*sides, packed=True):
+    own = field(1, b"".join(map(varint, sides))) if packed else b"".join(field(1, n) for n in sides)
+    return field(5, own)
+
+
+def operation(inputs=1, name=b"Add"):
+    return field(1, field(1, b"x") * inputs + field(4, name))
+
+
+FIXED = varint(9 << 3 | 1) + b"\xff" * 8 + varint(9 << 3 | 5) + b"\xff" * 4
+
+
+@pytest.mark.parametrize(
+    ("graph", "said"),
+    [
+        (weights(4096, 4096) + weights(4096, packed=False), None),
+        (weights(4097, 1), "has weights of shape"),
+        (weights(4097, packed=False), "has weights of shape"),
+        (weights(2, 2, 2), "has weights of shape"),
+        (operation(64) + operation(name=b"Concat"), None),
+        (operation(65), "joins more than a policy does"),
+        (2 * operation(name=b"Concat"), "joins more than a policy does"),
+        (256 * operation(), None),
+        (257 * operation(), "has more than 256 nodes and tensors"),
+        (FIXED + operation(), None),
+        (FIXED + operation(name=b"If"), "has the operator 'If'"),
+        (FIXED[:5], "is not an ONNX file"),
+        (varint(9 << 3 | 3) + b"xx", "is not an ONNX file"),
+        (field(15, b""), "has sparse weights"),
+        (field(5, field(14, 1)), "keeps weights in another file"),
+    ],
+)
+def test_what_a_graph_may_hold(graph, said):
+    for model in (field(7, graph), FIXED + field(1, 8) + field(7, graph)):
+        if said is None:
+            check_graph(model, "p")
+            continue
+        with pytest.raises(PolicyError, match=f"^p: {said}"):
+            check_graph(model, "p")
+
+
+def test_a_policy_that_was_changed_is_refused(tmp_path):
+    whole = (resources.files("gendom") / "assets" / "rope-reaching.onnx").read_bytes()
+    assert sealed(whole) == whole and whole.count(SEAL) == 1
+    path, rng = tmp_path / "p.onnx", np.random.default_rng(0)
+    for at in rng.integers(8 * len(whole), size=20):
+        data = bytearray(whole)
+        data[at // 8] ^= 1 << (at % 8)
+        path.write_bytes(data)
+        with pytest.raises(PolicyError, match="is damaged: it is not what was written"):
+            Policy.read(path)
+    path.write_bytes(whole.partition(SEAL)[0])  # as 0.1 wrote it
+    kept = Policy.read(path).description
+    path.write_bytes(sealed(path.read_bytes()))
+    assert path.read_bytes() == whole and Policy.read(path).description == kept
 
 
 def test_networks_that_give_no_action_are_refused(tmp_path, description):

@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import chain, islice
 
 import numpy as np
 
@@ -18,11 +18,14 @@ MAX_HEADER = 1 << 16
 """Longest header that is searched [bytes]."""
 MOST_POINTS = 1 << 22
 """Of a cloud: twice those of the largest depth cameras."""
-MOST_LISTS = 1 << 20
+LARGEST_TEXT, MOST_NUMBERS = 1 << 25, 3 << 20
+"""Of a cloud as text [bytes], and of its numbers: a million points of three."""
+MOST_LISTS = 1 << 16
 """Rows with lists in an element: these are read one by one."""
 LONGEST = 1100
 """Of a number as text: exact doubles have up to 1,080 characters."""
 
+_BLOCK = re.compile(rb"[\0-\xff]{1,4096}\S*")
 _ODD_NANS = re.compile(rb"[-+]?(?:nan\(\w*\)|1\.#(?:ind|qnan|snan)\w*)", re.IGNORECASE)
 
 
@@ -50,6 +53,11 @@ class Element:
     name: str
     count: int
     fields: list[Field] = field(default_factory=list)
+
+    @property
+    def width(self) -> int:
+        """Numbers in a row, with one for a list."""
+        return sum(own.repeat for own in self.fields)
 
     @property
     def has_list(self) -> bool:
@@ -147,26 +155,27 @@ def check_length(there: int, needed: int, unit: str) -> None:
         raise CloudError(f"is cut short: {there} {unit} where {needed} are announced")
 
 
-def points_of_text(text: bytes, elements: list[Element]) -> np.ndarray:
-    """[n, 3] coordinates of the last of some elements, the first of which begins the text.
+def points_of_text(data: bytes, at: int, elements: list[Element]) -> np.ndarray:
+    """[n, 3] coordinates of the last of some elements, the first of which begins at an offset.
 
     Raises:
-        CloudError: It is cut short, or something is no number.
+        CloudError: The text is cut short or too large, or something is no number.
     """
-    if b"(" in text or b"#" in text:
-        text = _ODD_NANS.sub(b"nan", text)
-    stream, table = _numbers(text), np.zeros((0, 0))
+    numbers = sum(own.count * own.width for own in elements)
+    if len(data) - at > LARGEST_TEXT or numbers > MOST_NUMBERS:
+        what = f"is text of {len(data) - at} bytes and {numbers} numbers, at most {LARGEST_TEXT}"
+        raise CloudError(f"{what} and {MOST_NUMBERS} are read: have it binary")
+    stream, table = chain.from_iterable(map(_floats, _BLOCK.finditer(data, at))), np.zeros((0, 0))
     try:
         for element in elements:
             if element.has_list:
                 rows = [list(_listed(stream, element)) for _ in range(_few(element))]
                 table = np.array(rows).reshape(element.count, len(element.fields))
                 continue
-            width = sum(own.repeat for own in element.fields)
-            needed = element.count * width
+            needed = element.count * element.width
             found = np.fromiter(islice(stream, needed), np.float64)
             check_length(len(found), needed, "numbers")
-            table = found.reshape(element.count, width)
+            table = found.reshape(element.count, element.width)
     except ValueError as fault:
         raise CloudError(f"has a coordinate that is no number ({fault})") from None
     except RuntimeError:  # the numbers end in a row
@@ -178,17 +187,12 @@ def points_of_text(text: bytes, elements: list[Element]) -> np.ndarray:
         return table[:, first].astype(last.xyz_type)
 
 
-def _numbers(text: bytes) -> Iterator[float]:
-    """All of a text, one by one.
-
-    Raises:
-        ValueError: A word is none, or is too long to be one.
-    """
-    for match in re.finditer(rb"\S{1,%d}" % LONGEST, text):
-        word = match[0]
-        if len(word) == LONGEST:
-            raise ValueError(f"{word[:20]!r}...")
-        yield float(word)
+def _floats(block: re.Match[bytes]) -> Iterator[float]:
+    """The numbers in some bytes of a text."""
+    if len(block[0]) > 4096 + LONGEST:
+        raise ValueError(f"more than {LONGEST} characters: {block[0][-20:]!r}")
+    odd = b"(" in block[0] or b"#" in block[0]
+    return map(float, (_ODD_NANS.sub(b"nan", block[0]) if odd else block[0]).split())
 
 
 def _listed(stream: Iterator[float], element: Element) -> Iterator[float]:
@@ -264,4 +268,5 @@ def seen(points: np.ndarray) -> np.ndarray:
     are pixels that saw nothing."""
     if points.dtype not in (np.float32, np.float64):
         points = points.astype(np.float64)
-    return points[~np.isnan(points).any(axis=1)]
+    hidden = np.isnan(points).any(axis=1)
+    return points[~hidden] if hidden.any() else points

@@ -51,7 +51,7 @@ def read_pcd(path: str | os.PathLike) -> np.ndarray:
 
     def decode(data: bytes) -> np.ndarray:
         element, encoding, start = _parse_header(data)
-        return _DECODERS[encoding](data[start:], element)
+        return _DECODERS[encoding](data, start, element)
 
     return read_cloud(path, "PCD", decode)
 
@@ -108,15 +108,15 @@ def _whole(word: str, key: str) -> int:
     return int(word)
 
 
-def _compressed(data: bytes, element: Element) -> np.ndarray:
-    check_length(len(data), 8, "bytes")
-    packed, size = struct.unpack_from("<II", data)
+def _compressed(data: bytes, at: int, element: Element) -> np.ndarray:
+    check_length(len(data), at + 8, "bytes")
+    packed, size = struct.unpack_from("<II", data, at)
     if size != (needed := element.count * element.row().itemsize):
         raise CloudError(f"unpacks to {size} bytes where {needed} are announced")
-    check_length(len(data), 8 + packed, "bytes")
+    check_length(len(data), at + 8 + packed, "bytes")
     if size > LARGEST_FILE or packed > _LARGEST_PACKED:
         raise CloudError(f"has {packed} bytes that unpack to {size}, too many: use DATA binary")
-    return points_of_columns(_lzf(data[8 : 8 + packed], size), element)
+    return points_of_columns(_lzf(data[at + 8 : at + 8 + packed], size), element)
 
 
 def _lzf(data: bytes, size: int) -> bytearray:
@@ -153,7 +153,7 @@ def _lzf(data: bytes, size: int) -> bytearray:
 
 
 _DECODERS = {
-    "ascii": lambda data, element: points_of_text(data, [element]),
-    "binary": lambda data, element: points_of_bytes(data, 0, [element], "<"),
+    "ascii": lambda data, at, element: points_of_text(data, at, [element]),
+    "binary": lambda data, at, element: points_of_bytes(data, at, [element], "<"),
     "binary_compressed": _compressed,
 }

@@ -50,7 +50,7 @@ def read_ply(path: str | os.PathLike) -> np.ndarray:
     def decode(data: bytes) -> np.ndarray:
         encoding, elements, start = _parse_header(data)
         if encoding == "ascii":
-            return points_of_text(data[start:], elements)
+            return points_of_text(data, start, elements)
         return points_of_bytes(data, start, elements, _BYTE_ORDER[encoding])
 
     return read_cloud(path, "PLY", decode)

@@ -239,27 +239,17 @@ def checked_verdict(read: Mapping[str, Any], where: str, *, even_unusable: bool 
     Raises:
         ParameterError: It has another format, is not usable, or holds no numbers.
     """
-    require(
-        read.get("format") == FORMAT,
-        f"has format {read.get('format')!r}, not {FORMAT!r}",
-        where=where,
-        fix="give a file written by gendom estimate",
-    )
+    form, fix = read.get("format"), "give a file written by gendom estimate"
+    require(form == FORMAT, f"has format {form!r}, not {FORMAT!r}", where=where, fix=fix)
     fix = "give the file as gendom estimate wrote it"
     stored = record_of(Stored, read, where=where, fix=fix, error=ParameterError)
     verdict = stored.verdict or USABLE
-    require(
-        even_unusable or verdict.usable,
-        f"is not usable: {', '.join(verdict.reasons)}",
-        where=where,
-        fix="record the object again, or add --force",
-    )
-    require(
-        not read.keys() <= {"format", "verdict"},
-        f"holds no numbers, since nothing was estimated: {', '.join(verdict.reasons)}",
-        where=where,
-        fix="record the object again, or describe it by flags such as --E",
-    )
+    why, again = ", ".join(verdict.reasons), "record the object again, or"
+    usable, fix = even_unusable or verdict.usable, f"{again} add --force"
+    require(usable, f"is not usable: {why}", where=where, fix=fix)
+    numbers, fix = not read.keys() <= {"format", "verdict"}, f"{again} give flags such as --E"
+    what = f"holds no numbers, since nothing was estimated: {why}"
+    require(numbers, what, where=where, fix=fix)
     return verdict
 
 
@@ -348,11 +338,9 @@ def _numbers(read: Mapping[str, Any], described: Mapping[str, Any], where: str) 
             value > 0.0 or (value == 0.0 and name in HIDDEN) or name == "stiffness_slope"
         )
         if value is not None and not positive and (name not in UNKNOWNS or UNKNOWNS[name].low > 0):
-            raise GendomError(
-                f"{name} must be a positive number, got {value!r}",
-                where=where,
-                fix="estimate again, or give the number by a flag",
-            )
+            what = f"{name} must be a positive number, got {value!r}"
+            fix = "estimate again, or give the number by a flag"
+            raise GendomError(what, where=where, fix=fix)
     return {n: float(v) for n, v in numbers.items() if v is not None}
 
 

@@ -264,7 +264,7 @@ def _read_frames(
     right = {"time", "depth"} <= set(header) <= {"time", "depth", "colour"}
     what = f"has the header {','.join(header)!r}"
     require(right, what, where=str(path), fix=fix, error=RecordingError)
-    rows, bad = [], []
+    folder, rows, bad = path.parent, [], []
     for number, line in lines[1:]:
         entry = dict(zip(header, line, strict=False))
         try:
@@ -277,7 +277,7 @@ def _read_frames(
             continue
         named = [entry["depth"], *filter(None, [entry.get("colour")])]
         where = f"{path}, line {number}"
-        files = [inside(path.parent, name, where=where) for name in named]
+        files = [inside(folder, name, where=where) for name in named]
         rows.append((time, files[0], files[1] if len(files) > 1 else None))
     fix = f"write one row a frame under {_HEADER}"
     require(rows, "holds no usable row", where=str(path), fix=fix, error=RecordingError)

@@ -112,11 +112,9 @@ def arm_capsules(arm: Arm, states: JointStates, *, held: float = 0.0) -> Capsule
     time, q = states.time, states.q
     opening = np.full(len(time), held) if states.opening is None else states.opening
     turns = np.abs(np.diff(q, axis=0)).max(axis=1, initial=0.0)
-    dense = [time[:1]]
-    for k, turn in enumerate(turns):
-        steps = max(1, math.ceil(turn / _MAX_JOINT_STEP))
-        dense.append(np.linspace(time[k], time[k + 1], steps + 1)[1:])
-    times = np.concatenate(dense)
+    steps = np.maximum(1, np.ceil(turns / _MAX_JOINT_STEP)).astype(int)
+    knots = np.append(0, np.cumsum(steps))
+    times = np.interp(np.arange(knots[-1] + 1), knots, time)
     angles = np.stack([np.interp(times, time, joint) for joint in q.T], axis=1)
     shape = arm_shape(arm, angles, np.interp(times, time, opening))
     tracks, margins = {}, {}
@@ -218,15 +216,15 @@ def read_capsules(path: str | os.PathLike) -> CapsulePath:
             values = [float(text) for i, text in enumerate(row) if i != 1]
         except ValueError:
             values = []
-        right = len(row) == len(_COLUMNS) and values and np.isfinite(values).all()
-        fix = "give seconds, a name, two ends and a radius above 0 in metres"
-        wanted(right and values[-1] > 0.0, f"is no capsule: {','.join(row)[:60]!r}", fix, where)
+        if len(row) != len(_COLUMNS) or not all(map(math.isfinite, values)) or values[-1:] <= [0.0]:
+            fix = "give seconds, a name, two ends and a radius above 0 in metres"
+            wanted(False, f"is no capsule: {','.join(row)[:60]!r}", fix, where)
         track = tracks.setdefault(row[1], [])
-        what, few = f"more than {_MOST_CAPSULES} names", len(tracks) <= _MOST_CAPSULES
-        wanted(few, what, "give the shape fewer capsules", where)
-        last = track[-1][0] if track else -np.inf
-        what = f"time of capsule {row[1]!r} goes from {last:g} to {values[0]:g} s"
-        wanted(values[0] > last, what, "sort the rows", where)
+        few = len(tracks) <= _MOST_CAPSULES
+        wanted(few, f"more than {_MOST_CAPSULES} names", "give the shape fewer capsules", where)
+        if track and values[0] <= track[-1][0]:
+            what = f"time of capsule {row[1]!r} goes from {track[-1][0]:g} to {values[0]:g} s"
+            wanted(False, what, "sort the rows", where)
         track.append(values)
     arrays = {name: np.array(track) for name, track in tracks.items()}
     return CapsulePath({name: (a[:, 0], a[:, 1:]) for name, a in arrays.items()})

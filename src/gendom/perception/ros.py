@@ -39,7 +39,7 @@ from gendom.perception.rosbag import (
     packed_picture,
     raw_picture,
 )
-from gendom.reading import check_unpacked, file_size
+from gendom.reading import check_unpacked, file_size, read_bytes
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ CLOUD, IMAGE, PACKED, INFO = (
 )
 POSE, TF = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
 _SUFFIXES = (".db3", ".mcap")
-_LARGEST_METADATA = 3 << 16  # [bytes]; reading a megabyte of YAML takes ten seconds
+_LARGEST_METADATA, _MOST_MARKS = 1 << 17, 6000  # [bytes], lines and parts: YAML is read slowly
 _DENORMAL = 0.01  # of a quaternion's squared length, as tf2 has it
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of PointField
 
@@ -194,7 +194,10 @@ def _check_file(path: Path) -> None:
         ValueError, OSError: Something is damaged, or unpacks to too much.
     """
     if path.suffix == ".yaml":
-        file_size(path, RecordingError, most=_LARGEST_METADATA)
+        text = read_bytes(path, RecordingError, most=_LARGEST_METADATA)
+        marks = sum(map(text.count, (b"\n", b"[", b"{", b",", b"- ", b"? ")))
+        what, fix = f"has {marks} lines and parts, at most {_MOST_MARKS} are read", "split the bag"
+        require(marks <= _MOST_MARKS, what, where=str(path), fix=fix, error=RecordingError)
     elif path.suffix == ".db3":
         with closing(open_database(path)) as database:
             packed = "SELECT data FROM messages WHERE substr(data, 1, 4) = ?"

@@ -21,6 +21,7 @@ from gendom.arguments import require
 from gendom.errors import GendomError, PolicyError
 from gendom.files import atomic_path
 from gendom.installation import how_to_install
+from gendom.policies.graph import sealed
 
 try:
     import torch
@@ -263,4 +264,4 @@ def export_onnx(
         entry = model.metadata_props.add()
         entry.key, entry.value = key, value
     onnx.checker.check_model(model)
-    onnx.save(model, str(path))
+    path.write_bytes(sealed(model.SerializeToString()))

@@ -36,6 +36,7 @@ from gendom.materials import PARAMETERS
 from gendom.policies import methods
 from gendom.policies.demonstrations import SMALLEST, Demonstrations
 from gendom.policies.fitting import Training, TrainingProblem
+from gendom.policies.graph import sealed
 from gendom.policies.policy import METADATA_KEY, Description, GoalRange, Policy
 from gendom.policies.refining import refine
 from gendom.progress import Show, bar
@@ -178,7 +179,7 @@ def annotate(policy: Policy, figures: Mapping[str, Any]) -> Policy:
         if entry.key == METADATA_KEY:
             entry.value = about.to_json()
     with atomic_path(path) as temporary:
-        onnx.save(model, str(temporary))
+        temporary.write_bytes(sealed(model.SerializeToString()))
     return Policy.read(path)
 
 

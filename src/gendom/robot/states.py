@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import require
 from gendom.errors import RobotError
@@ -55,44 +55,38 @@ def read_joints(
         fix = f"write rows under {form}"
         require(names in known, what, where=str(path), fix=fix, error=RobotError)
 
-    names, table, lines = read_number_table(
+    _, table, lines = read_number_table(
         path, header=form, check_header=check_header, on_cut=on_cut, error=RobotError
     )
-    before = -np.inf
-    for line, row in zip(lines, table, strict=True):
-        where, fix = f"{path}, line {line}", "give seconds, radians and metres"
-        finite = np.isfinite(row).all()
-        require(finite, "a number is not finite", where=where, fix=fix, error=RobotError)
-        what = f"time goes from {before:g} to {row[0]:g} s"
-        require(row[0] > before, what, where=where, fix="sort the rows", error=RobotError)
-        before = row[0]
-        _check_state(arm, row[1:], where)
-    opening = table[:, -1] if len(names) > len(expected) else None
-    return JointStates(table[:, 0], table[:, 1 : 1 + arm.joints], opening)
-
-
-def _check_state(arm: Arm, state: NDArray[np.float64], where: str) -> None:
-    """Check that joint angles, and the gripper's opening if it is there, are in the arm's ranges.
-
-    Raises:
-        RobotError: One is beyond, as angles in degrees are.
-    """
-    q, opening = state[: arm.joints], state[arm.joints :]
+    time, q, opening = table[:, 0], table[:, 1 : 1 + arm.joints], table[:, 1 + arm.joints :]
     beyond = np.maximum(arm.q_min - q, q - arm.q_max)
-    j = int(beyond.argmax())
-    require(
-        beyond[j] <= 0.1,
-        f"joint {j + 1} is at {q[j]:g} rad, its range on {arm.name} is "
-        f"{arm.q_min[j]:.3f} to {arm.q_max[j]:.3f}",
-        where=where,
-        fix="give radians, from the base to the flange",
-        error=RobotError,
+    j, widest = beyond.argmax(axis=1), arm.gripper.max_opening
+
+    def wanted(holds: ArrayLike, what: Callable[[int], str], fix: str) -> None:
+        for k in np.flatnonzero(~np.asarray(holds))[:1]:
+            raise RobotError(what(k), where=f"{path}, line {lines[k]}", fix=fix)
+
+    wanted(
+        np.isfinite(table).all(axis=1),
+        lambda k: "a number is not finite",
+        "give seconds, radians and metres",
     )
-    widest = arm.gripper.max_opening
-    require(
-        np.all((opening >= -0.005) & (opening <= widest + 0.005)),
-        f"the gripper's opening is {opening.sum():g} m, it goes to {widest:g}",
-        where=where,
-        fix="give metres between the fingers",
-        error=RobotError,
+    wanted(
+        np.diff(time, prepend=-np.inf) > 0.0,
+        lambda k: f"time goes from {time[k - 1]:g} to {time[k]:g} s",
+        "sort the rows",
     )
+    wanted(
+        beyond.max(axis=1) <= 0.1,
+        lambda k: (
+            f"joint {j[k] + 1} is at {q[k, j[k]]:g} rad, its range on {arm.name} is "
+            f"{arm.q_min[j[k]]:.3f} to {arm.q_max[j[k]]:.3f}"
+        ),
+        "give radians, from the base to the flange",
+    )
+    wanted(
+        ((opening >= -0.005) & (opening <= widest + 0.005)).all(axis=1),
+        lambda k: f"the gripper's opening is {opening[k, 0]:g} m, it goes to {widest:g}",
+        "give metres between the fingers",
+    )
+    return JointStates(time, q, opening[:, 0] if opening.size else None)

@@ -150,10 +150,10 @@ def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], di
     if not (folder / ABOUT).is_file():
         what = "is a LeRobot data set that was not made of a recording"
         raise fault(what, "give one that gendom export wrote: others lack the object's sizes")
-    if (folder / SEAL).exists():  # files of older versions have none
-        stated = read_bytes(folder / SEAL, RecordingError).decode("latin-1").strip()
-        if stated != seal(folder):
-            raise fault("is damaged: its files are not those that were written")
+    # before anything else: of damaged files pyarrow may end the process
+    stated = read_bytes(folder / SEAL, RecordingError, fix="export it again with this version")
+    if stated.decode("latin-1").strip() != seal(folder):
+        raise fault("is damaged: its files are not those that were written")
     info, meta = (read_json(folder / name, RecordingError) for name in (INFO, ABOUT))
     if not str(meta.get("format")).startswith("gendom-recording/"):
         raise fault("holds demonstrations, not a recording", "train a policy on them")
