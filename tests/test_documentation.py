@@ -52,7 +52,7 @@ EXPENSIVE = {
     r"gendom plan-lift .*": "two minutes; tests/estimation/test_lift_plan.py",
     r"gendom record .*": "needs OpenGL; tests/reality/test_recording.py",
     r"gendom dataset .*": "minutes; the tutorial makes a small one",
-    r"gendom estimate rope_red_lift.npz.*|gendom estimate benchmarks/recordings/.*": "real recordings; "
+    r"gendom estimate (rope_red_lift.npz|benchmarks/recordings/).*": "real recordings; "
     "tests/estimation/test_real.py",
     r"gendom calibrate .*|gendom perceive .*": "need pictures; tests/perception/test_commands.py",
     r"gendom view .*": "serves until it is stopped; tests/viz",

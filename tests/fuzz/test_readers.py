@@ -267,10 +267,19 @@ def log(folder):
     written.end("done")
 
 
+def unchecked(read):
+    """A reader of text that people edit: other numbers are read without a word."""
+
+    def taken(folder):
+        read(folder)
+
+    return taken
+
+
 READERS = {
-    "cell": (write_cell, lambda f: [Cell.read(f / "cell.toml").faults()] and None),
-    "action": (action, lambda f: read_action(f / "action.json") and None),
-    "log": (log, lambda f: read_log(f / "a.jsonl") and None),
+    "cell": (write_cell, unchecked(lambda f: Cell.read(f / "cell.toml").faults())),
+    "action": (action, unchecked(lambda f: read_action(f / "action.json"))),
+    "log": (log, unchecked(lambda f: read_log(f / "a.jsonl"))),
     "npz": (lambda f: recording().write(f / "a.npz"), lambda f: numbers(f / "a.npz")),
     "lerobot": (lambda f: export_recording(recording(), f / "out"), lambda f: numbers(f / "out")),
     "estimate": (estimate, estimated),
@@ -278,9 +287,9 @@ READERS = {
     "demonstrations": (demonstrations, lambda f: rows_of(f / "set")),
     "executions": (
         executions,
-        lambda f: [Adapt(task="rope-reaching", executions=f / "executions.json")._new()] and None,
+        unchecked(lambda f: Adapt(task="rope-reaching", executions=f / "executions.json")._new()),
     ),
-    "motion": (motion, lambda f: LiftMotion.read(f / "motion.json") and None),
+    "motion": (motion, unchecked(lambda f: LiftMotion.read(f / "motion.json"))),
     "ply": (clouds(lambda f, n: write_ply(f / f"{n}.ply", POINTS)), read),
     "ply as text": (clouds(lambda f, n: write_ply(f / f"{n}.ply", POINTS, text=True)), read),
     "clouds as npz": (clouds(lambda f, n: np.savez(f / f"{n}.npz", points=POINTS)), read),
@@ -292,7 +301,7 @@ READERS = {
     "db3": (lambda f: bag(f, "SQLITE3"), read_bag),
     "cameras": (cameras, read_pictures),
     "board": (board, read_boards),
-    "arm": (arm, lambda f: read_arm(f / "arm.urdf")),
+    "arm": (arm, unchecked(lambda f: read_arm(f / "arm.urdf"))),
 }
 
 

@@ -98,10 +98,10 @@ def test_shares_of_a_step_are_tried():
     """Of a search that asks three times: for where it is, differences, and steps."""
     belief, world = belief_of(ROPE, POSTERIOR, known=(*KNOWN, "damping")), Throws()
     search = adapting(TASK, belief, [executed(0.4, 0.4)])
-    asked = next(search)
+    items, actions = next(search)
     for _ in range(2):
-        asked = search.send(world.carry_out(TASK, asked.items, asked.actions))
-    moved = np.array([math.log(item.material.E_over_rho) for item in asked.items])
+        items, actions = search.send(world.carry_out(TASK, items, actions))
+    moved = np.array([math.log(item.material.E_over_rho) for item in items])
     moved -= belief.mean[0]
     assert moved / moved[0] == pytest.approx([1.0, 0.5, 0.25, 0.1])
 
