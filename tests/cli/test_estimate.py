@@ -83,7 +83,7 @@ def test_two_lifts(rope_lift, lift, tmp_path, capsys):
     assert len(re.findall(r"^by itself +E / density [67]\d\d", printed, re.M)) == 2
     page = report.read_text(encoding="utf-8")
     assert f"The first of 2: {lift}." in page and "lift.npz, other.npz" in page
-    assert "Grip height, correction, recording 2" in page
+    assert "Grip height, recording 2" in page
     steps = re.findall("<pre>gendom (.*)</pre>", page[page.index('id="what-to-try-next"') :])
     assert [step.split()[0] for step in steps] == ["check", "replay", "act"]
     for step in steps:
