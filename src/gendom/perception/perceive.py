@@ -295,10 +295,10 @@ class _Perception:
         self._require(path.is_file(), "there is no such mask", _MASKS, str(path))
         picture = read_png(path)
         found = np.asarray(picture if picture.mode[0] == "I" else picture.convert("RGB")) > 0
-        mask = found.reshape(*found.shape[:2], -1).any(axis=2)
-        (height, width), (h, w) = seen.depth.shape[:2], mask.shape[:2]
-        what = f"is {w} x {h}, the pictures are {width} x {height}"
-        self._require((h, w) == (height, width), what, _MASKS, str(path))
+        mask = np.asarray(found.reshape(*found.shape[:2], -1).any(axis=2))
+        size, own = seen.depth.shape, mask.shape
+        what = f"is {own[1]} x {own[0]}, the pictures are {size[1]} x {size[0]}"
+        self._require(own == size, what, _MASKS, str(path))
         self._require(mask.any(), "masks nothing: all pixels are 0", _MASKS, str(path))
         return Pictures(seen.depth, np.repeat(mask[..., None], 3, axis=2) * np.uint8(255))
 
