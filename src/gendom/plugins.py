@@ -1,5 +1,6 @@
 """What other packages add, by entry points of the groups ``gendom.tasks``, ``gendom.materials``,
-``gendom.unknowns``, ``gendom.methods``, ``gendom.cameras`` and ``gendom.arms``."""
+``gendom.unknowns``, ``gendom.methods``, ``gendom.cameras``, ``gendom.arms``, ``gendom.robots`` and
+``gendom.depth_cameras``."""
 
 from __future__ import annotations
 
