@@ -186,9 +186,9 @@ def lifted(name: str, folder: Path) -> Lifted:
             state = world.data.qpos.copy(), world.hand, world.hand_axis
             rows.append((time, *state, world.robot.measured(world.data), world.vertices()))
         names = ("time", "qpos", "hand", "axis", "joints", "vertices")
-        np.savez(
-            path, **{n: np.array(v) for n, v in zip(names, zip(*rows, strict=True), strict=True)}
-        )
+        columns = map(np.array, zip(*rows, strict=True))
+        states: dict[str, Any] = dict(zip(names, columns, strict=True))
+        np.savez(path, **states)
     with np.load(path) as stored:
         return Lifted(item=item, run=run, **{key: stored[key] for key in stored.files})
 

@@ -186,7 +186,7 @@ class _Perception:
         self.offsets: list[np.ndarray] = []
         self.comparable = 0  # frames with points enough in all views
         self.fewest = [self._fewest(view.camera) for view in self.views]
-        self.apart: dict[str, float] = {}  # [m]; see `_history`
+        self.apart: dict[str, float] = {}  # [m]; table, object at first, at worst
         self.seen = np.zeros(len(self.names), dtype=np.int64)  # points of each camera
         self.unreadable: list[RecordingError] = []
         self.off_path = 0
@@ -540,11 +540,7 @@ class _Perception:
         return float(np.median([seen_share(recording.frame(int(t)), self.object) for t in some]))
 
     def _history(self) -> dict[str, Any]:
-        """Description of the processing, stored in the recording's meta.
-
-        `cameras_apart` is how far apart cameras place the table before they are levelled, and the
-        object at first and at worst [m].
-        """
+        """Description of the processing, stored in the recording's meta (docs/perception.md)."""
         return {
             "cameras": self.names,
             "settings": asdict(self.cloud_settings),
