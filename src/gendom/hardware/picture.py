@@ -7,12 +7,11 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from gendom.hardware.cell import Cell
 from gendom.robot import Box, arm_shape
-from gendom.viz.animation import lettering
-from gendom.viz.palette import GRID, INK, SOFT_INK, TABLE_LINE, nice_step
+from gendom.viz.palette import INK, SOFT_INK, TABLE_LINE, nice_step
 
 WIDTH, MARGIN, FINER = 900, 50, 2
 """Of a view [pixels], and by how much finer it is drawn, for smooth edges."""
@@ -20,6 +19,7 @@ WIDTH, MARGIN, FINER = 900, 50, 2
 COLOURS = ("#0072B2", "#D55E00", "#009E73")
 """Of paths."""
 
+_GRID = (225, 225, 225)
 _ARM, _BOX, _SPACE = (150, 160, 175), (214, 170, 140), (120, 180, 140)
 
 
@@ -66,7 +66,7 @@ class _View:
         return [(edge + u, self.image.height - edge - v) for u, v in flat]
 
     def text(self, at: tuple[float, float], said: str, size: float = 13.0, ink=INK) -> None:
-        self.pen.text(at, said, fill=ink, font=lettering(FINER * size))
+        self.pen.text(at, said, fill=ink, font=ImageFont.load_default(FINER * size))
 
     def draw(self, q: NDArray[np.float64], paths: Mapping[str, NDArray[np.float64]]) -> Image.Image:
         self._grid()
@@ -101,7 +101,7 @@ class _View:
                 at[axis] = value
                 u, v = self.at(at)[0]
                 line = [(u, 0), (u, self.image.height)] if k == 0 else [(0, v), (4000, v)]
-                self.pen.line(line, fill=GRID, width=FINER)
+                self.pen.line(line, fill=_GRID, width=FINER)
                 said = f"{'xyz'[axis]} {value:.1f}"
                 spot = (u + 4, self.image.height - 38) if k == 0 else (6, v - 32)
                 self.text(spot, said, size=11.0, ink=SOFT_INK)
