@@ -79,10 +79,10 @@ class _View:
             y = self.at(np.array([0.0, 0.0, table]))[0][1]
             self.pen.line([(0, y), (self.image.width, y)], fill=TABLE_LINE, width=2 * FINER)
             self.text((self.image.width - 90 * FINER, y + 4), "table", ink=SOFT_INK)
+        self._obstacles()  # behind the arm: a view from the side would hide it
         for pose in q[:-1]:
             self._arm(pose, (222, 226, 232))
         self._arm(q[-1], _ARM)
-        self._obstacles()
         for path, colour in zip(paths.values(), COLOURS * 9, strict=False):
             self.pen.line(self.at(path), fill=colour, width=2 * FINER)
             x, y = self.at(path[-1])[0]
@@ -102,7 +102,7 @@ class _View:
                 u, v = self.at(at)[0]
                 line = [(u, 0), (u, self.image.height)] if k == 0 else [(0, v), (4000, v)]
                 self.pen.line(line, fill=_GRID, width=FINER)
-                said = f"{'xyz'[axis]} {value:.1f}"
+                said = f"{'xyz'[axis]} {value + 0.0:.1f}"
                 spot = (u + 4, self.image.height - 38) if k == 0 else (6, v - 32)
                 self.text(spot, said, size=11.0, ink=SOFT_INK)
 
