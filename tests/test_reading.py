@@ -5,7 +5,14 @@ import os
 import pytest
 
 from gendom.errors import GendomError, RecordingError
-from gendom.reading import inside, read_bytes, read_json, read_rows, read_toml
+from gendom.reading import (
+    inside,
+    read_bytes,
+    read_json,
+    read_number_table,
+    read_rows,
+    read_toml,
+)
 
 
 @pytest.mark.parametrize(
@@ -110,6 +117,24 @@ def test_toml_beyond_bounds(tmp_path, content):
     path.write_text(content)
     with pytest.raises(GendomError, match=r"x\.toml: is not TOML \("):
         read_toml(path)
+
+
+@pytest.mark.parametrize(("last", "cut"), [("1,-", [3]), ("1", [3]), ("1,2", []), ("1,-\n", None)])
+def test_a_last_row_may_be_cut(tmp_path, last, cut):
+    """Of what an interrupted program wrote; whole lines end in a line feed."""
+    (tmp_path / "x.csv").write_text(f"t,x\n0,5\n{last}")
+    told = []
+
+    def read():
+        return read_number_table(
+            tmp_path / "x.csv", header="t,x", check_header=lambda names: None, on_cut=told.append
+        )
+
+    if cut is None:
+        with pytest.raises(RecordingError, match=r"line 3, column x: '-' is no number"):
+            read()
+        return
+    assert read()[1].tolist() == [[0.0, 5.0], [1.0, 2.0]][: 1 + (not cut)] and told == cut
 
 
 @pytest.mark.parametrize("end", ["\n", "\r"])

@@ -122,6 +122,9 @@ BAD_FILES = {
     "no vertices": (header("ascii", "element face 0"), "has no element 'vertex'"),
     "no z": (header("ascii", *XYZ[:3]), "has 0 fields 'z'"),
     "odd type": (header("ascii", *XYZ, "property half w"), "'property half w'"),
+    "odd list": (header("ascii", *XYZ, "property list half int v"), "'property list half int v'"),
+    "odd words": (header("ascii", *XYZ, "property of uchar int v"), "'property of uchar int v'"),
+    "long header": (header("ascii", "comment " + "x" * 66_000, *XYZ), "has no end_header"),
     "short ascii": (header("ascii", *XYZ) + b"1 2 3 4", "cut short: 4 numbers"),
     "short binary": (header("binary_big_endian", *XYZ) + bytes(20), "is cut short"),
     "a word": (header("ascii", *XYZ) + b"1 2 3 4 five 6", "a coordinate that is no number"),
@@ -193,6 +196,13 @@ def test_numbers_of_every_type(tmp_path, name):
         data = struct.pack(order + 6 * TYPES[name], *values)
         (tmp_path / "a.ply").write_bytes(header(encoding, *lines) + data)
         assert read_ply(tmp_path / "a.ply").ravel().tolist() == values
+
+
+def test_a_header_may_be_long(tmp_path):
+    (tmp_path / "a.ply").write_bytes(
+        header("ascii", "comment " + "x" * 65_000, *XYZ) + b"1 2 3 " * 2
+    )
+    assert read_ply(tmp_path / "a.ply").tolist() == [[1, 2, 3]] * 2
 
 
 def test_bool_and_64_bit_properties(tmp_path):
