@@ -251,7 +251,7 @@ PEERS = partial(TIMED, needs=("peers",))
 WIRE = "benchmarks/recordings/wire_white_loop.npz"
 
 FIGURES = (
-    covered("rope", "--lifts 12 --measured"),
+    covered("rope", "--lifts 90 --seed 200 --measured"),
     covered("wide", "--wide --lifts 100 --measured"),
     covered("thin", "--kind thin"),
     covered("cloth", "--kind cloth --lifts 50 --measured"),
