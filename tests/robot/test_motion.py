@@ -48,6 +48,12 @@ def motion(path):
     return follow(XARM7, path)
 
 
+@pytest.mark.parametrize("time", [[0.0, 0.5, 0.5], [0.0, 0.5, 0.4]])
+def test_times_of_a_motion_increase(time):
+    with pytest.raises(RobotError, match="its times do not increase"):
+        make_motion(time, np.zeros((3, 7)))
+
+
 # ---- paths ---------------------------------------------------------------------------------------
 
 
