@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -36,8 +36,9 @@ from gendom.perception import (
 )
 from gendom.perception.quality import times_own_area
 from gendom.perception.robot import arm_capsules
-from gendom.reality import DepthSensor, RealObject, RealRope, TrialRun, lift, lift_cameras
+from gendom.reality import RealObject, RealRope, TrialRun, lift, lift_cameras
 from gendom.reality.arm import RobotArm
+from gendom.reality.sensor import SUBPIXEL, observe
 from gendom.reality.world import Reality
 from gendom.robot import XARM7, JointStates
 
@@ -62,7 +63,8 @@ class Kind:
     """The table's colour."""
     things: str = ""
     """What else is in view, one of `THINGS`."""
-    sensor: DepthSensor = field(default_factory=DepthSensor)
+    noise: float = 1.0
+    """Of the cameras' disparity, over a D435i's; 0: exact."""
     away: float = 1.0
     """Distance of the cameras, in the usual one."""
     cameras: int = 2
@@ -74,8 +76,8 @@ class Kind:
 
 KINDS = {
     "plain": Kind(good=True),
-    "noise twice": Kind(good=True, sensor=DepthSensor(subpixel=0.16)),
-    "no noise": Kind(good=True, sensor=DepthSensor.exact()),
+    "noise twice": Kind(good=True, noise=2.0),
+    "no noise": Kind(good=True, noise=0.0),
     "near cameras": Kind(good=True, away=0.7),
     "far cameras": Kind(good=True, away=1.5),
     "one camera": Kind(good=True, cameras=1),
@@ -223,7 +225,10 @@ def scene(found: Lifted, kind: Kind, seed: int = 0) -> CameraRecording:
             world.data.qpos[:] = qpos
             world._update_positions()
             for k, source in enumerate(sources):
-                seen = kind.sensor.observe(*world.render(k), source.camera, rng)
+                seen = observe(
+                    *world.render(k), source.camera, rng,
+                    noisy=kind.noise > 0.0, subpixel=kind.noise * SUBPIXEL,
+                )  # fmt: skip
                 source.pictures.append((float(time), seen))
     trial = found.run.trial
     described = {**item.description(), "grasp": trial.grasp}

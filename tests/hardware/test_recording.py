@@ -114,6 +114,7 @@ def test_a_motion_is_recorded_as_perception_reads_it(record, motion):
         for frame in frames:
             seen = frame.read()
             k = round(RATE * (frame.time - 100.0))
+            assert seen.colour is not None
             assert (seen.depth == 6000 + k).all() and (seen.colour[..., 0] == k % 256).all()
     joints = read_joints(folder / "joints.csv", XARM7)
     np.testing.assert_allclose(joints.q, motion.at(joints.time - 100.0), atol=1e-5)

@@ -113,7 +113,7 @@ def test_the_hint_for_old_boards_is_right(tmp_path):
     )
     camera, told = read_camera(tmp_path / "camera.toml"), []
     (tmp_path / "board.toml").write_text(text)
-    with pytest.raises(RecordingError, match="write legacy = true in board.toml"):
+    with pytest.raises(RecordingError, match=r"write legacy = true in board\.toml"):
         read_views(tmp_path, camera, on_warning=told.append)
     (tmp_path / "board.toml").write_text(text + "legacy = true\n")
     assert len(read_views(tmp_path, camera, on_warning=told.append)[0].points) == 20

@@ -178,7 +178,7 @@ def test_the_arm_goes_and_the_rope_stays(seen):
 def test_without_its_joints_the_arm_is_told_from_the_rope(seen):
     folder, _, _ = seen
     (folder / "joints.csv").unlink(missing_ok=True)
-    with pytest.raises(RecordingError, match="times the object's own area: .* the robot"):
+    with pytest.raises(RecordingError, match=r"times the object's own area: .* the robot"):
         clouds(folder)
 
 

@@ -88,13 +88,13 @@ class Command:
     def run(self) -> int:
         one = (self.reality is None) != (self.cell is None)
         require(one, "give either --reality or --cell", fix="see gendom record --help")
-        return self._in_cell() if self.cell is not None else self._in_mujoco(str(self.reality))
+        return self._in_mujoco(str(self.reality)) if self.cell is None else self._in_cell(self.cell)
 
-    def _in_cell(self) -> int:
+    def _in_cell(self, path: Path) -> int:
         from gendom.hardware.cell import Cell
 
         check_folder(self.out)
-        cell = Cell.read(self.cell)
+        cell = Cell.read(path)
         known = known_in(cell, self.object)
         self._check_rise(size_of(known), f"the {known.kind} {size_of(known):g} m long")
         lift_in(cell, known, self.out, motion=self._motion(known), grasp=self.grasp, yes=self.yes)

@@ -15,26 +15,36 @@ from __future__ import annotations
 
 import shutil
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import TextIO
+from typing import Protocol, TextIO
 
 from gendom.arguments import require
 from gendom.errors import DeviceError, GendomError
 from gendom.files import write_json
-from gendom.hardware.contracts import DepthCamera, Recorded, Robot, Tick
-from gendom.robot import JointMotion, tcp_pose
+from gendom.hardware.contracts import DepthCamera, Recorded, Tick
+from gendom.robot import Arm, JointMotion, tcp_pose
 
 _PIXEL = 5 * 30  # bytes a second of a pixel: 16 bit of depth and 24 of colour, 30 times
 _STOP_SPACE = 2e8  # [bytes] at which a recording stops
 _LOOK = 0.1  # [s] between two looks at cameras and disk
 
 
+class Player(Protocol):
+    """What is needed of a `gendom.hardware.Robot`."""
+
+    arm: Arm
+
+    def play(self, motion: JointMotion, *, on_tick: Callable[[Tick], None]) -> None: ...
+
+    def stop(self) -> None: ...
+
+
 def record_motion(
-    robot: Robot,
+    robot: Player,
     cameras: Sequence[DepthCamera],
     motion: JointMotion,
     folder: Path,
@@ -118,7 +128,7 @@ def _stop_all(cameras: Sequence[DepthCamera]) -> dict[str, Recorded]:
 class _Watch:
     """A thread that looks at cameras and disk, and stops the robot when one of them fails."""
 
-    def __init__(self, robot: Robot, cameras: Sequence[DepthCamera], folder: Path):
+    def __init__(self, robot: Player, cameras: Sequence[DepthCamera], folder: Path):
         self.fault: str | None = None
         self._robot, self._cameras, self._folder = robot, cameras, folder
         self._over = threading.Event()
@@ -155,7 +165,7 @@ class _Watch:
 class _Rows:
     """joints.csv and gripper.csv, to which each tick adds a row."""
 
-    def __init__(self, folder: Path, robot: Robot, motion: JointMotion):
+    def __init__(self, folder: Path, robot: Player, motion: JointMotion):
         self._arm, self._motion = robot.arm, motion
         self._files: list[TextIO] = []
         self._last = -float("inf")

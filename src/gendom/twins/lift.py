@@ -87,7 +87,7 @@ class Lift:
             table=Table(height=0.0, friction=self.item.friction),
             physics=Physics(air_density=0.0),
         )
-        return np.asarray(simulator.run(self.frames))[:, 0]
+        return np.asarray(simulator.run(self.frames), dtype=np.float64)[:, 0]
 
     def at(self, positions: Array, places: Array) -> Array:
         """What `simulated` says of other points.
@@ -104,10 +104,10 @@ class Lift:
             s, at = rest[:, 0], np.clip(places[:, 0], rest[0, 0], rest[-1, 0])
             k = np.clip(np.searchsorted(s, at) - 1, 0, len(s) - 2)
             share = ((at - s[k]) / (s[k + 1] - s[k]))[:, None]
-            return positions[:, k] * (1.0 - share) + positions[:, k + 1] * share
+            return np.asarray(positions[:, k] * (1.0 - share) + positions[:, k + 1] * share)
         from scipy.interpolate import LinearNDInterpolator
 
         middle = rest[:, :2].mean(axis=0)
         inside = middle + (places[:, :2] - middle) * (1.0 - 1e-9)
         moved = LinearNDInterpolator(rest[:, :2], np.moveaxis(positions, 1, 0))(inside)
-        return np.moveaxis(moved, 0, 1)
+        return np.moveaxis(np.asarray(moved, dtype=np.float64), 0, 1)

@@ -3,7 +3,7 @@
 from itertools import combinations
 from pathlib import Path
 
-import newton  # pyright: ignore[reportMissingImports]
+import newton
 import numpy as np
 import warp as wp
 
