@@ -38,7 +38,7 @@ from gendom.perception.quality import times_own_area
 from gendom.perception.robot import arm_capsules
 from gendom.reality import RealObject, RealRope, TrialRun, lift, lift_cameras
 from gendom.reality.arm import RobotArm
-from gendom.reality.sensor import SUBPIXEL, observe
+from gendom.reality.sensor import observe
 from gendom.reality.world import Reality
 from gendom.robot import XARM7, JointStates
 
@@ -227,7 +227,7 @@ def scene(found: Lifted, kind: Kind, seed: int = 0) -> CameraRecording:
             for k, source in enumerate(sources):
                 seen = observe(
                     *world.render(k), source.camera, rng,
-                    noisy=kind.noise > 0.0, subpixel=kind.noise * SUBPIXEL,
+                    noisy=kind.noise > 0.0, times=kind.noise,
                 )  # fmt: skip
                 source.pictures.append((float(time), seen))
     trial = found.run.trial
