@@ -103,6 +103,7 @@ def test_fingers_that_close_on_nothing_are_a_fault_until_it_is_connected_again(d
     assert robot.state().fault is None and robot.state().opening == 0.084
 
 
+@pytest.mark.slow
 def test_a_lift_is_recorded_through_the_contracts(devices, tmp_path):
     """The rope rises with the hand; pictures and path are of one clock, and of what moved."""
     cell, robot, cameras = devices

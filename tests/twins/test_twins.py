@@ -54,6 +54,7 @@ def test_a_rope_lifted_in_mujoco_moves_as_ours(tmp_path, estimate):
     assert np.load(folder / "positions.npy").shape == np.load(folder / "lift.npz")["gendom"].shape
 
 
+@pytest.mark.slow
 def test_a_rope_of_another_stiffness_moves_otherwise(tmp_path):
     """So the distance tells something: a twin of four times the E is compared with ours of one."""
     pytest.importorskip("mujoco")
