@@ -1,7 +1,7 @@
 """An estimated rope or cloth for other simulators, ready to run there.
 
 A twin is a folder: the scene in the simulator's own form, lift.py, which lifts the object there and
-compares every frame with our simulator, lift.npz with the numbers that it reads, README.md and
+compares every frame with our simulator, lift.npz with the numbers that it reads, and
 twin.json with the parameters and where they come from. lift.py does not need GenDOM.
 """
 
