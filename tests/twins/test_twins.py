@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from gendom import cli
+from gendom.errors import GendomError
 from gendom.materials import catalogue
 from gendom.materials.estimate import Estimate
 from gendom.reality import OBJECTS
+from gendom.twins import write_twin
 
 COTTON = ["cotton-rope", "--length", "0.3"]
 
@@ -155,3 +157,9 @@ def test_a_twin_is_never_overwritten(tmp_path, capsys):
     )
     assert "holds a twin already; name another folder" in capsys.readouterr().err
     assert (folder / "object.usda").read_bytes() == before
+
+
+def test_an_unknown_target_is_refused(tmp_path):
+    with pytest.raises(GendomError, match="no target 'sdf'; choose mjcf, newton, usd"):
+        write_twin(OBJECTS["rope-cotton"], "sdf", tmp_path / "twin", about={})
+    assert not (tmp_path / "twin").exists()

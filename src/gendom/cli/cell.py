@@ -51,19 +51,19 @@ class Command:
             more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
             where = f"{self.file}: {wrong[0].where}"
             raise DeviceError(wrong[0].what + more, where=where, fix=wrong[0].fix)
-        low, high = cell.workspace
+        (low, high), around = cell.workspace, cell.surroundings
         summary = {
             "robot": cell.robot, "address": cell.address, "arm": cell.arm,
             "cameras": [c.name for c in cell.cameras],
-            "obstacles": [o.name for o in cell.surroundings.obstacles],
+            "obstacles": [o.name for o in around.obstacles],
             "workspace": [low, high], "speed": cell.speed,
-            "scene_clearance": cell.scene_clearance, "self_clearance": cell.self_clearance,
+            "scene_clearance": around.clearance, "self_clearance": around.self_clearance,
         }  # fmt: skip
         rows = [
             ("robot", f"{cell.robot} at {cell.address}, arm {cell.arm}"),
             ("speed", f"tool {cell.speed.tool:g} m/s, joints {100 * cell.speed.share:g} %"),
-            ("distance", f"{1e3 * cell.scene_clearance:g} mm to the scene, "
-             f"{1e3 * cell.self_clearance:g} mm to itself"),
+            ("distance", f"{1e3 * around.clearance:g} mm to the scene, "
+             f"{1e3 * around.self_clearance:g} mm to itself"),
             ("cameras", ", ".join(summary["cameras"]) or "none"),
             ("around", ", ".join(summary["obstacles"]) or "nothing"),
         ]  # fmt: skip

@@ -127,15 +127,12 @@ class Cell:
     """As `gendom.robot.find_arm` takes it."""
     tool: Tool
     surroundings: Surroundings
-    """Table, keep-out boxes, camera stands."""
+    """Table, keep-out boxes, camera stands, and the least distances of the arm from them and from
+    itself."""
     workspace: tuple[NDArray[np.float64], NDArray[np.float64]]
     """Lowest and highest corner [3] of a box that the tool point never leaves [m]."""
     cameras: tuple[CellCamera, ...] = ()
     speed: SpeedLimits = field(default_factory=SpeedLimits)
-    scene_clearance: float = 0.02
-    """Least distance of the arm from its surroundings [m]."""
-    self_clearance: float = 0.01
-    """Least distance of the arm's parts from each other [m]."""
     path: Path | None = None
     """The file that it was read from."""
 
@@ -163,7 +160,7 @@ class Cell:
             raise DeviceError(error.what, where=f"{where}: {error.where}", fix=error.fix) from None
         poses = {c.name: c.T_world_camera for c in cameras}
         obstacles += [housing(name, T) for name, T in poses.items() if T is not None]
-        own = ("robot", "address", "arm", "tool", "speed", "scene_clearance", "self_clearance")
+        own = ("robot", "address", "arm", "tool", "speed")
         low, high = (np.array(corner) for corner in said.workspace)
         cell = cls(
             **{name: getattr(said, name) for name in own},
@@ -189,7 +186,8 @@ class Cell:
         tool, speed, (low, high) = self.tool, self.speed, self.workspace
         widest = self.model.gripper.max_opening
         names = [o.name for o in self.surroundings.obstacles]
-        table = self.surroundings.table_height
+        around = self.surroundings
+        table = around.table_height
         opens = 0.0 < tool.max_opening <= widest + 1e-6
         checks = {
             "tool.max_opening": (opens, f"metres up to {widest:g}"),
@@ -197,8 +195,8 @@ class Cell:
             "tool.mass": (0.0 <= tool.mass <= 50.0, "kilograms"),
             "speed.tool": (0.0 < speed.tool <= FASTEST_TOOL, f"m/s up to {FASTEST_TOOL}"),
             "speed.share": (0.0 < speed.share <= 1.0, "a share up to 1"),
-            "scene_clearance": (0.0 <= self.scene_clearance <= 1.0, "metres, 0 or more"),
-            "self_clearance": (0.0 <= self.self_clearance <= 1.0, "metres, 0 or more"),
+            "scene_clearance": (0.0 <= around.clearance <= 1.0, "metres, 0 or more"),
+            "self_clearance": (0.0 <= around.self_clearance <= 1.0, "metres, 0 or more"),
             "table_height": (table is None or math.isfinite(table), "metres"),
             "workspace": (bool(np.all(low < high)), "its lowest corner, then the highest"),
             "box, stand, camera": (len(set(names)) == len(names), "each a name of its own"),

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import require
 from gendom.errors import DeviceError, GendomError, RobotError
-from gendom.hardware.cell import FASTEST_TOOL, Cell
+from gendom.hardware.cell import CAREFUL, FASTEST_TOOL, Cell
 from gendom.robot import JointMotion, joint_move, tcp_pose
 
 Array = NDArray[np.float64]
@@ -36,8 +36,6 @@ TRACKING = math.radians(2.0)
 """Largest distance of the measured joints from all commands of the last `LAG` [rad]."""
 LAG = 0.1
 """How far behind its commands an arm may be [s]."""
-APPROACH_SHARE = 0.1
-"""Of the limits of speed and acceleration, of moves from point to point."""
 
 _STILL = math.radians(1.0)  # reports that stay equal while commands move so far are frozen
 _SLACK = 1.01  # of speeds and accelerations, which are differences of two commands
@@ -356,6 +354,6 @@ class Streamer:
 
 
 def slow_move(cell: Cell, q: Array, q_to: ArrayLike, **around: Any) -> JointMotion:
-    """A move from point to point within `APPROACH_SHARE`; arguments as of `joint_move`."""
-    share = min(1.0, APPROACH_SHARE / cell.speed.share)
+    """A move from point to point within `CAREFUL`; arguments as of `joint_move`."""
+    share = min(1.0, CAREFUL / cell.speed.share)
     return joint_move(cell.limited, q, q_to, share=share, **around)

@@ -19,12 +19,8 @@ from gendom.files import atomic_path, write_json
 from gendom.materials import Item, to_columns
 from gendom.twins.lift import Lift
 
-TARGETS = {
-    "mjcf": "MuJoCo 4: chain of edges, flex",
-    "newton": "Newton 1.8: rods, cloth (VBD)",
-    "usd": "USD: geometry, parameters as attributes",
-}
-"""Forms of twins, and what they are."""
+TARGETS = ("mjcf", "newton", "usd")
+"""Forms of twins, one module each."""
 
 TWIN_FORMAT = "gendom-twin/1"
 
@@ -45,6 +41,8 @@ def write_twin(item: Item, target: str, folder: Path, *, about: dict[str, Any]) 
     taken = (folder / "twin.json").exists()
     require(not taken, "holds a twin already", where=str(folder), fix="name another folder",
             error=GendomError)  # fmt: skip
+    fix = f"choose {', '.join(TARGETS)}"
+    require(target in TARGETS, f"there is no target {target!r}", fix=fix, error=GendomError)
     module = import_module(f"gendom.twins.{target}")
     lift = module.held_by(Lift(item=item))
     texts, places, arrays = module.written(lift)

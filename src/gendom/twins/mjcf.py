@@ -24,7 +24,6 @@ from gendom.reality.trials import ROPE_TIMESTEP
 from gendom.twins.lift import FINGERS, Array, Lift
 
 SCRIPT = "mujoco_lift.py"
-NEEDS = "mujoco>=4,<5"
 
 
 def held_by(lift: Lift) -> Lift:
