@@ -20,17 +20,29 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from experiments import __main__ as experiments
 from gendom import cli, tasks
 from gendom.cli.parsing import arguments_of, parse
 from gendom.errors import GendomError
+from gendom.perception.camera import Camera, write_camera
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted([*ROOT.glob("*.md"), *(p for p in DOCS.rglob("*.md") if "_build" not in p.parts)])
 TUTORIAL = DOCS / "tutorial.md"
+HARDWARE = DOCS / "hardware.md"
+IN_CELL = "gendom act rope-reaching --goal 0.45 --cell cell.toml"
+OVERHEAD = Camera(
+    name="left",
+    width=640,
+    height=480,
+    K=np.array([[610.0, 0.0, 320.0], [0.0, 610.0, 240.0], [0.0, 0.0, 1.0]]),
+    T_world_camera=np.array([[0, -1, 0, 0.5], [-1, 0, 0, 0], [0, 0, -1, 1.1], [0, 0, 0, 1.0]]),
+)
+"""What `left/camera.toml` of the page on hardware would hold."""
 
 pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="no docs beside the tests")
 
@@ -252,6 +264,12 @@ def after_tutorial(tmp_path_factory) -> Path:
         for block in (b for b in ALL if b.page == TUTORIAL and b.skipped is None):
             for command in block.commands:
                 run_command(command, folder, patch)
+    cell = re.search(r"^```toml\n(.*?)^```$", HARDWARE.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    (folder / "cell.toml").write_text(cell.group(1), "utf-8")
+    (folder / "left").mkdir()
+    write_camera(folder / "left" / "camera.toml", OVERHEAD)
+    with pytest.MonkeyPatch.context() as patch:
+        run_command(f"{IN_CELL} --params mine/estimate.json --out action.json", folder, patch)
     shutil.copy(folder / "mine" / "lift.npz", folder / "lift.npz")
     shutil.copy(folder / "mine" / "lift.npz", folder / "recording.npz")
     shutil.copy(folder / "mine" / "estimate.json", folder / "estimate.json")
