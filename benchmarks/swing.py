@@ -29,7 +29,7 @@ def gained(cfl: float, damping: float, time: float) -> float:
         solver=Solver(engine="thin", cfl=cfl),
     )
     assert isinstance(sheet.engine, Shells)
-    mass = sheet.engine.mass[0]
+    mass = sheet.engine.model.mass[0]
     height, whole = [], []
     for t in np.linspace(0.0, time, 401)[1:]:
         sheet.run([t])

@@ -146,7 +146,7 @@ def _vibrations(bench: Bench) -> list[Row]:
         saddle = (body.points[:, 0] ** 2 - body.points[:, 1] ** 2) / RADIUS**2
         s.set_velocities(np.outer(0.01 * THICKNESS * omega * saddle, (0.0, 0.0, 1.0)))
         t = np.linspace(0.2, 2.2, 61) * 2.0 * math.pi / omega
-        z = s.run(t)[:, 0, :, 2] @ (s.engine.mass[0] * saddle)
+        z = s.run(t)[:, 0, :, 2] @ (s.engine.model.mass[0] * saddle)
         found, _ = swing(t, z / np.abs(z).max(), omega)
         hertz = (omega / (2.0 * math.pi), found / (2.0 * math.pi))
         name = f"frequency of a free disc, {points} points across"

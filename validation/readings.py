@@ -42,7 +42,7 @@ def mechanics(s: Simulator) -> Mechanics:
     x, v = s.positions()[0].astype(float), s.velocities()[0].astype(float)
     e = s.engine
     if isinstance(e, Rods | Shells):
-        m = e.model.mass[0] if isinstance(e, Rods) else e.mass[0]
+        m = e.model.mass[0]
     else:
         m = np.full(len(x), s.materials[0].density * s.body.volume)
     centre = m @ x / m.sum()
@@ -126,7 +126,7 @@ def membrane_energy(s: Simulator) -> float:
     lx, ly = e.model.spacing
     u, v = np.diff(x, axis=1), np.diff(x, axis=0)
     rows, columns = (np.sum(u**2, 2) / lx**2 - 1) / 2, (np.sum(v**2, 2) / ly**2 - 1) / 2
-    k = e.model.on_lattice((e.modulus * e.local)[0])[:, :-1, :-1]
+    k = e.model.on_lattice(e.model.stiffness[0])[:, :-1, :-1]
     F = np.sum((u[1:] + u[:-1]) * (v[:, 1:] + v[:, :-1]), axis=2) / 4
     free = np.sum((u[1:] - u[:-1]) ** 2, axis=2) / 4
     total = 0.5 * np.sum(k[3] * ((F - np.clip(F, -free, free)) / (2 * lx * ly)) ** 2)
@@ -141,7 +141,7 @@ def bending_energy(s: Simulator) -> float:
     e = s.engine
     assert isinstance(e, Shells)
     x = e.model.on_lattice(s.positions()[:1].astype(float))[0]
-    k = e.model.on_lattice((e.modulus * e.local)[0])
+    k = e.model.on_lattice(e.model.stiffness[0])
     xx, yy = np.zeros_like(x), np.zeros_like(x)
     xx[:, 1:-1], yy[1:-1] = np.diff(x, 2, axis=1), np.diff(x, 2, axis=0)
     xy = np.diff(np.diff(x, axis=0), axis=1)

@@ -7,6 +7,8 @@ from gendom.arguments import check_number, check_numbers, check_type
 from gendom.errors import ParameterError
 from gendom.sim.gradients import Gradients
 from gendom.sim.simulator import Simulator
+from gendom.sim.thin import ThinEngine
+from gendom.sim.thin.tape import ThinTape
 
 MEMORY = {"cpu": 64 << 20, "cuda": 8 << 30}
 """Default limits on the memory that a rollout uses for its reverse pass [bytes]."""
@@ -40,7 +42,8 @@ class Rollout:
         cuda = simulator.device.is_cuda
         if memory is None:
             memory = MEMORY["cuda" if cuda else "cpu"]
-        self._tape = simulator.engine.tape(memory)
+        engine = simulator.engine
+        self._tape = ThinTape(engine) if isinstance(engine, ThinEngine) else engine.tape(memory)
         self._times: NDArray[np.float64] | None = None
 
     def forward(self, times: ArrayLike) -> NDArray[np.floating]:

@@ -11,7 +11,7 @@ from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.sim import Gripper, Physics, Simulator, Solver, Table, cloth, rope
 from gendom.sim.thin.contact import check_cloth
-from gendom.sim.thin.shell_model import ShellModel
+from sim.thin.shared import model_of
 from validation.bench import flat_simulator
 
 
@@ -181,7 +181,7 @@ def test_a_limp_cloth_never_crosses(seed):
     # layers above push none below the table
     assert min(f[:, 2].min() for f in heap) > 0.499 * body.thickness
     for f in heap:
-        check_cloth(f, ShellModel.of(body))
+        check_cloth(f, model_of(body))
 
 
 @pytest.mark.slow
@@ -189,7 +189,7 @@ def test_a_limp_cloth_never_crosses(seed):
 def test_a_stiffer_cloth_never_crosses(seed):
     body, heap = dropped(16, E=2e5, seed=seed)
     for f in heap:
-        check_cloth(f, ShellModel.of(body))
+        check_cloth(f, model_of(body))
 
 
 @pytest.mark.slow

@@ -2,7 +2,7 @@
 
 A difference is right where each contact begins, sticks and ends in the same step on both its sides.
 The scenes are therefore irregular and short, 200 steps with contact in the last 100 of them, and
-changes small. How small depends on what is changed, see ``differences``.
+changes small. How small depends on what is changed, see ``shared``.
 """
 
 import math
@@ -17,7 +17,7 @@ import warp as wp
 from gendom.materials import Material
 from gendom.sim import Gripper, Physics, Rollout, Simulator, Table, cloth, rope
 from gendom.sim.thin import tape
-from sim.thin.differences import check_derivative
+from sim.thin.shared import check_derivative
 from validation.bench import flat_simulator
 
 TIMES = [0.01, 0.02, 0.025, 0.03]

@@ -13,8 +13,8 @@ from gendom.materials import Material
 from gendom.sim import Gripper, Physics, Simulator, Solver, Table, cloth, outline_of_mesh
 from gendom.sim.outlines import Outline
 from gendom.sim.thin.contact import check_cloth
-from gendom.sim.thin.shell_model import ShellModel
 from gendom.sim.thin.shells import Shells
+from sim.thin.shared import model_of
 from validation.bench import flat_simulator
 from validation.readings import bending_energy, membrane_energy
 from validation.specimens import circle
@@ -68,7 +68,7 @@ def test_areas_of_outlines_are_right():
 @OUTLINES
 def test_points_are_those_of_cells_that_the_outline_reaches(outline):
     body = cloth(outline=outline, points=(20, 20), **SHEET)
-    part, model = part_of(body), ShellModel.of(body)
+    part, model = part_of(body), model_of(body)
     lower, spacing = part.outline.box[0], np.array(part.spacing)
     ticks = (np.arange(16) + 0.5) / 16.0
     for j, i in np.ndindex(part.cells.shape):
@@ -97,8 +97,8 @@ def test_the_outline_of_a_rectangle_makes_the_same_cloth():
     same = cloth(outline=square, points=(12, 9), yaw=0.3, corner=(1, 2, 3), **SHEET)
     np.testing.assert_array_equal(plain.points, same.points)
     np.testing.assert_array_equal(plain.x, same.x)
-    one, other = ShellModel.of(plain), ShellModel.of(same)
-    np.testing.assert_allclose(one.area, other.area, rtol=1e-13)
+    one, other = model_of(plain), model_of(same)
+    np.testing.assert_allclose(one.mass, other.mass, rtol=1e-13)
     np.testing.assert_array_equal(one.exists, other.exists)
     np.testing.assert_allclose(one.shares[[0, 3, 7]], other.shares[[0, 3, 7]], rtol=1e-12)
     # but for the ends of lines, which carry no moment
@@ -176,7 +176,7 @@ def fastest_squared(body, axes):
     )
     s.run([h])
     a = s.velocities()[:, :, axes] / (0.5 * h)  # the first step begins at rest
-    m = np.sqrt(np.repeat(engine_of(s).mass[0], len(axes)))
+    m = np.sqrt(np.repeat(engine_of(s).model.mass[0], len(axes)))
     K = -a.reshape(len(m), len(m)) / far
     K = K * m / m[:, None]
     return eigvalsh(0.5 * (K + K.T), subset_by_index=[len(m) - 1, len(m) - 1])[0]
@@ -188,7 +188,7 @@ def test_steps_are_stable(points, thickness):
     """Against the fastest vibration of the whole sheet. Discs have points of very little mass."""
     body = cloth(outline=circle(0.1), points=(points, points), thickness=thickness, dx=0.02)
     e, fastest = engine_of(Simulator(body, [MATERIAL])), math.sqrt(fastest_squared(body, (0, 1, 2)))
-    longest = e.model.longest_step([MATERIAL], e.local)[0]
+    longest = e.model.longest_step()[0]
     assert 0.3 * 2.0 / fastest < longest < 2.0 / fastest
 
 
@@ -246,7 +246,7 @@ def test_a_tongue_goes_through_a_slit():
     np.testing.assert_array_equal(found[0], found[1])
     beside = x + np.where(u > 0.27, 0.0137, 0.0)[:, None] * [1.0, 0.0, 0.0]
     with pytest.raises(ParameterError, match="begins crossing itself"):
-        check_cloth(beside, ShellModel.of(body))
+        check_cloth(beside, model_of(body))
 
 
 # ---- grippers ------------------------------------------------------------------------------------

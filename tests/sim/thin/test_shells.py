@@ -38,7 +38,7 @@ def rolled(material=MATERIAL, axis=0, **options):
     x[:, axis], x[:, 2] = R * np.sin(u), R * (1.0 - np.cos(u))
     s = Simulator(body, [material], positions=x, **options)
     assert isinstance(s.engine, Shells)
-    longest = s.engine.model.longest_step([material], s.engine.local)
+    longest = s.engine.model.longest_step()
     return membrane_energy(s), bending_energy(s), longest
 
 
@@ -92,7 +92,7 @@ def test_a_sharp_bend_about_the_diagonal_is_no_shear(diagonal):
     bending = bending_energy(s)
     assert membrane_energy(s) < 1e-6 * bending
     assert isinstance(s.engine, Shells)
-    mass, most = s.engine.mass[0], 0.0
+    mass, most = s.engine.model.mass[0], 0.0
     for t in np.linspace(0.002, 0.06, 30):
         s.run([t])
         most = max(most, 0.5 * float(mass @ np.sum(s.velocities()[0].astype(float) ** 2, axis=1)))
@@ -106,8 +106,8 @@ def test_points_bend_and_weigh_as_those_of_a_hem():
     assert hemmed[0] == plain[0]
     assert hemmed[1] == pytest.approx(3.0 * plain[1])
     body, factors = cloth(**SIZES, points=(15, 12)), np.linspace(0.8, 2.0, points)
-    light, heavy = (Simulator(body, [MATERIAL], mass=mass).engine for mass in (1.0, factors))
+    light, heavy = (Simulator(body, [MATERIAL], mass=m).engine for m in (1.0, factors))
     assert isinstance(light, Shells) and isinstance(heavy, Shells)
-    np.testing.assert_allclose(heavy.mass / light.mass, factors[None])
+    np.testing.assert_allclose(heavy.model.mass / light.model.mass, factors[None])
     with pytest.raises(ParameterError, match="mass"):
         Simulator(body, [MATERIAL], mass=0.0)

@@ -20,22 +20,12 @@ MARGIN_OF_LISTS = 0.3
 PAIRS = 40
 """Maximum number of such pairs for each point."""
 
-TURNS = 4
-"""Turns over the contacts of a step that friction needs."""
-
 MOST_TURNS = 12
-"""Maximum number of turns: after those they go on until one finds nothing nearer than enough. Where
-a hand presses layers on a table there is no room for all of them, and turns are in vain."""
-
-DISTANCE_ENOUGH = 0.9
-"""Distance that is enough [thicknesses]."""
-
-CLOSE = 1.25
-"""Distance from which on pairs play no part in a step's contacts [thicknesses]."""
+"""Maximum number of turns over the contacts of a step. Where a hand presses layers on a table there
+is no room for all of them, and turns are in vain."""
 
 LISTED = 3
 """Components of a kept state that hold where points were when pairs were listed."""
-
 
 LEAST_BETWEEN_EDGES = 0.8
 """Smallest initial distance between centre lines of a rope's parts, in diameters: contact keeps
@@ -67,10 +57,7 @@ def contact_arrays(setting: Setting, n: int, spacing: float, rows: Any) -> dict[
         "contact": on,
         "contact_distance": thickness,
         "contact_margin": MARGIN_OF_LISTS * spacing,
-        "contact_turns": TURNS,
         "contact_most_turns": MOST_TURNS,
-        "contact_enough": DISTANCE_ENOUGH * thickness,
-        "contact_close": CLOSE * thickness,
         "self_friction": spread(setting.self_friction, (W,), "self_friction"),
         "push": np.zeros((W * on, 7, P)),
         "listed": nowhere,

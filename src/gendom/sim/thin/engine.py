@@ -5,30 +5,26 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
+from itertools import combinations
 from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import cdist
 
 from gendom.arguments import require
-from gendom.errors import SimulationError
+from gendom.errors import ParameterError, SimulationError
 from gendom.sim.device import load_kernels
 from gendom.sim.paths import HostPaths, LedPaths, Pose, paths_on
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
-from gendom.sim.thin.grips import (
-    LOCAL_STRETCH,
-    STRETCH,
-    Grip,
-    Overstretch,
-    overstretch_times,
-    released,
-)
-from gendom.sim.thin.run import Event, Held, Round, Run, put, put_worlds
-from gendom.sim.thin.schedule import Schedule, make_schedule
+from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, close, released
+from gendom.sim.thin.run import Event, Round, Run, Schedule, make_schedule, put, put_worlds
 from gendom.sim.thin.step import make_kernels
-from gendom.sim.thin.types import SPIN, ParameterDerivatives, V, X, make_types
+from gendom.sim.thin.types import SPIN, Q, V, X, make_types
+
+Array = NDArray[Any]
 
 CFL = 0.8
 """Default share of the longest stable step of small vibrations, of damped bodies and rods."""
@@ -38,9 +34,6 @@ SHORTEST_SUBSTEP = 1e-9
 
 GROUP = 16
 """Maximum number of worlds that a CPU thread simulates at a time."""
-
-AT_ONCE = 4096
-"""Worlds whose grippers' paths are looked at together, for the memory that takes."""
 
 
 class ThinEngine(ABC):
@@ -63,27 +56,27 @@ class ThinEngine(ABC):
     """Of a world."""
     undamped_cfl: ClassVar[float] = CFL
     """As ``CFL``, of worlds without damping."""
-    stiffened: ClassVar[tuple[slice, ...]]
-    """Components of the stiffness that change at a gripper's border, see ``Grip.stiffer``."""
+    woven: ClassVar[tuple[str, ...]] = ()
+    """Parameters of threads."""
 
+    model: Any
+    """``RodModel`` or ``ShellModel``."""
     spacing: float
     """Largest distance between neighbouring points [m]."""
-    per_mass: NDArray[np.float64]
-    """[W, n] inverse masses of points [1/kg]."""
-    per_turn: NDArray[np.float64]
+    slots: NDArray[np.int64]
+    """[n] positions of points in a row."""
+    row_length: int
+    per_turn: Array
     """[W, n] inverse moments of inertia of edges [1/(kg m^2)]; 0 where they have no directions."""
-    drag_by_air: NDArray[np.float64]
-    """[n] drag of points over the density of the air."""
 
     def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
-        self.check_suits(setting)
         W, n, G = len(setting.materials), len(setting.body.points), len(setting.grippers[0])
         self.num_worlds, self.num_points = W, n
-        self.share = spread(setting.stiffness, (W, n), "stiffness")
         self.air_density = spread(setting.air_density, (W,), "air_density")
-        longest = self.prepare(setting)
+        self.prepare(setting)
         damped = np.array([m.damping > 0.0 for m in setting.materials])
-        limits = substep or (cfl or np.where(damped, CFL, self.undamped_cfl)) * longest
+        share = cfl or np.where(damped, CFL, self.undamped_cfl)
+        limits = substep or share * self.model.longest_step()
         self.setting = s = replace(setting, substep=np.broadcast_to(limits, W))
         s.check_substep(
             SHORTEST_SUBSTEP, fix="a softer or denser material, fewer points, or a longer substep"
@@ -92,7 +85,7 @@ class ThinEngine(ABC):
         self.types = make_types(self.real)
         self.kernels = make_kernels(self.real, self.kind)
         self.threads = self.threads_on_cuda if s.device.is_cuda else 1
-        self.slots, self.row_length = self.layout()
+        self.per_mass = 1.0 / self.model.mass
         self.origin = np.array([0.0, 0.0, s.table.height if s.table is not None else 0.0])
         self.stacked = dict(s.grippers.arrays)
         self.stacked["position"] = self.stacked["position"] - self.origin
@@ -100,10 +93,8 @@ class ThinEngine(ABC):
         self.device_paths = paths_on(s.device, self.stacked, self.real)
         self.closed = np.zeros((W, G), dtype=int)
         """[W, G] 0: not yet closed, 1: closed, 2: opened."""
-        self.overstretched: dict[int, Overstretch] = {}
-        """How grippers will pull worlds apart."""
         self.holds = np.zeros((W, G, n), dtype=np.int32)
-        self.stiffer = np.ones((W, G, len(self.stiffened), n))
+        self.stiffer = np.ones((W, G, len(self.model.lines), n))
         self.device_model = self._device_model()
         self.state = self.zeros((W, self.state_rows, self.row_length))
         self.kept_state = self.zeros(self.state.shape)
@@ -127,93 +118,64 @@ class ThinEngine(ABC):
 
     # ---- defined by each kind of body ------------------------------------------------------------
 
-    @staticmethod
     @abstractmethod
-    def check_suits(setting: Setting) -> None:
-        """Check that this engine can simulate the setting.
-
-        Raises:
-            ParameterError: If it cannot.
-        """
-
-    @abstractmethod
-    def prepare(self, setting: Setting) -> NDArray[np.float64]:
-        """Make the model and return the longest stable steps for small vibrations, [W] [s]."""
-
-    @abstractmethod
-    def layout(self) -> tuple[NDArray[np.int64], int]:
-        """Positions of points in a row [n], and the length of a row."""
+    def prepare(self, setting: Setting) -> None:
+        """Make the model; refuse a setting that this engine cannot simulate."""
 
     @abstractmethod
     def fill(self, model: Any) -> None:
         """Set shape, stiffness and inertia of the kernels' model."""
 
     @abstractmethod
-    def first_state(self, x: NDArray[np.floating]) -> NDArray[np.float64]:
-        """State [W, ., P] at rest, with points [W, n, 3]."""
+    def check_apart(self, x: Array) -> None:
+        """Refuse points [n, 3] at which the body intersects itself."""
 
     @abstractmethod
-    def between(self, g: NDArray[np.int64], h: NDArray[np.int64]) -> tuple[int, int, float]:
-        """The points i of g [k] and j of h [l] that have least of the body at rest between them,
-        and how much [m]; infinite where that is not known."""
-
-    @abstractmethod
-    def check_apart(self, x: NDArray[np.floating]) -> None:
-        """Check that the body does not intersect itself.
-
-        Raises:
-            ParameterError: If it does at points [n, 3].
-        """
-
-    @abstractmethod
-    def close(self, g: int, worlds: NDArray[np.int64], pose: Pose, state: NDArray[Any]) -> Grip:
-        """Determine the points held by gripper g, which closes in these worlds [k] now, with
-        states [k, ., P]."""
+    def held(self, x: Array, centre: Array, radius: Array, taken: Array) -> NDArray[np.int32]:
+        """``Grip.holds`` of spheres with centres [k, 3] and radii [k] that close on points
+        [k, n, 3], of which others hold what is ``taken`` [k, n]."""
 
     @abstractmethod
     def stiffen(self, model: Any, worlds: NDArray[np.int64]) -> None:
         """Copy the stiffness at the borders of grippers to the kernels' model."""
 
     @abstractmethod
-    def parameters(self) -> tuple[str, ...]:
-        """Parameters of this body's model beside E, nu and density."""
-
-    @abstractmethod
-    def derivatives(self, name: str) -> ParameterDerivatives:
-        """Derivatives of the model by ``E``, ``nu``, ``density`` or one of ``parameters``."""
-
-    @abstractmethod
-    def border_adjoint(
-        self, event: Event, stiffer_bar: NDArray[np.floating]
-    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Transpose of ``Grip.stiffer`` of a gripper that closed: derivatives by points [k, n, 3],
-        by centres [k, 3] and by radii [k]."""
-
-    @abstractmethod
-    def unstiffened(
-        self, group: slice, stiffer: NDArray[np.floating], found: NDArray[np.floating]
-    ) -> NDArray[np.floating]:
+    def unstiffened(self, group: slice, stiffer: Array, found: Array) -> Array:
         """Convert derivatives ``found`` by the stiffness with borders to those by the stiffness
         without borders, in place; return the derivatives by ``stiffer`` [k, M, n]."""
 
-    @abstractmethod
-    def by_shares(self, model_bar: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Derivatives by the share of E at each point, [W, n]."""
-
-    @abstractmethod
-    def by_start(
-        self, x: NDArray[np.floating], v: NDArray[np.floating], bar: NDArray[np.floating]
-    ) -> tuple[NDArray[Any], NDArray[Any]]:
+    def by_start(self, x: Array, v: Array, bar: Array) -> tuple[Array, Array]:
         """Derivatives by initial positions and velocities [W, n, 3], given those by the first state
         [W, n, .]."""
+        return bar[..., X].copy(), bar[..., V].copy()
 
-    def spins_of(self, v: NDArray[np.floating]) -> NDArray[np.floating] | None:
+    def spins_of(self, x: Array, v: Array) -> Array | None:
         """Spins [W, n - 1, 3] of edges whose points have velocities v, if edges have any."""
         return None
 
-    @abstractmethod
-    def tape(self, memory: float) -> Any:
-        """Make the tape that records a run for its reverse pass; it takes what memory it needs."""
+    def first_state(self, x: Array) -> Array:
+        """State [W, ., P] at rest, with points [W, n, 3]."""
+        alike = x[:1] if x.strides[0] == 0 else x
+        for lines in self.model.lines:
+            step = np.linalg.norm(np.diff(lines.of(alike), axis=1), axis=2)
+            stretch = (step / lines.length - 1.0).reshape(len(alike), *lines.exist.shape)
+            w, l, k = np.unravel_index((np.abs(stretch) * lines.exist).argmax(), stretch.shape)
+            if lines.exist[l, k] and abs(stretch[w, l, k]) > STRETCH:
+                kind, most = self.setting.body.kind, 100 * stretch[w, l, k]
+                raise ParameterError(
+                    f"the {kind} begins stretched by {most:.0f} %",
+                    where=f"world {w}, points {lines.index[l, k]} and {lines.index[l, k + 1]}",
+                    fix="positions must keep the distances of neighbours in body.points",
+                )
+        state = np.zeros(self.state.shape)
+        state[:, X, self.slots] = np.swapaxes(x, 1, 2)
+        return state
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Parameters of the model."""
+        own = any(m.membrane is not None for m in self.setting.materials)
+        return ("E", "nu", "density", "thickness", *(["membrane"] if own else []), *self.woven)
 
     # ---- state -----------------------------------------------------------------------------------
 
@@ -257,7 +219,7 @@ class ThinEngine(ABC):
         v = spread(v, (self.num_worlds, self.num_points, 3), "velocities")
         rows = self.state.numpy()
         rows[:, V, self.slots] = np.swapaxes(v, 1, 2)
-        spins = self.spins_of(v)
+        spins = self.spins_of(self.component(X), v)
         if spins is not None:
             rows[:, SPIN, self.slots[:-1]] = np.swapaxes(spins, 1, 2)
         self.state.assign(rows)
@@ -364,7 +326,7 @@ class ThinEngine(ABC):
         Those of ``closed`` [W, G] hold from now on what they hold or close on, others open; None:
         all stay as they are.
         """
-        every, now = np.arange(self.num_worlds), self.now[0]
+        now = self.now[0]
         held = (self.stacked["hold_from"] <= now) & (now < self.stacked["hold_until"])
         held = held if closed is None else closed
         self.closed[held & (self.closed == 2)] = 0
@@ -376,12 +338,6 @@ class ThinEngine(ABC):
         if self.setting.device.is_cuda:  # else the kernels read the same memory
             for name in self.led.changing:
                 getattr(self.device_paths, name).assign(self.stacked[name])
-        if (np.count_nonzero(self.closed == 1, axis=1) > 1).any():
-            self.overstretched.clear()
-            for g in range(1, self.closed.shape[1]):
-                holding = np.flatnonzero(self.closed[:, g] == 1)
-                self._find_overstretch(g, holding, self.now[holding])
-            self.hold(every)
 
     def each_group(self, job: Callable[[slice], None], most: int = GROUP) -> None:
         """Call ``job`` for each group of worlds, at most so many, that are launched together, in
@@ -469,8 +425,18 @@ class ThinEngine(ABC):
                 w, float(plan.time(w, s)), f"more than {PAIRS} pairs a point are about to meet",
                 where="contact of the body with itself", fix="fewer points, or a thinner body",
             )  # fmt: skip
-        if w in self.overstretched and time > self.overstretched[w].time:
-            return self.overstretched[w].error(self.setting, w)
+        x, most = self.state.numpy()[w, :3], model.farthest.numpy()[w]
+        for pair, ends, far2 in zip(self._pairs, model.ends.numpy()[w], most, strict=True):
+            far = float(np.linalg.norm(x[:, ends[1]] - x[:, ends[0]]))
+            if far**2 > far2:
+                return error(
+                    w, time,
+                    f"grippers {pair[0]} and {pair[1]} pull the body apart: what they hold is "
+                    f"{far:.4g} m apart, {100 * STRETCH:.0f} % more than the body between it is "
+                    "long",
+                    where="grippers",
+                    fix="paths that stay closer together, or a gripper that opens before",
+                )  # fmt: skip
         return error(
             w, time,
             f"the body is stretched or compressed by more than {100 * STRETCH:.0f} % in the "
@@ -496,14 +462,18 @@ class ThinEngine(ABC):
         return events
 
     def _close(self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> Event:
-        state = self.state.numpy()[worlds]
-        pose = self.paths.pose(g, worlds, now)
-        given = (state, self.holds[worlds], self.stacked["radius"][worlds, g], *vars(pose).values())
-        if all((values == values[:1]).all() for values in given):  # as worlds that begin alike
-            first = Pose(*(values[:1] for values in vars(pose).values()))
-            grip = self.close(g, worlds[:1], first, state[:1]).repeated(len(worlds))
-        else:
-            grip = self.close(g, worlds, pose, state)
+        state, radius = self.state.numpy()[worlds], self.stacked["radius"][worlds, g]
+        pose, holds = self.paths.pose(g, worlds, now), self.holds[worlds]
+        given = (state, holds, radius, *vars(pose).values())
+        # worlds that begin alike hold alike
+        first = slice(0, 1 if all((values == values[:1]).all() for values in given) else None)
+        x, of = self.pick(X, state[first]), Pose(*(values[first] for values in vars(pose).values()))
+        q = self.pick(Q, state[first])[:, :-1] if self.directed else None
+        taken = np.bitwise_or.reduce(holds[first], axis=1)
+        held = self.held(x, of.centre, radius[first], taken)
+        grip = close(x, q, of, radius[first], held, self.model.lines)
+        if len(x) < len(worlds):
+            grip = grip.repeated(len(worlds))
         self.closed[worlds, g] = 1
         missed = grip.misses & (self.stacked["may_miss"][worlds, g] == 0)
         for k in np.flatnonzero(missed).tolist():
@@ -521,7 +491,6 @@ class ThinEngine(ABC):
         self.stiffer[worlds, g] = grip.stiffer
         rows = worlds * self.closed.shape[1] + g
         put_worlds(self.device_model.place, rows, self.rows(grip.place))
-        self._find_overstretch(g, worlds, now)
         self.hold(worlds)
         return Event(g, True, worlds, now, pose, grip, self.pick(X, state))
 
@@ -529,7 +498,7 @@ class ThinEngine(ABC):
         rows = self.state.numpy()[worlds]
         x = self.pick(X, rows)
         pose = self.paths.pose(g, worlds, now)
-        grip = Grip(self.holds[worlds, g].copy(), np.empty(0), self.stiffer[worlds, g].copy(), ())
+        grip = Grip(self.holds[worlds, g].copy(), np.empty(0), self.stiffer[worlds, g].copy(), [])
         v, spin = released(x, pose, grip.holds)
         rows[:, V] += self.rows(np.swapaxes(v, 1, 2))
         if self.directed:
@@ -541,71 +510,60 @@ class ThinEngine(ABC):
         self.hold(worlds)
         return Event(g, False, worlds, now, pose, grip, x)
 
-    def _find_overstretch(
-        self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]
-    ) -> None:
-        """Find when gripper g, which closes, and others will have pulled worlds [k] apart."""
-        for h in range(self.closed.shape[1]):
-            both = (self.closed[worlds, h] == 1) & (h != g)
-            if not both.any():
-                continue
-            w, since = worlds[both], now[both]
-            held = self.holds[w][:, [h, g]] & 1
-            alike, which = np.unique(held, axis=0, return_inverse=True)
-            which = which.reshape(-1)  # of the few ways of holding
-            for k, (theirs, mine) in enumerate(alike):
-                if not (theirs.any() and mine.any()):
-                    continue
-                i, j, rest = self.between(np.flatnonzero(mine), np.flatnonzero(theirs))
-                if np.isfinite(rest):
-                    of = np.flatnonzero(which == k)
-                    for some in np.array_split(of, -(-len(of) // AT_ONCE)):
-                        self._keep_overstretch((h, g), (j, i), w[some], since[some], rest)
-
-    def _keep_overstretch(
-        self, grippers: tuple[int, int], points: tuple[int, int], worlds: NDArray[np.int64],
-        now: NDArray[np.float64], rest: float,
-    ) -> None:  # fmt: skip
-        """Keep when two grippers will have pulled points apart that are ``rest`` [m] apart in the
-        body at rest, where that is sooner than what is known."""
-        rows, (first, second) = worlds * self.closed.shape[1], grippers
-        places = self.device_model.place.numpy()[:, :3][..., self.slots[list(points)]]
-        ends = places[rows + first, :, 0], places[rows + second, :, 1]
-        most = (1.0 + STRETCH) * rest
-        times, far = overstretch_times(self.paths, worlds, grippers, ends, now, most)
-        for k in np.flatnonzero(np.isfinite(times)).tolist():
-            w, found = int(worlds[k]), Overstretch(float(times[k]), grippers, float(far[k]))
-            if w not in self.overstretched or found.time < self.overstretched[w].time:
-                self.overstretched[w] = found
-
-    def held(self, group: slice) -> Held:
-        """Copy what grippers hold in a group of worlds."""
+    def held_by(self, group: slice) -> tuple[Array, Array, Array]:
+        """Copies of what grippers hold in a group of worlds, see ``Grip``: ``holds`` [k, G, n],
+        ``stiffer`` [k, G, M, n] and ``place`` [k G, 7, P]."""
         G = self.closed.shape[1]
         place = self.device_model.place.numpy()[group.start * G : group.stop * G]
-        return Held(self.holds[group].copy(), self.stiffer[group].copy(), place.copy())
+        return self.holds[group].copy(), self.stiffer[group].copy(), place.copy()
 
-    def hold_again(self, group: slice, held: Held) -> None:
+    def hold_again(self, group: slice, held: tuple[Array, Array, Array]) -> None:
         """Let grippers hold what they held."""
         G = self.closed.shape[1]
-        self.holds[group], self.stiffer[group] = held.holds, held.stiffer
-        put(self.device_model.place, slice(group.start * G, group.stop * G), held.place)
+        self.holds[group], self.stiffer[group], place = held
+        put(self.device_model.place, slice(group.start * G, group.stop * G), place)
         self.hold(np.arange(group.start, group.stop))
 
     def hold(self, worlds: NDArray[np.int64]) -> None:
         """Copy the held points of worlds [k] to the kernels' model."""
-        model, known = self.device_model, self.overstretched
+        model = self.device_model
         put_worlds(model.holds, worlds, self.holds[worlds])
-        since = [known[w].time if w in known else np.inf for w in worlds.tolist()]
-        put_worlds(model.overstretched_from, worlds, np.array(since))
+        if self._pairs:
+            ends, most = self._between(worlds)
+            put_worlds(model.ends, worlds, ends)
+            put_worlds(model.farthest, worlds, most**2)
         self.stiffen(model, worlds)
         if self.setting.self_contact:
             put_worlds(model.loose, worlds, self._loose(worlds))
 
+    @property
+    def _pairs(self) -> list[tuple[int, int]]:
+        """Of grippers."""
+        return list(combinations(range(self.closed.shape[1]), 2))
+
+    def _between(self, worlds: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Of worlds [k] and pairs of grippers [p]: the slots [k, p, 2] of the two points that have
+        least of the body at rest between them, and how far apart they may be [k, p] [m]; infinite
+        where one holds nothing or the body has holes and notches."""
+        held, flat, pairs = self.holds[worlds] & 1, self.model.flat, self._pairs
+        ends = np.zeros((len(worlds), len(pairs), 2), dtype=np.int32)
+        most = np.full((len(worlds), len(pairs)), np.inf)
+        for p, pair in enumerate(pairs if flat is not None else []):
+            alike, which = np.unique(held[:, pair], axis=0, return_inverse=True)
+            for k, both in enumerate(alike):  # the few ways of holding
+                if both.any(axis=1).all():
+                    i, j = map(np.flatnonzero, both)
+                    far = cdist(flat[i], flat[j])
+                    a, b = np.unravel_index(far.argmin(), far.shape)
+                    some = which.reshape(-1) == k
+                    ends[some, p] = self.slots[[i[a], j[b]]]
+                    most[some, p] = (1.0 + STRETCH) * far[a, b]
+        return ends, most
+
     def _loose(self, worlds: NDArray[np.int64]) -> NDArray[np.float64]:
         """Inverse masses of points of worlds [k], 0 for held ones, [k, 1, P] [1/kg]."""
         free = 1.0 - np.any(self.holds[worlds] & 1, axis=1)
-        per_mass = np.broadcast_to(self.per_mass, (self.num_worlds, self.num_points))[worlds]
-        return self.rows(per_mass * free)[:, None]
+        return self.rows(self.per_mass[worlds] * free)[:, None]
 
     def gripper_forces(self) -> NDArray[np.float64]:
         """Forces of the body on grippers, [W, G, 3] [N]: momentum that held points would gain in a
@@ -618,8 +576,7 @@ class ThinEngine(ABC):
             lambda g: self.launch(self.kernels.let_go, g, [self.device_model, dt, rows])
         )
         found = self.pick(V, rows.numpy())
-        mass = 1.0 / np.broadcast_to(self.per_mass, (W, self.num_points))
-        force = (mass / dt)[..., None] * (found[W:] - found[:W])
+        force = (self.model.mass / dt)[..., None] * (found[W:] - found[:W])
         held = np.where(self.closed == 1, 1, 0)[..., None] * (self.holds & 1)
         return np.einsum("wgn,wnk->wgk", held, force)
 
@@ -683,7 +640,8 @@ class ThinEngine(ABC):
         model.radius = s.body.thickness / 2.0
         model.holds = self.array(self.holds, wp.int32)
         model.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
-        model.overstretched_from = self.array(np.full(W, np.inf), wp.float64)
+        ends, most = self._between(np.arange(W))
+        model.ends, model.farthest = self.array(ends, wp.int32), self.array(most)
         self.fill(model)
         for name, value in contact_arrays(s, n, self.spacing, self.rows).items():
             if isinstance(value, np.ndarray):

@@ -1,5 +1,4 @@
-"""Points held by grippers: selected when they close, released when they open; and transposes. When
-grippers will have pulled a body apart.
+"""Points held by grippers: selected when they close, released when they open; and transposes.
 
 A gripper holds the edges whose midpoints lie inside its sphere, with both their points; of a rod
 that it touches, at least one edge. Between a held and a free edge, the free part of the rod begins
@@ -17,20 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.errors import SimulationError
-from gendom.sim.paths import HostPaths, Pose, PoseAdjoint
-from gendom.sim.setting import Setting
+from gendom.sim.paths import Pose, PoseAdjoint
 from gendom.sim.thin import rotation
 from gendom.sim.thin.contact import triangle_distance
 from gendom.sim.thin.shell_model import ShellModel
+from gendom.sim.thin.types import Lines
 
 Array = NDArray[Any]
-
-SHORTEST = 0.02
-"""Smallest length represented by a rod's joint at a gripper's border, over its usual length."""
-
-SHORTEST_OF_SHELL = 0.125
-"""The same for shells, where no added inertia compensates for the stiffness."""
 
 STRETCH = 0.2
 """Largest mean stretch or compression of a body, and stretch of what two grippers have between
@@ -64,27 +56,19 @@ class Grip:
     holds: NDArray[np.int32]
     """[W, n] 1: a point, + 2: the direction of the edge that begins there."""
     place: Array
-    """[W, ., n] points [m], and directions of rods, in the gripper's frame."""
+    """[W, 7, n] points [m], and directions of rods, in the gripper's frame."""
     stiffer: Array
-    """[W, M, n] factor on the stiffness of joints at its border: of a rod, or of a shell along
-    rows and along columns."""
-    cuts: tuple[BorderCut, ...]
+    """[W, M, n] factor on the stiffness of joints at its border, along each of the body's lines."""
+    cuts: list[BorderCut]
 
     def repeated(self, worlds: int) -> "Grip":
         """This grip of one world in many."""
-        holds, place, stiffer = (
-            np.repeat(values, worlds, axis=0) for values in (self.holds, self.place, self.stiffer)
-        )
-        cuts = (
-            BorderCut(
-                *(
-                    np.tile(values, (worlds, *[1] * (values.ndim - 1)))
-                    for values in vars(c).values()
-                )
-            )
-            for c in self.cuts
-        )
-        return Grip(holds, place, stiffer, tuple(cuts))
+
+        def many(values: Array) -> Array:
+            return np.tile(values, (worlds, *[1] * (values.ndim - 1)))
+
+        cuts = [BorderCut(*map(many, vars(c).values())) for c in self.cuts]
+        return Grip(many(self.holds), many(self.place), many(self.stiffer), cuts)
 
     @property
     def misses(self) -> NDArray[np.bool_]:
@@ -92,111 +76,13 @@ class Grip:
         return np.logical_not(np.any(self.holds, axis=1))
 
 
-def close_rod(
-    x: Array, q: Array, pose: Pose, radius: Array, length: Array, taken: NDArray[np.bool_]
-) -> Grip:
-    """Determine the points and edges of rods held by grippers of W worlds that close now.
-
-    Args:
-        x: [W, n, 3] points [m].
-        q: [W, n - 1, 4] directions.
-        pose: Of the grippers.
-        radius: [W] [m].
-        length: [n - 1] of edges at rest [m].
-        taken: [W, n - 1] edges that other grippers hold.
-    """
-    W, n = x.shape[:2]
-    inside = _held_edges(x, pose.centre, radius) & ~taken
-    holds = np.zeros((W, n), dtype=np.int32)
-    holds[:, :-1] |= np.where(inside, 3, 0).astype(np.int32)
-    holds[:, 1:] |= np.where(inside, 1, 0).astype(np.int32)
-    place = np.zeros((W, 7, n))
-    back = rotation.conjugate(pose.q)[:, None]
-    place[:, :3] = np.swapaxes(rotation.turned(back, x - pose.centre[:, None]), 1, 2)
-    place[:, 3:, :-1] = np.swapaxes(rotation.product(np.broadcast_to(back, q.shape), q), 1, 2)
-    cut = _cut(x, pose.centre, radius, length, inside, SHORTEST)
-    return Grip(holds, place, cut.stiffer[:, None], (cut,))
+# ---- what is held --------------------------------------------------------------------------------
 
 
-def close_shell(
-    x: Array, model: ShellModel, pose: Pose, radius: Array, taken: NDArray[np.bool_]
-) -> Grip:
-    """Determine the points of shells held by grippers of W worlds that close now.
-
-    A gripper holds the points inside its sphere, and those whose lattice edge to such a point has
-    its midpoint inside. If there are none but the sphere touches the sheet, it holds the nearest
-    point. Of a point beyond the sheet's outline the nearest place of cloth counts.
-
-    Args:
-        x: [W, n, 3] points [m].
-        model: Of the shells.
-        pose: Of the grippers.
-        radius: [W] [m].
-        taken: [W, n] points that other grippers hold.
-    """
-    W, n = x.shape[:2]
-    shape, spacing = model.shape, model.spacing
-    skin = x if model.cut is None else model.cut.on_skin(x)
-    at = model.on_lattice(skin, fill=np.inf)
-    centre, radii = pose.centre[:, None, None], radius[:, None, None]
-    distance = np.linalg.norm(at - centre, axis=3)
-    held = distance < radii
-    for axis in (1, 2):
-        first, second = (np.take(at, k, axis) for k in _ends(at.shape[axis]))
-        middle = np.linalg.norm(0.5 * (first + second) - centre, axis=3)
-        near = middle < radii
-        ends = np.moveaxis(held, axis, 0)
-        near = np.moveaxis(near, axis, 0)
-        ends[:-1] |= near
-        ends[1:] |= near
-    flat = model.of_lattice(distance)
-    held = model.of_lattice(held)
-    touched = (flat.min(axis=1) < np.maximum(radius, 0.75 * max(spacing))) & ~held.any(axis=1)
-    if model.cut is not None:
-        for w in np.flatnonzero(touched):
-            sheet = skin[w][model.cut.triangles]
-            touched[w] = triangle_distance(pose.centre[w], sheet).min() < radius[w]
-    held[np.flatnonzero(touched), flat.argmin(axis=1)[touched]] = True
-    held &= ~taken
-    place = np.zeros((W, 7, n))
-    back = rotation.conjugate(pose.q)[:, None]
-    place[:, :3] = np.swapaxes(rotation.turned(back, x - pose.centre[:, None]), 1, 2)
-    at, grid = model.on_lattice(x), model.on_lattice(held)
-    has = model.on_lattice(model.exists) > 0.0
-    cuts, stiffer = [], []
-    for k, (axis, step) in enumerate(((1, spacing[0]), (0, spacing[1]))):
-        lines = _lines(at, axis)
-        edges = np.logical_and(*(_lines(grid, axis)[:, k] for k in _ends(lines.shape[1])))
-        many = shape[0] if axis == 1 else shape[1]
-        exist = np.tile(_lines(has[k : k + 1], axis)[:, :-1], (W, 1))
-        centre, radii = np.repeat(pose.centre, many, axis=0), np.repeat(radius, many)
-        length = np.full(lines.shape[1] - 1, step)
-        cuts.append(_cut(lines, centre, radii, length, edges, SHORTEST_OF_SHELL, exist))
-        stiffer.append(model.of_lattice(_unlines(cuts[-1].stiffer, W, shape, axis)))
-    return Grip(held.astype(np.int32), place, np.stack(stiffer, axis=1), tuple(cuts))
-
-
-def _ends(count: int) -> tuple[Array, Array]:
-    """Indices of the first and second points of a line's edges."""
-    return np.arange(count - 1), np.arange(1, count)
-
-
-def _lines(values: Array, axis: int) -> Array:
-    """Reshape [W, rows, columns, ...] to [W many, count, ...]: rows (axis 1) or columns (0)."""
-    ordered = values if axis == 1 else np.swapaxes(values, 1, 2)
-    return ordered.reshape(-1, *ordered.shape[2:])
-
-
-def _unlines(lines: Array, W: int, shape: tuple[int, int], axis: int) -> Array:
-    """Inverse of ``_lines``."""
-    if axis == 1:
-        return lines.reshape(W, *shape, *lines.shape[2:])
-    return np.swapaxes(lines.reshape(W, *shape[::-1], *lines.shape[2:]), 1, 2)
-
-
-def _held_edges(x: Array, centre: Array, radius: Array) -> NDArray[np.bool_]:
-    """Mask [W, n - 1] of edges whose midpoints lie in the sphere. If there are none but the sphere
-    cuts the centre line, the edge nearest to its centre."""
+def held_of_rod(x: Array, centre: Array, radius: Array, taken: Array) -> NDArray[np.int32]:
+    """``Grip.holds`` of rods with points x [W, n, 3]: edges whose midpoints lie in the sphere. If
+    there are none but the sphere cuts the centre line, the edge nearest to its centre. Not those
+    that are ``taken`` [W, n] by other grippers."""
     step = np.diff(x, axis=1)
     from_first = centre[:, None] - x[:, :-1]
     middle = np.linalg.norm(from_first - 0.5 * step, axis=2)
@@ -206,20 +92,77 @@ def _held_edges(x: Array, centre: Array, radius: Array) -> NDArray[np.bool_]:
     edge = nearest.argmin(axis=1)
     touched = (nearest.min(axis=1) < radius) & ~inside.any(axis=1)
     inside[np.flatnonzero(touched), edge[touched]] = True
-    return inside
+    inside &= (taken[:, :-1] & 2) == 0
+    holds = np.zeros(taken.shape, dtype=np.int32)
+    holds[:, :-1] |= np.where(inside, 3, 0).astype(np.int32)
+    holds[:, 1:] |= inside
+    return holds
+
+
+def held_of_shell(
+    x: Array, centre: Array, radius: Array, taken: Array, model: ShellModel
+) -> NDArray[np.int32]:
+    """As ``held_of_rod``: points inside the sphere, and ends of edges whose midpoints are. If
+    there are none but the sphere touches the sheet, the nearest point. Of a point beyond the
+    sheet's outline the nearest place of cloth counts."""
+    skin = x if model.cut is None else model.cut.on_skin(x)
+    distance = np.linalg.norm(skin - centre[:, None], axis=2)
+    held = distance < radius[:, None]
+    for lines in model.lines:
+        at, many = lines.of(skin, np.inf), len(lines.index)
+        out = 0.5 * (at[:, :-1] + at[:, 1:]) - np.repeat(centre, many, axis=0)[:, None]
+        near = np.linalg.norm(out, axis=2) < np.repeat(radius, many)[:, None]
+        held |= lines.points(np.pad(near, ((0, 0), (0, 1))) | np.pad(near, ((0, 0), (1, 0))))
+    least = distance.min(axis=1)
+    touched = (least < np.maximum(radius, 0.75 * max(model.spacing))) & ~held.any(axis=1)
+    if model.cut is not None:
+        for w in np.flatnonzero(touched):
+            sheet = skin[w][model.cut.triangles]
+            touched[w] = triangle_distance(centre[w], sheet).min() < radius[w]
+    held[np.flatnonzero(touched), distance.argmin(axis=1)[touched]] = True
+    return (held & ((taken & 1) == 0)).astype(np.int32)
+
+
+def close(
+    x: Array, q: Array | None, pose: Pose, radius: Array, holds: NDArray[np.int32],
+    every: list[Lines],
+) -> Grip:  # fmt: skip
+    """The grip of grippers of W worlds that close now.
+
+    Args:
+        x: [W, n, 3] points [m].
+        q: [W, n - 1, 4] directions of rods' edges; None: of shells, which have none.
+        pose: Of the grippers.
+        radius: [W] [m].
+        holds: What they hold.
+        every: Lines of the body.
+    """
+    W, n = x.shape[:2]
+    place = np.zeros((W, 7, n))
+    back = rotation.conjugate(pose.q)[:, None]
+    place[:, :3] = np.swapaxes(rotation.turned(back, x - pose.centre[:, None]), 1, 2)
+    if q is not None:
+        place[:, 3:, :-1] = np.swapaxes(rotation.product(np.broadcast_to(back, q.shape), q), 1, 2)
+    cuts = []
+    for lines in every:
+        held, many = lines.of(holds), len(lines.index)
+        inside = (held[:, :-1] & (held[:, 1:] if q is None else 2)) > 0
+        centre, radii = np.repeat(pose.centre, many, axis=0), np.repeat(radius, many)
+        cuts.append(_cut(lines.of(x), centre, radii, lines, inside))
+    stiffer = [lines.points(cut.stiffer) for lines, cut in zip(every, cuts, strict=True)]
+    return Grip(holds, place, np.stack(stiffer, axis=1), cuts)
+
+
+# ---- where a sphere cuts lines -------------------------------------------------------------------
 
 
 def _cut(
-    x: Array, centre: Array, radius: Array, length: Array, inside: NDArray[np.bool_], least: float,
-    exist: NDArray[np.bool_] | None = None,
-) -> BorderCut:  # fmt: skip
-    """Cut lines of points [L, n, 3] with spheres [L] between held and free edges that ``exist``
-    [L, n - 1] (default: all).
-
-    Joints between them represent at least the share ``least`` of their usual length.
-    """
+    x: Array, centre: Array, radius: Array, lines: Lines, inside: NDArray[np.bool_]
+) -> BorderCut:
+    """Cut lines of points [L, n, 3] with spheres [L] between held edges, which are ``inside``
+    [L, n - 1], and free ones."""
     L, n = x.shape[:2]
-    exist = np.ones_like(inside) if exist is None else exist
+    length, exist = lines.length, np.tile(lines.exist, (L // len(lines.index), 1))
     borders = inside[:, :-1] != inside[:, 1:]
     w, i = np.nonzero(borders & exist[:, :-1] & exist[:, 1:])
     i = i + 1
@@ -245,7 +188,7 @@ def _cut(
     shared &= taken[w, outer] == 1  # it is at no border, and beside one
     own = 0.5 * (length[i - 1] + length[i])
     beyond_outer = np.where(shared, length[after], 0.0)
-    first, second, by_border = _divided(edge, beyond_outer, border, least * own)
+    first, second, by_border = _divided(edge, beyond_outer, border, lines.least * own)
     cut = BorderCut(
         stiffer=np.ones((L, n)),
         between=np.full((L, n, 2), -1),
@@ -304,6 +247,22 @@ def _leaves(offset: Array, step: Array, radius: Array) -> Array:
     return np.where(found, np.clip(t, 0.0, 1.0), np.nan)
 
 
+def border_adjoint(
+    grip: Grip, every: list[Lines], x: Array, pose: Pose, stiffer_bar: Array
+) -> tuple[Array, Array, Array]:
+    """Derivatives by x [W, n, 3], by the centre [W, 3] and by the radius [W], given those by
+    ``grip.stiffer`` [W, M, n]."""
+    W = len(x)
+    x_bar, centre_bar, radius_bar = np.zeros_like(x), np.zeros((W, 3)), np.zeros(W)
+    for k, (lines, cut) in enumerate(zip(every, grip.cuts, strict=True)):
+        centre, bar = np.repeat(pose.centre, len(lines.index), axis=0), lines.of(stiffer_bar[:, k])
+        by_x, by_centre, by_radius = _cut_adjoint(cut, lines.of(x), centre, lines.length, bar)
+        x_bar += lines.points(by_x)
+        centre_bar += by_centre.reshape(W, -1, 3).sum(axis=1)
+        radius_bar += by_radius.reshape(W, -1).sum(axis=1)
+    return x_bar, centre_bar, radius_bar
+
+
 def _cut_adjoint(
     cut: BorderCut, x: Array, centre: Array, length: Array, stiffer_bar: Array
 ) -> tuple[Array, Array, Array]:
@@ -332,7 +291,7 @@ def close_adjoint(
     """Transpose of the computation of ``Grip.place`` when a gripper closes.
 
     Args:
-        grip, x, pose: As in ``close_rod`` and ``close_shell``.
+        grip, x, pose: As in ``close``.
         place_bar: [W, 6, n] derivatives by places, and by directions as rotations in the gripper's
             axes.
 
@@ -347,35 +306,6 @@ def close_adjoint(
     turned = -np.cross(x - pose.centre[:, None], by_place).sum(axis=1) - q_bar.sum(axis=1)
     none = np.zeros_like(pose.centre)
     return by_place, q_bar, PoseAdjoint(-by_place.sum(axis=1), turned, none, none)
-
-
-def border_of_rod_adjoint(
-    grip: Grip, x: Array, pose: Pose, length: Array, stiffer_bar: Array
-) -> tuple[Array, Array, Array]:
-    """Derivatives by x [W, n, 3], by the centre [W, 3] and by the radius [W], given those by
-    ``grip.stiffer`` [W, 1, n]."""
-    return _cut_adjoint(grip.cuts[0], x, pose.centre, length, stiffer_bar[:, 0])
-
-
-def border_of_shell_adjoint(
-    grip: Grip, x: Array, pose: Pose, model: ShellModel, stiffer_bar: Array
-) -> tuple[Array, Array, Array]:
-    """As ``border_of_rod_adjoint``, for a shell's rows and columns."""
-    W, shape = len(x), model.shape
-    at = model.on_lattice(x)
-    x_bar, centre_bar, radius_bar = np.zeros_like(x), np.zeros((W, 3)), np.zeros(W)
-    for k, (axis, step) in enumerate(((1, model.spacing[0]), (0, model.spacing[1]))):
-        lines = _lines(at, axis)
-        many = shape[0] if axis == 1 else shape[1]
-        line_bar = _lines(model.on_lattice(stiffer_bar[:, k]), axis)
-        by_x, by_centre, by_radius = _cut_adjoint(
-            grip.cuts[k], lines, np.repeat(pose.centre, many, axis=0),
-            np.full(lines.shape[1] - 1, step), line_bar,
-        )  # fmt: skip
-        x_bar += model.of_lattice(_unlines(by_x, W, shape, axis))
-        centre_bar += by_centre.reshape(W, many, 3).sum(axis=1)
-        radius_bar += by_radius.reshape(W, many).sum(axis=1)
-    return x_bar, centre_bar, radius_bar
 
 
 def released(x: Array, pose: Pose, holds: NDArray[np.integer]) -> tuple[Array, Array]:
@@ -402,72 +332,3 @@ def released_adjoint(
     turned = np.cross(x - pose.centre[:, None], v_bar).sum(axis=1) + spin_bar.sum(axis=1)
     none = np.zeros_like(pose.centre)
     return x_bar, PoseAdjoint(-x_bar.sum(axis=1), none, v_bar.sum(axis=1), turned)
-
-
-# ---- grippers that pull a body apart -------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Overstretch:
-    """How two grippers will pull a body apart."""
-
-    time: float
-    """From when on [s]."""
-    grippers: tuple[int, int]
-    far: float
-    """How far what they hold is apart then [m]."""
-
-    def error(self, setting: Setting, w: int) -> SimulationError:
-        """The error of world w, which they pull apart."""
-        return setting.error(
-            w,
-            self.time,
-            f"grippers {self.grippers[0]} and {self.grippers[1]} pull the body apart: what they "
-            f"hold is {self.far:.4g} m apart, {100 * STRETCH:.0f} % more than the body between it "
-            "is long",
-            where="grippers",
-            fix="paths that stay closer together, or a gripper that opens before",
-        )
-
-
-def overstretch_times(
-    paths: HostPaths, w: Array, grippers: tuple[int, int], ends: tuple[Array, Array], now: Array,
-    most: float,
-) -> tuple[Array, Array]:  # fmt: skip
-    """When two grippers of worlds w [k] have a point each farther apart than ``most`` [m].
-
-    Between knots both move straight on, so that without turns their distance is largest at a knot.
-
-    Args:
-        paths: Of all grippers.
-        w: The worlds.
-        grippers: The two, both closed.
-        ends: The points in the grippers' frames, [k, 3] each [m].
-        now: When the second one closes, [k] [s].
-        most: [m].
-
-    Returns:
-        The times [k] [s], infinite where they never are, and how far apart they are then [k] [m].
-    """
-    of = paths.arrays
-    until = np.minimum(*(of["hold_until"][w, g] for g in grippers))
-    times = np.concatenate([until[:, None], *(of["time"][w, g] for g in grippers)], axis=1)
-    late = np.isfinite(times) & (times > now[:, None]) & (times <= until[:, None])
-    times = np.sort(np.where(late, times, now[:, None]), axis=1)
-    times = np.concatenate([now[:, None], times], axis=1)
-    shape = times.shape
-    worlds = np.repeat(w, shape[1])
-    places = []
-    for g, end in zip(grippers, ends, strict=True):
-        pose = paths.pose(g, worlds, times.reshape(-1))
-        place = pose.centre + rotation.turned(pose.q, np.repeat(end, shape[1], axis=0))
-        places.append(place.reshape(*shape, 3))
-    far = np.linalg.norm(places[1] - places[0], axis=2)
-    beyond = far > most
-    k, rows = beyond.argmax(axis=1), np.arange(len(w))
-    before = np.maximum(k - 1, 0)
-    step = far[rows, k] - far[rows, before]
-    share = np.where(k > 0, (most - far[rows, before]) / np.where(k > 0, step, 1.0), 1.0)
-    time = times[rows, before] + share * (times[rows, k] - times[rows, before])
-    found = beyond.any(axis=1)
-    return np.where(found, time, np.inf), np.where(k > 0, most, far[:, 0])

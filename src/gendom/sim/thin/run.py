@@ -1,4 +1,4 @@
-"""Parts of a run of a thin engine, and how worlds' rows are written."""
+"""A run of a thin engine: schedule, gripper events, arrays, and how worlds' rows are written."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from gendom.sim.paths import Pose
 from gendom.sim.setting import Frames
 from gendom.sim.thin.grips import Grip
-from gendom.sim.thin.schedule import Schedule
 
 
 @dataclass
@@ -39,15 +38,135 @@ class Round:
 
 
 @dataclass
-class Held:
-    """What grippers hold in a group of worlds."""
+class Schedule:
+    """Pieces of equal steps of W worlds, at most S pieces for each world."""
 
-    holds: NDArray[np.int32]
-    """[W, G, n] see ``Grip.holds``."""
-    stiffer: NDArray[np.float64]
-    """[W, G, M, n] see ``Grip.stiffer``."""
-    place: NDArray[np.floating]
-    """[W G, 7, P] see ``Grip.place``."""
+    begins: NDArray[np.float64]
+    """[W, S] start time of the interval that contains the piece [s]."""
+    done: NDArray[np.int32]
+    """[W, S] number of steps of that interval before the piece."""
+    steps: NDArray[np.int32]
+    """[W, S]."""
+    dt: NDArray[np.float64]
+    """[W, S] [s]."""
+    before: NDArray[np.float64]
+    """[W, S] length of the step before a piece [s]; 0 where velocities are those at its start."""
+    frame: NDArray[np.int32]
+    """[W, S] index of the frame recorded at a piece's end; -1: none."""
+    due: NDArray[np.bool_]
+    """[W, S + 1] whether a gripper closes or opens at the start of a piece."""
+    count: NDArray[np.int64]
+    """[W] number of pieces."""
+
+    def time(self, w: Any, s: Any) -> NDArray[np.float64]:
+        """Start times of pieces s of worlds w [s]."""
+        return self.begins[w, s] + self.done[w, s] * self.dt[w, s]
+
+    def last_dt(self) -> NDArray[np.float64]:
+        """Length of each world's last step, [W] [s]."""
+        return np.where(self.steps[:, -1] > 0, self.dt[:, -1], self.before[:, -1])
+
+    def until(self, worlds: slice, at: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Next pieces after ``at`` [k] that begin with a gripper event, or the end, [k]."""
+        index, count = np.arange(self.due.shape[1]), self.count[worlds]
+        later = self.due[worlds] & (index > at[:, None]) & (index < count[:, None])
+        return np.where(later.any(axis=1), later.argmax(axis=1), count)
+
+
+def make_schedule(
+    frames: Frames,
+    switches: NDArray[np.floating],
+    substep: NDArray[np.floating],
+    most_steps: int | None,
+    before: NDArray[np.floating],
+) -> Schedule:
+    """Make the schedule of all worlds up to the last frame.
+
+    Args:
+        frames: Frames to record.
+        switches: [W, M] times at which grippers close and open [s].
+        substep: [W] longest steps [s].
+        most_steps: Maximum number of steps in a piece, or None.
+        before: [W] length of the last step before the run, 0 at a start [s].
+    """
+    W, T, last = len(substep), len(frames.times), frames.times[-1]
+    # worlds with the same gripper times have the same pieces, with different numbers of steps
+    within = (switches > frames.began) & (switches < last)
+    alike, which = np.unique(np.where(within, switches, np.inf), axis=0, return_inverse=True)
+    blocks = []
+    for k, row in enumerate(alike):
+        inside = row[np.isfinite(row)]
+        times = np.concatenate([[frames.began], frames.times, inside])
+        frame = np.concatenate([[-1], np.arange(T), np.full(len(inside), -1)])
+        order = np.lexsort((frame, times))
+        times, frame = times[order], frame[order]
+        due = np.isin(times, row)
+        worlds = np.flatnonzero(which.reshape(-1) == k)
+        if most_steps is None:
+            blocks.append((worlds, _pieces(times, frame, due, substep[worlds])))
+        else:
+            for w in worlds[:, None]:
+                blocks.append((w, _short(_pieces(times, frame, due, substep[w]), most_steps)))
+    S = max(of["steps"].shape[1] for _, of in blocks)
+    plan = Schedule(
+        begins=np.zeros((W, S)),
+        done=np.zeros((W, S), dtype=np.int32),
+        steps=np.zeros((W, S), dtype=np.int32),
+        dt=np.ones((W, S)),
+        before=np.zeros((W, S)),
+        frame=np.full((W, S), -1, dtype=np.int32),
+        due=np.zeros((W, S + 1), dtype=bool),
+        count=np.zeros(W, dtype=int),
+    )
+    for worlds, of in blocks:
+        count = of["steps"].shape[1]
+        plan.count[worlds] = count
+        for name in ("begins", "done", "steps", "dt", "frame"):
+            getattr(plan, name)[worlds, :count] = of[name]
+        plan.due[worlds, 1 : count + 1] = of["due"]
+    last_dt = before.astype(float).copy()
+    for k in range(S):
+        plan.before[:, k] = last_dt
+        last_dt = np.where(plan.steps[:, k] > 0, plan.dt[:, k], last_dt)
+    return plan
+
+
+def _pieces(
+    times: NDArray[np.float64],
+    frame: NDArray[np.integer],
+    due: NDArray[np.bool_],
+    substep: NDArray[np.floating],
+) -> dict[str, NDArray[Any]]:
+    """Pieces [k, S] between times, of equal steps no longer than substeps [k]."""
+    span = np.diff(times)
+    n = np.ceil(span / substep[:, None] - 1e-9)
+    n = np.where(span > 0.0, np.maximum(1, n), 0).astype(int)
+    dt = np.where(n > 0, span / np.maximum(n, 1), 1.0)
+    return {
+        "begins": times[:-1],
+        "done": np.zeros_like(n),
+        "steps": n,
+        "dt": dt,
+        "frame": frame[1:],
+        "due": due[1:],
+    }
+
+
+def _short(pieces: dict[str, NDArray[Any]], most_steps: int) -> dict[str, NDArray[Any]]:
+    """Split one world's pieces into pieces of at most ``most_steps`` steps."""
+    n, dt = pieces["steps"][0], pieces["dt"][0]
+    parts = np.maximum(1, -(-n // most_steps))
+    of = np.repeat(np.arange(len(n)), parts)
+    part = np.arange(len(of)) - np.repeat(np.cumsum(parts) - parts, parts)
+    last = part == parts[of] - 1
+    return {
+        "begins": pieces["begins"][of],
+        "done": part * most_steps,
+        "steps": np.where(last, n[of] - part * most_steps, most_steps)[None],
+        "dt": dt[of],
+        "frame": np.where(last, pieces["frame"][of], -1),
+        "due": last & pieces["due"][of],
+    }
 
 
 @dataclass

@@ -1,8 +1,9 @@
-"""The shell model: element parameters from a cloth's lattice and materials."""
+"""The shell model: element parameters from a cloth's lattice and materials, and derivatives."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,15 @@ from numpy.typing import NDArray
 
 from gendom.materials import Material
 from gendom.materials.parameters import WEAVE
-from gendom.sim.bodies import Body
 from gendom.sim.cut import Cut
-from gendom.sim.thin.types import ParameterDerivatives, by_modulus
+from gendom.sim.setting import DRAG, Setting, spread
+from gendom.sim.thin.types import Lines, ParameterDerivatives, by_modulus
+
+Array = NDArray[Any]
+
+SHORTEST = 0.125
+"""Smallest length represented by a joint at a gripper's border, over its usual length: no added
+inertia compensates for the stiffness."""
 
 MOST_COUPLED = 1.5
 """Largest area that couples both curvatures of a point, over the geometric mean of the areas that
@@ -23,6 +30,7 @@ they have alone. The energy is positive for nu down to -1 / 1.5."""
 class ShellModel:
     """The elements of W shells of one shape; rows of numbers are those of ``native/shell.h``."""
 
+    materials: Sequence[Material]
     shape: tuple[int, int]
     """Number of rows, and of points in a row, of the whole lattice."""
     at: NDArray[np.int64]
@@ -30,23 +38,30 @@ class ShellModel:
     spacing: tuple[float, float]
     """Distance between points along rows and along columns [m]."""
     thickness: float
-    area: NDArray[np.float64]
-    """[n] area represented by each point [m^2]."""
-    exists: NDArray[np.float64]
+    exists: Array
     """[3, n] whether a point has an edge to the next one, to the one below, and a cell."""
-    shares: NDArray[np.float64]
+    shares: Array
     """[8, n] geometric factors of the moduli in each stiffness: areas over spacings."""
-    alone: NDArray[np.floating]
+    alone: Array
     """[2, n] whether transverse curvature is free, along rows and along columns."""
     faster: tuple[float, float]
     """Largest factors on the squared frequencies of membrane and bending by light points at an
     outline."""
     cut: Cut | None
     """Cells within the body's outline; None: a whole rectangle."""
+    mass: Array
+    """[W, n] mass of points [kg]."""
+    drag: Array
+    """[n] drag of points over the density of the air."""
+    varies: Array
+    """[W, 8, 1] whether a stiffness varies with E at each point: not a membrane's of its own."""
+    local: Array
+    """[W, 8, n] stiffness over that of the material."""
 
     @classmethod
-    def of(cls, body: Body) -> "ShellModel":
-        ny, nx = body.shape
+    def of(cls, setting: Setting) -> "ShellModel":
+        body, materials = setting.body, setting.materials
+        (ny, nx), h = body.shape, body.thickness
         if body.cut is None:
             at = np.arange(ny * nx)
             grid = body.points.reshape(ny, nx, 3)
@@ -64,41 +79,67 @@ class ShellModel:
         inner_x, inner_y = np.zeros((ny, nx)), np.zeros((ny, nx))
         inner_x[:, 1:] = after[:, 1:] * after[:, :-1]
         inner_y[1:] = below[1:] * below[:-1]
-        both = inner_x * inner_y
         if body.cut is None:
             area = 0.25 * lx * ly * _to_corners(share)
-            bent = [area * inner_x, area * inner_y, area * both]
+            bent = [area * inner_x, area * inner_y, area * inner_x * inner_y]
             alone = [inner_x * (1.0 - inner_y), inner_y * (1.0 - inner_x)]
         else:
             area = np.zeros((ny, nx))
             area.flat[at] = body.cut.area
             bent, alone = _bent(body.cut, inner_x, inner_y)
         quarter = 0.25 * lx * ly * cell
-        shares = np.stack(
-            [
-                quarter,
-                quarter,
-                quarter,
-                16.0 * quarter,
-                bent[0] / lx**4,
-                bent[1] / ly**4,
-                bent[2] / (lx * ly) ** 2,
-                2.0 * lx * ly * cell / (lx * ly) ** 2,
-            ]
-        )
-        faster = (1.0, 1.0) if body.cut is None else _faster(body.cut, area, shares[4:])
+        xx, yy, xy = bent[0] / lx**4, bent[1] / ly**4, bent[2] / (lx * ly) ** 2
+        bending = [xx, yy, xy, 2.0 * lx * ly * cell / (lx * ly) ** 2]
+        shares = np.stack([quarter, quarter, quarter, 16.0 * quarter, *bending])
+        W, n, flat = len(materials), len(at), area.reshape(-1)[at]
+        varies = np.ones((W, 8, 1))
+        varies[[m.membrane is not None for m in materials], :4] = 0.0
+        local = 1.0 + varies * (spread(setting.stiffness, (W, n), "stiffness")[:, None] - 1.0)
+        density = np.array([[m.density] for m in materials])
         return cls(
+            materials=materials,
             shape=(ny, nx),
             at=at,
             spacing=(lx, ly),
-            thickness=body.thickness,
-            area=area.reshape(-1)[at],
+            thickness=h,
             exists=np.stack([after, below, there]).reshape(3, -1)[:, at],
             shares=shares.reshape(8, -1)[:, at],
             alone=np.stack(alone).reshape(2, -1)[:, at],
-            faster=faster,
+            faster=(1.0, 1.0) if body.cut is None else _faster(body.cut, area, bending),
             cut=body.cut,
+            mass=density * h * flat * spread(setting.mass, (W, n), "mass"),
+            drag=0.5 * DRAG["cloth"] * flat,
+            varies=varies,
+            local=local,
         )
+
+    @property
+    def modulus(self) -> Array:
+        """[W, 8, n] stiffness of points that have their material's."""
+        return self._factors()[0] * self._scales() * self.shares
+
+    @cached_property
+    def stiffness(self) -> Array:
+        """[W, 8, n]."""
+        return self.modulus * self.local
+
+    @cached_property
+    def lines(self) -> list[Lines]:
+        """Rows and columns."""
+        number = self.on_lattice(np.arange(len(self.at))[None], fill=-1)[0]
+        has = self.on_lattice(self.exists) > 0.0
+        (rows, columns), (lx, ly) = number.shape, self.spacing
+        return [
+            Lines(number, np.full(columns - 1, lx), has[0][:, :-1], SHORTEST),
+            Lines(number.T, np.full(rows - 1, ly), has[1].T[:, :-1], SHORTEST),
+        ]
+
+    @property
+    def flat(self) -> Array | None:
+        """[n, 2] places in the plane [m]; None: there are holes and notches between them."""
+        if self.cut is not None:
+            return None
+        return np.stack(np.unravel_index(self.at, self.shape)[::-1], axis=1) * self.spacing
 
     def on_lattice(self, values: NDArray[Any], fill: float = 0.0) -> NDArray[Any]:
         """Values of points [W, n, ...] on the whole lattice, [W, rows, columns, ...]."""
@@ -113,77 +154,76 @@ class ShellModel:
         """Inverse of ``on_lattice``: [W, n, ...] of [W, rows, columns, ...]."""
         return values.reshape(len(values), -1, *values.shape[3:])[:, self.at]
 
-    def factors(self, nu: NDArray[np.floating]) -> tuple[NDArray[Any], NDArray[Any]]:
+    def derivatives(self, name: str) -> ParameterDerivatives:
+        """Derivatives by ``E``, ``nu``, ``density``, ``thickness``, ``membrane`` or one of
+        ``WEAVE``."""
+        if name == "density":
+            return ParameterDerivatives(mass=1.0 / np.array([[m.density] for m in self.materials]))
+        if name == "nu":
+            scale = self._scales() * self.shares * self.local
+            return ParameterDerivatives(stiffness=self._factors()[1] * scale)
+        if name == "thickness":
+            per = np.repeat([1.0, 3.0], 4)[:, None] / self.thickness
+            return ParameterDerivatives(self.stiffness * per, 1.0 / self.thickness, thickness=1.0)
+        if name in WEAVE:
+            per = np.array([[1.0 / getattr(m, name)] for m in self.materials]) * _powers(name)
+        else:
+            per = np.repeat(by_modulus(name, self.materials), 4, axis=1)
+        return ParameterDerivatives(stiffness=self.stiffness * per[:, :, None])
+
+    def share_bar(self, stiffness_bar: Array) -> Array:
+        """Derivatives by E at each point over its material's [W, n], given those by ``stiffness``
+        [W, 8, n]."""
+        return np.sum(stiffness_bar * self.modulus * self.varies, axis=1)
+
+    def _factors(self) -> tuple[Array, Array]:
         """Stiffness [W, 8, n] over E h (membrane) or E h^3 / 12 (bending), without the factors
         ``shares``, and its derivative with respect to nu. Plane stress; where transverse curvature
         is free, the modulus is that of a beam."""
+        nu = np.array([m.nu for m in self.materials])
         plane, plane_nu = 1.0 / (1.0 - nu**2), 2.0 * nu / (1.0 - nu**2) ** 2
         both, both_nu = nu * plane, plane + nu * plane_nu
         shear, shear_nu = 0.5 / (1.0 + nu), -0.5 / (1.0 + nu) ** 2
         twist, twist_nu = 2.0 * shear, 2.0 * shear_nu  # D (1 - nu) = E h^3 / 12 / (1 + nu)
-        values = np.stack([plane, plane, both, shear, plane, plane, both, twist], axis=1)
-        by_nu = np.stack(
-            [plane_nu, plane_nu, both_nu, shear_nu, plane_nu, plane_nu, both_nu, twist_nu], axis=1
-        )
-        free = np.zeros((8, len(self.area)), dtype=bool)
+        values = [plane, plane, both, shear, plane, plane, both, twist]
+        by_nu = [plane_nu, plane_nu, both_nu, shear_nu, plane_nu, plane_nu, both_nu, twist_nu]
+        free = np.zeros(self.shares.shape, dtype=bool)
         free[4:6] = self.alone > 0.0
-        return np.where(free, 1.0, values[:, :, None]), np.where(free, 0.0, by_nu[:, :, None])
+        return (
+            np.where(free, 1.0, np.stack(values, axis=1)[:, :, None]),
+            np.where(free, 0.0, np.stack(by_nu, axis=1)[:, :, None]),
+        )
 
-    def derivatives(
-        self, name: str, materials: Sequence[Material], local: NDArray[np.floating]
-    ) -> ParameterDerivatives:
-        """Derivatives by ``E``, ``nu``, ``density``, ``thickness``, ``membrane`` or one of
-        ``WEAVE``; ``local`` [W, 8, n] is the stiffness over that of the material."""
-        if name == "density":
-            return ParameterDerivatives(mass=1.0 / np.array([[m.density] for m in materials]))
-        values, by_nu = self.factors(np.array([m.nu for m in materials]))
-        scale = self.scales(materials) * self.shares * local
-        if name == "nu":
-            return ParameterDerivatives(stiffness=by_nu * scale)
-        stiffness = values * scale
-        if name == "thickness":
-            per = np.repeat([1.0, 3.0], 4)[:, None] / self.thickness
-            mass = np.full((len(materials), 1), 1.0 / self.thickness)
-            return ParameterDerivatives(stiffness=stiffness * per, mass=mass, thickness=1.0)
-        if name in WEAVE:
-            per = np.array([[1.0 / getattr(m, name)] for m in materials]) * _powers(name)
-            return ParameterDerivatives(stiffness=stiffness * per[:, :, None])
-        per = np.repeat(by_modulus(name, materials), 4, axis=1)
-        return ParameterDerivatives(stiffness=stiffness * per[:, :, None])
-
-    def scales(self, materials: Sequence[Material]) -> NDArray[np.float64]:
+    def _scales(self) -> Array:
         """Scales [W, 8, 1] of the stiffness: E h with the in-plane modulus, and E h^3 / 12, each
         times what threads make of it."""
         h = self.thickness
-        rows = [4 * [m.in_plane * h] + 4 * [m.E * h**3 / 12.0] for m in materials]
+        rows = [4 * [m.in_plane * h] + 4 * [m.E * h**3 / 12.0] for m in self.materials]
         woven = [
             math.prod(getattr(m, name) ** np.array(_powers(name)) for name in WEAVE)
-            for m in materials
+            for m in self.materials
         ]
         return (np.array(rows) * woven)[:, :, None]
 
-    def longest_step(
-        self, materials: Sequence[Material], local: NDArray[np.floating]
-    ) -> NDArray[np.float64]:
+    def longest_step(self) -> Array:
         """Longest stable step [W] [s], 2 / omega of the fastest small vibration in or out of plane.
 
         Source: von Neumann's analysis of the elements in ``native/shell.h``.
         """
         lx, ly = self.spacing
         k2 = 4.0 / lx**2 + 4.0 / ly**2
-        E, in_plane = np.array([[m.E, m.in_plane] for m in materials]).T
-        in_plane, E = in_plane * local[:, 0].max(axis=1), E * local[:, 4].max(axis=1)
-        nu = np.array([m.nu for m in materials])
-        density = np.array([m.density for m in materials])
-        sheared = np.array([max(1.0, m.shear) for m in materials])
-        bent = np.array([max(m.warp, m.weft) for m in materials])
+        E, in_plane, nu, density, damping = np.array(
+            [[m.E, m.in_plane, m.nu, m.density, m.damping] for m in self.materials]
+        ).T
+        sheared = np.array([max(1.0, m.shear) for m in self.materials])
+        bent = np.array([max(m.warp, m.weft) for m in self.materials])
+        in_plane, E = in_plane * self.local[:, 0].max(axis=1), E * self.local[:, 4].max(axis=1)
         # joints at a gripper's border can be eight times as stiff
         across = 8.0 * self.faster[1] * self.thickness**2 / 12.0 * k2**2
         along = self.faster[0] * k2
         fastest = np.maximum(in_plane * sheared * along, E * bent * across)
         fastest = fastest / (1.0 - nu**2) / density
-        damped = np.array([m.damping > 0.0 for m in materials])
-        return 2.0 / np.sqrt(np.where(damped, 2.0, 1.0) * fastest)
+        return 2.0 / np.sqrt(np.where(damping > 0.0, 2.0, 1.0) * fastest)
 
 
 def _powers(name: str) -> list[float]:
@@ -240,15 +280,13 @@ def _bent(
     return areas, [inner_x * ~coupled, inner_y * ~coupled]
 
 
-def _faster(
-    cut: Cut, area: NDArray[np.floating], bent: NDArray[np.floating]
-) -> tuple[float, float]:
+def _faster(cut: Cut, area: Array, bent: list[Array]) -> tuple[float, float]:
     """``ShellModel.faster``: sums of absolute values in rows of stiffness over mass (Gershgorin).
 
     Args:
         cut: The lattice's part.
         area: [rows, columns] of points [m^2].
-        bent: [4, rows, columns] ``ShellModel.shares`` of bending, without the weave.
+        bent: ``ShellModel.shares`` of bending, [rows, columns] each.
     """
     lx, ly = cut.spacing
 
@@ -257,7 +295,7 @@ def _faster(
         before, after = (np.roll(beside, k, axis)[1:-1, 1:-1] for k in (1, -1))
         return 4.0 * (before + 2.0 * values + after)
 
-    twist = 4.0 * _to_corners(bent[3, :-1, :-1])
+    twist = 4.0 * _to_corners(bent[3][:-1, :-1])
     coupled = np.maximum(spread(bent[2], 0) + spread(bent[2], 1), twist)
     rows = spread(bent[0], 1) + spread(bent[1], 0) + coupled
     there = area > 0.0

@@ -13,8 +13,8 @@ from gendom.sim.paths import HostPaths
 from gendom.sim.setting import Frames
 from gendom.sim.thin.contact import LISTED
 from gendom.sim.thin.engine import ThinEngine
-from gendom.sim.thin.grips import close_adjoint, released_adjoint
-from gendom.sim.thin.run import Event, Held, Round, put
+from gendom.sim.thin.grips import border_adjoint, close_adjoint, released_adjoint
+from gendom.sim.thin.run import Event, Round, put
 from gendom.sim.thin.types import (
     DAMPING,
     DISTANCE,
@@ -46,7 +46,7 @@ class ThinTape:
 
     def __init__(self, engine: ThinEngine):
         self.engine = engine
-        self.rounds: list[tuple[slice, Round, Held]] = []
+        self.rounds: list[tuple[slice, Round, tuple]] = []
         engine.load("reverse", "begin_adjoint")
 
     def forward(self, times: NDArray[np.float64], began: float) -> NDArray[np.floating]:
@@ -63,7 +63,7 @@ class ThinTape:
         self.kept = e.zeros((pieces * W, self.rows, e.row_length))
         self.plan = e.run(
             frames,
-            after=lambda group, round: self.rounds.append((group, round, e.held(group))),
+            after=lambda group, round: self.rounds.append((group, round, e.held_by(group))),
             most_steps=self.most,
             kept=self.kept,
         )
@@ -80,7 +80,7 @@ class ThinTape:
         self.host = HostPaths(e.stacked)
         self.model_bar = np.zeros((W, MODEL_ROWS, n))
         self.radius_bar = np.zeros((W, G))
-        self.stiffer_bar = np.zeros((W, G, len(e.stiffened), n))
+        self.stiffer_bar = np.zeros(e.stiffer.shape)
 
         def reverse(group: slice) -> None:
             for of, round, held in reversed(self.rounds):
@@ -107,7 +107,7 @@ class ThinTape:
 
     # ---- one group of worlds ---------------------------------------------------------------------
 
-    def _reverse_round(self, group: slice, round: Round, held: Held) -> None:
+    def _reverse_round(self, group: slice, round: Round, held: tuple) -> None:
         self.engine.hold_again(group, held)
         self._reverse_steps(group, round)
         self._take_model(group)
@@ -177,7 +177,9 @@ class ThinTape:
         if event.closes:
             places = self.adjoint.place.numpy()[w * G + g][..., e.slots].astype(float)
             x_bar, q_bar, pose_bar = close_adjoint(event.grip, event.x, event.pose, places)
-            by_x, by_centre, by_radius = e.border_adjoint(event, self.stiffer_bar[w, g])
+            by_x, by_centre, by_radius = border_adjoint(
+                event.grip, e.model.lines, event.x, event.pose, self.stiffer_bar[w, g]
+            )
             pose_bar.centre += by_centre
             self.radius_bar[w, g] += by_radius
             take(X, part(X) + x_bar + by_x)
@@ -209,15 +211,11 @@ class ThinTape:
         first = self.adjoint.state.numpy()[..., e.slots].astype(float)
         x, v = e.component(X, self.first), e.component(V, self.first)
         x_bar, v_bar = e.by_start(x, v, np.swapaxes(first, 1, 2))
-        own = {name: self._by_parameter(name) for name in e.parameters()}
         found = Gradients(
-            E=self._by_parameter("E"),
-            nu=self._by_parameter("nu"),
-            density=self._by_parameter("density"),
-            stiffness=e.by_shares(m),
+            stiffness=e.model.share_bar(m[:, : e.device_model.stiffness.shape[1]]),
             damping=m[:, DAMPING].sum(axis=1),
             velocity_damping=m[:, VELOCITY_DAMPING].sum(axis=1),
-            air_density=m[:, DRAG] @ e.drag_by_air,
+            air_density=m[:, DRAG] @ e.model.drag,
             friction=m[:, FRICTION].sum(axis=1),
             self_friction=m[:, SELF_FRICTION].sum(axis=1),
             gravity=m[:, GRAVITY].sum(axis=2),
@@ -226,7 +224,7 @@ class ThinTape:
             gripper_positions=self.adjoint.position.numpy() + self.host.position_bar,
             gripper_rotations=self.adjoint.path_turn.numpy() + self.host.turn_bar,
             gripper_radius=self.radius_bar,
-            **own,
+            **{name: self._by_parameter(name) for name in e.parameters},
         )
         for name, values in vars(found).items():
             if values is not None and not np.isfinite(values).all():
@@ -243,8 +241,8 @@ class ThinTape:
     def _by_parameter(self, name: str) -> NDArray[np.float64]:
         """Derivatives by a parameter of each world's model, [W]."""
         e, m = self.engine, self.model_bar
-        by, R = e.derivatives(name), e.device_model.stiffness.shape[1]
-        drag = e.air_density[:, None] * e.drag_by_air
+        by, R = e.model.derivatives(name), e.device_model.stiffness.shape[1]
+        drag = e.air_density[:, None] * e.model.drag
         touching = 0.5 * m[:, RADIUS] + m[:, DISTANCE]
         found = np.sum(m[:, :R] * by.stiffness, axis=1) - m[:, PER_MASS] * e.per_mass * by.mass
         found += m[:, DRAG] * drag * by.drag + touching * by.thickness

@@ -10,7 +10,7 @@ are named in ``native/rod.h``, ``native/shell.h`` and their adjoints.
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -42,20 +42,16 @@ MODEL_ROWS = 24
 """Components of derivatives by the model."""
 
 
-def _none() -> NDArray[np.float64]:
-    return np.zeros(())
-
-
 @dataclass(frozen=True)
 class ParameterDerivatives:
     """Derivatives of a model's numbers by one parameter, of W worlds with n points."""
 
-    stiffness: NDArray[np.float64] = field(default_factory=_none)
-    """[W, R, n] of the stiffness without grippers, or 0."""
-    mass: NDArray[np.float64] = field(default_factory=_none)
-    """[W, 1] of points' masses, over them, or 0."""
-    inertia: NDArray[np.float64] = field(default_factory=_none)
-    """[W, n] of edges' moments of inertia, over them, or 0."""
+    stiffness: Any = 0.0
+    """[W, R, n] of the stiffness without grippers."""
+    mass: Any = 0.0
+    """Of points' masses, over them, a number or [W, 1]."""
+    inertia: Any = 0.0
+    """Of edges' moments of inertia, over them, a number, [W, 1] or [n]."""
     drag: float = 0.0
     """Of the area that is exposed to the air, over it."""
     thickness: float = 0.0
@@ -69,6 +65,33 @@ def by_modulus(name: str, materials: Sequence[Material]) -> NDArray[np.float64]:
     if name == "E":
         return np.array([[k is None, True] for k in own]) / np.array([[m.E] for m in materials])
     return np.array([[0.0 if k is None else 1.0 / k, 0.0] for k in own])
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Lines of points along which a body bends: a rod itself, rows or columns of a shell."""
+
+    index: NDArray[np.int64]
+    """[L, k] points of each line; -1: there is none."""
+    length: NDArray[np.float64]
+    """[k - 1] of edges at rest [m]."""
+    exist: NDArray[np.bool_]
+    """[L, k - 1] whether there is an edge."""
+    least: float
+    """Least length represented by a joint at a gripper's border, over its usual length."""
+
+    def of(self, values: NDArray[Any], fill: float = 0.0) -> NDArray[Any]:
+        """Values of points [W, n, ...] along the lines of all worlds, [W L, k, ...]."""
+        taken = values[:, self.index]
+        taken[:, self.index < 0] = fill
+        return taken.reshape(-1, *taken.shape[2:])
+
+    def points(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Inverse of ``of``."""
+        there, more = self.index >= 0, values.shape[2:]
+        found = np.empty((len(values) // len(there), self.index.max() + 1, *more), values.dtype)
+        found[:, self.index[there]] = values.reshape(-1, *there.shape, *more)[:, there]
+        return found
 
 
 @dataclass(frozen=True)
@@ -113,17 +136,15 @@ def make_types(real: Any) -> Types:
         radius: real  # height of a point on the table [m]
         holds: wp.array3d(dtype=wp.int32)  # [W, G, n] 1: a point is held, 2: an edge's direction is
         place: wp.array3d(dtype=real)  # [W G, 7, P] of those, in the gripper's frame
-        overstretched_from: wp.array(dtype=wp.float64)  # [W] when grippers are too far apart [s]
+        # of each pair of grippers
+        ends: wp.array3d(dtype=wp.int32)  # [W, G (G - 1) / 2, 2] slots of two points
+        farthest: wp.array2d(dtype=real)  # and how far apart they may be, squared [m^2]
         # contact with itself
         contact: int
         contact_distance: real  # between centre lines or middle surfaces [m]
         contact_margin: real  # of the list of pairs [m]
         contact_apart: int  # of rods: smallest number of points between parts in self-contact
-        # turns over the contacts of a step, if there are any, and at most, while a turn still finds
-        # one nearer than enough [m]
-        contact_turns: int
-        contact_most_turns: int
-        contact_enough: real
+        contact_most_turns: int  # over the contacts of a step
         self_friction: wp.array(dtype=real)  # [W]
         loose: wp.array3d(dtype=real)  # [W, 1, P] 1 / mass of free points, 0 for held ones [1/kg]
         push: wp.array3d(dtype=real)  # [W, 7, P] of one step's contacts, see ``native/contact.h``
@@ -131,13 +152,12 @@ def make_types(real: Any) -> Types:
         boxes: wp.array3d(dtype=real)  # [W, 6, P] around each one's features then [m]
         near: wp.array3d(dtype=wp.int32)  # [W, M, 2] pairs
         near_count: wp.array2d(dtype=wp.int32)  # [W, 2] from the front and from the back
-        # those of them that a step's turns go over: nearer than contact_close when they begin [m]
+        # those of them that a step's turns go over
         close: wp.array3d(dtype=wp.int32)  # [W, M, 2]
         close_count: wp.array2d(dtype=wp.int32)  # [W, 2]
         # those of the close ones that touch
         touching: wp.array2d(dtype=wp.int32)  # [W, M]
         touching_count: wp.array(dtype=wp.int32)  # [W]
-        contact_close: real
 
     @wp.struct
     class ModelAdjoint:

@@ -11,6 +11,11 @@
 
 namespace gendom {
 
+// Friction needs so many turns over the contacts of a step; then they go on while one finds something nearer than
+// what is enough, in thicknesses.
+constexpr int needed_turns = 4;
+constexpr double enough_distance = 0.9;
+
 template <typename real> CUDA_CALLABLE inline void add_to(const rows_of<real>& rows, int c, int i, real a) {
 #if defined(__CUDA_ARCH__)
     atomicAdd(rows.first + c * rows.pitch + i, a);
@@ -53,7 +58,7 @@ template <typename Model, typename real> struct contacts {
                                   real dt, int turn)
         : model(model), w(w), close(close_pairs(model, w)), s(state, row), push(model.push, w),
           loose(model.loose, w), dt(dt), per_dt(real(1) / dt), mu(wp::index(model.self_friction, w)),
-          over(turn < model.contact_turns ? real(1) : real(1.8)) {}
+          over(turn < needed_turns ? real(1) : real(1.8)) {}
 
     CUDA_CALLABLE inline meeting<real> pair(int k) const {
         int one, other;
@@ -116,7 +121,7 @@ template <typename Model, typename real>
 CUDA_CALLABLE inline int contact_impulses(const Model& model, int w, const wp::array_t<real>& state, int row,
                                     real dt, int turn) {
     const contacts<Model, real> all(model, w, state, row, dt, turn);
-    const real enough = turn + 1 < model.contact_turns ? model.contact_distance : model.contact_enough;
+    const real enough = (turn + 1 < needed_turns ? real(1) : real(enough_distance)) * model.contact_distance;
     contact<real> c;
     int again = 0;
     for (EACH_ONE_IN(j, 0, all.number())) {

@@ -275,17 +275,18 @@ CUDA_CALLABLE inline bool is_folded(const Model& model, const rows_of<real>& s, 
     return false;
 }
 
-// Lists those of the listed pairs that are close.
+// Lists those of the listed pairs that may play a part in a step's contacts.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void list_close(const Model& model, int w, const wp::array_t<real>& state, int row) {
     const rows_of<real> s(state, row);
     const pairs_of near = near_pairs(model, w), close = close_pairs(model, w);
+    const real far = real(1.25) * model.contact_distance;
     close.clear();
     block_sync();
     for (EACH_ONE_IN(k, 0, near.number())) {
         int one, other;
         near.read(k, one, other);
-        if (pair_meets(s, one, other, model.pitch).distance < model.contact_close) close.append(one, other);
+        if (pair_meets(s, one, other, model.pitch).distance < far) close.append(one, other);
     }
     block_sync();
 }

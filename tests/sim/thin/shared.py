@@ -1,7 +1,12 @@
-"""Central differences of losses that jump where a contact begins or ends in another step."""
+"""Central differences of losses that jump where a contact begins or ends in another step, and the
+model of a sheet."""
 
 import numpy as np
 import pytest
+
+from gendom.materials import Material
+from gendom.sim import Simulator
+from gendom.sim.thin.shells import Shells
 
 SIZES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 
@@ -32,3 +37,10 @@ def check_derivative(by, loss, h, rel, name):
     expected, rounded = difference(loss, h)
     assert rounded <= 1e-3 * abs(expected), name
     assert by == pytest.approx(expected, abs=rounded + rel * abs(expected)), name
+
+
+def model_of(body):
+    """The shell model of a cloth."""
+    engine = Simulator(body, [Material()]).engine
+    assert isinstance(engine, Shells)
+    return engine.model
