@@ -20,7 +20,6 @@ from gendom.sim import (
     Table,
     cloth,
     open_device,
-    outline_of_mesh,
     rope,
 )
 from validation.bench import flat_simulator
@@ -139,7 +138,6 @@ def test_moves(name, value):
         "radius": ["wide", [0.01, 0.02], inf],
         "hold_from": ["soon", [0.0, 1.0], nan],
         "hold_until": ["late", [0.0, 1.0], nan],
-        "may_miss": ["yes", 3],
     }
 )
 def test_grippers(name, value):
@@ -285,28 +283,6 @@ def test_passes_of_rollouts():
     assert "positions_bar must be finite" in refused(rollout.backward, positions_bar=bar)
 
 
-# ---- meshes --------------------------------------------------------------------------------------
-
-CORNERS = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
-
-
-@cases(
-    {
-        "vertices": ["corners", RAGGED, CORNERS[:2], [[0.0, 0.0], [1.0, nan], [0.0, 1.0]]],
-        "faces": ["sides", [[0, 1, 2], [0, 1]], [[0, 1, -1]], [], [[0, 1, 2], [0, 1, 2]],
-                  [[0, 1, 2], [2, 1, 0]]],
-    }
-)  # fmt: skip
-def test_meshes(name, value):
-    given: dict[str, Any] = {"vertices": CORNERS, "faces": [[0, 1, 2]], name: value}
-    assert named(name, refused(outline_of_mesh, **given))
-
-
-def test_a_triangle_in_space_of_two_vertices():
-    x = np.column_stack([CORNERS, np.zeros(3)])
-    assert refused(outline_of_mesh, vertices=x, faces=[[0, 1, 1]]).startswith("faces: triangle 0")
-
-
 # ---- where things are ----------------------------------------------------------------------------
 
 
@@ -330,8 +306,6 @@ def test_objects_in_the_table_name_the_world():
     s(positions=x[:1])
 
 
-def test_paths_and_surfaces():
-    s = Simulator(ROPE, [MATERIAL])
-    assert named("path", refused(s.save_state, path=3))
+def test_surfaces():
     for x in ("here", RAGGED, np.zeros((5, 3)), np.zeros(3)):
         assert named("x", refused(ROPE.surface, x=x))

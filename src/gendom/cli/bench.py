@@ -120,7 +120,7 @@ class Command:
             device=str(s.device),
             dtype=dtype,
             worlds=worlds,
-            threads=s.threads,
+            threads=s.engine.setting.threads,
             particles=body.num_particles,
             substeps=substeps,
             seconds=median,

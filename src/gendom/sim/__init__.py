@@ -7,9 +7,8 @@ from gendom.sim.device import claimed, list_devices, open_device
 from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper, Grippers, Targets
 from gendom.sim.mpm.engine import CFL, stable_substep
-from gendom.sim.outlines import outline_of_mesh
 from gendom.sim.rollout import Rollout
-from gendom.sim.scene import ENGINES, GRAVITY, Physics, Solver, Table
+from gendom.sim.setting import ENGINES, GRAVITY, Physics, Solver, Table
 from gendom.sim.simulator import Simulator
 
 __all__ = [
@@ -32,7 +31,6 @@ __all__ = [
     "cloth",
     "list_devices",
     "open_device",
-    "outline_of_mesh",
     "rope",
     "stable_substep",
 ]

@@ -17,23 +17,23 @@ from gendom.materials.parameters import OF_THIN
 from gendom.sim.bodies import Body
 from gendom.sim.gripper import Gripper
 from gendom.sim.rollout import Rollout
-from gendom.sim.scene import Physics, Solver, Table
+from gendom.sim.setting import Physics, Solver, Table
 from gendom.sim.simulator import Simulator, engine_of
-from gendom.sim.thin.rotation import left_jacobian_inverse
-
-_AXES = {
-    **dict.fromkeys(("E", "nu", "density", "damping", *OF_THIN), 0),
-    **dict.fromkeys(("velocity_damping", "air_density", "friction", "self_friction"), 0),
-    "thickness": 0,
-    **dict.fromkeys(("gravity", "stiffness", "gripper_radius"), 1),
-    **dict.fromkeys(("positions", "velocities"), 2),
-    **dict.fromkeys(("gripper_positions", "gripper_rotations"), 3),
-}
-"""Inputs that may be tensors, and their number of axes in one world."""
+from gendom.sim.thin.rotation import left_jacobian
 
 _OF_MATERIAL = ("E", "nu", "density", "damping", *OF_THIN)
 _OF_PHYSICS = ("velocity_damping", "air_density", "self_friction", "gravity")
 _OF_SIMULATOR = ("stiffness", "positions")
+
+
+def _shapes(N: int, grippers: Sequence[Gripper]) -> dict[str, tuple[int, ...]]:
+    """Inputs that may be tensors, and their shapes in one world."""
+    path = (len(grippers), max((len(np.asarray(g.time)) for g in grippers), default=0), 3)
+    scalars = ("velocity_damping", "air_density", "friction", "self_friction", "thickness")
+    return dict.fromkeys((*_OF_MATERIAL, *scalars), ()) | {
+        "gravity": (3,), "stiffness": (N,), "positions": (N, 3), "velocities": (N, 3),
+        "gripper_positions": path, "gripper_rotations": path, "gripper_radius": path[:1],
+    }  # fmt: skip
 
 
 def simulate(
@@ -77,26 +77,25 @@ def simulate(
             another type, shape or range.
         SimulationError: If a world diverges, or a derivative does in the backward pass.
     """
-    unknown = sorted(set(given) - set(_AXES))
-    missing = sorted({"E", "nu", "density"} - set(given))
-    if unknown or missing:
-        raise ParameterError(
-            f"simulate takes {', '.join(_AXES)}; unknown: {unknown}, missing: {missing}"
-        )
     check_type("body", body, Body)
     check_list("grippers", grippers, Gripper)
     thin = engine_of(body, solver) == "thin"
+    shapes = _shapes(len(body.points) if thin else body.num_particles, grippers)
+    unknown = sorted(set(given) - set(shapes))
+    missing = sorted({"E", "nu", "density"} - set(given))
+    if unknown or missing:
+        raise ParameterError(
+            f"simulate takes {', '.join(shapes)}; unknown: {unknown}, missing: {missing}"
+        )
     only_thin = sorted({"thickness", *OF_THIN} & set(given))
     if only_thin and not thin:
         raise ParameterError(
             f"the MPM has no derivative by {', '.join(only_thin)}",
             fix='solver=Solver(engine="thin")',
         )
-    names = [n for n in _AXES if n in given]
-    tensors = [_tensor(n, given[n]) for n in names]
+    tensors = {n: _tensor(n, given[n]) for n in shapes if n in given}
     scene = (body, times, tuple(grippers), table, physics, solver, memory)
-    N = len(body.points) if thin else body.num_particles
-    return _Simulation.apply(scene, names, *_spread(names, tensors, N, grippers))  # pyright: ignore[reportReturnType]
+    return _Simulation.apply(scene, list(tensors), *_spread(tensors, shapes))  # pyright: ignore[reportReturnType]
 
 
 def _tensor(name: str, value: Any) -> Tensor:
@@ -104,40 +103,23 @@ def _tensor(name: str, value: Any) -> Tensor:
     return torch.as_tensor(given, dtype=torch.float64)
 
 
-def _spread(
-    names: list[str], tensors: list[Tensor], N: int, grippers: Sequence[Gripper]
-) -> list[Tensor]:
+def _spread(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]]) -> list[Tensor]:
     """Expand the tensors to one leading axis of worlds; torch sums the derivatives over it."""
-    extra = {n: t.dim() - _AXES[n] for n, t in zip(names, tensors, strict=True)}
+    extra = {n: t.dim() - len(shapes[n]) for n, t in tensors.items()}
     wrong = [n for n, e in extra.items() if e not in ((0,) if n == "thickness" else (0, 1))]
     if wrong:
         raise ParameterError(f"too many or too few axes: {', '.join(wrong)}")
-    counts = {t.shape[0] for n, t in zip(names, tensors, strict=True) if extra[n] == 1}
+    counts = {t.shape[0] for n, t in tensors.items() if extra[n] == 1}
     if len(counts - {1}) > 1:
         raise ParameterError(f"arguments are for different numbers of worlds: {sorted(counts)}")
-    W = max(counts, default=1)
-    shapes = {
-        "gravity": (3,),
-        "stiffness": (N,),
-        "positions": (N, 3),
-        "velocities": (N, 3),
-        "gripper_positions": (len(grippers), *_knots(grippers), 3),
-        "gripper_rotations": (len(grippers), *_knots(grippers), 3),
-        "gripper_radius": (len(grippers),),
-    }
-    spread = []
-    for n, t in zip(names, tensors, strict=True):
-        shape = (W, *shapes.get(n, ()))
+    W, spread = max(counts, default=1), []
+    for n, t in tensors.items():
+        shape = (W, *shapes[n])
         try:
             spread.append(t.expand(shape))
         except RuntimeError:
             raise ParameterError(f"{n} has shape {tuple(t.shape)}, expected {shape}") from None
     return spread
-
-
-def _knots(grippers: Sequence[Gripper]) -> tuple[int]:
-    counts = {len(np.asarray(g.time)) for g in grippers}
-    return (max(counts, default=0),)
 
 
 class _Simulation(torch.autograd.Function):
@@ -178,10 +160,8 @@ class _Simulation(torch.autograd.Function):
         gradients = ctx.rollout.backward(bars[0].detach().cpu().numpy())
         found = {n: getattr(gradients, n) for n in ctx.names}
         if ctx.turned is not None:  # by rotation vectors, not by a further rotation
-            J = np.linalg.inv(left_jacobian_inverse(ctx.turned))
-            found["gripper_rotations"] = np.einsum(
-                "...ab,...a->...b", J, found["gripper_rotations"]
-            )
+            by_turn = found["gripper_rotations"][..., None, :] @ left_jacobian(ctx.turned)
+            found["gripper_rotations"] = by_turn[..., 0, :]
         return None, None, *(torch.as_tensor(a, dtype=torch.float64) for a in found.values())
 
 

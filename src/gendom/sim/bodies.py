@@ -309,9 +309,9 @@ def cloth(
             outline of the origin of its coordinates [m].
         yaw: Angle of the first axis about z [rad].
         outline: A polygon [K, 2], or a sequence of them, the outside and then holes, with
-            coordinates along the first and second axis [m] (default: a rectangle). Those around a
-            mesh: ``outline_of_mesh``. The points are those of cells of a lattice over the box of
-            the outline that it reaches into (``Body.cut``).
+            coordinates along the first and second axis [m] (default: a rectangle). The points are
+            those of cells of a lattice over the box of the outline that it reaches into
+            (``Body.cut``).
 
     Raises:
         ParameterError: If an argument is of another type or shape or not finite, a size is not

@@ -3,13 +3,13 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from gendom.arguments import check_number, check_numbers, check_type, require
+from gendom.arguments import check_number, check_numbers, require
 from gendom.errors import ParameterError
 
 NEEDED = ("time", "position", "hold_from", "hold_until", "radius")
@@ -44,8 +44,6 @@ class Gripper:
     """Time at which the gripper closes [s]."""
     hold_until: float = math.inf
     """Time at which the gripper opens [s]."""
-    may_miss: bool = False
-    """Whether the gripper may close on nothing; otherwise that raises an error."""
 
     def __post_init__(self) -> None:
         t = np.atleast_1d(check_numbers("gripper time", self.time))
@@ -58,7 +56,6 @@ class Gripper:
             raise ParameterError("gripper path: times must increase from knot to knot")
         check_number("gripper radius", self.radius, above=0.0)
         _check_hold(self.hold_from, self.hold_until, ())
-        check_type("may_miss", self.may_miss, bool)
         object.__setattr__(self, "time", t)
         object.__setattr__(self, "position", p)
         if self.quat_xyzw is not None:
@@ -71,14 +68,6 @@ class Gripper:
     def still(cls, position: ArrayLike, *, radius: float, **hold: Any) -> "Gripper":
         """Return a gripper that stays at ``position`` [3] [m]; errors as of ``Gripper``."""
         return cls(time=[0.0], position=position, radius=radius, **hold)
-
-    @property
-    def turn(self) -> NDArray[np.floating]:
-        """[K, 3] rotation vector from each knot to the next, in world axes [rad]."""
-        turns = np.zeros((len(np.asarray(self.time)), 3))
-        if self.quat_xyzw is not None and len(turns) > 1:
-            turns[:-1] = turns_of(np.asarray(self.quat_xyzw))
-        return turns
 
     def position_at(self, time: ArrayLike) -> NDArray[np.floating]:
         """Centre at given times [s], [..., 3] [m]."""
@@ -156,7 +145,7 @@ class Grippers(Sequence[Sequence[Gripper]]):
         arrays: By name: `time` [W, G, K] [s], `position` [W, G, K, 3] [m] and `orientation`
             [W, G, K, 4] (quaternions, scalar last) at K knots, where shorter paths repeat their
             last knot; [W, G] `turns` (whether orientations were given), `hold_from`, `hold_until`
-            [s], `radius` [m] and `may_miss`. `orientation`, `turns` and `may_miss` may be left out.
+            [s] and `radius` [m]. `orientation` and `turns` may be left out.
 
     Raises:
         ParameterError: If an array is missing or of another shape, times decrease, a number is not
@@ -171,7 +160,6 @@ class Grippers(Sequence[Sequence[Gripper]]):
             "orientation": np.tile([0.0, 0.0, 0.0, 1.0], (*shape, 1)),
             "turn": np.zeros((*shape, 3)),
             "turns": np.zeros(shape[:2]),
-            "may_miss": np.zeros(shape[:2]),
             **arrays,
         }
         check_numbers("gripper position", arrays["position"], (*shape, 3))
@@ -193,53 +181,35 @@ class Grippers(Sequence[Sequence[Gripper]]):
             "time": np.zeros((W, G, K)),
             "position": np.zeros((W, G, K, 3)),
             "orientation": np.tile([0.0, 0.0, 0.0, 1.0], (W, G, K, 1)),
-            "turns": np.zeros((W, G)),
-            "hold_from": np.zeros((W, G)),
-            "hold_until": np.zeros((W, G)),
-            "radius": np.zeros((W, G)),
-            "may_miss": np.zeros((W, G)),
+            **{name: np.zeros((W, G)) for name in ("turns", "hold_from", "hold_until", "radius")},
         }
-        for w, grippers in enumerate(every):
-            for g, gripper in enumerate(grippers):
-                t = np.asarray(gripper.time)
-                out["time"][w, g] = np.concatenate([t, np.full(K - len(t), t[-1])])
-                out["position"][w, g] = np.concatenate(
-                    [gripper.position, np.repeat(np.asarray(gripper.position)[-1:], K - len(t), 0)]
-                )
-                if gripper.quat_xyzw is not None:
-                    q = np.asarray(gripper.quat_xyzw, dtype=float)
-                    q = q / np.linalg.norm(q, axis=1, keepdims=True)
-                    out["orientation"][w, g] = np.concatenate([q, np.repeat(q[-1:], K - len(t), 0)])
-                    out["turns"][w, g] = 1
-                out["may_miss"][w, g] = gripper.may_miss
-                out["hold_from"][w, g] = gripper.hold_from
-                out["hold_until"][w, g] = gripper.hold_until
-                out["radius"][w, g] = gripper.radius
+        for w, g in np.ndindex(W, G):
+            gripper = every[w][g]
+            more = (0, K - len(np.asarray(gripper.time)))
+            out["time"][w, g] = np.pad(np.asarray(gripper.time), more, "edge")
+            out["position"][w, g] = np.pad(np.asarray(gripper.position), (more, (0, 0)), "edge")
+            if gripper.quat_xyzw is not None:
+                q = np.asarray(gripper.quat_xyzw, dtype=float)
+                q = q / np.linalg.norm(q, axis=1, keepdims=True)
+                out["orientation"][w, g] = np.pad(q, (more, (0, 0)), "edge")
+                out["turns"][w, g] = 1
+            for name in ("hold_from", "hold_until", "radius"):
+                out[name][w, g] = getattr(gripper, name)
         return cls(out)
 
     def __len__(self) -> int:
         return len(self.arrays["time"])
 
-    @overload
-    def __getitem__(self, w: int) -> list[Gripper]: ...
-    @overload
-    def __getitem__(self, w: slice) -> "Grippers": ...
-    def __getitem__(self, w: int | slice) -> "list[Gripper] | Grippers":
+    def __getitem__(self, w: Any) -> Any:
         part = {name: values[w] for name, values in self.arrays.items()}
         if isinstance(w, slice):
             return Grippers(part)
         made = []
         for g, t in enumerate(part["time"]):
             knots = slice(0, 1 + np.count_nonzero(np.diff(t)))
+            q = part["orientation"][g, knots] if part["turns"][g] else None
+            own = {n: float(part[n][g]) for n in ("radius", "hold_from", "hold_until")}
             made.append(
-                Gripper(
-                    time=t[knots],
-                    position=part["position"][g, knots],
-                    quat_xyzw=part["orientation"][g, knots] if part["turns"][g] else None,
-                    radius=float(part["radius"][g]),
-                    hold_from=float(part["hold_from"][g]),
-                    hold_until=float(part["hold_until"][g]),
-                    may_miss=bool(part["may_miss"][g]),
-                )
+                Gripper(time=t[knots], position=part["position"][g, knots], quat_xyzw=q, **own)
             )
         return made

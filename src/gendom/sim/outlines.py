@@ -1,20 +1,18 @@
-"""Flat outlines of cloths: polygons with holes, given or found in a triangle mesh."""
+"""Flat outlines of cloths: polygons with holes."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+from numpy.typing import NDArray
 
-from gendom.arguments import check_integers, check_numbers, require
+from gendom.arguments import require
 from gendom.errors import ParameterError
 
 Array = NDArray[np.float64]
 
 ROUNDING = 1e-9
-"""Share of an outline's size that counts as no distance, and of a mesh's that counts as flat."""
+"""Share of an outline's size that counts as no distance."""
 
 
 @dataclass(frozen=True)
@@ -170,109 +168,6 @@ class Outline:
             for other in range(1, len(self.loops)):
                 inside = other != k and Outline((self.loops[other],)).contains(hole[:1])[0]
                 require(not inside, f"is inside of {_name(other)}", where=_name(k))
-
-
-def outline_of_mesh(vertices: ArrayLike, faces: ArrayLike) -> list[Array]:
-    """Polygons around a flat triangle mesh, for ``cloth(outline=...)``.
-
-    Args:
-        vertices: [V, 2], or [V, 3] in a plane of space [m]. Coordinates in that plane are those
-            along x, made parallel to the plane (along y if the plane is that of y and z), and
-            across it. They are x and y of a horizontal mesh.
-        faces: [F, 3] indices of the vertices of triangles, in any order.
-
-    Returns:
-        The outside [K, 2], then holes [m].
-
-    Raises:
-        ParameterError: If vertices or faces are of another type or shape or not finite, there are
-            fewer than three vertices or no triangles, an index is out of range, a triangle has no
-            area, the mesh is not flat, or triangles share no edge with the others, overlap, meet
-            only in a point or are given twice.
-    """
-    x = check_numbers("vertices", vertices, ("V", 2), ("V", 3))
-    triangles = check_integers("faces", faces, ("F", 3))
-    require(
-        len(x) >= 3 and len(triangles),
-        f"vertices must be at least three and faces at least one, got {len(x)} and "
-        f"{len(triangles)}",
-    )
-    out = np.any(triangles >= len(x), axis=1)
-    k = int(out.argmax())
-    having = f"triangle {k} has vertices {triangles[k].tolist()}, there are {len(x)}"
-    require(not out.any(), having, where="faces")
-    twice = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
-    require(not twice.any(), f"triangle {int(twice.argmax())} has no area", where="faces")
-    used = x[np.unique(triangles)]
-    size = float(np.ptp(used, axis=0).max())
-    if x.shape[1] == 3:
-        x = _in_plane(x, used, size)
-    a, b, c = (x[triangles[:, k]] for k in range(3))
-    double = cross(b - a, c - a)
-    flat = np.abs(double) <= ROUNDING * size**2
-    require(not flat.any(), f"triangle {int(flat.argmax())} has no area", where="faces")
-    turned = np.where(double[:, None] > 0.0, triangles, triangles[:, ::-1]).astype(np.int64)
-    loops = [x[loop] for loop in _borders(turned)]
-    areas = np.array([integrals(loop)[0] for loop in loops])
-    first = int(areas.argmax())
-    return [loops[first], *(loop for k, loop in enumerate(loops) if k != first)]
-
-
-def _in_plane(x: Array, used: Array, size: float) -> Array:
-    """Coordinates [V, 2] of points [V, 3] in the plane of the used ones."""
-    middle = used.mean(axis=0)
-    normal = np.linalg.svd(used - middle, full_matrices=False)[2][2]
-    off = float(np.abs((used - middle) @ normal).max())
-    require(
-        off <= 1e-6 * size,
-        f"the mesh is not flat: vertices are up to {1e3 * off:.3g} mm out of their plane",
-        where="vertices",
-    )
-    normal = normal * (1.0 if normal[np.abs(normal).argmax()] > 0.0 else -1.0)
-    axis = np.eye(3)[0 if abs(normal[0]) < 1.0 - ROUNDING else 1]
-    along = axis - (axis @ normal) * normal
-    along /= np.linalg.norm(along)
-    return x @ np.stack([along, np.cross(normal, along)], axis=1)
-
-
-def _borders(triangles: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Closed lines of vertices around counter-clockwise triangles [F, 3]."""
-    F = len(triangles)
-    edges = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
-    of = np.tile(np.arange(F), 3)
-    _, edge, count = np.unique(
-        np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    edge = edge.reshape(-1)
-    i, j = edges[count[edge].argmax()]
-    shared = f"more than two triangles share the edge of vertices {i}, {j}"
-    require(count.max() <= 2, shared, where="faces")
-    beside = coo_matrix((np.ones(3 * F), (of, edge)), shape=(F, len(count))).tocsr()
-    parts, _ = connected_components(beside @ beside.T, directed=False)
-    require(
-        parts <= 1,
-        f"the mesh has {parts} parts that share no edge",
-        where="faces",
-        fix="weld vertices that coincide, or make one cloth of each part",
-    )
-    border = edges[count[edge] == 1]
-    require(
-        len(border),
-        "the mesh has no border: each of its triangles lies on others",
-        where="faces",
-        fix="remove triangles that are given twice",
-    )
-    begins, times = np.unique(border[:, 0], return_counts=True)
-    meeting = f"triangles overlap, or meet only in a point, at vertex {begins[times.argmax()]}"
-    require(times.max() <= 1, meeting, where="faces")
-    after = dict(border.tolist())
-    loops = []
-    while after:
-        loop = [next(iter(after))]
-        while (on := after.pop(loop[-1], None)) is not None and on != loop[0]:
-            loop.append(on)
-        loops.append(np.array(loop))
-    return loops
 
 
 def integrals(loop: NDArray[np.floating]) -> Array:

@@ -45,7 +45,6 @@ def make_path_type(real: Any) -> Any:
         hold_from: wp.array2d(dtype=wp.float64)  # [W, G] [s]
         hold_until: wp.array2d(dtype=wp.float64)  # [W, G] [s]
         radius: wp.array2d(dtype=real)  # [W, G] [m]
-        may_miss: wp.array2d(dtype=wp.int32)  # [W, G]
 
     return Paths
 
@@ -59,7 +58,6 @@ def paths_on(device: Any, arrays: Mapping[str, Array], real: Any) -> Any:
     kinds = {
         "time": wp.float64, "position": wp.vec3d, "orientation": wp.quatd, "turn": wp.vec3d,
         "turns": wp.int32, "hold_from": wp.float64, "hold_until": wp.float64, "radius": real,
-        "may_miss": wp.int32,
     }  # fmt: skip
     for name, kind in kinds.items():
         values = np.ascontiguousarray(arrays[name])

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,6 @@ from gendom.arguments import (
     require,
 )
 from gendom.errors import ParameterError, SimulationError
-from gendom.files import atomic_path
 from gendom.materials import Material
 from gendom.materials.parameters import WEAVE
 from gendom.shown import Shown
@@ -28,8 +25,7 @@ from gendom.sim.device import cores, making, open_device
 from gendom.sim.gripper import Gripper, Grippers, Targets
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.scene import Physics, Solver, Table
-from gendom.sim.setting import Frames, Setting
+from gendom.sim.setting import Frames, Physics, Setting, Solver, Table
 from gendom.sim.thin import THIN_ENGINES, ThinEngine
 
 START_INSIDE = 0.1
@@ -90,41 +86,31 @@ class Simulator(Shown):
         check_type("physics", physics, Physics)
         check_type("solver", solver, Solver)
         require(materials, "a simulation needs at least one material (one a world)")
-        engine = engine_of(body, solver)
-        thin = engine == "thin"
-        require(
-            thin or all(m.membrane is None for m in materials),
-            "only rods and shells have a modulus of their own along them",
-            where="materials",
-            fix="leave membrane out, or take engine='thin'",
-        )
-        require(
-            (thin and body.kind == "cloth") or not any(m.has_threads for m in materials),
-            f"only shells have threads, not a {body.kind} of the {engine} engine",
-            where="materials",
-            fix=f"leave out {', '.join(WEAVE)}, or take engine='thin' for a cloth",
-        )
         check_number("start_time", start_time)
-        W = len(materials)
+        engine, W = engine_of(body, solver), len(materials)
+        thin = engine == "thin"
         rest = body.points if thin else body.x
-        narrow = "the outline is narrower than the particles"
-        require(len(rest), narrow, fix="a smaller dx, or engine='thin'")
         N = len(rest)
+        require(
+            N, "the outline is narrower than the particles", fix="a smaller dx, or engine='thin'"
+        )
         check_numbers("stiffness", stiffness, (), (N,), ("W", N), above=0.0)
         check_numbers("mass", mass, (), (N,), ("W", N), above=0.0)
-        require(
-            thin or bool(np.all(np.asarray(mass) == 1.0)),
-            "only rods and shells have points of other masses",
-            where="mass",
-            fix="take engine='thin'",
-        )
         check_numbers("natural_curvature", natural_curvature, (), ("W",))
-        require(
-            (thin and body.kind == "rope") or bool(np.all(np.asarray(natural_curvature) == 1.0)),
-            "only rods may begin with stress",
-            where="natural_curvature",
-            fix="take engine='thin'",
-        )
+        membrane = any(m.membrane is not None for m in materials)
+        curved = bool(np.any(np.asarray(natural_curvature) != 1.0))
+        rod, shell = thin and body.kind == "rope", thin and body.kind == "cloth"
+        for given, allowed, where, only in (
+            (membrane, thin, "materials", "rods and shells have a modulus of their own along them"),
+            (any(m.has_threads for m in materials), shell, "materials",
+             f"shells have threads ({', '.join(WEAVE)})"),
+            (bool(np.any(np.asarray(mass) != 1.0)), thin, "mass",
+             "rods and shells have points of other masses"),
+            (curved, rod, "natural_curvature", "rods may begin with stress"),
+        ):  # fmt: skip
+            what = f"only {only}, not a {body.kind} of the {engine} engine"
+            fix = "leave that out, or take engine='thin'"
+            require(allowed or not given, what, where=where, fix=fix)
         x = rest if positions is None else positions
         x = check_numbers("positions", x, (N, 3), ("W", N, 3))
         unit = body.thickness if thin else body.dx
@@ -177,11 +163,6 @@ class Simulator(Shown):
     def failures(self) -> dict[int, SimulationError]:
         """Errors of the worlds that diverged."""
         return self.engine.failures
-
-    @property
-    def threads(self) -> int:
-        """Worlds simulated in parallel on the CPU."""
-        return self.engine.setting.threads
 
     @property
     def num_points(self) -> int:
@@ -243,30 +224,6 @@ class Simulator(Shown):
         affine = check_numbers("affine", affine, (), (3, 3), (N, 3, 3), ("W", N, 3, 3))
         self.engine.set_velocities(v, affine)
 
-    def save_state(self, path: str | Path, *, last_good: bool = False) -> None:
-        """Write the state, the time and the parameters of all worlds to an ``.npz`` file.
-
-        The state is x and v; for the MPM also C and F (and Z if present); for rods and
-        shells all components of their state.
-
-        Args:
-            path: File to write, atomically.
-            last_good: Write each world's state at the start of its last frame (``time`` is then
-                [W]); after a failure this is the last valid state.
-        """
-        if not isinstance(path, str | PathLike):
-            raise ParameterError(f"path must be a file's path, got {path!r}")
-        state = {"time": self.time} | self.engine.kept(last_good=last_good)
-        with atomic_path(Path(path)) as temporary, open(temporary, "wb") as file:
-            np.savez_compressed(
-                file,
-                E=[m.E for m in self.materials],
-                nu=[m.nu for m in self.materials],
-                density=[m.density for m in self.materials],
-                substep=self.substep,
-                **state,  # pyright: ignore[reportArgumentType]
-            )
-
     def run(
         self,
         times: ArrayLike,
@@ -290,8 +247,7 @@ class Simulator(Shown):
         Raises:
             ParameterError: If the times decrease, or an argument is of another type or range.
             SimulationError: If a world diverges or a particle inverts, unless ``keep_going`` is
-                set. The error names world, time and parameters; ``save_state(path,
-                last_good=True)`` then writes the last frame before it.
+                set. The error names world, time and parameters.
         """
         t = self.checked(times)
         check_type("on_frame", on_frame, Callable, optional=True)

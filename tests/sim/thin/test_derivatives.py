@@ -229,7 +229,7 @@ def test_worlds_of_a_batch_do_not_see_each_other(body):
             )
 
 
-def test_a_rope_pulled_apart_ends_with_an_error_and_its_last_state():
+def test_a_rope_pulled_apart_ends_with_an_error():
     body = rope(diameter=0.01, length=0.2)
     hands = [
         Gripper.still((0, 0, 0), radius=0.01),
@@ -241,10 +241,6 @@ def test_a_rope_pulled_apart_ends_with_an_error_and_its_last_state():
     assert e.value.parameters["E"] in (1e6, 2e6)
     # 0.18 m of it are between what they hold
     assert e.value.time == pytest.approx(0.18, abs=0.01)
-    kept = s.engine.kept(last_good=True)
-    assert kept["time"][0] == pytest.approx(0.1)
-    kept = kept["x"][0]
-    assert np.isfinite(kept).all() and kept[-1, 0] < 0.25
 
 
 @pytest.mark.parametrize("frames", [[1.2], np.linspace(0.1, 1.2, 12)])
@@ -316,8 +312,6 @@ def test_a_gripper_that_closes_on_nothing_is_an_error(body):
     away = Gripper.still((0, 0, 5), radius=0.01)
     with pytest.raises(SimulationError, match="gripper 0 closed on nothing"):
         Simulator(body, [Material()], grippers=[away], solver=Solver(engine="thin")).run([0.01])
-    may = replace(away, may_miss=True)
-    Simulator(body, [Material()], grippers=[may], solver=Solver(engine="thin")).run([0.01])
 
 
 @pytest.mark.parametrize("body", [ROPE, CLOTH], ids=["rope", "cloth"])
@@ -391,6 +385,5 @@ def test_velocities_of_held_points_are_those_of_the_hand(body):
     np.testing.assert_allclose(v[moved], ((after - before)[0] / 1e-6)[moved], rtol=1e-5, atol=1e-6)
     assert np.linalg.norm(v[moved], axis=-1).min() > 0.1
     np.testing.assert_array_equal(v[still], 0.0)
-    np.testing.assert_array_equal(s.engine.kept(last_good=False)["v"], v)
     s.run([0.05])
     assert not engine.holds[:, 0].any() and np.isfinite(s.velocities()).all()

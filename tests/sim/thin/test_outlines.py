@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Gripper, Physics, Simulator, Solver, Table, cloth, outline_of_mesh
+from gendom.sim import Gripper, Physics, Simulator, Solver, Table, cloth
 from gendom.sim.outlines import Outline
 from gendom.sim.thin.contact import check_cloth
 from gendom.sim.thin.shells import Shells
@@ -283,7 +283,7 @@ def test_grippers_hold_cloth_only():
         assert 1 <= len(held(body, centre, 0.0015)) <= 2
 
 
-# ---- outlines and meshes -------------------------------------------------------------------------
+# ---- outlines -------------------------------------------------------------------------
 
 BOW = [(0, 0), (0.2, 0.2), (0.2, 0), (0, 0.1)]
 SMALL = 0.2 * np.array(SQUARE) + 0.08
@@ -327,57 +327,6 @@ def test_what_the_lattice_cannot_resolve_is_named():
     assert not np.any((np.abs(body.points[:, 0] - 0.11) < 0.004) & (body.points[:, 1] < 0.19))
     # corners and small holes are no narrow parts
     cloth(outline=[[(0, 0), (0.3, 0), (0.15, 0.2)], circle(0.005) + np.array([0.15, 0.1])], **SHEET)
-
-
-def mesh(n=13, hole=True):
-    """Vertices and triangles of a square with a square hole."""
-    x = np.stack([a.ravel() for a in np.meshgrid(*[np.linspace(0, 0.2, n)] * 2)], axis=1)
-    at = np.arange(n * n).reshape(n, n)
-    a, b, c, d = at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]
-    faces = np.stack([np.stack([a, b, c], -1), np.stack([b, c, d], -1)], axis=2)
-    keep = np.ones((n - 1, n - 1), dtype=bool)
-    keep[4:8, 4:8] = not hole
-    return x, faces[keep].reshape(-1, 3)
-
-
-def test_a_mesh_gives_its_outline():
-    x, faces = mesh()
-    found = Outline.of(outline_of_mesh(x, faces))
-    assert len(found.loops) == 2
-    assert found.area == pytest.approx(0.04 * (1.0 - 16.0 / 144.0), rel=1e-12)
-    flat = np.column_stack([x, np.full(len(x), 0.3)])
-    np.testing.assert_allclose(Outline.of(outline_of_mesh(flat, faces)).centre, found.centre)
-    turned = flat @ Rotation.from_rotvec([1.0, 0.5, -0.3]).as_matrix().T
-    tilted = Outline.of(outline_of_mesh(turned, faces[::-1]))
-    assert tilted.area == pytest.approx(found.area, rel=1e-9)
-    body = cloth(outline=outline_of_mesh(x, faces), **SHEET)
-    assert part_of(body).area.sum() == pytest.approx(found.area, rel=1e-12)
-
-
-def test_bad_meshes_are_named():
-    x, faces = mesh(hole=False)
-    for bad, message in (
-        (np.concatenate([faces, [[0, 1, 169]]]), r"triangle 288 has vertices \[0, 1, 169\]"),
-        (np.concatenate([faces, [[0, 1, 2]]]), "triangle 288 has no area"),
-        (np.concatenate([faces, faces[:1]]), "more than two triangles share the edge"),
-        (faces[:0], "faces at least one, got 169 and 0"),
-        (faces.astype(float), r"faces must be \[F, 3\] integers"),
-        (faces[[0, 1, 100, 101]], "the mesh has 2 parts that share no edge"),
-        (np.concatenate([faces, [[0, 1, 27]]]), "triangles overlap, or meet only in a point"),
-    ):
-        with pytest.raises(ParameterError, match=message):
-            outline_of_mesh(x, bad)
-    bumped = np.column_stack([x, np.where(np.arange(len(x)) == 40, 1e-3, 0.0)])
-    with pytest.raises(ParameterError, match=r"not flat: vertices are up to .* mm out"):
-        outline_of_mesh(bumped, faces)
-    with pytest.raises(ParameterError, match=r"vertices must be \[V, 2\]"):
-        outline_of_mesh(x[:, :1], faces)
-    around = np.flatnonzero((faces == 84).any(axis=1))
-    out = x[faces[around]].mean(axis=1) - x[84]
-    around = around[np.argsort(np.arctan2(out[:, 1], out[:, 0]))]
-    pinched = np.delete(faces, around[[0, 3]], axis=0)
-    with pytest.raises(ParameterError, match="meet only in a point, at vertex 84"):
-        outline_of_mesh(x, pinched)
 
 
 def test_a_sheet_too_auxetic_is_refused():

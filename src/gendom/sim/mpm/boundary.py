@@ -193,7 +193,7 @@ def make_boundary(variant: Variant) -> Namespace:
             if paths_of.is_closed(now.w, g, t, paths):
                 if since < 0 or since == now.age:
                     count = attach(now, g, t, model, paths, grips, particles)
-                    if count == 0 and paths.may_miss[now.w, g] == 0:
+                    if count == 0:
                         empty = g
             elif since >= 0 and since < now.age and (until < 0 or until == now.age):
                 grips.until[now.w, g] = now.age

@@ -179,7 +179,7 @@ class Worlds:
                 time,
                 f"gripper {found} closed on nothing",
                 where=f"radius {self.setting.grippers[w][found].radius:.4g} m",
-                fix="move its path to the object, or give it may_miss=True",
+                fix="move its path to the object",
                 particle=None,
             )
         inverted = status == INVERTED

@@ -97,8 +97,6 @@ class ThinEngine(ABC):
         self.stiffer = np.ones((W, G, len(self.model.lines), n))
         self.device_model = self._device_model()
         self.state = self.zeros((W, self.state_rows, self.row_length))
-        self.kept_state = self.zeros(self.state.shape)
-        self.kept_time = np.full(W, s.start_time)
         self.now = np.full(W, s.start_time)
         """[W] time of the state [s]."""
         self.failures: dict[int, SimulationError] = {}
@@ -199,15 +197,12 @@ class ThinEngine(ABC):
 
     def velocities(self) -> NDArray[Any]:
         """Velocities of points, [W, n, 3] [m/s]; held ones have their gripper's."""
-        return self._velocities(self.state, self.now).astype(self.setting.dtype)
-
-    def _velocities(self, rows: wp.array, now: NDArray[np.float64]) -> NDArray[np.float64]:
-        x, v = self.component(X, rows), self.component(V, rows)
+        x, v = self.component(X), self.component(V)
         for g in range(self.closed.shape[1]):
             w = np.flatnonzero(self.closed[:, g] == 1)
-            with_hand, _ = released(x[w], self.paths.pose(g, w, now[w]), self.holds[w, g])
+            with_hand, _ = released(x[w], self.paths.pose(g, w, self.now[w]), self.holds[w, g])
             v[w] = np.where((self.holds[w, g] & 1)[..., None] > 0, with_hand, v[w])
-        return v
+        return v.astype(self.setting.dtype)
 
     def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None:
         """Set points' velocities [W, n, 3] [m/s]; edges of rods rotate with them, not twisting."""
@@ -225,19 +220,6 @@ class ThinEngine(ABC):
         self.state.assign(rows)
         self.last_dt[:] = 0.0
 
-    def kept(self, *, last_good: bool) -> dict[str, NDArray[Any]]:
-        """Return x [m], v [m/s] and all components of the state.
-
-        With ``last_good`` they are those of the last valid state, and its time is added.
-        """
-        state, time = (self.kept_state, self.kept_time) if last_good else (self.state, self.now)
-        kept: dict[str, Any] = {
-            "x": self.component(X, state) + self.origin,
-            "v": self._velocities(state, time),
-            "state": self.component(slice(0, self.state_rows), state),
-        }
-        return kept | ({"time": self.kept_time} if last_good else {})
-
     # ---- running ---------------------------------------------------------------------------------
 
     def run(
@@ -254,8 +236,7 @@ class ThinEngine(ABC):
             frames: Frames to record.
             after: Called from the threads for each group of worlds and each round between events.
             most_steps: Maximum number of steps in a piece.
-            kept: [S, W, ...] array that receives the states at the start of pieces; by default
-                only the last one is kept.
+            kept: [S, W, ...] array that receives the states at the start of pieces, if any.
 
         Raises:
             SimulationError: If a world diverges, unless ``keep_going`` is set.
@@ -305,8 +286,6 @@ class ThinEngine(ABC):
                     after(group, round)
 
         self.each_group(simulate, most)
-        alive = np.setdiff1d(np.arange(self.num_worlds), list(self.failures))
-        self.kept_time[alive] = run.plan.time(alive, run.plan.count[alive] - 1)
         self.last_dt = run.plan.last_dt()
         self.now[:] = run.frames.times[-1]
 
@@ -374,8 +353,8 @@ class ThinEngine(ABC):
             stopped_at=self.zeros(W, wp.float64),
             points=self.array(frames.particles, wp.int32),
             x=wp.full(shape, vec3(nan, nan, nan), dtype=vec3, device=device),
-            kept=self.kept_state if kept is None else kept,
-            every=0 if kept is None else W,
+            kept=self.state if kept is None else kept,
+            every=-1 if kept is None else W,
         )
 
     def _rounds(self, group: slice, plan: Schedule) -> Iterator[Round]:
@@ -414,7 +393,6 @@ class ThinEngine(ABC):
         for k in np.flatnonzero(stopped >= 0).tolist():
             w, s = group.start + k, int(stopped[k])
             if w not in self.failures:
-                self.kept_time[w] = run.plan.time(w, s)
                 self.failures[w] = self._failure(w, s, float(stopped_at[k]), run.plan)
 
     def _failure(self, w: int, s: int, time: float, plan: Schedule) -> SimulationError:
@@ -475,8 +453,7 @@ class ThinEngine(ABC):
         if len(x) < len(worlds):
             grip = grip.repeated(len(worlds))
         self.closed[worlds, g] = 1
-        missed = grip.misses & (self.stacked["may_miss"][worlds, g] == 0)
-        for k in np.flatnonzero(missed).tolist():
+        for k in np.flatnonzero(~grip.holds.any(axis=1)).tolist():
             w, centre = int(worlds[k]), pose.centre[k]
             far = np.linalg.norm(self.pick(X, state[k : k + 1])[0] - centre, axis=1).min()
             self.failures[w] = self.setting.error(
@@ -485,7 +462,7 @@ class ThinEngine(ABC):
                 f"gripper {g} closed on nothing",
                 where=f"it is at {(centre + self.origin).round(4).tolist()} m, its radius "
                 f"{self.stacked['radius'][w, g]:.4g} m, the nearest point {far:.4g} m away",
-                fix="move its path to the object, or give it may_miss=True",
+                fix="move its path to the object",
             )
         self.holds[worlds, g] = grip.holds
         self.stiffer[worlds, g] = grip.stiffer

@@ -70,11 +70,6 @@ class Grip:
         cuts = [BorderCut(*map(many, vars(c).values())) for c in self.cuts]
         return Grip(many(self.holds), many(self.place), many(self.stiffer), cuts)
 
-    @property
-    def misses(self) -> NDArray[np.bool_]:
-        """Whether nothing is held, [W]."""
-        return np.logical_not(np.any(self.holds, axis=1))
-
 
 # ---- what is held --------------------------------------------------------------------------------
 

@@ -106,18 +106,14 @@ def transported_adjoint(first: Array, step: Array, turn_bar: Array) -> Array:
     return (t_bar - np.sum(t_bar * t, axis=-1, keepdims=True) * t) / length
 
 
-def left_jacobian_inverse(turn: Array) -> Array:
-    """Inverse left Jacobian J [..., 3, 3]: log(exp(d) exp(turn)) = turn + J d.
+def left_jacobian(turn: Array) -> Array:
+    """Left Jacobian J [..., 3, 3] of rotation vectors: exp(turn + d) = exp(J d) exp(turn).
 
-    Its transpose is the inverse right Jacobian.
-
-    Source: Sola, Deray and Atchuthan (2018), "A micro Lie theory", equation 146.
+    Source: Sola, Deray and Atchuthan (2018), "A micro Lie theory", equation 145.
     """
     angle = np.linalg.norm(turn, axis=-1)[..., None, None]
-    K = np.zeros((*turn.shape[:-1], 3, 3))
-    K[..., 2, 1], K[..., 0, 2], K[..., 1, 0] = turn[..., 0], turn[..., 1], turn[..., 2]
-    K = K - np.swapaxes(K, -1, -2)
-    small = angle < 1e-4
-    safe = np.where(small, 1.0, angle)
-    b = np.where(small, 1.0 / 12.0, 1.0 / safe**2 - 0.5 / (safe * np.tan(0.5 * safe)))
-    return np.eye(3) - 0.5 * K + b * (K @ K)
+    K = np.cross(np.eye(3), turn[..., None, :])  # rows e x turn: of the matrix turn x
+    small, safe = angle < 1e-4, np.maximum(angle, 1e-4)
+    a = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
+    b = np.where(small, 1.0 / 6.0, (safe - np.sin(safe)) / safe**3)
+    return np.eye(3) + a * K + b * (K @ K)
