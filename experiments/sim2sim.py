@@ -25,7 +25,7 @@ from experiments.runs import Result, Runs, Table
 from gendom.arguments import require
 from gendom.datasets import ObjectDescription, Recording
 from gendom.estimation.likelihood import NoiseModel
-from gendom.estimation.methods.adam import AdamSettings, adam
+from gendom.estimation.methods.adam import adam
 from gendom.estimation.methods.differential_evolution import differential_evolution
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton
 from gendom.estimation.problem import EstimateSettings, Found, Problem
@@ -105,9 +105,10 @@ PAPER_ERRORS = {
 SEARCHES: dict[str, Callable[[Problem, Array], Found]] = {
     "gauss-newton": lambda problem, start: gauss_newton(
         problem,
-        GaussNewtonSettings.of(problem.scene.kind, initial=(start,), rugged=True, jumps=JUMPS),
+        GaussNewtonSettings.of(problem.scene.kind, rugged=True, jumps=JUMPS),
+        initial=(start,),
     ),
-    "adam": lambda problem, start: adam(problem, AdamSettings(initial=(start,), steps=3)),
+    "adam": lambda problem, start: adam(problem, initial=(start,), steps=3),
     "differential-evolution": lambda problem, start: differential_evolution(problem),
     "pointnet": lambda problem, start: pointnet(problem),
 }

@@ -8,7 +8,7 @@ import pytest
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation import EstimateSettings, LiftScene, Problem
-from gendom.estimation.verdict import VerdictSettings, _blamed_on_cameras
+from gendom.estimation.verdict import _blamed_on_cameras
 
 
 @pytest.fixture(scope="module")
@@ -40,14 +40,14 @@ def test_a_camera_that_drifts_is_named(cloth_lift, seen):
     assert far == pytest.approx(0.0117, abs=0.004)
     assert seen.num_frames // 2 <= first < last < seen.num_frames
     thick = "points lie 4.0 mm outside an object 2 mm thick: is its thickness right?"
-    (said,) = _blamed_on_cameras([thick], part, comparison, VerdictSettings())
+    (said,) = _blamed_on_cameras([thick], part, comparison)
     assert f"frames {first} to {last} two cameras place the object {1e3 * far:.0f} mm" in said
 
 
 def test_cameras_that_agree_are_not_blamed(cloth_lift, seen):
     part, comparison = compared(cloth_lift, seen)
     assert comparison.cameras_apart()[0] < 0.002
-    assert _blamed_on_cameras(["why"], part, comparison, VerdictSettings()) == ["why"]
+    assert _blamed_on_cameras(["why"], part, comparison) == ["why"]
     nameless = compared(cloth_lift, replace(seen, seen_by=None))[1]
     assert nameless.cameras_apart() == (0.0, 0, 0)
 
@@ -56,7 +56,7 @@ def test_cameras_that_agree_are_not_blamed(cloth_lift, seen):
 def test_what_perception_measured_is_a_reason_by_itself(cloth_lift, seen, apart, said):
     extra = {"perception": {"cameras_apart": {"table": 0.1, "at_worst": apart}}}
     part, comparison = compared(cloth_lift, replace(seen, extra=extra))
-    reasons = _blamed_on_cameras([], part, comparison, VerdictSettings())
+    reasons = _blamed_on_cameras([], part, comparison)
     assert reasons == [
         f"cameras' clouds of the object are {by} apart: calibrate again" for by in said
     ]

@@ -18,7 +18,7 @@ from gendom.estimation import (
     estimate,
     replay,
 )
-from gendom.estimation.methods.gauss_newton import GaussNewtonSettings
+from gendom.estimation.methods.gauss_newton import PER_BATCH
 from gendom.estimation.priors import BENDING_RANGE
 from gendom.files import to_json
 from gendom.materials.parameters import E_over_rho_of, bending_length
@@ -165,7 +165,7 @@ def test_record_is_gendom_estimate_1(rope_lift, result):
     assert record["simulation"]["engine"] == "thin" and record["simulation"]["clock"] == 1.0
     assert record["simulation"]["points_simulated"] == 15
     assert not record["interrupted"]
-    most = GaussNewtonSettings.per_batch * EstimateSettings.max_iterations
+    most = PER_BATCH * EstimateSettings.max_iterations
     assert 2 <= record["iterations"] <= most
     assert [h["iteration"] for h in record["history"]] == sorted(
         {h["iteration"] for h in record["history"]}
@@ -201,7 +201,7 @@ def test_progress_is_reported(result):
     """Iterations go up by one to no more than there can be, distances are finite."""
     reports = result[1]
     assert [p.iteration for p in reports] == list(range(1, len(reports) + 1))
-    most = GaussNewtonSettings.per_batch * EstimateSettings.max_iterations
+    most = PER_BATCH * EstimateSettings.max_iterations
     assert {p.most for p in reports} == {most}
     assert reports[-1].iteration <= reports[-1].most
     assert all(p.stage and np.isfinite(p.rms) for p in reports)

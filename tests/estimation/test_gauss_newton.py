@@ -7,9 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gendom.estimation import METHODS, EstimateSettings, LiftScene, Problem, estimate
+from gendom.estimation import EstimateSettings, LiftScene, Problem, estimate
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
-from gendom.estimation.problem import Start
 from gendom.estimation.replay import replay
 from gendom.estimation.scene_settings import SHELL_ERROR
 from gendom.estimation.shape import Shape
@@ -29,10 +28,6 @@ def problem(rope_lift):
 @pytest.fixture(scope="module")
 def found(problem):
     return gauss_newton(problem)
-
-
-def test_it_is_a_method():
-    assert METHODS["gauss-newton"] is gauss_newton
 
 
 def test_it_ends_in_a_minimum(problem, found):
@@ -109,15 +104,6 @@ def test_a_mesh_blurs_limp_cloths(cloth_lift, plain_cloth):
     )
     assert plain_cloth.mesh_error(limp) == pytest.approx(SHELL_ERROR)
     assert plain_cloth.mesh_error(stiff) == pytest.approx(SHELL_ERROR / 64.0)
-
-
-def test_starts_that_cannot_win_are_given_up():
-    """One goes on while as many of its last steps as patience allows would reach the best one."""
-    leads, near, far = (Start(initial=np.zeros(1), vector=np.zeros(1)) for _ in range(3))
-    leads.value, near.value, far.value = 10.0, 100.0, 100.0
-    leads.won, near.won, far.won = 0.1, 20.0, 10.0
-    steps._give_up([leads, near, far], leads, patience=6)
-    assert [s.done for s in (leads, near, far)] == [False, False, True]
 
 
 def test_what_was_found_is_searched_once_more_in_a_finer_problem(rope_lift, problem, found):

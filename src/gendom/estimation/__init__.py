@@ -9,7 +9,6 @@ from gendom.estimation.replay import replay
 from gendom.estimation.result import FittedEstimate, chamfers
 from gendom.estimation.scene import LiftScene
 from gendom.estimation.scene_settings import SceneSettings
-from gendom.estimation.verdict import VerdictSettings
 from gendom.materials.estimate import Estimate, Verdict
 from gendom.materials.posterior import Posterior, Prior
 from gendom.materials.unknowns import UNKNOWNS, Theta, Unknown
@@ -32,7 +31,6 @@ __all__ = [
     "Theta",
     "Unknown",
     "Verdict",
-    "VerdictSettings",
     "chamfers",
     "estimate",
     "find_method",

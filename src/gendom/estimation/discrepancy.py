@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from gendom.errors import SimulationError
 from gendom.estimation.calibration import IntervalCalibration
-from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton
+from gendom.estimation.methods.gauss_newton import gauss_newton
 from gendom.estimation.problem import Found, Part, Problem
 from gendom.estimation.replay import middle
 from gendom.materials.posterior import IDENTIFIABLE
@@ -158,7 +158,7 @@ def tip_suspected(problem: Problem, found: Found) -> tuple[Array, tuple[str, ...
     # from a heavy tip on: near none other unknowns make up for it
     begin = more.prior.clipped(at + step * more.prior.sd[-1] / step[-1])
     try:
-        again = gauss_newton(more, GaussNewtonSettings.of(scene.kind, initial=(begin,))).best
+        again = gauss_newton(more, initial=[begin]).best
     except SimulationError:  # it diverges with such a tip
         return nothing, ()
     assert again.comparison is not None

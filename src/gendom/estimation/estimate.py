@@ -16,9 +16,8 @@ from gendom.errors import RecordingError
 from gendom.estimation.calibration import IntervalCalibration
 from gendom.estimation.discrepancy import discrepancy, tip_suspected, with_fingers
 from gendom.estimation.methods import find_method
-from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
-from gendom.estimation.methods.nearest import nearest
-from gendom.estimation.methods.search import estimated_noise
+from gendom.estimation.methods.differential_evolution import differential_evolution
+from gendom.estimation.methods.gauss_newton import gauss_newton, refined
 from gendom.estimation.priors import thickness_prior
 from gendom.estimation.problem import (
     EstimateSettings,
@@ -131,22 +130,21 @@ def _searched_widely(problem: Problem, found: Found) -> Found:
     """
     parts = zip(problem.parts, found.noise, strict=True)
     cloth = problem.scene.kind == "cloth" and problem.scene.thin
-    astray = any(displaced(part, noise, times=FAILED_FIT) for part, noise in parts)
-    if not cloth or not astray:
+    if not cloth or not any(displaced(part, noise, times=FAILED_FIT) for part, noise in parts):
         return found
     try:
-        best = nearest(problem)
+        wide = differential_evolution(problem, members=3, generations=40, coarse=True)
+        if wide.interrupted:
+            raise KeyboardInterrupt
+        if not any(displaced(p, n) for p, n in zip(problem.parts, wide.noise, strict=True)):
+            # it can be simulated: what is nearest is not yet what is most likely
+            return gauss_newton(problem, initial=[wide.best.vector])
     except KeyboardInterrupt:
         return replace(found, interrupted=True)
-    assert best.comparison is not None and found.best.comparison is not None
-    noise = estimated_noise(best.comparison, problem.first_noise())
-    if not any(displaced(part, one) for part, one in zip(problem.parts, noise, strict=True)):
-        # it can be simulated: what is nearest is not yet what is most likely
-        settings = GaussNewtonSettings.of(problem.scene.kind, initial=(best.vector,))
-        return gauss_newton(problem, settings)
-    if best.comparison.distance >= found.best.comparison.distance:
+    assert wide.best.comparison is not None and found.best.comparison is not None
+    if wide.best.comparison.rms >= found.best.comparison.rms:
         return found
-    return replace(found, best=best, starts=[*found.starts, best], noise=noise)
+    return replace(found, best=wide.best, starts=[*found.starts, wide.best], noise=wide.noise)
 
 
 def _posterior(
@@ -194,8 +192,8 @@ def _alone(
     posteriors = []
     for recording, part in enumerate(problem.parts):
         alone = problem.alone(recording)
-        settings = GaussNewtonSettings.of(part.scene.kind, initial=(found.best.vector[part.shown],))
-        posteriors.append(_posterior(alone, gauss_newton(alone, settings), calibration))
+        own = gauss_newton(alone, initial=[found.best.vector[part.shown]])
+        posteriors.append(_posterior(alone, own, calibration))
     return posteriors
 
 

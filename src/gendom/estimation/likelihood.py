@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,33 @@ Array = NDArray[np.floating]
 
 FEWEST_POINTS = 100
 """Of a camera in a third of the frames, whose place is looked for."""
+
+UNKNOWN_SHIFT, UNKNOWN_TURN = 0.05, 0.1
+"""`NoiseModel.shift` and `turn` of cameras with unknown poses [m], [rad], after a coarse
+registration."""
+
+SAME_FRAME = 1e-4
+"""Both of a motion capture, which measures hands and markers in one frame [m and rad]."""
+
+THIN, SKIN_OF_THIN = 0.008, 1e-5
+"""Diameter of a thin rope, and `NoiseModel.skin` of it [m]. Depth is mixed at most of its pixels,
+which widens it along the views: a larger skin beside the cloud would fit better than the true one
+(10 mm outside a rope of 6 mm, with an E 27 % too small)."""
+
+PLACE_SCALE, TIME_SCALE = 0.3, 0.1
+"""Correlation length of displacements along the object, in its size, and their correlation time, as
+a share of the compared frames."""
+
+HUBER = 0.006
+"""Distance beyond which a point's pull grows no further [m]: Huber's loss, smoothed."""
+
+LEAST_MODE = 0.01, 0.05, 0.02
+"""Modes of displacements that count have at least this share of the largest one's variance, of
+ropes and in time, and of cloths along each side; and of cloths this mean square for a variance of
+1: smaller ones are a tenth of the displacement and cost time."""
+
+REGISTERED = 0.1
+"""A registration ends where a step lowers -2 log likelihood by no more than this."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,55 +80,27 @@ class NoiseModel:
     """Of the cameras' calibration [m]."""
     turn: float = 0.01
     """Likewise [rad]."""
-    unknown_shift: float = 0.05
-    """The same of cameras with unknown poses [m]: errors that remain after a coarse
-    registration."""
-    unknown_turn: float = 0.1
-    """Likewise [rad]."""
-    same_frame: float = 1e-4
-    """Both of a motion capture [m and rad]."""
     skin: float = 0.002
     """Of the distance of points from the true skin [m]: hairs, edges of pixels."""
-    skin_of_thin: tuple[float, float] = (0.008, 1e-5)
-    """Diameter of a thin rope [m], and the same of it [m]. Depth is mixed at most of its pixels,
-    which widens it along the views: a larger skin beside the cloud would fit better than the true
-    one (10 mm outside a rope of 6 mm, with an E 27 % too small)."""
-    place_scale: float = 0.3
-    """Correlation length of displacements along the object, in its size."""
-    time_scale: float = 0.1
-    """Correlation time of displacements, as a share of the compared frames."""
-    huber_width: float = 0.006
-    """Distance beyond which a point's pull grows no further [m]: Huber's loss, smoothed."""
     patch: float = 4.0
     """Points of a thinned cloud that share their noise."""
     cloud_points: int = 160
     """Points of a frame that are compared, at most; four times as many of a cloth."""
     rounds: int = 3
     """Most iterations of a registration; each pairs points and places again."""
-    least_mode: tuple[float, float, float] = (0.01, 0.05, 0.02)
-    """Modes of displacements that count have at least this share of the largest one's variance, of
-    ropes and in time, and of cloths along each side; and of cloths this mean square for a variance
-    of 1: smaller ones are a tenth of the displacement and cost time."""
-    registered: float = 0.1
-    """A registration ends where a step lowers -2 log likelihood by no more than this."""
 
-    def of_cameras(self, scene: LiftScene) -> NoiseModel:
-        """With the wide prior of cameras whose poses are unknown, or that of a motion capture,
-        which measures hands and markers in one frame."""
+    def of(self, scene: LiftScene, any_thickness: bool) -> NoiseModel:
+        """Of a scene's cameras, and of a thin rope whose thickness is as stated, not looked for."""
+        diameter, noise = scene.recording.object.diameter, self
+        if diameter is not None and diameter < THIN and not any_thickness:
+            noise = replace(noise, skin=SKIN_OF_THIN)
         if scene.registration is not None:
-            return self.with_unknown_cameras()
-        if scene.captured:
-            return replace(self, shift=self.same_frame, turn=self.same_frame)
-        return self
+            return noise.with_unknown_cameras()
+        return replace(noise, shift=SAME_FRAME, turn=SAME_FRAME) if scene.captured else noise
 
     def with_unknown_cameras(self) -> NoiseModel:
         """With the wide prior of cameras whose poses are unknown."""
-        return replace(self, shift=self.unknown_shift, turn=self.unknown_turn)
-
-    def of_rope(self, diameter: float) -> NoiseModel:
-        """Of a rope of a stated diameter [m], which is not estimated."""
-        thin, skin = self.skin_of_thin
-        return replace(self, skin=skin) if diameter < thin else self
+        return replace(self, shift=UNKNOWN_SHIFT, turn=UNKNOWN_TURN)
 
     def of_thinner_clouds(self, times: int = 4) -> NoiseModel:
         """With so many times fewer points of equal total weight."""
@@ -111,6 +111,10 @@ class NoiseModel:
         """[7] precisions of rigid motion and skin."""
         sd = [self.shift] * 3 + [self.turn] * 3 + [self.skin]
         return np.array(sd) ** -2.0
+
+    def precision(self, smooth: int) -> Array:
+        """[S + 7] of displacement, motion and skin before anything is seen."""
+        return np.concatenate([np.full(smooth, self.model**-2), self.fixed])
 
 
 class Observation:
@@ -180,48 +184,20 @@ class Observation:
             return np.zeros((len(self.scene.frames), 1))
         # frames are denser where more happens
         at = np.linspace(0.0, 1.0, len(self.scene.frames))
-        K = np.exp(-0.5 * ((at[:, None] - at) / self.noise.time_scale) ** 2)
-        return _roots(K, self.noise.least_mode[0])
+        K = np.exp(-0.5 * ((at[:, None] - at) / TIME_SCALE) ** 2)
+        return _roots(K, LEAST_MODE[0])
 
     def _in_place(self) -> Array:
         """[n, Q] functions of the middle's points, likewise."""
         a, b = lattice(self.scene)
-        scale = self.noise.place_scale * self.scene.size
+        scale = PLACE_SCALE * self.scene.size
         Ka, Kb = (np.exp(-0.5 * ((x[:, None] - x) / scale) ** 2) for x in (a, b))
         if len(b) == 1:
-            return _roots(Ka, self.noise.least_mode[0])
-        Ra, Rb = (_roots(K, self.noise.least_mode[1]) for K in (Ka, Kb))
+            return _roots(Ka, LEAST_MODE[0])
+        Ra, Rb = (_roots(K, LEAST_MODE[1]) for K in (Ka, Kb))
         both = np.einsum("ai,bj->baij", Ra, Rb).reshape(len(a) * len(b), -1)
         strong = (both**2).mean(axis=0)
-        return both[:, strong > self.noise.least_mode[2]]
-
-    def compare(
-        self,
-        x: Array,
-        steps: Array | None,
-        thickness: Array | None = None,
-        along: Array | None = None,
-    ) -> Comparison:
-        """How clouds differ from a simulated shape, and how that changes with parameters.
-
-        Args:
-            x: [T, 1 + P, N, 3] positions at the frames, of the point itself and of its neighbours.
-            steps: [P] distance of those in the transformed parameters; None: no neighbours.
-            thickness: [1 + P] of these objects over the stated one; None: as stated.
-            along: [P, P] from derivatives along the directions of the neighbours to derivatives by
-                the parameters; None: they are the same.
-        """
-        m = middle(self.scene, x)
-        here = m[:, 0]
-        J = np.zeros((*here.shape, 0))
-        radius = self.shape.radius * (np.ones(m.shape[1]) if thickness is None else thickness)
-        widens = np.zeros(0)
-        if steps is not None:
-            J = np.moveaxis(m[:, 1:] - here[:, None], 1, -1) / steps
-            widens = (radius[1:] - radius[0]) / steps
-            if along is not None:
-                J, widens = J @ along.T, along @ widens
-        return Comparison(self, here, J, float(radius[0]), widens)
+        return both[:, strong > LEAST_MODE[2]]
 
     def rows(self, shape: Array, r: float) -> Rows:
         """The places on shapes [T, n, 3] of half thickness r [m] that points correspond to, and
@@ -334,19 +310,24 @@ class Comparison:
     Args:
         observation: The clouds.
         here: [T, n, 3] the shape [m].
-        J: [T, n, 3, P] how it changes with the transformed parameters [m].
-        radius: Half its thickness [m].
+        J: [T, n, 3, P] how it changes with the transformed parameters [m]; None: P is 0.
+        radius: Half its thickness [m]; None: as stated.
         widens: [P] how that changes with the transformed parameters [m].
     """
 
     def __init__(
-        self, observation: Observation, here: Array, J: Array, radius: float, widens: Array
+        self,
+        observation: Observation,
+        here: Array,
+        J: Array | None = None,
+        radius: float | None = None,
+        widens: Array | None = None,
     ):
         self.observation = observation
         self.here = here
-        self.J = J
-        self.radius = radius
-        self.widens = widens
+        self.J = np.zeros((*here.shape, 0)) if J is None else J
+        self.radius = observation.shape.radius if radius is None else radius
+        self.widens = np.zeros(0) if widens is None else widens
         self._last: Fit | None = None
         self._first = np.zeros(0)
 
@@ -387,19 +368,9 @@ class Comparison:
     def rms(self) -> float:
         """Robust root mean square distance of points from the skin, and of skin without points from
         the points [m]."""
-        rows, c = self.rows, self.observation.noise.huber_width
+        rows, c = self.rows, HUBER
         squares = 2.0 * c**2 * (np.sqrt(1.0 + (rows.rho / c) ** 2) - 1.0)
         return math.sqrt(float((rows.counts * squares).sum() / max(rows.counts.sum(), 1e-9)))
-
-    @cached_property
-    def distance(self) -> float:
-        """Mean distance of points from the skin plus that of the skin from the points, where they
-        could show it [m]."""
-        rows, o = self.rows, self.observation
-        own, away = o.counts.shape[1], np.abs(rows.rho)
-        points = (away[:, :own] * o.counts).sum(axis=1) / o.counts.sum(axis=1)
-        shown = np.maximum(o.shown(self.here).sum(axis=1), 1)
-        return float((points + (away * (rows.counts > 0.0))[:, own:].sum(axis=1) / shown).mean())
 
     def cameras_apart(self, thirds: int = 3) -> tuple[float, int, int]:
         """How far two cameras' clouds are from each other at the object, in the third of the frames
@@ -410,7 +381,7 @@ class Comparison:
         o, rows, farthest = self.observation, self.rows, (0.0, 0, 0)
         own, noise = o.counts.shape[1], o.noise.with_unknown_cameras()
         rho, D = rows.rho[:, :own], rows.fixed(o.centre)[:, :own]
-        weight = o.counts / np.sqrt(1.0 + (rho / noise.huber_width) ** 2) / noise.sensor**2
+        weight = o.counts / np.sqrt(1.0 + (rho / HUBER) ** 2) / noise.sensor**2
         for part in np.array_split(np.arange(len(rho)), thirds):
             shifts = []
             for camera in np.unique(o.camera[part]):
@@ -434,17 +405,16 @@ class Comparison:
         """Gauss-Newton steps of motion, skin and displacement under their priors, and what is left
         of the gradient by parameters where those follow."""
         S = self.observation.in_time.shape[1] * 3 * self.observation.in_place.shape[1]
-        precision = np.concatenate([np.full(S, noise.model**-2), noise.fixed])
+        precision = noise.precision(S)
         a = self._first if len(self._first) else np.zeros(len(precision))
         if self._last is not None:
             a = self._last.a
         for _ in range(noise.rounds):
             sums = self._sums(a, noise, self.J[..., :0])
-            factor = cho_factor(sums.M + np.diag(precision), lower=True)
             downhill = sums.slope - precision * a
-            step = cho_solve(factor, downhill)
+            step = cho_solve(cho_factor(sums.M + np.diag(precision), lower=True), downhill)
             a = a + step
-            if step @ downhill < noise.registered:
+            if step @ downhill < REGISTERED:
                 break
         sums = self._sums(a, noise, self.J)
         M = sums.M + np.diag(precision)
@@ -459,7 +429,6 @@ class Comparison:
             a=a,
             M=M,
             slope=sums.slope,
-            smooth=S,
             loss=sums.loss * noise.sensor**2,
             count=sums.count,
         )
@@ -490,7 +459,7 @@ class Comparison:
     def _sums(self, a: Array, noise: NoiseModel, J: Array) -> _Sums:
         """Of the shape displaced by ``a`` [S + 7]; J [T, n, 3, P] as that of the comparison."""
         o = self.observation
-        U, B, P, c = o.in_time, o.in_place, J.shape[3], noise.huber_width
+        U, B, P, c = o.in_time, o.in_place, J.shape[3], HUBER
         rows = o.rows(self._displaced(a), self.radius)
         rho = rows.rho - a[-1]
         root = np.sqrt(1.0 + (rho / c) ** 2)
@@ -542,11 +511,6 @@ class Comparisons:
         """`Comparison.rms` of all, each recording counting alike [m]."""
         return math.sqrt(sum(c.rms**2 for c in self.parts) / len(self.parts))
 
-    @property
-    def distance(self) -> float:
-        """`Comparison.distance` of all, each recording counting alike [m]."""
-        return sum(c.distance for c in self.parts) / len(self.parts)
-
     def warm_start(self, other: Comparisons) -> None:
         """Start the registrations from the results of comparisons nearby."""
         for mine, theirs in zip(self.parts, other.parts, strict=True):
@@ -572,25 +536,17 @@ class Comparisons:
         return gradient, hessian
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Sums:
+class _Sums(NamedTuple):
     """Normal equations of all residuals, weighted by how likely they are: products of their
     derivatives by the S + 7 unknowns of registration and by P parameters, and with residuals."""
 
-    M: Array
-    """[S + 7, S + 7]."""
-    slope: Array
-    """[S + 7]."""
-    cross: Array
-    """[S + 7, P]."""
-    hessian: Array
-    """[P, P]."""
-    gradient: Array
-    """[P]."""
-    loss: float
-    """Smoothed sum of squared residuals, in their variance."""
-    count: float
-    """Independent points."""
+    M: Array  # [S + 7, S + 7]
+    slope: Array  # [S + 7]
+    cross: Array  # [S + 7, P]
+    hessian: Array  # [P, P]
+    gradient: Array  # [P]
+    loss: float  # smoothed sum of squared residuals, in their variance
+    count: float  # independent points
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -611,8 +567,6 @@ class Fit:
     """Precision of that."""
     slope: Array
     """[S + 7] how residuals' squares, in their variance, fall with it."""
-    smooth: int
-    """S."""
     loss: float
     """Sum of squares that is left [m^2]."""
     count: float
@@ -626,13 +580,12 @@ class Fit:
     def updated_noise(self, rounds: int) -> NoiseModel:
         """Noise of higher likelihood, by rounds of expectation and maximisation with fixed
         correspondences."""
-        noise, S, a = self.noise, self.smooth, self.a
+        noise, S = self.noise, len(self.a) - 7
         # of the residuals alone, in m^2
-        D = (self.M - np.diag(self._precision(noise))) * noise.sensor**2
+        D = (self.M - np.diag(noise.precision(S))) * noise.sensor**2
         slope = self.slope * noise.sensor**2
         for _ in range(rounds):
-            precision = self._precision(noise)
-            spread = np.linalg.inv(D / noise.sensor**2 + np.diag(precision))
+            spread = np.linalg.inv(D / noise.sensor**2 + np.diag(noise.precision(S)))
             a = spread @ (slope + D @ self.a) / noise.sensor**2
             off = a - self.a
             loss = max(self.loss - float((2.0 * slope - D @ off) @ off), 0.0)
@@ -646,10 +599,6 @@ class Fit:
                 sensor=max(math.sqrt(of_sensor), noise.least_sensor),
             )
         return noise
-
-    def _precision(self, noise: NoiseModel) -> Array:
-        """[S + 7] of displacement, motion and skin before anything is seen."""
-        return np.concatenate([np.full(self.smooth, noise.model**-2), noise.fixed])
 
 
 def _gap(tree: KDTree) -> float:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gendom.arguments import require
 from gendom.errors import ParameterError, SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons, NoiseModel, Observation
-from gendom.estimation.replay import replay
+from gendom.estimation.replay import middle, replay
 from gendom.estimation.scene import LiftScene
 from gendom.estimation.scene_settings import SceneSettings
 from gendom.materials.posterior import Prior, joint_prior, prior_of
@@ -110,9 +110,12 @@ class Start:
     history: list[tuple[int, Array, float]] = field(default_factory=list)
     """Iteration, vector, and root mean square distance [m]."""
     coarse: int | None = None
-    """Last iteration of the coarse stage, which takes part of the unknowns or clouds; None: there
-    is none.
-    """
+    """Last iteration of the coarse stage, which takes part of the unknowns or clouds, if any."""
+
+    def take(self, vector: Array, comparison: Comparisons, value: float) -> None:
+        """Go to a place, which joins the history."""
+        self.vector, self.comparison, self.value = vector, comparison, value
+        self.history.append((self.iterations, vector.copy(), comparison.rms))
 
     def stage(self, iteration: int, method: str) -> str:
         """What an iteration of its history belongs to: the method where it has one stage."""
@@ -210,16 +213,12 @@ class Problem:
         for k, (scene, (prior, base)) in enumerate(zip(scenes, believed, strict=True)):
             if known is not None:
                 base = prior.theta(prior.mean, known)
-            own = noise.of_cameras(scene)
-            described = scene.recording.object
-            if described.diameter is not None and "thickness" not in prior.names:
-                own = own.of_rope(described.diameter)
             parts.append(
                 Part(
                     scene=scene,
                     base=base,
                     shown=np.array([self.prior.index(n, k) for n in prior.names], dtype=np.intp),
-                    noise=own,
+                    noise=noise.of(scene, "thickness" in prior.names),
                     name=names[k],
                 )
             )
@@ -241,43 +240,43 @@ class Problem:
         """For each recording everything that is not looked for."""
         return tuple(part.base for part in self.parts)
 
+    @property
+    def frames(self) -> list[tuple[int, ...]]:
+        """That are compared, of each recording."""
+        return [part.scene.frames for part in self.parts]
+
+    def _with(self, parts: Sequence[Part], **changes: Any) -> Problem:
+        """The same with other parts, and attributes."""
+        other = copy.copy(self)
+        other.__dict__.pop("coarse", None)
+        vars(other).update(changes, parts=tuple(parts))
+        return other
+
     @cached_property
     def coarse(self) -> Problem:
         """The same with coarse parts, see there."""
         parts = tuple(part.coarse for part in self.parts)
-        if parts == self.parts:
-            return self
-        coarse = copy.copy(self)
-        coarse.__dict__.pop("coarse", None)
-        coarse.parts = parts
-        return coarse
+        return self if parts == self.parts else self._with(parts)
 
     def finer(self, vector: Array) -> Problem:
         """The same with the resolution that the found parameters need, see `LiftScene.finer`."""
         scenes = [p.scene.finer(self.theta(vector, k)) for k, p in enumerate(self.parts)]
-        if all(s is p.scene for s, p in zip(scenes, self.parts, strict=True)):
+        both = list(zip(self.parts, scenes, strict=True))
+        if all(s is p.scene for p, s in both):
             return self
-        finer = copy.copy(self)
-        finer.__dict__.pop("coarse", None)
-        finer.parts = tuple(replace(p, scene=s) for s, p in zip(scenes, self.parts, strict=True))
-        return finer
+        return self._with([replace(p, scene=s) for p, s in both])
 
     def with_unknown(self, name: str) -> Problem:
         """The same of one recording with one more unknown, the last one."""
-        more, part = copy.copy(self), self.only()
-        more.__dict__.pop("coarse", None)
-        more.prior = self.prior.followed_by(prior_of([name]))
-        more.parts = (replace(part, shown=np.append(part.shown, len(part.shown))),)
-        return more
+        part = self.only()
+        part = replace(part, shown=np.append(part.shown, len(part.shown)))
+        return self._with([part], prior=self.prior.followed_by(prior_of([name])))
 
     def alone(self, recording: int) -> Problem:
         """The same of one recording."""
-        alone, part, k = copy.copy(self), self.parts[recording], self.parts[recording].shown
-        alone.__dict__.pop("coarse", None)
-        alone.prior = self.prior.taken(k)
-        alone.parts = (replace(part, shown=np.arange(len(k)), name=""),)
-        alone._on_progress = None
-        return alone
+        part, k = self.parts[recording], self.parts[recording].shown
+        own = replace(part, shown=np.arange(len(k)), name="")
+        return self._with([own], prior=self.prior.taken(k), _on_progress=None)
 
     def only(self) -> Part:
         """The one recording.
@@ -356,34 +355,29 @@ class Problem:
         """`compare` of one recording, by the unknowns that it depends on."""
         prior, part = self.prior, self.parts[recording]
         moved = [n for n, k in enumerate(part.shown) if derivatives and (free is None or k in free)]
+        which = part.shown[moved]
         steps = [np.where(v + prior.step > prior.high, -prior.step, prior.step) for v in vectors]
-        along = self._along(part.shown[moved])
-        worlds = [
-            v if n < 0 else v + along[part.shown[n]] * h[part.shown[n]]
-            for v, h in zip(vectors, steps, strict=True)
-            for n in (-1, *moved)
-        ]
-        x = self.positions(worlds, recording)
+        along = self._along(which)
+        back = np.linalg.inv(along[np.ix_(which, which)])
+        worlds = []
+        for v, h in zip(vectors, steps, strict=True):
+            worlds += [v, *(v + along[k] * h[k] for k in which)]
+        m = middle(part.scene, self.positions(worlds, recording))
         thickness = np.array([self.theta(v, recording).thickness for v in worlds])
+        radius = part.observation.shape.radius * thickness
         found: list[Comparison | None] = []
-        each = 1 + len(moved)
         for n, h in enumerate(steps):
-            own = x[:, n * each : (n + 1) * each]
-            if not np.isfinite(own).all():
+            own = slice(n * (1 + len(which)), (n + 1) * (1 + len(which)))
+            here, r = m[:, own][:, 0], radius[own]
+            if not np.isfinite(m[:, own]).all():
                 found.append(None)
                 continue
             # parameters that are not free do not change the shape
-            which = np.zeros(1 + len(part.shown), dtype=int)
-            which[[1 + k for k in moved]] = 1 + np.arange(len(moved))
-            which = which if derivatives else which[:1]
-            found.append(
-                part.observation.compare(
-                    own[:, which],
-                    h[part.shown] if derivatives else None,
-                    thickness[n * each + which],
-                    np.linalg.inv(along[np.ix_(part.shown, part.shown)]),
-                )
-            )
+            widens = np.zeros(len(part.shown) if derivatives else 0)
+            J = np.zeros((*here.shape, len(widens)))
+            J[..., moved] = np.moveaxis(m[:, own][:, 1:] - here[:, None], 1, -1) / h[which] @ back.T
+            widens[moved] = back @ ((r[1:] - r[0]) / h[which])
+            found.append(Comparison(part.observation, here, J, float(r[0]), widens))
         return found
 
     def _along(self, moved: NDArray[np.intp]) -> Array:
@@ -401,11 +395,6 @@ class Problem:
         parts = zip(comparison.parts, self.parts, strict=True)
         return all(c.observation is part.observation for c, part in parts)
 
-    def has_frames_of(self, comparison: Comparisons) -> bool:
-        """Whether a comparison, of this problem or a coarse one, has the same frames."""
-        parts = zip(comparison.parts, self.parts, strict=True)
-        return all(c.observation.scene.frames == part.scene.frames for c, part in parts)
-
     def value(self, vector: Array, comparison: Comparisons, noise: Sequence[NoiseModel]) -> float:
         """-2 log of likelihood times prior, up to a constant that depends on the noise only."""
         off = (vector - self.prior.mean) / self.prior.sd
@@ -416,11 +405,16 @@ class Problem:
         vectors: Sequence[Array],
         comparisons: Sequence[Comparisons | None],
         noise: Sequence[NoiseModel],
+        near: Comparisons,
     ) -> list[float]:
-        """`value` of each, infinite where it could not be simulated."""
+        """`value` of each, infinite where it could not be simulated; registrations begin with the
+        result of a comparison nearby."""
 
         def one(vector: Array, comparison: Comparisons | None) -> float:
-            return math.inf if comparison is None else self.value(vector, comparison, noise)
+            if comparison is None:
+                return math.inf
+            comparison.warm_start(near)
+            return self.value(vector, comparison, noise)
 
         with ThreadPoolExecutor(max_workers=self.settings.scene.threads) as pool:
             return list(pool.map(one, vectors, comparisons))

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.likelihood import Comparison, NoiseModel
-from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton
+from gendom.estimation.methods.gauss_newton import gauss_newton
 from gendom.estimation.placing import with_points
 from gendom.estimation.problem import EstimateSettings, Problem
 from gendom.estimation.scene import LiftScene
@@ -64,7 +64,7 @@ def register(recording: Recording, settings: EstimateSettings, known: Theta | No
         if vector is None:
             vector, comparison, noise = _scanned(problem.coarse)
         else:
-            found = gauss_newton(problem, GaussNewtonSettings.of(scene.kind, initial=(vector,)))
+            found = gauss_newton(problem, initial=[vector])
             assert found.best.comparison is not None
             vector, comparison = found.best.vector, found.best.comparison.parts[0]
             noise = found.noise[0]

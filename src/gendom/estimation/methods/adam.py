@@ -21,64 +21,63 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import ParameterError, SimulationError
-from gendom.estimation.methods.search import best_of, estimated_noise, first_starts
+from gendom.estimation.likelihood import Comparison
+from gendom.estimation.methods.search import best_of, finished, first_starts
 from gendom.estimation.problem import Found, Problem, Start
 from gendom.estimation.replay import lattice, middle, simulator_of
 from gendom.observation import DensityGrid, visible
 from gendom.sim import Rollout
-from gendom.sim.gradients import Gradients
 
 Array = NDArray[np.floating]
-
-REVERSE = ("E_over_rho", "nu", "damping", "friction")
-"""Unknowns whose derivatives the reverse mode gives."""
 
 CHUNK = 1 << 21
 """Nodes of grids that are compared at a time."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class AdamSettings:
-    """How Adam searches."""
+SCANNED = 16
+"""Moduli of the scan that precedes the search, over the whole range."""
 
-    scanned: int = 16
-    """Moduli of the scan that precedes the search, over the whole range."""
-    initial: tuple[Array, ...] = ()
-    """[P] transformed: where to begin instead of there."""
-    steps: int = 4
-    """For each of `EstimateSettings.max_iterations`; 25 make the authors' 100."""
-    rate: float = 0.02
-    """First step, in widest steps of the unknowns: 2 % of E and 0.002 of nu, as the authors'."""
-    last_rate: float = 0.02
-    """The last step's share of that; 1: constant, as the authors'."""
-    decay: tuple[float, float] = (0.9, 0.999)
-    """Of the means of gradients and of their squares."""
-    resolution: int = 64
-    """Cells along the grid's longest side."""
-    reach: float = 2.0
-    """Bound of all unknowns but the modulus, in deviations of the prior from its mean."""
-    look: int = 10
-    """Steps after which the visible points are determined again."""
+STEPS = 4
+"""For each of `EstimateSettings.max_iterations`; 25 make the authors' 100."""
+
+RATE, LAST_RATE = 0.02, 0.02
+"""First step, in widest steps of the unknowns: 2 % of E and 0.002 of nu, as the authors'; the last
+step's share of that (theirs: 1)."""
+
+DECAY = 0.9, 0.999
+"""Of the means of gradients and of their squares."""
+
+RESOLUTION = 64
+"""Cells along the grid's longest side."""
+
+REACH = 2.0
+"""Bound of all unknowns but the modulus, in deviations of the prior from its mean."""
+
+LOOK = 10
+"""Steps after which the visible points are determined again."""
 
 
-def adam(problem: Problem, settings: AdamSettings | None = None) -> Found:
+def adam(problem: Problem, *, initial: Sequence[Array] = (), steps: int = STEPS) -> Found:
     """Search, and keep the best so far if interrupted.
+
+    Args:
+        problem: What is looked for.
+        initial: [P] transformed: where to begin instead of at the best of a scan.
+        steps: For each of `EstimateSettings.max_iterations`.
 
     Raises:
         SimulationError: No start can be simulated.
         KeyboardInterrupt: If interrupted before anything was found.
     """
-    settings = settings or AdamSettings()
-    prior = problem.prior
-    most = settings.steps * problem.settings.max_iterations
-    starts = first_starts(problem, settings.scanned, settings.initial)
+    prior, most = problem.prior, steps * problem.settings.max_iterations
+    starts = first_starts(problem, SCANNED, initial)
     interrupted = False
     try:
-        loss = DensityLoss(problem, settings)
-        low, high = prior.within(settings.reach)
+        loss = DensityLoss(problem)
+        low, high = prior.within(REACH)
         descents = [_Descent(s, np.clip(s.vector, low, high)) for s in starts]
         for iteration in range(1, most + 1):
-            if (iteration - 1) % settings.look == 0:
+            if iteration % LOOK == 1:
                 for d in descents:
                     d.seen = None
             loss.evaluate([d for d in descents if not d.start.done])
@@ -86,30 +85,18 @@ def adam(problem: Problem, settings: AdamSettings | None = None) -> Found:
             if not going:
                 break
             turn = 0.5 * (1.0 + math.cos(math.pi * (iteration - 1) / most))
-            rate = settings.rate * (settings.last_rate + (1.0 - settings.last_rate) * turn)
             for d in going:
-                d.step(rate * prior.widest, settings.decay)
+                d.step(RATE * (LAST_RATE + (1.0 - LAST_RATE) * turn) * prior.widest)
                 d.vector = np.clip(d.vector, low, high)
             problem.tell("adam", iteration, most, best_of(starts) or starts[0])
     except KeyboardInterrupt:
         interrupted = True
         if best_of(starts) is None:
             raise
-    best = best_of(starts)
-    if best is None:
-        raise problem.nothing_runs()
     for s in starts:
         s.done = True
-    best.comparison = problem.compare([best.vector])[0]
-    if best.comparison is None:
-        raise problem.nothing_runs()
-    return Found(
-        best=best,
-        starts=starts,
-        noise=estimated_noise(best.comparison, problem.first_noise()),
-        interrupted=interrupted,
-        extra={"density_loss": best.value},
-    )
+    best = best_of(starts)
+    return finished(problem, starts, interrupted, density_loss=best.value if best else None)
 
 
 @dataclass(eq=False)
@@ -123,14 +110,12 @@ class _Descent:
     """[P] of the loss there."""
     seen: list[NDArray[np.bool_]] | None = None
     """T masks of the skin's points that cameras see."""
-    mean: Array = field(default_factory=lambda: np.zeros(0))
-    square: Array = field(default_factory=lambda: np.zeros(0))
+    mean: Array | float = 0.0
+    square: Array | float = 0.0
 
-    def step(self, rate: Array, decay: tuple[float, float]) -> None:
+    def step(self, rate: Array) -> None:
         """One of Adam's, with rates [P]."""
-        if not len(self.mean):
-            self.mean, self.square = np.zeros((2, len(self.vector)))
-        n, (a, b) = self.start.iterations, decay
+        n, (a, b) = self.start.iterations, DECAY
         self.mean = a * self.mean + (1.0 - a) * self.gradient
         self.square = b * self.square + (1.0 - b) * self.gradient**2
         size = np.sqrt(self.square / (1.0 - b**n)) + 1e-12
@@ -138,15 +123,13 @@ class _Descent:
 
 
 class DensityLoss:
-    """L1 distance between densities of recorded clouds and of a simulated object.
+    """L1 distance between densities of recorded clouds and of a simulated object, of one recording.
 
-    Args:
-        problem: What is looked for.
-        settings: Of the grid.
+    Raises:
+        ParameterError: The thickness is looked for.
     """
 
-    def __init__(self, problem: Problem, settings: AdamSettings | None = None):
-        settings = settings or AdamSettings()
+    def __init__(self, problem: Problem):
         self.problem = problem
         self.part = problem.only()
         if "thickness" in problem.prior.names:
@@ -157,9 +140,7 @@ class DensityLoss:
         clouds = [scene.recording.frame(t).astype(float) for t in scene.frames]
         path = scene.recording.gripper_position.reshape(-1, 3)
         around = np.concatenate([*clouds, scene.initial, path])
-        self.grid = DensityGrid.around(
-            around, margin=0.05 * scene.size, resolution=settings.resolution
-        )
+        self.grid = DensityGrid.around(around, margin=0.05 * scene.size, resolution=RESOLUTION)
         self.recorded = np.stack([self.grid.splat(cloud) for cloud in clouds])
 
     def shown(self, x: Array) -> Array:
@@ -195,10 +176,15 @@ class DensityLoss:
     ) -> tuple[float, Array]:
         """That, and its derivative by the positions [T, N, 3] [1/m]."""
         value, bar = self._compare(self.shown(x), seen, derivative=True)
-        markers = self.part.observation.markers
-        if markers is None:
+        if self.part.observation.markers is None:
             return value, self.part.scene.body.surface_transpose(x, bar)
-        return value, self._markers_transpose(x, bar, *markers)
+        index, weight = self.part.observation.markers
+        of_middle = np.zeros((len(x), len(lattice(self.part.scene)[0]), 3))
+        for k, share in zip(index.T, weight.T, strict=True):
+            np.add.at(of_middle, (slice(None), k), share[:, None] * bar)
+        # each point of the middle is the mean of the particles of a section
+        count = x.shape[1] // of_middle.shape[1]
+        return value, np.repeat(of_middle, count, axis=1) / count
 
     def _compare(
         self, shown: Array, seen: Sequence[NDArray[np.bool_]], *, derivative: bool = False
@@ -217,25 +203,6 @@ class DensityLoss:
                 bar[t] = self.grid.splat_transpose(points[t], np.sign(off) * share[t] / T)
         return total, bar
 
-    def _markers_transpose(
-        self, x: Array, bar: Array, index: NDArray[np.intp], weight: Array
-    ) -> Array:
-        """[T, N, 3] derivative by positions, from that by markers [T, m, 3]."""
-        scene = self.part.scene
-        shares = np.zeros((len(index), middle(scene, x).shape[1]))
-        for k in range(index.shape[1]):
-            shares[np.arange(len(index)), index[:, k]] += weight[:, k]
-        of_middle = np.einsum("mn,tma->tna", shares, bar)
-        if scene.thin:
-            return of_middle
-        if scene.kind == "cloth":
-            first, second = (len(ticks) for ticks in lattice(scene))
-            rows = of_middle.reshape(-1, second, first, 3)
-            of_middle = np.swapaxes(rows, 1, 2).reshape(of_middle.shape)
-        # each point of the middle is the mean of the particles of a section
-        count = x.shape[1] // shares.shape[1]
-        return np.repeat(of_middle, count, axis=1) / count
-
     def evaluate(self, descents: Sequence[_Descent]) -> None:
         """Loss and slope of some descents from one batch; those that diverge are done."""
         problem, prior = self.problem, self.problem.prior
@@ -252,7 +219,7 @@ class DensityLoss:
                     d.seen = d.seen or self.seen(self.shown(x[:, w]))
                     value, bar[:, w] = self.value_and_gradient(x[:, w], d.seen)
                     values.append(value)
-                gradients = _reverse_derivatives(problem, going, rollout.backward(bar))
+                reverse = rollout.backward(bar)
                 break
             except SimulationError as error:
                 if error.world is None:
@@ -260,7 +227,9 @@ class DensityLoss:
                 going.pop(error.world).start.done = True
         else:
             return
-        others = [k for k, name in enumerate(prior.names) if name not in REVERSE]
+        by = {name: getattr(reverse, name) for name in ("nu", "damping", "friction")}
+        by["E_over_rho"] = problem.scene.density * reverse.E
+        others = [k for k, name in enumerate(prior.names) if name not in by]
         worlds, steps = [], []
         for d in going:
             for k in others:
@@ -268,35 +237,20 @@ class DensityLoss:
                 worlds.append(d.vector + h * np.eye(len(d.vector))[k])
                 steps.append(h)
         beside = problem.positions(worlds) if worlds else np.zeros((len(x), 0, *x.shape[2:]))
-        for w, d in enumerate(going):
+        for w, (d, theta) in enumerate(zip(going, thetas, strict=True)):
             assert d.seen is not None
+            d.gradient = np.zeros(len(d.vector))
+            for k, u in enumerate(prior.unknowns):
+                if u.name in by:
+                    d.gradient[k] = by[u.name][w] * (theta[u.name] if u.log else 1.0)
             for n, k in enumerate(others, start=w * len(others)):
                 y = beside[:, n]
                 if np.isfinite(y).all():
-                    gradients[w, k] = (self.value(y, d.seen) - values[w]) / steps[n]
-            d.gradient, s = gradients[w], d.start
+                    d.gradient[k] = (self.value(y, d.seen) - values[w]) / steps[n]
+            s = d.start
             s.iterations += 1
             if values[w] < s.value:
-                s.value, s.vector = values[w], d.vector
-                compared = self.part.observation.compare(x[:, w : w + 1], None)
-                s.comparison = problem.joined([compared])
-                s.history.append((s.iterations, d.vector.copy(), compared.rms))
-
-
-def _reverse_derivatives(
-    problem: Problem, descents: Sequence[_Descent], gradients: Gradients
-) -> Array:
-    """[W, P] derivatives by transformed parameters that the reverse mode gives; 0 of others."""
-    names, found = problem.prior.names, np.zeros((len(descents), len(problem.prior.names)))
-    for w, d in enumerate(descents):
-        theta = problem.theta(d.vector)
-        E = theta.E_over_rho * problem.scene.density
-        by = {
-            "E_over_rho": E * gradients.E[w],
-            "nu": gradients.nu[w],
-            "damping": theta.damping * gradients.damping[w],
-            "friction": gradients.friction[w],
-        }
-        for k, name in enumerate(names):
-            found[w, k] = by.get(name, 0.0)
-    return found
+                here = Comparison(self.part.observation, middle(problem.scene, x[:, w]))
+                compared = problem.joined([here])
+                assert compared is not None
+                s.take(d.vector, compared, values[w])

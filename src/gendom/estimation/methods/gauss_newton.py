@@ -31,45 +31,46 @@ from gendom.materials.unknowns import UNKNOWNS
 Array = NDArray[np.floating]
 
 
+SCANNED = 12
+"""Moduli of the scan that precedes the search, over the whole range."""
+
+COARSE_NOISE, COARSE_SHARE = 0.005, 0.6
+"""Noise of the coarse stage [m], and its largest share of the iterations."""
+
+PATIENCE = 6
+"""Iterations that other starts may still take after the best one has converged."""
+
+LEAST_GAIN_RATIO = 0.5
+"""Derivatives are computed again where a step gains less than this share of the prediction."""
+
+DAMPING, DAMPING_RATIO = (1e-3, 1e3), 30.0
+"""Levenberg's and Marquardt's: the least, and that at which a start is given up; ratio of two side
+by side."""
+
+LONG_STEP = 3.0
+"""Factor of longer steps that are tried side by side: points that slide along a surface make
+Gauss-Newton steps too short."""
+
+PER_BATCH = 2
+"""Iterations for each of `EstimateSettings.max_iterations`: few compute derivatives."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class GaussNewtonSettings:
-    """Bounds of the search; defaults are those of ropes; `of` has those of cloths."""
+    """What differs between searches; defaults are those of ropes; `of` has those of cloths."""
 
-    scanned: int = 12
-    """Moduli of the scan that precedes the search, over the whole range."""
-    initial: tuple[Array, ...] = ()
-    """[P] transformed: where to begin instead of there."""
     leading: tuple[str, ...] = (
         "E_over_rho", "damping", "grip_turn", "tip_mass", "air_drag", *CLAMPS,
     )  # fmt: skip
     """Unknowns that are free in the coarse stage, so that the others do not absorb their effect.
     None: all."""
-    coarse_noise: float = 0.005
-    """Noise of the coarse stage [m]."""
-    coarse_share: float = 0.6
-    """Largest share of the iterations in the coarse stage."""
-    patience: int = 6
-    """Iterations that other starts may still take after the best one has converged."""
     gain: tuple[float, float] = (2.0, 0.2)
     """A start has converged when a step can lower the value by no more than this, in the coarse and
     in the fine stage."""
-    least_gain_ratio: float = 0.5
-    """Derivatives are computed again where a step gains less than this share of the prediction."""
     rugged: bool = False
     """Whether several steps are tried side by side."""
     jumps: tuple[float, ...] = ()
     """Size of trial jumps of the object's unknowns after steps have converged, in deviations."""
-    damping_ratio: float = 30.0
-    """Ratio of two dampings side by side."""
-    long_step: float = 3.0
-    """Factors of longer steps that are tried side by side: points that slide along a surface make
-    Gauss-Newton steps too short."""
-    per_batch: int = 2
-    """Iterations for each of `EstimateSettings.max_iterations`: few compute derivatives."""
-    damping: tuple[float, float] = (1e-3, 1e3)
-    """Levenberg's and Marquardt's: the least, and that at which a start is given up."""
-    em_rounds: int = 6
-    """Rounds of expectation and maximisation at each of two registrations between two steps."""
 
     @classmethod
     def of(cls, kind: str, **changes: Any) -> GaussNewtonSettings:
@@ -85,8 +86,18 @@ class GaussNewtonSettings:
         return cls(**changes)
 
 
-def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) -> Found:
+def gauss_newton(
+    problem: Problem,
+    settings: GaussNewtonSettings | None = None,
+    *,
+    initial: Sequence[Array] = (),
+) -> Found:
     """Search, and keep the best so far if interrupted.
+
+    Args:
+        problem: What is looked for.
+        settings: By default those of its kind of object.
+        initial: [P] transformed: where to begin instead of at the best of a scan.
 
     Raises:
         SimulationError: No start can be simulated.
@@ -95,31 +106,32 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
     began, settings = time.perf_counter(), settings or GaussNewtonSettings.of(problem.scene.kind)
     stated = problem.first_noise()
     first = problem.coarse.first_noise(
-        sensor=settings.coarse_noise, model=problem.settings.noise.least_model, rounds=1
+        sensor=COARSE_NOISE, model=problem.settings.noise.least_model, rounds=1
     )
-    noise, most = first, settings.per_batch * problem.settings.max_iterations
+    noise, most = first, PER_BATCH * problem.settings.max_iterations
     names = problem.prior.names
     free = [k for k, name in enumerate(names) if name in settings.leading] or None
-    starts = first_starts(problem.coarse, settings.scanned, settings.initial)
+    starts = first_starts(problem.coarse, SCANNED, initial)
     times = [began, time.perf_counter()]
     interrupted, iteration, late = False, 0, 0
     try:
-        while iteration < max(1, round(settings.coarse_share * most)):
+        while iteration < max(1, round(COARSE_SHARE * most)):
             going = [s for s in starts if not s.done]
-            if not going or late == settings.patience:
+            if not going or late == PATIENCE:
                 break
             iteration += 1
             _step(problem.coarse, going, noise, settings.gain[0], settings, free)
             leads = best_of(starts)
             late = late + 1 if leads is not None and leads.done else 0
             if settings.rugged and leads is not None:
-                _give_up(starts, leads, settings.patience)
+                for s in starts:  # so many steps like its last one would not reach the best
+                    s.done |= s.value - leads.value > PATIENCE * s.won
             problem.tell("search", iteration, most, leads or starts[0])
         best = best_of(starts)
         if best is None:
             raise problem.nothing_runs()
         times.append(time.perf_counter())
-        noise, best.damping = stated, settings.damping[0]
+        noise, best.damping = stated, DAMPING[0]
         for start in starts:
             start.coarse = start.iterations
         if free is not None or problem.coarse is not problem:
@@ -133,7 +145,7 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
         if best.comparison is None or not problem.is_as_fine_as(best.comparison):
             _compare_all(problem, best, settings)
         assert best.comparison is not None
-        noise = estimated_noise(best.comparison, noise, settings.em_rounds)
+        noise = estimated_noise(best.comparison, noise)
     times.append(time.perf_counter())
     parts = zip(("scan", "coarse", "fine"), np.diff(times), strict=False)
     return Found(
@@ -145,24 +157,18 @@ def gauss_newton(problem: Problem, settings: GaussNewtonSettings | None = None) 
     )
 
 
-def _give_up(starts: Sequence[Start], leads: Start, patience: int) -> None:
-    """End starts that would not reach the best one with so many steps like their last one."""
-    for s in starts:
-        s.done |= s.value - leads.value > patience * s.won
-
-
-def refined(problem: Problem, found: Found, settings: GaussNewtonSettings | None = None) -> Found:
+def refined(problem: Problem, found: Found) -> Found:
     """The result, refined in a problem of higher resolution.
 
     Raises:
         SimulationError: It cannot be simulated there.
     """
-    settings = settings or GaussNewtonSettings.of(problem.scene.kind)
+    settings = GaussNewtonSettings.of(problem.scene.kind)
     best, noise = found.best, found.noise
     _compare_all(problem, best, settings)
-    best.damping = settings.damping[0]
-    most = settings.per_batch * problem.settings.max_iterations
-    most = max(1, round((1.0 - settings.coarse_share) * most))
+    best.damping = DAMPING[0]
+    most = PER_BATCH * problem.settings.max_iterations
+    most = max(1, round((1.0 - COARSE_SHARE) * most))
     try:
         noise = _fine_stage(problem, best, noise, settings, 0, most)
     except KeyboardInterrupt:
@@ -188,7 +194,7 @@ def _fine_stage(
                 for n, c in zip(noise, best.comparison.parts, strict=True)
             )
         else:
-            noise = estimated_noise(best.comparison, noise, settings.em_rounds)
+            noise = estimated_noise(best.comparison, noise)
         best.value = problem.value(best.vector, best.comparison, noise)
         best.done = False
         _step(problem, [best], noise, settings.gain[1], settings)
@@ -198,7 +204,7 @@ def _fine_stage(
     else:
         _renew(problem, [best], noise, None)
     assert best.comparison is not None
-    return estimated_noise(best.comparison, noise, settings.em_rounds)
+    return estimated_noise(best.comparison, noise)
 
 
 def _jump(
@@ -223,21 +229,18 @@ def _jump(
         for far in settings.jumps
         for way in (-1.0, 1.0)
     ]
-    assert start.comparison is not None
+    former = start.comparison
+    assert former is not None
     compared = problem.compare(places, derivatives=False)
-    for comparison in compared:
-        if comparison is not None:
-            comparison.warm_start(start.comparison)
-    values = problem.values(places, compared, noise)
+    values = problem.values(places, compared, noise, former)
     best = int(np.argmin(values))
     closer = compared[best]
     if closer is None or start.value - values[best] < settings.gain[1]:
         return False
-    closer.inherit_derivatives(start.comparison, *np.zeros((2, len(prior.names))))
-    start.vector, start.comparison, start.value = places[best], closer, values[best]
+    closer.inherit_derivatives(former, *np.zeros((2, len(prior.names))))
     start.iterations += 1
-    start.history.append((start.iterations, start.vector.copy(), closer.rms))
-    start.done, start.renew, start.damping = False, True, settings.damping[0]
+    start.take(places[best], closer, values[best])
+    start.done, start.renew, start.damping = False, True, DAMPING[0]
     return True
 
 
@@ -246,7 +249,8 @@ def _compare_all(problem: Problem, start: Start, settings: GaussNewtonSettings) 
     coarse problem are taken over where it has the same frames and free unknowns.
     """
     former, start.exact, start.renew = start.comparison, True, False
-    inherited = former is not None and problem.has_frames_of(former) and not settings.leading
+    inherited = former is not None and not settings.leading
+    inherited = inherited and problem.frames == [c.observation.scene.frames for c in former.parts]
     start.comparison = problem.compare([start.vector], derivatives=not inherited)[0]
     if start.comparison is None:
         raise problem.nothing_runs()
@@ -272,29 +276,26 @@ def _step(
     if not going:
         return
     proposed = [_propose(problem, s, noise, settings, free) for s in going]
-    tried = iter(problem.compare([p.vector for row in proposed for p in row], derivatives=False))
-    for s, row in zip(going, proposed, strict=True):
+    places = [[vector for vector, _, _ in tries] for tries, _ in proposed]
+    tried = iter(problem.compare([v for row in places for v in row], derivatives=False))
+    for s, vectors, (tries, weight) in zip(going, places, proposed, strict=True):
         former = s.comparison
         assert former is not None
         s.iterations += 1
-        compared = [next(tried) for _ in row]
-        for comparison in compared:
-            if comparison is not None:
-                comparison.warm_start(former)
-        values = problem.values([p.vector for p in row], compared, noise)
+        compared = [next(tried) for _ in vectors]
+        values = problem.values(vectors, compared, noise, former)
         best = int(np.argmin(values))
-        p, closer = row[best], compared[best]
+        (vector, gain, damping), closer = tries[best], compared[best]
         if closer is not None and values[best] < s.value:
             s.won = won = s.value - values[best]
-            little = won < least or (not settings.rugged and p.gain < least)
-            closer.inherit_derivatives(former, p.vector - s.vector, p.weight)
-            s.done, s.renew = little and s.exact, little or won < settings.least_gain_ratio * p.gain
-            s.vector, s.comparison, s.value, s.exact = p.vector, closer, values[best], False
-            s.damping = max(p.damping / 10.0, settings.damping[0])
-            s.history.append((s.iterations, p.vector.copy(), closer.rms))
+            little = won < least or (not settings.rugged and gain < least)
+            closer.inherit_derivatives(former, vector - s.vector, weight)
+            s.done, s.renew = little and s.exact, little or won < LEAST_GAIN_RATIO * gain
+            s.exact, s.damping = False, max(damping / 10.0, DAMPING[0])
+            s.take(vector, closer, values[best])
         elif s.exact:
-            s.damping *= settings.damping_ratio ** (2 if settings.rugged else 1)
-            s.done = row[0].gain < least or s.damping > settings.damping[1]
+            s.damping *= DAMPING_RATIO ** (2 if settings.rugged else 1)
+            s.done = tries[0][1] < least or s.damping > DAMPING[1]
         else:
             s.renew = True
 
@@ -322,29 +323,20 @@ def _renew(
         s.comparison, s.value = comparison, problem.value(s.vector, comparison, noise)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Proposal:
-    """Where to try next."""
-
-    vector: Array
-    """[P] transformed."""
-    gain: float
-    """The gain that the quadratic model predicts."""
-    weight: Array
-    """[P] that model's curvature along each unknown."""
-    damping: float
-    """Levenberg's and Marquardt's."""
-
-
 def _propose(
     problem: Problem,
     start: Start,
     noise: Sequence[NoiseModel],
     settings: GaussNewtonSettings,
     among: Sequence[int] | None,
-) -> list[_Proposal]:
+) -> tuple[list[tuple[Array, float, float]], Array]:
     """A damped step; on rugged objectives also one of greater damping, one by the object's unknowns
-    alone, and longer ones."""
+    alone, and longer ones.
+
+    Returns:
+        Places [P] with the gain that the quadratic model predicts and their damping; and that
+        model's curvature along each unknown [P].
+    """
     prior = problem.prior
     gradient, H = problem.gradient_and_hessian(start, noise)
     # a parameter pressed against its bound is held there
@@ -354,10 +346,10 @@ def _propose(
     own = free & np.array([UNKNOWNS[name].material for name in prior.names])
     tries = [(free, start.damping, 1.0)]
     if settings.rugged:
-        tries.append((free, start.damping, settings.long_step))
+        tries.append((free, start.damping, LONG_STEP))
         if own.any() and (own != free).any():
-            tries += [(own, start.damping, 1.0), (own, start.damping, settings.long_step)]
-        tries.append((free, settings.damping_ratio * start.damping, 1.0))
+            tries += [(own, start.damping, 1.0), (own, start.damping, LONG_STEP)]
+        tries.append((free, DAMPING_RATIO * start.damping, 1.0))
     proposals = []
     for which, damping, times in tries:
         step = np.zeros(len(free))
@@ -368,8 +360,5 @@ def _propose(
         step *= min(1.0, float(np.min(prior.widest / np.maximum(np.abs(step), 1e-300))))
         vector = prior.clipped(start.vector + step)
         step = vector - start.vector
-        gain = float(-2.0 * gradient @ step - step @ H @ step)
-        proposals.append(
-            _Proposal(vector=vector, gain=gain, weight=np.diag(H).copy(), damping=damping)
-        )
-    return proposals
+        proposals.append((vector, float(-2.0 * gradient @ step - step @ H @ step), damping))
+    return proposals, np.diag(H).copy()

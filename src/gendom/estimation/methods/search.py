@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gendom.estimation.likelihood import Comparisons, NoiseModel
-from gendom.estimation.problem import Problem, Start
+from gendom.estimation.problem import Found, Problem, Start
 
 Array = NDArray[np.floating]
 
@@ -81,6 +82,21 @@ def best_of(starts: Sequence[Start]) -> Start | None:
     """The start with the least value, None where none could be simulated."""
     tried = [s for s in starts if s.comparison is not None]
     return min(tried, key=lambda s: s.value) if tried else None
+
+
+def finished(problem: Problem, starts: Sequence[Start], interrupted: bool, **extra: Any) -> Found:
+    """The result of a search that took no derivatives and no noise: both are taken at its best.
+
+    Raises:
+        SimulationError: There is none, or it cannot be simulated.
+    """
+    best = best_of(starts)
+    comparison = None if best is None else problem.compare([best.vector])[0]
+    if best is None or comparison is None:
+        raise problem.nothing_runs()
+    best.comparison = comparison
+    noise = estimated_noise(comparison, problem.first_noise())
+    return Found(best=best, starts=starts, noise=noise, interrupted=interrupted, extra=extra)
 
 
 def estimated_noise(
