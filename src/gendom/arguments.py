@@ -95,13 +95,9 @@ def check_numbers(
     if above is not None:
         bad |= a <= above
     if bad.any():
-        wanted = {
-            "positive": above == 0.0,
-            "finite": finite,
-            f"above {above}": bool(above),
-            f"at least {least:g}": least > -math.inf,
-        }
-        asked = [words for words, is_asked in wanted.items() if is_asked]
+        asked = ["positive"] * (above == 0.0) + ["finite"] * finite
+        asked += [f"above {above}"] if above else []
+        asked += [f"at least {least:g}"] if least > -math.inf else []
         raise _refused(name, " and ".join(asked) or "a number", a, bad)
     return a
 

@@ -274,7 +274,7 @@ class Problem:
         """The same of one recording."""
         alone, part, k = copy.copy(self), self.parts[recording], self.parts[recording].shown
         alone.__dict__.pop("coarse", None)
-        alone.prior = self.prior.taken(k)
+        alone.prior = self.prior.alone(k)
         alone.parts = (replace(part, shown=np.arange(len(k)), name=""),)
         alone._on_progress = None
         return alone
