@@ -57,8 +57,8 @@ PRELOADED = (
 
 ROOMS = {
     "discrepancy": ("estimation", "discrepancy", "estimation/test_discrepancy"),
-    "readers": ("datasets", "cloud_fields ply pcd npz folder ../reading", "datasets/test_ply "
-                "datasets/test_pcd datasets/test_npz datasets/test_folder test_reading"),
+    "readers": ("datasets", "clouds npz folder ../reading",
+                "datasets/test_clouds datasets/test_folder test_reading"),
     "policies": ("policies", "policy adaptation graph", "policies/test_policy policies/test_adapt"),
     "robot": ("robot", "kinematics path motion timing states collision", "robot/test_kinematics "
               "robot/test_path robot/test_motion robot/test_timing robot/test_collision"),

@@ -64,7 +64,7 @@ nitpick_ignore_regex = [("py:.*", r"(?!gendom\.).*")]  # types of other packages
 
 def public_names() -> dict[str, str]:
     """The names under which public objects are documented, by the places that define them."""
-    names = {f"gendom.{name}": f"{package}.{name}" for name, package in gendom._EXPORTS.items()}
+    names = {f"gendom.{name}": f"gendom.{room}.{name}" for name, room in gendom._EXPORTS.items()}
     for package in PACKAGES:
         module = import_module(package)
         for name in module.__all__:

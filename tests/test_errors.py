@@ -10,11 +10,6 @@ def test_message_parts():
     assert str(GendomError("is odd", where="a.json", fix="mend it")) == "a.json: is odd; mend it"
 
 
-def test_simulation_error_names_its_place():
-    error = SimulationError("is not finite", world=3, time=0.25, parameters={"E": 5e3, "nu": 0.3})
-    assert str(error) == "world 3, t = 0.25 s, E = 5000, nu = 0.3: is not finite"
-
-
 def test_errors_survive_pickling():
     simulation = SimulationError("x", fix="y", world=1, time=0.5, parameters={"E": 1.0}, particle=7)
     recording = RecordingError(where="a.npz", faults=["one", "two"])

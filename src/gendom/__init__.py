@@ -10,8 +10,9 @@ Names are imported when first used, so `import gendom` stays fast.
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from gendom.lazy import imported_later
 
 if TYPE_CHECKING:
     from gendom.datasets import Fault, ObjectDescription, Recording
@@ -24,26 +25,17 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 
-# Public name -> module that defines it. Keep in step with the block above and `__all__`.
-_EXPORTS = {
-    "Cloth": "gendom.materials",
-    "ClothSpreading": "gendom.tasks",
-    "Estimate": "gendom.estimation",
-    "EstimateSettings": "gendom.estimation",
-    "Fault": "gendom.datasets",
-    "GendomError": "gendom.errors",
-    "Material": "gendom.materials",
-    "ObjectDescription": "gendom.datasets",
-    "Policy": "gendom.policies",
-    "Recording": "gendom.datasets",
-    "Rope": "gendom.materials",
-    "RopeCasting": "gendom.tasks",
-    "RopeReaching": "gendom.tasks",
-    "SceneSettings": "gendom.estimation",
-    "Simulator": "gendom.sim",
-    "estimate": "gendom.estimation",
-    "replay": "gendom.estimation",
+# Public names by room, as above and in `__all__`.
+_ROOMS = {
+    "datasets": ("Fault", "ObjectDescription", "Recording"),
+    "errors": ("GendomError",),
+    "estimation": ("Estimate", "EstimateSettings", "SceneSettings", "estimate", "replay"),
+    "materials": ("Cloth", "Material", "Rope"),
+    "policies": ("Policy",),
+    "sim": ("Simulator",),
+    "tasks": ("ClothSpreading", "RopeCasting", "RopeReaching"),
 }
+_EXPORTS = {name: room for room, names in _ROOMS.items() for name in names}
 
 __all__ = [
     "Cloth",
@@ -67,12 +59,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str):
-    if name not in _EXPORTS:
-        raise AttributeError(f"module 'gendom' has no attribute {name!r}")
-    value = getattr(import_module(_EXPORTS[name]), name)
-    globals()[name] = value
-    return value
+__getattr__ = imported_later(__name__, _EXPORTS)
 
 
 def __dir__() -> list[str]:

@@ -15,9 +15,6 @@ from gendom.errors import GendomError, ParameterError, did_you_mean
 
 Shape = tuple[int | str, ...]
 
-LONGEST = 60
-"""Most characters of a value in a message."""
-
 
 def require(
     holds: Any,
@@ -95,13 +92,9 @@ def check_numbers(
     if above is not None:
         bad |= a <= above
     if bad.any():
-        wanted = {
-            "positive": above == 0.0,
-            "finite": finite,
-            f"above {above}": bool(above),
-            f"at least {least:g}": least > -math.inf,
-        }
-        asked = [words for words, is_asked in wanted.items() if is_asked]
+        asked = ["positive"] * (above == 0.0) + ["finite"] * finite
+        asked += [f"above {above}"] if above else []
+        asked += [f"at least {least:g}"] if least > -math.inf else []
         raise _refused(name, " and ".join(asked) or "a number", a, bad)
     return a
 
@@ -134,7 +127,7 @@ def check_type(name: str, value: Any, kind: Any, *, optional: bool = False) -> N
     if not (isinstance(value, kinds) or (optional and value is None)):
         wanted = "True or False" if kind is bool else f"a {kind.__name__}"
         wanted += " or None" if optional else ""
-        raise ParameterError(f"{name} must be {wanted}, got {_shown(value)}")
+        raise ParameterError(f"{name} must be {wanted}, got {short_repr(value)}")
 
 
 def check_list(name: str, values: Any, kind: type) -> None:
@@ -144,7 +137,7 @@ def check_list(name: str, values: Any, kind: type) -> None:
         ParameterError: If they are not; the error names the argument, and the first bad element.
     """
     if not isinstance(values, Sequence) or isinstance(values, str):
-        raise ParameterError(f"{name} must be a list of {kind.__name__}, got {_shown(values)}")
+        raise ParameterError(f"{name} must be a list of {kind.__name__}, got {short_repr(values)}")
     for k, value in enumerate(values):
         check_type(f"{name}[{k}]", value, kind)
 
@@ -158,16 +151,17 @@ def _array(
     except (TypeError, ValueError, RuntimeError):  # ragged, or a tensor that requires a gradient
         a = np.asarray(None)
     right = a.dtype.kind in kinds or a.size == 0
-    if right and (not shapes or any(_fits(a.shape, shape) for shape in shapes)):
+    if right and (not shapes or any(fits(a.shape, shape) for shape in shapes)):
         return a
     single = f"an {noun}" if noun == "integer" else f"a {noun}"
     arrays = " or ".join(f"[{', '.join(map(str, shape))}]" for shape in shapes if shape)
     wanted = [single] * (() in shapes) + [f"{arrays} {noun}s".strip()] * (shapes != ((),))
-    given = f"shape {list(a.shape)}" if right and a.ndim else _shown(values)
+    given = f"shape {list(a.shape)}" if right and a.ndim else short_repr(values)
     raise ParameterError(f"{name} must be {' or '.join(wanted)}, got {given}")
 
 
-def _fits(have: tuple[int, ...], wanted: Shape) -> bool:
+def fits(have: tuple[int, ...], wanted: Shape) -> bool:
+    """Whether a shape is a wanted one."""
     return len(have) == len(wanted) and all(
         isinstance(length, str) or n == length for n, length in zip(have, wanted, strict=True)
     )
@@ -180,7 +174,7 @@ def _refused(name: str, wanted: str, a: NDArray[Any], bad: NDArray[np.bool_]) ->
     return ParameterError(f"{name} must be {wanted}, got {a[k]}{place}")
 
 
-def _shown(value: Any) -> str:
-    """A value in one short line."""
+def short_repr(value: Any, most: int = 60) -> str:
+    """A value in one line of so many characters at most."""
     text = " ".join(repr(value).split())
-    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
+    return text if len(text) <= most else text[: most - 3] + "..."

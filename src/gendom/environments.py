@@ -1,6 +1,9 @@
 """Gymnasium environments by name, registered when this module is imported, here by Gymnasium:
 
 gymnasium.make_vec("gendom.environments:gendom/RopeReachingSteps-v0", num_envs=64)
+
+``gendom/RopeReaching-v0`` and so on carry out one action in the MuJoCo test scene, the ``Steps``
+are led step by step in our simulator.
 """
 
 from collections.abc import Iterable
@@ -8,8 +11,6 @@ from collections.abc import Iterable
 import gymnasium
 
 BUILT_IN = ("rope-reaching", "rope-casting", "rope-casting-at-speed", "cloth-spreading")
-"""Tasks with environments by these names: ``gendom/RopeReaching-v0`` and so on carry out one action
-in the MuJoCo test scene, ``gendom/RopeReachingSteps-v0`` are led step by step in our simulator."""
 
 
 def register(names: Iterable[str] = BUILT_IN) -> None:

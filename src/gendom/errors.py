@@ -93,19 +93,7 @@ class SimulationError(GendomError):
         self.time = time
         self.parameters = dict(parameters or {})
         self.particle = particle
-        if where is None:
-            where = ", ".join(self._place()) or None
         super().__init__(what, where=where, fix=fix)
-
-    def _place(self) -> list[str]:
-        place = []
-        if self.world is not None:
-            place.append(f"world {self.world}")
-        if self.particle is not None:
-            place.append(f"particle {self.particle}")
-        if self.time is not None:
-            place.append(f"t = {self.time:.6g} s")
-        return place + [f"{name} = {value:.6g}" for name, value in self.parameters.items()]
 
 
 class PolicyError(GendomError):

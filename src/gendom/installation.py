@@ -53,30 +53,22 @@ def load_mujoco() -> Any:
     Raises:
         DeviceError: It is not installed.
     """
-    mujoco = _imported()
-    if mujoco.get_mju_user_warning() is None:
-        mujoco.set_mju_user_warning(_log.debug)
-    return mujoco
-
-
-def _imported() -> Any:
     if headless():
-        # mujoco reads this variable on import, and the import fails if the library is missing.
+        # mujoco reads this variable on import, and the import fails if the library is missing
         os.environ.setdefault("MUJOCO_GL", "egl")
     try:
         import mujoco
-
-        return mujoco
     except (ImportError, AttributeError, OSError, RuntimeError) as error:
         fault = os.environ.get("MUJOCO_GL", ""), f"{type(error).__name__}: {error}"
-    os.environ["MUJOCO_GL"] = "disable"
-    try:
-        import mujoco
-    except ImportError:
-        raise DeviceError(
-            "MuJoCo is not installed", where="reality", fix=how_to_install("reality")
-        ) from None
-    gl_faults.append(fault)
+        os.environ["MUJOCO_GL"] = "disable"
+        try:
+            import mujoco
+        except ImportError:
+            what, fix = "MuJoCo is not installed", how_to_install("reality")
+            raise DeviceError(what, where="reality", fix=fix) from None
+        gl_faults.append(fault)
+    if mujoco.get_mju_user_warning() is None:
+        mujoco.set_mju_user_warning(_log.debug)
     return mujoco
 
 

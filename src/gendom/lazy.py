@@ -1,7 +1,4 @@
-"""Public names of a package that are imported when they are first used.
-
-Some modules need an extra, such as torch, or take long to import.
-"""
+"""Public names that are imported when first used: some need an extra, or take long."""
 
 from __future__ import annotations
 
@@ -12,15 +9,12 @@ from typing import Any
 
 
 def imported_later(package: str, modules: Mapping[str, str]) -> Callable[[str], Any]:
-    """A package's ``__getattr__``.
+    """A package's ``__getattr__``: it imports a name from the module of the package that defines
+    it, and keeps it there.
 
     Args:
         package: Its name.
-        modules: The module of the package that defines each name.
-
-    Returns:
-        A function that imports a name and keeps it in the package; it raises ``AttributeError`` for
-        names that are not listed.
+        modules: The module of each name.
     """
 
     def get(name: str) -> Any:

@@ -30,12 +30,7 @@ def plugins(kind: str) -> dict[str, Any]:
         try:
             found[point.name] = point.load()
         except Exception as error:  # whatever somebody else's module raises
-            _log.warning(
-                "%s %r (%s) is left out: %s: %s",
-                f"gendom.{kind}",
-                point.name,
-                point.value,
-                type(error).__name__,
-                error,
-            )
+            why = f"{type(error).__name__}: {error}"
+            what = f"gendom.{kind} {point.name!r} ({point.value})"
+            _log.warning("%s is left out: %s", what, why)
     return found

@@ -14,7 +14,7 @@ import math
 import os
 import stat
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -88,16 +88,7 @@ def file_size(
 def read_bytes(
     path: str | os.PathLike, error: type[GendomError] = GendomError, **bounds: Any
 ) -> bytes:
-    """All of a file.
-
-    Args:
-        path: Named by a person.
-        error: Raised for every fault.
-        bounds: `most`, `missing` and `fix` of `file_size`.
-
-    Raises:
-        GendomError: As `error`: the file is missing, no regular one, too large or cannot be read.
-    """
+    """All of a file; arguments and errors as of `file_size`, and where it cannot be read."""
     size = file_size(path, error, **bounds)
     try:
         with open(path, "rb") as file:
@@ -154,12 +145,7 @@ def decoded(data: bytes, errors: str = "strict") -> str:
 
 
 def read_json(path: str | os.PathLike, error: type[GendomError] = GendomError) -> dict[str, Any]:
-    """The JSON object in `path`.
-
-    Raises:
-        GendomError: As `error`: the file is missing, unreadable, no JSON, or no object; or as
-            `parse_json`.
-    """
+    """The JSON object in `path`; errors as of `read_bytes` and `parse_json`."""
     return parse_json(read_bytes(path, error, most=LARGEST_JSON), str(path), error)
 
 
@@ -221,12 +207,7 @@ def record_of(
 def read_toml(
     path: str | os.PathLike, *, error: type[GendomError] = GendomError, **bounds: Any
 ) -> dict[str, Any]:
-    """The TOML table in `path`.
-
-    Args:
-        path: The file.
-        error: Raised for every fault.
-        bounds: `missing` and `fix` of `file_size`.
+    """The TOML table in `path`; arguments as of `file_size`.
 
     Raises:
         GendomError: As `error`: the file is missing, unreadable or no TOML, is nested too deep, or
@@ -332,43 +313,30 @@ def read_number_table(
     if not lines:
         raise error("holds a header and no rows", where=str(path), fix="write one row a frame")
     check_header(names)
-    whole = Path(path).read_bytes().endswith((b"\n", b"\r"))
     number, last = lines[-1]
-    if on_cut is not None and not whole and len(lines) > 1 and _is_cut(last, len(names)):
+    cut = len(last) < len(names) or (len(last) == len(names) and not _is_number(last[-1]))
+    whole = Path(path).read_bytes().endswith((b"\n", b"\r"))
+    if on_cut is not None and not whole and len(lines) > 1 and cut:
         on_cut(number)
         del lines[-1]
-    try:
-        table = np.array([row for _, row in lines], dtype=np.float64)
-        if table.shape[1] != len(names):
-            raise ValueError
-    except ValueError:
-        for number, row in lines:
-            _check_row(names, row, f"{path}, line {number}", error)
-        raise
+    for number, row in lines:
+        what, where = f"{len(row)} values under {len(names)} column names", f"{path}, line {number}"
+        fix = "give one value a column"
+        require(len(row) == len(names), what, where=where, fix=fix, error=error)
+        for name, text in zip(names, row, strict=True):
+            if not _is_number(text):
+                where, fix = f"{where}, column {name}", "give seconds and metres"
+                raise error(f"{text[:60]!r} is no number", where=where, fix=fix)
+    table = np.array([row for _, row in lines], dtype=np.float64)
     return names, table, [number for number, _ in lines]
 
 
-def _check_row(names: list[str], row: list[str], where: str, error: type[GendomError]) -> None:
-    """Refuse a row that does not give one number a column."""
-    what = f"{len(row)} values under {len(names)} column names"
-    require(len(row) == len(names), what, where=where, fix="give one value a column", error=error)
-    for name, text in zip(names, row, strict=True):
-        try:
-            float(text)
-        except ValueError:
-            where, fix = f"{where}, column {name}", "give seconds and metres"
-            raise error(f"{text[:60]!r} is no number", where=where, fix=fix) from None
-
-
-def _is_cut(row: Sequence[str], width: int) -> bool:
-    """Whether a row of `width` numbers ends too early, as where its writer was interrupted."""
-    if len(row) != width:
-        return len(row) < width
+def _is_number(text: str) -> bool:
     try:
-        float(row[-1])
+        float(text)
     except ValueError:
-        return True
-    return False
+        return False
+    return True
 
 
 def _refuse_constant(name: str) -> float:

@@ -11,6 +11,7 @@ import shutil
 import threading
 import time
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -70,8 +71,8 @@ def make(folder, size=10, *, task=None, seed=5, shard_size: int | None = 4, **op
 
 
 def names(folder):
-    """Files of a set, without those that say who writes."""
-    return sorted(p.name for p in folder.iterdir() if p.name not in (".lock", "writer.json"))
+    """Files of a set, without the lock."""
+    return sorted(p.name for p in folder.iterdir() if p.name != ".lock")
 
 
 def shard(folder, number):
@@ -99,47 +100,39 @@ def whole(tmp_path):
 
 def test_columns_and_description(whole):
     table = load(whole)
-    assert table.column_names == ["demonstration", "speed", "mass", "goal_x", "ok", "fault"]
-    assert table["demonstration"].to_pylist() == list(range(10))
-    assert table.schema.field("demonstration").type == pa.int64()
-    assert table.schema.field("goal_x").type == pa.float64()
-    assert table.schema.field("ok").type == pa.bool_()
+    kinds = {"demonstration": "int64", "ok": "bool", "fault": "string"}
+    columns = ["demonstration", "speed", "mass", "goal_x", "ok", "fault"]
+    assert {n: str(t) for n, t in zip(table.schema.names, table.schema.types, strict=True)} == {
+        name: kinds.get(name, "double") for name in columns
+    }
     about = json.loads((whole / "dataset.json").read_text())
-    assert about["format"] == "gendom-demonstrations/2"
-    assert about["task"] == {"name": "throwing", "gravity": 9.81}
-    assert about["units"] == ["m/s"]
-    assert (about["size"], about["seed"], about["shard_size"]) == (10, 5, 4)
-    assert about["device"] == "cpu"
-    assert read_description(whole) == about
-    assert sorted(about["sha256"]) == [f"shard-0000{n}.parquet" for n in range(3)]
-    assert names(whole) == ["dataset.json", *sorted(about["sha256"])]
+    hashes = about.pop("sha256")
+    assert about == {
+        "format": "gendom-demonstrations/2", "gendom": __version__, "units": ["m/s"], "size": 10,
+        "task": {"name": "throwing", "gravity": 9.81}, "seed": 5, "shard_size": 4, "device": "cpu",
+    }  # fmt: skip
+    assert sorted(hashes) == [f"shard-0000{n}.parquet" for n in range(3)]
+    assert names(whole) == ["dataset.json", *sorted(hashes)]
 
 
-def test_every_number_comes_from_the_seed_and_the_index(whole):
-    for row in load(whole).to_pylist():
+def test_every_number_comes_from_the_seed_and_the_index(tmp_path):
+    """What fails is kept and says so."""
+    table = make(tmp_path / "set", 60).to_pylist()
+    assert [row["demonstration"] for row in table] == list(range(60))
+    assert 0 < sum(not row["ok"] for row in table) < 30
+    for row in table:
         rng = np.random.default_rng([5, row["demonstration"]])
-        assert row["speed"] == rng.uniform(0.0, 10.0)
-        assert row["mass"] == rng.uniform(1.0, 2.0)
-
-
-def test_what_fails_is_kept_and_says_so(tmp_path):
-    table = make(tmp_path / "set", 60)
-    failed = [row for row in table.to_pylist() if not row["ok"]]
-    assert 0 < len(failed) < 30
-    for row in failed:
-        assert row["goal_x"] is None and row["fault"] == "flew away" and row["speed"] > 9.0
-    for row in table.to_pylist():
-        if row["ok"]:
-            assert row["fault"] is None and row["goal_x"] == row["speed"] ** 2 / 9.81
+        speed, failed = rng.uniform(0.0, 10.0), row["speed"] > 9.0
+        assert row["speed"] == speed and row["mass"] == rng.uniform(1.0, 2.0)
+        goal, fault = (None, "flew away") if failed else (speed**2 / 9.81, None)
+        assert (row["goal_x"], row["fault"], row["ok"]) == (goal, fault, not failed)
 
 
 def test_progress_counts_up_to_the_size(tmp_path):
     seen = []
-    make(tmp_path / "set", progress=lambda done, size: seen.append((done, size)))
-    assert seen == [(0, 10), (4, 10), (8, 10), (10, 10)]
-    seen.clear()
-    make(tmp_path / "set", 12, progress=lambda done, size: seen.append((done, size)))
-    assert seen == [(10, 12), (12, 12)]
+    for size in (10, 12):
+        make(tmp_path / "set", size, progress=lambda done, size: seen.append((done, size)))
+    assert seen == [(0, 10), (4, 10), (8, 10), (10, 10), (10, 12), (12, 12)]
 
 
 # ---- resuming and extending ----------------------------------------------------------------------
@@ -157,13 +150,14 @@ def test_an_interrupted_set_keeps_whole_shards_and_goes_on(tmp_path, whole):
     assert task.count == 2
 
 
-def test_a_shard_alone_equals_that_of_a_full_run(whole):
-    before = shard(whole, 1).read_bytes()
-    shard(whole, 1).unlink()
+@pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(b"PAR1")])
+def test_a_missing_or_damaged_shard_is_simulated_again(whole, damage, caplog):
+    before, good = shard(whole, 1).read_bytes(), load(whole)
+    damage(shard(whole, 1))
     task = Throwing()
-    make(whole, task=task)
-    assert task.count == 4
-    assert shard(whole, 1).read_bytes() == before
+    assert make(whole, task=task).equals(good)
+    assert task.count == 4 and shard(whole, 1).read_bytes() == before
+    assert ("shard-00001.parquet" in caplog.text) == (damage is not Path.unlink)
 
 
 def test_a_finished_set_is_left_alone(whole):
@@ -174,7 +168,7 @@ def test_a_finished_set_is_left_alone(whole):
     assert {name: (whole / name).stat().st_mtime_ns for name in names(whole)} == before
 
 
-@pytest.mark.parametrize("size", [11, 12, 13, 21])
+@pytest.mark.parametrize("size", [11, 12, 21])
 def test_a_larger_size_extends(tmp_path, whole, size):
     task = Throwing()
     extended = make(whole, size, task=task)
@@ -183,7 +177,7 @@ def test_a_larger_size_extends(tmp_path, whole, size):
     assert extended.equals(make(tmp_path / "fresh", size))
 
 
-@pytest.mark.parametrize("size", [3, 6, 8, 9])
+@pytest.mark.parametrize("size", [3, 8, 9])
 def test_a_smaller_size_ends_an_interrupted_set(tmp_path, size):
     folder = tmp_path / "set"
     with pytest.raises(KeyboardInterrupt):
@@ -214,16 +208,7 @@ def test_costly_demonstrations_are_kept_sooner_and_a_set_keeps_its_shards(tmp_pa
     assert demonstrations.SHARD_SIZE["cuda"] / find_task("cloth-spreading").cost == 256
 
 
-def test_a_damaged_shard_is_simulated_again(whole, caplog):
-    good = load(whole)
-    shard(whole, 2).write_bytes(shard(whole, 2).read_bytes()[:100])
-    task = Throwing()
-    assert make(whole, task=task).equals(good)
-    assert task.count == 2
-    assert "shard-00002.parquet" in caplog.text
-
-
-@pytest.mark.parametrize("full_at", [0, 1, 2])
+@pytest.mark.parametrize("full_at", [0, 2])
 def test_a_set_on_a_full_disk_goes_on_later(tmp_path, whole, monkeypatch, full_at):
     folder, written = tmp_path / "set", []
     write_table = pq.write_table
@@ -251,14 +236,6 @@ def test_a_set_on_a_full_disk_goes_on_later(tmp_path, whole, monkeypatch, full_a
 # ---- what is refused -----------------------------------------------------------------------------
 
 
-def test_a_set_that_the_disk_cannot_hold_is_refused(tmp_path):
-    with pytest.raises(
-        DatasetError, match=r"1\d{15} demonstrations take about 6\.\de\+07 GB, .* are"
-    ):
-        make(tmp_path / "set", 10**15)
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.parametrize(
     "change, says",
     [
@@ -282,25 +259,30 @@ def test_another_set_is_refused(whole, change, says):
     assert {path.name: path.read_bytes() for path in whole.iterdir()} == before
 
 
-@pytest.mark.parametrize("change", [{"size": 0}, {"shard_size": 0}, {"seed": -1}])
-def test_numbers_out_of_range_are_refused(tmp_path, change):
-    with pytest.raises(ParameterError, match=next(iter(change))):
-        make(tmp_path / "set", **change)
-    assert not (tmp_path / "set").exists()
-
-
-def test_a_run_that_fails_at_once_leaves_no_folder(tmp_path):
-    with pytest.raises(KeyboardInterrupt):
-        make(tmp_path / "set", task=Throwing(stop_at=0))
-    assert not (tmp_path / "set").exists()
-
-
-def test_shards_without_a_description_are_refused(whole):
-    (whole / "dataset.json").unlink()
-    with pytest.raises(DatasetError, match=r"no dataset\.json"):
-        make(whole)
-    with pytest.raises(DatasetError, match=r"no dataset\.json"):
-        load(whole)
+@pytest.mark.parametrize(
+    ("error", "says", "options"),
+    [
+        (ParameterError, "size", {"size": 0}),
+        (ParameterError, "shard_size", {"shard_size": 0}),
+        (ParameterError, "seed", {"seed": -1}),
+        (ParameterError, "not both", {"device": "cpu,cuda:0"}),
+        (
+            DatasetError,
+            r"1\d{15} demonstrations take about 6\.\de\+07 GB, .* are",
+            {"size": 10**15},
+        ),
+        (KeyboardInterrupt, None, {"task": Throwing(stop_at=0)}),
+        (
+            GendomError,
+            "no device",
+            {"device": "cuda:77", "task": Demonstrator(task=RopeReaching())},
+        ),
+    ],
+)
+def test_what_fails_at_once_leaves_no_folder(tmp_path, error, says, options):
+    with pytest.raises(error, match=says):
+        make(tmp_path / "set", **options)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_set_of_another_version_is_left_alone(whole, monkeypatch):
@@ -310,77 +292,55 @@ def test_a_set_of_another_version_is_left_alone(whole, monkeypatch):
     assert len(load(whole)) == 10
 
 
-def test_a_missing_shard(whole):
-    shard(whole, 0).unlink()
-    with pytest.raises(DatasetError, match="holds 6 of 10 demonstrations"):
-        load(whole)
+def changed(change):
+    def spoil(folder):
+        table = pq.read_table(shard(folder, 1))
+        table = change(table).replace_schema_metadata(table.schema.metadata)
+        pq.write_table(table, shard(folder, 1))
+        rehash(folder)
+
+    return spoil
 
 
-def test_a_damaged_shard_is_named(whole):
-    shard(whole, 1).write_bytes(b"not Parquet")
-    with pytest.raises(DatasetError, match=r"shard-00001\.parquet: is damaged"):
-        load(whole)
+def text(name, word):
+    return lambda t: t.drop_columns(name).append_column(name, pa.array([word] * len(t)))
 
 
-def test_a_shard_of_another_set_is_named(tmp_path, whole):
-    make(tmp_path / "other", seed=6)
-    shutil.copy(shard(tmp_path / "other", 1), shard(whole, 1))
-    with pytest.raises(DatasetError, match=r"shard-00001\.parquet: is damaged \(its SHA-256"):
-        load(whole)
-    rehash(whole)
-    with pytest.raises(DatasetError, match=r"shard-00001\.parquet: belongs to another set"):
-        load(whole)
+def from_another_set(folder):
+    make(folder.parent / "other", seed=6)
+    shutil.copy(shard(folder.parent / "other", 1), shard(folder, 1))
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("spoil", "says"),
     [
-        (lambda t: t.drop_columns("goal_x"), "has not the columns of shard-00000"),
-        (lambda t: t.drop_columns("ok"), "lacks columns"),
-        (
-            lambda t: t.drop_columns("speed").append_column("speed", pa.array(["x"] * len(t))),
-            "holds string, not double",
-        ),
-        (lambda t: t.append_column("more", pa.array([1] * len(t))), "more holds int64"),
-        (
-            lambda t: t.drop_columns("fault").append_column(
-                "fault", pa.array(["x" * 10**6] * len(t))
-            ),
-            "unpacks to more than is read",
-        ),
+        (lambda f: shard(f, 1).write_bytes(b"not Parquet"), "is damaged"),
+        (from_another_set, r"is damaged \(its SHA-256"),
+        (lambda f: (from_another_set(f), rehash(f)), "belongs to another set"),
+        (lambda f: (shutil.copy(shard(f, 0), shard(f, 1)), rehash(f)), "demonstrations 4 and"),
+        (lambda f: (pq.write_table(pa.table({"a": [1]}), shard(f, 1)), rehash(f)), "lacks columns"),
+        (changed(lambda t: t.drop_columns("goal_x")), "has not the columns of shard-00000"),
+        (changed(lambda t: t.drop_columns("ok")), "lacks columns"),
+        (changed(text("speed", "x")), "holds string, not double"),
+        (changed(lambda t: t.append_column("more", pa.array([1] * len(t)))), "more holds int64"),
+        (changed(text("fault", "x" * 10**6)), "unpacks to more than is read"),
     ],
 )
-def test_a_shard_with_other_columns_is_named(whole, change, says, monkeypatch):
+def test_a_bad_shard_is_named(whole, spoil, says, monkeypatch):
     monkeypatch.setattr(demonstrations, "LARGEST_SHARD", 2 * 10**6)
-    table = pq.read_table(shard(whole, 1))
-    pq.write_table(change(table).replace_schema_metadata(table.schema.metadata), shard(whole, 1))
-    rehash(whole)
+    spoil(whole)
     with pytest.raises(DatasetError, match=rf"shard-00001\.parquet: .*{says}"):
         load(whole)
 
 
-def test_a_shard_in_another_one_s_place_is_named(whole):
-    shutil.copy(shard(whole, 0), shard(whole, 1))
-    rehash(whole)
-    with pytest.raises(DatasetError, match=r"shard-00001\.parquet: .* demonstrations 4 and"):
-        load(whole)
-
-
-def test_a_parquet_file_from_elsewhere_is_named(whole):
-    pq.write_table(pa.table({"a": [1, 2]}), shard(whole, 2))
-    rehash(whole)
-    with pytest.raises(DatasetError, match=r"shard-00002\.parquet"):
-        load(whole)
-
-
-def test_folders_that_hold_no_set(tmp_path):
-    with pytest.raises(DatasetError, match="no such folder"):
-        load(tmp_path / "nowhere")
-    with pytest.raises(DatasetError, match=r"no dataset\.json"):
-        load(tmp_path)
+def test_folders_that_hold_no_set(tmp_path, whole):
     (tmp_path / "file").write_text("")
-    with pytest.raises(DatasetError, match="is not a folder"):
-        load(tmp_path / "file")
+    (whole / "dataset.json").unlink()
+    for name, says in (("none", "no such"), ("whole", "no dataset"), ("file", "is not a folder")):
+        with pytest.raises(DatasetError, match=says):
+            load(tmp_path / name)
+    with pytest.raises(DatasetError, match=r"holds shards but no dataset\.json"):
+        make(whole)
 
 
 def described(**changes):
@@ -427,7 +387,7 @@ def test_every_flipped_bit_is_found(whole):
 
 
 def test_one_writer_at_a_time(tmp_path, whole):
-    """The second is told who the first is, and the set stays as it was."""
+    """The second is refused, and the set stays as it was."""
     told = []
 
     @dataclass(frozen=True, kw_only=True)
@@ -439,7 +399,7 @@ def test_one_writer_at_a_time(tmp_path, whole):
             return super().demonstrate(draws, **options)
 
     assert make(tmp_path / "set", task=Busy()).equals(load(whole))
-    assert f"is being written by process {os.getpid()} on " in told[0]
+    assert "is being written by another process; wait" in told[0]
     make(tmp_path / "set", 12)  # free again
 
 
@@ -454,28 +414,21 @@ def test_a_part_can_be_loaded(whole):
 
 
 def test_rope_reaching_is_reproducible(tmp_path):
-    source = Demonstrator(task=RopeReaching())
-    table = generate(source, 3, tmp_path / "set", seed=1, shard_size=2)
-    assert table.column_names == [
+    """Whatever rows are simulated together."""
+    source, folder = Demonstrator(task=RopeReaching()), tmp_path / "parts"
+    whole = generate(source, 5, tmp_path / "whole", seed=1, shard_size=5)
+    assert whole.column_names == [
         "demonstration", "E", "nu", "density", "E_over_rho",
         "damping", "friction", "length", "diameter", "release_x", "release_z", "goal_x",
         "sideways", "ok", "fault",
     ]  # fmt: skip
-    assert table["ok"].to_pylist() == [True] * 3
-    goals = table["goal_x"].to_numpy()
-    assert np.all((goals > 0.25) & (goals < 0.5))
-    shard(tmp_path / "set", 1).unlink()
-    assert generate(source, 3, tmp_path / "set", seed=1, shard_size=2).equals(table)
+    goals = whole["goal_x"].to_numpy()
+    assert whole["ok"].to_pylist() == [True] * 5 and np.all((goals > 0.25) & (goals < 0.5))
+    generate(source, 2, folder, seed=1, shard_size=5)
+    assert generate(source, 5, folder, seed=1, shard_size=5).equals(whole)
     other = replace(source, world=Simulation(air_density=0.5))
     with pytest.raises(DatasetError, match=r"simulation\.air_density is 1\.2 there and 0\.5 here"):
-        generate(other, 3, tmp_path / "set", seed=1, shard_size=2)
-
-
-def test_rows_do_not_depend_on_their_batch(tmp_path):
-    source = Demonstrator(task=RopeReaching())
-    whole = generate(source, 12, tmp_path / "whole", seed=3, shard_size=12)
-    generate(source, 5, tmp_path / "parts", seed=3, shard_size=12)
-    assert generate(source, 12, tmp_path / "parts", seed=3, shard_size=12).equals(whole)
+        generate(other, 5, folder, seed=1, shard_size=5)
 
 
 def fingerprint(columns):
@@ -504,13 +457,6 @@ def test_rows_are_those_of_earlier_versions(tmp_path, task, drawn, reached):
         rows = generate(source, 6, tmp_path / "set", seed=11).to_pydict()
         goals = {n: rows[n] for n in rows if n.startswith("goal_")}
         assert fingerprint(goals) == pytest.approx(reached, rel=1e-6)
-
-
-def test_an_absent_device_leaves_no_folder(tmp_path):
-    source = Demonstrator(task=RopeReaching())
-    with pytest.raises(GendomError, match="no device"):
-        generate(source, 1, tmp_path / "set", seed=0, device="cuda:77")
-    assert not (tmp_path / "set").exists()
 
 
 # ---- several devices -----------------------------------------------------------------------------
@@ -563,11 +509,6 @@ def test_a_fault_on_one_device_ends_the_others(tmp_path):
         generate(Endless(), 2 * batch, tmp_path / "set", seed=0, **sizes)
     assert ended == [True]
     assert len(generate(Throwing(), 2 * batch, tmp_path / "set", seed=0, **sizes)) == 2 * batch
-
-
-def test_gpus_and_the_cpu_do_not_mix(tmp_path):
-    with pytest.raises(ParameterError, match="not both"):
-        generate(Throwing(), 5, tmp_path / "set", seed=0, device="cpu,cuda:0")
 
 
 @pytest.mark.parametrize(

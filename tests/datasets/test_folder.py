@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from gendom import cli
-from gendom.datasets import Recording, write_ply
+from gendom.datasets import Recording
 from gendom.datasets.folder import in_order
 from gendom.errors import RecordingError
+from written import write_ply
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 
 from gendom import cli
 from gendom.datasets.demonstrations import generate, load, read_description
-from gendom.datasets.lerobot import export_demonstrations, format
+from gendom.datasets.lerobot import export_demonstrations
 from gendom.errors import DatasetError, GendomError
 from gendom.tasks import ClothSpreading, RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
@@ -136,29 +136,6 @@ def test_an_action_of_one_number_and_no_goal(tmp_path):
     }  # fmt: skip
     frames = pq.read_table(tmp_path / "out" / DATA)
     assert frames.schema.field("action").type == pa.float32()
-
-
-def test_many_episodes_are_cut_into_files(made, tmp_path, monkeypatch):
-    monkeypatch.setattr(format, "EPISODES_PER_FILE", 2)
-    monkeypatch.setattr(format, "FILES_PER_CHUNK", 3)
-    info = export_demonstrations(made[0], tmp_path / "cut")
-    assert info["chunks_size"] == 3
-    paths = sorted((tmp_path / "cut" / "data").rglob("*.parquet"))
-    assert [str(p.relative_to(tmp_path / "cut")) for p in paths] == [
-        f"data/chunk-{k // 3:03d}/file-{k % 3:03d}.parquet" for k in range(5)
-    ]
-    for path in paths:
-        twin = tmp_path / "cut/meta/episodes" / path.parent.name / path.name
-        rows, episodes = pq.read_table(path), pq.read_table(twin)
-        assert rows["episode_index"].to_pylist() == episodes["episode_index"].to_pylist()
-        for what in ("data", "meta/episodes"):
-            for row in episodes.to_pylist():
-                named = info["data_path"].format(
-                    chunk_index=row[f"{what}/chunk_index"], file_index=row[f"{what}/file_index"]
-                )
-                assert tmp_path / "cut" / named == path
-    whole = pa.concat_tables([pq.read_table(path) for path in paths])
-    assert whole.equals(pq.read_table(made[1] / DATA))
 
 
 def test_what_is_there_is_left_alone(made):

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from gendom.cli.adapt import Command as Adapt
-from gendom.datasets import ObjectDescription, Recording, write_ply
+from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.lerobot import export_recording
 from gendom.errors import GendomError
 from gendom.files import write_json
@@ -35,6 +35,7 @@ from gendom.policies import Policy
 from gendom.robot import XARM7, joint_move, read_arm
 from gendom.robot.motions import LiftMotion, predefined_lift
 from simulated_cell import write_cell
+from written import write_ply
 
 LONGEST, MOST_MEMORY = 2.0, 500e3
 """Of a case [s of this process], and of all [KiB more than before]."""

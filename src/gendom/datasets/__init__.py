@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from gendom.datasets.pcd import read_pcd
-from gendom.datasets.ply import read_ply, write_ply
+from gendom.datasets.clouds import read_pcd, read_ply
 from gendom.datasets.recording import Recording
 from gendom.datasets.recording_form import Fault, ObjectDescription
 from gendom.lazy import imported_later
@@ -20,7 +19,6 @@ __all__ = [
     "generate",
     "read_pcd",
     "read_ply",
-    "write_ply",
 ]
 
 __getattr__ = imported_later(__name__, {"generate": "demonstrations"})

@@ -6,7 +6,7 @@ Types and shapes of its arrays are checked in `gendom.datasets.recording_form`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -20,8 +20,6 @@ from gendom.datasets.recording_form import (
     ObjectDescription,
     RecordingData,
 )
-
-GRIPPER_SOURCES = ("commanded", "measured")
 
 MAX_GRASP_DISTANCE = 0.15
 """A gripper farther than this from every point in every frame [m] does not hold the object."""
@@ -37,8 +35,6 @@ FEWEST_FRAMES = 4
 
 _MAX_EXTENT = 20.0  # [m]; larger clouds are not in metres
 _USUAL_EXTENT = (0.1, 2.0)  # [m]; usual lengths of objects that robots handle
-_MIN_TRAVEL = 1e-3  # [m]
-_MIN_FRAME_NUMBERS = 10  # so many times, whole seconds one after another, are frame numbers
 _THICKEST = {"rope": 0.1, "cloth": 0.02}  # of the size, where the thickness is unknown
 _USUAL_DENSITY = (200.0, 3000.0)  # [kg/m^3]
 _MAX_STEP = 10.0  # [s] between frames
@@ -47,19 +43,27 @@ _TIMES = (  # frames less far apart than so many seconds, their unit, and what b
     (5e6, "microseconds", "1e6"),
     (math.inf, "nanoseconds", "1e9"),
 )
-_MOST_PLACES = 60  # of a gripper, to which clouds are compared
-_LEAST_MISFIT, _MISFIT = 0.03, 0.1  # [m], and of the travel, nearer to another place than its own
+_SPEEDS = (  # units of time given by mistake, in a second, and what brings seconds
+    ("milliseconds", 1e3, "divide by 1000"),
+    ("minutes", 1 / 60.0, "multiply by 60"),
+    ("microseconds", 1e6, "divide by 1e6"),
+)
 _MISPLACED = 0.25  # of the clouds: in right order none of 33 lifts has one, in wrong order 60 %
-_MAX_BELOW = 5.0  # [m] that a table lies from the object
-_MAX_AWAY = 50.0  # [m] that a camera stands from it
+_MAX_BELOW, _MAX_AWAY = 5.0, 50.0  # [m] that a table lies from the object, that a camera stands
 _LENGTHS = {"centimetres": 100.0, "millimetres": 1000.0}  # units given by mistake, in a metre
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of numbers that are told
 def check(recording: RecordingData) -> list[Fault]:
     """Check the content and return all faults, errors before warnings."""
-    faults = [*_check_object(recording.object), *_check_fields(recording)]
-    number_faults = [*_check_numbers(recording), *_check_time(recording)]
+    faults = [*_check_object(recording.object)]
+    height, source = recording.table_height, recording.gripper_source
+    if height is not None and not math.isfinite(height):
+        fix = "give metres, or null where there is no table"
+        faults.append(Fault(f"is {height}", "table_height", fix))
+    if source not in ("commanded", "measured"):
+        faults.append(Fault(f"is {source!r}", "gripper_source", "give 'commanded' or 'measured'"))
+    number_faults = list(_check_numbers(recording))
     faults += number_faults
     if not number_faults:
         faults += _check_frames(recording)
@@ -100,17 +104,8 @@ def _is_length(value: float | None) -> bool:
     return value is not None and math.isfinite(value) and value > 0.0
 
 
-def _check_fields(recording: RecordingData) -> Iterator[Fault]:
-    height, source = recording.table_height, recording.gripper_source
-    if height is not None and not math.isfinite(height):
-        fix = "give metres, or null where there is no table"
-        yield Fault(f"is {height}", "table_height", fix)
-    if source not in GRIPPER_SOURCES:
-        yield Fault(f"is {source!r}", "gripper_source", "give 'commanded' or 'measured'")
-
-
 def _check_numbers(recording: RecordingData) -> Iterator[Fault]:
-    """NaN and infinity anywhere, and the length of the axes."""
+    """NaN and infinity anywhere, the length of the axes, and the order of times."""
     bad_points = ~np.isfinite(recording.points).all(axis=1)
     if bad_points.any():
         frame_of = np.repeat(np.arange(recording.num_frames), np.diff(recording.offsets))
@@ -138,9 +133,6 @@ def _check_numbers(recording: RecordingData) -> Iterator[Fault]:
                 worst = length[t][np.argmax(np.abs(length[t] - 1.0))]
                 fix = "give unit vectors, or leave it out"
                 yield Fault(f"has length {worst:.3g}, not 1", f"gripper_axis, frame {t}", fix)
-
-
-def _check_time(recording: RecordingData) -> Iterator[Fault]:
     time, late = recording.time, np.diff(recording.time) > 0
     if np.isfinite(time).all() and not late.all():
         t = int(np.argmax(~late)) + 1
@@ -165,28 +157,20 @@ def _check_frames(recording: RecordingData) -> Iterator[Fault]:
         yield Fault(what, "points", "nothing need be done: they are skipped", "warning")
 
 
-def _likely_units(value: float, usual: tuple[float, float]) -> str:
-    """Name the units in which a too large length would be usual, and the conversion to metres.
-
-    Args:
-        value: The length as given.
-        usual: Lowest and highest usual length [m].
-    """
-    low, high = usual
+def _likely_units(value: float, low: float, high: float) -> str:
+    """Name the units in which a too large length would lie between two usual ones [m], and the
+    conversion to metres."""
     units = [u for u, of_metre in _LENGTHS.items() if low <= value / of_metre <= high]
-    return _divide(units or list(_LENGTHS))
+    return _divide(*(units or _LENGTHS))
 
 
 def _nearest_unit(distance: Callable[[float], float]) -> str:
-    """Name the unit in which something would be nearest to the points, and its conversion.
-
-    Args:
-        distance: Function of the number of units in a metre; gives a distance [m].
-    """
-    return _divide([min(_LENGTHS, key=lambda unit: distance(_LENGTHS[unit]))])
+    """Name the unit in which something would be nearest to the points, by a function of the number
+    of units in a metre that gives the distance [m], and the conversion to metres."""
+    return _divide(min(_LENGTHS, key=lambda unit: distance(_LENGTHS[unit])))
 
 
-def _divide(units: Sequence[str]) -> str:
+def _divide(*units: str) -> str:
     """Text with units of length and their conversion to metres."""
     factors = " or ".join(f"{_LENGTHS[unit]:g}" for unit in units)
     return f"{' or '.join(units)}; divide by {factors}"
@@ -204,14 +188,14 @@ def _check_units(recording: RecordingData) -> Iterator[Fault]:
     size = 0.0 if given is None or not _is_length(given) else given  # others are faults themselves
     if extent > _MAX_EXTENT or (size and extent > 30.0 * size):
         usual = (0.25 * size, 2.0 * size) if 0.0 < size <= _MAX_EXTENT else _USUAL_EXTENT
-        looks = f"they look like {_likely_units(extent, usual)}"
+        looks = f"they look like {_likely_units(extent, *usual)}"
         fix = looks if extent > _MAX_EXTENT else "give points and sizes in metres"
         other = f", the object {size:.4g} m" if size else ""
         yield Fault(f"a frame spans {extent:.4g} m{other}", "points", fix)
     elif size > 30.0 * extent:
         what = f"the object spans {size:.4g} m, a frame {extent:.4g} m"
         where = "object.length" if is_rope else "object.width and object.height"
-        units = _likely_units(size, (0.5 * extent, 4.0 * extent))
+        units = _likely_units(size, 0.5 * extent, 4.0 * extent)
         yield Fault(what, where, f"they look like {units}")
     elif travel > _MAX_EXTENT:
         start = recording.frame(int(np.argmax(recording.frame_valid)))[None]
@@ -220,9 +204,8 @@ def _check_units(recording: RecordingData) -> Iterator[Fault]:
         yield Fault(f"moves by {travel:.4g} m", "gripper_position", f"it looks like {unit}")
     elif recording.num_grippers == 1 and size > 1.6 * longest:
         what = f"the object spans {size:.3g} m, no frame more than {longest:.3g} m"
-        where = "object.length" if is_rope else "object.width"
         fix = f"check its unit (is it {longest:.2g} m?), and that all of it is in view"
-        yield Fault(what, where, fix, "warning")
+        yield Fault(what, "object.length" if is_rope else "object.width", fix, "warning")
     elif size and extent > 1.5 * size:
         what = f"a frame spans {extent:.3g} m, the object only {size:.3g} m"
         fix = "check the sizes, and that robot and table are cropped away"
@@ -240,7 +223,7 @@ def _check_other_units(recording: RecordingData) -> Iterator[Fault]:
         ]
         for name, value in thick:
             what = f"is {value:.4g} m, the object spans {size:.4g} m"
-            unit = _likely_units(value, (2e-4 * size, 0.2 * size))
+            unit = _likely_units(value, 2e-4 * size, 0.2 * size)
             yield Fault(what, f"object.{name}", f"it looks like {unit}")
         if not thick:
             yield from _check_density(held, size)
@@ -260,7 +243,7 @@ def _check_other_units(recording: RecordingData) -> Iterator[Fault]:
     if cameras is not None and len(cameras):
         away = np.linalg.norm(cameras - recording.points.mean(axis=0), axis=1).max()
         if away > _MAX_AWAY:
-            fix = f"it looks like {_likely_units(away, (0.3, 5.0))}"
+            fix = f"it looks like {_likely_units(away, 0.3, 5.0)}"
             yield Fault(f"a camera is {away:.4g} m away", "camera_positions", fix)
 
 
@@ -270,19 +253,16 @@ def _check_density(held: ObjectDescription, size: float) -> Iterator[Fault]:
     mass = held.mass
     if mass is None or not _is_length(mass):
         return
-    name = "diameter" if held.kind == "rope" else "thickness"
+    cloth = held.kind == "cloth"
+    name = "thickness" if cloth else "diameter"
     stated = getattr(held, name)
     across = stated or _THICKEST.get(held.kind, 0.1) * size
-    power = 2 if held.kind == "rope" else 1
-    volume = math.pi / 4.0 * across**2 * size
-    if held.kind == "cloth":
-        volume = (held.width or size) * (held.height or size) * across
-    density = mass / volume
-    stated_low = MIN_DENSITY.get(held.kind, 0.0) if stated else 0.0
-    if stated_low <= density <= MAX_DENSITY:
+    area = (held.width or size) * (held.height or size)
+    density = mass / (area * across if cloth else math.pi / 4.0 * across**2 * size)
+    if (MIN_DENSITY.get(held.kind, 0.0) if stated else 0.0) <= density <= MAX_DENSITY:
         return
     heavy = density > MAX_DENSITY
-    tenfold = 10.0**power if heavy else 10.0**-power
+    tenfold = (10.0 if heavy else 0.1) ** (1 if cloth else 2)
     fix = "give the mass in kilograms, and sizes in metres"
     if _USUAL_DENSITY[0] <= density / 1000.0 <= _USUAL_DENSITY[1]:
         fix = "it looks like grams; divide by 1000"
@@ -294,13 +274,18 @@ def _check_density(held: ObjectDescription, size: float) -> Iterator[Fault]:
 
 def _check_motion(recording: RecordingData) -> Iterator[Fault]:
     """Check that there are frames enough, as far apart as seconds are, and markers as many."""
-    yield from _check_markers(recording)
+    frames = np.flatnonzero(recording.frame_valid)
+    counts = np.diff(recording.offsets)[frames]
+    if recording.extra.get("ordered_markers", False) and (counts != counts[:1]).any():
+        t = int(frames[np.argmax(counts != counts[0])])
+        what = f"has {len(recording.frame(t))} ordered markers, the first frame {counts[0]}"
+        fix = "give all markers in each frame, or none where one is missing"
+        yield Fault(what, f"points, frame {t}", fix)
     if recording.extra.get("static", False):
         return
-    count = int(recording.frame_valid.sum())
-    if count < FEWEST_FRAMES:
+    if len(frames) < FEWEST_FRAMES:
         fix = f"record a whole lift: {FEWEST_FRAMES} frames at least"
-        yield Fault(f"{count} with points", "frames", fix, "warning")
+        yield Fault(f"{len(frames)} with points", "frames", fix, "warning")
         return
     if numbered(recording):
         fix = "give seconds, if times are frame numbers"
@@ -308,23 +293,19 @@ def _check_motion(recording: RecordingData) -> Iterator[Fault]:
     speed = usual_speed(recording)
     if speed is None or USUAL_SPEED[0] <= speed <= USUAL_SPEED[1]:
         return
-    fix = "give seconds, and positions in metres"
-    for unit, factor, words in (
-        ("milliseconds", 1e3, "divide by 1000"),
-        ("minutes", 1 / 60.0, "multiply by 60"),
-        ("microseconds", 1e6, "divide by 1e6"),
-    ):
-        if USUAL_SPEED[0] <= speed * factor <= USUAL_SPEED[1]:
-            fix = f"times look like {unit}; {words}"
-            break
+    likely = [
+        f"times look like {unit}; {words}"
+        for unit, factor, words in _SPEEDS
+        if USUAL_SPEED[0] <= speed * factor <= USUAL_SPEED[1]
+    ]
+    fix = likely[0] if likely else "give seconds, and positions in metres"
     yield Fault(f"the gripper moves at {speed:.2g} m/s", "time", fix, "warning")
 
 
 def numbered(recording: RecordingData) -> bool:
     """Whether the times of a motion in which they matter look like numbers of frames."""
-    if recording.quasi_static or recording.num_frames < _MIN_FRAME_NUMBERS:
-        return False
-    return bool((np.diff(recording.time) == 1.0).all())
+    even = bool((np.diff(recording.time) == 1.0).all())
+    return even and not recording.quasi_static and recording.num_frames >= 10
 
 
 def usual_speed(recording: RecordingData) -> float | None:
@@ -340,20 +321,17 @@ def usual_speed(recording: RecordingData) -> float | None:
     return float(np.median(steps[moving] / np.diff(recording.time[frames])[moving]))
 
 
-def _check_markers(recording: RecordingData) -> Iterator[Fault]:
-    """Ordered markers are the same ones in each frame."""
-    frames = np.flatnonzero(recording.frame_valid)
-    counts = np.diff(recording.offsets)[frames]
-    if recording.extra.get("ordered_markers", False) and (counts != counts[:1]).any():
-        t = int(frames[np.argmax(counts != counts[0])])
-        what = f"has {len(recording.frame(t))} ordered markers, the first frame {counts[0]}"
-        fix = "give all markers in each frame, or none where one is missing"
-        yield Fault(what, f"points, frame {t}", fix)
-
-
 def _check_grippers(recording: RecordingData) -> Iterator[Fault]:
     """Check that each gripper holds the object and is close to it, and that one moves."""
-    yield from _check_holds(recording)
+    for gripper, closed in enumerate(recording.holds.T):
+        where = f"gripper_closed, gripper {gripper}"
+        if not closed.any():
+            fix = "give true where it holds the object, or leave the gripper out"
+            yield Fault("is never closed", where, fix)
+        elif not closed[0]:
+            what = f"is open until frame {int(np.argmax(closed))}"
+            fix = "cut the frames before it closes: the object is taken as held in the first"
+            yield Fault(what, where, fix, "warning")
     frames = np.flatnonzero(recording.frame_valid)
     if not (len(frames) and recording.cameras_calibrated):
         return
@@ -377,7 +355,7 @@ def _check_grippers(recording: RecordingData) -> Iterator[Fault]:
             own = [tree for tree, is_held in zip(trees, held, strict=True) if is_held]
             yield from _check_order(own, places[held, gripper], distance[held, gripper], where)
     travel = np.linalg.norm(np.ptp(recording.gripper_position, axis=0), axis=1).max()
-    if travel < _MIN_TRAVEL and not recording.extra.get("static", False):
+    if travel < 1e-3 and not recording.extra.get("static", False):
         fix = "record a lift; an object at rest shows little of its parameters"
         yield Fault(f"moves by {travel:.2g} m in all", "gripper_position", fix, "warning")
 
@@ -388,22 +366,9 @@ def _check_order(
     """Check that clouds follow a gripper's path: each is to lie as near to the gripper's place
     [T, 3] of its own frame (`distance` [T], in metres) as to that of any other."""
     travel = float(np.linalg.norm(np.ptp(places, axis=0)))
-    some = np.unique(np.linspace(0, len(places) - 1, _MOST_PLACES).astype(int))
+    some = np.unique(np.linspace(0, len(places) - 1, 60).astype(int))
     nearest = np.array([cloud.query(places[some])[0].min() for cloud in clouds])
-    off = distance - nearest > max(_LEAST_MISFIT, _MISFIT * travel)
+    off = distance - nearest > max(0.03, 0.1 * travel)
     if off.mean() > _MISPLACED and off[: len(off) // 2].any():  # slipped out, it would be later
         what = f"{off.sum()} of {len(off)} clouds lie at its place of another time"
         yield Fault(what, where, "check the order of the clouds, and both clocks")
-
-
-def _check_holds(recording: RecordingData) -> Iterator[Fault]:
-    """Check whether each gripper is closed at some time, and from the start."""
-    for gripper, closed in enumerate(recording.holds.T):
-        where = f"gripper_closed, gripper {gripper}"
-        if not closed.any():
-            fix = "give true where it holds the object, or leave the gripper out"
-            yield Fault("is never closed", where, fix)
-        elif not closed[0]:
-            what = f"is open until frame {int(np.argmax(closed))}"
-            fix = "cut the frames before it closes: the object is taken as held in the first"
-            yield Fault(what, where, fix, "warning")

@@ -4,7 +4,6 @@
                          device, gendom version, and the SHA-256 of every shard
     shard-00000.parquet  demonstrations 0 to shard_size - 1, one row each
     shard-00001.parquet  ...
-    writer.json          the process that is writing, or was the last one to write
 
 Columns are `demonstration` (its number, int64), the numbers that the task drew (actions,
 parameters, sizes) and measured (`goal_x`, ...; null where the simulation failed), `ok`, and
@@ -22,14 +21,12 @@ import hashlib
 import json
 import logging
 import os
-import platform
 import queue
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -42,7 +39,7 @@ from numpy.typing import NDArray
 from gendom import __version__
 from gendom.arguments import require
 from gendom.datasets.cluster import on_cluster
-from gendom.errors import DatasetError, GendomError
+from gendom.errors import DatasetError
 from gendom.files import atomic_path, free_room, write_json
 from gendom.materials.names import current_name
 from gendom.reading import read_bytes, read_json, record_of
@@ -55,22 +52,20 @@ GOAL = "goal_"
 SHARD_SIZE = {"cpu": 256, "cuda": 4096}
 """Default numbers of demonstrations in a shard, of cost 1."""
 
-_DESCRIPTION, _WRITER, _LOCK = "dataset.json", "writer.json", ".lock"
+_DESCRIPTION, _LOCK = "dataset.json", ".lock"
 _METADATA = b"gendom"  # key of the set's identity in the metadata of a shard
 _IN_FLIGHT = 2  # parts of a set on a GPU: one is prepared while the other is simulated
 _FEWEST_TOGETHER = 1024  # demonstrations that use a GPU well; of several GPUs none gets fewer
 _PARTS_PER_DEVICE = 8  # of several devices; several parts balance the load between them
 _MAKE_AGAIN = "make it again with this version of gendom dataset"
-_COLUMNS = {"demonstration": pa.int64(), "ok": pa.bool_(), "fault": pa.string()}
-"""Types of columns that are not float64."""
+_COLUMNS = {"demonstration": pa.int64(), "ok": pa.bool_(), "fault": pa.string()}  # others: float64
+_MEASURED = 6  # about so many values does a task measure in a demonstration
 
 MOST_SHARDS = 100_000
 """Of a set: their names have five digits."""
 
 LARGEST_SHARD = 1 << 28
 """In memory [bytes]."""
-
-_MEASURED = 6  # about so many values does a task measure in a demonstration
 
 _log = logging.getLogger(__name__)
 
@@ -110,8 +105,7 @@ class Demonstrator(Protocol):
     ) -> Outcomes:
         """Simulate draws in parallel. Returned columns replace drawn ones of the same name.
 
-        `on_frame` is called regularly; an exception that it raises stops the simulation.
-        """
+        `on_frame` is called regularly; an exception that it raises stops the simulation."""
         ...
 
 
@@ -166,8 +160,13 @@ def generate(
     description = _describe(source, size, seed, kind, shard_size)
     _check_same(folder, description)
     _check_room(folder, size, len(source.draw([generator_of(seed, 0)])))
-    with _alone(folder), _spared_of_collections():
-        return _complete(source, folder, description, device, kind, cluster, progress)
+    gc.freeze()  # visiting all that was imported would take a quarter of the time
+    try:
+        with _alone(folder):
+            _complete(source, folder, description, device, kind, cluster, progress)
+    finally:
+        gc.unfreeze()
+    return load(folder)
 
 
 def _complete(
@@ -178,31 +177,34 @@ def _complete(
     kind: str,
     cluster: str | None,
     progress: Callable[[int, int], None] | None,
-) -> pa.Table:
-    """Simulate the missing part of a set, and load it."""
+) -> None:
+    """Simulate the missing part of a set."""
     size, seed, shard_size = (description[name] for name in ("size", "seed", "shard_size"))
     identity = _identity(description)
-    hashes: dict[str, str] = {}
-    if (folder / _DESCRIPTION).exists():
-        hashes = dict(read_description(folder)["sha256"])
+    there = read_description(folder) if (folder / _DESCRIPTION).exists() else {}
+    hashes: dict[str, str] = dict(there.get("sha256", {}))
     report = progress or (lambda done, total: None)
 
-    kept = _kept_shards(folder, size, shard_size, identity, hashes)
-    done = sum(len(rows) for rows in kept if rows is not None)
+    # by shard; one of a set that is extended need not be full
+    parts: dict[int, list[pa.Table]] = {n: [] for n in range(_count_shards(size, shard_size))}
+    for number, own in parts.items():
+        try:
+            rows = _read_shard(folder, number, identity, hashes)
+            own += [] if rows is None else [rows.slice(0, size - number * shard_size)]
+        except DatasetError as error:
+            _log.warning("%s: %s; simulating it again", error.where, error.what)
+    done = sum(len(rows) for own in parts.values() for rows in own)
     report(done, size)
-
     if done == size:
-        if read_description(folder)["size"] != size:
+        if there["size"] != size:
             write_json(folder / _DESCRIPTION, {**description, "sha256": hashes})
-        return load(folder)
+        return
     devices = [device]
     if cluster is None and (device == "all" or "," in device):
         from gendom.sim import list_devices  # Warp: a task that needs it imports it itself
 
         devices = list_devices(device)
     together = _count_together(kind, shard_size, size - done, len(devices))
-    # by shard; a set that is extended may end in a shard that is not full
-    parts = {number: [] if rows is None else [rows] for number, rows in enumerate(kept)}
     jobs: list[range] = []
     for number, own in parts.items():
         begin, end = number * shard_size + sum(map(len, own)), min((number + 1) * shard_size, size)
@@ -224,80 +226,33 @@ def _complete(
         with atomic_path(path) as temporary:
             tagged = table.replace_schema_metadata({_METADATA: json.dumps(identity)})
             write_parquet(tagged, temporary)
-            hashes[path.name] = _sha256(temporary)
+            hashes[path.name] = hashlib.sha256(temporary.read_bytes()).hexdigest()
             # before the shard: one without its hash would have to be simulated again
             write_json(folder / _DESCRIPTION, {**description, "sha256": hashes})
-    return load(folder)
-
-
-def _kept_shards(
-    folder: Path,
-    size: int,
-    shard_size: int,
-    identity: Mapping[str, Any],
-    hashes: Mapping[str, str],
-) -> list[pa.Table | None]:
-    """The rows of each shard of a set; None where it is missing or damaged."""
-    kept: list[pa.Table | None] = []
-    for number in range(_count_shards(size, shard_size)):
-        try:
-            rows = _read_shard(_shard_path(folder, number), number, identity, hashes)
-            kept.append(rows.slice(0, size - number * shard_size))
-        except FileNotFoundError:
-            kept.append(None)
-        except DatasetError as error:
-            _log.warning("%s: %s; simulating it again", error.where, error.what)
-            kept.append(None)
-    return kept
 
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Lock a set for writing.
+    """Lock a set for writing; a folder into which nothing was written is removed.
 
     Raises:
-        DatasetError: Another process is writing; the error names it.
+        DatasetError: Another process is writing.
     """
     folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(folder / _LOCK)
     try:
         lock.acquire(timeout=0.0)
     except Timeout:
-        try:
-            who = read_json(folder / _WRITER)
-            owner = f"process {who['process']} on {who['host']}, since {who['since']}"
-        except (GendomError, KeyError):
-            owner = "another process"
-        what, fix = f"is being written by {owner}", "wait for it to end, or choose a new folder"
+        what = "is being written by another process"
+        fix = "wait for it to end, or choose a new folder"
         raise DatasetError(what, where=str(folder), fix=fix) from None
     try:
-        since = datetime.now().isoformat(timespec="seconds")
-        own = {"process": os.getpid(), "host": platform.node(), "since": since}
-        write_json(folder / _WRITER, own)
         yield
     finally:
-        # remove the folder if nothing was written
-        if {path.name for path in folder.iterdir()} <= {_LOCK, _WRITER}:
-            (folder / _WRITER).unlink(missing_ok=True)
+        if {path.name for path in folder.iterdir()} <= {_LOCK}:
             (folder / _LOCK).unlink(missing_ok=True)
             folder.rmdir()
         lock.release()
-
-
-@contextmanager
-def _spared_of_collections() -> Iterator[None]:
-    """Keep Python's garbage collector from visiting all that was imported: demonstrations make so
-    many small objects that it would take a quarter of the time."""
-    gc.freeze()
-    try:
-        yield
-    finally:
-        gc.unfreeze()
-
-
-def _sha256(path: Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def device_kind(device: str) -> str:
@@ -316,12 +271,8 @@ def _count_together(kind: str, shard_size: int, left: int, devices: int) -> int:
     """Number of demonstrations passed to a task at once."""
     if kind == "cpu":
         return max(16, 2 * (os.cpu_count() or 1))
-    together = shard_size
-    while (
-        devices > 1
-        and together >= 2 * _FEWEST_TOGETHER
-        and left < _PARTS_PER_DEVICE * devices * together
-    ):
+    together, fewest = shard_size, 2 * _FEWEST_TOGETHER
+    while devices > 1 and together >= fewest and left < _PARTS_PER_DEVICE * devices * together:
         together = -(-together // 2)
     return together
 
@@ -382,15 +333,14 @@ def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
     identity = _identity(description)
     parts = []
     for number in range(_count_shards(size, shard_size)):
-        try:
-            path = _shard_path(folder, number)
-            rows = _read_shard(path, number, identity, description["sha256"])
-        except FileNotFoundError:
+        rows = _read_shard(folder, number, identity, description["sha256"])
+        if rows is None:
             continue
         parts.append(rows.slice(0, size - number * shard_size))
-        what = f"has not the columns of {_shard_path(folder, 0).name}"
-        same, fix = parts[0].schema.equals(rows.schema), _MAKE_AGAIN
-        require(same, what, where=str(path), fix=fix, error=DatasetError)
+        where, first = (str(_shard_path(folder, n)) for n in (number, 0))
+        same = parts[0].schema.equals(rows.schema)
+        what = f"has not the columns of {Path(first).name}"
+        require(same, what, where=where, fix=_MAKE_AGAIN, error=DatasetError)
     have = sum(map(len, parts))
     fix = "finish it with the gendom dataset command that began it"
     what, enough = f"holds {have} of {size} demonstrations", have >= (1 if part else size)
@@ -499,10 +449,7 @@ def _check_same(folder: Path, wanted: Mapping[str, Any]) -> None:
         require(not shards, what, where=where, fix=fix, error=DatasetError)
         return
     there = read_description(folder)
-    differing = [
-        f"{name} is {_text(mine)} there and {_text(yours)} here"
-        for name, mine, yours in _differences(_identity(there), _identity(wanted))
-    ]
+    differing = _differences(_identity(there), _identity(wanted))
     count = _count_shards(there["size"], there["shard_size"])
     whole = all(_shard_path(folder, n).exists() for n in range(count))
     if there["size"] > wanted["size"] and whole:
@@ -520,22 +467,17 @@ def _check_room(folder: Path, size: int, drawn: int) -> None:
     require(needed <= free, what, where=str(folder), fix=fix, error=DatasetError)
 
 
-def _differences(
-    there: Mapping[str, Any], here: Mapping[str, Any], prefix: str = ""
-) -> list[tuple[str, Any, Any]]:
-    """Yield the name and both values of each difference, with nested names."""
+def _differences(there: Mapping[str, Any], here: Mapping[str, Any], prefix: str = "") -> list[str]:
+    """What differs, with nested names."""
     found = []
     for name in sorted({*there, *here}):
-        mine, yours = there.get(name), here.get(name)
-        if isinstance(mine, Mapping) and isinstance(yours, Mapping):
-            found += _differences(mine, yours, f"{prefix}{name}.")
-        elif mine != yours:
-            found.append((f"{prefix}{name}", mine, yours))
+        both = there.get(name), here.get(name)
+        if all(isinstance(value, Mapping) for value in both):
+            found += _differences(*both, f"{prefix}{name}.")
+        elif both[0] != both[1]:
+            mine, yours = ("absent" if value is None else json.dumps(value) for value in both)
+            found.append(f"{prefix}{name} is {mine} there and {yours} here")
     return found
-
-
-def _text(value: Any) -> str:
-    return "absent" if value is None else json.dumps(value)
 
 
 def _count_shards(size: int, shard_size: int) -> int:
@@ -547,22 +489,21 @@ def _shard_path(folder: Path, number: int) -> Path:
 
 
 def _read_shard(
-    path: Path, number: int, identity: Mapping[str, Any], hashes: Mapping[str, str]
-) -> pa.Table:
-    """Read a shard's rows.
+    folder: Path, number: int, identity: Mapping[str, Any], hashes: Mapping[str, str]
+) -> pa.Table | None:
+    """Read a shard's rows; None: it does not exist.
 
     Raises:
-        FileNotFoundError: The shard does not exist.
         DatasetError: The shard is damaged, or belongs to another set.
     """
-
+    path = _shard_path(folder, number)
     fix = "delete it, and run the gendom dataset command that made the set"
 
     def wanted(holds: Any, what: str) -> None:
         require(holds, what, where=str(path), fix=fix, error=DatasetError)
 
     if not path.is_file():
-        raise FileNotFoundError(path)
+        return None
     try:
         content = read_bytes(path, DatasetError, most=LARGEST_SHARD)
         is_whole = hashlib.sha256(content).hexdigest() == hashes.get(path.name)

@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 
 from gendom.arguments import require
+from gendom.datasets.clouds import read_pcd, read_ply
 from gendom.datasets.npz import read_npz_cloud
-from gendom.datasets.pcd import read_pcd
-from gendom.datasets.ply import read_ply
 from gendom.datasets.recording_form import joined
 from gendom.errors import RecordingError
 from gendom.reading import read_number_table, read_toml

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, TypeVar
 import numpy as np
 
 from gendom.arguments import require
-from gendom.datasets.cloud_fields import seen
+from gendom.datasets.clouds import seen
 from gendom.datasets.recording_form import FORMAT, STORED_ARRAYS
 from gendom.errors import RecordingError
 from gendom.reading import LARGEST_JSON, check_unpacked, file_size, parse_json

@@ -137,13 +137,11 @@ def _read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any], str, list[F
     is_lerobot = (path / "meta/info.json").is_file()
     described = is_lerobot or (path / "gripper.csv").is_file()
     is_bag = path.suffix in _BAGS or ((path / "metadata.yaml").is_file() and not described)
-    fix = (
-        "turn it into a recording: gendom import (ROS 2), or put it into DIR/cameras/NAME and run "
-    )
-    fix += "gendom perceive DIR (RealSense)"
+    of_camera = "put it into DIR/cameras/NAME and run gendom perceive DIR"
+    fix = f"turn it into a recording: gendom import (ROS 2), or {of_camera} (RealSense)"
     if path.suffix == ".bag":
         fix = f"of ROS 1, rosbags-convert --src {path.name} --dst NEW makes one of ROS 2; of a "
-        fix += "RealSense camera, put it into DIR/cameras/NAME and run gendom perceive DIR"
+        fix += f"RealSense camera, {of_camera}"
     require(not is_bag, "is a bag", where=str(path), fix=fix, error=RecordingError)
     if path.is_dir() and not is_lerobot:
         arrays, meta = read_folder(path)
@@ -159,9 +157,9 @@ def _read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any], str, list[F
     arrays, meta = read_npz(path)
     if (form := meta.get("format")) == FORMAT_STATIC:
         arrays, meta = recording_of_static(arrays, meta, str(path))
-    elif form != FORMAT:
-        fix = f"only {FORMAT!r} can be read here"
-        raise RecordingError(f"is {form!r}", where=f"{path}: meta.format", fix=fix)
+    else:
+        where, fix = f"{path}: meta.format", f"only {FORMAT!r} can be read here"
+        require(form == FORMAT, f"is {form!r}", where=where, fix=fix, error=RecordingError)
     return arrays, meta, str(path), missing_keys(meta)
 
 

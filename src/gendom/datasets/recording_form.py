@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from gendom.arguments import require
+from gendom.arguments import fits, require, short_repr
 from gendom.errors import RecordingError, one_line
 from gendom.files import to_json
 from gendom.shown import Shown
@@ -24,19 +24,8 @@ FORMAT = "gendom-recording/1"
 KINDS = ("rope", "cloth")
 GRASPS = ("end", "corner", "center", "both ends")
 NEEDED_SIZES = {"rope": ("length",), "cloth": ("width", "height")}
-_OPTIONAL_SIZES = {"rope": ("diameter",), "cloth": ("thickness",)}
-SIZES = (
-    "length",
-    "diameter",
-    "diameter_sd",
-    "width",
-    "height",
-    "thickness",
-    "thickness_sd",
-    "mass",
-    "grasp_radius",
-    "grasp_inset",
-)
+SIZES = ("length", "diameter", "diameter_sd", "width", "height", "thickness", "thickness_sd")
+SIZES += ("mass", "grasp_radius", "grasp_inset")
 
 # Arrays of a recording: type, shape (a letter is any length, the same wherever it appears).
 ARRAYS = {
@@ -51,10 +40,7 @@ ARRAYS = {
 }
 STORED_ARRAYS = tuple(name for name in ARRAYS if name != "camera_positions")
 _OPTIONAL_ARRAYS = ("gripper_axis", "gripper_closed", "seen_by", "camera_positions")
-# Kinds of NumPy types that are converted to each type.
-_CONVERTED_KINDS = {
-    np.float32: "iuf", np.float64: "iuf", np.int64: "iu", np.uint8: "iu", np.bool_: "b",
-}  # fmt: skip
+_KINDS_OF = {"f": "iuf", "i": "iu", "u": "iu", "b": "b"}  # that are converted to each kind
 
 
 @dataclass(frozen=True)
@@ -115,24 +101,16 @@ class ObjectDescription:
 
     def meta(self) -> dict[str, Any]:
         """All fields in the form of the file; unknown sizes only where the kind has them."""
-        kind = self.kind
-        shown = (*NEEDED_SIZES.get(kind, ()), *_OPTIONAL_SIZES.get(kind, ()), "mass")
+        optional = {"rope": "diameter", "cloth": "thickness"}.get(self.kind)
+        shown = (*NEEDED_SIZES.get(self.kind, ()), optional, "mass")
         sizes = {name: getattr(self, name) for name in SIZES}
         sizes = {name: v for name, v in sizes.items() if name in shown or v is not None}
-        return {"kind": kind, **sizes, "grasp": self.grasp, **self.extra}
+        return {"kind": self.kind, **sizes, "grasp": self.grasp, **self.extra}
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class RecordingData(Shown):
-    """T frames of a point cloud, with the motion of G grippers that hold the object.
-
-    World frame, z up, metres and seconds. Arrays are converted to the types below and are
-    read-only; take `.copy()` to change one.
-
-    Raises:
-        RecordingError: An array has the wrong shape or type, or `offsets` does not divide
-            `points`. The values are checked by `validate`, not here.
-    """
+    """The data of a `gendom.datasets.Recording`."""
 
     points: np.ndarray
     """[S, 3] float32: all frames' points, one after another [m]."""
@@ -196,7 +174,7 @@ class RecordingData(Shown):
         found: Any = self.extra
         for key in ("perception", "cameras_apart", "at_worst"):
             found = found.get(key) if isinstance(found, dict) else None
-        return float(found) if _is_number_or_none(found) and found else 0.0
+        return float(found) if found and _is(found, _NUMBER) else 0.0
 
     @property
     def frame_valid(self) -> np.ndarray:
@@ -295,20 +273,15 @@ class RecordingData(Shown):
             what, right = f"has shape {list(cloud.shape)}", cloud.shape[1:] == (3,)
             require(right, what, where=f"frame {t}", fix="give [n, 3]", error=RecordingError)
 
-        def for_each_gripper(values: npt.ArrayLike | None, ndim: int) -> Any:
+        def per_gripper(values: npt.ArrayLike | None, ndim: int) -> Any:
             """Values [T, G, ...] from these or from those of one gripper, of `ndim` - 1 axes."""
             array = None if values is None else np.asarray(values)
             return array[:, None] if array is not None and array.ndim == ndim - 1 else array
 
-        return cls(
-            **joined(clouds),
-            time=np.asarray(time),
-            gripper_position=for_each_gripper(gripper_position, 3),
-            gripper_axis=for_each_gripper(gripper_axis, 3),
-            gripper_closed=for_each_gripper(gripper_closed, 2),
-            object=object,
-            **other,
-        )
+        other |= {"time": np.asarray(time), "gripper_position": per_gripper(gripper_position, 3)}
+        other |= {"gripper_axis": per_gripper(gripper_axis, 3)}
+        other |= {"gripper_closed": per_gripper(gripper_closed, 2)}
+        return cls(**joined(clouds), object=object, **other)
 
     def meta(self) -> dict[str, Any]:
         """All fields except the arrays, in the form of the file."""
@@ -360,13 +333,9 @@ def convert(arrays: Mapping[str, Any]) -> tuple[dict[str, np.ndarray | None], li
                 faults.append(Fault("is missing", name, f"add it: {form}"))
             continue
         array = np.asarray(value)
-        fits = array.ndim == len(shape) and all(
-            isinstance(want, str) or have == want
-            for have, want in zip(array.shape, shape, strict=True)
-        )
-        if array.dtype.kind not in _CONVERTED_KINDS[dtype] and array.size:
+        if array.dtype.kind not in _KINDS_OF[np.dtype(dtype).kind] and array.size:
             faults.append(Fault(f"has the type {array.dtype}", name, f"give {form}"))
-        elif not fits:
+        elif not fits(array.shape, shape):
             faults.append(Fault(f"has shape {list(array.shape)}", name, f"give {form}"))
         else:
             with np.errstate(over="ignore"):  # becomes infinite, which `validate` finds
@@ -378,10 +347,8 @@ def convert(arrays: Mapping[str, Any]) -> tuple[dict[str, np.ndarray | None], li
 
 def _length_faults(arrays: Mapping[str, np.ndarray | None]) -> Iterator[Fault]:
     """What does not fit in the lengths of arrays, each of which is valid."""
-    points, offsets, time = arrays["points"], arrays["offsets"], arrays["time"]
-    position = arrays["gripper_position"]
-    assert points is not None and offsets is not None and time is not None
-    assert position is not None
+    needed = ("points", "offsets", "time", "gripper_position")
+    points, offsets, time, position = (np.asarray(arrays[name]) for name in needed)
     frames = len(time)
     if frames == 0:
         yield Fault("is empty", "time", "give at least one frame")
@@ -430,37 +397,35 @@ def missing_keys(meta: Mapping[str, Any]) -> list[Fault]:
 def parse_meta(meta: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
     """Read the fields of a `Recording` from its meta; return them and faults of type."""
     rest = {key: value for key, value in meta.items() if key != "format"}
-    values: dict[str, Any] = {}
     faults = []
 
-    def take(source: dict, key: str, default: Any, right: Callable[[Any], bool], want: str, at=""):
+    def take(source: dict, key: str, default: Any, kinds: tuple, want: str, at: str = "") -> Any:
         value = source.pop(key, default)
-        if right(value):
+        if _is(value, kinds):
             return value
-        faults.append(Fault(f"is {_short_value(value)}", f"{at}{key}", f"give {want}"))
+        faults.append(Fault(f"is {short_repr(value, 40)}", f"{at}{key}", f"give {want}"))
         return default
 
-    table = rest.pop("object", None)
+    values, table = {}, rest.pop("object", None)
     if not isinstance(table, dict):
-        what = "is missing" if table is None else f"is {_short_value(table)}"
+        what = "is missing" if table is None else f"is {short_repr(table, 40)}"
         faults.append(Fault(what, "object", "give kind, sizes in metres and grasp"))
     else:
         table = dict(table)
-        kind = take(table, "kind", None, _is_text, " or ".join(map(repr, KINDS)), "object.")
-        wanted = "a number, or null"
-        sizes = {n: take(table, n, None, _is_number_or_none, wanted, "object.") for n in SIZES}
-        default_grasp = "corner" if kind == "cloth" else "end"
-        grasp = take(table, "grasp", default_grasp, _is_text, f"one of {GRASPS}", "object.")
+        kind = take(table, "kind", None, (str,), " or ".join(map(repr, KINDS)), "object.")
+        sizes = {n: take(table, n, None, _NUMBER, "a number, or null", "object.") for n in SIZES}
+        usual = "corner" if kind == "cloth" else "end"
+        grasp = take(table, "grasp", usual, (str,), f"one of {GRASPS}", "object.")
         values["object"] = ObjectDescription(kind=kind, grasp=grasp, extra=table, **sizes)
-    for key, default, right, want in (
-        ("table_height", None, _is_number_or_none, "metres, or null for no table"),
-        ("gripper_source", "commanded", _is_text, "'commanded' or 'measured'"),
-        ("quasi_static", False, _is_bool, "true or false"),
-        ("source", "", _is_text, "text"),
-        ("notes", "", _is_text, "text"),
-        ("cameras_calibrated", True, _is_bool, "true or false"),
+    for key, default, kinds, want in (
+        ("table_height", None, _NUMBER, "metres, or null for no table"),
+        ("gripper_source", "commanded", (str,), "'commanded' or 'measured'"),
+        ("quasi_static", False, (bool,), "true or false"),
+        ("source", "", (str,), "text"),
+        ("notes", "", (str,), "text"),
+        ("cameras_calibrated", True, (bool,), "true or false"),
     ):
-        values[key] = take(rest, key, default, right, want)
+        values[key] = take(rest, key, default, kinds, want)
     cameras = rest.pop("camera_positions", None)
     if cameras is not None:
         try:
@@ -474,18 +439,9 @@ def parse_meta(meta: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
     return {**values, "camera_positions": cameras, "extra": rest}, faults
 
 
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
+_NUMBER = (int, float, type(None))  # that may be unknown
 
 
-def _is_bool(value: Any) -> bool:
-    return isinstance(value, bool)
-
-
-def _is_number_or_none(value: Any) -> bool:
-    return value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
-
-
-def _short_value(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else text[:37] + "..."
+def _is(value: Any, kinds: tuple[type, ...]) -> bool:
+    """Whether a value has one of the types; true and false are no numbers."""
+    return isinstance(value, kinds) and (bool in kinds or not isinstance(value, bool))

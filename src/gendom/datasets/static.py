@@ -26,15 +26,10 @@ FORMAT_STATIC = "gendom-static/1"
 def recording_of_static(
     arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any], where: str
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Convert a shape at rest to the arrays and meta of a recording.
+    """Convert a shape at rest, by the arrays and meta of its file, to those of a recording.
 
     Each repeat becomes a frame, one second after the previous one. Points are ordered markers, two
     grippers hold the ends, and `static` in the meta marks the recording as motionless.
-
-    Args:
-        arrays: Arrays of the file, with `loops`.
-        meta: Meta of the file.
-        where: Name of the file in messages.
 
     Raises:
         RecordingError: Something is missing or not a number.
@@ -54,13 +49,11 @@ def recording_of_static(
     kind = described.get("kind")
     wanted(kind in ("rope", "wire"), f"object.kind: is {kind!r}", "give rope or wire")
     described["kind"] = "rope"
-    numbers = {}
     for name in ("length", "mass_per_length"):
         value = described.get(name)
         right = isinstance(value, int | float) and 0.0 < value < np.inf
         wanted(right, f"object.{name}: is {value!r}", "give a number above 0, in SI")
-        numbers[name] = float(described[name])
-    described["mass"] = numbers["length"] * numbers.pop("mass_per_length")
+    described["mass"] = described["length"] * described["mass_per_length"]
     described["grasp"] = "both ends"
     # the clamped ends are at their mean position over all repeats
     ends = loops[:, [0, -1]].mean(axis=0)
@@ -74,14 +67,6 @@ def recording_of_static(
         "gripper_position": np.tile(ends, (K, 1, 1)),
         "gripper_axis": np.tile(axes, (K, 1, 1)),
     }
-    rest = {k: v for k, v in meta.items() if k not in ("format", "object")}
-    return made, {
-        "format": FORMAT,
-        "object": described,
-        "table_height": None,
-        "gripper_source": "measured",
-        "quasi_static": True,
-        "ordered_markers": True,
-        "static": True,
-        **rest,
-    }
+    usual = {"table_height": None, "gripper_source": "measured", "quasi_static": True}
+    marked = {"ordered_markers": True, "static": True}
+    return made, {**usual, **marked, **meta, "format": FORMAT, "object": described}

@@ -276,7 +276,7 @@ class Problem:
         """The same of one recording."""
         part, k = self.parts[recording], self.parts[recording].shown
         own = replace(part, shown=np.arange(len(k)), name="")
-        return self._with([own], prior=self.prior.taken(k), _on_progress=None)
+        return self._with([own], prior=self.prior.alone(k), _on_progress=None)
 
     def only(self) -> Part:
         """The one recording.

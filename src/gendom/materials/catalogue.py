@@ -24,6 +24,7 @@ from importlib.resources import files
 from statistics import NormalDist
 from typing import Any
 
+from gendom.arguments import require
 from gendom.errors import ParameterError, did_you_mean
 from gendom.materials.objects import KINDS
 from gendom.materials.parameters import Material
@@ -40,6 +41,10 @@ UNITS = {"E": "Pa", "nu": "1", "density": "kg/m^3", "damping": "s", "friction": 
 """Quantities of every material, SI; a rope has a ``diameter``, a cloth a ``thickness`` [m]."""
 
 
+NINE_OF_TEN = NormalDist().inv_cdf(0.95)
+"""Half width of a Gaussian's central 90 % interval, in deviations."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Source:
     """A publication or a public table."""
@@ -48,10 +53,6 @@ class Source:
     """Authors, title and place."""
     says: str = ""
     """The numbers in it that ranges rest on; empty where they have not been checked."""
-
-
-NINE_OF_TEN = NormalDist().inv_cdf(0.95)
-"""Half width of a Gaussian's central 90 % interval, in deviations."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,14 +82,13 @@ class Range:
 
     def __post_init__(self) -> None:
         numbers = (self.low, self.typical, self.high)
-        if not all(math.isfinite(x) for x in numbers):
-            raise ParameterError(f"has {numbers}, which are not all finite")
-        if not 0.0 < self.low <= self.typical <= self.high:
-            raise ParameterError(f"has {numbers}, not above 0 and in order")
-        if self.basis not in BASES:
-            raise ParameterError(f"has the basis {self.basis!r}", fix=f"give {', '.join(BASES)}")
-        if self.basis != "estimate" and not self.source:
-            raise ParameterError(f"is {self.basis}, and has no source", fix="name it")
+        require(all(map(math.isfinite, numbers)), f"has {numbers}, which are not all finite")
+        ordered = 0.0 < self.low <= self.typical <= self.high
+        require(ordered, f"has {numbers}, not above 0 and in order")
+        fix = f"give {', '.join(BASES)}"
+        require(self.basis in BASES, f"has the basis {self.basis!r}", fix=fix)
+        sourced = self.basis == "estimate" or self.source
+        require(sourced, f"is {self.basis}, and has no source", fix="name it")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -146,9 +146,8 @@ def get(name: str) -> Listed:
         ParameterError: There is none; the message has the nearest names.
     """
     known = materials()
-    if name not in known:
-        fix = did_you_mean(name, known) or "gendom materials lists them"
-        raise ParameterError(f"there is no material {name!r}", fix=fix)
+    fix = did_you_mean(name, known) or "gendom materials lists them"
+    require(name in known, f"there is no material {name!r}", fix=fix)
     return known[name]
 
 
@@ -193,22 +192,20 @@ def parse(table: dict[str, Any]) -> tuple[dict[str, Listed], dict[str, Source]]:
     found: dict[str, Listed] = {}
     for name, row in table["materials"].items():
         kind = row.get("kind")
-        if kind not in KINDS:
-            raise ParameterError(f"has kind {kind!r}", where=name, fix=f"give {', '.join(KINDS)}")
+        fix = f"give {', '.join(KINDS)}"
+        require(kind in KINDS, f"has kind {kind!r}", where=name, fix=fix)
         across = KINDS[kind].sizes[1]
         wanted = {"kind", "about", *UNITS, across}
-        if odd := wanted ^ set(row):
-            verb = "lacks" if odd <= wanted else "has unknown"
-            raise ParameterError(f"{verb} {', '.join(sorted(odd))}", where=name)
+        odd = wanted ^ set(row)
+        verb = "lacks" if odd <= wanted else "has unknown"
+        require(not odd, f"{verb} {', '.join(sorted(odd))}", where=name)
         ranges = {
-            quantity: shared[row[quantity]]
-            if isinstance(row[quantity], str)
-            else _range(row[quantity], f"{name}.{quantity}", cited)
+            "across" if quantity == across else quantity: shared[stated]
+            if isinstance(stated := row[quantity], str)
+            else _range(stated, f"{name}.{quantity}", cited)
             for quantity in (*UNITS, across)
         }
-        found[name] = Listed(
-            name=name, kind=kind, about=row["about"], across=ranges.pop(across), **ranges
-        )
+        found[name] = Listed(name=name, kind=kind, about=row["about"], **ranges)
         found[name].material()  # which refuses what is impossible
     return found, cited
 
@@ -220,12 +217,9 @@ def _range(row: dict[str, Any], where: str, cited: dict[str, Source]) -> Range:
         raise ParameterError(f"is no range ({error})", where=where) from None
     except ParameterError as error:
         raise ParameterError(error.what, where=where, fix=error.fix) from None
-    if made.source and made.source not in cited:
-        raise ParameterError(f"has the source {made.source!r}, which is not listed", where=where)
-    if made.basis != "estimate" and not cited[made.source].says:
-        raise ParameterError(
-            f"is {made.basis} from {made.source!r}, and what that says is not stated",
-            where=where,
-            fix="add what it says, or make it an estimate",
-        )
+    listed = not made.source or made.source in cited
+    require(listed, f"has the source {made.source!r}, which is not listed", where=where)
+    stated = made.basis == "estimate" or cited[made.source].says
+    what = f"is {made.basis} from {made.source!r}, and what that says is not stated"
+    require(stated, what, where=where, fix="add what it says, or make it an estimate")
     return made

@@ -15,6 +15,7 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from gendom.arguments import require
 from gendom.errors import ParameterError
@@ -296,31 +297,24 @@ class Estimate(Shown):
         Args:
             names: Of `UNKNOWNS` with `Unknown.on_object`; others are left out.
         """
-        covariance = self._of_this_size()
-        chosen, blocks = [], {}
-        for name, u in UNKNOWNS.items():
-            if name not in names or u.on_object is None or name in self.given:
-                continue
-            if name in self.names:
-                blocks[name] = self.posterior.prior.index(name)
-            elif name not in ASSUMED:
-                continue
-            chosen.append(name)
-        prior = prior_of(chosen, {})
-        mean, total = np.empty(len(chosen)), np.zeros((len(chosen), len(chosen)))
-        for i, name in enumerate(chosen):
-            if name not in blocks:
-                value = self.known.get(name, ASSUMED[name])
-                mean[i] = UNKNOWNS[name].transformed(max(value, 1e-6))
-                total[i, i] = UNKNOWNS[name].sd ** 2
-                continue
-            mean[i] = self.mean[blocks[name]]
-            for j, other in enumerate(chosen):
-                if other in blocks:
-                    total[i, j] = covariance[blocks[name], blocks[other]]
+        chosen = [
+            u
+            for name, u in UNKNOWNS.items()
+            if name in names and u.on_object is not None and name not in self.given
+            if name in self.names or name in ASSUMED
+        ]
+        assumed = {u.name: self.known.get(u.name, ASSUMED.get(u.name, 0.0)) for u in chosen}
+        mean = np.array([u.transformed(max(assumed[u.name], 1e-6)) for u in chosen])
+        covariance = np.diag([u.sd**2 for u in chosen])
+        own = [i for i, u in enumerate(chosen) if u.name in self.names]
+        at = [self.posterior.prior.index(chosen[i].name) for i in own]
+        mean[own] = self.mean[at]
+        covariance[own] = covariance[:, own] = 0.0
+        covariance[np.ix_(own, own)] = self._of_this_size()[np.ix_(at, at)]
         # what is not uncertain any more stays as it most likely is
         known = {n: v for n, v in to_columns(self._usual).items() if n != "E"}
-        return replace(self, known=known)._with(prior, mean, total)
+        prior = prior_of(u.name for u in chosen)
+        return replace(self, known=known)._with(prior, mean, covariance)
 
     def _of_this_size(self) -> NDArray[np.float64]:
         """[P, P] covariance with the thickness at its most likely value. Of an uncertain thickness
@@ -355,12 +349,11 @@ class Estimate(Shown):
             name: Of `UNKNOWNS`.
             sd: Standard deviation, of the logarithm where that counts.
         """
-        u = UNKNOWNS[name]
         value = self.value(name)
-        mean = np.append(self.mean, u.transformed(ASSUMED[name] if value is None else value))
-        covariance = np.pad(self.covariance, (0, 1))
-        covariance[-1, -1] = sd**2
-        return self._with(self.posterior.prior.followed_by(prior_of((name,), {})), mean, covariance)
+        mean = UNKNOWNS[name].transformed(ASSUMED[name] if value is None else value)
+        covariance = block_diag(self.covariance, sd**2)
+        prior = self.posterior.prior.followed_by(prior_of([name]))
+        return self._with(prior, np.append(self.mean, mean), covariance)
 
     def with_known(self, values: Mapping[str, float]) -> Self:
         """With numbers that are given: sizes and parameters in SI units, E among them. With another
@@ -390,41 +383,24 @@ class Estimate(Shown):
         """With the unknowns of another estimate of the same object, which knows more, and further
         entries of the file. What is not among them is independent of them, but for the thickness:
         what bends alike stays so."""
-        old, mine = self.posterior, learned.names
-        kept = [
-            k
-            for k, (name, owner) in enumerate(zip(old.names, old.prior.owners, strict=True))
-            if owner is not None or name not in mine
-        ]
-        rest = old.prior.taken_as_they_are(kept)
-        changes = {
-            n: {"mean": u.value(float(old.prior.mean[k])), "sd": float(old.prior.sd[k])}
-            for n, u in ((n, UNKNOWNS[n]) for n in mine)
-            if n in old.names
-            for k in [old.prior.index(n)]
-        }
-        first = prior_of(mine, changes)
-        P = len(mine)
-        covariance = np.zeros((P + len(kept), P + len(kept)))
-        covariance[:P, :P] = learned.covariance
-        covariance[P:, P:] = old.covariance[np.ix_(kept, kept)]
+        old, mine, P = self.posterior, learned.names, len(learned.names)
+        owned = enumerate(zip(old.names, old.prior.owners, strict=True))
+        kept = [k for k, (name, owner) in owned if owner is not None or name not in mine]
+        at = {n: old.prior.index(n) for n in mine if n in old.names}
+        means = {n: UNKNOWNS[n].value(float(old.prior.mean[k])) for n, k in at.items()}
+        changes = {n: {"mean": means[n], "sd": float(old.prior.sd[k])} for n, k in at.items()}
+        covariance = block_diag(learned.covariance, old.covariance[np.ix_(kept, kept)])
         if "thickness" in old.names:
             k = old.prior.index("thickness")
             t, variance = P + kept.index(k), old.covariance[k, k]
-            weights = np.array(
-                [old.covariance[old.prior.index(n), k] / variance if n in old.names else 0.0
-                 for n in mine]
-            )  # fmt: skip
-            covariance[:P, :P] += variance * np.outer(weights, weights)
-            covariance[:P, t] = covariance[t, :P] = variance * weights
-        posterior = replace(
-            old,
-            prior=first.followed_by(rest),
-            mean=np.concatenate([learned.mean, old.mean[kept]]),
-            covariance=covariance,
-        )
+            shared = np.array([old.covariance[at[n], k] if n in at else 0.0 for n in mine])
+            covariance[:P, :P] += np.outer(shared, shared) / variance
+            covariance[:P, t] = covariance[t, :P] = shared
+        prior = prior_of(mine, changes).followed_by(old.prior.taken(kept))
+        mean = np.concatenate([learned.mean, old.mean[kept]])
         known = {n: v for n, v in self.known.items() if n not in mine}
-        return replace(self, known=known, posterior=posterior, about={**self.about, **entries})
+        about = {**self.about, **entries}
+        return replace(self, known=known, about=about)._with(prior, mean, covariance)
 
     # ---- the file --------------------------------------------------------------------------------
 
@@ -506,39 +482,25 @@ class Estimate(Shown):
         """Inverse of `record`; arguments and errors as of `load`."""
         verdict = checked_verdict(read, where)
         read = with_current_names(read)
+        left = "leave the file as it was written; give another number by a flag such as --E"
         try:
             fields, stated = fields_of(read, kind, where)
             found = cls(verdict=verdict, **fields)
-            found._check_consistent(stated, where)
+            values = found._values()
+            for name, value in stated.items():
+                own = value if values.get(name) is None else values[name]
+                same = math.isclose(own, value, rel_tol=CONSISTENT, abs_tol=1e-9)
+                what = f"{name} is {value:.6g}, its posterior says {own:.6g}"
+                require(same, what, where=where, fix=left)
         except ParameterError as error:
             place = where if error.where in (None, where) else f"{where}: {error.where}"
             raise ParameterError(error.what, where=place, fix=error.fix) from None
         except (ArithmeticError, KeyError, IndexError, TypeError, ValueError) as error:
-            raise ParameterError(
-                f"cannot be used: {type(error).__name__} {error}",
-                where=where,
-                fix="estimate again",
-            ) from None
-        fix = "leave the file as it was written; give another number by a flag such as --E"
+            what, fix = f"cannot be used: {type(error).__name__} {error}", "estimate again"
+            raise ParameterError(what, where=where, fix=fix) from None
         whole = CHECKSUM not in read or read[CHECKSUM] == checksum(read)
-        require(whole, "was changed after it was written", where=where, fix=fix)
+        require(whole, "was changed after it was written", where=where, fix=left)
         return found
-
-    def _check_consistent(self, stated: Mapping[str, float], where: str) -> None:
-        """Refuse a file with a value that was changed by hand.
-
-        Raises:
-            ParameterError: A value is not that of the posterior.
-        """
-        values = self._values()
-        for name, value in stated.items():
-            own = values.get(name)
-            require(
-                own is None or math.isclose(own, value, rel_tol=CONSISTENT, abs_tol=1e-9),
-                f"{name} is {value:.6g}, its posterior says {own or 0.0:.6g}",
-                where=where,
-                fix="leave the file as it was written; give another number by a flag such as --E",
-            )
 
     def rows(self) -> list[tuple[str, str, str]]:
         """Name, value and interval of what was found, with units, for tables."""

@@ -165,7 +165,7 @@ def derived(kind: str, *, weighed: bool) -> dict[str, Derived]:
 
 
 NOTHING_ESTIMATED = Posterior(
-    prior=prior_of((), {}), mean=np.empty(0), covariance=np.empty((0, 0)), bases=()
+    prior=prior_of(()), mean=np.empty(0), covariance=np.empty((0, 0)), bases=()
 )
 
 
@@ -218,16 +218,8 @@ def ranges(
 
 
 def read_record(path: str | Path, *, even_unusable: bool = True) -> dict[str, Any]:
-    """The JSON document of an estimate's file with the present names of quantities.
-
-    Args:
-        path: The file, perhaps of an earlier version.
-        even_unusable: Take one whose verdict is not usable, too.
-
-    Raises:
-        ParameterError: It is no estimate, or not usable.
-        GendomError: It cannot be read.
-    """
+    """The JSON document of an estimate's file, perhaps of an earlier version, with the present
+    names of quantities; errors as of `checked_verdict`."""
     read = with_current_names(read_json(path))
     checked_verdict(read, str(path), even_unusable=even_unusable)
     return read
@@ -237,7 +229,8 @@ def checked_verdict(read: Mapping[str, Any], where: str, *, even_unusable: bool 
     """The verdict of an estimate's record.
 
     Raises:
-        ParameterError: It has another format, is not usable, or holds no numbers.
+        ParameterError: It has another format or odd types, holds no numbers, or is not usable,
+            unless such are wanted, too.
     """
     form, fix = read.get("format"), "give a file written by gendom estimate"
     require(form == FORMAT, f"has format {form!r}, not {FORMAT!r}", where=where, fix=fix)
@@ -284,15 +277,9 @@ def fields_of(
     density_sd = float(read.get("density_sd", 0.0 if "mass" in known else sd))
     what = f"density_sd is {density_sd:g}"
     require(0.0 <= density_sd <= LARGEST_SD, what, fix="estimate again")
-    fields = {
-        "kind": kind,
-        "known": known,
-        "posterior": posterior,
-        "level": level,
-        "density_sd": density_sd,
-        "about": {k: v for k, v in read.items() if k not in _OWN},
-    }
-    return fields, stated
+    about = {k: v for k, v in read.items() if k not in _OWN}
+    fields = {"kind": kind, "known": known, "posterior": posterior, "about": about}
+    return {**fields, "level": level, "density_sd": density_sd}, stated
 
 
 def _stated(known: dict[str, float], posterior: Posterior, kind: str) -> dict[str, float]:
@@ -333,14 +320,14 @@ def _numbers(read: Mapping[str, Any], described: Mapping[str, Any], where: str) 
     if not read.get("posterior"):  # what the recording does not tell is its prior's
         numbers |= {n: None for n in HIDDEN if told.get(n, True) is False}
     numbers |= {n: described.get(n) for n in (*SIZES, "mass")}
+    fix = "estimate again, or give the number by a flag"
     for name, value in numbers.items():
         positive = isinstance(value, (int, float)) and (
             value > 0.0 or (value == 0.0 and name in HIDDEN) or name == "stiffness_slope"
         )
-        if value is not None and not positive and (name not in UNKNOWNS or UNKNOWNS[name].low > 0):
-            what = f"{name} must be a positive number, got {value!r}"
-            fix = "estimate again, or give the number by a flag"
-            raise GendomError(what, where=where, fix=fix)
+        right = value is None or positive or (name in UNKNOWNS and UNKNOWNS[name].low <= 0)
+        what = f"{name} must be a positive number, got {value!r}"
+        require(right, what, where=where, fix=fix, error=GendomError)
     return {n: float(v) for n, v in numbers.items() if v is not None}
 
 
@@ -358,10 +345,6 @@ def _posterior_of(read: Mapping[str, Any], known: Mapping[str, float], level: fl
     if not ends:
         return NOTHING_ESTIMATED
     low, high = (math.log(end / known["density"]) for end in ends)
-    half = NormalDist().inv_cdf(0.5 + level / 2.0)
-    return Posterior(
-        prior=prior_of(("E_over_rho",), {}),
-        mean=np.array([0.5 * (low + high)]),
-        covariance=np.array([[(0.5 * (high - low) / half) ** 2]]),
-        bases=(),
-    )
+    variance = (0.5 * (high - low) / NormalDist().inv_cdf(0.5 + level / 2.0)) ** 2
+    mean, covariance = np.array([0.5 * (low + high)]), np.array([[variance]])
+    return Posterior(prior=prior_of(["E_over_rho"]), mean=mean, covariance=covariance, bases=())

@@ -18,6 +18,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from gendom.arguments import require
 from gendom.errors import ParameterError
 from gendom.materials.names import with_current_names
 from gendom.materials.parameters import E_over_rho_of, Material, bending_length
@@ -28,13 +29,12 @@ STANDARD_GRAVITY = 9.81
 AIR_DENSITY = 1.2
 """Of air at 20 C and sea level [kg/m^3]."""
 
-
 ASSUMED = {"nu": 0.35, "density": 1000.0, "damping": 0.004, "friction": 0.3}
 """What is assumed for a number that is not given, by column name: about the middle of what ropes
 and cloths have."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Parameter:
     """One of the dimensionless numbers that determine an object's motion."""
 
@@ -50,37 +50,13 @@ class Parameter:
 
 
 PARAMETERS: dict[str, Parameter] = {
-    p.name: p
-    for p in (
-        Parameter(
-            name="bending_ratio",
-            column="E_over_rho",
-            unit="m^2/s^2",
-            meaning="bending length over size",
-            log=True,
-        ),
-        Parameter(name="nu", column="nu", unit="1", meaning="Poisson's ratio", log=False),
-        Parameter(
-            name="damping",
-            column="damping",
-            unit="s",
-            meaning="damping time over sqrt(size / g)",
-            log=True,
-        ),
-        Parameter(
-            name="friction",
-            column="friction",
-            unit="1",
-            meaning="coefficient of friction",
-            log=False,
-        ),
-        Parameter(
-            name="density",
-            column="density",
-            unit="kg/m^3",
-            meaning="density of air times size over mass per area",
-            log=True,
-        ),
+    row[0]: Parameter(*row)
+    for row in (
+        ("bending_ratio", "E_over_rho", "m^2/s^2", "bending length over size", True),
+        ("nu", "nu", "1", "Poisson's ratio", False),
+        ("damping", "damping", "s", "damping time over sqrt(size / g)", True),
+        ("friction", "friction", "1", "coefficient of friction", False),
+        ("density", "density", "kg/m^3", "density of air times size over mass per area", True),
     )
 }
 """What policies can be conditioned on, by name."""
@@ -291,27 +267,19 @@ def dimensionless_columns(
     return {name: np.array([row[name] for row in found]) for name in PARAMETERS}
 
 
+# ranges that no such number leaves, its unit, and the one in which it then was given, with a factor
 _MISREAD = (
     ("E", 10.0, math.inf, "Pa", "MPa", 1e6),
     ("density", 2.0, math.inf, "kg/m^3", "g/cm^3", 1e3),
     ("density", 0.0, 25e3, "kg/m^3", "g/m^3", 1e-3),
     ("damping", 0.0, 0.5, "s", "ms", 1e-3),
 )
-"""Ranges that no rope's or cloth's number leaves, its unit, and that in which it was given if it
-does, with a factor."""
-
-
-_SMALLER = {"cm": 1e-2, "mm": 1e-3}
-"""Units in which sizes are given by mistake [m]."""
+_SMALLER = {"cm": 1e-2, "mm": 1e-3}  # units in which sizes are given by mistake [m]
 
 
 def _in_metres(value: float, item: Item) -> str:
-    """What a size is in metres if it was given in `_SMALLER` units.
-
-    Args:
-        value: A size that is too large [m].
-        item: Its object; a larger size that is plausible rules units out.
-    """
+    """What a size that is too large is in metres if it was given in `_SMALLER` units; those are
+    left out that the object's larger size, where it is plausible, rules out."""
     large = size_of(item)
     if large > LARGEST:
         units = ["cm" if large < 100.0 else "mm"]
@@ -324,30 +292,18 @@ def _in_metres(value: float, item: Item) -> str:
 def _check_units(item: Item) -> None:
     for name, low, high, unit, other, factor in _MISREAD:
         value = getattr(item.material, name)
-        if not low <= value <= high:
-            raise ParameterError(
-                f"{name} is {value:g} {unit}",
-                fix=f"give {unit}: {value:g} {other} are {factor * value:g} {unit}",
-            )
+        fix = f"give {unit}: {value:g} {other} are {factor * value:g} {unit}"
+        require(low <= value <= high, f"{name} is {value:g} {unit}", fix=fix)
     for name in item.sizes:
         value = getattr(item, name)
-        if not (math.isfinite(value) and value > 0.0):
-            raise ParameterError(
-                f"{name} must be positive and finite, got {value}", fix="give metres"
-            )
+        what = f"{name} must be positive and finite, got {value}"
+        require(math.isfinite(value) and value > 0.0, what, fix="give metres")
         if value > LARGEST:
             raise ParameterError(f"{name} is {value:g} m", fix=_in_metres(value, item))
-    large, small = item.sizes
-    if thickness_of(item) > 0.2 * size_of(item):
-        raise ParameterError(
-            f"a {item.kind} with {small} {thickness_of(item)} m and {large} {size_of(item)} m is "
-            f"no {item.kind}",
-            fix=_in_metres(thickness_of(item), item)
-            if thickness_of(item) > size_of(item)
-            else f"give a {small} of at most 0.2 of its {large}",
-        )
-    if not (math.isfinite(item.friction) and item.friction >= 0.0):
-        raise ParameterError(
-            f"friction must be finite and not negative, got {item.friction}",
-            fix="most things have 0.1 to 0.8 on a table",
-        )
+    (large, small), (L, h) = item.sizes, (size_of(item), thickness_of(item))
+    fix = _in_metres(h, item) if h > L else f"give a {small} of at most 0.2 of its {large}"
+    what = f"a {item.kind} with {small} {h} m and {large} {L} m is no {item.kind}"
+    require(h <= 0.2 * L, what, fix=fix)
+    fix = "most things have 0.1 to 0.8 on a table"
+    what = f"friction must be finite and not negative, got {item.friction}"
+    require(math.isfinite(item.friction) and item.friction >= 0.0, what, fix=fix)

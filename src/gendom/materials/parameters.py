@@ -3,8 +3,7 @@
 import math
 from dataclasses import dataclass, fields
 
-from gendom.arguments import check_number
-from gendom.errors import ParameterError
+from gendom.arguments import check_number, require
 from gendom.shown import Shown
 
 WEAVE = ("warp", "weft", "shear")
@@ -55,22 +54,13 @@ class Material(Shown):
         return "Material", [(name, value.strip()) for name, value in rows]
 
     def __post_init__(self) -> None:
-        for name in ("E", "nu", "density", "damping"):
-            check_number(name, getattr(self, name))
-        for name in OF_THIN:
-            if getattr(self, name) is not None:
+        check_number("Young's modulus E", self.E, above=0.0)
+        for name in ("density", *OF_THIN):
+            if name != "membrane" or self.membrane is not None:
                 check_number(name, getattr(self, name), above=0.0)
-        if self.E <= 0.0:
-            raise ParameterError(f"Young's modulus E must be positive [Pa], got {self.E}")
-        if not -1.0 < self.nu < 0.5:
-            raise ParameterError(f"Poisson's ratio nu must lie in (-1, 0.5), got {self.nu}")
-        if self.density <= 0.0:
-            raise ParameterError(f"density must be positive [kg/m^3], got {self.density}")
-        if self.damping < 0.0:
-            raise ParameterError(
-                f"damping must be at least 0 [s], got {self.damping}",
-                fix="ropes and cloths have 0.001 to 0.02 s; 0 means none",
-            )
+        in_range = -1.0 < check_number("nu", self.nu) < 0.5
+        require(in_range, f"Poisson's ratio nu must lie in (-1, 0.5), got {self.nu}")
+        check_number("damping", self.damping, least=0.0)
 
     @property
     def has_threads(self) -> bool:

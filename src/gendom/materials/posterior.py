@@ -53,16 +53,15 @@ class Prior:
         return [k for k, owner in enumerate(self.owners) if owner in (None, recording)]
 
     def taken(self, which: Sequence[int] | NDArray[np.intp]) -> Prior:
-        """Prior of unknowns with these indices, those of one recording."""
-        numbers = {name: getattr(self, name)[which] for name in NUMBERS}
-        names = tuple(self.names[k] for k in which)
-        return Prior(names=names, owners=owners_of(names), **numbers)
-
-    def taken_as_they_are(self, which: Sequence[int]) -> Prior:
-        """Prior of unknowns with these indices, each of its own recording."""
+        """Prior of unknowns with these indices."""
         numbers = {name: getattr(self, name)[list(which)] for name in NUMBERS}
-        owners = tuple(self.owners[k] for k in which)
-        return Prior(names=tuple(self.names[k] for k in which), owners=owners, **numbers)
+        names, owners = (tuple(of[k] for k in which) for of in (self.names, self.owners))
+        return Prior(names=names, owners=owners, **numbers)
+
+    def alone(self, which: Sequence[int] | NDArray[np.intp]) -> Prior:
+        """Prior of those with these indices, of one recording, as if there were no other."""
+        found = self.taken(which)
+        return replace(found, owners=owners_of(found.names))
 
     def followed_by(self, other: Prior) -> Prior:
         """Prior of these unknowns and then those, none of them twice."""
@@ -109,10 +108,9 @@ def prior_of(names: Iterable[str], changes: Mapping[str, Mapping[str, float]] = 
         ParameterError: There is no such unknown, or one is named twice.
     """
     names = tuple(names)
-    twice = {name for name in names if names.count(name) > 1}
-    listed = ", ".join(twice)
-    require(not twice, f"{listed} is named twice", where="unknowns", fix="name each unknown once")
     for name in names:
+        what, fix = f"{name} is named twice", "name each unknown once"
+        require(names.count(name) == 1, what, where="unknowns", fix=fix)
         known = f"choose from {', '.join(UNKNOWNS)}"
         require(name in UNKNOWNS, f"there is no unknown {name!r}", fix=known)
     chosen = [replace(UNKNOWNS[name], **changes.get(name, {})) for name in names]
@@ -130,19 +128,13 @@ def owners_of(names: Iterable[str]) -> tuple[int | None, ...]:
 def joint_prior(priors: Sequence[Prior]) -> Prior:
     """Joint prior of several recordings of one object: the material's unknowns once, from the first
     recording that has them, and the unknowns of each recording."""
-    chosen: dict[tuple[str, int | None], tuple[Prior, int]] = {}
-    for recording, prior in enumerate(priors):
-        for k, (name, owner) in enumerate(zip(prior.names, prior.owners, strict=True)):
-            chosen.setdefault((name, None if owner is None else recording), (prior, k))
-
-    def numbers(field: str) -> Array:
-        return np.array([getattr(prior, field)[k] for prior, k in chosen.values()])
-
-    return Prior(
-        names=tuple(name for name, _ in chosen),
-        owners=tuple(owner for _, owner in chosen),
-        **{field: numbers(field) for field in NUMBERS},
-    )
+    joint = priors[0]
+    for recording, prior in enumerate(priors[1:], start=1):
+        own = [k for k, name in enumerate(prior.names) if not UNKNOWNS[name].material]
+        new = [k for k, name in enumerate(prior.names) if k in own or name not in joint.names]
+        owners = tuple(recording if k in own else None for k in new)
+        joint = joint.followed_by(replace(prior.taken(new), owners=owners))
+    return joint
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -210,11 +202,8 @@ class Posterior:
         """Ends of the central interval of an unknown, within the range that was searched."""
         k, u = self.prior.index(name, recording), UNKNOWNS[name]
         half = float(norm.ppf(0.5 + level / 2.0)) * self.sd(name, recording)
-        low, high = (
-            float(np.clip(self.mean[k] + sign * half, self.prior.low[k], self.prior.high[k]))
-            for sign in (-1.0, 1.0)
-        )
-        return u.value(low), u.value(high)
+        ends = np.clip(self.mean[k] + [-half, half], self.prior.low[k], self.prior.high[k])
+        return u.value(float(ends[0])), u.value(float(ends[1]))
 
     def factors(
         self, powers: Mapping[str, float], level: float, other_sd: float = 0.0
@@ -228,25 +217,14 @@ class Posterior:
             level: Probability of the interval.
             other_sd: Standard deviation of the logarithm of a factor that is none of them.
         """
-        low = high = 0.0
-        weights = np.zeros(len(self.names))
+        weights, z = np.zeros(len(self.names)), float(norm.ppf(0.5 + level / 2.0))
         for name in set(powers) & set(self.names):
-            k, power = self.prior.index(name), powers[name]
-            weights[k] = power
-            ends = sorted((power * self.prior.low[k], power * self.prior.high[k]))
-            low, high = low + ends[0], high + ends[1]
-        z = float(norm.ppf(0.5 + level / 2.0))
+            weights[self.prior.index(name)] = powers[name]
+        searched = np.sort([weights * self.prior.low, weights * self.prior.high], axis=0)
         half = z * math.sqrt(max(float(weights @ self.covariance @ weights), 0.0) + other_sd**2)
-        at, low, high = float(weights @ self.mean), low - z * other_sd, high + z * other_sd
-        ends = (float(np.clip(at + sign * half, low, high)) - at for sign in (-1.0, 1.0))
-        return math.exp(next(ends)), math.exp(next(ends))
-
-    def draws(self, count: int, seed: int, recording: int = 0) -> Sequence[Theta]:
-        """A recording's estimates drawn from it, within the ranges that were searched."""
-        rng = np.random.default_rng(seed)
-        drawn = rng.multivariate_normal(self.mean, self.covariance, size=count)
-        base = self.bases[recording]
-        return [self.prior.theta(self.prior.clipped(v), base, recording) for v in drawn]
+        at, other = float(weights @ self.mean), z * other_sd
+        low, high = searched.sum(axis=1) - at + [-other, other]
+        return math.exp(np.clip(-half, low, high)), math.exp(np.clip(half, low, high))
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON: names, whose they are, transformed means and covariance."""
@@ -273,38 +251,32 @@ class Posterior:
         stored = record_of(_Stored, read, where="posterior", fix=fix, error=ParameterError)
         names, P = stored.names, len(stored.names)
         usual = prior_of(dict.fromkeys(names))
-        index = [usual.names.index(n) for n in names]
-        numbers = {n: getattr(usual, n)[index] for n in NUMBERS}
         told = {"low": stored.low, "high": stored.high, "mean": stored.prior_mean,
                 "sd": stored.prior_sd}  # fmt: skip
-        numbers |= {n: np.array(value) for n, value in told.items() if value is not None}
-        owners = owners_of(names) if stored.recordings is None else stored.recordings
+        told = {n: np.array(value) for n, value in told.items() if value is not None}
+        for name, values in told.items():
+            check_numbers(f"posterior's {name}", values, (P,))
         mean = check_numbers("mean", np.array(stored.mean), (P,))
-        covariance = check_numbers(
-            "covariance",
-            np.array(stored.covariance).reshape(-1, P) if P else np.zeros((0, 0)),
-            (P, P),
-        )
-        for name, values in numbers.items():
-            check_numbers(f"posterior's {name}", values, (P,), finite=name in told)
+        covariance = np.array(stored.covariance).reshape(-1, P) if P else np.zeros((0, 0))
+        check_numbers("covariance", covariance, (P, P))
+        prior = replace(usual.taken([usual.names.index(n) for n in names]), **told)
+        if stored.recordings is not None:
+            prior = replace(prior, owners=stored.recordings)
         count = len(bases) or P  # a Gaussian alone does not say how many recordings there are
-        known = len(owners) == P and all(k is None or 0 <= k < count for k in owners)
-        ordered = bool((numbers["low"] < numbers["high"]).all() and (numbers["sd"] > 0.0).all())
-        beyond = bool((np.abs([mean, numbers["low"], numbers["high"]]) > LARGEST).any())
-        beyond |= bool((np.diag(covariance) > WIDEST**2).any())
-        mirrored = np.allclose(covariance, covariance.T, rtol=1e-6, atol=0.0)
+        known = len(prior.owners) == P and all(k is None or 0 <= k < count for k in prior.owners)
+        ordered = (prior.low < prior.high).all() and (prior.sd > 0.0).all()
+        near = (np.abs([mean, prior.low, prior.high]) <= LARGEST).all()
+        near &= (np.diag(covariance) <= WIDEST**2).all()
+        logs = tuple(UNKNOWNS[n].log for n in names)
         for holds, what in (
-            (known, f"recordings are {list(owners)}, there are {len(bases)}"),
+            (known, f"recordings are {list(prior.owners)}, there are {len(bases)}"),
             (ordered, "ends before it begins, or a deviation is not positive"),
-            (not beyond, f"a mean or end is beyond {LARGEST:g}, or a deviation {WIDEST:g}"),
-            (mirrored, "covariance is not symmetric"),
-            (
-                stored.log in (None, tuple(UNKNOWNS[n].log for n in names)),
-                "log is not that of these unknowns",
-            ),
-        ):
+            (near, f"a mean or end is beyond {LARGEST:g}, or a deviation {WIDEST:g}"),
+            (np.allclose(covariance, covariance.T, rtol=1e-6, atol=0.0),
+             "covariance is not symmetric"),
+            (stored.log in (None, logs), "log is not that of these unknowns"),
+        ):  # fmt: skip
             require(holds, what, where="posterior", fix=fix)
-        prior = Prior(names=names, owners=owners, **numbers)
         return cls(prior=prior, mean=mean, covariance=covariance, bases=tuple(bases))
 
 

@@ -92,17 +92,9 @@ def _with(name: str) -> Callable[[Any, float], Any]:
     return lambda item, value: replace(item, material=replace(item.material, **{name: value}))
 
 
-def _with_E_over_rho(item: Any, value: float) -> Any:
-    return _with("E")(item, value * item.material.density)
-
-
 def _sets(name: str) -> Callable[[Any, float], None]:
     """How a simulated world takes a value as one of its inputs."""
     return lambda world, value: setattr(world, name, value)
-
-
-def _raise(world: Any, value: float) -> None:
-    world.raised += value
 
 
 def _clamp(end: int, across: int) -> Unknown:
@@ -135,7 +127,8 @@ UNKNOWNS: dict[str, Unknown] = {
         _unknown(
             "E_over_rho", "E / density", "m^2/s^2", "Young's modulus over density",
             log=True, low=1e-2, high=1e9, mean=1e3, sd=4.0, step=0.02, widest=1.0, material=True,
-            label="E / density", on_object=_with_E_over_rho, on_replay=_sets("E_over_rho"),
+            label="E / density", on_replay=_sets("E_over_rho"),
+            on_object=lambda item, value: _with("E")(item, value * item.material.density),
         ),
         _unknown(
             "nu", "nu", "1", "Poisson's ratio",
@@ -229,7 +222,8 @@ UNKNOWNS: dict[str, Unknown] = {
         ),
         _unknown(
             "grip_height", "grip height", "m", "how much higher than stated the object is held",
-            low=-0.1, high=0.1, mean=0.0, sd=0.002, step=1e-3, widest=0.01, on_replay=_raise,
+            low=-0.1, high=0.1, mean=0.0, sd=0.002, step=1e-3, widest=0.01,
+            on_replay=lambda world, value: setattr(world, "raised", world.raised + value),
         ),
         _unknown(
             "grip_along", "grip along", "m",
@@ -281,6 +275,7 @@ def register(unknown: Unknown) -> None:
     UNKNOWNS[unknown.name] = unknown
 
 
+@dataclass(frozen=True, init=False, repr=False, eq=False)
 class Theta(Mapping[str, float]):
     """A value of each unknown of the registry, by name and as attributes; never changed.
 
@@ -292,7 +287,6 @@ class Theta(Mapping[str, float]):
         ParameterError: A value makes no sense.
     """
 
-    __slots__ = ("_values",)
     _values: dict[str, float]
 
     def __init__(self, **values: float):
@@ -300,10 +294,8 @@ class Theta(Mapping[str, float]):
             raise TypeError(f"there is no unknown {min(unknown)!r}")
         if "E_over_rho" not in values:
             raise TypeError("E_over_rho is missing")
-        require(
-            -1.0 < values.get("nu", 0.3) < 0.5,
-            f"nu must lie in (-1, 0.5), got {values.get('nu')}",
-        )
+        nu = values.get("nu", 0.3)
+        require(-1.0 < nu < 0.5, f"nu must lie in (-1, 0.5), got {nu}")
         checked = {n: u.check(float(values[n])) for n, u in UNKNOWNS.items() if n in values}
         object.__setattr__(self, "_values", checked)
 
@@ -315,17 +307,11 @@ class Theta(Mapping[str, float]):
             raise AttributeError(name)
         return self[name]
 
-    def __setattr__(self, name: str, value: float) -> None:
-        raise AttributeError(f"{name} cannot be set; use with_values")
-
     def __iter__(self) -> Iterator[str]:
         return iter(UNKNOWNS)
 
     def __len__(self) -> int:
         return len(UNKNOWNS)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _theta, (dict(self._values),)
 
     def __hash__(self) -> int:
         return hash(tuple(self.items()))
@@ -336,11 +322,6 @@ class Theta(Mapping[str, float]):
     def with_values(self, values: Mapping[str, float]) -> Theta:
         """The same with other values, by name."""
         return Theta(**{**self._values, **values})
-
-
-def _theta(values: dict[str, float]) -> Theta:
-    """For copies and other processes."""
-    return Theta(**values)
 
 
 # last, so that their modules can import this one

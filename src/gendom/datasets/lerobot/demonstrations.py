@@ -19,11 +19,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.datasets.demonstrations import GOAL, load, read_description, succeeded
-from gendom.datasets.lerobot.format import ACTION, STATE, Units, write_lerobot
+from gendom.datasets.lerobot.format import ACTION, STATE, write_lerobot
 from gendom.errors import DatasetError
 from gendom.materials import KINDS, PARAMETERS
 
@@ -53,31 +52,18 @@ def export_demonstrations(folder: str | os.PathLike, out: str | os.PathLike) -> 
     count, fix = len(columns["demonstration"]), "simulate more with gendom dataset"
     what = "holds no demonstration that did not fail"
     require(count, what, where=where, fix=fix, error=DatasetError)
-    frames = _frames(columns, quantities, where)
-    extra = {f"outcome/{name}": pa.array(columns[name]) for name in others}
-    extra["demonstration"] = pa.array(columns["demonstration"].astype(np.int64))
-    return write_lerobot(
-        out,
-        frames,
-        np.ones(count, np.int64),
-        task=about["task"]["name"],
-        units=quantities,
-        about=about,
-        extra=extra,
-    )
-
-
-def _frames(
-    columns: Mapping[str, NDArray[np.float64]], quantities: Units, where: str
-) -> dict[str, NDArray[Any]]:
-    """State and action [N, K], one row for each frame."""
-    frames: dict[str, NDArray[Any]] = {}
+    frames = {}
     for feature, units in quantities.items():
         values = np.stack([columns[name] for name in units], axis=1).astype(np.float32)
         what, fix = f"{feature} holds numbers that are not finite", "simulate the set again"
         require(np.isfinite(values).all(), what, where=where, fix=fix, error=DatasetError)
         frames[feature] = values
-    return frames
+    extra = {f"outcome/{name}": pa.array(columns[name]) for name in others}
+    extra["demonstration"] = pa.array(columns["demonstration"].astype(np.int64))
+    lengths, task = np.ones(count, np.int64), about["task"]["name"]
+    return write_lerobot(
+        out, frames, lengths, task=task, units=quantities, about=about, extra=extra
+    )
 
 
 def _quantities(about: Mapping[str, Any], where: str) -> dict[str, dict[str, str]]:

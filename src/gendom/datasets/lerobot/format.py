@@ -1,4 +1,4 @@
-"""LeRobot data sets, format v3.0: writing of the files, for frames with any features.
+"""LeRobot data sets, format v3.0: writing of one episode, or of many of one frame each.
 
     meta/info.json                            features with names and units, counts, paths
     meta/stats.json                           statistics of every feature over all frames
@@ -36,13 +36,11 @@ STATE, ACTION = "observation.state", "action"
 INFO, ABOUT = Path("meta/info.json"), Path("meta/gendom.json")
 SEAL = Path("meta/gendom.sha256")
 
-EPISODES_PER_FILE = 50_000
-"""Chosen so that no file, including statistics of episodes, exceeds the format's 100 MB."""
-
-FILES_PER_CHUNK = 1000
 QUANTILES = (0.01, 0.1, 0.5, 0.9, 0.99)
+FILE = Path("chunk-000/file-000.parquet")
+"""Of all frames, and of all episodes."""
 
-_FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_NAMED = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 
 Units = Mapping[str, Mapping[str, str]]
 """Units by the names of its numbers, for each feature with units."""
@@ -66,7 +64,7 @@ def write_lerobot(
         out: Folder to create; it is written completely or not at all.
         frames: [N, ...] values of each feature, one row for each frame, episode after episode;
             frame indices and time stamps are added.
-        lengths: [E] number of frames of each episode.
+        lengths: [E] number of frames of each episode; all 1 where there are several.
         task: Description of the task, the same for all episodes.
         units: Units of features.
         about: Content of meta/gendom.json.
@@ -80,34 +78,35 @@ def write_lerobot(
     Raises:
         GendomError: `out` is there already or cannot be written, or the disk is full.
     """
-    frames = {**frames, **_counted(lengths, fps)}
+    count, frames = len(lengths), {**frames, **_counted(lengths, fps)}
     found = {feature: statistics(values) for feature, values in frames.items()}
     found |= dict(of_all or {})
     info = {
         "codebase_version": VERSION,
         "robot_type": None,
-        "total_episodes": len(lengths),
+        "total_episodes": count,
         "total_frames": int(lengths.sum()),
         "total_tasks": 1,
-        "chunks_size": FILES_PER_CHUNK,
+        "chunks_size": 1000,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,
         "fps": fps,
-        "splits": {"train": f"0:{len(lengths)}"},
-        "data_path": f"data/{_FILE}",
+        "splits": {"train": f"0:{count}"},
+        "data_path": f"data/{_NAMED}",
         "video_path": None,
         "features": _features(frames, units),
     }
-    episodes = _episodes(frames, lengths, task, found, extra or {})
-    rows = pa.table({feature: _column(values) for feature, values in frames.items()})
+    tables = {
+        Path("meta/tasks.parquet"): _tasks(task),
+        "meta/episodes" / FILE: _episodes(frames, lengths, task, found, extra or {}),
+        "data" / FILE: pa.table({name: _column(values) for name, values in frames.items()}),
+    }
     with atomic_folder(out) as root:
-        meta = root / "meta"
-        meta.mkdir()
+        for path, table in tables.items():
+            (root / path).parent.mkdir(parents=True, exist_ok=True)
+            write_parquet(table, root / path)
         for name, content in (("info", info), ("gendom", about), ("stats", found)):
-            (meta / f"{name}.json").write_text(to_json(content) + "\n", encoding="utf-8")
-        write_parquet(_tasks(task), meta / "tasks.parquet")
-        _write(root / "data", rows, np.concatenate([[0], np.cumsum(lengths)]))
-        _write(meta / "episodes", episodes, np.arange(len(lengths) + 1))
+            (root / f"meta/{name}.json").write_text(to_json(content) + "\n", encoding="utf-8")
         (root / SEAL).write_text(seal(root) + "\n", encoding="ascii")
     return info
 
@@ -182,36 +181,31 @@ def _episodes(
     whole: Mapping[str, Mapping[str, Any]],
     extra: Mapping[str, pa.Array],
 ) -> pa.Table:
-    """Table with one row for each episode; statistics of a single frame are its values."""
-    count = len(lengths)
-    number, ends = np.arange(count), np.cumsum(lengths)
-    file = number // EPISODES_PER_FILE
+    """Table with one row for each episode."""
+    count, ends = len(lengths), np.cumsum(lengths)
     columns: dict[str, Any] = {
-        "episode_index": number,
+        "episode_index": np.arange(count),
         "tasks": _lists(np.full((count, 1), task)),
         "length": lengths,
         "dataset_from_index": ends - lengths,
         "dataset_to_index": ends,
     }
     for what in ("data", "meta/episodes"):
-        columns[f"{what}/chunk_index"] = file // FILES_PER_CHUNK
-        columns[f"{what}/file_index"] = file % FILES_PER_CHUNK
+        columns |= {
+            f"{what}/{name}": np.zeros(count, int) for name in ("chunk_index", "file_index")
+        }
     for feature, values in frames.items():
-        for name, rows in _by_episode(values, lengths, whole[feature]).items():
+        for name, rows in _by_episode(values, count, whole[feature]).items():
             columns[f"stats/{feature}/{name}"] = _lists(rows)
     return pa.table(columns | dict(extra))
 
 
 def _by_episode(
-    values: NDArray[Any], lengths: NDArray[np.integer], whole: Mapping[str, Any]
+    values: NDArray[Any], count: int, whole: Mapping[str, Any]
 ) -> dict[str, NDArray[Any]]:
-    """Statistics [E, ...] of each episode's frames."""
-    if len(lengths) == 1:
+    """Statistics [E, ...] of the only episode, or of many of one frame, which are its values."""
+    if count == 1:
         return {name: np.array(found)[None] for name, found in whole.items()}
-    if (lengths != 1).any():
-        ends = np.cumsum(lengths)
-        parts = [statistics(values[e - n : e]) for e, n in zip(ends, lengths, strict=True)]
-        return {name: np.array([part[name] for part in parts]) for name in parts[0]}
     x = values.astype(float)
     found = {name: x for name in ("min", "max", "mean")} | {"std": np.zeros(x.shape)}
     found |= {"count": np.ones((len(x), 1), np.int64)}
@@ -231,17 +225,5 @@ def _column(values: NDArray[Any]) -> pa.Array:
     lists."""
     if values.ndim > 2:
         return _lists(values)
-    flat = pa.array(values.ravel())
-    return (
-        flat if values.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
-    )
-
-
-def _write(folder: Path, table: pa.Table, starts: NDArray[np.integer]) -> None:
-    """Write a table in several files; episode k has the rows `starts[k]` to `starts[k + 1]`."""
-    for number, first in enumerate(range(0, len(starts) - 1, EPISODES_PER_FILE)):
-        chunk, file = divmod(number, FILES_PER_CHUNK)
-        path = folder / _FILE.format(chunk_index=chunk, file_index=file)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        begin, end = starts[first], starts[min(first + EPISODES_PER_FILE, len(starts) - 1)]
-        write_parquet(table.slice(begin, end - begin), path)
+    flat, K = pa.array(values.ravel()), values.shape[1]
+    return flat if K == 1 else pa.FixedSizeListArray.from_arrays(flat, K)

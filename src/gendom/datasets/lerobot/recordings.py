@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from gendom.datasets.lerobot.format import (
     ABOUT,
     ACTION,
+    FILE,
     INFO,
     SEAL,
     STATE,
@@ -43,14 +44,13 @@ from gendom.errors import RecordingError
 from gendom.reading import check_unpacked, file_size, read_bytes, read_json
 
 POINTS, NUM_POINTS, TIME = "observation.points", "observation.num_points", "observation.time"
-_DATA = Path("data/chunk-000/file-000.parquet")
 
 
 def export_recording(recording: RecordingData, out: str | os.PathLike) -> dict[str, Any]:
     """Write a recording as a LeRobot data set of one episode.
 
     Args:
-        recording: RecordingData of T frames and G grippers.
+        recording: T frames and G grippers.
         out: Folder to create; it is written completely or not at all.
 
     Returns:
@@ -63,12 +63,17 @@ def export_recording(recording: RecordingData, out: str | os.PathLike) -> dict[s
     T, G = recording.gripper_position.shape[:2]
     padded = np.zeros((T, int(counts.max()), 3), np.float32)
     padded[np.arange(padded.shape[1]) < counts[:, None]] = recording.points
-    units = _state_units(recording)
-    state = [recording.gripper_position.reshape(T, -1)]
+
+    def named(what: str, unit: str) -> dict[str, str]:
+        """Names and units of three numbers for each gripper."""
+        return {f"gripper{g}.{what}.{axis}": unit for g in range(G) for axis in "xyz"}
+
+    places, closed = named("position", "m"), {f"gripper{g}.closed": "1" for g in range(G)}
+    state, units = [recording.gripper_position.reshape(T, -1)], places
     if recording.gripper_axis is not None:
-        state.append(recording.gripper_axis.reshape(T, -1))
+        state, units = [*state, recording.gripper_axis.reshape(T, -1)], units | named("axis", "1")
     if recording.gripper_closed is not None:
-        state.append(recording.gripper_closed.astype(float))
+        state, units = [*state, recording.gripper_closed.astype(float)], units | closed
     following = np.minimum(np.arange(T) + 1, T - 1)
     action = [recording.gripper_position[following].reshape(T, -1), recording.holds[following]]
     frames = {
@@ -78,38 +83,17 @@ def export_recording(recording: RecordingData, out: str | os.PathLike) -> dict[s
         TIME: recording.time[:, None],
         ACTION: np.concatenate(action, axis=1).astype(np.float32),
     }
-    moves = {**_named("position", G, "m"), **_closed(G)}
     steps = np.diff(recording.time)
     return write_lerobot(
         out,
         frames,
         np.array([T]),
-        task=_task(recording),
-        units={STATE: units, TIME: {"time": "s"}, ACTION: moves},
+        task=f"move a {recording.object.kind} that is held by: {recording.object.grasp}",
+        units={STATE: units, TIME: {"time": "s"}, ACTION: {**places, **closed}},
         about=recording.meta(),
         fps=max(1, round(1.0 / float(np.median(steps)))) if len(steps) else 1,
         of_all={POINTS: _of_points(recording.points, T, padded.shape[1])},
     )
-
-
-def _task(recording: RecordingData) -> str:
-    return f"move a {recording.object.kind} that is held by: {recording.object.grasp}"
-
-
-def _named(what: str, G: int, unit: str) -> dict[str, str]:
-    """Names and units of three numbers for each gripper."""
-    return {f"gripper{g}.{what}.{axis}": unit for g in range(G) for axis in "xyz"}
-
-
-def _closed(G: int) -> dict[str, str]:
-    return {f"gripper{g}.closed": "1" for g in range(G)}
-
-
-def _state_units(recording: RecordingData) -> dict[str, str]:
-    G = recording.num_grippers
-    units = _named("position", G, "m")
-    units |= {} if recording.gripper_axis is None else _named("axis", G, "1")
-    return units | ({} if recording.gripper_closed is None else _closed(G))
 
 
 def _of_points(points: NDArray[np.float32], T: int, P: int) -> dict[str, Any]:
@@ -161,7 +145,7 @@ def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], di
         raise fault(f"has {info.get('total_episodes')} episodes, not one")
     try:
         names = info["features"][STATE]["names"]
-        table = _read_table(folder / _DATA)
+        table = _read_table(folder / "data" / FILE)
         counts, state = table[NUM_POINTS].to_numpy(), np.array(table[STATE].to_pylist(), float)
         time, order = table[TIME].to_numpy(), table["frame_index"].to_numpy()
         flat = table[POINTS].combine_chunks().flatten().flatten().to_numpy(zero_copy_only=False)
