@@ -18,7 +18,7 @@ from gendom.datasets import Recording
 from gendom.errors import ParameterError
 from gendom.files import check_file, to_json, write_json
 from gendom.progress import bar
-from gendom.viz.sources import clouds_of, view_of
+from gendom.viz.sources import clouds_of
 
 if TYPE_CHECKING:
     from gendom.estimation import LiftScene, SceneSettings, Theta
@@ -105,7 +105,7 @@ class Command:
         if self.gif is not None:
             from gendom.viz import write_gif
 
-            write_gif(self.gif, clouds_of(scene, x, theta, whole), view=view_of(scene))
+            write_gif(self.gif, clouds_of(scene, x, theta, whole))
             tell_written(self.gif, json=self.json)
         return 0
 

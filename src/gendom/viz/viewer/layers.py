@@ -14,7 +14,7 @@ from gendom.arguments import require
 from gendom.sim import Body
 from gendom.tasks.cloth_spreading import lattice_triangles
 from gendom.viz.palette import INK, SIMULATED_COLOR
-from gendom.viz.report.summary import SHOWN_UNITS, with_minus
+from gendom.viz.quantities import SHOWN_UNITS, with_minus
 
 RING = 8
 """Points of a rod's skin around its centre line, see `gendom.sim.Body.surface`."""

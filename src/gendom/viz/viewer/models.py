@@ -19,7 +19,7 @@ from gendom.reading import record_of
 from gendom.tasks import Observed, Task, rebuild
 from gendom.tasks.world import Simulation
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_OPACITY
-from gendom.viz.report.summary import length_text, quantity_text
+from gendom.viz.quantities import length_text, quantity_text
 from gendom.viz.sources import goal_mark
 from gendom.viz.viewer.layers import (
     ACTION,
