@@ -18,7 +18,7 @@ from gendom.errors import GendomError, printable
 from gendom.files import atomic_path, check_file
 
 if TYPE_CHECKING:
-    from gendom.viz.viewer.layers import Model
+    from gendom.viz.viewer.scenes import Model
 
 _log = logging.getLogger(__name__)
 
