@@ -114,3 +114,22 @@ def content(**changes):
 def only(**parts):
     """A report of these parts alone."""
     return ReportContent(**{"title": "Plain", "summary": "", "command": "", **parts})
+
+
+def record_of(truth, recording, points, compared):
+    """The file of an estimate that found the true parameters of a recording."""
+    prior = prior_of(("E_over_rho",))
+    mean = np.log([truth.E_over_rho])
+    own = {
+        "theta": dict(truth), "compared": compared, "digest": recording.digest,
+        "begins_with": recording.begins_with, "calibration": {"registration": None},
+        "simulation": {"engine": "thin", "points": points, "cells_across": 1.5},
+    }  # fmt: skip
+    held, kind = recording.object, recording.object.kind
+    sizes = ("length", "diameter") if kind == "rope" else ("width", "height", "thickness")
+    return Estimate(
+        kind=kind,
+        known={**{name: getattr(held, name) for name in sizes}, "density": 800.0, "nu": truth.nu},
+        posterior=Posterior(prior=prior, mean=mean, covariance=np.eye(1), bases=(truth,)),
+        about={"recordings": [own]},
+    ).record

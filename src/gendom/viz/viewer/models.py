@@ -288,7 +288,7 @@ class DatasetModel(Model):
         if goal is not None:
             mark, size = goal_mark(goal, seen), size_of(item)
             # an upright line, or a dot: a line that ends where it begins is not drawn
-            thick, points = (0.006, mark[None]) if len(mark) == 2 else (0.015, mark)
+            thick, points = (0.006, mark[None]) if len(mark) == 2 else (0.008, mark)
             radius = thick * size
             layers.append(Layer(name="goal", color=GOAL_COLOR, points=[points], radius=radius))
         return tuple(layers)
