@@ -8,7 +8,7 @@ import pytest
 import tyro
 
 from gendom import cli
-from gendom.cli.demo import Command, next_steps
+from gendom.cli.demo import Command
 from gendom.cli.parsing import command_line
 
 
@@ -18,7 +18,7 @@ from gendom.cli.parsing import command_line
         Command(),
         Command(out=Path("a b"), goal=(0.3, 0.35), starts=1, seed=4),
         Command(task="rope-reaching", goal=(0.4,)),
-        Command(live=True, reality="rope-polyester", frame_rate=10.0),
+        Command(live=True, reality="rope-polyester", device="cuda"),
     ],
 )
 def test_the_reported_command_repeats_the_run(command):
@@ -31,15 +31,12 @@ def test_the_reported_command_repeats_the_run(command):
 @pytest.mark.parametrize("command", [Command(), Command(out=Path("a b"), task="rope-reaching")])
 def test_commands_to_try_next_are_commands(command):
     """Of the files that the demo writes; each as a user would type it."""
-    steps = next_steps(command.out, command.task, [0.3, 0.1])
-    names = [words[1] for words, _ in steps]
-    assert names == ["check", "estimate", "replay", "act", "demo"]
-    assert (
-        next_steps(command.out, command.task, None) == steps[:2]
-    )  # nothing that needs a usable estimate
+    steps = command.next_steps([0.3, 0.1])
+    assert [words.split()[1] for words, _ in steps] == ["check", "replay", "act", "demo"]
+    assert command.next_steps(None) == steps[:1]  # nothing that needs a usable estimate
     for words, _ in steps:
-        module = import_module(f"gendom.cli.{words[1]}")
-        said = shlex.split(shlex.join(map(str, words)))
+        said = shlex.split(words)
+        module = import_module(f"gendom.cli.{said[1]}")
         tyro.cli(module.Command, args=said[2:], config=(tyro.conf.FlagCreatePairsOff,))
 
 

@@ -8,8 +8,9 @@ import pytest
 from gendom import cli
 from gendom.cli.replay import replay_setup
 from gendom.errors import ParameterError
-from gendom.estimation import UNKNOWNS, EstimateSettings, Theta, estimate
+from gendom.estimation import UNKNOWNS, EstimateSettings, estimate
 from gendom.files import write_json
+from viz.made_up import record_of
 
 MATERIAL = [name for name, u in UNKNOWNS.items() if u.material]
 
@@ -73,19 +74,6 @@ def test_in_another_recording_the_material_is_taken(rope_lift, params):
     assert "found anew in this recording: grip height, grip along, delay, grip turn" in scene.notes
 
 
-def test_files_of_older_versions_are_read(lifted):
-    """They know the material alone, and were made by the MPM."""
-    older = {
-        "format": "gendom-estimate/1", "E_over_rho": 730.0, "nu": 0.33,
-        "friction": 0.5, "grip_offset": 0.004, "object": {"kind": "rope"},
-        "begins_with": lifted.begins_with, "simulation": {"cells_across": 1.5},
-    }  # fmt: skip
-    scene, theta = replay_setup(lifted, older, "here", "cpu", "thin")
-    material = (theta.E_over_rho, theta.nu, theta.friction, theta.damping)
-    assert material == (730.0, 0.33, 0.5, Theta(E_over_rho=1.0).damping)
-    assert scene.thin and theta.grip_height == pytest.approx(0.004, abs=0.0015)
-
-
 def test_the_estimate_s_engine_is_taken_or_another(lifted, params):
     assert replay_setup(lifted, params, "here", "cpu")[0].thin
     scene, _ = replay_setup(lifted, params, "here", "cpu", "mpm")
@@ -109,7 +97,9 @@ def test_what_is_not_usable_is_refused(files, params, tmp_path, capsys):
         ({"object": {"kind": "cloth"}}, "the parameters are of a cloth, the recording shows"),
         ({"object": None}, "cannot be used"),
         ({"theta": {"colour": 1.0}}, "cannot be used"),
-        (dict.fromkeys(("theta", "E_over_rho", "E", "posterior", "intervals")), "cannot be used"),
+        ({"recordings": []}, "is of no recording, or of an earlier version; run gendom estimate"),
+        ({"recordings": [{"theta": {}}]}, "cannot be used: KeyError 'simulation'"),
+        (dict.fromkeys(("theta", "posterior", "intervals")), "is of no recording, or of an"),
     ],
 )
 def test_what_is_no_estimate_is_refused(lifted, params, changes, words):
@@ -128,13 +118,9 @@ def test_a_cloth_lies_as_the_estimate_took_it_to_lie(cloth_lift):
     seen = cloth_lift.at_rest(8)
     aside = [x + np.array([0.0, 0.05 * (t > 4), 0.0]) for t, x in enumerate(seen.frames())]
     longer = cloth_lift.recording(aside)
-    params = {
-        "format": "gendom-estimate/1", "theta": dict(cloth_lift.truth), "compared": [0, 2, 4],
-        "object": {"kind": "cloth"}, "begins_with": longer.begins_with,
-        "simulation": {"engine": "thin", "points": 9},
-    }  # fmt: skip
+    params = record_of(cloth_lift.truth, longer, 9, [0, 2, 4])
     scene, theta = replay_setup(longer, params, "here", "cpu")
     alone, _ = replay_setup(longer.head(5), params, "here", "cpu")
-    assert theta == cloth_lift.truth
+    assert dict(theta) == pytest.approx(dict(cloth_lift.truth))
     assert len(scene.frames) == 8
     np.testing.assert_allclose(scene.inwards, alone.inwards, atol=1e-9)

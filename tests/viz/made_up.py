@@ -1,71 +1,76 @@
-"""Made-up parts of a report."""
+"""Made-up parts of a report: a lift, an estimate, actions and what they reached."""
 
 import io
 import math
+from dataclasses import replace
 
 import numpy as np
 from PIL import Image
 
-from gendom.viz import (
-    ActionSummary,
-    CloudSequence,
-    EstimateSummary,
-    LiftPictures,
-    PolicyRun,
-    Provenance,
-    ReachOutcome,
-    ReportContent,
-)
-from gendom.viz.report.action import WITH, WITHOUT
-
-POSTERIOR = {
-    "names": ["E_over_rho", "grip_height"],
-    "log": [True, False],
-    "mean": [math.log(1834.0), 0.001],
-    "covariance": [[0.0004, 0.0], [0.0, 1e-8]],
-    "prior_mean": [math.log(1000.0), 0.0],
-    "prior_sd": [3.0, 0.002],
-    "low": [math.log(500.0), -0.1],
-    "high": [math.log(50000.0), 0.1],
-}
-"""Of an estimate's file."""
+from gendom.materials.estimate import Estimate, Verdict
+from gendom.materials.posterior import Posterior, prior_of
+from gendom.viz import ActionSummary, CloudSequence, PolicyRun, ReachOutcome, ReportContent
+from gendom.viz.report.motion import WITH, WITHOUT
 
 
-def estimate(**changes):
-    history = [
-        {
-            "start": start,
-            "iteration": k,
-            "E": 1800.0 + 500.0 * 0.5**k,
-            "nu": 0.3,
-            "loss": 0.1 * 0.5**k + 0.001 * start,
-        }
-        for start in range(2)
-        for k in range(4)
-    ]
-    final = {"E": 1800.0, "nu": 0.3}
+def lift(frames=20, recorded=40, simulated=120):
+    """Arguments of a `CloudSequence` for a rope of 0.25 m, lifted by 5 mm a frame: a thin row of
+    points that one end pulls up from the table."""
+    rng = np.random.default_rng(0)
+
+    def cloud(t, count):
+        s = np.sort(rng.uniform(0.0, 1.0, count))
+        shape = np.stack([0.3 + 0.25 * s, 0.0 * s, 0.005 * t * (1.0 - s) ** 2], axis=1)
+        return shape + rng.normal(scale=0.002, size=shape.shape)
+
+    rise = 0.005 * np.arange(frames)
+    gripper = np.stack([np.full(frames, 0.3), np.zeros(frames), rise], axis=1)
     return {
-        "format": "gendom-estimate/1",
-        "E": 1834.0,
-        "nu": 0.312,
-        "density": 1.0,
-        "density_assumed": True,
-        "E_over_rho": 1834.0,
-        "bending_length": 0.113,
-        "intervals": {
-            "level": 0.95,
-            "E": [1790.0, 1902.0],
-            "nu": [0.211, 0.391],
-            "E_over_rho": [1790.0, 1902.0],
+        "recorded": [cloud(t, recorded) for t in range(frames)],
+        "simulated": [cloud(t, simulated) for t in range(frames)],
+        "times": 0.1 * np.arange(frames),
+        "table_height": -0.006,
+        "gripper": gripper[:, None],
+        "chamfer": np.linspace(0.002, 0.006, frames),
+    }
+
+
+HISTORY = [
+    {"start": start, "stage": "", "iteration": k, "E": 1800.0 + 500.0 * 0.5**k,
+     "loss": 0.1 * 0.5**k + 0.001 * start}
+    for start in range(2)
+    for k in range(4)
+]  # fmt: skip
+
+DISTANCES = [f"chamfer_{w}{of}" for w in ("mean", "last") for of in ("", "_surface", "_registered")]
+
+
+def estimate(*, reasons=(), mass=None, **about):
+    """Of a rope: E is determined, nu is not."""
+    prior = replace(
+        prior_of(("E_over_rho", "nu", "grip_height")),
+        low=np.array([math.log(500.0), 0.2, -0.1]),
+        high=np.array([math.log(50000.0), 0.45, 0.1]),
+    )
+    posterior = Posterior(
+        prior=prior,
+        mean=np.array([math.log(1834.0), 0.312, 0.001]),
+        covariance=np.diag([0.0004, 0.0025, 1e-8]),
+        bases=(),
+    )
+    known = {"length": 0.26, "diameter": 0.0123456789, "density": 1.0}
+    return Estimate(
+        kind="rope",
+        known=known if mass is None else {**known, "mass": mass},
+        posterior=posterior,
+        verdict=Verdict(usable=not reasons, reasons=tuple(reasons)),
+        level=0.95,
+        about={
+            **dict.fromkeys(DISTANCES, 0.0082), "rms": 0.00385042488550871, "rms_by_frame": [],
+            "method": "gauss-newton", "device": "cpu", "seed": 12345678, "iterations": 8,
+            "seconds": 51.45626372600009, "notes": [], "history": HISTORY, **about,
         },
-        "bounds": {"E": [500.0, 50000.0], "nu": [0.2, 0.4]},
-        "identifiable": {"E": True, "nu": False},
-        "chamfer_mean": 0.0082,
-        "method": "gauss-newton",
-        "object": {"kind": "rope", "length": 0.26, "mass": None},
-        "starts": [{"initial": final, "final": final, "loss": loss} for loss in (0.001, 0.002)],
-        "history": history,
-    } | changes
+    )  # fmt: skip
 
 
 def run(reached):
@@ -74,35 +79,57 @@ def run(reached):
     return PolicyRun(action=np.array([0.2, 0.5]), reached=reached, tip_path=path)
 
 
-def outcomes():
-    return [
-        ReachOutcome(
-            goal=np.array([goal]), runs={WITH: run([goal + 0.004]), WITHOUT: run([goal - 0.02])}
-        )
-        for goal in (0.3, 0.35, 0.4)
-    ]
+def outcome(goal, ours, without):
+    return ReachOutcome(goal=np.array(goal), runs={WITH: run(ours), WITHOUT: run(without)})
 
 
-def picture():
-    buffer = io.BytesIO()
-    Image.new("RGB", (64, 48), "grey").save(buffer, "JPEG")
-    return buffer.getvalue()
+def action(*outcomes, **changes):
+    """By default three goals; a goal is missed by 4 mm, without parameters by 20 mm."""
+    usual = [outcome([g], [g + 0.004], [g - 0.02]) for g in (0.3, 0.35, 0.4)]
+    motion = CloudSequence(**lift(3) | {"chamfer": None})
+    values = {"outcomes": outcomes or usual, "motion": motion, "goal_name": "farthest x of the tip"}
+    return ActionSummary(**values | {"action_names": ("x [m]", "z [m]")} | changes)
 
 
-def content(recorded_lift, **changes):
+def content(**changes):
+    """All parts of a report."""
+    picture = io.BytesIO()
+    Image.new("RGB", (64, 48), "grey").save(picture, "JPEG")
     parts = {
         "title": "A rope",
+        "summary": "One lift.",
+        "command": "gendom demo",
         "recording_source": "Made by a simulator.",
-        "cameras": picture(),
-        "lift": LiftPictures(clouds=CloudSequence(**recorded_lift)),
-        "estimate": EstimateSummary(
-            values=estimate(),
-            truth={"E": 1850.0, "nu": 0.35},
-        ),
-        "action": ActionSummary(outcomes=outcomes(), action_names=("x [m]", "z [m]")),
-        "provenance": Provenance(
-            commands=("gendom demo",), seeds={"all": 7}, stage_seconds={"estimate": 3.0}
-        ),
+        "cameras": picture.getvalue(),
+        "lift": CloudSequence(**lift()),
+        "estimate": estimate(),
+        "truth": {"E": 1850.0, "nu": 0.35},
+        "action": action(),
+        "stage_seconds": {"estimate": 3.0},
         "next_steps": [("gendom check a.npz", "Look at it.")],
     }
     return ReportContent(**parts | changes)
+
+
+def only(**parts):
+    """A report of these parts alone."""
+    return ReportContent(**{"title": "Plain", "summary": "", "command": "", **parts})
+
+
+def record_of(truth, recording, points, compared):
+    """The file of an estimate that found the true parameters of a recording."""
+    prior = prior_of(("E_over_rho",))
+    mean = np.log([truth.E_over_rho])
+    own = {
+        "theta": dict(truth), "compared": compared, "digest": recording.digest,
+        "begins_with": recording.begins_with, "calibration": {"registration": None},
+        "simulation": {"engine": "thin", "points": points, "cells_across": 1.5},
+    }  # fmt: skip
+    held, kind = recording.object, recording.object.kind
+    sizes = ("length", "diameter") if kind == "rope" else ("width", "height", "thickness")
+    return Estimate(
+        kind=kind,
+        known={**{name: getattr(held, name) for name in sizes}, "density": 800.0, "nu": truth.nu},
+        posterior=Posterior(prior=prior, mean=mean, covariance=np.eye(1), bases=(truth,)),
+        about={"recordings": [own]},
+    ).record

@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from gendom.viz import (
-    ActionSummary,
-    CloudSequence,
-    EstimateSummary,
-    LiftPictures,
-    write_report,
-)
+from gendom.viz import CloudSequence, write_report
 from viz import browser as headless
 from viz import made_up
 
@@ -34,34 +28,25 @@ def browser(started):
     assert started.logged == [] and started.requested == []
 
 
-@pytest.fixture
-def report(make_lift, tmp_path):
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
     """All that a report can hold."""
     arm = np.zeros((FRAMES, 2, 2, 3))
     arm[:, 0, 1] = arm[:, 1, 0] = [0.1, 0.0, 0.4]
-    arm[:, 1, 1] = make_lift(FRAMES)["gripper"][:, 0]
+    arm[:, 1, 1] = made_up.lift(FRAMES)["gripper"][:, 0]
     held = {"arm": arm, "arm_radius": np.array([0.05, 0.03])}
-    lift = CloudSequence(**make_lift(FRAMES), **held)
     motion = CloudSequence(
-        **make_lift(FRAMES) | {"chamfer": None},
+        **made_up.lift(FRAMES) | {"chamfer": None},
         **held,
         goal=np.array([[0.5, 0.0, 0.1]]),
         labels=("carried out", "predicted"),
     )
-    values = made_up.estimate(
-        posterior=made_up.POSTERIOR,
-        rms_by_frame=[0.002] * FRAMES,
-        verdict={"usable": True, "reasons": []},
-    )
     content = made_up.content(
-        make_lift(FRAMES),
-        lift=LiftPictures(clouds=lift),
-        estimate=EstimateSummary(values=values, truth={"E": 1850.0, "nu": 0.35}),
-        action=ActionSummary(
-            outcomes=made_up.outcomes(), action_names=("x [m]", "z [m]"), motion=motion
-        ),
+        lift=CloudSequence(**made_up.lift(FRAMES), **held),
+        estimate=made_up.estimate(rms_by_frame=[0.002] * FRAMES),
+        action=made_up.action(motion=motion),
     )
-    path = tmp_path / "report.html"
+    path = tmp_path_factory.mktemp("report") / "report.html"
     write_report(path, content)
     return path
 

@@ -1,6 +1,6 @@
 """The viewer without a recording: what it shows, when it simulates, its server and its files."""
 
-import math
+import contextlib
 import socket
 import threading
 import time
@@ -10,16 +10,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import GendomError
-from gendom.viz.viewer.layers import (
-    MATERIAL,
-    MeshLayer,
-    Model,
-    Parameter,
-    PointLayer,
-    ViewerScene,
-    capsules,
-    tube_faces,
-)
+from gendom.viz.viewer.scenes import MATERIAL, Layer, Model, Parameter, ViewerScene, tube_faces
 from viz import browser as headless
 
 ARROW = {"key": "ArrowRight", "code": "ArrowRight", "windowsVirtualKeyCode": 39}
@@ -27,23 +18,23 @@ ARROW = {"key": "ArrowRight", "code": "ArrowRight", "windowsVirtualKeyCode": 39}
 
 TIMES = np.array([0.0, 0.1, 0.3, 0.6])
 
+STICK = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]])
 
-def square(height=0.0, **other):
+
+def square(height=0.0):
     """Two triangles that rise from a height on [m]."""
     corners = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.4, 0.2, 0.0], [0.0, 0.2, 0.0]])
     rise = (height + 0.1 * TIMES)[:, None, None] * [0.0, 0.0, 1.0]
     faces = np.array([[0, 1, 2], [0, 2, 3]])
-    values = {"name": "simulated", "color": "#E69F00", "vertices": corners + rise, "faces": faces}
-    return MeshLayer(**{**values, **other})
+    return Layer(name="simulated", color="#E69F00", points=list(corners + rise), faces=faces)
 
 
-def cloud(**other):
+def cloud():
     """Points around the square, and a stray one."""
     rng = np.random.default_rng(0)
     points = [rng.uniform(size=(500, 3)) * [0.4, 0.2, 0.1] for _ in TIMES]
     points[0][0] = [9.0, 9.0, 9.0]
-    values = {"name": "recorded", "color": "#0072B2", "points": points, "radius": 0.002}
-    return PointLayer(**{**values, **other})
+    return Layer(name="recorded", color="#0072B2", points=points, radius=0.002)
 
 
 class Square(Model):
@@ -55,7 +46,7 @@ class Square(Model):
     initial: ViewerScene = ViewerScene(times=TIMES, layers=(cloud(),), table_height=0.0)
 
     def __init__(self, seconds=0.0):
-        self.seconds = seconds
+        self.seconds, self.fault = seconds, None
         self.simulated = []
         self.asked = []
 
@@ -75,6 +66,8 @@ class Square(Model):
 
     def simulate(self, case, values, go_on):
         self.asked.append(case)
+        if self.fault:
+            raise self.fault
         if values["height"] > 0.09:
             raise GendomError("is too high", where="height")
         until = time.monotonic() + self.seconds
@@ -82,10 +75,11 @@ class Square(Model):
             go_on()
             time.sleep(0.005)
         self.simulated.append(values)
-        layers = (cloud(), square(values["height"]))
+        stick = Layer(name="stick", color="#000000", points=[STICK], radius=0.003)
+        layers = (cloud(), square(values["height"]), stick)
         shown = {"times": TIMES, "layers": layers, "table_height": 0.0}
         yield ViewerScene(**shown)
-        yield ViewerScene(**shown, curves={"height [mm]": 1e3 * values["height"] + TIMES})
+        yield ViewerScene(**shown, chamfer=values["height"] + 1e-3 * TIMES)
 
 
 # ---- scenes --------------------------------------------------------------------------------------
@@ -107,12 +101,6 @@ def test_a_scene_without_points_has_no_box():
         _ = ViewerScene(times=TIMES, layers=()).box
 
 
-def volume(vertices, faces):
-    """Of what triangles enclose [m^3]; positive where they are counter-clockwise from outside."""
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    return float(np.sum(a * np.cross(b, c))) / 6.0
-
-
 def test_tubes_are_closed():
     """Every edge belongs to two triangles, in opposite directions."""
     faces = tube_faces(5, 8)
@@ -121,110 +109,40 @@ def test_tubes_are_closed():
     assert {(b, a) for a, b in edges} == set(map(tuple, edges))
 
 
-@pytest.mark.parametrize("length", [0.0, 0.3])
-def test_capsules_have_their_volume(length):
-    """pi r^2 (l + 4 r / 3), less what a polygon of twelve sides lacks."""
-    radius, along = 0.05, np.array([0.6, 0.0, 0.8])
-    start = np.array([0.1, 0.2, 0.3])
-    ends = np.array([[start, start + length * along], [start, start]])[None]
-    vertices, faces = capsules(ends, [radius, 0.01])
-    one = faces[: len(faces) // 2]
-    whole = math.pi * radius**2 * (length + 4.0 * radius / 3.0)
-    assert 0.9 * whole < volume(vertices[0] - start, one) < whole
-    s = np.clip((vertices[0, : one.max() + 1] - start) @ along, 0.0, length)
-    away = np.linalg.norm(vertices[0, : one.max() + 1] - start - s[:, None] * along, axis=1)
-    np.testing.assert_allclose(away, radius, rtol=1e-6)
-
-
 def test_logarithmic_parameters_have_logarithmic_sliders():
-    _, E = Square().parameters(0)
+    """They begin at a round number, and mean what they began with there."""
+    height, E = Square().parameters(1)
     assert E.position(100.0) == pytest.approx(2.0) and E.at(2.0) == pytest.approx(100.0)
-    assert Square().parameters(1)[0].text(0.02) == "20 mm"
+    assert E.range == (0.0, 4.0, 0.01) and E.start == pytest.approx(2.09) and E.at(E.start) == 123.0
+    assert [text for _, text in E.marks or ()] == ["1", "10", "100", "1000", "10000"]
+    assert height.text(0.02) == "height 20 mm" and height.range[:2] == (0.0, 0.1)
 
 
 # ---- simulating again ----------------------------------------------------------------------------
 
 
 @pytest.fixture
-def run():
-    """A `Resimulation` of a model, and what came of it."""
-    pytest.importorskip("viser", reason="needs viser (the extra viz)")
-    from gendom.viz.viewer.server import Resimulation
-
-    began = []
-
-    def begin(model):
-        scenes, faults = [], []
-        made = Resimulation(
-            model,
-            on_begin=lambda: None,
-            on_scene=lambda scene, _: scenes.append(scene),
-            on_fault=faults.append,
-        )
-        began.append(made)
-        return made, scenes, faults
-
-    yield begin
-    for made in began:
-        made.close()
-
-
-def test_the_last_wish_wins(run):
-    """Those in between are never simulated."""
-    model = Square(seconds=0.1)
-    made, scenes, _ = run(model)
-    for height in (0.01, 0.02, 0.03, 0.04):
-        made.ask(0, {"height": height})
-    assert made.wait(10.0)
-    assert model.simulated[-1] == {"height": 0.04} and len(model.simulated) <= 2
-    assert scenes[-1].curves["height [mm]"][0] == pytest.approx(40.0)
-
-
-def test_a_long_simulation_is_given_up_for_a_newer_wish(run):
-    model = Square(seconds=30.0)
-    made, _, faults = run(model)
-    made.ask(0, {"height": 0.01})
-    time.sleep(0.05)
-    model.seconds = 0.0
-    made.ask(0, {"height": 0.02})
-    assert made.wait(6.0)
-    assert model.simulated == [{"height": 0.02}] and faults == []
-
-
-def test_faults_are_told_and_the_next_wish_is_served(run, caplog):
-    model = Square()
-    made, scenes, faults = run(model)
-    made.ask(0, {"height": 0.095})
-    assert made.wait(5.0)
-    made.ask(0, {})  # a fault of the program
-    assert made.wait(5.0)
-    assert faults == ["height: is too high", "internal error: KeyError: 'height'"]
-    made.ask(0, {"height": 0.0})
-    assert made.wait(5.0) and len(scenes) == 2
-
-
-def test_closing_does_not_wait_for_a_simulation(run):
-    made, _, _ = run(Square(seconds=30.0))
-    made.ask(0, {"height": 0.01})
-    assert not made.wait(0.2)
-    began = time.monotonic()
-    made.close()
-    assert time.monotonic() - began < 2.0
-
-
-# ---- in a browser --------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def viewer():
-    """Of the square, on any port."""
+def show():
+    """Makes viewers of models, on any port."""
     pytest.importorskip("viser", reason="needs viser (the extra viz)")
     from gendom.viz.viewer.server import Viewer
 
-    made = Viewer(Square(), port=0)
+    with contextlib.ExitStack() as made:
+
+        def make(model):
+            viewer = Viewer(model, port=0)
+            made.callback(viewer.close)
+            return viewer
+
+        yield make
+
+
+@pytest.fixture
+def viewer(show):
+    """Of the square."""
+    made = show(Square())
     assert made.wait(10.0)
-    yield made
-    made.close()
+    return made
 
 
 def move(viewer, name, value):
@@ -232,44 +150,73 @@ def move(viewer, name, value):
     viewer._sliders[name].value = viewer._parameters[name].position(value)
 
 
-def test_a_slider_simulates_again(viewer):
-    assert viewer._scene.curves["height [mm]"][0] == 0.0
-    move(viewer, "height", 0.05)
+def test_the_last_wish_wins(viewer):
+    """Those in between are never simulated."""
+    model = viewer._model
+    model.seconds = 0.1
+    for height in (0.01, 0.02, 0.03, 0.04):
+        move(viewer, "height", height)
     assert viewer.wait(10.0)
-    assert viewer._scene.curves["height [mm]"][0] == pytest.approx(50.0)
+    assert model.simulated[-1]["height"] == pytest.approx(0.04) and len(model.simulated) <= 3
+    assert viewer._scene.chamfer[0] == pytest.approx(0.04)
+
+
+def test_a_long_simulation_is_given_up_for_a_newer_wish(viewer):
+    model = viewer._model
+    model.seconds = 30.0
+    move(viewer, "height", 0.01)
+    time.sleep(0.05)
+    model.seconds = 0.0
+    move(viewer, "height", 0.02)
+    assert viewer.wait(6.0)
+    assert model.simulated[1:] == [{"height": 0.02, "E": 123.0}]
     assert viewer._status_text.startswith("simulated in ")
 
 
-def test_the_chart_stays_until_there_is_another(viewer):
-    """Nothing jumps while a slider is dragged."""
-    scene = ViewerScene(times=TIMES, layers=(cloud(), square(0.01)), table_height=0.0)
-    viewer._take(scene, 0.01)
-    assert viewer._chart_folder.visible and "height [mm]</td><td>…" in viewer._readout.content
+def test_faults_are_told_and_the_next_wish_is_served(viewer, caplog):
+    """The last scene stays."""
+    before = viewer._scene
+    move(viewer, "height", 0.095)
+    assert viewer.wait(5.0)
+    assert viewer._status_text == "height: is too high" and viewer._scene is before
+    viewer._model.fault = KeyError("height")  # of the program
+    move(viewer, "height", 0.01)
+    assert viewer.wait(5.0)
+    assert viewer._status_text == "internal error: KeyError: 'height'"
+    viewer._model.fault = None
+    move(viewer, "height", 0.0)
+    assert viewer.wait(5.0) and viewer._status_text.startswith("simulated in ")
 
 
-def test_a_parameter_that_nobody_moved_keeps_all_its_digits(viewer):
-    """Its slider stands at a round number."""
+def test_closing_does_not_wait_for_a_simulation(show):
+    viewer = show(Square(seconds=30.0))
+    assert not viewer.wait(0.2)
+    began = time.monotonic()
+    viewer.close()
+    assert time.monotonic() - began < 2.0
+
+
+def test_a_slider_simulates_again(viewer):
+    assert viewer._scene.chamfer[0] == 0.0
     move(viewer, "height", 0.05)
     assert viewer.wait(10.0)
-    assert viewer._model.simulated[-1]["E"] == 123.0
-    move(viewer, "E", 1000.0)
-    assert viewer.wait(10.0)
-    assert viewer._model.simulated[-1]["E"] == pytest.approx(1000.0)
-
-
-def test_what_cannot_be_simulated_is_told_and_the_last_scene_stays(viewer):
-    before = viewer._scene
-    move(viewer, "height", 0.1)
-    assert viewer.wait(10.0)
-    assert viewer._status_text == "height: is too high" and viewer._scene is before
+    assert viewer._scene.chamfer[0] == pytest.approx(0.05)
+    # nothing jumps while a slider is dragged
+    viewer._take(ViewerScene(times=TIMES, layers=(cloud(), square(0.01))), 0.01)
+    assert viewer._chart_folder.visible
+    assert "Chamfer distance [mm]</td><td>…" in viewer._readout.content
 
 
 def test_another_case_has_its_own_parameters(viewer):
+    """What nobody moved keeps all its digits."""
     move(viewer, "height", 0.05)
     viewer.set_case(2)
     assert viewer.wait(10.0)
     assert viewer._model.simulated[-1] == {"height": 0.04, "E": 123.0}
     assert viewer._model.asked[-1] == 2
+    move(viewer, "E", 1000.0)
+    assert viewer.wait(10.0)
+    assert viewer._model.simulated[-1]["E"] == pytest.approx(1000.0)
 
 
 def test_playing_goes_on_until_it_is_stopped(viewer):
@@ -294,7 +241,8 @@ def test_only_this_machine_reaches_it(viewer):
     assert viewer._server.request_share_url() is None
 
 
-def test_a_taken_port_makes_room_for_the_next(viewer):
+def test_a_taken_port_makes_room_for_the_next(viewer, capfd):
+    """And nothing is printed; no thread stays."""
     from gendom.viz.viewer.server import Viewer
 
     second = Viewer(Square(), port=viewer.port)
@@ -302,16 +250,9 @@ def test_a_taken_port_makes_room_for_the_next(viewer):
     assert second.port > viewer.port
     with pytest.raises(GendomError, match="port: is 70000"):
         Viewer(Square(), port=70000)
-
-
-def test_nothing_is_printed(capfd):
-    pytest.importorskip("viser", reason="needs viser (the extra viz)")
-    from gendom.viz.viewer.server import Viewer
-
-    made = Viewer(Square(), port=0)
-    made.close()
+    viewer.close()
     assert capfd.readouterr().out == ""
-    assert not [t for t in threading.enumerate() if t.name.startswith(("player", "resimulation"))]
+    assert not [t for t in threading.enumerate() if t.name.startswith(("player", "simulation"))]
 
 
 @pytest.fixture(scope="module")
@@ -334,12 +275,12 @@ def until(browser, expression, seconds=60.0):
     return value
 
 
-@pytest.mark.parametrize("width", [pytest.param(390, marks=pytest.mark.slow), 1280])
+@pytest.mark.parametrize("width", [pytest.param(390, marks=pytest.mark.slow), 900])
 def test_the_page_shows_and_obeys(viewer, browser, width, capfd):
     """It is drawn without errors, asks for nothing from elsewhere, and its sliders act."""
-    browser.open(viewer.url + "/", width=width)
+    browser.open(viewer.url + "/", width=width, height=500)  # drawn in software
     text = "document.body.textContent"
-    for said in ("a square", "It is flat.", "height [mm]", "recorded", "Reset parameters"):
+    for said in ("a square", "It is flat.", "Chamfer", "recorded", "Reset parameters"):
         until(browser, f"{text}.includes({said!r})")
     until(browser, "document.querySelector('canvas') !== null")
     assert browser.evaluate("document.documentElement.scrollWidth") <= width
@@ -372,7 +313,7 @@ def test_a_page_plays_by_itself(browser, tmp_path):
 
     path = tmp_path / "square.html"
     path.write_text(encode_html(Square()), encoding="utf-8")
-    browser.open(path, width=800)
+    browser.open(path, width=500, height=400)
     until(browser, "document.querySelector('canvas') !== null")
     assert browser.errors == []
     assert [a for a in browser.requested if not a.startswith(("file:", "blob:"))] == []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import shlex
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -16,29 +15,49 @@ import numpy as np
 
 from gendom.arguments import require
 from gendom.cli.arguments import iterations_shown
-from gendom.cli.estimate import NOT_USABLE, NOT_USABLE_SUMMARY, estimate_text
+from gendom.cli.estimate import (
+    NAME,
+    NOT_USABLE,
+    NOT_USABLE_SUMMARY,
+    estimate_text,
+    next_steps,
+    shell,
+)
+from gendom.cli.outputs import check_places
 from gendom.cli.parsing import command_line
 from gendom.datasets import Recording
 from gendom.errors import ParameterError, printable
-from gendom.files import check_folder, to_json, write_json
+from gendom.files import to_json, write_json
 
 if TYPE_CHECKING:
     from gendom.estimation import FittedEstimate
     from gendom.policies import Policy
     from gendom.reality import RealRope
-    from gendom.viz import ActionSummary, CloudSequence, PolicyRun, ReachOutcome
+    from gendom.viz import ActionSummary, CloudSequence, ReachOutcome
 
 RECORDING, VIEWS = "demo-rope-lift.npz", "demo-rope-lift.jpg"
 """The demo's recording in the package's assets, and what its cameras saw halfway: made by
-`gendom demo --live --reality rope-cotton --frame-rate 15 --seed 0`."""
+`gendom demo --live --reality rope-cotton --seed 0`."""
 
 SHIPPED = "rope-cotton"
 """The object that was recorded."""
 
+FRAME_RATE = 15.0
+"""Frames a second of a lift that is recorded now."""
+
 GOALS = 3
 """Default number of goals."""
 
-ACTS = ", and an action that reaches its goal"
+TASKS = ("rope-casting", "rope-reaching")
+
+SUMMARY = (
+    "GenDOM watched one lift of this object and found the elasticity with which its simulator "
+    "repeats that lift. "
+    "One policy, trained beforehand in simulation on many objects, takes this elasticity as an "
+    "input and so needs no training on this one. "
+    "This page shows how well the simulated lift matches the recorded one, how sure the estimate "
+    "is, and what the policy's action reached."
+)
 
 CAMERAS_NOTE = (
     "Halfway up. Depth has the noise of a stereo camera, lost and mixed pixels at edges, and an "
@@ -66,8 +85,6 @@ class Command:
     so it needs OpenGL (EGL or OSMesa; a screen is not needed)."""
     reality: str = SHIPPED
     """With --live: rope-cotton, rope-polyester or rope-polyethylene."""
-    frame_rate: float = 15.0
-    """With --live: frames a second."""
     task: Literal["rope-casting", "rope-reaching"] = "rope-casting"
     """What the arm does with the rope (docs/tasks.md)."""
     goal: tuple[float, ...] = ()
@@ -84,69 +101,66 @@ class Command:
 
     def run(self) -> int:
         from gendom.sim import open_device
-        from gendom.viz import (
-            EstimateSummary,
-            LiftPictures,
-            Provenance,
-            ReportContent,
-            write_report,
-        )
-        from gendom.viz.report.content import SUMMARY
+        from gendom.viz import ReportContent, write_report
         from gendom.viz.sources import arm_of_lift, clouds_of
 
-        check_folder(self.out)
+        check_places((self.out, ""))
         open_device(self.device)
         seconds: dict[str, float] = {}
         rope, policies, goals = self._rope_and_goals()
         recording, views = self._recording(rope, seconds)
         print(f"a recorded lift: {recording.num_frames} frames of {recording.source}\n", flush=True)
         found = self._estimate(recording, seconds)
-        material = rope.material
+        material, E_over_rho = rope.material, rope.material.E / rope.material.density
         truth = {
-            "E": material.E,
-            "nu": material.nu,
-            "density": material.density,
-            "damping": material.damping,
+            **{n: getattr(material, n) for n in ("E", "nu", "density", "damping")},
             "friction": rope.friction,
-            "E_over_rho": material.E / material.density,
+            "E_over_rho": E_over_rho,
         }
         print(f"true values      E {material.E:.4g} Pa, nu {material.nu:.3f}\n", flush=True)
         # Kept whatever becomes of the actions: a goal may turn out to be beyond this rope's reach.
-        write_json(self.out / "estimate.json", found.record)
+        write_json(self.out / NAME, found.record)
         recording.write(self.out / "recording.npz")
-        assert found.scene is not None and found.positions is not None
-        clouds = clouds_of(found.scene, found.positions, found.theta, found.chamfer)
-        action = None
+        clouds = clouds_of(found.scene, found.positions, found.fits[0].theta, found.chamfer)
+        action, scene = None, "Recorded in the MuJoCo test scene (the second reality). "
+        scene += (
+            f"{recording.notes} This scene has other equations than the simulator that estimates. "
+            "A simulated arm moves the rope, and two simulated depth cameras see it."
+        )
         if found.usable:
             action = self._act(rope, policies, goals, found, clouds, seconds)
+            scene += " The actions below are carried out in the same scene."
         for reason in found.verdict.reasons:
             _log.error("not usable: %s", reason)
+        acts = ", and an action that reaches its goal" if action else ""
         content = ReportContent(
-            title=f"GenDOM: one lift of an unknown rope{ACTS if action else ''}",
+            title=f"GenDOM: one lift of an unknown rope{acts}",
             summary=SUMMARY if found.usable else NOT_USABLE_SUMMARY,
-            recording_source=_source(recording, acts=action is not None),
+            command=command_line("demo", self, without=("json",)),
+            recording_source=scene,
             cameras=views,
             cameras_note=CAMERAS_NOTE,
-            lift=LiftPictures(clouds=arm_of_lift(clouds, rope)),
-            estimate=EstimateSummary(values=found.record, truth=truth),
+            lift=arm_of_lift(clouds, rope),
+            estimate=found,
+            truth=truth,
             action=action,
-            provenance=Provenance(
-                commands=[command_line("demo", self, without=("json",))],
-                device=self.device,
-                seeds={"estimate": self.seed},
-                stage_seconds=seconds,
-                warnings=found.record["notes"],
-            ),
-            next_steps=[
-                (shlex.join(map(str, words)), purpose)
-                for words, purpose in next_steps(
-                    self.out, self.task, action.outcomes[0].goal.tolist() if action else None
-                )
-            ],
+            stage_seconds=seconds,
+            next_steps=self.next_steps(action.outcomes[0].goal.tolist() if action else None),
         )
         write_report(self.out / "report.html", content)
         print(f"report: {printable(self.out / 'report.html')}")
         return 0 if found.usable else NOT_USABLE
+
+    def next_steps(self, goal: Sequence[float] | None) -> list[tuple[str, str]]:
+        """Commands that go on from the demo's files, and what each does; without a goal there is no
+        usable estimate."""
+        recording, estimate = self.out / "recording.npz", self.out / NAME
+        if goal is None:
+            return next_steps(recording)
+        (other,) = set(TASKS) - {self.task}
+        words = ["gendom", "demo", "--task", other, "--out", f"{self.out}-{other}"]
+        again = shell(words), "Run the demo with the other task."
+        return [*next_steps(recording, estimate, [self.task, "--goal", *goal]), again]
 
     def _rope_and_goals(self) -> tuple[RealRope, tuple[Policy, ...], np.ndarray]:
         """The rope, the policies with and without parameters, and goals [K, G], which are drawn
@@ -183,7 +197,7 @@ class Command:
 
         with _timed(seconds, "record and perceive"):
             recording, seen = record_and_perceive(
-                rope, self.out / "lift", frame_rate=self.frame_rate, seed=self.seed
+                rope, self.out / "lift", frame_rate=FRAME_RATE, seed=self.seed
             )
             views = encode_camera_views(seen)
             (self.out / "lift" / "views.jpg").write_bytes(views)
@@ -209,27 +223,24 @@ class Command:
         seconds: dict[str, float],
     ) -> ActionSummary:
         """Let the arm act for each goal, say what it reached, and write it."""
-        from gendom.cli.demo_actions import VARIANTS, carry_out, predicted
+        from gendom.cli.demo_actions import carry_out, predicted
         from gendom.policies.belief import believed
         from gendom.viz import ActionSummary, write_gif
 
         task = policies[0].task()
         with _timed(seconds, "act and carry out"):
             belief = believed(found, task)
-            outcomes, shown = carry_out(rope, policies, goals, belief, self.seed)
+            outcomes, *seen = carry_out(rope, policies, goals, belief, self.seed)
         with _timed(seconds, "predict the motion"):
-            motion = predicted(task, shown, belief.item, self.device)
-        entries: list[dict[str, Any]] = []
+            motion = predicted(task, outcomes[-1], *seen, belief.item, self.device)
         for outcome in outcomes:
-            runs = outcome.runs
-            ours, *_ = runs.values()
+            ours, *_ = outcome.runs.values()
             named = zip(task.actions, ours.action, strict=True)
             action = ", ".join(f"{q.name} {value:.3f} {q.unit}" for q, value in named)
             print(f"goal {_place(outcome.goal)} m: {action}, reached {_place(ours.reached)} m")
-            off = (f"{name} {1e3 * outcome.error(run):.1f} mm" for name, run in runs.items())
+            off = (f"{name} {1e3 * outcome.error(name):.1f} mm" for name in outcome.runs)
             print(f"  off by: {', '.join(off)}")
-            entry = {key: _entry(outcome, runs[name]) for key, name in VARIANTS.items()}
-            entries.append({"goal": outcome.goal.tolist(), **entry})
+        entries = [_entry(outcome) for outcome in outcomes]
         actions = {"format": "gendom-demo/2", "task": task.name, "outcomes": entries}
         with _timed(seconds, "film"):
             write_gif(self.out / "lift.gif", clouds)
@@ -243,48 +254,6 @@ class Command:
             goal_name=", ".join(f"{q.name} {q.meaning}" for q in task.goals),
             action_names=[f"{q.name.replace('_', ' ')} [{q.unit}]" for q in task.actions],
         )
-
-
-def _source(recording: Recording, *, acts: bool) -> str:
-    """Where the recording comes from."""
-    text = (
-        f"Recorded in the MuJoCo test scene (the second reality). {recording.notes} This scene has "
-        "other equations than the simulator that estimates. A simulated arm moves the rope, and "
-        "two simulated depth cameras see it."
-    )
-    return text + " The actions below are carried out in the same scene." * acts
-
-
-def next_steps(out: Path, task: str, goal: Sequence[float] | None) -> list[tuple[list[Any], str]]:
-    """Commands that go on from the demo's files, and what each does; without a goal there is no
-    usable estimate."""
-    recording, estimate = out / "recording.npz", out / "estimate.json"
-    other = "rope-reaching" if task == "rope-casting" else "rope-casting"
-    steps: list[tuple[list[Any], str]] = [
-        (["gendom", "check", recording], "See what the recording holds."),
-        (
-            ["gendom", "estimate", recording, "--frames", "last", "--out", out / "last",
-             "--report", out / "last" / "report.html"],
-            "Estimate from the last frame alone, with a report of its own.",
-        ),
-    ]  # fmt: skip
-    if goal is None:
-        return steps
-    return [
-        *steps,
-        (
-            ["gendom", "replay", recording, "--params", estimate, "--gif", out / "replay.gif"],
-            "Simulate the recorded lift, every frame of it, with the estimate.",
-        ),
-        (
-            ["gendom", "act", task, "--goal", *goal, "--params", estimate],
-            "Get an action for a goal, the robot's motion, and what will be reached.",
-        ),
-        (
-            ["gendom", "demo", "--task", other, "--out", f"{out}-{other}"],
-            "Run the demo with the other task.",
-        ),
-    ]
 
 
 def _given_goals(numbers: Sequence[float], policy: Policy, rope: RealRope) -> np.ndarray:
@@ -308,10 +277,19 @@ def _place(numbers: np.ndarray) -> str:
     return text if len(numbers) == 1 else f"({text})"
 
 
-def _entry(outcome: ReachOutcome, run: PolicyRun) -> dict[str, Any]:
-    """One way of acting in actions.json."""
-    reached = {"action": run.action.tolist(), "reached": run.reached.tolist()}
-    return {**reached, "error": outcome.error(run)}
+def _entry(outcome: ReachOutcome) -> dict[str, Any]:
+    """One goal in actions.json."""
+    from gendom.cli.demo_actions import VARIANTS
+
+    runs = {key: (name, outcome.runs[name]) for key, name in VARIANTS.items()}
+    return {"goal": outcome.goal.tolist()} | {
+        key: {
+            "action": run.action.tolist(),
+            "reached": run.reached.tolist(),
+            "error": outcome.error(name),
+        }
+        for key, (name, run) in runs.items()
+    }
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,10 +14,11 @@ from gendom.policies.adaptation import Execution, adapt
 from gendom.policies.polishing import Discrepancy, polish
 from gendom.progress import each
 from gendom.reality import RealRope, RealWorld, observe
+from gendom.reality.trials import TrialRun
 from gendom.tasks import Observed, Task
 from gendom.tasks.world import Simulation
 from gendom.viz import CloudSequence, PolicyRun, ReachOutcome
-from gendom.viz.report.action import WITH, WITHOUT
+from gendom.viz.report.motion import WITH, WITHOUT
 from gendom.viz.sources import arm_poses, goal_mark
 
 VARIANTS = {
@@ -42,36 +42,16 @@ _FINER = 4
 """Reached places are looked for this much finer in time than the motion is shown."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Executed:
-    """A motion as the arm did it, in the task's frame."""
-
-    action: np.ndarray
-    """[A]."""
-    times: np.ndarray
-    """[T] on the task's clock [s]."""
-    shapes: list[np.ndarray]
-    """T clouds [n, 3] of the rope [m]."""
-    hand: np.ndarray
-    """[T, 3] [m]."""
-    arm: tuple[np.ndarray, np.ndarray] | None
-    """[T, C, 2, 3] ends of the arm's capsules and [C] radii [m]; None: a free hand."""
-    goal: np.ndarray
-    """[K, 3] as a `CloudSequence` has it [m]."""
-    table: float
-    """z of the table [m]."""
-
-
 def carry_out(
     rope: RealRope, policies: Sequence[Policy], goals: np.ndarray, belief: Estimate, seed: int
-) -> tuple[list[ReachOutcome], Executed]:
-    """What each of `VARIANTS` reached for each goal, done by the arm; and the policy's last motion.
+) -> tuple[list[ReachOutcome], TrialRun, Observed]:
+    """What each of `VARIANTS` reached for each goal, done by the arm; and the last motion of the
+    policy with parameters.
 
     Besides the policies' actions one is polished through the simulator for what is believed of
     the rope, and once more for what is known after that execution.
     """
-    task = policies[0].task()
-    outcomes, shown = [], None
+    task, outcomes = policies[0].task(), []
     for goal in each(goals, "the arm acts", "goal"):
 
         def polished(
@@ -84,40 +64,28 @@ def carry_out(
             return polish(task, goal, items, start, discrepancy=discrepancy).action
 
         ours, without = (np.array(p.act(goal, belief.item).values) for p in policies)
-        run, shown = _execute(rope, task, ours, goal)
-        runs = [run, _execute(rope, task, without, goal)[0]]
+        first, trial, seen = _execute(rope, task, ours)
+        runs = [first, _execute(rope, task, without)[0]]
         action = polished(ours, belief)
-        runs.append(_execute(rope, task, action, goal)[0])
+        runs.append(_execute(rope, task, action)[0])
         learnt = adapt(task, belief, [Execution(action=action, reached=runs[-1].reached)])
         action = polished(action, learnt.belief, learnt.discrepancy)
-        runs.append(_execute(rope, task, action, goal)[0])
+        runs.append(_execute(rope, task, action)[0])
         named = dict(zip(VARIANTS.values(), runs, strict=True))
         outcomes.append(ReachOutcome(goal=goal, runs=named))
-    assert shown is not None
-    return outcomes, shown
+    return outcomes, trial, seen
 
 
 def _execute(
-    rope: RealRope, task: Task, action: np.ndarray, goal: np.ndarray
-) -> tuple[PolicyRun, Executed]:
+    rope: RealRope, task: Task, action: np.ndarray
+) -> tuple[PolicyRun, TrialRun, Observed]:
     """One action, done by the arm."""
-    trial_run = RealWorld().begin(task, rope, action)
-    seen = observe(task, trial_run, MOTION_RATE * _FINER)
+    trial = RealWorld().begin(task, rope, action)
+    seen = observe(task, trial, MOTION_RATE * _FINER)
     values = task.outcome(rope, seen)
     reached = np.array([values[q.name] for q in task.goals])
-    tip = seen.tip[_free(seen) :]
-    run = PolicyRun(action=action, reached=reached, tip_path=tip)
-    shown = np.arange(0, len(seen.times), _FINER)
-    clock = trial_run.closes + shown / (MOTION_RATE * _FINER)
-    return run, Executed(
-        action=action,
-        times=seen.times[shown],
-        shapes=[_filled(x) for x in seen.points[shown]],
-        hand=seen.hand[shown],
-        arm=arm_poses(trial_run, clock, task.T_world_task(rope)),
-        goal=goal_mark(goal, seen),
-        table=-float(task.T_world_task(rope)[2, 3]),
-    )
+    run = PolicyRun(action=action, reached=reached, tip_path=seen.tip[_free(seen) :])
+    return run, trial, seen
 
 
 def _free(seen: Observed) -> int:
@@ -135,23 +103,39 @@ def _filled(vertices: np.ndarray, points: int = 150) -> np.ndarray:
     return np.stack([np.interp(at, knots, vertices[:, axis]) for axis in range(3)], axis=1)
 
 
-def predicted(task: Task, executed: Executed, known: Item, device: str) -> CloudSequence:
-    """The executed motion, and beside it what our simulator makes of the same action."""
+def predicted(
+    task: Task, last: ReachOutcome, trial: TrialRun, seen: Observed, known: Item, device: str
+) -> CloudSequence:
+    """A motion as the arm did it, in the task's frame, and beside it what our simulator makes of
+    the same action.
+
+    Args:
+        task: What was done.
+        last: The goal, and the action.
+        trial: The motion.
+        seen: What was seen of it.
+        known: The object as it is estimated.
+        device: That simulates.
+    """
     world = Simulation(device=device, everything=True)
-    outcome = world.carry_out(task, [known], [executed.action], keep=True)[0]
+    outcome = world.carry_out(task, [known], [last.runs[WITH].action], keep=True)[0]
     if outcome.seen is None:
         raise GendomError(outcome.fault or "the simulation failed", where="demo")
     late = outcome.seen.times
-    frames = np.flatnonzero((executed.times >= late[0]) & (executed.times <= late[-1]))
-    nearest = [int(np.argmin(np.abs(late - executed.times[k]))) for k in frames]
+    frames = np.arange(0, len(seen.times), _FINER)
+    frames = frames[(seen.times[frames] >= late[0]) & (seen.times[frames] <= late[-1])]
+    nearest = [int(np.argmin(np.abs(late - seen.times[k]))) for k in frames]
+    T = task.T_world_task(trial.trial.item)
+    clock = trial.closes + frames / (MOTION_RATE * _FINER)
+    arm, radius = arm_poses(trial, clock, T) or (None, None)
     return CloudSequence(
-        recorded=[executed.shapes[k] for k in frames],
+        recorded=[_filled(x) for x in seen.points[frames]],
         simulated=[_filled(outcome.seen.points[k]) for k in nearest],
-        times=executed.times[frames] - executed.times[frames[0]],
-        table_height=executed.table,
-        gripper=executed.hand[frames],
+        times=seen.times[frames] - seen.times[frames[0]],
+        table_height=-float(T[2, 3]),
+        gripper=seen.hand[frames],
         labels=("carried out", "predicted"),
-        arm=None if executed.arm is None else executed.arm[0][frames],
-        arm_radius=None if executed.arm is None else executed.arm[1],
-        goal=executed.goal,
+        arm=arm,
+        arm_radius=radius,
+        goal=goal_mark(last.goal, seen),
     )

@@ -11,16 +11,20 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from gendom.arguments import require
 from gendom.cli.arguments import MethodName, iterations_shown, settings_of
-from gendom.cli.outputs import tell_written
+from gendom.cli.outputs import check_places, tell_written, write_result
 from gendom.cli.parsing import command_line
 from gendom.datasets import Recording
-from gendom.errors import ParameterError, RecordingError, SimulationError, printable
-from gendom.files import check_file, check_folder, to_json, write_json
+from gendom.errors import RecordingError, SimulationError, printable
+from gendom.files import to_json
+from gendom.materials.estimate_file import FORMAT
 
 if TYPE_CHECKING:
-    from gendom.estimation import EstimateSettings, FittedEstimate
-    from gendom.viz import Provenance
+    from gendom.estimation import FittedEstimate
+
+NAME = "estimate.json"
+"""Of an estimate's file."""
 
 NOT_USABLE = 3
 """Exit code where a recording cannot be used."""
@@ -103,164 +107,122 @@ class Command:
     """cpu, cuda or cuda:0 and so on."""
 
     def run(self) -> int:
-        from gendom.estimation import estimate
+        from gendom.estimation import EstimateSettings, SceneSettings, estimate
         from gendom.sim import open_device
 
-        if self.points is not None and self.points > MOST_POINTS:
-            fix = f"give {MOST_POINTS} or fewer: 20 to 60 are usual"
-            raise ParameterError(f"is {self.points}", where="--points", fix=fix)
-        settings = self.settings()
-        self._check_recordings()
-        self._check_places()
+        fix = f"give {MOST_POINTS} or fewer: 20 to 60 are usual"
+        few = self.points is None or self.points <= MOST_POINTS
+        require(few, f"is {self.points}", where="--points", fix=fix)
+        scene = settings_of(SceneSettings, self)
+        settings = settings_of(EstimateSettings, self, scene=scene)
+        places = [path.resolve() for path in self.recordings]
+        for k, path in enumerate(self.recordings):  # it would count more than once
+            once = places[k] not in places[:k]
+            require(once, "is given twice", where=str(path), fix="name each recording once")
+        check_places((self.out, ""), (self.report, ".html"))
         open_device(self.device)
         recordings = [Recording.read(path) for path in self.recordings]
         names = tuple(map(str, self.recordings)) if len(recordings) > 1 else ()
+        found, reasons = None, []
         try:
             with iterations_shown() as show:
                 found = estimate(recordings, settings, names=names, on_progress=show)
         except (RecordingError, SimulationError) as error:
-            return self._refused(str(error).splitlines())
-        print(to_json(found.record) if self.json else estimate_text(found))
-        for reason in found.verdict.reasons:
-            _log.error("not usable: %s", reason)
-        if self.out is not None:
-            self._written(self.out / "estimate.json", found.record)
-        if self.report is not None:
-            self._write_report(found)
-        return 0 if found.usable else NOT_USABLE
-
-    def settings(self) -> EstimateSettings:
-        """The flags as the estimator takes them."""
-        from gendom.estimation import EstimateSettings, SceneSettings
-
-        scene = settings_of(SceneSettings, self)
-        return settings_of(EstimateSettings, self, scene=scene)
-
-    def _check_recordings(self) -> None:
-        """Refuse a recording that would count more than once."""
-        seen: set[Path] = set()
-        for path in self.recordings:
-            if path.resolve() in seen:
-                fix = "name each recording once"
-                raise ParameterError("is given twice", where=str(path), fix=fix)
-            seen.add(path.resolve())
-
-    def _check_places(self) -> None:
-        """Refuse what cannot be written before the work, not after it."""
-        if self.out is not None:
-            check_folder(self.out)
-        if self.report is not None:
-            check_file(self.report, ".html")
-
-    def _refused(self, reasons: list[str]) -> int:
-        """Print and write why a recording gives no estimate."""
-        from gendom.materials.estimate_file import FORMAT
-
-        record = {"format": FORMAT, "verdict": {"usable": False, "reasons": reasons}}
+            reasons = str(error).splitlines()
+        if found is None:
+            record = {"format": FORMAT, "verdict": {"usable": False, "reasons": reasons}}
+        else:
+            record, reasons = found.record, found.verdict.reasons
         if self.json:
             print(to_json(record))
+        elif found is not None:
+            print(estimate_text(found))
         for reason in reasons:
             _log.error("not usable: %s", reason)
-        if self.out is not None:
-            self._written(self.out / "estimate.json", record)
+        write_result(None if self.out is None else self.out / NAME, record, json=self.json)
         if self.report is not None:
-            self._write_refusal(reasons)
-        return NOT_USABLE
-
-    def _written(self, path: Path, record: dict) -> None:
-        write_json(path, record)
-        tell_written(path, json=self.json)
-
-    def _write_report(self, found: FittedEstimate) -> None:
-        from gendom.viz import EstimateSummary, LiftPictures, ReportContent, write_report
-        from gendom.viz.sources import clouds_of, view_of
-
-        assert self.report is not None
-        record, first = found.record, found.fits[0]
-        recording = first.scene.recording
-        note = "" if len(found.fits) == 1 else f"The first of {len(found.fits)}: {first.name}."
-        write_report(
-            self.report,
-            ReportContent(
-                title=f"GenDOM: the parameters of a {first.scene.kind}",
-                summary=REPORT_SUMMARY if found.usable else NOT_USABLE_SUMMARY,
-                recording_source=_sentences(self._named, recording.source, recording.notes),
-                lift=LiftPictures(
-                    clouds=clouds_of(first.scene, first.positions, first.theta, first.chamfer),
-                    view=view_of(first.scene),
-                    note=note,
-                ),
-                estimate=EstimateSummary(values=found.record),
-                provenance=self._provenance(record["stage_seconds"], record["notes"]),
-                next_steps=self._next_steps(found),
-            ),
-        )
-        tell_written(self.report, json=self.json)
-
-    def _write_refusal(self, reasons: list[str]) -> None:
-        from gendom.viz import ReportContent, write_report
-
-        assert self.report is not None
-        write_report(
-            self.report,
-            ReportContent(
-                title="GenDOM: a recording that cannot be used",
-                summary="Nothing was estimated from this recording, for the reasons above.",
-                recording_source=_sentences(self._named),
-                refused=reasons,
-                provenance=self._provenance({}, []),
-                next_steps=self._next_steps(None),
-            ),
-        )
-        tell_written(self.report, json=self.json)
-
-    def _provenance(self, seconds: dict[str, float], warnings: list[str]) -> Provenance:
-        from gendom.viz import Provenance
-
-        return Provenance(
-            commands=[self._command_line()],
-            device=self.device,
-            seeds={"estimate": self.seed},
-            stage_seconds=seconds,
-            warnings=warnings,
-        )
-
-    def _next_steps(self, found: FittedEstimate | None) -> list[tuple[str, str]]:
-        """Commands to run next on the written files."""
-        words = ["gendom", "check", self.recordings[0]]
-        steps = [(_shell(words), "See what the recording holds.")]
-        if found is None or self.report is None:
-            return steps
-        if self.out is None:
-            words = [*shlex.split(self._command_line()), "--out", self.report.parent]
-            purpose = "Write the estimate to a file, which other commands take."
-            return [*steps, (_shell(words), purpose)]
-        params = ["--params", self.out / "estimate.json"]
-        words = ["gendom", "replay", self.recordings[0], *params, "--gif", self.out / "replay.gif"]
-        words += [] if found.usable else ["--force"]
-        purpose = "Simulate the recorded motion, every frame of it, with the estimate."
-        steps.append((_shell(words), purpose))
-        if found.usable:
-            words = ["gendom", "act", *_task_and_goal(found), *params, "--force"]
-            purpose = (
-                "Get an action for this object, and the robot's motion; --force allows objects and "
-                "goals beyond what the policy was trained on, with a warning."
-            )
-            steps.append((_shell(words), purpose))
-        return steps
+            self._write_report(self.report, found, reasons)
+        return 0 if found is not None and found.usable else NOT_USABLE
 
     @property
     def recordings(self) -> tuple[Path, ...]:
         """All of them."""
         return self.recording, *self.more
 
-    @property
-    def _named(self) -> str:
-        return ", ".join(path.name for path in self.recordings)
+    def _write_report(
+        self, place: Path, found: FittedEstimate | None, reasons: Sequence[str]
+    ) -> None:
+        """Of an estimate, or of why there is none."""
+        from gendom.viz import ReportContent, write_report
+        from gendom.viz.sources import clouds_of
 
-    def _command_line(self) -> str:
-        """The words that give the same estimate again."""
-        return command_line("estimate", self, without=("out", "report", "json"))
+        command = command_line("estimate", self, without=("out", "report", "json"))
+        named = ", ".join(path.name for path in self.recordings)
+        if found is None:
+            content = ReportContent(
+                title="GenDOM: a recording that cannot be used",
+                summary="Nothing was estimated from this recording, for the reasons above.",
+                command=command,
+                recording_source=_sentences(named),
+                refused=reasons,
+                next_steps=next_steps(self.recording),
+            )
+        else:
+            first, several = found.fits[0], len(found.fits)
+            recording = first.scene.recording
+            content = ReportContent(
+                title=f"GenDOM: the parameters of a {found.kind}",
+                summary=REPORT_SUMMARY if found.usable else NOT_USABLE_SUMMARY,
+                command=command,
+                recording_source=_sentences(named, recording.source, recording.notes),
+                lift=clouds_of(first.scene, first.positions, first.theta, first.chamfer),
+                lift_note=f"The first of {several}: {first.name}." if several > 1 else "",
+                estimate=found,
+                stage_seconds=found.record["stage_seconds"],
+                next_steps=self._next_steps(found, command, place),
+            )
+        write_report(place, content)
+        tell_written(place, json=self.json)
+
+    def _next_steps(
+        self, found: FittedEstimate, command: str, report: Path
+    ) -> list[tuple[str, str]]:
+        if self.out is None:
+            words = [*shlex.split(command), "--out", report.parent]
+            again = shell(words), "Write the estimate to a file, which other commands take."
+            return [*next_steps(self.recording), again]
+        act = [*_task_and_goal(found), "--force"] if found.usable else None
+        return next_steps(self.recording, self.out / NAME, act)
+
+
+def shell(words: Sequence[object]) -> str:
+    """Words as they are typed."""
+    return shlex.join(map(str, words))
+
+
+def next_steps(
+    recording: Path, estimate: Path | None = None, act: Sequence[object] | None = None
+) -> list[tuple[str, str]]:
+    """Commands to run next, and what each does.
+
+    Args:
+        recording: What was estimated from.
+        estimate: The estimate's file, if there is one.
+        act: A task and its goal, if the estimate is usable.
+    """
+    steps = [(["gendom", "check", recording], "See what the recording holds.")]
+    if estimate is not None:
+        params = ["--params", estimate]
+        words = ["gendom", "replay", recording, *params, "--gif", estimate.parent / "replay.gif"]
+        words += ["--force"] if act is None else []
+        purpose = "Simulate the recorded motion, every frame of it, with the estimate."
+        steps.append((words, purpose))
+        if act is not None:
+            purpose = "Get an action for this object, the robot's motion, and what will be reached"
+            forced = "; --force allows objects and goals beyond what the policy was trained on"
+            purpose += forced * ("--force" in act) + "."
+            steps.append((["gendom", "act", *act, *params], purpose))
+    return [(shell(words), purpose) for words, purpose in steps]
 
 
 def _sentences(*texts: str) -> str:
@@ -278,10 +240,6 @@ def _task_and_goal(found: FittedEstimate) -> list[str]:
     return ["rope-casting", "--goal", *(f"{end:.3f}" for end in ends.mean(axis=1))]
 
 
-def _shell(words: Sequence[str | Path]) -> str:
-    return shlex.join(map(str, words))
-
-
 def estimate_text(found: FittedEstimate) -> str:
     """An estimate for people."""
     record = found.record
@@ -294,28 +252,21 @@ def estimate_text(found: FittedEstimate) -> str:
             alone, ends = own["alone"]["E_over_rho"], own["alone"]["interval"]
             said = f"E / density {alone:.4g} m^2/s^2, in [{ends[0]:.4g}, {ends[1]:.4g}]"
             rows.append(("by itself", said))
-        rows += [
-            (
-                "distance",
-                f"of the clouds from the best fit {1e3 * own['rms']:.1f} mm (root mean square)",
-            ),
+        of_fit = {n: v for n, v in own.items() if n == "rms" or n.startswith("chamfer_")}
+        mm = {name: f"{1e3 * value:.1f}" for name, value in of_fit.items()}
+        said = f"of the clouds from the best fit {mm['rms']} mm (root mean square)"
+        rows.append(("distance", said))
+        rows.append(
             (
                 "Chamfer",
-                f"last frame {1e3 * own['chamfer_last']:.1f} mm, mean "
-                f"{1e3 * own['chamfer_mean']:.1f} mm; seen surface "
-                f"{1e3 * own['chamfer_last_surface']:.1f} and "
-                f"{1e3 * own['chamfer_mean_surface']:.1f} mm; with the cameras' motion "
-                f"{1e3 * own['chamfer_last_registered']:.1f} and "
-                f"{1e3 * own['chamfer_mean_registered']:.1f} mm",
-            ),
-        ]
-    rows += [
-        (
-            "search",
-            f"{record['method']}, {record['iterations']} iterations, {record['seconds']:.1f} s, "
-            f"seed {record['seed']}, {record['device']}"
-            + (", interrupted: best so far" if record["interrupted"] else ""),
-        ),
-    ]
+                f"last frame {mm['chamfer_last']} mm, mean {mm['chamfer_mean']} mm; seen surface "
+                f"{mm['chamfer_last_surface']} and {mm['chamfer_mean_surface']} mm; with the "
+                f"cameras' motion {mm['chamfer_last_registered']} and "
+                f"{mm['chamfer_mean_registered']} mm",
+            )
+        )
+    how = f"{record['method']}, {record['iterations']} iterations, {record['seconds']:.1f} s"
+    how += f", seed {record['seed']}, {record['device']}"
+    rows.append(("search", how + ", interrupted: best so far" * record["interrupted"]))
     lines = [f"{name:<16} {text}" for name, text in rows]
     return "\n".join(lines + [f"note: {note}" for note in record["notes"]])

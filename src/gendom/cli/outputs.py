@@ -1,4 +1,4 @@
-"""Messages about written files, and tables of text."""
+"""Results for people or as JSON, places for files, and tables of text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 from gendom.datasets import Fault
 from gendom.errors import printable
-from gendom.files import to_json
+from gendom.files import check_file, check_folder, to_json, write_json
 
 
 class _Lines(io.TextIOBase):
@@ -35,9 +35,28 @@ def escaped() -> Iterator[None]:
         yield
 
 
-def tell_written(path: Path, *, json: bool) -> None:
+def check_places(*places: tuple[Path | None, str]) -> None:
+    """Refuse what cannot be written before the work, not after it.
+
+    Args:
+        places: Paths, None where nothing is written, each with the ending of its name; no ending
+            where it is a folder.
+    """
+    for path, ending in places:
+        if path is not None:
+            check_file(path, ending) if ending else check_folder(path)
+
+
+def tell_written(path: Path, *, json: bool = False) -> None:
     """Name a file that was written: on stdout, or on stderr where stdout holds JSON."""
     print(f"written: {printable(path)}", file=sys.stderr if json else sys.stdout)
+
+
+def write_result(path: Path | None, record: Any, *, json: bool) -> None:
+    """Write a JSON file and name it, if one is wanted."""
+    if path is not None:
+        write_json(path, record)
+        tell_written(path, json=json)
 
 
 def fault_entry(fault: Fault) -> dict[str, str]:

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from gendom.arguments import check_numbers, require
 from gendom.cli.arguments import iterations_shown
-from gendom.cli.outputs import tell_written
+from gendom.cli.outputs import check_places, tell_written, write_result
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
-from gendom.files import check_file, to_json, write_json
+from gendom.files import to_json
 from gendom.progress import bar
-from gendom.viz.sources import clouds_of, view_of
+from gendom.viz.sources import clouds_of
 
 if TYPE_CHECKING:
-    from gendom.estimation import LiftScene, SceneSettings, Theta
+    from gendom.estimation import LiftScene, Theta
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,56 +58,46 @@ class Command:
         from gendom.materials.estimate_file import read_record
         from gendom.sim import open_device
 
-        if self.out is not None:
-            check_file(self.out, ".json")
-        if self.gif is not None:
-            check_file(self.gif, ".gif")
+        check_places((self.out, ".json"), (self.gif, ".gif"))
         open_device(self.device)
         recording = Recording.read(self.recording)
-        scene, theta = replay_setup(
-            recording,
-            read_record(self.params, even_unusable=self.force),
-            str(self.params),
-            self.device,
-            self.engine,
-        )
+        params = read_record(self.params, even_unusable=self.force)
+        scene, theta = replay_setup(recording, params, str(self.params), self.device, self.engine)
         frames = list(scene.frames)
         with bar("replaying", len(frames), "frame", even=True) as show:
             x = replay(scene, [theta], on_frame=show)[:, 0]
-        whole, surface = chamfers(scene, x, theta)
         record: dict[str, Any] = {
             "format": "gendom-replay/1",
             "recording": str(self.recording),
             "frame": frames,
             "time": recording.time[frames].tolist(),
-            "chamfer": whole.tolist(),
-            "chamfer_last": float(whole[-1]),
-            "chamfer_mean": float(whole.mean()),
-            "chamfer_surface": surface.tolist(),
-            "chamfer_last_surface": float(surface[-1]),
-            "chamfer_mean_surface": float(surface.mean()),
             "clock": scene.clock,
             "notes": list(scene.notes),
         }
-        if self.json:
-            print(to_json(record))
-        else:
-            print(
-                f"Chamfer distance: mean {1e3 * whole.mean():.1f} mm, last frame "
-                f"{1e3 * whole[-1]:.1f} mm (seen surface: {1e3 * surface.mean():.1f} and "
-                f"{1e3 * surface[-1]:.1f} mm)"
-            )
-            for note in scene.notes:
-                print(f"note: {note}")
-        if self.out is not None:
-            write_json(self.out, record)
-            tell_written(self.out, json=self.json)
+        whole, surface = chamfers(scene, x, theta)
+        for name, distance in (("", whole), ("_surface", surface)):
+            record[f"chamfer{name}"] = distance.tolist()
+            record[f"chamfer_last{name}"] = float(distance[-1])
+            record[f"chamfer_mean{name}"] = float(distance.mean())
+        print(to_json(record) if self.json else _text(record))
+        write_result(self.out, record, json=self.json)
         if self.gif is not None:
             from gendom.viz import write_gif
 
-            write_gif(self.gif, clouds_of(scene, x, theta, whole), view=view_of(scene))
+            write_gif(self.gif, clouds_of(scene, x, theta, whole))
             tell_written(self.gif, json=self.json)
         return 0
+
+
+def _text(record: Mapping[str, Any]) -> str:
+    """For people."""
+    names = [f"chamfer_{of}{part}" for of in ("mean", "last") for part in ("", "_surface")]
+    mm = {name: f"{1e3 * record[name]:.1f}" for name in names}
+    lines = [
+        f"Chamfer distance: mean {mm['chamfer_mean']} mm, last frame {mm['chamfer_last']} mm (seen "
+        f"surface: {mm['chamfer_mean_surface']} and {mm['chamfer_last_surface']} mm)"
+    ]
+    return "\n".join([*lines, *(f"note: {note}" for note in record["notes"])])
 
 
 def replay_setup(
@@ -124,93 +114,65 @@ def replay_setup(
 
     Args:
         recording: What is replayed.
-        params: An estimate's JSON, perhaps of an older version.
+        params: An estimate's JSON.
         where: Its file, for error messages.
         device: That simulates.
         engine: None: that of the estimate.
 
     Raises:
-        ParameterError: The parameters are no estimate, or of another kind of object.
+        ParameterError: The parameters cannot be used, or are of the other kind of object.
         RecordingError: The recording shows too little to place the object.
         SimulationError: None of the parameters that are estimated again can be simulated.
     """
-    from gendom.estimation import LiftScene
+    from gendom.estimation import Estimate, LiftScene, SceneSettings
 
+    found = Estimate.from_dict(params, where)
+    shown = recording.object.kind
+    what = f"the parameters are of a {found.kind}, the recording shows a {shown}"
+    fix = "estimate from a recording of the same object"
+    require(found.kind == shown, what, where=where, fix=fix)
+    every = params.get("recordings")
+    what, fix = "is of no recording, or of an earlier version", "run gendom estimate again"
+    require(every and found.posterior.bases, what, where=where, fix=fix)
+    own = of_recording(params, recording)
     try:
-        own = of_recording(params, recording)
-        same = own is not None and "theta" in own
-        own = own or params
-        theta = _theta(params, own)
-        settings = _settings(own, device, engine)
-        kind = params["object"]["kind"]
-        fitted = 1 + max(0, *own["compared"]) if same else recording.num_frames
-        registration = (own.get("calibration") or {}).get("registration") if same else None
+        made = (own or every[0])["simulation"]
+        points = made["points"] if engine in (None, made["engine"]) else None
+        settings = SceneSettings(
+            engine=engine or made["engine"],
+            points=points,  # another engine has its own number
+            cells_across=made["cells_across"],
+            device=device,
+        )
+        # the object lies as it was taken to lie from the frames that were fitted
+        fitted = recording.num_frames if own is None else 1 + max(own["compared"])
+        theta = found.theta.with_values({} if own is None else own["theta"])
+        registration = None if own is None else own["calibration"]["registration"]
     except (KeyError, TypeError, ValueError) as error:
         raise ParameterError(
-            f"cannot be used: {type(error).__name__} {error}",
-            where=where,
-            fix="give a file that gendom estimate --out wrote",
+            f"cannot be used: {type(error).__name__} {error}", where=where, fix=fix
         ) from None
-    shown = recording.object.kind
-    what = f"the parameters are of a {kind}, the recording shows a {shown}"
-    fix = "estimate from a recording of the same object"
-    require(kind == shown, what, where=where, fix=fix)
-    # the object lies as it was taken to lie from the frames that were fitted
     first = recording.head(min(fitted, recording.num_frames))
     said: tuple[str, ...] = ()
-    if not same:
+    if own is None:
         theta, said, registration = _found_anew(LiftScene.of(first, settings), theta)
     if registration is not None:
         registration = check_numbers("calibration.registration", registration, (4, 4))
         recording = recording.moved(registration)
     scene = LiftScene.of(first, settings, registration)
-    notes = scene.notes + said
-    return of_all_frames(replace(scene, notes=notes), recording), theta
+    return of_all_frames(replace(scene, notes=scene.notes + said), recording), theta
 
 
 def of_recording(params: Mapping[str, Any], recording: Recording) -> Mapping[str, Any] | None:
     """What an estimate says of a recording alone; None where it is of others."""
-    # files of older versions are of one
-    for own in params.get("recordings", [params]):
-        if own.get("begins_with") == recording.begins_with:
-            return own
-    return None
+    own = (r for r in params.get("recordings", ()) if r.get("begins_with") == recording.begins_with)
+    return next(own, None)
 
 
 def of_all_frames(scene: LiftScene, recording: Recording) -> LiftScene:
     """A scene with every frame of its recording, or of a longer one of the same motion."""
     every = tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
     return replace(scene, recording=recording, frames=every)
-
-
-def _theta(params: Mapping[str, Any], own: Mapping[str, Any]) -> Theta:
-    """An estimate's material, and how one of its recordings was held and when."""
-    from gendom.estimation import UNKNOWNS, Estimate, Theta
-
-    found = Estimate.from_dict(params)
-    if found.posterior.bases:
-        return found.theta.with_values(own.get("theta") or {})
-    values = params.get("theta")
-    if values is None:  # files of earlier versions
-        numbers = {n: found.value(n) for n, u in UNKNOWNS.items() if u.material}
-        values = {n: v for n, v in numbers.items() if v is not None and n != "thickness"}
-    values = {**values, **(own.get("theta") or {})}
-    return Theta(**{name: float(value) for name, value in values.items()})
-
-
-def _settings(params: Mapping[str, Any], device: str, engine: str | None) -> SceneSettings:
-    """As the estimate was made; another engine has its own number of points."""
-    from gendom.estimation import SceneSettings
-
-    made = params.get("simulation") or {}
-    used = str(made.get("engine", "mpm"))  # what older versions had
-    points = made.get("points")
-    return SceneSettings(
-        engine=engine or used,
-        points=int(points) if points is not None and engine in (None, used) else None,
-        cells_across=float(made.get("cells_across", 1.5)),
-        device=device,
-    )
 
 
 def _found_anew(

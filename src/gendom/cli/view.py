@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from gendom.arguments import require
-from gendom.cli.outputs import tell_written
+from gendom.cli.outputs import check_places, tell_written
 from gendom.datasets import Recording
 from gendom.datasets.recording import is_recording
 from gendom.errors import GendomError, printable
-from gendom.files import atomic_path, check_file
+from gendom.files import atomic_path
 
 if TYPE_CHECKING:
-    from gendom.viz.viewer.layers import Model
+    from gendom.viz.viewer.scenes import Model
 
 _log = logging.getLogger(__name__)
 
@@ -50,8 +50,7 @@ class Command:
     """Take parameters whose verdict is not usable, too."""
 
     def run(self) -> int:
-        if self.html is not None:
-            check_file(self.html, ".html")
+        check_places((self.html, ".html"))
         from gendom.viz.viewer.server import Viewer, encode_html  # viser: missing shows at once
 
         model = self._model()
@@ -66,7 +65,7 @@ class Command:
             page = encode_html(model, self.demonstration)
             with atomic_path(self.html) as temporary:
                 temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
-            tell_written(self.html, json=False)
+            tell_written(self.html)
             return 0
         viewer = Viewer(model, case=self.demonstration, port=self.port)
         try:
@@ -103,49 +102,32 @@ class Command:
 
 
 def find_recording(params: Mapping[str, Any], where: Path) -> Path:
-    """The recording of an estimate: a file or folder beside it, or one folder above.
-
-    It is identified by `Recording.digest`. Estimates of older versions do not state that; their
-    recording begins with the same points and has all compared frames.
+    """The recording of an estimate, by its `Recording.digest`: a file or folder beside it, or one
+    folder above.
 
     Args:
         params: The estimate's JSON.
         where: Its file.
 
     Raises:
-        GendomError: It is not there, or several files of an older version's estimate fit.
+        GendomError: It is not there.
     """
     from gendom.cli.replay import of_recording
 
-    folder = where.absolute().parent
-    fix = f"name it: gendom view RECORDING --params {where}"
-    # files of older versions are of one recording
-    stated = params.get("recordings", [params])
-    fits: dict[str, Path] = {}
-    other: list[Path] = []
+    folder, similar = where.absolute().parent, ""
     for path in [*_recordings_in(folder), *_recordings_in(folder.parent)]:
         try:
             recording = Recording.read(path, on_warning=lambda _: None)
         except GendomError:  # another kind of file
             continue
-        digest = recording.digest
-        if any(own.get("digest") == digest for own in stated):
+        if any(own.get("digest") == recording.digest for own in params.get("recordings", ())):
             return path
-        if (own := of_recording(params, recording)) is None:
-            continue
-        if "digest" in own or 1 + max(own.get("compared", [0])) > recording.num_frames:
-            other.append(path)
-        else:
-            fits.setdefault(digest, path)
-    several = f"may be of any of {', '.join(map(str, fits.values()))}"
-    require(len(fits) <= 1, several, where=str(where), fix=fix, error=GendomError)
-    if fits:
-        return next(iter(fits.values()))
-    similar = f"; {other[0]} begins like it, but is cut or changed" if other else ""
+        if not similar and of_recording(params, recording) is not None:
+            similar = f"; {path} begins like it, but is cut or changed"
     raise GendomError(
         f"its recording is neither beside it nor in the folder above{similar}",
         where=str(where),
-        fix=fix,
+        fix=f"name it: gendom view RECORDING --params {where}",
     )
 
 

@@ -1,23 +1,18 @@
 """Pictures of lifts and of what followed from them: images, animations, one HTML report.
 
-Takes plain arrays and dictionaries, so it needs neither estimation nor policies.
+Takes plain arrays and an `Estimate`, so it needs neither estimation nor policies.
 """
 
 from gendom.viz.animation import write_gif
 from gendom.viz.clouds import CloudSequence
 from gendom.viz.palette import encode_camera_views
-from gendom.viz.report.action import ActionSummary, PolicyRun, ReachOutcome
-from gendom.viz.report.content import Provenance, ReportContent, write_report
-from gendom.viz.report.lift import LiftPictures
-from gendom.viz.report.summary import EstimateSummary
+from gendom.viz.report.content import ReportContent, write_report
+from gendom.viz.report.motion import ActionSummary, PolicyRun, ReachOutcome
 
 __all__ = [
     "ActionSummary",
     "CloudSequence",
-    "EstimateSummary",
-    "LiftPictures",
     "PolicyRun",
-    "Provenance",
     "ReachOutcome",
     "ReportContent",
     "encode_camera_views",

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from gendom.files import atomic_path
-from gendom.viz.clouds import CloudSequence, choose_view
+from gendom.viz.clouds import CloudSequence
 from gendom.viz.palette import (
     INK,
     RECORDED_COLOR,
@@ -43,21 +43,15 @@ _TOP, _BOTTOM, _SIDE = 34, 44, 24
 """What is left free around the drawing [pixels]."""
 
 
-def write_gif(path: str | os.PathLike, clouds: CloudSequence, *, view: str = "auto") -> None:
+def write_gif(path: str | os.PathLike, clouds: CloudSequence) -> None:
     """Write both clouds over each other, frame by frame, as a GIF that repeats for ever.
 
     The file appears whole or not at all.
 
-    Args:
-        path: The file.
-        clouds: What is drawn.
-        view: One of `gendom.viz.clouds.VIEWS`; "oblique" suits cloths.
-
     Raises:
-        ParameterError: As `gendom.viz.clouds.choose_view` and `gendom.files.atomic_path`; or there
-            are no points.
+        GendomError: As `gendom.files.atomic_path`; or there are no points.
     """
-    painter = FramePainter(clouds, view=view)
+    painter = FramePainter(clouds)
     images = [painter.draw(t) for t in clouds.spread(FRAMES)]
     colors = images[0].quantize(_COLORS, Image.Quantize.MAXCOVERAGE)
     images = [image.quantize(palette=colors, dither=Image.Dither.NONE) for image in images]
@@ -80,17 +74,13 @@ def write_gif(path: str | os.PathLike, clouds: CloudSequence, *, view: str = "au
 class FramePainter:
     """Draws the frames of one sequence, all with the same limits.
 
-    Args:
-        sequence: What to draw.
-        view: One of `gendom.viz.clouds.VIEWS`.
-
     Raises:
-        ParameterError: As `choose_view`; or the sequence has no points.
+        ParameterError: The sequence has no points.
     """
 
-    def __init__(self, sequence: CloudSequence, *, view: str = "auto"):
+    def __init__(self, sequence: CloudSequence):
         self.sequence = sequence
-        self.view = choose_view(sequence, view)
+        self.view = sequence.projection()
         box, height = sequence.box(), sequence.table_height
         shown = np.array([box[[i, j, k], range(3)] for i, j, k in np.ndindex(2, 2, 2)])
         self._table = np.empty((0, 3))
@@ -121,8 +111,7 @@ class FramePainter:
             for position in grippers:
                 foot = np.array([*position[:2], sequence.table_height])
                 pen.line(self._pixels(np.stack([position, foot])), TABLE_LINE, _SMOOTH)
-        if sequence.simulated is not None:
-            self._dots(image, sequence.simulated[t], 2.2, SIMULATED_COLOR, SIMULATED_OPACITY)
+        self._dots(image, sequence.simulated[t], 2.2, SIMULATED_COLOR, SIMULATED_OPACITY)
         recorded = sequence.recorded[t]
         # Smaller dots in a dense cloud, through which the simulated one remains visible.
         radius = min(max(2.4 * math.sqrt(500.0 / max(len(recorded), 1)), 0.7), 2.4)
@@ -177,9 +166,7 @@ class FramePainter:
         length = f"{1e3 * self._bar:g} mm" if self._bar < 1.0 else f"{self._bar:g} m"
         pen.text((_SIDE, self._size[1] - 19), length, fill=SOFT_INK, font=font, anchor="lb")
         x, (recorded, simulated) = WIDTH - _SIDE, sequence.labels
-        entries = [(recorded, RECORDED_COLOR)]
-        entries += [] if sequence.simulated is None else [(simulated, SIMULATED_COLOR)]
-        for label, color in reversed(entries):
+        for label, color in ((simulated, SIMULATED_COLOR), (recorded, RECORDED_COLOR)):
             pen.text((x, 19), label, fill=INK, font=font, anchor="rm")
             x -= pen.textlength(label, font=font) + 10
             pen.ellipse((x - 4, 15, x + 4, 23), fill=color)

@@ -1,5 +1,5 @@
-"""What pictures of a lift are drawn from: a recorded cloud and perhaps a simulated one, and from
-where they are seen."""
+"""What pictures of a lift are drawn from: a recorded cloud and a simulated one, and from where they
+are seen."""
 
 from __future__ import annotations
 
@@ -13,11 +13,34 @@ import numpy as np
 from gendom.arguments import check_numbers, require
 
 VIEWS = ("auto", "oblique")
+"""From where clouds are seen: "auto" is the side view that shows most, z upwards and the longer of
+x and y to the right, or from above where the object hardly rises; "oblique" looks down by 25
+degrees."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Projection:
+    """An orthographic projection."""
+
+    turn: float
+    """Angle about z from x to the direction that points right in the picture [rad]."""
+    tilt: float
+    """Angle by which the picture looks downwards [rad]: 0 from the side, pi / 2 from above."""
+
+    @property
+    def axes(self) -> np.ndarray:
+        """[2, 3] unit vectors in the world that point right and up in the picture."""
+        (c, s), (cos_tilt, sin_tilt) = ((math.cos(a), math.sin(a)) for a in (self.turn, self.tilt))
+        return np.array([[c, s, 0.0], [-s * sin_tilt, c * sin_tilt, cos_tilt]])
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """[..., 2] right and up [m] of points [..., 3] [m]."""
+        return points @ self.axes.T
 
 
 @dataclass(frozen=True, kw_only=True)
 class CloudSequence:
-    """T frames of a recorded cloud and, if there is one, of the simulated object.
+    """T frames of a recorded cloud and of the simulated object.
 
     World frame, z up. Arrays are converted to float64.
 
@@ -27,7 +50,7 @@ class CloudSequence:
 
     recorded: Sequence[np.ndarray]
     """T clouds [n_t, 3] [m]; n_t may be 0."""
-    simulated: Sequence[np.ndarray] | None = None
+    simulated: Sequence[np.ndarray]
     """T clouds [m_t, 3] [m], or one array [T, m, 3]."""
     times: np.ndarray
     """[T] increasing [s]."""
@@ -45,8 +68,12 @@ class CloudSequence:
     """[C] their radii [m]; goes with `arm`."""
     goal: np.ndarray | None = None
     """[1, 3] a point to be reached, or [2, 3] the ends of a line [m]."""
+    view: str = "auto"
+    """One of `VIEWS`; "oblique" suits cloths."""
 
     def __post_init__(self):
+        fix = f"choose from {', '.join(VIEWS)}"
+        require(self.view in VIEWS, f"is {self.view!r}", where="view", fix=fix)
         times = check_numbers("times", self.times, ("T",))
         T = len(times)
         require(T > 0, "is empty", where="times", fix="give at least one frame")
@@ -54,12 +81,11 @@ class CloudSequence:
         values: dict[str, Any] = {"times": times}
         for name in ("recorded", "simulated"):
             clouds = getattr(self, name)
-            if clouds is not None:
-                what = f"has {len(clouds)} frames, but times has {T}"
-                require(len(clouds) == T, what, where=name, fix="give one each")
-                values[name] = tuple(
-                    check_numbers(f"{name}[{t}]", cloud, ("n", 3)) for t, cloud in enumerate(clouds)
-                )
+            what = f"has {len(clouds)} frames, but times has {T}"
+            require(len(clouds) == T, what, where=name, fix="give one each")
+            values[name] = tuple(
+                check_numbers(f"{name}[{t}]", cloud, ("n", 3)) for t, cloud in enumerate(clouds)
+            )
         shapes = {
             "gripper": ((T, "G", 3), (T, 3)),
             "table_height": ((),),
@@ -86,14 +112,7 @@ class CloudSequence:
         return len(self.times)
 
     def spread(self, max_frames: int) -> list[int]:
-        """Indices of at most `max_frames` frames, evenly spaced, with the first and the last.
-
-        Raises:
-            ParameterError: `max_frames` is below 1.
-        """
-        require(max_frames >= 1, f"is {max_frames}", where="max_frames", fix="give 1 or more")
-        if max_frames == 1:
-            return [self.num_frames - 1]
+        """Indices of at most `max_frames` frames, evenly spaced, with the first and the last."""
         count = min(max_frames, self.num_frames)
         return np.linspace(0, self.num_frames - 1, count).round().astype(int).tolist()
 
@@ -106,7 +125,7 @@ class CloudSequence:
         # A depth camera's flying pixels would shrink everything else.
         ends = [
             np.quantile(cloud, (0.005, 0.995), axis=0)
-            for clouds in (self.recorded, self.simulated or ())
+            for clouds in (self.recorded, self.simulated)
             for cloud in clouds
             if len(cloud)
         ]
@@ -116,39 +135,14 @@ class CloudSequence:
         ends = np.concatenate(ends)
         return np.stack([ends.min(axis=0), ends.max(axis=0)])
 
+    def projection(self) -> Projection:
+        """Of `view`.
 
-@dataclass(frozen=True, kw_only=True)
-class Projection:
-    """An orthographic projection."""
-
-    turn: float
-    """Angle about z from x to the direction that points right in the picture [rad]."""
-    tilt: float
-    """Angle by which the picture looks downwards [rad]: 0 from the side, pi / 2 from above."""
-
-    @property
-    def axes(self) -> np.ndarray:
-        """[2, 3] unit vectors in the world that point right and up in the picture."""
-        (c, s), (cos_tilt, sin_tilt) = ((math.cos(a), math.sin(a)) for a in (self.turn, self.tilt))
-        return np.array([[c, s, 0.0], [-s * sin_tilt, c * sin_tilt, cos_tilt]])
-
-    def project(self, points: np.ndarray) -> np.ndarray:
-        """[..., 2] right and up [m] of points [..., 3] [m]."""
-        return points @ self.axes.T
-
-
-def choose_view(sequence: CloudSequence, view: str = "auto") -> Projection:
-    """A view by name.
-
-    "auto" is the side view that shows most: z upwards and the longer of x and y to the right; if
-    the object hardly rises it looks from above. "oblique" looks down by 25 degrees.
-
-    Raises:
-        ParameterError: There is no view of this name.
-    """
-    require(view in VIEWS, f"is {view!r}", where="view", fix=f"choose from {', '.join(VIEWS)}")
-    x, y, z = np.ptp(sequence.box(), axis=0).tolist()
-    turn, tilt = 30.0, 25.0
-    if view == "auto":
-        turn, tilt = (0.0, 90.0) if z < 0.25 * min(x, y) else (0.0 if x >= y else 90.0, 0.0)
-    return Projection(turn=math.radians(turn), tilt=math.radians(tilt))
+        Raises:
+            ParameterError: There are no points at all.
+        """
+        x, y, z = np.ptp(self.box(), axis=0).tolist()
+        turn, tilt = 30.0, 25.0
+        if self.view == "auto":
+            turn, tilt = (0.0, 90.0) if z < 0.25 * min(x, y) else (0.0 if x >= y else 90.0, 0.0)
+        return Projection(turn=math.radians(turn), tilt=math.radians(tilt))

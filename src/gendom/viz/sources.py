@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.materials import thickness_of
+from gendom.viz.clouds import CloudSequence
 
 if TYPE_CHECKING:
     from gendom.estimation import LiftScene, Theta
     from gendom.reality import RealRope
     from gendom.reality.trials import TrialRun
     from gendom.tasks import Observed
-    from gendom.viz import CloudSequence
 
 
 def clouds_of(
     scene: LiftScene,
     x: NDArray[np.floating],
     theta: Theta,
-    chamfer: NDArray[np.floating] | None,
+    chamfer: NDArray[np.floating],
 ) -> CloudSequence:
     """Recorded clouds and simulated skins.
 
@@ -32,8 +32,6 @@ def clouds_of(
         theta: With which these were simulated.
         chamfer: [T] distance of both [m].
     """
-    from gendom.viz import CloudSequence
-
     recording, frames = scene.recording, list(scene.frames)
     return CloudSequence(
         recorded=recording.frames(frames),
@@ -42,12 +40,8 @@ def clouds_of(
         table_height=recording.table_height,
         gripper=recording.gripper_position[frames],
         chamfer=chamfer,
+        view="oblique" if scene.kind == "cloth" else "auto",
     )
-
-
-def view_of(scene: LiftScene) -> str:
-    """From where a lift of this object is looked at: one of `gendom.viz.clouds.VIEWS`."""
-    return "oblique" if scene.kind == "cloth" else "auto"
 
 
 def arm_of_lift(clouds: CloudSequence, rope: RealRope) -> CloudSequence:

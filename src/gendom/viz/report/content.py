@@ -10,45 +10,12 @@ from datetime import date
 
 from gendom.files import atomic_path
 from gendom.installation import version
-from gendom.viz.report.action import WITHOUT, ActionSummary, action_section
-from gendom.viz.report.estimate import (
-    parameters_section,
-    refusal_banner,
-    verdict_banner,
-)
-from gendom.viz.report.lift import LiftPictures, lift_section
-from gendom.viz.report.markup import Section, escaped, facts_list, render_page, table
-from gendom.viz.report.posterior import beliefs_section
-from gendom.viz.report.search import search_section
-from gendom.viz.report.summary import (
-    EstimateSummary,
-    interval_text,
-    length_text,
-    quantity_text,
-    title_of,
-)
-
-SUMMARY = (
-    "GenDOM watched one lift of this object and found the elasticity with which its simulator "
-    "repeats that lift. "
-    "One policy, trained beforehand in simulation on many objects, takes this elasticity as an "
-    "input and so needs no training on this one. "
-    "This page shows how well the simulated lift matches the recorded one, how sure the estimate "
-    "is, and what the policy's action reached."
-)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Provenance:
-    """How a result was made, so that it can be made again."""
-
-    commands: Sequence[str] = ()
-    date: str = field(default_factory=lambda: date.today().isoformat())
-    device: str = ""
-    seeds: Mapping[str, int] = field(default_factory=dict)
-    stage_seconds: Mapping[str, float] = field(default_factory=dict)
-    """Seconds of each stage, in order."""
-    warnings: Sequence[str] = ()
+from gendom.materials.estimate import Estimate
+from gendom.viz.clouds import CloudSequence
+from gendom.viz.quantities import interval_text, length_text, quantity_text, title_of
+from gendom.viz.report import estimate as estimated
+from gendom.viz.report import motion
+from gendom.viz.report.markup import escaped, facts_list, render_page, table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,43 +23,106 @@ class ReportContent:
     """What a report says; parts that are None or empty are left out."""
 
     title: str
-    summary: str = SUMMARY
+    summary: str
+    """What the page shows, in some sentences."""
+    command: str
+    """Makes the report again."""
     recording_source: str = ""
     """Where the recording came from, and how far it may be trusted."""
     cameras: bytes | None = None
     """What all cameras saw at one moment, see `gendom.viz.encode_camera_views`."""
     cameras_note: str = ""
     """Which cameras, where, when."""
-    lift: LiftPictures | None = None
-    estimate: EstimateSummary | None = None
-    action: ActionSummary | None = None
-    provenance: Provenance = field(default_factory=Provenance)
+    lift: CloudSequence | None = None
+    lift_note: str = ""
+    estimate: Estimate | None = None
+    truth: Mapping[str, float] = field(default_factory=dict)
+    """True values by the names of the estimate's record, as far as known."""
+    action: motion.ActionSummary | None = None
+    stage_seconds: Mapping[str, float] = field(default_factory=dict)
+    """Seconds of each stage, in order."""
     refused: Sequence[str] = ()
     """Why nothing could be estimated, where nothing could."""
     next_steps: Sequence[tuple[str, str]] = ()
     """Commands that go on from what was written, as typed into a shell, and what they do."""
 
-    def sections(self) -> list[Section]:
-        """The page's sections in order. A new part is a field above and two lines here.
+    def sections(self) -> dict[str, str]:
+        """HTML of the page's sections by title, in order.
 
         Raises:
-            GendomError: A cloud has no points, or a view is unknown.
+            GendomError: A cloud has no points.
         """
-        sections: list[Section | None] = []
+        made, found = {}, self.estimate
         if self.cameras is not None:
-            sections.append(_cameras_section(self.cameras, self.cameras_note))
+            made["What the cameras saw"] = _cameras(self.cameras, self.cameras_note)
         if self.lift is not None:
-            sections.append(lift_section(self.lift, self.estimate))
-        if self.estimate is not None:
-            sections.append(parameters_section(self.estimate))
-            sections.append(beliefs_section(self.estimate))
-            sections.append(search_section(self.estimate))
+            rms = () if found is None else found.record["rms_by_frame"]
+            made["The lift, recorded and simulated"] = "\n".join(
+                [
+                    f"<p>{escaped(self.lift_note)}</p>" if self.lift_note else "",
+                    motion.viewer(self.lift, name="lift", subject="Recorded and simulated lift"),
+                    motion.residuals(self.lift, rms),
+                ]
+            )
+        if found is not None:
+            made["The estimate"] = estimated.parameters(found, self.truth)
+            if found.usable:
+                made["Prior and posterior"] = estimated.beliefs(found, self.truth)
+            made["The search"] = estimated.search(found, self.truth)
         if self.action is not None:
-            sections.append(action_section(self.action))
-        sections.append(_provenance_section(self.provenance))
+            made["The action"] = motion.action(self.action)
+        made["How this was made"] = self._provenance()
         if self.next_steps:
-            sections.append(_next_section(self.next_steps))
-        return [section for section in sections if section is not None]
+            made["What to try next"] = _steps(self.next_steps)
+        return made
+
+    def _provenance(self) -> str:
+        """Warnings, command and version, and how long each stage took."""
+        notes = () if self.estimate is None else self.estimate.record["notes"]
+        parts = [
+            f'<p class="warning"><strong>Warning.</strong> {escaped(note)}</p>' for note in notes
+        ]
+        parts.append(f"<pre>{escaped(self.command)}</pre>")
+        parts.append(facts_list([("GenDOM", version()), ("date", date.today().isoformat())]))
+        if self.stage_seconds:
+            stages = {**self.stage_seconds, "all": sum(self.stage_seconds.values())}
+            rows = [[name, f"{seconds:.1f} s"] for name, seconds in stages.items()]
+            parts.append(table({"Stage": "", "Time": "number"}, rows, totals=1, kind="narrow"))
+        return "\n".join(parts)
+
+    def opening(self) -> str:
+        """HTML between the heading and the sections."""
+        parts = [estimated.refusal_banner(self.refused)] if self.refused else []
+        if self.estimate is not None:
+            parts.append(estimated.verdict_banner(self.estimate))
+        parts.append(f'<p class="lead">{escaped(self.summary)}</p>')
+        cards = "\n".join(
+            f'<li><span class="value">{escaped(value)}</span>'
+            f'<span class="name">{escaped(name)}</span></li>'
+            for value, name in self._cards()
+        )
+        if cards:
+            parts.append(f'<ul class="cards">\n{cards}\n</ul>')
+        if self.recording_source:
+            parts.append(
+                '<div class="source"><p><strong>Where the recording comes from.</strong> '
+                f"{escaped(self.recording_source)}</p></div>"
+            )
+        return "\n".join(parts)
+
+    def _cards(self) -> list[tuple[str, str]]:
+        """The few numbers to remember: value and name."""
+        cards, found = [], self.estimate
+        if found is not None:
+            cards += _parameter_cards(found) if found.usable else []
+            distance = length_text(found.record["chamfer_mean"])
+            cards.append((distance, "Chamfer distance of both lifts, mean of all frames"))
+        if self.action is not None:
+            errors = self.action.mean_errors()
+            without = length_text(errors[motion.WITHOUT])
+            name = f"mean distance from {self.action.goals_text}; {motion.WITHOUT} {without}"
+            cards.append((length_text(errors[motion.WITH]), name))
+        return cards
 
 
 def write_report(path: str | os.PathLike, content: ReportContent) -> None:
@@ -101,8 +131,7 @@ def write_report(path: str | os.PathLike, content: ReportContent) -> None:
     The file makes no request to anywhere. The same content gives the same bytes.
 
     Raises:
-        GendomError: As `gendom.files.atomic_path`; or a cloud has no points, or a view is
-            unknown.
+        GendomError: As `gendom.files.atomic_path`; or a cloud has no points.
     """
     data = render_report(content).encode("utf-8", "backslashreplace")  # names that are no UTF-8
     with atomic_path(path) as temporary:
@@ -113,103 +142,41 @@ def render_report(content: ReportContent) -> str:
     """The HTML of `write_report`.
 
     Raises:
-        GendomError: A cloud has no points, or a view is unknown.
+        GendomError: A cloud has no points.
     """
-    return render_page(content.title, _opening(content), content.sections())
+    return render_page(content.title, content.opening(), content.sections())
 
 
-def _opening(content: ReportContent) -> str:
-    parts = [refusal_banner(content.refused)] if content.refused else []
-    if content.estimate is not None:
-        parts.append(verdict_banner(content.estimate))
-    parts.append(f'<p class="lead">{escaped(content.summary)}</p>')
-    cards = "\n".join(
-        f'<li><span class="value">{escaped(value)}</span>'
-        f'<span class="name">{escaped(name)}</span></li>'
-        for value, name in _cards(content)
-    )
-    if cards:
-        parts.append(f'<ul class="cards">\n{cards}\n</ul>')
-    if content.recording_source:
-        parts.append(
-            '<div class="source"><p><strong>Where the recording comes from.</strong> '
-            f"{escaped(content.recording_source)}</p></div>"
-        )
-    return "\n".join(parts)
-
-
-def _cards(content: ReportContent) -> list[tuple[str, str]]:
-    """The few numbers to remember: value and name."""
-    cards, summary, lift = [], content.estimate, content.lift
-    if summary is not None:
-        cards += _parameter_cards(summary)
-    distance = None if summary is None else summary.value("chamfer_mean")
-    if distance is None and lift is not None and lift.clouds.chamfer is not None:
-        distance = float(lift.clouds.chamfer.mean())
-    if distance is not None:
-        cards.append((length_text(distance), "Chamfer distance of both lifts, mean of all frames"))
-    if content.action is not None:
-        ours, *_ = (errors := content.action.mean_errors()).values()
-        goals = len(content.action.outcomes)
-        name = "distance from the goal" if goals == 1 else f"mean distance from {goals} goals"
-        if WITHOUT in errors:
-            name += f"; {WITHOUT} {length_text(errors[WITHOUT])}"
-        cards.append((length_text(ours), name))
-    return cards
-
-
-def _parameter_cards(summary: EstimateSummary) -> list[tuple[str, str]]:
-    if summary.usable is False:
-        return []
-    cards = []
+def _parameter_cards(found: Estimate) -> list[tuple[str, str]]:
+    cards, record = [], found.record
     for key in ("E", "nu"):
-        name, value = title_of(key), quantity_text(key, summary.values[key])
-        interval = summary.interval(key)
-        if summary.determined(key) is False:
+        name, value, ends = title_of(key), quantity_text(key, record[key]), found.interval(key)
+        if record["identifiable"].get(key) is False:
             cards.append(("not determined", f"{name} by this lift; best guess {value}"))
-        elif interval is not None:
-            ends = interval_text(key, interval)
-            cards.append((value, f"{name}; {summary.level_text} interval {ends}"))
-        else:
+        elif ends is None:
             cards.append((value, name))
-    density = summary.value("density")
-    if summary.values.get("density_assumed") and density is not None:
+        else:
+            said = f"{estimated.level_text(found)} interval {interval_text(key, ends)}"
+            cards.append((value, f"{name}; {said}"))
+    if record["density_assumed"]:
         value, name = cards[0]
-        cards[0] = (value, f"{name}; density assumed: {quantity_text('density', density)}")
+        density = quantity_text("density", record["density"])
+        cards[0] = (value, f"{name}; density assumed: {density}")
     return cards
 
 
-def _cameras_section(views: bytes, note: str) -> Section:
-    """Colour and depth of each camera."""
+def _cameras(views: bytes, note: str) -> str:
+    """HTML: colour and depth of each camera."""
     caption = "A row for each camera: colour, and depth (yellow: near, black: none measured)."
     code = base64.b64encode(views).decode("ascii")
     picture = f'<img src="data:image/jpeg;base64,{code}" alt="What both cameras see">'
-    body = f"<figure>{picture}<figcaption>{caption}</figcaption></figure>"
-    return Section(title="What the cameras saw", body=f"<p>{escaped(note)}</p>{body}")
+    return f"<p>{escaped(note)}</p><figure>{picture}<figcaption>{caption}</figcaption></figure>"
 
 
-def _next_section(steps: Sequence[tuple[str, str]]) -> Section:
-    """What each command does, and the command."""
+def _steps(steps: Sequence[tuple[str, str]]) -> str:
+    """HTML: what each command does, and the command."""
     items = "\n".join(
         f"<li><p>{escaped(purpose)}</p><pre>{escaped(command)}</pre></li>"
         for command, purpose in steps
     )
-    return Section(title="What to try next", body=f'<ol class="steps">\n{items}\n</ol>')
-
-
-def _provenance_section(made: Provenance) -> Section:
-    """Warnings, commands, versions and seeds, and how long each stage took."""
-    parts = [
-        f'<p class="warning"><strong>Warning.</strong> {escaped(text)}</p>'
-        for text in made.warnings
-    ]
-    if made.commands:
-        parts.append(f"<pre>{escaped(chr(10).join(made.commands))}</pre>")
-    seeds = ", ".join(f"{k} {v}" for k, v in made.seeds.items())
-    facts = {"GenDOM": version(), "date": made.date, "device": made.device, "seeds": seeds}
-    parts.append(facts_list([(name, value) for name, value in facts.items() if value]))
-    if made.stage_seconds:
-        stages = {**made.stage_seconds, "all": sum(made.stage_seconds.values())}
-        rows = [[name, f"{seconds:.1f} s"] for name, seconds in stages.items()]
-        parts.append(table({"Stage": "", "Time": "number"}, rows, totals=1, kind="narrow"))
-    return Section(title="How this was made", body="\n".join(part for part in parts if part))
+    return f'<ol class="steps">\n{items}\n</ol>'

@@ -1,40 +1,71 @@
-"""The estimate: whether it can be used, and its parameters with what the lift says of them."""
+"""What was estimated: whether it can be used, the parameters, what was known before and after the
+lift, and how the search went."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from statistics import NormalDist
+from typing import Any
 
+import numpy as np
+
+from gendom.materials.estimate import Estimate
 from gendom.materials.unknowns import UNKNOWNS
-from gendom.viz.report.markup import DASH, Section, escaped, table
-from gendom.viz.report.summary import (
-    EstimateSummary,
+from gendom.viz.charts import Axis, Plot
+from gendom.viz.quantities import (
     difference_text,
     interval_text,
+    length_text,
     quantity_text,
     title_of,
+    unit_of,
+    with_minus,
 )
+from gendom.viz.report.markup import DASH, escaped, facts_list, folded, side_by_side, table
+
+Truth = Mapping[str, float]
+"""True values by the names of an estimate's record, as far as known, in SI units."""
+
+_DRAWN_SDS = 4.2
+_WHOLE = 5.0  # a prior that is wider than the posterior by more than this is drawn in part
+
+_SERIES = 6  # colours of `report.css` for the starts of a search
+
+_DISTANCES = {
+    "rms": "distance of recorded points from the simulated surface, root mean square",
+    "chamfer_mean": "Chamfer distance, all frames",
+    "chamfer_last": "Chamfer distance, last frame",
+    "chamfer_mean_surface": "Chamfer distance, seen surface, all frames",
+    "chamfer_last_surface": "Chamfer distance, seen surface, last frame",
+    "chamfer_mean_registered": "Chamfer distance with the cameras' motion, all frames",
+    "chamfer_last_registered": "Chamfer distance with the cameras' motion, last frame",
+}
+
+
+def level_text(found: Estimate) -> str:
+    """How probable the intervals are: "90 %"."""
+    return f"{100.0 * found.level:g} %"
 
 
 def _of_material() -> list[str]:
     """Keys of the material's parameters, E first."""
-    own = (n for n, u in UNKNOWNS.items() if u.material and n != "E_over_rho")
-    return ["E", *own]
+    return ["E", *(n for n, u in UNKNOWNS.items() if u.material and n != "E_over_rho")]
 
 
-def verdict_banner(summary: EstimateSummary) -> str:
-    """HTML; empty where the estimate's file has no verdict."""
-    if summary.usable is None:
-        return ""
-    if not summary.usable:
-        return refusal_banner(
-            summary.values["verdict"].get("reasons") or (),
-            "What follows is the best fit, not an estimate of the object.",
-        )
+# ---- whether it can be used ----------------------------------------------------------------------
+
+
+def verdict_banner(found: Estimate) -> str:
+    """HTML."""
+    if not found.usable:
+        text = "What follows is the best fit, not an estimate of the object."
+        return refusal_banner(found.verdict.reasons, text)
     names = {True: [], False: []}
     for key in _of_material():
-        known = summary.determined(key)
+        known = found.record["identifiable"].get(key)
         measured = key == "thickness" and not known  # by a caliper, or assumed
-        if known is not None and summary.value(key) is not None and not measured:
+        if known is not None and found.record.get(key) is not None and not measured:
             names[known].append(title_of(key))
     text = "The recording and the fit pass every check."
     if names[True]:
@@ -53,49 +84,44 @@ def refusal_banner(reasons: Sequence[str], text: str = "") -> str:
     )
 
 
-def parameters_section(summary: EstimateSummary) -> Section:
-    """A row for each quantity."""
-    keys = [*_of_material(), "density", "E_over_rho", "bending_length"]
-    knows_truth = any(summary.true(key) is not None for key in keys)
-    has_interval = any(summary.interval(key) is not None for key in keys)
+# ---- parameters ----------------------------------------------------------------------------------
+
+
+def parameters(found: Estimate, truth: Truth) -> str:
+    """HTML: a row for each quantity."""
     columns = {"Quantity": "name", "Estimate": "number"}
-    if has_interval:
-        columns[f"{summary.level_text} interval"] = "interval"
-    if knows_truth:
+    if found.usable:
+        columns[f"{level_text(found)} interval"] = "interval"
+    if truth:
         columns |= {"True value": "number", "Off by": "number"}
     columns["What the lift says"] = "remark"
     rows = []
-    for key in keys:
-        value = summary.value(key)
+    for key in [*_of_material(), "density", "E_over_rho", "bending_length"]:
+        value, ends, true = found.record.get(key), found.interval(key), truth.get(key)
         if value is None:
             continue
-        interval, true = summary.interval(key), summary.true(key)
         row = [title_of(key), quantity_text(key, value)]
-        if has_interval:
-            row.append(DASH if interval is None else interval_text(key, interval))
-        if knows_truth and true is None:
-            row += [DASH, DASH]
-        elif true is not None:
-            row += [quantity_text(key, true), difference_text(key, value, true)]
-        rows.append([*row, _remark(key, summary)])
-    return Section(title="The estimate", body=table(columns, rows))
+        if found.usable:
+            row.append(DASH if ends is None else interval_text(key, ends))
+        if truth:
+            known = None if true is None else quantity_text(key, true)
+            row += [known or DASH, DASH if true is None else difference_text(key, value, true)]
+        rows.append([*row, _remark(key, found, true)])
+    return table(columns, rows)
 
 
-def _remark(key: str, summary: EstimateSummary) -> str:
+def _remark(key: str, found: Estimate, true: float | None) -> str:
     """How far a value can be trusted, in words."""
     if key == "density":
-        assumed = summary.values.get("density_assumed")
-        if assumed is None:
-            return ""
-        if assumed:
+        if found.record["density_assumed"]:
             return "Assumed, not measured: the motion shows only E / ρ, so E scales with this."
         return "From the object's mass and size."
-    if summary.usable is False:
+    if not found.usable:
         return ""
-    interval, true, texts = summary.interval(key), summary.true(key), []
-    known = summary.determined("E" if key == "E_over_rho" else key)
+    ends, texts = found.interval(key), []
+    known = found.record["identifiable"].get("E" if key == "E_over_rho" else key)
     if known is False:
-        said = "a usual value" if interval is None else "the interval is mostly the prior"
+        said = "a usual value" if ends is None else "the interval is mostly the prior"
         texts.append(f"The lift does not determine this: {said}.")
     elif key == "E_over_rho":
         texts.append("What a motion under gravity depends on, whatever the density.")
@@ -103,7 +129,149 @@ def _remark(key: str, summary: EstimateSummary) -> str:
         texts.append("About the length over which the object bends under its own weight.")
     elif known:
         texts.append("Determined by the lift.")
-    if interval is not None and true is not None:
-        inside = interval[0] <= true <= interval[1]
+    if ends is not None and true is not None:
+        inside = ends[0] <= true <= ends[1]
         texts.append(f"The true value lies {'inside' if inside else 'outside'} the interval.")
     return " ".join(texts)
+
+
+# ---- before and after the lift -------------------------------------------------------------------
+
+
+def beliefs(found: Estimate, truth: Truth) -> str:
+    """HTML: densities of the material's unknowns, then those of grip and clock, before and after
+    the lift."""
+    figures: dict[bool, list[str]] = {True: [], False: []}
+    rows = []
+    for k, u in enumerate(found.posterior.prior.unknowns):
+        figure, row = _unknown(found, truth, k)
+        figures[u.material].append(figure)
+        rows.append(row)
+    parts = [
+        '<p class="soft">Grey: what was assumed before the lift (prior). Blue: what is known after '
+        "it (posterior). Areas are probabilities; a scale with unequal steps is logarithmic.</p>",
+        side_by_side(figures[True]),
+    ]
+    if figures[False]:
+        parts.append(folded("Grip and clock of the recording", side_by_side(figures[False])))
+    numbers = table({"Unknown": "name", "Prior": "number", "Posterior": "number"}, rows)
+    numbers += f'<p class="soft">{level_text(found)} intervals.</p>'
+    return "\n".join([*parts, folded("The same in numbers", numbers)])
+
+
+def _unknown(found: Estimate, truth: Truth, k: int) -> tuple[str, list[str]]:
+    """Both Gaussians of unknown k as a figure, and both intervals as a table's row.
+
+    Densities of parameters on a logarithmic scale are those of the logarithm, so that areas are
+    probabilities in either case.
+    """
+    all_prior = found.posterior.prior
+    u, owner = all_prior.unknowns[k], all_prior.owners[k]
+    low, high = float(all_prior.low[k]), float(all_prior.high[k])
+    prior = NormalDist(float(all_prior.mean[k]), float(all_prior.sd[k]))
+    after = NormalDist(float(found.mean[k]), float(found.sd[k]))
+    relative = u.name == "thickness"
+    factor, unit = (1.0, "of the stated one") if relative else unit_of(u.name)
+    several = owner is not None and max(o or 0 for o in all_prior.owners) > 0
+    title = title_of(u.name) + (f", recording {owner + 1}" if several else "")
+    title += f" [{unit}]" if unit else ""
+    sds = NormalDist().inv_cdf(0.5 + found.level / 2.0)
+
+    def shown(transformed: np.ndarray) -> np.ndarray:
+        return factor * (np.exp(transformed) if u.log else transformed)
+
+    def ends(of: NormalDist, width: float) -> np.ndarray:
+        return np.clip([of.mean - width * of.stdev, of.mean + width * of.stdev], low, high)
+
+    part, whole = ends(after, _DRAWN_SDS), ends(prior, 3.0)
+    true = None if relative else truth.get(u.name)
+    if true is not None:
+        at, margin = u.transformed(true), 0.3 * _DRAWN_SDS * after.stdev
+        part = np.array([min(part[0], at - margin), max(part[1], at + margin)])
+    if np.ptp(whole) <= _WHOLE * np.ptp(part):
+        part = np.array([min(part[0], whole[0]), max(part[1], whole[1])])
+    part = np.clip(part, low, high)
+    top = max(of.pdf(float(np.clip(of.mean, *part))) for of in (prior, after))
+    left, right = shown(part).tolist()
+    plot = Plot(
+        x=Axis(low=left, high=right, log=u.log, label=title),
+        y=Axis(low=0.0, high=1.08 * top, marked=False),
+        height=190.0,
+    )
+    for of, kind, between in ((prior, "prior", part), (after, "posterior", ends(after, sds))):
+        first, last = np.clip(between, *part)
+        at = np.linspace(first, last, 241)
+        plot.area(shown(at), [of.pdf(x) for x in at], kind)
+        at = np.linspace(part[0], part[1], 241)
+        plot.line(shown(at), [of.pdf(x) for x in at], kind, kind)
+    plot.entries.append(("posterior", f"{level_text(found)} interval", "area"))
+    if true is not None:
+        plot.upright(factor * true, "truth", "true value")
+    times = prior.stdev / after.stdev
+    note = f"{times:.{0 if times >= 9.5 else 1}f} times as narrow as the prior."
+    if times < 1.25:
+        note = "As wide as the prior: the lift says next to nothing about it."
+    texts = [" to ".join(f"{x:.3g}" for x in shown(ends(of, sds))) for of in (prior, after)]
+    return plot.figure(title, note), [title, *map(with_minus, texts)]
+
+
+# ---- the search ----------------------------------------------------------------------------------
+
+
+def search(found: Estimate, truth: Truth) -> str:
+    """HTML: distance and E against iteration, and how well it fits."""
+    factor, unit = unit_of("E", found.E)
+    note = (
+        "Root mean square, logarithmic scale. The search makes the fit as probable as it can be, "
+        "noise and priors included, so this distance need not fall in every step. Stages compare "
+        "different points or move different parameters."
+    )
+    figures = [
+        _chart(found, "loss", "Distance of the clouds from the fit [mm]", 1e3, note),
+        _chart(found, "E", f"Young's modulus [{unit}]", factor, true=truth.get("E")),
+    ]
+    return "\n".join([side_by_side([f for f in figures if f]), facts_list(_facts(found))])
+
+
+def _chart(
+    found: Estimate, key: str, title: str, scale: float, note: str = "", true: float | None = None
+) -> str:
+    """A quantity against iteration, a line for each stage of each start."""
+    series: dict[tuple[int, str], list[tuple[float, float]]] = {}
+    for entry in found.record["history"]:
+        value = entry.get(key)
+        if value is not None and 0.0 < value < math.inf:
+            name = entry["start"], str(entry.get("stage", ""))
+            series.setdefault(name, []).append((entry["iteration"], scale * value))
+    if not series:
+        return ""
+    every = np.concatenate(list(series.values()))
+    shown = every[:, 1] if true is None else np.append(every[:, 1], scale * true)
+    x = Axis(low=every[:, 0].min() - 0.5, high=every[:, 0].max() + 0.5, label="iteration")
+    plot = Plot(x=x, y=Axis.around(shown, log=True))
+    last = {start: stage for start, stage in series}  # of each start
+    for (start, stage), points in sorted(series.items(), key=lambda named: named[0][0]):
+        kind, early = f"start-{start % _SERIES + 1}", stage != last[start]
+        at, values = np.transpose(points)
+        label = ", ".join(filter(None, (f"start {start + 1}", stage)))
+        plot.line(at, values, kind, label, "dashed" if early else "line")
+        plot.marks(at, values, kind)
+    if true is not None:
+        plot.level(scale * true, "truth", "true value")
+    return plot.figure(title, note)
+
+
+def _facts(found: Estimate) -> list[tuple[str, str]]:
+    """How well both lifts match, how the search went, and what was held."""
+    record: dict[str, Any] = found.record
+    facts = [(name, length_text(record[key])) for key, name in _DISTANCES.items()]
+    facts += [(name, str(record[name])) for name in ("method", "device", "seed")]
+    facts.append(("iterations, all starts", str(record["iterations"])))
+    facts.append(("time [s]", f"{record['seconds']:.4g}"))
+    held = dict(record["object"])
+    kind, mass = held.pop("kind"), held.pop("mass")
+    if kind == "rope":
+        held.pop("thickness")  # a rope's is a share of its diameter
+    known = [f"{n} {length_text(v)}" for n, v in held.items() if v is not None]
+    known += [] if mass is None else [f"mass {mass:.4g} kg"]
+    return [*facts, ("object", ", ".join([kind, *known]))]

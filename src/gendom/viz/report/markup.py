@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib import resources
 
 DASH = "–"
@@ -53,7 +52,7 @@ def table(
 def facts_list(facts: Sequence[tuple[str, str]]) -> str:
     """Names and what they stand for, both plain text."""
     items = [f"<div><dt>{escaped(n)}</dt><dd>{escaped(v)}</dd></div>" for n, v in facts]
-    return '<dl class="facts">\n' + "\n".join(items) + "\n</dl>" if items else ""
+    return '<dl class="facts">\n' + "\n".join(items) + "\n</dl>"
 
 
 def folded(summary: str, inner: str) -> str:
@@ -66,35 +65,21 @@ def side_by_side(figures: Sequence[str]) -> str:
     return f'<div class="pair">{"".join(figures)}</div>' if figures else ""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Section:
-    """One part of a report, under a heading of its own."""
-
-    title: str
-    """Plain text."""
-    body: str
-    """HTML."""
-
-    @property
-    def name(self) -> str:
-        """The section's id in the page."""
-        return "-".join(re.findall("[a-z]+", self.title.lower()))
-
-    @property
-    def html(self) -> str:
-        return f'<section id="{self.name}"><h2>{escaped(self.title)}</h2>\n{self.body}\n</section>'
-
-
-def render_page(title: str, opening: str, sections: Sequence[Section]) -> str:
+def render_page(title: str, opening: str, sections: Mapping[str, str]) -> str:
     """A whole HTML document, with contents, style and script inside.
 
     Args:
         title: Plain text, for the browser and the heading.
         opening: HTML between the heading and the sections.
-        sections: In the order of the page.
+        sections: HTML by plain title, in the order of the page.
     """
-    body = "\n".join([f"<h1>{escaped(title)}</h1>", opening, *(s.html for s in sections)])
-    links = "".join(f'<li><a href="#{s.name}">{escaped(s.title)}</a></li>' for s in sections)
+    ids = {heading: "-".join(re.findall("[a-z]+", heading.lower())) for heading in sections}
+    links = "".join(f'<li><a href="#{ids[h]}">{escaped(h)}</a></li>' for h in sections)
+    parts = [
+        f'<section id="{ids[h]}"><h2>{escaped(h)}</h2>\n{inner}\n</section>'
+        for h, inner in sections.items()
+    ]
+    body = "\n".join([f"<h1>{escaped(title)}</h1>", opening, *parts])
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>

@@ -1,2 +1,2 @@
-"""An interactive viewer: what is shown (`layers`), recordings and demonstrations (`models`), and
+"""An interactive viewer: what is shown (`scenes`), recordings and demonstrations (`models`), and
 the page in a browser (`server`, which alone needs viser)."""

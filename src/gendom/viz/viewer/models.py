@@ -19,24 +19,19 @@ from gendom.reading import record_of
 from gendom.tasks import Observed, Task, rebuild
 from gendom.tasks.world import Simulation
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_OPACITY
-from gendom.viz.report.summary import length_text, quantity_text
+from gendom.viz.quantities import length_text, quantity_text
 from gendom.viz.sources import goal_mark
-from gendom.viz.viewer.layers import (
+from gendom.viz.viewer.scenes import (
     ACTION,
     MATERIAL,
     SETUP,
     Layer,
-    MeshLayer,
     Model,
     Parameter,
-    PointLayer,
     ViewerScene,
-    capsules,
     gripper_layer,
     object_layer,
 )
-
-CHAMFER = "Chamfer distance [mm]"
 
 FRAMES = 160
 """Most frames shown of a demonstration."""
@@ -92,8 +87,7 @@ class RecordingModel(Model):
         simulated = object_layer("simulated", body, points, counts, SIMULATED_OPACITY)
         facts = _facts(scene, theta)
         yield self._shown((simulated,), facts=facts)
-        distance = 1e3 * chamfers(scene, x, theta)[0]
-        yield self._shown((simulated,), facts=facts, curves={CHAMFER: distance})
+        yield self._shown((simulated,), facts=facts, chamfer=chamfers(scene, x, theta)[0])
 
     def _shown(self, layers: tuple[Layer, ...], **other: Any) -> ViewerScene:
         scene, frames = self.scene, list(self.scene.frames)
@@ -102,7 +96,7 @@ class RecordingModel(Model):
         # small, or a dense cloud would hide the object
         dot = scene.size * (0.006 if np.median(counts) < 400 else 0.003)
         points = recording.frames(frames)
-        recorded = PointLayer(name="recorded", color=RECORDED_COLOR, points=points, radius=dot)
+        recorded = Layer(name="recorded", color=RECORDED_COLOR, points=points, radius=dot)
         axis = None if recording.gripper_axis is None else recording.gripper_axis[frames]
         return ViewerScene(
             times=recording.time[frames],
@@ -128,23 +122,25 @@ def _parameters(scene: LiftScene, theta: Theta) -> tuple[Parameter, ...]:
     if scene.recording.table_height is None:
         names.remove("friction")
     prior = scene.prior(tuple(names))[0]
-    made = []
-    for u, low, high in zip(prior.unknowns, prior.low, prior.high, strict=True):
-        value = getattr(theta, u.name)
-        made.append(
-            Parameter(
-                name=u.name,
-                label=u.symbol,
-                unit=u.unit,
-                meaning=u.meaning,
-                group=MATERIAL if u.material else SETUP,
-                low=min(u.value(low), value),
-                high=max(u.value(high), value),
-                value=value,
-                log=u.log,
-            )
+    ranges = zip(prior.unknowns, prior.low, prior.high, strict=True)
+    return tuple(
+        _parameter(
+            name=u.name,
+            label=u.symbol,
+            unit=u.unit,
+            meaning=u.meaning,
+            group=MATERIAL if u.material else SETUP,
+            ends=(u.value(low), u.value(high)),
+            value=theta[u.name],
+            log=u.log,
         )
-    return tuple(made)
+        for u, low, high in ranges
+    )
+
+
+def _parameter(*, ends: tuple[float, float], value: float, **about: Any) -> Parameter:
+    """With room for a value beyond the ends of its usual range."""
+    return Parameter(low=min(ends[0], value), high=max(ends[1], value), value=value, **about)
 
 
 def _facts(scene: LiftScene, theta: Theta) -> tuple[tuple[str, str], ...]:
@@ -192,39 +188,34 @@ class DatasetModel(Model):
 
     def parameters(self, case: int) -> tuple[Parameter, ...]:
         """The action within its limits, and the object's parameters within those drawn."""
-        row, item = self._rows[case], self._item(case)
-        made = []
-        for q, (low, high) in zip(self.task.actions, self.task.limits(item), strict=True):
-            value = float(row[q.name])
-            made.append(
-                Parameter(
-                    name=q.name,
-                    label=q.name.replace("_", " "),
-                    unit=q.unit,
-                    meaning=q.meaning or "a number of the action",
-                    group=ACTION,
-                    low=min(float(low), value),
-                    high=max(float(high), value),
-                    value=value,
-                )
+        row, ranges = self._rows[case], self.task.ranges
+        actions = zip(self.task.actions, self.task.limits(self._item(case)), strict=True)
+        made = [
+            _parameter(
+                name=q.name,
+                label=q.name.replace("_", " "),
+                unit=q.unit,
+                meaning=q.meaning or "a number of the action",
+                group=ACTION,
+                ends=(float(low), float(high)),
+                value=float(row[q.name]),
             )
-        for p in PARAMETERS.values():
-            if p.column not in self.task.ranges:
-                continue
-            value, (low, high) = float(row[p.column]), self.task.ranges[p.column]
-            made.append(
-                Parameter(
-                    name=p.column,
-                    label="E / density" if p.column == "E_over_rho" else p.name,
-                    unit=p.unit,
-                    meaning=p.column.replace("_", " "),
-                    group=MATERIAL,
-                    low=min(low, value),
-                    high=max(high, value),
-                    value=value,
-                    log=p.log,
-                )
+            for q, (low, high) in actions
+        ]
+        made += [
+            _parameter(
+                name=p.column,
+                label="E / density" if p.column == "E_over_rho" else p.name,
+                unit=p.unit,
+                meaning=p.column.replace("_", " "),
+                group=MATERIAL,
+                ends=ranges[p.column],
+                value=float(row[p.column]),
+                log=p.log,
             )
+            for p in PARAMETERS.values()
+            if p.column in ranges
+        ]
         return tuple(made)
 
     def simulate(
@@ -242,7 +233,9 @@ class DatasetModel(Model):
                 f"this object cannot be simulated with this action ({outcome.fault})",
                 fix="move a slider back",
             )
-        seen = _thinned(outcome.seen)
+        seen, count = outcome.seen, len(outcome.seen.times)
+        k = np.linspace(0, count - 1, min(count, FRAMES)).round().astype(int)
+        seen = replace(seen, times=seen.times[k], points=seen.points[k], hand=seen.hand[k])
         facts = self._facts(case, item, outcome.values)
         if not np.allclose(action, asked):
             numbers = ", ".join(f"{a:.4g}" for a in action)
@@ -293,17 +286,9 @@ class DatasetModel(Model):
         ]
         goal = self._goal(case)
         if goal is not None:
-            mark = goal_mark(goal, seen)
-            share = 0.015 if len(mark) == 1 else 0.006
-            vertices, faces = capsules(mark[[0, -1]][None, None], [share * size_of(item)])
-            layers.append(MeshLayer(name="goal", color=GOAL_COLOR, vertices=vertices, faces=faces))
+            mark, size = goal_mark(goal, seen), size_of(item)
+            # an upright line, or a dot: a line that ends where it begins is not drawn
+            thick, points = (0.006, mark[None]) if len(mark) == 2 else (0.008, mark)
+            radius = thick * size
+            layers.append(Layer(name="goal", color=GOAL_COLOR, points=[points], radius=radius))
         return tuple(layers)
-
-
-def _thinned(seen: Observed) -> Observed:
-    """At most `FRAMES` of what was seen."""
-    count = len(seen.times)
-    chosen = np.linspace(0, count - 1, min(count, FRAMES)).round().astype(int)
-    return replace(
-        seen, times=seen.times[chosen], points=seen.points[chosen], hand=seen.hand[chosen]
-    )

@@ -1,7 +1,7 @@
 """A viewer in a browser, on viser: this machine's own address, and nothing from elsewhere.
 
-A `Viewer` has a page with sliders, a `Painter` that draws the scene, and a `Resimulation` that
-simulates in a thread of its own as sliders move.
+A `Viewer` has a page with sliders and a `Painter` that draws the scene; it simulates in a thread of
+its own as sliders move, and the last request wins.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from http import HTTPStatus
 from typing import Any
@@ -26,9 +26,15 @@ from viser import uplot
 
 from gendom.arguments import require
 from gendom.errors import GendomError
-from gendom.viz.palette import RECORDED_COLOR, SIMULATED_COLOR, nice_step, rgb
-from gendom.viz.viewer.layers import Model, Parameter, ViewerScene
-from gendom.viz.viewer.painter import FIELD_OF_VIEW, Painter, camera_of, square_size
+from gendom.viz.palette import (
+    RECORDED_COLOR,
+    SIMULATED_COLOR,
+    TABLE_FILL,
+    TABLE_LINE,
+    nice_step,
+    rgb,
+)
+from gendom.viz.viewer.scenes import Array, Layer, Model, Parameter, ViewerScene
 
 HOST = "127.0.0.1"
 
@@ -48,11 +54,21 @@ _SHORTEST = 3.0
 _RATE = 25.0
 """Frames that are played in a second, at most."""
 
-_POSITIONS = 200
-"""Least number of positions of a parameter's slider."""
+_FIELD_OF_VIEW = math.radians(35.0)
+"""The camera's, upwards."""
 
-_DIGIT = 0.01
-"""Step of a logarithmic slider [decades]."""
+_TURN, _TILT = math.radians(25.0), math.radians(18.0)
+"""From where the camera looks, around and down."""
+
+_NARROW = 0.8
+"""Width over height of a window below which the panel lies below what is shown."""
+
+_SQUARES = 10
+"""Squares of the table's grid along the longer side of what is shown."""
+
+CHAMFER = "Chamfer distance [mm]"
+
+_SOFT, _BAD = "#6e6e6e", "#b00020"
 
 _log = logging.getLogger(__name__)
 
@@ -91,6 +107,127 @@ class _Server(viser.ViserServer):
         return None
 
 
+class _DroppedError(Exception):
+    """Ends a simulation whose result is not needed any more."""
+
+
+class Painter:
+    """Draws one scene after another, at one frame after another."""
+
+    def __init__(self, canvas: viser.SceneApi):
+        self._canvas = canvas
+        self._handles: dict[str, Any] = {}
+        self._drawn: dict[str, Layer] = {}
+        self._table: float | None = None
+        self._hidden: set[str] = set()
+
+    def paint(self, scene: ViewerScene, frame: int) -> None:
+        """Show a frame of a scene; what another scene had and this one lacks goes."""
+        for name in self._handles.keys() - {layer.name for layer in scene.layers}:
+            self._handles.pop(name).remove()
+            del self._drawn[name]
+        for layer in scene.layers:
+            self._paint(layer, frame if len(layer.points) > 1 else 0)
+        self._lay_table(scene)
+
+    def show(self, name: str, visible: bool) -> None:
+        """Show or hide a layer, now and in all scenes to come."""
+        (self._hidden.discard if visible else self._hidden.add)(name)
+        if name in self._handles:
+            self._handles[name].visible = visible
+
+    def _paint(self, layer: Layer, frame: int) -> None:
+        points, before = np.asarray(layer.points[frame], np.float32), self._drawn.get(layer.name)
+        self._drawn[layer.name] = layer
+        alike = before is not None and before.kind == layer.kind
+        if alike and (layer.faces is None or np.array_equal(before.faces, layer.faces)):
+            if len(layer.points) > 1 or before is not layer:
+                field = "points" if layer.faces is None else "vertices"
+                setattr(self._handles[layer.name], field, points)
+            return
+        if before is not None:
+            self._handles.pop(layer.name).remove()
+        self._handles[layer.name] = self._added(layer, points)
+
+    def _added(self, layer: Layer, points: Array) -> Any:
+        name, color, visible = f"/{layer.name}", rgb(layer.color), layer.name not in self._hidden
+        if layer.kind == "lines":
+            thick = {"thickness": 2.0 * layer.radius, "thickness_units": "world"}
+            return self._canvas.add_line_segments(name, points, color, visible=visible, **thick)
+        if layer.faces is None:
+            return self._canvas.add_point_cloud(
+                name,
+                points,
+                color,
+                point_size=2.0 * layer.radius,
+                point_shape="circle",
+                point_shading="flat",
+                precision="float32",
+                visible=visible,
+            )
+        return self._canvas.add_mesh_simple(
+            name,
+            points,
+            layer.faces,
+            color=color,
+            opacity=None if layer.opacity == 1.0 else layer.opacity,
+            side="double",
+            visible=visible,
+        )
+
+    def _lay_table(self, scene: ViewerScene) -> None:
+        """A table as large as what was shown first, in squares of a round size."""
+        z = scene.table_height
+        if z == self._table:
+            return
+        self._table = z
+        if z is None:
+            self._canvas.remove_by_name("/table")
+            return
+        step = square_size(scene)
+        low = np.floor(scene.box[0, :2] / step - 2.0) * step
+        high = np.ceil(scene.box[1, :2] / step + 2.0) * step
+        (width, depth), (x, y) = (high - low).tolist(), (0.5 * (low + high)).tolist()
+        self._canvas.add_grid(
+            "/table",
+            width=width,
+            height=depth,
+            cell_size=step,
+            cell_color=(214, 214, 214),
+            section_size=5.0 * step,
+            section_color=TABLE_LINE,
+            plane_color=TABLE_FILL,
+            plane_opacity=0.7,
+            position=(x, y, z),
+        )
+
+
+def square_size(scene: ViewerScene) -> float:
+    """Side of the squares of a scene's table [m]."""
+    low, high = scene.box
+    return nice_step(float((high - low)[:2].max()) / _SQUARES)
+
+
+def camera_of(scene: ViewerScene, aspect: float = 1.0) -> tuple[Array, Array]:
+    """Where the camera stands and what it looks at, [3] each [m]: at the broad side of what is
+    shown, from a little above.
+
+    Args:
+        scene: What is to be seen.
+        aspect: Width over height of the picture.
+    """
+    low, high = scene.box
+    middle, (x, y, _) = 0.5 * (low + high), high - low
+    turn = (-0.5 * math.pi if x >= y else 0.0) + _TURN
+    towards = np.array([math.cos(turn), math.sin(turn), 0.0])
+    direction = math.cos(_TILT) * towards + math.sin(_TILT) * np.array([0.0, 0.0, 1.0])
+    radius = 0.5 * float(np.linalg.norm(high - low)) + 1e-3
+    away = 1.05 * radius / math.sin(0.5 * _FIELD_OF_VIEW) / min(aspect, 1.0)
+    if aspect < _NARROW:  # the panel covers the lower part
+        middle = middle - [0.0, 0.0, 0.6 * away * math.tan(0.5 * _FIELD_OF_VIEW)]
+    return middle + away * direction, middle
+
+
 class Viewer:
     """A model in a browser, with sliders for time and parameters.
 
@@ -110,19 +247,16 @@ class Viewer:
         self._scene = model.initial
         self._parameters = {p.name: p for p in model.parameters(case)}
         self._setting = False
+        self._request: tuple[int, dict[str, float]] | None = None
         self._closed = threading.Event()
         self._server = _Server(port, label=model.title)
         self._painter = Painter(self._server.scene)
-        self._server.initial_camera.fov = FIELD_OF_VIEW
+        self._server.initial_camera.fov = _FIELD_OF_VIEW
         self._camera_set = False
         self._build()
         self._server.on_client_connect(self._place_camera)
-        self._resimulation = Resimulation(
-            model,
-            on_begin=lambda: self._say("simulating …"),
-            on_scene=self._take,
-            on_fault=lambda why: self._say(why, fault=True),
-        )
+        self._pool = ThreadPoolExecutor(1, "simulation")
+        self._last = self._pool.submit(lambda: None)
         if self._scene is not None:
             self._take(self._scene, 0.0)
         self._ask()
@@ -152,18 +286,18 @@ class Viewer:
         with self._lock:
             self._case = case
             self._setting = True
-            for p in self._model.parameters(case):
-                self._parameters[p.name] = p
-                slider = self._sliders[p.name]
-                slider.min, slider.max, slider.step = _range(p)
-                slider.value = _start(p)
-                slider.label = _label(p, p.value)
+            self._parameters = {p.name: p for p in self._model.parameters(case)}
+            for name, p in self._parameters.items():
+                slider = self._sliders[name]
+                slider.min, slider.max, slider.step = p.range
+                slider.value = p.start
+                slider.label = p.text(p.value)
             self._setting = False
         self._ask()
 
     def wait(self, timeout: float | None = None) -> bool:
         """Until everything that was asked for is simulated, or for a time [s]; whether it is."""
-        return self._resimulation.wait(timeout or threading.TIMEOUT_MAX)
+        return self._last in wait([self._last], timeout).done
 
     def serve(self, greeting: str) -> None:
         """Print a line, and go on until Ctrl-C."""
@@ -176,7 +310,7 @@ class Viewer:
         """End everything."""
         self._closed.set()
         self._player.join(5.0)
-        self._resimulation.close()
+        self._pool.shutdown(cancel_futures=True)
         with _silent():
             self._server.stop()
 
@@ -204,7 +338,6 @@ class Viewer:
             self._button = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
             self._button.on_click(lambda _: self.play(not self._playing))
             self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1")
-            self._curves: tuple[str, ...] = ()
             self._chart: viser.GuiUplotHandle | None = None
             self._chart_folder = gui.add_folder(None, visible=False)
         self._sliders: dict[str, viser.GuiSliderHandle] = {}
@@ -221,31 +354,60 @@ class Viewer:
 
     def _add_slider(self, p: Parameter) -> viser.GuiSliderHandle:
         slider = self._server.gui.add_slider(
-            _label(p, p.value),
-            *_range(p),
-            _start(p),
-            marks=_marks(p) if p.log else None,
+            p.text(p.value),
+            *p.range,
+            p.start,
+            marks=p.marks,
             hint=f"{p.meaning}{'; the number is its logarithm to base 10' if p.log else ''}",
         )
 
         def moved(_: Any) -> None:
             if self._setting:
                 return
-            slider.label = _label(self._parameters[p.name], self._value(p.name))
+            slider.label = self._parameters[p.name].text(self._value(p.name))
             self._ask()
 
         slider.on_update(moved)
         return slider
 
     def _value(self, name: str) -> float:
-        """A parameter's value: exactly its first one while its slider was not moved."""
-        p, position = self._parameters[name], self._sliders[name].value
-        return p.value if position == _start(p) else p.at(position)
+        return self._parameters[name].at(self._sliders[name].value)
+
+    # ---- simulating ------------------------------------------------------------------------------
 
     def _ask(self) -> None:
-        self._resimulation.ask(self._case, {name: self._value(name) for name in self._sliders})
+        """Simulate with the values of the sliders, as soon as possible."""
+        with self._lock:
+            self._request = self._case, {name: self._value(name) for name in self._sliders}
+        self._last = self._pool.submit(self._simulate)
 
-    # ---- what simulations say --------------------------------------------------------------------
+    def _simulate(self) -> None:
+        with self._lock:
+            request, self._request = self._request, None
+        if request is None:
+            return
+        began = time.monotonic()
+
+        def go_on() -> None:
+            late = time.monotonic() - began > PATIENCE
+            if self._closed.is_set() or (late and self._request is not None):
+                raise _DroppedError
+
+        self._say("simulating …")
+        try:
+            for scene in self._model.simulate(*request, go_on):
+                if self._closed.is_set():
+                    return
+                self._take(scene, time.monotonic() - began)
+                if self._request is not None:
+                    return
+        except _DroppedError:
+            return
+        except GendomError as error:
+            self._say(str(error), fault=True)
+        except Exception as error:  # the page must not stop following its sliders
+            _log.exception("cannot simulate")
+            self._say(f"internal error: {type(error).__name__}: {error}", fault=True)
 
     def _take(self, scene: ViewerScene, seconds: float) -> None:
         """Show a scene in place of another one, at the same time if it has that."""
@@ -263,7 +425,7 @@ class Viewer:
                     self._time.value = scene.frame_at(time_shown)
                 self._setting = False
                 self._offer_layers(scene)
-                self._draw_curves(scene)
+                self._draw_chamfer(scene)
                 self._paint()
             if not self._camera_set:
                 self._camera_set = True
@@ -290,27 +452,22 @@ class Viewer:
         for name, box in self._layers.items():
             box.visible = name in names
 
-    def _draw_curves(self, scene: ViewerScene) -> None:
-        """Draw a scene's curves; earlier ones stay while it has none."""
-        if not scene.curves:
+    def _draw_chamfer(self, scene: ViewerScene) -> None:
+        """Draw a scene's Chamfer distance; an earlier one stays while it has none."""
+        if scene.chamfer is None:
             return
-        self._curves = tuple(scene.curves)
-        self._chart_folder.visible = True
-        data = tuple(np.asarray(a, dtype=float) for a in (scene.times, *scene.curves.values()))
+        data = scene.times.astype(float), 1e3 * scene.chamfer.astype(float)
         if self._chart is not None:
             self._chart.data = data
             return
-        lines = [
-            uplot.Series(label=name, stroke=color, width=2)
-            for name, color in zip(scene.curves, (SIMULATED_COLOR, RECORDED_COLOR), strict=False)
-        ]
+        series = (
+            uplot.Series(label="time [s]"),
+            uplot.Series(label=CHAMFER, stroke=SIMULATED_COLOR, width=2),
+        )
+        scales = {"x": uplot.Scale(time=False)}
         with self._chart_folder:
-            self._chart = self._server.gui.add_uplot(
-                data,
-                (uplot.Series(label="time [s]"), *lines),
-                scales={"x": uplot.Scale(time=False)},
-                height=150,
-            )
+            self._chart = self._server.gui.add_uplot(data, series, scales=scales, height=150)
+        self._chart_folder.visible = True
 
     def _say(self, text: str, *, fault: bool = False) -> None:
         self._status_text, self._fault = text, fault
@@ -319,29 +476,16 @@ class Viewer:
     def _read(self) -> None:
         """Write what is to be read."""
         with self._lock:
-            scene = self._scene
-            rows: list[tuple[str, str]] = []
-            legend = ""
-            if scene is not None:
-                t = self._frame_of(scene)
-                rows.append(("time", f"{scene.times[t]:.2f} s of {scene.times[-1]:.2f} s"))
-                for name in self._curves:
-                    values = scene.curves.get(name)
-                    told = (
-                        "…" if values is None else f"{values[t]:.1f} now, {values.mean():.1f} mean"
-                    )
-                    rows.append((name, told))
-                rows += scene.facts
-                if scene.table_height is not None:
-                    rows.append(("squares of table", f"{1e3 * square_size(scene):g} mm"))
-                legend = " ".join(
-                    f'<span style="white-space:nowrap"><span style="color:{layer.color}">●</span> '
-                    f"{html.escape(layer.name)}</span>"
-                    for layer in scene.layers
-                )
-            color = "#b00020" if self._fault else "#6e6e6e"
+            rows, layers = (), ()
+            if self._scene is not None:
+                rows, layers = self._rows(self._scene), self._scene.layers
+            legend = " ".join(
+                f'<span style="white-space:nowrap"><span style="color:{layer.color}">●</span> '
+                f"{html.escape(layer.name)}</span>"
+                for layer in layers
+            )
             table = "".join(
-                f'<tr><td style="color:#6e6e6e;padding-right:0.8em;vertical-align:top">'
+                f'<tr><td style="color:{_SOFT};padding-right:0.8em;vertical-align:top">'
                 f"{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
                 for name, value in rows
             )
@@ -349,9 +493,23 @@ class Viewer:
             self._readout.content = (
                 '<div style="font-size:0.8em;line-height:1.45;padding:0.3em 0.8em">'
                 f"<div>{legend}</div><table>{table}</table>"
-                f'<div style="color:{color}">{html.escape(self._status_text)}</div>'
-                f'<div style="color:#6e6e6e">{notes}</div></div>'
+                f'<div style="color:{_BAD if self._fault else _SOFT}">'
+                f"{html.escape(self._status_text)}</div>"
+                f'<div style="color:{_SOFT}">{notes}</div></div>'
             )
+
+    def _rows(self, scene: ViewerScene) -> list[tuple[str, str]]:
+        t = self._frame_of(scene)
+        rows = [("time", f"{scene.times[t]:.2f} s of {scene.times[-1]:.2f} s")]
+        if scene.chamfer is not None:
+            mm = 1e3 * scene.chamfer
+            rows.append((CHAMFER, f"{mm[t]:.1f} now, {mm.mean():.1f} mean"))
+        elif self._chart is not None:
+            rows.append((CHAMFER, "…"))
+        rows += scene.facts
+        if scene.table_height is not None:
+            rows.append(("squares of table", f"{1e3 * square_size(scene):g} mm"))
+        return rows
 
     # ---- time ------------------------------------------------------------------------------------
 
@@ -403,7 +561,7 @@ def encode_html(model: Model, case: int = 0) -> str:
     try:
         painter = Painter(server.scene)
         where, at = camera_of(scene)
-        server.initial_camera.fov = FIELD_OF_VIEW
+        server.initial_camera.fov = _FIELD_OF_VIEW
         server.initial_camera.position, server.initial_camera.look_at = where, at
         painter.paint(scene, 0)
         recorder = server.get_scene_serializer()
@@ -431,109 +589,6 @@ def from_own_page(headers: Any) -> bool:
     except ValueError:
         return False
     return named and origins in ([], [f"http://{hosts[0]}"])
-
-
-class _DroppedError(Exception):
-    """Ends a simulation whose result is not needed any more."""
-
-
-class Resimulation:
-    """Simulates a model in a thread of its own; the last request wins, older ones are dropped.
-
-    Args:
-        model: What is simulated.
-        on_begin: Called when a request is taken up.
-        on_scene: Called with every scene that a request gives, and the time since then [s].
-        on_fault: Called with one line if it cannot be simulated.
-    """
-
-    def __init__(
-        self,
-        model: Model,
-        *,
-        on_begin: Callable[[], None],
-        on_scene: Callable[[ViewerScene, float], None],
-        on_fault: Callable[[str], None],
-    ):
-        self._model = model
-        self._on_begin, self._on_scene, self._on_fault = on_begin, on_scene, on_fault
-        self._lock = threading.Lock()
-        self._request: tuple[int, Mapping[str, float]] | None = None
-        self._closed = False
-        self._pool = ThreadPoolExecutor(1, "resimulation")
-        self._last = self._pool.submit(lambda: None)
-
-    def ask(self, case: int, values: Mapping[str, float]) -> None:
-        """Simulate a case with parameters by name, as soon as possible."""
-        with self._lock:
-            self._request = (case, dict(values))
-        self._last = self._pool.submit(self._simulate)
-
-    def wait(self, timeout: float) -> bool:
-        """Whether all that was asked for is done within a time [s]."""
-        return self._last in wait([self._last], timeout).done
-
-    def close(self) -> None:
-        """Drop everything, and end the thread."""
-        self._closed = True
-        self._pool.shutdown(cancel_futures=True)
-
-    def _simulate(self) -> None:
-        with self._lock:
-            request, self._request = self._request, None
-        if request is None:
-            return
-        case, values = request
-        began = time.monotonic()
-
-        def go_on() -> None:
-            late = time.monotonic() - began > PATIENCE
-            if self._closed or (late and self._request is not None):
-                raise _DroppedError
-
-        self._on_begin()
-        try:
-            for scene in self._model.simulate(case, values, go_on):
-                if self._closed:
-                    return
-                self._on_scene(scene, time.monotonic() - began)
-                if self._request is not None:
-                    return
-        except _DroppedError:
-            return
-        except GendomError as error:
-            self._on_fault(str(error))
-        except Exception as error:  # the page must not stop following its sliders
-            _log.exception("cannot simulate")
-            self._on_fault(f"internal error: {type(error).__name__}: {error}")
-
-
-def _range(p: Parameter) -> tuple[float, float, float]:
-    """Lowest and highest position of a parameter's slider, and its step: round numbers."""
-    low, high = p.position(p.low), p.position(p.high)
-    step = _DIGIT if p.log else nice_step(max(high - low, 1e-9) / _POSITIONS) / 2.0
-    first, last = math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6)
-    digits = max(0, 2 - math.floor(math.log10(step)))
-    return round(first * step, digits), round(max(last, first + 1) * step, digits), step
-
-
-def _start(p: Parameter) -> float:
-    """Where a parameter's slider stands at first."""
-    low, high, step = _range(p)
-    return min(max(low + round((p.position(p.value) - low) / step) * step, low), high)
-
-
-def _marks(p: Parameter) -> tuple[tuple[float, str], ...]:
-    """Round values along a logarithmic slider."""
-    low, high, _ = _range(p)
-    multiples = (1, 2, 5) if high - low < 2.0 else (1,)
-    values = [m * 10.0**k for k in range(math.floor(low), math.ceil(high) + 1) for m in multiples]
-    marks = [(math.log10(value), f"{value:g}") for value in values]
-    return tuple((at, text) for at, text in marks if low <= at <= high)
-
-
-def _label(p: Parameter, value: float) -> str:
-    return f"{p.label} {p.text(value)}"
 
 
 def _first_speed(scene: ViewerScene) -> str:

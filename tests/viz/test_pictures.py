@@ -1,22 +1,26 @@
-"""The frames that animations are made of, and from where clouds are seen."""
+"""Clouds, from where they are seen, the frames of animations, and GIFs."""
 
 import io
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from gendom.errors import GendomError
-from gendom.viz import CloudSequence, encode_camera_views, palette
+from gendom.viz import CloudSequence, encode_camera_views, palette, write_gif
 from gendom.viz.animation import FramePainter
-from gendom.viz.clouds import choose_view
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_COLOR
+from viz.made_up import lift
 
 
 def near(image, color, tolerance=60):
     """[height, width] bool: pixels of about a colour."""
     want = np.array([int(color[i : i + 2], 16) for i in (1, 3, 5)])
     return (np.abs(np.asarray(image, dtype=int) - want) < tolerance).all(axis=2)
+
+
+def count(image):
+    return sum(1 for _ in ImageSequence.Iterator(image))
 
 
 def test_points_are_drawn_where_they_are():
@@ -30,30 +34,28 @@ def test_points_are_drawn_where_they_are():
     assert not near(picture, SIMULATED_COLOR, 20).any()  # under the recorded one, and pale
 
 
-def test_the_legend_has_the_clouds_own_names(make_lift):
+def test_the_legend_has_the_clouds_own_names():
     """Other names, another legend, and the same picture below it."""
     pictures = [
-        np.asarray(FramePainter(CloudSequence(**make_lift(), labels=labels)).draw(0))
+        np.asarray(FramePainter(CloudSequence(**lift(), labels=labels)).draw(0))
         for labels in (("recorded", "simulated"), ("carried out", "predicted"))
     ]
     rows = np.flatnonzero((pictures[0] != pictures[1]).any(axis=(1, 2)))
     assert len(rows) and rows.max() < 40
 
 
-def test_limits_do_not_change_between_frames(make_lift):
-    painter = FramePainter(CloudSequence(**make_lift()))
+def test_limits_do_not_change_between_frames():
+    painter = FramePainter(CloudSequence(**lift()))
     images = [np.asarray(painter.draw(t)) for t in (0, 19)]
     assert images[0].shape == images[1].shape
     bar = slice(-38, None)  # the row of the bar and its length
     assert (images[0][bar] == images[1][bar]).all() and (images[0][bar] != 255).any()
 
 
-def test_a_stray_point_does_not_shrink_the_rest(make_lift):
-    clean = make_lift(recorded=400)
-    stray = make_lift(recorded=400)
+def test_a_stray_point_does_not_shrink_the_rest():
+    clean, stray = lift(recorded=400), lift(recorded=400)
     stray["recorded"][3] = np.vstack([stray["recorded"][3], [[50.0, 0.0, 50.0]]])
-    boxes = [CloudSequence(**lift).box() for lift in (clean, stray)]
-    assert np.allclose(*boxes, atol=0.01)
+    assert np.allclose(*(CloudSequence(**of).box() for of in (clean, stray)), atol=0.01)
 
 
 @pytest.mark.parametrize(
@@ -62,30 +64,24 @@ def test_a_stray_point_does_not_shrink_the_rest(make_lift):
 )
 def test_auto_view_shows_where_the_object_moves(size, names):
     points = np.random.default_rng(0).uniform(size=(200, 3)) * size
-    view = choose_view(CloudSequence(recorded=[points], times=np.array([0.0])))
+    view = CloudSequence(recorded=[points], simulated=[points], times=[0.0]).projection()  # pyright: ignore
     axes = np.eye(3)[["xyz".index(name) for name in names]]
     assert view.axes == pytest.approx(axes, abs=1e-12)
 
 
-def test_oblique_axes_are_orthonormal(make_lift):
-    axes = choose_view(CloudSequence(**make_lift()), "oblique").axes
+def test_oblique_axes_are_orthonormal():
+    axes = CloudSequence(**lift(), view="oblique").projection().axes
     assert axes @ axes.T == pytest.approx(np.eye(2))
     assert axes[1, 2] > 0.5  # up stays up
 
 
-@pytest.mark.parametrize("view", ["auto", "oblique"])
-def test_every_view_and_missing_parts_are_drawn(make_lift, view):
-    FramePainter(CloudSequence(**make_lift(frames=3)), view=view).draw(1)
-    bare = make_lift(frames=3) | {"simulated": None, "table_height": None}
-    bare |= {"gripper": None, "chamfer": None}
-    FramePainter(CloudSequence(**bare), view=view).draw(2)
-
-
-def test_empty_frames_are_allowed_but_not_only_those(make_lift):
-    lift = make_lift(frames=3)
-    lift["recorded"][0] = np.empty((0, 3))
-    FramePainter(CloudSequence(**lift)).draw(0)
-    nothing = CloudSequence(recorded=[np.empty((0, 3))], times=np.zeros(1))
+def test_missing_parts_and_empty_frames_are_drawn():
+    bare = lift(frames=3) | dict.fromkeys(("table_height", "gripper", "chamfer"))
+    bare["recorded"][0] = np.empty((0, 3))
+    for view in ("auto", "oblique"):
+        FramePainter(CloudSequence(**bare, view=view)).draw(0)
+    none = [np.empty((0, 3))]
+    nothing = CloudSequence(recorded=none, simulated=none, times=np.zeros(1))
     with pytest.raises(GendomError, match="recorded: has no points at all"):
         FramePainter(nothing)
 
@@ -117,8 +113,56 @@ def test_camera_views_of_one_size_become_a_picture(monkeypatch):
         ({"arm": np.zeros((2, 4, 2, 3)), "arm_radius": np.ones(4)}, r"arm must be \[20, C, 2, 3\]"),
         ({"goal": np.zeros(3)}, r"goal must be \[n, 3\] numbers, got shape \[3\]"),
         ({"table_height": "low"}, "table_height must be a number, got 'low'"),
+        ({"view": "yx"}, "view: is 'yx'; choose from auto, oblique"),
     ],
 )
-def test_bad_clouds(make_lift, change, message):
+def test_bad_clouds(change, message):
     with pytest.raises(GendomError, match=message):
-        CloudSequence(**make_lift() | change)
+        CloudSequence(**lift() | change)
+
+
+# ---- files ---------------------------------------------------------------------------------------
+
+
+def test_frames_durations_and_loop(tmp_path):
+    path = tmp_path / "lift.gif"
+    write_gif(path, CloudSequence(**lift(frames=8)))
+    with Image.open(path) as image:
+        assert (image.format, count(image), image.width) == ("GIF", 8, 640)
+        assert image.info["loop"] == 0
+        durations = []
+        for t in range(8):
+            image.seek(t)
+            image.load()
+            durations.append(image.info["duration"])
+    assert durations == [80] * 7 + [1080]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_equal_frames_are_not_merged(tmp_path):
+    still = lift(frames=5) | {"gripper": None, "chamfer": None}
+    for name in ("recorded", "simulated"):
+        still[name] = [still[name][0]] * 5
+    still["times"] = 0.001 * np.arange(5)  # the same to two decimals
+    for name in ("a.gif", "b.gif"):
+        write_gif(tmp_path / name, CloudSequence(**still))
+    with Image.open(tmp_path / "a.gif") as image:
+        assert count(image) == 5
+    assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
+
+
+def test_a_long_lift_stays_small(tmp_path):
+    path = tmp_path / "lift.gif"
+    write_gif(path, CloudSequence(**lift(frames=120, recorded=150, simulated=1000)))
+    assert path.stat().st_size < 1_500_000
+    with Image.open(path) as image:
+        assert count(image) == 60
+
+
+def test_failure_keeps_the_old_file(tmp_path):
+    path = tmp_path / "lift.gif"
+    path.write_text("old")
+    none = [np.empty((0, 3))]
+    with pytest.raises(GendomError, match="no points at all"):
+        write_gif(path, CloudSequence(recorded=none, simulated=none, times=np.zeros(1)))
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]

@@ -1,77 +1,60 @@
-"""What the viewer shows: layers over time, what they are made of, and the models that give them."""
+"""What the viewer shows: layers over time, numbers of sliders, and the models that give them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.sim import Body
 from gendom.tasks.cloth_spreading import lattice_triangles
-from gendom.viz.palette import INK, SIMULATED_COLOR
-from gendom.viz.report.summary import SHOWN_UNITS, with_minus
+from gendom.viz.palette import INK, SIMULATED_COLOR, nice_step
+from gendom.viz.quantities import SHOWN_UNITS, with_minus
 
 RING = 8
 """Points of a rod's skin around its centre line, see `gendom.sim.Body.surface`."""
 
-SIDES = 12
-"""Sides of a capsule's mesh."""
-
 MATERIAL, ACTION, SETUP = "Material", "Action", "Grip and clock"
 """Groups of parameters."""
 
-_LATITUDES = np.concatenate([np.linspace(0.0, 0.5, 5), np.linspace(0.5, 1.0, 5)]) * np.pi
+_POSITIONS = 200
+"""Least number of positions of a parameter's slider."""
+
+_DIGIT = 0.01
+"""Step of a logarithmic slider [decades]."""
 
 Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PointLayer:
-    """A cloud that changes."""
+class Layer:
+    """Dots, thick lines or a surface that move."""
 
     name: str
     color: str
     """As "#rrggbb"."""
     points: Sequence[Array]
-    """T clouds [n_t, 3] [m]."""
-    radius: float
-    """A dot's radius [m]."""
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-    def all_points(self) -> Array:
-        """[n, 3] points of all frames [m]."""
-        return np.concatenate([np.zeros((0, 3)), *self.points])
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MeshLayer:
-    """A surface that moves."""
-
-    name: str
-    color: str
-    """As "#rrggbb"."""
-    vertices: Array
-    """[T, V, 3] [m]; [1, V, 3] of one that rests."""
-    faces: NDArray[np.integer]
-    """[F, 3] its triangles."""
+    """T clouds of dots [n, 3], ends of lines [L, 2, 3], or vertices of a surface [V, 3] [m]; one
+    of what rests. The number of dots may change."""
+    faces: NDArray[np.integer] | None = None
+    """[F, 3] triangles of a surface."""
+    radius: float = 0.0
+    """Of dots and lines [m]."""
     opacity: float = 1.0
+    """Of a surface."""
 
-    def __len__(self) -> int:
-        return len(self.vertices)
-
-    def all_points(self) -> Array:
-        """[n, 3] vertices of all frames [m]."""
-        return self.vertices.reshape(-1, 3)
-
-
-Layer = PointLayer | MeshLayer
+    @property
+    def kind(self) -> str:
+        """dots, lines or surface."""
+        if self.faces is not None:
+            return "surface"
+        return "lines" if self.points[0].ndim == 3 else "dots"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,8 +67,8 @@ class ViewerScene:
     """Each has T frames, or one that is shown at all times."""
     table_height: float | None = None
     """z of the table [m]; None: no table."""
-    curves: Mapping[str, Array] = field(default_factory=dict)
-    """[T] each: numbers over time, by name and unit."""
+    chamfer: Array | None = None
+    """[T] distance of recorded and simulated clouds [m]."""
     facts: tuple[tuple[str, str], ...] = ()
     """Names and values to read."""
 
@@ -107,10 +90,10 @@ class ViewerScene:
         """
         ends = []
         for layer in self.layers:
-            points = layer.all_points()
+            points = np.concatenate([x.reshape(-1, 3) for x in layer.points])
             if len(points):
                 # a depth camera's flying pixels would shrink everything else
-                share = (0.005, 0.995) if isinstance(layer, PointLayer) else (0.0, 1.0)
+                share = (0.005, 0.995) if layer.kind == "dots" else (0.0, 1.0)
                 ends.append(np.quantile(points, share, axis=0))
         what, fix = "have no points at all", "record it again"
         require(ends, what, where="layers", fix=fix)
@@ -119,7 +102,7 @@ class ViewerScene:
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One number that a slider changes."""
+    """One number that a slider changes. The slider of a logarithmic one stands at its log10."""
 
     name: str
     label: str
@@ -132,27 +115,52 @@ class Parameter:
     value: float
     """At first, within the range."""
     log: bool = False
-    """Whether its slider is logarithmic."""
 
     def position(self, value: float) -> float:
-        """Where its slider stands for a value: at log10 of a logarithmic one."""
+        """Where its slider stands for a value."""
         return math.log10(value) if self.log else value
 
     def at(self, position: float) -> float:
-        """The value of a position of its slider, inverse of `position`."""
+        """The value at a position of its slider: exactly the first one where that began."""
+        if position == self.start:
+            return self.value
         return 10.0**position if self.log else position
 
+    @property
+    def range(self) -> tuple[float, float, float]:
+        """Lowest and highest position of its slider, and the step: round numbers."""
+        low, high = self.position(self.low), self.position(self.high)
+        step = _DIGIT if self.log else nice_step(max(high - low, 1e-9) / _POSITIONS) / 2.0
+        first, last = math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6)
+        digits = max(0, 2 - math.floor(math.log10(step)))
+        return round(first * step, digits), round(max(last, first + 1) * step, digits), step
+
+    @property
+    def start(self) -> float:
+        """Where its slider stands at first."""
+        low, high, step = self.range
+        return min(max(low + round((self.position(self.value) - low) / step) * step, low), high)
+
+    @property
+    def marks(self) -> tuple[tuple[float, str], ...] | None:
+        """Positions and texts of round values along a logarithmic slider."""
+        if not self.log:
+            return None
+        low, high, _ = self.range
+        within = (1, 2, 5) if high - low < 2.0 else (1,)
+        values = [m * 10.0**k for k in range(math.floor(low), math.ceil(high) + 1) for m in within]
+        return tuple((math.log10(v), f"{v:g}") for v in values if low <= math.log10(v) <= high)
+
     def text(self, value: float) -> str:
-        """A value with its unit."""
+        """Its label, and a value with its unit."""
         factor, unit = SHOWN_UNITS.get(self.unit, (1.0, self.unit))
-        return with_minus(f"{factor * value:.3g} {unit}".rstrip())
+        return f"{self.label} " + with_minus(f"{factor * value:.3g} {unit}".rstrip())
 
 
-class Model:
-    """Something to view."""
+class Model(Protocol):
+    """Something to view: some cases, each with parameters of the same names."""
 
     title: str
-    """One line."""
     notes: tuple[str, ...]
     """Sentences to be read beside it."""
     cases: tuple[str, int]
@@ -160,9 +168,7 @@ class Model:
     initial: ViewerScene | None
     """What is known before anything is simulated."""
 
-    def parameters(self, case: int) -> tuple[Parameter, ...]:
-        """Parameters of a case; of the same names in all cases."""
-        raise NotImplementedError
+    def parameters(self, case: int) -> tuple[Parameter, ...]: ...
 
     def simulate(
         self, case: int, values: Mapping[str, float], go_on: Callable[[], None]
@@ -175,9 +181,9 @@ class Model:
             go_on: Called now and then; what it raises ends everything.
 
         Raises:
-            ParameterError: It cannot be simulated.
+            GendomError: It cannot be simulated.
         """
-        raise NotImplementedError
+        ...
 
 
 def object_layer(
@@ -186,7 +192,7 @@ def object_layer(
     points: Array,
     lattice: tuple[int, int] | None,
     opacity: float = 1.0,
-) -> MeshLayer:
+) -> Layer:
     """A simulated rope or cloth.
 
     Args:
@@ -196,20 +202,21 @@ def object_layer(
         lattice: A cloth's rows and points in a row; None: a rope.
         opacity: Below 1 where something else is to be seen through it.
     """
+    faces, radius = None, 0.5 * body.thickness
     if lattice is not None:
-        vertices, faces = points, lattice_triangles(*lattice)
+        faces = lattice_triangles(*lattice)
     elif points.shape[1] == len(body.points):
-        vertices = body.surface(points)
-        faces = tube_faces(vertices.shape[1] // RING, RING)
+        points = body.surface(points)
+        faces = tube_faces(points.shape[1] // RING, RING)
     else:  # the sections of particles
-        links = np.stack([points[:, :-1], points[:, 1:]], axis=-2)
-        vertices, faces = capsules(links, np.full(links.shape[1], 0.5 * body.thickness))
-    return MeshLayer(
-        name=name, color=SIMULATED_COLOR, vertices=vertices, faces=faces, opacity=opacity
-    )
+        points = np.stack([points[:, :-1], points[:, 1:]], axis=-2)
+    return Layer(
+        name=name, color=SIMULATED_COLOR, points=list(points), faces=faces, radius=radius,
+        opacity=opacity,
+    )  # fmt: skip
 
 
-def gripper_layer(position: Array, size: float, axis: Array | None = None) -> MeshLayer:
+def gripper_layer(position: Array, size: float, axis: Array | None = None) -> Layer:
     """Grippers as sticks that stand on what they hold, and a bar along the object at the clamp.
 
     Args:
@@ -222,10 +229,9 @@ def gripper_layer(position: Array, size: float, axis: Array | None = None) -> Me
     if axis is not None:
         half = 0.04 * size * axis
         ends.append(np.stack([position - half, position + half], axis=-2))
-    every = np.concatenate(ends, axis=1)
-    vertices, faces = capsules(every, np.full(every.shape[1], 0.012 * size))
     color = "#" + "".join(f"{c:02x}" for c in INK)
-    return MeshLayer(name="gripper", color=color, vertices=vertices, faces=faces)
+    lines = list(np.concatenate(ends, axis=1))
+    return Layer(name="gripper", color=color, points=lines, radius=0.012 * size)
 
 
 def tube_faces(rings: int, sides: int) -> NDArray[np.integer]:
@@ -240,34 +246,3 @@ def tube_faces(rings: int, sides: int) -> NDArray[np.integer]:
     faces = [np.stack([a, c, b], axis=-1), np.stack([a, d, c], axis=-1)]
     ends = [at[0][fan][:, ::-1], at[-1][fan]]
     return np.concatenate([f.reshape(-1, 3) for f in (*faces, *ends)])
-
-
-def capsules(
-    ends: ArrayLike, radius: ArrayLike
-) -> tuple[NDArray[np.floating], NDArray[np.integer]]:
-    """Vertices [T, V, 3] [m] and triangles [F, 3] of C capsules, of balls where both ends meet.
-
-    Args:
-        ends: [T, C, 2, 3] ends of their axes [m].
-        radius: [C] [m].
-    """
-    ends, radius = np.asarray(ends, dtype=float), np.asarray(radius, dtype=float)
-    axis = ends[..., 1, :] - ends[..., 0, :]
-    length = np.linalg.norm(axis, axis=-1, keepdims=True)
-    axis = np.where(length > 1e-9, axis / np.maximum(length, 1e-9), [0.0, 0.0, 1.0])
-    # any direction that is far from the axis
-    aside = np.eye(3)[np.argmin(np.abs(axis), axis=-1)]
-    first = np.cross(axis, aside)
-    first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    second = np.cross(axis, first)
-    angle = 2.0 * np.pi * np.arange(SIDES) / SIDES
-    around = np.cos(angle)[:, None] * first[..., None, :]
-    around = around + np.sin(angle)[:, None] * second[..., None, :]  # [T, C, S, 3]
-    out = np.sin(_LATITUDES)[:, None, None] * around[..., None, :, :]
-    out = out - np.cos(_LATITUDES)[:, None, None] * axis[..., None, None, :]
-    rings = len(_LATITUDES)
-    centre = np.repeat(ends, rings // 2, axis=-2)[..., None, :]  # [T, C, R, 1, 3]
-    vertices = centre + radius[:, None, None, None] * out
-    one, each = tube_faces(rings, SIDES), rings * SIDES
-    faces = np.concatenate([one + c * each for c in range(len(radius))])
-    return vertices.reshape(len(ends), -1, 3), faces

@@ -1,0 +1,325 @@
+"""Motions: a film and a view that turns, driven by one slider (`viewer.js` brings them to life);
+residuals of a lift over time; what the policy's action reached."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gendom.viz.charts import Axis, Plot
+from gendom.viz.clouds import CloudSequence
+from gendom.viz.quantities import length_text, numbers_text
+from gendom.viz.report.markup import escaped, side_by_side, table
+
+WITH, WITHOUT = "with the estimate", "without parameters"
+"""Names of the runs that are compared first: of one network, with the estimate's parameters and
+without any."""
+
+# Bytes of all points before base64; two viewers then fit into a report of 2 MB.
+_BUDGET = 420_000
+_BYTES_A_POINT = 6
+
+_FRAMES = 60
+"""With more frames than these, evenly spaced ones are shown."""
+
+_UNHURRIED = 3.0  # seconds; a shorter motion is played slowly at first
+_SPEEDS = (("1", "real time"), ("0.5", "half speed"), ("0.25", "quarter speed"))
+
+
+def viewer(clouds: CloudSequence, *, name: str, subject: str) -> str:
+    """HTML, hidden until the script runs, so that a page without scripts has no dead buttons.
+
+    Args:
+        clouds: What is played.
+        name: Of this viewer in the page, a word.
+        subject: What is seen; plain text.
+
+    Raises:
+        GendomError: The clouds have no points.
+    """
+    duration = float(clouds.times[-1] - clouds.times[0])
+    first = next((v for v, _ in _SPEEDS if duration / float(v) >= _UNHURRIED), _SPEEDS[-1][0])
+    speeds = "".join(
+        f'<option value="{value}"{" selected" if value == first else ""}>{said}</option>'
+        for value, said in _SPEEDS
+    )
+    recorded, simulated = map(escaped, clouds.labels)
+    layers = [
+        ("recorded", recorded, "dot", clouds.recorded),
+        ("simulated", simulated, "dot", clouds.simulated),
+        ("arm", "arm", "area", clouds.arm),
+        ("goal", "goal", "ring", clouds.goal),
+    ]
+    options = "".join(
+        f'<label><input type="checkbox" data-layer="{kind}" checked>'
+        f'<i class="{kind} key {shape}"></i>{label}</label>'
+        for kind, label, shape, shown in layers
+        if shown is not None
+    )
+    options += (
+        f'<label>{recorded} <input type="range" class="fade" min="-1" max="1" step="0.05" '
+        f'value="0" aria-label="Fade from {recorded} to {simulated}"> {simulated}</label>'
+    )
+    where = "from above at an angle" if clouds.view == "oblique" else "from the side"
+    said = escaped(subject)
+    kind = "viewer" if clouds.num_frames > 1 else "viewer still"
+    return (
+        f'<div class="{kind}" id="{name}" data-scene="{name}-scene" hidden>'
+        '<div class="screens">'
+        f'<figure><canvas class="film" role="img" aria-label="{said}, {where}"></canvas>'
+        f"<figcaption>Film {where}</figcaption></figure>"
+        f'<figure><canvas class="turning" tabindex="0" role="img" aria-label="{said}; drag or use '
+        'the arrow keys to turn it"></canvas>'
+        "<figcaption>3D view: drag it, or use the arrow keys, to turn it</figcaption></figure>"
+        '</div><div class="controls"><button type="button" class="play">Play</button>'
+        '<input type="range" class="time" min="0" value="0" aria-label="Time"><output></output>'
+        f'<select class="speed" aria-label="Speed">{speeds}</select></div>'
+        f'<div class="options">{options}</div></div>'
+        f'<script type="application/json" id="{name}-scene">'
+        f"{encode_scene(clouds)}</script>"
+    )
+
+
+def encode_scene(sequence: CloudSequence) -> str:
+    """What `viewer.js` draws, as JSON that is safe inside a script element.
+
+    Points are thinned to a few hundred kilobytes and rounded to 1 / 65535 of their box. The
+    simulated particles that are left are the same in every frame. The arm is rounded to
+    millimetres.
+
+    Raises:
+        GendomError: The sequence has no points.
+    """
+    chosen = sequence.spread(_FRAMES)
+    low, high = sequence.box()
+    if sequence.goal is not None:
+        low = np.minimum(low, sequence.goal.min(axis=0))
+        high = np.maximum(high, sequence.goal.max(axis=0))
+    high = np.maximum(high, low + 1e-3)
+    clouds, points = _packed(sequence, chosen, low, high)
+    side, grippers, chamfer = sequence.projection(), sequence.gripper, sequence.chamfer
+    arm, aside = None, 0.5
+    if sequence.arm is not None and sequence.arm_radius is not None:
+        ends = (1e3 * sequence.arm[chosen]).round().astype(int)
+        arm = {
+            "radius": (1e3 * sequence.arm_radius).round().astype(int).tolist(),
+            "ends": ends.reshape(len(chosen), -1).tolist(),
+        }
+        # the view that turns begins where the arm stands behind the object
+        away = sequence.arm[chosen[0]].mean(axis=(0, 1)) - 0.5 * (low + high)
+        aside = -0.5 if away[:2] @ [np.cos(side.turn), np.sin(side.turn)] > 0.0 else 0.5
+    scene = {
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "times": sequence.times[chosen].round(5).tolist(),
+        "frames": [t + 1 for t in chosen],
+        "of": sequence.num_frames,
+        "chamfer": None if chamfer is None else chamfer[chosen].tolist(),
+        "table": sequence.table_height,
+        "view": {"turn": side.turn, "tilt": side.tilt, "aside": aside},
+        "grippers": [] if grippers is None else grippers[chosen].round(5).tolist(),
+        "arm": arm,
+        "goal": None if sequence.goal is None else sequence.goal.round(5).tolist(),
+        "clouds": clouds,
+        "points": base64.b64encode(points.tobytes()).decode("ascii"),
+    }
+    return json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _packed(
+    sequence: CloudSequence, chosen: list[int], low: np.ndarray, high: np.ndarray
+) -> tuple[list[dict[str, Any]], np.ndarray]:
+    """What each cloud is and where its frames begin, and the points [n, 3] of all, 0 to 65535
+    between two corners."""
+    per_frame = _BUDGET // (_BYTES_A_POINT * len(chosen))
+    # Points are few in a recording and many in a simulation: what one leaves the other may use.
+    counts = [len(sequence.recorded[t]) for t in chosen]
+    keep = min(max(counts), per_frame // 2)
+    dot = 3.2 if keep < 400 else 2.2  # small, or a dense cloud would hide the other
+    layers = [
+        ("simulated", sequence.simulated, per_frame - keep, 4.4),
+        ("recorded", sequence.recorded, keep, dot),
+    ]
+    packed, clouds, total = [], [], 0
+    for kind, frames, keep, size in layers:
+        offsets = [total]
+        for t in chosen:
+            points = np.clip((_thinned(frames[t], keep) - low) / (high - low), 0.0, 1.0)
+            packed.append((65535.0 * points).round().astype("<u2"))
+            total += len(points)
+            offsets.append(total)
+        clouds.append({"kind": kind, "size": size, "offsets": offsets})
+    return clouds, np.concatenate(packed)
+
+
+def _thinned(points: np.ndarray, keep: int) -> np.ndarray:
+    """At most `keep` of the points; the same ones for the same number of points."""
+    if len(points) <= keep:
+        return points
+    return points[np.sort(np.random.default_rng(0).permutation(len(points))[:keep])]
+
+
+def residuals(clouds: CloudSequence, rms_by_frame: Sequence[float]) -> str:
+    """HTML: distances of both clouds over time, as far as they are known for these frames."""
+    charts = {
+        "Points to simulated surface [mm]": (
+            rms_by_frame,
+            "Distance of recorded points from the simulated surface, root mean square in each "
+            "frame that was compared.",
+        ),
+        "Chamfer distance of both clouds [mm]": (
+            clouds.chamfer,
+            "Mean distance from each recorded point to the nearest simulated one, plus the mean "
+            "distance the other way round. Cameras see one side of the object only, so it is not "
+            "zero even for a perfect fit.",
+        ),
+    }
+    figures = []
+    for title, (distance, said) in charts.items():
+        if distance is None or not len(distance) == clouds.num_frames > 1:
+            continue
+        times, shown = clouds.times, 1e3 * np.asarray(distance, dtype=float)
+        plot = Plot(
+            x=Axis(low=float(times[0]), high=float(times[-1]), label="time [s]"),
+            y=Axis(low=0.0, high=1.15 * max(float(shown.max()), 1e-6)),
+        )
+        plot.area(times, shown, "recorded")
+        plot.line(times, shown, "recorded")
+        plot.level(float(shown.mean()), "soft", f"mean {shown.mean():.1f} mm")
+        plot.cursor("lift-scene")
+        figures.append(plot.figure(title, said))
+    return side_by_side(figures)
+
+
+# ---- what actions reached ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyRun:
+    """One action, and what it reached."""
+
+    action: np.ndarray
+    """[A]."""
+    reached: np.ndarray
+    """[D] in the goal's coordinates [m]."""
+    tip_path: np.ndarray
+    """[T, 3] of the rope's tip from the release on [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReachOutcome:
+    """One goal, and what was reached for it."""
+
+    goal: np.ndarray
+    """[1] distance, or [2] distance and height [m]."""
+    runs: Mapping[str, PolicyRun]
+    """By what they are called: `WITH`, `WITHOUT`, and whatever else was tried."""
+
+    def error(self, name: str) -> float:
+        """Distance between the place that a run reached and the goal [m]."""
+        return float(np.linalg.norm(self.runs[name].reached - self.goal))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActionSummary:
+    """The task carried out for one or several goals, all with runs of the same names."""
+
+    outcomes: Sequence[ReachOutcome]
+    goal_name: str
+    action_names: Sequence[str]
+    """One for each number of an action, with its unit: "release x [m]"."""
+    motion: CloudSequence
+    """One motion as it was carried out, and as our simulator predicts it."""
+
+    def mean_errors(self) -> dict[str, float]:
+        """Mean distance from the goals [m] by the names of the runs."""
+        names = self.outcomes[0].runs
+        return {name: float(np.mean([o.error(name) for o in self.outcomes])) for name in names}
+
+    @property
+    def goals_text(self) -> str:
+        """How many goals there are, as the subject of a sentence on distances."""
+        return "the goal" if len(self.outcomes) == 1 else f"{len(self.outcomes)} goals"
+
+
+def action(done: ActionSummary) -> str:
+    """HTML: one motion to look at, what was reached of each goal, and how the tip went there."""
+    errors, labels = done.mean_errors(), done.motion.labels
+    shown = (
+        f"The last goal's motion as it was {labels[0]} (blue) and as the simulator {labels[1]} it "
+        "with the estimate (orange)."
+    )
+    names = f"Goal: {done.goal_name}. Action: {', '.join(done.action_names)}."
+    return "\n".join(
+        [
+            f"<p>{_verdict(errors[WITH], errors[WITHOUT], done.goals_text)}</p>",
+            f"<p>{escaped(shown)}</p>",
+            viewer(done.motion, name="motion", subject="The motion"),
+            _outcomes_table(done, errors),
+            f'<p class="soft">{escaped(names)}</p>',
+            side_by_side([_goal_figure(done.outcomes)]),
+        ]
+    )
+
+
+def _outcomes_table(done: ActionSummary, errors: Mapping[str, float]) -> str:
+    """A row for each run of each goal, and means."""
+    columns = {"Goal": "number", "Policy": "name"}
+    columns |= dict.fromkeys(("Action", "Reached", "Error"), "number")
+    rows = []
+    for outcome in done.outcomes:
+        goal = numbers_text(outcome.goal, "m")
+        for name, run in outcome.runs.items():
+            reached, error = numbers_text(run.reached, "m"), length_text(outcome.error(name))
+            rows.append([goal, name, numbers_text(run.action), reached, error])
+            goal = ""  # said once
+    several = len(done.outcomes) > 1
+    means = [["mean", name, "", "", length_text(e)] for name, e in errors.items() if several]
+    return table(columns, [*rows, *means], totals=len(means))
+
+
+def _verdict(ours: float, without: float, goals: str) -> str:
+    """One sentence that compares both policies, whichever was better."""
+    text = (
+        f"With the estimate the mean distance from {goals} is "
+        f"<strong>{length_text(ours)}</strong>; the same network without parameters misses by "
+        f"<strong>{length_text(without)}</strong>"
+    )
+    if ours < without:
+        saved = 100.0 * (1.0 - ours / without)
+        return f"{text}: the estimate takes away {saved:.0f} % of the error."
+    return f"{text}: here the estimate did not help."
+
+
+def _goal_figure(outcomes: Sequence[ReachOutcome]) -> str:
+    """Goals and places reached, and the tip's paths, in the plane of the swing."""
+    ways = {WITHOUT: ("without", "dashed", "square"), WITH: ("ours", "line", "dot")}
+    runs = [(name, outcome.runs[name]) for outcome in outcomes for name in ways]
+    goals = [outcome.goal for outcome in outcomes]
+    places = np.concatenate([run.tip_path[:, ::2] for _, run in runs])
+    across = np.concatenate([places[:, 0], *(g[:1] for g in goals)])
+    upwards = np.concatenate([places[:, 1], *(g[1:] for g in goals)])
+    plot = Plot.to_scale(
+        Axis.around(across, margin=0.04, label="distance along the goal's direction [m]"),
+        Axis.around(upwards, margin=0.04),
+    )
+    for k, (name, run) in enumerate(runs):
+        (kind, line, mark), label = ways[name], f"tip, {name}" if k < len(ways) else ""
+        path = run.tip_path[:, ::2]
+        plot.line(path[:, 0], path[:, 1], kind, label, line)
+        # a goal that is a distance is reached by the path's farthest point
+        at = run.reached if len(run.reached) == 2 else path[np.argmax(path[:, 0])]
+        plot.marks([at[0]], [at[1]], kind, shape=mark)
+    for k, goal in enumerate(goals):
+        label = "" if k else "goal"
+        if len(goal) == 1:
+            plot.upright(goal[0], "ink", label)
+        else:
+            plot.marks([goal[0]], [goal[1]], "ink", label, "cross")
+    note = "Paths from where the tip is let go, or the hand stands; dots and squares: reached."
+    return plot.figure("Paths of the rope's tip: height [m]", note)
