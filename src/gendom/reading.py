@@ -181,8 +181,8 @@ def parse_json(
 def record_of(
     kind: type[Record], value: Any, *, where: str, fix: str, error: type[GendomError] = GendomError
 ) -> Record:
-    """A dataclass of what JSON holds: each of its fields has the type that it says, those without a
-    default are there, and what else is there is left out.
+    """A dataclass of what JSON holds: each of its fields has the type that it says (arrays as lists
+    of numbers), those without a default are there, and what else is there is left out.
 
     Args:
         kind: The dataclass.
@@ -197,11 +197,23 @@ def record_of(
     import msgspec
 
     try:
-        return msgspec.convert(value, kind)
+        return msgspec.convert(value, kind, dec_hook=_array_of)
     except (msgspec.ValidationError, RecursionError) as fault:
         what, _, place = str(fault).replace("`", "").partition(" - at $")
         place = f"{where}: {place.lstrip('.')}" if place else where
         raise error(f"{what[0].lower()}{what[1:]}", where=place, fix=fix) from None
+
+
+def _array_of(_: Any, value: Any) -> NDArray[np.float64]:
+    """What a field that is an array takes.
+
+    Raises:
+        ValueError: It is no number, and no list of numbers or of equally long such lists.
+    """
+    array = np.array(value)
+    if array.dtype.kind not in "iuf":
+        raise ValueError("expected an array of numbers")
+    return array.astype(np.float64)
 
 
 def read_toml(

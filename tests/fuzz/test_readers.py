@@ -21,7 +21,6 @@ from gendom.hardware.contracts import Tick
 from gendom.hardware.execution import (
     ACTION_FORMAT,
     ExecutionLog,
-    plan_record,
     read_action,
     read_log,
 )
@@ -248,14 +247,15 @@ def read_boards(folder):
 def action(folder):
     there = XARM7.home + 0.1
     planned = PlannedMotion(
-        arm=XARM7,
+        arm="xarm7",
+        first=there,
         motion=joint_move(XARM7, there, XARM7.home),
         approach=joint_move(XARM7, XARM7.home, there),
         surroundings={},
         opening=0.01,
     )
     said = {"format": ACTION_FORMAT, "task": "t", "goal": {}, "action": {"a": 1.0}, "object": {}}
-    said |= {"trajectory": {"T_base_task": np.eye(4)}, "plan": plan_record(planned)}
+    said |= {"trajectory": {"T_base_task": np.eye(4)}, "plan": planned}
     write_json(folder / "action.json", said)
 
 

@@ -31,7 +31,7 @@ def line(*points, seconds=2.0):
         ([], {"share": "30.0"}, "speed.share: is out of range; give a share up to 1"),
         ([], {"max_opening": "84.0"}, "tool.max_opening: is out of range; give metres up to 0.084"),
         ([], {"workspace": "[[0, 0, 0.5], [1, 1, 0.2]]"}, "workspace: is out of range"),
-        ([], {"workspace": '"all"'}, "workspace: expected `array`".replace("`", "")),
+        ([], {"workspace": '"all"'}, "workspace: expected an array of numbers"),
         ([], {"table_height": "nan"}, "table_height: is out of range"),
         ([], {"table_height": "0.0\nself_clearance = nan"}, "self_clearance: is out of range"),
         ([box("a", (0, 0, 1), (1, 1, 1)) + "\nquat_xyzw = [0, 0, 0, 0]"], {}, "no quaternion"),

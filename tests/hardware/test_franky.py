@@ -15,7 +15,7 @@ from gendom.errors import DeviceError, RobotError
 from gendom.hardware import cell as cells
 from gendom.hardware.franky import FrankaDriver
 from gendom.hardware.streaming import Streamer
-from gendom.robot import NO_OBSTACLES, find_arm, joint_move
+from gendom.robot import find_arm, joint_move
 
 pytest.importorskip("franky", reason="pip install franky-control")
 pytest.importorskip("franky_sim", reason="pip install franky-sim")
@@ -57,8 +57,7 @@ def streamer(address):
         address=address,
         arm="fr3",
         tool=cells.Tool(max_opening=0.08, latency=0.05),
-        surroundings=NO_OBSTACLES,
-        workspace=(np.full(3, -1.5), np.full(3, 1.5)),
+        workspace=np.outer([-1.5, 1.5], np.ones(3)),
     )
     driver = Driver(cell)
     driver.connect()
@@ -117,7 +116,6 @@ def test_nobody_there():
                 address="127.0.78.2",
                 arm="fr3",
                 tool=cells.Tool(max_opening=0.08, latency=0.05),
-                surroundings=NO_OBSTACLES,
-                workspace=(np.full(3, -1.5), np.full(3, 1.5)),
+                workspace=np.outer([-1.5, 1.5], np.ones(3)),
             )
         ).connect()

@@ -7,9 +7,10 @@ from scipy.interpolate import CubicSpline
 from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import RecordingError
 from gendom.hardware.cell import BARE
-from gendom.hardware.execution import PlannedAction
+from gendom.hardware.execution import PlannedAction, Trajectory
 from gendom.hardware.observing import reached, rope_tip
 from gendom.materials import Material, Rope
+from gendom.robot import XARM7
 from gendom.tasks import ClothSpreading, RopeReaching
 from gendom.tasks.world import Simulation
 
@@ -56,13 +57,13 @@ def made(fps=30.0, **changed):
     moved = CubicSpline(seen.times, seen.points)
     lines = moved(time)
     clouds = [(cloud_of(x, rng) @ T[:3, :3].T + T[:3, 3]).astype(np.float32) for x in lines]
-    hand = motion.tcp_at(planned.arm, time)[:, :3, 3]
+    hand = motion.tcp_at(XARM7, time)[:, :3, 3]
     recording = Recording.from_frames(
         clouds, time=time + 5.0, gripper_position=hand,
         object=ObjectDescription(kind="rope", length=0.3, mass=0.05),
     )  # fmt: skip
-    done = PlannedAction(task=task.name, action=action, goal=(0.45,), object={}, T_base_task=T,
-                         planned=planned)  # fmt: skip
+    done = PlannedAction(task=task.name, action=dict(enumerate(action)), goal={}, object={},
+                         trajectory=Trajectory(T_base_task=T), plan=planned)  # fmt: skip
     return task, done, recording, motion.start + 5.0, outcome.values
 
 

@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial import KDTree
 
 from gendom.errors import DeviceError, GendomError
-from gendom.hardware.streaming import BLIND, LAG, TRACKING, Driver, Report, Streamer
+from gendom.hardware.contracts import RobotState
+from gendom.hardware.streaming import BLIND, LAG, TRACKING, Driver, Streamer
 from gendom.robot import XARM7, GripperEvent, JointMotion, joint_move, tcp_pose
 from hardware.xarm_box import cell
 
@@ -37,7 +38,7 @@ class Controller(Driver):
     def report(self):
         seen = self.now - self.age
         q = self.q(seen - self.lag) if self.frozen is None else self.frozen
-        return Report(time=seen, q=q, fault=self.code)
+        return RobotState(time=seen, q=q, fault=self.code)
 
     def connect(self):
         pass

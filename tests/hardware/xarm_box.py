@@ -20,7 +20,7 @@ import numpy as np
 
 from gendom.hardware import cell as cells
 from gendom.hardware.xarm7 import XArmDriver
-from gendom.robot import NO_OBSTACLES, XARM7, tcp_pose
+from gendom.robot import XARM7, tcp_pose
 
 PORT = 15020
 """Of commands: the box's own, 502, asks for rights."""
@@ -47,8 +47,7 @@ def cell(address, **speed):
         address=address,
         arm="xarm7",
         tool=cells.Tool(max_opening=0.084, latency=0.1),
-        surroundings=NO_OBSTACLES,
-        workspace=(np.array([-0.8, -0.8, 0.0]), np.array([0.8, 0.8, 1.2])),
+        workspace=np.array([[-0.8, -0.8, 0.0], [0.8, 0.8, 1.2]]),
         speed=cells.SpeedLimits(**speed),
     )
 

@@ -124,8 +124,8 @@ def test_act_plans_what_execute_reads(act, tmp_path):
     code, text, err = act(*map(str, flags))
     assert code == 0, err
     action = read_action(out)
-    motion = action.planned.motion
-    assert action.planned.cell == str(cell) and [e.closed for e in motion.events] == [True, False]
+    motion = action.plan.motion
+    assert action.plan.cell == str(cell) and [e.closed for e in motion.events] == [True, False]
     states = read_joints(joints, XARM7)
     assert states.q == pytest.approx(motion.at(states.time), abs=1e-6)
     assert read_json(points)["points"][-1]["positions"] == pytest.approx(motion.q[-1])

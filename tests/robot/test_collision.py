@@ -38,10 +38,9 @@ def random_q(n, seed=0):
     return np.random.default_rng(seed).uniform(low, high, (n, 7))
 
 
-def placed(position, turn=(0.0, 0.0, 0.0)):
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), position
-    return T
+def box(name, position, size, turn=(0.0, 0.0, 0.0)):
+    quat = Rotation.from_rotvec(turn).as_quat()
+    return Box(name=name, position=np.array(position), size=np.array(size), quat_xyzw=quat)
 
 
 # ---- distances -----------------------------------------------------------------------------------
@@ -96,8 +95,8 @@ def test_capsules_are_as_far_apart_as_mujoco_says():
 
     still = joint_move(XARM7, XARM7.home, XARM7.home)
     robot = RobotArm(XARM7, still, opening=0.03)
-    board = Box(name="board", pose=placed((0.5, 0.2, 0.4), (0.3, -0.5, 0.9)), size=(0.3, 0.4, 0.01))
-    quat = Rotation.from_matrix(board.pose[:3, :3]).as_quat(scalar_first=True)
+    board = box("board", (0.5, 0.2, 0.4), (0.3, 0.4, 0.01), (0.3, -0.5, 0.9))
+    quat = Rotation.from_matrix(board.turn).as_quat(scalar_first=True)
     model = mujoco.MjModel.from_xml_string(
         f"<mujoco><worldbody>{robot.xml()}"
         f'<geom type="box" pos="0.5 0.2 0.4" quat="{" ".join(map(str, quat))}" '
@@ -147,7 +146,9 @@ def test_neighbours_are_not_compared_and_the_base_not_with_the_table():
 
 
 def test_a_hand_below_the_table_is_told():
-    low = inverse_kinematics(XARM7, placed((0.45, 0.0, -0.01), (np.pi, 0.0, 0.0)))
+    T = tcp_pose(XARM7, XARM7.home)
+    T[:3, 3] = 0.45, 0.0, -0.01
+    low = inverse_kinematics(XARM7, T)
     found = collision_at(XARM7, low, TABLE)
     assert found is not None and found.second == "table" and "pad" in found.first
     # The closed pads reach 1.4 mm beyond the tool point.
@@ -188,10 +189,10 @@ def test_the_arm_does_not_run_into_itself():
 
 def test_a_camera_in_the_way_is_named_and_one_beside_it_is_not():
     path = lift([0.45, 0.0, 0.1], height=0.2, speed=0.2)
-    camera = Box(name="camera left", pose=placed((0.45, 0.06, 0.3)), size=(0.09, 0.025, 0.025))
+    camera = box("camera left", (0.45, 0.06, 0.3), (0.09, 0.025, 0.025))
     with pytest.raises(RobotError, match=r"and camera left collide.*away from the camera left"):
         follow(XARM7, path, surroundings=Surroundings(obstacles=(camera,)))
-    aside = replace(camera, pose=placed((0.45, 0.4, 0.3)))
+    aside = replace(camera, position=np.array([0.45, 0.4, 0.3]))
     follow(XARM7, path, surroundings=Surroundings(obstacles=(aside,)))
 
 
@@ -234,8 +235,8 @@ def test_another_posture_is_taken_where_the_first_collides():
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: Box(name="board", pose=np.eye(3), size=(1, 1, 1)),
-        lambda: Box(name="board", pose=np.eye(4), size=(1, 1, 0)),
+        lambda: box("board", (0, 0), (1, 1, 1)),
+        lambda: box("board", (0, 0, 0), (1, 1, 0)),
         lambda: Post(name="pole", start=np.zeros(2), end=np.zeros(3), radius=0.1),
         lambda: Post(name="pole", start=np.zeros(3), end=np.ones(3), radius=np.nan),
     ],
@@ -259,7 +260,7 @@ def test_checking_a_motion_says_what_is_wrong():
 
 def test_a_clearance_is_kept_from_boxes_and_the_table_but_the_fingers_may_grasp():
     path = lift([0.45, 0.0, 0.01], height=0.2, speed=0.2)
-    beside = Box(name="wall", pose=placed((0.45, 0.26, 0.2)), size=(0.5, 0.3, 0.4))
+    beside = box("wall", (0.45, 0.26, 0.2), (0.5, 0.3, 0.4))
     free = Surroundings(table_height=0.0, obstacles=(beside,))
     motion = follow(XARM7, path, surroundings=free, opening=0.02)
     gap = clearances(XARM7, motion.q, free, opening=0.02)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from gendom.materials.estimate import Estimate
     from gendom.policies.policy import Action, Policy
     from gendom.policies.polishing import Discrepancy
+    from gendom.robot import Arm
     from gendom.tasks.task import Outcome, World
 
 _log = logging.getLogger(__name__)
@@ -187,12 +188,10 @@ class Command(KnownObject):
             RobotError: It cannot.
         """
         from gendom.hardware.cell import BARE
-        from gendom.hardware.execution import plan_record
 
         try:
-            planned = (cell or replace(BARE, arm=self.arm)).plan(
-                path, opening=held[0], hangs=held[1]
-            )
+            cell = cell or replace(BARE, arm=self.arm)
+            planned = cell.plan(path, opening=held[0], hangs=held[1])
         except RobotError as error:
             if not self.force:
                 fix = "choose another --origin, or add --force"
@@ -206,17 +205,17 @@ class Command(KnownObject):
                 f"the arm takes {slower:.3g} times as long as the task asks for, and what is "
                 "predicted is for the task's own pace"
             )
-        self._export(planned)
+        self._export(planned, cell.model)
         return {
-            "arm": {"name": planned.arm.name, "slowed_by": slower},
-            "plan": plan_record(planned),
+            "arm": {"name": planned.arm, "slowed_by": slower},
+            "plan": planned,
         }
 
-    def _export(self, planned: PlannedMotion) -> None:
+    def _export(self, planned: PlannedMotion, arm: Arm) -> None:
         from gendom.hardware.execution import write_trajectory
 
         if self.joints is not None:
-            widest = planned.arm.gripper.max_opening
+            widest = arm.gripper.max_opening
             planned.motion.write_joints(self.joints, opening=(planned.opening, widest))
             tell_written(self.joints, json=self.json)
         if self.trajectory is not None:

@@ -54,7 +54,7 @@ class Command:
         (low, high), around = cell.workspace, cell.surroundings
         summary = {
             "robot": cell.robot, "address": cell.address, "arm": cell.arm,
-            "cameras": [c.name for c in cell.cameras],
+            "cameras": [c.name for c in cell.camera],
             "obstacles": [o.name for o in around.obstacles],
             "workspace": [low, high], "speed": cell.speed,
             "scene_clearance": around.clearance, "self_clearance": around.self_clearance,

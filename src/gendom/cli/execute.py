@@ -74,7 +74,7 @@ class Command:
         cell, action = Cell.read(self.cell), read_action(self.action)
         if killed := last_time(self.cell.parent / "executions"):
             _log.warning("%s", killed)
-        slow = careful(action.planned) if self.yes else action.planned
+        slow = careful(action.plan, cell) if self.yes else action.plan
         print("\n".join(preview(slow, cell)))
         if self.action.suffix == ".jsonl":
             print(_measured(self.action))
@@ -102,7 +102,7 @@ class Command:
         from gendom.hardware.picture import draw_cell
         from gendom.robot import tcp_pose
 
-        arm, planned = cell.model, action.planned
+        arm, planned = cell.model, action.plan
         moves = {"approach": planned.approach, "motion": planned.motion}
         paths = {name: m.at(m.sampled(50.0)) for name, m in moves.items()}
         if self.action.suffix == ".jsonl" and len(measured := read_log(self.action).measured):
@@ -162,7 +162,7 @@ def move(cell: Cell, planned: PlannedMotion, what: str, *, yes: bool, **others: 
     """
     from gendom.hardware.execution import careful, preview
 
-    planned = careful(planned) if yes else planned
+    planned = careful(planned, cell) if yes else planned
     print("\n".join([what, *preview(planned, cell)]))
     if not yes:
         confirm("Is the cell empty and the emergency stop at hand?")
@@ -228,7 +228,7 @@ def described(cell: Cell, item: Item, source: str, *, quasi_static: bool = False
     """
     sizes = {"width": item.side, "height": item.side} if isinstance(item, Cloth) else {}
     sizes |= {name: getattr(item, name) for name in item.sizes if name != "side"}
-    table = cell.surroundings.table_height
+    table = cell.table_height
     lines = [
         *([] if table is None else [f"table_height = {table!r}"]),
         'gripper_source = "measured"',
@@ -269,10 +269,10 @@ def bring(robot: Any, action: PlannedAction | None, *, ask: bool = True) -> None
     item = from_columns(task.kind, action.object)
     if simulated:
         real = robot.item if task.kind == robot.item.kind else as_real(item)
-        robot.arrange(task_trial(task, real, action.action))
+        robot.arrange(task_trial(task, real, list(action.action.values())))
     elif ask:
         scene = task.scene(item)
-        T = action.T_base_task
+        T = action.trajectory.T_base_task
         at = ", ".join(f"{x:.3f}" for x in T[:3, :3] @ np.asarray(scene.origin) + T[:3, 3])
         hung = f"Fix the object's first end in the stand at ({at}) m. " if scene.stand else ""
         confirm(

@@ -219,11 +219,10 @@ def lift_in(
         yes: Do not ask, and move slowly.
         logs: Folder of logs; None: ``executions`` beside the cell's file.
     """
-    from gendom.hardware.execution import plan_record
     from gendom.robot import motions
 
     size, thick = size_of(known), thickness_of(known)
-    table = cell.surroundings.table_height or 0.0
+    table = cell.table_height or 0.0
     usual = (AHEAD + 0.5 * FINGER_WIDTH, 0.0, table + max(0.5 * thick, LEAST_HEIGHT))
     require(motion.kind == known.kind, f"is for a {motion.kind}, the object is a {known.kind}",
             where="motion", fix=f"plan one with gendom plan-lift {known.kind}")  # fmt: skip
@@ -238,7 +237,7 @@ def lift_in(
         planned,
         "lift",
         logs=logs or Path(cell.path or ".").parent / "executions",
-        said={"plan": plan_record(planned)},
+        said={"plan": planned},
         bring=lambda robot: bring(robot, None, ask=not yes),
         record=(out, described(cell, known, "a lift in a cell", quasi_static=slow)),
         yes=yes,

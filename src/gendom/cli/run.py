@@ -129,7 +129,7 @@ class Command:
             action = read_action(plan)
             what = f"execution {k} of {task.name}"
             move(
-                cell, action.planned, what, logs=self.out / "executions", said=read_plan(plan),
+                cell, action.plan, what, logs=self.out / "executions", said=read_plan(plan),
                 bring=lambda robot: bring(robot, action, ask=not self.yes),
                 record=(to, described(cell, known, what)), yes=self.yes,
             )  # fmt: skip
@@ -168,7 +168,7 @@ def _observe(task: Task, known: Any, plan: Path, shown: Path, to: Path) -> None:
     seen = perceive(recorded, _by(known.colour), on_warning=lambda fault: _log.info("%s", fault))
     values = reached(task, known, action, seen.recording, float(recorded.robot.time[0]))
     goals = [values[q.name] for q in task.goals]
-    row = {"action": action.action, "reached": goals}
+    row = {"action": [*action.action.values()], "reached": goals}
     write_json(to, {"executions": [row], "outcome": values, "goal": action.goal})
     print(f"reached {', '.join(f'{n} {v:.4f}' for n, v in values.items())}")
 

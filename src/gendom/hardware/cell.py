@@ -15,14 +15,12 @@ from typing import Any, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.errors import DeviceError, RobotError, did_you_mean
 from gendom.hardware.contracts import DepthCamera, Robot, find_depth_camera, find_robot
 from gendom.perception import Camera, read_camera
-from gendom.perception.camera import rigid
 from gendom.reading import read_toml, record_of
 from gendom.reality.arm import housing
 from gendom.robot import (
@@ -43,6 +41,8 @@ from gendom.robot import (
     tcp_pose,
 )
 
+Array = NDArray[np.float64]
+
 FASTEST_TOOL = 0.8
 """In servo mode [m/s]."""
 
@@ -54,6 +54,9 @@ LARGEST_ERROR = 0.01
 
 CAREFUL = 0.1
 """Share of the arm's speeds that an approach has, and any motion that no person confirmed."""
+
+FIRST_POSE = (math.radians(1.0), 0.005)
+"""Largest distance of the arm from a motion's first pose [rad], [m]."""
 
 RATE = 50.0
 """At which the tool's way is compared with the workspace [1/s]."""
@@ -88,25 +91,51 @@ class CellCamera:
     name: str
     device: str
     """A name that `gendom.hardware.find_depth_camera` knows."""
-    serial: str
-    T_world_camera: NDArray[np.float64] | None
+    serial: str = ""
+    T_world_camera: Array | None = None
     """[4, 4] camera to world [m]; None: not calibrated."""
-    calibrated: str | None = None
-    """Date of the calibration, YYYY-MM-DD."""
+    calibration: str | None = None
+    """File of gendom calibrate that holds the pose, from the cell's file on."""
+    calibrated: date | None = None
+    """When."""
     stated_error: float = math.nan
     """Of the pose, as gendom calibrate states it [m]."""
 
+    def placed(self, path: Path) -> CellCamera:
+        """The camera with the pose of its calibration's file, of a cell's file.
 
-@dataclass(frozen=True, kw_only=True)
+        Raises:
+            DeviceError: Its pose is given twice.
+            RecordingError: That file cannot be read, or the pose is none.
+        """
+        where, T = f"{path}: camera {self.name}", self.T_world_camera
+        once, fix = self.calibration is None or T is None, "leave one of them out"
+        require(once, "has calibration and T_world_camera", where=where, fix=fix, error=DeviceError)
+        if self.calibration is not None:
+            camera = read_camera(path.parent / self.calibration, self.name)
+        else:  # whose checks are those of calibrations
+            camera = Camera(name=where, width=1, height=1, K=np.eye(3), T_world_camera=T)
+        return replace(self, T_world_camera=camera.T_world_camera)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedMotion:
-    """A motion of an arm among what stands around it, and how it gets to its start."""
+    """A motion of an arm among what stands around it, and how it gets to its start; a file's `plan`
+    holds its fields.
 
-    arm: Arm
+    Raises:
+        RobotError: The approach does not end where the motion starts.
+    """
+
+    arm: str
+    """Its name."""
     motion: JointMotion
     approach: JointMotion
     """Slow, from the arm's home to the motion's first pose."""
+    first: Array
+    """[J] that pose [rad]."""
     surroundings: dict[str, Any]
-    """What it was planned among, as in files."""
+    """What it was planned among."""
     opening: float
     """Distance of the fingers' inner faces where they hold the object [m]."""
     hangs: float = 0.0
@@ -114,25 +143,37 @@ class PlannedMotion:
     cell: str | None = None
     """The cell's file; None: planned for a table alone, for simulation only."""
 
+    def __post_init__(self) -> None:
+        start, ends = self.motion.q[0], (self.approach.q[-1], np.asarray(self.first))
+        meets = all(end.shape == start.shape and np.abs(end - start).max() < 1e-6 for end in ends)
+        require(meets, "its approach does not end where it starts", error=RobotError)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cell:
-    """A robot and the space in which it works. The world is the robot's base frame, z up."""
+    """A robot and the space in which it works, with the keys of cell.toml. The world is the robot's
+    base frame, z up."""
 
     robot: str
     """A name that `gendom.hardware.find_robot` knows."""
     address: str
     """Of the robot's controller."""
-    arm: str
-    """As `gendom.robot.find_arm` takes it."""
     tool: Tool
-    surroundings: Surroundings
-    """Table, keep-out boxes, camera stands, and the least distances of the arm from them and from
-    itself."""
-    workspace: tuple[NDArray[np.float64], NDArray[np.float64]]
-    """Lowest and highest corner [3] of a box that the tool point never leaves [m]."""
-    cameras: tuple[CellCamera, ...] = ()
+    workspace: Array
+    """[2, 3] lowest and highest corner of a box that the tool point never leaves [m]."""
+    arm: str = XARM7.name
+    """As `gendom.robot.find_arm` takes it."""
     speed: SpeedLimits = field(default_factory=SpeedLimits)
+    table_height: float | None = None
+    """z of the table [m]; None: there is none."""
+    scene_clearance: float = 0.02
+    """Least distance of the arm from its surroundings [m]."""
+    self_clearance: float = 0.01
+    """The same from itself [m]."""
+    camera: tuple[CellCamera, ...] = ()
+    box: tuple[Box, ...] = ()
+    """What to keep out of."""
+    stand: tuple[Post, ...] = ()
     path: Path | None = None
     """The file that it was read from."""
 
@@ -146,34 +187,13 @@ class Cell:
         """
         path, where = Path(path), str(path)
         table = read_toml(path, error=DeviceError, fix="write one as docs/hardware.md has it")
-        _check_keys(_File, table, where)
+        _check_keys(cls, table, where)
         fix = "see docs/hardware.md for what belongs there"
-        said = record_of(_File, table, where=where, fix=fix, error=DeviceError)
-        cameras = tuple(_camera(c, path) for c in said.camera)
         try:
-            obstacles = [Box(name=b.name, pose=b.pose(), size=b.size) for b in said.box]
-            obstacles += [Post(**vars(s)) for s in said.stand]
-        except ValueError:
-            fix = "give four numbers, not all 0"
-            raise DeviceError("a box is turned by no quaternion", where=where, fix=fix) from None
-        except RobotError as error:
+            cell = record_of(cls, table, where=where, fix=fix, error=DeviceError)
+        except RobotError as error:  # of a box or a stand
             raise DeviceError(error.what, where=f"{where}: {error.where}", fix=error.fix) from None
-        poses = {c.name: c.T_world_camera for c in cameras}
-        obstacles += [housing(name, T) for name, T in poses.items() if T is not None]
-        own = ("robot", "address", "arm", "tool", "speed")
-        low, high = (np.array(corner) for corner in said.workspace)
-        cell = cls(
-            **{name: getattr(said, name) for name in own},
-            surroundings=Surroundings(
-                table_height=said.table_height,
-                obstacles=tuple(obstacles),
-                clearance=said.scene_clearance,
-                self_clearance=said.self_clearance,
-            ),
-            workspace=(low, high),
-            cameras=cameras,
-            path=path,
-        )
+        cell = replace(cell, path=path, camera=tuple(c.placed(path) for c in cell.camera))
         cell._check_values()
         return cell
 
@@ -183,30 +203,45 @@ class Cell:
         Raises:
             DeviceError: It has.
         """
-        tool, speed, (low, high) = self.tool, self.speed, self.workspace
+        tool, speed, space, table = self.tool, self.speed, self.workspace, self.table_height
         widest = self.model.gripper.max_opening
         names = [o.name for o in self.surroundings.obstacles]
-        around = self.surroundings
-        table = around.table_height
-        opens = 0.0 < tool.max_opening <= widest + 1e-6
         checks = {
-            "tool.max_opening": (opens, f"metres up to {widest:g}"),
+            "tool.max_opening": (
+                0.0 < tool.max_opening <= widest + 1e-6,
+                f"metres up to {widest:g}",
+            ),
             "tool.latency": (0.0 <= tool.latency <= 5.0, "seconds"),
             "tool.mass": (0.0 <= tool.mass <= 50.0, "kilograms"),
             "speed.tool": (0.0 < speed.tool <= FASTEST_TOOL, f"m/s up to {FASTEST_TOOL}"),
             "speed.share": (0.0 < speed.share <= 1.0, "a share up to 1"),
-            "scene_clearance": (0.0 <= around.clearance <= 1.0, "metres, 0 or more"),
-            "self_clearance": (0.0 <= around.self_clearance <= 1.0, "metres, 0 or more"),
+            "scene_clearance": (0.0 <= self.scene_clearance <= 1.0, "metres, 0 or more"),
+            "self_clearance": (0.0 <= self.self_clearance <= 1.0, "metres, 0 or more"),
             "table_height": (table is None or math.isfinite(table), "metres"),
-            "workspace": (bool(np.all(low < high)), "its lowest corner, then the highest"),
+            "workspace": (
+                space.shape == (2, 3) and bool(np.all(space[0] < space[1])),
+                "its lowest corner, then the highest",
+            ),
             "box, stand, camera": (len(set(names)) == len(names), "each a name of its own"),
         }
         for name, (holds, fix) in checks.items():
             where = f"{self.path}: {name}"
             require(holds, "is out of range", where=where, fix=f"give {fix}", error=DeviceError)
         find_robot(self.robot)
-        for camera in self.cameras:
+        for camera in self.camera:
             find_depth_camera(camera.device)
+
+    @cached_property
+    def surroundings(self) -> Surroundings:
+        """Table, boxes, stands and the housings of calibrated cameras, with their clearances."""
+        seen = {c.name: c.T_world_camera for c in self.camera}
+        housings = (housing(name, T) for name, T in seen.items() if T is not None)
+        return Surroundings(
+            table_height=self.table_height,
+            obstacles=(*self.box, *self.stand, *housings),
+            clearance=self.scene_clearance,
+            self_clearance=self.self_clearance,
+        )
 
     @cached_property
     def model(self) -> Arm:
@@ -236,7 +271,7 @@ class Cell:
             DeviceError: A vendor's SDK is missing, or a camera has no pose.
         """
         robot = find_robot(self.robot)(self)
-        return robot, [find_depth_camera(c.device)(c) for c in self.cameras]
+        return robot, [find_depth_camera(c.device)(c) for c in self.camera]
 
     # ---- what is wrong with it -------------------------------------------------------------------
 
@@ -265,27 +300,27 @@ class Cell:
                 f"goes {np.linalg.norm(far):.3g} m from the shoulder, the arm {reach:.3g} at most"
             )
             yield what, "workspace", "give metres, and no more than the arm needs"
-        table = self.surroundings.table_height
+        table = self.table_height
         if table is not None and low[2] < table - 1e-9:
             what = f"begins {1e3 * (table - low[2]):.0f} mm below the table"
             yield what, "workspace", "raise its lowest corner to the table"
 
     def _doubtful(self, today: date) -> Iterator[tuple[str, str, str]]:
-        for camera in self.cameras:
+        for camera in self.camera:
             where, fix = f"camera {camera.name}", "run gendom calibrate"
             if camera.T_world_camera is None:
                 yield "is not calibrated", where, fix
                 continue
             if camera.calibrated is None:
                 yield "does not say when it was calibrated", where, "give calibrated = YYYY-MM-DD"
-            elif (days := (today - date.fromisoformat(camera.calibrated)).days) > OLD:
+            elif (days := (today - camera.calibrated).days) > OLD:
                 yield f"was calibrated {days} days ago", where, f"{fix} again"
             if not camera.stated_error <= LARGEST_ERROR:
                 said = "nothing" if math.isnan(camera.stated_error) else f"{camera.stated_error} m"
                 yield f"states {said} as its error", where, fix
-        if not self.cameras:
+        if not self.camera:
             yield "has no camera", "camera", "add one: a lift is seen by two"
-        if self.surroundings.table_height is None:
+        if self.table_height is None:
             yield "has no table", "table_height", "give it unless the arm hangs free"
 
     # ---- planning --------------------------------------------------------------------------------
@@ -304,89 +339,120 @@ class Cell:
         """
         arm, around = held(self.limited, opening, hangs), self.surroundings
         motion = follow(arm, path, slow_down=True, surroundings=around, opening=opening)
-        planned = PlannedMotion(
-            arm=self.model,
+        self.check_workspace(motion)
+        return PlannedMotion(
+            arm=self.model.name,
             motion=motion,
             approach=self.approach(self.model.home, motion.q[0]),
+            first=motion.q[0],
             surroundings=asdict(around),
             opening=opening,
             hangs=hangs,
             cell=None if self.path is None else str(self.path),
         )
-        self._check_workspace(planned)
-        return planned
 
-    def approach(self, q_from: NDArray[np.float64], q_to: NDArray[np.float64]) -> JointMotion:
-        """A slow move from joint to joint, at `CAREFUL` of the arm's limits, with the fingers open:
-        straight, or with a stop where some joints have moved and the others not yet.
+    def slow_move(self, q_from: Array, q_to: Array, **around: Any) -> JointMotion:
+        """A move from joint to joint, at `CAREFUL` of the arm's limits and within the cell's.
+
+        Args:
+            q_from, q_to: [J] [rad].
+            around: `surroundings` and `opening` of `joint_move`.
+
+        Raises:
+            RobotError: As `joint_move`.
+        """
+        share = min(CAREFUL, self.speed.share)
+        tool = min(self.model.max_tcp_speed, self.speed.tool / share)
+        return joint_move(
+            replace(self.model, max_tcp_speed=tool), q_from, q_to, share=share, **around
+        )
+
+    def approach(self, q_from: Array, q_to: Array) -> JointMotion:
+        """A slow move with the fingers open: straight, or with a stop where some joints have moved
+        and the others not yet.
 
         Raises:
             RobotError: It comes too near to something.
         """
+        around: Any = {"surroundings": self.surroundings, "opening": self.tool.max_opening}
         joint, refused = np.arange(self.model.joints), None
         masks = [mask for k in joint[1:] for mask in (joint < k, joint >= k)]
-        for via in [q_from, *(np.where(mask, q_to, q_from) for mask in masks)]:
-            ways = [(q_from, q_to)] if via is q_from else [(q_from, via), (via, q_to)]
+        for via in (None, *(np.where(mask, q_to, q_from) for mask in masks)):
             try:
-                first, *more = [
-                    joint_move(
-                        self.model, *way, share=min(CAREFUL, self.speed.share),
-                        surroundings=self.surroundings, opening=self.tool.max_opening,
-                    )
-                    for way in ways
-                ]  # fmt: skip
+                if via is None:
+                    return self.slow_move(q_from, q_to, **around)
+                first = self.slow_move(q_from, via, **around)
+                return first.then(self.slow_move(via, q_to, **around))
             except RobotError as error:
                 refused = refused or error
-                continue
-            return first.then(more[0]) if more else first
         assert refused is not None
         raise RobotError(f"the approach: {refused.what}", where=refused.where, fix=refused.fix)
+
+    # ---- what is checked before the arm moves ----------------------------------------------------
 
     def check(self, planned: PlannedMotion) -> None:
         """Check a planned motion against this cell, whatever it was planned for.
 
         Raises:
-            RobotError: A limit is passed, the tool leaves the workspace, or a clearance is missed.
+            RobotError: It is another arm's or was planned without a cell, a limit is passed, the
+                tool leaves the workspace, or a clearance is missed.
         """
-        arm, around = held(self.limited, planned.opening, planned.hangs), self.surroundings
+        fix = "make it again with gendom act --cell"
+        what = f"was planned for {planned.arm}, the cell has {self.arm}"
+        same = planned.arm == self.model.name
+        require(same, what, where="action", fix=fix, error=RobotError)
+        what, free = "was planned without a cell", planned.cell is not None or self.simulated
+        require(free, what, where="action", fix=fix, error=RobotError)
+        arm = held(self.limited, planned.opening, planned.hangs)
         moves = (
             (arm, planned.motion, planned.opening),
             (self.limited, planned.approach, self.tool.max_opening),
         )
         for body, move, opening in moves:
             move.check_limits(self.limited)
-            check_collisions(body, move, around, opening=opening)
-        self._check_workspace(planned)
+            check_collisions(body, move, self.surroundings, opening=opening)
+        self.check_workspace(planned.motion)
 
-    def _check_workspace(self, planned: PlannedMotion) -> None:
-        low, high = self.workspace
-        x = planned.motion.tcp_at(self.model, planned.motion.sampled(RATE))[:, :3, 3]
-        out = np.maximum(low - x, x - high).max(axis=1)
+    def check_workspace(self, motion: JointMotion, rate: float = RATE) -> None:
+        """Compare the tool's way, so many times a second, with the workspace.
+
+        Raises:
+            RobotError: It leaves it.
+        """
+        x = motion.tcp_at(self.model, motion.sampled(rate))[:, :3, 3]
+        out = np.maximum(self.workspace[0] - x, x - self.workspace[1]).max(axis=1)
         k = int(np.argmax(out))
         what = f"the tool leaves the workspace by {1e3 * out[k]:.0f} mm, at {_point(x[k])} m"
         fix, where = "choose another --origin, or enlarge the workspace", str(self.path or "cell")
         require(out[k] <= 1e-6, what, where=where, fix=fix, error=RobotError)
 
-    def least_clearances(
-        self, q: NDArray[np.float64], *, opening: float
-    ) -> tuple[tuple[float, str], tuple[float, str]]:
+    def check_start(self, motion: JointMotion, q: Array) -> None:
+        """Compare where the arm is [J] [rad] with where a motion starts.
+
+        Raises:
+            RobotError: It is farther away than `FIRST_POSE`.
+        """
+        off = np.abs(motion.q[0] - q)
+        j, ends = int(off.argmax()), tcp_pose(self.model, np.stack([q, motion.q[0]]))[:, :3, 3]
+        gap = float(np.linalg.norm(ends[1] - ends[0]))
+        what = f"the arm is {math.degrees(off[j]):.1f} degrees (joint {j + 1}) and "
+        what += f"{1e3 * gap:.0f} mm off the motion's first pose"
+        near = off[j] <= FIRST_POSE[0] and gap <= FIRST_POSE[1]
+        require(near, what, where="motion", fix="approach it first", error=RobotError)
+
+    def least_clearances(self, q: Array, *, opening: float) -> list[tuple[float, str]]:
         """Least distances [m] at joint angles [N, J] of the arm from its surroundings and from
         itself, each with whose it is; the fingers, which reach for the object, are not compared
         with the table."""
         found = clearances(self.model, q, self.surroundings, opening=opening)
-        distance = found.distance.min(axis=0)
         others = {"table", *(o.name for o in self.surroundings.obstacles)}
         shape = arm_shape(self.model, self.model.home, opening)
         fingers = {n for n, t in zip(shape.names, shape.touches_object, strict=True) if t}
-        least = []
-        for outside in (True, False):
-            some = [
-                (float(d), f"{a} and {b}")
-                for d, (a, b) in zip(distance, found.pairs, strict=True)
-                if (b in others) == outside and not (b == "table" and a in fingers)
-            ]
-            least.append(min(some, default=(math.inf, "")))
-        return least[0], least[1]
+        least = {True: (math.inf, ""), False: (math.inf, "")}
+        for d, (a, b) in zip(found.distance.min(axis=0), found.pairs, strict=True):
+            if not (b == "table" and a in fingers):
+                least[b in others] = min(least[b in others], (float(d), f"{a} and {b}"))
+        return [least[True], least[False]]
 
 
 def held(arm: Arm, opening: float, hangs: float) -> Arm:
@@ -398,11 +464,12 @@ def held(arm: Arm, opening: float, hangs: float) -> Arm:
 BARE = Cell(
     robot="simulated",
     address="",
-    arm=XARM7.name,
     tool=Tool(max_opening=XARM7.gripper.max_opening, latency=0.0),
-    surroundings=Surroundings(table_height=0.0),
-    workspace=(np.full(3, -np.inf), np.full(3, np.inf)),
+    workspace=np.outer([-np.inf, np.inf], np.ones(3)),
     speed=SpeedLimits(tool=math.inf, share=1.0),
+    table_height=0.0,
+    scene_clearance=0.0,
+    self_clearance=0.0,
 )
 """An arm on its table and nothing else, for simulation only."""
 
@@ -411,66 +478,13 @@ def _point(x: NDArray[np.float64]) -> str:
     return f"({', '.join(f'{v:.3f}' for v in x)})"
 
 
-# ---- the file ------------------------------------------------------------------------------------
-
-
-_Point = tuple[float, float, float]
-_Row = tuple[float, float, float, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _CameraEntry:
-    name: str
-    device: str
-    serial: str = ""
-    T_world_camera: tuple[_Row, _Row, _Row, _Row] | None = None
-    calibration: str | None = None
-    calibrated: date | None = None
-    stated_error: float = math.nan
-
-
-@dataclass(frozen=True, kw_only=True)
-class _BoxEntry:
-    name: str
-    position: _Point
-    size: _Point
-    quat_xyzw: _Row = (0.0, 0.0, 0.0, 1.0)
-
-    def pose(self) -> NDArray[np.float64]:
-        return rigid(Rotation.from_quat(self.quat_xyzw).as_matrix(), self.position)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _StandEntry:
-    name: str
-    start: _Point
-    end: _Point
-    radius: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class _File:
-    robot: str
-    address: str
-    tool: Tool
-    workspace: tuple[_Point, _Point]
-    arm: str = XARM7.name
-    table_height: float | None = None
-    speed: SpeedLimits = field(default_factory=SpeedLimits)
-    scene_clearance: float = 0.02
-    self_clearance: float = 0.01
-    camera: tuple[_CameraEntry, ...] = ()
-    box: tuple[_BoxEntry, ...] = ()
-    stand: tuple[_StandEntry, ...] = ()
-
-
 def _check_keys(kind: Any, table: dict[str, Any], where: str) -> None:
     """Refuse keys that a file's tables do not have.
 
     Raises:
         DeviceError: There is one.
     """
-    known, types = [f.name for f in fields(kind)], get_type_hints(kind)
+    known, types = [f.name for f in fields(kind) if f.name != "path"], get_type_hints(kind)
     for key, value in table.items():
         fix = did_you_mean(key, known) or f"known are {', '.join(known)}"
         what = f"has the unknown key {key!r}"
@@ -480,25 +494,3 @@ def _check_keys(kind: Any, table: dict[str, Any], where: str) -> None:
             if inner is not None and isinstance(entry, dict):
                 place = f"{key}[{n}]" if isinstance(value, list) else key
                 _check_keys(inner, entry, f"{where}: {place}")
-
-
-def _camera(said: _CameraEntry, path: Path) -> CellCamera:
-    """A camera, with the pose of its calibration's file.
-
-    Raises:
-        DeviceError: Its pose is given twice.
-        RecordingError: That file cannot be read, or the pose is none.
-    """
-    where, T = f"{path}: camera {said.name}", said.T_world_camera
-    once, fix = said.calibration is None or T is None, "leave one of them out"
-    require(once, "has calibration and T_world_camera", where=where, fix=fix, error=DeviceError)
-    if said.calibration is not None:
-        pose = read_camera(path.parent / said.calibration, said.name).T_world_camera
-    else:  # whose checks are those of calibrations
-        T = None if T is None else np.array(T)
-        pose = Camera(name=where, width=1, height=1, K=np.eye(3), T_world_camera=T).T_world_camera
-    day = None if said.calibrated is None else said.calibrated.isoformat()
-    return CellCamera(
-        name=said.name, device=said.device, serial=said.serial, T_world_camera=pose,
-        calibrated=day, stated_error=said.stated_error,
-    )  # fmt: skip

@@ -22,9 +22,9 @@ class RobotState:
     """What a robot last reported."""
 
     time: float
-    """When the report arrived, on the clock of `time.monotonic` [s]."""
+    """When its oldest part was asked for or arrived, on the clock of `time.monotonic` [s]."""
     q: NDArray[np.float64]
-    """[J] measured joint angles [rad]."""
+    """[J] measured, not commanded, joint angles [rad]."""
     opening: float | None = None
     """Measured distance of the fingers' inner faces [m]; None: not reported."""
     moving: bool = False

@@ -12,7 +12,7 @@ import json
 import os
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -22,17 +22,11 @@ from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.errors import DeviceError, RobotError
-from gendom.files import LEAST_ROOM, atomic_path, free_room, to_json
+from gendom.files import LEAST_ROOM, free_room, to_json, write_json
 from gendom.hardware.cell import CAREFUL, Cell, PlannedMotion
 from gendom.hardware.contracts import Robot, RobotState, Tick
 from gendom.reading import parse_json, read_bytes, read_json, record_of
-from gendom.robot import (
-    Deviation,
-    GripperEvent,
-    JointMotion,
-    find_arm,
-    tcp_pose,
-)
+from gendom.robot import JointMotion, find_arm, tcp_pose
 
 ACTION_FORMAT = "gendom-action/4"
 LOG_FORMAT = "gendom-execution/1"
@@ -43,69 +37,27 @@ _FIX = "make it again with gendom act --cell"
 # ---- planned actions -----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trajectory:
+    """Where a task was planned."""
+
+    T_base_task: NDArray[np.float64]
+    """[4, 4] the task's frame in the robot's [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedAction:
-    """What ``gendom act`` planned."""
+    """What is read of a file of ``gendom act``."""
 
     task: str
-    action: tuple[float, ...]
-    """[A] [SI]."""
-    goal: tuple[float, ...]
-    """[G] [SI]."""
+    action: dict[str, float]
+    """[SI]."""
+    goal: dict[str, float]
+    """[SI]."""
     object: dict[str, Any]
     """Kind, sizes and parameters, as `gendom.materials.from_columns` takes them."""
-    T_base_task: NDArray[np.float64]
-    """[4, 4] [m]."""
-    planned: PlannedMotion
-
-
-def plan_record(planned: PlannedMotion) -> dict[str, Any]:
-    """A planned motion, ready for JSON."""
-    said = {name: getattr(planned, name) for name in ("cell", "opening", "hangs", "surroundings")}
-    motions = {name: asdict(getattr(planned, name)) for name in ("motion", "approach")}
-    return {"arm": planned.arm.name, **said, "first": planned.motion.q[0], **motions}
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Motion:
-    time: list[float]
-    q: list[list[float]]
-    events: tuple[GripperEvent, ...] = ()
-    blend: float = 0.0
-    deviation: Deviation | None = None
-    slowed_by: float = 1.0
-
-    def motion(self) -> JointMotion:
-        own: dict[str, Any] = vars(self) | {"time": np.array(self.time), "q": np.array(self.q)}
-        return JointMotion(**own)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Plan:
-    arm: str
-    opening: float
-    first: list[float]
-    motion: _Motion
-    approach: _Motion
-    surroundings: dict[str, Any]
-    hangs: float = 0.0
-    cell: str | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Trajectory:
-    T_base_task: list[list[float]]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Action:
-    format: str
-    task: str
-    goal: dict[str, float]
-    action: dict[str, float]
-    object: dict[str, Any]
-    trajectory: _Trajectory
-    plan: _Plan | None = None
+    trajectory: Trajectory
+    plan: PlannedMotion
 
 
 def read_action(path: str | os.PathLike) -> PlannedAction:
@@ -118,44 +70,21 @@ def read_action(path: str | os.PathLike) -> PlannedAction:
     """
     where = str(path)
     said = read_log(path).header if Path(path).suffix == ".jsonl" else read_json(path, RobotError)
-    return _action_of(said, where)
-
-
-def _action_of(said: dict[str, Any], where: str) -> PlannedAction:
     what = f"has format {said.get('format')!r}, not {ACTION_FORMAT!r}"
     require(said.get("format") == ACTION_FORMAT, what, where=where, fix=_FIX, error=RobotError)
-    stored = record_of(_Action, said, where=where, fix=_FIX, error=RobotError)
     what = "holds no plan: the arm could not follow it"
-    require(stored.plan is not None, what, where=where, fix=_FIX, error=RobotError)
-    plan = stored.plan
-    assert plan is not None
-    T = np.array(stored.trajectory.T_base_task, dtype=float)
+    require(said.get("plan"), what, where=where, fix=_FIX, error=RobotError)
     try:
-        own = {name: getattr(plan, name) for name in ("cell", "opening", "hangs", "surroundings")}
-        planned = PlannedMotion(
-            arm=find_arm(plan.arm),
-            motion=plan.motion.motion(),
-            approach=plan.approach.motion(),
-            **own,
-        )
-        require(T.shape == (4, 4), "T_base_task is no 4 x 4 matrix", error=RobotError)
-        start = planned.motion.q[0]
-        ends = (planned.approach.q[-1], np.array(plan.first))
-        meets = all(e.shape == start.shape and np.abs(e - start).max() < 1e-6 for e in ends)
-        require(meets, "its approach does not end where it starts", error=RobotError)
-        for motion in (planned.motion, planned.approach):
-            planned.arm.check_q(motion.q)
-            motion.check_limits(planned.arm)
-    except (RobotError, ValueError) as error:
-        raise RobotError(getattr(error, "what", str(error)), where=where, fix=_FIX) from None
-    return PlannedAction(
-        task=stored.task,
-        action=tuple(stored.action.values()),
-        goal=tuple(stored.goal.values()),
-        object=stored.object,
-        T_base_task=T,
-        planned=planned,
-    )
+        read = record_of(PlannedAction, said, where=where, fix=_FIX, error=RobotError)
+        square = read.trajectory.T_base_task.shape == (4, 4)
+        require(square, "T_base_task is no 4 x 4 matrix", error=RobotError)
+        arm = find_arm(read.plan.arm)
+        for motion in (read.plan.motion, read.plan.approach):
+            motion.check_limits(arm)
+    except RobotError as error:
+        place = error.where if (error.where or "").startswith(where) else where
+        raise RobotError(error.what, where=place, fix=_FIX) from None
+    return read
 
 
 def write_trajectory(path: str | os.PathLike, motion: JointMotion, rate: float = 100.0) -> None:
@@ -166,22 +95,22 @@ def write_trajectory(path: str | os.PathLike, motion: JointMotion, rate: float =
         motion: Its joints become joint1 and so on, as the vendor's URDF names them.
         rate: Points a second.
     """
-    points = []
-    for t in motion.sampled(rate):
-        whole = round((t - motion.start) * 1e9)
-        points.append(
-            {
-                "positions": motion.at(t),
-                "velocities": motion.speed_at(t),
-                "accelerations": motion.acceleration_at(t),
-                "time_from_start": {"sec": whole // 10**9, "nanosec": whole % 10**9},
-            }
-        )
+    time = motion.sampled(rate)
+    stamps = [divmod(round((t - motion.start) * 1e9), 10**9) for t in time]
+    rows = zip(stamps, motion.at(time), motion.speed_at(time), motion.acceleration_at(time),
+               strict=True)  # fmt: skip
+    points = [
+        {
+            "positions": q,
+            "velocities": v,
+            "accelerations": a,
+            "time_from_start": {"sec": seconds, "nanosec": rest},
+        }
+        for (seconds, rest), q, v, a in rows
+    ]
     names = [f"joint{j + 1}" for j in range(motion.q.shape[1])]
     stamp = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
-    with atomic_path(path) as temporary:
-        text = to_json({"header": stamp, "joint_names": names, "points": points})
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_json(path, {"header": stamp, "joint_names": names, "points": points})
 
 
 # ---- before it moves -----------------------------------------------------------------------------
@@ -193,11 +122,6 @@ def preview(planned: PlannedMotion, cell: Cell) -> list[str]:
     Raises:
         RobotError: The cell does not allow it.
     """
-    what = f"was planned for {planned.arm.name}, the cell has {cell.arm}"
-    same = planned.arm.name == cell.arm
-    require(same, what, where="action", fix=_FIX, error=RobotError)
-    what, free = "was planned without a cell", planned.cell is not None or cell.simulated
-    require(free, what, where="action", fix=_FIX, error=RobotError)
     cell.check(planned)
     lines = []
     for name, motion, opening in (
@@ -205,29 +129,27 @@ def preview(planned: PlannedMotion, cell: Cell) -> list[str]:
         ("motion", planned.motion, planned.opening),
     ):
         q = motion.at(motion.sampled(100.0))
-        x = tcp_pose(planned.arm, q)[:, :3, 3]
+        x = tcp_pose(cell.model, q)[:, :3, 3]
         way = float(np.linalg.norm(np.diff(x, axis=0), axis=1).sum())
-        fastest = next(u.value for u in motion.limit_uses(planned.arm) if u.joint is None)
+        fastest = next(u.value for u in motion.limit_uses(cell.model) if u.joint is None)
         scene, own = cell.least_clearances(q, opening=opening)
-        lines.append(
+        lines += [
             f"{name:<9} {motion.end - motion.start:.2f} s, the tool goes {1e3 * way:.0f} mm, "
-            f"at most {fastest:.3f} m/s, and ends at {', '.join(f'{v:.3f}' for v in x[-1])} m"
-        )
-        lines.append(
+            f"at most {fastest:.3f} m/s, and ends at {', '.join(f'{v:.3f}' for v in x[-1])} m",
             f"{'':<9} nearest {1e3 * scene[0]:.0f} mm ({scene[1] or 'nothing around'}), to itself "
-            f"{1e3 * own[0]:.0f} mm ({own[1]})"
-        )
+            f"{1e3 * own[0]:.0f} mm ({own[1]})",
+        ]
     for event in planned.motion.events:
         word = "closes" if event.closed else "opens"
         lines.append(f"{'hand':<9} {word} at {event.time - planned.motion.start:.3f} s")
     return lines
 
 
-def careful(planned: PlannedMotion) -> PlannedMotion:
+def careful(planned: PlannedMotion, cell: Cell) -> PlannedMotion:
     """The same motion, so slow that no joint and not the tool passes `CAREFUL` of its speed."""
 
     def slowed(motion: JointMotion) -> JointMotion:
-        uses = motion.limit_uses(planned.arm)
+        uses = motion.limit_uses(cell.model)
         most = max(u.share for u in uses if u.kind in ("speed", "tool speed"))
         return motion.stretched(max(1.0, most / CAREFUL))
 

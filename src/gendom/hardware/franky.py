@@ -18,8 +18,9 @@ import numpy as np
 from gendom.arguments import require
 from gendom.errors import DeviceError
 from gendom.hardware.cell import Cell
+from gendom.hardware.contracts import RobotState
 from gendom.hardware.streamed import StreamedRobot
-from gendom.hardware.streaming import Array, Report
+from gendom.hardware.streaming import Array
 from gendom.installation import how_to_install
 
 _GAIN = 10.0  # [1/s]; of the distance from the last command
@@ -72,7 +73,7 @@ class FrankaDriver:
         fault = self.report().fault
         require(fault is None, fault or "", where=self.cell.address, error=DeviceError)
 
-    def report(self) -> Report:
+    def report(self) -> RobotState:
         """The newest state."""
         state = self._try(lambda: self._robot.state)
         if state.time.to_sec() != self._device_time:
@@ -81,7 +82,7 @@ class FrankaDriver:
         if mode in _MODES:
             errors = str(state.last_motion_errors).strip("[]")
             fault = f"{_MODES[mode]}{f' ({errors})' if errors else ''}"
-        return Report(time=self._time, q=np.array(state.q), opening=self._opening, fault=fault)
+        return RobotState(time=self._time, q=np.array(state.q), opening=self._opening, fault=fault)
 
     def begin(self) -> None:
         """Take the arm where it is as the last command."""

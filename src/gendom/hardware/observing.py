@@ -54,11 +54,11 @@ def reached(
     wanted(
         task.watches == "tip" and item.kind == "rope", f"{task.name} watches more than a tip", fix
     )
-    path, motion = task.tool_path(item, np.array(action.action)), action.planned.motion
+    path, motion = task.tool_path(item, np.array([*action.action.values()])), action.plan.motion
     # on the clock of the task's path, which the arm may lag behind
     lag = motion.events[-1].time - path.events[-1].time
     time = recording.time - start + motion.start - lag
-    T, scene = np.linalg.inv(action.T_base_task), task.scene(item)
+    T, scene = np.linalg.inv(action.trajectory.T_base_task), task.scene(item)
     stand = np.asarray(scene.origin, dtype=float) if scene.stand > 0.0 else None
     free = size_of(item) - scene.stand
     tips, seen = [], []

@@ -131,9 +131,8 @@ class _View:
 
 
 def _corners(box: Box) -> NDArray[np.float64]:
-    half = 0.5 * np.array(box.size)
-    signs = np.array(list(product((-1.0, 1.0), repeat=3)))
-    return (signs * half) @ box.pose[:3, :3].T + box.pose[:3, 3]
+    signs = np.array(list(product((-0.5, 0.5), repeat=3)))
+    return (signs * box.size) @ box.turn.T + box.position
 
 
 def _ends(post) -> NDArray[np.float64]:

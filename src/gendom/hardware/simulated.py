@@ -36,16 +36,13 @@ from gendom.reality import (
 from gendom.reality.arm import RobotArm
 from gendom.reality.sensor import observe
 from gendom.reality.trials import SETTLE, START_DELAY
-from gendom.robot import JointMotion, tcp_pose
+from gendom.robot import JointMotion
 
 TICKS, FRAMES = 100.0, 30.0
 """Rates of the robot's reports and of the cameras [1/s]."""
 
 BRAKING = 0.12
 """In which the arm comes to rest along its path [s]."""
-
-FARTHEST_START = math.radians(1.0), 0.005
-"""How far joints [rad] and tool [m] may be from where a motion starts."""
 
 _scenes: WeakKeyDictionary[CellCamera, _Scene] = WeakKeyDictionary()
 """Where cameras are, once their cell's robot is there."""
@@ -62,7 +59,7 @@ class _Scene:
         usual = default_cameras()[0]
         self.believed = [
             replace(usual, name=c.name, T_world_camera=c.T_world_camera)
-            for c in cell.cameras
+            for c in cell.camera
             if c.T_world_camera is not None
         ]
         self._true = errors.believed(self.believed, rng)
@@ -99,7 +96,7 @@ class SimulatedRobot:
     def __init__(self, cell: Cell):
         self.arm = cell.model
         self._scene = _Scene(cell)
-        _scenes.update((camera, self._scene) for camera in cell.cameras)
+        _scenes.update((camera, self._scene) for camera in cell.camera)
         self._widest = cell.tool.max_opening
         self._connected = False
         self._moving = False
@@ -145,15 +142,7 @@ class SimulatedRobot:
 
     def play(self, motion: JointMotion, *, on_tick: Callable[[Tick], None] | None = None) -> None:
         self._check_connected()
-        q, start = self.state().q, motion.q[0]
-        turn = float(np.abs(q - start).max())
-        shift = np.linalg.norm((tcp_pose(self.arm, q) - tcp_pose(self.arm, start))[:3, 3])
-        what = (
-            f"the arm is {math.degrees(turn):.1f} degrees and {1e3 * shift:.0f} mm from the start"
-        )
-        near = turn <= FARTHEST_START[0] and shift <= FARTHEST_START[1]
-        fix = "approach it first"
-        require(near, what, where="simulated robot", fix=fix, error=DeviceError)
+        self._scene.cell.check_start(motion, self.state().q)
         self._follow(motion, on_tick)
 
     def gripper(self, opening: float) -> None:

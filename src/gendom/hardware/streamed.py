@@ -25,7 +25,7 @@ from gendom.arguments import check_number, require
 from gendom.errors import DeviceError, GendomError
 from gendom.hardware.cell import Cell
 from gendom.hardware.contracts import RobotState, Tick
-from gendom.hardware.streaming import Array, Driver, Streamer, slow_move
+from gendom.hardware.streaming import Array, Driver, Streamer
 from gendom.robot import JointMotion
 
 _CONNECTING, _STARTING, _SILENT = 20.0, 60.0, 5.0  # [s]; to connect, to start, without a row
@@ -196,17 +196,14 @@ class StreamedRobot:
         )
 
     def approach(self, q: ArrayLike) -> None:
-        """Move slowly, point to point, around nothing: a way that touches something is refused.
+        """Move slowly, from point to point (`Cell.approach`).
 
         Raises:
             RobotError: The pose is out of the limits, or the arm would touch something.
             DeviceError: As `play`.
         """
-        state, cell = self._ready(), self.cell
-        at = np.clip(state.q, self.arm.q_min, self.arm.q_max)
-        opening = cell.tool.max_opening if state.opening is None else state.opening
-        around: dict[str, Any] = {"surroundings": cell.surroundings, "opening": opening}
-        self.play(slow_move(cell, at, q, **around))
+        at = np.clip(self._ready().q, self.arm.q_min, self.arm.q_max)
+        self.play(self.cell.approach(at, np.asarray(q, dtype=float)))
 
     def play(self, motion: JointMotion, *, on_tick: Callable[[Tick], None] | None = None) -> None:
         """Follow a motion; `gendom.hardware.Robot.play`."""

@@ -15,23 +15,22 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.errors import DeviceError, GendomError, RobotError
-from gendom.hardware.cell import CAREFUL, FASTEST_TOOL, Cell
-from gendom.robot import JointMotion, joint_move, tcp_pose
+from gendom.hardware.cell import FASTEST_TOOL, Cell
+from gendom.hardware.contracts import RobotState
+from gendom.robot import JointMotion, tcp_pose
 
 Array = NDArray[np.float64]
 
 BLIND = (0.03, 0.1)
 """Largest age of a report, and lateness of a tick, at full speed and at most [s]. In between it is
 inversely proportional to the motion's largest share of the speed limits: 0.1 s from 30 % down."""
-FIRST_POSE = (math.radians(1.0), 0.005)
-"""Largest distance of the arm from a motion's first pose [rad], [m]."""
 TRACKING = math.radians(2.0)
 """Largest distance of the measured joints from all commands of the last `LAG` [rad]."""
 LAG = 0.1
@@ -42,20 +41,6 @@ _SLACK = 1.01  # of speeds and accelerations, which are differences of two comma
 _SLOWEST_BRAKE = 0.5  # [s]; if a joint that turns back leaves no acceleration for braking
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Report:
-    """What a controller last said."""
-
-    time: float
-    """When its oldest part was asked for or arrived, on the clock of `time.monotonic` [s]."""
-    q: Array
-    """[J] measured, not commanded, joint angles [rad]."""
-    opening: float | None = None
-    """[m]."""
-    fault: str | None = None
-    """What is wrong and what a person has to do."""
-
-
 class Driver(Protocol):
     """A controller that follows a stream of joint angles. All methods may raise `DeviceError`."""
 
@@ -64,8 +49,8 @@ class Driver(Protocol):
 
     def connect(self) -> None: ...
 
-    def report(self) -> Report:
-        """The newest report; does not wait."""
+    def report(self) -> RobotState:
+        """The newest report, `moving` left out; does not wait."""
         ...
 
     def begin(self) -> None:
@@ -167,15 +152,16 @@ class Streamer:
         what = f"the last report of the joints is {1e3 * age:.0f} ms old"
         require(age <= BLIND[1], what, fix=fix, error=DeviceError)
         motion.check_limits(self.limits)
-        self._check_tool(motion)
-        self._check_start(motion, report.q)
+        self._check_tool_speed(motion)
+        self.cell.check_workspace(motion, 1.0 / self.driver.period)
+        self.cell.check_start(motion, report.q)
         kinds = ("speed", "tool speed")
         full = replace(self.arm, max_tcp_speed=FASTEST_TOOL)
         share = max(use.share for use in motion.limit_uses(full) if use.kind in kinds)
         self.blind = min(BLIND[0] / max(share, 1e-9), BLIND[1])
         # What the arm is off the first pose is made up for slowly, before the motion's clock runs.
         at = np.clip(report.q, self.arm.q_min, self.arm.q_max)
-        self._next = [slow_move(self.cell, at, motion.q[0]), motion]
+        self._next = [self.cell.slow_move(at, motion.q[0]), motion]
         self._orders = [
             (e.time - self.cell.tool.latency, 0.0 if e.closed else self.cell.tool.max_opening)
             for e in motion.events
@@ -189,35 +175,21 @@ class Streamer:
         self.braking, self.rate, self.moving = False, 1.0, True
         self._take_next()
 
+    def _check_tool_speed(self, motion: JointMotion) -> None:
+        """`check_limits` looks at knots and between them; commands may be quicker."""
+        p = motion.tcp_at(self.arm, motion.sampled(1.0 / self.driver.period))[:, :3, 3]
+        speed = np.linalg.norm(np.diff(p, axis=0), axis=1).max() / self.driver.period
+        most = self.limits.max_tcp_speed
+        what, fix = (
+            f"the tool moves at {speed:.3f} m/s, limit {most:g}",
+            f"take {speed / most:.3f} times as long",
+        )
+        require(speed <= _SLACK * most, what, where="motion", fix=fix, error=RobotError)
+
     def _take_next(self) -> None:
         self.motion: JointMotion | _Line = self._next.pop(0)
         self.s = self.motion.time[0]
         self.began = math.nan if self._next else self.clock()
-
-    def _check_tool(self, motion: JointMotion) -> None:
-        p = motion.tcp_at(self.arm, motion.sampled(1.0 / self.driver.period))[:, :3, 3]
-        low, high = self.cell.workspace
-        out = np.maximum(low - p, p - high)
-        k, axis = np.unravel_index(np.argmax(out), out.shape)
-        what = f"the tool leaves the workspace by {1e3 * out[k, axis]:.0f} mm along "
-        what += f"{'xyz'[axis]} at {np.round(p[k], 3).tolist()} m"
-        fix = "plan another motion, or jog the arm inside by hand"
-        require(out[k, axis] <= 0.0, what, where="motion", fix=fix, error=RobotError)
-        speed = np.linalg.norm(np.diff(p, axis=0), axis=1).max() / self.driver.period
-        most = self.limits.max_tcp_speed
-        fix = f"take {speed / most:.3f} times as long"
-        what = f"the tool moves at {speed:.3f} m/s, limit {most:g}"
-        require(speed <= _SLACK * most, what, where="motion", fix=fix, error=RobotError)
-
-    def _check_start(self, motion: JointMotion, q: Array) -> None:
-        off = np.abs(motion.q[0] - q)
-        j = int(off.argmax())
-        ends = tcp_pose(self.arm, np.stack([q, motion.q[0]]))[:, :3, 3]
-        gap = float(np.linalg.norm(ends[1] - ends[0]))
-        what = f"the arm is {math.degrees(off[j]):.1f} degrees (joint {j + 1}) and "
-        what += f"{1e3 * gap:.0f} mm off the motion's first pose"
-        near = off[j] <= FIRST_POSE[0] and gap <= FIRST_POSE[1]
-        require(near, what, where="motion", fix="approach it first", error=RobotError)
 
     # ---- a tick ----------------------------------------------------------------------------------
 
@@ -324,7 +296,7 @@ class Streamer:
                 return f"{what}; the motion is damaged: plan it again"
         return None
 
-    def _lost(self, report: Report) -> str | None:
+    def _lost(self, report: RobotState) -> str | None:
         """Whether the arm is where no command of late was."""
         times = [t for t, _ in self._sent]
         first = max(np.searchsorted(times, report.time - LAG) - 1, 0)
@@ -334,7 +306,7 @@ class Streamer:
         what = f"the arm is {math.degrees(min(off)):.1f} degrees off its commands"
         return f"{what}; look for what it touched, its load and its brakes"
 
-    def _unseen(self, report: Report, now: float) -> str | None:
+    def _unseen(self, report: RobotState, now: float) -> str | None:
         """Whether a report is too old, or repeats itself although the arm was sent away."""
         if not np.array_equal(report.q, self._seen):
             self._seen, self._from = report.q, self.command
@@ -351,9 +323,3 @@ class Streamer:
     def _stalled(self, late: float) -> str | None:
         what = f"a command was {1e3 * late:.0f} ms late, {1e3 * self.blind:.0f} allowed"
         return f"{what}; end other programs on this computer" if late > self.blind else None
-
-
-def slow_move(cell: Cell, q: Array, q_to: ArrayLike, **around: Any) -> JointMotion:
-    """A move from point to point within `CAREFUL`; arguments as of `joint_move`."""
-    share = min(1.0, CAREFUL / cell.speed.share)
-    return joint_move(cell.limited, q, q_to, share=share, **around)

@@ -21,8 +21,9 @@ import numpy as np
 from gendom.arguments import require
 from gendom.errors import DeviceError
 from gendom.hardware.cell import Cell
+from gendom.hardware.contracts import RobotState
 from gendom.hardware.streamed import StreamedRobot
-from gendom.hardware.streaming import Array, Report
+from gendom.hardware.streaming import Array
 from gendom.installation import how_to_install
 
 SERVO_MODE = 1
@@ -87,7 +88,7 @@ class XArmDriver:
             self._require(code == 0, f"the gripper refuses to set its {order} ({code})", fix)
         self._pulses()
 
-    def report(self) -> Report:
+    def report(self) -> RobotState:
         """The newest measured joints; as old as they or the stream, whichever is older."""
         (arrived, mode, state), (asked, q) = self._stream, self._measured
         fault = None
@@ -100,7 +101,7 @@ class XArmDriver:
             fault = f"the controller stopped (state {state}); look at UFACTORY Studio"
         elif self._streaming and mode != SERVO_MODE:
             fault = f"something else set mode {mode}; end UFACTORY Studio and other programs"
-        return Report(time=min(arrived, asked), q=q, opening=self._opening, fault=fault)
+        return RobotState(time=min(arrived, asked), q=q, opening=self._opening, fault=fault)
 
     def begin(self) -> None:
         """Enable the motors and enter servo mode."""

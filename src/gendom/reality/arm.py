@@ -120,9 +120,10 @@ def surroundings(cameras: Sequence[Camera]) -> Surroundings:
 
 def housing(name: str, T_world_camera: npt.NDArray[np.float64]) -> Box:
     """The housing of a D435i at a pose [4, 4] of its depth camera [m]."""
-    pose = T_world_camera.copy()
-    pose[:3, 3] += pose[:3, :3] @ _HOUSING_MIDDLE
-    return Box(name=f"camera {name}", pose=pose, size=HOUSING)
+    R, t = T_world_camera[:3, :3], T_world_camera[:3, 3]
+    quat = Rotation.from_matrix(R).as_quat()
+    middle = t + R @ _HOUSING_MIDDLE
+    return Box(name=f"camera {name}", position=middle, size=np.array(HOUSING), quat_xyzw=quat)
 
 
 def _place(T: npt.NDArray[np.float64]) -> str:

@@ -6,6 +6,8 @@ The gripper's z points out of the fingers, its y from finger to finger.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
@@ -116,35 +118,14 @@ def _rotation_vector(R: Array) -> Array:
     return vector
 
 
-def inverse_kinematics(
-    arm: Arm,
-    T_base_tcp: ArrayLike,
-    *,
-    near: ArrayLike | None = None,
-    starts: int = 24,
-    seed: int = 0,
-) -> Array:
-    """Find joint angles within the limits that bring the tool point to a pose.
-
-    Damped least squares from several starts (Buss, "Introduction to inverse kinematics with
-    Jacobian transpose, pseudoinverse and damped least squares methods", 2004), the damping
-    vanishing with the error. The arm's redundancy is used to approach `near` (or home), by steps in
-    the null space of the Jacobian. Of several solutions the nearest is returned.
-
-    Args:
-        arm: The arm.
-        T_base_tcp: [4, 4] the pose.
-        near: [J] preferred joint angles [rad]; None: `arm.home`.
-        starts: Number of start configurations: `near`, home, and random ones.
-        seed: Seed of the random ones.
-
-    Returns:
-        [J] joint angles [rad], as near as 0.1 um and 1 urad to the pose.
+def inverse_kinematics(arm: Arm, T_base_tcp: ArrayLike, **search: Any) -> Array:
+    """Joint angles [J] [rad] within the limits that bring the tool point to a pose, as near as 0.1 um
+    and 1 urad: the first of `solutions`, which says what may be given.
 
     Raises:
-        RobotError: The matrix is not a pose, or no start converges to it.
+        RobotError: As `solutions`.
     """
-    return solutions(arm, T_base_tcp, near=near, starts=starts, seed=seed)[0]
+    return solutions(arm, T_base_tcp, **search)[0]
 
 
 def solutions(
@@ -155,10 +136,22 @@ def solutions(
     starts: int = 24,
     seed: int = 0,
 ) -> list[Array]:
-    """Return all distinct solutions [J] that `inverse_kinematics` finds, the nearest first.
+    """All distinct joint angles [J] [rad] that are found for a pose, the nearest first.
+
+    Damped least squares from several starts (Buss, "Introduction to inverse kinematics with
+    Jacobian transpose, pseudoinverse and damped least squares methods", 2004), the damping
+    vanishing with the error. The arm's redundancy is used to approach `near` (or home), by steps in
+    the null space of the Jacobian.
+
+    Args:
+        arm: The arm.
+        T_base_tcp: [4, 4] the pose.
+        near: [J] preferred joint angles [rad]; None: `arm.home`.
+        starts: Number of start configurations: `near`, home, and random ones.
+        seed: Seed of the random ones.
 
     Raises:
-        RobotError: As `inverse_kinematics`.
+        RobotError: The matrix is not a pose, or no start converges to it.
     """
     T = check_pose(T_base_tcp)
     rest = arm.home if near is None else arm.check_q(np.asarray(near))
@@ -172,7 +165,12 @@ def solutions(
     size = _size(error)
     good = reached(error)
     if not good.any():
-        raise _out_of_reach(arm, T, q[np.argmin(size)], error[np.argmin(size)])
+        k = int(np.argmin(size))
+        x, y, z = link_poses(arm, q[k])[-1, :3, 3]
+        what = f"{describe(T)} is out of reach: the nearest found, ({x:.3f}, {y:.3f}, {z:.3f}) m, "
+        what += f"is off by {missed(arm, q[k], error[k])}"
+        fix = "move it nearer to the base or turn the gripper"
+        raise RobotError(what, where=arm.name, fix=fix)
     q = _unwound(arm, q[good], rest)
     found: list[Array] = []
     for candidate in q[np.argsort(np.linalg.norm(q - rest, axis=1), kind="stable")]:
@@ -297,24 +295,17 @@ def _unwound(arm: Arm, q: Array, rest: Array) -> Array:
 
 
 def check_pose(T: ArrayLike) -> Array:
-    """A pose [4, 4] or [..., 4, 4] as float64.
+    """A pose [4, 4] as float64.
 
     Raises:
         RobotError: Its shape is wrong, it is not finite, or its rotation is not a rotation.
     """
     T = np.asarray(T, dtype=float)
-    where, fix = "pose T_base_tcp", "give [4, 4]: rotation, position in metres, and 0 0 0 1"
-    shaped = T.shape[-2:] == (4, 4)
-    require(shaped, f"has shape {T.shape}", where=where, fix=fix, error=RobotError)
-    require(np.isfinite(T).all(), "is not finite", where=where, fix=fix, error=RobotError)
-    R = T[..., :3, :3]
-    skew = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max()
-    proper = (
-        skew <= 1e-4 and np.all(np.linalg.det(R) >= 0.0) and np.all(T[..., 3, :] == [0, 0, 0, 1])
-    )
-    what = "its upper left 3 x 3 is no rotation, or its last row not 0 0 0 1"
-    fix = "give a proper rotation matrix"
-    require(proper, what, where=where, fix=fix, error=RobotError)
+    good = T.shape == (4, 4) and bool(np.isfinite(T).all() and np.all(T[3] == [0, 0, 0, 1]))
+    R = T[:3, :3] if good else np.zeros((3, 3))
+    proper = np.abs(R @ R.T - np.eye(3)).max() <= 1e-4 and np.linalg.det(R) >= 0.0
+    fix = "give [4, 4]: a rotation, the position in metres, and 0 0 0 1"
+    require(proper, "is no rigid transform", where="pose T_base_tcp", fix=fix, error=RobotError)
     return T
 
 
@@ -326,14 +317,9 @@ def describe(T_base_tcp: Array) -> str:
     return f"position ({x:.3f}, {y:.3f}, {z:.3f}) m, quat_xyzw ({turn})"
 
 
-def _out_of_reach(arm: Arm, T: Array, q: Array, error: Array) -> RobotError:
-    x, y, z = link_poses(arm, q)[-1, :3, 3]
-    turn = np.degrees(np.linalg.norm(error[3:]))
-    held = [str(i + 1) for i in np.flatnonzero((q <= arm.q_min) | (q >= arm.q_max))]
-    ends = f", joint {' and '.join(held)} at its end" if held else ""
-    return RobotError(
-        f"{describe(T)} is out of reach: the nearest found, ({x:.3f}, {y:.3f}, {z:.3f}) m, is "
-        f"{1e3 * np.linalg.norm(error[:3]):.1f} mm and {turn:.1f} degrees off{ends}",
-        where=arm.name,
-        fix="move it nearer to the base or turn the gripper",
-    )
+def missed(arm: Arm, q: Array, error: Array) -> str:
+    """How far joint angles [J] are from a pose [6], in words, and which joints are at their ends."""
+    off = f"{1e3 * np.linalg.norm(error[:3]):.2g} mm and "
+    off += f"{np.degrees(np.linalg.norm(error[3:])):.2g} degrees"
+    held = [str(j + 1) for j in np.flatnonzero((q <= arm.q_min) | (q >= arm.q_max))]
+    return off + (f", joint {' and '.join(held)} at its end" if held else "")

@@ -136,58 +136,37 @@ class JointMotion:
 
         Extremes of the spline are exact; the tool's speed is evaluated at the knots and halfway
         between them.
+
+        Raises:
+            RobotError: The arm has another number of joints.
         """
+        arm.check_q(self.q)
+        turns = [
+            self.spline.derivative(order).roots(discontinuity=False, extrapolate=False)
+            for order in (1, 2)
+        ]
+        middle, fastest = 0.5 * (arm.q_min + arm.q_max), (arm.max_speed, arm.max_acceleration)
         uses = []
-        half = 0.5 * (arm.q_max - arm.q_min)
-        middle = arm.q_min + half
-        for j in range(self.q.shape[1]):
-            t, q = self._extremes(0, j)
-            k = int(np.argmax(np.abs(q - middle[j]) - half[j]))
-            lower = bool(q[k] < middle[j])
-            limit = arm.q_min[j] if lower else arm.q_max[j]
-            uses.append(_use("angle", j, t[k], q[k], limit, lower))
-            for order, kind, limits in (
-                (1, "speed", arm.max_speed),
-                (2, "acceleration", arm.max_acceleration),
-            ):
-                t, value = self._extremes(order, j)
-                k = int(np.argmax(np.abs(value)))
-                uses.append(_use(kind, j, t[k], abs(value[k]), limits[j]))
+        for j in range(arm.joints):
+            for order, kind in enumerate(("angle", "speed", "acceleration")):
+                inside = turns[order][j] if order < 2 else np.empty(0)
+                t = np.concatenate([self.time, inside[np.isfinite(inside)]])
+                value = self.spline(t, order)[:, j]
+                k = int(np.argmax(np.abs(value - middle[j] if order == 0 else value)))
+                lower = order == 0 and bool(value[k] < middle[j])
+                if order == 0:
+                    most, limit = value[k], (arm.q_min if lower else arm.q_max)[j]
+                else:
+                    most, limit = abs(value[k]), fastest[order - 1][j]
+                uses.append(LimitUse(kind=kind, joint=j + 1, time=float(t[k]), value=float(most),
+                                     limit=float(limit), lower=lower))  # fmt: skip
         t = np.sort(np.concatenate([self.time, 0.5 * (self.time[1:] + self.time[:-1])]))
         rates = jacobian(arm, self.at(t))[:, :3] @ self.speed_at(t)[..., None]
         speed = np.linalg.norm(rates[..., 0], axis=1)
         k = int(np.argmax(speed))
-        uses.append(
-            LimitUse(
-                kind="tool speed",
-                joint=None,
-                time=float(t[k]),
-                value=float(speed[k]),
-                limit=arm.max_tcp_speed,
-            )
-        )
+        uses.append(LimitUse(kind="tool speed", joint=None, time=float(t[k]),
+                             value=float(speed[k]), limit=arm.max_tcp_speed))  # fmt: skip
         return uses
-
-    def _extremes(self, order: int, joint: int) -> tuple[Array, Array]:
-        """Times and values among which a derivative's extremes are, the knots included."""
-        time = self.time
-        if order < 2:
-            c = self.spline.c[:, :, joint]
-            if order == 0:
-                a, b, d = 3.0 * c[0], 2.0 * c[1], c[2]
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    root = np.sqrt(b * b - 4.0 * a * d)
-                    # stable for small a, where the spline is nearly a parabola
-                    s = -0.5 * (b + np.where(b < 0.0, -root, root))
-                    inside = np.concatenate([s / a, d / s])
-            else:
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    inside = -c[1] / (3.0 * c[0])
-            steps = np.tile(np.diff(time), len(inside) // (len(time) - 1))
-            starts = np.tile(time[:-1], len(inside) // (len(time) - 1))
-            good = np.isfinite(inside) & (inside > 0.0) & (inside < steps)
-            time = np.concatenate([time, starts[good] + inside[good]])
-        return time, self.spline(time, order)[:, joint]
 
     def check_limits(self, arm: Arm) -> None:
         """Check that the motion is within the arm's limits.
@@ -307,16 +286,3 @@ class JointMotion:
 
 def _require(holds: Any, what: str, *, fix: str | None = None) -> None:
     require(holds, what, where="joint motion", fix=fix, error=RobotError)
-
-
-def _use(
-    kind: str, joint: int, time: float, value: float, limit: float, lower: bool = False
-) -> LimitUse:
-    return LimitUse(
-        kind=kind,
-        joint=joint + 1,
-        time=float(time),
-        value=float(value),
-        limit=float(limit),
-        lower=lower,
-    )

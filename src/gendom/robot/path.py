@@ -134,8 +134,7 @@ class TcpPath:
     @property
     def moves(self) -> float:
         """Time at which the tool first moves [s]; infinite: never."""
-        corners = self.corners()
-        return math.inf if len(corners) == 0 else float(corners[0]) - 0.5 * (self.blend or 0.0)
+        return float(TcpPaths([self]).moves[0])
 
     def sampled(self, per_blend: int = 16) -> tuple[Array, Array]:
         """Times [K] [s] and positions [K, 3] [m] of a path without blend that runs like this one:
@@ -260,79 +259,42 @@ class TcpPaths:
         self.paths = list(paths)
         self.turning = np.array([path.quat_xyzw.ndim == 2 for path in self.paths])
         """[W] whether orientations change."""
-        kinds = [(len(path.time), bool(path.blend)) for path in self.paths]
-        self._groups = [_EquallyLong(self, kinds, kind) for kind in dict.fromkeys(kinds)]
+        # Shorter paths rest at their last place for a second a missing knot.
+        last = np.array([len(path.time) - 1 for path in self.paths])[:, None]
+        k = np.arange(last.max() + 1)
+        every = np.cumsum(last + 1, axis=0) - last - 1 + np.minimum(k, last)
+        self._own = k <= last
+        self._time = np.concatenate([p.time for p in self.paths])[every] + np.maximum(k - last, 0)
+        self._position = np.concatenate([p.position for p in self.paths])[every]
+        self._blend = np.array([path.blend or 0.0 for path in self.paths])
+        self._jumps = _velocity_jumps(self._time, self._position)
+        self._corner = np.linalg.norm(self._jumps, axis=2) > 0.0
+        for w in np.flatnonzero(self.turning):
+            self._corner[w] = np.isin(self._time[w], self.paths[w].corners())
 
     @cached_property
     def moves(self) -> Array:
         """[W] times at which the tools first move [s]; infinite: never."""
-        moves = np.empty(len(self.paths))
-        for some in self._groups:
-            first = np.where(some.corner, some.time, np.inf).min(axis=1)
-            moves[some.worlds] = first - 0.5 * some.blend[:, 0]
-        return moves
+        return np.where(self._corner, self._time, np.inf).min(axis=1) - 0.5 * self._blend
 
     def position_at(self, time: ArrayLike) -> Array:
-        """[W, T, 3] the tool points [m] at times [T] [s]."""
-        t = np.asarray(time, dtype=float)
-        found = np.empty((len(self.paths), len(t), 3))
-        for some in self._groups:
-            found[some.worlds] = some.position_at(t)
-        return found
+        """[W, T, 3] the tool points [m] at times [T] or [W, T] [s]."""
+        time = np.asarray(time, dtype=float)
+        total = np.zeros((len(self.paths), time.shape[-1], 3))
+        for k in np.flatnonzero(self._jumps.any(axis=(0, 2))):
+            rising = _ramp(time - self._time[:, k, None], self._blend[:, None])
+            total += rising[..., None] * self._jumps[:, None, k]
+        return self._position[:, :1] + total
 
     def sampled(self, per_blend: int = 16) -> tuple[Array, Array, NDArray[np.intp]]:
         """Times [W, K] [s] and positions [W, K, 3] [m] as `TcpPath.sampled`, and how many of them
         each path has [W]; shorter ones repeat their last."""
-        parts = [some.sampled(per_blend) for some in self._groups]
-        K = max(time.shape[1] for time, _, _ in parts)
-        times, positions = np.empty((len(self.paths), K)), np.empty((len(self.paths), K, 3))
-        counts = np.empty(len(self.paths), dtype=np.intp)
-        for some, (time, position, count) in zip(self._groups, parts, strict=True):
-            last = np.minimum(np.arange(K), time.shape[1] - 1)
-            times[some.worlds], positions[some.worlds] = time[:, last], position[:, last]
-            counts[some.worlds] = count
-        return times, positions, counts
-
-
-class _EquallyLong:
-    """Those w of W paths that have K knots, and all a blend or all none."""
-
-    def __init__(self, of: TcpPaths, kinds: Sequence[tuple[int, bool]], kind: tuple[int, bool]):
-        self.worlds = np.flatnonzero([other == kind for other in kinds])
-        paths = [of.paths[w] for w in self.worlds]
-        self.blended = kind[1]
-        self.time = np.array([path.time for path in paths])
-        """[w, K] [s]."""
-        self.position = np.array([path.position for path in paths])
-        """[w, K, 3] [m]."""
-        self.blend = np.array([[path.blend or 0.0] for path in paths])
-        """[w, 1] [s]."""
-        self.jumps = _velocity_jumps(self.time, self.position)
-        """[w, K, 3] [m/s]."""
-        self.corner = np.linalg.norm(self.jumps, axis=2) > 0.0
-        """[w, K] whether a knot is one of `TcpPath.corners`."""
-        for i in np.flatnonzero(of.turning[self.worlds]):
-            self.corner[i] = np.isin(self.time[i], paths[i].corners())
-
-    def position_at(self, time: Array) -> Array:
-        """[w, T, 3] [m] at times [T] or [w, T] [s]."""
-        total = np.zeros((len(self.worlds), time.shape[-1], 3))
-        for k in range(self.time.shape[1]):
-            if self.jumps[:, k].any():
-                after = time - self.time[:, k, None]
-                rising = _ramp(after, self.blend if self.blended else 0.0)
-                total += rising[..., None] * self.jumps[:, None, k]
-        return self.position[:, :1] + total
-
-    def sampled(self, per_blend: int) -> tuple[Array, Array, NDArray[np.intp]]:
-        """As `TcpPaths.sampled`."""
-        count = np.full(len(self.worlds), self.time.shape[1])
-        if not self.blended:
-            return self.time, self.position, count
-        near = np.linspace(-0.5 * self.blend[:, 0], 0.5 * self.blend[:, 0], per_blend + 1, axis=1)
-        around = np.where(self.corner[..., None], self.time[..., None] + near[:, None], np.inf)
-        every = np.concatenate([self.time, around.reshape(len(near), -1)], axis=1)
-        every = np.sort(np.append(every, np.full((len(near), 1), np.inf), axis=1), axis=1)
+        half, W = 0.5 * self._blend, len(self.paths)
+        near = np.linspace(-half, half, per_blend + 1, axis=1)
+        blended = self._corner & (half > 0.0)[:, None]
+        around = np.where(blended[..., None], self._time[..., None] + near[:, None], np.inf)
+        every = [np.where(self._own, self._time, np.inf), around.reshape(W, -1)]
+        every = np.sort(np.concatenate([*every, np.full((W, 1), np.inf)], axis=1), axis=1)
         # two that differ by rounding would be a jump
         kept = np.isfinite(every[:, :-1])
         kept[kept] = every[:, 1:][kept] - every[:, :-1][kept] > 1e-9
@@ -351,10 +313,10 @@ def _velocity_jumps(time: Array, position: Array) -> Array:
 
 
 def _ramp(t: Array, blend: float | Array) -> Array:
-    """R(t) above [s]; blends are all positive, or one is 0."""
-    if np.ndim(blend) == 0 and blend <= 0.0:
+    """R(t) above [s]."""
+    if not np.any(blend):
         return np.maximum(t, 0.0)
-    u = np.clip(t / blend + 0.5, 0.0, 1.0)
+    u = np.clip(t / np.maximum(blend, 1e-12) + 0.5, 0.0, 1.0)
     return blend * (u**3 - 0.5 * u**4) + np.maximum(t - 0.5 * blend, 0.0)
 
 

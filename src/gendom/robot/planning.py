@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -17,6 +16,7 @@ from gendom.robot.collision import NO_OBSTACLES, Surroundings, check_collisions
 from gendom.robot.kinematics import (
     descend,
     describe,
+    missed,
     pose_error,
     reached,
     solutions,
@@ -90,13 +90,13 @@ def joint_move(
         what = f"joint {j + 1} at {q[j]:.4f} rad, limits {arm.q_min[j]:.4f} to {arm.q_max[j]:.4f}"
         where, fix = f"move of {arm.name}", "choose another configuration"
         require(not out.any(), what, where=where, fix=fix, error=RobotError)
-    distance = np.abs(ends[1] - ends[0])
-    duration = max(
-        float(np.max(15.0 / 8.0 * distance / (share * arm.max_speed))),
-        float(np.max(np.sqrt(10.0 / math.sqrt(3.0) * distance / (share * arm.max_acceleration)))),
-        float(np.max(np.cbrt(60.0 * distance / (share * arm.max_jerk)))),
-        0.01,
-    )
+    distance = np.abs(ends[1] - ends[0]) / share
+    least = [
+        15.0 / 8.0 * distance / arm.max_speed,
+        np.sqrt(10.0 / math.sqrt(3.0) * distance / arm.max_acceleration),
+        np.cbrt(60.0 * distance / arm.max_jerk),
+    ]
+    duration = max(float(np.max(least)), 0.01)
     s = np.linspace(0.0, 1.0, 65)
     shape = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
     q = ends[0] + shape[:, None] * (ends[1] - ends[0])
@@ -150,65 +150,35 @@ def follow(
     blend = path.blend if blend is None else blend
     # Splines overshoot a little where a joint comes to rest at its end.
     kept = replace(arm, q_min=arm.q_min + _MARGIN, q_max=arm.q_max - _MARGIN)
-
-    def planned(q: Array) -> JointMotion:
-        motion = _from_posture(kept, path, q, blend)
-        check_collisions(arm, motion, surroundings, opening=opening)
-        return motion
-
-    postures = solutions(kept, path.pose_at(path.start), near=near)[:_POSTURES]
-    best = _first_within_limits(arm, postures, planned)
-    uses = best.limit_uses(arm)
-    if not any(use.exceeded for use in uses):
-        return best
-    if not slow_down or any(use.exceeded and use.kind == "angle" for use in uses):
-        best.check_limits(arm)
-    motion = in_time(arm, best)
-    shortest = min(SHORTEST_BLEND, path.max_blend)
-    if blend is None and best.blend > shortest:
-        # The blend was chosen for the path's speed; at a lower speed a shorter one may suffice.
-        sharper = in_time(arm, _track(kept, path, best.q[0], shortest, best))
-        motion = min(motion, sharper, key=lambda m: m.end - m.start)
-    motion.check_limits(arm)
-    check_collisions(arm, motion, surroundings, opening=opening)
-    return motion
-
-
-def _first_within_limits(
-    arm: Arm, postures: Sequence[Array], planned: Callable[[Array], JointMotion]
-) -> JointMotion:
-    """The first motion within all limits; if there is none, the one that exceeds them least.
-
-    Args:
-        arm: Its limits.
-        postures: Joint angles [J] to start from.
-        planned: The motion from a posture; raises RobotError where there is none.
-
-    Raises:
-        RobotError: There is no motion from any posture: that of the first.
-    """
-    best: JointMotion | None = None
-    refusal: RobotError | None = None
-    for q in postures:
+    best, refusal = None, None
+    for q in solutions(kept, path.pose_at(path.start), near=near)[:_POSTURES]:
         try:
-            motion = planned(q)
+            motion = _from_posture(kept, path, q, blend)
+            check_collisions(arm, motion, surroundings, opening=opening)
         except RobotError as error:
             refusal = refusal or error
             continue
-        if not any(use.exceeded for use in motion.limit_uses(arm)):
+        over = {use.kind for use in motion.limit_uses(arm) if use.exceeded}
+        excess = ("angle" in over, motion.slowdown(arm))
+        if best is None or excess < best[0]:
+            best = excess, motion
+        if not over:
             return motion
-        if best is None or _excess(motion, arm) < _excess(best, arm):
-            best = motion
     if best is None:
         assert refusal is not None
         raise refusal
-    return best
-
-
-def _excess(motion: JointMotion, arm: Arm) -> tuple[bool, float]:
-    """Whether angles leave their ranges, and by how much the motion is too fast: for comparison."""
-    out = any(use.exceeded and use.kind == "angle" for use in motion.limit_uses(arm))
-    return out, motion.slowdown(arm)
+    (out_of_range, _), motion = best
+    if not slow_down or out_of_range:
+        motion.check_limits(arm)
+    slower = in_time(arm, motion)
+    shortest = min(SHORTEST_BLEND, path.max_blend)
+    if blend is None and motion.blend > shortest:
+        # The blend was chosen for the path's speed; at a lower speed a shorter one may suffice.
+        sharper = in_time(arm, _track(kept, path, motion.q[0], shortest, motion))
+        slower = min(slower, sharper, key=lambda m: m.end - m.start)
+    slower.check_limits(arm)
+    check_collisions(arm, slower, surroundings, opening=opening)
+    return slower
 
 
 def _from_posture(arm: Arm, path: TcpPath, q: Array, blend: float | None) -> JointMotion:
@@ -306,14 +276,14 @@ def _refined(arm: Arm, path: TcpPath, blend: float, time: Array, q: Array) -> tu
         middle = 0.5 * (time[1:] + time[:-1])
         guess = np.clip(JointMotion(time=time, q=q).at(middle), arm.q_min, arm.q_max)
         poses = path.pose_at(middle, blend)
-        missed = np.abs(pose_error(poses, tcp_pose(arm, guess))).max(axis=1) > _SPLINE_TOLERANCE
-        if not missed.any():
+        off = np.abs(pose_error(poses, tcp_pose(arm, guess))).max(axis=1) > _SPLINE_TOLERANCE
+        if not off.any():
             break
-        between, error = descend(arm, poses[missed], guess[missed], arm.home, homing=0.0)
+        between, error = descend(arm, poses[off], guess[off], arm.home, homing=0.0)
         if not reached(error).all():
             k = int(np.argmin(reached(error)))
-            raise _not_followed(arm, poses[missed][k], between[k], None, middle[missed][k])
-        time = np.concatenate([time, middle[missed]])
+            raise _not_followed(arm, poses[off][k], between[k], None, middle[off][k])
+        time = np.concatenate([time, middle[off]])
         q = np.concatenate([q, between])
         order = np.argsort(time)
         time, q = time[order], q[order]
@@ -357,12 +327,9 @@ def _not_followed(arm: Arm, T: Array, q: Array, step: Array | None, time: float)
             fix="move or turn the path away from there",
         )
     left, error = (x[0] for x in descend(arm, T[None], q[None], arm.home, homing=0.0))
-    off = f"{1e3 * np.linalg.norm(error[:3]):.2g} mm and "
-    off += f"{np.degrees(np.linalg.norm(error[3:])):.2g} degrees"
-    held = np.flatnonzero((left <= arm.q_min) | (left >= arm.q_max))
-    ends = f", joint {' and '.join(str(j + 1) for j in held)} at its end" if len(held) else ""
     return RobotError(
-        f"at t = {time:.3f} s the path goes out of reach: {describe(T)} is missed by {off}{ends}",
+        f"at t = {time:.3f} s the path goes out of reach: {describe(T)} is missed by "
+        f"{missed(arm, left, error)}",
         where=f"path of {arm.name}",
         fix="move the path nearer to the base, or turn the gripper",
     )
