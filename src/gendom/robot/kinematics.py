@@ -119,8 +119,8 @@ def _rotation_vector(R: Array) -> Array:
 
 
 def inverse_kinematics(arm: Arm, T_base_tcp: ArrayLike, **search: Any) -> Array:
-    """Joint angles [J] [rad] within the limits that bring the tool point to a pose, as near as 0.1 um
-    and 1 urad: the first of `solutions`, which says what may be given.
+    """Joint angles [J] [rad] within the limits that bring the tool point to a pose, as near as
+    0.1 um and 1 urad: the first of `solutions`, which says what may be given.
 
     Raises:
         RobotError: As `solutions`.
@@ -318,7 +318,7 @@ def describe(T_base_tcp: Array) -> str:
 
 
 def missed(arm: Arm, q: Array, error: Array) -> str:
-    """How far joint angles [J] are from a pose [6], in words, and which joints are at their ends."""
+    """How far joint angles [J] are from a pose [6], in words, and joints at their ends."""
     off = f"{1e3 * np.linalg.norm(error[:3]):.2g} mm and "
     off += f"{np.degrees(np.linalg.norm(error[3:])):.2g} degrees"
     held = [str(j + 1) for j in np.flatnonzero((q <= arm.q_min) | (q >= arm.q_max))]
