@@ -14,22 +14,11 @@ from gendom.sim.mpm import tape as mpm_tape
 from gendom.sim.mpm.engine import MpmEngine
 
 TIMES = [0.015, 0.03]
-NOTHING = {
-    "E": 0.0,
-    "nu": 0.0,
-    "density": 0.0,
-    "friction": 0.0,
-    "damping": 0.0,
-    "velocity_damping": 0.0,
-    "air_density": 0.0,
-    "gravity": np.zeros(3),
-    "positions": 0.0,
-    "velocities": np.zeros(3),
-    "stiffness": 0.0,
-    "gripper_positions": np.zeros((3, 3)),
-    "gripper_rotations": np.zeros((3, 3)),
-    "gripper_radius": 0.0,
-}
+INPUTS = (
+    "E", "nu", "density", "friction", "damping", "velocity_damping", "air_density", "gravity",
+    "positions", "velocities", "stiffness", "gripper_positions", "gripper_rotations",
+    "gripper_radius",
+)  # fmt: skip
 SCALE = {"E": 2.0e5, "density": 1000.0}
 TURN = Rotation.from_rotvec([(0.0, 0.0, 0.0), (0.1, 0.3, 0.2), (0.2, -0.1, 0.5)])
 
@@ -46,7 +35,7 @@ def scene(
 ):
     """A rope or cloth that slides on its table while a gripper lifts and turns its end, which it
     lets go of; ``by`` moves what goes in."""
-    d = {**NOTHING, **by}
+    d = {**dict.fromkeys(INPUTS, 0.0), **by}
     body = rope(diameter=0.014, length=0.08, start=(0.0, 0.0, 0.0075), cells_across=2.0)
     if sheet:
         body = cloth(width=0.08, height=0.05, thickness=0.004, dx=0.01, corner=(0, -0.02, 0.0025))
@@ -54,7 +43,9 @@ def scene(
     gripper = Gripper(
         time=[0.0, 0.02, 0.04],
         position=path + d["gripper_positions"],
-        quat_xyzw=(Rotation.from_rotvec(d["gripper_rotations"]) * TURN).as_quat(),
+        quat_xyzw=(
+            Rotation.from_rotvec(d["gripper_rotations"] + np.zeros((3, 3))) * TURN
+        ).as_quat(),
         radius=0.0132 + d["gripper_radius"],
         hold_from=0.003,
         hold_until=0.026,
@@ -156,7 +147,7 @@ def test_repeated_substeps_give_the_recorded_ones_derivatives_to_the_bit(dtype):
     assert np.array_equal(x, scene(worlds=2, dtype=dtype).run(TIMES))
     bar = weights(x.shape)
     a, b = recorded.backward(bar), repeated.backward(bar)
-    for name in NOTHING:
+    for name in INPUTS:
         assert np.array_equal(getattr(a, name), getattr(b, name)), name
 
 
@@ -211,8 +202,6 @@ def test_misuse_is_refused():
         rollout.forward([0.002])
     with pytest.raises(ParameterError, match="must be"):
         rollout.backward(x[..., :2])
-    with pytest.raises(ParameterError, match="positions_bar must be finite"):
-        rollout.backward(x * np.nan)
     used = scene()
     used.run([0.001])
     with pytest.raises(ParameterError, match="has not been run"):
@@ -277,7 +266,7 @@ def check_derivatives(*rollouts):
     found = [one.backward(weights(frames[0].shape)) for one in rollouts]
     for x, gradients in zip(frames[1:], found[1:], strict=True):
         np.testing.assert_allclose(x, frames[0], rtol=0.0, atol=1e-13)
-        for name in NOTHING:
+        for name in INPUTS:
             expected = getattr(found[0], name)
             np.testing.assert_allclose(
                 getattr(gradients, name), expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max()
