@@ -14,22 +14,11 @@ from gendom.sim.mpm import tape as mpm_tape
 from gendom.sim.mpm.engine import MpmEngine
 
 TIMES = [0.015, 0.03]
-NOTHING = {
-    "E": 0.0,
-    "nu": 0.0,
-    "density": 0.0,
-    "friction": 0.0,
-    "damping": 0.0,
-    "velocity_damping": 0.0,
-    "air_density": 0.0,
-    "gravity": np.zeros(3),
-    "positions": 0.0,
-    "velocities": np.zeros(3),
-    "stiffness": 0.0,
-    "gripper_positions": np.zeros((3, 3)),
-    "gripper_rotations": np.zeros((3, 3)),
-    "gripper_radius": 0.0,
-}
+INPUTS = (
+    "E", "nu", "density", "friction", "damping", "velocity_damping", "air_density", "gravity",
+    "positions", "velocities", "stiffness", "gripper_positions", "gripper_rotations",
+    "gripper_radius",
+)  # fmt: skip
 SCALE = {"E": 2.0e5, "density": 1000.0}
 TURN = Rotation.from_rotvec([(0.0, 0.0, 0.0), (0.1, 0.3, 0.2), (0.2, -0.1, 0.5)])
 
@@ -46,7 +35,7 @@ def scene(
 ):
     """A rope or cloth that slides on its table while a gripper lifts and turns its end, which it
     lets go of; ``by`` moves what goes in."""
-    d = {**NOTHING, **by}
+    d = {**dict.fromkeys(INPUTS, 0.0), **by}
     body = rope(diameter=0.014, length=0.08, start=(0.0, 0.0, 0.0075), cells_across=2.0)
     if sheet:
         body = cloth(width=0.08, height=0.05, thickness=0.004, dx=0.01, corner=(0, -0.02, 0.0025))
@@ -54,7 +43,9 @@ def scene(
     gripper = Gripper(
         time=[0.0, 0.02, 0.04],
         position=path + d["gripper_positions"],
-        quat_xyzw=(Rotation.from_rotvec(d["gripper_rotations"]) * TURN).as_quat(),
+        quat_xyzw=(
+            Rotation.from_rotvec(d["gripper_rotations"] + np.zeros((3, 3))) * TURN
+        ).as_quat(),
         radius=0.0132 + d["gripper_radius"],
         hold_from=0.003,
         hold_until=0.026,
@@ -146,14 +137,6 @@ def test_derivatives_by_everything_equal_central_differences(options):
         assert min(map(abs, errors)) < 1e-6, (name, errors)
 
 
-def test_derivatives_hold_where_a_rope_rubs_over_its_table():
-    rollout = Rollout(scene())
-    bar = weights(rollout.forward(TIMES).shape)
-    g = rollout.backward(bar)
-    up, down = (float((scene(E=s * 1e-5).run(TIMES) * bar).sum()) for s in (1.0, -1.0))
-    assert g.E[0] * SCALE["E"] == pytest.approx((up - down) / 2e-5, rel=1e-3)
-
-
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_repeated_substeps_give_the_recorded_ones_derivatives_to_the_bit(dtype):
     recorded, repeated = (
@@ -164,18 +147,8 @@ def test_repeated_substeps_give_the_recorded_ones_derivatives_to_the_bit(dtype):
     assert np.array_equal(x, scene(worlds=2, dtype=dtype).run(TIMES))
     bar = weights(x.shape)
     a, b = recorded.backward(bar), repeated.backward(bar)
-    for name in NOTHING:
+    for name in INPUTS:
         assert np.array_equal(getattr(a, name), getattr(b, name)), name
-
-
-def test_worlds_do_not_mix():
-    both, one = Rollout(scene(worlds=2)), Rollout(scene())
-    x = both.forward(TIMES)
-    one.forward(TIMES)
-    bar = weights(x.shape)
-    g, h = both.backward(bar), one.backward(bar[:, 1:])
-    assert np.array_equal(g.E[1:], h.E)
-    assert np.array_equal(g.positions[1:], h.positions)
 
 
 def test_float32_points_where_float64_does():
@@ -229,8 +202,6 @@ def test_misuse_is_refused():
         rollout.forward([0.002])
     with pytest.raises(ParameterError, match="must be"):
         rollout.backward(x[..., :2])
-    with pytest.raises(ParameterError, match="positions_bar must be finite"):
-        rollout.backward(x * np.nan)
     used = scene()
     used.run([0.001])
     with pytest.raises(ParameterError, match="has not been run"):
@@ -295,46 +266,8 @@ def check_derivatives(*rollouts):
     found = [one.backward(weights(frames[0].shape)) for one in rollouts]
     for x, gradients in zip(frames[1:], found[1:], strict=True):
         np.testing.assert_allclose(x, frames[0], rtol=0.0, atol=1e-13)
-        for name in NOTHING:
+        for name in INPUTS:
             expected = getattr(found[0], name)
             np.testing.assert_allclose(
                 getattr(gradients, name), expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max()
             )
-
-
-@pytest.mark.slow
-def test_float32_points_where_float64_does_after_a_whole_lift():
-    body = rope(diameter=0.012, length=0.3, start=(0.0, 0.0, 0.006), cells_across=1.5)
-    t = np.linspace(0.0, 1.6, 41)
-    path = np.stack([0.1 * np.sin(0.75 * t) ** 2, 0.0 * t, 0.006 + 0.125 * t], axis=1)
-    times = np.linspace(0.1, 1.6, 16)
-
-    def lift(dtype, E=1.0e6, nu=0.3):
-        return Simulator(
-            body,
-            [Material(E=E, nu=nu, density=1000.0)],
-            grippers=[Gripper(time=t, position=path, radius=0.009)],
-            table=Table(height=0.0),
-            physics=Physics(velocity_damping=4.0),
-            solver=Solver(engine="mpm", dtype=dtype, threads=1),
-        )
-
-    seen = lift("float64", 1.3e6, 0.33).run(times)
-    found = {}
-    for dtype in ("float32", "float64"):
-        rollout = Rollout(lift(dtype))
-        x = rollout.forward(times)
-        found[dtype] = rollout.backward(2.0 * (x - seen))
-    for name in ("stiffness", "gripper_positions", "positions", "gravity"):
-        a, b = (np.ravel(getattr(found[d], name)).astype(float) for d in ("float32", "float64"))
-        assert a @ b / np.linalg.norm(a) / np.linalg.norm(b) > 0.999, name
-    # friction stops the lying rope at once: what a first velocity [m/s] does is rounding beside
-    # what a first position [m] does
-    off = found["float32"].velocities - found["float64"].velocities
-    assert np.linalg.norm(off) < 1e-6 * np.linalg.norm(found["float64"].positions)
-
-    def loss(E):
-        return float(((lift("float64", E).run(times) - seen) ** 2).sum())
-
-    expected = (loss(1.0003e6) - loss(0.9997e6)) / 600.0
-    assert found["float64"].E[0] == pytest.approx(expected, rel=0.02)

@@ -21,6 +21,8 @@ from gendom.sim.setting import Physics, Solver, Table
 from gendom.sim.simulator import Simulator, engine_of
 from gendom.sim.thin.rotation import left_jacobian
 
+Array = NDArray[Any]
+
 _OF_MATERIAL = ("E", "nu", "density", "damping", *OF_THIN)
 _OF_PHYSICS = ("velocity_damping", "air_density", "self_friction", "gravity")
 _OF_SIMULATOR = ("stiffness", "positions")
@@ -165,7 +167,7 @@ class _Simulation(torch.autograd.Function):
         return None, None, *(torch.as_tensor(a, dtype=torch.float64) for a in found.values())
 
 
-def _changed(gripper: Gripper, i: int, w: int, v: dict[str, NDArray[np.float64]]) -> Gripper:
+def _changed(gripper: Gripper, i: int, w: int, v: dict[str, Array]) -> Gripper:
     """Gripper i as it is in world w."""
     K, change = len(np.atleast_1d(np.asarray(gripper.time))), {}
     if "gripper_positions" in v:

@@ -13,6 +13,8 @@ from gendom.sim.cut import Cut, cut
 from gendom.sim.lines import along_line, arc_length, around, around_transpose, frames
 from gendom.sim.outlines import Outline
 
+Array = NDArray[Any]
+
 CELLS_ACROSS = (0.6, 6.0)
 """Fewest and most grid cells across a rope for which its bending and twisting are validated."""
 
@@ -40,9 +42,9 @@ class Body:
 
     kind: str
     """``rope`` or ``cloth``."""
-    x: NDArray[np.floating]
+    x: Array
     """[N, 3] rest positions [m]."""
-    material_coordinates: NDArray[np.floating]
+    material_coordinates: Array
     """[N, 3] positions in the object's own frame [m]: along, across and through it."""
     lattice: NDArray[np.int32]
     """[N, 3, 2] previous and next neighbour of each particle along each axis, or the particle
@@ -58,7 +60,7 @@ class Body:
     have consecutive indices, and touch the table and are gripped together. 1 for a thick cloth."""
     contact_radius: float
     """Height of a section's centre above the table when the section lies on it [m]."""
-    points: NDArray[np.floating] = field(default_factory=lambda: np.empty((0, 3)))
+    points: Array = field(default_factory=lambda: np.empty((0, 3)))
     """[n, 3] rest positions of the thin engine's points [m]: a rope's centre line from one end to
     the other, or a cloth's middle surface row by row, each row along the first axis."""
     shape: tuple[int, ...] = (0,)
@@ -72,7 +74,7 @@ class Body:
         return len(self.x)
 
     @property
-    def rest_frames(self) -> NDArray[np.floating]:
+    def rest_frames(self) -> Array:
         """Inverses of the position differences along the lattice axes at rest, [N, 3, 3] [1/m]."""
         first, second = self.lattice[:, :, 0], self.lattice[:, :, 1]
         return np.linalg.inv(np.swapaxes(self.x[second] - self.x[first], 1, 2))
@@ -92,7 +94,7 @@ class Body:
             return 2.0
         return 2.0 / 3.0 if self.kind == "rope" else 1.0
 
-    def surface(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
+    def surface(self, x: Array) -> Array:
         """Points on the object's surface, [..., M, 3] [m].
 
         Args:
@@ -124,9 +126,7 @@ class Body:
         skin = sections.mean(axis=-2, keepdims=True) + out * (self.thickness / 2.0 / length)
         return skin.reshape(*x.shape[:-2], -1, 3)
 
-    def surface_transpose(
-        self, x: NDArray[np.floating], bar: NDArray[np.floating]
-    ) -> NDArray[np.floating]:
+    def surface_transpose(self, x: Array, bar: Array) -> Array:
         """Derivative of a loss with respect to positions, given that with respect to the surface.
 
         Args:
@@ -155,7 +155,7 @@ class Body:
         found += (bar - of_out).sum(axis=-2, keepdims=True) / self.section
         return found.reshape(x.shape)
 
-    def _has_points(self, x: NDArray[np.floating]) -> bool:
+    def _has_points(self, x: Array) -> bool:
         """Whether positions [..., N, 3] are those of the thin engine's points, not of particles."""
         return x.shape[-2] == len(self.points) != self.num_particles
 
@@ -240,7 +240,7 @@ def rope(
 
 def _line_of(
     centre_line: ArrayLike | None, start: ArrayLike, direction: ArrayLike, length: float | None
-) -> NDArray[np.floating]:
+) -> Array:
     """[K, 3] the given centre line, or that of a straight rope."""
     if length is not None:
         _check_positive(length=length)
@@ -258,8 +258,8 @@ def _line_of(
 
 
 def _rope_particles(
-    line: NDArray[np.floating], total: float, diameter: float, spacing: float
-) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.integer]]:
+    line: Array, total: float, diameter: float, spacing: float
+) -> tuple[Array, Array, NDArray[np.integer]]:
     """Particles of a rope along a line: positions, material coordinates and cells, [N, 3] each."""
     count = max(2, round(total / spacing))
     along = (np.arange(count) + 0.5) * (total / count)
@@ -372,7 +372,7 @@ def cloth(
     )
 
 
-def _sheet_particles(shape: list[int], sizes: tuple[float, float, float]) -> NDArray[np.floating]:
+def _sheet_particles(shape: list[int], sizes: tuple[float, float, float]) -> Array:
     """[N, 3] particles of a rectangle from its corner on, in its own frame; see ``cloth``."""
     ticks = [(np.arange(n) + 0.5) * (size / n) for n, size in zip(shape, sizes, strict=True)]
     ticks[2] -= sizes[2] / 2.0
@@ -380,7 +380,7 @@ def _sheet_particles(shape: list[int], sizes: tuple[float, float, float]) -> NDA
     return np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def round_section(across: int, diameter: float) -> tuple[NDArray[np.floating], NDArray[np.integer]]:
+def round_section(across: int, diameter: float) -> tuple[Array, NDArray[np.integer]]:
     """Place particles in a round section, on a deformed square lattice.
 
     A section cut out of a square lattice warps where a round section stays plane, and is too soft
@@ -404,9 +404,7 @@ def round_section(across: int, diameter: float) -> tuple[NDArray[np.floating], N
     return points * ((diameter / 4.0) / math.sqrt(np.mean(points[:, 0] ** 2))), cells
 
 
-def _sizes(
-    box: NDArray[np.floating], width: float | None, height: float | None
-) -> tuple[float, float]:
+def _sizes(box: Array, width: float | None, height: float | None) -> tuple[float, float]:
     """Sizes of an outline's box [2] [m].
 
     Raises:

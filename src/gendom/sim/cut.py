@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from gendom.errors import ParameterError
 from gendom.sim.outlines import Outline, cross, integrals
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 LEAST_SHARE = 0.05
 """Share of its area below which a cell is left out, and its area given to a neighbour. The stable
@@ -52,12 +52,12 @@ class Cut:
     skin: Any
     """[n, n] sparse matrix from points to the places of cloth nearest to them."""
 
-    def on_skin(self, x: NDArray[np.floating]) -> Array:
+    def on_skin(self, x: Array) -> Array:
         """Places of cloth [..., n, 3] nearest to its points x [..., n, 3] [m]: points beyond the
         outline are moved onto it."""
         return _applied(self.skin, x)
 
-    def on_skin_transpose(self, bar: NDArray[np.floating]) -> Array:
+    def on_skin_transpose(self, bar: Array) -> Array:
         """Derivatives [..., n, 3] by x, given those by ``on_skin(x)``."""
         return _applied(self.skin.T, bar)
 
@@ -115,7 +115,7 @@ def cut(outline: Outline, points: tuple[int, int]) -> Cut:
     return replace(made, skin=_skin(made, place, lower, spacing))
 
 
-def _applied(matrix: Any, x: NDArray[np.floating]) -> Array:
+def _applied(matrix: Any, x: Array) -> Array:
     """A matrix [n, n] times vectors [..., n, 3]."""
     first = np.moveaxis(x, -2, 0)
     return np.moveaxis((matrix @ first.reshape(len(first), -1)).reshape(first.shape), 0, -2)

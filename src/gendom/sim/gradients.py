@@ -1,9 +1,11 @@
 """Derivatives with respect to all inputs of a simulation."""
 
 from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
+
+Array = NDArray[Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,48 +16,48 @@ class Gradients:
     whether a section touches the table or the body itself, sticks or slides.
     """
 
-    E: NDArray[np.float64]
+    E: Array
     """[W] by Young's modulus [1/Pa]."""
-    nu: NDArray[np.float64]
+    nu: Array
     """[W] by Poisson's ratio."""
-    density: NDArray[np.float64]
+    density: Array
     """[W] by density [m^3/kg]."""
-    stiffness: NDArray[np.float64]
+    stiffness: Array
     """[W, N] by the ratio of each particle's or point's E to its material's E."""
-    damping: NDArray[np.float64]
+    damping: Array
     """[W] by the material's damping [1/s]."""
-    velocity_damping: NDArray[np.float64]
+    velocity_damping: Array
     """[W] by the rate at which velocities decay [s]."""
-    air_density: NDArray[np.float64]
+    air_density: Array
     """[W] by the density of the air [m^3/kg]."""
-    friction: NDArray[np.float64]
+    friction: Array
     """[W] by the table's coefficient of friction."""
-    self_friction: NDArray[np.float64]
+    self_friction: Array
     """[W] by the coefficient of friction at self-contact; 0 without it."""
-    gravity: NDArray[np.float64]
+    gravity: Array
     """[W, 3] by gravity [s^2/m]."""
-    positions: NDArray[np.floating]
+    positions: Array
     """[W, N, 3] by the initial positions, the rest shape unchanged [1/m]."""
-    velocities: NDArray[np.floating]
+    velocities: Array
     """[W, N, 3] by the initial velocities [s/m]."""
-    gripper_positions: NDArray[np.float64]
+    gripper_positions: Array
     """[W, G, K, 3] by the grippers' positions at their knots [1/m]; shorter paths repeat their
     last knot, whose derivatives stand at the first of the repeats."""
-    gripper_rotations: NDArray[np.float64]
+    gripper_rotations: Array
     """[W, G, K, 3] by a rotation of the grippers at their knots, in world axes [1/rad]; 0 for
     grippers without orientations."""
-    gripper_radius: NDArray[np.float64]
+    gripper_radius: Array
     """[W, G] by the radius of the grippers [1/m]."""
-    thickness: NDArray[np.float64] | None = None
+    thickness: Array | None = None
     """[W] by the thickness of a cloth or the diameter of a rope, the initial positions unchanged
     [1/m]. MPM: None."""
-    membrane: NDArray[np.float64] | None = None
+    membrane: Array | None = None
     """[W] by the modulus in a cloth's plane [1/Pa]; None if no material has its own, and 0 for
     those that have not."""
-    warp: NDArray[np.float64] | None = None
+    warp: Array | None = None
     """[W] by a shell's bending stiffness along its first side, over an isotropic one's; None for
     other bodies."""
-    weft: NDArray[np.float64] | None = None
+    weft: Array | None = None
     """[W] the same along its second side."""
-    shear: NDArray[np.float64] | None = None
+    shear: Array | None = None
     """[W] the same of its in-plane shear stiffness."""

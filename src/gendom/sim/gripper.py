@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 from gendom.arguments import check_number, check_numbers, require
 from gendom.errors import ParameterError
 
+Array = NDArray[Any]
+
 NEEDED = ("time", "position", "hold_from", "hold_until", "radius")
 """Arrays that ``Grippers`` is not without."""
 
@@ -69,7 +71,7 @@ class Gripper:
         """Return a gripper that stays at ``position`` [3] [m]; errors as of ``Gripper``."""
         return cls(time=[0.0], position=position, radius=radius, **hold)
 
-    def position_at(self, time: ArrayLike) -> NDArray[np.floating]:
+    def position_at(self, time: ArrayLike) -> Array:
         """Centre at given times [s], [..., 3] [m]."""
         t, knots = check_numbers("time", time), np.asarray(self.time, dtype=float)
         p = np.asarray(self.position, dtype=float)
@@ -93,7 +95,7 @@ class Targets:
 
     def of(
         self, worlds: int, grippers: int
-    ) -> tuple[NDArray[Any], NDArray[Any] | None, NDArray[np.bool_] | None]:
+    ) -> tuple[Array, Array | None, NDArray[np.bool_] | None]:
         """Positions [W, G, 3], orientations [W, G, 4] and whether they hold [W, G].
 
         Raises:
@@ -132,7 +134,7 @@ def _check_hold(hold_from: Any, hold_until: Any, shape: tuple[int, ...]) -> None
         )
 
 
-def turns_of(q: NDArray[np.floating]) -> NDArray[np.floating]:
+def turns_of(q: Array) -> Array:
     """[..., K - 1, 3] rotation vectors from each orientation [..., K, 4] to the next [rad]."""
     before, after = (Rotation.from_quat(k.reshape(-1, 4)) for k in (q[..., :-1, :], q[..., 1:, :]))
     return (after * before.inv()).as_rotvec().reshape(*q.shape[:-2], -1, 3)
@@ -152,11 +154,11 @@ class Grippers(Sequence[Sequence[Gripper]]):
             finite, a radius is not positive or a gripper opens before it closes.
     """
 
-    def __init__(self, arrays: Mapping[str, NDArray[np.floating]]):
+    def __init__(self, arrays: Mapping[str, Array]):
         if lacking := [name for name in NEEDED if name not in arrays]:
             raise ParameterError(f"arrays of grippers lack {', '.join(lacking)}")
         shape = check_numbers("gripper time", arrays["time"], ("W", "G", "K")).shape
-        self.arrays: dict[str, NDArray[np.floating]] = {
+        self.arrays: dict[str, Array] = {
             "orientation": np.tile([0.0, 0.0, 0.0, 1.0], (*shape, 1)),
             "turn": np.zeros((*shape, 3)),
             "turns": np.zeros(shape[:2]),

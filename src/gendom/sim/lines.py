@@ -1,20 +1,21 @@
 """Centre lines: places along them, frames, and the skin around them."""
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import ParameterError
 
+Array = NDArray[Any]
 
-def arc_length(line: NDArray[np.floating]) -> NDArray[np.floating]:
+
+def arc_length(line: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
 
 
-def along_line(
-    line: NDArray[np.floating], along: NDArray[np.floating]
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def along_line(line: Array, along: Array) -> tuple[Array, Array]:
     """Points [M, 3] and unit tangents [M, 3] at arc lengths; straight beyond both ends."""
     s = arc_length(line)
     steps = np.diff(line, axis=0)
@@ -29,7 +30,7 @@ def along_line(
     return points, tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
 
 
-def frames(tangent: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def frames(tangent: Array) -> tuple[Array, Array]:
     """Two unit normals [M, 3] of each tangent; the first is horizontal where possible."""
     reference = np.array([0.0, 0.0, 1.0])
     if np.max(np.abs(tangent @ reference)) > 0.99:
@@ -39,16 +40,14 @@ def frames(tangent: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray
     return side, np.cross(tangent, side)
 
 
-def fixed_frame(direction: NDArray[np.floating]) -> NDArray[np.floating]:
+def fixed_frame(direction: Array) -> Array:
     """[3, 3] rows: two normals of a direction [3], and its unit vector."""
     unit = direction / np.linalg.norm(direction)
     side, up = frames(unit[None])
     return np.stack([side[0], up[0], unit])
 
 
-def around(
-    points: NDArray[np.floating], thickness: float, x: NDArray[np.floating]
-) -> NDArray[np.floating]:
+def around(points: Array, thickness: float, x: Array) -> Array:
     """Rings of eight points around a centre line x [..., n, 3] that is ``points`` [n, 3] at rest, a
     third of a diameter apart [m]."""
     spacing = np.linalg.norm(points[1] - points[0])
@@ -70,12 +69,7 @@ def around(
     return skin.reshape(*x.shape[:-2], -1, 3)
 
 
-def around_transpose(
-    points: NDArray[np.floating],
-    thickness: float,
-    x: NDArray[np.floating],
-    bar: NDArray[np.floating],
-) -> NDArray[np.floating]:
+def around_transpose(points: Array, thickness: float, x: Array, bar: Array) -> Array:
     """Transpose of the derivative of ``around``, with the same names."""
     n, lead = x.shape[-2], x.shape[:-2]
     bar = bar.reshape(*lead, n - 1, -1, 8, 3)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from gendom.arguments import require
 from gendom.errors import ParameterError
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 ROUNDING = 1e-9
 """Share of an outline's size that counts as no distance."""
@@ -70,7 +70,7 @@ class Outline:
         area, x, y, _ = self._totals()
         return self.box[0] + np.array([x, y]) / area
 
-    def contains(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
+    def contains(self, points: Array) -> NDArray[np.bool_]:
         """Whether points [N, 2] are inside of the outside and outside of the holes, [N].
 
         Source: even-odd rule (Haines 1994, "Point in polygon strategies").
@@ -85,7 +85,7 @@ class Outline:
             inside[some] = np.count_nonzero(spans & left, axis=1) % 2 == 1
         return inside
 
-    def nearest(self, points: NDArray[np.floating]) -> Array:
+    def nearest(self, points: Array) -> Array:
         """Nearest places [N, 2] on the outline to points [N, 2] [m]."""
         a, b, _ = self._edges()
         step, found = b - a, np.empty((len(points), 2))
@@ -170,7 +170,7 @@ class Outline:
                 require(not inside, f"is inside of {_name(other)}", where=_name(k))
 
 
-def integrals(loop: NDArray[np.floating]) -> Array:
+def integrals(loop: Array) -> Array:
     """Integrals of 1, x, y and x y over a polygon [K, 2], negative of a clockwise one.
 
     Source: Green's theorem (Steger 1996, "On the calculation of arbitrary moments of polygons").

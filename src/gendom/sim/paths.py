@@ -167,7 +167,7 @@ def make_paths(real: Any) -> SimpleNamespace:
     @wp.func
     def turn_adjoint(
         w: int, g: int, knot: int, u: wp.float64, R_bar: wp.vec3d, by_turn: wp.vec3d,
-        paths: Paths, turn_bars: wp.array3d(dtype=wp.vec3d),
+        paths: Paths, turn_bars: wp.array3d(dtype=wp.vec3d)
     ):  # fmt: skip
         """Add derivatives with respect to the knots' rotations.
 
@@ -188,7 +188,7 @@ def make_paths(real: Any) -> SimpleNamespace:
     @wp.func
     def pose_adjoint(
         w: int, g: int, t: wp.float64, centre_bar: wp.vec3d, R_bar: wp.vec3d, paths: Paths,
-        position_bars: wp.array3d(dtype=wp.vec3d), turn_bars: wp.array3d(dtype=wp.vec3d),
+        position_bars: wp.array3d(dtype=wp.vec3d), turn_bars: wp.array3d(dtype=wp.vec3d)
     ):  # fmt: skip
         """Transpose of ``pose``; ``R_bar`` is with respect to a rotation of R in world axes."""
         knot, u = knot_before(w, g, t, paths)
@@ -367,7 +367,7 @@ def _host_kernels() -> SimpleNamespace:
     def pose(
         g: int, worlds: wp.array(dtype=wp.int32), times: wp.array(dtype=wp.float64), paths: Paths,
         centre: wp.array(dtype=wp.vec3d), q: wp.array(dtype=wp.quatd),
-        velocity: wp.array(dtype=wp.vec3d), spin: wp.array(dtype=wp.vec3d),
+        velocity: wp.array(dtype=wp.vec3d), spin: wp.array(dtype=wp.vec3d)
     ):  # fmt: skip
         i = wp.tid()
         w, t = worlds[i], times[i]
@@ -385,7 +385,7 @@ def _host_kernels() -> SimpleNamespace:
         g: int, worlds: wp.array(dtype=wp.int32), times: wp.array(dtype=wp.float64), paths: Paths,
         centre_bar: wp.array(dtype=wp.vec3d), q_bar: wp.array(dtype=wp.vec3d),
         velocity_bar: wp.array(dtype=wp.vec3d), spin_bar: wp.array(dtype=wp.vec3d),
-        position_bars: wp.array3d(dtype=wp.vec3d), turn_bars: wp.array3d(dtype=wp.vec3d),
+        position_bars: wp.array3d(dtype=wp.vec3d), turn_bars: wp.array3d(dtype=wp.vec3d)
     ):  # fmt: skip
         i = wp.tid()
         w, t = worlds[i], times[i]

@@ -1,6 +1,7 @@
 """Derivatives of whole simulations, by reverse mode with recorded or recomputed substeps."""
 
-import numpy as np
+from typing import Any
+
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import check_number, check_numbers, check_type
@@ -9,6 +10,8 @@ from gendom.sim.gradients import Gradients
 from gendom.sim.simulator import Simulator
 from gendom.sim.thin import ThinEngine
 from gendom.sim.thin.tape import ThinTape
+
+Array = NDArray[Any]
 
 MEMORY = {"cpu": 64 << 20, "cuda": 8 << 30}
 """Default limits on the memory that a rollout uses for its reverse pass [bytes]."""
@@ -44,9 +47,9 @@ class Rollout:
             memory = MEMORY["cuda" if cuda else "cpu"]
         engine = simulator.engine
         self._tape = ThinTape(engine) if isinstance(engine, ThinEngine) else engine.tape(memory)
-        self._times: NDArray[np.float64] | None = None
+        self._times: Array | None = None
 
-    def forward(self, times: ArrayLike) -> NDArray[np.floating]:
+    def forward(self, times: ArrayLike) -> Array:
         """Simulate to each of the given times, as ``Simulator.run`` does.
 
         Returns:

@@ -21,6 +21,8 @@ from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.sim.bodies import Body
 from gendom.sim.gripper import Grippers
 
+Array = NDArray[Any]
+
 GRAVITY = (0.0, 0.0, -STANDARD_GRAVITY)
 """Standard gravity, z up [m/s^2]."""
 
@@ -118,11 +120,11 @@ class Frames:
 
     began: float
     """Time of the initial state [s]."""
-    times: NDArray[np.float64]
+    times: Array
     """[T] times of the frames [s]."""
     particles: NDArray[np.integer]
     """[P] indices of the recorded particles."""
-    x: NDArray[np.floating]
+    x: Array
     """[T, W, P, 3] positions [m], filled by the run."""
     on_frame: Callable[[int], None] | None
     keep_going: bool
@@ -149,7 +151,7 @@ class Setting:
     dtype: str
     device: Any
     threads: int
-    substep: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    substep: Array = field(default_factory=lambda: np.empty(0))
     """[W] longest substep of each world [s]."""
 
     def error(
@@ -187,7 +189,7 @@ class Setting:
         return f"E {m.E:.6g} Pa, nu {m.nu:.4g}, density {m.density:.6g} kg/m^3"
 
 
-def spread(values: Any, shape: tuple[int, ...], name: str) -> NDArray[np.floating]:
+def spread(values: Any, shape: tuple[int, ...], name: str) -> Array:
     """Broadcast values to a shape.
 
     Raises:

@@ -28,6 +28,8 @@ from gendom.sim.mpm.model import Worlds
 from gendom.sim.setting import Frames, Physics, Setting, Solver, Table
 from gendom.sim.thin import THIN_ENGINES, ThinEngine
 
+Array = NDArray[Any]
+
 START_INSIDE = 0.1
 """Greatest initial depth of a body in a table [cells, or diameters of a rod]; contact pushes it
 out."""
@@ -170,7 +172,7 @@ class Simulator(Shown):
         return self.engine.num_points
 
     @property
-    def substep(self) -> NDArray[np.float64]:
+    def substep(self) -> Array:
         """[W] longest substep of each world [s]."""
         return self.engine.setting.substep
 
@@ -185,11 +187,11 @@ class Simulator(Shown):
             raise ParameterError("only the MPM has particles with C and F", fix="engine='mpm'")
         return self.engine.worlds
 
-    def positions(self) -> NDArray[Any]:
+    def positions(self) -> Array:
         """Current positions of particles or points, [W, N, 3] [m]."""
         return self.engine.positions()
 
-    def velocities(self) -> NDArray[Any]:
+    def velocities(self) -> Array:
         """Velocities, [W, N, 3] [m/s].
 
         Those of particles are of now, those of points half a step ago; held points of rods and
@@ -197,14 +199,14 @@ class Simulator(Shown):
         """
         return self.engine.velocities()
 
-    def affine_velocities(self) -> NDArray[Any]:
+    def affine_velocities(self) -> Array:
         """Current affine velocities C of APIC, [W, N, 3, 3] [1/s].
 
         C is the velocity gradient of a body that moves rigidly or stretches evenly.
         """
         return np.array(self.worlds.state.C.numpy())
 
-    def deformation_gradients(self) -> NDArray[Any]:
+    def deformation_gradients(self) -> Array:
         """Current deformation gradients F, [W, N, 3, 3] [-]."""
         return self.worlds.deformation_at(self.worlds.state.x.numpy()).astype(self.dtype)
 
@@ -231,7 +233,7 @@ class Simulator(Shown):
         on_frame: Callable[[int], None] | None = None,
         particles: ArrayLike | None = None,
         keep_going: bool = False,
-    ) -> NDArray[np.floating]:
+    ) -> Array:
         """Simulate to each of the given times.
 
         Args:
@@ -288,7 +290,7 @@ class Simulator(Shown):
         engine.step(until, keep_going=keep_going)
         self.time = until
 
-    def gripper_forces(self) -> NDArray[np.float64]:
+    def gripper_forces(self) -> Array:
         """Forces of the body on grippers, [W, G, 3] [N]; 0 of open ones.
 
         What held points are pulled by and weigh, without the inertia of what is held.
@@ -303,7 +305,7 @@ class Simulator(Shown):
             raise ParameterError(f"the MPM has no {what}", fix="engine='thin'")
         return self.engine
 
-    def checked(self, times: ArrayLike) -> NDArray[np.float64]:
+    def checked(self, times: ArrayLike) -> Array:
         """Return ``times`` as an array [T], after checking that the simulator can be run to them.
 
         Raises:
@@ -323,9 +325,7 @@ def engine_of(body: Body, solver: Solver) -> str:
     return solver.engine or ("thin" if body.kind in ("rope", "cloth") else "mpm")
 
 
-def _check_clear(
-    body: Body, x: NDArray[np.floating], section: int, least: float, table: Table | None
-) -> None:
+def _check_clear(body: Body, x: Array, section: int, least: float, table: Table | None) -> None:
     """Check that positions [..., N, 3] do not lie deeper than ``least`` [m] in the table.
 
     Each ``section`` consecutive positions form one cross-section.

@@ -1,30 +1,97 @@
-"""Central differences of losses that jump where a contact begins or ends in another step, and the
-model of a sheet."""
+"""Scenes that depend on everything, and central differences of losses of them, which jump where a
+contact begins or ends in another step."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gendom.materials import Material
-from gendom.sim import Simulator
+from gendom.materials.parameters import OF_THIN
+from gendom.sim import Rollout, Simulator, Table
 from gendom.sim.thin.shells import Shells
+from validation.bench import flat_simulator
 
 SIZES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 
+OF_MATERIAL = ("E", "nu", "density", "damping", *OF_THIN)
+OF_WORLD = ("gravity", "velocity_damping", "air_density", "self_friction", "stiffness", "positions")
 
-def difference(loss, h):
-    """Derivative at 0 of a loss by a central difference, and its uncertainty by rounding.
+
+def scene(body, worlds, hands, height, **options):
+    """A simulator of worlds that depend on dictionaries each: all with the first one's thickness,
+    grippers ``hands(world)`` and a table at a height."""
+
+    def every(name):
+        values = [world[name] for world in worlds]
+        if all(value is values[0] for value in values):  # so that it is looked at once
+            return np.broadcast_to(values[0], (len(worlds), *np.shape(values[0])))
+        return np.array(values)
+
+    s = flat_simulator(
+        replace(body, thickness=float(worlds[0]["thickness"])),
+        [Material(**{n: float(w[n]) for n in OF_MATERIAL if n in w}) for w in worlds],
+        engine="thin",
+        grippers=[hands(world) for world in worlds],
+        table=Table(height=height, friction=every("friction")),
+        **{name: every(name) for name in OF_WORLD if name in worlds[0]},
+        **options,
+    )
+    s.set_velocities(every("velocities"))
+    return s
+
+
+def check_derivatives(simulator, p, steps, times, rel):
+    """Assert that derivatives of a random loss are those of central differences.
+
+    Args:
+        simulator: Makes a simulator of dictionaries of inputs.
+        p: Inputs.
+        steps: Direction and length of differences by the names of inputs; None: random.
+        times: Of frames [s].
+        rel: Allowed relative error.
+    """
+    rng, rollout = np.random.default_rng(1), Rollout(simulator([p]))
+    x0 = rollout.forward(times)
+    weights = rng.normal(size=x0.shape)
+    found = rollout.backward(weights)
+    for name, (way, h) in steps.items():
+        if way is None:
+            way = rng.normal(size=np.shape(p[name])) if np.ndim(p[name]) else np.array(1.0)
+        changed = lambda by, name=name, way=way: p | {name: p[name] + by * way}  # noqa: E731
+
+        def losses(by, name=name, changed=changed):
+            """Of displacements, which are rounded less than positions are."""
+            every = [changed(b) for b in by]
+            batches = [[one] for one in every] if name == "thickness" else [every]
+            x = np.concatenate([simulator(batch).run(times) for batch in batches], axis=1)
+            return np.sum((x - x0) * weights, axis=(0, 2, 3))
+
+        by = getattr(found, name)[0]
+        by = by[-1] if name == "gripper_rotations" else by  # of the gripper that turns
+        expected, rounded = difference(losses, h)
+        # differences must tell to 0.1 %
+        assert rounded <= 1e-3 * abs(expected), name
+        allowed = rounded + rel * abs(expected)
+        assert np.sum(by * way) == pytest.approx(expected, abs=allowed), name
+
+
+def difference(losses, h):
+    """Derivative at 0 of losses [S] of changes [S] by central differences, and its uncertainty by
+    rounding.
 
     Steps are up to 3 h. Short ones are rounded, in inverse proportion; how much is seen where next
     to nothing changes. Long ones cross jumps: the longest one is taken that differs from all
     shorter ones by no more than those are rounded.
     """
     at = 1e-3 * SIZES[0] * h * np.arange(-3.0, 4.0)
-    near = np.array([loss(a) for a in at])
+    steps = h * np.outer(SIZES, [1.0, -1.0, 2.0, -2.0])
+    loss = losses(np.concatenate([at, steps.ravel()]))
+    near = loss[: len(at)]
     noise = 6.0 * np.std(near - np.polyval(np.polyfit(at / h, near, 1), at / h)) / h
     found = []
-    for size in SIZES:
-        near, far = (loss(k * size * h) - loss(-k * size * h) for k in (1.0, 2.0))
-        value = (8.0 * near - far) / (12.0 * size * h)
+    for size, (up, down, up2, down2) in zip(SIZES, loss[len(at) :].reshape(-1, 4), strict=True):
+        value = (8.0 * (up - down) - (up2 - down2)) / (12.0 * size * h)
         rounded = noise / size
         if any(abs(value - other) > rounded + other_rounded for other, other_rounded in found):
             break
@@ -32,11 +99,18 @@ def difference(loss, h):
     return found[-1]
 
 
-def check_derivative(by, loss, h, rel, name):
-    """Assert that a derivative is that of central differences, which must tell to 0.1 %."""
-    expected, rounded = difference(loss, h)
-    assert rounded <= 1e-3 * abs(expected), name
-    assert by == pytest.approx(expected, abs=rounded + rel * abs(expected)), name
+def check_worlds(run, count):
+    """Assert that each of so many worlds, which ``run(chosen)`` simulates and differentiates, moves
+    as it does alone, bit for bit."""
+    x, together = run(list(range(count)))
+    for k in range(count):
+        y, alone = run([k])
+        np.testing.assert_array_equal(x[:, k], y[:, 0])
+        for name, values in vars(alone).items():
+            if values is not None:
+                np.testing.assert_allclose(
+                    getattr(together, name)[k], values[0], rtol=1e-12, atol=1e-20, err_msg=name
+                )
 
 
 def model_of(body):

@@ -6,7 +6,7 @@ changes small. How small depends on what is changed, see ``shared``.
 """
 
 import math
-from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,8 +17,7 @@ import warp as wp
 from gendom.materials import Material
 from gendom.sim import Gripper, Physics, Rollout, Simulator, Table, cloth, rope
 from gendom.sim.thin import tape
-from sim.thin.shared import check_derivative
-from validation.bench import flat_simulator
+from sim.thin.shared import check_derivatives, check_worlds, scene
 
 TIMES = [0.01, 0.02, 0.025, 0.03]
 FIRST = [0.00415, 0.0043]
@@ -85,59 +84,29 @@ def given(body, self_friction, seed=0, points=None, noise=2e-4):
     }
 
 
-def simulator(body, p, worlds=1, **options):
+def simulator(body, worlds, **options):
     lowest = (FOLDED if body.kind == "cloth" else body.points)[:, 2].min()
-    knots = [0, 0.025, 0.05]
-    s = flat_simulator(
-        replace(body, thickness=p["thickness"]),
-        [Material(**{name: float(p[name]) for name in ("E", "nu", "density", "damping")})] * worlds,
-        engine="thin",
-        grippers=[
-            Gripper(time=knots, position=path, radius=radius, hold_until=until)
-            for path, radius, until in zip(
-                p["gripper_positions"], p["gripper_radius"], (0.0213, 1.0), strict=True
-            )
-        ],
-        table=Table(height=lowest - body.thickness / 2.0 - 0.002, friction=p["friction"]),
-        gravity=p["gravity"],
-        velocity_damping=p["velocity_damping"],
-        air_density=p["air_density"],
-        stiffness=p["stiffness"],
-        positions=p["positions"],
-        self_friction=p["self_friction"],
-        substep=1.5e-4,
-        **{"self_contact": True, **options},
-    )
-    s.set_velocities(p["velocities"])
-    return s
 
+    def hands(p):
+        given = zip(p["gripper_positions"], p["gripper_radius"], (0.0213, 1.0), strict=True)
+        return [
+            Gripper(time=[0, 0.025, 0.05], position=path, radius=radius, hold_until=until)
+            for path, radius, until in given
+        ]
 
-def loss_of(body, p, times, weights, x0, **options):
-    """Of displacements from points x0, which are rounded less than positions are."""
-    return float(np.sum((simulator(body, p, **options).run(times) - x0) * weights))
+    options = {"self_contact": True, "substep": 1.5e-4, **options}
+    return scene(body, worlds, hands, lowest - body.thickness / 2.0 - 0.002, **options)
 
 
 STEPS = {"thickness": 2e-8, "positions": 2e-8, "gripper_positions": 2e-8, "self_friction": 2e-5}
 """Relative steps where they are not 2e-6: shorter where they move points at once."""
 
 
-def check_derivatives(body, p, names, times=TIMES, rel=1e-6, **options):
-    rng = np.random.default_rng(1)
-    weights = rng.normal(size=(len(times), 1, len(body.points), 3))
-    rollout = Rollout(simulator(body, p, **options))
-    x0 = rollout.forward(times)
-    found = rollout.backward(weights)
-    for name in names:
-        direction = rng.normal(size=np.shape(p[name])) if np.ndim(p[name]) else np.array(1.0)
-        check_derivative(
-            np.sum(getattr(found, name)[0] * direction),
-            lambda h, name=name, by=direction: loss_of(
-                body, p | {name: p[name] + h * by}, times, weights, x0, **options
-            ),
-            STEPS.get(name, 2e-6) * max(np.abs(p[name]).max(), 1e-2),
-            rel,
-            name,
-        )
+def check(body, p, names, times=TIMES, rel=1e-6, **options):
+    steps = {
+        name: (None, STEPS.get(name, 2e-6) * max(np.abs(p[name]).max(), 1e-2)) for name in names
+    }
+    check_derivatives(partial(simulator, body, **options), p, steps, times, rel)
 
 
 GIVEN = {
@@ -161,7 +130,7 @@ BY = ("density", "self_friction", "velocities", "positions")
 
 
 @pytest.mark.parametrize(
-    ("scene", "every"),
+    ("name", "every"),
     [
         ("rope-slides", False),
         ("rope-sticks", True),
@@ -169,9 +138,9 @@ BY = ("density", "self_friction", "velocities", "positions")
         ("cloth-sticks", False),
     ],
 )
-def test_derivatives_are_those_of_central_differences(scene, every):
-    p = given(*GIVEN[scene])
-    check_derivatives(GIVEN[scene][0], p, p if every else BY)
+def test_derivatives_are_those_of_central_differences(name, every):
+    p = given(*GIVEN[name])
+    check(GIVEN[name][0], p, p if every else BY)
 
 
 def touching(self_friction, skew, slide, noise):
@@ -187,13 +156,13 @@ TOUCHES = pytest.mark.parametrize("self_friction", [0.2, 5.0])
 
 @TOUCHES
 def test_first_touches_are_differentiated(self_friction):
-    check_derivatives(CLOTH, touching(self_friction, 0.23, 0.0, 2e-4), BY, times=FIRST)
+    check(CLOTH, touching(self_friction, 0.23, 0.0, 2e-4), BY, times=FIRST)
 
 
 @TOUCHES
 def test_nearly_parallel_edges_are_differentiated(self_friction):
     p = touching(self_friction, 0.0, 0.0041, 2e-6) | {"stiffness": np.ones(len(CLOTH.points))}
-    check_derivatives(CLOTH, p, BY, times=FIRST)
+    check(CLOTH, p, BY, times=FIRST)
 
 
 @pytest.mark.gpu
@@ -202,7 +171,7 @@ def test_cuda_differentiates_first_touches(self_friction):
     if not wp.is_cuda_available():
         pytest.skip("no CUDA device on this machine")
     p = touching(self_friction, 0.23, 0.0, 2e-4)
-    check_derivatives(CLOTH, p, BY, times=FIRST, device="cuda", rel=1e-5)
+    check(CLOTH, p, BY, times=FIRST, device="cuda", rel=1e-5)
 
 
 @pytest.mark.gpu
@@ -212,28 +181,25 @@ def test_cuda_differentiates_its_own_contacts(body, self_friction):
     if not wp.is_cuda_available():
         pytest.skip("no CUDA device on this machine")
     p = given(body, self_friction)
-    check_derivatives(body, p, p, device="cuda", rel=1e-4)
+    check(body, p, p, device="cuda", rel=1e-4)
 
 
 @SCENES
 def test_these_scenes_have_contact_with_friction(body, self_friction):
     p = given(body, self_friction)
-    x = simulator(body, p).run(TIMES)
-    for other in (
-        simulator(body, p, self_contact=False),
-        simulator(body, p | {"self_friction": 0.0}),
-    ):
-        assert np.abs(other.run(TIMES) - x)[2].max() > 1e-5
-    sticks = simulator(body, p | {"self_friction": 1e9}).run(TIMES)
-    assert np.abs(sticks - x)[2].max() > 1e-6
+    x = simulator(body, [p, p | {"self_friction": 0.0}, p | {"self_friction": 1e9}]).run(TIMES)[2]
+    passes = simulator(body, [p], self_contact=False).run(TIMES)[2]
+    for other, least in ((passes[0], 1e-5), (x[1], 1e-5), (x[2], 1e-6)):
+        assert np.abs(other - x[0]).max() > least
 
 
 @SCENES
 def test_pieces_are_run_again_bit_for_bit(body, self_friction, monkeypatch):
     """With the lists of pairs that the first run had, though they were made in pieces before."""
-    rollout = Rollout(simulator(body, given(body, self_friction)))
+    p = given(body, self_friction)
+    rollout = Rollout(simulator(body, [p]))
     x = rollout.forward(TIMES)
-    np.testing.assert_array_equal(x, simulator(body, given(body, self_friction)).run(TIMES))
+    np.testing.assert_array_equal(x, simulator(body, [p]).run(TIMES))
     recorded: Any = rollout._tape
     engine, plan = recorded.engine, recorded.plan
     steps = plan.steps[0]
@@ -281,24 +247,9 @@ def test_every_step_has_its_own_list_of_pairs(monkeypatch):
 def test_worlds_do_not_see_each_others_contacts():
     """Worlds of one launch share memory for their contacts."""
     bodies = [given(ROPE, mu, seed) for seed, mu in enumerate((0.2, 5.0, 0.0))]
-    shared = given(ROPE, 0.2)
 
     def run(chosen):
-        stacked = {
-            name: np.array([p[name] for p in chosen])
-            for name in ("positions", "velocities", "self_friction")
-        }
-        rollout = Rollout(simulator(ROPE, shared | stacked, worlds=len(chosen)))
-        x = rollout.forward(TIMES)
-        return x, rollout.backward(np.ones_like(x))
+        rollout = Rollout(simulator(ROPE, [bodies[k] for k in chosen]))
+        return (x := rollout.forward(TIMES)), rollout.backward(np.ones_like(x))
 
-    together = run(bodies)
-    for k, p in enumerate(bodies):
-        x, found = run([p])
-        np.testing.assert_array_equal(together[0][:, k], x[:, 0])
-        for name, values in vars(found).items():
-            if values is None:
-                continue
-            np.testing.assert_allclose(
-                getattr(together[1], name)[k], values[0], rtol=1e-12, atol=1e-20, err_msg=name
-            )
+    check_worlds(run, len(bodies))

@@ -159,94 +159,49 @@ def test_a_stretched_sheet_has_the_energy_of_a_membrane(outline):
     assert found == pytest.approx(0.5 * MATERIAL.E * strain**2 * area * 0.002, rel=1e-3)
 
 
-def fastest_squared(body, axes):
-    """Squared angular frequency of the body's fastest small vibration along some axes [1/s^2].
+def fastest_squared(body):
+    """Squared angular frequency of the body's fastest small vibration [1/s^2].
 
     One world a point and axis: accelerations of all points where that one is displaced.
     """
     n, far, h = len(body.points), 1e-8, 1e-7
-    x = np.tile(body.points, (n, len(axes), 1, 1))
-    for k, axis in enumerate(axes):
-        x[np.arange(n), k, np.arange(n), axis] += far
-    s = Simulator(
-        body,
-        [MATERIAL] * (n * len(axes)),
-        positions=x.reshape(-1, n, 3),
-        physics=Physics(gravity=(0, 0, 0), air_density=0.0),
-    )
+    x = body.points + far * np.eye(3 * n).reshape(-1, n, 3)
+    space = Physics(gravity=(0, 0, 0), air_density=0.0)
+    s = Simulator(body, [MATERIAL] * (3 * n), positions=x, physics=space)
     s.run([h])
-    a = s.velocities()[:, :, axes] / (0.5 * h)  # the first step begins at rest
-    m = np.sqrt(np.repeat(engine_of(s).model.mass[0], len(axes)))
+    a = s.velocities() / (0.5 * h)  # the first step begins at rest
+    m = np.sqrt(np.repeat(engine_of(s).model.mass[0], 3))
     K = -a.reshape(len(m), len(m)) / far
     K = K * m / m[:, None]
     return eigvalsh(0.5 * (K + K.T), subset_by_index=[len(m) - 1, len(m) - 1])[0]
 
 
-@pytest.mark.parametrize("thickness", [0.0005, 0.003])
-@pytest.mark.parametrize("points", [14, 16])
+@pytest.mark.parametrize(("points", "thickness"), [(14, 0.0005), (16, 0.003)])
 def test_steps_are_stable(points, thickness):
     """Against the fastest vibration of the whole sheet. Discs have points of very little mass."""
     body = cloth(outline=circle(0.1), points=(points, points), thickness=thickness, dx=0.02)
-    e, fastest = engine_of(Simulator(body, [MATERIAL])), math.sqrt(fastest_squared(body, (0, 1, 2)))
+    e, fastest = engine_of(Simulator(body, [MATERIAL])), math.sqrt(fastest_squared(body))
     longest = e.model.longest_step()[0]
     assert 0.3 * 2.0 / fastest < longest < 2.0 / fastest
 
 
-def test_bending_of_light_points_shortens_the_step():
-    """Beside the factor that joints at a gripper's border need."""
-    for points in (14, 15, 20):
-        body = cloth(outline=circle(0.1), points=(points, points), thickness=0.003, dx=0.02)
-        e, fastest = engine_of(Simulator(body, [MATERIAL])), fastest_squared(body, (2,))
-        lx, ly = e.model.spacing
-        usual = MATERIAL.E * 0.003**2 / 12.0 / (1.0 - MATERIAL.nu**2) / MATERIAL.density
-        usual *= (4.0 / lx**2 + 4.0 / ly**2) ** 2
-        assert fastest < usual * e.model.faster[1]
-
-
 def test_a_dropped_ring_keeps_clear_of_itself():
-    body = cloth(outline=RING, points=(18, 18), thickness=0.001, dx=0.02)
+    body = cloth(outline=RING, points=(14, 14), thickness=0.001, dx=0.02)
     x = body.points @ Rotation.from_euler("x", 75, degrees=True).as_matrix().T
     x += [0.0, 0.0, 0.02 - x[:, 2].min()]
     x += 1e-4 * np.random.default_rng(0).normal(size=x.shape)
-    soft = [Material(E=E, density=400.0, damping=0.005) for E in (1e5, 1.5e5)]
-    options: dict[str, Any] = {"table": Table(height=0, friction=0.5), "positions": x}
-    s = flat_simulator(body, soft, self_contact=True, self_friction=0.4, **options)
-    model, frames = engine_of(s).model, s.run(np.linspace(0.05, 0.5, 10))
-    for shape in frames.reshape(-1, len(x), 3):
-        check_cloth(shape, model)
-    for w in range(2):  # bit for bit
-        alone = flat_simulator(
-            body, soft[w : w + 1], self_contact=True, self_friction=0.4, **options
+    soft, model = Material(E=1e5, density=400.0, damping=0.005), model_of(body)
+
+    def check(**contact):
+        s = flat_simulator(
+            body, [soft], table=Table(height=0, friction=0.5), positions=x, **contact
         )
-        np.testing.assert_array_equal(alone.run(np.linspace(0.05, 0.5, 10))[:, 0], frames[:, w])
-    crossed = flat_simulator(body, soft[:1], **options).run(np.linspace(0.05, 0.5, 10))[:, 0]
-    with pytest.raises(ParameterError, match="begins crossing itself"):
-        for shape in crossed:
+        for shape in s.run(np.linspace(0.05, 0.4, 8))[:, 0]:
             check_cloth(shape, model)
 
-
-def test_a_tongue_goes_through_a_slit():
-    """One cell wide: its corners exist, and no triangle between them."""
-    strip = [(0, 0), (0.2, 0), (0.2, 0.04), (0.4, 0.04), (0.4, 0.06), (0.2, 0.06), (0.2, 0.1),
-             (0, 0.1)]  # fmt: skip
-    slit = [(0.05, 0.03), (0.06, 0.03), (0.06, 0.07), (0.05, 0.07)]
-    body = cloth(outline=[strip, slit], points=(41, 11), thickness=0.001, dx=0.02)
-    assert len(body.points) == 11 * 21 + 3 * 20
-    # level, around three quarters of a circle, and down through the slit
-    u, v = body.points[:, :2].T
-    r, turn = 0.035, np.clip((u - 0.09) / 0.035, 0.0, 1.5 * np.pi)
-    down = np.clip(u - 0.09 - 1.5 * np.pi * r, 0.0, None)
-    x = np.stack([np.minimum(u, 0.09) + r * np.sin(turn), v, r * (1 - np.cos(turn)) - down], axis=1)
-    assert x[:, 2].min() < -0.05
-    options: dict[str, Any] = {"positions": x, "gravity": (0, 0, 0), "air_density": 0.0}
-    found = [
-        flat_simulator(body, [MATERIAL], self_contact=on, **options).run([2e-3])
-        for on in (True, False)
-    ]
-    np.testing.assert_array_equal(found[0], found[1])
-    beside = x + np.where(u > 0.27, 0.0137, 0.0)[:, None] * [1.0, 0.0, 0.0]
+    check(self_contact=True, self_friction=0.4)
     with pytest.raises(ParameterError, match="begins crossing itself"):
-        check_cloth(beside, model_of(body))
+        check()
 
 
 # ---- grippers ------------------------------------------------------------------------------------

@@ -14,6 +14,8 @@ from gendom.errors import ParameterError
 from gendom.sim.setting import Setting, spread
 from gendom.sim.thin.shell_model import ShellModel
 
+Array = NDArray[Any]
+
 MARGIN_OF_LISTS = 0.3
 """Margin of the list of pairs that may come into contact [spacings]."""
 
@@ -71,7 +73,7 @@ def contact_arrays(setting: Setting, n: int, spacing: float, rows: Any) -> dict[
     }
 
 
-def check_rope(x: NDArray[np.floating], diameter: float, apart: int) -> None:
+def check_rope(x: Array, diameter: float, apart: int) -> None:
     """Check that edges of a rope [n, 3] [m] do not overlap if they are ``apart`` points apart.
 
     Raises:
@@ -90,7 +92,7 @@ def check_rope(x: NDArray[np.floating], diameter: float, apart: int) -> None:
     )
 
 
-def check_cloth(x: NDArray[np.floating], model: ShellModel) -> None:
+def check_cloth(x: Array, model: ShellModel) -> None:
     """Check that a cloth of points [n, 3] [m] does not cross itself, nor lie in itself.
 
     Raises:
@@ -146,7 +148,7 @@ def _edges_and_triangles(model: ShellModel) -> tuple[NDArray[np.int64], NDArray[
     return edges, np.concatenate([np.stack([a, b, c], axis=1), np.stack([d, b, c], axis=1)])
 
 
-def _crosses(ends: NDArray[np.floating], corners: NDArray[np.floating]) -> NDArray[np.bool_]:
+def _crosses(ends: Array, corners: Array) -> NDArray[np.bool_]:
     """[k] whether edges with ends [k, 2, 3] go through triangles with corners [k, 3, 3]."""
     start, way = ends[:, 0], ends[:, 1] - ends[:, 0]
     corner, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -161,9 +163,7 @@ def _crosses(ends: NDArray[np.floating], corners: NDArray[np.floating]) -> NDArr
     return (level != 0.0) & (s > 0.0) & (s < 1.0) & inside
 
 
-def triangle_distance(
-    x: NDArray[np.floating], corners: NDArray[np.floating]
-) -> NDArray[np.float64]:
+def triangle_distance(x: Array, corners: Array) -> Array:
     """[F] smallest distances between points [3] or [F, 3] and triangles [F, 3, 3] [m]."""
     a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal, at = np.cross(u, v), x - a
@@ -180,12 +180,7 @@ def triangle_distance(
     return np.where(above, np.minimum(level, sides), sides)
 
 
-def edge_distance(
-    p: NDArray[np.floating],
-    u: NDArray[np.floating],
-    q: NDArray[np.floating],
-    v: NDArray[np.floating],
-) -> NDArray[np.float64]:
+def edge_distance(p: Array, u: Array, q: Array, v: Array) -> Array:
     """Smallest distances [k] between edges from points p along u and from q along v [k, 3].
 
     Source: Ericson (2005), "Real-Time Collision Detection", section 5.1.9.

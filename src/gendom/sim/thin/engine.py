@@ -177,25 +177,25 @@ class ThinEngine(ABC):
 
     # ---- state -----------------------------------------------------------------------------------
 
-    def rows(self, values: NDArray[Any]) -> NDArray[np.float64]:
+    def rows(self, values: Array) -> Array:
         """Arrange values [..., n] in rows [..., P]."""
         rows = np.zeros((*values.shape[:-1], self.row_length))
         rows[..., self.slots] = values
         return rows
 
-    def component(self, which: slice, rows: Any = None) -> NDArray[np.float64]:
+    def component(self, which: slice, rows: Any = None) -> Array:
         """Components [W, n, k] of the state, or of other rows."""
         return self.pick(which, (self.state if rows is None else rows).numpy())
 
-    def pick(self, which: slice, rows: NDArray[Any]) -> NDArray[np.float64]:
+    def pick(self, which: slice, rows: Array) -> Array:
         """Components [k, n, .] of rows [k, ., P]."""
         return np.swapaxes(rows[:, which][..., self.slots], 1, 2).astype(float)
 
-    def positions(self) -> NDArray[Any]:
+    def positions(self) -> Array:
         """Positions of points, [W, n, 3] [m]."""
         return (self.component(X) + self.origin).astype(self.setting.dtype)
 
-    def velocities(self) -> NDArray[Any]:
+    def velocities(self) -> Array:
         """Velocities of points, [W, n, 3] [m/s]; held ones have their gripper's."""
         x, v = self.component(X), self.component(V)
         for g in range(self.closed.shape[1]):
@@ -295,8 +295,8 @@ class ThinEngine(ABC):
 
     def lead(
         self,
-        position: NDArray[np.float64],
-        quat_xyzw: NDArray[np.float64] | None,
+        position: Array,
+        quat_xyzw: Array | None,
         closed: NDArray[np.bool_] | None,
         until: float,
     ) -> None:
@@ -425,7 +425,7 @@ class ThinEngine(ABC):
 
     # ---- grippers --------------------------------------------------------------------------------
 
-    def switch(self, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> list[Event]:
+    def switch(self, worlds: NDArray[np.int64], now: Array) -> list[Event]:
         """Open and close the grippers of worlds [k] that do so at times [k]."""
         events, (begin, end) = [], (self.stacked[name] for name in ("hold_from", "hold_until"))
         for g in range(self.closed.shape[1]):
@@ -439,7 +439,7 @@ class ThinEngine(ABC):
                 events.append(self._close(g, worlds[closes], now[closes]))
         return events
 
-    def _close(self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> Event:
+    def _close(self, g: int, worlds: NDArray[np.int64], now: Array) -> Event:
         state, radius = self.state.numpy()[worlds], self.stacked["radius"][worlds, g]
         pose, holds = self.paths.pose(g, worlds, now), self.holds[worlds]
         given = (state, holds, radius, *vars(pose).values())
@@ -471,7 +471,7 @@ class ThinEngine(ABC):
         self.hold(worlds)
         return Event(g, True, worlds, now, pose, grip, self.pick(X, state))
 
-    def _open(self, g: int, worlds: NDArray[np.int64], now: NDArray[np.float64]) -> Event:
+    def _open(self, g: int, worlds: NDArray[np.int64], now: Array) -> Event:
         rows = self.state.numpy()[worlds]
         x = self.pick(X, rows)
         pose = self.paths.pose(g, worlds, now)
@@ -537,12 +537,12 @@ class ThinEngine(ABC):
                     most[some, p] = (1.0 + STRETCH) * far[a, b]
         return ends, most
 
-    def _loose(self, worlds: NDArray[np.int64]) -> NDArray[np.float64]:
+    def _loose(self, worlds: NDArray[np.int64]) -> Array:
         """Inverse masses of points of worlds [k], 0 for held ones, [k, 1, P] [1/kg]."""
         free = 1.0 - np.any(self.holds[worlds] & 1, axis=1)
         return self.rows(self.per_mass[worlds] * free)[:, None]
 
-    def gripper_forces(self) -> NDArray[np.float64]:
+    def gripper_forces(self) -> Array:
         """Forces of the body on grippers, [W, G, 3] [N]: momentum that held points would gain in a
         short step if they were let go, over its length."""
         self.load("let_go")

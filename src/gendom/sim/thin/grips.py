@@ -120,7 +120,7 @@ def held_of_shell(
 
 def close(
     x: Array, q: Array | None, pose: Pose, radius: Array, holds: NDArray[np.int32],
-    every: list[Lines],
+    every: list[Lines]
 ) -> Grip:  # fmt: skip
     """The grip of grippers of W worlds that close now.
 

@@ -150,7 +150,7 @@ class RodModel:
         return 2.0 / np.sqrt(np.where(damped, 2.0, 1.0) * fastest)
 
 
-def joint_strains(q: NDArray[np.floating]) -> NDArray[np.float64]:
+def joint_strains(q: Array) -> Array:
     """Bending and twist [..., n - 2, 3] [rad] between directions [..., n - 1, 4], see rod.h."""
     p = rotation.between(q[..., :-1, :], q[..., 1:, :])
     return 4.0 * p[..., :3] / (1.0 + p[..., 3:])

@@ -110,14 +110,14 @@ class Rods(ThinEngine):
         return x_bar, v_bar
 
 
-def slower(stiffer: NDArray[np.floating]) -> NDArray[np.floating]:
+def slower(stiffer: Array) -> Array:
     """Factors [W, n] by which the inertia of edges beside stiffer joints at a gripper's border is
     increased, so that the substep stays stable."""
     after = np.concatenate([stiffer[:, 1:], np.ones_like(stiffer[:, :1])], axis=1)
     return np.maximum(1.0, np.maximum(stiffer, after))
 
 
-def _to_ends(points: NDArray[np.floating], edges: NDArray[np.floating]) -> None:
+def _to_ends(points: Array, edges: Array) -> None:
     """Add derivatives by edges x_(e+1) - x_e [W, n - 1, 3] to the derivatives by points."""
     points[:, 1:] += edges
     points[:, :-1] -= edges

@@ -11,6 +11,8 @@ from gendom.sim.paths import Pose
 from gendom.sim.setting import Frames
 from gendom.sim.thin.grips import Grip
 
+Array = NDArray[Any]
+
 
 @dataclass
 class Event:
@@ -20,11 +22,11 @@ class Event:
     closes: bool
     worlds: NDArray[np.int64]
     """[k] indices of the worlds."""
-    time: NDArray[np.float64]
+    time: Array
     """[k] times of the event [s]."""
     pose: Pose
     grip: Grip
-    x: NDArray[np.float64]
+    x: Array
     """[k, n, 3] points at that time [m]."""
 
 
@@ -41,15 +43,15 @@ class Round:
 class Schedule:
     """Pieces of equal steps of W worlds, at most S pieces for each world."""
 
-    begins: NDArray[np.float64]
+    begins: Array
     """[W, S] start time of the interval that contains the piece [s]."""
     done: NDArray[np.int32]
     """[W, S] number of steps of that interval before the piece."""
     steps: NDArray[np.int32]
     """[W, S]."""
-    dt: NDArray[np.float64]
+    dt: Array
     """[W, S] [s]."""
-    before: NDArray[np.float64]
+    before: Array
     """[W, S] length of the step before a piece [s]; 0 where velocities are those at its start."""
     frame: NDArray[np.int32]
     """[W, S] index of the frame recorded at a piece's end; -1: none."""
@@ -58,11 +60,11 @@ class Schedule:
     count: NDArray[np.int64]
     """[W] number of pieces."""
 
-    def time(self, w: Any, s: Any) -> NDArray[np.float64]:
+    def time(self, w: Any, s: Any) -> Array:
         """Start times of pieces s of worlds w [s]."""
         return self.begins[w, s] + self.done[w, s] * self.dt[w, s]
 
-    def last_dt(self) -> NDArray[np.float64]:
+    def last_dt(self) -> Array:
         """Length of each world's last step, [W] [s]."""
         return np.where(self.steps[:, -1] > 0, self.dt[:, -1], self.before[:, -1])
 
@@ -74,11 +76,7 @@ class Schedule:
 
 
 def make_schedule(
-    frames: Frames,
-    switches: NDArray[np.floating],
-    substep: NDArray[np.floating],
-    most_steps: int | None,
-    before: NDArray[np.floating],
+    frames: Frames, switches: Array, substep: Array, most_steps: int | None, before: Array
 ) -> Schedule:
     """Make the schedule of all worlds up to the last frame.
 
@@ -132,11 +130,8 @@ def make_schedule(
 
 
 def _pieces(
-    times: NDArray[np.float64],
-    frame: NDArray[np.integer],
-    due: NDArray[np.bool_],
-    substep: NDArray[np.floating],
-) -> dict[str, NDArray[Any]]:
+    times: Array, frame: NDArray[np.integer], due: NDArray[np.bool_], substep: Array
+) -> dict[str, Array]:
     """Pieces [k, S] between times, of equal steps no longer than substeps [k]."""
     span = np.diff(times)
     n = np.ceil(span / substep[:, None] - 1e-9)
@@ -152,7 +147,7 @@ def _pieces(
     }
 
 
-def _short(pieces: dict[str, NDArray[Any]], most_steps: int) -> dict[str, NDArray[Any]]:
+def _short(pieces: dict[str, Array], most_steps: int) -> dict[str, Array]:
     """Split one world's pieces into pieces of at most ``most_steps`` steps."""
     n, dt = pieces["steps"][0], pieces["dt"][0]
     parts = np.maximum(1, -(-n // most_steps))
@@ -187,7 +182,7 @@ class Run:
     """By the first world of a group."""
 
 
-def put_worlds(array: wp.array, worlds: NDArray[np.int64], values: NDArray[Any]) -> None:
+def put_worlds(array: wp.array, worlds: NDArray[np.int64], values: Array) -> None:
     """Set rows [k] of an array on its device without writing to other rows.
 
     On the CPU, groups of worlds run in separate threads, whose concurrent writes to other rows
@@ -204,7 +199,7 @@ def put_worlds(array: wp.array, worlds: NDArray[np.int64], values: NDArray[Any])
     array.assign(rows)
 
 
-def put(array: wp.array, rows: slice, values: NDArray[Any]) -> None:
+def put(array: wp.array, rows: slice, values: Array) -> None:
     """Set rows of an array on its device."""
     if wp.get_device(array.device).is_cpu:
         array.numpy()[rows] = values

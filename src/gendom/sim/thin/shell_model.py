@@ -141,7 +141,7 @@ class ShellModel:
             return None
         return np.stack(np.unravel_index(self.at, self.shape)[::-1], axis=1) * self.spacing
 
-    def on_lattice(self, values: NDArray[Any], fill: float = 0.0) -> NDArray[Any]:
+    def on_lattice(self, values: Array, fill: float = 0.0) -> Array:
         """Values of points [W, n, ...] on the whole lattice, [W, rows, columns, ...]."""
         ny, nx = self.shape
         if len(self.at) == ny * nx:
@@ -150,7 +150,7 @@ class ShellModel:
         whole[:, self.at] = values
         return whole.reshape(len(values), ny, nx, *values.shape[2:])
 
-    def of_lattice(self, values: NDArray[Any]) -> NDArray[Any]:
+    def of_lattice(self, values: Array) -> Array:
         """Inverse of ``on_lattice``: [W, n, ...] of [W, rows, columns, ...]."""
         return values.reshape(len(values), -1, *values.shape[3:])[:, self.at]
 
@@ -233,12 +233,12 @@ def _powers(name: str) -> list[float]:
     return 4 * [0.0] + [float(name == "warp"), float(name == "weft"), 0.5, 0.5]
 
 
-def _to_corners(cells: NDArray[np.floating]) -> NDArray[np.float64]:
+def _to_corners(cells: Array) -> Array:
     """Sums [rows, columns] at points of values [rows - 1, columns - 1] of the cells around them."""
     return _corner_sums(np.broadcast_to(cells, (2, 2, *cells.shape)))
 
 
-def _corner_sums(corners: NDArray[np.floating]) -> NDArray[np.float64]:
+def _corner_sums(corners: Array) -> Array:
     """Sums [rows, columns] at points of values [2, 2, rows - 1, columns - 1] at cells' corners."""
     rows, columns = corners.shape[2:]
     total = np.zeros((rows + 1, columns + 1))
@@ -247,7 +247,7 @@ def _corner_sums(corners: NDArray[np.floating]) -> NDArray[np.float64]:
     return total
 
 
-def _corners(values: NDArray[np.floating]) -> NDArray[np.floating]:
+def _corners(values: Array) -> Array:
     """Values [rows, columns] of points at the corners of cells, [2, 2, rows - 1, columns - 1]."""
     return np.stack(
         [
@@ -257,9 +257,7 @@ def _corners(values: NDArray[np.floating]) -> NDArray[np.floating]:
     )
 
 
-def _bent(
-    cut: Cut, inner_x: NDArray[np.floating], inner_y: NDArray[np.floating]
-) -> tuple[list[NDArray[np.float64]], list[NDArray[np.floating]]]:
+def _bent(cut: Cut, inner_x: Array, inner_y: Array) -> tuple[list[Array], list[Array]]:
     """Areas [rows, columns] that bend with x_xx and x_yy of each point, and with both, and where
     the transverse curvature is free, see ``ShellModel.alone``.
 
@@ -290,7 +288,7 @@ def _faster(cut: Cut, area: Array, bent: list[Array]) -> tuple[float, float]:
     """
     lx, ly = cut.spacing
 
-    def spread(values: NDArray[np.floating], axis: int) -> NDArray[np.float64]:
+    def spread(values: Array, axis: int) -> Array:
         beside = np.pad(values, 1)
         before, after = (np.roll(beside, k, axis)[1:-1, 1:-1] for k in (1, -1))
         return 4.0 * (before + 2.0 * values + after)

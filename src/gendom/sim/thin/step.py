@@ -27,71 +27,12 @@ CHECKED = 256
 """Steps between two checks of a body's mean stretch."""
 
 
-@functools.cache
-def make_steps(real: Any, kind: str) -> SimpleNamespace:
+def make_steps(real: Any, kind: str) -> tuple[Any, Any]:
     """Build ``step`` and its transpose for one scalar type and one kind of body, ``rod`` or
     ``shell``."""
-    types, native = make_types(real), make_native(real, kind)
-    grips = _make_holding(real, kind)
-    ThinModel, ModelAdjoint = types.ThinModel, types.ModelAdjoint
-    Paths, rows = make_path_type(real), wp.array3d(dtype=real)
-
-    @wp.func
-    def step(
-        model: ThinModel, paths: Paths, w: int, state: rows, row: int, next: int,
-        began: wp.float64, t: wp.float64, dt: real, kick: real,
-    ) -> real:  # fmt: skip
-        """Take a step of dt from one row of the state to the next; it ends at time t.
-
-        Args:
-            began: When the piece of the schedule began, for the grippers that are closed [s].
-            kick: Time from the middle of the previous step to the middle of this one [s].
-
-        Returns:
-            The largest squared stretch of an edge, NaN if any is.
-        """
-        stretch = native.forces(model, w, state, row, next, dt)
-        native.block_sync()
-        native.move(model, w, state, row, next, dt, kick)
-        native.block_sync()
-        grips.hold_all(model, w, began, t, paths, state, next)
-        if model.contact == 1:
-            native.resolve(model, w, state, next, dt)
-        return stretch
-
-    @wp.func
-    def step_adjoint(
-        model: ThinModel, adjoint: ModelAdjoint, paths: Paths, turns_kept: rows, w: int, at: int,
-        thread: int, state: rows, row: int, next: int, began: wp.float64, t: wp.float64, dt: real,
-        kick: real,
-    ):  # fmt: skip
-        """Transpose of ``step``, which is repeated: the next row is rewritten."""
-        native.forces(model, w, state, row, next, dt)
-        native.block_sync()
-        if model.contact == 1:
-            # the next row as contacts found it; steps from there have been transposed
-            native.move(model, w, state, row, next, dt, kick)
-            native.block_sync()
-            grips.hold_all(model, w, began, t, paths, state, next)
-            listed = state.shape[1] - LISTED
-            native.resolve_adjoint(model, adjoint, w, turns_kept, at, state, next, listed, dt)
-        grips.hold_all_adjoint(model, adjoint, w, thread, began, t, paths)
-        native.move_adjoint(model, adjoint, w, state, row, dt, kick)
-        native.block_sync()
-        native.forces_adjoint(model, adjoint, w, state, row, dt)
-        native.block_sync()
-        native.gather_adjoint(model, adjoint, w)
-        native.block_sync()
-
-    return SimpleNamespace(step=step, step_adjoint=step_adjoint)
-
-
-@functools.cache
-def _make_holding(real: Any, kind: str) -> SimpleNamespace:
-    """Build what moves held points with their grippers, and its transpose."""
     types, native, paths_of = make_types(real), make_native(real, kind), make_paths(real)
-    ThinModel, ModelAdjoint, quat = types.ThinModel, types.ModelAdjoint, types.quat
-    vec3, Paths = types.vec3, make_path_type(real)
+    ThinModel, ModelAdjoint = types.ThinModel, types.ModelAdjoint
+    vec3, quat, Paths, rows = types.vec3, types.quat, make_path_type(real), wp.array3d(dtype=real)
 
     @wp.func
     def narrow(q: wp.quatd):
@@ -104,7 +45,7 @@ def _make_holding(real: Any, kind: str) -> SimpleNamespace:
     @wp.func
     def hold_all(
         model: ThinModel, w: int, began: wp.float64, t: wp.float64, paths: Paths,
-        state: wp.array3d(dtype=real), row: int,
+        state: rows, row: int,
     ):  # fmt: skip
         """Move held points to the poses at time t of the grippers that were closed at ``began``."""
         for g in range(model.holds.shape[1]):
@@ -130,7 +71,54 @@ def _make_holding(real: Any, kind: str) -> SimpleNamespace:
                 )  # fmt: skip
         native.block_sync()
 
-    return SimpleNamespace(hold_all=hold_all, hold_all_adjoint=hold_all_adjoint)
+    @wp.func
+    def step(
+        model: ThinModel, paths: Paths, w: int, state: rows, row: int, next: int,
+        began: wp.float64, t: wp.float64, dt: real, kick: real,
+    ) -> real:  # fmt: skip
+        """Take a step of dt from one row of the state to the next; it ends at time t.
+
+        Args:
+            began: When the piece of the schedule began, for the grippers that are closed [s].
+            kick: Time from the middle of the previous step to the middle of this one [s].
+
+        Returns:
+            The largest squared stretch of an edge, NaN if any is.
+        """
+        stretch = native.forces(model, w, state, row, next, dt)
+        native.block_sync()
+        native.move(model, w, state, row, next, dt, kick)
+        native.block_sync()
+        hold_all(model, w, began, t, paths, state, next)
+        if model.contact == 1:
+            native.resolve(model, w, state, next, dt)
+        return stretch
+
+    @wp.func
+    def step_adjoint(
+        model: ThinModel, adjoint: ModelAdjoint, paths: Paths, turns_kept: rows, w: int, at: int,
+        thread: int, state: rows, row: int, next: int, began: wp.float64, t: wp.float64, dt: real,
+        kick: real,
+    ):  # fmt: skip
+        """Transpose of ``step``, which is repeated: the next row is rewritten."""
+        native.forces(model, w, state, row, next, dt)
+        native.block_sync()
+        if model.contact == 1:
+            # the next row as contacts found it; steps from there have been transposed
+            native.move(model, w, state, row, next, dt, kick)
+            native.block_sync()
+            hold_all(model, w, began, t, paths, state, next)
+            listed = state.shape[1] - LISTED
+            native.resolve_adjoint(model, adjoint, w, turns_kept, at, state, next, listed, dt)
+        hold_all_adjoint(model, adjoint, w, thread, began, t, paths)
+        native.move_adjoint(model, adjoint, w, state, row, dt, kick)
+        native.block_sync()
+        native.forces_adjoint(model, adjoint, w, state, row, dt)
+        native.block_sync()
+        native.gather_adjoint(model, adjoint, w)
+        native.block_sync()
+
+    return step, step_adjoint
 
 
 @functools.cache
@@ -142,7 +130,7 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         steps), their transposes ``begin_adjoint`` and ``reverse``, and ``let_go``.
     """
     types, native = make_types(real), make_native(real, kind)
-    steps = make_steps(real, kind)
+    step, step_adjoint = make_steps(real, kind)
     ThinModel, ModelAdjoint = types.ThinModel, types.ModelAdjoint
     FramePlan, vec3, Paths = types.FramePlan, types.vec3, make_path_type(real)
     rows = wp.array3d(dtype=real)
@@ -248,7 +236,7 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
                     t = end_of(plan, w, p, k)
                     kick = kick_of(plan, w, p, k)
                     next = row + stride
-                    if not steps.step(
+                    if not step(
                         model, paths, w, state, row, next, began, t, h, kick
                     ) <= limit:  # fmt: skip
                         bad = 1
@@ -312,7 +300,7 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         for back in range(count):
             k = count - 1 - back
             row = w - offset + k * stride
-            steps.step_adjoint(
+            step_adjoint(
                 model, adjoint, paths, turns_kept, w, w - offset, thread, state, row, row + stride,
                 plan.begins[w, p], end_of(plan, w, p, k), real(plan.dt[w, p]),
                 kick_of(plan, w, p, k),

@@ -33,6 +33,8 @@ from gendom.sim.thin.types import (
     X,
 )
 
+Array = NDArray[Any]
+
 
 class ThinTape:
     """A run of thin bodies that can be differentiated.
@@ -49,7 +51,7 @@ class ThinTape:
         self.rounds: list[tuple[slice, Round, tuple]] = []
         engine.load("reverse", "begin_adjoint")
 
-    def forward(self, times: NDArray[np.float64], began: float) -> NDArray[np.floating]:
+    def forward(self, times: Array, began: float) -> Array:
         """Simulate, and return points at the given times, [T, W, n, 3] [m]."""
         e = self.engine
         T, W, n = len(times), e.num_worlds, e.num_points
@@ -69,7 +71,7 @@ class ThinTape:
         )
         return x
 
-    def backward(self, bar: NDArray[np.floating]) -> Gradients:
+    def backward(self, bar: Array) -> Gradients:
         """Derivatives with respect to all inputs, given those by the points of ``forward``."""
         e = self.engine
         W, n, G = e.num_worlds, e.num_points, e.closed.shape[1]
@@ -138,7 +140,7 @@ class ThinTape:
                  count, rows, self.frames_bar, self.adjoint, turns],
             )  # fmt: skip
 
-    def _pieces_back(self, group: slice, round: Round, rows: wp.array) -> Iterator[NDArray[Any]]:
+    def _pieces_back(self, group: slice, round: Round, rows: wp.array) -> Iterator[Array]:
         """Each world's pieces [k] of a round from the last on, -1 where there is none any more;
         the states at their start are put in the first rows."""
         length = round.pieces[:, 1] - round.pieces[:, 0]
@@ -168,10 +170,10 @@ class ThinTape:
         local = w - group.start
         state = self.adjoint.state.numpy()[group].copy()
 
-        def part(which: slice) -> NDArray[np.float64]:
+        def part(which: slice) -> Array:
             return np.swapaxes(state[local, which][..., e.slots], 1, 2).astype(float)
 
-        def take(which: slice, values: NDArray[np.floating]) -> None:
+        def take(which: slice, values: Array) -> None:
             state[local, which] = e.rows(np.swapaxes(values, 1, 2))
 
         if event.closes:
@@ -238,7 +240,7 @@ class ThinTape:
                 )
         return found
 
-    def _by_parameter(self, name: str) -> NDArray[np.float64]:
+    def _by_parameter(self, name: str) -> Array:
         """Derivatives by a parameter of each world's model, [W]."""
         e, m = self.engine, self.model_bar
         by, R = e.model.derivatives(name), e.device_model.stiffness.shape[1]

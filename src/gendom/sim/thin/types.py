@@ -11,6 +11,7 @@ are named in ``native/rod.h``, ``native/shell.h`` and their adjoints.
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.materials import Material
+
+Array = NDArray[Any]
 
 MARGIN = 8
 """Length of the margin at the start of a row."""
@@ -58,7 +61,7 @@ class ParameterDerivatives:
     """Of the thickness at which the body touches."""
 
 
-def by_modulus(name: str, materials: Sequence[Material]) -> NDArray[np.float64]:
+def by_modulus(name: str, materials: Sequence[Material]) -> Array:
     """[W, 2] derivatives by ``E`` or ``membrane`` of the logarithms of the moduli along a body and
     of bending: a modulus of its own along it does not depend on E."""
     own = [m.membrane for m in materials]
@@ -73,20 +76,20 @@ class Lines:
 
     index: NDArray[np.int64]
     """[L, k] points of each line; -1: there is none."""
-    length: NDArray[np.float64]
+    length: Array
     """[k - 1] of edges at rest [m]."""
     exist: NDArray[np.bool_]
     """[L, k - 1] whether there is an edge."""
     least: float
     """Least length represented by a joint at a gripper's border, over its usual length."""
 
-    def of(self, values: NDArray[Any], fill: float = 0.0) -> NDArray[Any]:
+    def of(self, values: Array, fill: float = 0.0) -> Array:
         """Values of points [W, n, ...] along the lines of all worlds, [W L, k, ...]."""
         taken = values[:, self.index]
         taken[:, self.index < 0] = fill
         return taken.reshape(-1, *taken.shape[2:])
 
-    def points(self, values: NDArray[Any]) -> NDArray[Any]:
+    def points(self, values: Array) -> Array:
         """Inverse of ``of``."""
         there, more = self.index >= 0, values.shape[2:]
         found = np.empty((len(values) // len(there), self.index.max() + 1, *more), values.dtype)
@@ -94,21 +97,9 @@ class Lines:
         return found
 
 
-@dataclass(frozen=True)
-class Types:
-    """Vector types and structs for one scalar type."""
-
-    real: Any
-    vec3: Any
-    quat: Any
-    ThinModel: Any
-    ModelAdjoint: Any
-    FramePlan: Any
-
-
 @functools.cache
-def make_types(real: Any) -> Types:
-    """Make the types for ``wp.float32`` or ``wp.float64``."""
+def make_types(real: Any) -> SimpleNamespace:
+    """Make vector types and structs for ``wp.float32`` or ``wp.float64``."""
     vec3 = wp.types.vector(3, real)
     quat = wp.quatf if real == wp.float32 else wp.quatd
 
@@ -183,7 +174,6 @@ def make_types(real: Any) -> Types:
         before: wp.array2d(dtype=wp.float64)  # [W, S] length of the step before; 0 at a start [s]
         frame: wp.array2d(dtype=wp.int32)  # [W, S] recorded at its end; -1: none
 
-    return Types(
-        real=real, vec3=vec3, quat=quat, ThinModel=ThinModel, ModelAdjoint=ModelAdjoint,
-        FramePlan=FramePlan,
-    )  # fmt: skip
+    return SimpleNamespace(
+        vec3=vec3, quat=quat, ThinModel=ThinModel, ModelAdjoint=ModelAdjoint, FramePlan=FramePlan
+    )

@@ -1,4 +1,4 @@
-"""What cloths are made of: threads, free edges."""
+"""What rods and shells are made of: threads, masses of points, curvature that is free of stress."""
 
 from dataclasses import replace
 from typing import Any
@@ -8,7 +8,7 @@ import pytest
 
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim import Physics, Simulator, Solver, cloth, rope
+from gendom.sim import Gripper, Physics, Simulator, Solver, cloth, rope
 from gendom.sim.thin.shells import Shells
 from validation.readings import bending_energy, membrane_energy
 
@@ -60,15 +60,6 @@ def test_the_membrane_may_have_a_modulus_of_its_own():
     assert softer[2] == pytest.approx(2.0 * plain[2])
 
 
-@pytest.mark.parametrize("body", ["rope", "cloth"])
-def test_particles_have_no_modulus_of_their_own_along(body):
-    made = cloth(**SIZES) if body == "cloth" else rope(diameter=0.01, length=0.2)
-    with pytest.raises(ParameterError, match="only rods and shells have a modulus"):
-        Simulator(made, [replace(MATERIAL, membrane=1e5)], solver=Solver(engine="mpm"))
-    with pytest.raises(ParameterError, match="membrane must be positive"):
-        replace(MATERIAL, membrane=0.0)
-
-
 @pytest.mark.parametrize("diagonal", [False, True])
 def test_a_sharp_bend_about_the_diagonal_is_no_shear(diagonal):
     """A limp sheet that is rolled up, its edges as long as at rest, springs open with the energy of
@@ -109,5 +100,70 @@ def test_points_bend_and_weigh_as_those_of_a_hem():
     light, heavy = (Simulator(body, [MATERIAL], mass=m).engine for m in (1.0, factors))
     assert isinstance(light, Shells) and isinstance(heavy, Shells)
     np.testing.assert_allclose(heavy.model.mass / light.model.mass, factors[None])
-    with pytest.raises(ParameterError, match="mass"):
-        Simulator(body, [MATERIAL], mass=0.0)
+
+
+# ---- masses of points ----------------------------------------------------------------------------
+
+LIGHT, DENSE = (Material(E=1e6, nu=0.3, density=density) for density in (500.0, 1000.0))
+ROPE = rope(length=0.3, diameter=0.01)
+
+
+@pytest.mark.parametrize("body", [ROPE, cloth(**SIZES)], ids=["rope", "cloth"])
+def test_twice_the_mass_is_twice_the_density(body):
+    held = Gripper.still(body.points[0], radius=0.015)
+    x = [
+        Simulator(body, [material], grippers=[held], mass=mass).run([0.1])[0, 0]
+        for material, mass in ((LIGHT, 2.0), (DENSE, 1.0), (LIGHT, 1.0))
+    ]
+    assert np.abs(x[0] - x[1]).max() < 2e-4
+    assert np.abs(x[2] - x[1]).max() > 5e-4
+
+
+def test_a_heavy_end_hangs_lower():
+    held, mass = Gripper.still(ROPE.points[0], radius=0.015), np.ones((2, len(ROPE.points)))
+    mass[1, -1] = len(ROPE.points) / 5.0
+    stiff = Material(E=2e7, density=1000.0, damping=0.02)
+    end = Simulator(ROPE, [stiff] * 2, grippers=[held], mass=mass).run([0.3])[0, :, -1, 2]
+    assert end[1] < end[0] - 1e-3
+
+
+# ---- rods that are straight by nature although they begin curved ---------------------------------
+
+
+def test_a_rod_takes_on_its_share_of_the_curvature():
+    """In free space an arc of 1 rad straightens to half of that, and wholly."""
+    turn = np.linspace(0.0, 1.0, 60)
+    arc = 0.2 * np.stack([np.sin(turn), 1.0 - np.cos(turn), 0.0 * turn], axis=1)
+    simulator = Simulator(
+        rope(diameter=0.01, centre_line=arc, points=13),
+        [replace(DENSE, damping=0.02)] * 3,
+        natural_curvature=[1.0, 0.5, 0.0],
+        physics=Physics(gravity=(0.0, 0.0, 0.0), velocity_damping=2.0),
+    )
+    ahead = np.diff(simulator.run([1.5])[0], axis=1)
+    ends = ahead[:, [0, -1]] / np.linalg.norm(ahead[:, [0, -1]], axis=2, keepdims=True)
+    turned = np.arccos(np.clip((ends[:, 0] * ends[:, 1]).sum(axis=1), -1.0, 1.0))
+    assert turned / turned[0] == pytest.approx([1.0, 0.5, 0.0], abs=0.05)
+
+
+# ---- what other bodies and engines have not ------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kind", "engine", "changes", "message"),
+    [
+        ("rope", "mpm", {"membrane": 1e5}, "materials: only rods and shells have a modulus"),
+        ("cloth", "mpm", {"membrane": 1e5}, "materials: only rods and shells have a modulus"),
+        ("cloth", "mpm", {"shear": 0.5}, "materials: only shells have threads"),
+        ("rope", "thin", {"warp": 0.5}, "materials: only shells have threads"),
+        ("rope", "mpm", {"mass": 2.0}, "mass: only rods and shells have points"),
+        ("cloth", "thin", {"mass": 0.0}, "mass must be positive"),
+        ("cloth", "thin", {"natural_curvature": 0.0}, "natural_curvature: only rods may begin"),
+    ],
+)
+def test_what_others_have_is_refused(kind, engine, changes, message):
+    body = cloth(**SIZES) if kind == "cloth" else ROPE
+    own = {name: changes[name] for name in changes if name in ("membrane", "shear", "warp")}
+    others: dict[str, Any] = {name: changes[name] for name in changes if name not in own}
+    with pytest.raises(ParameterError, match=message):
+        Simulator(body, [replace(MATERIAL, **own)], solver=Solver(engine=engine), **others)
