@@ -7,8 +7,8 @@ from gendom.sim.device import open_device
 from gendom.sim.mpm.kernels import make_advance, make_reverse
 from gendom.sim.mpm.particles import Variant
 
-FLOAT32 = Variant(wp.float32, damped=True, rows=False, room=96_000, threads=128)
-FLOAT64 = Variant(wp.float64, damped=False, rows=False, threads=256)
+FLOAT32 = Variant(wp.float32, damped=True, sorts=True, room=96_000, threads=128)
+FLOAT64 = Variant(wp.float64, damped=False, sorts=True, threads=256)
 
 
 @pytest.mark.parametrize(

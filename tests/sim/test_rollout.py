@@ -208,11 +208,11 @@ def test_misuse_is_refused():
         Rollout(used)
 
 
-def rollout(memory=1e9, *, in_blocks=False, **options):
-    """A rollout; ``in_blocks``: as CUDA does it, which runs on the CPU too."""
+def rollout(memory=1e9, *, together=False, **options):
+    """A rollout; ``together``: of all worlds at once, as on CUDA."""
     simulator = scene(**options)
     assert isinstance(simulator.engine, MpmEngine)
-    simulator.engine.in_blocks |= in_blocks
+    simulator.engine.together |= together
     return Rollout(simulator, memory=memory)
 
 
@@ -239,15 +239,15 @@ KINDS = pytest.mark.parametrize(
 def test_blocks_give_the_derivatives_of_rows(options, memory):
     """What a GPU does, which runs on the CPU too, against the CPU's own way."""
     options = {"worlds": 2, **options}
-    check_derivatives(rollout(**options), rollout(memory, in_blocks=True, **options))
+    check_derivatives(rollout(**options), rollout(memory, together=True, **options))
 
 
 def test_a_recording_may_run_out_of_layouts(monkeypatch):
     """It then ends, and another one begins."""
     monkeypatch.setattr(mpm_tape, "SUBSTEPS_A_LAYOUT", 1000)
-    blocks = rollout(worlds=2, in_blocks=True)
-    check_derivatives(rollout(worlds=2), blocks)
-    assert max(map(len, segments_of(blocks))) > len(TIMES)
+    together = rollout(worlds=2, together=True)
+    check_derivatives(rollout(worlds=2), together)
+    assert max(map(len, segments_of(together))) > len(TIMES)
 
 
 @pytest.mark.gpu

@@ -1,4 +1,4 @@
-"""All worlds in blocks, as a GPU runs them, against each by itself: the same code, on the CPU."""
+"""All worlds at once, as a GPU runs them, against each by itself."""
 
 import numpy as np
 import pytest
@@ -19,9 +19,9 @@ def simulator(body, materials, **options):
     )
 
 
-def in_blocks(s):
-    """The simulator, which runs as a GPU would."""
-    s.engine.in_blocks = True
+def together(s):
+    """The simulator, which runs all worlds at once as on a GPU."""
+    s.engine.together = True
     return s
 
 
@@ -57,20 +57,19 @@ def scene(**options):
     )
 
 
-def test_worlds_in_blocks_move_as_each_alone():
+def test_worlds_together_move_as_each_alone():
     times = [0.1, 0.17, 0.25]
-    expected, s = scene().run(times), in_blocks(scene())
+    expected, s = scene().run(times), together(scene())
     x = s.run(times)
     assert np.abs(x - expected).max() < 1e-12
     assert len(set(s.worlds.clock.age.numpy())) == 4
     assert np.ptp(expected[-1], axis=0).max() > 1e-3
 
 
-@pytest.mark.parametrize("prepared", [lambda s: s, in_blocks], ids=["rows", "blocks"])
-def test_motion_below_the_last_bit_is_not_lost(prepared):
+def test_motion_below_the_last_bit_is_not_lost():
     """In float32 a substep of 1e-8 m vanishes beside 1 m; a hundred together must not."""
     body = rope(diameter=0.02, length=0.06, start=(1.0, 1.0, 1.0), cells_across=1.5)
-    s = prepared(simulator(body, [SOFT], gravity=(0, 0, 0), dtype="float32"))
+    s = simulator(body, [SOFT], gravity=(0, 0, 0), dtype="float32")
     drift = np.array([1e-5, -1e-5, 2e-5])
     s.set_velocities(drift)
     x = s.run([0.5])
@@ -102,13 +101,13 @@ def test_bodies_that_cuda_cannot_take_are_refused():
 def test_launches_and_recordings_may_end_anywhere(monkeypatch):
     """A run in many launches, a few frames recorded at a time, is that in one launch."""
     times = [0.0, *np.linspace(0.01, 0.12, 12), 0.12]
-    whole = in_blocks(scene()).run(times)
+    whole = together(scene()).run(times)
     alone = scene()
     assert np.abs(whole - alone.run(times)).max() < 1e-12
     monkeypatch.setattr(runner, "SUBSTEPS_A_SLICE", 5)
     monkeypatch.setattr(runner, "SLICES", 2)
     monkeypatch.setattr(runner, "RECORDED", 5 * whole[0].nbytes)
-    s, counts = in_blocks(scene()), []
+    s, counts = together(scene()), []
     parts = s.run(times, on_frame=counts.append)
     assert np.abs(parts - whole).max() < 1e-12
     assert counts == sorted(set(counts)) and counts[-1] == len(times) and len(counts) > 4
@@ -124,7 +123,7 @@ def test_the_grid_grows():
         s.set_velocities(np.cross([3.0, 4.0, 0.0], body.x))
         return s
 
-    s = in_blocks(tipping())
+    s = together(tipping())
     x = s.run([0.15, 0.3])
     assert s.worlds.room[0] > 20 and s.worlds.room[2] > 400
     assert np.abs(x - tipping().run([0.15, 0.3])).max() < 1e-12
@@ -141,7 +140,7 @@ def test_a_world_that_diverges_leaves_the_others_alone():
         return s
 
     times = [0.02, 0.04, 0.06]
-    one_by_one, s = kicked(), in_blocks(kicked())
+    one_by_one, s = kicked(), together(kicked())
     expected = one_by_one.run(times, keep_going=True)
     x = s.run(times, keep_going=True)
     assert list(s.failures) == [1]
@@ -169,7 +168,7 @@ def test_the_failed_substep_is_not_counted(what):
         assert what in str(s.failures[0])
         return s.failures[0].time, s.positions()
 
-    (time, x), (expected_time, expected) = failed(in_blocks), failed(lambda s: s)
+    (time, x), (expected_time, expected) = failed(together), failed(lambda s: s)
     assert time == pytest.approx(expected_time, abs=1e-9)
     assert np.abs(x - expected).max() < 1e-12
     if what == "closed on nothing":

@@ -107,9 +107,15 @@ def make_store(real: Any, *, resident: bool) -> Namespace:
     return Namespace(vector, put_vector, matrix, put_matrix, get=get, put=put)
 
 
+@wp.func_native("gendom::put_near(near, w, axis, i, before, behind);")
+def put_neighbours(
+    near: wp.array3d(dtype=wp.int32), w: int, axis: int, i: int, before: int, behind: int
+): ...
+
+
 @wp.func
 def put_near(
-    near: wp.array3d(dtype=wp.int32),  # [W, 3, N], two indices in a number
+    near: wp.array3d(dtype=wp.int32),  # see ``Records``
     w: int,
     i: int,
     p: int,
@@ -119,5 +125,6 @@ def put_near(
 ):
     """Keep where the neighbours of particle p are, which is the i-th."""
     for axis in range(3):
-        before = place[row, lattice[p, axis, 0]]
-        near[w, axis, i] = before | (place[row, lattice[p, axis, 1]] << 16)
+        put_neighbours(
+            near, w, axis, i, place[row, lattice[p, axis, 0]], place[row, lattice[p, axis, 1]]
+        )

@@ -81,14 +81,12 @@ def make_boundary(variant: Variant) -> Namespace:
     vec3, mat33 = types.vec3, types.mat33
     Model, Paths, Grips = types.Model, types.Paths, types.Grips
     Substep, ConditionsAdjoint = types.Substep, types.ConditionsAdjoint
-    stored, taped = make_moving(variant), make_taped(variant)
-    Stored, x_of = stored.Struct, stored.x_of
-    Tape, Adjoint, taped_x_of = taped.Struct, stored.Struct, taped.x_of
-    fields, place = stored.fields, stored.place
+    Records, fields, taped = types.Records, make_moving(variant), make_taped(variant)
+    place = fields.place
     paths_of = make_paths(real)
     hold_on = make_grips(real).hold_on
-    section_centre = _section_centre(variant, taped=False)
-    taped_section_centre = _section_centre(variant, taped=True)
+    section_centre = _section_centre(types, fields.x_of)
+    taped_section_centre = _section_centre(types, taped.x_of)
 
     @wp.func
     def pushed(gap: real, outwards: real, dt: real):
@@ -149,7 +147,7 @@ def make_boundary(variant: Variant) -> Namespace:
     @wp.func
     def attach(
         now: Substep, g: int, t: wp.float64, model: Model, paths: Paths, grips: Grips,
-        particles: Stored,
+        particles: Records,
     ):  # fmt: skip
         """Close gripper g on what lies inside its sphere; returns how many particles it holds.
 
@@ -170,7 +168,9 @@ def make_boundary(variant: Variant) -> Namespace:
             if f > real(0.0) and grips.free[now.w, p] == real(1.0):
                 grips.particle[now.w, g, count] = p
                 grips.weight[now.w, g, count] = f
-                grips.place[now.w, g, count] = wp.transpose(R) * (x_of(particles, now.w, p) - c)
+                grips.place[now.w, g, count] = wp.transpose(R) * (
+                    fields.x_of(particles, now.w, p) - c
+                )
                 grips.free[now.w, p] = real(1.0) - f
                 grips.held_by[now.w, p] = g * now.N + count
                 count += 1
@@ -180,7 +180,7 @@ def make_boundary(variant: Variant) -> Namespace:
 
     @wp.func
     def grasp(
-        now: Substep, t: wp.float64, model: Model, paths: Paths, grips: Grips, particles: Stored,
+        now: Substep, t: wp.float64, model: Model, paths: Paths, grips: Grips, particles: Records,
     ):  # fmt: skip
         """Let the grippers of a world open and close before substep ``age``, which begins at t.
 
@@ -201,7 +201,7 @@ def make_boundary(variant: Variant) -> Namespace:
         return empty
 
     @wp.func
-    def add_x(adjoint: Adjoint, w: int, p: int, value: vec3):
+    def add_x(adjoint: Records, w: int, p: int, value: vec3):
         i = place(adjoint, w, p)
         fields.put_x(adjoint, w, i, fields.x(adjoint, w, i) + value)
 
@@ -283,8 +283,8 @@ def make_boundary(variant: Variant) -> Namespace:
 
     @wp.func
     def attach_adjoint(
-        now: Substep, g: int, t: wp.float64, model: Model, paths: Paths, grips: Grips, tape: Tape,
-        adjoint: Adjoint, by: ConditionsAdjoint,
+        now: Substep, g: int, t: wp.float64, model: Model, paths: Paths, grips: Grips,
+        tape: Records, adjoint: Records, by: ConditionsAdjoint,
     ):  # fmt: skip
         """Transpose of ``attach``: to the positions at that moment, and to the gripper's pose."""
         centre, orientation, _knot = paths_of.pose(now.w, g, t, paths)
@@ -298,7 +298,7 @@ def make_boundary(variant: Variant) -> Namespace:
             back = R * by.place[now.w, g, n]
             add_x(adjoint, now.w, p, back)
             centre_bar -= wide(back)
-            R_bar -= wide(wp.cross(taped_x_of(tape, now.slot, p) - c, back))
+            R_bar -= wide(wp.cross(taped.x_of(tape, now.slot, p) - c, back))
             f = grips.weight[now.w, g, n]
             if f < real(1.0):
                 f_bar = by.weight[now.w, g, n] / spacing
@@ -314,8 +314,8 @@ def make_boundary(variant: Variant) -> Namespace:
 
     @wp.func
     def grasp_adjoint(
-        now: Substep, t: wp.float64, model: Model, paths: Paths, grips: Grips, tape: Tape,
-        adjoint: Adjoint, by: ConditionsAdjoint,
+        now: Substep, t: wp.float64, model: Model, paths: Paths, grips: Grips, tape: Records,
+        adjoint: Records, by: ConditionsAdjoint,
     ):  # fmt: skip
         """Go back over grippers that opened or closed before substep ``age``; by one thread."""
         for g in range(paths.radius.shape[1]):
@@ -358,14 +358,11 @@ def make_grips(real: Any) -> Namespace:
     return Namespace(hold_on, hold_as_at)
 
 
-def _section_centre(variant: Variant, *, taped: bool) -> Any:
-    types = make_types(variant.real)
-    real, vec3, Model = types.real, types.vec3, types.Model
-    stored = make_taped(variant) if taped else make_moving(variant)
-    Stored, x_of = stored.Struct, stored.x_of
+def _section_centre(types: Namespace, x_of: Any) -> Any:
+    real, vec3, Model, Records = types.real, types.vec3, types.Model, types.Records
 
     @wp.func
-    def section_centre(row: int, p: int, model: Model, particles: Stored):
+    def section_centre(row: int, p: int, model: Model, particles: Records):
         first = p - p % model.section
         x = vec3()
         for n in range(model.section):

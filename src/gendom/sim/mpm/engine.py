@@ -53,8 +53,8 @@ class MpmEngine:
         self.setting = setting = replace(setting, substep=limits)
         self.worlds = Worlds(setting)
         self.threads, self.dtype, self.device = setting.threads, setting.dtype, setting.device
-        self.in_blocks = setting.device.is_cuda
-        """Whether a block of threads runs each world; tests set it on the CPU."""
+        self.together = setting.device.is_cuda
+        """Whether one launch runs all worlds; tests set it on the CPU."""
         self._program: Program | None = None
 
     @property
@@ -101,7 +101,7 @@ class MpmEngine:
     def program(self) -> Program:
         """The kernels and what they share, made when first needed."""
         if self._program is None:
-            self._program = Program(self.worlds, in_blocks=self.in_blocks)
+            self._program = Program(self.worlds, together=self.together)
         return self._program
 
     def run(self, frames: Frames) -> None:

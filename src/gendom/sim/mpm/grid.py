@@ -16,6 +16,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.sim.mpm.block import make_block
+from gendom.sim.mpm.particles import Variant, make_moving
 from gendom.sim.mpm.types import make_types
 
 MARGIN = 0.5
@@ -68,17 +69,12 @@ def grown_room(room: tuple[int, int, int], bounds: NDArray[Any], grid: Any) -> t
 
 
 @functools.cache
-def make_rebuild(real: Any, particles: Any) -> Any:
-    """Build ``rebuild``, with which the threads of a block rebuild a world's layout.
-
-    Args:
-        real: ``wp.float32`` or ``wp.float64``.
-        particles: How particles are stored, see ``particles.Stored``.
-    """
-    position, Particles = particles.fields.x, particles.Struct
-    sync = make_block(real).sync
+def make_rebuild(variant: Variant) -> Any:
+    """Build ``rebuild``, with which the threads of a block rebuild a world's layout."""
+    real = variant.real
+    position, sync = make_moving(variant).x, make_block(real).sync
     types = make_types(real)
-    vec3, Substep, Grid = types.vec3, types.Substep, types.Grid
+    vec3, Substep, Grid, Records = types.vec3, types.Substep, types.Grid, types.Records
 
     @wp.func
     def reach(now: Substep, x: vec3):
@@ -110,7 +106,7 @@ def make_rebuild(real: Any, particles: Any) -> Any:
                     wp.atomic_max(grid.high, now.layout, i, j, upper[2])
 
     @wp.func
-    def rebuild(now: Substep, particles: Particles, grid: Grid):
+    def rebuild(now: Substep, particles: Records, grid: Grid):
         """Return whether the layout has room for the particles of a row."""
         if now.thread == 0:
             grid.count[now.layout] = 0

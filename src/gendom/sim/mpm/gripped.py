@@ -39,16 +39,15 @@ def make_gripped(variant: Variant) -> Namespace:
     types = make_types(real)
     vec3, Model, Grips, Substep = types.vec3, types.Model, types.Grips, types.Substep
     ConditionsAdjoint = types.ConditionsAdjoint
-    taped, adjoint_of = make_taped(variant), make_moving(variant)
-    Tape, Adjoint = taped.Struct, adjoint_of.Struct
-    before, fields, particle = taped.fields, adjoint_of.fields, adjoint_of.particle
+    Records, before, fields = types.Records, make_taped(variant), make_moving(variant)
+    particle = fields.particle
     sync, add_by_warp = make_block(real).sync, make_block(real).add_by_warp
     boundary = make_boundary(variant)
     wide = boundary.wide
     pose_type = wp.types.matrix((4, 3), wp.float64)
 
     @wp.func
-    def list_gripped(now: Substep, stored: Any, model: Model, grips: Grips):
+    def list_gripped(now: Substep, stored: Records, model: Model, grips: Grips):
         """List what is held of the stored particles (or derivatives); return how many."""
         N = grips.stored_free.shape[1]
         sync()
@@ -94,7 +93,7 @@ def make_gripped(variant: Variant) -> Namespace:
         add_by_warp(by.rotation, grip_row, g, total[3])
 
     @wp.func
-    def firm_adjoint(now: Substep, grips: Grips, adjoint: Adjoint, by: ConditionsAdjoint):
+    def firm_adjoint(now: Substep, grips: Grips, adjoint: Records, by: ConditionsAdjoint):
         """Derivatives by x and by grippers of what they hold firmly."""
         for g in range(grips.closed.shape[1]):
             total = pose_type()
@@ -113,7 +112,7 @@ def make_gripped(variant: Variant) -> Namespace:
 
     @wp.func
     def partial_adjoint(
-        now: Substep, model: Model, grips: Grips, tape: Tape, adjoint: Adjoint,
+        now: Substep, model: Model, grips: Grips, tape: Records, adjoint: Records,
         by: ConditionsAdjoint,
     ):  # fmt: skip
         """The same of what they hold in part, and by mass and moduli.

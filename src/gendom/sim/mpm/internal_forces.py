@@ -34,7 +34,7 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.mpm.block import make_block
-from gendom.sim.mpm.particles import Variant, make_moving, make_taped
+from gendom.sim.mpm.particles import Variant, make_moving
 from gendom.sim.mpm.types import Namespace, make_types
 
 FILLS = 1.0e-30
@@ -89,27 +89,32 @@ def make_internal_forces(variant: Variant) -> Namespace:
     """
     real = variant.real
     types = make_types(real)
-    Model, Clock, Substep = types.Model, types.Clock, types.Substep
-    ConditionsAdjoint = types.ConditionsAdjoint
-    Particles = Adjoint = make_moving(variant).Struct
-    Tape, block = make_taped(variant).Struct, make_block(real)
-    pulled, wind_bar = _pulled(variant)
-    kind = "rows(w, " if variant.rows else f"records<{int(variant.room > 0)}>(w, thread, threads, "
+    vec3, Model, Clock, Substep = types.vec3, types.Model, types.Clock, types.Substep
+    Records, ConditionsAdjoint = types.Records, types.ConditionsAdjoint
+    block, wind_bar = make_block(real), make_moving(variant).low
+    call = f"<{int(variant.room > 0)}>(w, thread, threads, "
 
-    @wp.func_native(f"return gendom::forces_of_{kind}dt, keep, share, model, particles);")
+    @wp.func_native(f"return gendom::forces_of_records{call}dt, keep, share, model, particles);")
     def set_forces(
         w: int, thread: int, threads: int, dt: real, keep: real, share: real, model: Model,
-        particles: Particles,
+        particles: Records,
     ) -> int: ...  # fmt: skip
 
-    @wp.func_native(f"return gendom::adjoint_of_{kind}row, dt, keep, share, model, tape, adjoint);")
+    @wp.func_native(
+        f"return gendom::adjoint_of_records{call}row, dt, keep, share, model, tape, adjoint);"
+    )
     def set_adjoint(
         w: int, thread: int, threads: int, row: int, dt: real, keep: real, share: real,
-        model: Model, tape: Tape, adjoint: Adjoint,
+        model: Model, tape: Records, adjoint: Records,
     ) -> wp.vec2d: ...  # fmt: skip
 
+    @wp.func_native(f"return gendom::pulled_record<{int(variant.room > 0)}>(w, i, of, near);")
+    def pulled(
+        w: int, i: int, of: wp.array3d(dtype=real), near: wp.array3d(dtype=wp.int32)
+    ) -> vec3: ...
+
     @wp.func
-    def forces(now: Substep, model: Model, clock: Clock, particles: Particles):
+    def forces(now: Substep, model: Model, clock: Clock, particles: Records):
         """Return whether a particle is inverted, which the clock names."""
         failed = set_forces(
             now.w, now.thread, now.threads, now.h, now.keep, now.share, model, particles
@@ -119,13 +124,13 @@ def make_internal_forces(variant: Variant) -> Namespace:
         return block.any(int(failed >= 0))
 
     @wp.func
-    def impulse_on(now: Substep, i: int, model: Model, particles: Particles):
+    def impulse_on(now: Substep, i: int, particles: Records):
         """Impulse of a substep on a particle by its neighbours."""
-        return pulled(now.w, i, model, particles)
+        return pulled(now.w, i, particles.of, particles.near)
 
     @wp.func
     def forces_adjoint(
-        now: Substep, model: Model, tape: Tape, adjoint: Adjoint, by: ConditionsAdjoint
+        now: Substep, model: Model, tape: Records, adjoint: Records, by: ConditionsAdjoint
     ):
         """Transpose of ``forces``; derivatives by impulses are found in those by v."""
         sums = set_adjoint(
@@ -137,46 +142,8 @@ def make_internal_forces(variant: Variant) -> Namespace:
             wp.atomic_add(by.branch_factor, now.w, sums[1])
 
     @wp.func
-    def impulse_on_adjoint(now: Substep, i: int, model: Model, adjoint: Adjoint):
+    def impulse_on_adjoint(now: Substep, i: int, adjoint: Records):
         """Derivatives by x, through all differences, and by v, through the air."""
-        return -pulled(now.w, i, model, adjoint), wind_bar(adjoint, now.w, i)
+        return -pulled(now.w, i, adjoint.of, adjoint.near), wind_bar(adjoint, now.w, i)
 
     return Namespace(forces, impulse_on, forces_adjoint, impulse_on_adjoint)
-
-
-def _pulled(variant: Variant) -> tuple[Any, Any]:
-    """What neighbours pull a particle by, and what the air adds to derivatives by its velocity."""
-    real = variant.real
-    types = make_types(real)
-    vec3, impulses = types.vec3, types.impulses
-    if variant.rows:
-
-        @wp.func_native("return gendom::pulled_row(w, i, lattice, impulses);")
-        def pulled_row(
-            w: int,
-            i: int,
-            lattice: wp.array3d(dtype=wp.int32),
-            impulses: wp.array2d(dtype=impulses),
-        ) -> vec3: ...
-
-        @wp.func
-        def pulled(w: int, i: int, model: types.Model, stored: types.State):
-            return pulled_row(w, i, model.lattice, stored.impulses)
-
-        @wp.func
-        def wind_bar(adjoint: types.State, w: int, i: int):
-            own = adjoint.impulses[w, i]
-            return vec3(own[0, 3], own[1, 3], own[2, 3])
-
-        return pulled, wind_bar
-
-    @wp.func_native(f"return gendom::pulled_record<{int(variant.room > 0)}>(w, i, of, near);")
-    def pulled_record(
-        w: int, i: int, of: wp.array3d(dtype=real), near: wp.array3d(dtype=wp.int32)
-    ) -> vec3: ...
-
-    @wp.func
-    def pulled_in_order(w: int, i: int, model: types.Model, stored: types.Records):
-        return pulled_record(w, i, stored.of, stored.near)
-
-    return pulled_in_order, make_moving(variant).fields.low

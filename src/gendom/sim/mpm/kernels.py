@@ -23,7 +23,6 @@ from gendom.sim.mpm.particles import (
     make_loading,
     make_moving,
     make_sorting,
-    make_taped,
 )
 from gendom.sim.mpm.step import (
     DIVERGED,
@@ -53,15 +52,14 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
     vec4, Substep, Grid = types.vec4, types.Substep, types.Grid
     Clock, FramePlan, Model, State = types.Clock, types.FramePlan, types.Model, types.State
     Paths, Grips = types.Paths, types.Grips
-    moving = make_moving(variant)
-    Particles, Tape, fields = moving.Struct, make_taped(variant).Struct, moving.fields
-    row_at, loading = make_bspline(real, windowed=False).row_at, make_loading(variant)
-    rebuild, boundary = make_rebuild(real, moving), make_boundary(variant)
+    Records, fields, loading = types.Records, make_moving(variant), make_loading(variant)
+    row_at, rebuild = make_bspline(real, windowed=False).row_at, make_rebuild(variant)
+    boundary, sort_records = make_boundary(variant), make_sorting(variant)
     pose_ahead, list_gripped = make_poses(real).pose_ahead, make_gripped(variant).list_gripped
     substep, beginning = make_substep(variant, taped=taped), _make_beginning(real)
     block = make_block(real)
     compensates = wp.constant(int(types.compensates))
-    keeps = wp.constant(int(taped))
+    keeps, SORTS = wp.constant(int(taped)), wp.constant(variant.sorts)
     # known when a kernel is made: on the CPU, kernels with tiles must not run on several threads
     IN_SHARED_MEMORY, numbers = wp.constant(variant.room > 0), wp.constant(variant.numbers)
     resident = wp.constant(int(variant.room > 0))
@@ -93,59 +91,51 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         grid.velocity = wp.array(ptr=ptr, shape=(1, grid.momentum.shape[1]), dtype=vec4)
         return grid
 
-    # rows are the state itself, and stay in their order
-    IN_RECORDS = wp.constant(not variant.rows)
-    load_all = unload_all = sort = None
-    if not variant.rows:
-        sort_records = make_sorting(variant)
-
-        @wp.func
-        def load_all(now: Substep, afresh: int, model: Model, state: State, particles: Particles):
-            """Make the records of a world, in the order of particles if ``afresh``."""
-            for i in range(now.thread, state.x.shape[1], now.threads):
-                p = int(i)
-                if afresh == 1:
-                    particles.order[now.w, i] = i
-                    particles.place[now.w, i] = i
-                else:
-                    p = particles.order[now.w, i]
-                loading.load(particles, now.w, i, p, state)
-                if compensates == 1:
-                    fields.put_low(particles, now.w, i, state.low[now.w, p])
-                particles.moduli[now.w, 0, i] = model.mu[now.w, p]
-                particles.moduli[now.w, 1, i] = model.lam[now.w, p]
-
-        @wp.func
-        def unload_all(now: Substep, state: State, particles: Particles):
-            """Write the records of a world to the state."""
-            for i in range(now.thread, state.x.shape[1], now.threads):
+    @wp.func
+    def load_all(now: Substep, afresh: int, model: Model, state: State, particles: Records):
+        """Make the records of a world, in the order of particles if ``afresh``."""
+        for i in range(now.thread, state.x.shape[1], now.threads):
+            p = int(i)
+            if afresh == 1:
+                particles.order[now.w, i] = i
+                particles.place[now.w, i] = i
+            else:
                 p = particles.order[now.w, i]
-                loading.unload(particles, now.w, i, p, state)
-                if compensates == 1:
-                    state.low[now.w, p] = fields.low(particles, now.w, i)
+            loading.load(particles, now.w, i, p, state)
+            if compensates == 1:
+                fields.put_low(particles, now.w, i, state.low[now.w, p])
+            particles.moduli[now.w, 0, i] = model.mu[now.w, p]
+            particles.moduli[now.w, 1, i] = model.lam[now.w, p]
 
-        @wp.func
-        def sort(
-            now: Substep, far: real, model: Model, grid: Grid, particles: Particles, tape: Tape
-        ):
-            """Sort the records if a particle may have come ``far``, and keep their order on the
-            tape. Returns whether the order changed."""
-            sorts = int(0)
-            if far >= real(ORDERLY) * now.dx:
-                sorts = 1
-                sort_records(now, model, grid, particles)
-            if keeps == 1:
-                for i in range(now.thread, particles.order.shape[1], now.threads):
-                    tape.order[now.layout, i] = particles.order[now.w, i]
-                    tape.place[now.layout, i] = particles.place[now.w, i]
-            return sorts
+    @wp.func
+    def unload_all(now: Substep, state: State, particles: Records):
+        """Write the records of a world to the state."""
+        for i in range(now.thread, state.x.shape[1], now.threads):
+            p = particles.order[now.w, i]
+            loading.unload(particles, now.w, i, p, state)
+            if compensates == 1:
+                state.low[now.w, p] = fields.low(particles, now.w, i)
+
+    @wp.func
+    def sort(now: Substep, far: real, model: Model, grid: Grid, particles: Records, tape: Records):
+        """Sort the records if a particle may have come ``far``, and keep their order on the
+        tape. Returns whether the order changed."""
+        sorts = int(0)
+        if SORTS and far >= real(ORDERLY) * now.dx:
+            sorts = 1
+            sort_records(now, model, grid, particles)
+        if keeps == 1:
+            for i in range(now.thread, particles.order.shape[1], now.threads):
+                tape.order[now.layout, i] = particles.order[now.w, i]
+                tape.place[now.layout, i] = particles.place[now.w, i]
+        return sorts
 
     @wp.kernel(
         module="unique", module_options=MODULE_OPTIONS, launch_bounds=bounds(variant.threads)
     )
     def advance(
         order: wp.array(dtype=wp.int32),  # world of each block
-        block_threads: int,
+        threads: int,  # of a block
         shared: int,  # worlds that share grid and tape: all, or 1
         most: int,  # substeps at the most
         pause: wp.float64,  # [s] no substep begins from here on
@@ -158,18 +148,12 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         grips: Grips,
         state: State,
         last_good: State,  # where the last frame began
-        # a layout a world; L for the tape. Momentum is empty before and after each substep, but on
-        # the CPU, where velocity is the same array; the tape keeps it
+        # a layout a world; L for the tape, which keeps momentum. Else it is empty between substeps
         world_grid: Grid,
-        particles: Particles,
-        tape: Tape,
+        particles: Records,
+        tape: Records,
     ):
-        turn, block_thread = wp.tid()
-        thread = int(0)
-        threads = int(1)
-        if IN_RECORDS:
-            thread = int(block_thread)
-            threads = int(block_threads)
+        turn, thread = wp.tid()
         if IN_SHARED_MEMORY:
             wp.tile_empty(shape=numbers, dtype=real, storage="shared")
         w = order[turn]
@@ -208,12 +192,11 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         if resident == 1 and offset + 4 * world_grid.momentum.shape[1] <= numbers:
             velocity_at = block.resident_at(number_bytes * offset)
         grid = velocities_at(world_grid, velocity_at)
-        if IN_RECORDS:
-            load_all(now, afresh, model, state, particles)
+        load_all(now, afresh, model, state, particles)
         block.sync()
         if step == 0:
             for i in range(thread, now.N, threads):
-                loading.unload(particles, w, i, moving.particle(particles, w, i), last_good)
+                loading.unload(particles, w, i, fields.particle(particles, w, i), last_good)
         while frame < frames and left > 0 and status == OK and t < pause:
             if step < steps and travel >= real(MARGIN) * now.dx:
                 if keeps == 1:
@@ -234,10 +217,9 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
                             if boundary.near_table(fields.x(particles, w, i), model):
                                 near = 1
                         now.near_table = block.any(near)
-                        if IN_RECORDS:  # noqa: SIM102 - known when the kernel is made
-                            if sort(now, far, model, grid, particles, tape) == 1:
-                                far = real(0.0)
-                                now.holding = list_gripped(now, particles, model, grips)
+                        if sort(now, far, model, grid, particles, tape) == 1:
+                            far = real(0.0)
+                            now.holding = list_gripped(now, particles, model, grips)
                     elif thread == 0:
                         # the grid's need is read from the world's first layout
                         for a in range(4):
@@ -278,13 +260,13 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
                     block.sync()
             if step == steps and status == OK:
                 for c in range(thread, plan.particles.shape[0], threads):
-                    plan.x[frame, w, c] = moving.x_of(particles, w, plan.particles[c])
+                    plan.x[frame, w, c] = fields.x_of(particles, w, plan.particles[c])
                 frame += 1
                 step = 0
                 posed = -AHEAD
                 if frame < frames:
                     for i in range(thread, now.N, threads):
-                        loading.unload(particles, w, i, moving.particle(particles, w, i), last_good)
+                        loading.unload(particles, w, i, fields.particle(particles, w, i), last_good)
                     steps = plan.steps[frame, w]
                     dt = frame_substep(frame, w, plan)
                     # not by a function: a struct that is assigned whole does not stay in registers
@@ -292,8 +274,7 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
                     now.keep_velocity = wp.exp(-model.velocity_damping[w] * now.h)
             t = plan.time[frame] + wp.float64(step) * dt
         block.sync()
-        if IN_RECORDS:
-            unload_all(now, state, particles)
+        unload_all(now, state, particles)
         if thread == 0:
             unsorted[w] = far
             clock.frame[w] = frame
@@ -316,79 +297,68 @@ def make_reverse(variant: Variant) -> Any:
     Clock, Model, Grid, Substep = types.Clock, types.Model, types.Grid, types.Substep
     Paths, Grips, State = types.Paths, types.Grips, types.State
     ConditionsAdjoint = types.ConditionsAdjoint
-    Tape = make_taped(variant).Struct
-    adjoint_of = make_moving(variant)
-    Adjoint, fields = adjoint_of.Struct, adjoint_of.fields
+    Records, store = types.Records, make_moving(variant).store
     substep_adjoint, boundary = make_substep_adjoint(variant), make_boundary(variant)
     poses, beginning = make_poses(real), _make_beginning(real)
-    list_gripped, loading, block = (
-        make_gripped(variant).list_gripped,
-        make_loading(variant),
-        make_block(real),
-    )
+    list_gripped, loading = make_gripped(variant).list_gripped, make_loading(variant)
+    block = make_block(real)
     IN_SHARED_MEMORY, numbers = wp.constant(variant.room > 0), wp.constant(variant.numbers)
     COMPONENTS = wp.constant(variant.components)
 
-    # rows are the derivatives themselves, and stay in their order
-    IN_RECORDS = wp.constant(not variant.rows)
-    load_all = unload_all = change_layout = None
-    if not variant.rows:
-        store = fields.store
+    @wp.func
+    def set_order(now: Substep, model: Model, tape: Records, adjoint: Records):
+        """Which particle each record is of, and where its neighbours are."""
+        for i in range(now.thread, adjoint.near.shape[2], now.threads):
+            p = tape.order[now.layout, i]
+            adjoint.order[now.w, i] = p
+            adjoint.place[now.w, p] = i
+            put_near(adjoint.near, now.w, i, p, model.lattice, tape.place, now.layout)
 
-        @wp.func
-        def set_order(now: Substep, model: Model, tape: Tape, adjoint: Adjoint):
-            """Which particle each record is of, and where its neighbours are."""
-            for i in range(now.thread, adjoint.near.shape[2], now.threads):
-                p = tape.order[now.layout, i]
-                adjoint.order[now.w, i] = p
-                adjoint.place[now.w, p] = i
-                put_near(adjoint.near, now.w, i, p, model.lattice, tape.place, now.layout)
+    @wp.func
+    def load_all(now: Substep, model: Model, tape: Records, by_state: State, adjoint: Records):
+        """Make the records of a world in the order of a layout."""
+        for i in range(now.thread, adjoint.near.shape[2], now.threads):
+            loading.load(adjoint, now.w, i, tape.order[now.layout, i], by_state)
+            for c in range(SUMS):
+                adjoint.sums[now.w, c, i] = real(0.0)
+        set_order(now, model, tape, adjoint)
 
-        @wp.func
-        def load_all(now: Substep, model: Model, tape: Tape, by_state: State, adjoint: Adjoint):
-            """Make the records of a world in the order of a layout."""
-            for i in range(now.thread, adjoint.near.shape[2], now.threads):
-                loading.load(adjoint, now.w, i, tape.order[now.layout, i], by_state)
-                for c in range(SUMS):
-                    adjoint.sums[now.w, c, i] = real(0.0)
-            set_order(now, model, tape, adjoint)
+    @wp.func
+    def unload_all(now: Substep, by_state: State, adjoint: Records):
+        """Write the records of a world back."""
+        for i in range(now.thread, adjoint.near.shape[2], now.threads):
+            p = adjoint.order[now.w, i]
+            loading.unload(adjoint, now.w, i, p, by_state)
+            for c in range(SUMS):
+                so_far = by_state.sums[now.w, c, p]
+                by_state.sums[now.w, c, p] = so_far + adjoint.sums[now.w, c, i]
 
-        @wp.func
-        def unload_all(now: Substep, by_state: State, adjoint: Adjoint):
-            """Write the records of a world back."""
-            for i in range(now.thread, adjoint.near.shape[2], now.threads):
-                p = adjoint.order[now.w, i]
-                loading.unload(adjoint, now.w, i, p, by_state)
-                for c in range(SUMS):
-                    so_far = by_state.sums[now.w, c, p]
-                    by_state.sums[now.w, c, p] = so_far + adjoint.sums[now.w, c, i]
-
-        @wp.func
-        def change_layout(now: Substep, earlier: int, model: Model, tape: Tape, adjoint: Adjoint):
-            """Put the records in the order of an earlier layout."""
-            of, sums, spare = adjoint.of, adjoint.sums, adjoint.spare
-            N = sums.shape[2]
-            for i in range(now.thread, N, now.threads):
-                j = tape.place[now.layout, tape.order[earlier, i]]
-                for c in range(COMPONENTS):
-                    spare[now.w, c, i] = store.get(of, now.w, c, j)
-                for c in range(SUMS):
-                    spare[now.w, COMPONENTS + c, i] = sums[now.w, c, j]
-            block.sync()
-            for i in range(now.thread, N, now.threads):
-                for c in range(COMPONENTS):
-                    store.put(of, now.w, c, i, spare[now.w, c, i])
-                for c in range(SUMS):
-                    sums[now.w, c, i] = spare[now.w, COMPONENTS + c, i]
-            now.layout = earlier
-            set_order(now, model, tape, adjoint)
+    @wp.func
+    def change_layout(now: Substep, earlier: int, model: Model, tape: Records, adjoint: Records):
+        """Put the records in the order of an earlier layout."""
+        of, sums, spare = adjoint.of, adjoint.sums, adjoint.spare
+        N = sums.shape[2]
+        for i in range(now.thread, N, now.threads):
+            j = tape.place[now.layout, tape.order[earlier, i]]
+            for c in range(COMPONENTS):
+                spare[now.w, c, i] = store.get(of, now.w, c, j)
+            for c in range(SUMS):
+                spare[now.w, COMPONENTS + c, i] = sums[now.w, c, j]
+        block.sync()
+        for i in range(now.thread, N, now.threads):
+            for c in range(COMPONENTS):
+                store.put(of, now.w, c, i, spare[now.w, c, i])
+            for c in range(SUMS):
+                sums[now.w, c, i] = spare[now.w, COMPONENTS + c, i]
+        now.layout = earlier
+        set_order(now, model, tape, adjoint)
 
     @wp.kernel(
         module="unique", module_options=MODULE_OPTIONS, launch_bounds=bounds(variant.threads)
     )
     def reverse(
         order: wp.array(dtype=wp.int32),  # world of each block
-        block_threads: int,
+        threads: int,  # of a block
         shared: int,  # worlds that share grid and tape: all, or 1
         began: wp.array(dtype=wp.float64),  # [W] where the tape begins [s]
         slots: wp.array(dtype=wp.int32),  # [W] substeps to reverse
@@ -397,18 +367,13 @@ def make_reverse(variant: Variant) -> Any:
         paths: Paths,
         grips: Grips,
         grid: Grid,  # of the tape
-        tape: Tape,
-        adjoint: Adjoint,
+        tape: Records,
+        adjoint: Records,
         # by the state: after the tape on entry, before it on return
         by_state: State,
         by: ConditionsAdjoint,
     ):
-        turn, block_thread = wp.tid()
-        thread = int(0)
-        threads = int(1)
-        if IN_RECORDS:
-            thread = int(block_thread)
-            threads = int(block_threads)
+        turn, thread = wp.tid()
         w = order[turn]
         own = w % shared
         if slots[w] < 1:
@@ -422,8 +387,7 @@ def make_reverse(variant: Variant) -> Any:
         now.gone = slots[w] - 1
         now.row = own
         now.layout = tape.layout_of[now.gone * shared + own]
-        if IN_RECORDS:
-            load_all(now, model, tape, by_state, adjoint)
+        load_all(now, model, tape, by_state, adjoint)
         now.holding = list_gripped(now, adjoint, model, grips)
         posed = int(now.gone + 1)  # the substep from which on poses are known, and how many of them
         count = int(0)
@@ -432,9 +396,8 @@ def make_reverse(variant: Variant) -> Any:
             now.age = clock.age[w] + now.gone
             earlier = tape.layout_of[now.slot]
             if earlier != now.layout:
-                if IN_RECORDS:
-                    change_layout(now, earlier, model, tape, adjoint)
-                    now.holding = list_gripped(now, adjoint, model, grips)
+                change_layout(now, earlier, model, tape, adjoint)
+                now.holding = list_gripped(now, adjoint, model, grips)
                 now.layout = earlier
             if grippers > 0 and now.gone < posed:
                 # poses of many substeps at once
@@ -459,8 +422,7 @@ def make_reverse(variant: Variant) -> Any:
         poses.close_poses(now, posed, count, t0, dt, paths, grips, by)
         if thread == 0:
             beginning.close_rates(w, dt, model, by)
-        if IN_RECORDS:
-            unload_all(now, by_state, adjoint)
+        unload_all(now, by_state, adjoint)
 
     return reverse
 

@@ -56,8 +56,6 @@ class Worlds:
         self.low = self.zeros((W, N) if s.dtype == "float32" else (0, 0), self.types.vec3)
         self.state = self.make_state(W, wp.zeros)
         wp.copy(self.state.x, self.array(x, self.types.vec3))
-        if not s.device.is_cuda:
-            self.state.impulses = self.zeros((W, N), self.types.impulses)
         self.last_good = self.make_state(W)
         for name in self.carried:
             wp.copy(getattr(self.last_good, name), getattr(self.state, name))
@@ -72,7 +70,6 @@ class Worlds:
         across = s.body.thickness if s.body.kind == "rope" else 1.0
         self.drag_by_air = 0.5 * DRAG.get(s.body.kind, 0.0) * across / s.body.section
         beyond, grip_stiffness = grip_constants(s.body)
-        alone = (s.body.lattice == np.arange(len(s.body.x))[:, None, None]).any(axis=2)
         return self.filled(
             self.types.Model,
             mu=np.broadcast_to(lame[:, :1] * share, self.stiffness.shape),
@@ -88,7 +85,6 @@ class Worlds:
             contact_radius=s.body.contact_radius,
             lattice=s.body.lattice,
             frame=_triangles(s.body.rest_frames),
-            per_span=np.where(alone, 1.0, 0.5).T[:2],
             dx=s.body.dx,
             gravity=spread(s.gravity, (W, 3), "gravity"),
             velocity_damping=spread(s.velocity_damping, (W,), "velocity_damping"),
@@ -129,20 +125,21 @@ class Worlds:
         first, second = body.lattice[:, :, 0], body.lattice[:, :, 1]
         return np.swapaxes(x[..., second, :] - x[..., first, :], -1, -2) @ body.rest_frames
 
-    def make_grid(self, layouts: int, *, rows: int | None = None, make: Any = wp.zeros) -> Any:
-        """A grid of so many layouts with the room that worlds are known to need.
-
-        It has so many rows of momentum (default: one a layout); ``make`` fills arrays.
-        """
+    def make_grid(self, worlds: int, layouts: int, rows: int, make: Any = wp.zeros) -> Any:
+        """A grid with the room that worlds are known to need: so many layouts, and so many rows of
+        momentum, which ``make`` fills."""
         X, Y, M = self.room
-        return self.allocate(
+        grid = self.allocate(
             self.types.Grid,
             make,
             bounds=(layouts, 4),
             count=layouts,
-            momentum=(layouts if rows is None else rows, M),
+            momentum=(rows, M),
             **dict.fromkeys(("low", "high", "start"), (layouts, X, Y)),
         )
+        grid.velocity = self.zeros((worlds, M), self.types.vec4)
+        grid.tally = self.zeros((worlds, M), wp.int32)
+        return grid
 
     def make_room(self, grid: Any, layouts: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Let later grids hold what did not fit into the given layouts of this one.

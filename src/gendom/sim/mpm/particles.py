@@ -1,12 +1,11 @@
-"""How particles are stored: one code for both devices, two ways to reach their numbers.
+"""How particles are stored while they move and on a tape: in records, component by component.
 
-- **Rows** (CPU): the vectors of ``State``, particle by particle.
-- **Records** (CUDA): component by component, in the order of the particles' lowest nodes. Threads
-  then access neighbouring numbers, and contributions of neighbouring particles to the same nodes
-  are summed before they are added to the grid.
+On CUDA records stand in the order of the particles' lowest nodes. Neighbouring threads then access
+neighbouring numbers, and contributions of neighbouring particles to the same nodes are summed
+before they are added to the grid. On the CPU neighbouring records fill a SIMD register.
 
-Each offers the same functions on the i-th particle of a row: of particles while they move, of a
-tape with recorded substeps, and of derivatives.
+The functions here read and write the i-th record of a row: of particles while they move, of a tape
+with recorded substeps, and of derivatives.
 
 Shapes: W worlds, N particles, L layouts of the grid, M nodes.
 """
@@ -44,12 +43,13 @@ class Variant:
     real: Any
     damped: bool
     """Whether any material has damping."""
-    rows: bool
-    """Particles in rows, one thread a world (CPU); otherwise in records, by a block of threads."""
+    sorts: bool
+    """Whether records are sorted again and again; else they keep the order of particles, and sums
+    are the same to the bit however a run is divided."""
     room: int = 0
     """Shared memory in which a block's records stay [bytes]; 0: in arrays."""
     threads: int = 1
-    """Threads of a block."""
+    """Threads of a block; on the CPU a block is one thread."""
 
     @property
     def components(self) -> int:
@@ -67,151 +67,93 @@ class Variant:
         return max(1, self.room // (4 if self.real == wp.float32 else 8))
 
 
-@dataclass(frozen=True, eq=False)
-class Stored:
-    """A struct of particles, the functions that read and write it, and which particle is where."""
+@functools.cache
+def make_moving(variant: Variant) -> Namespace:
+    """Particles while they move, or derivatives by them: ``x``, ``v``, ``C``, ``q``, ``low``,
+    ``put_x`` and so on of the i-th record of a row, ``get_Z`` and ``put_Z`` of its filtered stress,
+    ``particle``, which it is of; ``place`` of particle p, and its ``x_of``."""
 
-    Struct: Any
-    fields: Namespace
-    """``x``, ``v``, ``C`` and ``put_x`` and so on of the i-th particle of a row."""
-    particle: Any
-    """(stored, row, i) -> p, the number in the body of the i-th particle."""
-    place: Any
-    """(stored, row, p) -> i."""
-    x_of: Any
-    """(stored, row, p) -> x of particle p."""
+    @wp.func
+    def order_of(s: Any, row: int):
+        return row
+
+    return _access(variant.real, order_of, STRESS, resident=variant.room > 0)
 
 
 @functools.cache
-def make_moving(variant: Variant) -> Stored:
-    """Particles while they move, or derivatives by them."""
-    if variant.rows:
-        return _rows(variant.real)
-    Records = make_types(variant.real).Records
-    fields = _record_fields(variant.real, STRESS, resident=variant.room > 0)
-    own_x = fields.x
+def make_taped(variant: Variant) -> Namespace:
+    """The same of particles on a tape; row n * W + w is substep n of world w."""
 
     @wp.func
-    def particle(s: Records, row: int, i: int):
-        return s.order[row, i]
+    def order_of(s: Any, row: int):
+        return s.layout_of[row]
 
-    @wp.func
-    def place(s: Records, row: int, p: int):
-        return s.place[row, p]
-
-    @wp.func
-    def x_of(s: Records, row: int, p: int):
-        return own_x(s, row, s.place[row, p])
-
-    return Stored(Records, fields, particle, place, x_of)
+    return _access(variant.real, order_of, TAPED_STRESS, resident=False)
 
 
-@functools.cache
-def make_taped(variant: Variant) -> Stored:
-    """Particles on a tape; row n * W + w is substep n of world w."""
-    if variant.rows:
-        return _rows(variant.real)
-    Records = make_types(variant.real).Records
-    fields = _record_fields(variant.real, TAPED_STRESS, resident=False)
-    taped_x = fields.x
-
-    @wp.func
-    def taped_particle(s: Records, row: int, i: int):
-        return s.order[s.layout_of[row], i]
-
-    @wp.func
-    def taped_place(s: Records, row: int, p: int):
-        return s.place[s.layout_of[row], p]
-
-    @wp.func
-    def taped_x_of(s: Records, row: int, p: int):
-        return taped_x(s, row, taped_place(s, row, p))
-
-    return Stored(Records, fields, taped_particle, taped_place, taped_x_of)
-
-
-@functools.cache
-def _rows(real: Any) -> Stored:
-    types = make_types(real)
-    State, vec3 = types.State, types.vec3
-
-    def field(name: str, kind: Any) -> dict[str, Any]:
-        @wp.func_native(f"return wp::index(s.{name}, row, i);")
-        def get(s: State, row: int, i: int) -> kind: ...
-
-        @wp.func_native(f"wp::index(s.{name}, row, i) = value;")
-        def put(s: State, row: int, i: int, value: kind): ...
-
-        return {name: get, f"put_{name}": put}
-
-    @wp.func
-    def get_Z(s: State, row: int, c: int, i: int):
-        return s.Z[row, c, i]
-
-    @wp.func
-    def put_Z(s: State, row: int, c: int, i: int, value: real):
-        s.Z[row, c, i] = value
-
-    @wp.func
-    def same(s: State, row: int, i: int):
-        return i
-
-    fields = Namespace(get_Z, put_Z, **field("C", types.mat33))
-    for name in ("x", "v", "q", "low"):
-        vars(fields).update(field(name, vec3))
-    return Stored(State, fields, same, same, fields.x)
-
-
-def _record_fields(real: Any, stress: int, *, resident: bool) -> Namespace:
+def _access(real: Any, order_of: Any, stress: int, *, resident: bool) -> Namespace:
     """Access to records whose filtered stress begins at component ``stress``."""
     store = make_store(real, resident=resident)
     types = make_types(real)
-    vec3, mat33 = types.vec3, types.mat33
+    vec3, mat33, Records = types.vec3, types.mat33, types.Records
     STRESS_AT = wp.constant(stress)
 
     def vector(name: str, first: int) -> dict[str, Any]:
         FIRST = wp.constant(first)
 
         @wp.func
-        def get(s: Any, row: int, i: int):
+        def get(s: Records, row: int, i: int):
             return store.vector(s.of, row, FIRST, i)
 
         @wp.func
-        def put(s: Any, row: int, i: int, value: vec3):
+        def put(s: Records, row: int, i: int, value: vec3):
             store.put_vector(s.of, row, FIRST, i, value)
 
         return {name: get, f"put_{name}": put}
 
     @wp.func
-    def C(s: Any, row: int, i: int):
+    def C(s: Records, row: int, i: int):
         return store.matrix(s.of, row, AFFINE, i)
 
     @wp.func
-    def put_C(s: Any, row: int, i: int, value: mat33):
+    def put_C(s: Records, row: int, i: int, value: mat33):
         store.put_matrix(s.of, row, AFFINE, i, value)
 
     @wp.func
-    def get_Z(s: Any, row: int, c: int, i: int):
+    def get_Z(s: Records, row: int, c: int, i: int):
         return store.get(s.of, row, STRESS_AT + c, i)
 
     @wp.func
-    def put_Z(s: Any, row: int, c: int, i: int, value: real):
+    def put_Z(s: Records, row: int, c: int, i: int, value: real):
         store.put(s.of, row, STRESS_AT + c, i, value)
 
-    fields = Namespace(C, put_C, get_Z, put_Z, store=store)
+    @wp.func
+    def particle(s: Records, row: int, i: int):
+        return s.order[order_of(s, row), i]
+
+    @wp.func
+    def place(s: Records, row: int, p: int):
+        return s.place[order_of(s, row), p]
+
+    @wp.func
+    def x_of(s: Records, row: int, p: int):
+        return store.vector(s.of, row, X, s.place[order_of(s, row), p])
+
+    made = Namespace(C, put_C, get_Z, put_Z, particle, place, x_of, store=store)
     for name, first in (("x", X), ("v", V), ("q", MOMENTUM), ("low", LOW)):
-        vars(fields).update(vector(name, first))
-    return fields
+        vars(made).update(vector(name, first))
+    return made
 
 
 @functools.cache
 def make_loading(variant: Variant) -> Namespace:
     """Build ``load`` and ``unload`` between a ``State`` (or its adjoint) and what is stored."""
-    fields = make_moving(variant).fields
+    fields, types = make_moving(variant), make_types(variant.real)
+    Records, State = types.Records, types.State
     damped = wp.constant(int(variant.damped))
 
     @wp.func
-    def load(stored: Any, w: int, i: int, p: int, state: Any):
+    def load(stored: Records, w: int, i: int, p: int, state: State):
         """Set the i-th of the stored particles from particle p."""
         fields.put_x(stored, w, i, state.x[w, p])
         fields.put_v(stored, w, i, state.v[w, p])
@@ -221,7 +163,7 @@ def make_loading(variant: Variant) -> Namespace:
                 fields.put_Z(stored, w, c, i, state.Z[w, c, p])
 
     @wp.func
-    def unload(stored: Any, w: int, i: int, p: int, state: Any):
+    def unload(stored: Records, w: int, i: int, p: int, state: State):
         """Set particle p from the i-th of the stored ones."""
         state.x[w, p] = fields.x(stored, w, i)
         state.v[w, p] = fields.v(stored, w, i)
@@ -238,10 +180,8 @@ def make_sorting(variant: Variant) -> Any:
     """Build ``sort``, which puts a world's records in the order of their lowest nodes."""
     real = variant.real
     types = make_types(real)
-    Model, Substep, Grid = types.Model, types.Substep, types.Grid
-    moving = make_moving(variant)
-    Records, fields = moving.Struct, moving.fields
-    store = fields.store
+    Model, Substep, Grid, Records = types.Model, types.Substep, types.Grid, types.Records
+    fields, store = make_moving(variant), make_moving(variant).store
     locate = make_transfer(real).locate
     block = make_block(real)
     COMPONENTS = wp.constant(variant.components)
@@ -254,27 +194,29 @@ def make_sorting(variant: Variant) -> Any:
     @wp.func
     def sort(now: Substep, model: Model, grid: Grid, records: Records):
         of = records.of
+        tally = grid.tally
+        row = now.w % tally.shape[0]
         N = of.shape[2]
         nodes = grid.count[now.layout]
         begin = now.thread * nodes // now.threads
         end = (now.thread + 1) * nodes // now.threads
         for n in range(begin, end):
-            records.tally[now.w, n] = 0
+            tally[row, n] = 0
         block.sync()
         for i in range(now.thread, N, now.threads):
-            wp.atomic_add(records.tally, now.w, node_of(now, i, grid, records), 1)
+            wp.atomic_add(tally, row, node_of(now, i, grid, records), 1)
         block.sync()
         total = int(0)
         for n in range(begin, end):
-            total += records.tally[now.w, n]
+            total += tally[row, n]
         first = block.sum_before(total)
         for n in range(begin, end):
-            here = records.tally[now.w, n]
-            records.tally[now.w, n] = first
+            here = tally[row, n]
+            tally[row, n] = first
             first += here
         block.sync()
         for i in range(now.thread, N, now.threads):
-            j = wp.atomic_add(records.tally, now.w, node_of(now, i, grid, records), 1)
+            j = wp.atomic_add(tally, row, node_of(now, i, grid, records), 1)
             p = records.order[now.w, i]
             records.spare_order[now.w, j] = p
             records.place[now.w, p] = j

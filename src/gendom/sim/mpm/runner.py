@@ -19,7 +19,7 @@ from gendom.sim.device import load_kernels
 from gendom.sim.mpm.block import ROOM_ALONE, ROOMS_OF_TWO
 from gendom.sim.mpm.kernels import make_advance, make_hold_as_at
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.mpm.particles import Variant, make_taped
+from gendom.sim.mpm.particles import Variant
 from gendom.sim.mpm.step import DIVERGED, GRID_FULL, OK
 from gendom.sim.setting import Frames
 
@@ -61,25 +61,24 @@ class Program:
 
     Args:
         worlds: On any device.
-        in_blocks: Whether as on CUDA. On the CPU, where tests do so, a block is one thread.
+        together: Whether all worlds are one group, as on CUDA.
     """
 
-    def __init__(self, worlds: Worlds, *, in_blocks: bool):
-        self.worlds = worlds
+    def __init__(self, worlds: Worlds, *, together: bool):
+        self.worlds, self.together = worlds, together
         W, N = worlds.num_worlds, worlds.num_particles
-        cuda = worlds.device.is_cuda
-        self.variant = Variant(worlds.real, worlds.damped, rows=not in_blocks)
+        self.variant = Variant(worlds.real, worlds.damped, together)
         self.crowded = W > MANY_WORLDS and N <= LARGE_BODY
-        if in_blocks:
-            room = self._shared_room() if cuda else 0
+        if worlds.device.is_cuda:
+            room = self._shared_room()
             threads = NARROW if self.crowded and room != ROOM_ALONE else WIDE
-            self.variant = Variant(
-                worlds.real, worlds.damped, rows=False, room=room, threads=threads if cuda else 1
-            )
-        self.particles = worlds.state
-        if in_blocks:
-            spare = (W, self.variant.components + 2, N)
-            self.particles = self.records(moduli=(W, 2, N), spare=spare, spare_order=(W, N))
+            self.variant = Variant(worlds.real, worlds.damped, together, room, threads)
+        self.particles = self.records(
+            moduli=(W, 2, N), spare=(W, self.variant.components + 2, N), spare_order=(W, N)
+        )
+        if not together:
+            near = worlds.setting.body.lattice.transpose(2, 1, 0).reshape(6, N)
+            self.particles.near = worlds.array(np.broadcast_to(near, (W, 6, N)), wp.int32)
         self.unsorted = worlds.zeros(W, worlds.real)
         self.load(make_advance(self.variant, taped=False))
         self.load(make_hold_as_at(worlds.real), ANY_THREADS)
@@ -100,7 +99,7 @@ class Program:
         return self.worlds.allocate(
             self.worlds.types.Records,
             of=(1 if self.variant.room else W, self.variant.components, N),
-            near=(W, 3, N),
+            near=(W, 3 if self.worlds.device.is_cuda else 6, N),
             **dict.fromkeys(("order", "place"), (W, N)),
             **more,
         )
@@ -114,9 +113,9 @@ class Program:
     def groups(self) -> list["Group"]:
         """The groups of worlds, the slowest first."""
         slowest = np.argsort(self.worlds.substep)
-        if self.variant.rows:
-            return [Group(self, slowest[n : n + 1]) for n in range(len(slowest))]
-        return [Group(self, slowest)]
+        if self.together:
+            return [Group(self, slowest)]
+        return [Group(self, slowest[n : n + 1]) for n in range(len(slowest))]
 
     def plan(self, began: float, times: NDArray[np.float64], particles: Any, x: Any) -> "Plan":
         """Set all worlds to go from ``began`` to each of the times [T] [s].
@@ -187,12 +186,7 @@ class Group:
 
     def begin(self) -> None:
         """Make a grid, which the worlds will build first."""
-        s = self.worlds
-        self.grid = s.make_grid(self.shared)
-        self.grid.velocity = self.grid.momentum
-        if not self.program.variant.rows:
-            self.grid.velocity = wp.zeros_like(self.grid.momentum)
-            self.program.particles.tally = s.zeros(self.grid.momentum.shape, wp.int32)
+        self.grid = self.worlds.make_grid(self.shared, self.shared, self.shared)
         self.set_clock("travel", REBUILD)
 
     def end(self) -> None:
@@ -260,7 +254,7 @@ class Group:
         program.launch(kernel, order, [
             self.shared, most, pause, frames, plan.arrays, s.clock, program.unsorted, s.model,
             s.paths, s.grips, s.state, s.last_good, grid, program.particles,
-            make_taped(program.variant).Struct() if tape is None else tape,
+            s.types.Records() if tape is None else tape,
         ], stream=stream)  # fmt: skip
 
     def look(self, plan: Plan, *, keep_going: bool) -> bool:

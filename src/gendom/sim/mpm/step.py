@@ -8,8 +8,7 @@
     6. g2p             velocity and affine velocity from the grid; x += dt v
 
 Both devices run this code: a block of threads on CUDA, one thread on the CPU, each for one world.
-Loops take every ``threads``-th particle from ``thread`` on. How particles are stored differs, see
-``particles``. Symplectic Euler.
+Loops take every ``threads``-th particle from ``thread`` on. Symplectic Euler.
 
 Shapes: W worlds, N particles, G grippers, L layouts of the grid, M nodes.
 """
@@ -49,32 +48,27 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
     types = make_types(real)
     vec3, mat33 = types.vec3, types.mat33
     Model, Grips, Clock = types.Model, types.Grips, types.Clock
-    moving, recorded = make_moving(variant), make_taped(variant)
-    Particles, Tape = moving.Struct, recorded.Struct
-    fields, kept = moving.fields, recorded.fields
+    Records, fields, kept = types.Records, make_moving(variant), make_taped(variant)
     forces_of = make_internal_forces(variant)
-    bspline, transfer = make_bspline(real, windowed=not variant.rows), make_transfer(real)
+    bspline, transfer = make_bspline(real, windowed=variant.threads > 1), make_transfer(real)
     window_type = bspline.window
     boundary, gripped = make_boundary(variant), make_gripped(variant)
     Substep, Grid = types.Substep, types.Grid
     block, branch = make_block(real), make_maxwell_branch(real).branch
     compensates = wp.constant(int(types.compensates))
     damped, keeps = wp.constant(int(variant.damped)), wp.constant(int(taped))
-    # the CPU divides momenta in place, and CUDA empties what it has divided
-    clears = wp.constant(int(taped or variant.rows))
-    empties = wp.constant(int(not taped and not variant.rows))
 
     # while, not range: with range the CPU's compiler cannot tell that indices are not negative, and
     # checks every array index (a fifth slower)
 
     @wp.func
-    def momentum_of(now: Substep, i: int, model: Model, particles: Particles):
+    def momentum_of(now: Substep, i: int, particles: Records):
         """Momentum of a particle with all impulses of the substep but the table's."""
         own = now.mass * (fields.v(particles, now.w, i) + now.h * now.gravity)
-        return own + forces_of.impulse_on(now, i, model, particles)
+        return own + forces_of.impulse_on(now, i, particles)
 
     @wp.func
-    def record_state(now: Substep, particles: Particles, tape: Tape):
+    def record_state(now: Substep, particles: Records, tape: Records):
         i = int(now.thread)
         while i < now.N:
             kept.put_x(tape, now.slot, i, fields.x(particles, now.w, i))
@@ -86,36 +80,36 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
             i += now.threads
 
     @wp.func
-    def record_momenta(now: Substep, model: Model, particles: Particles, tape: Tape):
+    def record_momenta(now: Substep, particles: Records, tape: Records):
         i = int(now.thread)
         while i < now.N:
-            kept.put_q(tape, now.slot, i, momentum_of(now, i, model, particles))
+            kept.put_q(tape, now.slot, i, momentum_of(now, i, particles))
             i += now.threads
 
     @wp.func
-    def touch(now: Substep, model: Model, particles: Particles):
+    def touch(now: Substep, model: Model, particles: Records):
         """Add to velocities what the table changes of each section's."""
         size = model.section
         share = real(1.0) / real(size)
         s = int(now.thread)
         while s < now.N // size:
-            first = moving.x_of(particles, now.w, s * size)
+            first = fields.x_of(particles, now.w, s * size)
             if boundary.near_table(first, model):
                 x = vec3()
                 q = vec3()
                 for p in range(s * size, (s + 1) * size):
-                    i = moving.place(particles, now.w, p)
+                    i = fields.place(particles, now.w, p)
                     x += fields.x(particles, now.w, i)
-                    q += momentum_of(now, i, model, particles)
+                    q += momentum_of(now, i, particles)
                 change = boundary.contact(now, share * x, (share / now.mass) * q, model)
                 if wp.length_sq(change) > real(0.0):
                     for p in range(s * size, (s + 1) * size):
-                        i = moving.place(particles, now.w, p)
+                        i = fields.place(particles, now.w, p)
                         fields.put_v(particles, now.w, i, fields.v(particles, now.w, i) + change)
             s += now.threads
 
     @wp.func
-    def p2g(now: Substep, model: Model, grips: Grips, particles: Particles, grid: Grid):
+    def p2g(now: Substep, grips: Grips, particles: Records, grid: Grid):
         """Add to the grid mass and momentum of particles that are not held firmly."""
         window = window_type()
         held = wp.vec3i(-1, -1, -1)
@@ -126,7 +120,7 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
             free = grips.stored_free[now.w, i]
             if free == real(0.0):
                 continue
-            q = momentum_of(now, i, model, particles)
+            q = momentum_of(now, i, particles)
             if free < real(1.0):
                 q += (real(1.0) - free) * (now.mass * grips.driven[now.w, i] - q)
             node, f, given = transfer.given_by(
@@ -139,7 +133,7 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
         bspline.flush(window, held, grid.momentum, now.slot, grid.start, now.layout)
 
     @wp.func
-    def move(now: Substep, i: int, x: vec3, v: vec3, affine: mat33, of: Particles):
+    def move(now: Substep, i: int, x: vec3, v: vec3, affine: mat33, of: Records):
         """Advance a particle from x; return the square of its way [m^2], too long a one for a NaN.
 
         In float32, x rounded alone loses what is smaller than its last bit: slow bodies stand
@@ -161,7 +155,7 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
         return far
 
     @wp.func
-    def move_gripped(now: Substep, grips: Grips, particles: Particles):
+    def move_gripped(now: Substep, grips: Grips, particles: Records):
         """Move what grippers hold firmly; return the square of a thread's longest way."""
         far = real(0.0)
         for n in range(now.thread, now.holding, now.threads):
@@ -176,7 +170,7 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
         return far
 
     @wp.func
-    def g2p(now: Substep, grips: Grips, particles: Particles, grid: Grid):
+    def g2p(now: Substep, grips: Grips, particles: Records, grid: Grid):
         """Move all others with the grid; return the square of a thread's longest way."""
         far = real(0.0)
         i = int(now.thread)
@@ -190,7 +184,7 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
 
     @wp.func
     def substep(
-        now: Substep, model: Model, clock: Clock, grips: Grips, particles: Particles, tape: Tape,
+        now: Substep, model: Model, clock: Clock, grips: Grips, particles: Records, tape: Records,
         grid: Grid,
     ):  # fmt: skip
         """Take a world's particles from one state to the next.
@@ -206,7 +200,7 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
         if keeps == 1:
             tape.layout_of[now.slot] = now.layout
             record_state(now, particles, tape)
-        if clears == 1:
+        if keeps == 1:
             bspline.clear(grid.momentum, now.slot, now.thread, now.threads, nodes)
         keep, share = branch(model.damping[now.w], now.h, now.age)
         now.keep = keep
@@ -215,17 +209,17 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
         if inverted == 1:
             return INVERTED, real(0.0)
         if keeps == 1:
-            record_momenta(now, model, particles, tape)
+            record_momenta(now, particles, tape)
             block.sync()
         if now.near_table == 1:
             touch(now, model, particles)
             block.sync()
-        p2g(now, model, grips, particles, grid)
+        p2g(now, grips, particles, grid)
         block.sync()
         far = move_gripped(now, grips, particles)
         bspline.normalise(
             grid.momentum, now.slot, grid.velocity, now.row, now.thread, now.threads, nodes,
-            now.keep_velocity, empties,
+            now.keep_velocity, 1 - keeps,
         )  # fmt: skip
         block.sync()
         far = wp.max(far, g2p(now, grips, particles, grid))
@@ -242,31 +236,29 @@ def make_substep_adjoint(variant: Variant) -> Any:
     vec3, mat33 = types.vec3, types.mat33
     Model, Grips = types.Model, types.Grips
     ConditionsAdjoint, Substep, Grid = types.ConditionsAdjoint, types.Substep, types.Grid
-    taped, adjoint_of = make_taped(variant), make_moving(variant)
-    Tape, Adjoint = taped.Struct, adjoint_of.Struct
-    before, fields = taped.fields, adjoint_of.fields
+    Records, before, fields = types.Records, make_taped(variant), make_moving(variant)
     forces_of = make_internal_forces(variant)
-    bspline, transfer = make_bspline(real, windowed=not variant.rows), make_transfer(real)
+    bspline, transfer = make_bspline(real, windowed=variant.threads > 1), make_transfer(real)
     window_type = bspline.window
     boundary, gripped = make_boundary(variant), make_gripped(variant)
     block, branch = make_block(real), make_maxwell_branch(real).branch
     largest = 1.0e37 if real == wp.float32 else 1.0e300
 
     @wp.func
-    def section_motion(now: Substep, s: int, model: Model, tape: Tape):
+    def section_motion(now: Substep, s: int, model: Model, tape: Records):
         """Mean position of section s, and its mean velocity without contact."""
         size = model.section
         x = vec3()
         q = vec3()
         for p in range(s * size, (s + 1) * size):
-            i = taped.place(tape, now.slot, p)
+            i = before.place(tape, now.slot, p)
             x += before.x(tape, now.slot, i)
             q += before.q(tape, now.slot, i)
         share = real(1.0) / real(size)
         return share * x, (share / now.mass) * q
 
     @wp.func
-    def g2p_adjoint(now: Substep, grips: Grips, tape: Tape, adjoint: Adjoint, grid: Grid):
+    def g2p_adjoint(now: Substep, grips: Grips, tape: Records, adjoint: Records, grid: Grid):
         """Set derivatives by the nodes' velocities, add to those by x."""
         window = window_type()
         held = wp.vec3i(-1, -1, -1)
@@ -300,7 +292,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
 
     @wp.func
     def p2g_adjoint(
-        now: Substep, model: Model, grips: Grips, tape: Tape, adjoint: Adjoint, grid: Grid,
+        now: Substep, model: Model, grips: Grips, tape: Records, adjoint: Records, grid: Grid,
         by: ConditionsAdjoint,
     ):  # fmt: skip
         """Set derivatives by C and by v (as found in those by momentum), add to those by x, m."""
@@ -317,7 +309,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
                 own = per_mass * before.q(tape, now.slot, i)
                 u = own
                 if model.table == 1:
-                    u += by.touched[now.w, adjoint_of.particle(adjoint, now.w, i) // model.section]
+                    u += by.touched[now.w, fields.particle(adjoint, now.w, i) // model.section]
                 v = u
                 if free < real(1.0):
                     v += (real(1.0) - free) * (grips.driven[now.w, i] - u)
@@ -336,13 +328,13 @@ def make_substep_adjoint(variant: Variant) -> Any:
             # the first one found is named; a NaN is not below anything
             size = wp.length_sq(x_bar) + wp.length_sq(u_bar)
             if not (size < real(largest)) and wp.atomic_max(by.status, now.w, NOT_FINITE) == OK:
-                by.failed_particle[now.w] = adjoint_of.particle(adjoint, now.w, i)
+                by.failed_particle[now.w] = fields.particle(adjoint, now.w, i)
                 by.failed_slot[now.w] = now.gone
             i += now.threads
 
     @wp.func
     def touch_adjoint(
-        now: Substep, model: Model, tape: Tape, adjoint: Adjoint, by: ConditionsAdjoint
+        now: Substep, model: Model, tape: Records, adjoint: Records, by: ConditionsAdjoint
     ):
         """Add to derivatives by x, by momenta (as found in those by v) and by mass."""
         size = model.section
@@ -352,30 +344,28 @@ def make_substep_adjoint(variant: Variant) -> Any:
             if wp.length_sq(by.touched[now.w, s]) > real(0.0):
                 change_bar = vec3()
                 for p in range(s * size, (s + 1) * size):
-                    change_bar += fields.v(adjoint, now.w, adjoint_of.place(adjoint, now.w, p))
+                    change_bar += fields.v(adjoint, now.w, fields.place(adjoint, now.w, p))
                 x, u = section_motion(now, s, model, tape)
                 by_x, by_u = boundary.contact_adjoint(now, x, u, model, change_bar, by)
                 # u is momentum over mass
-                first = adjoint_of.place(adjoint, now.w, s * size)
+                first = fields.place(adjoint, now.w, s * size)
                 sums[now.w, MASS, first] = sums[now.w, MASS, first] - wp.dot(by_u, u) / now.mass
                 by_x = by_x / real(size)
                 by_u = by_u / real(size)
                 for p in range(s * size, (s + 1) * size):
-                    i = adjoint_of.place(adjoint, now.w, p)
+                    i = fields.place(adjoint, now.w, p)
                     fields.put_x(adjoint, now.w, i, fields.x(adjoint, now.w, i) + by_x)
                     fields.put_v(adjoint, now.w, i, fields.v(adjoint, now.w, i) + by_u)
             s += now.threads
 
     @wp.func
-    def momenta_adjoint(
-        now: Substep, model: Model, tape: Tape, adjoint: Adjoint, by: ConditionsAdjoint
-    ):
+    def momenta_adjoint(now: Substep, tape: Records, adjoint: Records, by: ConditionsAdjoint):
         """From derivatives by momenta to those by x, v, mass and gravity."""
         sums = adjoint.sums
         gravity_sum = vec3()
         i = int(now.thread)
         while i < now.N:
-            x_bar, wind_bar = forces_of.impulse_on_adjoint(now, i, model, adjoint)
+            x_bar, wind_bar = forces_of.impulse_on_adjoint(now, i, adjoint)
             fields.put_x(adjoint, now.w, i, fields.x(adjoint, now.w, i) + x_bar)
             v_bar = fields.v(adjoint, now.w, i)
             gravity_sum += now.h * v_bar
@@ -387,7 +377,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
 
     @wp.func
     def substep_adjoint(
-        now: Substep, model: Model, grips: Grips, tape: Tape, adjoint: Adjoint, grid: Grid,
+        now: Substep, model: Model, grips: Grips, tape: Records, adjoint: Records, grid: Grid,
         by: ConditionsAdjoint,
     ):  # fmt: skip
         """From derivatives by the state after substep ``gone`` of a recording to those by the state
@@ -429,7 +419,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
         now.share = share
         forces_of.forces_adjoint(now, model, tape, adjoint, by)
         block.sync()
-        momenta_adjoint(now, model, tape, adjoint, by)
+        momenta_adjoint(now, tape, adjoint, by)
         block.sync()
 
     return substep_adjoint

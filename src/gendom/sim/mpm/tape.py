@@ -18,7 +18,7 @@ from gendom.errors import SimulationError
 from gendom.sim.gradients import Gradients
 from gendom.sim.mpm.kernels import SUMS, make_advance, make_reverse
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.mpm.particles import DRAG, LAM, MASS, MU, make_taped
+from gendom.sim.mpm.particles import DRAG, LAM, MASS, MU
 from gendom.sim.mpm.runner import REBUILD, Group, Plan, Program, for_groups
 from gendom.sim.mpm.step import GRID_FULL, NOT_FINITE
 
@@ -254,17 +254,15 @@ class Recording:
         self.room, self.substeps = s.room, substeps
         n, N = group.shared, s.num_particles
         # nothing is read before it was written: memory that is never needed is never touched
-        self.grid = s.make_grid(layouts * n, rows=substeps * n, make=wp.empty)
-        self.grid.velocity = wp.zeros((n, s.room[2]), dtype=s.types.vec4, device=s.device)
         rows = substeps * n
-        if variant.rows:
-            shapes: dict[str, Any] = dict.fromkeys(("x", "v", "C", "q"), (rows, N))
-            shapes |= {"Z": (rows, 6, N)} if variant.damped else {}
-        else:
-            shapes = {"of": (rows, variant.taped, N)} | dict.fromkeys(
-                ("order", "place"), (layouts * n, N)
-            )
-        self.tape = s.allocate(make_taped(variant).Struct, wp.empty, layout_of=rows, **shapes)
+        self.grid = s.make_grid(n, layouts * n, rows, wp.empty)
+        self.tape = s.allocate(
+            s.types.Records,
+            wp.empty,
+            of=(rows, variant.taped, N),
+            layout_of=rows,
+            **dict.fromkeys(("order", "place"), (layouts * n, N)),
+        )
 
 
 def _row_bytes(program: Program, substeps_a_layout: int) -> float:
@@ -284,14 +282,9 @@ class Sums:
         s, variant = program.worlds, program.variant
         types, W, N = s.types, s.num_worlds, s.num_particles
         G, K = s.paths.time.shape[1:]
-        self.adjoint = self.state = s.make_state(W, wp.zeros)
+        self.state = s.make_state(W, wp.zeros)
         self.state.sums = s.zeros((W, SUMS, N), s.real)
-        if variant.rows:
-            self.state.impulses = s.zeros((W, N), types.impulses)
-        else:
-            self.adjoint = program.records(
-                sums=(W, SUMS, N), spare=(W, variant.components + SUMS, N)
-            )
+        self.adjoint = program.records(sums=(W, SUMS, N), spare=(W, variant.components + SUMS, N))
         by_world = (
             "friction", "velocity_damping", "damping", "gravity", "damping_factor",
             "branch_factor", "branch_share", "status", "failed_slot", "failed_particle",
@@ -370,12 +363,9 @@ class Sums:
         slot = int(self.conditions.failed_slot.numpy()[w])
         particle = int(self.conditions.failed_particle.numpy()[w])
         row = slot * group.shared + group.layouts[n]
-        if self.program.variant.rows:
-            x = recording.tape.x.numpy()[row]
-        else:
-            place = recording.tape.place.numpy()[recording.tape.layout_of.numpy()[row]]
-            record: Any = recording.tape.of[row]
-            x = record.numpy()[:3, place].T
+        place = recording.tape.place.numpy()[recording.tape.layout_of.numpy()[row]]
+        record: Any = recording.tape.of[int(row)]
+        x = record.numpy()[:3, place].T
         J = float(np.linalg.det(s.deformation_at(x)[particle].astype(float)))
         cause = (
             f"its volume is {J:.2g} of that at rest, where the stress law is singular"

@@ -24,13 +24,11 @@ class Namespace(SimpleNamespace):
 def make_types(real: Any) -> Namespace:
     """The types for ``wp.float32`` or ``wp.float64``: vectors, matrices, and the structs below.
 
-    A particle's ``impulses`` on its neighbours are a row for each lattice axis, padded.
     ``compensates`` says whether positions keep what rounding leaves out.
     """
     vec3 = wp.types.vector(3, real)
     vec4 = wp.types.vector(4, real)
     mat33 = wp.types.matrix((3, 3), real)
-    impulse_rows = wp.types.matrix((3, 4), real)
 
     @wp.struct
     class Model:
@@ -49,7 +47,6 @@ def make_types(real: Any) -> Namespace:
         contact_radius: real  # height of a section's centre above the table at rest [m]
         lattice: wp.array3d(dtype=wp.int32)  # [N, 3, 2]
         frame: wp.array2d(dtype=real)  # [6, N] rest frame's upper triangle but for a rotation [1/m]
-        per_span: wp.array2d(dtype=real)  # [2, N] 1 / spacings between neighbours along two axes
         dx: real  # edge of a cell of the grid [m]
         gravity: wp.array(dtype=vec3)  # [W] [m/s^2]
         velocity_damping: wp.array(dtype=real)  # [W] [1/s]
@@ -94,6 +91,7 @@ def make_types(real: Any) -> Namespace:
         momentum: wp.array2d(dtype=vec4)  # [rows, M] and mass
         velocity: wp.array2d(dtype=vec4)  # [rows, M] and mass
         velocity_bar: wp.array2d(dtype=vec4)  # [rows, M] for the reverse; then by momentum and mass
+        tally: wp.array2d(dtype=wp.int32)  # [rows, M] scratch
 
     @wp.struct
     class Grips:
@@ -126,36 +124,29 @@ def make_types(real: Any) -> Namespace:
 
     @wp.struct
     class State:
-        """Particles, a row for each world or each recorded substep, or derivatives by them."""
+        """Particles between launches, or derivatives by them."""
 
-        x: wp.array2d(dtype=vec3)  # [rows, N] [m]
-        v: wp.array2d(dtype=vec3)  # [rows, N] [m/s]
-        C: wp.array2d(dtype=mat33)  # [rows, N] [1/s]
-        Z: wp.array3d(dtype=real)  # [rows, 6, N] filtered stress, of bodies with damping [Pa]
-        # [W, N] what x leaves out of the position by rounding, in float32 [m]; not by rows
-        low: wp.array2d(dtype=vec3)
-        # [W, N] on neighbours in this substep; or derivatives by the differences between
-        # neighbours, and by v through the air; on the CPU
-        impulses: wp.array2d(dtype=impulse_rows)
-        q: wp.array2d(dtype=vec3)  # [rows, N] recorded: momentum with all impulses but the table's
-        layout_of: wp.array(dtype=wp.int32)  # [rows] recorded: layout of each substep
+        x: wp.array2d(dtype=vec3)  # [W, N] [m]
+        v: wp.array2d(dtype=vec3)  # [W, N] [m/s]
+        C: wp.array2d(dtype=mat33)  # [W, N] [1/s]
+        Z: wp.array3d(dtype=real)  # [W, 6, N] filtered stress, of bodies with damping [Pa]
+        low: wp.array2d(dtype=vec3)  # [W, N] what rounding leaves out of x, in float32 [m]
         sums: wp.array3d(dtype=real)  # [W, 4, N] derivatives by each particle's parameters
 
     @wp.struct
     class Records:
-        """The same in an order of their own, see ``particles``."""
+        """The same in a launch or on a tape, in an order of their own, see ``particles``."""
 
         of: wp.array3d(dtype=real)  # [rows, components, N], or [1, ...] in shared memory
         moduli: wp.array3d(dtype=real)  # [W, 2, N] mu, lam
         order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record; recorded: [L, N]
         place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle; recorded: [L, N]
-        near: wp.array3d(dtype=wp.int32)  # [W, 3, N] records of its neighbours
-        layout_of: wp.array(dtype=wp.int32)  # as of ``State``
-        sums: wp.array3d(dtype=real)
+        near: wp.array3d(dtype=wp.int32)  # [W, 6, N] records of its neighbours; [W, 3, N] on CUDA
+        layout_of: wp.array(dtype=wp.int32)  # [rows] recorded: layout of each substep
+        sums: wp.array3d(dtype=real)  # as of ``State``
         # scratch
         spare: wp.array3d(dtype=real)  # [W, components + 4, N]
         spare_order: wp.array2d(dtype=wp.int32)  # [W, N]
-        tally: wp.array2d(dtype=wp.int32)  # [W, M]
 
     @wp.struct
     class Clock:
@@ -209,8 +200,8 @@ def make_types(real: Any) -> Namespace:
         failed_particle: wp.array(dtype=wp.int32)  # [W]
 
     return Namespace(
-        real=real, vec3=vec3, vec4=vec4, mat33=mat33, impulses=impulse_rows,
-        compensates=real == wp.float32, Model=Model, Substep=Substep, Grid=Grid,
-        Paths=make_path_type(real), Grips=Grips, State=State, Records=Records, Clock=Clock,
-        FramePlan=FramePlan, ConditionsAdjoint=ConditionsAdjoint,
+        real=real, vec3=vec3, vec4=vec4, mat33=mat33, compensates=real == wp.float32,
+        Model=Model, Substep=Substep, Grid=Grid, Paths=make_path_type(real), Grips=Grips,
+        State=State, Records=Records, Clock=Clock, FramePlan=FramePlan,
+        ConditionsAdjoint=ConditionsAdjoint,
     )  # fmt: skip

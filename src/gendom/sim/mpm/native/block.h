@@ -56,7 +56,7 @@ CUDA_CALLABLE inline real& component(const wp::array_t<real>& of, int row, int c
     extern __shared__ __align__(16) unsigned char gendom_shared[];
     if (in_shared) return ((real*)gendom_shared)[c * of.shape[2] + i];
 #endif
-    return wp::index(of, row, c, i);
+    return of.data[((size_t)row * of.shape[1] + c) * of.shape[2] + i];
 }
 
 // Where a byte of that memory is.

@@ -1,7 +1,7 @@
 // Internal forces of particles and their transpose, see gendom.sim.mpm.internal_forces.
 //
-// Numbers are of type T: of rows (CPU) lanes, several neighbouring particles side by side, of records
-// those of one particle. A rotation of the rest frame changes nothing for an isotropic body: of the
+// Numbers are of type T: on the CPU lanes, those of several neighbouring records side by side, on CUDA
+// those of one. A rotation of the rest frame changes nothing for an isotropic body: of the
 // frame B = U Q only the triangular U is needed, F = D U, and the pulls on the neighbours are P U^T.
 #pragma once
 
@@ -213,103 +213,177 @@ GENDOM_INLINE void internal_forces_adjoint(const At& at, const Model& model, int
 enum { RECORD_V = 3, RECORD_IMPULSES = 15, RECORD_LOW = 24, RECORD_Z = 27, TAPED_Z = 18 };
 enum { BY_MU = 0, BY_LAM = 1, BY_DRAG = 3 };
 
-// Where particle i's neighbours are, before and behind along an axis; two indices in a number.
-struct neighbours {
-    int of[3];
-    GENDOM_INLINE neighbours(const wp::array_t<int>& near, int w, int i)
-        : of{wp::index(near, w, 0, i), wp::index(near, w, 1, i), wp::index(near, w, 2, i)} {}
-    GENDOM_INLINE int before(int axis) const { return of[axis] & 0xffff; }
-    GENDOM_INLINE int behind(int axis) const { return of[axis] >> 16; }
-};
+// Numbers of type T, lane by lane.
+template <typename T, typename Job> GENDOM_INLINE T by_lane(Job number) {
+    typedef typename number_of<T>::type real;
+    T made;
+    #pragma unroll
+    for (unsigned l = 0; l < sizeof(T) / sizeof(real); ++l) ((real*)&made)[l] = number(l);
+    return made;
+}
 
-// Components of a row of an array, or of shared memory.
-template <typename real, bool in_shared> struct components {
+// Components of a row of an array, or of shared memory, for the records from i on.
+template <bool in_shared, typename real> struct components {
     const wp::array_t<real>& of;
     const int row;
 
     GENDOM_INLINE real& at(int c, int i) const { return component<in_shared>(of, row, c, i); }
-    GENDOM_INLINE vec<real> get3(int c, int i) const { return {at(c, i), at(c + 1, i), at(c + 2, i)}; }
-    GENDOM_INLINE void put3(int c, int i, const vec<real>& a) const {
-        at(c, i) = a.x, at(c + 1, i) = a.y, at(c + 2, i) = a.z;
+    template <typename T> GENDOM_INLINE T get(int c, int i) const {
+#if defined(__CUDA_ARCH__)
+        return at(c, i);
+#else
+        T found;
+        __builtin_memcpy(&found, &at(c, i), sizeof(T));  // lanes begin at any number
+        return found;
+#endif
     }
-    GENDOM_INLINE symmetric<real> get_symmetric(int c, int i) const { return {get3(c, i), get3(c + 3, i)}; }
-    GENDOM_INLINE void put_symmetric(int c, int i, const symmetric<real>& S) const {
+    template <typename T> GENDOM_INLINE void put(int c, int i, const T& a) const {
+#if defined(__CUDA_ARCH__)
+        at(c, i) = a;
+#else
+        __builtin_memcpy(&at(c, i), &a, sizeof(T));
+#endif
+    }
+    template <typename T> GENDOM_INLINE vec<T> get3(int c, int i) const {
+        return {get<T>(c, i), get<T>(c + 1, i), get<T>(c + 2, i)};
+    }
+    template <typename T> GENDOM_INLINE void put3(int c, int i, const vec<T>& a) const {
+        put(c, i, a.x), put(c + 1, i, a.y), put(c + 2, i, a.z);
+    }
+    template <typename T> GENDOM_INLINE symmetric<T> get_symmetric(int c, int i) const {
+        return {get3<T>(c, i), get3<T>(c + 3, i)};
+    }
+    template <typename T> GENDOM_INLINE void put_symmetric(int c, int i, const symmetric<T>& S) const {
         put3(c, i, S.on), put3(c + 3, i, S.off);
     }
-    GENDOM_INLINE matrix<real> differences(int c, const neighbours& near) const {
-        return {get3(c, near.behind(0)) - get3(c, near.before(0)),
-                get3(c, near.behind(1)) - get3(c, near.before(1)),
-                get3(c, near.behind(2)) - get3(c, near.before(2))};
+    template <typename T> GENDOM_INLINE void put_columns(int c, int i, const matrix<T>& A) const {
+        put3(c, i, A.a), put3(c + 3, i, A.b), put3(c + 6, i, A.c);
     }
 };
 
-// The i-th record of a world as it moves, or its derivatives while a tape is reversed.
-template <bool in_shared, bool reversed, typename real, typename Model, typename Records> struct record {
-    typedef real T;
+// The record before record i along an axis, and the one behind it; on CUDA two indices in a number.
+#if defined(__CUDA_ARCH__)
+GENDOM_INLINE int before(const wp::array_t<int>& near, int w, int axis, int i) {
+    return wp::index(near, w, axis, i) & 0xffff;
+}
+GENDOM_INLINE int behind(const wp::array_t<int>& near, int w, int axis, int i) {
+    return wp::index(near, w, axis, i) >> 16;
+}
+GENDOM_INLINE void put_near(const wp::array_t<int>& near, int w, int axis, int i, int before, int behind) {
+    wp::index(near, w, axis, i) = before | behind << 16;
+}
+#else
+inline int before(const wp::array_t<int>& near, int w, int axis, int i) {
+    return wp::index(near, w, axis, i);
+}
+inline int behind(const wp::array_t<int>& near, int w, int axis, int i) {
+    return wp::index(near, w, axis + 3, i);
+}
+inline void put_near(const wp::array_t<int>& near, int w, int axis, int i, int before, int behind) {
+    wp::index(near, w, axis, i) = before, wp::index(near, w, axis + 3, i) = behind;
+}
+#endif
+
+// The records of a world from the i-th on as they move, or their derivatives while a tape is reversed.
+template <bool in_shared, bool reversed, typename Lanes, typename real, typename Model, typename Records>
+struct record {
+    typedef Lanes T;
     const Model& model;
     const Records& stored;
-    const int w, i, p;
-    const neighbours near;
-    const components<real, in_shared> own;
-    const components<real, in_shared && !reversed> state;
+    const int w, i;
+    const components<in_shared, real> own;
+    const components<in_shared && !reversed, real> state;
 
     GENDOM_INLINE record(const Model& model, const Records& stored, int w, int i,
                          const wp::array_t<real>& states, int row)
-        : model(model), stored(stored), w(w), i(i), p(wp::index(stored.order, w, i)),
-          near(stored.near, w, i), own{stored.of, w}, state{states, row} {}
-    GENDOM_INLINE rest_frame<real> frame() const {
-        const auto u = [&](int c) { return wp::index(model.frame, c, p); };
-        const real zero = real(0);
+        : model(model), stored(stored), w(w), i(i), own{stored.of, w}, state{states, row} {}
+    // Of the model, whose numbers are in the order of particles.
+    GENDOM_INLINE T of_particles(const wp::array_t<real>& numbers, int row) const {
+        return by_lane<T>([&](int l) { return wp::index(numbers, row, wp::index(stored.order, w, i + l)); });
+    }
+    GENDOM_INLINE rest_frame<T> frame() const {
+        const auto u = [&](int c) { return of_particles(model.frame, c); };
+        const T zero = T(real(0));
         return {{{u(0), zero, zero}, {u(1), u(3), zero}, {u(2), u(4), u(5)}}};
     }
-    GENDOM_INLINE real per_span(int axis) const {
-        return near.before(axis) == i || near.behind(axis) == i ? real(1) : real(0.5);
+    GENDOM_INLINE T per_span(int axis) const {
+        return by_lane<T>([&](int l) {
+            const int a = before(stored.near, w, axis, i + l), b = behind(stored.near, w, axis, i + l);
+            return a == i + l || b == i + l ? real(1) : real(0.5);
+        });
     }
-    GENDOM_INLINE real mu() const {
-        return reversed ? wp::index(model.mu, w, p) : wp::index(stored.moduli, w, 0, i);
+    GENDOM_INLINE T modulus(const wp::array_t<real>& of, int c) const {
+        if constexpr (reversed) return of_particles(of, w);
+        else return components<false, real>{stored.moduli, w}.template get<T>(c, i);
     }
-    GENDOM_INLINE real lam() const {
-        return reversed ? wp::index(model.lam, w, p) : wp::index(stored.moduli, w, 1, i);
+    GENDOM_INLINE T mu() const { return modulus(model.mu, 0); }
+    GENDOM_INLINE T lam() const { return modulus(model.lam, 1); }
+    template <typename Store> GENDOM_INLINE vec<T> along(const Store& of, int c, int axis) const {
+        vec<T> d;
+        #pragma unroll
+        for (unsigned l = 0; l < sizeof(T) / sizeof(real); ++l) {
+            const int a = before(stored.near, w, axis, i + l), b = behind(stored.near, w, axis, i + l);
+            ((real*)&d.x)[l] = of.at(c, b) - of.at(c, a);
+            ((real*)&d.y)[l] = of.at(c + 1, b) - of.at(c + 1, a);
+            ((real*)&d.z)[l] = of.at(c + 2, b) - of.at(c + 2, a);
+        }
+        return d;
     }
-    GENDOM_INLINE matrix<real> differences() const { return state.differences(0, near); }
-    GENDOM_INLINE matrix<real> differences_bar() const { return own.differences(RECORD_V, near); }
-    GENDOM_INLINE vec<real> velocity() const { return state.get3(RECORD_V, i); }
-    GENDOM_INLINE vec<real> velocity_bar() const { return own.get3(RECORD_V, i); }
-    GENDOM_INLINE symmetric<real> filtered() const {
-        return state.get_symmetric(reversed ? TAPED_Z : RECORD_Z, i);
+    GENDOM_INLINE matrix<T> differences() const {
+        return {along(state, 0, 0), along(state, 0, 1), along(state, 0, 2)};
     }
-    GENDOM_INLINE symmetric<real> filtered_bar() const { return own.get_symmetric(RECORD_Z, i); }
-    GENDOM_INLINE void put_filtered(const symmetric<real>& Z) const { own.put_symmetric(RECORD_Z, i, Z); }
-    GENDOM_INLINE void put_pulls(const matrix<real>& P) const {
-        own.put3(RECORD_IMPULSES, i, P.a), own.put3(RECORD_IMPULSES + 3, i, P.b);
-        own.put3(RECORD_IMPULSES + 6, i, P.c);
+    GENDOM_INLINE matrix<T> differences_bar() const {
+        return {along(own, RECORD_V, 0), along(own, RECORD_V, 1), along(own, RECORD_V, 2)};
     }
-    GENDOM_INLINE void put(const matrix<real>& P, const vec<real>& wind) const {
-        put_pulls(P);
+    GENDOM_INLINE vec<T> velocity() const { return state.template get3<T>(RECORD_V, i); }
+    GENDOM_INLINE vec<T> velocity_bar() const { return own.template get3<T>(RECORD_V, i); }
+    GENDOM_INLINE symmetric<T> filtered() const {
+        return state.template get_symmetric<T>(reversed ? TAPED_Z : RECORD_Z, i);
+    }
+    GENDOM_INLINE symmetric<T> filtered_bar() const { return own.template get_symmetric<T>(RECORD_Z, i); }
+    GENDOM_INLINE void put_filtered(const symmetric<T>& Z) const { own.put_symmetric(RECORD_Z, i, Z); }
+    GENDOM_INLINE void put(const matrix<T>& P, const vec<T>& wind) const {
+        own.put_columns(RECORD_IMPULSES, i, P);
         if (wp::index(model.drag, w) > real(0))
-            own.put3(RECORD_V, i, velocity() + real(1) / wp::index(model.mass, w) * wind);
+            own.put3(RECORD_V, i, velocity() + T(real(1) / wp::index(model.mass, w)) * wind);
     }
-    GENDOM_INLINE void put_bars(const matrix<real>& D_bar, const vec<real>& v_bar, real by_mu,
-                                real by_lam, real by_drag) const {
-        put_pulls(D_bar);
+    GENDOM_INLINE void put_bars(const matrix<T>& D_bar, const vec<T>& v_bar, const T& by_mu,
+                                const T& by_lam, const T& by_drag) const {
+        own.put_columns(RECORD_IMPULSES, i, D_bar);
         own.put3(RECORD_LOW, i, v_bar);
-        wp::index(stored.sums, w, BY_MU, i) += by_mu;
-        wp::index(stored.sums, w, BY_LAM, i) += by_lam;
-        wp::index(stored.sums, w, BY_DRAG, i) += by_drag;
+        const components<false, real> sums = {stored.sums, w};
+        sums.put(BY_MU, i, sums.template get<T>(BY_MU, i) + by_mu);
+        sums.put(BY_LAM, i, sums.template get<T>(BY_LAM, i) + by_lam);
+        sums.put(BY_DRAG, i, sums.template get<T>(BY_DRAG, i) + by_drag);
     }
-    GENDOM_INLINE int inverted(real J) const { return J > real(0) ? -1 : p; }
-    GENDOM_INLINE void add_up(real value, double& sum) const { sum += value; }
+    GENDOM_INLINE int inverted(const T& J) const {
+        int found = -1;
+        for (unsigned l = 0; l < sizeof(T) / sizeof(real); ++l)
+            if (!(((const real*)&J)[l] > real(0))) found = wp::index(stored.order, w, i + l);
+        return found;
+    }
+    GENDOM_INLINE void add_up(const T& value, double& sum) const { sum += sum_of(value); }
 };
 
-// By the threads of a block.
+// Calls `job` with the records from each on that a thread has to do: a lane each, the last ones alone.
+template <typename real, typename Job>
+GENDOM_INLINE void over_records(int thread, int threads, int N, Job job) {
+    typedef typename several<real>::lanes T;
+    constexpr int width = sizeof(T) / sizeof(real);
+    int i = thread;
+    for (; i + width <= N; i += width * threads) job(T(), i);
+    if constexpr (width > 1)
+        for (; i < N; ++i) job(real(), i);
+}
 template <bool in_shared, typename real, typename Model, typename Records>
 GENDOM_INLINE int forces_of_records(int w, int thread, int threads, real dt, real keep, real share,
                                     const Model& model, const Records& records) {
     int failed = -1;
-    for (int i = thread; i < records.of.shape[2]; i += threads) {
-        const record<in_shared, false, real, Model, Records> at(model, records, w, i, records.of, w);
+    over_records<real>(thread, threads, records.of.shape[2], [&](auto lanes, int i) {
+        const record<in_shared, false, decltype(lanes), real, Model, Records> at(model, records, w, i,
+                                                                                 records.of, w);
         failed = wp::max(failed, internal_forces(at, model, w, dt, maxwell<real>{keep, share}));
-    }
+    });
     return failed;
 }
 template <bool in_shared, typename real, typename Model, typename Records>
@@ -317,10 +391,11 @@ GENDOM_INLINE wp::vec2d adjoint_of_records(int w, int thread, int threads, int r
                                            real share, const Model& model, const Records& tape,
                                            const Records& adjoint) {
     wp::vec2d by_damped;
-    for (int i = thread; i < adjoint.of.shape[2]; i += threads) {
-        const record<in_shared, true, real, Model, Records> at(model, adjoint, w, i, tape.of, row);
+    over_records<real>(thread, threads, adjoint.of.shape[2], [&](auto lanes, int i) {
+        const record<in_shared, true, decltype(lanes), real, Model, Records> at(model, adjoint, w, i,
+                                                                                tape.of, row);
         internal_forces_adjoint(at, model, w, dt, maxwell<real>{keep, share}, by_damped);
-    }
+    });
     return by_damped;
 }
 
@@ -328,169 +403,16 @@ GENDOM_INLINE wp::vec2d adjoint_of_records(int w, int thread, int threads, int r
 // neighbours. Where the lattice ends a particle stands in for the neighbour that it lacks.
 template <bool in_shared, typename real>
 GENDOM_INLINE vec3<real> pulled_record(int w, int i, const wp::array_t<real>& of,
-                                       const wp::array_t<int>& near_of) {
-    const components<real, in_shared> own = {of, w};
-    const neighbours near(near_of, w, i);
+                                       const wp::array_t<int>& near) {
+    const components<in_shared, real> own = {of, w};
     vec<real> total = {real(0), real(0), real(0)};
     #pragma unroll
     for (int axis = 0; axis < 3; ++axis) {
-        const int a = near.before(axis), b = near.behind(axis);
-        total = total + real(b == i ? -1 : 1) * own.get3(RECORD_IMPULSES + 3 * axis, b) -
-                real(a == i ? -1 : 1) * own.get3(RECORD_IMPULSES + 3 * axis, a);
+        const int a = before(near, w, axis, i), b = behind(near, w, axis, i);
+        total = total + real(b == i ? -1 : 1) * own.template get3<real>(RECORD_IMPULSES + 3 * axis, b) -
+                real(a == i ? -1 : 1) * own.template get3<real>(RECORD_IMPULSES + 3 * axis, a);
     }
     return vec3<real>(total.x, total.y, total.z);
 }
-
-// ---- rows: several neighbouring particles side by side -------------------------------------------
-
-#if !defined(__CUDA_ARCH__)
-
-template <typename real> using impulses_of = wp::mat_t<3, 4, real>;  // a row for each axis, padded
-
-// Particles of a row of states, as they move, or their derivatives while a tape is reversed.
-template <typename real, typename Model, typename State> struct side_by_side {
-    typedef typename several<real>::lanes T;
-    static constexpr int width = sizeof(T) / sizeof(real);
-    const Model& model;
-    const State &state, &own;
-    const int row, w, first, fresh;  // particles before `fresh` have been done
-
-    static T numbers(const real& a) {
-        T found;
-        __builtin_memcpy(&found, &a, sizeof(T));
-        return found;
-    }
-    static vec<T> lanes_of(const wp::array_t<vec3<real>>& of, int row, int first) {
-        vec<T> found;
-        #pragma unroll
-        for (int l = 0; l < width; ++l) {
-            const auto& a = wp::index(of, row, first + l);
-            found.x[l] = a[0], found.y[l] = a[1], found.z[l] = a[2];
-        }
-        return found;
-    }
-    vec<T> along(const wp::array_t<vec3<real>>& of, int row, int axis) const {
-        typedef typename simd<real>::four four;
-        const auto load = [](const vec3<real>& a) { return four{a[0], a[1], a[2], real(0)}; };
-        vec<T> d;
-        #pragma unroll
-        for (int l = 0; l < width; ++l) {
-            const int* near = &wp::index(model.lattice, first + l, axis, 0);
-            const four one = load(wp::index(of, row, near[1])) - load(wp::index(of, row, near[0]));
-            d.x[l] = one.x, d.y[l] = one.y, d.z[l] = one.z;
-        }
-        return d;
-    }
-    matrix<T> differences_of(const wp::array_t<vec3<real>>& of, int row) const {
-        return {along(of, row, 0), along(of, row, 1), along(of, row, 2)};
-    }
-    rest_frame<T> frame() const {
-        const auto u = [&](int c) { return numbers(wp::index(model.frame, c, first)); };
-        const T zero = T(real(0));
-        return {{{u(0), zero, zero}, {u(1), u(3), zero}, {u(2), u(4), u(5)}}};
-    }
-    T per_span(int axis) const { return numbers(wp::index(model.per_span, axis, first)); }
-    T mu() const { return numbers(wp::index(model.mu, w, first)); }
-    T lam() const { return numbers(wp::index(model.lam, w, first)); }
-    matrix<T> differences() const { return differences_of(state.x, row); }
-    matrix<T> differences_bar() const { return differences_of(own.v, w); }
-    vec<T> velocity() const { return lanes_of(state.v, row, first); }
-    vec<T> velocity_bar() const { return lanes_of(own.v, w, first); }
-    symmetric<T> filtered() const { return symmetric_of(state.Z, row); }
-    symmetric<T> filtered_bar() const { return symmetric_of(own.Z, w); }
-    void put(const matrix<T>& P, const vec<T>& wind) const {
-        put_padded(P, wind);
-        if (wp::index(model.drag, w) == real(0)) return;
-        const real per_mass = real(1) / wp::index(model.mass, w);
-        for (int l = begin(); l < width; ++l)
-            wp::index(own.v, w, first + l) += per_mass * vec3<real>(wind.x[l], wind.y[l], wind.z[l]);
-    }
-    int inverted(const T& J) const {
-        int found = -1;
-        for (int l = 0; l < width; ++l)
-            if (!(J[l] > real(0))) found = first + l;
-        return found;
-    }
-
-    int begin() const { return fresh > first ? fresh - first : 0; }
-    symmetric<T> symmetric_of(const wp::array_t<real>& of, int row) const {
-        const auto at = [&](int c) { return numbers(wp::index(of, row, c, first)); };
-        return {{at(0), at(1), at(2)}, {at(3), at(4), at(5)}};
-    }
-    void put_filtered(const symmetric<T>& Z) const {
-        const T* parts = &Z.on.x;
-        #pragma unroll
-        for (int c = 0; c < 6; ++c) {
-            real* at = &wp::index(own.Z, w, c, first);
-            if (fresh <= first) __builtin_memcpy(at, parts + c, sizeof(T));
-            else
-                for (int l = begin(); l < width; ++l) at[l] = parts[c][l];
-        }
-    }
-    void put_padded(const matrix<T>& P, const vec<T>& padding) const {
-        typedef typename simd<real>::four four;
-        const auto put = [&](int axis, const vec<T>& h, const T& pad) {
-            for (int l = begin(); l < width; ++l)
-                *(four*)wp::index(own.impulses, w, first + l).data[axis] = four{h.x[l], h.y[l], h.z[l], pad[l]};
-        };
-        put(0, P.a, padding.x), put(1, P.b, padding.y), put(2, P.c, padding.z);
-    }
-    void add_up(const T& value, double& sum) const {
-        for (int l = begin(); l < width; ++l) sum += value[l];
-    }
-    void put_bars(const matrix<T>& D_bar, const vec<T>& v_bar, const T& by_mu, const T& by_lam,
-                  const T& by_drag) const {
-        put_padded(D_bar, v_bar);
-        for (int l = begin(); l < width; ++l) {
-            const auto by = [&](int c) -> real& { return wp::index(own.sums, w, c, first + l); };
-            by(BY_MU) += by_mu[l], by(BY_LAM) += by_lam[l], by(BY_DRAG) += by_drag[l];
-        }
-    }
-};
-
-// Calls `one` for all particles, several at a time; the last ones overlap with those done before.
-template <typename real, typename Model, typename State, typename Job>
-inline void over_rows(const Model& model, const State& state, const State& own, int row, int w, Job one) {
-    typedef side_by_side<real, Model, State> some;
-    const int N = model.lattice.shape[0];
-    for (int p = 0; p < N; p += some::width)
-        one(some{model, state, own, row, w, p < N - some::width ? p : N - some::width, p});
-}
-template <typename real, typename Model, typename State>
-inline int forces_of_rows(int w, real dt, real keep, real share, const Model& model, const State& state) {
-    int failed = -1;
-    over_rows<real>(model, state, state, w, w, [&](const auto& at) {
-        failed = wp::max(failed, internal_forces(at, model, w, dt, maxwell<real>{keep, share}));
-    });
-    return failed;
-}
-template <typename real, typename Model, typename State>
-inline wp::vec2d adjoint_of_rows(int w, int row, real dt, real keep, real share, const Model& model,
-                                 const State& tape, const State& adjoint) {
-    wp::vec2d by_damped;
-    over_rows<real>(model, tape, adjoint, row, w, [&](const auto& at) {
-        internal_forces_adjoint(at, model, w, dt, maxwell<real>{keep, share}, by_damped);
-    });
-    return by_damped;
-}
-
-// As `pulled_record`.
-template <typename real>
-inline vec3<real> pulled_row(int w, int p, const wp::array_t<int>& lattice,
-                             const wp::array_t<impulses_of<real>>& impulses) {
-    typedef typename simd<real>::four four;
-    const int* near = &wp::index(lattice, p, 0, 0);
-    four total = real(0);
-    #pragma unroll
-    for (int axis = 0; axis < 3; ++axis) {
-        const int a = near[2 * axis], b = near[2 * axis + 1];
-        const four back = *(const four*)wp::index(impulses, w, a).data[axis];
-        const four forth = *(const four*)wp::index(impulses, w, b).data[axis];
-        total = total + forth * real(b == p ? -1 : 1) - back * real(a == p ? -1 : 1);
-    }
-    return vec3<real>(total[0], total[1], total[2]);
-}
-
-#endif
 
 }  // namespace gendom
