@@ -27,31 +27,15 @@ LARGEST_ARRAYS = 1 << 31
 
 _END = 1 << 17  # bytes in which a zip file's index, and the record of its end, are looked for
 
-LOAD_ERRORS = (
-    OSError,
-    EOFError,
-    ValueError,
-    KeyError,
-    RuntimeError,
-    MemoryError,
-    SyntaxError,
-    struct.error,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
-"""Exceptions that NumPy raises for a damaged zip file or array header."""
+# what NumPy raises for a damaged zip file or array header
+_LOAD_ERRORS = (OSError, EOFError, ValueError, KeyError, RuntimeError, MemoryError, SyntaxError)
+_LOAD_ERRORS += (struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error)
 
 Taken = TypeVar("Taken")
 
 
-def from_npz(path: Path, take: Callable[[Any], Taken], *, write: str) -> Taken:
-    """What a function takes from an open .npz file.
-
-    Args:
-        path: The file.
-        take: Called with NumPy's archive, for example to copy some of its arrays.
-        write: How such a file is written, for the message.
+def _from_npz(path: Path, take: Callable[[Any], Taken], *, write: str) -> Taken:
+    """What a function takes from NumPy's archive of an .npz file; `write` says how one is written.
 
     Raises:
         RecordingError: The file is missing, damaged or none; or what `take` raises.
@@ -66,7 +50,7 @@ def from_npz(path: Path, take: Callable[[Any], Taken], *, write: str) -> Taken:
             file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
                 return take(archive)
-    except LOAD_ERRORS as error:
+    except _LOAD_ERRORS as error:
         if isinstance(error, OSError) and error.strerror:
             what, fix = f"cannot be read ({error.strerror})", "check the file"
         elif "allow_pickle" in str(error):
@@ -109,7 +93,7 @@ def read_npz_cloud(path: str | os.PathLike) -> np.ndarray:
             raise RecordingError(what, where=str(path), fix="call the cloud 'points'")
         return name, archive[name]
 
-    name, points = from_npz(Path(path), take, write="write it with numpy.savez")
+    name, points = _from_npz(Path(path), take, write="write it with numpy.savez")
     right = points.ndim == 2 and points.shape[1] == 3 and points.dtype.kind in "fiu"
     what, fix = f"{name} is {points.dtype} {list(points.shape)}", "give numbers [n, 3] in metres"
     require(right, what, where=str(path), fix=fix, error=RecordingError)
@@ -126,7 +110,7 @@ def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     where, single = str(path), path.suffix.lower() in (".ply", ".pcd")
     fix = "give the folder that holds all frames"
     require(not single, "is a single cloud", where=where, fix=fix, error=RecordingError)
-    stored = from_npz(path, take, write=f"write {FORMAT} with numpy.savez")
+    stored = _from_npz(path, take, write=f"write {FORMAT} with numpy.savez")
     meta, where = stored.pop("meta", None), f"{path}: meta"
     if meta is None:
         fix = f"add JSON text with format = {FORMAT!r}"
