@@ -304,7 +304,8 @@ def more_points(table):
         (lambda r: (r / DATA).write_bytes((r / DATA).read_bytes()[:900]), ": is incomplete or da"),
         (rows(more_points), ": observation.num_points is 25 of 24 points"),
         (change("info", features={}), ": is incomplete or damaged ("),
-        # of a damaged Parquet file pyarrow may end the process
+        # Parquet has no checksums by default, and of a damaged file pyarrow may end the process
+        (lambda r: (r / "meta/gendom.sha256").write_text("0"), ": is damaged: its files are not"),
         (None, "/meta/gendom.sha256: no such file; export it again"),
     ],
 )
@@ -315,7 +316,7 @@ def test_what_cannot_be_read(spoil, said, lift, tmp_path):
         seal_.unlink()
     else:
         spoil(root)
-        if (root / "meta/gendom.json").exists():
+        if (root / "meta/gendom.json").exists() and "its files" not in said:
             seal_.write_text(seal(root))
     with pytest.raises(RecordingError) as caught:
         read_lerobot(root)
@@ -339,20 +340,3 @@ def test_lerobot_reads_recordings(uneven, tmp_path, reader):
         "gendom/test", root=tmp_path / "out", delta_timestamps={"action": [0.0, 1.0 / 7.0]}
     )
     assert later[4]["action_is_pad"].tolist() == [False, True]
-
-
-def test_changed_numbers_are_found(lift, tmp_path):
-    """Of 90 bits turned over none changes numbers unseen: Parquet has no checksums by default."""
-    export_recording(lift, tmp_path / "out")
-    rng = np.random.default_rng(0)
-    for name in (DATA, "meta/gendom.json", "meta/info.json"):
-        path = tmp_path / "out" / name
-        whole = path.read_bytes()
-        for at in rng.integers(8 * len(whole), size=30):
-            data = bytearray(whole)
-            data[at // 8] ^= 1 << (at % 8)
-            path.write_bytes(data)
-            with pytest.raises(RecordingError, match="are not those that were written"):
-                Recording.read(tmp_path / "out")
-        path.write_bytes(whole)
-    equal(Recording.read(tmp_path / "out"), lift)
