@@ -15,7 +15,6 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from gendom.arguments import require
 from gendom.errors import ParameterError
@@ -351,7 +350,8 @@ class Estimate(Shown):
         """
         value = self.value(name)
         mean = UNKNOWNS[name].transformed(ASSUMED[name] if value is None else value)
-        covariance = block_diag(self.covariance, sd**2)
+        covariance = np.pad(self.covariance, (0, 1))
+        covariance[-1, -1] = sd**2
         prior = self.posterior.prior.followed_by(prior_of([name]))
         return self._with(prior, np.append(self.mean, mean), covariance)
 
@@ -389,7 +389,8 @@ class Estimate(Shown):
         at = {n: old.prior.index(n) for n in mine if n in old.names}
         means = {n: UNKNOWNS[n].value(float(old.prior.mean[k])) for n, k in at.items()}
         changes = {n: {"mean": means[n], "sd": float(old.prior.sd[k])} for n, k in at.items()}
-        covariance = block_diag(learned.covariance, old.covariance[np.ix_(kept, kept)])
+        covariance = np.pad(learned.covariance, (0, len(kept)))
+        covariance[P:, P:] = old.covariance[np.ix_(kept, kept)]
         if "thickness" in old.names:
             k = old.prior.index("thickness")
             t, variance = P + kept.index(k), old.covariance[k, k]

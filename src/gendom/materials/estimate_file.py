@@ -12,7 +12,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from gendom.files import to_json
 from gendom.materials import catalogue
 from gendom.materials.names import with_current_names
 from gendom.materials.objects import KINDS
-from gendom.materials.posterior import Posterior, prior_of
+from gendom.materials.posterior import Posterior, half_width, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.reading import read_json, record_of
 
@@ -345,6 +344,6 @@ def _posterior_of(read: Mapping[str, Any], known: Mapping[str, float], level: fl
     if not ends:
         return NOTHING_ESTIMATED
     low, high = (math.log(end / known["density"]) for end in ends)
-    variance = (0.5 * (high - low) / NormalDist().inv_cdf(0.5 + level / 2.0)) ** 2
+    variance = (0.5 * (high - low) / half_width(level)) ** 2
     mean, covariance = np.array([0.5 * (low + high)]), np.array([[variance]])
     return Posterior(prior=prior_of(["E_over_rho"]), mean=mean, covariance=covariance, bases=())
