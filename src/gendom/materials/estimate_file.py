@@ -264,6 +264,7 @@ def fields_of(
         raise ValueError(f"there is no kind of object {kind!r}")
     known = _numbers(read, described, where)
     level = float((read.get("intervals") or {}).get("level", LEVEL))
+    require(0.0 < level < 1.0, f"level is {level:g}", where="intervals", fix="estimate again")
     posterior, stated = _posterior_of(read, known, level), {}
     if read.get("posterior") is not None:
         stated = _stated(known, posterior, kind)
