@@ -44,9 +44,10 @@ from gendom.materials.objects import (
     Cloth,
     Item,
     Rope,
+    from_columns,
     to_columns,
 )
-from gendom.materials.parameters import Material, bending_length
+from gendom.materials.parameters import bending_length
 from gendom.materials.posterior import Posterior, Prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.shown import Shown
@@ -140,7 +141,7 @@ class Estimate(Shown):
             if name == self._small and "thickness" in self.names:
                 found *= self._estimated("thickness")
             elif name == "density" and "mass" in self.known and "thickness" in self.names:
-                found /= self._estimated("thickness") ** self._mass_power
+                found /= self._estimated("thickness") ** KINDS[self.kind].thickness_power
             return found
         return self._estimated(name) if name in self.names else None
 
@@ -192,11 +193,6 @@ class Estimate(Shown):
         """Name of the smaller size."""
         return KINDS[self.kind].sizes[1]
 
-    @property
-    def _mass_power(self) -> int:
-        """Exponent of the thickness in the object's volume."""
-        return 2 if self.kind == "rope" else 1
-
     def interval(self, name: str) -> tuple[float, float] | None:
         """Ends of the interval of a value of the file, None where there is none."""
         ends = (self.record["intervals"] or {}).get(name)
@@ -231,16 +227,10 @@ class Estimate(Shown):
     def _usual(self) -> Item:
         """The object without effects of unknowns that other packages have registered."""
         numbers = {n: self._need(n) if self._says(n) else value for n, value in ASSUMED.items()}
-        kind = KINDS[self.kind]
         square = self.kind == "cloth" and "side" not in self.known
-        sizes = {n: self._need("width" if square and n == "side" else n) for n in kind.sizes}
-        material = Material(
-            E=self.E_over_rho * numbers["density"],
-            nu=numbers["nu"],
-            density=numbers["density"],
-            damping=numbers["damping"],
-        )
-        return kind(**sizes, material=material, friction=numbers["friction"])
+        for name in KINDS[self.kind].sizes:
+            numbers[name] = self._need("width" if square and name == "side" else name)
+        return from_columns(self.kind, {**numbers, "E": self.E_over_rho * numbers["density"]})
 
     def rope(self) -> Rope:
         """The rope with the estimated material.

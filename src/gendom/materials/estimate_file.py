@@ -144,7 +144,7 @@ def derived(kind: str, *, weighed: bool) -> dict[str, Derived]:
         weighed: Whether its mass is known: a thicker one is then less dense. Else its density is
             assumed, and it is heavier.
     """
-    small, volume = KINDS[kind].sizes[1], 2.0 if kind == "rope" else 1.0
+    small, volume = KINDS[kind].sizes[1], float(KINDS[kind].thickness_power)
     title, unit = ("bending EI", "N m^2") if kind == "rope" else ("bending D", "N m")
     heavier = 0.0 if weighed else 1.0
     return {
@@ -290,7 +290,7 @@ def _stated(known: dict[str, float], posterior: Posterior, kind: str) -> dict[st
     stated = {n: known.pop(n) for n in ("E", *names) if n in known and n != "thickness"}
     if "thickness" not in names:
         return stated
-    small, power = KINDS[kind].sizes[1], 2 if kind == "rope" else 1
+    small, power = KINDS[kind].sizes[1], KINDS[kind].thickness_power
     k = posterior.names.index("thickness")
     r = UNKNOWNS["thickness"].value(float(posterior.mean[k]))
     if small in known:
