@@ -24,7 +24,7 @@ SCRIPTS = {
 }
 """Example -> what it writes into --out, and packages of extras that it needs."""
 
-QUICK = ("01_simulate_a_rope", "02_your_own_recording")
+QUICK = ("02_your_own_recording",)
 """Others are slow, and a step of their own in CI."""
 
 

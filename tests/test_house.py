@@ -12,31 +12,18 @@ import gendom
 SOURCES = Path(gendom.__file__).parent
 
 FLOORS = (
-    (
-        "errors",
-        "shown",
-        "lazy",
-        "environments",
-        "plugins",
-        "installation",
-        "progress",
-        "arguments",
-        "files",
-        "reading",
-    ),
+    ("errors", "shown", "lazy", "environments", "plugins", "installation", "progress", "arguments",
+     "files", "reading"),
     ("materials", "observation", "robot"),
     ("sim", "datasets"),
     ("tasks", "perception"),
     ("estimation", "policies", "viz", "reality"),
     ("hardware", "twins"),
     ("cli",),
-)
+)  # fmt: skip
 """Rooms from the ground up: each may import from those below it, and from itself."""
 
-BESIDE = {
-    ("estimation", "policies"),
-    ("policies", "estimation"),
-}
+BESIDE = {"estimation", "policies"}
 """Rooms of one floor that must not import each other."""
 
 LONG, LONGER, MOST_LONG = 60, 120, 30
@@ -93,25 +80,24 @@ def test_imports_run_downwards():
         for module, targets in imports().items()
         for target in sorted(targets)
         if room(module) in floor and room(target) in floor and room(module) != room(target)
-        if floor[room(target)] > floor[room(module)] or (room(module), room(target)) in BESIDE
+        if floor[room(target)] > floor[room(module)] or {room(module), room(target)} == BESIDE
     ]
     assert not upwards
 
 
-def lengths() -> list[tuple[int, str, bool]]:
-    """Lines of each function or method, where it is, and whether it builds kernels or structs."""
-    found = []
-    for name, tree in modules().items():
-        for node in ast.walk(tree):
-            if isinstance(node, ast.FunctionDef):
-                inner = [n for n in ast.walk(node) if isinstance(n, ast.FunctionDef | ast.ClassDef)]
-                kernels = any("wp." in ast.unparse(d) for n in inner for d in n.decorator_list)
-                lines = (node.end_lineno or node.lineno) - node.lineno + 1
-                found.append((lines, f"{name}.{node.name}", kernels))
-    return sorted(found, reverse=True)
+def builds_kernels(function: ast.FunctionDef) -> bool:
+    """Whether Warp's kernels or structs are defined in it."""
+    inner = [n for n in ast.walk(function) if isinstance(n, ast.FunctionDef | ast.ClassDef)]
+    return any("wp." in ast.unparse(d) for n in inner for d in n.decorator_list)
 
 
 def test_functions_are_short():
-    assert [f for f in lengths() if f[0] > LONGER and not f[2]] == []
-    long = [f for f in lengths() if f[0] > LONG and not f[2]]
-    assert len(long) <= MOST_LONG, long
+    long = [
+        (lines, f"{name}.{node.name}")
+        for name, tree in modules().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef)
+        if (lines := (node.end_lineno or node.lineno) - node.lineno + 1) > LONG
+        if not builds_kernels(node)
+    ]
+    assert len(long) <= MOST_LONG and all(lines <= LONGER for lines, _ in long), sorted(long)

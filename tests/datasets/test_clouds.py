@@ -159,17 +159,9 @@ KNOWN = [f"{kind}{n}" for kind in "IUF" for n in (1, 2, 4, 8) if kind != "F" or 
 
 
 def pcd(encoding, points=3, **changes):
-    entries = {
-        "VERSION": "0.7",
-        "FIELDS": "rgb x normal y z",
-        "SIZE": "4 8 4 8 4",
-        "TYPE": "U F F F F",
-        "COUNT": "1 1 3 1 1",
-        "WIDTH": str(points),
-        "HEIGHT": "1",
-        "VIEWPOINT": "0 0 0 1 0 0 0",
-        "POINTS": str(points),
-    } | changes
+    entries = {"VERSION": "0.7", "FIELDS": "rgb x normal y z", "SIZE": "4 8 4 8 4"}
+    entries |= {"TYPE": "U F F F F", "COUNT": "1 1 3 1 1", "WIDTH": str(points), "HEIGHT": "1"}
+    entries |= {"VIEWPOINT": "0 0 0 1 0 0 0", "POINTS": str(points), **changes}
     lines = [f"{key} {value}" for key, value in entries.items() if value is not None]
     return "\n".join(["# by a test", *lines, f"DATA {encoding}", ""]).encode()
 
@@ -205,10 +197,8 @@ def lzf(data):
             plain.append(data[at])
             at += 1
             continue
-        length = 3
-        while length < 264 and data[begin + length : begin + length + 1] == (
-            data[at + length : at + length + 1] or None
-        ):
+        length, most = 3, min(264, len(data) - at)
+        while length < most and data[begin + length] == data[at + length]:
             length += 1
         flush()
         back = at - begin - 1
@@ -234,8 +224,8 @@ ENCODINGS = {"ascii": text, "binary": lambda t: t.tobytes(), "binary_compressed"
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_clouds_in_every_encoding(tmp_path, encoding):
     path = tmp_path / "a.pcd"
-    clouds = [np.random.default_rng(0).normal(size=(300, 3)).round(3), CLOUD.copy(), CLOUD[:0]]
-    clouds[1][1] = np.nan
+    clouds = [np.random.default_rng(0).normal(size=(300, 3)).round(3), np.ones((99, 3))]
+    clouds += [CLOUD[:0], np.array([CLOUD[0], [np.nan] * 3, CLOUD[2]])]
     for cloud in clouds:
         path.write_bytes(pcd(encoding, len(cloud)) + ENCODINGS[encoding](rows(cloud)))
         found = read_pcd(path)
@@ -260,19 +250,6 @@ def test_capital_and_small_letters_and_comments_in_any_encoding(tmp_path):
     head = head.replace(b"# by", "# \u00c5ngstr\u00f6m\x0b\x0c \u0085by".encode())
     (tmp_path / "a.pcd").write_bytes(head + text(rows(CLOUD)).replace(b"5.0", b"-nan(ind)"))
     np.testing.assert_array_equal(read_pcd(tmp_path / "a.pcd")[:, :2], CLOUD[:2, :2])
-
-
-def test_damaged_compression_is_told_or_harmless(tmp_path):
-    whole = compressed(rows(np.ones((1000, 3))))
-    assert len(whole) < 1000
-    for at in range(8, 60, 3):
-        data = bytearray(whole)
-        data[at % len(data)] ^= 0xFF
-        (tmp_path / "a.pcd").write_bytes(pcd("binary_compressed", 1000) + data)
-        try:
-            assert read_pcd(tmp_path / "a.pcd").shape[1] == 3
-        except RecordingError as error:
-            assert "\n" not in str(error)
 
 
 @pytest.mark.parametrize(
@@ -302,16 +279,17 @@ def test_bad_headers(tmp_path, changes, said):
     assert told.startswith(said) and told.endswith("; export the point cloud again as PCD")
 
 
-@pytest.mark.parametrize("kind", [*KNOWN, "I3", "U16", "F2"])
-def test_fields_of_every_type(tmp_path, kind):
-    table = np.array([[1, 2, 3], [-4 if kind[0] != "U" else 4, 100, 6]])
-    words = {"SIZE": f"{kind[1:]} " * 3, "TYPE": f"{kind[0]} " * 3, "COUNT": "1 1 1"}
-    head, path = pcd("binary", 2, FIELDS="x y z", **words), tmp_path / "a.pcd"
-    if kind in KNOWN:
-        path.write_bytes(head + table.astype(f"<{kind.lower()}").tobytes())
-        assert read_pcd(path).tolist() == table.tolist()
-    else:
-        assert "which there is not" in refusal(read_pcd, path, head + bytes(96))
+def test_fields_of_every_type(tmp_path):
+    path = tmp_path / "a.pcd"
+    for kind in (*KNOWN, "I3", "U16", "F2"):
+        table = np.array([[1, 2, 3], [-4 if kind[0] != "U" else 4, 100, 6]])
+        words = {"SIZE": f"{kind[1:]} " * 3, "TYPE": f"{kind[0]} " * 3, "COUNT": "1 1 1"}
+        head = pcd("binary", 2, FIELDS="x y z", **words)
+        if kind in KNOWN:
+            path.write_bytes(head + table.astype(f"<{kind.lower()}").tobytes())
+            assert read_pcd(path).tolist() == table.tolist()
+        else:
+            assert "which there is not" in refusal(read_pcd, path, head + bytes(96))
 
 
 def test_no_pcd(tmp_path):
@@ -364,15 +342,6 @@ def test_no_cloud_of_numpy(tmp_path, arrays, said):
     np.savez(tmp_path / "a.npz", **arrays)
     with pytest.raises(RecordingError, match=said):
         read_npz_cloud(tmp_path / "a.npz")
-
-
-def test_a_cut_file_of_numpy(tmp_path):
-    path = tmp_path / "a.npz"
-    np.savez(path, points=CLOUD)
-    whole = path.read_bytes()
-    for kept in (0, 1, 40, 150, -1):
-        said = refusal(read_npz_cloud, path, whole[:kept])
-        assert said.startswith(("is damaged", "is no .npz file"))
 
 
 @pytest.mark.parametrize("shape", [(10**8, 3), (2**33, 3)], ids=["gigabyte", "huge"])

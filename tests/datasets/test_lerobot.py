@@ -1,7 +1,8 @@
-"""Sets of demonstrations as LeRobot data sets: what is written, and that lerobot reads it."""
+"""Demonstrations and recordings as LeRobot data sets: what is written, and that it is read."""
 
 import errno
 import json
+from dataclasses import fields
 
 import numpy as np
 import pyarrow as pa
@@ -9,9 +10,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from gendom import cli
+from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.demonstrations import generate, load, read_description
-from gendom.datasets.lerobot import export_demonstrations
-from gendom.errors import DatasetError, GendomError
+from gendom.datasets.lerobot import export_demonstrations, export_recording, read_lerobot
+from gendom.datasets.lerobot.format import seal
+from gendom.errors import DatasetError, GendomError, RecordingError
 from gendom.tasks import ClothSpreading, RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.task import Outcome
@@ -19,6 +22,7 @@ from gendom.tasks.world import Simulation
 
 DATA = "data/chunk-000/file-000.parquet"
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"
+QUANTILES = ("q01", "q10", "q50", "q90", "q99")
 OBJECT = ["E_over_rho", "nu", "damping", "friction", "density"]
 
 
@@ -109,18 +113,7 @@ def test_statistics(made):
         assert found["std"] == pytest.approx(x.std(axis=0))
         assert (found["min"], found["max"]) == (x.min(axis=0).tolist(), x.max(axis=0).tolist())
         assert found["q50"] == pytest.approx(np.median(x, axis=0))
-        assert set(found) == {
-            "min",
-            "max",
-            "mean",
-            "std",
-            "count",
-            "q01",
-            "q10",
-            "q50",
-            "q90",
-            "q99",
-        }
+        assert set(found) == {"min", "max", "mean", "std", "count", *QUANTILES}
         for statistic in found:
             each = np.array(episodes[f"stats/{name}/{statistic}"].to_pylist())
             own = {"std": 0.0 * x, "count": np.ones((9, 1))}.get(statistic, x)
@@ -136,13 +129,6 @@ def test_an_action_of_one_number_and_no_goal(tmp_path):
     }  # fmt: skip
     frames = pq.read_table(tmp_path / "out" / DATA)
     assert frames.schema.field("action").type == pa.float32()
-
-
-def test_what_is_there_is_left_alone(made):
-    before = files(made[1])
-    with pytest.raises(GendomError, match="is there already; name a new folder"):
-        export_demonstrations(*made)
-    assert files(made[1]) == before
 
 
 def test_a_full_disk_leaves_nothing(made, tmp_path, monkeypatch):
@@ -170,20 +156,25 @@ def test_the_command(made, tmp_path, capsys):
     assert "goal_x [m]" in out and "release_z [m]" in out
     assert files(tmp_path / "new") == files(made[1])
     assert cli.main([*words, str(tmp_path / "new")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    err = capsys.readouterr().err
+    assert "is there already; name a new folder" in err and err.count("\n") == 1
+    assert files(tmp_path / "new") == files(made[1])
     assert cli.main([*words, str(tmp_path / "more"), "--to", "json"]) == 2
     assert cli.main(["export", str(tmp_path / "none"), "--out", str(tmp_path / "more")]) == 2
     assert "no such folder" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("task", [RopeReaching, ClothSpreading])
-def test_lerobot_reads_it(tmp_path, monkeypatch, task):
+@pytest.fixture
+def reader(tmp_path, monkeypatch):
+    """LeRobot's own."""
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     monkeypatch.setenv("HF_DATASETS_CACHE", str(tmp_path / "cache"))
-    reader = pytest.importorskip(
-        "lerobot.datasets.lerobot_dataset", reason="needs lerobot, which no extra brings"
-    )
+    reason = "needs lerobot, which no extra brings"
+    return pytest.importorskip("lerobot.datasets.lerobot_dataset", reason=reason)
 
+
+@pytest.mark.parametrize("task", [RopeReaching, ClothSpreading])
+def test_lerobot_reads_demonstrations(tmp_path, reader, task):
     generate(Demonstrator(task=task()), 12, tmp_path / "set", seed=3, shard_size=12)
     info = export_demonstrations(tmp_path / "set", tmp_path / "out")
     frames = pq.read_table(tmp_path / "out" / DATA).to_pylist()
@@ -201,3 +192,151 @@ def test_lerobot_reads_it(tmp_path, monkeypatch, task):
     later = {"action": [0.0, 1.0]}
     chunks = reader.LeRobotDataset("gendom/test", root=tmp_path / "out", delta_timestamps=later)
     assert chunks[2]["action_is_pad"].tolist() == [False, True]
+
+
+# ---- recordings ------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def uneven(lift):
+    """The lift with an empty frame, at uneven times, and another gripper that lets go."""
+    T = lift.num_frames
+    clouds = [cloud if t != 2 else cloud[:0] for t, cloud in enumerate(lift.frames())]
+    other = lift.gripper_position[:, 0] * [0.0, 1.0, 1.0]
+    return Recording.from_frames(
+        clouds,
+        time=[0.1, 0.2, 1.0 / 3.0, 0.5, 2.0],
+        gripper_position=np.stack([lift.gripper_position[:, 0], other + 1e-9], axis=1),
+        gripper_closed=np.stack([np.ones(T, bool), np.arange(T) < 3], axis=1),
+        object=ObjectDescription(kind="rope", length=0.4),
+        gripper_source="measured",
+    )
+
+
+def equal(a, b):
+    for f in fields(Recording):
+        own, other = getattr(a, f.name), getattr(b, f.name)
+        if isinstance(own, np.ndarray):
+            assert own.dtype == other.dtype
+            np.testing.assert_array_equal(own, other, err_msg=f.name)
+        else:
+            assert own == other, f.name
+
+
+@pytest.mark.parametrize("which", ["lift", "uneven"])
+def test_there_and_back(which, request, tmp_path):
+    recording = request.getfixturevalue(which)
+    export_recording(recording, tmp_path / "out")
+    equal(Recording.read(tmp_path / "out"), recording)
+
+
+def test_what_lerobot_finds(uneven, tmp_path):
+    info = export_recording(uneven, tmp_path / "out")
+    assert (info["total_episodes"], info["total_frames"], info["fps"]) == (1, 5, 7)
+    features = info["features"]
+    assert features["observation.points"]["shape"] == [24, 3]
+    assert features["observation.state"]["names"][5:8] == [
+        "gripper1.position.z",
+        "gripper0.closed",
+        "gripper1.closed",
+    ]
+    assert features["observation.state"]["units"][5:] == ["m", "1", "1"]
+    table = pq.read_table(tmp_path / "out" / DATA)
+    assert table["observation.num_points"].to_pylist() == [20, 21, 0, 23, 24]
+    padded = np.array(table["observation.points"].to_pylist())
+    assert not padded[0, 20:].any() and not padded[2].any() and padded[4].any(axis=1).all()
+    assert table["timestamp"].to_pylist() == pytest.approx(np.arange(5) / 7.0)
+    action = np.array(table["action"].to_pylist())
+    assert action[:4, :6] == pytest.approx(uneven.gripper_position[1:].reshape(4, 6))
+    assert action[:, 7].tolist() == [1.0, 1.0, 0.0, 0.0, 0.0]
+    stats = json.loads((tmp_path / "out/meta/stats.json").read_text())["observation.points"]
+    assert np.shape(stats["mean"]) == (24, 3) and stats["count"] == [5]
+    assert stats["mean"][23] == pytest.approx(uneven.points.mean(axis=0), abs=1e-6)
+    episodes = tmp_path / "out/meta/episodes/chunk-000/file-000.parquet"
+    (episode,) = pq.read_table(episodes).to_pylist()
+    assert (episode["length"], episode["dataset_to_index"]) == (5, 5)
+    assert episode["stats/observation.points/mean"] == stats["mean"]
+
+
+def test_the_commands_of_recordings(lift, tmp_path, capsys):
+    lift.write(tmp_path / "lift.npz")
+    assert cli.main(["export", str(tmp_path / "lift.npz"), "--out", str(tmp_path / "out")]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(f"{tmp_path / 'out'}: 1 episodes, LeRobot v3.0\n")
+    assert "gripper0.position.x [m]" in out
+    assert cli.main(["check", str(tmp_path / "out")]) == 0
+    assert "points    20 to 24 a frame" in capsys.readouterr().out
+
+
+def change(name, **entries):
+    def spoil(root):
+        path = root / "meta" / f"{name}.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | entries))
+
+    return spoil
+
+
+def rows(edit):
+    def spoil(root):
+        pq.write_table(edit(pq.read_table(root / DATA)), root / DATA)
+
+    return spoil
+
+
+def more_points(table):
+    n = table.column_names.index("observation.num_points")
+    return table.set_column(n, "observation.num_points", [[20, 21, 22, 23, 25]])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (
+            lambda r: (r / "meta/gendom.json").unlink(),
+            ": is a LeRobot data set that was not made of",
+        ),
+        (change("gendom", format="gendom-demonstrations/2"), ": holds demonstrations"),
+        (change("info", total_episodes=2), ": has 2 episodes, not one"),
+        (rows(lambda t: t.slice(0, 3)), ": has not the 5 frames in order"),
+        (rows(lambda t: t.take([1, 0, 2, 3, 4])), ": has not the 5 frames in order"),
+        (rows(lambda t: t.drop(["observation.time"])), ": is incomplete or damaged ("),
+        (lambda r: (r / DATA).unlink(), f"/{DATA}: is incomplete or damaged ("),
+        (lambda r: (r / DATA).write_bytes((r / DATA).read_bytes()[:900]), ": is incomplete or da"),
+        (rows(more_points), ": observation.num_points is 25 of 24 points"),
+        (change("info", features={}), ": is incomplete or damaged ("),
+        # Parquet has no checksums by default, and of a damaged file pyarrow may end the process
+        (lambda r: (r / "meta/gendom.sha256").write_text("0"), ": is damaged: its files are not"),
+        (None, "/meta/gendom.sha256: no such file; export it again"),
+    ],
+)
+def test_what_cannot_be_read(spoil, said, lift, tmp_path):
+    root, seal_ = tmp_path / "out", tmp_path / "out/meta/gendom.sha256"
+    export_recording(lift, root)
+    if spoil is None:
+        seal_.unlink()
+    else:
+        spoil(root)
+        if (root / "meta/gendom.json").exists() and "its files" not in said:
+            seal_.write_text(seal(root))
+    with pytest.raises(RecordingError) as caught:
+        read_lerobot(root)
+    assert str(caught.value).startswith(f"{root}{said}") and "\n" not in str(caught.value)
+
+
+def test_lerobot_reads_recordings(uneven, tmp_path, reader):
+    export_recording(uneven, tmp_path / "out")
+    found = reader.LeRobotDataset("gendom/test", root=tmp_path / "out")
+    assert (found.num_episodes, found.num_frames, found.fps) == (1, 5, 7)
+    for t in range(5):
+        item = found[t]
+        count = int(item["observation.num_points"])
+        np.testing.assert_array_equal(item["observation.points"][:count], uneven.frame(t))
+        state = item["observation.state"][:3].tolist()  # which it hands out as float32
+        assert state == pytest.approx(uneven.gripper_position[t, 0], rel=1e-6)
+        assert float(item["observation.time"]) == pytest.approx(uneven.time[t], rel=1e-6)
+        assert item["task"] == "move a rope that is held by: end"
+    assert found.meta.stats["observation.points"]["mean"].shape == (24, 3)
+    later = reader.LeRobotDataset(
+        "gendom/test", root=tmp_path / "out", delta_timestamps={"action": [0.0, 1.0 / 7.0]}
+    )
+    assert later[4]["action_is_pad"].tolist() == [False, True]

@@ -70,12 +70,16 @@ LARGEST_SHARD = 1 << 28
 _log = logging.getLogger(__name__)
 
 
+Columns = Mapping[str, NDArray[np.float64]]
+"""[W] numbers by name."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Outcomes:
     """The outcomes of W demonstrations."""
 
-    columns: Mapping[str, NDArray[np.float64]]
-    """[W] results by column name; NaN where a demonstration failed."""
+    columns: Columns
+    """Results; NaN where a demonstration failed."""
     faults: tuple[str | None, ...]
     """[W] reasons of failures, None without failure."""
 
@@ -92,19 +96,14 @@ class Demonstrator(Protocol):
         """Settings common to all demonstrations, ready for JSON; `task` has a `name`."""
         ...
 
-    def draw(self, rngs: Sequence[np.random.Generator]) -> dict[str, NDArray[np.float64]]:
-        """Draw the inputs of W demonstrations, each from its own generator, by column name [W]."""
+    def draw(self, rngs: Sequence[np.random.Generator]) -> Columns:
+        """Draw the inputs of W demonstrations, each from its own generator."""
         ...
 
     def demonstrate(
-        self,
-        draws: Mapping[str, NDArray[np.float64]],
-        *,
-        device: str,
-        on_frame: Callable[[int], None] | None = None,
+        self, draws: Columns, *, device: str, on_frame: Callable[[int], None] | None = None
     ) -> Outcomes:
         """Simulate draws in parallel. Returned columns replace drawn ones of the same name.
-
         `on_frame` is called regularly; an exception that it raises stops the simulation."""
         ...
 

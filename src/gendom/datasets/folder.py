@@ -1,9 +1,4 @@
-"""A recording as a folder: one file a frame, gripper.csv, object.toml.
-
-0000.ply, ...   or .pcd, or .npz: one cloud a frame, in order of the numbers in names (2 before 10)
-gripper.csv     one row a frame: time,x,y,z[,ax,ay,az][,closed]
-object.toml     description of the object, and table_height
-"""
+"""A recording as a folder: one file a frame, gripper.csv, object.toml."""
 
 from __future__ import annotations
 
@@ -37,24 +32,13 @@ READERS: dict[str, Callable[[Path], np.ndarray]] = {
 
 # Keys of object.toml that belong beside the table [object]. TOML gives keys written below a
 # table's head to that table, so they are also looked for there.
-_TOP_KEYS = (
-    "table_height",
-    "gripper_source",
-    "quasi_static",
-    "robot",
-    "camera_positions",
-    "cameras_calibrated",
-    "source",
-    "notes",
-)
+_TOP_KEYS = ("table_height", "gripper_source", "quasi_static", "robot", "camera_positions")
+_TOP_KEYS += ("cameras_calibrated", "source", "notes")
 
 
-def read_folder(
-    folder: str | os.PathLike,
-) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Read the parts of a recording stored as a folder.
+def read_folder(folder: str | os.PathLike) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Read the parts of a recording stored as a folder. It holds
 
-    The folder holds
         *.ply, *.pcd or *.npz: one cloud a frame, in order of the numbers in their names (see
             `in_order`);
             .npz files beside .ply or .pcd files are not clouds, and are ignored;
@@ -77,12 +61,15 @@ def read_folder(
     arrays = read_gripper(folder / "gripper.csv")
     rows = len(arrays["time"])
     what = f"{len(files)} {suffix} files but {rows} rows in gripper.csv"
-    fix = "give one row a frame"
-    require(rows == len(files), what, where=str(folder), fix=fix, error=RecordingError)
+    _wanted(rows == len(files), what, folder, "give one row a frame")
     names = {path.stem: path for path in files}
     ordered = in_order(list(names), arrays["time"], where=str(folder))
     clouds = [READERS[suffix](names[name]) for name in ordered]
     return {**arrays, **joined(clouds)}, meta
+
+
+def _wanted(holds: Any, what: str, where: str | Path, fix: str) -> None:
+    require(holds, what, where=str(where), fix=fix, error=RecordingError)
 
 
 def _cloud_files(folder: Path) -> tuple[str, list[Path]]:
@@ -94,11 +81,10 @@ def _cloud_files(folder: Path) -> tuple[str, list[Path]]:
             by_suffix.setdefault(suffix, []).append(path)
     if len(by_suffix) > 1:
         by_suffix.pop(".npz", None)
-    where, counts = str(folder), " and ".join(f"{len(ps)} {s}" for s, ps in by_suffix.items())
     what, fix = f"holds no {', '.join(READERS)} file", "put one point cloud a frame there"
-    require(by_suffix, what, where=where, fix=fix, error=RecordingError)
-    what, fix = f"holds {counts} files", "keep those of one kind"
-    require(len(by_suffix) == 1, what, where=where, fix=fix, error=RecordingError)
+    _wanted(by_suffix, what, folder, fix)
+    counts = " and ".join(f"{len(paths)} {suffix}" for suffix, paths in by_suffix.items())
+    _wanted(len(by_suffix) == 1, f"holds {counts} files", folder, "keep those of one kind")
     ((suffix, files),) = by_suffix.items()
     return suffix, files
 
@@ -124,10 +110,9 @@ def in_order(names: list[str], time: np.ndarray, *, where: str) -> list[str]:
     (decimal, as_times, evenly), (parts, _, counted) = found
     step = float(np.median(np.diff(time))) if len(time) > 1 else np.inf
     if decimal != parts:
-        right = min(as_times, evenly, counted) <= step
         what = "names can be put in two orders, and the times of gripper.csv fit neither"
         fix = "name the clouds 0000, 0001, ... in order of time"
-        require(right, what, where=where, fix=fix, error=RecordingError)
+        _wanted(min(as_times, evenly, counted) <= step, what, where, fix)
         if counted < min(as_times, evenly):
             return parts
     check_named(decimal, time, where=where)
@@ -145,12 +130,10 @@ def check_named(names: list[str], time: np.ndarray, *, where: str) -> None:
     as_times, evenly = _misfit(_numbers_of(_DECIMAL, names), time)
     for pattern, off in ((_SINCE_1970, as_times), (_THOUSANDTHS, min(as_times, evenly))):
         if sum(map(bool, map(pattern.search, names))) > len(names) / 2 and np.isfinite(off):
-            what = (
-                f"times in names, as {names[0]!r}, are up to {off:.3g} s from those of the frames"
-            )
+            what = f"times in names, as {names[0]!r}, are up to {off:.3g} s from "
             fix = "give each frame the time of its row, or name them 0000, 0001, ..."
             right = off <= float(np.median(np.diff(time)))
-            require(right, what, where=where, fix=fix, error=RecordingError)
+            _wanted(right, f"{what}those of the frames", where, fix)
 
 
 def _name_key(pattern: re.Pattern[str], name: str) -> list[tuple[int, Decimal, str]]:
@@ -213,17 +196,17 @@ def read_gripper(
     Raises:
         RecordingError: The file cannot be read, or a row is malformed.
     """
+
+    def right(names: list[str]) -> object:
+        return _gripper_columns(names, path)
+
     header, table, lines = read_number_table(
-        path,
-        header="time,x,y,z",
-        check_header=lambda names: _gripper_columns(names, path),
-        on_cut=on_cut,
+        path, header="time,x,y,z", check_header=right, on_cut=on_cut
     )
     position, axis, closed = _gripper_columns(header, path)
     fix = "give 1 where the gripper is closed, 0 where it is open"
     for j in closed:
-        wrong = np.flatnonzero(~np.isin(table[:, j], (0.0, 1.0)))
-        for i in wrong:
+        for i in np.flatnonzero(~np.isin(table[:, j], (0.0, 1.0))):
             where = f"{path}, line {lines[i]}, column {header[j]}"
             raise RecordingError(f"is '{table[i, j]:g}'", where=where, fix=fix)
     arrays = {
@@ -237,7 +220,7 @@ def read_gripper(
     return arrays
 
 
-def _gripper_columns(header: list[str], path: Path) -> tuple[list[int], list[int], list[int]]:
+def _gripper_columns(header: list[str], path: Path) -> tuple[list[int], ...]:
     """Columns of the positions, of the axes and of the states, gripper after gripper."""
     count = 0
     while f"x{count}" in header:
@@ -253,7 +236,5 @@ def _gripper_columns(header: list[str], path: Path) -> tuple[list[int], list[int
     twice = sorted({name for name in header if header.count(name) > 1})
     fix = "use time,x,y,z[,ax,ay,az][,closed], or time,x0,y0,z0,x1,... for several grippers"
     for names, verb in ((missing, "lacks"), (unknown, "has unknown"), (twice, "repeats")):
-        what = f"the header {verb} {', '.join(map(repr, names))}"
-        require(not names, what, where=str(path), fix=fix, error=RecordingError)
-    found = [[header.index(name) for name in names] for names in (position, axes, closed)]
-    return found[0], found[1], found[2]
+        _wanted(not names, f"the header {verb} {', '.join(map(repr, names))}", path, fix)
+    return tuple([header.index(name) for name in names] for names in (position, axes, closed))

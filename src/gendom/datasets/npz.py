@@ -1,4 +1,13 @@
-"""NumPy files: point clouds, and recordings. Pickles are never loaded."""
+"""NumPy files: point clouds, recordings, and shapes at rest. Pickles are never loaded.
+
+A shape at rest is a rope or wire that hangs between two clamps, `gendom-static/1`:
+
+    loops   float [K, n, 3]   K repeats of the same shape: points along it, evenly spaced [m], z up
+    meta    JSON text         object: kind ("rope" or "wire"), length [m], mass_per_length [kg/m],
+                              optional diameter [m]; source, notes, and anything else
+
+Position and direction of the clamped ends are those of the first and last segment.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +16,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
@@ -19,6 +28,8 @@ from gendom.datasets.recording_form import FORMAT, STORED_ARRAYS
 from gendom.errors import RecordingError
 from gendom.reading import LARGEST_JSON, check_unpacked, file_size, parse_json
 
+FORMAT_STATIC = "gendom-static/1"
+
 NAMES = ("points", "xyz")
 """Names of the cloud's array in files with several arrays."""
 
@@ -27,31 +38,15 @@ LARGEST_ARRAYS = 1 << 31
 
 _END = 1 << 17  # bytes in which a zip file's index, and the record of its end, are looked for
 
-LOAD_ERRORS = (
-    OSError,
-    EOFError,
-    ValueError,
-    KeyError,
-    RuntimeError,
-    MemoryError,
-    SyntaxError,
-    struct.error,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
-"""Exceptions that NumPy raises for a damaged zip file or array header."""
+# what NumPy raises for a damaged zip file or array header
+_LOAD_ERRORS = (OSError, EOFError, ValueError, KeyError, RuntimeError, MemoryError, SyntaxError)
+_LOAD_ERRORS += (struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error)
 
 Taken = TypeVar("Taken")
 
 
-def from_npz(path: Path, take: Callable[[Any], Taken], *, write: str) -> Taken:
-    """What a function takes from an open .npz file.
-
-    Args:
-        path: The file.
-        take: Called with NumPy's archive, for example to copy some of its arrays.
-        write: How such a file is written, for the message.
+def _from_npz(path: Path, take: Callable[[Any], Taken], *, write: str) -> Taken:
+    """What a function takes from NumPy's archive of an .npz file; `write` says how one is written.
 
     Raises:
         RecordingError: The file is missing, damaged or none; or what `take` raises.
@@ -66,7 +61,7 @@ def from_npz(path: Path, take: Callable[[Any], Taken], *, write: str) -> Taken:
             file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
                 return take(archive)
-    except LOAD_ERRORS as error:
+    except _LOAD_ERRORS as error:
         if isinstance(error, OSError) and error.strerror:
             what, fix = f"cannot be read ({error.strerror})", "check the file"
         elif "allow_pickle" in str(error):
@@ -109,7 +104,7 @@ def read_npz_cloud(path: str | os.PathLike) -> np.ndarray:
             raise RecordingError(what, where=str(path), fix="call the cloud 'points'")
         return name, archive[name]
 
-    name, points = from_npz(Path(path), take, write="write it with numpy.savez")
+    name, points = _from_npz(Path(path), take, write="write it with numpy.savez")
     right = points.ndim == 2 and points.shape[1] == 3 and points.dtype.kind in "fiu"
     what, fix = f"{name} is {points.dtype} {list(points.shape)}", "give numbers [n, 3] in metres"
     require(right, what, where=str(path), fix=fix, error=RecordingError)
@@ -117,7 +112,7 @@ def read_npz_cloud(path: str | os.PathLike) -> np.ndarray:
 
 
 def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Read the arrays of a recording (or of a static one) and the parsed `meta`."""
+    """Read the arrays of a recording, or of a shape at rest as one, and the parsed `meta`."""
 
     def take(archive: Any) -> dict[str, np.ndarray]:
         wanted = (*STORED_ARRAYS, "loops", "meta")
@@ -126,7 +121,7 @@ def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     where, single = str(path), path.suffix.lower() in (".ply", ".pcd")
     fix = "give the folder that holds all frames"
     require(not single, "is a single cloud", where=where, fix=fix, error=RecordingError)
-    stored = from_npz(path, take, write=f"write {FORMAT} with numpy.savez")
+    stored = _from_npz(path, take, write=f"write {FORMAT} with numpy.savez")
     meta, where = stored.pop("meta", None), f"{path}: meta"
     if meta is None:
         fix = f"add JSON text with format = {FORMAT!r}"
@@ -134,7 +129,61 @@ def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     is_text = meta.size == 1 and meta.dtype.kind in "US" and meta.nbytes <= 4 * LARGEST_JSON
     what, fix = f"is not JSON text, but {meta.dtype} {list(meta.shape)}", "write it with json.dumps"
     require(is_text, what, where=where, fix=fix, error=RecordingError)
-    return stored, parse_json(meta.item(), where, RecordingError)
+    meta = parse_json(meta.item(), where, RecordingError)
+    if (form := meta.get("format")) == FORMAT_STATIC:
+        return _recording_of_static(stored, meta, str(path))
+    fix = f"only {FORMAT!r} can be read here"
+    require(form == FORMAT, f"is {form!r}", where=f"{where}.format", fix=fix, error=RecordingError)
+    return stored, meta
+
+
+def _recording_of_static(
+    arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any], where: str
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Convert a shape at rest, by the arrays and meta of its file, to those of a recording.
+
+    Each repeat becomes a frame, one second after the previous one. Points are ordered markers, two
+    grippers hold the ends, and `static` in the meta marks the recording as motionless.
+
+    Raises:
+        RecordingError: Something is missing or not a number.
+    """
+
+    def wanted(holds: bool, what: str, fix: str) -> None:
+        require(holds, what, where=where, fix=fix, error=RecordingError)
+
+    loops = np.asarray(arrays.get("loops", np.zeros(0)))
+    right = loops.ndim == 3 and loops.shape[1] >= 5 and loops.shape[2] == 3
+    fix = "give [K, n, 3]: K repeats of n points, 5 at least"
+    wanted(right, f"loops: has shape {list(loops.shape)}", fix)
+    loops = loops.astype(float)
+    finite = bool(np.isfinite(loops).all())
+    wanted(finite, "loops: holds numbers that are not finite", "give metres")
+    described = dict(meta.get("object") or {})
+    kind = described.get("kind")
+    wanted(kind in ("rope", "wire"), f"object.kind: is {kind!r}", "give rope or wire")
+    described["kind"] = "rope"
+    for name in ("length", "mass_per_length"):
+        value = described.get(name)
+        right = isinstance(value, int | float) and 0.0 < value < np.inf
+        wanted(right, f"object.{name}: is {value!r}", "give a number above 0, in SI")
+    described["mass"] = described["length"] * described["mass_per_length"]
+    described["grasp"] = "both ends"
+    # the clamped ends are at their mean position over all repeats
+    ends = loops[:, [0, -1]].mean(axis=0)
+    axes = (loops[:, [1, -2]] - loops[:, [0, -1]]).mean(axis=0)
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    K, n = loops.shape[:2]
+    made = {
+        "points": loops.reshape(-1, 3).astype(np.float32),
+        "offsets": np.arange(K + 1) * n,
+        "time": np.arange(K, dtype=float),
+        "gripper_position": np.tile(ends, (K, 1, 1)),
+        "gripper_axis": np.tile(axes, (K, 1, 1)),
+    }
+    usual = {"table_height": None, "gripper_source": "measured", "quasi_static": True}
+    marked = {"ordered_markers": True, "static": True}
+    return made, {**usual, **marked, **meta, "format": FORMAT, "object": described}
 
 
 def short(error: BaseException) -> str:

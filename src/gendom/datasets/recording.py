@@ -30,7 +30,6 @@ from gendom.datasets.checks import check
 from gendom.datasets.folder import read_folder
 from gendom.datasets.npz import read_npz
 from gendom.datasets.recording_form import (
-    FORMAT,
     STORED_ARRAYS,
     Fault,
     RecordingData,
@@ -38,7 +37,6 @@ from gendom.datasets.recording_form import (
     missing_keys,
     parse_meta,
 )
-from gendom.datasets.static import FORMAT_STATIC, recording_of_static
 from gendom.errors import GendomError, RecordingError
 from gendom.files import atomic_path, to_json
 
@@ -67,7 +65,7 @@ class Recording(RecordingData):
 
         Args:
             path: A `gendom-recording/1` file, a `gendom-static/1` file (see
-                `gendom.datasets.static`), a folder of clouds (PLY, PCD, NPZ) with
+                `gendom.datasets.npz`), a folder of clouds (PLY, PCD, NPZ) with
                 gripper.csv and object.toml (see `gendom.datasets.folder.read_folder`), or a
                 LeRobot data set that `gendom export` made of a recording.
             on_warning: Called with every fault that does not prevent use; by default they are
@@ -100,7 +98,8 @@ class Recording(RecordingData):
             GendomError: The place cannot be written.
         """
         path = Path(path)
-        check_name(path)
+        what, fix = f"has the suffix {path.suffix!r}", "name the file .npz"
+        require(path.suffix == ".npz", what, where=str(path), fix=fix, error=RecordingError)
         arrays = {name: getattr(self, name) for name in STORED_ARRAYS}
         arrays = {name: array for name, array in arrays.items() if array is not None}
         try:
@@ -150,16 +149,10 @@ def _read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any], str, list[F
         faults = [] if key in meta else [Fault(what, key, fix, "warning")]
         return arrays, meta, str(path / "object.toml"), faults
     if is_lerobot:
-        from gendom.datasets.lerobot import read_lerobot  # imported here: it needs pyarrow
-
-        arrays, meta = read_lerobot(path)
-        return arrays, meta, str(path), missing_keys(meta)
-    arrays, meta = read_npz(path)
-    if (form := meta.get("format")) == FORMAT_STATIC:
-        arrays, meta = recording_of_static(arrays, meta, str(path))
+        from gendom.datasets.lerobot import read_lerobot as read  # imported here: it needs pyarrow
     else:
-        where, fix = f"{path}: meta.format", f"only {FORMAT!r} can be read here"
-        require(form == FORMAT, f"is {form!r}", where=where, fix=fix, error=RecordingError)
+        read = read_npz
+    arrays, meta = read(path)
     return arrays, meta, str(path), missing_keys(meta)
 
 
@@ -173,14 +166,3 @@ def is_recording(path: str | os.PathLike) -> bool:
     path = Path(path)
     inside = ("object.toml", "gripper.csv", "meta/info.json")
     return path.is_file() or any((path / name).is_file() for name in inside)
-
-
-def check_name(path: str | os.PathLike) -> None:
-    """Check that a recording can be written under a name; call it before long computations.
-
-    Raises:
-        RecordingError: It does not end in .npz.
-    """
-    what = f"has the suffix {(suffix := Path(path).suffix)!r}"
-    fix = "name the file .npz"
-    require(suffix == ".npz", what, where=str(path), fix=fix, error=RecordingError)

@@ -9,8 +9,8 @@ import numpy as np
 
 from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import ParameterError
-from gendom.materials.catalogue import NINE_OF_TEN, Listed
-from gendom.materials.posterior import Prior, prior_of
+from gendom.materials.catalogue import Listed
+from gendom.materials.posterior import Prior, half_width, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 
 BENDING_RANGE = {"rope": (0.04, 2.5), "held rope": (0.04, 1.2), "cloth": (0.01, 0.2)}
@@ -204,7 +204,7 @@ def material_prior(
         ends = unknown.transformed(known.low), unknown.transformed(known.high)
         found[name] = {
             "mean": min(max(known.typical, unknown.low), unknown.high),
-            "sd": (ends[1] - ends[0]) / 2.0 / NINE_OF_TEN,
+            "sd": (ends[1] - ends[0]) / 2.0 / half_width(0.9),
         }
     return found
 

@@ -21,13 +21,13 @@ import tomllib
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from statistics import NormalDist
 from typing import Any
 
 from gendom.arguments import require
 from gendom.errors import ParameterError, did_you_mean
 from gendom.materials.objects import KINDS
 from gendom.materials.parameters import Material
+from gendom.materials.posterior import half_width
 from gendom.plugins import plugins
 from gendom.shown import Shown
 
@@ -39,10 +39,6 @@ which a source, where there is one, has the method or numbers near it."""
 
 UNITS = {"E": "Pa", "nu": "1", "density": "kg/m^3", "damping": "s", "friction": "1"}
 """Quantities of every material, SI; a rope has a ``diameter``, a cloth a ``thickness`` [m]."""
-
-
-NINE_OF_TEN = NormalDist().inv_cdf(0.95)
-"""Half width of a Gaussian's central 90 % interval, in deviations."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +74,7 @@ class Range:
     @property
     def log_sd(self) -> float:
         """Standard deviation of the logarithm of a log-normal quantity with these ends."""
-        return math.log(self.high / self.low) / 2.0 / NINE_OF_TEN
+        return math.log(self.high / self.low) / 2.0 / half_width(0.9)
 
     def __post_init__(self) -> None:
         numbers = (self.low, self.typical, self.high)

@@ -15,7 +15,6 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from gendom.arguments import require
 from gendom.errors import ParameterError
@@ -45,9 +44,10 @@ from gendom.materials.objects import (
     Cloth,
     Item,
     Rope,
+    from_columns,
     to_columns,
 )
-from gendom.materials.parameters import Material, bending_length
+from gendom.materials.parameters import bending_length
 from gendom.materials.posterior import Posterior, Prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.shown import Shown
@@ -141,7 +141,7 @@ class Estimate(Shown):
             if name == self._small and "thickness" in self.names:
                 found *= self._estimated("thickness")
             elif name == "density" and "mass" in self.known and "thickness" in self.names:
-                found /= self._estimated("thickness") ** self._mass_power
+                found /= self._estimated("thickness") ** KINDS[self.kind].thickness_power
             return found
         return self._estimated(name) if name in self.names else None
 
@@ -193,11 +193,6 @@ class Estimate(Shown):
         """Name of the smaller size."""
         return KINDS[self.kind].sizes[1]
 
-    @property
-    def _mass_power(self) -> int:
-        """Exponent of the thickness in the object's volume."""
-        return 2 if self.kind == "rope" else 1
-
     def interval(self, name: str) -> tuple[float, float] | None:
         """Ends of the interval of a value of the file, None where there is none."""
         ends = (self.record["intervals"] or {}).get(name)
@@ -232,16 +227,10 @@ class Estimate(Shown):
     def _usual(self) -> Item:
         """The object without effects of unknowns that other packages have registered."""
         numbers = {n: self._need(n) if self._says(n) else value for n, value in ASSUMED.items()}
-        kind = KINDS[self.kind]
         square = self.kind == "cloth" and "side" not in self.known
-        sizes = {n: self._need("width" if square and n == "side" else n) for n in kind.sizes}
-        material = Material(
-            E=self.E_over_rho * numbers["density"],
-            nu=numbers["nu"],
-            density=numbers["density"],
-            damping=numbers["damping"],
-        )
-        return kind(**sizes, material=material, friction=numbers["friction"])
+        for name in KINDS[self.kind].sizes:
+            numbers[name] = self._need("width" if square and name == "side" else name)
+        return from_columns(self.kind, {**numbers, "E": self.E_over_rho * numbers["density"]})
 
     def rope(self) -> Rope:
         """The rope with the estimated material.
@@ -351,7 +340,8 @@ class Estimate(Shown):
         """
         value = self.value(name)
         mean = UNKNOWNS[name].transformed(ASSUMED[name] if value is None else value)
-        covariance = block_diag(self.covariance, sd**2)
+        covariance = np.pad(self.covariance, (0, 1))
+        covariance[-1, -1] = sd**2
         prior = self.posterior.prior.followed_by(prior_of([name]))
         return self._with(prior, np.append(self.mean, mean), covariance)
 
@@ -389,7 +379,8 @@ class Estimate(Shown):
         at = {n: old.prior.index(n) for n in mine if n in old.names}
         means = {n: UNKNOWNS[n].value(float(old.prior.mean[k])) for n, k in at.items()}
         changes = {n: {"mean": means[n], "sd": float(old.prior.sd[k])} for n, k in at.items()}
-        covariance = block_diag(learned.covariance, old.covariance[np.ix_(kept, kept)])
+        covariance = np.pad(learned.covariance, (0, len(kept)))
+        covariance[P:, P:] = old.covariance[np.ix_(kept, kept)]
         if "thickness" in old.names:
             k = old.prior.index("thickness")
             t, variance = P + kept.index(k), old.covariance[k, k]

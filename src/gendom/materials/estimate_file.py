@@ -12,7 +12,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from gendom.files import to_json
 from gendom.materials import catalogue
 from gendom.materials.names import with_current_names
 from gendom.materials.objects import KINDS
-from gendom.materials.posterior import Posterior, prior_of
+from gendom.materials.posterior import Posterior, half_width, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.reading import read_json, record_of
 
@@ -145,7 +144,7 @@ def derived(kind: str, *, weighed: bool) -> dict[str, Derived]:
         weighed: Whether its mass is known: a thicker one is then less dense. Else its density is
             assumed, and it is heavier.
     """
-    small, volume = KINDS[kind].sizes[1], 2.0 if kind == "rope" else 1.0
+    small, volume = KINDS[kind].sizes[1], float(KINDS[kind].thickness_power)
     title, unit = ("bending EI", "N m^2") if kind == "rope" else ("bending D", "N m")
     heavier = 0.0 if weighed else 1.0
     return {
@@ -265,6 +264,7 @@ def fields_of(
         raise ValueError(f"there is no kind of object {kind!r}")
     known = _numbers(read, described, where)
     level = float((read.get("intervals") or {}).get("level", LEVEL))
+    require(0.0 < level < 1.0, f"level is {level:g}", where="intervals", fix="estimate again")
     posterior, stated = _posterior_of(read, known, level), {}
     if read.get("posterior") is not None:
         stated = _stated(known, posterior, kind)
@@ -290,7 +290,7 @@ def _stated(known: dict[str, float], posterior: Posterior, kind: str) -> dict[st
     stated = {n: known.pop(n) for n in ("E", *names) if n in known and n != "thickness"}
     if "thickness" not in names:
         return stated
-    small, power = KINDS[kind].sizes[1], 2 if kind == "rope" else 1
+    small, power = KINDS[kind].sizes[1], KINDS[kind].thickness_power
     k = posterior.names.index("thickness")
     r = UNKNOWNS["thickness"].value(float(posterior.mean[k]))
     if small in known:
@@ -345,6 +345,6 @@ def _posterior_of(read: Mapping[str, Any], known: Mapping[str, float], level: fl
     if not ends:
         return NOTHING_ESTIMATED
     low, high = (math.log(end / known["density"]) for end in ends)
-    variance = (0.5 * (high - low) / NormalDist().inv_cdf(0.5 + level / 2.0)) ** 2
+    variance = (0.5 * (high - low) / half_width(level)) ** 2
     mean, covariance = np.array([0.5 * (low + high)]), np.array([[variance]])
     return Posterior(prior=prior_of(["E_over_rho"]), mean=mean, covariance=covariance, bases=())

@@ -72,6 +72,8 @@ class _Thing:
     kind: ClassVar[str]
     sizes: ClassVar[tuple[str, str]]
     """Names of its sizes, the larger one first [m]."""
+    thickness_power: ClassVar[int]
+    """Exponent of the smaller one in its volume."""
 
     material: Material = field(default_factory=Material)
     friction: float = 0.3
@@ -92,6 +94,7 @@ class Rope(_Thing):
 
     kind = "rope"
     sizes = ("length", "diameter")
+    thickness_power = 2
 
     length: float
     """[m]."""
@@ -125,6 +128,7 @@ class Cloth(_Thing):
 
     kind = "cloth"
     sizes = ("side", "thickness")
+    thickness_power = 1
 
     side: float
     """[m]."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from gendom.arguments import check_numbers, require
 from gendom.errors import ParameterError
@@ -27,6 +27,11 @@ LARGEST, WIDEST = 300.0, 30.0
 
 NUMBERS = ("low", "high", "mean", "sd", "step", "widest")
 """Fields of `Prior` that are arrays."""
+
+
+def half_width(level: float) -> float:
+    """Of a Gaussian's central interval with this probability, in deviations."""
+    return NormalDist().inv_cdf(0.5 + level / 2.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +206,7 @@ class Posterior:
     def interval(self, name: str, level: float, recording: int = 0) -> tuple[float, float]:
         """Ends of the central interval of an unknown, within the range that was searched."""
         k, u = self.prior.index(name, recording), UNKNOWNS[name]
-        half = float(norm.ppf(0.5 + level / 2.0)) * self.sd(name, recording)
+        half = half_width(level) * self.sd(name, recording)
         ends = np.clip(self.mean[k] + [-half, half], self.prior.low[k], self.prior.high[k])
         return u.value(float(ends[0])), u.value(float(ends[1]))
 
@@ -217,7 +222,7 @@ class Posterior:
             level: Probability of the interval.
             other_sd: Standard deviation of the logarithm of a factor that is none of them.
         """
-        weights, z = np.zeros(len(self.names)), float(norm.ppf(0.5 + level / 2.0))
+        weights, z = np.zeros(len(self.names)), half_width(level)
         for name in set(powers) & set(self.names):
             weights[self.prior.index(name)] = powers[name]
         searched = np.sort([weights * self.prior.low, weights * self.prior.high], axis=0)
