@@ -18,8 +18,7 @@ from gendom.perception import (
     RealSenseRecording,
     read_cameras,
 )
-from gendom.perception.alignment import Alignment
-from gendom.perception.realsense import realsense_sdk
+from gendom.perception.realsense import Alignment, realsense_sdk
 from gendom.perception.rosbag import raw_picture
 from software_camera import recording
 
@@ -61,7 +60,7 @@ def test_recordings_of_the_sdk(name, request):
     faults = []
     source = RealSenseRecording(RECORDINGS / name, on_warning=faults.append)
     camera = source.camera
-    assert isinstance(source, FrameSource) and len(source) == 4 and not faults
+    assert isinstance(source, FrameSource) and len(list(source)) == 4 and not faults
     assert (camera.width, camera.height, camera.depth_unit) == (32, 24, 1e-4)
     np.testing.assert_allclose(camera.K, [[31, 0, 16], [0, 31, 12], [0, 0, 1]])
     assert camera.T_world_camera is None and camera.distortion == ()
@@ -103,9 +102,6 @@ def test_sdk_that_does_not_load(monkeypatch):
         ("bgr8", [1, 2, 3, 4, 5, 6], [[3, 2, 1], [6, 5, 4]]),
         ("rgba8", [1, 2, 3, 0, 4, 5, 6, 0], [[1, 2, 3], [4, 5, 6]]),
         ("mono16", [1, 2, 3, 4], [0x0201, 0x0403]),
-        # BT.601's red; black and white.
-        ("YUYV", [81, 90, 81, 240], [[254, 0, 0], [254, 0, 0]]),
-        ("UYVY", [128, 16, 128, 235], [[0, 0, 0], [255, 255, 255]]),
     ],
 )
 def test_raw_formats(encoding, data, pixels):
@@ -116,8 +112,8 @@ def test_raw_formats(encoding, data, pixels):
     assert found.dtype == (np.uint16 if encoding == "mono16" else np.uint8)
     with pytest.raises(ValueError, match="fewer pixels"):
         raw_picture(row * 2, encoding, 2, 3, len(row), "<", "here")
-    with pytest.raises(RecordingError, match="here: is stored as MJPEG; record colour as RGB8"):
-        raw_picture(row, "MJPEG", 2, 3, 8, "<", "here")
+    with pytest.raises(RecordingError, match="here: is stored as YUYV; record colour as RGB8"):
+        raw_picture(row, "YUYV", 2, 3, 8, "<", "here")
 
 
 # What is written here.
@@ -202,7 +198,7 @@ os.kill(os.getpid(), signal.SIGKILL)
     done = subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": paths})
     assert done.returncode == -9
     source = RealSenseRecording(tmp_path / "recording.db3")
-    assert len(source) > 10
+    assert len(list(source)) > 10
     for t, frame in enumerate(source):
         assert (frame.read().depth == 500 + t).all()
 
@@ -255,65 +251,54 @@ def test_folders_with_several_recordings(world, copy, tmp_path):
 
 
 def frames_read(path):
-    """Numbers of the frames that can be read, and the warnings."""
-    faults, good = [], []
+    """Pictures that can be read by their frames, and the warnings."""
+    faults, good = [], {}
     for k, frame in enumerate(RealSenseRecording(path, on_warning=faults.append)):
         try:
-            frame.read()
-            good.append(k)
+            good[k] = frame.read()
         except RecordingError as error:
             assert f"recording{path.suffix}: frame {k}" in str(error)
     return good, faults
 
 
-def big_recording(world, folder, frames=12):
-    """Its pictures are noise of 30 kB, so that most of the file is pictures."""
-    camera = world.make_camera(scale=0.2)
+@pytest.fixture(scope="module")
+def big(world, sdk, tmp_path_factory):
+    """A recording of 12 pictures of noise of 30 kB: most of the file is pictures."""
+    folder, camera = tmp_path_factory.mktemp("big"), world.make_camera(scale=0.2)
     with recording(folder, camera) as write:
-        for t in range(frames):
+        for t in range(12):
             write(t / 30.0, pictures(camera, t))
-    return folder / "recording.db3"
+    return (folder / "recording.db3").read_bytes()
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
-def test_a_file_cut_off(world, sdk, tmp_path, share):
-    path = big_recording(world, tmp_path)
-    data = path.read_bytes()
-    path.write_bytes(data[: int(share * len(data))])
+def test_a_file_cut_off(big, tmp_path, share):
+    path = tmp_path / "recording.db3"
+    path.write_bytes(big[: int(share * len(big))])
     good, faults = frames_read(path)
-    assert good == list(range(len(good))) and abs(len(good) - 12 * share) < 2.5
+    assert [*good] == list(range(len(good))) and abs(len(good) - 12 * share) < 2.5
     assert [f.severity for f in faults] == ["warning"]
     assert "is damaged or cut off: all after message" in str(faults[0])
 
 
 @pytest.mark.parametrize("filling", [0, 255])
-def test_a_hole_in_the_middle(world, sdk, tmp_path, filling):
+def test_a_hole_in_the_middle(big, tmp_path, filling):
     """Only the frames it touches are lost."""
-    path = big_recording(world, tmp_path)
-    data = bytearray(path.read_bytes())
-    half = len(data) // 2
-    data[half : half + 16384] = bytes([filling]) * 16384
-    path.write_bytes(data)
+    half, path = len(big) // 2, tmp_path / "recording.db3"
+    path.write_bytes(big[:half] + bytes([filling]) * 16384 + big[half + 16384 :])
     good, _ = frames_read(path)
     assert 10 <= len(good) < 12 and {0, 11} <= set(good)
 
 
-def test_flipped_bits_never_pass_as_depth(world, sdk, tmp_path):
-    path = big_recording(world, tmp_path)
-    data = bytearray(path.read_bytes())
-    rng = np.random.default_rng(0)
+def test_flipped_bits_never_pass_as_depth(world, big, tmp_path):
+    data, rng, path = bytearray(big), np.random.default_rng(0), tmp_path / "recording.db3"
     for position in rng.integers(len(data) // 4, len(data), 5):
         data[position] ^= 1 << int(rng.integers(8))
     path.write_bytes(data)
-    camera, good = world.make_camera(scale=0.2), 0
-    for t, frame in enumerate(RealSenseRecording(path)):
-        try:
-            seen = frame.read()
-        except RecordingError:
-            continue
-        good += 1
-        np.testing.assert_array_equal(seen.depth, pictures(camera, t).depth)
-    assert 5 <= good < 12
+    good, _ = frames_read(path)
+    assert 5 <= len(good) < 12
+    for t, seen in good.items():
+        np.testing.assert_array_equal(seen.depth, pictures(world.make_camera(scale=0.2), t).depth)
 
 
 def test_uncompressed_pictures_are_held_by_a_checksum(world, sdk, tmp_path):
@@ -330,7 +315,7 @@ def test_uncompressed_pictures_are_held_by_a_checksum(world, sdk, tmp_path):
     with pytest.raises(RecordingError, match=r"recording\.db3: differs from its checksum; copy"):
         RealSenseRecording(path)
     (tmp_path / "recording.db3.sha256").unlink()
-    assert len(RealSenseRecording(path)) == 1
+    assert len(list(RealSenseRecording(path))) == 1
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -385,7 +370,7 @@ def test_recordings_that_lack_something(copy):
     path = copy("sdk-2.59.db3")
     edit(path, "UPDATE topics SET name = 'x' || id WHERE name LIKE '%Color_0%'")
     source = RealSenseRecording(path)
-    assert len(source) == 4 and next(iter(source)).read().colour is None
+    assert len(list(source)) == 4 and next(iter(source)).read().colour is None
 
 
 def replace_text(path, old, new):
@@ -413,9 +398,7 @@ def test_time_stamps_that_go_back_are_left_out(copy):
     replace_text(path, b"timestamp=1700000000066", b"timestamp=1600000000066")
     faults = []
     source = RealSenseRecording(path, on_warning=faults.append)
-    assert len(source) == 3 and "1 pictures have no time stamp, or one that goes back" in str(
-        faults[0]
-    )
+    assert len(list(source)) == 3 and "1 pictures have no time stamp, or one" in str(faults[0])
 
 
 def test_unknown_distortion(copy):
