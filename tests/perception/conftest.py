@@ -92,21 +92,18 @@ class Sphere:
 
 @dataclass
 class Rope:
-    """A chain of capsules along points [M, 3]."""
+    """A chain of capsules along points [M, 3]: with two a robot's link."""
 
     line: np.ndarray
     radius: float = 0.005
     colour: tuple = RED
 
     def hit(self, origin, d):
-        t = np.full(len(d), np.inf)
-        away = self.line - origin
-        for a, b in pairwise(away):
+        t, length2 = np.full(len(d), np.inf), np.einsum("ij,ij->i", d, d)
+        for a, b in pairwise(np.asarray(self.line) - origin):
             # Only rays near the link are worth the work.
             middle, reach = (a + b) / 2, np.linalg.norm(b - a) / 2 + self.radius
-            near = np.flatnonzero(
-                (d @ middle) ** 2 >= (d * d).sum(1) * (middle @ middle - reach**2)
-            )
+            near = np.flatnonzero((d @ middle) ** 2 >= length2 * (middle @ middle - reach**2))
             t[near] = np.minimum(t[near], _capsule(-a, b - a, self.radius, d[near]))
         return t
 
@@ -160,20 +157,6 @@ class Sheet:
 
 
 @dataclass
-class Cylinder:
-    """A robot's link: a capsule of another colour."""
-
-    start: tuple
-    end: tuple
-    radius: float
-    colour: tuple = BLUE
-
-    def hit(self, origin, d):
-        a, b = np.array(self.start), np.array(self.end)
-        return _capsule(np.subtract(origin, a), b - a, self.radius, d)
-
-
-@dataclass
 class Scene:
     things: list = field(default_factory=list)
 
@@ -212,33 +195,42 @@ def lifted_rope(tip=(0.0, 0.0, 0.3), length=0.4, radius=0.005):
     return Rope(line + np.array([tip[0], tip[1], 0.0]), radius)
 
 
-def write_lift(folder, *, frames=6, scale=0.5, sensor=NOISE, **changes):
-    """A recording of a rope's lift by two cameras, and the ropes; see `changes` below.
+def pair(scale=0.5):
+    """Two cameras on both sides of the lift."""
+    return [
+        make_camera("left", scale=scale),
+        make_camera("right", eye=(0.1, 0.65, 0.47), scale=scale),
+    ]
 
-    Changes:
-        cameras: those that see it.
-        stored: cameras that camera.toml describes, where they differ.
-        time: function (camera number, frame) -> time stamp [s].
-        things: more in the scene, function (frame) -> list.
+
+def write_lift(
+    folder,
+    *,
+    frames=6,
+    scale=0.5,
+    sensor=NOISE,
+    cameras=None,
+    stored=None,
+    time=lambda k, t: t / 30.0,
+    things=lambda t: [],
+    rope=True,
+):
+    """A recording of a rope's lift by two cameras, and the ropes.
+
+    Args:
+        cameras: Those that see it.
+        stored: Cameras that camera.toml describes, where they differ.
+        time: Function (camera number, frame) -> time stamp [s].
+        things: More in the scene, function (frame) -> list.
         rope: False leaves the rope out.
     """
-    cameras = changes.get(
-        "cameras",
-        [
-            make_camera("left", scale=scale),
-            make_camera("right", eye=(0.1, 0.65, 0.47), scale=scale),
-        ],
-    )
-    stored = changes.get("stored", cameras)
-    stamp = changes.get("time", lambda k, t: t / 30.0)
+    cameras = cameras or pair(scale)
     ropes = [lifted_rope(tip=(0.0, 0.0, 0.2 + 0.01 * t)) for t in range(frames)]
     for k, camera in enumerate(cameras):
-        writer = PngWriter(folder / "cameras" / camera.name, stored[k])
-        for t, rope in enumerate(ropes):
-            more = changes.get("things", lambda t: [])(t)
-            scene = Scene([Plane(), *more] + ([rope] if changes.get("rope", True) else []))
-            seed = 100 * k + t
-            writer.write(stamp(k, t), scene.pictures(camera, sensor=sensor, seed=seed))
+        writer = PngWriter(folder / "cameras" / camera.name, (stored or cameras)[k])
+        for t, held in enumerate(ropes):
+            scene = Scene([Plane(), *things(t), *([held] if rope else [])])
+            writer.write(time(k, t), scene.pictures(camera, sensor=sensor, seed=100 * k + t))
     rows = [f"{t / 30.0!r},0.0,0.0,{0.2 + 0.01 * t!r}" for t in range(frames)]
     (folder / "gripper.csv").write_text("\n".join(["time,x,y,z", *rows]) + "\n")
     (folder / "object.toml").write_text(

@@ -12,12 +12,7 @@ from scipy.spatial.transform import Rotation
 import software_camera
 from gendom import cli
 from gendom.errors import GendomError
-from gendom.perception import (
-    Pictures,
-    RealSenseRecording,
-    read_camera,
-    write_camera,
-)
+from gendom.perception import Pictures, RealSenseRecording, read_camera, write_camera
 from gendom.perception.calibration import Board, BoardView, calibrate, find_board, read_views
 
 cv2 = pytest.importorskip("cv2", reason="needs the extra `camera`")
@@ -35,23 +30,16 @@ def transform(rotvec_degrees, t):
 
 def render(camera, T_camera_board, board=BOARD, noise=0.0, seed=0):
     """A grey picture of the board: its printed picture, warped by the pose's homography."""
-    texel = 100  # a square's side in the printed picture
-    border = texel // 2
-    size = (board.squares_x * texel + 2 * border, board.squares_y * texel + 2 * border)
+    texel, border = 100, 50  # a square's side and the border in the printed picture
+    size = [n * texel + 2 * border for n in (board.squares_x, board.squares_y)]
     printed = board.opencv().generateImage(size, marginSize=border)
     # Pixel centres are at whole numbers: texel (0, 0) is half a texel inside the paper.
-    scale = texel / board.square
+    scale, half = texel / board.square, (FINER - 1) / 2
     from_board = np.array([[scale, 0, border - 0.5], [0, scale, border - 0.5], [0, 0, 1]])
-    finer = np.array([[FINER, 0, (FINER - 1) / 2], [0, FINER, (FINER - 1) / 2], [0, 0, 1]])
-    T = T_camera_board
-    H = finer @ camera.K @ np.stack([T[:3, 0], T[:3, 1], T[:3, 3]], axis=1)
-    large = cv2.warpPerspective(
-        printed,
-        H @ np.linalg.inv(from_board),
-        (FINER * camera.width, FINER * camera.height),
-        flags=cv2.INTER_LINEAR,
-        borderValue=(90,),
-    )
+    finer = np.array([[FINER, 0, half], [0, FINER, half], [0, 0, 1]])
+    H = finer @ camera.K @ T_camera_board[:3, [0, 1, 3]] @ np.linalg.inv(from_board)
+    size = FINER * camera.width, FINER * camera.height
+    large = cv2.warpPerspective(printed, H, size, flags=cv2.INTER_LINEAR, borderValue=(90,))
     picture = large.reshape(camera.height, FINER, camera.width, FINER).mean(axis=(1, 3))
     picture += np.random.default_rng(seed).normal(0.0, noise, picture.shape)
     return np.clip(np.round(picture), 0, 255).astype(np.uint8)
@@ -73,8 +61,7 @@ def robot_poses(camera, tilts, distance=0.8, seed=0):
 
 
 def good_tilts(n=12, seed=1):
-    tilts = np.random.default_rng(seed).uniform(-30, 30, (n, 3))
-    return tilts
+    return np.random.default_rng(seed).uniform(-30, 30, (n, 3))
 
 
 def write_pictures(folder, camera, tilts, noise=0.0, board=BOARD):
@@ -103,10 +90,8 @@ def taken(world, tmp_path_factory):
     """Pictures of the depth camera's own stream, and the camera's file without its pose."""
     folder = tmp_path_factory.mktemp("calibration")
     camera = world.make_camera()
-    write_pictures(folder / "pictures", camera, good_tilts())
-    write_camera(folder / "camera.toml", camera)
-    text = (folder / "camera.toml").read_text()
-    (folder / "camera.toml").write_text(text[: text.index("T_world_camera")])
+    write_pictures(folder / "pictures", camera, good_tilts(10))
+    write_camera(folder / "camera.toml", replace(camera, T_world_camera=None))
     return folder, camera
 
 
@@ -119,16 +104,6 @@ def run(folder, *words):
     return cli.main(
         ["calibrate", str(folder / "pictures"), "--camera", str(folder / "camera.toml"), *words]
     )
-
-
-def test_corners_are_found_where_they_are(world):
-    camera = world.make_camera()
-    T = transform([15, -10, 5], [-0.15, -0.1, 0.8])
-    points, pixels = find_board(render(camera, T), BOARD)
-    x = (points @ T[:3, :3].T + T[:3, 3]) @ camera.K.T
-    error = pixels - x[:, :2] / x[:, 2:]
-    assert len(points) == 24
-    assert np.abs(error.mean(axis=0)).max() < 0.03 and np.sqrt(np.mean(error**2)) < 0.07
 
 
 def test_within_a_millimetre_and_a_tenth_of_a_degree(taken, tmp_path, capsys):
@@ -145,15 +120,19 @@ def test_within_a_millimetre_and_a_tenth_of_a_degree(taken, tmp_path, capsys):
     np.testing.assert_array_equal(again.K, camera.K)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_other_poses_give_the_same(world, seed):
-    """With noise of four grey levels, too."""
-    camera = world.make_camera()
+    """With noise of four grey levels, too; corners are found where they are."""
+    camera, views, errors = world.make_camera(), [], []
     poses, boards, _ = robot_poses(camera, good_tilts(12, seed), seed=seed)
-    views = []
     for k, (pose, T) in enumerate(zip(poses, boards, strict=True)):
         points, pixels = find_board(render(camera, T, noise=4.0, seed=k), BOARD)
         views.append(BoardView(f"picture {k}", points, pixels, pose))
+        x = (points @ T[:3, :3].T + T[:3, 3]) @ camera.K.T
+        errors.append(pixels - x[:, :2] / x[:, 2:])
+        assert len(points) == 24
+    errors = np.concatenate(errors)
+    assert np.abs(errors.mean(axis=0)).max() < 0.03 and np.sqrt(np.mean(errors**2)) < 0.1
     found = calibrate(camera, views)
     position, angle = error_of(found.T_world_camera, camera)
     assert position < 1e-3 and angle < 0.1 and found.rms < 0.15
@@ -169,13 +148,6 @@ def test_intrinsics_of_a_realsense_recording(taken, sdk, tmp_path, capsys):
     assert cli.main(["calibrate", str(taken[0] / "pictures"), *words]) == 0
     distance, degrees = error_of(RealSenseRecording(recording).camera.calibrated(), taken[1])
     assert distance < 1e-3 and degrees < 0.1
-
-
-def test_text(taken, capsys):
-    assert run(taken[0]) == 0
-    out = capsys.readouterr().out
-    assert "T_world_camera from 12 pictures" in out and "pixels RMS" in out
-    assert "written" not in out
 
 
 def exact_views(camera, tilts, pixel_noise=0.0, seed=0):
@@ -257,25 +229,19 @@ def test_the_same_as_kinhec(world):
 
 
 @pytest.mark.parametrize(
-    ("tilts", "line"),
+    ("tilts", "noise", "line"),
     [
-        (np.zeros((8, 3)), "hardly turn the board"),
-        ([[a, 0, 0] for a in range(-30, 31, 10)], "about one axis only"),
-        ([[0, 0, a] for a in range(-30, 31, 10)], "about one axis only"),
-        (good_tilts(4), "found in 4 pictures, 5 are needed"),
+        (np.zeros((8, 3)), 0.1, "hardly turn the board"),
+        ([[a, 0, 0] for a in range(-30, 31, 10)], 0.1, "about one axis only"),
+        ([[0, 0, a] for a in range(-30, 31, 10)], 0.1, "about one axis only"),
+        (good_tilts(4), 0.1, "found in 4 pictures, 5 are needed"),
+        (0.4 * good_tilts(5, 3), 1.0, "leave the camera's place open by"),
     ],
 )
-def test_degenerate_poses_are_refused(world, tilts, line):
+def test_degenerate_poses_are_refused(world, tilts, noise, line):
     camera = world.make_camera()
     with pytest.raises(GendomError, match=line):
-        calibrate(camera, exact_views(camera, tilts, 0.1)[0])
-
-
-def test_a_camera_left_open_by_noise_is_refused(world):
-    camera = world.make_camera()
-    tilts = np.random.default_rng(3).uniform(-12, 12, (5, 3))
-    with pytest.raises(GendomError, match="leave the camera's place open by"):
-        calibrate(camera, exact_views(camera, tilts, 1.0)[0])
+        calibrate(camera, exact_views(camera, tilts, noise)[0])
 
 
 def test_poses_of_other_pictures_are_refused(world):
@@ -291,31 +257,34 @@ def test_poses_of_other_pictures_are_refused(world):
 
 @pytest.mark.parametrize("legacy", [True, False])
 def test_boards_of_the_other_side_of_opencv_4_6_are_named(world, tmp_path, legacy):
-    camera = world.make_camera()
+    """And what is said is right."""
+    camera, folder = world.make_camera(), tmp_path / "board"
     printed = replace(BOARD, squares_y=6, legacy=legacy)
-    write_pictures(tmp_path / "board", camera, good_tilts(1), board=printed)
-    path = tmp_path / "board" / "board.toml"
-    path.write_text(path.read_text() + f"legacy = {str(not legacy).lower()}\n")
-    with pytest.raises(GendomError, match=f"; write legacy = {str(legacy).lower()} in board.toml"):
-        read_views(tmp_path / "board", camera, on_warning=lambda _: None)
+    write_pictures(folder, camera, good_tilts(1), board=printed)
+    text = (folder / "board.toml").read_text()
+    for wrong in (True, False):
+        said = str(legacy != wrong).lower()
+        (folder / "board.toml").write_text(f"{text}legacy = {said}\n")
+        if wrong:
+            line = f"; write legacy = {str(legacy).lower()} in board.toml"
+            with pytest.raises(GendomError, match=line):
+                read_views(folder, camera, on_warning=print)
+    assert len(read_views(folder, camera, on_warning=print)[0].points) == 30
 
 
-def test_pictures_that_cannot_be_used_are_left_out(copy, capsys):
+def test_pictures_and_poses_that_are_wrong_are_told(copy, capsys):
+    """Two pictures are left out, and a pose is 1 cm off."""
     (copy / "pictures" / "2.png").write_bytes(b"no picture")
     Image.fromarray(np.full((480, 640), 90, np.uint8)).save(copy / "pictures" / "3.png")
-    assert run(copy) == 0
-    out = capsys.readouterr().out
-    assert "from 10 pictures" in out
-    assert "2.png: is damaged" in out and "3.png: the board is not found" in out
-
-
-def test_a_picture_whose_pose_is_wrong_is_named(copy, capsys):
     path = copy / "pictures" / "poses.csv"
     lines = path.read_text().splitlines()
     name, x, rest = lines[8].split(",", 2)
     path.write_text("\n".join([*lines[:8], f"{name},{float(x) + 0.01!r},{rest}", *lines[9:]]))
     assert run(copy) == 0
-    assert "7.png: is 4" in (out := capsys.readouterr().out) and "its pose is not" in out
+    out = capsys.readouterr().out
+    assert "T_world_camera from 8 pictures" in out and "written" not in out
+    assert "2.png: is damaged" in out and "3.png: the board is not found" in out
+    assert "7.png: is 4" in out and "its pose is not" in out
 
 
 @pytest.mark.parametrize(
@@ -331,7 +300,7 @@ def test_a_picture_whose_pose_is_wrong_is_named(copy, capsys):
         ("pictures/poses.csv", ("qw\n", "qw\na.png,900,0,0,0,0,0,1\n"), "metres, not millimetres"),
         ("camera.toml", ("width = 640", "width = 848"), "is 640 x 480, the camera 848 x 480"),
         ("pictures/poses.csv", ("qw\n", "qw\na.png,0,0,0,170,5,9,0\n"), "angles in degrees?"),
-        ("camera.toml", ("385.0", "200.0"), "fit a focal length of 384.5 pixels, not 200; K is of"),
+        ("camera.toml", ("385.0", "200.0"), "pixels, not 200; K is of"),
         ("pictures/board.toml", ("square = 0.05", "square = 0.051"), "the board is printed to"),
     ],
 )

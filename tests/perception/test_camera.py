@@ -1,16 +1,23 @@
-"""Camera models and their files."""
+"""Camera models and the files of cameras: what these name and announce is bounded."""
+
+import os
+import struct
+import zlib
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from gendom.errors import RecordingError
-from gendom.perception import Camera, read_camera, write_camera
+from gendom.errors import GendomError, RecordingError
+from gendom.perception import Camera, PngCamera, read_camera, write_camera
+from gendom.perception.calibration import read_views
+from gendom.perception.frames import read_png
 
 GOOD = """
-width = 640
-height = 480
+width = 8
+height = 4
 depth_unit = 0.001
-K = [[385.0, 0.0, 319.5], [0.0, 386.0, 239.5], [0.0, 0.0, 1.0]]
+K = [[10.0, 0.0, 4.0], [0.0, 10.0, 2.0], [0.0, 0.0, 1.0]]
 T_world_camera = [[1,0,0,0.1],[0,-1,0,0.2],[0,0,-1,0.8],[0,0,0,1]]
 """
 
@@ -37,10 +44,8 @@ def test_rays_undo_distortion(world):
     """OpenCV's own projection of the rays gives the pixels back."""
     cv2 = pytest.importorskip("cv2", reason="needs the extra `camera`")
     camera = world.make_camera(distortion=(0.12, -0.2, 1e-3, -2e-3, 0.05), scale=0.25)
-    rays = camera.rays()
-    pixels = cv2.projectPoints(
-        rays, np.zeros(3), np.zeros(3), camera.K, np.array(camera.distortion)
-    )[0][:, 0]
+    none, k = np.zeros(3), np.array(camera.distortion)
+    pixels = cv2.projectPoints(camera.rays(), none, none, camera.K, k)[0][:, 0]
     v, u = np.mgrid[: camera.height, : camera.width]
     np.testing.assert_allclose(pixels, np.stack([u.ravel(), v.ravel()], 1), atol=1e-3)
 
@@ -52,13 +57,20 @@ def test_rays_undo_distortion(world):
         ("depth_unit = 0.001", "", "lacks depth_unit"),
         ("depth_unit = 0.001", "depth_unit = 0", "depth_unit: is 0.0"),
         ("depth_unit = 0.001", "depth_unit = 'mm'", "depth_unit: is not a number"),
-        ("386.0, 239.5]", "386.0]", "K: is not 3x3 numbers"),
-        ("319.5", "959.5", "outside 640 x 480"),
+        ("10.0, 2.0]", "10.0]", "K: is not 3x3 numbers"),
+        ("K = [[10.0", "K = [[-10.0", "K: is no intrinsic matrix"),
+        ("0.0, 4.0]", "0.0, 9.0]", "outside 8 x 4"),
         ("0.8]", "800.0]", "metres, not millimetres"),
         ("[0,-1,0,0.2]", "[0,1,0,0.2]", "is no rigid transform"),
-        ("width = 640", "width = 640\nfx = 385", "unknown key 'fx'"),
-        ("width = 640", "width = ", "is not TOML"),
+        ("width = 8", "width = 8\nfx = 385", "unknown key 'fx'"),
+        ("width = 8", "width = ", "is not TOML"),
+        ("width = 8", "width = 8.5", "width: is 8.5; give pixels"),
         ("width", "distortion = [0.1]\nwidth", "distortion: has 1 numbers"),
+        (
+            "width = 8\nheight = 4",
+            "width = 40000\nheight = 40000",
+            "width, height: is 40000 x 40000",
+        ),
     ],
 )
 def test_bad_files(tmp_path, old, new, line):
@@ -77,3 +89,73 @@ def test_a_camera_without_pose_says_so(tmp_path):
     path.write_text(GOOD[: GOOD.index("T_world")])
     with pytest.raises(RecordingError, match="gendom calibrate"):
         _ = read_camera(path).position
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A camera's folder with one picture beside it and two in it."""
+    folder = tmp_path / "left"
+    (folder / "depth").mkdir(parents=True)
+    (folder / "camera.toml").write_text(GOOD)
+    for path in (tmp_path / "0.png", folder / "depth" / "0.png", folder / "depth" / "1.png"):
+        Image.fromarray(np.full((4, 8), 900, np.uint16)).save(path)
+    return folder
+
+
+def frames(folder, *names):
+    rows = [f"{0.1 * k},{name}" for k, name in enumerate(names)]
+    (folder / "frames.csv").write_text("\n".join(["time,depth", *rows, ""]))
+    return PngCamera(folder)
+
+
+def test_names_of_windows(folder):
+    for frame in frames(folder, r"depth\0.png", r"depth\1.png"):
+        assert (frame.read().depth == 900).all()
+
+
+@pytest.mark.parametrize("name", ["../0.png", "/etc/passwd", r"..\0.png", r"C:\0.png"])
+def test_pictures_elsewhere_are_refused(folder, tmp_path, name):
+    with pytest.raises(RecordingError, match=r"frames\.csv, line 2: .* is not in"):
+        frames(folder, name)
+    (tmp_path / "board.toml").write_text("squares_x=7\nsquares_y=5\nsquare=0.04\nmarker=0.03\n")
+    (tmp_path / "poses.csv").write_text(f"picture,x,y,z,qx,qy,qz,qw\n{name},0,0,0,0,0,0,1\n")
+    with pytest.raises(RecordingError, match=r"poses\.csv, line 2: .* is not in"):
+        read_views(tmp_path, read_camera(folder / "camera.toml"), on_warning=print)
+
+
+def test_times_in_names_of_pictures(folder):
+    names = [f"depth/{1700000000.0 + t:.3f}.png" for t in (0.0, 0.1, 0.2, 0.8, 0.9)]
+    with pytest.raises(RecordingError, match=r"frames\.csv: times in names"):
+        frames(folder, *names)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
+def test_what_is_no_file(folder, kind):
+    path = folder / "depth" / "0.png"
+    path.unlink()
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    else:
+        path.mkdir()
+    with pytest.raises(RecordingError, match="folder" if kind == "folder" else "pipe or device"):
+        next(iter(frames(folder, "depth/0.png"))).read()
+
+
+def test_pictures_of_too_many_pixels(tmp_path):
+    head = struct.pack(">IIBBBBB", 40_000, 40_000, 16, 0, 0, 0, 0)
+    chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(bytes(1 << 20))), (b"IEND", b"")]
+    data = b"".join(
+        struct.pack(">I", len(of)) + kind + of + struct.pack(">I", zlib.crc32(kind + of))
+        for kind, of in chunks
+    )
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + data)
+    with pytest.raises(RecordingError, match="has 40000 x 40000 pixels"):
+        read_png(tmp_path / "a.png")
+
+
+def test_boards_of_too_many_squares(tmp_path, folder):
+    (tmp_path / "board.toml").write_text("squares_x=9999\nsquares_y=5\nsquare=0.04\nmarker=0.03\n")
+    with pytest.raises(GendomError, match="9999 x 5 squares; use 3 or more, 100 at most"):
+        read_views(tmp_path, read_camera(folder / "camera.toml"), on_warning=print)

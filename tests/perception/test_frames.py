@@ -1,11 +1,10 @@
-"""Frames of several cameras are matched by time stamp."""
+"""Frames of several cameras are matched by time stamp; times between rows."""
 
 import numpy as np
 import pytest
 
 from gendom.errors import GendomError
-from gendom.perception import Frame, Pictures, match_frames
-from gendom.perception.frames import Matching
+from gendom.perception import Frame, MatchedFrames, Pictures, RobotPath
 
 
 def frames(times):
@@ -15,52 +14,55 @@ def frames(times):
     return [Frame(time, f"frame at {time}", read) for time in times]
 
 
-def matched(*times, tolerance=0.02):
-    matching = Matching()
-    sets = match_frames([frames(t) for t in times], tolerance=tolerance, matching=matching)
-    return [tuple(f.time for f in found) for found in sets], matching
+A = [k / 30.0 for k in range(6)]
+TENTHS = [k / 10.0 for k in range(20)]
 
 
-def test_same_times_all_match():
-    sets, matching = matched([0.0, 0.1, 0.2], [0.0, 0.1, 0.2])
-    assert sets == [(0.0, 0.0), (0.1, 0.1), (0.2, 0.2)]
-    assert matching.used == 3 and matching.alone == [0, 0]
-
-
-def test_nearest_wins():
-    """20 ms behind at 30 Hz is 13 ms ahead of the next frame."""
-    a = np.arange(5) / 30.0
-    sets, matching = matched(a.tolist(), (a + 0.02).tolist(), tolerance=0.02)
-    assert sets == [(a[k + 1], a[k] + 0.02) for k in range(4)]
-    assert matching.alone == [1, 1]
-
-
-def test_just_the_tolerance_apart_matches_whatever_the_rounding():
-    a = np.arange(20) / 10.0
-    sets, _ = matched(a.tolist(), (a + 0.02).tolist(), tolerance=0.02)
-    assert len(sets) == 20
-
-
-def test_dropped_frames_are_left_out():
-    a = [k / 30 for k in range(6)]
-    b = [t + 0.004 for k, t in enumerate(a) if k not in (2, 3)]
-    sets, matching = matched(a, b)
-    assert [s[0] for s in sets] == [a[k] for k in (0, 1, 4, 5)]
-    assert matching.alone == [2, 0]
-
-
-def test_apart_by_more_than_the_tolerance():
-    sets, matching = matched([0.0, 1.0], [0.5, 1.5])
-    assert sets == [] and matching.alone == [2, 2]
-    assert matching.span == [(0.0, 1.0), (0.5, 1.5)]
-
-
-def test_three_cameras_and_one():
-    sets, _ = matched([0.0, 0.1], [0.01, 0.11], [0.1, 0.2])
-    assert sets == [(0.1, 0.11, 0.1)]
-    assert matched([0.3, 0.5])[0] == [(0.3,), (0.5,)]
+@pytest.mark.parametrize(
+    ("times", "expected", "alone"),
+    [
+        # 20 ms behind at 30 Hz is 13 ms ahead of the next frame: the nearest wins
+        ([A, [t + 0.02 for t in A]], [(A[k + 1], A[k] + 0.02) for k in range(5)], [1, 1]),
+        # just the tolerance apart, whatever the rounding
+        ([TENTHS, [t + 0.02 for t in TENTHS]], [(t, t + 0.02) for t in TENTHS], [0, 0]),
+        # dropped frames
+        (
+            [A, [t + 0.004 for k, t in enumerate(A) if k not in (2, 3)]],
+            [(A[k], A[k] + 0.004) for k in (0, 1, 4, 5)],
+            [2, 0],
+        ),
+        ([[0.0, 1.0], [0.5, 1.5]], [], [2, 2]),
+        ([[0.0, 0.1], [0.01, 0.11], [0.1, 0.2]], [(0.1, 0.11, 0.1)], [1, 1, 1]),
+        ([[0.3, 0.5]], [(0.3,), (0.5,)], [0]),
+    ],
+    ids=["nearest", "rounding", "dropped", "apart", "three", "one"],
+)
+def test_matching(times, expected, alone):
+    matched = MatchedFrames([frames(t) for t in times])
+    assert [tuple(f.time for f in found) for found in matched] == expected
+    assert matched.used == len(expected) and matched.alone == alone
+    assert matched.spans == [(t[0], t[-1]) for t in times]
 
 
 def test_time_that_goes_back():
     with pytest.raises(GendomError, match=r"from 0\.2 s to 0\.1 s"):
-        matched([0.0, 0.2, 0.1], [0.0, 0.2, 0.3])
+        list(MatchedFrames([frames([0.0, 0.2, 0.1]), frames([0.0, 0.2, 0.3])]))
+
+
+def test_path_between_its_rows():
+    axis = np.array([[[0, 0, 1.0]], [[1.0, 0, 0]]])
+    path = RobotPath(np.array([0.0, 2.0]), np.array([[[0, 0, 0.0]], [[0, 0, 1.0]]]), axis)
+    position, direction = path.at(0.5) or (None, None)
+    assert position is not None and direction is not None
+    np.testing.assert_allclose(position, [[0, 0, 0.25]])
+    np.testing.assert_allclose(np.linalg.norm(direction), 1.0)
+    assert direction[0, 2] > direction[0, 0] > 0
+    assert path.at(2.1) is None and path.at(2.0) is not None
+    assert path.closed_at(1.0) is None
+
+
+def test_a_gripper_stays_as_the_last_row_says():
+    closed = np.array([[True], [True], [False]])
+    path = RobotPath(np.array([0.0, 1.0, 2.0]), np.zeros((3, 1, 3)), closed=closed)
+    states = [path.closed_at(time) for time in (0.0, 1.99, 2.0, 2.1)]
+    assert np.array(states)[:, 0].tolist() == [True, True, False, False]

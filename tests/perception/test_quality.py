@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gendom.datasets import ObjectDescription
-from gendom.perception import CameraView, CloudSettings
+from gendom.perception import CameraView, PerceptionSettings
 from gendom.perception.quality import offset_between, seen_share, sides_apart
 
 
@@ -24,7 +24,7 @@ def test_sides_of_a_rope_are_allowed_for(world):
         world.make_camera(eye=(0.0, -0.8, 0.15), target=(0, 0, 0.15)),
         world.make_camera(eye=(0.8, 0.0, 0.15), target=(0, 0, 0.15)),
     ]
-    settings = CloudSettings(low=(-0.1, -0.1, 0.02), high=(0.1, 0.1, 0.28))
+    settings = PerceptionSettings(workspace=(-0.1, -0.1, 0.02, 0.1, 0.1, 0.28))
     a, b = (
         CameraView(c, settings).segment(world.Scene([rope]).pictures(c, sensor=world.EXACT))[0]
         for c in cameras
@@ -48,6 +48,7 @@ def test_gaps_of_a_rope_are_not_seen():
     points = np.stack([p, 0 * p, 0 * p], axis=1)
     rope = ObjectDescription(kind="rope", length=0.6)
     assert seen_share(points, rope) == pytest.approx(2 / 6, abs=0.1)
+    assert seen_share(np.zeros((0, 3)), rope) == 0.0
 
 
 @pytest.mark.parametrize("share", [1.0, 0.4])
@@ -60,7 +61,3 @@ def test_share_of_a_cloth(share):
     found = [seen_share(turn.apply(p), cloth) for turn in turns]
     assert found == pytest.approx(np.full(20, share), abs=0.2)
     assert np.mean(found) == pytest.approx(share, abs=0.1)
-
-
-def test_nothing_seen():
-    assert seen_share(np.zeros((0, 3)), ObjectDescription(kind="rope", length=0.6)) == 0.0

@@ -1,5 +1,7 @@
 """The arm is taken out of the clouds by its joints; what it holds and what is near stays."""
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -103,17 +105,13 @@ def test_links_move_between_the_rows_as_the_joints_do(q):
         np.testing.assert_allclose(found.radius, shape.radius)
 
 
-# ---- whole recordings ----------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def seen(world, tmp_path_factory):
     """A lift by an arm in view of two cameras, and the ropes in it.
 
     Half the resolution and half the pixels' noise: depth noise is that of 640 x 480.
     """
-    folder = tmp_path_factory.mktemp("arm") / "lift"
-    frames, rate = 2, 10.0
+    folder, rate = tmp_path_factory.mktemp("arm") / "lift", 10.0
     start = PLACE + np.array([0.0, 0.0, 0.2])
     # The fingers open across the cameras' view, so that these see what is between them.
     turned = pointing([0, 0, -1], [1, 0, 0])
@@ -125,19 +123,19 @@ def seen(world, tmp_path_factory):
         shape = arm_shape(XARM7, q, DIAMETER)
         tip = tcp_pose(XARM7, q)[:3, 3] + [0.0, 0.0, 0.02]
         links = zip(shape.start, shape.end, shape.radius, strict=True)
-        arm = [world.Cylinder(tuple(a), tuple(b), r, world.GREY) for a, b, r in links]
+        arm = [world.Rope(np.array(ends), r, world.GREY) for *ends, r in links]
         return [*arm, world.lifted_rope(tip=tuple(tip))]
 
+    ends = {"left": (0.45, -0.65, 0.47), "right": (0.55, 0.65, 0.47)}
     world.write_lift(
         folder,
-        frames=frames,
+        frames=1,
         rope=False,
         things=scene,
         sensor=world.Sensor(subpixel=0.04, quantisation=1.0 / 64.0),
-        time=lambda k, t: t / rate,
         cameras=[
-            world.make_camera("left", eye=(0.45, -0.65, 0.47), target=(0.45, 0.0, 0.1), scale=0.5),
-            world.make_camera("right", eye=(0.55, 0.65, 0.47), target=(0.45, 0.0, 0.1), scale=0.5),
+            world.make_camera(name, eye=eye, target=(0.45, 0.0, 0.1), scale=0.5)
+            for name, eye in ends.items()
         ],
     )
     time = motion.sampled(100.0)
@@ -145,13 +143,13 @@ def seen(world, tmp_path_factory):
     path = np.column_stack([time, motion.tcp_at(XARM7, time)[:, :3, 3], closed])
     header = "time,x,y,z,closed"
     np.savetxt(folder / "gripper.csv", path, "%.9g", ",", header=header, comments="")
-    return folder, motion, [scene(t)[-1] for t in range(frames)]
+    return folder, motion, scene(0)[-1]
 
 
-def clouds(folder, **changes):
-    sighting = read_cameras(folder, **changes)
-    recording = perceive(sighting).recording
-    return [recording.frame(t) for t in range(recording.num_frames)]
+@pytest.fixture
+def folder(seen, tmp_path):
+    """A copy to change."""
+    return shutil.copytree(seen[0], tmp_path / "lift")
 
 
 def capsules_of(folder):
@@ -160,66 +158,51 @@ def capsules_of(folder):
     return found
 
 
-def test_the_arm_goes_and_the_rope_stays(seen):
-    """Without colour: little of the arm is left, and the rope is seen up into the grip."""
-    folder, motion, ropes = seen
-    motion.write_joints(folder / "joints.csv", opening=(DIAMETER, 0.08))
-    for t, (points, rope) in enumerate(zip(clouds(folder), ropes, strict=True)):
-        standing = points[points[:, 2] > 0.03]
-        far = rope.distance(standing) > 0.012
-        assert far.mean() < 0.06
-        tip = motion.tcp_at(XARM7, t / 10.0)[2, 3]
-        on_rope = standing[~far]
-        for low in np.arange(0.04, tip - 0.02, 0.02):  # in every 2 cm
-            assert ((on_rope[:, 2] >= low) & (on_rope[:, 2] < low + 0.02)).sum() >= 3
-        assert (on_rope[:, 2] > tip).sum() >= 3  # between the fingers
-
-
-def test_without_its_joints_the_arm_is_told_from_the_rope(seen):
-    folder, _, _ = seen
-    (folder / "joints.csv").unlink(missing_ok=True)
+def test_the_arm_goes_and_the_rope_stays(seen, folder):
+    """Without colour: little of the arm is left, and the rope is seen up into the grip. Without the
+    joints it is told from the rope."""
+    _, motion, rope = seen
     with pytest.raises(RecordingError, match=r"times the object's own area: .* the robot"):
-        clouds(folder)
+        perceive(read_cameras(folder))
+    motion.write_joints(folder / "joints.csv", opening=(DIAMETER, 0.08))
+    points = perceive(read_cameras(folder)).recording.frame(0)
+    standing = points[points[:, 2] > 0.03]
+    far = rope.distance(standing) > 0.012
+    assert far.mean() < 0.06
+    tip = motion.tcp_at(XARM7, 0.0)[2, 3]
+    on_rope = standing[~far]
+    for low in np.arange(0.04, tip - 0.02, 0.02):  # in every 2 cm
+        assert ((on_rope[:, 2] >= low) & (on_rope[:, 2] < low + 0.02)).sum() >= 3
+    assert (on_rope[:, 2] > tip).sum() >= 3  # between the fingers
 
 
-def test_fingers_are_open_by_the_object_s_thickness_where_not_measured(seen):
-    folder, motion, _ = seen
+def test_joints_and_other_capsules_add_up(seen, folder):
+    """The fingers are open by the object's thickness where that is not measured."""
+    motion = seen[1]
     motion.write_joints(folder / "joints.csv")
-    found = capsules_of(folder).at(0.0)
+    alone = capsules_of(folder)
     expected = arm_shape(XARM7, motion.at(0.0), DIAMETER)
-    np.testing.assert_allclose(found.start, expected.start, atol=1e-4)
-
-
-def test_joints_and_other_capsules_add_up(seen):
-    folder, motion, _ = seen
-    motion.write_joints(folder / "joints.csv")
-    alone = len(capsules_of(folder).tracks)
-    capsules = folder / "capsules.csv"
-    capsules.write_text("time,capsule,x0,y0,z0,x1,y1,z1,radius\n0,post,0,1,0,0,1,1,0.03\n")
+    np.testing.assert_allclose(alone.at(0.0).start, expected.start, atol=1e-4)
+    row = "0,post,0,1,0,0,1,1,0.03\n"
+    (folder / "capsules.csv").write_text(f"time,capsule,x0,y0,z0,x1,y1,z1,radius\n{row}")
     both = capsules_of(folder)
-    capsules.unlink()
-    assert len(both.tracks) == alone + 1
+    assert len(both.tracks) == len(alone.tracks) + 1
     margins = both.at(0.0).largest_margin
     assert margins is not None and margins[-1] == np.inf and margins.min() == FINGER_MARGIN
 
 
-def test_bad_joints_are_told(seen):
-    folder, motion, _ = seen
-    joints, described = folder / "joints.csv", folder / "object.toml"
-    good = described.read_text()
-    try:
-        joints.write_text("time,q0\n0,1\n")
-        with pytest.raises(RecordingError, match=r"joints\.csv: has the header"):
-            read_cameras(folder)
-        motion.write_joints(joints)
-        described.write_text(good + 'robot = "r2d2"\n')
-        with pytest.raises(RecordingError, match=r"robot: there is no robot 'r2d2'; have xarm7"):
-            read_cameras(folder)
-        described.write_text(good + 'robot = "xarm7"\n')
-        motion.shifted(3.0).write_joints(joints)
-        warnings = []
-        read_cameras(folder, on_warning=warnings.append)
-        assert len(warnings) == 1 and "the arm is taken to stand still" in str(warnings[0])
-    finally:
-        described.write_text(good)
-        joints.unlink()
+def test_bad_joints_are_told(seen, folder):
+    joints, described, warnings = folder / "joints.csv", folder / "object.toml", []
+    joints.write_text("time,q0\n0,1\n")
+    with pytest.raises(RecordingError, match=r"joints\.csv: has the header"):
+        read_cameras(folder)
+    rows = [f"{t / 30!r},0,0,0,0.4,0,0.4,0" for t in range(6)]
+    joints.write_text("\n".join(["time,q0,q1,q2,q3,q4,q5,q6", *rows])[:-5])
+    read_cameras(folder, on_warning=warnings.append)
+    assert "joints.csv, line 7: is cut short" in str(warnings[0])
+    seen[1].shifted(3.0).write_joints(joints)
+    read_cameras(folder, on_warning=warnings.append)
+    assert "the arm is taken to stand still" in str(warnings[-1])
+    described.write_text(described.read_text() + 'robot = "r2d2"\n')
+    with pytest.raises(RecordingError, match=r"robot: there is no robot 'r2d2'; have xarm7"):
+        read_cameras(folder)

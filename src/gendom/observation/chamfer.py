@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
-from gendom.errors import ParameterError
+from gendom.arguments import require
 
 
 def chamfer(a: ArrayLike, b: ArrayLike, *, of_b: NDArray[np.bool_] | None = None) -> float:
@@ -23,8 +23,8 @@ def chamfer(a: ArrayLike, b: ArrayLike, *, of_b: NDArray[np.bool_] | None = None
     """
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     for name, cloud in (("a", a), ("b", b)):
-        if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) == 0:
-            raise ParameterError(f"chamfer needs clouds [n > 0, 3], {name} is {cloud.shape}")
+        right = cloud.ndim == 2 and cloud.shape[1] == 3 and len(cloud) > 0
+        require(right, f"chamfer needs clouds [n > 0, 3], {name} is {cloud.shape}")
     to_b = KDTree(b).query(a)[0]
     counted = b if of_b is None or not np.any(of_b) else b[of_b]
     to_a = KDTree(a).query(counted)[0]

@@ -5,10 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gendom.errors import ParameterError
-
-RESOLUTION = 64
-"""Cells along the longest side of the observed space, as in the paper."""
+from gendom.arguments import require
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,31 +26,25 @@ class DensityGrid:
 
     @classmethod
     def around(
-        cls,
-        points: ArrayLike,
-        *,
-        margin: float = 0.0,
-        resolution: int = RESOLUTION,
+        cls, points: ArrayLike, *, margin: float = 0.0, resolution: int = 64
     ) -> "DensityGrid":
-        """The smallest grid of cubic cells around points [n, 3], its longest side ``resolution``.
+        """The smallest grid of cubic cells around points [n, 3] [m].
 
         Args:
             points: [n, 3] [m].
             margin: Space to leave on every side [m].
-            resolution: Nodes along the longest side.
+            resolution: Nodes along the longest side; the paper's by default.
 
         Raises:
             ParameterError: If there are no points or they all coincide without a margin.
         """
         p = np.asarray(points, dtype=float).reshape(-1, 3)
-        if len(p) == 0 or not np.isfinite(p).all():
-            raise ParameterError("a density grid needs finite points to stand around")
-        if resolution < 4:
-            raise ParameterError(f"a density grid needs 4 nodes or more, got {resolution}")
+        some = len(p) > 0 and np.isfinite(p).all()
+        require(some, "a density grid needs finite points to stand around")
+        require(resolution >= 4, f"a density grid needs 4 nodes or more, got {resolution}")
         low, high = p.min(axis=0) - margin, p.max(axis=0) + margin
         cell = float((high - low).max()) / (resolution - 3)
-        if cell <= 0.0:
-            raise ParameterError("all points coincide: give the density grid a margin [m]")
+        require(cell > 0.0, "all points coincide: give the density grid a margin [m]")
         shape = np.minimum(np.ceil((high - low) / cell).astype(int) + 3, resolution)
         x, y, z = (int(n) for n in shape)
         return cls(origin=low - cell, cell=cell, shape=(x, y, z))

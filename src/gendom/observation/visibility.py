@@ -6,20 +6,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from gendom.errors import ParameterError
+from gendom.arguments import require
 
 HEIGHT_FROM_ABOVE = 20.0
 """Height of the viewpoint that stands for "from above", in sizes of the object."""
 
-FLIP_RADIUS = 30.0
-"""Radius of the spherical flip, in distances of the farthest point."""
-
-PIXEL_SPACINGS = 1.5
-"""Width of the pixels in which parts of a sheet hide others, in the distance of its points: no
-nearer part shows gaps."""
-
-MAX_SIGHT_ANGLE = 75.0
-"""Angle of sight to a sheet's normal beyond which depth cameras measure nothing [degrees]."""
+_FLIP_RADIUS = 30.0  # of the spherical flip, in distances of the farthest point
+# Width of the pixels in which parts of a sheet hide others, in the distance of its points: no
+# nearer part shows gaps.
+_PIXEL_SPACINGS = 1.5
+_MAX_SIGHT_ANGLE = 75.0  # to a sheet's normal, beyond which depth cameras measure nothing [degrees]
 
 
 def visible(points: ArrayLike, *, camera_positions: ArrayLike | None = None) -> NDArray[np.bool_]:
@@ -40,14 +36,13 @@ def visible(points: ArrayLike, *, camera_positions: ArrayLike | None = None) -> 
         ParameterError: If shapes do not fit.
     """
     p = np.asarray(points, dtype=float)
-    if p.ndim != 2 or p.shape[1] != 3 or len(p) == 0:
-        raise ParameterError(f"points must be [n > 0, 3], got {p.shape}")
-    cameras = _viewpoints(p, camera_positions)
+    right = p.ndim == 2 and p.shape[1] == 3 and len(p) > 0
+    require(right, f"points must be [n > 0, 3], got {p.shape}")
     seen = np.zeros(len(p), dtype=bool)
-    for camera in cameras:
+    for camera in _viewpoints(p, camera_positions):
         ray = p - camera
         distance = np.linalg.norm(ray, axis=1, keepdims=True)
-        radius = FLIP_RADIUS * distance.max()
+        radius = _FLIP_RADIUS * distance.max()
         flipped = ray + 2.0 * (radius - distance) * ray / distance
         try:
             hull = ConvexHull(np.concatenate([flipped, np.zeros((1, 3))]))
@@ -68,7 +63,7 @@ def visible_on_sheet(
 ) -> NDArray[np.bool_]:
     """Mark the points on a sheet that a camera sees.
 
-    They are seen no more aslant than `MAX_SIGHT_ANGLE`, and no nearer part of the sheet lies in
+    They are seen no more aslant than by 75 degrees, and no nearer part of the sheet lies in
     their pixel.
 
     Args:
@@ -85,12 +80,11 @@ def visible_on_sheet(
         ParameterError: If shapes do not fit.
     """
     p, n, q = (np.asarray(x, dtype=float) for x in (points, normals, sheet))
-    if any(x.ndim != 2 or x.shape[1] != 3 for x in (p, n, q)) or len(p) != len(n) or len(q) == 0:
-        raise ParameterError(
-            "points and normals must be [n, 3], the sheet [m > 0, 3], "
-            f"got {p.shape}, {n.shape} and {q.shape}"
-        )
-    steepest = math.cos(math.radians(MAX_SIGHT_ANGLE))
+    right = all(x.ndim == 2 and x.shape[1] == 3 for x in (p, n, q))
+    what = f"the sheet [m > 0, 3], got {p.shape}, {n.shape} and {q.shape}"
+    right = right and len(p) == len(n) and len(q) > 0
+    require(right, f"points and normals must be [n, 3], {what}")
+    steepest = math.cos(math.radians(_MAX_SIGHT_ANGLE))
     seen = np.zeros(len(p), dtype=bool)
     for camera in _viewpoints(q, camera_positions):
         middle = q.mean(axis=0) - camera
@@ -99,7 +93,7 @@ def visible_on_sheet(
         to_sheet, to_points = (q - camera) @ axes.T, (p - camera) @ axes.T
         sign = np.sign(to_sheet[:, 0].mean())
         depth, own = sign * to_sheet[:, 0], sign * to_points[:, 0]
-        pixel = PIXEL_SPACINGS * spacing / away
+        pixel = _PIXEL_SPACINGS * spacing / away
         low = (to_sheet[:, 1:] / depth[:, None]).min(axis=0)
         at = ((to_sheet[:, 1:] / depth[:, None] - low) / pixel).astype(np.int64)
         size = at.max(axis=0) + 1
@@ -112,22 +106,17 @@ def visible_on_sheet(
         cosine = np.abs((ray * n).sum(axis=1)) / np.linalg.norm(ray, axis=1)
         # so much depth has the sheet itself within a pixel
         slope = np.sqrt(1.0 - np.minimum(cosine, 1.0) ** 2) / np.maximum(cosine, steepest)
-        margin = spacing * (1.0 + 1.5 * PIXEL_SPACINGS * slope)
+        margin = spacing * (1.0 + 1.5 * _PIXEL_SPACINGS * slope)
         open_ = own <= nearest[here[:, 0] * size[1] + here[:, 1]] + margin
         seen |= (open_ | ~inside) & (cosine > steepest)
     return seen
 
 
 def _viewpoints(points: NDArray[np.float64], positions: ArrayLike | None) -> NDArray[np.float64]:
-    """[K, 3] optical centres [m].
-
-    Raises:
-        ParameterError: If shapes do not fit.
-    """
+    """[K, 3] optical centres [m]."""
     if positions is None:
         size = max(float(np.ptp(points, axis=0).max()), 1e-6)
         return np.atleast_2d(points.mean(axis=0) + np.array([0.0, 0.0, HEIGHT_FROM_ABOVE * size]))
     cameras = np.atleast_2d(np.asarray(positions, dtype=float))
-    if cameras.shape[1] != 3:
-        raise ParameterError(f"camera_positions must be [K, 3], got {cameras.shape}")
+    require(cameras.shape[1] == 3, f"camera_positions must be [K, 3], got {cameras.shape}")
     return cameras

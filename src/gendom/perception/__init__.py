@@ -2,23 +2,16 @@
 
 from gendom.perception.calibration import Board, BoardView, Calibration, calibrate, find_board
 from gendom.perception.camera import Camera, read_camera, write_camera
-from gendom.perception.cloud import STAGES, CameraView, CloudSettings, FusedCloud, perceive_frame
-from gendom.perception.folder import (
-    CameraRecording,
-    PngCamera,
-    PngWriter,
-    RobotPath,
-    read_cameras,
+from gendom.perception.cloud import (
+    STAGES,
+    CameraView,
+    FusedCloud,
+    PerceptionSettings,
+    perceive_frame,
 )
-from gendom.perception.frames import (
-    CameraReader,
-    Frame,
-    FrameSource,
-    FrameWriter,
-    Pictures,
-    match_frames,
-)
-from gendom.perception.perceive import Perceived, PerceptionSettings, perceive
+from gendom.perception.folder import CameraRecording, PngCamera, PngWriter, RobotPath, read_cameras
+from gendom.perception.frames import CameraReader, Frame, FrameSource, MatchedFrames, Pictures
+from gendom.perception.perceive import Perceived, perceive
 from gendom.perception.realsense import RealSenseRecording
 from gendom.perception.robot import CapsulePath, Capsules
 from gendom.perception.ros import RosSettings, bag_files, read_ros_bag
@@ -34,11 +27,10 @@ __all__ = [
     "CameraView",
     "CapsulePath",
     "Capsules",
-    "CloudSettings",
     "Frame",
     "FrameSource",
-    "FrameWriter",
     "FusedCloud",
+    "MatchedFrames",
     "Perceived",
     "PerceptionSettings",
     "Pictures",
@@ -50,7 +42,6 @@ __all__ = [
     "bag_files",
     "calibrate",
     "find_board",
-    "match_frames",
     "perceive",
     "perceive_frame",
     "read_camera",

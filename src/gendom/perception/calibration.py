@@ -31,23 +31,19 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
-from gendom.arguments import require
 from gendom.datasets import Fault
-from gendom.errors import GendomError, RecordingError
-from gendom.perception.camera import Camera, rigid
-from gendom.perception.png import read_png
+from gendom.errors import RecordingError
+from gendom.perception.camera import MAX_DISTANCE, Camera, expect, rigid
+from gendom.perception.frames import read_png
 from gendom.reading import inside, read_rows, read_toml
 
-MIN_PICTURES = 5
-MIN_TURN = 5.0
-"""The board must turn by this much about each of two axes [degrees], RMS over all pairs."""
-MAX_RMS = 2.0
-"""Above this reprojection error [pixels] of the median view poses and pictures do not fit."""
-MAX_ERROR = 0.02
-"""Above this stated error of the camera's position [m] the pictures do not determine it."""
-MAX_SCALE, MAX_CENTRE = 0.005, 3.0
-"""By more than this [-], [pixels], and by three deviations, the focal length, the board's scale or
-the principal point may not differ where they are free."""
+# What is refused (docs/perception.md).
+_MIN_PICTURES = 5
+_MIN_TURN = 5.0  # degrees about each of two axes, RMS over all pairs
+_MAX_RMS = 2.0  # [pixels]; reprojection error of the median view
+_MAX_ERROR = 0.02  # [m]; stated error of the camera's position
+_MAX_SCALE, _MAX_CENTRE = 0.005, 3.0  # [-], [pixels]; by more, and three deviations, scales or the
+# principal point differ where they are free
 
 _MIN_CORNERS = 6
 _DOUBTED = 0.5  # above this error of the median view [pixels] other readings of poses are tried
@@ -77,31 +73,26 @@ class Board:
     def __post_init__(self):
         what = f"{self.squares_x} x {self.squares_y} squares"
         some = all(3 <= n <= 100 and isinstance(n, int) for n in (self.squares_x, self.squares_y))
-        require(some, what, where="board", fix="use 3 or more, 100 at most", error=GendomError)
+        expect(some, what, where="board", fix="use 3 or more, 100 at most")
         what = f"square {self.square}, marker {self.marker}"
         fix = "give metres, the marker smaller than the square"
-        right = 0.0 < self.marker < self.square < 1.0
-        require(right, what, where="board", fix=fix, error=GendomError)
+        expect(0.0 < self.marker < self.square < 1.0, what, where="board", fix=fix)
 
     def opencv(self) -> Any:
         """The same as cv2.aruco.CharucoBoard.
 
         Raises:
-            GendomError: There is no such dictionary.
+            RecordingError: There is no such dictionary.
         """
-        import cv2
+        from cv2 import aruco
 
-        number = getattr(cv2.aruco, str(self.dictionary), None)
-        if not str(self.dictionary).startswith("DICT_") or number is None:
-            what = f"there is no dictionary {self.dictionary!r}"
-            fix = "use OpenCV's names, such as DICT_4X4_50 or DICT_5X5_100"
-            raise GendomError(what, where="board", fix=fix)
-        board = cv2.aruco.CharucoBoard(
-            (self.squares_x, self.squares_y),
-            self.square,
-            self.marker,
-            cv2.aruco.getPredefinedDictionary(number),
-        )
+        known = self.dictionary.startswith("DICT_") and hasattr(aruco, self.dictionary)
+        fix = "use OpenCV's names, such as DICT_4X4_50 or DICT_5X5_100"
+        what = f"there is no dictionary {self.dictionary!r}"
+        expect(known, what, where="board", fix=fix)
+        markers = aruco.getPredefinedDictionary(getattr(aruco, self.dictionary))
+        size = self.squares_x, self.squares_y
+        board = aruco.CharucoBoard(size, self.square, self.marker, markers)
         board.setLegacyPattern(self.legacy)
         return board
 
@@ -143,7 +134,8 @@ class Calibration:
     @property
     def outliers(self) -> list[str]:
         """Pictures that fit by far worse than most."""
-        return _outliers(self.rms_by_picture)
+        usual = float(np.median(list(self.rms_by_picture.values())))
+        return [name for name, r in self.rms_by_picture.items() if r > max(5.0 * usual, 1.0)]
 
 
 def find_board(picture: npt.NDArray[np.uint8], board: Board) -> tuple[np.ndarray, np.ndarray]:
@@ -182,13 +174,13 @@ def calibrate(camera: Camera, views: Sequence[BoardView]) -> Calibration:
         views: At least five, with the board turned about two axes.
 
     Raises:
-        GendomError: Too few pictures; the poses turn the board too little or about one axis
+        RecordingError: Too few pictures; the poses turn the board too little or about one axis
             only, which leaves the camera's place open; poses and pictures do not fit, or fit if
             they are read otherwise; or they fit another focal length, board or centre.
     """
-    what = f"the board is found in {len(views)} pictures, {MIN_PICTURES} are needed"
+    what = f"the board is found in {len(views)} pictures, {_MIN_PICTURES} are needed"
     fix = "take more, with the board large and sharp in the picture"
-    require(len(views) >= MIN_PICTURES, what, fix=fix, error=GendomError)
+    expect(len(views) >= _MIN_PICTURES, what, fix=fix)
     _check_turns(views)
     problem = _Problem(camera, views)
     x, covariance = problem.fit(np.zeros(_POSE))
@@ -198,37 +190,32 @@ def calibrate(camera: Camera, views: Sequence[BoardView]) -> Calibration:
         _check_readings(camera, views, typical)
     free, free_covariance = problem.fit(np.pad(x, (0, _ALL - _POSE)))
     refit = _refit(camera, free, np.sqrt(np.diag(free_covariance)))
-    if np.median(problem.rms(free)) <= MAX_RMS:
+    if np.median(problem.rms(free)) <= _MAX_RMS:
         _check_refit(camera, refit)
     worst = int(np.argmax(by_view))
     what = f"the corners are {typical:.2g} pixels from where the robot's poses put them, most in "
     what += f"{views[worst].name} ({by_view[worst]:.2g})"
     fix = "check that poses belong to the pictures, K to the stream, and the board's sizes"
-    require(typical <= MAX_RMS, what, fix=fix, error=GendomError)
+    expect(typical <= _MAX_RMS, what, fix=fix)
     squares = np.diag(covariance)[:6] + (free[:6] - x[:6]) ** 2
     quantile = student.ppf(0.95, len(views) - 1)
     angle, position = quantile * np.sqrt(squares.reshape(2, 3).sum(axis=1))
-    rms_by_picture = {view.name: float(r) for view, r in zip(views, by_view, strict=True)}
-    what = f"the poses leave the camera's place open by {1e3 * position:.3g} mm"
-    fix = "take more pictures, with the board turned more and at different places"
-    if odd := _outliers(rms_by_picture):
-        fix += f"; and leave out {', '.join(odd)}, {by_view.max():.2g} pixels off"
-    require(position <= MAX_ERROR, what, fix=fix, error=GendomError)
     T_world_camera, T_gripper_board = problem.poses(x)
-    return Calibration(
+    found = Calibration(
         T_world_camera=T_world_camera,
         T_gripper_board=T_gripper_board,
         rms=float(np.sqrt(2.0 * np.mean(problem.residual(x) ** 2))),
-        rms_by_picture=rms_by_picture,
+        rms_by_picture={view.name: float(r) for view, r in zip(views, by_view, strict=True)},
         error_position=float(position),
         error_angle=float(np.degrees(angle)),
         refit=refit,
     )
-
-
-def _outliers(rms_by_picture: dict[str, float]) -> list[str]:
-    usual = float(np.median(list(rms_by_picture.values())))
-    return [name for name, rms in rms_by_picture.items() if rms > max(5.0 * usual, 1.0)]
+    what = f"the poses leave the camera's place open by {1e3 * position:.3g} mm"
+    fix = "take more pictures, with the board turned more and at different places"
+    if odd := found.outliers:
+        fix += f"; and leave out {', '.join(odd)}, {by_view.max():.2g} pixels off"
+    expect(position <= _MAX_ERROR, what, fix=fix)
+    return found
 
 
 class _Problem:
@@ -289,58 +276,44 @@ class _Problem:
 
 def _refit(camera: Camera, x: np.ndarray, sd: np.ndarray) -> dict[str, tuple[float, float]]:
     """Values and deviations of what is free in x [16]."""
-    f, scale = camera.K[0, 0] * np.exp(x[12]), np.exp(x[13])
-    values = f, scale, *(camera.K[:2, 2] + x[14:])
-    deviations = f * sd[12], scale * sd[13], *sd[14:]
-    names = "focal_length", "board_scale", "centre_x", "centre_y"
-    pairs = zip(values, deviations, strict=True)
-    return {name: (float(v), float(d)) for name, (v, d) in zip(names, pairs, strict=True)}
+    f, scale, (cx, cy) = camera.K[0, 0] * np.exp(x[12]), np.exp(x[13]), camera.K[:2, 2] + x[14:]
+    pairs = {
+        "focal_length": (f, f * sd[12]),
+        "board_scale": (scale, scale * sd[13]),
+        "centre_x": (cx, sd[14]),
+        "centre_y": (cy, sd[15]),
+    }
+    return {name: (float(v), float(d)) for name, (v, d) in pairs.items()}
 
 
 def _check_refit(camera: Camera, refit: dict[str, tuple[float, float]]) -> None:
-    """Whether free intrinsics and board's scale are the stated ones.
-
-    Raises:
-        GendomError: One is not; the error names the likely cause.
-    """
-    f, centre = camera.K[0, 0], camera.K[:2, 2]
-    stated = dict(zip(refit, (f, 1.0, *centre), strict=True))
-    least = dict(zip(refit, (MAX_SCALE * f, MAX_SCALE, MAX_CENTRE, MAX_CENTRE), strict=True))
-    off = [k for k, (v, d) in refit.items() if abs(v - stated[k]) > max(least[k], 3.0 * d)]
-    value = {name: number for name, (number, _) in refit.items()}
+    """Refuse other intrinsics or another board's scale than the stated ones, with the likely
+    cause."""
+    f, (cx, cy) = camera.K[0, 0], camera.K[:2, 2]
+    (own_f, df), (scale, ds), (x, dx), (y, dy) = refit.values()
+    shifted = abs(x - cx) > max(_MAX_CENTRE, 3.0 * dx) or abs(y - cy) > max(_MAX_CENTRE, 3.0 * dy)
     whats, fixes = [], []
-    if "focal_length" in off:
-        whats.append(f"a focal length of {value['focal_length']:.4g} pixels, not {f:.4g}")
+    if abs(own_f - f) > max(_MAX_SCALE * f, 3.0 * df):
+        whats.append(f"a focal length of {own_f:.4g} pixels, not {f:.4g}")
         fixes.append("K is of another stream, as the colour camera's is, or of another resolution")
-    if "board_scale" in off:
-        whats.append(f"squares {value['board_scale']:.4f} times as large as board.toml says")
+    elif shifted:
+        fixes.append("K is of another stream or device, or the pictures are cropped")
+    if abs(scale - 1.0) > max(_MAX_SCALE, 3.0 * ds):
+        whats.append(f"squares {scale:.4f} times as large as board.toml says")
         fixes.append("the board is printed to another scale: measure its squares")
-    if "centre_x" in off or "centre_y" in off:
-        whats.append(
-            f"a centre of ({value['centre_x']:.1f}, {value['centre_y']:.1f}), not "
-            f"({centre[0]:.1f}, {centre[1]:.1f})"
-        )
-        if "focal_length" not in off:
-            fixes.append("K is of another stream or device, or the pictures are cropped")
-    what = f"the pictures fit {' and '.join(whats)}"
-    require(not off, what, fix=", and ".join(fixes), error=GendomError)
+    if shifted:
+        whats.append(f"a centre of ({x:.1f}, {y:.1f}), not ({cx:.1f}, {cy:.1f})")
+    expect(not whats, f"the pictures fit {' and '.join(whats)}", fix=", and ".join(fixes))
 
 
 def _check_readings(camera: Camera, views: Sequence[BoardView], typical: float) -> None:
-    """Whether the poses fit much better if they are read otherwise.
-
-    Args:
-        camera, views: As they are.
-        typical: The median view's error [pixels] as poses are read.
-
-    Raises:
-        GendomError: They do; the error says how they were written.
-    """
+    """Refuse poses that fit much better than by the median view's error [pixels] if they are read
+    otherwise, and say how they were written."""
     readings = [(whats, _Problem(camera, other)) for whats, other in _readings(views)]
     errors = [np.median(problem.rms(np.zeros(_POSE))) for _, problem in readings]
     whats, problem = readings[int(np.argmin(errors))]
     x, _ = problem.fit(np.zeros(_POSE))
-    if np.median(problem.rms(x)) > min(0.5 * typical, MAX_RMS):
+    if np.median(problem.rms(x)) > min(0.5 * typical, _MAX_RMS):
         return
     X, Y = (np.linalg.norm(T[:3, 3]) for T in problem.poses(x))
     if "inverse" in whats:  # the same equation: what is near the gripper, camera or board?
@@ -348,7 +321,7 @@ def _check_readings(camera: Camera, views: Sequence[BoardView], typical: float) 
         whats["inverse"] = in_hand if X < Y else "T_gripper_world, the inverse"
     what = "the poses fit the pictures only if read as " + " and ".join(whats.values())
     fix = "write T_world_gripper of each picture, x,y,z,qx,qy,qz,qw, with the camera at rest"
-    raise GendomError(what, fix=f"{fix} and the board on the gripper")
+    raise RecordingError(what, fix=f"{fix} and the board on the gripper")
 
 
 def _readings(views: Sequence[BoardView]) -> Iterator[tuple[dict[str, str], list[BoardView]]]:
@@ -378,13 +351,11 @@ def _hand_eye(camera: Camera, views: Sequence[BoardView]) -> tuple[np.ndarray, n
     boards = [_board_pose(camera, view) for view in views]
     poses = [view.T_world_gripper for view in views]
     # T_camera_board T_board_gripper = T_camera_world T_world_gripper
-    R_board, t_board, R_world, t_world = cv2.calibrateRobotWorldHandEye(
-        [T[:3, :3] for T in boards],
-        [T[:3, 3] for T in boards],
-        [T[:3, :3] for T in poses],
-        [T[:3, 3] for T in poses],
-        method=cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH,
+    parts = (
+        [T[place] for T in Ts] for Ts in (boards, poses) for place in (np.s_[:3, :3], np.s_[:3, 3])
     )
+    method = cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH
+    R_board, t_board, R_world, t_world = cv2.calibrateRobotWorldHandEye(*parts, method=method)
     return np.linalg.inv(rigid(R_world, t_world)), np.linalg.inv(rigid(R_board, t_board))
 
 
@@ -405,10 +376,10 @@ def _check_turns(views: Sequence[BoardView]) -> None:
     turns = np.concatenate([(R[i].inv() * R[i + 1 :]).as_rotvec() for i in range(len(views) - 1)])
     squares = np.linalg.eigvalsh(turns.T @ turns / len(turns))
     second, first = np.degrees(np.sqrt(np.maximum(squares, 0.0)))[1:]
-    how = "hardly turn the board" if first < MIN_TURN else "turn the board about one axis only"
+    how = "hardly turn the board" if first < _MIN_TURN else "turn the board about one axis only"
     what = f"the poses {how}: {first:.2g} degrees about one axis, {second:.2g} about a second"
     fix = "tilt it by 20 degrees or more, to the sides as well as forwards and back"
-    require(second >= MIN_TURN, what, fix=fix, error=GendomError)
+    expect(second >= _MIN_TURN, what, fix=fix)
 
 
 def _board_pose(camera: Camera, view: BoardView) -> np.ndarray:
@@ -418,8 +389,7 @@ def _board_pose(camera: Camera, view: BoardView) -> np.ndarray:
     found, rotation, t = cv2.solvePnP(
         view.points, view.pixels, camera.K, np.array(camera.distortion), flags=cv2.SOLVEPNP_IPPE
     )
-    what = "no pose fits the corners"
-    require(found, what, where=view.name, fix="leave it out", error=GendomError)
+    expect(found, "no pose fits the corners", where=view.name, fix="leave it out")
     return rigid(Rotation.from_rotvec(rotation.ravel()).as_matrix(), t)
 
 
@@ -437,7 +407,7 @@ def read_views(
         on_warning: Called for each picture that is left out: damaged, or without the board.
 
     Raises:
-        GendomError: board.toml or poses.csv is missing or malformed, a picture has not the
+        RecordingError: board.toml or poses.csv is missing or malformed, a picture has not the
             camera's size, or shows the board of the other side of OpenCV 4.6.
     """
     folder = Path(folder)
@@ -452,7 +422,7 @@ def read_views(
         size = camera.width, camera.height
         what = f"is {picture.width} x {picture.height}, the camera {size[0]} x {size[1]}"
         fix = "take the pictures with the stream whose K is given"
-        require(picture.size == size, what, where=str(path), fix=fix, error=RecordingError)
+        expect(picture.size == size, what, where=str(path), fix=fix)
         grey = np.asarray(picture.convert("L"))
         points, pixels = find_board(grey, board)
         if len(points) == 0:
@@ -460,7 +430,7 @@ def read_views(
             what = f"shows a board {'before' if other.legacy else 'since'} OpenCV 4.6"
             fix = f"write legacy = {str(other.legacy).lower()} in board.toml"
             is_other = board.squares_y % 2 == 0 and len(find_board(grey, other)[0]) > 0
-            require(not is_other, what, where=str(path), fix=fix, error=RecordingError)
+            expect(not is_other, what, where=str(path), fix=fix)
             fix = "have it large, sharp and flat in the picture; check board.toml"
             on_warning(Fault("the board is not found; left out", str(path), fix, "warning"))
             continue
@@ -468,53 +438,42 @@ def read_views(
     return views
 
 
-def read_board(path: str | os.PathLike) -> Board:
-    """The board of a file board.toml with the fields of `Board`.
-
-    Raises:
-        GendomError: The file is missing or malformed.
-    """
-    path = Path(path)
+def read_board(path: Path) -> Board:
+    """The board of a file board.toml with the fields of `Board`; RecordingError: it has others."""
     fix = "give squares_x, squares_y, square, marker (m), dictionary"
-    fields = read_toml(path, fix=fix)
     try:
-        return Board(**fields)
+        return Board(**read_toml(path, fix=fix, error=RecordingError))
     except TypeError as error:  # a field that is missing, unknown or of another type
         what = f"does not describe a board ({str(error).removeprefix('Board.__init__() ')})"
-        raise GendomError(what, where=str(path), fix=fix) from None
-    except GendomError as error:
-        raise GendomError(error.what, where=str(path), fix=error.fix) from None
+    except RecordingError as error:
+        what, fix = error.what, error.fix
+    raise RecordingError(what, where=str(path), fix=fix)
 
 
 def read_poses(path: Path) -> list[tuple[Path, np.ndarray]]:
     """Pictures and T_world_gripper [4, 4] of poses.csv.
 
     Raises:
-        GendomError: It is missing or malformed, or holds millimetres or angles.
+        RecordingError: It is missing or malformed, or holds millimetres or angles.
     """
-    lines = read_rows(path, header=",".join(COLUMNS))
-
-    def wanted(holds: Any, what: str, where: str, fix: str) -> None:
-        require(holds, what, where=where, fix=fix, error=RecordingError)
-
-    right = tuple(lines[0][1]) == COLUMNS
-    wanted(right, "has another header", str(path), f"write {','.join(COLUMNS)}")
+    lines, fix = read_rows(path, header=",".join(COLUMNS)), f"write {','.join(COLUMNS)}"
+    expect(tuple(lines[0][1]) == COLUMNS, "has another header", where=str(path), fix=fix)
     poses = []
     for number, row in lines[1:]:
-        where = f"{path}, line {number}"
+        where, fix = f"{path}, line {number}", "give a picture, x, y, z and a quaternion, no angles"
         try:
             values = np.array([float(text) for text in row[1:]])
         except ValueError:
             values = np.array([])
         right = len(values) == 7 and np.isfinite(values).all()
-        wanted(right, "is no pose", where, "give a picture, x, y, z and a quaternion, no angles")
+        expect(right, "is no pose", where=where, fix=fix)
         length, distance = np.linalg.norm(values[3:]), np.linalg.norm(values[:3])
-        fix = "give a unit quaternion, qx, qy, qz, qw"
         what = f"quaternion of length {length:.3g}"
         what += ": angles in degrees?" if length > 2.0 * np.pi else ""
-        wanted(abs(length - 1.0) <= 0.01, what, where, fix)
-        what = f"is {distance:.4g} m from the robot's base"
-        wanted(distance <= 20.0, what, where, "give metres, not millimetres")
+        fix = "give a unit quaternion, qx, qy, qz, qw"
+        expect(abs(length - 1.0) <= 0.01, what, where=where, fix=fix)
+        what, fix = f"is {distance:.4g} m from the robot's base", "give metres, not millimetres"
+        expect(distance <= MAX_DISTANCE, what, where=where, fix=fix)
         picture = inside(path.parent, row[0], where=where)
         poses.append((picture, rigid(Rotation.from_quat(values[3:]).as_matrix(), values[:3])))
     return poses

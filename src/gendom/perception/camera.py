@@ -17,6 +17,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,14 @@ from gendom.errors import RecordingError
 from gendom.files import atomic_path
 from gendom.reading import MOST_PIXELS, read_toml
 
+MAX_DISTANCE = 20.0
+"""What is farther from the robot's base than this [m] was given in millimetres."""
+
 _DISTORTION_LENGTHS = (0, 4, 5, 8)
-_MAX_DISTANCE = 20.0  # [m]; a camera farther from the robot's base was given in millimetres
 _KEYS = ("width", "height", "depth_unit", "K", "distortion", "T_world_camera")
+
+expect = partial(require, error=RecordingError)
+"""`require` whose error is a `RecordingError`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,54 +63,44 @@ class Camera:
     """OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]; empty: none."""
 
     def __post_init__(self):
-        for name in ("width", "height"):
-            value, where = getattr(self, name), f"{self.name}: {name}"
-            right = isinstance(value, int)
-            require(right, f"is {value!r}", where=where, fix="give pixels", error=RecordingError)
-        for name, shape in (
-            ("K", (3, 3)),
-            ("T_world_camera", (4, 4)),
-            ("depth_unit", ()),
-            ("distortion", (None,)),
-        ):
-            value = getattr(self, name)
-            if value is None and name == "T_world_camera":
-                continue
-            array = _numbers(value, shape, f"{self.name}: {name}")
-            array.flags.writeable = False
-            object.__setattr__(self, name, array if array.ndim == 2 else array.tolist())
+        shapes = {"K": (3, 3), "T_world_camera": (4, 4), "depth_unit": (), "distortion": (None,)}
+        for name, shape in shapes.items():
+            if (value := getattr(self, name)) is not None or name != "T_world_camera":
+                array = _numbers(value, shape, f"{self.name}: {name}")
+                array.flags.writeable = False
+                object.__setattr__(self, name, array if array.ndim == 2 else array.tolist())
         object.__setattr__(self, "distortion", tuple(self.distortion))
-        for what, where, fix in self._faults():
-            raise RecordingError(what, where=f"{self.name}: {where}", fix=fix)
+        for right, key, what, fix in self._checks():
+            expect(right, what, where=f"{self.name}: {key}", fix=fix)
 
-    def _faults(self) -> Iterator[tuple[str, str, str]]:
-        """(what, where, fix) of everything wrong."""
+    def _checks(self) -> Iterator[tuple[Any, str, str, str]]:
+        """(whether it is right, key, what is wrong if not, fix) of everything."""
         K, T, width, height = self.K, self.T_world_camera, self.width, self.height
-        if width < 1 or height < 1 or width * height > MOST_PIXELS:
-            fix = f"give the pictures' size, {MOST_PIXELS} pixels at most"
-            yield f"is {width} x {height}", "width, height", fix
-        if not self.depth_unit > 0.0:
-            fix = "give metres a count: 0.001 for depth in millimetres"
-            yield f"is {self.depth_unit}", "depth_unit", fix
-        if not (K[0, 0] > 0 and K[1, 1] > 0 and np.allclose(K[2], [0, 0, 1])) or K[1, 0] != 0:
-            fix = "give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, fx and fy above 0"
-            yield "is no intrinsic matrix", "K", fix
-        elif not (-1 < K[0, 2] < width and -1 < K[1, 2] < height):
-            what = f"has its centre ({K[0, 2]:g}, {K[1, 2]:g}) outside {width} x {height}"
-            yield what, "K", "take the intrinsics of the stream with these pictures' size"
-        if (count := len(self.distortion)) not in _DISTORTION_LENGTHS:
-            fix = "give none, or 4, 5 or 8 of OpenCV's k1, k2, p1, p2, k3, k4, k5, k6"
-            yield f"has {count} numbers", "distortion", fix
-        if T is None:
-            return
-        R, distance = T[:3, :3], np.linalg.norm(T[:3, 3])
-        is_rotation = np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) >= 0
-        if not (np.allclose(T[3], [0, 0, 0, 1]) and is_rotation):
+        for key in ("width", "height"):
+            value = getattr(self, key)
+            yield isinstance(value, int), key, f"is {value!r}", "give pixels"
+        fix = f"give the pictures' size, {MOST_PIXELS} pixels at most"
+        right = width >= 1 and height >= 1 and width * height <= MOST_PIXELS
+        yield right, "width, height", f"is {width} x {height}", fix
+        fix = "give metres a count: 0.001 for depth in millimetres"
+        yield self.depth_unit > 0.0, "depth_unit", f"is {self.depth_unit}", fix
+        fix = "give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, fx and fy above 0"
+        right = K[0, 0] > 0 and K[1, 1] > 0 and np.allclose(K[2], [0, 0, 1]) and K[1, 0] == 0
+        yield right, "K", "is no intrinsic matrix", fix
+        what = f"has its centre ({K[0, 2]:g}, {K[1, 2]:g}) outside {width} x {height}"
+        fix = "take the intrinsics of the stream with these pictures' size"
+        yield -1 < K[0, 2] < width and -1 < K[1, 2] < height, "K", what, fix
+        count, fix = len(self.distortion), "give none, or 4, 5 or 8 of OpenCV's k1, k2, p1, p2, "
+        right, what = count in _DISTORTION_LENGTHS, f"has {count} numbers"
+        yield right, "distortion", what, f"{fix}k3, k4, k5, k6"
+        if T is not None:
+            R, distance, key = T[:3, :3], np.linalg.norm(T[:3, 3]), "T_world_camera"
+            right = np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) >= 0
             fix = "give [[R, t], [0, 0, 0, 1]] with a rotation R and t in metres"
-            yield "is no rigid transform", "T_world_camera", fix
-        elif distance > _MAX_DISTANCE:
-            what = f"puts the camera {distance:.4g} m from the robot's base"
-            yield what, "T_world_camera", "give t in metres, not millimetres"
+            right = right and np.allclose(T[3], [0, 0, 0, 1])
+            yield right, key, "is no rigid transform", fix
+            what, fix = f"puts the camera {distance:.4g} m from the robot's base", "give t in "
+            yield distance <= MAX_DISTANCE, key, what, f"{fix}metres, not millimetres"
 
     @property
     def position(self) -> npt.NDArray[np.float64]:
@@ -121,10 +117,10 @@ class Camera:
         Raises:
             RecordingError: It is not known.
         """
-        if self.T_world_camera is None:
-            where, fix = f"{self.name}: T_world_camera", "measure it with gendom calibrate"
-            raise RecordingError("is missing", where=where, fix=fix)
-        return self.T_world_camera
+        T, where = self.T_world_camera, f"{self.name}: T_world_camera"
+        expect(T is not None, "is missing", where=where, fix="measure it with gendom calibrate")
+        assert T is not None
+        return T
 
     def rays(self) -> npt.NDArray[np.float64]:
         """[height * width, 3] directions of the pixels, row after row, in the camera's axes.
@@ -200,8 +196,7 @@ def adopt_camera(path: str | os.PathLike, camera: Camera) -> Camera:
         if key == "distortion":  # what is left out is zero
             own, stated = (np.pad(a, (0, 8 - len(a))) for a in (own, stated))
         what, fix = "is not that of the recording beside it", "leave it out: its own is taken"
-        alike = np.abs(stated - own).max() <= tolerance
-        require(alike, what, where=f"{path}: {key}", fix=fix, error=RecordingError)
+        expect(np.abs(stated - own).max() <= tolerance, what, where=f"{path}: {key}", fix=fix)
     kept = {key: table[key] for key in ("depth_unit", "T_world_camera") if key in table}
     return replace(camera, **kept)
 
@@ -229,11 +224,10 @@ def _read_table(path: Path, required: tuple[str, ...] = ()) -> dict[str, Any]:
     )
     missing = [key for key in required if key not in table]
     fix = "copy it from the camera's own settings; depth is useless without"
-    what = f"lacks {', '.join(missing)}"
-    require(not missing, what, where=str(path), fix=fix, error=RecordingError)
+    expect(not missing, f"lacks {', '.join(missing)}", where=str(path), fix=fix)
     for key in table:
         what, fix = f"has the unknown key {key!r}", f"known are {', '.join(_KEYS)}"
-        require(key in _KEYS, what, where=str(path), fix=fix, error=RecordingError)
+        expect(key in _KEYS, what, where=str(path), fix=fix)
     return table
 
 
@@ -268,22 +262,17 @@ def _rows(matrix: np.ndarray) -> str:
 
 
 def _numbers(value: Any, shape: tuple[int | None, ...], where: str) -> np.ndarray:
-    """`value` as finite float64 of a shape; None in it is any length.
-
-    Raises:
-        RecordingError: It is none.
-    """
+    """`value` as finite float64 of a shape; None in it is any length."""
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         array = np.array(np.nan)
-    same = array.ndim == len(shape) and all(
-        want is None or have == want for have, want in zip(array.shape, shape, strict=True)
+    same = len(array.shape) == len(shape) and all(
+        want in (None, have) for have, want in zip(array.shape, shape, strict=True)
     )
-    form = (
-        f"{'x'.join('n' if n is None else str(n) for n in shape)} numbers" if shape else "a number"
-    )
-    fix = "give finite numbers in brackets" if shape else "give one number"
-    right = same and bool(np.isfinite(array).all())
-    require(right, f"is not {form}", where=where, fix=fix, error=RecordingError)
+    what, fix = "is not a number", "give one number"
+    if shape:
+        sizes = "x".join(str(n or "n") for n in shape)
+        what, fix = f"is not {sizes} numbers", "give finite numbers in brackets"
+    expect(same and np.isfinite(array).all(), what, where=where, fix=fix)
     return array

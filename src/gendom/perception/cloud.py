@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +20,8 @@ from scipy.spatial import KDTree
 from gendom.arguments import require
 from gendom.errors import RecordingError
 from gendom.perception.camera import Camera
-from gendom.perception.colour import ObjectColour
-from gendom.perception.frames import Pictures
+from gendom.perception.colour import LIGHTNESS_WEIGHT, TOLERANCE, ObjectColour
+from gendom.perception.frames import SYNC_TOLERANCE, Pictures
 from gendom.perception.robot import Capsules
 from gendom.perception.table import TablePlane, fit_table
 
@@ -31,28 +32,18 @@ those left after outlier removal."""
 MIN_DEPTH_PIXELS = 100
 """Pictures with fewer valid depth pixels are treated as empty."""
 
-TABLE_SIGMAS = 3.0
-"""Depths within so many standard deviations of the table's are on the table."""
-
-TABLE_CLEARANCE = 0.002
-"""Points nearer to the table than this [m] are also removed, for any noise."""
-
-MIN_SUPPORT = 3
-"""Minimum number of a pixel's eight neighbours that must belong to the object at about the same
-depth. This removes mixed pixels at edges, and isolated ones."""
-
-ROBOT_MARGIN = 0.01
-"""Points nearer than this [m] to a capsule are the robot's."""
-
 OUTLIER_RADIUS = 0.015
 """Points in the same or in touching cubes of this edge [m] are connected."""
 
-FINGERTIP = 0.02
-"""Points farther than this from what grippers hold [m] may be as near to fingers as to links."""
+MIN_SUPPORT = 3
+"""So many of a pixel's eight neighbours must belong to the object at about the same depth: removes
+mixed pixels at edges, and isolated ones."""
 
-HANGING_TOGETHER = 0.06
-"""What is held hangs together: gaps in it are smaller than this [m]."""
-
+_TABLE_SIGMAS = 3.0  # depths within so many standard deviations of the table's are on the table
+_TABLE_CLEARANCE = 0.002  # [m]; so are points nearer to it than this, for any noise
+_ROBOT_MARGIN = 0.01  # [m]; points nearer than this to a capsule are the robot's
+_FINGERTIP = 0.02  # [m]; points farther from what is held may be as near to fingers as to links
+_HANGING_TOGETHER = 0.06  # [m]; gaps in what is held are smaller
 _NO_TABLE = np.uint16(65535)  # counts that no depth exceeds
 _STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table shows it
 _MAX_DEPTH_SLOPE = 5.0  # pixels' widths by which a surface's depth changes a pixel, at most
@@ -63,24 +54,50 @@ _MAX_CAMERAS = 8  # bits of a point's `seen_by`
 
 
 @dataclass(frozen=True, kw_only=True)
-class CloudSettings:
-    """Which parts of the depth are kept."""
+class PerceptionSettings:
+    """Settings of segmentation and of the combination of frames."""
 
-    low: tuple[float, float, float]
-    """The workspace's lower corner [m]."""
-    high: tuple[float, float, float]
-    """The workspace's upper corner [m]."""
+    workspace: tuple[float, float, float, float, float, float] | None = None
+    """x0 y0 z0 x1 y1 z1 in metres; by default what the object can reach."""
+    colour: tuple[int, int, int] | None = None
+    """The object's colour: R G B, 0 to 255."""
+    pick: tuple[str, int, int] | None = None
+    """Or CAMERA U V: a pixel on the object in the first frame."""
+    masks: Path | None = None
+    """Or DIR of another program's masks: DIR/CAMERA/ has a PNG for each depth picture, of its name
+    (of a RealSense recording 000000.png and so on) and size, above 0 where the object is."""
+    colour_tolerance: float = TOLERANCE
+    """Largest distance from that colour in L*a*b*."""
+    lightness_weight: float = LIGHTNESS_WEIGHT
+    """Weight of lightness in it; 1 for a black, grey or white object."""
+    no_table: bool = False
+    """Do not look for a table and remove it."""
+    no_level: bool = False
+    """Leave cameras where their calibration says, though the table they see is not level. Otherwise
+    each is turned and raised, so that the table is level and at one height: where the object's
+    description says, or where cameras see it in the mean."""
+    sync_tolerance: float = SYNC_TOLERANCE
+    """Largest difference of the time stamps of frames that belong together, in seconds."""
     voxel: float = 0.005
-    """Edge of the cubes that give one point each, the mean of theirs [m]; 0: keep all points."""
+    """Edge in metres of the cubes that give one point each, the mean of theirs; 0 keeps all
+    points."""
     min_cluster: int = 10
-    """Connected points fewer than this are outliers."""
+    """Connected points fewer than this are dropped."""
 
     def __post_init__(self):
-        corners = zip(self.low, self.high, strict=True)
-        ordered = all(np.isfinite([a, b]).all() and a < b for a, b in corners)
-        what = f"the workspace runs from {self.low} to {self.high}"
-        require(ordered, what, fix="give x0 y0 z0 x1 y1 z1 in metres, each lower value first")
-        voxel, count = self.voxel, self.min_cluster
+        given = [n for n in ("colour", "pick", "masks") if getattr(self, n) is not None]
+        require(len(given) <= 1, f"{' and '.join(given)} are both given", fix="choose one")
+        right = all(0 <= c <= 255 for c in self.colour or ())
+        require(right, f"colour {self.colour}", fix="give R G B, each 0 to 255")
+        if (box := self.workspace) is not None:
+            ordered = np.isfinite(box).all() and all(np.less(box[:3], box[3:]))
+            what = f"the workspace runs from {box[:3]} to {box[3:]}"
+            require(ordered, what, fix="give x0 y0 z0 x1 y1 z1 in metres, each lower value first")
+        late, voxel, count = self.sync_tolerance, self.voxel, self.min_cluster
+        right = np.isfinite(late) and late >= 0.0
+        require(right, f"sync_tolerance is {late}", fix="give seconds")
+        fix = f"give seconds: {late:g} ms are {1e-3 * late:g}"
+        require(late <= 1.0, f"sync_tolerance is {late:g} s", fix=fix)
         right = np.isfinite(voxel) and voxel >= 0.0
         require(right, f"voxel is {voxel}", fix="give 0 or more")
         fix = f"give metres: {voxel:g} mm are {1e-3 * voxel:g} m"
@@ -93,13 +110,14 @@ class CameraView:
 
     Args:
         camera: Calibrated.
-        settings: The workspace and what is kept in it.
+        settings: The workspace, which is given, and what is kept in it.
 
     Raises:
         RecordingError: The camera is not calibrated.
     """
 
-    def __init__(self, camera: Camera, settings: CloudSettings):
+    def __init__(self, camera: Camera, settings: PerceptionSettings):
+        assert settings.workspace is not None
         self.camera = camera
         self.settings = settings
         self.table: TablePlane | None = None
@@ -107,7 +125,8 @@ class CameraView:
         directions = camera.rays() @ T[:3, :3].T
         self._position = camera.position.astype(np.float32)
         self._directions = np.ascontiguousarray(directions.T, dtype=np.float32)  # [3, H W]
-        near, far = _box_depths(camera.position, directions, settings.low, settings.high)
+        box = np.reshape(settings.workspace, (2, 3))
+        near, far = _box_depths(camera.position, directions, *box)
         self._depths = near.astype(np.float32), far.astype(np.float32)
         self._near, self._far = self._counts(near, np.ceil), self._counts(far, np.floor)
         self._far[~(near <= far)] = 0  # the ray misses the workspace
@@ -135,59 +154,40 @@ class CameraView:
         return ((raw >= self._near) & (raw <= self._far)).reshape(depth.shape)
 
     def check_depth(self, depth: npt.NDArray[np.uint16], table_height: float | None = None) -> None:
-        """Check that some depth lies in the workspace.
-
-        Args:
-            depth: [height, width]; `MIN_DEPTH_PIXELS` pixels or more have depth.
-            table_height: z of the table [m]; None: unknown.
-
-        Raises:
-            RecordingError: None does; the error names another depth unit that would fit.
-        """
-        where = f"camera {self.camera.name!r}"
-        has = np.count_nonzero(depth)
+        """Refuse a picture [height, width] whose depth misses the workspace, and name another unit
+        that would fit, by the table's height [m] where it is known."""
         inside = np.count_nonzero(self.in_workspace(depth))
-        raw = depth.ravel().astype(np.float32)
-
-        def with_scale(scale: float) -> int:
-            z = raw * np.float32(scale * self.camera.depth_unit)
-            near, far = self._depths
-            return int(np.count_nonzero((z >= near) & (z <= far) & (raw > 0)))
-
-        scales = {s: with_scale(s) for s in (1e-4, 1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3, 1e4)}
-        best = max(scales, key=lambda s: scales[s])
-        median = f"{np.median(raw[raw > 0]) * self.camera.depth_unit:.4g} m"
-        if scales[best] >= max(10 * inside, 0.005 * has, 100):
+        raw, (near, far) = depth.ravel().astype(np.float32), self._depths
+        unit, scales = self.camera.depth_unit, {}
+        for scale in (1e-4, 1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3, 1e4):
+            z = raw * np.float32(scale * unit)
+            scales[scale] = np.count_nonzero((z >= near) & (z <= far) & (raw > 0))
+        best, seen = max(scales, key=lambda s: scales[s]), raw[raw > 0]
+        median = f"{np.median(seen) * unit:.4g} m"
+        if scales[best] >= max(10 * inside, 0.005 * len(seen), 100):
             what = f"depth of median {median} misses the workspace, but would be in it in another "
-            right = self._unit_by_table(depth, table_height) or self.camera.depth_unit * best
-            raise self._other_unit(f"{what}unit", right)
+            by_table = self._unit_by_table(depth, table_height)
+            self._refuse_unit(f"{what}unit", by_table or unit * best)
         if inside < 50:
             self.check_unit(depth, table_height)
-            what = (
-                f"sees nothing of the workspace, {_corners(self.settings)}; median depth {median}"
-            )
+            corners = np.reshape(np.array(self.settings.workspace), (2, 3))
+            low, high = (", ".join(f"{x:.3g}" for x in corner) for corner in corners)
+            what = f"sees nothing of the workspace, ({low}) to ({high}) m; median depth {median}"
             fix = "check T_world_camera (camera to world) and --workspace"
-            raise RecordingError(what, where=where, fix=fix)
+            raise RecordingError(what, where=f"camera {self.camera.name!r}", fix=fix)
 
-    def _other_unit(self, what: str, right: float) -> RecordingError:
+    def _refuse_unit(self, what: str, right: float) -> None:
         where = f"camera {self.camera.name!r}: depth_unit"
         fix = f"it is {self.camera.depth_unit:g} m a count; {right:g} seems right"
-        return RecordingError(what, where=where, fix=fix)
+        raise RecordingError(what, where=where, fix=fix)
 
     def check_unit(self, depth: npt.NDArray[np.uint16], table_height: float | None) -> None:
-        """Check whether the table is at its height only in another depth unit.
-
-        Args:
-            depth: [height, width].
-            table_height: z of the table [m]; None: unknown, and nothing is checked.
-
-        Raises:
-            RecordingError: It is.
-        """
+        """Refuse a picture [height, width] in which a table is at a height [m] only in another
+        depth unit; None: the height is unknown."""
         right = self._unit_by_table(depth, table_height)
         if right is not None:
             what = f"sees no table at z = {table_height:g} m, but would in another unit"
-            raise self._other_unit(what, right)
+            self._refuse_unit(what, right)
 
     def _unit_by_table(
         self, depth: npt.NDArray[np.uint16], table_height: float | None
@@ -214,28 +214,19 @@ class CameraView:
         return nearest
 
     def find_table(self, depth: npt.NDArray[np.uint16], expected_height: float | None) -> None:
-        """Fit the table in a depth picture, and remove it from now on where there is one.
-
-        Args:
-            depth: [height, width].
-            expected_height: z of the table [m]; None: unknown.
-        """
+        """Fit the table, near a height [m] where one is given, in a depth picture [height, width],
+        and remove it from now on where there is one."""
         raw = depth.ravel()
         pixels = np.flatnonzero(self.in_workspace(depth))
         directions = self._directions[:, pixels].T
-        self.table = fit_table(
-            self.points(raw, pixels),
-            directions,
-            raw[pixels] * self.camera.depth_unit,
-            expected_height=expected_height,
-        )
-        if self.table is None:
+        z, points = raw[pixels] * self.camera.depth_unit, self.points(raw, pixels)
+        self.table = fit_table(points, directions, z, expected_height=expected_height)
+        if (table := self.table) is None:
             return
-        table = self.table
         slope = -(table.normal @ self._directions.astype(np.float64))  # per depth, downwards
         with np.errstate(divide="ignore", invalid="ignore"):
             z = (table.normal @ self.camera.position - table.offset) / slope
-            band = np.maximum(TABLE_SIGMAS * table.noise * z**2, TABLE_CLEARANCE / slope)
+            band = np.maximum(_TABLE_SIGMAS * table.noise * z**2, _TABLE_CLEARANCE / slope)
             meets = (slope > 1e-6) & (z > 0)
             top = np.where(meets, z - band, np.inf)
             bottom = np.where(meets, z + band, np.inf)
@@ -280,7 +271,7 @@ class CameraView:
         counts.append(len(pixels))
         points = self.points(raw, pixels)
         if capsules is not None and len(points):
-            points = points[~capsules.contain(points, ROBOT_MARGIN)]
+            points = points[~capsules.contain(points, _ROBOT_MARGIN)]
         return points, [*counts, len(points)]
 
     def _supported(self, raw: npt.NDArray[np.uint16], pixels: np.ndarray) -> np.ndarray:
@@ -322,12 +313,12 @@ class Held:
         away = np.linalg.norm(points[:, None] - self.places, axis=2)
         near = (away <= self.reach).all(axis=1)
         if self.robot is not None and not self.chosen:
-            whole = replace(self.robot, largest_margin=None).contain(points, ROBOT_MARGIN)
-            near &= ~(whole & (away > FINGERTIP).all(axis=1))
+            whole = replace(self.robot, largest_margin=None).contain(points, _ROBOT_MARGIN)
+            near &= ~(whole & (away > _FINGERTIP).all(axis=1))
         if not near.any():
             return near
         label = np.full(len(points), -1)
-        label[near] = _clusters(points[near], HANGING_TOGETHER / 2.0)
+        label[near] = _clusters(points[near], _HANGING_TOGETHER / 2.0)
         own = near & np.isin(label, label[near][KDTree(points[near]).query(self.places)[1]])
         return near if self.chosen and 2 * own.sum() < near.sum() else own
 
@@ -348,7 +339,7 @@ class FusedCloud:
 
 def fuse(
     clouds: Sequence[npt.NDArray[np.float32]],
-    settings: CloudSettings,
+    settings: PerceptionSettings,
     held: Held | None = None,
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8], int]:
     """One cloud of several cameras' clouds: one point a voxel, without outliers.
@@ -364,8 +355,8 @@ def fuse(
     Raises:
         ParameterError: More cameras than bits.
     """
-    few = len(clouds) <= _MAX_CAMERAS
-    require(few, f"{len(clouds)} cameras", fix=f"use {_MAX_CAMERAS} at most")
+    what, fix = f"{len(clouds)} cameras", f"use {_MAX_CAMERAS} at most"
+    require(len(clouds) <= _MAX_CAMERAS, what, fix=fix)
     points = np.concatenate(clouds)
     bits = np.repeat((1 << np.arange(len(clouds))).astype(np.uint8), [len(c) for c in clouds])
     if settings.voxel > 0.0 and len(points):
@@ -459,8 +450,3 @@ def _clusters(points: np.ndarray, edge: float) -> npt.NDArray[np.intp]:
     n = len(cells)
     graph = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     return connected_components(graph, directed=False)[1][place]
-
-
-def _corners(settings: CloudSettings) -> str:
-    low, high = (", ".join(f"{x:.3g}" for x in c) for c in (settings.low, settings.high))
-    return f"({low}) to ({high}) m"

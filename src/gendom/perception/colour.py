@@ -20,17 +20,12 @@ TOLERANCE = 25.0
 LIGHTNESS_WEIGHT = 0.4
 """How much a difference of lightness counts beside one of a* or b*."""
 
-DARKEST_SHADOW = 0.45
-"""Of (L* + 16, a*, b*) in shadow: a tenth of the light."""
-
-SHADOW_SATURATION = 0.6
-"""How far from it a colour in shadow may be, at most, in the saturation it has there: grey is no
-shadow of a colour."""
-
-NEUTRAL = 12.0
-"""Less saturated than this, a reference is white, grey or black, and a* and b* count twice: light
-skin is within 25 of white."""
-
+# (L* + 16, a*, b*) in the darkest shadow, a tenth of the light. A colour there may be as far off
+# as this share of its saturation: grey is no shadow of a colour.
+_DARKEST_SHADOW, _SHADOW_SATURATION = 0.45, 0.6
+# Less saturated than this, a reference is white, grey or black, and a* and b* count twice: light
+# skin is within 25 of white.
+_NEUTRAL = 12.0
 _BITS = 6  # of each channel in the table of colours; 2^18 answers, found in a millisecond
 _WHITE = np.array([0.95047, 1.0, 1.08883])  # D65
 _RGB_TO_XYZ = np.array(
@@ -85,14 +80,14 @@ class ObjectColour:
         middle = (np.arange(1 << _BITS) + 0.5) * (256 >> _BITS) - 0.5
         rgb = np.stack(np.meshgrid(middle, middle, middle, indexing="ij"), axis=-1).reshape(-1, 3)
         at = np.asarray(reference, dtype=np.float64)
-        hue = 2.0 if np.hypot(at[1], at[2]) < NEUTRAL else 1.0
+        hue = 2.0 if np.hypot(at[1], at[2]) < _NEUTRAL else 1.0
         weight, black = np.array([lightness_weight, hue, hue]), np.array([-16.0, 0.0, 0.0])
         colours = lab(rgb)
         own = (((colours - at) * weight) ** 2).sum(axis=1) <= tolerance**2
         if lightness_weight < 1.0:
             ray, seen = (at - black) * weight, (colours - black) * weight
-            q = np.clip(seen @ ray / (ray @ ray), DARKEST_SHADOW, 1.0)
-            near = q * min(tolerance, SHADOW_SATURATION * float(np.hypot(at[1], at[2])))
+            q = np.clip(seen @ ray / (ray @ ray), _DARKEST_SHADOW, 1.0)
+            near = q * min(tolerance, _SHADOW_SATURATION * float(np.hypot(at[1], at[2])))
             own |= np.linalg.norm(seen - q[:, None] * ray, axis=1) < near
         return cls(at, own)
 
@@ -119,48 +114,3 @@ def picked_colour(colour: npt.NDArray[np.uint8], u: int, v: int) -> npt.NDArray[
     require(0 <= u < width and 0 <= v < height, what, fix="give column and row, from 0")
     patch = colour[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2]
     return np.median(lab(patch.reshape(-1, 3)), axis=0)
-
-
-def boxed_colour(
-    colour: npt.NDArray[np.uint8],
-    box: tuple[int, int, int, int],
-    considered: npt.NDArray[np.bool_] | None = None,
-) -> npt.NDArray[np.float64]:
-    """L*, a*, b* [3] of what a box holds and the picture around it does not.
-
-    Colours are counted in cells of L*a*b*, 16 x 8 x 8 in size; those at least three times as
-    frequent inside the box as outside are the object's, and the median of the most frequent one
-    and its neighbours is returned.
-
-    Args:
-        colour: [height, width, 3] sRGB.
-        box: u0, v0, u1, v1: first column and row, and those after the last.
-        considered: [height, width] pixels to look at; None: all.
-
-    Raises:
-        ParameterError: The box is empty or leaves nothing outside, or all its colours are
-            outside as well.
-    """
-    height, width = colour.shape[:2]
-    u0, v0, u1, v1 = box
-    right, fix = 0 <= u0 < u1 <= width and 0 <= v0 < v1 <= height, "give u0 < u1 and v0 < v1"
-    require(right, f"box {box} is not in a picture of {width} x {height}", fix=fix)
-    inside = np.zeros((height, width), dtype=bool)
-    inside[v0:v1, u0:u1] = True
-    looked = np.ones_like(inside) if considered is None else considered
-    colours, is_inside = lab(colour[looked]), inside[looked]
-    what = f"box {box} has {'everything' if is_inside.any() else 'nothing'} of the workspace"
-    some = is_inside.any() and not is_inside.all()
-    require(some, what, fix="draw it around the object only")
-    cell = np.floor(colours / [16.0, 8.0, 8.0]).astype(np.int64) + 64
-    key = (cell[:, 0] << 16) | (cell[:, 1] << 8) | cell[:, 2]
-    keys, place = np.unique(key, return_inverse=True)
-    within = np.bincount(place[is_inside], minlength=len(keys)) / is_inside.sum()
-    around = np.bincount(place[~is_inside], minlength=len(keys)) / (~is_inside).sum()
-    own = np.where(within > 3.0 * around, within, 0.0)
-    what = f"box {box} holds no colour that is not outside as well"
-    fix = "draw it tighter, or give the colour by --colour or --pick"
-    require(own.max() >= 0.005, what, fix=fix)
-    peak = cell[place == int(own.argmax())][0]
-    near = is_inside & (np.abs(cell - peak).max(axis=1) <= 1) & (own[place] > 0.0)
-    return np.median(colours[near], axis=0)

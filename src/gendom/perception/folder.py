@@ -31,13 +31,17 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.datasets.folder import check_named, read_gripper, read_object
-from gendom.errors import RecordingError
-from gendom.perception.camera import Camera, read_camera, write_camera
-from gendom.perception.frames import CameraReader, Frame, FrameSource, Pictures, interpolate
-from gendom.perception.png import read_png
+from gendom.perception.camera import Camera, expect, read_camera, write_camera
+from gendom.perception.frames import (
+    CameraReader,
+    Frame,
+    FrameSource,
+    Pictures,
+    interpolate,
+    read_png,
+)
 from gendom.perception.realsense import RealSenseRecording
 from gendom.perception.robot import CapsulePath, cut_off, read_shape
 from gendom.plugins import plugins
@@ -112,9 +116,8 @@ class PngCamera:
     def __init__(
         self, folder: str | os.PathLike, *, on_warning: Callable[[Fault], None] = lambda _: None
     ):
-        self._folder = Path(folder)
-        self.camera: Camera = read_camera(self._folder / "camera.toml")
-        self._rows = _read_frames(self._folder / "frames.csv", on_warning)
+        self.camera: Camera = read_camera(Path(folder) / "camera.toml")
+        self._rows = _read_frames(Path(folder) / "frames.csv", on_warning)
 
     @staticmethod
     def find(folder: Path) -> Path | None:
@@ -122,30 +125,25 @@ class PngCamera:
         path = folder / "frames.csv"
         return path if path.exists() else None
 
-    def __len__(self) -> int:
-        return len(self._rows)
-
     def __iter__(self) -> Iterator[Frame]:
-        for time, depth, colour in self._rows:
-            yield Frame(time, str(depth), lambda d=depth, c=colour: self._read(d, c))
+        for time, *files in self._rows:
+            yield Frame(time, str(files[0]), lambda files=files: self._read(*files))
 
-    def _read(self, path: Path, colour: Path | None) -> Pictures:
+    def _read(self, path: Path, colour: Path | None = None) -> Pictures:
         picture = read_png(path)
         what = f"is a PNG of mode {picture.mode}, not 16 bit grey"
-        fix, is_grey = "store depth as 16 bit counts of depth_unit", picture.mode.startswith("I")
-        require(is_grey, what, where=str(path), fix=fix, error=RecordingError)
+        fix = "store depth as 16 bit counts of depth_unit"
+        expect(picture.mode.startswith("I"), what, where=str(path), fix=fix)
         counts = self._sized(np.asarray(picture), path).astype(np.uint16, copy=False)
         if colour is None:
             return Pictures(counts)
-        rgb = np.asarray(read_png(colour).convert("RGB"))
-        return Pictures(counts, self._sized(rgb, colour))
+        return Pictures(counts, self._sized(np.asarray(read_png(colour).convert("RGB")), colour))
 
     def _sized(self, array: np.ndarray, path: Path) -> np.ndarray:
         height, width = self.camera.height, self.camera.width
         what = f"is {array.shape[1]} x {array.shape[0]}, camera.toml says {width} x {height}"
         fix = "give the intrinsics of these pictures, colour aligned with depth"
-        right = array.shape[:2] == (height, width)
-        require(right, what, where=str(path), fix=fix, error=RecordingError)
+        expect(array.shape[:2] == (height, width), what, where=str(path), fix=fix)
         return array
 
 
@@ -171,24 +169,14 @@ class PngWriter:
             (self._folder / name).mkdir(exist_ok=True)
         (self._folder / "frames.csv").write_text(_HEADER + "\n", encoding="utf-8")
 
-    def __enter__(self) -> PngWriter:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Nothing is left to write; other writers have more to do."""
-
     def write(self, time: float, pictures: Pictures) -> None:
         """Append a frame; `time` [s] is later than the one before."""
-        name = f"{self._count:06d}.png"
-        files = {"depth": pictures.depth, "colour": pictures.colour}
         row = [repr(float(time))]
-        for kind, array in files.items():
-            row.append("" if array is None else f"{kind}/{name}")
+        for kind, array in {"depth": pictures.depth, "colour": pictures.colour}.items():
+            name = f"{kind}/{self._count:06d}.png"
+            row.append("" if array is None else name)
             if array is not None:
-                Image.fromarray(array).save(self._folder / kind / name, compress_level=1)
+                Image.fromarray(array).save(self._folder / name, compress_level=1)
         with open(self._folder / "frames.csv", "a", encoding="utf-8") as file:
             file.write(",".join(row) + "\n")
         self._count += 1
@@ -214,22 +202,19 @@ def read_cameras(
     """
     folder = Path(folder)
     place, path = folder / "cameras", folder / "gripper.csv"
-
-    def wanted(holds: Any, what: str, where: Path, fix: str) -> None:
-        require(holds, what, where=str(where), fix=fix, error=RecordingError)
-
-    wanted(folder.is_dir(), "no such folder", folder, "check the path")
+    expect(folder.is_dir(), "no such folder", where=str(folder), fix="check the path")
     found = sorted(p.name for p in place.iterdir() if p.is_dir()) if place.is_dir() else []
     fix = "give each a folder with camera.toml and frames.csv or a RealSense recording"
-    wanted(found, "holds no camera", place, fix)
+    expect(found, "holds no camera", where=str(place), fix=fix)
     for name in cameras:
-        wanted(name in found, f"there is no camera {name!r}", place, f"have {', '.join(found)}")
+        what, fix = f"there is no camera {name!r}", f"have {', '.join(found)}"
+        expect(name in found, what, where=str(place), fix=fix)
     meta = read_object(folder / "object.toml")
     arrays = read_gripper(path, on_cut=lambda line: on_warning(cut_off(path, line)))
     time = arrays["time"]
     increases = np.isfinite(time).all() and (np.diff(time) > 0).all()
     fix = "give the robot's path in order of time"
-    wanted(increases, "its times do not increase", path, fix)
+    expect(increases, "its times do not increase", where=str(path), fix=fix)
     return CameraRecording(
         sources=[_open_camera(place / name, on_warning) for name in cameras or found],
         robot=RobotPath(
@@ -249,22 +234,18 @@ def _open_camera(folder: Path, on_warning: Callable[[Fault], None]) -> FrameSour
     readers: list[CameraReader] = [PngCamera, RealSenseRecording, *plugins("cameras").values()]
     found = [(reader, path) for reader in readers if (path := reader.find(folder)) is not None]
     what = f"holds {' and '.join(path.name for _, path in found)}"
-    fix = "leave one of them in the camera's folder"
-    require(len(found) <= 1, what, where=str(folder), fix=fix, error=RecordingError)
+    expect(len(found) <= 1, what, where=str(folder), fix="leave one of them in the camera's folder")
     # Of an empty folder PngCamera tells what is missing.
     return (found[0][0] if found else PngCamera)(folder, on_warning=on_warning)
 
 
-def _read_frames(
-    path: Path, on_warning: Callable[[Fault], None]
-) -> list[tuple[float, Path, Path | None]]:
-    """Rows (time [s], depth file, colour file or None) of frames.csv."""
-    lines, fix = read_rows(path, header=_HEADER, damaged=True), f"write {_HEADER}"
-    header = lines[0][1]
+def _read_frames(path: Path, on_warning: Callable[[Fault], None]) -> list[tuple[Any, ...]]:
+    """Rows (time [s], depth file[, colour file]) of frames.csv."""
+    lines = read_rows(path, header=_HEADER, damaged=True)
+    header, rows, bad = lines[0][1], [], []
     right = {"time", "depth"} <= set(header) <= {"time", "depth", "colour"}
     what = f"has the header {','.join(header)!r}"
-    require(right, what, where=str(path), fix=fix, error=RecordingError)
-    folder, rows, bad = path.parent, [], []
+    expect(right, what, where=str(path), fix=f"write {_HEADER}")
     for number, line in lines[1:]:
         entry = dict(zip(header, line, strict=False))
         try:
@@ -277,14 +258,13 @@ def _read_frames(
             continue
         named = [entry["depth"], *filter(None, [entry.get("colour")])]
         where = f"{path}, line {number}"
-        files = [inside(folder, name, where=where) for name in named]
-        rows.append((time, files[0], files[1] if len(files) > 1 else None))
+        rows.append((time, *(inside(path.parent, name, where=where) for name in named)))
     fix = f"write one row a frame under {_HEADER}"
-    require(rows, "holds no usable row", where=str(path), fix=fix, error=RecordingError)
+    expect(rows, "holds no usable row", where=str(path), fix=fix)
     if bad:
         what = f"{len(bad)} of {len(lines) - 1} rows are cut short, no numbers or go back in time, "
         what += f"first in line {bad[0]}; they are left out"
         on_warning(Fault(what, str(path), "record again if too much is missing", "warning"))
-    times = np.array([time for time, *_ in rows])
-    check_named([depth.stem for _, depth, _ in rows], times, where=str(path))
+    times = np.array([row[0] for row in rows])
+    check_named([row[1].stem for row in rows], times, where=str(path))
     return rows

@@ -1,24 +1,30 @@
-"""The contracts of cameras and recorders, and the matching of frames by time stamp."""
+"""Frames of depth cameras: the contract of their sources, matching by time stamp, PNG files."""
 
 from __future__ import annotations
 
+import io
+import struct
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
 
-from gendom.arguments import require
 from gendom.datasets import Fault
-from gendom.errors import GendomError
-from gendom.perception.camera import Camera
+from gendom.errors import RecordingError
+from gendom.perception.camera import Camera, expect
+from gendom.reading import MOST_PIXELS, read_bytes
 
 SYNC_TOLERANCE = 0.02
 """Frames of different cameras further apart than this [s] do not belong together."""
 
 _ROUNDING = 1e-9  # [s]; time stamps apart by just the tolerance match
+# Exceptions that Pillow raises for damaged PNG data.
+_PNG_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +37,7 @@ class Pictures:
     """[height, width, 3] sRGB, pixel for pixel as depth; None: the camera gives none."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Frame:
     """One frame of a camera: a time and its pictures."""
 
@@ -47,9 +53,8 @@ class Frame:
 class FrameSource(Protocol):
     """A depth camera: recorded pictures, a vendor's recording or a device.
 
-    Iterating gives frames in order of time, once. A source that fails logs a warning with the
-    reason and then ends. Pictures are decoded only by `Frame.read`, so unmatched frames cost
-    nothing.
+    Iterating gives frames in order of time. Pictures are decoded only by `Frame.read`, so
+    unmatched frames cost nothing.
     """
 
     @property
@@ -61,135 +66,80 @@ class FrameSource(Protocol):
 
 
 class CameraReader(Protocol):
-    """A kind of recorded camera: a class of `FrameSource` with `find`.
-
-    The folder is cameras/NAME of a recording. `gendom.perception.read_camera` reads its
-    camera.toml.
-    """
+    """A kind of recorded camera: a class of `FrameSource` with `find`, whose folder is cameras/NAME
+    of a recording. `gendom.perception.read_camera` reads its camera.toml."""
 
     def find(self, folder: Path) -> Path | None:
         """The file that tells that a camera's folder is of this kind; None: it is not."""
         ...
 
     def __call__(self, folder: Path, *, on_warning: Callable[[Fault], None]) -> FrameSource:
-        """The folder's frames.
-
-        Args:
-            folder: One in which `find` finds a file.
-            on_warning: Called with every fault that does not prevent use.
-
-        Raises:
-            RecordingError: It cannot be read.
-        """
+        """The frames of a folder in which `find` finds a file; faults that do not prevent use go to
+        `on_warning`, others raise `RecordingError`."""
         ...
 
 
-class FrameWriter(Protocol):
-    """A writer of a camera's frames; close it when all are written."""
-
-    def write(self, time: float, pictures: Pictures) -> None:
-        """Append a frame; `time` [s] is later than the one before."""
-        ...
-
-    def close(self) -> None: ...
-
-
-@dataclass
-class Matching:
-    """Statistics of the matching of frames."""
-
-    used: int = 0
-    """Sets of frames given."""
-    alone: list[int] = field(default_factory=list)
-    """Frames of each camera that no other camera's frame belonged to."""
-    span: list[tuple[float, float]] = field(default_factory=list)
-    """First and last time stamp of each camera [s]."""
-
-    def spans(self, names: Sequence[str]) -> str:
-        """`span` in words."""
-        return ", ".join(
-            f"{name} {first:.6g} to {last:.6g} s"
-            for name, (first, last) in zip(names, self.span, strict=True)
-        )
-
-
-def match_frames(
-    sources: Sequence[Iterable[Frame]],
-    *,
-    tolerance: float = SYNC_TOLERANCE,
-    matching: Matching | None = None,
-) -> Iterator[tuple[Frame, ...]]:
+class MatchedFrames:
     """Sets of frames, one of each source, whose time stamps lie within a tolerance.
 
     Each frame is used once at most. Of two sets that compete for a frame the closer one wins,
-    as far as one frame of look-ahead shows.
+    as far as one frame of look-ahead shows. Iterate once; then the attributes are final.
 
     Args:
-        sources: Frames in order of time.
+        sources: Frames in order of time; iterating raises `RecordingError` where they are not.
         tolerance: Largest difference of time stamps in a set [s].
-        matching: Filled while iterating.
 
-    Raises:
-        GendomError: A source's time stamps do not increase.
+    Attributes:
+        used: Sets of frames given.
+        alone: Frames of each source that no other source's frame belonged to.
+        spans: First and last time stamp of each source [s].
     """
-    count = Matching() if matching is None else matching
-    count.alone = [0] * len(sources)
-    count.span = [(np.nan, np.nan)] * len(sources)
-    streams = [_Lookahead(source) for source in sources]
 
-    def skip(k: int) -> None:
-        streams[k].step()
-        count.alone[k] += 1
+    def __init__(self, sources: Sequence[Iterable[Frame]], tolerance: float = SYNC_TOLERANCE):
+        self._sources, self._tolerance = sources, tolerance
+        self.used, self.alone = 0, [0] * len(sources)
+        self.spans = [(np.nan, np.nan)] * len(sources)
 
-    while all(stream.head is not None for stream in streams):
-        heads = [stream.head for stream in streams if stream.head is not None]
-        times = [frame.time for frame in heads]
-        spread = max(times) - min(times)
-        first = int(np.argmin(times))
-        after = streams[first].following
-        if spread > tolerance + _ROUNDING or _next_is_closer(times, first, after):
-            skip(first)
-        else:
-            count.used += 1
-            yield tuple(heads)
-            for stream in streams:
-                stream.step()
-        count.span = [stream.span for stream in streams]
-    for k, stream in enumerate(streams):
-        while stream.head is not None:
-            skip(k)
-    count.span = [stream.span for stream in streams]
+    def __iter__(self) -> Iterator[tuple[Frame, ...]]:
+        streams, each = [_in_order(source) for source in self._sources], range(len(self._sources))
+        following = [next(stream, None) for stream in streams]
+        heads: list[Frame | None] = [None for _ in each]
+
+        def step(k: int) -> None:
+            heads[k], following[k] = following[k], next(streams[k], None)
+            if (head := heads[k]) is not None:
+                first = self.spans[k][0]
+                self.spans[k] = (head.time if np.isnan(first) else first, head.time)
+
+        for k in each:
+            step(k)
+        while all(heads):
+            frames = tuple(filter(None, heads))
+            times = np.array([frame.time for frame in frames])
+            spread, k = np.ptp(times), int(times.argmin())
+            if (after := following[k]) is not None:
+                times[k] = after.time
+            if spread > self._tolerance + _ROUNDING or np.ptp(times) < spread:
+                self.alone[k] += 1
+                step(k)
+            else:
+                self.used += 1
+                yield frames
+                for k in each:
+                    step(k)
+        for k in each:
+            while heads[k] is not None:
+                self.alone[k] += 1
+                step(k)
 
 
-def _next_is_closer(times: list[float], first: int, after: Frame | None) -> bool:
-    """Whether the frame after the earliest one would be closer to the others."""
-    if after is None or len(times) == 1:
-        return False
-    others = [t for k, t in enumerate(times) if k != first]
-    spread = max([*others, after.time]) - min([*others, after.time])
-    return spread < max(times) - min(times)
-
-
-class _Lookahead:
-    """A source's current frame and the one after it."""
-
-    def __init__(self, source: Iterable[Frame]):
-        self._frames = iter(source)
-        self.head: Frame | None = None
-        self.following: Frame | None = next(self._frames, None)
-        self.span = (np.nan, np.nan)
-        self.step()
-
-    def step(self) -> None:
-        self.head, self.following = self.following, next(self._frames, None)
-        if self.head is None:
-            return
-        first = self.head.time if np.isnan(self.span[0]) else self.span[0]
-        self.span = (first, self.head.time)
-        if (after := self.following) is not None:
-            what = f"time goes from {self.head.time:.6g} s to {after.time:.6g} s"
-            increases, fix = after.time > self.head.time, "sort the frames and drop repeated ones"
-            require(increases, what, where=after.where, fix=fix, error=GendomError)
+def _in_order(source: Iterable[Frame]) -> Iterator[Frame]:
+    last = -np.inf
+    for frame in source:
+        what, fix = f"time goes from {last:.6g} s to {frame.time:.6g} s", "sort the frames"
+        expect(frame.time > last, what, where=frame.where, fix=f"{fix} and drop repeated ones")
+        yield frame
+        last = frame.time
 
 
 def interpolate(
@@ -201,3 +151,32 @@ def interpolate(
     step = times[after] - times[before]
     share = (time - times[before]) / step if step > 0.0 else 0.0
     return (1.0 - share) * values[before] + share * values[after]
+
+
+def read_png(path: Path) -> Image.Image:
+    """A decoded PNG file whose checksums hold.
+
+    Raises:
+        RecordingError: It is missing, damaged or too large.
+    """
+    fix = "the recording was cut off; record it again"
+    return decode_png(read_bytes(path, RecordingError, fix=fix), str(path))
+
+
+def decode_png(data: bytes, where: str) -> Image.Image:
+    """The same of a file's bytes, which messages call `where`."""
+    if data[12:16] == b"IHDR" and len(data) >= 24:
+        width, height = struct.unpack_from(">II", data, 16)
+        what, fix = f"has {width} x {height} pixels", f"give pictures of {MOST_PIXELS} at most"
+        expect(width * height <= MOST_PIXELS, what, where=where, fix=fix)
+    try:
+        # Decoding alone lets some damage pass as wrong pixels; verifying uses the picture up.
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
+            picture.verify()
+        picture = Image.open(io.BytesIO(data), formats=["PNG"])
+        picture.load()
+    except _PNG_ERRORS as error:
+        reason = "no PNG" if isinstance(error, Image.UnidentifiedImageError) else str(error)
+        what = f"is damaged ({reason[:80] or type(error).__name__})"
+        raise RecordingError(what, where=where, fix="copy it again") from None
+    return picture

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,28 +16,20 @@ from gendom.arguments import require
 from gendom.datasets import Fault, Recording
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
-from gendom.perception.camera import Camera
+from gendom.perception.camera import Camera, expect
 from gendom.perception.cloud import (
     MIN_DEPTH_PIXELS,
     OUTLIER_RADIUS,
     STAGES,
     CameraView,
-    CloudSettings,
     FusedCloud,
     Held,
+    PerceptionSettings,
     perceive_frame,
 )
-from gendom.perception.colour import (
-    LIGHTNESS_WEIGHT,
-    TOLERANCE,
-    ObjectColour,
-    boxed_colour,
-    lab,
-    picked_colour,
-)
+from gendom.perception.colour import ObjectColour, lab, picked_colour
 from gendom.perception.folder import CameraRecording
-from gendom.perception.frames import SYNC_TOLERANCE, Frame, Matching, Pictures, match_frames
-from gendom.perception.png import read_png
+from gendom.perception.frames import Frame, MatchedFrames, Pictures, read_png
 from gendom.perception.quality import (
     MAX_DISAGREEMENT,
     MOST_COVERED,
@@ -53,10 +45,7 @@ _AGREEMENT_STRIDE = 5  # beyond the first of them, one frame of so many is compa
 _AGREEMENT_POINTS = 30
 _AGREEMENT_SHARE = 0.03  # of the pixels that the object would fill; fewer may be the table's noise
 _SHARE_FRAMES = 10  # frames on which the seen share is measured
-_MAX_CORRECTION = (
-    0.005,
-    math.radians(1.0),
-)  # [m], [rad]; beyond, a camera ought to be calibrated again
+_MAX_RISE, _MAX_TURN = 0.005, 1.0  # [m], degrees; beyond, a camera ought to be calibrated again
 _BELOW_TABLE = 0.05  # [m]; the workspace reaches so far below a known table
 _MARGIN = 0.05  # [m]; and so far beyond what the object can reach
 _BEYOND = 0.03  # [m]; points farther from a gripper than the object is long may be its own
@@ -66,50 +55,6 @@ _LOW = 0.01  # [m]; points so near to the table may be the table's
 _MOST_CROWDED = 1 / 3  # of the frames may be left out because more than the object is in them
 _MASKS = "give a PNG a picture, of its name and size, above 0 where the object is"
 _CHOOSE = "narrow the colour (--lightness-weight 1, --colour-tolerance), or give --masks"
-
-
-@dataclass(frozen=True, kw_only=True)
-class PerceptionSettings:
-    """Settings of segmentation and of the combination of frames."""
-
-    workspace: tuple[float, float, float, float, float, float] | None = None
-    """x0 y0 z0 x1 y1 z1 in metres; by default what the object can reach."""
-    colour: tuple[int, int, int] | None = None
-    """The object's colour: R G B, 0 to 255."""
-    pick: tuple[str, int, int] | None = None
-    """Or CAMERA U V: a pixel on the object in the first frame."""
-    box: tuple[str, int, int, int, int] | None = None
-    """Or CAMERA U0 V0 U1 V1: a box around it there, first and after-last pixel."""
-    masks: Path | None = None
-    """Or DIR of another program's masks: DIR/CAMERA/ has a PNG for each depth picture, of its name
-    (of a RealSense recording 000000.png and so on) and size, above 0 where the object is."""
-    colour_tolerance: float = TOLERANCE
-    """Largest distance from that colour in L*a*b*."""
-    lightness_weight: float = LIGHTNESS_WEIGHT
-    """Weight of lightness in it; 1 for a black, grey or white object."""
-    no_table: bool = False
-    """Do not look for a table and remove it."""
-    no_level: bool = False
-    """Leave cameras where their calibration says, though the table they see is not level. Otherwise
-    each is turned and raised, so that the table is level and at one height: where the object's
-    description says, or where cameras see it in the mean."""
-    sync_tolerance: float = SYNC_TOLERANCE
-    """Largest difference of the time stamps of frames that belong together, in seconds."""
-    voxel: float = 0.005
-    """Edge in metres of the cubes that give one point each; 0 keeps all points."""
-    min_cluster: int = 10
-    """Connected points fewer than this are dropped."""
-
-    def __post_init__(self):
-        given = [n for n in ("colour", "pick", "box", "masks") if getattr(self, n) is not None]
-        require(len(given) <= 1, f"{' and '.join(given)} are both given", fix="choose one")
-        right = all(0 <= c <= 255 for c in self.colour or ())
-        require(right, f"colour {self.colour}", fix="give R G B, each 0 to 255")
-        late = self.sync_tolerance
-        right = np.isfinite(late) and late >= 0.0
-        require(right, f"sync_tolerance is {late}", fix="give seconds")
-        fix = f"give seconds: {late:g} ms are {1e-3 * late:g}"
-        require(late <= 1.0, f"sync_tolerance is {late:g} s", fix=fix)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,20 +110,22 @@ class _Perception:
         on_warning: Callable[[Fault], None],
         on_frame: Callable[[float, FusedCloud], None],
     ):
-        self.recorded, self.settings = recorded, settings
-        self.on_warning, self.on_frame = on_warning, on_frame
-        values, faults = parse_meta(recorded.meta)
+        self.recorded, self.on_warning, self.on_frame = recorded, on_warning, on_frame
+        where = f"{recorded.where}/object.toml"
+        self.values, faults = parse_meta(recorded.meta)
         if faults:
-            raise RecordingError(where=f"{recorded.where}/object.toml", faults=faults)
-        self.values = values
-        self.object = values["object"]
+            raise RecordingError(where=where, faults=faults)
+        self.object, height = self.values["object"], self.values["table_height"]
+        self.table_height = None if settings.no_table else height  # [m], if it is looked for
         self.names = [source.camera.name for source in recorded.sources]
-        if (size := self.object.size) is None or not (math.isfinite(size) and size > 0.0):
-            what, where = "the object's sizes are missing", f"{recorded.where}/object.toml"
-            fix = "give length for a rope, width and height for a cloth, in metres"
-            raise RecordingError(what, where=where, fix=fix)
-        self.cloud_settings = self._cloud_settings(size)
-        self.views = [CameraView(source.camera, self.cloud_settings) for source in recorded.sources]
+        size = self.object.size or 0.0
+        fix = "give length for a rope, width and height for a cloth, in metres"
+        right = math.isfinite(size) and size > 0.0
+        expect(right, "the object's sizes are missing", where=where, fix=fix)
+        if settings.workspace is None:
+            settings = replace(settings, workspace=_within_reach(recorded, size, height))
+        self.settings = settings
+        self.views = [CameraView(source.camera, settings) for source in recorded.sources]
         self.colour: ObjectColour | None = None
         self.clouds: list[FusedCloud] = []
         self.times: list[float] = []
@@ -195,28 +142,22 @@ class _Perception:
         self.levelled: dict[str, dict[str, float]] = {}
 
     def run(self) -> Perceived:
-        matching = Matching()
-        sets = match_frames(
-            self.recorded.sources, tolerance=self.settings.sync_tolerance, matching=matching
-        )
-        ready = False
-        for frames in sets:
+        matched = MatchedFrames(self.recorded.sources, self.settings.sync_tolerance)
+        robot, begun = self.recorded.robot, False
+        for frames in matched:
             time = float(np.mean([frame.time for frame in frames]))
-            gripper = self.recorded.robot.at(time)
-            if gripper is None:
+            if (gripper := robot.at(time)) is None:
                 self.off_path += 1
                 continue
-            pictures = self._read(frames)
-            if pictures is None:
+            if (pictures := self._read(frames)) is None:
                 continue
             capsules = self.recorded.capsules and self.recorded.capsules.at(time)
-            reach = (self.object.size or 0.0) + _BEYOND
-            held = Held(gripper[0], reach, robot=capsules)
-            if not ready:
+            held = Held(gripper[0], (self.object.size or 0.0) + _BEYOND, robot=capsules)
+            if not begun:
                 self._begin(pictures, held)
-                ready = True
+                begun = True
             held = replace(held, chosen=self.colour is not None)
-            closed = self.recorded.robot.closed_at(time)
+            closed = robot.closed_at(time)
             cloud = perceive_frame(
                 self.views,
                 pictures,
@@ -232,42 +173,20 @@ class _Perception:
             self.clouds.append(cloud)
             self.times.append(time)
             self.grippers.append(gripper)
-        self._tell_left_out(matching)
+        self._tell_left_out(matched)
         return self._result()
 
     def _require(self, holds: Any, what: str, fix: str | None, where: str = "") -> None:
-        where = where or self.recorded.where
-        require(holds, what, where=where, fix=fix, error=RecordingError)
+        expect(holds, what, where=where or self.recorded.where, fix=fix)
 
     def _warn(self, what: str, where: str, fix: str) -> None:
         self.on_warning(Fault(what, where, fix, "warning"))
 
-    def _cloud_settings(self, size: float) -> CloudSettings:
-        if (box := self.settings.workspace) is None:
-            path = self.recorded.robot.position.reshape(-1, 3)
-            low = path.min(axis=0) - size - _MARGIN
-            high = path.max(axis=0) + _MARGIN
-            high[:2] += size
-            table = self.values["table_height"]
-            if table is not None and table < high[2]:
-                low[2] = max(low[2], table - _BELOW_TABLE)
-            x0, y0, z0, x1, y1, z1 = (float(x) for x in (*low, *high))
-        else:
-            x0, y0, z0, x1, y1, z1 = box
-        return CloudSettings(
-            low=(x0, y0, z0),
-            high=(x1, y1, z1),
-            voxel=self.settings.voxel,
-            min_cluster=self.settings.min_cluster,
-        )
-
     def _fewest(self, camera: Camera) -> float:
         """Minimum number of points of a camera's cloud for comparison with others."""
         away = np.linalg.norm(self.recorded.robot.position.mean(axis=(0, 1)) - camera.position)
-        filled = (
-            own_area(self.object) * camera.K[0, 0] * camera.K[1, 1] / max(float(away), 1e-3) ** 2
-        )
-        return max(_AGREEMENT_POINTS, _AGREEMENT_SHARE * filled)
+        pixels = camera.K[0, 0] * camera.K[1, 1] / max(float(away), 1e-3) ** 2
+        return max(_AGREEMENT_POINTS, _AGREEMENT_SHARE * own_area(self.object) * pixels)
 
     def _read(self, frames: tuple[Frame, ...]) -> list[Pictures] | None:
         try:
@@ -305,7 +224,7 @@ class _Perception:
     def _begin(self, pictures: list[Pictures], held: Held) -> None:
         """Determine units, table and colour from the first frame."""
         for view, seen in zip(self.views, pictures, strict=True):
-            view.check_depth(seen.depth, self._expected_table())
+            view.check_depth(seen.depth, self.table_height)
         if not self.settings.no_table:
             self._find_table(pictures)
         self.colour = self._find_colour(pictures)
@@ -323,20 +242,15 @@ class _Perception:
             what = "it, or what is on it, has the object's colour: all within its noise is left out"
             self._warn(what, "table", f"{_CHOOSE} if too much is")
 
-    def _expected_table(self) -> float | None:
-        """z of the table [m], if it is known and looked for."""
-        return None if self.settings.no_table else self.values["table_height"]
-
     def _find_table(self, pictures: list[Pictures]) -> None:
-        expected = self.values["table_height"]
-        heights = {}
-        middle = np.add(self.cloud_settings.low, self.cloud_settings.high) / 2.0
+        expected, heights = self.table_height, {}
+        x, y, _ = np.reshape(np.array(self.settings.workspace), (2, 3)).mean(axis=0)
         for view, seen in zip(self.views, pictures, strict=True):
             view.find_table(seen.depth, expected)
             if view.table is None:
                 view.check_unit(seen.depth, expected)
             else:
-                heights[view.camera.name] = view.table.height(middle[0], middle[1])
+                heights[view.camera.name] = view.table.height(x, y)
         known = dict(heights) if expected is None else {"object.toml": expected, **heights}
         apart = max(known.values()) - min(known.values()) if heights else 0.0
         listed = ", ".join(f"{1e3 * z:.0f} mm by {name}" for name, z in known.items())
@@ -347,7 +261,7 @@ class _Perception:
             self.apart["table"] = max(heights.values()) - min(heights.values())
         if heights and not self.settings.no_level:
             mean = sum(heights.values()) / len(heights)
-            self._level(pictures, middle, mean if expected is None else expected)
+            self._level(pictures, x, y, mean if expected is None else expected)
         lacking = [name for name in self.names if name not in heights]
         if lacking and known:  # neither stated nor seen: there is none
             level = "" if expected is None else f" at z = {expected:g} m"
@@ -355,60 +269,46 @@ class _Perception:
             fix = "check the workspace and T_world_camera; --no-table if there is none"
             self._warn(what, "table", fix)
 
-    def _level(self, pictures: list[Pictures], middle: np.ndarray, height: float) -> None:
+    def _level(self, pictures: list[Pictures], x: float, y: float, height: float) -> None:
         """Move every camera so that its table is level and at this height [m]."""
         for k, (view, seen) in enumerate(zip(self.views, pictures, strict=True)):
             if view.table is None:
                 continue
-            rise = height - view.table.height(middle[0], middle[1])
-            tilt = math.acos(min(float(view.table.normal[2]), 1.0))
-            T = view.table.levelled(middle[0], middle[1], height)
-            level = CameraView(view.camera.at(T @ view.camera.calibrated()), self.cloud_settings)
+            rise, tilt = height - view.table.height(x, y), math.acos(min(view.table.normal[2], 1.0))
+            T = view.table.levelled(x, y, height)
+            level = CameraView(view.camera.at(T @ view.camera.calibrated()), self.settings)
             level.find_table(seen.depth, height)
             if level.table is None:
                 continue
             self.views[k] = level
             self.levelled[view.camera.name] = {"rise": rise, "turn": tilt}
-            if abs(rise) > _MAX_CORRECTION[0] or tilt > _MAX_CORRECTION[1]:
+            if abs(rise) > _MAX_RISE or math.degrees(tilt) > _MAX_TURN:
                 what = f"sees the table {-1e3 * rise:+.0f} mm too high and tilted by "
                 what += f"{math.degrees(tilt):.1f} degrees; it is moved to where that is right"
                 fix = "calibrate it again (gendom calibrate), or --no-level"
                 self._warn(what, f"camera {view.camera.name!r}", fix)
 
     def _find_colour(self, pictures: list[Pictures]) -> ObjectColour | None:
-        chosen = self.settings
-        if chosen.masks is not None:
-            reference = lab((255, 255, 255))
-        elif chosen.colour is not None:
-            reference = lab(chosen.colour)
-        elif (place := chosen.pick or chosen.box) is None:
+        chosen, k = self.settings, 0
+        if chosen.masks is None and chosen.colour is None and chosen.pick is None:
             return None
+        if chosen.pick is not None:
+            name, fix = chosen.pick[0], f"have {', '.join(self.names)}"
+            require(name in self.names, f"there is no camera {name!r}", fix=fix)
+            k = self.names.index(name)
+        coloured = []
+        for name, seen in zip(self.names, pictures, strict=True):
+            fix = "leave out --colour and --pick, or record colour"
+            self._require(
+                seen.colour is not None, "has no colour pictures", fix, f"camera {name!r}"
+            )
+            coloured.append(seen.colour)
+        if chosen.pick is not None:
+            reference = picked_colour(coloured[k], *chosen.pick[1:])
         else:
-            what, fix = f"there is no camera {place[0]!r}", f"have {', '.join(self.names)}"
-            require(place[0] in self.names, what, fix=fix)
-            k = self.names.index(place[0])
-            picture = self._coloured(k, pictures)
-            if chosen.pick is not None:
-                reference = picked_colour(picture, *chosen.pick[1:])
-            else:
-                assert chosen.box is not None
-                considered = self.views[k].in_workspace(pictures[k].depth)
-                reference = boxed_colour(picture, chosen.box[1:], considered)
-        for k in range(len(self.names)):
-            self._coloured(k, pictures)
-        return ObjectColour.near(
-            reference,
-            tolerance=chosen.colour_tolerance,
-            lightness_weight=chosen.lightness_weight,
-        )
-
-    def _coloured(self, k: int, pictures: list[Pictures]) -> np.ndarray:
-        colour = pictures[k].colour
-        if colour is None:
-            fix = "leave out --colour, --pick and --box, or record colour"
-            where = f"camera {self.names[k]!r}"
-            raise RecordingError("has no colour pictures", where=where, fix=fix)
-        return colour
+            reference = lab(chosen.colour or (255, 255, 255))  # of masks white is the object
+        tolerance, weight = chosen.colour_tolerance, chosen.lightness_weight
+        return ObjectColour.near(reference, tolerance=tolerance, lightness_weight=weight)
 
     def _compare(self, cloud: FusedCloud) -> None:
         """Raise an error if cameras disagree about the position of the object.
@@ -452,16 +352,16 @@ class _Perception:
         fix += "(--colour, joints.csv, capsules.csv), or use one by --cameras"
         self._require(apart <= MAX_DISAGREEMENT, what, fix)
 
-    def _tell_left_out(self, matching: Matching) -> None:
+    def _tell_left_out(self, matched: MatchedFrames) -> None:
         """Warn of frames that are left out, and refuse if none is left."""
-        late = f"{self.settings.sync_tolerance:g} s"
-        spans = matching.spans(self.names)
+        late, used = f"{self.settings.sync_tolerance:g} s", matched.used
+        pairs = zip(self.names, matched.spans, strict=True)
+        spans = ", ".join(f"{name} {first:.6g} to {last:.6g} s" for name, (first, last) in pairs)
         what = f"no frames of the cameras lie within {late} ({spans})"
-        fix = "put all time stamps on one clock, or raise --sync-tolerance"
-        self._require(matching.used, what, fix)
-        for name, alone in zip(self.names, matching.alone, strict=True):
+        self._require(used, what, "put all time stamps on one clock, or raise --sync-tolerance")
+        for name, alone in zip(self.names, matched.alone, strict=True):
             if alone:
-                what = f"{alone} of {alone + matching.used} frames match no frame of the others "
+                what = f"{alone} of {alone + used} frames match no frame of the others "
                 what += f"within {late}; they are left out"
                 self._warn(what, f"camera {name!r}", "check the cameras' clocks if there are many")
         path = self.recorded.robot.time
@@ -469,14 +369,16 @@ class _Perception:
         if self.unreadable:
             first, count = self.unreadable[0], len(self.unreadable)
             where, fix = first.where or self.recorded.where, first.fix or ""
-            what = f"{count} of {matching.used} frames cannot be read and are left out; the first: "
+            what = f"none of {count} frames can be read; the first: {first.what}"
+            self._require(self.clouds or self.crowded, what, fix, where)
+            what = f"{count} of {used} frames cannot be read and are left out; the first: "
             self._warn(f"{what}{first.what}", where, fix)
         if self.off_path:
-            what = f"{self.off_path} of {matching.used} frames are outside of its times, {times}; "
+            what = f"{self.off_path} of {used} frames are outside of its times, {times}; "
             fix = "put robot and cameras on one clock if there are many"
             self._warn(f"{what}they are left out", f"{self.recorded.where}/gripper.csv", fix)
         if self.crowded:
-            what = f"in {len(self.crowded)} of {matching.used} frames points cover "
+            what = f"in {len(self.crowded)} of {used} frames points cover "
             what += f"{np.median(self.crowded):.0f} times the object's own area: other things are "
             what += "among them, such as a hand, a cable, the table or the robot"
             fix = "take them out of view, narrow --workspace, choose the object by --colour or "
@@ -484,10 +386,6 @@ class _Perception:
             few = len(self.crowded) <= _MOST_CROWDED * (len(self.crowded) + len(self.clouds))
             self._require(few, what, fix)
             self._warn(f"{what}; they are left out", self.recorded.where, fix)
-        if self.unreadable:
-            what = f"none of {len(self.unreadable)} frames can be read; the first: "
-            first = self.unreadable[0]
-            self._require(self.clouds, f"{what}{first.what}", first.fix, first.where or "")
         what = f"the robot's path is at other times, {times}, than the cameras' frames ({spans})"
         self._require(self.clouds, what, "put both on one clock")
 
@@ -505,8 +403,9 @@ class _Perception:
                 what = "sees nothing of the object in any frame"
                 fix = "check its colour pictures, its T_world_camera and what hides the object"
                 self._warn(what, f"camera {name!r}", fix)
-        share = self._share(recording)
-        if share < 0.5:
+        some = np.unique(np.linspace(0, recording.num_frames - 1, _SHARE_FRAMES).astype(int))
+        shares = [seen_share(recording.frame(int(t)), self.object) for t in some]
+        if (share := float(np.median(shares))) < 0.5:
             what = f"only about {100 * share:.0f} % of the object is seen"
             fix = "check workspace, colour and what hides it; the estimate will be poor"
             self._warn(what, "points", fix)
@@ -517,7 +416,18 @@ class _Perception:
         positions, axes = zip(*self.grippers, strict=True)
         closed = [self.recorded.robot.closed_at(time) for time in self.times]
         values = dict(self.values)
-        extra = {**values.pop("extra"), "perception": self._history()}
+        settings, box = self.settings, self.settings.workspace
+        assert box is not None
+        kept = {"low": box[:3], "high": box[3:]}
+        history = {  # docs/perception.md
+            "cameras": self.names,
+            "settings": {**kept, "voxel": settings.voxel, "min_cluster": settings.min_cluster},
+            "colour_lab": None if self.colour is None else self.colour.reference,
+            "cameras_apart": self.apart,
+            "levelled": self.levelled,
+            "depth_noise": [None if v.table is None else v.table.noise for v in self.views],
+        }
+        values["extra"] = {**values["extra"], "perception": history}
         values["camera_positions"] = np.array([v.camera.position for v in self.views])
         tables = [v.table for v in self.views if v.table is not None]
         if values["table_height"] is None and tables:
@@ -531,24 +441,22 @@ class _Perception:
             gripper_axis=None if axes[0] is None else np.array(axes),
             gripper_closed=None if closed[0] is None else np.array(closed),
             seen_by=np.concatenate([cloud.seen_by for cloud in self.clouds]),
-            extra=extra,
             **values,
         )
 
-    def _share(self, recording: Recording) -> float:
-        some = np.unique(np.linspace(0, recording.num_frames - 1, _SHARE_FRAMES).astype(int))
-        return float(np.median([seen_share(recording.frame(int(t)), self.object) for t in some]))
 
-    def _history(self) -> dict[str, Any]:
-        """Description of the processing, stored in the recording's meta (docs/perception.md)."""
-        return {
-            "cameras": self.names,
-            "settings": asdict(self.cloud_settings),
-            "colour_lab": None if self.colour is None else self.colour.reference,
-            "cameras_apart": self.apart,
-            "levelled": self.levelled,
-            "depth_noise": [None if v.table is None else v.table.noise for v in self.views],
-        }
+def _within_reach(
+    recorded: CameraRecording, size: float, table: float | None
+) -> tuple[float, float, float, float, float, float]:
+    """The workspace that an object of a size [m] can reach from the grippers' path, down to below a
+    table at a height [m] or None."""
+    path = recorded.robot.position.reshape(-1, 3)
+    low, high = path.min(axis=0) - size - _MARGIN, path.max(axis=0) + _MARGIN
+    high[:2] += size
+    if table is not None and table < high[2]:
+        low[2] = max(low[2], table - _BELOW_TABLE)
+    x0, y0, z0, x1, y1, z1 = (float(x) for x in (*low, *high))
+    return x0, y0, z0, x1, y1, z1
 
 
 _REMEDIES = {

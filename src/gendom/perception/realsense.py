@@ -6,9 +6,9 @@ A recorded camera is a folder with one recording and camera.toml:
       recording.db3    or .bag, of any name, as the SDK or its viewer records them
       camera.toml      T_world_camera; depth_unit only where the recording's is wrong
 
-Intrinsics, distortion and depth unit are the recording's. Colour is aligned with depth
-(`gendom.perception.alignment`). Time is the depth picture's own time stamp [s]: with the SDK's
-"Global Time", its default, on the clock of the computer that recorded, since 1970.
+Intrinsics, distortion and depth unit are the recording's. Colour is aligned with depth. Time is the
+depth picture's own time stamp [s]: with the SDK's "Global Time", its default, on the clock of the
+computer that recorded, since 1970.
 
 .db3 files are read without the SDK (`gendom.perception.rosbag`). .bag files are converted by it
 first, in a process of its own: the SDK ends the process on some damaged files.
@@ -29,19 +29,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.errors import DeviceError, RecordingError
 from gendom.files import atomic_path
 from gendom.installation import how_to_install
-from gendom.perception.alignment import Alignment
-from gendom.perception.camera import Camera, adopt_camera
+from gendom.perception.camera import Camera, adopt_camera, expect
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Pictures
 from gendom.perception.rosbag import Bag, Entry
 from gendom.reading import read_bytes
 
 _DEVICE_CLOCK = "Hardware Clock"
+# What hides a point is nearer by this share of its depth, besides the change of depth over two
+# cells of a surface whose slope is this many pixels' widths a pixel.
+_MIN_NEARER_SHARE = 0.02
+_MAX_DEPTH_SLOPE = 5.0
 
 
 def is_recording(path: str | os.PathLike) -> bool:
@@ -53,8 +56,8 @@ class RealSenseRecording:
     """A recording of a RealSense camera, as a `FrameSource`.
 
     Args:
-        path: The .db3 or .bag file, or its folder; camera.toml is looked for beside it.
-        name: The camera's name; by default that of its folder.
+        path: The .db3 or .bag file, or its folder, which names the camera; camera.toml is looked
+            for beside it.
         on_warning: Called with every fault that does not prevent use.
 
     Raises:
@@ -64,11 +67,7 @@ class RealSenseRecording:
     """
 
     def __init__(
-        self,
-        path: str | os.PathLike,
-        *,
-        name: str | None = None,
-        on_warning: Callable[[Fault], None] = lambda _: None,
+        self, path: str | os.PathLike, *, on_warning: Callable[[Fault], None] = lambda _: None
     ):
         self.path = Path(path)
         if self.path.is_dir():
@@ -76,14 +75,16 @@ class RealSenseRecording:
         self._on_warning = on_warning
         _check_checksum(self.path)
         self._bag = Bag(self._as_db3(), on_warning=on_warning)
-        where = str(self.path)
-        name = name or self.path.resolve().parent.name
+        where, name = str(self.path), self.path.resolve().parent.name
         depth = self._bag.stream("Depth", name)
-        if depth is None or not depth.entries:
-            what = "has no depth pictures" if depth is None else "no depth picture can be read"
-            raise RecordingError(what, where=where, fix="record the depth stream (Z16)")
+        what = "has no depth pictures" if depth is None else "no depth picture can be read"
+        expect(depth and depth.entries, what, where=where, fix="record the depth stream (Z16)")
+        assert depth is not None
         self._depth = depth.entries
-        camera = replace(depth.camera, depth_unit=self._unit())
+        unit = next((e.depth_unit for e in self._depth if e.depth_unit is not None), None)
+        unit, fix = unit or self._bag.depth_unit(), "record it with the RealSense SDK"
+        expect(unit is not None, "does not say its depth unit", where=where, fix=fix)
+        camera = replace(depth.camera, depth_unit=unit)
         self.camera: Camera = adopt_camera(self.path.with_name("camera.toml"), camera)
         colour = self._bag.stream("Color", f"{name}: colour")
         self._colour = [] if colour is None else colour.entries
@@ -108,14 +109,6 @@ class RealSenseRecording:
         weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         return _converted(self.path, folder, self._on_warning)
 
-    def _unit(self) -> float:
-        unit = next((e.depth_unit for e in self._depth if e.depth_unit is not None), None)
-        unit = unit or self._bag.depth_unit()
-        if unit is None:
-            what, fix = "does not say its depth unit", "record it with the RealSense SDK"
-            raise RecordingError(what, where=str(self.path), fix=fix)
-        return unit
-
     @staticmethod
     def find(folder: Path) -> Path | None:
         """The recording in a camera's folder; None: there is none.
@@ -125,12 +118,8 @@ class RealSenseRecording:
         """
         found = sorted(filter(is_recording, folder.iterdir()))
         what = f"holds {len(found)} recordings, {', '.join(p.name for p in found)}"
-        fix = "leave one in the camera's folder"
-        require(len(found) <= 1, what, where=str(folder), fix=fix, error=RecordingError)
+        expect(len(found) <= 1, what, where=str(folder), fix="leave one in the camera's folder")
         return found[0] if found else None
-
-    def __len__(self) -> int:
-        return len(self._depth)
 
     def __iter__(self) -> Iterator[Frame]:
         for k, entry in enumerate(self._depth):
@@ -144,11 +133,8 @@ class RealSenseRecording:
             return Pictures(depth)  # pyright: ignore[reportArgumentType]
         nearest = int(np.abs(self._colour_times - entry.time).argmin())
         late = float(abs(self._colour_times[nearest] - entry.time))
-        what, fix = (
-            f"the nearest colour picture is {late:.3g} s away",
-            "record colour at the rate of depth",
-        )
-        require(late <= SYNC_TOLERANCE, what, where=where, fix=fix, error=RecordingError)
+        what, fix = f"the nearest colour picture is {late:.3g} s away", "record colour at the rate "
+        expect(late <= SYNC_TOLERANCE, what, where=where, fix=f"{fix}of depth")
         colour = self._bag.picture(self._colour[nearest], f"{where}: colour")
         size = self._align.colour.height, self._align.colour.width
         _check_size(colour, size, np.uint8, f"{where}: colour")
@@ -163,17 +149,13 @@ def write_checksum(path: Path) -> None:
 
 
 def _check_checksum(path: Path) -> None:
-    """Check a recording against the checksum beside it, if there is one.
-
-    Raises:
-        RecordingError: They differ.
-    """
+    """Check a recording against the checksum beside it, if there is one."""
     if not (beside := _checksum_path(path)).exists():
         return
     stated = read_bytes(beside, error=RecordingError).split(b" ", 1)[0]
-    fix = f"copy it again, or delete {beside.name} to use what is left of it"
     same = stated.decode("ascii", "replace") == _checksum(path)
-    require(same, "differs from its checksum", where=str(path), fix=fix, error=RecordingError)
+    fix = f"copy it again, or delete {beside.name} to use what is left of it"
+    expect(same, "differs from its checksum", where=str(path), fix=fix)
 
 
 def _checksum_path(path: Path) -> Path:
@@ -192,7 +174,7 @@ def _check_size(picture: np.ndarray, size: tuple[int, int], kind: type, where: s
     right = picture.shape[:2] == size and picture.dtype == kind
     what = f"is {picture.shape[1]} x {picture.shape[0]} of {picture.dtype}, the stream "
     what += f"{size[1]} x {size[0]} of {np.dtype(kind)}"
-    require(right, what, where=where, fix="copy the file again", error=RecordingError)
+    expect(right, what, where=where, fix="copy the file again")
 
 
 def own_clock(where: str) -> Fault:
@@ -227,7 +209,7 @@ def _converted(path: Path, folder: Path, on_warning: Callable[[Fault], None]) ->
         reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
         what = f"the RealSense SDK cannot read it ({reason[:120]})"
         fix = "copy it again; rosbag reindex mends one that was cut off"
-        require(made.exists(), what, where=str(path), fix=fix, error=RecordingError)
+        expect(made.exists(), what, where=str(path), fix=fix)
         what = f"is damaged or cut off ({reason[:120]}); what comes before is used"
         fix = "copy it again, or record again if too much is missing"
         on_warning(Fault(what, str(path), fix, "warning"))
@@ -250,3 +232,92 @@ def realsense_sdk() -> Any:
         fix = "install the library it names; on Debian: apt install libusb-1.0-0"
         raise DeviceError(what, fix=fix) from None
     return pyrealsense2
+
+
+class Alignment:
+    """Assign each depth pixel the colour of its point.
+
+    Pixels without depth, and those whose point is outside the colour camera's view, become black.
+    Where a nearer object occludes a point from the colour camera, the colour would be that of the
+    nearer object; the depth of such pixels, at the edges of near objects, is removed.
+
+    Args:
+        depth: The depth camera.
+        colour: The colour camera; its pose in the world and its depth unit do not matter.
+        T_colour_depth: [4, 4] from the depth camera's axes to the colour camera's [m].
+    """
+
+    def __init__(self, depth: Camera, colour: Camera, T_colour_depth: npt.ArrayLike):
+        T = np.asarray(T_colour_depth, dtype=np.float64)
+        self._unit = np.float32(depth.depth_unit)
+        self.colour = colour
+        self._rays = (depth.rays() @ T[:3, :3].T).astype(np.float32)
+        self._shift = T[:3, 3].astype(np.float32)
+        # The colour picture in cells of about a depth pixel's size, to find what hides what.
+        self._cell = max(1.0, float(colour.K[0, 0] / depth.K[0, 0]))
+        self._nearer = np.float32(1.0 + _MIN_NEARER_SHARE + 2.0 * _MAX_DEPTH_SLOPE / depth.K[0, 0])
+        self._same = (
+            np.allclose(T, np.eye(4), atol=1e-6)
+            and (depth.width, depth.height) == (colour.width, colour.height)
+            and np.allclose(depth.K, colour.K, atol=1e-3)
+            and np.allclose(_five(depth), _five(colour), atol=1e-6)
+        )
+
+    def __call__(self, depth: npt.NDArray[np.uint16], colour: npt.NDArray[np.uint8]) -> Pictures:
+        """Both pictures in the depth camera's pixels.
+
+        Args:
+            depth: [height, width] counts.
+            colour: [height, width, 3] of the colour camera's size.
+        """
+        if self._same:
+            return Pictures(depth, colour)
+        raw = depth.ravel()
+        pixels = np.flatnonzero(raw)
+        points = self._rays[pixels] * (raw[pixels] * self._unit)[:, None] + self._shift
+        front = points[:, 2] > 0.0
+        pixels, points = pixels[front], points[front]
+        u, v = self._project(points)
+        inside = (u >= 0) & (u < self.colour.width) & (v >= 0) & (v < self.colour.height)
+        pixels, z, u, v = pixels[inside], points[inside, 2], u[inside], v[inside]
+        hidden = self._hidden(z, u, v)
+        kept, painted = raw.copy(), np.zeros((len(raw), 3), np.uint8)
+        kept[pixels[hidden]] = 0
+        seen = ~hidden
+        painted[pixels[seen]] = colour[v[seen], u[seen]]
+        return Pictures(kept.reshape(depth.shape), painted.reshape(*depth.shape, 3))
+
+    def _project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Column and row of the colour picture, nearest pixels, of points [n, 3] before it."""
+        K = self.colour.K
+        x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+        k1, k2, p1, p2, k3 = _five(self.colour)
+        if any((k1, k2, p1, p2, k3)):
+            r2 = x * x + y * y
+            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            x, y = (
+                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+            )
+        u = np.rint(K[0, 0] * x + K[0, 1] * y + K[0, 2])
+        v = np.rint(K[1, 1] * y + K[1, 2])
+        # Rays far outside of the lens would not fit an integer.
+        return tuple(np.clip(a, -1, 1e6).astype(np.int64) for a in (u, v))
+
+    def _hidden(self, z: np.ndarray, u: np.ndarray, v: np.ndarray) -> npt.NDArray[np.bool_]:
+        """Which points [n] of depth z [m] have something nearer within a cell of theirs."""
+        columns = int(self.colour.width / self._cell) + 3
+        rows = int(self.colour.height / self._cell) + 3
+        cell = ((v / self._cell).astype(np.int64) + 1) * columns + (u / self._cell).astype(int) + 1
+        nearest = np.full(rows * columns, np.inf, np.float32)
+        np.minimum.at(nearest, cell, z)
+        around = nearest[cell]
+        for step in np.add.outer((-columns, 0, columns), (-1, 0, 1)).ravel():
+            np.minimum(around, nearest[cell + step], out=around)
+        return z > self._nearer * around
+
+
+def _five(camera: Camera) -> tuple[float, float, float, float, float]:
+    """k1, k2, p1, p2, k3 of a camera with at most these."""
+    k1, k2, p1, p2, k3 = (*camera.distortion, 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
+    return k1, k2, p1, p2, k3

@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.errors import RecordingError, RobotError
+from gendom.perception.camera import expect
 from gendom.perception.frames import interpolate
 from gendom.reading import read_rows
 from gendom.robot import XARM7, Arm, JointStates, arm_shape, find_arm, read_joints
@@ -94,12 +94,6 @@ class CapsulePath:
         most = np.array([self.largest_margin.get(name, np.inf) for name in self.tracks])
         return Capsules(rows[:, :3], rows[:, 3:6], rows[:, 6], most)
 
-    def joined(self, other: CapsulePath) -> CapsulePath:
-        """These capsules and others; where names are the same, the others."""
-        return CapsulePath(
-            {**self.tracks, **other.tracks}, {**self.largest_margin, **other.largest_margin}
-        )
-
 
 def arm_capsules(arm: Arm, states: JointStates, *, held: float = 0.0) -> CapsulePath:
     """An arm's capsules over time, from its joints.
@@ -155,14 +149,18 @@ def read_shape(
     if joints.exists():
         held = meta.get("object")
         held = held if isinstance(held, dict) else {}
-        arm = arm or _arm_named(meta.get("robot", held.get("robot", XARM7.name)), folder)
+        try:
+            arm = arm or find_arm(meta.get("robot", held.get("robot", XARM7.name)))
+        except RobotError as error:
+            where = f"{folder / 'object.toml'}: robot"
+            raise RecordingError(error.what, where=where, fix=error.fix) from None
         try:
             states = read_joints(joints, arm, on_cut=lambda line: on_warning(cut_off(joints, line)))
         except RobotError as error:
             raise RecordingError(error.what, where=error.where, fix=error.fix) from None
         turned = float(np.abs(np.diff(states.q, axis=0)).max(axis=1, initial=0.0).sum())
         what, fix = f"turn by {turned:.4g} rad in all", "give the joints of one lift, in radians"
-        require(turned < _MOST_TURNS, what, where=str(joints), fix=fix, error=RecordingError)
+        expect(turned < _MOST_TURNS, what, where=str(joints), fix=fix)
         sizes = [held.get(size) for size in ("diameter", "thickness")]
         width = next((float(s) for s in sizes if isinstance(s, (int, float))), 0.0)
         shape = arm_capsules(arm, states, held=width)
@@ -173,18 +171,11 @@ def read_shape(
             fix = "put joints and gripper on one clock, or record both throughout"
             on_warning(Fault(what, str(joints), fix, "warning"))
     if capsules.exists():
-        given = read_capsules(capsules)
-        shape = given if shape is None else shape.joined(given)
+        given, bounds = read_capsules(capsules).tracks, {}
+        if shape is not None:  # where names are the same, the file's
+            given, bounds = {**shape.tracks, **given}, shape.largest_margin
+        shape = CapsulePath(given, bounds)
     return shape
-
-
-def _arm_named(name: Any, folder: Path) -> Arm:
-    """The arm that object.toml names."""
-    try:
-        return find_arm(name)
-    except RobotError as error:
-        where = f"{folder / 'object.toml'}: robot"
-        raise RecordingError(error.what, where=where, fix=error.fix) from None
 
 
 def cut_off(path: Path, line: int) -> Fault:
@@ -200,31 +191,26 @@ def read_capsules(path: str | os.PathLike) -> CapsulePath:
     Raises:
         RecordingError: The file cannot be read, or a row is malformed or out of order.
     """
-    path = Path(path)
-    lines = read_rows(path, header=",".join(_COLUMNS))
-
-    def wanted(holds: Any, what: str, fix: str, line: str = "") -> None:
-        require(holds, what, where=f"{path}{line}", fix=fix, error=RecordingError)
-
+    lines, where = read_rows(path, header=",".join(_COLUMNS)), str(path)
     fix = f"write {','.join(_COLUMNS)}, or remove the file"
-    wanted(tuple(lines[0][1]) == _COLUMNS, "has another header", fix)
-    wanted(len(lines) > 1, "has no rows under its header", fix)
+    expect(tuple(lines[0][1]) == _COLUMNS, "has another header", where=where, fix=fix)
+    expect(len(lines) > 1, "has no rows under its header", where=where, fix=fix)
     tracks: dict[str, list[list[float]]] = {}
     for number, row in lines[1:]:
-        where = f", line {number}"
+        where = f"{path}, line {number}"
         try:
             values = [float(text) for i, text in enumerate(row) if i != 1]
         except ValueError:
             values = []
-        if len(row) != len(_COLUMNS) or not all(map(math.isfinite, values)) or values[-1:] <= [0.0]:
-            fix = "give seconds, a name, two ends and a radius above 0 in metres"
-            wanted(False, f"is no capsule: {','.join(row)[:60]!r}", fix, where)
+        right = len(row) == len(_COLUMNS) and all(map(math.isfinite, values)) and values[-1:] > [0]
+        fix = "give seconds, a name, two ends and a radius above 0 in metres"
+        expect(right, f"is no capsule: {','.join(row)[:60]!r}", where=where, fix=fix)
         track = tracks.setdefault(row[1], [])
-        few = len(tracks) <= _MOST_CAPSULES
-        wanted(few, f"more than {_MOST_CAPSULES} names", "give the shape fewer capsules", where)
-        if track and values[0] <= track[-1][0]:
-            what = f"time of capsule {row[1]!r} goes from {track[-1][0]:g} to {values[0]:g} s"
-            wanted(False, what, "sort the rows", where)
+        what, fix = f"more than {_MOST_CAPSULES} names", "give the shape fewer capsules"
+        expect(len(tracks) <= _MOST_CAPSULES, what, where=where, fix=fix)
+        last = track[-1][0] if track else -math.inf
+        what = f"time of capsule {row[1]!r} goes from {last:g} to {values[0]:g} s"
+        expect(values[0] > last, what, where=where, fix="sort the rows")
         track.append(values)
     arrays = {name: np.array(track) for name, track in tracks.items()}
     return CapsulePath({name: (a[:, 0], a[:, 1:]) for name, a in arrays.items()})

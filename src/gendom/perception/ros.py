@@ -14,9 +14,10 @@ Clouds and the gripper are brought into one frame, the world's. Times are those 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -24,13 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from gendom.arguments import require
 from gendom.datasets import Fault, Recording
 from gendom.datasets.folder import read_object
 from gendom.datasets.npz import short
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
-from gendom.perception.camera import Camera
+from gendom.perception.camera import Camera, expect, rigid
 from gendom.perception.rosbag import (
     ANY_SIZE,
     ZSTD,
@@ -50,6 +50,7 @@ POSE, TF = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
 _SUFFIXES = (".db3", ".mcap")
 _LARGEST_METADATA, _MOST_MARKS = 1 << 17, 6000  # [bytes], lines and parts: YAML is read slowly
 _DENORMAL = 0.01  # of a quaternion's squared length, as tf2 has it
+_HERE = np.eye(4)
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of PointField
 
 
@@ -106,40 +107,38 @@ def read_ros_bag(
         topics = {c.topic: c.msgtype for c in bag.connections}
         topic = _cloud_topic(topics, settings.points, where)
         points_of = _reader(bag, topics, topic, where)
-        frames, poses = _read_frames(bag, topics, where), None
-        if settings.gripper.startswith("/"):
-            poses = _read_poses(bag, topics, settings.gripper, where)
+        frames, gripper = _read_frames(bag, topics, where), settings.gripper
+        poses = _read_poses(bag, topics, gripper, where) if gripper.startswith("/") else None
         world, clouds, times, positions, left_out = settings.world or frames.root, [], [], [], 0
         for _, message in _messages(bag, topic):
             time, frame = _time(message.header), message.header.frame_id
             world = world or frame
             try:
-                turn, shift = frames.between(world, frame, time)
-                base, held = frames.between(world, poses.frame if poses else settings.gripper, time)
-                held = held if poses is None else base.apply(poses.at(time)[1]) + held
+                T = frames.between(world, frame, time)
+                held = frames.between(world, poses.frame if poses else gripper, time)
+                held = held @ poses.at(time) if poses else held
             except _OutOfTimeError:
                 left_out += 1
                 continue
-            cloud = turn.apply(points_of(message)) + shift
-            clouds.append(_inside(cloud, settings.workspace).astype(np.float32))
+            cloud = points_of(message) @ T[:3, :3].T + T[:3, 3]
+            if settings.workspace is not None:
+                low, high = np.reshape(settings.workspace, (3, 2)).T
+                cloud = cloud[((cloud >= low) & (cloud <= high)).all(axis=1)]
+            clouds.append(cloud.astype(np.float32))
             times.append(time)
-            positions.append(held)
+            positions.append(held[:3, 3])
     what = f"none of {left_out} clouds lies in the time in which the gripper's place is known"
     fix = "record /tf, or the gripper's poses, as long as the clouds"
-    require(clouds, what, where=where, fix=fix, error=RecordingError)
+    expect(clouds, what, where=where, fix=fix)
     if left_out:
         what = f"{left_out} of {left_out + len(clouds)} clouds lie outside of the time in which "
         what += "frames are known; they are left out"
         on_warning(Fault(what, topic, "record /tf as long as the clouds", "warning"))
     values["source"] = values["source"] or f"ROS bag {Path(path).name}"
-    values["extra"] |= {"ros": {"points": topic, "gripper": settings.gripper}}
+    values["extra"] |= {"ros": {"points": topic, "gripper": gripper}}
     values["extra"] |= {"started": times[0], "world": world}
-    made = Recording.from_frames(
-        clouds,
-        time=np.array(times) - times[0],
-        gripper_position=np.array(positions),
-        **values,
-    )
+    time = np.array(times) - times[0]
+    made = Recording.from_frames(clouds, time=time, gripper_position=np.array(positions), **values)
     made.require_valid(where, on_warning=on_warning)
     return made
 
@@ -150,7 +149,6 @@ def _read_frames(bag: Any, topics: dict[str, str], where: str) -> _Frames:
     for name, message in _messages(bag, *(name for name, kind in topics.items() if kind == TF)):
         for stated in message.transforms:
             frames.add(stated, still=name.endswith("tf_static"))
-    frames.settle()
     return frames
 
 
@@ -159,8 +157,8 @@ def _read_poses(bag: Any, topics: dict[str, str], topic: str, where: str) -> _Tr
     _check_type(topics, topic, POSE, where)
     poses = _Track(f"{where}: {topic}")
     for _, message in _messages(bag, topic):
-        poses.add(message.header, *_pose_of(message.pose))
-    poses.settle()
+        poses.add(message.header, message.pose.position, message.pose.orientation)
+    expect(poses.times, "has no message", where=poses.where, fix="record it")
     return poses
 
 
@@ -172,7 +170,7 @@ def _opened(path: str | os.PathLike) -> Iterator[Any]:
 
     files, store = bag_files(path), get_typestore(Stores.ROS2_HUMBLE)
     there, fix = bool(files) and Path(path).exists(), "check the path"
-    require(there, "no such bag", where=str(path), fix=fix, error=RecordingError)
+    expect(there, "no such bag", where=str(path), fix=fix)
     try:
         for file in files if files[0].is_file() else sorted(files[0].iterdir()):
             _check_file(file)
@@ -197,7 +195,7 @@ def _check_file(path: Path) -> None:
         text = read_bytes(path, RecordingError, most=_LARGEST_METADATA)
         marks = sum(map(text.count, (b"\n", b"[", b"{", b",", b"- ", b"? ")))
         what, fix = f"has {marks} lines and parts, at most {_MOST_MARKS} are read", "split the bag"
-        require(marks <= _MOST_MARKS, what, where=str(path), fix=fix, error=RecordingError)
+        expect(marks <= _MOST_MARKS, what, where=str(path), fix=fix)
     elif path.suffix == ".db3":
         with closing(open_database(path)) as database:
             packed = "SELECT data FROM messages WHERE substr(data, 1, 4) = ?"
@@ -258,13 +256,13 @@ def _cloud_topic(topics: dict[str, str], wanted: str | None, where: str) -> str:
     is_realsense = not own and any(name.startswith("/device_0/") for name in topics)
     what = "is a recording of the RealSense SDK, of depth pictures"
     fix = "put it into DIR/cameras/NAME and run gendom perceive DIR"
-    require(not is_realsense, what, where=where, fix=fix, error=RecordingError)
+    expect(not is_realsense, what, where=where, fix=fix)
     for kind in (IMAGE, PACKED):
         depth = [name for name, k in topics.items() if k == kind and "depth" in name.lower()]
         own = own or depth
     what = f"has {len(own)} topics of clouds or depth" + (f": {', '.join(own)}" if own else "")
     fix = "name one with --points" if own else f"record a {CLOUD}, or depth and its CameraInfo"
-    require(len(own) == 1, what, where=where, fix=fix, error=RecordingError)
+    expect(len(own) == 1, what, where=where, fix=fix)
     return own[0]
 
 
@@ -280,9 +278,8 @@ def _reader(
     named = (f"{folder}/camera_info" for folder in above)
     found = next((name for name in named if topics.get(name) == INFO), None)
     info = next((message for _, message in _messages(bag, found)), None) if found else None
-    if info is None:
-        what = "are depth pictures without a CameraInfo beside them"
-        raise RecordingError(what, where=where, fix="record camera_info too")
+    what = "are depth pictures without a CameraInfo beside them"
+    expect(info, what, where=where, fix="record camera_info too")
     K, D = np.reshape(info.k, (3, 3)), tuple(map(float, info.d))
     if "image_rect" in topic:
         K, D = np.reshape(info.p, (3, 4))[:, :3], ()
@@ -299,7 +296,7 @@ def _reader(
         right = depth.size == len(rays)
         what = f"is {depth.shape[1]} x {depth.shape[0]}, its CameraInfo {camera.width} x "
         fix = "record the CameraInfo of these pictures"
-        require(right, f"{what}{camera.height}", where=where, fix=fix, error=RecordingError)
+        expect(right, f"{what}{camera.height}", where=where, fix=fix)
         z = depth.reshape(-1, 1) * (1e-3 if depth.dtype == np.uint16 else 1.0)
         seen = (np.isfinite(z) & (z > 0.0))[:, 0]
         return rays[seen] * z[seen]
@@ -323,7 +320,7 @@ def _depth(message: Any, kind: str, where: str) -> NDArray[Any]:
         said = message.encoding
     fix = "record 16UC1 or 32FC1, packed ones as 16UC1 PNG"
     right = depth.ndim == 2 and not said.startswith("32FC1;")
-    require(right, f"is {said[:40]!r}, no depth", where=where, fix=fix, error=RecordingError)
+    expect(right, f"is {said[:40]!r}, no depth", where=where, fix=fix)
     return depth
 
 
@@ -332,7 +329,7 @@ def _check_type(topics: dict[str, str], name: str, kind: str, where: str) -> Non
     what = f"{name} is no {kind}" if name in topics else f"has no topic {name} of {kind}"
     fix = f"give one of: {others}" if others else "record one"
     what += "" if others else ", nor another one"
-    require(topics.get(name) == kind, what, where=where, fix=fix, error=RecordingError)
+    expect(topics.get(name) == kind, what, where=where, fix=fix)
 
 
 def _time(header: Any) -> float:
@@ -340,65 +337,51 @@ def _time(header: Any) -> float:
     return header.stamp.sec + 1e-9 * header.stamp.nanosec
 
 
-def _pose_of(pose: Any) -> tuple[list[float], list[float]]:
-    """Place [m] and unit quaternion (x, y, z, w) of a Pose or Transform."""
-    at, q = (
-        (pose.translation, pose.rotation)
-        if hasattr(pose, "translation")
-        else (pose.position, pose.orientation)
-    )
-    return [at.x, at.y, at.z], [q.x, q.y, q.z, q.w]
-
-
 class _OutOfTimeError(Exception):
     """A moving frame's pose is unknown at a time."""
 
 
-@dataclass
 class _Track:
-    """Pose of an object over time, in one frame."""
+    """Pose of an object over time, in one frame; of static ones the last counts."""
 
-    where: str
-    frame: str = ""
-    still: bool = False
-    """Whether the pose is static: of its messages the last counts."""
-    times: list[float] = field(default_factory=list)
-    places: list[list[float]] = field(default_factory=list)
+    def __init__(self, where: str, still: bool = False):
+        self.where, self.still = where, still
+        self.frame = ""
+        self.times: list[float] = []
+        self._poses: list[list[float]] = []
 
-    def add(self, header: Any, at: list[float], q: list[float]) -> None:
+    def add(self, header: Any, at: Any, turn: Any) -> None:
+        """A place and an orientation of messages."""
         what = f"is in {header.frame_id} after {self.frame}"
-        alike = self.frame in ("", header.frame_id)
-        require(alike, what, where=self.where, fix="keep one", error=RecordingError)
+        expect(self.frame in ("", header.frame_id), what, where=self.where, fix="keep one")
         self.frame = header.frame_id
         self.times.append(_time(header))
-        self.places.append([*at, *q])
+        self._poses.append([at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w])
 
-    def settle(self) -> None:
-        """To be called once when all is there."""
-        what = "has no message"
-        require(self.times, what, where=self.where, fix="record it", error=RecordingError)
-        # Of equal times the last counts.
+    @cached_property
+    def _settled(self) -> tuple[Array, Array]:
+        """Increasing times [M] [s] and poses [M, 7]; of equal times the last counts."""
         times, back = np.unique(self.times[::-1], return_index=True)
-        places = np.array(self.places)[::-1][back]
-        right = np.isfinite(places).all() and (np.linalg.norm(places[:, 3:], axis=1) >= 0.5).all()
-        what, fix = "has a pose that is none", "record it again"
-        require(right, what, where=self.where, fix=fix, error=RecordingError)
-        self._times, self._x = times, places[:, :3]
-        self._turns = Rotation.from_quat(places[:, 3:])
-        self._between = Slerp(times, self._turns) if len(times) > 1 else None
+        poses = np.array(self._poses)[::-1][back]
+        right = np.isfinite(poses).all() and (np.linalg.norm(poses[:, 3:], axis=1) >= 0.5).all()
+        expect(right, "has a pose that is none", where=self.where, fix="record it again")
+        return times, poses
 
-    def at(self, time: float) -> tuple[Rotation, Array]:
-        """Turn and shift from its own axes to those of `frame`.
+    def at(self, time: float) -> Array:
+        """[4, 4] from its own axes to those of `frame` [m].
 
         Raises:
             _OutOfTimeError: It moves, and `time` lies before its first or after its last place.
         """
-        if self.still or self._between is None:
-            return self._turns[-1], self._x[-1]
-        if not self._times[0] <= time <= self._times[-1]:
+        times, poses = self._settled
+        if self.still or len(times) == 1:
+            return rigid(Rotation.from_quat(poses[-1, 3:]).as_matrix(), poses[-1, :3])
+        if not times[0] <= time <= times[-1]:
             raise _OutOfTimeError
-        x = np.array([np.interp(time, self._times, axis) for axis in self._x.T])
-        return self._between(time), x
+        k = max(int(np.searchsorted(times, time)), 1)
+        turns = Rotation.from_quat(poses[k - 1 : k + 1, 3:])
+        x = [np.interp(time, times, axis) for axis in poses[:, :3].T]
+        return rigid(Slerp(times[k - 1 : k + 1], turns)(time).as_matrix(), x)
 
 
 class _Frames:
@@ -411,18 +394,18 @@ class _Frames:
     def add(self, stated: Any, *, still: bool) -> None:
         """As tf2 does: a static pose replaces all before, a moving one a static one, and what is
         no pose is ignored."""
-        child, at, q = stated.child_frame_id.lstrip("/"), *_pose_of(stated.transform)
-        if not np.isfinite([*at, *q]).all() or abs(np.dot(q, q) - 1.0) > _DENORMAL:
+        child, at, turn = (
+            stated.child_frame_id.lstrip("/"),
+            stated.transform.translation,
+            stated.transform.rotation,
+        )
+        q = turn.x, turn.y, turn.z, turn.w
+        if not np.isfinite([at.x, at.y, at.z, *q]).all() or abs(np.dot(q, q) - 1.0) > _DENORMAL:
             return
         track = self.tracks.get(child)
         if still or track is None or track.still:
-            self.tracks[child] = track = _Track(f"{self.where}: frame {child}", still=still)
-        track.add(stated.header, at, q)
-
-    def settle(self) -> None:
-        """To be called once when all is there."""
-        for track in self.tracks.values():
-            track.settle()
+            self.tracks[child] = track = _Track(f"{self.where}: frame {child}", still)
+        track.add(stated.header, at, turn)
 
     @property
     def root(self) -> str:
@@ -431,11 +414,11 @@ class _Frames:
         roots = sorted(parents - set(self.tracks))
         what = f"TF has several roots: {', '.join(roots)}"
         fix = "name the frame of the recording with --world"
-        require(len(roots) <= 1, what, where=self.where, fix=fix, error=RecordingError)
+        expect(len(roots) <= 1, what, where=self.where, fix=fix)
         return roots[0] if roots else ""
 
-    def between(self, to: str, start: str, time: float) -> tuple[Rotation, Array]:
-        """Turn and shift from the axes of `start` to those of `to`.
+    def between(self, to: str, start: str, time: float) -> Array:
+        """[4, 4] from the axes of `start` to those of `to` [m].
 
         Raises:
             RecordingError: They are in no tree.
@@ -444,31 +427,25 @@ class _Frames:
         to, start = to.lstrip("/"), start.lstrip("/")
         up, down = self._lineage(start), self._lineage(to)
         shared = next((frame for frame in up if frame in down), None)
-        if shared is None:
-            what = f"TF does not say where {start} is in {to}"
-            fix = f"give frames of one tree; it has {', '.join(sorted(self.tracks)) or 'none'}"
-            raise RecordingError(what, where=self.where, fix=fix)
-        turn, shift = self._climb(up[: up.index(shared)], time)
-        back, origin = self._climb(down[: down.index(shared)], time)
-        inverse = back.inv()
-        return inverse * turn, inverse.apply(shift - origin)
+        what = f"TF does not say where {start} is in {to}"
+        fix = f"give frames of one tree; it has {', '.join(sorted(self.tracks)) or 'none'}"
+        expect(shared is not None, what, where=self.where, fix=fix)
+        below, above = (
+            reduce(
+                lambda T, frame: self.tracks[frame].at(time) @ T, way[: way.index(shared)], _HERE
+            )
+            for way in (up, down)
+        )
+        return np.linalg.inv(above) @ below
 
     def _lineage(self, frame: str) -> list[str]:
         found = [frame]
         while found[-1] in self.tracks:
             parent = self.tracks[found[-1]].frame.lstrip("/")
             what, new = f"TF has a loop at {parent}", parent not in found
-            require(new, what, where=self.where, fix="mend it", error=RecordingError)
+            expect(new, what, where=self.where, fix="mend it")
             found.append(parent)
         return found
-
-    def _climb(self, frames: Sequence[str], time: float) -> tuple[Rotation, Array]:
-        """Through each of some frames to its parent."""
-        turn, shift = Rotation.identity(), np.zeros(3)
-        for frame in frames:
-            own, at = self.tracks[frame].at(time)
-            turn, shift = own * turn, own.apply(shift) + at
-        return turn, shift
 
 
 def _points(message: Any, where: str) -> Array:
@@ -488,18 +465,10 @@ def _points(message: Any, where: str) -> Array:
         row = least
     fits = last <= step and len(data) >= message.height * least
     what = f"a cloud has {len(data)} bytes for {count} points of {step}"
-    require(fits, what, where=where, fix="record it again", error=RecordingError)
+    expect(fits, what, where=where, fix="record it again")
     if not count:
         return np.zeros((0, 3))
     shape, raw = (message.height, message.width), data.tobytes()
     columns = [np.ndarray(shape, kind, raw, offset, (row, step)) for offset, kind in at]
     cloud = np.stack(columns, axis=-1).reshape(-1, 3).astype(np.float64)
     return cloud[np.isfinite(cloud).all(axis=1)]
-
-
-def _inside(cloud: Array, box: tuple[float, ...] | None) -> Array:
-    """The points within a box, all without one."""
-    if box is None:
-        return cloud
-    low, high = np.array(box[::2]), np.array(box[1::2])
-    return cloud[((cloud >= low) & (cloud <= high)).all(axis=1)]

@@ -24,17 +24,17 @@ import sqlite3
 import struct
 import weakref
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.errors import RecordingError
-from gendom.perception.camera import Camera, rigid
-from gendom.perception.png import decode_png
+from gendom.perception.camera import Camera, expect, rigid
+from gendom.perception.frames import decode_png
 from gendom.reading import MOST_UNPACKED, file_size
 
 _SQLITE = b"SQLite format 3\0"
@@ -66,17 +66,11 @@ def open_database(path: Path) -> sqlite3.Connection:
         RecordingError: It is missing, or no database of plain tables: what views, virtual tables
             and computed columns yield may have no end.
     """
-
-    def wanted(holds: object, what: str, fix: str) -> None:
-        require(holds, what, where=str(path), fix=fix, error=RecordingError)
-
+    where = str(path)
     file_size(path, RecordingError, most=ANY_SIZE)
     with open(path, "rb") as file:
-        right, fix = (
-            file.read(16) == _SQLITE,
-            "record it with the RealSense SDK or ROS 2, or copy it",
-        )
-        wanted(right, "is no .db3 recording", fix)
+        fix = "record it with the RealSense SDK or ROS 2, or copy it"
+        expect(file.read(16) == _SQLITE, "is no .db3 recording", where=where, fix=fix)
     # Immutable: no journal is looked for and no lock taken, so any folder will do. The schema
     # counts as writable so that SQLite reads files shorter than their header says.
     address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
@@ -87,11 +81,12 @@ def open_database(path: Path) -> sqlite3.Connection:
         made = database.execute("SELECT type, name, sql FROM sqlite_master LIMIT 1000").fetchall()
     except sqlite3.DatabaseError as error:
         database.close()
-        wanted(False, f"has no table of topics ({error})", "copy it again")
-        raise
+        what = f"has no table of topics ({error})"
+        raise RecordingError(what, where=where, fix="copy it again") from None
     for kind, name, sql in made:
         plain = kind in ("table", "index") and not _COMPUTED.search(str(sql or ""))
-        wanted(plain, f"has {str(name)[:40]!r}, which is no plain table", "copy it again")
+        what = f"has {str(name)[:40]!r}, which is no plain table"
+        expect(plain, what, where=where, fix="copy it again")
     return database
 
 
@@ -153,41 +148,25 @@ class Bag:
         """(row, bag time) of all messages by topic; warns of those that cannot be read."""
         rows: dict[int, list[tuple[int, int]]] = {}
         last = lost = 0
+        query = "SELECT id, topic_id, timestamp FROM messages "
         try:
-            for row, topic, time in self._database.execute(
-                "SELECT id, topic_id, timestamp FROM messages ORDER BY id LIMIT ?", (self._most,)
-            ):
-                rows.setdefault(topic, []).append((row, time))
-                last = row
+            for found in self._database.execute(f"{query} ORDER BY id LIMIT ?", (self._most,)):
+                last, topic, time = found
+                rows.setdefault(topic, []).append((last, time))
+            return rows
         except sqlite3.DatabaseError:
-            # A page on the way is damaged. Others behind it may still be found by number.
-            for row, entry in self._probe(last + 1):
-                lost += row - last - 1
-                last = row
-                rows.setdefault(entry[0], []).append((row, entry[1]))
-            middle = f"{lost} messages in the middle and all after number {last}"
-            what = (
-                f"is damaged or cut off: {middle if lost else f'all after message {last}'} are lost"
-            )
-            fix = "copy it again, or record again if too much is missing"
-            self._on_warning(Fault(what, str(self.path), fix, "warning"))
+            row = last
+        # A page on the way is damaged. Others behind it may still be found by number.
+        while (row := row + 1) <= last + _MAX_UNREADABLE_ROWS:
+            with suppress(sqlite3.DatabaseError):
+                if found := self._database.execute(f"{query} WHERE id = ?", (row,)).fetchone():
+                    lost, last = lost + row - last - 1, row
+                    rows.setdefault(found[1], []).append((row, found[2]))
+        middle = f"{lost} messages in the middle and all after number {last}"
+        what = f"is damaged or cut off: {middle if lost else f'all after message {last}'} are lost"
+        fix = "copy it again, or record again if too much is missing"
+        self._on_warning(Fault(what, str(self.path), fix, "warning"))
         return rows
-
-    def _probe(self, row: int) -> Iterator[tuple[int, tuple[int, int]]]:
-        missed = 0
-        while missed < _MAX_UNREADABLE_ROWS:
-            try:
-                found = self._database.execute(
-                    "SELECT topic_id, timestamp FROM messages WHERE id = ?", (row,)
-                ).fetchone()
-            except sqlite3.DatabaseError:
-                found = None
-            if found is None:
-                missed += 1
-            else:
-                missed = 0
-                yield row, found
-            row += 1
 
     def stream(self, kind: str, name: str = "") -> Stream | None:
         """The first stream of a kind, "Depth" or "Color"; None: there is none.
@@ -205,7 +184,7 @@ class Bag:
         topic, prefix = matches[0][0], matches[0][1]
         where = f"{prefix}/camera_info"
         try:
-            info = self._values(where)
+            info = _pairs(self._first(where))
             width, height = int(info["width"]), int(info["height"])
             fx, fy, cx, cy = (float(info[key]) for key in ("fx", "fy", "ppx", "ppy"))
             coefficients = tuple(float(k) for k in info["coeffs"].split(","))
@@ -234,12 +213,11 @@ class Bag:
         if topic is None:
             return np.eye(4)
         try:
-            found = self._values(topic)
-            rotation, shift = (
-                np.array([float(x) for x in found[name].split(",")])
-                for name in ("rotation", "translation")
+            found = _pairs(self._first(topic))
+            shift, turn = (
+                np.array(found[name].split(","), float) for name in ("translation", "rotation")
             )
-            return rigid(rotation.reshape(3, 3).T, shift)  # column after column
+            return rigid(turn.reshape(3, 3).T, shift)  # column after column
         except (KeyError, ValueError) as error:
             raise self._error(f"{topic} is damaged ({error})", "record again") from None
 
@@ -248,12 +226,12 @@ class Bag:
         stamps = {}
         for row, time in self._rows.get(self._topics.get(f"{prefix}/image/metadata", -1), []):
             try:
-                values = _pairs(self._text(row))
+                values = _pairs(_Cdr(self._message(row)).string())
                 stamp = float(values["timestamp"]) * 1e-3
                 unit = float(values["depth_units"]) if "depth_units" in values else None
                 if not np.isfinite(stamp) or not (unit is None or unit > 0.0):
                     continue
-            except (KeyError, ValueError, sqlite3.DatabaseError):
+            except (KeyError, ValueError):
                 continue
             stamps[time] = stamp, values.get("timestamp_domain", ""), unit
         last, left_out, compressed = -np.inf, 0, "/compressed" in topic
@@ -265,9 +243,8 @@ class Bag:
             last = stamp
             yield Entry(row, compressed, stamp, domain, unit)
         if left_out:
-            what = (
-                f"{left_out} pictures have no time stamp, or one that goes back; they are left out"
-            )
+            what = f"{left_out} pictures have no time stamp, or one that goes back; "
+            what += "they are left out"
             fix = "record again if too much is missing"
             self._on_warning(Fault(what, f"{self.path}: {prefix}", fix, "warning"))
 
@@ -275,12 +252,9 @@ class Bag:
         """The depth sensor's own setting [m], for pictures that do not say; None: unknown."""
         for name in self._topics:
             if name.endswith("/option/Depth_Units/value"):
-                try:
-                    unit = float(self._text(self._rows[self._topics[name]][0][0]))
-                except (KeyError, ValueError, sqlite3.DatabaseError):
-                    continue
-                if unit > 0.0:
-                    return unit
+                with suppress(ValueError):
+                    if (unit := float(self._first(name))) > 0.0:
+                        return unit
         return None
 
     def picture(self, entry: Entry, where: str) -> npt.NDArray[np.generic]:
@@ -294,38 +268,36 @@ class Bag:
             RecordingError: It is damaged or of an unknown format.
         """
         try:
-            return _picture(self._message(entry.row), entry.compressed, where)
-        except (ValueError, sqlite3.DatabaseError) as error:
+            cdr = _Cdr(self._message(entry.row))
+            for skip in (cdr.uint32, cdr.uint32, cdr.string):  # bag time [s], [ns]; stream's name
+                skip()
+            if entry.compressed:
+                form = cdr.string()
+                return packed_picture(cdr.sequence(), form, where)
+            height, width = cdr.uint32(), cdr.uint32()
+            encoding = cdr.string()
+            order, step = "<>"[cdr.uint8() & 1], cdr.uint32()
+            return raw_picture(cdr.sequence(), encoding, width, height, step, order, where)
+        except ValueError as error:
             what = f"is damaged ({str(error)[:80]})"
             raise RecordingError(what, where=where, fix="copy the file again") from None
 
     def _message(self, row: int) -> bytes:
-        """A message's bytes.
-
-        Raises:
-            ValueError, sqlite3.DatabaseError: It cannot be read.
-        """
-        found = self._database.execute("SELECT data FROM messages WHERE id = ?", (row,)).fetchone()
-        if found is None or not isinstance(found[0], bytes):
-            raise ValueError("no such message")
-        return decompressed(found[0])
-
-    def _text(self, row: int) -> str:
-        return _Cdr(self._message(row)).string()
-
-    def _values(self, topic: str) -> dict[str, str]:
-        """The "key=value;..." of a topic's first message.
-
-        Raises:
-            ValueError: There is none that can be read.
-        """
-        rows = self._rows.get(self._topics.get(topic, -1))
-        if not rows:
-            raise ValueError("no message of it is left")
+        """A message's bytes; ValueError: it cannot be read."""
         try:
-            return _pairs(self._text(rows[0][0]))
+            query = "SELECT data FROM messages WHERE id = ?"
+            (data,) = self._database.execute(query, (row,)).fetchone() or (None,)
         except sqlite3.DatabaseError as error:
             raise ValueError(str(error)) from None
+        if not isinstance(data, bytes):
+            raise ValueError("no such message")
+        return decompressed(data)
+
+    def _first(self, topic: str) -> str:
+        """The text of a topic's first message; ValueError: there is none that can be read."""
+        if not (rows := self._rows.get(self._topics.get(topic, -1))):
+            raise ValueError("no message of it is left")
+        return _Cdr(self._message(rows[0][0])).string()
 
 
 def _pairs(text: str) -> dict[str, str]:
@@ -354,28 +326,9 @@ def decompressed(data: bytes, codec: str = "zstd") -> bytes:
     return found
 
 
-def _picture(message: bytes, compressed: bool, where: str) -> npt.NDArray[np.generic]:
-    """The picture of a sensor_msgs/CompressedImage or sensor_msgs/Image message.
-
-    Raises:
-        ValueError: The message is damaged.
-        RecordingError: So is the PNG, or the format is unknown.
-    """
-    cdr = _Cdr(message)
-    for skip in (cdr.uint32, cdr.uint32, cdr.string):  # bag time [s], [ns]; the stream's name
-        skip()
-    if not compressed:
-        height, width = cdr.uint32(), cdr.uint32()
-        encoding = cdr.string()
-        order, step = "<>"[cdr.uint8() & 1], cdr.uint32()
-        return raw_picture(cdr.sequence(), encoding, width, height, step, order, where)
-    form = cdr.string()
-    return packed_picture(cdr.sequence(), form, where)
-
-
 def packed_picture(data: bytes, form: str, where: str) -> npt.NDArray[np.generic]:
     """The picture of a CompressedImage, whose format is "16UC1; compressedDepth png", "rgb8; png
-    compressed bgr8" or "YUYV; zstd; 64x48 step=128".
+    compressed bgr8" or "rgb8; zstd; 64x48 step=192".
 
     Raises:
         ValueError: It is damaged.
@@ -405,28 +358,13 @@ def raw_picture(
         raise ValueError("fewer pixels than its size says")
     rows = np.frombuffer(data, np.uint8, step * height).reshape(height, step)[:, :row]
     if not places:
-        kind = "u2" if size == 2 else "f4"
+        kind = f"{'u' if size == 2 else 'f'}{size}"
         return np.ascontiguousarray(rows).view(order + kind).astype(kind)
-    if size == 2:
-        return _from_yuv(rows.reshape(height, -1, 4)[:, :, places])
     return np.ascontiguousarray(rows.reshape(height, width, size)[:, :, places])
 
 
-def _from_yuv(pairs: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """RGB of pairs of pixels [height, width / 2, 4] with Y0, Y1, U, V in 16..235, 16..240.
-
-    ITU-R BT.601 with rows of two pixels that share U and V.
-    """
-    y0, y1, u, v = np.moveaxis(pairs.astype(np.float32), 2, 0)
-    luma = 1.164 * (np.stack([y0, y1], axis=2) - 16.0)
-    u, v = (u - 128.0)[:, :, None], (v - 128.0)[:, :, None]
-    rgb = np.stack([luma + 1.596 * v, luma - 0.392 * u - 0.813 * v, luma + 2.017 * u], axis=3)
-    rgb = rgb.reshape(len(pairs), -1, 3)
-    return np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
-
-
 # Raw formats by the names of ROS or the SDK: bytes a pixel, and which of them are red, green and
-# blue; of YUV formats, in four bytes, Y0, Y1, U and V. None of them: it is depth.
+# blue; none: it is depth.
 _RAW: dict[str, tuple[int, list[int]]] = {
     "mono16": (2, []),
     "16uc1": (2, []),
@@ -435,9 +373,6 @@ _RAW: dict[str, tuple[int, list[int]]] = {
     "bgr8": (3, [2, 1, 0]),
     "rgba8": (4, [0, 1, 2]),
     "bgra8": (4, [2, 1, 0]),
-    "yuyv": (2, [0, 2, 1, 3]),
-    "uyvy": (2, [1, 3, 0, 2]),
-    "yuv422": (2, [1, 3, 0, 2]),  # ROS's name for UYVY
 }
 
 

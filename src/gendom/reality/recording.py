@@ -138,8 +138,6 @@ def record(
                 truth.append((moment, world.vertices()))
                 on_frame(moment)
     finally:
-        for writer in writers:
-            writer.close()
         path.close()
         _write_truth(folder / "truth", world, settings, errors, truth)
 
