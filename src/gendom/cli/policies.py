@@ -60,6 +60,8 @@ def made_by(policy: Policy) -> list[str]:
     if not training.get("demonstrations"):
         return []
     task = about.task["name"]
+    size = str(training["demonstrations"])
+    made = shlex.join(["gendom", "dataset", task, "--size", size, "--out", "set"])
     train = ["gendom", "train", task, "--data", "set", "--out", Path(policy.where).name]
     train += ["--method", about.method]
     if not about.conditioned_on:
@@ -73,11 +75,7 @@ def made_by(policy: Policy) -> list[str]:
             train += ["--engine", str(engine)]
     for flag in flags:
         train += [f"--{flag.replace('_', '-')}", str(training[flag])]
-    size = str(training["demonstrations"])
-    return [
-        shlex.join(["gendom", "dataset", task, "--size", size, "--out", "set"]),
-        shlex.join(train),
-    ]
+    return [made, shlex.join(train)]
 
 
 def _text(row: dict[str, Any]) -> str:

@@ -83,14 +83,9 @@ class Command:
         training = settings_of(Training, self, method=method, conditioned_on=sees)
         simulation = Simulation(engine=self.engine, device=self.device)
         policy = train(
-            demonstrations,
-            self.out,
-            training,
-            finetune=finetune,
-            world=simulation,
-            progress=True,
+            demonstrations, self.out, training, finetune=finetune, world=simulation, progress=True,
             tensorboard=self.tensorboard,
-        )
+        )  # fmt: skip
         if self.cases:
             cases = draw_cases(policy.task(), self.cases, seed=self.seed, simulation=simulation)
             acted = score(policy, cases, world=simulation).summary()
@@ -124,14 +119,15 @@ def _conditions(words: tuple[str, ...]) -> tuple[str, ...] | None:
 def summarize(policy: Policy) -> dict[str, Any]:
     """What a policy is and how its training went, ready for JSON."""
     about = policy.description
-    acted = about.training.get("acted")
+    training = dict(about.training)
+    acted = training.pop("acted", None)
     return {
         "path": policy.where,
         "task": about.task,
         "method": about.method,
         "conditioned_on": about.conditioned_on,
         "parameters": about.parameters,
-        "training": {k: v for k, v in about.training.items() if k != "acted"},
+        "training": training,
         **({} if acted is None else {"acted": acted}),
     }
 
@@ -140,38 +136,31 @@ def summary_text(summary: dict[str, Any]) -> str:
     """The same for people."""
     training = summary["training"]
     names = ", ".join(summary["conditioned_on"]) or "no parameters"
-    errors = [
-        (
-            name.replace("_", " "),
-            f"{100 * value:.3g} %" + ("" if name.endswith("_share") else " of the size"),
-        )
-        for name, value in training["errors"].items()
+    failed, finetuned, rounds = (training.get(n) for n in ("failed", "finetuned_on", "refine"))
+    said = [
+        f"on {training['demonstrations']} demonstrations",
+        f"of which {failed} failed" * bool(failed),
+        f"fine-tuned on {finetuned}" * bool(finetuned),
+        f"refined in {rounds} rounds" * bool(rounds),
+        f"seed {training['seed']}",
     ]
-    rows = [
-        ("method", f"{summary['method']}, conditioned on {names}"),
-        (
-            "trained",
-            f"on {training['demonstrations']} demonstrations, "
-            + (f"of which {training['failed']} failed, " if training["failed"] else "")
-            + (f"fine-tuned on {training['finetuned_on']}, " if training["finetuned_on"] else "")
-            + (f"refined in {n} rounds, " if (n := training.get("refine")) else "")
-            + f"seed {training['seed']}",
-        ),
-        ("held out", f"{training['held_out']} of them, with these errors"),
-        *errors,
-        ("took", f"{training['seconds']:.3g} s"),
-    ]
+    rows = {
+        "method": f"{summary['method']}, conditioned on {names}",
+        "trained": ", ".join(filter(None, said)),
+        "held out": f"{training['held_out']} of them, with these errors",
+    }
+    for name, value in training["errors"].items():
+        of = "" if name.endswith("_share") else " of the size"
+        rows[name.replace("_", " ")] = f"{100 * value:.3g} %{of}"
+    rows["took"] = f"{training['seconds']:.3g} s"
     if acted := summary.get("acted"):
         figures = acted["error_over_size"]
-        rows.append(
-            (
-                "acted",
-                "no case could be simulated"
-                if figures["mean"] is None
-                else f"in {acted['cases']} new cases: error {100 * figures['mean']:.3g} % of the "
-                f"size in the mean, {100 * figures['p95']:.3g} % at the 95th percentile",
+        rows["acted"] = "no case could be simulated"
+        if figures["mean"] is not None:
+            rows["acted"] = (
+                f"in {acted['cases']} new cases: error {100 * figures['mean']:.3g} % of the size "
+                f"in the mean, {100 * figures['p95']:.3g} % at the 95th percentile"
             )
-        )
-    width = max(len(name) for name, _ in rows)
+    width = max(map(len, rows))
     lines = [f"{printable(summary['path'])}: a policy for {summary['task']['name']}"]
-    return "\n".join(lines + [f"  {name:<{width}}  {text}" for name, text in rows])
+    return "\n".join(lines + [f"  {name:<{width}}  {text}" for name, text in rows.items()])
