@@ -7,13 +7,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import tyro
 
 from gendom.arguments import require
-from gendom.cli.arguments import TaskName
+from gendom.cli.arguments import Engine, Json, Seed, TaskName
 from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import check_places, tell_written, write_result
 from gendom.errors import PolicyError, RobotError, printable
@@ -63,8 +62,7 @@ class Command(KnownObject):
     For example: gendom act rope-casting --goal 0.35 0.07 --params estimate.json
     """
 
-    task: tyro.conf.Positional[TaskName]
-    """The task."""
+    task: TaskName
     goal: tuple[float, ...] = ()
     """The goal in SI units and the task's frame: rope-reaching x, rope-casting x and z [m]; none
     for cloth-spreading."""
@@ -85,13 +83,10 @@ class Command(KnownObject):
     earlier executions have shown (gendom adapt)."""
     seconds: float = 10.0
     """Time limit of --polish [s]."""
-    engine: Literal["thin", "mpm"] = "thin"
-    """Of the simulator that polishes and predicts: ropes as rods and cloths as shells, or particles
-    on a grid."""
+    engine: Engine = "thin"
     no_prediction: bool = False
     """Do not simulate the predicted result."""
-    seed: int = 0
-    """Seed of the objects drawn from an estimate."""
+    seed: Seed = 0
     out: Path | None = None
     """Also write the result, with the robot's motion, to this JSON file, which gendom execute
     takes."""
@@ -99,8 +94,7 @@ class Command(KnownObject):
     """CSV file for the joint angles of the motion at 100 Hz (joints.csv of gendom perceive)."""
     trajectory: Path | None = None
     """File for the motion as a ROS JointTrajectory: .json, which YAML readers take, too."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         from gendom.hardware.cell import Cell

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
-import tyro
 
 from gendom.arguments import require
-from gendom.cli.arguments import TaskName
+from gendom.cli.arguments import Engine, Json, TaskName
 from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import check_places, write_result
 from gendom.files import to_json
@@ -36,21 +35,17 @@ class Command(KnownObject):
     --out adapted.json
     """
 
-    task: tyro.conf.Positional[TaskName]
-    """The task."""
+    task: TaskName
     action: tuple[float, ...] = ()
     """The executed action, as gendom act printed it [SI]."""
     reached: tuple[float, ...] = ()
     """What it reached, in the form of a goal [SI]."""
     executions: Path | None = None
     """JSON file with a list of executions: {"action": [...], "reached": [...]} each."""
-    engine: Literal["thin", "mpm"] = "thin"
-    """Of the simulator that explains what was reached: ropes as rods and cloths as shells, or
-    particles on a grid."""
+    engine: Engine = "thin"
     out: Path | None = None
     """JSON file to write: the updated estimate, with all executions."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         from gendom.policies.adaptation import adapt

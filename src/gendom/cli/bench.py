@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 import warp as wp
 
+from gendom.cli.arguments import Device, Json, Seed
 from gendom.cli.outputs import columns
 from gendom.errors import ParameterError
 from gendom.files import to_json
@@ -44,8 +45,7 @@ class Command:
     For example: gendom bench --worlds 1 16 --threads 1 2
     """
 
-    device: str = "cpu"
-    """cpu, cuda or cuda:N."""
+    device: Device = "cpu"
     worlds: tuple[int, ...] = (1, 4)
     """Ropes simulated at once."""
     threads: tuple[int, ...] = (1, 2)
@@ -56,12 +56,10 @@ class Command:
     """Simulated time [s]; in a short one the host's share of starting a run counts."""
     runs: int = 5
     """Rollouts timed for each row."""
-    seed: int = 0
-    """Seed of the points that the ropes are carried to."""
+    seed: Seed = 0
     gradient: bool = False
     """Time forward and backward together too."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         if min((*self.worlds, *self.threads, self.runs), default=0) < 1 or self.seconds <= 0.0:

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 from scipy.spatial.transform import Rotation
 
+from gendom.cli.arguments import Json
 from gendom.cli.outputs import check_places, print_result, tell_written
 from gendom.datasets import Fault
 from gendom.errors import GendomError
@@ -34,8 +35,7 @@ class Command:
     pictures."""
     out: Path | None = None
     """Where to write camera.toml with T_world_camera; may be the same file."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         warnings: list[Fault] = []

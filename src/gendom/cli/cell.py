@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from gendom.cli.arguments import Json
 from gendom.cli.outputs import check_places, print_result, tell_written
 from gendom.errors import DeviceError
 from gendom.files import atomic_path
@@ -32,8 +33,7 @@ class Command:
     """cell.toml."""
     picture: Path | None = None
     """PNG file: the cell from the top and from the side."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         from gendom.hardware.cell import Cell

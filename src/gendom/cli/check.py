@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import tyro
 
+from gendom.cli.arguments import Json, Recorded
 from gendom.cli.outputs import fault_entry, print_result
 from gendom.datasets import Fault, Recording
 from gendom.errors import RecordingError, printable
@@ -24,11 +23,8 @@ class Command:
     For example: gendom check lift.npz
     """
 
-    recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
-    """A gendom-recording/1 file (.npz), or a folder: clouds (.ply, .pcd, .npz), gripper.csv and
-    object.toml (docs/data.md)."""
-    json: bool = False
-    """Print JSON."""
+    recording: Recorded
+    json: Json = False
 
     def run(self) -> int:
         warnings: list[Fault] = []

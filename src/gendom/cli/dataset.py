@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import tyro
 
 from gendom.arguments import require
-from gendom.cli.arguments import TaskName
+from gendom.cli.arguments import Engine, Json, Seed, TaskName
 from gendom.errors import printable
 from gendom.files import check_folder, to_json
 from gendom.progress import bar
@@ -29,14 +28,12 @@ class Command:
     For example: gendom dataset rope-casting --size 1000 --out casts
     """
 
-    task: tyro.conf.Positional[TaskName]
-    """The task."""
+    task: TaskName
     size: int
     """Number of demonstrations."""
     out: Path
     """Folder for the set: dataset.json and shards of Parquet."""
-    seed: int = 0
-    """Seed of all random draws."""
+    seed: Seed = 0
     device: str = "cpu"
     """cpu, cuda, cuda:0 and so on; several (cuda:0,cuda:1) or all GPUs share the work."""
     cluster: str | None = None
@@ -48,13 +45,11 @@ class Command:
     ones."""
     jobs: int = 1
     """Processes that carry out trials in the MuJoCo test scene."""
-    engine: Literal["thin", "mpm"] = "thin"
-    """Ropes as rods and cloths as shells, or particles on a grid."""
+    engine: Engine = "thin"
     range: tuple[tuple[str, float, float], ...] = ()
     """Parameter, lowest and highest value of drawn objects, in SI units, in place
     of the task's own; for an object of the task's own size. E.g. --range E_over_rho 200 4300."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         from gendom.datasets.demonstrations import generate

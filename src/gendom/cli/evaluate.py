@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import tyro
-
-from gendom.cli.arguments import TaskName
+from gendom.cli.arguments import Engine, Json, Seed, TaskName
 from gendom.errors import printable
 from gendom.files import to_json
 from gendom.progress import bar
@@ -26,8 +24,7 @@ class Command:
     For example: gendom evaluate rope-casting --policy casting.onnx
     """
 
-    task: tyro.conf.Positional[TaskName]
-    """The task."""
+    task: TaskName
     policy: tuple[Path, ...] = ()
     """Policy files; by default the shipped ones, with and without parameters."""
     world: Literal["simulation", "reality"] = "simulation"
@@ -39,14 +36,11 @@ class Command:
     """Processes that carry out trials in the MuJoCo test scene."""
     cases: int = 50
     """Number of objects and goals."""
-    seed: int = 0
-    """Seed of the cases."""
-    engine: Literal["thin", "mpm"] = "thin"
-    """Of GenDOM's simulator: ropes as rods and cloths as shells, or particles on a grid."""
+    seed: Seed = 0
+    engine: Engine = "thin"
     device: str = "cpu"
     """Device of GenDOM's simulator: cpu, cuda or cuda:0 and so on."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         from gendom.policies import Policy

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from gendom.arguments import require
+from gendom.cli.arguments import Json
 from gendom.cli.check import summarize, summary_text
 from gendom.cli.outputs import print_result, tell_written
 from gendom.datasets import Fault, Recording
@@ -33,8 +34,7 @@ class Command:
     bag: RosSettings = field(default_factory=RosSettings)
     object: Path | None = None
     """Of a bag: what is held, a TOML file; by default object.toml in the bag's folder."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         check_file(self.out, ".npz")

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from gendom.cli.arguments import Json
 from gendom.cli.outputs import columns
 from gendom.files import to_json
 from gendom.materials import catalogue
@@ -24,8 +25,7 @@ class Command:
 
     names: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="NAME")] = ()
     """Materials; by default all, in short."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
     markdown: bool = False
     """Print a table in Markdown, with every number and a list of sources."""
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from gendom.cli.arguments import Json
 from gendom.cli.check import spread
 from gendom.cli.outputs import columns, print_result, tell_written
 from gendom.datasets import Fault
@@ -45,8 +46,7 @@ class Command:
     perception: PerceptionSettings = field(default_factory=PerceptionSettings)
     frames: bool = False
     """Print the counts of every frame."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         check_file(self.out, ".npz")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from gendom.arguments import require
-from gendom.cli.arguments import settings_of
+from gendom.cli.arguments import Json, Seed, settings_of
 from gendom.cli.outputs import check_places, columns, tell_written, write_result
 from gendom.files import to_json
 from gendom.progress import bar
@@ -61,10 +61,8 @@ class Command:
     """Probability of the intervals."""
     out: Path | None = None
     """Folder for plan.json, motion.json and joints.csv."""
-    seed: int = 0
-    """Seed of all random draws."""
-    json: bool = False
-    """Print JSON."""
+    seed: Seed = 0
+    json: Json = False
 
     def run(self) -> int:
         from gendom.estimation.lift_plan import LiftPlanSettings, plan_lift

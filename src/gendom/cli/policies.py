@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gendom.cli.arguments import Json
 from gendom.errors import printable
 from gendom.files import to_json
 from gendom.materials import PARAMETERS
@@ -25,8 +26,7 @@ class Command:
 
     policy: tuple[Path, ...] = ()
     """Policy files; by default the shipped ones."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         from gendom.policies import Policy

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gendom.arguments import require
-from gendom.cli.arguments import settings_of
+from gendom.cli.arguments import Seed, settings_of
 from gendom.cli.execute import FINGER_WIDTH, bring, described, move
 from gendom.errors import ParameterError
 from gendom.files import check_folder
@@ -82,8 +82,7 @@ class Command:
     """Noise of the robot's measured joint angles in radians."""
     grip_force: float = math.inf
     """Newtons that the fingers hold at most: pulled harder, the object slips."""
-    seed: int = 0
-    """Seed of all noise and errors."""
+    seed: Seed = 0
 
     def run(self) -> int:
         one = (self.reality is None) != (self.cell is None)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import tyro
 
 from gendom.arguments import require
 from gendom.cli import act, adapt, estimate, perceive
@@ -40,7 +39,7 @@ class Command:
     For example: gendom run rope-reaching --goal 0.45 --cell cell.toml --object rope.toml --out run
     """
 
-    task: tyro.conf.Positional[TaskName]
+    task: TaskName
     """A task with a goal."""
     goal: tuple[float, ...]
     """As gendom act takes it."""

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import tyro
-
 from gendom.arguments import require
-from gendom.cli.arguments import TaskName, settings_of
+from gendom.cli.arguments import Engine, Json, Seed, TaskName, settings_of
 from gendom.errors import DatasetError, printable
 from gendom.files import check_file, to_json
 from gendom.materials import PARAMETERS
@@ -30,8 +28,7 @@ class Command:
     For example: gendom train rope-casting --data casts --out casting.onnx
     """
 
-    task: tyro.conf.Positional[TaskName]
-    """The task."""
+    task: TaskName
     data: Path
     """Folder of demonstrations from gendom dataset; an unfinished set is used as it is."""
     out: Path
@@ -54,19 +51,15 @@ class Command:
     halve the error of one that sees the parameters. Needs a task with goals."""
     refine_cases: int = 2000
     """Goals and objects of each round, at most."""
-    engine: Literal["thin", "mpm"] = "thin"
-    """Of the simulator, of --refine and the new cases: ropes as rods and cloths as shells, or
-    particles on a grid."""
+    engine: Engine = "thin"
     device: str = "cpu"
     """Of the simulator: cpu, cuda or cuda:0 and so on. Networks are trained on the CPU."""
     cases: int = 200
     """New cases to act in afterwards; 0: none."""
-    seed: int = 0
-    """Seed of the training and of the cases."""
+    seed: Seed = 0
     tensorboard: Path | None = None
     """Folder to log losses to, for TensorBoard."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         from gendom.policies.evaluation import draw_cases, score

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from gendom.arguments import require
+from gendom.cli.arguments import Seed
 from gendom.cli.outputs import check_places, tell_written
 from gendom.errors import GendomError, did_you_mean
 from gendom.materials import KINDS, catalogue
@@ -36,8 +37,7 @@ class Command:
     """DIR to write; with --draws DIR/000, DIR/001 and so on."""
     draws: int = 0
     """Write so many objects drawn from the estimate, in place of the most likely one."""
-    seed: int = 0
-    """Of the draws."""
+    seed: Seed = 0
     length: float | None = None
     """Of a rope of a material [m]."""
     diameter: float | None = None
