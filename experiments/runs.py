@@ -344,7 +344,8 @@ class Table:
 
     def __str__(self) -> str:
         """Columns set below each other."""
-        return columns(self.title, self.head, self.rows)
+        rows = ((name, *texts) for name, texts in self.rows.items())
+        return columns((self.title, *self.head), rows)
 
 
 @dataclass(frozen=True, kw_only=True)

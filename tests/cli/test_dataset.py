@@ -37,14 +37,14 @@ def test_text(tmp_path, capsys):
 
 def test_json(tmp_path, capsys):
     words = ["dataset", "rope-reaching", "--size", "10", "--out", str(tmp_path / "set")]
-    assert cli.main([*words, "--seed", "3", "--shard-size", "5", "--json"]) == 0
+    assert cli.main([*words, "--seed", "3", "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["path"] == str(tmp_path / "set")
     assert (summary["size"], summary["failed"], summary["seed"]) == (10, 2, 3)
     goals = summary["goals"]["goal_x"]
     assert 0.1 <= goals["min"] <= goals["median"] <= goals["max"] <= 0.5
-    assert len(list((tmp_path / "set").glob("shard-*.parquet"))) == 2
-    assert cli.main([*words, "--seed", "4", "--shard-size", "5"]) == 2
+    assert len(list((tmp_path / "set").glob("shard-*.parquet"))) == 1
+    assert cli.main([*words, "--seed", "4"]) == 2
     line = capsys.readouterr().err.strip().splitlines()[-1]
     assert line.startswith("gendom dataset: ") and "seed is 3 there and 4 here" in line
 

@@ -17,7 +17,7 @@ import os
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from importlib import import_module
 
 from gendom.errors import GendomError, ParameterError, did_you_mean, one_line, printable
@@ -51,12 +51,6 @@ COMMANDS = {
     "bench": ("gendom.cli.bench", "measure the simulator's speed on this machine"),
     "completion": ("gendom.cli.completion", "complete commands and flags in your shell"),
 }
-
-MOVED = {
-    "validate": "run make validate in a clone of the repository",
-    "reproduce": "run python -m experiments TABLE in a clone of the repository",
-}
-"""Commands that are gone, with what takes their place."""
 
 # Import name -> the extra that brings it.
 _EXTRAS = {
@@ -100,7 +94,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     name = words[0]
     if name not in COMMANDS:
-        print(f"gendom: {_unknown(name)}", file=sys.stderr)
+        kind = "flag" if name.startswith("-") else "command"
+        advice = did_you_mean(name, COMMANDS) or "see gendom --help"
+        print(f"gendom: there is no {kind} {name!r}; {advice}", file=sys.stderr)
         return 2
     try:
         level = logging.DEBUG if debug else logging.WARNING if quiet else logging.INFO
@@ -109,7 +105,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
             return code
     except BrokenPipeError:
-        _drop_stdout()
+        with suppress(OSError, ValueError):  # the interpreter's last flush goes nowhere
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141  # as a process that the closed pipe has ended
     except (KeyboardInterrupt, Exception) as error:
         if debug:
@@ -136,26 +133,16 @@ def _run(name: str, words: list[str]) -> int:
 
 def _usage() -> str:
     width = max(map(len, COMMANDS))
-    lines = [f"  {name:<{width}}  {line}" for name, (_, line) in COMMANDS.items()]
-    return "\n".join(
-        [
-            "usage: gendom COMMAND [flags]",
-            "",
-            "Show it one lift of a rope or a cloth, and the robot handles that object.",
-            "",
-            *lines,
-            "",
-            "gendom help COMMAND lists a command's flags, with an example. All take --debug, which",
-            "shows tracebacks, and --quiet: no progress and no notes, results and errors only.",
-            "gendom --version prints the version.",
-        ]
-    )
+    lines = "\n".join(f"  {name:<{width}}  {line}" for name, (_, line) in COMMANDS.items())
+    return f"""usage: gendom COMMAND [flags]
 
+Show it one lift of a rope or a cloth, and the robot handles that object.
 
-def _unknown(name: str) -> str:
-    kind = "flag" if name.startswith("-") else "command"
-    advice = MOVED.get(name) or did_you_mean(name, COMMANDS) or "see gendom --help"
-    return f"there is no {kind} {name!r}; {advice}"
+{lines}
+
+gendom help COMMAND lists a command's flags, with an example. All take --debug, which
+shows tracebacks, and --quiet: no progress and no notes, results and errors only.
+gendom --version prints the version."""
 
 
 def _explain(error: BaseException) -> tuple[str, int]:
@@ -208,11 +195,3 @@ def _log_to_stderr(name: str, level: int) -> Iterator[None]:
         logger.removeHandler(handler)
         logger.setLevel(before[0])
         logger.propagate = before[1]
-
-
-def _drop_stdout() -> None:
-    """Let the interpreter's last flush go nowhere."""
-    try:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (OSError, ValueError):  # stdout has been replaced or is closed
-        return

@@ -7,27 +7,25 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import tyro
 
 from gendom.arguments import require
-from gendom.cli.arguments import TaskName
+from gendom.cli.arguments import Engine, Json, Seed, TaskName
 from gendom.cli.known_object import KnownObject, executed
-from gendom.cli.outputs import tell_written
+from gendom.cli.outputs import check_places, tell_written, write_result
 from gendom.errors import PolicyError, RobotError, printable
-from gendom.files import check_file, to_json, write_json
+from gendom.files import to_json
 from gendom.materials import KINDS, LARGEST, PARAMETERS, Item, size_of, thickness_of, to_columns
 from gendom.robot import TcpPath
 from gendom.tasks import Task
 
 if TYPE_CHECKING:
-    from gendom.hardware.cell import Cell, PlannedMotion
+    from gendom.hardware.cell import Cell
     from gendom.materials.estimate import Estimate
-    from gendom.policies.policy import Action, Policy
+    from gendom.policies.policy import Policy
     from gendom.policies.polishing import Discrepancy
-    from gendom.robot import Arm
     from gendom.tasks.task import Outcome, World
 
 _log = logging.getLogger(__name__)
@@ -64,8 +62,7 @@ class Command(KnownObject):
     For example: gendom act rope-casting --goal 0.35 0.07 --params estimate.json
     """
 
-    task: tyro.conf.Positional[TaskName]
-    """The task."""
+    task: TaskName
     goal: tuple[float, ...] = ()
     """The goal in SI units and the task's frame: rope-reaching x, rope-casting x and z [m]; none
     for cloth-spreading."""
@@ -86,13 +83,10 @@ class Command(KnownObject):
     earlier executions have shown (gendom adapt)."""
     seconds: float = 10.0
     """Time limit of --polish [s]."""
-    engine: Literal["thin", "mpm"] = "thin"
-    """Of the simulator that polishes and predicts: ropes as rods and cloths as shells, or particles
-    on a grid."""
+    engine: Engine = "thin"
     no_prediction: bool = False
     """Do not simulate the predicted result."""
-    seed: int = 0
-    """Seed of the objects drawn from an estimate."""
+    seed: Seed = 0
     out: Path | None = None
     """Also write the result, with the robot's motion, to this JSON file, which gendom execute
     takes."""
@@ -100,18 +94,14 @@ class Command(KnownObject):
     """CSV file for the joint angles of the motion at 100 Hz (joints.csv of gendom perceive)."""
     trajectory: Path | None = None
     """File for the motion as a ROS JointTrajectory: .json, which YAML readers take, too."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         from gendom.hardware.cell import Cell
         from gendom.policies.belief import believed, for_task
         from gendom.tasks.world import Simulation
 
-        places = ((self.out, ".json"), (self.joints, ".csv"), (self.trajectory, ".json"))
-        for place, ending in places:
-            if place is not None:
-                check_file(place, ending)
+        check_places((self.out, ".json"), (self.joints, ".csv"), (self.trajectory, ".json"))
         cell = None if self.cell is None else Cell.read(self.cell)
         policy = self._policy()
         task = policy.task()
@@ -131,33 +121,41 @@ class Command(KnownObject):
         simulated = not self.no_prediction and held.value("E_over_rho") is not None
         if simulated and not self.force:
             values, notes = steady(task, item, action.goal, values, wrong, world, self.seed)
-        names = [q.name for q in task.actions]
+        for note in notes:
+            _log.warning("%s", note)
+        about, inputs = policy.description, action.network_input
+        named = zip((q.name for q in task.actions), map(float, values), strict=True)
+        T, path = placed(task, item, values, self.origin)
         result = {
             "format": FORMAT,
             "task": self.task,
             "goal": action.goal,
-            "action": dict(zip(names, map(float, values), strict=True)),
+            "action": dict(named),
             "units": units_of(task),
             "object": {"kind": item.kind, **to_columns(item)},
             "assumed": held.assumed,
-            **_about(policy, action),
+            "policy": {
+                "path": policy.where,
+                "method": about.method,
+                "conditioned_on": about.conditioned_on,
+                "seed": about.training.get("seed"),
+            },
+            "network_input": inputs,
+            "network_input_meaning": {
+                name: f"{PARAMETERS[name].meaning}, dimensionless" for name in inputs
+            },
+            "warnings": [*action.warnings, *notes],
+            "trajectory": {"T_base_task": T.tolist(), **path.to_dict()},
         }
-        result["warnings"] += notes
-        for note in notes:
-            _log.warning("%s", note)
-        T, path = placed(task, item, values, self.origin)
         hangs = 0.0 if task.scene(item).stand else size_of(item)
-        result |= self._followed(path, (thickness_of(item), hangs), result["warnings"], cell)
-        result["trajectory"] = {"T_base_task": T.tolist(), **path.to_dict()}
+        result |= self._followed(path, thickness_of(item), hangs, result["warnings"], cell)
         if polished is not None:
             result["polished"] = polished
         if simulated:
             others = believed(held, task).draws(DRAWS, self.seed) if held.names else []
             result["predicted"] = predicted(task, item, values, others, self.seed, world)
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
-        if self.out is not None:
-            write_json(self.out, result)
-            tell_written(self.out, json=self.json)
+        write_result(self.out, result, json=self.json)
         return 0
 
     def _policy(self) -> Policy:
@@ -169,29 +167,30 @@ class Command(KnownObject):
         from gendom.policies import Policy
 
         if self.policy is None:
-            policy = Policy.pretrained(self.task, parameters=not self.no_parameters)
-        else:
-            what, fix = "cannot be given together with --policy", "leave one of them out"
-            require(not self.no_parameters, what, where="--no-parameters", fix=fix)
-            policy = Policy.read(self.policy)
+            return Policy.pretrained(self.task, parameters=not self.no_parameters)
+        what, fix = "cannot be given together with --policy", "leave one of them out"
+        require(not self.no_parameters, what, where="--no-parameters", fix=fix)
+        policy = Policy.read(self.policy)
         own = policy.task().name
         fix = f"use a policy for {self.task}, or give {own} as the task"
         require(own == self.task, f"is for {own}", where=policy.where, fix=fix)
         return policy
 
     def _followed(
-        self, path: TcpPath, held: tuple[float, float], warnings: list[str], cell: Cell | None
+        self, path: TcpPath, opening: float, hangs: float, warnings: list[str], cell: Cell | None
     ) -> dict[str, Any]:
-        """How the arm follows a path, ready for JSON; with --force a warning where it cannot.
+        """How the arm follows a path, ready for JSON; with --force a warning where it cannot. Files
+        of the motion are written.
 
         Raises:
             RobotError: It cannot.
         """
         from gendom.hardware.cell import BARE
+        from gendom.hardware.execution import write_trajectory
 
         try:
-            cell = cell or replace(BARE, arm=self.arm)
-            planned = cell.plan(path, opening=held[0], hangs=held[1])
+            where = cell or replace(BARE, arm=self.arm)
+            planned = where.plan(path, opening=opening, hangs=hangs)
         except RobotError as error:
             if not self.force:
                 fix = "choose another --origin, or add --force"
@@ -199,28 +198,20 @@ class Command(KnownObject):
             warnings.append(str(error))
             _log.warning("%s", error)
             return {}
-        slower = planned.motion.slowed_by
-        if slower > 1.02:
+        motion = planned.motion
+        if motion.slowed_by > 1.02:
             warnings.append(
-                f"the arm takes {slower:.3g} times as long as the task asks for, and what is "
-                "predicted is for the task's own pace"
+                f"the arm takes {motion.slowed_by:.3g} times as long as the task asks for, and "
+                "what is predicted is for the task's own pace"
             )
-        self._export(planned, cell.model)
-        return {
-            "arm": {"name": planned.arm, "slowed_by": slower},
-            "plan": planned,
-        }
-
-    def _export(self, planned: PlannedMotion, arm: Arm) -> None:
-        from gendom.hardware.execution import write_trajectory
-
         if self.joints is not None:
-            widest = arm.gripper.max_opening
-            planned.motion.write_joints(self.joints, opening=(planned.opening, widest))
+            widest = where.model.gripper.max_opening
+            motion.write_joints(self.joints, opening=(planned.opening, widest))
             tell_written(self.joints, json=self.json)
         if self.trajectory is not None:
-            write_trajectory(self.trajectory, planned.motion)
+            write_trajectory(self.trajectory, motion)
             tell_written(self.trajectory, json=self.json)
+        return {"arm": {"name": planned.arm, "slowed_by": motion.slowed_by}, "plan": planned}
 
     def _polished(
         self, task: Task, held: Estimate, start: np.ndarray, world: World
@@ -236,34 +227,12 @@ class Command(KnownObject):
             discrepancy = adapt(task, belief, seen, refine=False, world=world).discrepancy
         items = belief.draws(POLISHED_FOR, self.seed) if belief.names else [belief.item]
         found = polish(
-            task,
-            np.array(self.goal),
-            items,
-            start,
-            seconds=self.seconds,
-            seed=self.seed,
-            discrepancy=discrepancy,
-            world=world,
-        )
+            task, np.array(self.goal), items, start, seconds=self.seconds, seed=self.seed,
+            discrepancy=discrepancy, world=world,
+        )  # fmt: skip
         about = {"expected": found.expected, "before": found.before,
                  "rollouts": found.rollouts, "seconds": found.seconds}  # fmt: skip
         return found.action, about, discrepancy
-
-
-def _about(policy: Policy, action: Action) -> dict[str, Any]:
-    """Which policy chose an action, from what, with which warnings."""
-    inputs = action.network_input
-    return {
-        "policy": {
-            "path": policy.where,
-            "method": policy.description.method,
-            "conditioned_on": policy.description.conditioned_on,
-            "seed": policy.description.training.get("seed"),
-        },
-        "network_input": inputs,
-        "network_input_meaning": {n: f"{PARAMETERS[n].meaning}, dimensionless" for n in inputs},
-        "warnings": list(action.warnings),
-    }
 
 
 def placed(
@@ -289,17 +258,9 @@ def predicted(
     seed: int,
     world: World,
 ) -> dict[str, Any]:
-    """What the action will reach, simulated: with the object as it is, and the 90 % interval over
-    others that are plausible and over the simulator's error.
-
-    Args:
-        task: What is done.
-        item: The object.
-        action: [A].
-        others: Plausible ones; none: the object is taken as known.
-        seed: Of the simulator's error, as `gendom.policies.adaptation` expects it.
-        world: Where it is simulated.
-    """
+    """What an action [A] will reach, simulated: with the object as it is, and the 90 % interval
+    over others that are plausible (none: the object is taken as known) and over the simulator's
+    error, as `gendom.policies.adaptation` expects it."""
     from gendom.policies.adaptation import DISCREPANCY
 
     items = [item, *others]
@@ -355,19 +316,8 @@ def steady(
     world: World,
     seed: int,
 ) -> tuple[np.ndarray, list[str]]:
-    """An action whose release may come late: the given one, or the best of drawn ones.
-
-    Args:
-        task: What is done.
-        item: The object.
-        goal: By name [SI].
-        action: [A] that is wanted.
-        wrong: What is added to what the simulator says is reached; None: nothing.
-        world: Where actions are simulated.
-        seed: Of those that are drawn.
-
-    Returns:
-        The action, and what was changed in words.
+    """An action whose release may come late: the wanted one [A], or the best of drawn ones; and
+    what was changed, in words. ``wrong`` is added to what the simulator says is reached.
 
     Raises:
         PolicyError: No drawn one that reaches the goal is steady either.
@@ -436,16 +386,13 @@ def result_text(result: dict[str, Any], *, motion: bool) -> str:
         ("action", ", ".join(_with_unit(n, v, units, ".4f") for n, v in action)),
     ]
     for event in path["events"]:
-        rows.append(
-            ("hand", f"{'closes' if event['closed'] else 'opens'} at {event['time']:.4f} s")
-        )
+        does = "closes" if event["closed"] else "opens"
+        rows.append(("hand", f"{does} at {event['time']:.4f} s"))
     if "polished" in result:
         p = result["polished"]
         unit = next((u for n in result["goal"] if (u := units[n]) != "1"), "[-]")
-        rows.append(
-            ("polished", f"expected miss {p['expected']:.2g} {unit} (before {p['before']:.2g}), "
-             f"{p['rollouts']} rollouts in {p['seconds']:.1f} s")
-        )  # fmt: skip
+        said = f"expected miss {p['expected']:.2g} {unit} (before {p['before']:.2g}), "
+        rows.append(("polished", f"{said}{p['rollouts']} rollouts in {p['seconds']:.1f} s"))
     if "arm" in result:
         name, slower = result["arm"]["name"], result["arm"]["slowed_by"]
         late = f", but takes {slower:.3g} times as long" if slower > 1.0 else ""

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
-import tyro
 
 from gendom.arguments import require
-from gendom.cli.arguments import TaskName
+from gendom.cli.arguments import Engine, Json, TaskName
 from gendom.cli.known_object import KnownObject, executed
-from gendom.cli.outputs import tell_written
-from gendom.files import check_file, to_json, write_json
+from gendom.cli.outputs import check_places, write_result
+from gendom.files import to_json
 from gendom.materials.estimate_file import LEVEL
 from gendom.materials.unknowns import UNKNOWNS
 from gendom.reading import read_json
@@ -37,21 +35,17 @@ class Command(KnownObject):
     --out adapted.json
     """
 
-    task: tyro.conf.Positional[TaskName]
-    """The task."""
+    task: TaskName
     action: tuple[float, ...] = ()
     """The executed action, as gendom act printed it [SI]."""
     reached: tuple[float, ...] = ()
     """What it reached, in the form of a goal [SI]."""
     executions: Path | None = None
     """JSON file with a list of executions: {"action": [...], "reached": [...]} each."""
-    engine: Literal["thin", "mpm"] = "thin"
-    """Of the simulator that explains what was reached: ropes as rods and cloths as shells, or
-    particles on a grid."""
+    engine: Engine = "thin"
     out: Path | None = None
     """JSON file to write: the updated estimate, with all executions."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         from gendom.policies.adaptation import adapt
@@ -60,8 +54,7 @@ class Command(KnownObject):
 
         fix = "give an estimate's file"
         require(self.params is not None, "is missing", where="--params", fix=fix)
-        if self.out is not None:
-            check_file(self.out, ".json")
+        check_places((self.out, ".json"))
         task = find_task(self.task)()
         held = self.held(task)
         executions = [*executed(held, task), *self._new()]
@@ -72,11 +65,15 @@ class Command(KnownObject):
         if before is not None:  # all executions are learnt from at once, from where it began
             belief = belief.with_posterior(before)
         adapted = adapt(task, belief, executions, world=Simulation(engine=self.engine))
-        result = learned(held, task.name, belief, adapted, executions).record
+        # with all executions, and what was known of the object before any
+        every = {task.name: [e.to_dict() for e in executions]}
+        about = {
+            "executions": {**(held.about.get("executions") or {}), **every},
+            "before_executions": before or belief.posterior.to_dict(),
+        }
+        result = held.updated(adapted.belief, about).record
         print(to_json(result) if self.json else _text(belief, adapted))
-        if self.out is not None:
-            write_json(self.out, result)
-            tell_written(self.out, json=self.json)
+        write_result(self.out, result, json=self.json)
         return 0
 
     def _new(self) -> list[Execution]:
@@ -95,27 +92,6 @@ class Command(KnownObject):
         if self.action:
             found += executions_from([{"action": self.action, "reached": self.reached}], "flags")
         return found
-
-
-def learned(
-    found: Estimate,
-    task: str,
-    before: Estimate,
-    adapted: Adapted,
-    executions: Sequence[Execution],
-) -> Estimate:
-    """An estimate with what executions of a task have shown.
-
-    Args:
-        found: As it was.
-        task: Name of what was done.
-        before: What was known of the object before any execution.
-        adapted: What is known now.
-        executions: All of them.
-    """
-    every = {**(found.about.get("executions") or {}), task: [e.to_dict() for e in executions]}
-    begun = found.about.get("before_executions") or before.posterior.to_dict()
-    return found.updated(adapted.belief, {"executions": every, "before_executions": begun})
 
 
 def _text(before: Estimate, adapted: Adapted) -> str:

@@ -1,4 +1,4 @@
-"""Arguments that several commands share."""
+"""Flags that several commands share, with their help."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import tyro
 
@@ -16,6 +17,29 @@ if TYPE_CHECKING:
     from gendom.estimation import Progress
 
 Settings = TypeVar("Settings")
+
+Json = Annotated[bool, tyro.conf.arg(help="Print JSON.")]
+
+Device = Annotated[str, tyro.conf.arg(help="cpu, cuda or cuda:0 and so on.")]
+
+Seed = Annotated[int, tyro.conf.arg(help="Seed of all random draws.")]
+
+Engine = Annotated[
+    Literal["thin", "mpm"],
+    tyro.conf.arg(
+        help="Engine of the simulator. thin: ropes as rods, cloths as shells. mpm: material "
+        "points, slower."
+    ),
+]
+
+Recorded = Annotated[
+    tyro.conf.Positional[Path],
+    tyro.conf.arg(
+        metavar="RECORDING",
+        help="A gendom-recording/1 file (.npz), or a folder: clouds (.ply, .pcd, .npz), "
+        "gripper.csv and object.toml (docs/data.md).",
+    ),
+]
 
 TASKS_HELP = "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|FILE.py"
 
@@ -44,7 +68,9 @@ def _task(word: str) -> str:
     return load_task(word).name
 
 
-TaskName = Annotated[str, _name(TASKS_HELP, _task)]
+TaskName = Annotated[
+    tyro.conf.Positional[str], _name(TASKS_HELP, _task), tyro.conf.arg(help="The task.")
+]
 """The name of a task, those of other packages included, or a Python file that defines one."""
 
 

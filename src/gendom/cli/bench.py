@@ -10,12 +10,14 @@ import logging
 import math
 import statistics
 import time
-from dataclasses import asdict, dataclass
-from typing import Literal
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 import warp as wp
 
+from gendom.cli.arguments import Device, Json, Seed
+from gendom.cli.outputs import columns
 from gendom.errors import ParameterError
 from gendom.files import to_json
 from gendom.materials import Material
@@ -43,8 +45,7 @@ class Command:
     For example: gendom bench --worlds 1 16 --threads 1 2
     """
 
-    device: str = "cpu"
-    """cpu, cuda or cuda:N."""
+    device: Device = "cpu"
     worlds: tuple[int, ...] = (1, 4)
     """Ropes simulated at once."""
     threads: tuple[int, ...] = (1, 2)
@@ -55,18 +56,16 @@ class Command:
     """Simulated time [s]; in a short one the host's share of starting a run counts."""
     runs: int = 5
     """Rollouts timed for each row."""
-    seed: int = 0
-    """Seed of the points that the ropes are carried to."""
+    seed: Seed = 0
     gradient: bool = False
     """Time forward and backward together too."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         if min((*self.worlds, *self.threads, self.runs), default=0) < 1 or self.seconds <= 0.0:
             raise ParameterError("worlds, threads, runs and seconds must be positive")
         cuda = self.device.startswith("cuda")
-        rows: list[Speed] = []
+        rows = []
         for dtype in self.dtype:
             for worlds in self.worlds:
                 for threads in (1,) if cuda else self.threads:
@@ -74,11 +73,11 @@ class Command:
                         continue
                     log.info("%s, %d worlds, %d threads ...", dtype, worlds, threads)
                     rows.append(self._measure(dtype, worlds, threads))
-        print(to_json([asdict(row) for row in rows]) if self.json else _table(rows))
+        print(to_json(rows) if self.json else _table(rows))
         return 0
 
-    def _measure(self, dtype: str, worlds: int, threads: int) -> Speed:
-        """Time rollouts of ropes that are carried to random points."""
+    def _measure(self, dtype: str, worlds: int, threads: int) -> dict[str, Any]:
+        """Time rollouts of ropes that are carried to random points. Times are medians."""
         task, world = RopeReaching(), Simulation(engine="mpm", cells_across=2.0)
         body, _ = world.body(task, task.item)
         scene = task.scene(task.item)
@@ -116,47 +115,21 @@ class Command:
             bytes_a_step = 2 * STATE_REALS * np.dtype(dtype).itemsize
             share = rate * bytes_a_step / memory_bandwidth(self.device)
         gradient_seconds = statistics.median(both[1:]) if self.gradient else None
-        return Speed(
-            device=str(s.device),
-            dtype=dtype,
-            worlds=worlds,
-            threads=s.engine.setting.threads,
-            particles=body.num_particles,
-            substeps=substeps,
-            seconds=median,
-            particle_steps_per_second=rate,
-            substep_us=1e6 * median / substeps,
-            roofline_share=share,
-            gradient_seconds=gradient_seconds,
-            gradient_cost=gradient_seconds / median if gradient_seconds else None,
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Speed:
-    """One measurement; times are medians over its runs."""
-
-    device: str
-    dtype: str
-    worlds: int
-    threads: int
-    """Worlds simulated side by side (CPU)."""
-    particles: int
-    """In one world."""
-    substeps: int
-    """Of one world."""
-    seconds: float
-    """Wall time of a forward rollout [s]."""
-    particle_steps_per_second: float
-    substep_us: float
-    """Wall time by substeps of one world [us]."""
-    roofline_share: float | None
-    """Share of the measured memory bandwidth that reading and writing every particle's state
-    once a substep would take (CUDA); None on the CPU, where states stay in cache."""
-    gradient_seconds: float | None
-    """Wall time of forward and backward together [s], if measured."""
-    gradient_cost: float | None
-    """That, in forward rollouts."""
+        return {
+            "device": str(s.device),
+            "dtype": dtype,
+            "worlds": worlds,
+            "threads": s.engine.setting.threads,
+            "particles": body.num_particles,
+            "substeps": substeps,
+            "seconds": median,
+            "particle_steps_per_second": rate,
+            "substep_us": 1e6 * median / substeps,
+            # of the measured bandwidth, if states are read and written once a substep (CUDA)
+            "roofline_share": share,
+            "gradient_seconds": gradient_seconds,  # forward and backward together
+            "gradient_cost": gradient_seconds / median if gradient_seconds else None,
+        }
 
 
 def memory_bandwidth(device: str) -> float:
@@ -175,16 +148,18 @@ def memory_bandwidth(device: str) -> float:
     return 2.0 * 4.0 * COPIED / statistics.median(taken)
 
 
-def _table(rows: list[Speed]) -> str:
-    lines = [
-        f"{'device':8} {'dtype':8} {'worlds':>6} {'threads':>7} {'particles':>9} "
-        f"{'M steps/s':>9} {'us/substep':>10} {'gradient':>9} {'roofline':>8}"
-    ]
-    for r in rows:
-        cost = "" if r.gradient_cost is None else f"{r.gradient_cost:.2f} x"
-        share = "" if r.roofline_share is None else f"{r.roofline_share:.1%}"
-        lines.append(
-            f"{r.device:8} {r.dtype:8} {r.worlds:6} {r.threads:7} {r.particles:9} "
-            f"{r.particle_steps_per_second / 1e6:9.2f} {r.substep_us:10.1f} {cost:>9} {share:>8}"
+def _table(rows: list[dict[str, Any]]) -> str:
+    heads = ("device", "dtype", "worlds", "threads", "particles")
+    texts = []
+    for row in rows:
+        cost, share = row["gradient_cost"], row["roofline_share"]
+        texts.append(
+            (
+                *(str(row[name]) for name in heads),
+                f"{row['particle_steps_per_second'] / 1e6:.2f}",
+                f"{row['substep_us']:.1f}",
+                "" if cost is None else f"{cost:.2f} x",
+                "" if share is None else f"{share:.1%}",
+            )
         )
-    return "\n".join(lines)
+    return columns((*heads, "M steps/s", "us/substep", "gradient", "roofline"), texts)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 from scipy.spatial.transform import Rotation
 
-from gendom.cli.outputs import print_result, tell_written
+from gendom.cli.arguments import Json
+from gendom.cli.outputs import check_places, print_result, tell_written
 from gendom.datasets import Fault
 from gendom.errors import GendomError
-from gendom.files import check_file
 from gendom.perception.calibration import Calibration, calibrate, read_views
 from gendom.perception.camera import read_camera, write_camera
 from gendom.perception.realsense import RealSenseRecording, is_recording
@@ -35,18 +35,13 @@ class Command:
     pictures."""
     out: Path | None = None
     """Where to write camera.toml with T_world_camera; may be the same file."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         warnings: list[Fault] = []
-        if self.out is not None:
-            check_file(self.out, ".toml")
-        camera = (
-            RealSenseRecording(self.camera).camera
-            if is_recording(self.camera)
-            else read_camera(self.camera)
-        )
+        check_places((self.out, ".toml"))
+        recorded = is_recording(self.camera)
+        camera = RealSenseRecording(self.camera).camera if recorded else read_camera(self.camera)
         views = read_views(self.folder, camera, on_warning=warnings.append)
         try:
             found = calibrate(camera, views)
@@ -58,7 +53,16 @@ class Command:
         for name in found.outliers:
             what = f"is {found.rms_by_picture[name]:.3g} pixels off: its pose is not the picture's"
             warnings.append(Fault(what, name, "take it again or leave it out", "warning"))
-        summary = {"out": self.out, **_summary(found)}
+        summary = {
+            "out": self.out,
+            "T_world_camera": found.T_world_camera,
+            "T_gripper_board": found.T_gripper_board,
+            "reprojection_rms": found.rms,
+            "reprojection_rms_by_picture": found.rms_by_picture,
+            "error_position": found.error_position,
+            "error_angle": found.error_angle,
+            "refit": found.refit,
+        }
         print_result(summary, _text(found), warnings, json=self.json)
         if self.out is not None:
             write_camera(self.out, camera.at(found.T_world_camera))
@@ -66,31 +70,20 @@ class Command:
         return 0
 
 
-def _summary(found: Calibration) -> dict[str, Any]:
-    return {
-        "T_world_camera": found.T_world_camera,
-        "T_gripper_board": found.T_gripper_board,
-        "reprojection_rms": found.rms,
-        "reprojection_rms_by_picture": found.rms_by_picture,
-        "error_position": found.error_position,
-        "error_angle": found.error_angle,
-        "refit": found.refit,
-    }
-
-
 def _text(found: Calibration) -> str:
+    """For people."""
     x, y, z = found.T_world_camera[:3, 3]
     worst = max(found.rms_by_picture, key=lambda name: found.rms_by_picture[name])
     quaternion = Rotation.from_matrix(found.T_world_camera[:3, :3]).as_quat()
-    lines = [
-        f"T_world_camera from {len(found.rms_by_picture)} pictures",
-        f"  position       {x:.4f}, {y:.4f}, {z:.4f} m (error below "
-        f"{1e3 * found.error_position:.2f} mm)",
-        f"  quaternion     {', '.join(f'{q:.5f}' for q in quaternion)} (x, y, z, w; error "
-        f"below {found.error_angle:.3f} degrees)",
-        f"  reprojection   {found.rms:.3f} pixels RMS, most in {worst} "
+    turned = ", ".join(f"{q:.5f}" for q in quaternion)
+    refit = ", ".join(f"{name} {v:.5g} +- {sd:.2g}" for name, (v, sd) in found.refit.items())
+    rows = {
+        "position": f"{x:.4f}, {y:.4f}, {z:.4f} m (error below {1e3 * found.error_position:.2f} "
+        "mm)",
+        "quaternion": f"{turned} (x, y, z, w; error below {found.error_angle:.3f} degrees)",
+        "reprojection": f"{found.rms:.3f} pixels RMS, most in {worst} "
         f"({found.rms_by_picture[worst]:.3f})",
-        "  where free     "
-        + ", ".join(f"{k} {v:.5g} +- {sd:.2g}" for k, (v, sd) in found.refit.items()),
-    ]
-    return "\n".join(lines)
+        "where free": refit,
+    }
+    lines = [f"  {name:<14} {text}" for name, text in rows.items()]
+    return "\n".join([f"T_world_camera from {len(found.rms_by_picture)} pictures", *lines])

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gendom.cli.outputs import print_result, tell_written
+from gendom.cli.arguments import Json
+from gendom.cli.outputs import check_places, print_result, tell_written
 from gendom.errors import DeviceError
-from gendom.files import atomic_path, check_file
+from gendom.files import atomic_path
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -32,15 +33,13 @@ class Command:
     """cell.toml."""
     picture: Path | None = None
     """PNG file: the cell from the top and from the side."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         from gendom.hardware.cell import Cell
         from gendom.hardware.picture import draw_cell
 
-        if self.picture is not None:
-            check_file(self.picture, ".png")
+        check_places((self.picture, ".png"))
         cell = Cell.read(self.file)
         faults = cell.faults()
         wrong = [fault for fault in faults if fault.severity == "error"]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import tyro
 
+from gendom.cli.arguments import Json, Recorded
 from gendom.cli.outputs import fault_entry, print_result
 from gendom.datasets import Fault, Recording
 from gendom.errors import RecordingError, printable
@@ -24,11 +23,8 @@ class Command:
     For example: gendom check lift.npz
     """
 
-    recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
-    """A gendom-recording/1 file (.npz), or a folder: clouds (.ply, .pcd, .npz), gripper.csv and
-    object.toml (docs/data.md)."""
-    json: bool = False
-    """Print JSON."""
+    recording: Recorded
+    json: Json = False
 
     def run(self) -> int:
         warnings: list[Fault] = []
@@ -51,9 +47,8 @@ def summarize(recording: Recording) -> dict[str, Any]:
     """What a recording holds, in metres and seconds, ready for JSON."""
     counts = np.diff(recording.offsets)
     used = counts[recording.frame_valid]
-    position = recording.gripper_position
-    steps = np.linalg.norm(np.diff(position, axis=0), axis=2)
-    held = recording.object
+    position, held = recording.gripper_position, recording.object
+    length = np.linalg.norm(np.diff(position, axis=0), axis=2).sum(axis=0)
     sizes = ("length", "diameter", "width", "height", "thickness")
     return {
         "kind": held.kind,
@@ -62,19 +57,15 @@ def summarize(recording: Recording) -> dict[str, Any]:
         "grasp": held.grasp,
         "frames": recording.num_frames,
         "empty_frames": int((counts == 0).sum()),
-        "points_per_frame": {
-            "min": int(used.min()),
-            "median": float(np.median(used)),
-            "max": int(used.max()),
-        },
+        "points_per_frame": spread(used),
         "time": {"first": recording.time[0], "last": recording.time[-1]},
         "grippers": [
             {
-                "path_length": float(steps[:, gripper].sum()),
-                "rise": float(position[-1, gripper, 2] - position[0, gripper, 2]),
-                "closed_frames": int(recording.holds[:, gripper].sum()),
+                "path_length": float(length[g]),
+                "rise": float(position[-1, g, 2] - position[0, g, 2]),
+                "closed_frames": int(recording.holds[:, g].sum()),
             }
-            for gripper in range(recording.num_grippers)
+            for g in range(recording.num_grippers)
         ],
         "gripper_source": recording.gripper_source,
         "gripper_axis": recording.gripper_axis is not None,
@@ -84,31 +75,30 @@ def summarize(recording: Recording) -> dict[str, Any]:
     }
 
 
+def spread(counts: np.ndarray) -> dict[str, float]:
+    """Least, median and most of some counts."""
+    return {"min": int(counts.min()), "median": float(np.median(counts)), "max": int(counts.max())}
+
+
 def summary_text(path: str, summary: dict[str, Any]) -> str:
     """The same for people."""
     sizes = ", ".join(f"{name} {value:.4g} m" for name, value in summary["sizes"].items())
     mass = "unknown" if summary["mass"] is None else f"{summary['mass']:.4g} kg"
     points, time, table = summary["points_per_frame"], summary["time"], summary["table_height"]
-    frames = str(summary["frames"])
-    if summary["empty_frames"]:
-        frames += f", {summary['empty_frames']} of them empty"
-    grippers = "; ".join(
-        f"path {g['path_length']:.3g} m, rise {g['rise']:.3g} m"
-        + (
-            f", closed in {g['closed_frames']} frames"
-            if g["closed_frames"] < summary["frames"]
-            else ""
-        )
-        for g in summary["grippers"]
-    )
-    rows = [
-        ("object", f"{summary['kind']}, {sizes}, mass {mass}, held by: {summary['grasp']}"),
-        ("frames", frames),
-        ("points", f"{points['min']} to {points['max']} a frame, median {points['median']:g}"),
-        ("time", f"{time['first']:.4g} to {time['last']:.4g} s"),
-        ("grippers", f"{len(summary['grippers'])} ({summary['gripper_source']}): {grippers}"),
-        ("table", "none" if table is None else f"at z = {table:.4g} m"),
-        ("motion", "quasi-static" if summary["quasi_static"] else "dynamic"),
-    ]
-    lines = [f"  {name:<9} {text}" for name, text in rows]
+    frames, empty = summary["frames"], summary["empty_frames"]
+    grippers = []
+    for g in summary["grippers"]:
+        said = f"path {g['path_length']:.3g} m, rise {g['rise']:.3g} m"
+        shorter = g["closed_frames"] < frames
+        grippers.append(said + f", closed in {g['closed_frames']} frames" * shorter)
+    rows = {
+        "object": f"{summary['kind']}, {sizes}, mass {mass}, held by: {summary['grasp']}",
+        "frames": f"{frames}" + f", {empty} of them empty" * bool(empty),
+        "points": f"{points['min']} to {points['max']} a frame, median {points['median']:g}",
+        "time": f"{time['first']:.4g} to {time['last']:.4g} s",
+        "grippers": f"{len(grippers)} ({summary['gripper_source']}): {'; '.join(grippers)}",
+        "table": "none" if table is None else f"at z = {table:.4g} m",
+        "motion": "quasi-static" if summary["quasi_static"] else "dynamic",
+    }
+    lines = [f"  {name:<9} {text}" for name, text in rows.items()]
     return "\n".join([f"{printable(path)}: can be used", *lines])

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import tyro
 
-from gendom.cli.arguments import TaskName
-from gendom.errors import ParameterError, printable
+from gendom.arguments import require
+from gendom.cli.arguments import Engine, Json, Seed, TaskName
+from gendom.errors import printable
 from gendom.files import check_folder, to_json
 from gendom.progress import bar
 
@@ -28,14 +28,12 @@ class Command:
     For example: gendom dataset rope-casting --size 1000 --out casts
     """
 
-    task: tyro.conf.Positional[TaskName]
-    """The task."""
+    task: TaskName
     size: int
     """Number of demonstrations."""
     out: Path
     """Folder for the set: dataset.json and shards of Parquet."""
-    seed: int = 0
-    """Seed of all random draws."""
+    seed: Seed = 0
     device: str = "cpu"
     """cpu, cuda, cuda:0 and so on; several (cuda:0,cuda:1) or all GPUs share the work."""
     cluster: str | None = None
@@ -47,19 +45,11 @@ class Command:
     ones."""
     jobs: int = 1
     """Processes that carry out trials in the MuJoCo test scene."""
-    engine: Literal["thin", "mpm"] = "thin"
-    """Ropes as rods and cloths as shells, or particles on a grid."""
-    dtype: Literal["float32", "float64"] | None = None
-    """Of the simulator (default: the engine's)."""
-    cells_across: float = 1.5
-    """Grid cells across a rope's diameter, of the MPM."""
+    engine: Engine = "thin"
     range: tuple[tuple[str, float, float], ...] = ()
     """Parameter, lowest and highest value of drawn objects, in SI units, in place
     of the task's own; for an object of the task's own size. E.g. --range E_over_rho 200 4300."""
-    shard_size: int | None = None
-    """Demonstrations in one file (default: 256 on the CPU, 4096 on CUDA)."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         from gendom.datasets.demonstrations import generate
@@ -72,9 +62,7 @@ class Command:
         check_folder(self.out)
         kind = find_task(self.task)
         ranges = {**kind().ranges, **{name: (low, high) for name, low, high in self.range}}
-        world: World = Simulation(
-            engine=self.engine, dtype=self.dtype, cells_across=self.cells_across
-        )
+        world: World = Simulation(engine=self.engine)
         items = ()
         if self.world == "reality" or self.objects:
             from gendom.reality import RealWorld, find_object
@@ -83,26 +71,14 @@ class Command:
             if self.world == "reality":
                 world = RealWorld(jobs=self.jobs)
         source = Demonstrator(task=kind(ranges=ranges), world=world, items=items)
-        if self.size < 1:
-            raise ParameterError(f"is {self.size}", where="--size", fix="give 1 or more")
+        require(self.size >= 1, f"is {self.size}", where="--size", fix="give 1 or more")
         with bar(self.task, self.size, "demo", even=True) as show:
             table = generate(
-                source,
-                self.size,
-                self.out,
-                seed=self.seed,
-                device=self.device,
-                cluster=self.cluster,
-                shard_size=self.shard_size,
-                progress=show,
-            )
-        summary = {
-            "path": self.out,
-            "task": self.task,
-            "seed": self.seed,
-            **summarize(table),
-            "seconds": time.monotonic() - began,
-        }
+                source, self.size, self.out, seed=self.seed, device=self.device,
+                cluster=self.cluster, progress=show,
+            )  # fmt: skip
+        summary = {"path": self.out, "task": self.task, "seed": self.seed, **summarize(table)}
+        summary["seconds"] = time.monotonic() - began
         print(to_json(summary) if self.json else summary_text(summary))
         return 0
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from gendom.arguments import require
-from gendom.cli.arguments import iterations_shown
+from gendom.cli.arguments import Device, Json, Seed, iterations_shown
 from gendom.cli.estimate import (
     NAME,
     NOT_USABLE,
@@ -92,12 +92,9 @@ class Command:
     its highest point, reaching its farthest x; by default three goals that the rope can reach."""
     starts: int = 3
     """Random starts of the estimate."""
-    seed: int = 0
-    """Seed of the estimate and of the cameras' noise."""
-    device: str = "cpu"
-    """cpu, cuda or cuda:0 and so on."""
-    json: bool = False
-    """Print JSON."""
+    seed: Seed = 0
+    device: Device = "cpu"
+    json: Json = False
 
     def run(self) -> int:
         from gendom.sim import open_device

@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from gendom.arguments import require
-from gendom.cli.arguments import MethodName, iterations_shown, settings_of
+from gendom.cli.arguments import (
+    Device,
+    Engine,
+    MethodName,
+    Recorded,
+    Seed,
+    iterations_shown,
+    settings_of,
+)
 from gendom.cli.outputs import check_places, tell_written, write_result
 from gendom.cli.parsing import command_line
 from gendom.datasets import Recording
@@ -61,9 +69,7 @@ class Command:
     For example: gendom estimate lift.npz --out lift --report lift.html
     """
 
-    recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
-    """A gendom-recording/1 file (.npz), or a folder: clouds (.ply, .pcd, .npz), gripper.csv and
-    object.toml (docs/data.md)."""
+    recording: Recorded
     more: Annotated[
         tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[RECORDING ...]")
     ] = ()
@@ -80,8 +86,7 @@ class Command:
     """Frames that are compared."""
     starts: int = 3
     """Number of starts of the search: the best of a scan first, then random ones."""
-    seed: int = 0
-    """Seed of all random draws."""
+    seed: Seed = 0
     level: float = 0.9
     """Nominal probability of the intervals."""
     unknowns: tuple[str, ...] = ()
@@ -94,17 +99,14 @@ class Command:
     camera_pose: Literal["stated", "unknown"] | None = None
     """unknown: the cameras are not calibrated to the robot, and their pose is estimated, too; by
     default as each recording says (cameras_calibrated, docs/recordings.md)."""
-    engine: Literal["thin", "mpm"] = "thin"
-    """Engine of the simulator. thin: ropes as rods, cloths as shells. mpm: material points,
-    slower."""
+    engine: Engine = "thin"
     points: int | None = None
     """Points of a rod, or along the longer side of a shell; by default the engine's choice."""
     cells_across: float = 1.5
     """With mpm: grid cells across a rope's diameter (cloths alike); finer is slower."""
     clock: float | None = None
     """Recorded seconds for each simulated second; by default chosen for quasi-static motions."""
-    device: str = "cpu"
-    """cpu, cuda or cuda:0 and so on."""
+    device: Device = "cpu"
 
     def run(self) -> int:
         from gendom.estimation import EstimateSettings, SceneSettings, estimate

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import tyro
-
-from gendom.cli.arguments import TaskName
-from gendom.errors import ParameterError, printable
+from gendom.cli.arguments import Engine, Json, Seed, TaskName
+from gendom.errors import printable
 from gendom.files import to_json
 from gendom.progress import bar
 
@@ -26,8 +24,7 @@ class Command:
     For example: gendom evaluate rope-casting --policy casting.onnx
     """
 
-    task: tyro.conf.Positional[TaskName]
-    """The task."""
+    task: TaskName
     policy: tuple[Path, ...] = ()
     """Policy files; by default the shipped ones, with and without parameters."""
     world: Literal["simulation", "reality"] = "simulation"
@@ -35,20 +32,15 @@ class Command:
     objects: tuple[str, ...] = ()
     """Objects of the MuJoCo test scene (names or TOML files) to use in turn, in place of random
     ones."""
-    free_hand: bool = False
-    """In the MuJoCo test scene, a free hand acts, not the arm."""
     jobs: int = 1
     """Processes that carry out trials in the MuJoCo test scene."""
     cases: int = 50
     """Number of objects and goals."""
-    seed: int = 0
-    """Seed of the cases."""
-    engine: Literal["thin", "mpm"] = "thin"
-    """Of GenDOM's simulator: ropes as rods and cloths as shells, or particles on a grid."""
+    seed: Seed = 0
+    engine: Engine = "thin"
     device: str = "cpu"
     """Device of GenDOM's simulator: cpu, cuda or cuda:0 and so on."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         from gendom.policies import Policy
@@ -71,9 +63,7 @@ class Command:
 
             items = [find_object(name) for name in self.objects]
             if self.world == "reality":
-                world = RealWorld(robot=not self.free_hand, jobs=self.jobs)
-        if self.free_hand and self.world != "reality":
-            raise ParameterError("needs --world reality", where="--free-hand")
+                world = RealWorld(jobs=self.jobs)
         cases = draw_cases(
             policies[0].task(), self.cases, seed=self.seed, simulation=simulation, items=items
         )
@@ -81,22 +71,14 @@ class Command:
         for policy in policies:
             with bar("acting", len(cases), "case") as show:
                 found = score(policy, cases, world=world, on_frame=show)
-            entries.append(
-                {
-                    "path": policy.where,
-                    "method": policy.description.method,
-                    "conditioned_on": policy.description.conditioned_on,
-                    "training_seed": policy.description.training.get("seed"),
-                    **found.summary(),
-                }
-            )
+            about = policy.description
+            entry = {"path": policy.where, "method": about.method}
+            entry |= {"conditioned_on": about.conditioned_on}
+            entry |= {"training_seed": about.training.get("seed"), **found.summary()}
+            entries.append(entry)
+        flags = ("task", "world", "cases", "seed", "engine", "device")
         result = {
-            "task": self.task,
-            "world": self.world,
-            "cases": self.cases,
-            "seed": self.seed,
-            "engine": self.engine,
-            "device": self.device,
+            **{name: getattr(self, name) for name in flags},
             "unit": next((goal.unit for goal in policies[0].task().goals), "1"),
             "policies": entries,
             "seconds": time.monotonic() - began,
@@ -121,12 +103,7 @@ def result_text(result: dict[str, Any]) -> str:
         for name, value in entry["error"].items():
             percent = 100.0 * entry["error_over_size"][name]
             lines.append(f"  {name:<7} {value:.5f}  {percent:6.2f} % of the size")
-        lines += [
-            f"  {count} {what}"
-            for count, what in (
-                (entry["failed"], "failed"),
-                (entry["outside_range"], "goals outside the policy's range (counted above)"),
-            )
-            if count
-        ]
+        outside = "goals outside the policy's range (counted above)"
+        for count, what in ((entry["failed"], "failed"), (entry["outside_range"], outside)):
+            lines += [f"  {count} {what}"] if count else []
     return "\n".join([*lines, f"took {result['seconds']:.3g} s"])

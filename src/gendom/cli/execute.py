@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -15,9 +15,8 @@ import tyro
 
 from gendom.arguments import require
 from gendom.cli.cell import write_picture
-from gendom.cli.outputs import tell_written
+from gendom.cli.outputs import check_places, tell_written
 from gendom.errors import DeviceError, printable
-from gendom.files import check_file
 from gendom.materials import Cloth, Item, from_columns
 from gendom.reading import read_json
 from gendom.tasks import find_task
@@ -66,8 +65,7 @@ class Command:
         from gendom.hardware.cell import Cell
         from gendom.hardware.execution import careful, last_time, preview, read_action
 
-        if self.picture is not None:
-            check_file(self.picture, ".png")
+        check_places((self.picture, ".png"))
         fix = "add --move"
         require(self.move or not self.yes, "goes with --move", where="--yes", fix=fix)
         require(self.move or self.record is None, "goes with --move", where="--record", fix=fix)
@@ -80,7 +78,7 @@ class Command:
             print(_measured(self.action))
         if self.picture is not None:
             write_picture(self.picture, self._drawn(cell, action))
-            tell_written(self.picture, json=False)
+            tell_written(self.picture)
         if not self.move:
             print("nothing moved: this was a dry run (--move)")
             return 0
@@ -152,14 +150,8 @@ def read_plan(path: Path) -> dict[str, Any]:
 
 
 def move(cell: Cell, planned: PlannedMotion, what: str, *, yes: bool, **others: Any) -> None:
-    """Show a motion, ask, and carry it out; other arguments as of `carry_out`.
-
-    Args:
-        cell: Where.
-        planned: The motion.
-        what: What it is, for the person.
-        yes: Do not ask, and move slowly.
-    """
+    """Show a motion, say what it is, ask, and carry it out, with others as of `carry_out`; with
+    ``yes`` nobody is asked, and it moves slowly."""
     from gendom.hardware.execution import careful, preview
 
     planned = careful(planned, cell) if yes else planned
@@ -177,8 +169,7 @@ def carry_out(
     *,
     bring: Callable[[Any], None],
     record: tuple[Path, str] | None = None,
-    devices: tuple[Any, Sequence[Any]] | None = None,
-) -> Path:
+) -> None:
     """Execute a motion, logged, under the cell's cameras where asked for.
 
     Args:
@@ -188,20 +179,16 @@ def carry_out(
         logs: Folder of logs.
         bring: Called with the robot where it waits for the object.
         record: Folder for pictures, and the content of its object.toml; None: none are taken.
-        devices: Robot and cameras; None: those of the cell.
-
-    Returns:
-        The log.
     """
     from gendom.hardware.execution import ExecutionLog, execute
     from gendom.hardware.recording import record_motion
 
-    robot, cameras = devices or cell.devices()
+    robot, cameras = cell.devices()
     name = datetime.now().strftime("%Y-%m-%dT%H-%M-%S-%f")
     log = ExecutionLog(logs / f"{name}.jsonl", said)
     if record is None:
         execute(planned, cell, robot, log, ready=lambda: bring(robot))
-        return log.path
+        return
     folder, description = record
 
     def play(robot: Robot, motion: JointMotion) -> None:
@@ -214,7 +201,6 @@ def carry_out(
     finally:
         for camera in cameras:
             camera.disconnect()
-    return log.path
 
 
 def described(cell: Cell, item: Item, source: str, *, quasi_static: bool = False) -> str:

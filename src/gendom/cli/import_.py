@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from gendom.arguments import require
+from gendom.cli.arguments import Json
 from gendom.cli.check import summarize, summary_text
 from gendom.cli.outputs import print_result, tell_written
 from gendom.datasets import Fault, Recording
@@ -33,33 +34,28 @@ class Command:
     bag: RosSettings = field(default_factory=RosSettings)
     object: Path | None = None
     """Of a bag: what is held, a TOML file; by default object.toml in the bag's folder."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         check_file(self.out, ".npz")
         warnings: list[Fault] = []
-        recording = self._read(warnings)
+        # no recording beside which a bag lies
+        bag = bag_files(self.source) and not (self.source / "gripper.csv").exists()
+        if bag:
+            fix = "name a frame of TF, or a topic of poses"
+            require(self.bag.gripper, "is missing", where="--gripper", fix=fix)
+            folder = self.source if self.source.is_dir() else self.source.parent
+            held = self.object or folder / "object.toml"
+            recording = read_ros_bag(self.source, held, self.bag, on_warning=warnings.append)
+        else:
+            flags = {**vars(self.bag), "object": self.object}
+            given = [f"--{flag}" for flag, value in flags.items() if value]
+            what, where = f"{self.source} is no ROS 2 bag", next(iter(given), None)
+            require(not given, what, where=where, fix="leave it out")
+            recording = Recording.read(self.source, on_warning=warnings.append)
         summary = summarize(recording)
         text = summary_text(str(self.source), summary)
         print_result({"out": self.out, **summary}, text, warnings, json=self.json)
         recording.write(self.out)
         tell_written(self.out, json=self.json)
         return 0
-
-    def _is_bag(self) -> bool:
-        """Whether the source is a ROS 2 bag, and no recording beside which one lies."""
-        return bool(bag_files(self.source)) and not (self.source / "gripper.csv").exists()
-
-    def _read(self, warnings: list[Fault]) -> Recording:
-        if not self._is_bag():
-            flags = {**vars(self.bag), "object": self.object}
-            given = [f"--{flag}" for flag, value in flags.items() if value]
-            what, where = f"{self.source} is no ROS 2 bag", next(iter(given), None)
-            require(not given, what, where=where, fix="leave it out")
-            return Recording.read(self.source, on_warning=warnings.append)
-        fix = "name a frame of TF, or a topic of poses"
-        require(self.bag.gripper, "is missing", where="--gripper", fix=fix)
-        folder = self.source if self.source.is_dir() else self.source.parent
-        held = self.object or folder / "object.toml"
-        return read_ros_bag(self.source, held, self.bag, on_warning=warnings.append)

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import tyro
 
+from gendom.cli.arguments import Json
+from gendom.cli.outputs import columns
 from gendom.files import to_json
 from gendom.materials import catalogue
 
@@ -23,8 +25,7 @@ class Command:
 
     names: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="NAME")] = ()
     """Materials; by default all, in short."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
     markdown: bool = False
     """Print a table in Markdown, with every number and a list of sources."""
 
@@ -43,33 +44,31 @@ class Command:
 
 def _row(material: catalogue.Listed) -> dict:
     about = {"name": material.name, "kind": material.kind, "about": material.about}
-    return about | {
-        name: {"unit": unit, **asdict(found)} for name, (unit, found) in material.ranges().items()
-    }
+    ranges = material.ranges().items()
+    return about | {name: {"unit": unit, **asdict(found)} for name, (unit, found) in ranges}
 
 
 def _list(chosen: Sequence[catalogue.Listed]) -> str:
     """One line each."""
-    wide = max(len(m.name) for m in chosen)
-    lines = [f"{'':<{wide}}  {'kind':<5}  {'E in bending [Pa]':<27}  density [kg/m^3]"]
-    for m in chosen:
-        E = f"{m.E.typical:.2g} ({m.E.low:.2g} to {m.E.high:.2g})"
-        rho = f"{m.density.typical:.0f} ({m.density.low:.0f} to {m.density.high:.0f})"
-        lines.append(f"{m.name:<{wide}}  {m.kind:<5}  {E:<27}  {rho}")
-    return "\n".join([*lines, "gendom materials NAME prints all numbers and their sources."])
+
+    def ends(of: catalogue.Range, form: str) -> str:
+        return f"{of.typical:{form}} ({of.low:{form}} to {of.high:{form}})"
+
+    rows = [(m.name, m.kind, ends(m.E, ".2g"), ends(m.density, ".0f")) for m in chosen]
+    head = ("", "kind", "E in bending [Pa]", "density [kg/m^3]")
+    return columns(head, rows) + "\ngendom materials NAME prints all numbers and their sources."
 
 
 def _whole(material: catalogue.Listed) -> str:
     """Every number with its source."""
-    lines = [f"{material.name}: {material.about} ({material.kind})"]
-    cited = []
+    lines, cited = [f"{material.name}: {material.about} ({material.kind})"], {}
     for name, (unit, found) in material.ranges().items():
         unit = "" if unit == "1" else f" {unit}"
         numbers = f"{found.typical:.4g}{unit} ({found.low:.4g} to {found.high:.4g})"
         source = f" [{found.source}]" if found.source else ""
         lines.append(f"  {name:<9}  {numbers:<34}  {found.basis}{source}: {found.how}")
-        cited += [found.source] if found.source and found.source not in cited else []
-    return "\n".join([*lines, *(f"  [{key}] {_cited(key)}" for key in cited)])
+        cited |= {found.source: f"  [{found.source}] {_cited(found.source)}"} if source else {}
+    return "\n".join([*lines, *cited.values()])
 
 
 def _table(chosen: Sequence[catalogue.Listed]) -> str:
@@ -77,18 +76,15 @@ def _table(chosen: Sequence[catalogue.Listed]) -> str:
     units = [f"{name} [{unit}]" if unit != "1" else name for name, unit in catalogue.UNITS.items()]
     heads = ["material", *units, "across [m]"]
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
-    cited, bases = [], {"measured": "", "computed": ", c", "estimate": ", e"}
+    cited, bases = {}, {"measured": "", "computed": ", c", "estimate": ", e"}
     for m in chosen:
         cells = [f"`{m.name}`: {m.about}"]
         for _, found in m.ranges().values():
-            if found.source and found.source not in cited:
-                cited.append(found.source)
-            mark = f"[{cited.index(found.source) + 1}]" if found.source else ""
+            mark = f"[{cited.setdefault(found.source, len(cited) + 1)}]" if found.source else ""
             said = f"{mark}{bases[found.basis]}".removeprefix(", ")
             cells.append(f"{found.typical:.4g} ({found.low:.4g} to {found.high:.4g}) {said}")
         lines.append(f"| {' | '.join(cells)} |")
-    listed = (f"{n}. {_cited(key)}" for n, key in enumerate(cited, start=1))
-    return "\n".join([*lines, "", *listed])
+    return "\n".join([*lines, "", *(f"{n}. {_cited(key)}" for key, n in cited.items())])
 
 
 def _cited(key: str) -> str:

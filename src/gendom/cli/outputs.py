@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -74,15 +74,9 @@ def print_result(
         print("\n".join([text, *(f"  warning   {warning}" for warning in warnings)]))
 
 
-def columns(title: str, head: Sequence[str], rows: Mapping[str, Sequence[str]]) -> str:
-    """A table of text: names in the first column, numbers in the others.
-
-    Args:
-        title: Head of the first column.
-        head: Of all others.
-        rows: Their texts by that of the first column.
-    """
-    lines = [(title, *head), *((name, *texts) for name, texts in rows.items())]
+def columns(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of text: names in the first column, numbers in the others."""
+    lines = [tuple(head), *map(tuple, rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join(
         f"{name:<{widths[0]}}"

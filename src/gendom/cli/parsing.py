@@ -69,8 +69,6 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
 
 
 class _Argument(NamedTuple):
-    """A flag, or a word without one."""
-
     kind: Any
     help: str
     required: bool
@@ -84,6 +82,8 @@ def arguments_of(command: type) -> dict[str, _Argument]:
     help_of, found = _help(command), {}
     for field in fields(command):
         kind, *marks = get_args(hints[field.name]) or (hints[field.name],)
+        shared = (getattr(mark, "help", None) for mark in marks)  # of cli.arguments
+        told = help_of.get(field.name) or next(filter(None, shared), "")
         if isinstance(kind, type) and is_dataclass(kind):
             found |= arguments_of(kind)
             continue
@@ -92,7 +92,7 @@ def arguments_of(command: type) -> dict[str, _Argument]:
             named = [m.metavar for m in marks if str(getattr(m, "metavar", "") or "").isalpha()]
             called = named[0] if named else field.name.upper()
         required = field.default is MISSING and field.default_factory is MISSING
-        found[called] = _Argument(hints[field.name], help_of.get(field.name, ""), required)
+        found[called] = _Argument(hints[field.name], told, required)
     return found
 
 
@@ -207,7 +207,6 @@ def _flag(word: str) -> str:
 
 
 def _given(called: str, words: Sequence[str], flags: Iterable[str]) -> list[str]:
-    """The words behind a flag."""
     for n, word in enumerate(words):
         if word.startswith("--") and _flag(word) == called:
             after = word.partition("=")[2]

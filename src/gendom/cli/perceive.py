@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import tyro
 
-from gendom.cli.outputs import print_result, tell_written
+from gendom.cli.arguments import Json
+from gendom.cli.check import spread
+from gendom.cli.outputs import columns, print_result, tell_written
 from gendom.datasets import Fault
 from gendom.files import check_file
 from gendom.perception import (
@@ -45,8 +46,7 @@ class Command:
     perception: PerceptionSettings = field(default_factory=PerceptionSettings)
     frames: bool = False
     """Print the counts of every frame."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         check_file(self.out, ".npz")
@@ -58,22 +58,19 @@ class Command:
         show = self.frames and not self.json
         if show:
             print(_row("time", STAGES))
+
+        def print_frame(time: float, cloud: FusedCloud) -> None:
+            if show:
+                print(_row(f"{time:.3f}", cloud.counts.tolist()))
+
         perceived = perceive(
-            recorded,
-            self.perception,
-            on_warning=warnings.append,
-            on_frame=_print_frame if show else lambda _time, _cloud: None,
+            recorded, self.perception, on_warning=warnings.append, on_frame=print_frame
         )
         summary = _summary(perceived)
-        text = _text(summary)
-        print_result({"out": self.out, **summary}, text, warnings, json=self.json)
+        print_result({"out": self.out, **summary}, _text(summary), warnings, json=self.json)
         perceived.recording.write(self.out)
         tell_written(self.out, json=self.json)
         return 0
-
-
-def _print_frame(time: float, cloud: FusedCloud) -> None:
-    print(_row(f"{time:.3f}", cloud.counts.tolist()))
 
 
 def _row(head: str, cells: Any) -> str:
@@ -81,40 +78,37 @@ def _row(head: str, cells: Any) -> str:
 
 
 def _summary(perceived: Perceived) -> dict[str, Any]:
-    counts = perceived.counts
-    seen_by = perceived.recording.seen_by
+    counts, recording = perceived.counts, perceived.recording
+    seen_by = recording.seen_by
     assert seen_by is not None
     return {
         "frames": len(counts),
         "cameras": perceived.cameras,
-        "points": {
-            stage: {
-                "min": int(column.min()),
-                "median": float(np.median(column)),
-                "max": int(column.max()),
-            }
-            for stage, column in zip(STAGES, counts.T, strict=True)
-        },
+        "points": {stage: spread(of) for stage, of in zip(STAGES, counts.T, strict=True)},
         "points_by_frame": [
             {"time": time, **dict(zip(STAGES, row, strict=True))}
-            for time, row in zip(perceived.recording.time.tolist(), counts.tolist(), strict=True)
+            for time, row in zip(recording.time.tolist(), counts.tolist(), strict=True)
         ],
         "seen_by": {
             name: float(((seen_by >> k) & 1).mean()) for k, name in enumerate(perceived.cameras)
         },
         "seen_share": perceived.seen_share,
         "disagreement": perceived.disagreement,
-        "levelled": perceived.recording.extra["perception"]["levelled"],
+        "levelled": recording.extra["perception"]["levelled"],
     }
 
 
 def _text(summary: dict[str, Any]) -> str:
-    lines = [f"{summary['frames']} frames; points a frame after each stage"]
-    lines.append(f"  {'':<10}{'min':>9}{'median':>9}{'max':>9}")
-    for stage, row in summary["points"].items():
-        lines.append(f"  {stage:<10}{row['min']:>9}{row['median']:>9.0f}{row['max']:>9}")
+    rows = [
+        (f"  {stage}", str(of["min"]), f"{of['median']:.0f}", str(of["max"]))
+        for stage, of in summary["points"].items()
+    ]
     shares = ", ".join(f"{name} {100 * s:.0f} %" for name, s in summary["seen_by"].items())
-    lines.append(f"  points seen by: {shares}")
+    lines = [
+        f"{summary['frames']} frames; points a frame after each stage",
+        columns(("", "min", "median", "max"), rows),
+        f"  points seen by: {shares}",
+    ]
     if moved := summary["levelled"]:
         by = (
             f"{name} {1e3 * m['rise']:+.1f} mm, {math.degrees(m['turn']):.2f} degrees"

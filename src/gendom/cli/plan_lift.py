@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from gendom.arguments import require
-from gendom.cli.arguments import settings_of
-from gendom.cli.outputs import columns, tell_written
-from gendom.files import check_folder, to_json, write_json
+from gendom.cli.arguments import Json, Seed, settings_of
+from gendom.cli.outputs import check_places, columns, tell_written, write_result
+from gendom.files import to_json
 from gendom.progress import bar
 
 if TYPE_CHECKING:
@@ -61,16 +61,13 @@ class Command:
     """Probability of the intervals."""
     out: Path | None = None
     """Folder for plan.json, motion.json and joints.csv."""
-    seed: int = 0
-    """Seed of all random draws."""
-    json: bool = False
-    """Print JSON."""
+    seed: Seed = 0
+    json: Json = False
 
     def run(self) -> int:
         from gendom.estimation.lift_plan import LiftPlanSettings, plan_lift
 
-        if self.out is not None:
-            check_folder(self.out)
+        check_places((self.out, ""))
         objects = self._objects()
         settings = settings_of(LiftPlanSettings, self, aim=self.for_)
         with bar("planning", 1, "lift", even=True) as show:
@@ -97,12 +94,9 @@ class Command:
         size, thickness = (ranges[name] for name in names)
         assert size is not None and thickness is not None
         return ObjectClass(
-            kind=self.kind,
-            size=size,
-            thickness=thickness,
-            mass=ranges["mass"],
+            kind=self.kind, size=size, thickness=thickness, mass=ranges["mass"],
             material=self.material,
-        )
+        )  # fmt: skip
 
     def _range(self, name: str) -> tuple[float, float] | None:
         given = getattr(self, name)
@@ -115,7 +109,7 @@ class Command:
         from gendom.reality import arm_motion, as_real, lift_cameras, lifted_by
         from gendom.robot import MOTION_FORMAT
 
-        write_json(folder / "plan.json", plan.to_dict())
+        write_result(folder / "plan.json", plan.to_dict(), json=self.json)
         item = as_real(plan.middle)
         trial = lifted_by(item, plan.chosen.motion)
         motion = {
@@ -124,11 +118,10 @@ class Command:
             "object": {name: to_columns(plan.middle)[name] for name in item.sizes},
             "trajectory": trial.path.to_dict(),
         }
-        write_json(folder / "motion.json", motion)
+        write_result(folder / "motion.json", motion, json=self.json)
         arm = arm_motion(trial, lift_cameras(item))
         arm.write_joints(folder / "joints.csv", opening=(thickness_of(item), OPEN))
-        for name in ("plan.json", "motion.json", "joints.csv"):
-            tell_written(folder / name, json=self.json)
+        tell_written(folder / "joints.csv", json=self.json)
 
 
 def plan_text(plan: LiftPlan) -> str:
@@ -140,19 +133,22 @@ def plan_text(plan: LiftPlan) -> str:
     def percent(half: float) -> str:
         return f"{100.0 * math.expm1(half):.3g}" if math.isfinite(half) else ""
 
-    rows = {}
+    rows = []
     for row in plan.rows:
         half = {name: row.half_width(name, level) for name in plan.prior_sd}
-        rows[str(row.motion)] = (
-            percent(half["E"]),
-            percent(half["damping"]),
-            f"{half['friction']:.3f}" if math.isfinite(half["friction"]) else "",
-            f"{row.carried_out} of {drawn}",
-            f"{plan.gain(row):.2f}",
-            "*" if rolls(row.motion) else "",
+        rows.append(
+            (
+                str(row.motion),
+                percent(half["E"]),
+                percent(half["damping"]),
+                f"{half['friction']:.3f}" if math.isfinite(half["friction"]) else "",
+                f"{row.carried_out} of {drawn}",
+                f"{plan.gain(row):.2f}",
+                "*" if rolls(row.motion) else "",
+            )
         )
     head = ("E [%]", "damping [%]", "friction", "carried out", "gain", "")
-    lines = [columns(f"Half width of {100.0 * level:g} % intervals", head, rows)]
+    lines = [columns((f"Half width of {100.0 * level:g} % intervals", *head), rows)]
     if any(rolls(row.motion) for row in plan.rows):
         lines.append(
             "* the rope moves fast on the table, where a round one rolls and the simulator's "

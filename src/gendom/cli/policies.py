@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gendom.cli.arguments import Json
 from gendom.errors import printable
 from gendom.files import to_json
 from gendom.materials import PARAMETERS
@@ -25,8 +26,7 @@ class Command:
 
     policy: tuple[Path, ...] = ()
     """Policy files; by default the shipped ones."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         from gendom.policies import Policy
@@ -60,6 +60,8 @@ def made_by(policy: Policy) -> list[str]:
     if not training.get("demonstrations"):
         return []
     task = about.task["name"]
+    size = str(training["demonstrations"])
+    made = shlex.join(["gendom", "dataset", task, "--size", size, "--out", "set"])
     train = ["gendom", "train", task, "--data", "set", "--out", Path(policy.where).name]
     train += ["--method", about.method]
     if not about.conditioned_on:
@@ -73,11 +75,7 @@ def made_by(policy: Policy) -> list[str]:
             train += ["--engine", str(engine)]
     for flag in flags:
         train += [f"--{flag.replace('_', '-')}", str(training[flag])]
-    size = str(training["demonstrations"])
-    return [
-        shlex.join(["gendom", "dataset", task, "--size", size, "--out", "set"]),
-        shlex.join(train),
-    ]
+    return [made, shlex.join(train)]
 
 
 def _text(row: dict[str, Any]) -> str:

@@ -8,17 +8,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gendom.arguments import require
-from gendom.cli.arguments import settings_of
+from gendom.cli.arguments import Seed, settings_of
 from gendom.cli.execute import FINGER_WIDTH, bring, described, move
 from gendom.errors import ParameterError
 from gendom.files import check_folder
-from gendom.materials import AIR_DENSITY, Item, size_of, thickness_of
+from gendom.materials import Item, size_of, thickness_of
 from gendom.progress import bar
 
 if TYPE_CHECKING:
     from gendom.hardware.cell import Cell
     from gendom.reality import RealObject
     from gendom.robot import LiftMotion
+
+SPAN = {"rope": "long", "cloth": "wide"}
 
 MAX_RISE = 2.0
 """In lengths of a rope or sides of a cloth; more was not given in metres."""
@@ -80,10 +82,7 @@ class Command:
     """Noise of the robot's measured joint angles in radians."""
     grip_force: float = math.inf
     """Newtons that the fingers hold at most: pulled harder, the object slips."""
-    air_density: float = AIR_DENSITY
-    """Of the still air in kg/m^3; 0: none."""
-    seed: int = 0
-    """Seed of all noise and errors."""
+    seed: Seed = 0
 
     def run(self) -> int:
         one = (self.reality is None) != (self.cell is None)
@@ -96,7 +95,7 @@ class Command:
         check_folder(self.out)
         cell = Cell.read(path)
         known = known_in(cell, self.object)
-        self._check_rise(size_of(known), f"the {known.kind} {size_of(known):g} m long")
+        self._check_rise(known)
         lift_in(cell, known, self.out, motion=self._motion(known), grasp=self.grasp, yes=self.yes)
         print(f"written: {self.out}")
         print(f"next: gendom perceive {self.out} --out {self.out.name}.npz")
@@ -115,7 +114,6 @@ class Command:
 
     def _in_mujoco(self, reality: str) -> int:
         from gendom.reality import (
-            RealRope,
             RecordSettings,
             RigErrors,
             TrialRun,
@@ -135,17 +133,9 @@ class Command:
         require(0.0 <= noise <= MAX_ENCODER_NOISE, what, where="--encoder-noise", fix=fix)
         check_folder(self.out)
         item = find_object(reality)
-        if isinstance(item, RealRope):
-            self._check_rise(item.length, f"the rope {item.length:g} m long")
-        else:
-            self._check_rise(item.side, f"the cloth {item.side:g} m wide")
+        self._check_rise(item)
         trial = lifted_by(item, self._motion(item))
-        trial_run = TrialRun(
-            trial,
-            cameras=lift_cameras(item),
-            air_density=self.air_density,
-            grip_force=self.grip_force,
-        )
+        trial_run = TrialRun(trial, cameras=lift_cameras(item), grip_force=self.grip_force)
         usual = RigErrors.synchronised() if trial.quick else RigErrors()
         errors = replace(usual, robot_clock=self.robot_clock, encoders=self.encoder_noise)
         trial_run.step_to(trial_run.closes)
@@ -164,28 +154,22 @@ class Command:
         print(f"next: gendom perceive {self.out} --colour {r} {g} {b} --out {item.name}.npz")
         return 0
 
-    def _check_rise(self, size: float, called: str) -> None:
-        """Refuse a rise in another unit than metres.
-
-        Args:
-            size: The object's length or side [m].
-            called: What it is, with that size.
-        """
+    def _check_rise(self, item: Item) -> None:
+        """Refuse a rise in another unit than metres."""
+        size = size_of(item)
         if self.rise is None or 0.0 < self.rise <= MAX_RISE * size:
             return
         fix = "give metres above 0"
         if 0.0 < self.rise < math.inf:
             unit, metres = ("cm", 1e-2) if self.rise <= 100.0 * MAX_RISE * size else ("mm", 1e-3)
             fix = f"give metres: {self.rise:g} {unit} are {metres * self.rise:g}"
-        raise ParameterError(f"is {self.rise:g} m, and {called}", where="--rise", fix=fix)
+        what = f"is {self.rise:g} m, and the {item.kind} {size:g} m {SPAN[item.kind]}"
+        raise ParameterError(what, where="--rise", fix=fix)
 
 
 def known_in(cell: Cell, path: Path | None) -> RealObject:
-    """An object as it is described; its stiffness is not looked at.
-
-    Args:
-        cell: Where it is; that of a simulated robot names one.
-        path: Its TOML file.
+    """An object as its TOML file describes it, or as the cell of a simulated robot names it; its
+    stiffness is not looked at.
 
     Raises:
         GendomError: It is not described.
@@ -208,16 +192,10 @@ def lift_in(
     yes: bool,
     logs: Path | None = None,
 ) -> None:
-    """Lift an object in a cell, and record it.
+    """Lift an object in a cell, and record it into a folder.
 
-    Args:
-        cell: Where.
-        known: The object as it is described.
-        out: Folder for the recording.
-        motion: How it is lifted.
-        grasp: Where the fingers take it [m]; None: ahead, on the table.
-        yes: Do not ask, and move slowly.
-        logs: Folder of logs; None: ``executions`` beside the cell's file.
+    ``grasp`` is where the fingers take it [m] (None: ahead, on the table); with ``yes`` nobody is
+    asked, and it moves slowly; ``logs`` is a folder (None: ``executions`` beside the cell's file).
     """
     from gendom.robot import motions
 

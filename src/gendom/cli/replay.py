@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import tyro
 from numpy.typing import NDArray
 
 from gendom.arguments import check_numbers, require
-from gendom.cli.arguments import iterations_shown
+from gendom.cli.arguments import Device, Json, Recorded, iterations_shown
 from gendom.cli.outputs import check_places, tell_written, write_result
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
@@ -35,21 +34,17 @@ class Command:
     For example: gendom replay lift.npz --params lift/estimate.json --gif lift.gif
     """
 
-    recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
-    """A gendom-recording/1 file (.npz), or a folder: clouds (.ply, .pcd, .npz), gripper.csv and
-    object.toml (docs/data.md)."""
+    recording: Recorded
     params: Path
     """Parameters: an estimate.json."""
     out: Path | None = None
     """JSON file for the distances."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
     gif: Path | None = None
     """GIF file: recorded and simulated clouds."""
     engine: Literal["thin", "mpm"] | None = None
     """Of the simulator; by default the one that the parameters were estimated with."""
-    device: str = "cpu"
-    """cpu, cuda or cuda:0 and so on."""
+    device: Device = "cpu"
     force: bool = False
     """Take parameters whose verdict is not usable, too."""
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import tyro
 
 from gendom.arguments import require
 from gendom.cli import act, adapt, estimate, perceive
@@ -40,7 +39,7 @@ class Command:
     For example: gendom run rope-reaching --goal 0.45 --cell cell.toml --object rope.toml --out run
     """
 
-    task: tyro.conf.Positional[TaskName]
+    task: TaskName
     """A task with a goal."""
     goal: tuple[float, ...]
     """As gendom act takes it."""
@@ -73,7 +72,8 @@ class Command:
             _log.warning("%s", killed)
         known = known_in(cell, self.object)
         steps = _Steps(self.out)
-        lift = steps.do("lift", "lift", [self.cell, *self._named],
+        named = [] if self.object is None else [self.object]
+        lift = steps.do("lift", "lift", [self.cell, *named],
                         lambda to: self._lift(cell, known, to), settings=[self.grasp])  # fmt: skip
         colour = known.colour
         seen = steps.do("perceive", "lift.npz", [lift], lambda to: perceive.Command(
@@ -92,17 +92,12 @@ class Command:
                 "nothing is done with an estimate that is not usable; lift again, or --force"
             )
             return code
-        rows = {}
+        rows = []
         for k in range(1, self.executions + 1):
-            params, rows[f"execution {k}"] = self._execution(steps, k, cell, task, known, params)
-        print(columns("", ("goal", "predicted", "reached", "miss [mm]"), rows))
+            params, row = self._execution(steps, k, cell, task, known, params)
+            rows.append((f"execution {k}", *row))
+        print(columns(("", "goal", "predicted", "reached", "miss [mm]"), rows))
         return 0
-
-    @property
-    def _named(self) -> list[Path]:
-        return [] if self.object is None else [self.object]
-
-    # ---- steps -----------------------------------------------------------------------------------
 
     def _lift(self, cell: Cell, known: Any, to: Path) -> None:
         from gendom.robot import predefined_lift
@@ -184,18 +179,11 @@ class _Steps:
         self, name: str, makes: str, needs: Sequence[Path], work: Callable[[Path], Any],
         *, settings: Sequence[Any] = (),
     ) -> Path:  # fmt: skip
-        """Do a step, unless it was finished from the same inputs; a folder of an earlier try is
-        kept under another name.
-
-        Args:
-            name: What it is called.
-            makes: Name of what it makes.
-            needs: Files and folders that it depends on.
-            work: Called with the path of what it makes.
-            settings: What else it depends on.
+        """Do a step, unless it was finished from the same inputs (files, folders and settings); a
+        folder of an earlier try is kept under another name.
 
         Returns:
-            That path.
+            The path of what it makes, which ``work`` is called with.
         """
         to = self.folder / makes
         inputs = _digest([*(_content(path) for path in needs), to_json(list(settings))])

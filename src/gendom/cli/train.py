@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import tyro
-
 from gendom.arguments import require
-from gendom.cli.arguments import TaskName, settings_of
+from gendom.cli.arguments import Engine, Json, Seed, TaskName, settings_of
 from gendom.errors import DatasetError, printable
 from gendom.files import check_file, to_json
 from gendom.materials import PARAMETERS
@@ -30,8 +28,7 @@ class Command:
     For example: gendom train rope-casting --data casts --out casting.onnx
     """
 
-    task: tyro.conf.Positional[TaskName]
-    """The task."""
+    task: TaskName
     data: Path
     """Folder of demonstrations from gendom dataset; an unfinished set is used as it is."""
     out: Path
@@ -54,19 +51,15 @@ class Command:
     halve the error of one that sees the parameters. Needs a task with goals."""
     refine_cases: int = 2000
     """Goals and objects of each round, at most."""
-    engine: Literal["thin", "mpm"] = "thin"
-    """Of the simulator, of --refine and the new cases: ropes as rods and cloths as shells, or
-    particles on a grid."""
+    engine: Engine = "thin"
     device: str = "cpu"
     """Of the simulator: cpu, cuda or cuda:0 and so on. Networks are trained on the CPU."""
     cases: int = 200
     """New cases to act in afterwards; 0: none."""
-    seed: int = 0
-    """Seed of the training and of the cases."""
+    seed: Seed = 0
     tensorboard: Path | None = None
     """Folder to log losses to, for TensorBoard."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
     def run(self) -> int:
         from gendom.policies.evaluation import draw_cases, score
@@ -83,14 +76,9 @@ class Command:
         training = settings_of(Training, self, method=method, conditioned_on=sees)
         simulation = Simulation(engine=self.engine, device=self.device)
         policy = train(
-            demonstrations,
-            self.out,
-            training,
-            finetune=finetune,
-            world=simulation,
-            progress=True,
+            demonstrations, self.out, training, finetune=finetune, world=simulation, progress=True,
             tensorboard=self.tensorboard,
-        )
+        )  # fmt: skip
         if self.cases:
             cases = draw_cases(policy.task(), self.cases, seed=self.seed, simulation=simulation)
             acted = score(policy, cases, world=simulation).summary()
@@ -124,14 +112,15 @@ def _conditions(words: tuple[str, ...]) -> tuple[str, ...] | None:
 def summarize(policy: Policy) -> dict[str, Any]:
     """What a policy is and how its training went, ready for JSON."""
     about = policy.description
-    acted = about.training.get("acted")
+    training = dict(about.training)
+    acted = training.pop("acted", None)
     return {
         "path": policy.where,
         "task": about.task,
         "method": about.method,
         "conditioned_on": about.conditioned_on,
         "parameters": about.parameters,
-        "training": {k: v for k, v in about.training.items() if k != "acted"},
+        "training": training,
         **({} if acted is None else {"acted": acted}),
     }
 
@@ -140,38 +129,31 @@ def summary_text(summary: dict[str, Any]) -> str:
     """The same for people."""
     training = summary["training"]
     names = ", ".join(summary["conditioned_on"]) or "no parameters"
-    errors = [
-        (
-            name.replace("_", " "),
-            f"{100 * value:.3g} %" + ("" if name.endswith("_share") else " of the size"),
-        )
-        for name, value in training["errors"].items()
+    failed, finetuned, rounds = (training.get(n) for n in ("failed", "finetuned_on", "refine"))
+    said = [
+        f"on {training['demonstrations']} demonstrations",
+        f"of which {failed} failed" * bool(failed),
+        f"fine-tuned on {finetuned}" * bool(finetuned),
+        f"refined in {rounds} rounds" * bool(rounds),
+        f"seed {training['seed']}",
     ]
-    rows = [
-        ("method", f"{summary['method']}, conditioned on {names}"),
-        (
-            "trained",
-            f"on {training['demonstrations']} demonstrations, "
-            + (f"of which {training['failed']} failed, " if training["failed"] else "")
-            + (f"fine-tuned on {training['finetuned_on']}, " if training["finetuned_on"] else "")
-            + (f"refined in {n} rounds, " if (n := training.get("refine")) else "")
-            + f"seed {training['seed']}",
-        ),
-        ("held out", f"{training['held_out']} of them, with these errors"),
-        *errors,
-        ("took", f"{training['seconds']:.3g} s"),
-    ]
+    rows = {
+        "method": f"{summary['method']}, conditioned on {names}",
+        "trained": ", ".join(filter(None, said)),
+        "held out": f"{training['held_out']} of them, with these errors",
+    }
+    for name, value in training["errors"].items():
+        of = "" if name.endswith("_share") else " of the size"
+        rows[name.replace("_", " ")] = f"{100 * value:.3g} %{of}"
+    rows["took"] = f"{training['seconds']:.3g} s"
     if acted := summary.get("acted"):
         figures = acted["error_over_size"]
-        rows.append(
-            (
-                "acted",
-                "no case could be simulated"
-                if figures["mean"] is None
-                else f"in {acted['cases']} new cases: error {100 * figures['mean']:.3g} % of the "
-                f"size in the mean, {100 * figures['p95']:.3g} % at the 95th percentile",
+        rows["acted"] = "no case could be simulated"
+        if figures["mean"] is not None:
+            rows["acted"] = (
+                f"in {acted['cases']} new cases: error {100 * figures['mean']:.3g} % of the size "
+                f"in the mean, {100 * figures['p95']:.3g} % at the 95th percentile"
             )
-        )
-    width = max(len(name) for name, _ in rows)
+    width = max(map(len, rows))
     lines = [f"{printable(summary['path'])}: a policy for {summary['task']['name']}"]
-    return "\n".join(lines + [f"  {name:<{width}}  {text}" for name, text in rows])
+    return "\n".join(lines + [f"  {name:<{width}}  {text}" for name, text in rows.items()])

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from gendom.arguments import require
-from gendom.cli.outputs import tell_written
-from gendom.errors import GendomError, ParameterError, did_you_mean
-from gendom.files import check_folder
+from gendom.cli.arguments import Seed
+from gendom.cli.outputs import check_places, tell_written
+from gendom.errors import GendomError, did_you_mean
 from gendom.materials import KINDS, catalogue
 
 if TYPE_CHECKING:
@@ -37,8 +37,7 @@ class Command:
     """DIR to write; with --draws DIR/000, DIR/001 and so on."""
     draws: int = 0
     """Write so many objects drawn from the estimate, in place of the most likely one."""
-    seed: int = 0
-    """Of the draws."""
+    seed: Seed = 0
     length: float | None = None
     """Of a rope of a material [m]."""
     diameter: float | None = None
@@ -54,31 +53,33 @@ class Command:
         from gendom.twins import write_twin
 
         require(self.draws >= 0, f"is {self.draws}", where="--draws", fix="give 0 or more")
-        check_folder(self.out)
+        check_places((self.out, ""))
         if self.source in catalogue.materials():
             what, fix = "needs an estimate: a material has no posterior", "leave it out"
             require(self.draws == 0, what, where="--draws", fix=fix)
             items, about = [self._of_material()], {"source": f"gendom materials {self.source}"}
         else:
             items, about = self._of_estimate()
-        for k, item in enumerate(items):
-            folder = self.out / f"{k:03d}" if self.draws else self.out
+        folders = [self.out / f"{k:03d}" if self.draws else self.out for k in range(len(items))]
+        for k, (item, folder) in enumerate(zip(items, folders, strict=True)):
             write_twin(item, self.to, folder, about=about | {"draw": k if self.draws else None})
-        tell_written(self.out, json=False)
-        first = self.out / "000" if self.draws else self.out
-        if (first / "lift.py").exists():
-            print(f"next: python {first / 'lift.py'}")
+        tell_written(self.out)
+        if (script := folders[0] / "lift.py").exists():
+            print(f"next: python {script}")
         return 0
+
+    @property
+    def _sizes(self) -> dict[str, float | None]:
+        return {n: getattr(self, n) for n in ("length", "diameter", "side", "thickness")}
 
     def _of_material(self) -> Item:
         found = catalogue.get(self.source)
         kind = KINDS[found.kind]
         large, small = kind.sizes
-        sizes = {large: getattr(self, large), small: getattr(self, small) or found.across.typical}
-        other = {"length", "diameter", "side", "thickness"} - set(kind.sizes)
-        given = [name for name in sorted(other) if getattr(self, name) is not None]
+        given = [n for n, v in sorted(self._sizes.items()) if v is not None and n not in kind.sizes]
         what = f"is a {found.kind}, which has no {' and no '.join(given)}"
         require(not given, what, where=self.source, fix=f"give --{large} and --{small}")
+        sizes = {large: self._sizes[large], small: self._sizes[small] or found.across.typical}
         what = f"a material has no {large}"
         require(sizes[large] is not None, what, where=self.source, fix=f"give --{large} in metres")
         return kind(**sizes, material=found.material(), friction=found.friction.typical)
@@ -87,18 +88,16 @@ class Command:
         from gendom.materials.estimate import Estimate
 
         path = Path(self.source)
-        if not path.exists():
-            near = did_you_mean(self.source, catalogue.materials())
-            fix = near or "name a file of gendom estimate, or one of gendom materials"
-            raise GendomError("is no file and no material", where=self.source, fix=fix)
-        given = [n for n in ("length", "diameter", "side", "thickness") if getattr(self, n)]
+        near = did_you_mean(self.source, catalogue.materials())
+        fix = near or "name a file of gendom estimate, or one of gendom materials"
+        what = "is no file and no material"
+        require(path.exists(), what, where=self.source, fix=fix, error=GendomError)
+        given = ", ".join(f"--{name}" for name, value in self._sizes.items() if value)
         what = "are sizes of a material; an estimate has its own"
-        require(not given, what, where=", ".join(f"--{n}" for n in given), fix="leave them out")
+        require(not given, what, where=given, fix="leave them out")
         found = Estimate.load(path, even_unusable=self.force)
+        about = {"source": str(path.name), "assumed": found.assumed}
         if not self.draws:
-            return [found.item], {"source": str(path.name), "assumed": found.assumed}
-        if not found.names:
-            raise ParameterError("has no posterior", where=self.source, fix="leave out --draws")
-        items = found.draws(self.draws, self.seed)
-        about = {"source": str(path.name), "assumed": found.assumed, "seed": self.seed}
-        return list(items), about
+            return [found.item], about
+        require(found.names, "has no posterior", where=self.source, fix="leave out --draws")
+        return found.draws(self.draws, self.seed), about | {"seed": self.seed}
