@@ -2,7 +2,7 @@
 
     python benchmarks/arm.py
 
-For each motion: the time that the path asks for, the time that `follow(..., slow_down=True)` takes,
+For each motion: the time that the path asks for, the time that `follow` takes,
 and the largest joint speed, joint acceleration and tool speed over their limits.
 """
 
@@ -103,7 +103,7 @@ def main() -> None:
     for name, path in MOTIONS.items():
         began = time.perf_counter()
         try:
-            motion = follow(XARM7, path, slow_down=True)
+            motion = follow(XARM7, path)
         except RobotError as error:
             print(name, "| refused:", error)
             continue
@@ -116,7 +116,7 @@ def main() -> None:
     factors, refused, began = [], 0, time.perf_counter()
     for path in releases(40):
         try:
-            factors.append(follow(XARM7, path, slow_down=True).slowed_by)
+            factors.append(follow(XARM7, path).slowed_by)
         except RobotError as error:
             refused += 1
             print("release refused:", error)

@@ -67,7 +67,7 @@ def test_what_is_expected_is_what_the_estimator_reports(monkeypatch):
     monkeypatch.setattr(lift_plan, "_showing", kept)
     motion = LiftMotion(kind="rope", rise=1.0, speed=0.1, end="swing")
     trial = lifted_by(as_real(ROPES.at(0.5)), motion)
-    lying = lift_plan.recorded_lift(trial, follow(XARM7, trial.path, slow_down=True), 30.0)
+    lying = lift_plan.recorded_lift(trial, follow(XARM7, trial.path), 30.0)
     _, sd = lift_plan.forecast(lying, None, [3])
     assert sd is not None
     found = estimate(clouds[0], EstimateSettings(starts=1, scene=SceneSettings(threads=1)))

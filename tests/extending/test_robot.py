@@ -32,8 +32,7 @@ turntable = Arm(
         ),
     ),
     gripper=ParallelGripper(
-        max_opening=0.05, pivot_y=0.03, pivot_z=0.0, knuckle=0.05, face=0.02,
-        knuckles=(), fingers=(),
+        max_opening=0.05, pivot_y=0.03, pivot_z=0.0, knuckle=0.05, face=0.02
     ),
 )
 '''

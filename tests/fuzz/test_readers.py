@@ -185,7 +185,7 @@ def executions(folder):
 
 
 def motion(folder):
-    record = {"format": "gendom-motion/1", "lift": predefined_lift("rope").to_dict()}
+    record = {"format": "gendom-motion/1", "lift": predefined_lift("rope")}
     write_json(folder / "motion.json", record)
 
 

@@ -110,7 +110,7 @@ def test_a_motion_is_recorded_as_perception_reads_it(record, motion):
         went = found[name]
         frames = list(source)
         assert source.camera.name == name and went.missing == 0 and not went.warnings
-        assert went.pictures == 2 * len(frames) and 20 <= len(frames) <= 60
+        assert 0 <= went.pictures - 2 * len(frames) <= 1 and 20 <= len(frames) <= 60
         for frame in frames:
             seen = frame.read()
             k = round(RATE * (frame.time - 100.0))

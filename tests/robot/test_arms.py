@@ -78,9 +78,9 @@ def test_the_gripper_s_capsules_and_its_meshes_are_within_6_mm(opening):
 def test_capsules_hold_a_mesh_and_say_how_far_they_stick_out():
     """One that holds a cube is at least the ball through its corners."""
     cube = hull_faces(np.array([*product((-0.05, 0.05), repeat=3)]))
-    ((a, b, radius),), out = fit_capsules(cube, excess=0.005, most=1)
+    ((a, b, radius),), out = fit_capsules(cube, excess=0.02, most=1)
     assert 0.05 * np.sqrt(3.0) - 0.05 < out + 1e-3 < 0.05
-    several, less = fit_capsules(cube, excess=0.005, most=8)
+    several, less = fit_capsules(cube, excess=0.03, most=3)
     assert less < out
     for capsules in ([(a, b, radius)], several):
         starts, ends, radii = (np.array(part) for part in zip(*capsules, strict=True))
@@ -132,7 +132,7 @@ def test_an_arm_of_a_urdf_turns_as_it_says_and_its_capsules_hold_its_shapes(tmp_
     T = tcp_pose(arm, arm.home)
     turned = Rotation.from_matrix(T[:3, :3]).as_quat()
     path = lift(T[:3, 3], height=0.02, speed=0.05, quat_xyzw=turned)
-    motion = follow(arm, path, slow_down=True)
+    motion = follow(arm, path)
     assert abs(motion.tcp_at(arm, motion.end)[2, 3] - path.position[-1, 2]) < 1e-5
 
 
@@ -201,18 +201,6 @@ def test_a_path_in_a_file_is_no_arm(tmp_path):
         find_arm(str(written(tmp_path, XARM7)))
 
 
-def test_pinocchio_agrees_with_an_arm_of_a_urdf(tmp_path):
-    pin = pytest.importorskip("pinocchio", reason="pin is not installed")
-    pytest.importorskip("mujoco", reason="needs the extra reality")
-    path = written(tmp_path, XARM7)
-    arm, model = read_arm(path), pin.buildModelFromUrdf(str(path))
-    data = model.createData()
-    for q in np.random.default_rng(0).uniform(arm.q_min, arm.q_max, (100, 7)):
-        pin.framesForwardKinematics(model, data, q)
-        theirs = data.oMf[model.getFrameId("l7")].homogeneous
-        np.testing.assert_allclose(link_poses(arm, q)[7], theirs, atol=1e-9)
-
-
 # ---- the FR3 -------------------------------------------------------------------------------------
 
 
@@ -242,6 +230,6 @@ def test_the_fr3_carries_out_the_tasks():
     for task in (RopeReaching(), RopeCasting()):
         (action,) = task.sample_actions(task.item, np.random.default_rng(0), 1)
         path = task.tool_path(task.item, action).moved(task.T_world_task(task.item))
-        motion = follow(FR3, path, slow_down=True, surroundings=table)
+        motion = follow(FR3, path, surroundings=table)
         motion.check_limits(FR3)
         assert motion.slowed_by < 1.2

@@ -1,10 +1,9 @@
-"""Paths of the tool, motions along them, and limits."""
+"""Motions along paths and from joint to joint, their timing and limits, and joints.csv."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from gendom.errors import RobotError
 from gendom.robot import (
@@ -14,31 +13,53 @@ from gendom.robot import (
     JointMotion,
     TcpPath,
     follow,
+    jacobian,
     joint_move,
+    lift,
     pointing,
     pose_error,
     read_joints,
     tcp_pose,
 )
-from robot.geometry import off_the_path
+from gendom.robot.timing import in_time
+
+ANY_TOOL = replace(XARM7, max_tcp_speed=100.0)
 
 
 def make_path(time, position, quat=DOWN, **other):
-    arrays = (np.asarray(a, dtype=float) for a in (time, position, quat))
-    return TcpPath(**dict(zip(("time", "position", "quat_xyzw"), arrays, strict=True)), **other)
+    time, position, quat = (np.asarray(a, dtype=float) for a in (time, position, quat))
+    return TcpPath(time=time, position=position, quat_xyzw=quat, **other)
 
 
-def make_motion(time, q):
-    return JointMotion(time=np.asarray(time, dtype=float), q=np.asarray(q))
+def off_the_path(path, motion):
+    """Largest distance of the tool from the line of its rounded path, whenever it is there [m]."""
+    half = 0.5 * motion.blend
+    line = path.position_at(np.linspace(path.start - half, path.end + half, 2001), motion.blend)
+    tool = motion.tcp_at(XARM7, motion.sampled(100.0))[:, :3, 3]
+    a, step = line[:-1], np.diff(line, axis=0)
+    length2 = np.maximum((step * step).sum(axis=1), 1e-30)
+    along = np.clip(((tool[:, None] - a) * step).sum(axis=2) / length2, 0.0, 1.0)
+    nearest = a + along[..., None] * step
+    return np.linalg.norm(tool[:, None] - nearest, axis=2).min(axis=1).max()
+
+
+def largest(motion):
+    """Largest speed, acceleration and tool speed over their limits, sampled densely."""
+    t = np.linspace(motion.start, motion.end, 5001)
+    tool = np.diff(motion.tcp_at(XARM7, t)[:, :3, 3], axis=0) / (t[1] - t[0])
+    return max(
+        np.abs(motion.speed_at(t) / XARM7.max_speed).max(),
+        np.abs(motion.acceleration_at(t) / XARM7.max_acceleration).max(),
+        np.linalg.norm(tool, axis=1).max() / XARM7.max_tcp_speed,
+    )
 
 
 @pytest.fixture(scope="module")
 def path():
     """Back and up at 0.7 m/s within 0.3 s, then still."""
-    return TcpPath(
-        time=np.array([0.0, 0.3, 0.5]),
-        position=np.array([[0.45, 0.0, 0.1], [0.3, 0.0, 0.25], [0.3, 0.0, 0.25]]),
-        quat_xyzw=np.array(DOWN),
+    return make_path(
+        [0.0, 0.3, 0.5],
+        [[0.45, 0.0, 0.1], [0.3, 0.0, 0.25], [0.3, 0.0, 0.25]],
         events=(GripperEvent(time=0.0, closed=True), GripperEvent(time=0.5, closed=False)),
     )
 
@@ -46,69 +67,6 @@ def path():
 @pytest.fixture(scope="module")
 def motion(path):
     return follow(XARM7, path)
-
-
-@pytest.mark.parametrize("time", [[0.0, 0.5, 0.5], [0.0, 0.5, 0.4]])
-def test_times_of_a_motion_increase(time):
-    with pytest.raises(RobotError, match="its times do not increase"):
-        make_motion(time, np.zeros((3, 7)))
-
-
-# ---- paths ---------------------------------------------------------------------------------------
-
-
-def test_path_is_linear_without_blend(path):
-    np.testing.assert_allclose(path.position_at(0.1), [0.4, 0.0, 0.15])
-    np.testing.assert_allclose(path.position_at([-1.0, 9.0]), path.position[[0, -1]])
-
-
-def test_blend_is_the_convolution_with_its_kernel(path):
-    blend = 0.12
-    s = np.linspace(-0.5, 0.5, 4001)
-    kernel = 6.0 * (s + 0.5) * (0.5 - s)
-    for t in (-0.03, 0.01, 0.15, 0.29, 0.34, 0.6):
-        mean = np.trapezoid(kernel[:, None] * path.position_at(t - blend * s), s, axis=0)
-        np.testing.assert_allclose(path.position_at(t, blend), mean, atol=1e-7)
-
-
-def test_deviation_at_a_corner_is_as_stated():
-    """(3 / 32) |dv| blend at equal times; a right-angled corner is cut in space too."""
-    path = make_path([0, 1, 2], [[0, 0, 0], [0.3, 0, 0], [0.3, 0.3, 0]], DOWN)
-    found = path.deviation(0.1)
-    assert found.at_equal_times == pytest.approx(3 / 32 * 0.3 * np.sqrt(2) * 0.1, rel=1e-6)
-    assert 0.5 < found.off_the_path / found.at_equal_times < 1.0
-    dense = path.position_at(np.linspace(0.9, 1.1, 401), 0.1)
-    off = np.minimum(np.abs(dense[:, 1]), np.abs(dense[:, 0] - 0.3))
-    assert found.off_the_path == pytest.approx(off.max(), rel=1e-2)
-
-
-def test_turns_pass_through_their_knots():
-    quats = Rotation.from_euler("zyx", [[0, 0, 180], [40, 0, 180], [40, 30, 180]], degrees=True)
-    path = make_path([0, 1, 2], np.zeros((3, 3)), quats.as_quat())
-    found = path.pose_at(np.array([0.0, 0.5, 1.0, 2.0]), 0.0)[:, :3, :3]
-    expected = [quats[0], Rotation.from_euler("zyx", [20, 0, 180], degrees=True), *quats[1:]]
-    np.testing.assert_allclose(found, [r.as_matrix() for r in expected], atol=1e-12)
-    blended = path.pose_at(np.linspace(-0.2, 2.2, 100), 0.2)[:, :3, :3]
-    np.testing.assert_allclose(blended[-1], quats[2].as_matrix(), atol=1e-12)
-    np.testing.assert_allclose(blended @ np.swapaxes(blended, 1, 2), [np.eye(3)] * 100, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"time": [0.0, 0.0]},
-        {"time": [0.0]},
-        {"position": [[0, 0, np.nan], [0, 0, 1]]},
-        {"quat_xyzw": [0, 0, 0, 0]},
-        {"quat_xyzw": [[0, 0, 0, 1]]},
-        {"events": (GripperEvent(time=1, closed=True), GripperEvent(time=0, closed=False))},
-        {"max_blend": 0.0},
-    ],
-)
-def test_bad_paths(wrong):
-    good = {"time": [0.0, 1.0], "position": [[0.4, 0, 0.2], [0.4, 0, 0.3]], "quat_xyzw": DOWN}
-    with pytest.raises(RobotError, match="path of the tool"):
-        TcpPath(**{**good, **wrong})
 
 
 # ---- along a path --------------------------------------------------------------------------------
@@ -119,14 +77,19 @@ def test_tool_follows_the_path_within_limits(path, motion):
     miss = pose_error(path.pose_at(t, motion.blend), motion.tcp_at(XARM7, t))
     assert np.abs(miss).max() < 5e-6
     motion.check_limits(XARM7)
-    assert motion.slowdown(XARM7) <= 1.0
-    assert motion.slowed_by == 1.0
+    assert motion.slowdown(XARM7) <= 1.0 and motion.slowed_by == 1.0
+    assert [motion.closed_at(t) for t in (-1.0, 0.3, 0.5)] == [None, True, False]
+    t = np.linspace(0.0, 0.4, 9)
+    velocity = (jacobian(XARM7, motion.at(t)) @ motion.speed_at(t)[..., None])[..., 0]
+    ends = [path.position_at(t + h, motion.blend) for h in (-1e-6, 1e-6)]
+    np.testing.assert_allclose(velocity[:, :3], (ends[1] - ends[0]) / 2e-6, atol=2e-4)
+    np.testing.assert_allclose(velocity[:, 3:], 0.0, atol=5e-4)
 
 
-def test_blend_is_about_the_shortest(path, motion):
-    with pytest.raises(RobotError, match="acceleration"):
-        shorter = follow(XARM7, path, blend=0.9 * motion.blend)
-        shorter.check_limits(XARM7)
+def test_blend_is_about_the_shortest_or_the_path_s_own(path, motion):
+    assert follow(XARM7, replace(path, blend=0.9 * motion.blend)).slowed_by > 1.0
+    longer = follow(XARM7, replace(path, blend=0.3))
+    assert longer.blend == 0.3 and longer.slowed_by == 1.0
     assert motion.deviation == path.deviation(motion.blend)
 
 
@@ -136,24 +99,6 @@ def test_starts_and_ends_at_rest(motion):
     assert np.abs(motion.acceleration_at(ends)).max() < 0.05 * XARM7.max_acceleration[0]
     np.testing.assert_allclose(motion.speed_at([motion.start - 1, motion.end + 1]), 0.0)
     np.testing.assert_allclose(motion.at(motion.end + 1), motion.q[-1])
-
-
-def test_joint_speeds_move_the_tool_as_the_path(path, motion):
-    from gendom.robot import jacobian
-
-    t = np.linspace(0.0, 0.4, 9)
-    J = jacobian(XARM7, motion.at(t))
-    velocity = (J @ motion.speed_at(t)[..., None])[..., 0]
-    h = 1e-6
-    ends = [path.position_at(t + side * h, motion.blend) for side in (-1.0, 1.0)]
-    np.testing.assert_allclose(velocity[:, :3], (ends[1] - ends[0]) / (2 * h), atol=2e-4)
-    np.testing.assert_allclose(velocity[:, 3:], 0.0, atol=5e-4)
-
-
-def test_gripper_events_come_along(motion):
-    assert motion.closed_at(-1.0) is None
-    assert motion.closed_at(0.3) is True
-    assert motion.closed_at(0.5) is False
 
 
 def test_redundant_joint_rests_with_the_tool():
@@ -168,48 +113,88 @@ def test_redundant_joint_rests_with_the_tool():
     assert np.abs(motion.at(1.0) - motion.at(0.0)).max() > 0.5
 
 
-def test_too_fast_is_refused_with_joint_time_value_and_limit(path):
-    quick = replace(path, time=path.time * np.array([1, 0.3, 1]), max_blend=0.15)
-    with pytest.raises(
-        RobotError, match=r"joint \d at t = .* s: \w+ .*, limit .*take \d\.\d+ times"
-    ):
-        follow(XARM7, quick)
+CORNERS = [[0.4, -0.1, 0.2], [0.6, -0.1, 0.2], [0.6, 0.1, 0.2], [0.4, 0.1, 0.2]]
 
 
-def test_slowing_down_keeps_the_limits(path):
-    quick = replace(path, time=path.time * np.array([1, 0.3, 1]), max_blend=0.15)
-    motion = follow(XARM7, quick, slow_down=True)
+@pytest.mark.parametrize(
+    ("asked", "longest"),
+    [
+        (make_path([0.0, 0.09, 0.29], [[0.45, 0, 0.1], [0.3, 0, 0.25], [0.3, 0, 0.25]],
+                   max_blend=0.15), 0.7),
+        (make_path(0.05 * np.arange(4.0), CORNERS, max_blend=0.02), 2.0),
+        (lift([0.45, 0, 0.02], height=0.225, speed=10.0, wait=0.5, after=0.5), 1.45),
+        # 0.1 mm before the stretched arm, where some millimetres turn a joint by 0.4 rad
+        (make_path([0, 1], [[0.3582, -0.1781, 0.42407], [0.81091, -0.4031, 0.42407]],
+                   np.sqrt([0.0, 0.5, 0.0, 0.5])), 2.2),
+    ],
+    ids=["line", "corners", "lift", "to the end of reach"],
+)  # fmt: skip
+def test_what_is_asked_too_fast_is_done_slower_on_the_same_path(asked, longest):
+    """A lift by 0.225 m keeps its pauses; at 1 m/s the rest would take 0.225 s without mass."""
+    motion = follow(XARM7, asked)
+    assert largest(motion) <= 1.0 + 1e-6
     motion.check_limits(XARM7)
-    assert motion.slowed_by > 1.0
-    assert off_the_path(quick, motion) < 1e-5
-
-
-def test_advised_duration_is_enough_and_no_less_is(path):
-    motion = follow(XARM7, path, blend=0.1, slow_down=True)
+    assert motion.slowed_by > 1.0 and off_the_path(asked, motion) < 1e-4
     assert motion.slowdown(XARM7) == pytest.approx(1.0, abs=2e-3)
-    with pytest.raises(RobotError):
+    assert motion.end - motion.start < longest
+    with pytest.raises(RobotError, match=r"t = .* s: .*, limit .*take \d\.\d+ times as long"):
         motion.stretched(0.99).check_limits(XARM7)
 
 
 def test_path_out_of_reach_names_its_time():
-    path = make_path([0, 2], [[0.5, 0, 0.2], [1.1, 0, 0.2]], DOWN)
+    path = make_path([0, 2], [[0.5, 0, 0.2], [1.1, 0, 0.2]])
     with pytest.raises(RobotError, match=r"at t = \d\.\d+ s the path goes out of reach"):
         follow(XARM7, path)
     with pytest.raises(RobotError, match="out of reach"):
         follow(XARM7, replace(path, position=path.position[::-1]))
 
 
-def test_a_path_to_the_end_of_reach_is_followed_in_small_steps():
-    """0.1 mm before the stretched arm, where some millimetres turn a joint by 0.4 rad."""
-    path = make_path(
-        [0, 1],
-        [[0.3582, -0.1781, 0.42407], [0.81091, -0.4031, 0.42407]],
-        np.sqrt([0.0, 0.5, 0.0, 0.5]),
-    )
-    motion = follow(XARM7, path, slow_down=True)
-    motion.check_limits(XARM7)
-    assert off_the_path(path, motion) < 1e-4
-    assert motion.slowed_by < 2.0
+# ---- timing --------------------------------------------------------------------------------------
+
+
+def one_joint(way, seconds, pause=0.0):
+    """Joint 7 by an angle [rad] from rest to rest within some time, then still."""
+    s = np.linspace(0.0, 1.0, 81)
+    q = np.tile(XARM7.home, (81, 1))
+    q[:, 6] += way * s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+    time = seconds * s
+    if pause > 0.0:
+        time = np.concatenate([time, seconds + pause * np.geomspace(1e-3, 1.0, 20)])
+        q = np.concatenate([q, np.tile(q[-1], (20, 1))])
+    return JointMotion(time=time, q=q)
+
+
+@pytest.mark.parametrize("way", [0.05, 0.493, 0.6, 2.5])
+def test_a_joint_far_too_fast_moves_bang_bang(way):
+    """The shortest: 2 sqrt(d / a), and d / v + v / a where the speed's limit is reached."""
+    v, a = XARM7.max_speed[6], XARM7.max_acceleration[6]
+    shortest = 2.0 * np.sqrt(way / a) if way < v * v / a else way / v + v / a
+    motion = in_time(ANY_TOOL, one_joint(way, 0.01))
+    motion.check_limits(ANY_TOOL)
+    assert shortest < motion.end < 1.03 * shortest
+    assert motion.slowed_by == pytest.approx(motion.end / 0.01)
+
+
+def test_what_is_within_limits_keeps_its_pace():
+    motion = one_joint(0.3, 2.0)
+    done = in_time(XARM7, motion)
+    assert done.slowed_by == pytest.approx(1.0, abs=1e-12)
+    t = np.linspace(0.0, 2.0, 100)
+    np.testing.assert_allclose(done.at(t), motion.at(t), atol=1e-9)
+
+
+def test_pauses_and_events_stay_where_they_are_on_the_path():
+    events = tuple(GripperEvent(time=t, closed=t < 0.5) for t in (-1.0, 0.01, 0.5, 2.0))
+    motion = replace(one_joint(0.5, 0.02, 1.0), events=events)
+    done, moved = in_time(XARM7, motion), in_time(XARM7, one_joint(0.5, 0.02))
+    assert done.end - moved.end == pytest.approx(1.0, abs=0.01)
+    np.testing.assert_allclose(done.speed_at(moved.end + 0.02), 0.0, atol=1e-6)
+    before, during, after, late = (e.time for e in done.events)
+    assert before == pytest.approx(-1.0)
+    np.testing.assert_allclose(done.at([during, after]), motion.at([0.01, 0.5]), atol=2e-3)
+    assert done.start < during < after < done.end
+    assert late - done.end == pytest.approx(2.0 - motion.end)
+    assert [e.closed for e in done.events] == [e.closed for e in motion.events]
 
 
 # ---- joint moves and limits ----------------------------------------------------------------------
@@ -226,9 +211,6 @@ def test_joint_move_uses_what_binds():
     assert tool.limit_uses(XARM7)[-1].value == pytest.approx(1.0, rel=2e-3)
     half = joint_move(quick, XARM7.home, far, share=0.5)
     assert half.end == pytest.approx(2.0 * motion.end, rel=1e-2)
-
-
-def test_joint_move_out_of_range():
     with pytest.raises(RobotError, match=r"joint 4 at 4\.0000 rad"):
         joint_move(XARM7, XARM7.home, np.array([0, 0, 0, 4.0, 0, 0, 0]))
 
@@ -236,60 +218,65 @@ def test_joint_move_out_of_range():
 def test_limit_uses_find_extremes_between_knots():
     """Against a dense sampling of a coarse random spline."""
     rng = np.random.default_rng(3)
-    motion = make_motion(np.linspace(0, 2, 8), rng.uniform(-0.5, 1.0, (8, 7)))
+    motion = JointMotion(time=np.linspace(0, 2, 8), q=rng.uniform(-0.5, 1.0, (8, 7)))
     t = np.linspace(0, 2, 40001)
     dense = {
         "speed": np.abs(motion.speed_at(t)).max(axis=0),
         "acceleration": np.abs(motion.acceleration_at(t)).max(axis=0),
     }
-    for use in motion.limit_uses(XARM7):
-        if use.joint is None:
-            continue
+    for use in motion.limit_uses(XARM7)[:-1]:
+        assert use.joint is not None
         if use.kind in dense:
             assert use.value == pytest.approx(dense[use.kind][use.joint - 1], rel=1e-4)
         else:
             q = motion.at(t)[:, use.joint - 1]
             assert min(abs(use.value - q.min()), abs(use.value - q.max())) < 1e-6
+    with pytest.raises(RobotError, match="give 7 angles"):
+        replace(motion, q=motion.q[:, :6]).limit_uses(XARM7)
 
 
-def test_angles_beyond_their_range_are_told():
+@pytest.mark.parametrize(("angle", "says"), [(4.2, r"4\.2 rad, limit 3\.927"), (-0.5, "-0.192")])
+def test_angles_beyond_their_range_are_told(angle, says):
     q = np.array([XARM7.home, XARM7.home])
-    q[1, 3] = 4.2
-    with pytest.raises(RobotError, match=r"joint 4 .*angle 4\.2 rad, limit 3\.927.*slowing down"):
-        make_motion([0, 5], q).check_limits(XARM7)
-    q[1, 3] = -0.5
-    with pytest.raises(RobotError, match=r"joint 4 .*limit -0\.192"):
-        make_motion([0, 5], q).check_limits(XARM7)
+    q[1, 3] = angle
+    with pytest.raises(RobotError, match=rf"joint 4 .*{says}.*slowing down does not help"):
+        JointMotion(time=np.array([0, 5]), q=q).check_limits(XARM7)
 
 
 def test_motions_one_after_the_other(motion):
-    there = joint_move(XARM7, XARM7.home, motion.q[0], start=-2.0)
-    both = there.then(motion, pause=0.5)
+    there = joint_move(XARM7, XARM7.home, motion.q[0])
+    both = there.then(motion)
     both.check_limits(XARM7)
-    assert both.end == pytest.approx(there.end + 0.5 + motion.end - motion.start)
-    late = there.end + 0.5 - motion.start
+    late = there.end - motion.start
+    assert both.end == pytest.approx(late + motion.end)
     np.testing.assert_allclose(both.at(late + 0.2), motion.at(0.2), atol=1e-4)
-    np.testing.assert_allclose(both.at(there.end + 0.3), motion.q[0], atol=1e-4)
     assert both.closed_at(late + 0.5) is False
     with pytest.raises(RobotError, match="put a joint move between"):
         motion.then(motion)
+
+
+@pytest.mark.parametrize("time", [[0.0, 0.5, 0.5], [0.0, 0.5, 0.4]])
+def test_times_of_a_motion_increase(time):
+    with pytest.raises(RobotError, match="its times do not increase"):
+        JointMotion(time=np.array(time), q=np.zeros((3, 7)))
 
 
 # ---- files ---------------------------------------------------------------------------------------
 
 
 def test_joints_csv_round_trip(motion, tmp_path):
-    motion.write_joints(tmp_path / "joints.csv", opening=(0.01, 0.08))
-    states = read_joints(tmp_path / "joints.csv", XARM7)
+    file = tmp_path / "joints.csv"
+    motion.write_joints(file, opening=(0.01, 0.08))
+    states = read_joints(file, XARM7)
     np.testing.assert_allclose(states.q, motion.at(states.time), atol=1e-7)
     np.testing.assert_allclose(tcp_pose(XARM7, states.q[0])[:3, 3], [0.45, 0, 0.1], atol=1e-6)
     assert states.opening is not None
     assert states.opening[0] == 0.08 and states.opening[len(states.time) // 2] == 0.01
-    motion.write_joints(tmp_path / "joints.csv")
-    assert read_joints(tmp_path / "joints.csv", XARM7).opening is None
+    file.write_text("\n".join(row.rpartition(",")[0] for row in file.read_text().split("\n")[:-1]))
+    assert read_joints(file, XARM7).opening is None
 
 
-ROW = "0,0,0,0,1,0,1,0"
+ROW, HEADER = "0,0,0,0,1,0,1,0", "time,q0,q1,q2,q3,q4,q5,q6"
 
 
 @pytest.mark.parametrize(
@@ -297,13 +284,13 @@ ROW = "0,0,0,0,1,0,1,0"
     [
         ("", "is empty; write the header time,q0"),
         ("time,q0\n0,1\n", "header"),
-        ("time,q0,q1,q2,q3,q4,q5,q6\n", "no rows"),
-        (f"time,q0,q1,q2,q3,q4,q5,q6\n{ROW}\n1,0,0,0,nan,0,1,0\n", "line 3: .* not finite"),
-        (f"time,q0,q1,q2,q3,q4,q5,q6\n{ROW[:-1]}x\n", "line 2, column q6: 'x' is no number"),
-        (f"time,q0,q1,q2,q3,q4,q5,q6\n{ROW}\n1,0\n", "line 3: 2 values under 8 column"),
-        (f"time,q0,q1,q2,q3,q4,q5,q6\n{ROW}\n{ROW}\n", "line 3: time goes from 0 to 0"),
-        ("time,q0,q1,q2,q3,q4,q5,q6\n0,0,0,0,57,0,60,0\n", "joint 6 is at 60 rad|joint 4 is at 57"),
-        (f"time,q0,q1,q2,q3,q4,q5,q6,gripper\n{ROW},30\n", "opening is 30 m"),
+        (f"{HEADER}\n", "no rows"),
+        (f"{HEADER}\n{ROW}\n1,0,0,0,nan,0,1,0\n", "line 3: .* not finite"),
+        (f"{HEADER}\n{ROW[:-1]}x\n", "line 2, column q6: 'x' is no number"),
+        (f"{HEADER}\n{ROW}\n1,0\n", "line 3: 2 values under 8 column"),
+        (f"{HEADER}\n{ROW}\n{ROW}\n", "line 3: time goes from 0 to 0"),
+        (f"{HEADER}\n0,0,0,0,57,0,60,0\n", "joint 6 is at 60 rad|joint 4 is at 57"),
+        (f"{HEADER},gripper\n{ROW},30\n", "opening is 30 m"),
     ],
 )
 def test_bad_joint_files(tmp_path, text, says):

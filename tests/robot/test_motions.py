@@ -4,10 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from gendom.errors import RobotError
-from gendom.robot import LIFT_ENDS, XARM7, follow, lift, pointing
+from gendom.robot import LIFT_ENDS, XARM7, follow, lift
 from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
 from gendom.tasks.rope_reaching import ARRIVES, RELEASES, WAIT
 
@@ -21,51 +20,35 @@ def in_front(task, action):
 # ---- lift ----------------------------------------------------------------------------------------
 
 
-def test_lift_is_vertical_at_constant_speed():
-    path = lift([0.45, 0.1, 0.02], height=0.225, speed=0.1, wait=0.5)
+def test_lift_is_vertical_at_constant_speed_once_the_gripper_is_closed():
+    path = lift([0.45, 0.1, 0.02], height=0.225, speed=0.1, wait=0.5, after=0.04)
     motion = follow(XARM7, path)
-    assert path.end == pytest.approx(0.5 + 2.25)
+    assert path.end == pytest.approx(0.5 + 2.25 + 0.04)
+    assert motion.blend <= path.max_blend <= 0.08
     t = np.linspace(path.start, path.end, 60)
     tcp = motion.tcp_at(XARM7, t)[:, :3, 3]
     np.testing.assert_allclose(tcp[:, :2], [[0.45, 0.1]] * 60, atol=1e-6)
-    rising = (t > 0.5 + motion.blend / 2) & (t < path.end - motion.blend / 2)
+    rising = (t > 0.5 + motion.blend / 2) & (t < 2.75 - motion.blend / 2)
     np.testing.assert_allclose(np.diff(tcp[rising, 2]) / np.diff(t[rising]), 0.1, rtol=1e-4)
-    assert tcp[-1, 2] - tcp[0, 2] == pytest.approx(0.225, abs=0.1 * motion.blend)
+    np.testing.assert_allclose(tcp[[0, -1], 2], [0.02, 0.245], atol=1e-5)
     assert motion.closed_at(0.0) is True
+    np.testing.assert_allclose(motion.speed_at(0.0), 0.0, atol=1e-3)
     assert motion.deviation is not None and motion.deviation.at_equal_times < 1e-3
 
 
-def test_lift_keeps_still_until_the_gripper_is_closed():
-    path = lift([0.45, 0.0, 0.02], height=0.3, speed=0.3, wait=0.05)
-    motion = follow(XARM7, path)
-    assert motion.blend <= path.max_blend <= 0.1
-    np.testing.assert_allclose(motion.speed_at(0.0), 0.0, atol=1e-3)
-
-
-def test_lift_stands_still_at_the_top():
-    path = lift([0.45, 0.0, 0.02], height=0.3, speed=0.3, wait=0.5, after=0.04)
-    assert path.end == pytest.approx(0.5 + 1.0 + 0.04)
-    motion = follow(XARM7, path)
-    assert motion.blend <= path.max_blend <= 0.08
-    np.testing.assert_allclose(motion.tcp_at(XARM7, path.end)[2, 3], 0.32, atol=1e-5)
-
-
-def test_a_swing_is_one_quick_move_and_a_stop():
-    """0.5 s wait, 2.25 s rise, 0.5 s wait, a quarter of 0.225 m at 0.5 m/s, 1 s still."""
-    path = lift([0.35, 0.1, 0.02], height=0.225, speed=0.1, wait=0.5, end="swing")
-    np.testing.assert_allclose(path.time, np.cumsum([0.0, 0.5, 2.25, 0.5, 0.1125, 1.0]))
-    np.testing.assert_allclose(path.position[2:4], [[0.35, 0.1, 0.245]] * 2)
-    np.testing.assert_allclose(path.position[4:], [[0.40625, 0.1, 0.245]] * 2)
-    assert [event.closed for event in path.events] == [True]
-
-
-@pytest.mark.parametrize("height", [0.12, 0.225, 0.375])
+@pytest.mark.parametrize("height", [0.12, 0.375])
 def test_the_arm_stops_a_swing_as_hard_as_it_can(height):
     """Nearly all of an acceleration's limit is used; before it the tool stands still. A move of
     30 mm is too short for 0.5 m/s: bang-bang, 6 m/s^2 would lead to 0.42 m/s."""
     path = lift([0.35, 0.0, 0.02], height=height, speed=0.1, wait=0.5, end="swing")
-    motion = follow(XARM7, path, slow_down=True)
+    stroke = height / 4.0
+    expected = np.cumsum([0.0, 0.5, height / 0.1, 0.5, stroke / 0.5, 1.0])
+    np.testing.assert_allclose(path.time, expected)
+    np.testing.assert_allclose(path.position[2:4], [[0.35, 0.0, 0.02 + height]] * 2)
+    np.testing.assert_allclose(path.position[4:], [[0.35 + stroke, 0.0, 0.02 + height]] * 2)
+    motion = follow(XARM7, path)
     motion.check_limits(XARM7)
+    assert motion.slowed_by < 1.02
     begins = motion.end - (path.end - path.time[3])
     assert motion.speed_at(begins - 0.5 * path.max_blend - 0.11) == pytest.approx(0.0, abs=1e-4)
     t = np.arange(begins - 0.1, motion.end, 1e-3)
@@ -76,8 +59,6 @@ def test_the_arm_stops_a_swing_as_hard_as_it_can(height):
     stopping = (t > t[np.argmax(speed)]) & (t < motion.end)
     use = np.abs(motion.acceleration_at(t[stopping])) / XARM7.max_acceleration
     assert 0.8 < use.max() < 1.01
-    # Where it begins and ends its rise all is as slow as ever.
-    assert motion.end - path.end < 0.1
 
 
 def test_a_drop_opens_the_gripper_at_rest():
@@ -142,8 +123,7 @@ def test_reaching_takes_the_task_s_times_and_places():
 
 
 def test_casting_is_one_horizontal_move_then_still():
-    task = RopeCasting()
-    path = in_front(task, [0.2])
+    path = in_front(RopeCasting(), [0.2])
     start, end = [0.45, -0.1125, 0.4], [0.45, 0.0875, 0.4]
     assert path.blend is not None
     np.testing.assert_allclose(path.position_at([path.start, 0.0], path.blend), [start] * 2)
@@ -153,10 +133,6 @@ def test_casting_is_one_horizontal_move_then_still():
     np.testing.assert_allclose(between[:, [0, 2]], [[0.45, 0.4]] * 50)
     assert np.all(np.diff(between[:, 1]) > 0.0)
 
-
-def test_the_arm_s_cast_is_that_of_the_path():
-    task = RopeCasting()
-    path = in_front(task, [0.2])
     motion = follow(XARM7, path)
     motion.check_limits(XARM7)
     t = np.linspace(-0.1, 0.6, 50)
@@ -167,8 +143,7 @@ def test_the_arm_s_cast_is_that_of_the_path():
 def test_the_arm_spreads_within_its_limits():
     """The last of the steps, two sixteenths of 0.16 m in 40 ms, ends at once: there it is late by
     (3 / 32) |dv| blend."""
-    task = ClothSpreading()
-    path = in_front(task, [0.25])
+    path = in_front(ClothSpreading(), [0.25])
     assert [event.closed for event in path.events] == [True]
     motion = follow(XARM7, path)
     motion.check_limits(XARM7)
@@ -182,15 +157,3 @@ def test_the_arm_spreads_within_its_limits():
     assert down.max() == pytest.approx(top, abs=1e-5) and down[-1] == pytest.approx(low, abs=1e-5)
     down = down[np.argmax(down < top - 1e-5) :]
     assert all(b <= a + 1e-7 for a, b in pairwise(down))
-
-
-# ---- all -----------------------------------------------------------------------------------------
-
-
-def test_pointing_gives_the_axes_asked_for():
-    R = Rotation.from_quat(pointing([0, 0, -2], [0, 1, 5])).as_matrix()
-    np.testing.assert_allclose(R[:, 2], [0, 0, -1], atol=1e-12)
-    np.testing.assert_allclose(R[:, 1], [0, 1, 0], atol=1e-12)
-    assert np.linalg.det(R) == pytest.approx(1.0)
-    with pytest.raises(RobotError, match="parallel or zero"):
-        pointing([0, 0, 1], [0, 0, -3])

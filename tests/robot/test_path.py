@@ -1,4 +1,4 @@
-"""Paths of the tool: blends of their own, samples, other frames, when they move."""
+"""Paths of the tool: blends, samples, other frames, when they move; many side by side."""
 
 import math
 from dataclasses import replace
@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gendom.errors import RobotError
-from gendom.robot import DOWN, XARM7, GripperEvent, TcpPath, TcpPaths, follow
+from gendom.robot import DOWN, GripperEvent, TcpPath, TcpPaths, pointing
 
 KNOTS = np.array([[0.35, 0.0, 0.2], [0.35, 0.0, 0.2], [0.45, 0.0, 0.2], [0.45, 0.1, 0.25]])
 TURNS = Rotation.from_euler("zyx", [[0, 0, 180], [0, 0, 180], [40, 0, 180], [40, 30, 150]], True)
@@ -26,47 +26,76 @@ def path():
     )
 
 
-# ---- a blend of its own --------------------------------------------------------------------------
+@pytest.fixture
+def turning(path):
+    return replace(path, quat_xyzw=TURNS.as_quat())
 
 
-@pytest.mark.parametrize("blend", [0.06, 0.3])
-def test_the_arm_takes_a_path_s_own_blend(path, blend):
-    """Neither as short as it could, nor longer."""
-    shortest = follow(XARM7, path).blend
-    motion = follow(XARM7, replace(path, blend=blend))
-    assert motion.blend == blend != shortest
-    t = np.linspace(0.2, 2.2, 60)
-    tool = motion.tcp_at(XARM7, t)[:, :3, 3]
-    np.testing.assert_allclose(tool, path.position_at(t, blend), atol=5e-6)
+def test_a_path_is_linear_without_blend(path):
+    np.testing.assert_allclose(path.position_at(0.75), [0.4, 0.0, 0.2])
+    np.testing.assert_allclose(path.position_at([-1.0, 9.0]), path.position[[0, -1]])
 
 
-def test_whoever_asks_for_another_blend_gets_it(path):
-    assert follow(XARM7, replace(path, blend=0.3), blend=0.2).blend == 0.2
+def test_a_blend_is_the_convolution_with_its_kernel(path):
+    blend = 0.12
+    s = np.linspace(-0.5, 0.5, 4001)
+    kernel = 6.0 * (s + 0.5) * (0.5 - s)
+    for t in (0.43, 0.5, 0.7, 1.03, 1.97, 2.2):
+        mean = np.trapezoid(kernel[:, None] * path.position_at(t - blend * s), s, axis=0)
+        np.testing.assert_allclose(path.position_at(t, blend), mean, atol=1e-7)
 
 
-def test_slowing_down_keeps_a_path_s_own_blend(path):
-    quick = replace(path, time=0.12 * path.time, events=(), blend=0.06)
-    with pytest.raises(RobotError, match=r"acceleration.*times as long"):
-        follow(XARM7, quick)
-    motion = follow(XARM7, quick, slow_down=True)
-    assert motion.blend == 0.06 and motion.slowed_by > 1.0
+def test_deviation_at_a_corner_is_as_stated():
+    """(3 / 32) |dv| blend at equal times; a right-angled corner is cut in space too."""
+    corner = np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.3, 0]])
+    path = TcpPath(time=np.arange(3.0), position=corner, quat_xyzw=np.array(DOWN))
+    found = path.deviation(0.1)
+    assert found.at_equal_times == pytest.approx(3 / 32 * 0.3 * np.sqrt(2) * 0.1, rel=1e-6)
+    assert 0.5 < found.off_the_path / found.at_equal_times < 1.0
+    dense = path.position_at(np.linspace(0.9, 1.1, 401), 0.1)
+    off = np.minimum(np.abs(dense[:, 1]), np.abs(dense[:, 0] - 0.3))
+    assert found.off_the_path == pytest.approx(off.max(), rel=1e-2)
 
 
-@pytest.mark.parametrize("blend", [0.41, -0.1, math.nan])
-def test_a_blend_beyond_the_longest_is_refused(path, blend):
-    assert replace(path, blend=0.4).blend == 0.4
-    with pytest.raises(RobotError, match=r"path of the tool: has blend .* max_blend 0\.4"):
-        replace(path, blend=blend)
+def test_turns_pass_through_their_knots(turning):
+    found = turning.pose_at(np.array([0.5, 0.75, 1.0, 2.0]), 0.0)[:, :3, :3]
+    half = Rotation.from_euler("zyx", [20, 0, 180], degrees=True)
+    expected = [TURNS[1], half, *TURNS[2:]]
+    np.testing.assert_allclose(found, [r.as_matrix() for r in expected], atol=1e-12)
+    blended = turning.pose_at(np.linspace(-0.2, 2.2, 100), 0.2)[:, :3, :3]
+    np.testing.assert_allclose(blended[-1], TURNS[3].as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(blended @ np.swapaxes(blended, 1, 2), [np.eye(3)] * 100, atol=1e-12)
 
 
-# ---- samples -------------------------------------------------------------------------------------
+def test_pointing_gives_the_axes_asked_for():
+    R = Rotation.from_quat(pointing([0, 0, -2], [0, 1, 5])).as_matrix()
+    np.testing.assert_allclose(R[:, 2], [0, 0, -1], atol=1e-12)
+    np.testing.assert_allclose(R[:, 1], [0, 1, 0], atol=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    with pytest.raises(RobotError, match="parallel or zero"):
+        pointing([0, 0, 1], [0, 0, -3])
 
 
-def test_without_a_blend_the_samples_are_the_knots(path):
-    for own in (path, replace(path, blend=0.0)):
-        time, position = own.sampled()
-        np.testing.assert_array_equal(time, path.time)
-        np.testing.assert_allclose(position, path.position, atol=1e-12)
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"time": [0.0, 0.0]},
+        {"time": [0.0]},
+        {"position": [[0, 0, np.nan], [0, 0, 1]]},
+        {"quat_xyzw": [0, 0, 0, 0]},
+        {"quat_xyzw": [[0, 0, 0, 1]]},
+        {"events": (GripperEvent(time=1, closed=True), GripperEvent(time=0, closed=False))},
+        {"max_blend": 0.0},
+        {"max_blend": 0.4, "blend": 0.41},
+        {"blend": -0.1},
+        {"blend": math.nan},
+    ],
+)
+def test_bad_paths(wrong):
+    good = {"time": [0.0, 1.0], "position": [[0.4, 0, 0.2], [0.4, 0, 0.3]], "quat_xyzw": DOWN}
+    assert TcpPath(**good, max_blend=0.4, blend=0.4).blend == 0.4
+    with pytest.raises(RobotError, match="path of the tool"):
+        TcpPath(**{**good, **wrong})
 
 
 @pytest.mark.parametrize("blend", [0.2, 0.8])
@@ -74,96 +103,71 @@ def test_straight_between_its_samples_a_path_runs_as_it_does(path, blend):
     """At most h^2 / 8 times the acceleration is missed, samples h apart; blends may overlap."""
     own = replace(path, blend=blend, max_blend=1.0)
     t = np.linspace(-1.0, 4.0, 20001)
-    missed = []
+    speeds = np.diff(
+        np.concatenate(
+            [0.0 * KNOTS[:1], np.diff(KNOTS, axis=0) / np.diff(path.time)[:, None], 0.0 * KNOTS[:1]]
+        ),
+        axis=0,
+    )
+    corners, missed = np.linalg.norm(speeds, axis=1), []  # fmt: skip
     for number in (16, 64):
         time, position = own.sampled(number)
         assert np.all(np.diff(time) > 1e-9) and np.isin(path.time, time).all()
         assert time[0] <= own.moves
         between = np.stack([np.interp(t, time, column) for column in position.T], axis=1)
         missed.append(np.abs(between - path.position_at(t, blend)).max())
-        corners = np.linalg.norm(np.diff(_velocity(path, [0.2, 0.7, 1.5, 3.0]), axis=0), axis=1)
         acceleration = 1.5 / blend * (corners.max() if blend < 0.5 else corners.sum())
         assert 0.0 < missed[-1] <= acceleration * (blend / number) ** 2 / 8.0
     assert missed[1] < 0.1 * missed[0]
 
 
-def test_samples_that_differ_by_rounding_are_taken_once():
-    """Corners a blend apart: the end of one is the begin of the other, to the last digit or not."""
-    time = np.arange(7) / 10.0
-    position = np.outer([0, 1, 1, 0, 2, 1, 1], [0.05, 0.0, 0.0]) + KNOTS[0]
-    path = TcpPath(time=time, position=position, quat_xyzw=np.array(DOWN), blend=0.1)
-    sampled, where = path.sampled(10)
-    assert np.diff(sampled).min() == pytest.approx(0.01)
-    speed = np.abs(np.diff(where[:, 0]) / np.diff(sampled))
-    assert speed.max() <= np.abs(np.diff(position[:, 0])).max() / 0.1 + 1e-9
+def test_samples_are_the_knots_and_those_of_blends_each_once(path):
+    for own in (path, replace(path, blend=0.0)):
+        time, position = own.sampled()
+        np.testing.assert_array_equal(time, path.time)
+        np.testing.assert_allclose(position, path.position, atol=1e-12)
+    time, position = replace(path, blend=0.2).sampled(per_blend=4)
+    expected = [0.0, *(c + d for c in (0.5, 1.0, 2.0) for d in (-0.1, -0.05, 0.0, 0.05, 0.1))]
+    np.testing.assert_allclose(time, expected, atol=1e-12)
+    np.testing.assert_array_equal(position, path.position_at(time, 0.2))
+    # Corners a blend apart: the end of one is the begin of the other, to the last digit or not.
+    row = np.outer([0, 1, 1, 0, 2, 1, 1], [0.05, 0.0, 0.0])
+    close = replace(path, time=np.arange(7) / 10.0, position=row, blend=0.1).sampled(10)[0]
+    assert np.diff(close).min() == pytest.approx(0.01)
 
 
-def _velocity(path, time, h=1e-6):
-    ends = [path.position_at(np.add(time, side * h)) for side in (-1.0, 1.0)]
-    return (ends[1] - ends[0]) / (2.0 * h)
-
-
-# ---- when it moves -------------------------------------------------------------------------------
-
-
-def test_a_path_moves_when_its_wait_is_over_or_half_a_blend_before(path):
+def test_when_a_path_first_moves(path, turning):
+    """When its wait is over, or half a blend before; turning is moving."""
     assert path.moves == 0.5
     assert replace(path, blend=0.3).moves == pytest.approx(0.35)
     before, after = replace(path, blend=0.3).position_at([0.35, 0.36], 0.3)
     np.testing.assert_array_equal(before, KNOTS[0])
     assert np.linalg.norm(after - KNOTS[0]) > 1e-6
-
-
-def test_a_path_that_stays_never_moves(path):
-    assert replace(path, position=np.tile(KNOTS[:1], (4, 1)), blend=0.1).moves == math.inf
-
-
-def test_turning_is_moving():
-    path = TcpPath(
-        time=np.array([1.0, 2.0]),
-        position=KNOTS[:2],
-        quat_xyzw=TURNS.as_quat()[1:3],
-    )
-    assert path.moves == 1.0
-
-
-# ---- elsewhere and later -------------------------------------------------------------------------
+    still = np.tile(KNOTS[:1], (4, 1))
+    assert replace(path, position=still, blend=0.1).moves == math.inf
+    assert replace(turning, position=still).moves == 0.5
 
 
 @pytest.mark.parametrize("turns", [False, True])
-def test_a_path_in_another_frame_is_the_same_path_there(path, turns):
-    path = replace(path, quat_xyzw=TURNS.as_quat() if turns else path.quat_xyzw, blend=0.2)
+def test_a_path_in_another_frame_or_later_is_the_same_path_there(path, turning, turns):
+    path = replace(turning if turns else path, blend=0.2)
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("xyz", [0.3, -0.5, 1.2]).as_matrix()
     T[:3, 3] = [0.1, -0.2, 0.4]
-    moved = path.moved(T)
-    t = np.linspace(-0.2, 2.3, 40)
+    moved, t = path.moved(T).shifted(0.7), np.linspace(-0.2, 2.3, 40)
     for blend in (0.0, 0.2):
-        np.testing.assert_allclose(moved.pose_at(t, blend), T @ path.pose_at(t, blend), atol=1e-12)
-    assert (moved.events, moved.blend, moved.max_blend) == (path.events, 0.2, 0.4)
-    np.testing.assert_array_equal(moved.time, path.time)
-    back = moved.moved(np.linalg.inv(T))
-    np.testing.assert_allclose(back.pose_at(t), path.pose_at(t), atol=1e-12)
+        there = T @ path.pose_at(t, blend)
+        np.testing.assert_allclose(moved.pose_at(t + 0.7, blend), there, atol=1e-12)
+    assert (moved.blend, moved.max_blend) == (0.2, 0.4)
+    assert [e.time for e in moved.events] == pytest.approx([0.8, 3.2])
+    assert moved.moves == pytest.approx(path.moves + 0.7)
 
 
-def test_a_shifted_path_does_everything_later(path):
-    later = replace(path, blend=0.2).shifted(0.7)
-    t = np.linspace(-0.2, 2.3, 40)
-    np.testing.assert_allclose(
-        later.position_at(t + 0.7, 0.2), path.position_at(t, 0.2), atol=1e-12
-    )
-    assert [e.time for e in later.events] == pytest.approx([0.8, 3.2])
-    assert later.blend == 0.2 and later.moves == pytest.approx(1.1)
-
-
-# ---- many paths ----------------------------------------------------------------------------------
-
-
-def test_many_paths_are_as_each_alone(path):
+def test_many_paths_are_as_each_alone(path, turning):
     """To the last bit, whatever their numbers of knots and blends."""
-    short = TcpPath(time=path.time[:2] - 0.3, position=path.position[1:3], quat_xyzw=np.array(DOWN))
+    short = replace(path, time=path.time[:2] - 0.3, position=path.position[1:3])
     still = replace(path, position=np.repeat(KNOTS[:1], 4, axis=0))
-    turning = replace(still, quat_xyzw=TURNS.as_quat())
+    turning = replace(turning, position=still.position)
     some = [path, replace(path, blend=0.06), short, still, replace(path, blend=0.3), turning]
     many, t = TcpPaths(some), np.linspace(-0.5, 2.5, 50)
     assert many.moves.tolist() == [p.moves for p in some]
@@ -175,11 +179,3 @@ def test_many_paths_are_as_each_alone(path):
         np.testing.assert_array_equal(time[:count], own)
         np.testing.assert_array_equal(position[:count], place)
         assert (time[count:] == own[-1]).all() and (position[count:] == place[-1]).all()
-
-
-def test_a_blend_is_sampled_at_its_knots_and_within(path):
-    """Nothing closer than rounding, nothing lost."""
-    time, position = replace(path, blend=0.2).sampled(per_blend=4)
-    expected = [0.0, *(c + d for c in (0.5, 1.0, 2.0) for d in (-0.1, -0.05, 0.0, 0.05, 0.1))]
-    np.testing.assert_allclose(time, expected, atol=1e-12)
-    np.testing.assert_array_equal(position, path.position_at(time, 0.2))

@@ -140,7 +140,7 @@ def test_frames_durations_and_loop(tmp_path):
 
 
 def test_equal_frames_are_not_merged(tmp_path):
-    still = lift(frames=5) | {"gripper": None, "chamfer": None}
+    still: dict[str, Any] = lift(frames=5) | {"gripper": None, "chamfer": None}
     for name in ("recorded", "simulated"):
         still[name] = [still[name][0]] * 5
     still["times"] = 0.001 * np.arange(5)  # the same to two decimals

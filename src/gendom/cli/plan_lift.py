@@ -114,7 +114,7 @@ class Command:
         trial = lifted_by(item, plan.chosen.motion)
         motion = {
             "format": MOTION_FORMAT,
-            "lift": plan.chosen.motion.to_dict(),
+            "lift": plan.chosen.motion,
             "object": {name: to_columns(plan.middle)[name] for name in item.sizes},
             "trajectory": trial.path.to_dict(),
         }

@@ -266,7 +266,7 @@ class LiftPlan:
             "chosen": self.rows.index(self.chosen),
             "rows": [
                 {
-                    "lift": row.motion.to_dict(),
+                    "lift": vars(row.motion),
                     "half_width": {n: finite(row.half_width(n, level)) for n in SHOWN},
                     "sd": row.sd,
                     "carried_out": row.carried_out,

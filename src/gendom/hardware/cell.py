@@ -20,9 +20,7 @@ from gendom.arguments import require
 from gendom.datasets import Fault
 from gendom.errors import DeviceError, RobotError, did_you_mean
 from gendom.hardware.contracts import DepthCamera, Robot, find_depth_camera, find_robot
-from gendom.perception import Camera, read_camera
 from gendom.reading import read_toml, record_of
-from gendom.reality.arm import housing
 from gendom.robot import (
     XARM7,
     Arm,
@@ -108,6 +106,8 @@ class CellCamera:
             DeviceError: Its pose is given twice.
             RecordingError: That file cannot be read, or the pose is none.
         """
+        from gendom.perception import Camera, read_camera
+
         where, T = f"{path}: camera {self.name}", self.T_world_camera
         once, fix = self.calibration is None or T is None, "leave one of them out"
         require(once, "has calibration and T_world_camera", where=where, fix=fix, error=DeviceError)
@@ -234,8 +234,11 @@ class Cell:
     @cached_property
     def surroundings(self) -> Surroundings:
         """Table, boxes, stands and the housings of calibrated cameras, with their clearances."""
-        seen = {c.name: c.T_world_camera for c in self.camera}
-        housings = (housing(name, T) for name, T in seen.items() if T is not None)
+        housings = []
+        if seen := [c for c in self.camera if c.T_world_camera is not None]:
+            from gendom.reality.arm import housing  # with all of MuJoCo's scene
+
+            housings = [housing(c.name, c.T_world_camera) for c in seen]
         return Surroundings(
             table_height=self.table_height,
             obstacles=(*self.box, *self.stand, *housings),
@@ -338,7 +341,7 @@ class Cell:
                 something.
         """
         arm, around = held(self.limited, opening, hangs), self.surroundings
-        motion = follow(arm, path, slow_down=True, surroundings=around, opening=opening)
+        motion = follow(arm, path, surroundings=around, opening=opening)
         self.check_workspace(motion)
         return PlannedMotion(
             arm=self.model.name,
@@ -430,7 +433,7 @@ class Cell:
         """Compare where the arm is [J] [rad] with where a motion starts.
 
         Raises:
-            RobotError: It is farther away than `FIRST_POSE`.
+            DeviceError: It is farther away than `FIRST_POSE`.
         """
         off = np.abs(motion.q[0] - q)
         j, ends = int(off.argmax()), tcp_pose(self.model, np.stack([q, motion.q[0]]))[:, :3, 3]
@@ -438,7 +441,7 @@ class Cell:
         what = f"the arm is {math.degrees(off[j]):.1f} degrees (joint {j + 1}) and "
         what += f"{1e3 * gap:.0f} mm off the motion's first pose"
         near = off[j] <= FIRST_POSE[0] and gap <= FIRST_POSE[1]
-        require(near, what, where="motion", fix="approach it first", error=RobotError)
+        require(near, what, where="motion", fix="approach it first", error=DeviceError)
 
     def least_clearances(self, q: Array, *, opening: float) -> list[tuple[float, str]]:
         """Least distances [m] at joint angles [N, J] of the arm from its surroundings and from

@@ -6,15 +6,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gendom.arguments import require
 from gendom.errors import DeviceError, did_you_mean
-from gendom.perception import Camera
 from gendom.plugins import plugins
 from gendom.robot import Arm, JointMotion
+
+if TYPE_CHECKING:
+    from gendom.perception import Camera
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -165,11 +168,10 @@ def find_depth_camera(name: str) -> Any:
 
 
 def _find(kind: str, name: str, own: dict[str, str], others: dict[str, Any]) -> Any:
-    if name in others:
-        return others[name]
-    if name not in own:
-        names = [*own, *others]
-        fix = did_you_mean(name, names) or f"have {', '.join(names)}"
-        raise DeviceError(f"there is no {kind} {name!r}", fix=fix)
-    module, _, attribute = own[name].partition(":")
+    found = ({**own, **others}).get(name)
+    fix = did_you_mean(name, [*own, *others]) or f"have {', '.join([*own, *others])}"
+    require(found, f"there is no {kind} {name!r}", fix=fix, error=DeviceError)
+    if not isinstance(found, str):
+        return found
+    module, _, attribute = found.partition(":")
     return getattr(import_module(module), attribute)

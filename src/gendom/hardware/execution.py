@@ -12,7 +12,7 @@ import json
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from gendom.arguments import require
 from gendom.errors import DeviceError, RobotError
 from gendom.files import LEAST_ROOM, free_room, to_json, write_json
 from gendom.hardware.cell import CAREFUL, Cell, PlannedMotion
-from gendom.hardware.contracts import Robot, RobotState, Tick
+from gendom.hardware.contracts import Robot, Tick
 from gendom.reading import parse_json, read_bytes, read_json, record_of
 from gendom.robot import JointMotion, find_arm, tcp_pose
 
@@ -193,7 +193,7 @@ class ExecutionLog:
         self._file.close()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class ExecutionRecord:
     """What a log says."""
 
@@ -207,9 +207,9 @@ class ExecutionRecord:
     """[N, J] [rad]."""
     age: NDArray[np.float64]
     """[N] of the reports [s]."""
-    events: list[dict[str, Any]] = field(default_factory=list)
+    events: list[dict[str, Any]]
     """Calls and faults in order."""
-    end: str | None = None
+    end: str | None
     """How it ended; None: the program was killed."""
 
 
@@ -227,17 +227,14 @@ def read_log(path: str | os.PathLike) -> ExecutionRecord:
     require(good, f"does not begin with {LOG_FORMAT}", where=where, fix=fix, error=DeviceError)
     plays = [n for n, row in enumerate(rows) if row.get("call") == "play" and "given" in row]
     ticks = [row for row in rows[max(plays, default=0) :] if "command" in row]
+    keys = ("t", "command", "measured", "age")
     try:
-        arrays = {
-            name: np.array([t[key] for t in ticks], dtype=float)
-            for name, key in (("time", "t"), ("command", "command"), ("measured", "measured"),
-                              ("age", "age"))
-        }  # fmt: skip
+        arrays = [np.array([tick[key] for tick in ticks], dtype=float) for key in keys]
     except (KeyError, TypeError, ValueError):
         raise DeviceError("holds a malformed tick", where=where, fix=fix) from None
     events = [row for row in rows[1:] if "command" not in row]
     end = next((row["end"] for row in reversed(events) if "end" in row), None)
-    return ExecutionRecord(header=rows[0], events=events, end=end, **arrays)
+    return ExecutionRecord(rows[0], *arrays, events, end)
 
 
 def last_time(folder: Path) -> str | None:
@@ -284,7 +281,9 @@ class LoggedRobot:
             except BaseException as error:
                 self._log.write(call=name, fault=f"{type(error).__name__}: {error}")
                 raise
-            self._log.write(call=name, state=_state(self._robot.state()))
+            state = self._robot.state()
+            age = state.age(time.monotonic())
+            self._log.write(call=name, state={**vars(state), "age": age})
 
         return logged
 
@@ -295,11 +294,6 @@ class LoggedRobot:
                 on_tick(tick)
 
         self.__getattr__("play")(motion, on_tick=told)
-
-
-def _state(state: RobotState) -> dict[str, Any]:
-    return {"q": state.q, "opening": state.opening, "moving": state.moving, "fault": state.fault,
-            "age": state.age(time.monotonic())}  # fmt: skip
 
 
 # ---- execution -----------------------------------------------------------------------------------
@@ -341,15 +335,13 @@ def execute(
         ready()
         told.gripper(planned.opening)
         motion = planned.motion.shifted(-planned.motion.start)
-        events = motion.events
-        if events and events[0].closed:  # they are: from the first report on
-            events = (replace(events[0], time=0.0), *events[1:])
-        motion = replace(motion, events=events)
+        if motion.events and motion.events[0].closed:  # they are: from the first report on
+            first, *rest = motion.events
+            motion = replace(motion, events=(replace(first, time=0.0), *rest))
         (play or (lambda r, m: r.play(m)))(told, motion)
     except BaseException as error:
-        by = (
-            "Ctrl-C" if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}"
-        )
+        by = f"{type(error).__name__}: {error}"
+        by = "Ctrl-C" if isinstance(error, KeyboardInterrupt) else by
         try:
             told.stop()
         finally:

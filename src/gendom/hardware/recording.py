@@ -13,14 +13,14 @@ fault leaves can be read.
 
 from __future__ import annotations
 
+import math
 import shutil
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol, TextIO
+from typing import Protocol
 
 from gendom.arguments import require
 from gendom.errors import DeviceError, GendomError
@@ -73,7 +73,7 @@ def record_motion(
     for place in (folder, *(folder / "cameras" / camera.name for camera in cameras)):
         place.mkdir(parents=True, exist_ok=True)
     (folder / "object.toml").write_text(description, encoding="utf-8")
-    watch = _Watch(robot, cameras, folder)
+    faults: list[str] = []
     started: list[DepthCamera] = []
     recorded: dict[str, Recorded] = {}
     ended = "done"
@@ -85,23 +85,19 @@ def record_motion(
                 started.append(camera)
             for camera in cameras:
                 camera.wait_for_pictures()
-            rows = stack.enter_context(_Rows(folder, robot, motion))
-            stack.enter_context(watch)
-            robot.play(motion, on_tick=rows.add)
+            add = stack.enter_context(_rows(folder, robot, motion))
+            stack.enter_context(_watched(robot, cameras, folder, faults))
+            robot.play(motion, on_tick=add)
     except BaseException as error:
-        ended = watch.fault or str(error) or type(error).__name__
+        ended = str(error) or type(error).__name__
         raise
     finally:
-        about = {
-            name: {"pictures": r.pictures, "missing": r.missing} for name, r in recorded.items()
-        }
-        write_json(
-            folder / "recording.json",
-            {"format": "gendom-recorded/1", "cameras": about, "ended": watch.fault or ended},
-        )
-    if watch.fault:
+        about = {n: {"pictures": r.pictures, "missing": r.missing} for n, r in recorded.items()}
+        said = {"format": "gendom-recorded/1", "cameras": about, "ended": (*faults, ended)[0]}
+        write_json(folder / "recording.json", said)
+    if faults:
         fix = "mend it and record again; what was recorded so far is kept"
-        raise DeviceError(watch.fault, where=str(folder), fix=fix)
+        raise DeviceError(faults[0], where=str(folder), fix=fix)
     return recorded
 
 
@@ -125,68 +121,50 @@ def _stop_all(cameras: Sequence[DepthCamera]) -> dict[str, Recorded]:
         return dict(zip((camera.name for camera in cameras), stopped, strict=True))
 
 
-class _Watch:
-    """A thread that looks at cameras and disk, and stops the robot when one of them fails."""
+@contextmanager
+def _watched(
+    robot: Player, cameras: Sequence[DepthCamera], folder: Path, faults: list[str]
+) -> Iterator[None]:
+    """Look at cameras and disk, in a thread; when one of them fails stop the robot, and say so in
+    `faults`."""
+    over = threading.Event()
 
-    def __init__(self, robot: Player, cameras: Sequence[DepthCamera], folder: Path):
-        self.fault: str | None = None
-        self._robot, self._cameras, self._folder = robot, cameras, folder
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
+    def look() -> None:
+        while not over.wait(_LOOK) and not faults:
+            faults.extend(f"camera {c.name} {said}" for c in cameras if (said := c.fault()))
+            free = shutil.disk_usage(folder).free
+            faults.extend([f"the disk has {1e-6 * free:.0f} MB left"] * (free < _STOP_SPACE))
+            if faults:
+                robot.stop()
 
-    def _run(self) -> None:
-        while not self._over.wait(_LOOK):
-            self.fault = self._found()
-            if self.fault:
-                self._robot.stop()
+    thread = threading.Thread(target=look, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+@contextmanager
+def _rows(folder: Path, robot: Player, motion: JointMotion) -> Iterator[Callable[[Tick], None]]:
+    """Gives a function that adds a tick's rows to joints.csv and gripper.csv."""
+    names, last = ",".join(f"q{j}" for j in range(robot.arm.joints)), -math.inf
+    with ExitStack() as stack:
+        joints, gripper = (
+            stack.enter_context(open(folder / name, "w", buffering=1, encoding="utf-8"))
+            for name in ("joints.csv", "gripper.csv")
+        )
+        joints.write(f"time,{names}\n")
+        gripper.write("time,x,y,z,closed\n")
+
+        def add(tick: Tick) -> None:
+            nonlocal last
+            if tick.stamp <= last:  # the same report as before
                 return
+            last, tool = tick.stamp, tcp_pose(robot.arm, tick.measured)[:3, 3]
+            closed = float(motion.closed_at(tick.time) or False)
+            for file, row in ((joints, tick.measured), (gripper, [*tool, closed])):
+                file.write(",".join(f"{x:.6f}" for x in (tick.stamp, *row)) + "\n")
 
-    def _found(self) -> str | None:
-        for camera in self._cameras:
-            if said := camera.fault():
-                return f"camera {camera.name} {said}"
-        free = shutil.disk_usage(self._folder).free
-        return None if free >= _STOP_SPACE else f"the disk has {1e-6 * free:.0f} MB left"
-
-    def __enter__(self) -> _Watch:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._over.set()
-        self._thread.join()
-
-
-class _Rows:
-    """joints.csv and gripper.csv, to which each tick adds a row."""
-
-    def __init__(self, folder: Path, robot: Player, motion: JointMotion):
-        self._arm, self._motion = robot.arm, motion
-        self._files: list[TextIO] = []
-        self._last = -float("inf")
-        names = ",".join(f"q{j}" for j in range(self._arm.joints))
-        for name, header in (("joints.csv", f"time,{names}"), ("gripper.csv", "time,x,y,z,closed")):
-            file = open(folder / name, "w", buffering=1, encoding="utf-8")  # noqa: SIM115
-            file.write(f"{header}\n")
-            self._files.append(file)
-
-    def add(self, tick: Tick) -> None:
-        if tick.stamp <= self._last:  # the same report as before
-            return
-        self._last = tick.stamp
-        tool = tcp_pose(self._arm, tick.measured)[:3, 3]
-        closed = float(self._motion.closed_at(tick.time) or False)
-        for file, row in zip(self._files, (tick.measured, [*tool, closed]), strict=True):
-            file.write(",".join([f"{tick.stamp:.6f}", *(f"{x:.6f}" for x in row)]) + "\n")
-
-    def __enter__(self) -> _Rows:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for file in self._files:
-            file.close()
+        yield add

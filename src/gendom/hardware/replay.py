@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
+from gendom.arguments import require
 from gendom.errors import DeviceError
 from gendom.hardware.cell import CellCamera
 from gendom.hardware.contracts import Recorded
@@ -19,26 +21,23 @@ class ReplayedCamera:
     """
 
     def __init__(self, cell_camera: CellCamera):
-        self.name = cell_camera.name
-        self._source = Path(cell_camera.serial)
-        self._camera: Camera | None = None
-        self._pictures = 0
+        self.name, self._folder = cell_camera.name, Path(cell_camera.serial)
+        self._source: Any = None
 
     @property
     def camera(self) -> Camera:
         """Intrinsics, depth unit and pose, once it is connected."""
-        if self._camera is None:
-            raise DeviceError("is not connected", where=f"camera {self.name}", fix="connect it")
-        return self._camera
+        where, fix, known = f"camera {self.name}", "connect it", self._source is not None
+        require(known, "is not connected", where=where, fix=fix, error=DeviceError)
+        return self._source.camera
 
     def connect(self) -> None:
         """Raises: `RecordingError` where the folder holds no such camera."""
-        (source,) = read_cameras(self._source, cameras=[self.name]).sources
-        self._camera, self._pictures = source.camera, sum(1 for _ in source)
+        (self._source,) = read_cameras(self._folder, cameras=[self.name]).sources
 
     def start_recording(self, folder: Path) -> None:
         """Copy what was recorded."""
-        shutil.copytree(self._source / "cameras" / self.name, folder, dirs_exist_ok=True)
+        shutil.copytree(self._folder / "cameras" / self.name, folder, dirs_exist_ok=True)
 
     def wait_for_pictures(self) -> None:
         """They are there."""
@@ -47,7 +46,7 @@ class ReplayedCamera:
         """There is none."""
 
     def stop_recording(self) -> Recorded:
-        return Recorded(pictures=self._pictures, missing=0)
+        return Recorded(pictures=sum(1 for _ in self._source), missing=0)
 
     def disconnect(self) -> None:
         """Nothing is held."""

@@ -292,18 +292,14 @@ class StreamedRobot:
             answered = self._link.poll(0.02)
             rows, first = self._board.read(first)
             heard = time.monotonic() if rows else heard
-            for row in rows:
-                if on_tick is not None and math.isfinite(row[1]):
-                    on_tick(
-                        Tick(
-                            time=row[1],
-                            command=row[5 : 5 + J],
-                            measured=row[5 + J :],
-                            age=row[0] - row[2],
-                            stamp=row[2] + since_1970,
-                            opening=None if math.isnan(row[3]) else row[3],
-                        )
-                    )
+            for row in rows if on_tick else ():
+                written, elapsed, reported, opening = row[:4]
+                if math.isfinite(elapsed):
+                    on_tick(Tick(
+                        time=elapsed, command=row[5 : 5 + J], measured=row[5 + J :],
+                        age=written - reported, stamp=reported + since_1970,
+                        opening=None if math.isnan(opening) else opening,
+                    ))  # fmt: skip
             if answered:
                 return self._answered()
             if time.monotonic() - heard > _SILENT or not self._process.is_alive():

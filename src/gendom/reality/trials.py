@@ -195,7 +195,6 @@ def arm_motion(trial: Trial, cameras: Sequence[Camera] = ()) -> JointMotion:
     return follow(
         XARM7,
         trial.path,
-        slow_down=True,
         surroundings=surroundings(cameras),
         opening=thickness_of(trial.item),
     )

@@ -6,20 +6,10 @@ The robot's base is the world. NumPy and SciPy only; nothing here moves a real a
 from gendom.arguments import require
 from gendom.errors import RobotError
 from gendom.plugins import plugins
-from gendom.robot.arm import (
-    Arm,
-    FingerCapsule,
-    KnuckleCapsule,
-    LinkCapsule,
-    ParallelGripper,
-    modified_dh,
-)
+from gendom.robot.arm import FR3, XARM7, Arm, FingerCapsule, LinkCapsule, ParallelGripper
 from gendom.robot.capsules import fit_capsules
 from gendom.robot.collision import (
-    NO_OBSTACLES,
     Box,
-    Clearances,
-    Collision,
     Post,
     Surroundings,
     check_collisions,
@@ -28,7 +18,6 @@ from gendom.robot.collision import (
     collision_at,
 )
 from gendom.robot.description import read_arm
-from gendom.robot.fr3 import FR3
 from gendom.robot.kinematics import (
     inverse_kinematics,
     jacobian,
@@ -37,27 +26,15 @@ from gendom.robot.kinematics import (
     solutions,
     tcp_pose,
 )
-from gendom.robot.motion import JointMotion, LimitUse
+from gendom.robot.motion import JointMotion, JointStates, read_joints
 from gendom.robot.motions import LIFT_ENDS, MOTION_FORMAT, LiftMotion, lift, predefined_lift
-from gendom.robot.path import (
-    DOWN,
-    Deviation,
-    GripperEvent,
-    TcpPath,
-    TcpPaths,
-    pointing,
-)
+from gendom.robot.path import DOWN, Deviation, GripperEvent, TcpPath, TcpPaths, pointing
 from gendom.robot.planning import follow, joint_move
-from gendom.robot.shape import ArmShape, arm_shape
-from gendom.robot.states import JointStates, read_joints
-from gendom.robot.xarm7 import XARM7
-
-ARMS = {XARM7.name: XARM7, FR3.name: FR3}
-"""Arms by their names."""
+from gendom.robot.shape import arm_shape
 
 
 def find_arm(name: str, *, files: bool = False) -> Arm:
-    """The arm with a given name: one of `ARMS`, or of an entry point ``gendom.arms``.
+    """The arm with a given name: xarm7, fr3, or one of an entry point ``gendom.arms``.
 
     Args:
         name: Its name.
@@ -69,35 +46,27 @@ def find_arm(name: str, *, files: bool = False) -> Arm:
     """
     if files and str(name).lower().endswith((".urdf", ".xml", ".mjcf")):
         return read_arm(name)
-    arms = {**ARMS, **plugins("arms")}
+    arms = {XARM7.name: XARM7, FR3.name: FR3, **plugins("arms")}
     fix = f"have {', '.join(arms)}" + ", or name a .urdf or .xml file" * files
-    require(
-        isinstance(arms.get(name), Arm), f"there is no robot {name!r}", fix=fix, error=RobotError
-    )
+    known = isinstance(arms.get(name), Arm)
+    require(known, f"there is no robot {name!r}", fix=fix, error=RobotError)
     return arms[name]
 
 
 __all__ = [
-    "ARMS",
     "DOWN",
     "FR3",
     "LIFT_ENDS",
     "MOTION_FORMAT",
-    "NO_OBSTACLES",
     "XARM7",
     "Arm",
-    "ArmShape",
     "Box",
-    "Clearances",
-    "Collision",
     "Deviation",
     "FingerCapsule",
     "GripperEvent",
     "JointMotion",
     "JointStates",
-    "KnuckleCapsule",
     "LiftMotion",
-    "LimitUse",
     "LinkCapsule",
     "ParallelGripper",
     "Post",
@@ -117,7 +86,6 @@ __all__ = [
     "joint_move",
     "lift",
     "link_poses",
-    "modified_dh",
     "pointing",
     "pose_error",
     "predefined_lift",

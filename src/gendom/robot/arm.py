@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
 from gendom.errors import RobotError
+from gendom.reading import read_toml, record_of
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -31,33 +35,22 @@ class LinkCapsule:
 
 
 @dataclass(frozen=True)
-class KnuckleCapsule:
-    """A capsule of one of the parallel links that carry the finger on the side of +y."""
-
-    name: str
-    pivot: tuple[float, float]
-    """(y, z) about which it turns, in the gripper's frame [m]."""
-    start: tuple[float, float, float]
-    """One end from its pivot, y towards the finger's [m]."""
-    end: tuple[float, float, float]
-    """The other end [m]."""
-    radius: float
-    """[m]."""
-
-
-@dataclass(frozen=True)
 class FingerCapsule:
-    """A capsule of the finger on the side of +y, which shifts but does not turn."""
+    """A capsule that moves with the finger at +y: of the finger itself, which shifts but
+    does not turn, or of one of the parallel links that carry it."""
 
     name: str
     start: tuple[float, float, float]
-    """One end from the finger's pivot, in the gripper's axes [m]."""
+    """One end from the finger's pivot, in the gripper's axes; of a link from its own pivot, y
+    towards the finger's [m]."""
     end: tuple[float, float, float]
     """The other end [m]."""
     radius: float
     """[m]."""
     touches_object: bool = False
     """Whether its inner side holds the object."""
+    pivot: tuple[float, float] | None = None
+    """Of a link: (y, z) about which it turns, in the gripper's frame [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,10 +79,9 @@ class ParallelGripper:
     """Length of the knuckle [m]; 0: the fingers slide along y."""
     face: float
     """[m]."""
-    knuckles: tuple[KnuckleCapsule, ...]
-    fingers: tuple[FingerCapsule, ...]
+    fingers: tuple[FingerCapsule, ...] = ()
 
-    def finger_pivot(self, opening: ArrayLike) -> NDArray[np.float64]:
+    def finger_pivot(self, opening: ArrayLike) -> Array:
         """[..., 2] y and z of the +y finger's pivot in the gripper's frame [m].
 
         Args:
@@ -99,28 +91,6 @@ class ParallelGripper:
         y = half + self.face
         reach = np.sqrt(np.maximum(self.knuckle**2 - (y - self.pivot_y) ** 2, 0.0))
         return np.stack([y, self.pivot_z + reach], axis=-1)
-
-
-def modified_dh(
-    a: ArrayLike, alpha: ArrayLike, d: ArrayLike, offset: ArrayLike = 0.0
-) -> NDArray[np.float64]:
-    """`Arm.T_links` [J, 4, 4] of modified Denavit-Hartenberg parameters (Craig, "Introduction to
-    Robotics", chapter 3),
-
-        T_(i-1)_i = Rot_x(alpha_i) Trans_x(a_i) Rot_z(q_i + offset_i) Trans_z(d_i).
-
-    Args:
-        a, d: [J] [m].
-        alpha, offset: [J] [rad].
-    """
-    a, alpha, d, offset = np.broadcast_arrays(*map(np.atleast_1d, (a, alpha, d, offset)))
-    T = np.tile(np.eye(4), (len(a), 1, 1))
-    T[:, :3, :3] = (
-        Rotation.from_rotvec(np.multiply.outer(alpha, [1.0, 0.0, 0.0]))
-        * Rotation.from_rotvec(np.multiply.outer(offset, [0.0, 0.0, 1.0]))
-    ).as_matrix()
-    T[:, :3, 3] = np.stack([a, -np.sin(alpha) * d, np.cos(alpha) * d], axis=1)
-    return T
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -135,23 +105,23 @@ class Arm:
     """
 
     name: str
-    T_links: NDArray[np.float64]
-    """[J, 4, 4] each link's frame in the one before, at zero [m]; `modified_dh` gives them."""
-    T_flange_tcp: NDArray[np.float64]
+    T_links: Array
+    """[J, 4, 4] each link's frame in the one before, at zero [m]."""
+    T_flange_tcp: Array
     """[4, 4] the point between the fingertips [m]."""
-    q_min: NDArray[np.float64]
+    q_min: Array
     """[J] lowest joint angles [rad]."""
-    q_max: NDArray[np.float64]
+    q_max: Array
     """[J] highest joint angles [rad]."""
-    max_speed: NDArray[np.float64]
+    max_speed: Array
     """[J] [rad/s]."""
-    max_acceleration: NDArray[np.float64]
+    max_acceleration: Array
     """[J] [rad/s^2]."""
-    max_jerk: NDArray[np.float64]
+    max_jerk: Array
     """[J] [rad/s^3]."""
     max_tcp_speed: float
     """[m/s]."""
-    home: NDArray[np.float64]
+    home: Array
     """[J] resting configuration, far from the limits; inverse kinematics prefers it [rad]."""
     capsules: tuple[LinkCapsule, ...]
     """Capsules of the arm from base to flange, and of the gripper's body."""
@@ -169,19 +139,38 @@ class Arm:
         held = LinkCapsule("held object", self.joints, *ends, radius=radius, held=True)
         return replace(self, capsules=(*self.capsules, held))
 
-    def check_q(self, q: ArrayLike) -> NDArray[np.float64]:
+    def check_q(self, q: ArrayLike) -> Array:
         """Joint angles [..., J] as float64.
 
         Raises:
             RobotError: The shape is another, or a number is not finite.
         """
         q = np.asarray(q, dtype=float)
-        fits, fix = (
-            q.ndim > 0 and q.shape[-1] == self.joints,
-            f"give {self.joints} angles in radians",
-        )
-        what = f"joint angles have shape {q.shape}"
-        require(fits, what, where=self.name, fix=fix, error=RobotError)
-        what, fix = "a joint angle is not finite", "give radians"
-        require(np.isfinite(q).all(), what, where=self.name, fix=fix, error=RobotError)
+        fits, fix = q.shape[-1:] == (self.joints,), f"give {self.joints} angles in radians"
+        what = f"joint angles have shape {q.shape}" if not fits else "a joint angle is not finite"
+        good = fits and np.isfinite(q).all()
+        require(good, what, where=self.name, fix=fix, error=RobotError)
         return q
+
+
+def _links(*, a: Array, alpha: Array, d: Array) -> Array:
+    """`Arm.T_links` [J, 4, 4] of modified Denavit-Hartenberg parameters [J] [m], [degrees] (Craig,
+    "Introduction to Robotics", chapter 3): T_(i-1)_i = Rot_x(alpha_i) Trans_x(a_i) Rot_z(q_i)
+    Trans_z(d_i)."""
+    alpha = np.radians(alpha)
+    T = np.tile(np.eye(4), (len(a), 1, 1))
+    T[:, :3, :3] = Rotation.from_rotvec(np.outer(alpha, [1.0, 0.0, 0.0])).as_matrix()
+    T[:, :3, 3] = np.stack([a, -np.sin(alpha) * d, np.cos(alpha) * d], axis=1)
+    return T
+
+
+def _shipped(name: str) -> Arm:
+    """An arm of a file beside this one."""
+    path = Path(__file__).with_name(f"{name}.toml")
+    table = read_toml(path, error=RobotError)
+    table["T_links"] = _links(**{key: np.array(row) for key, row in table.pop("dh").items()})
+    return record_of(Arm, table, where=str(path), fix="mend it", error=RobotError)
+
+
+XARM7, FR3 = _shipped("xarm7"), _shipped("fr3")
+"""Arms as their vendors sell them; `q` in radians, their base frame is the world."""

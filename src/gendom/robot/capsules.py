@@ -106,7 +106,7 @@ def _axes(points: Array) -> Array:
     return np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
 
 
-def _about(points: Array, axis: Array, middle: Array, wider: float = 0.0) -> Capsule:
+def _about(points: Array, axis: Array, middle: Array, wider: float) -> Capsule:
     """The shortest capsule about a line that holds points [N, 3]; `wider` than the least it is
     blunter."""
     axis = axis / np.linalg.norm(axis)
@@ -139,18 +139,16 @@ def _fit(triangles: Array) -> Capsule:
     """The least capsule found that holds triangles [T, 3, 3]."""
     points = _hull(triangles.reshape(-1, 3))
     a, b, r = _rough(points)
-    along = (b - a) / max(np.linalg.norm(b - a), 1e-12)
-    start = np.concatenate([0.5 * (a + b), along, [0.4]])
-    if not along.any():
-        start[5] = 1.0
-    start[:3] /= r
-    found = minimize(
-        lambda x: _volume(_about(points, x[3:6], r * x[:3], x[6])) / r**3,
-        start,
-        method="Nelder-Mead",
-        options={"maxiter": 600, "xatol": 1e-3, "fatol": 1e-4},
-    ).x
-    return _about(points, found[3:6], r * found[:3], found[6])
+    along = (b - a) if np.any(a != b) else np.array([0.0, 0.0, 1.0])
+    start = np.concatenate([0.5 * (a + b) / r, along / np.linalg.norm(along), [0.4]])
+
+    def capsule(x: Array) -> Capsule:
+        return _about(points, x[3:6], r * x[:3], x[6])
+
+    settings = {"maxiter": 600, "xatol": 1e-3, "fatol": 1e-4}
+    found = minimize(lambda x: _volume(capsule(x)) / r**3, start, method="Nelder-Mead",
+                     options=settings)  # fmt: skip
+    return capsule(found.x)
 
 
 def _halves(triangles: Array) -> list[Array]:

@@ -145,16 +145,12 @@ class Collision:
     """When they overlap most [s]."""
 
     def __str__(self) -> str:
-        far = f"{1e3 * self.depth:.1f} mm"
+        far, both = f"{1e3 * self.depth:.1f} mm", f"{self.first} and {self.second}"
         near = f"less than {1e3 * self.clearance:.3g} mm apart, {far} too near"
         if self.time is None or self.deepest is None:
-            how = f"are {near}" if self.clearance else f"overlap by {far}"
-            return f"{self.first} and {self.second} {how}"
+            return f"{both} {f'are {near}' if self.clearance else f'overlap by {far}'}"
         how = f"come {near}" if self.clearance else f"collide, {far} deep"
-        return (
-            f"from t = {self.time:.3f} s on {self.first} and {self.second} {how} "
-            f"at t = {self.deepest:.3f} s"
-        )
+        return f"from t = {self.time:.3f} s on {both} {how} at t = {self.deepest:.3f} s"
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +177,8 @@ def clearances(
     Raises:
         RobotError: As `link_poses`.
     """
-    return _CollisionPairs(arm, surroundings, opening).at(arm.check_q(q))
+    pairs = _CollisionPairs(arm, surroundings, opening)
+    return Clearances(pairs.pairs, pairs.distance(arm.check_q(q)))
 
 
 def collision_at(
@@ -193,9 +190,9 @@ def collision_at(
         RobotError: As `link_poses`.
     """
     pairs = _CollisionPairs(arm, surroundings, opening)
-    found = pairs.gaps(arm.check_q(q))
-    k = int(np.argmin(found))
-    return None if found[k] >= 0.0 else pairs.collision(k, found[k])
+    gaps = pairs.gaps(arm.check_q(q))
+    k = int(np.argmin(gaps))
+    return pairs.collision(k, gaps[k]) if gaps[k] < 0.0 else None
 
 
 def collision_along(
@@ -239,10 +236,8 @@ def collision_along(
     free = float(time[time < begin].max(initial=motion.start))
     while begin - free > 1e-4:
         middle = 0.5 * (free + begin)
-        if pairs.gaps(motion.at(middle)).min() < 0.0:
-            begin = middle
-        else:
-            free = middle
+        touches = pairs.gaps(motion.at(middle)).min() < 0.0
+        free, begin = (free, middle) if touches else (middle, begin)
     pair = int(np.argmin(pairs.gaps(motion.at(begin))))
     deepest = int(np.argmin(gap[:, pair]))
     found = pairs.collision(pair, gap[deepest, pair])
@@ -263,14 +258,10 @@ def check_collisions(
     """
     found = collision_along(arm, motion, surroundings, opening=opening)
     if found is not None:
-        around = found.second in {"table", *(o.name for o in surroundings.obstacles)}
-        raise RobotError(
-            str(found),
-            where=f"motion of {arm.name}",
-            fix=f"keep the path away from the {found.second}, or move that"
-            if around
-            else "start from other joint angles (`near`), or move the path away from the base",
-        )
+        fix = f"keep the path away from the {found.second}, or move that"
+        if found.second not in {"table", *(o.name for o in surroundings.obstacles)}:
+            fix = "move the path away from the base"
+        raise RobotError(str(found), where=f"motion of {arm.name}", fix=fix)
 
 
 class _CollisionPairs:
@@ -304,7 +295,7 @@ class _CollisionPairs:
 
     def gaps(self, q: Array) -> Array:
         """[..., P] distances above the clearances at joint angles [..., J] [m]."""
-        return self.at(q).distance - self.margin
+        return self.distance(q) - self.margin
 
     def collision(self, pair: int, gap: float) -> Collision:
         """That of a pair with a gap below 0 [m]."""
@@ -312,11 +303,11 @@ class _CollisionPairs:
         margin = float(self.margin[pair])
         return Collision(first=first, second=second, depth=float(-gap), clearance=margin)
 
-    def at(self, q: Array) -> Clearances:
-        """At joint angles [..., J]."""
+    def distance(self, q: Array) -> Array:
+        """[..., P] distances at joint angles [..., J] [m]."""
         flat = q.reshape(-1, self.arm.joints)
         parts = [self._distance(flat[k : k + _CHUNK]) for k in range(0, len(flat), _CHUNK)]
-        return Clearances(self.pairs, np.concatenate(parts).reshape(*q.shape[:-1], len(self.pairs)))
+        return np.concatenate(parts).reshape(*q.shape[:-1], len(self.pairs))
 
     def _distance(self, q: Array) -> Array:
         shape = arm_shape(self.arm, q, self.opening)

@@ -179,9 +179,10 @@ class _Chain:
 
     def __init__(self, mujoco: Any, model: Any, path: Path):
         self._types, self._model, self._path = mujoco.mjtGeom, model, path
-        moving = {b for b in range(1, model.nbody) if model.body_dofnum[b]}
-        above = {b: self._carrier(b, moving) for b in range(1, model.nbody)}
-        self.bodies, joints, next_ones = [], [], [b for b in sorted(moving) if not above[b]][:1]
+        weld, parent = model.body_weldid, model.body_parentid  # weld: the body that carries it
+        moving = [b for b in range(1, model.nbody) if weld[b] == b]
+        self.bodies, joints = [], []
+        next_ones = [b for b in moving if not weld[parent[b]]][:1]
         while len(next_ones) == 1 and len(joints) < 7:
             (body,) = next_ones
             joint = int(model.body_jntadr[body])
@@ -189,14 +190,14 @@ class _Chain:
             if model.body_jntnum[body] != 1 or not hinge:
                 break
             self.bodies, joints = [*self.bodies, body], [*joints, joint]
-            next_ones = [b for b in sorted(moving) if above[b] == body]
+            next_ones = [b for b in moving if weld[parent[b]] == body]
         what, fix = f"has {len(joints)} revolute joints in a row", "give an arm of 6 or 7, fixed"
         require(len(joints) >= 6, what, where=str(path), fix=fix, error=RobotError)
         self.joints, self._fingers = np.array(joints), next_ones
         self._data = data = mujoco.MjData(model)
         data.qpos[model.jnt_qposadr[self.joints]] = 0.0
         mujoco.mj_kinematics(model, data)
-        root = int(model.body_parentid[self.bodies[0]])
+        root = int(parent[self.bodies[0]])
         frames = [self._frame(root)]
         for body, joint in zip(self.bodies, joints, strict=True):
             T = self._frame(body)
@@ -206,19 +207,12 @@ class _Chain:
             frames.append(T)
         self.frames = np.array(frames)
         """[J + 1, 4, 4] the base's and the links'."""
-        known = {body: link for link, body in enumerate(self.bodies, 1)}
-        fixed = {b for b in above if root and model.body_rootid[b] == model.body_rootid[root]}
-        self._link = {0: -1}
-        for b in above:
-            carrier = b if b in moving else above[b]
-            self._link[b] = known.get(carrier, 0 if not carrier and b in fixed else -1)
-
-    def _carrier(self, body: int, moving: set[int]) -> int:
-        """The nearest body above one that has a joint; 0: none."""
-        body = int(self._model.body_parentid[body])
-        while body and body not in moving:
-            body = int(self._model.body_parentid[body])
-        return body
+        links = {body: link for link, body in enumerate(self.bodies, 1)}
+        own = [root and model.body_rootid[b] == model.body_rootid[root] for b in range(model.nbody)]
+        self._link = {
+            b: links.get(int(weld[b]), 0 if own[b] and not weld[b] else -1)
+            for b in range(model.nbody)
+        }
 
     def _frame(self, body: int) -> Array:
         return _pose(self._data.xpos[body], self._data.xmat[body])
@@ -243,7 +237,7 @@ class _Chain:
         elif kind in (types.mjGEOM_PLANE, types.mjGEOM_HFIELD):
             return np.empty((0, 3, 3))
         else:
-            faces = hull_faces(_corners(types, kind, size))
+            faces = hull_faces(_points(types, kind, size))
         T = np.linalg.inv(self.frames[0]) @ _pose(
             self._data.geom_xpos[geom], self._data.geom_xmat[geom]
         )
@@ -303,7 +297,7 @@ def _gripper(hand: Hand) -> ParallelGripper:
     finger = FingerCapsule("finger", (0.0, 0.0, 0.0), (0.0, 0.0, max(_FINGER - r, 0.0)), r, True)
     return ParallelGripper(
         length=_FINGER, max_opening=hand.opening, pivot_y=0.0, pivot_z=0.0, knuckle=0.0, face=r,
-        knuckles=(), fingers=(finger,),
+        fingers=(finger,),
     )  # fmt: skip
 
 
@@ -313,19 +307,22 @@ def _pose(position: Array, matrix: Array) -> Array:
     return T
 
 
-def _corners(types: Any, kind: int, size: Array) -> Array:
+def _points(types: Any, kind: int, size: Array) -> Array:
     """[N, 3] points whose hull is a geom that is no mesh [m]."""
+    around, up = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False), np.linspace(-1.0, 1.0, 13)
+    tilt = 0.5 * np.pi * up[:, None]
+    ball = np.cos(tilt) * np.cos(around), np.cos(tilt) * np.sin(around), np.sin(tilt) + 0.0 * around
+    ball = np.stack(ball, axis=-1).reshape(-1, 3)
+    ends = np.sign(ball) * [0.0, 0.0, 1.0]
     if kind == types.mjGEOM_BOX:
         return size * np.array([*product((-1.0, 1.0), repeat=3)])
-    turn = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     if kind == types.mjGEOM_CYLINDER:
-        ring = np.stack([np.cos(turn), np.sin(turn)], axis=1) * size[0]
-        return np.concatenate([np.insert(ring, 2, z, axis=1) for z in (-size[1], size[1])])
-    tilt = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 13)[:, None]
-    ball = np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.sin(tilt) + 0.0 * turn
-    ball = np.stack(ball, axis=-1).reshape(-1, 3)
+        wide = np.abs(ball[:, 2]) < 0.9
+        side = ball[wide] * [1.0, 1.0, 0.0]
+        side /= np.linalg.norm(side, axis=1, keepdims=True)
+        return np.concatenate([size[0] * side + z * size[1] * np.eye(3)[2] for z in (-1.0, 1.0)])
     if kind == types.mjGEOM_CAPSULE:
-        return size[0] * ball + size[1] * np.sign(ball) * [0.0, 0.0, 1.0]
+        return size[0] * ball + size[1] * ends
     return ball * (size if kind == types.mjGEOM_ELLIPSOID else size[0])
 
 

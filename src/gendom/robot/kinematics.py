@@ -6,8 +6,6 @@ The gripper's z points out of the fingers, its y from finger to finger.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
@@ -25,7 +23,7 @@ squares the error."""
 _ANGLE_LENGTH = 0.3  # [m]; an angle of 1 rad weighs as much as this distance
 _DAMPING = 0.1  # damping^2 = (this)^2 |error|: zero at the solution, so that the end is Newton's
 _LARGEST_STEP = 0.4  # [rad]; a joint's step in one iteration
-_ITERATIONS = 100
+_ITERATIONS, _STARTS = 100, 24
 _HOMING = 0.5  # share of the distance to the resting pose in one iteration, within the null space
 _SETTLED = 1e-5  # [rad]; the null space's steps end below this
 
@@ -118,14 +116,14 @@ def _rotation_vector(R: Array) -> Array:
     return vector
 
 
-def inverse_kinematics(arm: Arm, T_base_tcp: ArrayLike, **search: Any) -> Array:
-    """Joint angles [J] [rad] within the limits that bring the tool point to a pose, as near as
-    0.1 um and 1 urad: the first of `solutions`, which says what may be given.
+def inverse_kinematics(arm: Arm, T_base_tcp: ArrayLike, *, near: ArrayLike | None = None) -> Array:
+    """Joint angles [J] [rad] within the limits that bring the tool point to a pose, to 0.1 um and
+    1 urad: the first of `solutions`.
 
     Raises:
         RobotError: As `solutions`.
     """
-    return solutions(arm, T_base_tcp, **search)[0]
+    return solutions(arm, T_base_tcp, near=near)[0]
 
 
 def solutions(
@@ -133,33 +131,29 @@ def solutions(
     T_base_tcp: ArrayLike,
     *,
     near: ArrayLike | None = None,
-    starts: int = 24,
-    seed: int = 0,
 ) -> list[Array]:
     """All distinct joint angles [J] [rad] that are found for a pose, the nearest first.
 
-    Damped least squares from several starts (Buss, "Introduction to inverse kinematics with
-    Jacobian transpose, pseudoinverse and damped least squares methods", 2004), the damping
-    vanishing with the error. The arm's redundancy is used to approach `near` (or home), by steps in
-    the null space of the Jacobian.
+    Damped least squares from `near`, home and random starts (Buss, "Introduction to inverse
+    kinematics with Jacobian transpose, pseudoinverse and damped least squares methods", 2004), the
+    damping vanishing with the error. The arm's redundancy is used to approach `near` (or home), by
+    steps in the null space of the Jacobian.
 
     Args:
         arm: The arm.
         T_base_tcp: [4, 4] the pose.
         near: [J] preferred joint angles [rad]; None: `arm.home`.
-        starts: Number of start configurations: `near`, home, and random ones.
-        seed: Seed of the random ones.
 
     Raises:
         RobotError: The matrix is not a pose, or no start converges to it.
     """
-    T = check_pose(T_base_tcp)
+    T = _check_pose(T_base_tcp)
     rest = arm.home if near is None else arm.check_q(np.asarray(near))
     rest = np.clip(rest, arm.q_min, arm.q_max)
     # A joint rotated by more than half a turn from home only winds up the arm.
     low = np.maximum(arm.q_min, arm.home - np.pi)
     high = np.minimum(arm.q_max, arm.home + np.pi)
-    random = np.random.default_rng(seed).uniform(low, high, (max(starts - 2, 0), arm.joints))
+    random = np.random.default_rng(0).uniform(low, high, (_STARTS - 2, arm.joints))
     q = np.concatenate([rest[None], arm.home[None], random])
     q, error = descend(arm, np.broadcast_to(T, (len(q), 4, 4)), q, rest)
     size = _size(error)
@@ -294,7 +288,7 @@ def _unwound(arm: Arm, q: Array, rest: Array) -> Array:
     return np.where((turned >= arm.q_min) & (turned <= arm.q_max), turned, q)
 
 
-def check_pose(T: ArrayLike) -> Array:
+def _check_pose(T: ArrayLike) -> Array:
     """A pose [4, 4] as float64.
 
     Raises:
@@ -318,7 +312,7 @@ def describe(T_base_tcp: Array) -> str:
 
 
 def missed(arm: Arm, q: Array, error: Array) -> str:
-    """How far joint angles [J] are from a pose [6], in words, and joints at their ends."""
+    """By how much angles [J] miss a pose (`pose_error`), in words, and which are at their ends."""
     off = f"{1e3 * np.linalg.norm(error[:3]):.2g} mm and "
     off += f"{np.degrees(np.linalg.norm(error[3:])):.2g} degrees"
     held = [str(j + 1) for j in np.flatnonzero((q <= arm.q_min) | (q >= arm.q_max))]

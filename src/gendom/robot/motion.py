@@ -1,9 +1,10 @@
-"""Timed joint motions, and their use of an arm's limits."""
+"""Timed joint motions, their use of an arm's limits, and joint angles over time as joints.csv."""
 
 from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -15,6 +16,7 @@ from scipy.interpolate import CubicSpline
 from gendom.arguments import require
 from gendom.errors import RobotError
 from gendom.files import atomic_path
+from gendom.reading import read_number_table
 from gendom.robot.arm import Arm
 from gendom.robot.kinematics import jacobian, tcp_pose
 from gendom.robot.path import Deviation, GripperEvent
@@ -225,12 +227,8 @@ class JointMotion:
             events=tuple(replace(e, time=e.time + seconds) for e in self.events),
         )
 
-    def then(self, other: JointMotion, *, pause: float = 0.0) -> JointMotion:
+    def then(self, other: JointMotion) -> JointMotion:
         """This motion and then another, which starts where this one ends.
-
-        Args:
-            other: Shifted in time to follow.
-            pause: Between them [s].
 
         Raises:
             RobotError: The start of the other motion differs by more than 1e-4 rad.
@@ -240,13 +238,10 @@ class JointMotion:
         what = f"joint {j + 1} ends at {self.q[-1, j]:.4f} rad and the next motion starts at "
         what += f"{other.q[0, j]:.4f}"
         _require(gap[j] <= 1e-4, what, fix="put a joint move between them")
-        late = other.shifted(self.end + pause - other.start)
-        # The common knot is kept once; a pause has its own knots.
-        held = [self.end + pause * share for share in (0.25, 0.5, 0.75)] if pause > 0.0 else []
-        keep = 0 if pause > 0.0 else 1
+        late = other.shifted(self.end - other.start)
         return JointMotion(
-            time=np.concatenate([self.time, held, late.time[keep:]]),
-            q=np.concatenate([self.q, *([self.q[-1:]] * len(held)), late.q[keep:]]),
+            time=np.concatenate([self.time, late.time[1:]]),  # the common knot is kept once
+            q=np.concatenate([self.q, late.q[1:]]),
             events=(*self.events, *late.events),
         )
 
@@ -261,27 +256,96 @@ class JointMotion:
         steps = max(1, math.ceil((self.end - self.start) * rate - 1e-9))
         return np.linspace(self.start, self.end, steps + 1)
 
-    def write_joints(
-        self, path: str | os.PathLike, *, opening: tuple[float, float] | None = None
-    ) -> None:
+    def write_joints(self, path: str | os.PathLike, *, opening: tuple[float, float]) -> None:
         """Write joint angles as joints.csv, as `gendom.robot.read_joints` reads it.
 
         Args:
             path: The file.
-            opening: The gripper's opening when closed and when open [m]; None leaves it out.
+            opening: The gripper's opening when closed and when open [m].
 
         Raises:
             GendomError: The file cannot be written.
         """
         time = self.sampled(RATE)
-        columns = [time, *self.at(time).T]
-        header = ["time", *(f"q{j}" for j in range(self.q.shape[1]))]
-        if opening is not None:
-            header.append("gripper")
-            columns.append(np.array([opening[0 if self.closed_at(t) else 1] for t in time]))
+        gripper = [opening[0 if self.closed_at(t) else 1] for t in time]
+        names = ",".join(["time", *(f"q{j}" for j in range(self.q.shape[1])), "gripper"])
+        rows = np.column_stack([time, self.at(time), gripper])
         with atomic_path(path) as temporary:
-            rows, names = np.column_stack(columns), ",".join(header)
             np.savetxt(temporary, rows, fmt="%.9g", delimiter=",", header=names, comments="")
+
+
+@dataclass(frozen=True, eq=False)
+class JointStates:
+    """Measured joint angles of a robot over time."""
+
+    time: Array
+    """[M] increasing times [s]."""
+    q: Array
+    """[M, J] joint angles [rad]."""
+    opening: Array | None = None
+    """[M] distance of the fingers' inner faces [m]; None: unknown."""
+
+
+def read_joints(
+    path: str | os.PathLike, arm: Arm, *, on_cut: Callable[[int], None] | None = None
+) -> JointStates:
+    """The joint angles of a file joints.csv, in order of time under `time,q0,...,q6[,gripper]`:
+    seconds, angles in radians from the base to the flange, and the distance of the fingers' inner
+    faces in metres.
+
+    Args:
+        path: The file.
+        arm: The arm to which the joints belong.
+        on_cut: Called with the number of the last line if it is incomplete because the recording
+            was interrupted. The line is then skipped; None: an incomplete line is an error.
+
+    Raises:
+        RobotError: The file cannot be read, a row is malformed or out of order, or a joint is
+            out of its range by more than 0.1 rad, as angles in degrees are.
+    """
+    expected = ["time", *(f"q{j}" for j in range(arm.joints))]
+    form = f"{','.join(expected)}[,gripper]"
+
+    def check_header(names: list[str]) -> None:
+        known, what = (expected, [*expected, "gripper"]), f"has the header {','.join(names)[:60]!r}"
+        fix = f"write rows under {form}"
+        require(names in known, what, where=str(path), fix=fix, error=RobotError)
+
+    _, table, lines = read_number_table(
+        path, header=form, check_header=check_header, on_cut=on_cut, error=RobotError
+    )
+    time, q, opening = table[:, 0], table[:, 1 : 1 + arm.joints], table[:, 1 + arm.joints :]
+    beyond = np.maximum(arm.q_min - q, q - arm.q_max)
+    j, widest = beyond.argmax(axis=1), arm.gripper.max_opening
+    checks: list[tuple[Array, Callable[[int], str], str]] = [
+        (
+            np.isfinite(table).all(axis=1),
+            lambda k: "a number is not finite",
+            "give seconds, radians and metres",
+        ),
+        (
+            np.diff(time, prepend=-np.inf) > 0.0,
+            lambda k: f"time goes from {time[k - 1]:g} to {time[k]:g} s",
+            "sort the rows",
+        ),
+        (
+            beyond.max(axis=1) <= 0.1,
+            lambda k: (
+                f"joint {j[k] + 1} is at {q[k, j[k]]:g} rad, its range on {arm.name} is "
+                f"{arm.q_min[j[k]]:.3f} to {arm.q_max[j[k]]:.3f}"
+            ),
+            "give radians, from the base to the flange",
+        ),
+        (
+            ((opening >= -0.005) & (opening <= widest + 0.005)).all(axis=1),
+            lambda k: f"the gripper's opening is {opening[k, 0]:g} m, it goes to {widest:g}",
+            "give metres between the fingers",
+        ),
+    ]
+    for good, what, fix in checks:
+        for k in np.flatnonzero(~good)[:1]:
+            raise RobotError(what(int(k)), where=f"{path}, line {lines[k]}", fix=fix)
+    return JointStates(time, q, opening[:, 0] if opening.size else None)
 
 
 def _require(holds: Any, what: str, *, fix: str | None = None) -> None:

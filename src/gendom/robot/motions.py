@@ -80,10 +80,6 @@ class LiftMotion:
         size = "lengths" if self.kind == "rope" else "sides"
         return f"{self.end}, {self.rise:g} {size} at {self.speed:g} m/s"
 
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {"kind": self.kind, "rise": self.rise, "speed": self.speed, "end": self.end}
-
     @classmethod
     def read(cls, path: str | os.PathLike) -> LiftMotion:
         """The motion in a ``gendom-motion/1`` file, as ``gendom plan-lift`` writes it.
@@ -92,14 +88,10 @@ class LiftMotion:
             GendomError: The file cannot be read.
             RobotError: It holds no such motion.
         """
-        said = read_json(path)
-        fix = "give motion.json of gendom plan-lift"
-        known, what = (
-            said.get("format"),
-            f"has format {said.get('format')!r}, not {MOTION_FORMAT!r}",
-        )
-        require(known == MOTION_FORMAT, what, where=str(path), fix=fix, error=RobotError)
-        where = f"{path}: lift"
+        said, fix = read_json(path), "give motion.json of gendom plan-lift"
+        form, where = said.get("format"), f"{path}: lift"
+        what = f"has format {form!r}, not {MOTION_FORMAT!r}"
+        require(form == MOTION_FORMAT, what, where=str(path), fix=fix, error=RobotError)
         try:
             return record_of(cls, said.get("lift"), where=where, fix=fix, error=RobotError)
         except RobotError as error:

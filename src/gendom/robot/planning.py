@@ -60,7 +60,6 @@ def joint_move(
     q_to: ArrayLike,
     *,
     share: float = 1.0,
-    start: float = 0.0,
     surroundings: Surroundings = NO_OBSTACLES,
     opening: float = 0.0,
 ) -> JointMotion:
@@ -73,7 +72,6 @@ def joint_move(
         arm: Its limits, the tool's speed included.
         q_from, q_to: [J] joint angles [rad].
         share: Share of the limits of speed, acceleration and jerk, in (0, 1].
-        start: Start time [s].
         surroundings: Obstacles that the arm must not touch.
         opening: Distance of the fingers' inner faces [m].
 
@@ -100,7 +98,7 @@ def joint_move(
     s = np.linspace(0.0, 1.0, 65)
     shape = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
     q = ends[0] + shape[:, None] * (ends[1] - ends[0])
-    motion = JointMotion(time=start + duration * s, q=q)
+    motion = JointMotion(time=duration * s, q=q)
     # The tool may be too fast, and the spline through the knots misses the quintic by 1e-6.
     slower = replace(arm, max_tcp_speed=share * arm.max_tcp_speed)
     motion = replace(motion.stretched(max(1.0, motion.slowdown(slower))), slowed_by=1.0)
@@ -115,13 +113,11 @@ def follow(
     arm: Arm,
     path: TcpPath,
     *,
-    near: ArrayLike | None = None,
-    blend: float | None = None,
-    slow_down: bool = False,
     surroundings: Surroundings = NO_OBSTACLES,
     opening: float = 0.0,
 ) -> JointMotion:
-    """Plan joint angles that move the tool along a path.
+    """Plan joint angles that move the tool along a path: at its pace where speeds and accelerations
+    allow it, elsewhere slower, see `gendom.robot.timing`.
 
     Inverse kinematics is solved at the start and then tracked along the path. The redundancy is
     used to approach the home configuration in proportion to the distance travelled by the tool, so
@@ -130,30 +126,26 @@ def follow(
 
     Args:
         arm: The arm.
-        path: Its corners are rounded off by `blend`.
-        near: [J] joint angles to which the start should be close [rad]; None: home.
-        blend: Blend [s]; None: the path's blend, or if it has none, the shortest that the joints'
-            accelerations allow (within a few percent), at least `SHORTEST_BLEND`, at most the
-            path's `max_blend`.
-        slow_down: Slow the motion down where speeds or accelerations would exceed their limits, and
-            only there, see `gendom.robot.timing`.
+        path: Its corners are rounded off by its `blend`, or if it has none by the shortest that the
+            joints' accelerations allow (within a few percent), at least `SHORTEST_BLEND`, at most
+            its `max_blend`.
         surroundings: Obstacles that the arm must not touch.
         opening: Distance of the fingers' inner faces [m].
 
     Returns:
-        A motion within the limits, its deviation from the ideal path stated.
+        A motion within the limits; its `deviation` from the ideal path and `slowed_by` say what was
+        changed.
 
     Raises:
-        RobotError: A part of the path is out of reach or cannot be reached continuously, a limit
-            is passed, or the arm collides.
+        RobotError: A part of the path is out of reach or cannot be reached continuously, a joint
+            leaves its range, or the arm collides.
     """
-    blend = path.blend if blend is None else blend
     # Splines overshoot a little where a joint comes to rest at its end.
     kept = replace(arm, q_min=arm.q_min + _MARGIN, q_max=arm.q_max - _MARGIN)
     best, refusal = None, None
-    for q in solutions(kept, path.pose_at(path.start), near=near)[:_POSTURES]:
+    for q in solutions(kept, path.pose_at(path.start))[:_POSTURES]:
         try:
-            motion = _from_posture(kept, path, q, blend)
+            motion = _from_posture(kept, path, q)
             check_collisions(arm, motion, surroundings, opening=opening)
         except RobotError as error:
             refusal = refusal or error
@@ -168,11 +160,11 @@ def follow(
         assert refusal is not None
         raise refusal
     (out_of_range, _), motion = best
-    if not slow_down or out_of_range:
+    if out_of_range:
         motion.check_limits(arm)
     slower = in_time(arm, motion)
     shortest = min(SHORTEST_BLEND, path.max_blend)
-    if blend is None and motion.blend > shortest:
+    if path.blend is None and motion.blend > shortest:
         # The blend was chosen for the path's speed; at a lower speed a shorter one may suffice.
         sharper = in_time(arm, _track(kept, path, motion.q[0], shortest, motion))
         slower = min(slower, sharper, key=lambda m: m.end - m.start)
@@ -181,10 +173,10 @@ def follow(
     return slower
 
 
-def _from_posture(arm: Arm, path: TcpPath, q: Array, blend: float | None) -> JointMotion:
+def _from_posture(arm: Arm, path: TcpPath, q: Array) -> JointMotion:
     """The path from one configuration, with the shortest blend that keeps accelerations."""
-    if blend is not None:
-        return _track(arm, path, q, blend)
+    if path.blend is not None:
+        return _track(arm, path, q, path.blend)
     blend = min(SHORTEST_BLEND, path.max_blend)
     motion = _track(arm, path, q, blend)
     too_short = 0.0

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gendom.robot.arm import Arm, FingerCapsule, ParallelGripper
+from gendom.robot.arm import Arm, FingerCapsule, LinkCapsule, ParallelGripper
 from gendom.robot.kinematics import link_poses
 
 Array = NDArray[np.float64]
@@ -42,49 +43,41 @@ def arm_shape(arm: Arm, q: ArrayLike, opening: ArrayLike = 0.0) -> ArmShape:
     """
     poses = link_poses(arm, q)
     opening = np.broadcast_to(np.asarray(opening, dtype=float), poses.shape[:-3])
-    fixed, gripper = arm.capsules, arm.gripper
-    own = np.array([(c.start, c.end) for c in fixed], dtype=float).reshape(-1, 2, 3)
+    fixed, moved, gripper = arm.capsules, arm.gripper.fingers, arm.gripper
     hand = poses[..., -1, :, :].copy()
     hand[..., :3, 3] -= gripper.length * hand[..., :3, 2]
-    carried = gripper.finger_pivot(opening)
-    moved = [_turned(gripper, carried), _shifted(gripper, carried)]
-    right = np.concatenate(moved, axis=-3)
+    right = _carried(gripper, opening)
     both = np.concatenate([right, right * [1.0, -1.0, 1.0]], axis=-3)
-    ends = np.concatenate(
-        [
-            _placed(poses[..., [c.link for c in fixed], :, :], own),
-            _placed(hand[..., None, :, :], both),
-        ],
-        axis=-3,
-    )
-    movable = (*gripper.knuckles, *gripper.fingers)
+    own = _placed(poses[..., [c.link for c in fixed], :, :], _ends(fixed))
+    ends = np.concatenate([own, _placed(hand[..., None, :, :], both)], axis=-3)
     names = [c.name for c in fixed]
-    names += [f"{side} {c.name}" for side in ("left", "right") for c in movable]  # as the URDF
-    touches = [isinstance(c, FingerCapsule) and c.touches_object for c in movable]
+    names += [f"{side} {c.name}" for side in ("left", "right") for c in moved]  # as the URDF
     return ArmShape(
         tuple(names),
         ends[..., 0, :],
         ends[..., 1, :],
-        np.array([c.radius for c in (*fixed, *movable, *movable)]),
-        np.array([False] * len(fixed) + 2 * touches, dtype=bool),
+        np.array([c.radius for c in (*fixed, *moved, *moved)]),
+        np.array([False] * len(fixed) + 2 * [c.touches_object for c in moved], dtype=bool),
     )
 
 
-def _turned(gripper: ParallelGripper, carried: Array) -> Array:
-    """[..., K, 2, 3] ends of the +y knuckles' capsules [m] that carry a finger [..., 2]."""
-    ends = np.array([(c.start, c.end) for c in gripper.knuckles], dtype=float).reshape(-1, 2, 3)
-    pivots = np.array([c.pivot for c in gripper.knuckles], dtype=float).reshape(-1, 1, 2)
-    along = (carried - [gripper.pivot_y, gripper.pivot_z]) / max(gripper.knuckle, 1e-9)
-    c, s = along[..., None, None, 0], along[..., None, None, 1]
-    x, y, z = np.moveaxis(ends, -1, 0)
-    y, z = c * y - s * z + pivots[..., 0], s * y + c * z + pivots[..., 1]
+def _ends(capsules: Sequence[LinkCapsule | FingerCapsule]) -> Array:
+    """[C, 2, 3] [m]."""
+    return np.array([(c.start, c.end) for c in capsules], dtype=float).reshape(-1, 2, 3)
+
+
+def _carried(gripper: ParallelGripper, opening: Array) -> Array:
+    """[..., C, 2, 3] ends of the +y finger's capsules in the gripper's frame [m]."""
+    finger = gripper.finger_pivot(opening)[..., None, :]
+    turns = np.array([c.pivot is not None for c in gripper.fingers])
+    about = np.array([c.pivot or (0.0, 0.0) for c in gripper.fingers]).reshape(-1, 2)
+    along = (finger - [gripper.pivot_y, gripper.pivot_z]) / max(gripper.knuckle, 1e-9)
+    c = np.where(turns, along[..., 0], 1.0)[..., None]
+    s = np.where(turns, along[..., 1], 0.0)[..., None]
+    pivot = np.where(turns[:, None], about, finger)[..., None, :]
+    x, y, z = np.moveaxis(_ends(gripper.fingers), -1, 0)
+    y, z = c * y - s * z + pivot[..., 0], s * y + c * z + pivot[..., 1]
     return np.stack([np.broadcast_to(x, y.shape), y, z], axis=-1)
-
-
-def _shifted(gripper: ParallelGripper, carried: Array) -> Array:
-    """[..., F, 2, 3] ends of the +y finger's capsules [m]."""
-    ends = np.array([(c.start, c.end) for c in gripper.fingers], dtype=float).reshape(-1, 2, 3)
-    return ends + np.insert(carried, 0, 0.0, axis=-1)[..., None, None, :]
 
 
 def _placed(T: Array, ends: Array) -> Array:

@@ -18,6 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from gendom.robot.arm import Arm
 from gendom.robot.kinematics import jacobian
@@ -50,8 +51,11 @@ def in_time(arm: Arm, motion: JointMotion) -> JointMotion:
     allowed = np.full(len(s), _SAFETY)
     best = None
     for _ in range(_ROUNDS):
-        time = motion.start + _times(s, _speed_profile(s, v, a, highest, arm, allowed))
-        done = _retimed(motion, s, time, q)
+        pace = np.sqrt(_speed_profile(s, v, a, highest, arm, allowed))
+        passed = np.cumsum(2.0 * np.diff(s) / (pace[:-1] + pace[1:]))
+        time = motion.start + np.concatenate([[0.0], passed])
+        events = tuple(replace(e, time=_at(e.time, s, time)) for e in motion.events)
+        done = replace(motion, time=time, q=q, events=events, slowed_by=1.0)
         excess = np.abs(done.acceleration_at(done.time) / arm.max_acceleration).max(axis=1)
         done = done.stretched(max(1.0, done.slowdown(arm)))
         if best is None or done.end < best.end:
@@ -60,10 +64,7 @@ def in_time(arm: Arm, motion: JointMotion) -> JointMotion:
             break
         # The spline rounds off the jumps of acceleration and overshoots beside them: there, and
         # only there, less is allowed.
-        worst = excess.copy()
-        for shift in (1, 2):
-            worst[shift:] = np.maximum(worst[shift:], excess[:-shift])
-            worst[:-shift] = np.maximum(worst[:-shift], excess[shift:])
+        worst = maximum_filter1d(excess, 5, mode="nearest")
         allowed = np.where(worst > 1.0, allowed * _SAFETY / worst, allowed)
     assert best is not None
     duration = motion.end - motion.start
@@ -119,21 +120,7 @@ def _speed_profile(s: Array, v: Array, a: Array, highest: Array, arm: Arm, allow
     return x
 
 
-def _times(s: Array, x: Array) -> Array:
-    """Times at which the points of the grid are passed, after the first one, [N] [s]."""
-    pace = np.sqrt(x)
-    return np.concatenate([[0.0], np.cumsum(2.0 * np.diff(s) / (pace[:-1] + pace[1:]))])
-
-
-def _retimed(motion: JointMotion, s: Array, time: Array, q: Array) -> JointMotion:
-    events = tuple(replace(e, time=float(_to_motion_time(e.time, s, time))) for e in motion.events)
-    return replace(motion, time=time, q=q, events=events, slowed_by=1.0)
-
-
-def _to_motion_time(moment: float, s: Array, time: Array) -> float:
-    """Convert a path time to motion time; before and after the motion time is not scaled."""
-    if moment <= s[0]:
-        return time[0] + moment - s[0]
-    if moment >= s[-1]:
-        return time[-1] + moment - s[-1]
-    return float(np.interp(moment, s, time))
+def _at(moment: float, s: Array, time: Array) -> float:
+    """Motion time of a path time; before and after the motion time is not scaled."""
+    inside = np.clip(moment, s[0], s[-1])
+    return float(np.interp(inside, s, time) + moment - inside)
