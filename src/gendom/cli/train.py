@@ -63,14 +63,11 @@ class Command:
     """New cases to act in afterwards; 0: none."""
     seed: int = 0
     """Seed of the training and of the cases."""
-    tensorboard: Path | None = None
-    """Folder to log losses to, for TensorBoard."""
     json: bool = False
     """Print JSON."""
 
     def run(self) -> int:
-        from gendom.policies.evaluation import draw_cases, score
-        from gendom.policies.training import Training, annotate, train
+        from gendom.policies.training import Training, train
         from gendom.sim.device import open_device
         from gendom.tasks.world import Simulation
 
@@ -81,20 +78,15 @@ class Command:
         finetune = None if self.finetune is None else self._read(self.finetune)
         method = self.method or ("distal" if demonstrations.goal_names else "quantile")
         training = settings_of(Training, self, method=method, conditioned_on=sees)
-        simulation = Simulation(engine=self.engine, device=self.device)
         policy = train(
             demonstrations,
             self.out,
             training,
             finetune=finetune,
-            world=simulation,
+            world=Simulation(engine=self.engine, device=self.device),
+            cases=self.cases,
             progress=True,
-            tensorboard=self.tensorboard,
         )
-        if self.cases:
-            cases = draw_cases(policy.task(), self.cases, seed=self.seed, simulation=simulation)
-            acted = score(policy, cases, world=simulation).summary()
-            policy = annotate(policy, {"acted": acted})
         summary = summarize(policy)
         print(to_json(summary) if self.json else summary_text(summary))
         return 0
