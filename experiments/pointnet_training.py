@@ -21,8 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.policies.learning import (  # explains a missing torch
-    Epoch,
-    FitSettings,
     export_onnx,
     fit,
 )
@@ -49,7 +47,7 @@ from experiments.sim2sim import (
     truth_of,
 )
 from gendom.arguments import require
-from gendom.errors import ParameterError, SimulationError
+from gendom.errors import SimulationError
 from gendom.estimation.replay import replay
 from gendom.estimation.scene import LiftScene
 from gendom.files import atomic_path
@@ -161,7 +159,7 @@ def train(
     """Train a network on `simulated_lifts` of a scene and write it to an ONNX file, atomically.
 
     Raises:
-        ParameterError: The training diverged, or the file's network is not the trained one.
+        GendomError: The training diverged, or the file's network is not the trained one.
     """
     made = {name: torch.from_numpy(array) for name, array in grouped(clouds).items()}
     target = torch.tensor(targets, dtype=torch.float32)
@@ -195,18 +193,20 @@ def _fit(
         weight = torch.exp(0.5 * own).detach()
         return (weight * (off * torch.exp(-own) + own)).mean()
 
-    def count(epoch: Epoch) -> None:
+    def count(epochs: int, *_: float | None) -> None:
         nonlocal done
-        done = epoch.done
+        done = epochs
 
-    settings = FitSettings(
+    fit(
+        network,
+        loss_of,
+        torch.arange(len(target)),
         epochs=training.epochs,
         batch_size=training.batch_size,
         learning_rate=training.learning_rate,
         weight_decay=training.weight_decay,
+        on_epoch=count,
     )
-    rows = torch.arange(len(target))
-    fit(network, loss_of, rows, settings, on_epoch=count, error=ParameterError)
 
 
 def _export(network: PointNet, made: dict[str, Tensor], path: Path, about: dict) -> None:

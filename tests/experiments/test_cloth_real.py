@@ -17,7 +17,6 @@ from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
 from gendom.policies.belief import believed
 from gendom.reality import find_object
-from gendom.tasks import ClothSpreading
 from gendom.tasks.cloth_spreading import OFF_CENTRE
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.task import Outcome
@@ -122,22 +121,6 @@ def test_trials_are_kept_and_faults_are_no_numbers(runs, monkeypatch):
     done.clear()
     assert cloth_real(runs, SMALL) == result
     assert not done
-
-
-def test_where_the_hand_closes_depends_on_the_seed_alone():
-    hands = module._hands(3, 5)
-    assert np.array_equal(hands, module._hands(3, 5))
-    assert np.array_equal(hands[:2], module._hands(3, 2))
-    assert not np.array_equal(hands[1], module._hands(4, 5)[1])
-
-
-def test_a_cloth_s_place_in_the_hand_is_part_of_the_task_s_settings():
-    task = ClothSpreading(off_centre=(0.03, 0.0))
-    again = ClothSpreading.from_settings(task.settings())
-    np.testing.assert_allclose(again.off_centre, task.off_centre)
-    item = find_object(COTTON)
-    path = again.tool_path(item, np.array([0.2])).position
-    np.testing.assert_allclose(path[:, :2], np.tile(0.2 * np.array([0.53, 0.5]), (len(path), 1)))
 
 
 def test_the_command_prints_the_table(runs, capsys, monkeypatch):

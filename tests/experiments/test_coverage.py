@@ -33,14 +33,14 @@ def rows_of(lifts, *, stated=1.0, bias=0.0, seed=0):
     ]
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_ranks_of_right_posteriors_stay_in_the_band(seed):
     (found,) = covered(rows_of(100, seed=seed), 0.9)
     assert found.uniform and len(found.ranks) == sum(found.counts) == 100
     assert "in the band" in str(shown_of(rows_of(100, seed=seed), [found])[0])
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
     ("wrong", "piles"),
     [({"stated": 0.35}, (0, -1)), ({"bias": 0.06}, (0,)), ({"bias": -0.06}, (-1,))],
@@ -78,19 +78,6 @@ def test_a_factor_makes_intervals_hold_as_often_as_they_say(stated):
     """Those that are too wide become narrower."""
     (found,) = covered(rows_of(2000, stated=stated), 0.9)
     assert found.factor == pytest.approx(1.0 / stated, rel=0.05)
-
-
-def test_nothing_is_added_to_wide_posteriors():
-    assert covered(rows_of(500, stated=2.0), 0.9)[0].added == 0.0
-
-
-def test_a_rank_is_the_share_of_the_posterior_below_the_truth():
-    """0.05 above the mean of a posterior whose deviation is 0.05: Phi(1)."""
-    (row,) = rows_of(1)
-    row["posterior"]["mean"] = [math.log(row["truth"]["E_over_rho"]) - 0.05]
-    (found,) = covered([row], 0.9)
-    assert found.ranks == pytest.approx((0.8413,), abs=1e-4)
-    assert found.counts == (0, 0, 0, 1)
 
 
 @pytest.mark.parametrize(("count", "bins"), [(40, 8), (100, 20), (21, 4)])

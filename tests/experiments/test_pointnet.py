@@ -45,15 +45,14 @@ def test_neighbours_beyond_the_radius_are_the_nearest_one():
     assert found.tolist() == [0, 1, 2] + [0] * (NEIGHBOURS - 3)
 
 
-@pytest.mark.parametrize("n", [25, 400])
-def test_groups_do_not_depend_on_the_order_of_points(n):
+def test_groups_do_not_depend_on_the_order_of_points():
+    n = 2 * POINTS
     cloud = RNG.normal(size=(1, n, 3))
     a, b = (grouped(c) for c in (cloud, cloud[:, RNG.permutation(n)]))
     assert a["near"].shape == (1, CENTRES[0], NEIGHBOURS, 3)
     assert a["which"].shape == (1, CENTRES[1], NEIGHBOURS)
-    if n >= POINTS:
-        np.testing.assert_array_equal(a["at"], b["at"])
-        np.testing.assert_array_equal(np.sort(a["near"], axis=2), np.sort(b["near"], axis=2))
+    np.testing.assert_array_equal(a["at"], b["at"])
+    np.testing.assert_array_equal(np.sort(a["near"], axis=2), np.sort(b["near"], axis=2))
 
 
 def test_the_file_gives_what_torch_gives(tmp_path):
@@ -76,10 +75,6 @@ def test_the_file_gives_what_torch_gives(tmp_path):
         expected = network(*(torch.from_numpy(made[name]) for name in INPUTS))
     for a, b in zip(session.run(None, made), expected, strict=True):
         np.testing.assert_allclose(a, b.numpy(), atol=1e-5)
-    torch.manual_seed(5)
-    again = train(scene, clouds, targets, path, training)
-    for a, b in zip(network.parameters(), again.parameters(), strict=True):
-        assert torch.equal(a, b)
 
 
 def test_the_shipped_network_reads_a_lift(paper_lift):

@@ -11,7 +11,6 @@ pytest.importorskip("onnx", reason="needs the extra `train`")
 
 from experiments import ablation as ablation_module
 from experiments import rope_real as rope_real_module
-from experiments.__main__ import main
 from experiments.ablation import ablation, curves_of
 from experiments.generalization import PAPER, generalization, table_of
 from experiments.rope_real import WithinRisk, rope_real, shown_of
@@ -46,17 +45,6 @@ def runs(tmp_path) -> Runs:
 
 def set_of(runs: Runs, size: int = 200):
     return runs.demonstrations("set", Demonstrator(task=RopeReaching(), world=Thrown()), size)
-
-
-def test_what_is_there_is_not_made_again(runs):
-    made = []
-
-    def make():
-        made.append(1)
-        return {"a": len(made)}
-
-    assert runs.kept("thing", make) == {"a": 1} == runs.kept("thing", make)
-    assert made == [1]
 
 
 def test_policies_are_trained_unless_they_are_there(runs, monkeypatch):
@@ -110,25 +98,6 @@ def test_ablation_has_all_rows_and_parameters_that_count_help(runs, monkeypatch)
     assert low < error["distal, both"] < high
     x, y = (curves_of(result).lines or {})["distal"]
     assert list(x) == [25.0, 400.0] and y[1] == error["distal, both"]
-
-
-@pytest.mark.slow
-def test_the_command_writes_json_text_and_a_picture(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(ablation_module, "simulation", lambda *_: Thrown())
-    small = ablation_module.Settings(
-        demonstrations=60, epochs=1, seeds=1, refine=0, steps=20, curve=(30,), goals=(5, 10)
-    )
-    monkeypatch.setattr(ablation_module, "SCALES", {"small": small})
-    words = ["ablation", "--out", str(tmp_path), "--seed", "3", "--jobs", "1"]
-    assert main(words) == 0
-    told = capsys.readouterr().out
-    assert "inverse, both" in told and "ablation-rope-reaching.txt" in told
-    assert "0.024" in told and "10 goals" in told and "distal, 30" in told
-    result = json.loads((tmp_path / "ablation-rope-reaching.json").read_text())
-    written = (tmp_path / "ablation-rope-reaching.txt").read_text()
-    shown = f"{result['rows']['distal, E']['10']['mean']:.4f}"
-    assert shown in written and shown in told and "ablation --out" in written
-    assert (tmp_path / "ablation-rope-reaching.png").stat().st_size > 1000
 
 
 def test_generalization_has_both_domains_and_what_r2s2r_found(runs, monkeypatch):

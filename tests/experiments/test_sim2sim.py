@@ -19,7 +19,6 @@ from experiments.sim2sim import (
     sim2sim_recording,
     truth_of,
 )
-from gendom.errors import ParameterError
 from gendom.estimation.replay import simulator_of
 from gendom.estimation.scene import LiftScene
 
@@ -58,11 +57,6 @@ def test_estimates_end_at_the_truth_from_every_start():
     """Where searches end early without leaps (seed 0, the fourth object)."""
     row = sim2sim("gauss-newton", truths=4, starts=5)
     assert row["E_worst"] < 0.01 and row["nu_worst"] < 1e-5 and row["chamfer"] < 1e-6
-
-
-def test_an_unknown_method_is_named():
-    with pytest.raises(ParameterError, match="there is no method 'magic'"):
-        sim2sim("magic")
 
 
 def test_the_table_has_the_paper_s_numbers_below_ours(monkeypatch, tmp_path, capsys):

@@ -10,11 +10,9 @@ import pytest
 from gendom import cli
 from gendom.cli.act import (
     UNSTEADY,
-    predicted_text,
     reached_late,
     result_text,
     steady,
-    units_of,
 )
 from gendom.cli.policies import made_by
 from gendom.datasets.demonstrations import generate
@@ -25,7 +23,7 @@ from gendom.policies import Policy
 from gendom.reading import read_json
 from gendom.reality import OBJECTS
 from gendom.robot import XARM7, read_joints
-from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
+from gendom.tasks import RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
@@ -49,6 +47,8 @@ def act(make_policy, monkeypatch, tmp_path, capsys):
     policies = {True: make_policy()[0], False: make_policy(conditioned_on=())[0]}
     monkeypatch.setattr(Policy, "pretrained", lambda task, *, parameters: policies[parameters])
     monkeypatch.setattr("gendom.cli.act.UNSTEADY", 0.04)  # the stand-in's move by 0.03
+    monkeypatch.setattr("gendom.cli.act.DRAWS", 24)
+    monkeypatch.setattr("gendom.cli.act.POLISHED_FOR", 4)
 
     def run(*flags, estimate=ESTIMATE, goal="0.35"):
         words = ["act", "rope-reaching", "--goal", goal, *flags]
@@ -62,6 +62,7 @@ def act(make_policy, monkeypatch, tmp_path, capsys):
 
 
 def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
+    """What is dimensionless or assumed is said so; by file or by flags, here or elsewhere."""
     code, out, err = act("--json", "--out", str(tmp_path / "action.json"))
     assert (code, err) == (0, f"written: {tmp_path / 'action.json'}\n")
     result = json.loads(out)
@@ -75,14 +76,31 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     expected = T @ [x, 0.0, z, 1.0]
     assert motion["position"][-1] == pytest.approx(expected[:3].tolist())
     assert [e["closed"] for e in motion["events"]] == [True, False]
+    assert result["arm"] == {"name": "xarm7", "slowed_by": 1.0}
     assert result["policy"]["seed"] == 3
     assert result["assumed"] == {"damping": 0.004, "friction": 0.3}
+    meaning = result["network_input_meaning"]
+    assert result["network_input"].keys() == meaning.keys() == {"bending_ratio", "nu"}
+    assert meaning["bending_ratio"] == "bending length over size, dimensionless"
+    assert result["units"]["release_x"] == result["units"]["x"] == "m"
+    assert result["units"]["sideways"] == "m"
 
     code, out, _ = act()
     assert code == 0 and re.search(r"release_x 0\.15\d* m, release_z ", out)
     assert re.search(r"\n  goal +x 0\.\d+ m\n", out) and re.search(r"predicts x 0\.\d+ m \(90", out)
-    assert result["units"]["release_x"] == result["units"]["x"] == "m"
+    assert re.search(r"\n  inputs   of the policy, dimensionless\n", out)
+    assert re.search(r"\n           bending_ratio +0\.\d+ +bending length over size\n", out)
+    assert re.search(r"sideways \S+ m\n", out.split("predicts")[1])
+    assert "xarm7 follows the motion" in out
     assert out.count("\n") > len(motion["time"])
+
+    flags = ["--E=9e5", "--nu=0.3", "--density=900", "--length=0.25", "--diameter=0.014"]
+    moved = ["--origin", "0.5", "0.2", "0.1", "--no-prediction", "--json"]
+    elsewhere = json.loads(act(*flags, *moved, estimate=None)[1])
+    assert elsewhere["network_input"] == result["network_input"]
+    shift = np.subtract(elsewhere["trajectory"]["position"], motion["position"])
+    # not the same action: without a prediction it is not looked whether it is steady
+    assert shift[0] == pytest.approx([0.02, -0.1, -0.02])
 
 
 def test_an_unsteady_release_is_replaced():
@@ -111,9 +129,7 @@ def test_where_none_is_steady_act_refuses(monkeypatch, act):
 def test_nothing_below_the_table_is_planned(act, tmp_path, cell):
     """An origin 0.2 m lower: the release point lies 30 mm below the table, in a cell or none."""
     flags = ["--cell", str(write_cell(tmp_path, cameras=False))] if cell else []
-    code, _, err = act(*flags)
-    assert code == 0, err
-    code, _, err = act(*flags, "--origin", "0.48", "0.30", "-0.13")
+    code, _, err = act(*flags, "--no-prediction", "--origin", "0.48", "0.30", "-0.13")
     assert code == 2 and re.search("table.*; choose another --origin, or add --force", err)
 
 
@@ -121,6 +137,7 @@ def test_act_plans_what_execute_reads(act, tmp_path):
     cell, out = write_cell(tmp_path, cameras=False), tmp_path / "action.json"
     joints, points = tmp_path / "joints.csv", tmp_path / "ros.json"
     flags = ["--cell", cell, "--out", out, "--joints", joints, "--trajectory", points]
+    flags += ["--no-prediction"]
     code, text, err = act(*map(str, flags))
     assert code == 0, err
     action = read_action(out)
@@ -135,53 +152,23 @@ def test_act_plans_what_execute_reads(act, tmp_path):
     assert ("takes" in text) == any("times as long" in w for w in said["warnings"])
 
 
-def test_act_says_which_numbers_are_dimensionless(act):
-    """The policy's inputs are no SI values, and outcomes have units, too."""
-    result, out = json.loads(act("--json")[1]), act()[1]
-    assert (
-        result["network_input"].keys()
-        == result["network_input_meaning"].keys()
-        == {"bending_ratio", "nu"}
-    )
-    assert (
-        result["network_input_meaning"]["bending_ratio"]
-        == "bending length over size, dimensionless"
-    )
-    assert re.search(r"\n  inputs   of the policy, dimensionless\n", out)
-    assert re.search(r"\n           bending_ratio +0\.\d+ +bending length over size\n", out)
-    assert "sees" not in out
-    assert "nu " not in act("--no-parameters")[1]
-    predicted = out.split("predicts")[1].split("\n")[0]
-    assert re.search(r"sideways \S+ m$", predicted)
-    assert result["units"]["sideways"] == "m"
-
-
-def test_act_says_what_is_assumed_with_its_unit(act, monkeypatch, make_policy):
-    policy = make_policy(conditioned_on=("bending_ratio", "nu", "damping"))[0]
-    monkeypatch.setattr(Policy, "pretrained", lambda task, *, parameters: policy)
-    assert "\n  assumed  damping 0.004 s\n" in act()[1]
-
-
-def test_outcomes_of_shipped_tasks_have_units_and_meanings():
-    for task in (RopeReaching(), RopeCasting(), ClothSpreading()):
-        known = {q.name: q for q in (*task.goals, *task.outcomes)}
-        assert all(q.meaning for q in known.values())
-    text = predicted_text({"reached": {"x": 0.3, "backswing_higher": 1.0}}, units_of(RopeCasting()))
-    assert text == "x 0.3 m, backswing_higher yes"
-    text = predicted_text({"reached": {"share": 0.8}}, units_of(ClothSpreading()))
-    assert text == "share 0.8 [-]"
-
-
 def test_act_predicts_what_will_be_reached(act):
-    """By the estimate's interval; the release of the same estimate, simulated here."""
-    result = json.loads(act("--json")[1])
-    found = result["predicted"]
-    low, high = found["interval_90"]["x"]
-    assert 0.25 < low < high < 0.5
-    assert low - 0.01 < found["reached"]["x"] < high + 0.01
-    assert json.loads(act("--json")[1])["predicted"] == found
+    """By the estimate's interval and its level, and by what its simulator errs, which counts also
+    where the object is known all but exactly."""
+
+    def spread(level=None, ends=(8.0e5, 1.0e6)):
+        intervals = {"E": list(ends)} | ({} if level is None else {"level": level})
+        changed = ESTIMATE | {"intervals": intervals}
+        found = json.loads(act("--json", "--damping", "0.004", estimate=changed)[1])["predicted"]
+        low, high = found["interval_90"]["x"]
+        assert 0.25 < low < high < 0.5 and low - 0.01 < found["reached"]["x"] < high + 0.01
+        return high - low
+
+    own = 0.008 * ESTIMATE["object"]["length"]  # deviation of the simulator
+    usual, half = (math.sqrt(spread(level) ** 2 - (3.29 * own) ** 2) for level in (None, 0.5))
+    assert half > 1.5 * usual
+    assert 2.4 * own < spread(0.9, (0.8999e6, 0.9001e6)) < 4.2 * own
     assert "predicted" not in json.loads(act("--json", "--no-prediction")[1])
-    assert "90 %" in act()[1]
 
 
 def test_act_polishes_for_the_estimated_object(act):
@@ -263,38 +250,15 @@ def test_adapt_refuses(adapt, flags, text):
     assert text in err and err.count("\n") == 1
 
 
-def test_act_predicts_by_the_level_of_the_interval(act):
-    """The same ends at half the probability are those of a wider estimate."""
-    spans = []
-    for level in (0.9, 0.5):
-        intervals = ESTIMATE["intervals"] | {"level": level}
-        changed = ESTIMATE | {"intervals": intervals}
-        out = act("--json", "--damping", "0.004", estimate=changed)[1]
-        low, high = json.loads(out)["predicted"]["interval_90"]["x"]
-        own = 2.0 * 1.645 * 0.008 * ESTIMATE["object"]["length"]  # of the simulator
-        spans.append(math.sqrt((high - low) ** 2 - own**2))
-    assert spans[1] > 1.5 * spans[0]
-
-
-def test_act_expects_its_simulator_to_err(act):
-    """Also where the object is known all but exactly."""
-    changed = ESTIMATE | {"intervals": {"E": [0.8999e6, 0.9001e6], "level": 0.9}}
-    found = json.loads(act("--json", "--damping", "0.004", estimate=changed)[1])
-    low, high = found["predicted"]["interval_90"]["x"]
-    sd = 0.008 * found["object"]["length"]
-    assert 2.4 * sd < high - low < 4.2 * sd
-
-
 def test_act_takes_damping_and_friction_from_the_estimate(act):
     """Where it has them; what it does not know is assumed."""
-    for friction in (0.0, 0.6):
-        changed = ESTIMATE | {"damping": None, "friction": friction, "intervals": None}
-        result = json.loads(act("--json", estimate=changed)[1])
-        assert result["object"]["friction"] == friction
-        assert result["assumed"] == {"damping": 0.004}
-        assert "interval_90" not in result["predicted"]
-    result = json.loads(act("--json", estimate=ESTIMATE | {"damping": 0.007})[1])
-    assert result["object"]["damping"] == 0.007
+    changed = ESTIMATE | {"damping": None, "friction": 0.0, "intervals": None}
+    result = json.loads(act("--json", estimate=changed)[1])
+    assert result["object"]["friction"] == 0.0 and result["assumed"] == {"damping": 0.004}
+    assert "interval_90" not in result["predicted"]
+    changed = ESTIMATE | {"damping": 0.007, "friction": 0.6}
+    result = json.loads(act("--json", "--no-prediction", estimate=changed)[1])
+    assert (result["object"]["damping"], result["object"]["friction"]) == (0.007, 0.6)
 
 
 def test_act_refuses_an_estimate_that_is_not_usable(act):
@@ -302,27 +266,9 @@ def test_act_refuses_an_estimate_that_is_not_usable(act):
     code, out, err = act(estimate=ESTIMATE | {"verdict": verdict})
     assert (code, out) == (2, "")
     assert "is not usable: the gripper rests, points stray; record the object again" in err
-    assert act("--force", estimate=ESTIMATE | {"verdict": verdict})[0] == 0
-    assert act(estimate=ESTIMATE | {"verdict": {"usable": True, "reasons": []}})[0] == 0
-
-
-def test_the_arm_accepts_the_motion(act):
-    from gendom.robot import XARM7, TcpPath, follow
-
-    motion = json.loads(act("--json")[1])["trajectory"]
-    path = TcpPath(
-        time=np.array(motion["time"]),
-        position=np.array(motion["position"]),
-        quat_xyzw=np.array(motion["quat_xyzw"]),
-    )
-    assert follow(XARM7, path).slowed_by == 1.0
-
-
-def test_the_origin_can_be_chosen(act):
-    moved = json.loads(act("--json", "--origin", "0.5", "0.2", "0.1")[1])["trajectory"]
-    plain = json.loads(act("--json")[1])["trajectory"]
-    shift = np.subtract(moved["position"], plain["position"])
-    assert shift == pytest.approx(np.tile([0.02, -0.1, -0.02], (len(shift), 1)))
+    plain = ("--no-prediction", "--json")
+    assert act("--force", *plain, estimate=ESTIMATE | {"verdict": verdict})[0] == 0
+    assert act(*plain, estimate=ESTIMATE | {"verdict": {"usable": True, "reasons": []}})[0] == 0
 
 
 def test_a_motion_that_the_arm_cannot_do_is_refused(act):
@@ -332,64 +278,32 @@ def test_a_motion_that_the_arm_cannot_do_is_refused(act):
     assert (code, out) == (2, "") and err.count("\n") == 1
     assert "xarm7: position (1.500" in err and "is out of reach" in err
     assert "choose another --origin, or add --force" in err
-    code, out, err = act(*far, "--force", "--json")
+    code, out, err = act(*far, "--force", "--no-prediction", "--json")
     assert code == 0 and "is out of reach" in err
     assert any("is out of reach" in line for line in json.loads(out)["warnings"])
-    assert json.loads(act("--json")[1])["arm"] == {"name": "xarm7", "slowed_by": 1.0}
-    assert "xarm7 follows the motion" in act()[1]
 
 
-def test_act_takes_flags_instead_of_a_file_and_before_it(act):
-    material = ["--E=9e5", "--nu=0.3", "--density=900"]
-    sizes = ["--length=0.25", "--diameter=0.014"]
-    by_flags = json.loads(act(*material, *sizes, "--json", estimate=None)[1])
-    by_file = json.loads(act("--json")[1])
-    del by_file["predicted"]["interval_90"]
-    assert by_flags == by_file
+def test_a_flag_comes_before_the_file(act):
     softer = json.loads(act("--E", "4.5e5", "--json")[1])
     assert softer["object"]["E_over_rho"] == pytest.approx(500.0)
     assert "interval_90" not in softer["predicted"]  # that was of another E
 
 
-def test_act_without_parameters_needs_only_sizes(act):
-    flags = ["--no-parameters", "--length", "0.25", "--diameter", "0.014", "--json"]
-    code, out, _ = act(*flags, estimate=None)
-    assert code == 0
-    assert json.loads(out)["network_input"] == {} and "predicted" not in json.loads(out)
-
-
-@pytest.mark.parametrize(
-    ("flags", "goal", "text"),
-    [
-        (
-            ("--nu", "0.45"),
-            "0.35",
-            "nu (Poisson's ratio) 0.45 is 12.5 % above the range 0.2 to 0.4",
-        ),
-        (("--E", "1e4"), "0.35", "bending_ratio (bending length over size)"),
-        ((), "0.9", "goal x 0.9 lies outside"),
-    ],
-)
-def test_act_refuses_what_its_policy_never_saw_unless_forced(act, flags, goal, text):
-    code, out, err = act(*flags, goal=goal)
+def test_act_refuses_what_its_policy_never_saw_unless_forced(act):
+    """All of it is named in one line; what is as good as in the range is taken."""
+    said = ["goal x 0.9 lies outside", "bending_ratio (bending length over size)",
+            "nu (Poisson's ratio) 0.45 is 12.5 % above the range 0.2 to 0.4"]  # fmt: skip
+    flags = ("--nu", "0.45", "--E", "1e4", "--no-prediction")
+    code, out, err = act(*flags, goal="0.9")
     assert (code, out) == (2, "")
-    assert err.count("\n") == 1 and text in err and "add --force" in err
-    code, out, err = act(*flags, "--force", "--no-prediction", "--json", goal=goal)
-    assert code == 0 and text in err and "it uses" in err
+    assert err.count("\n") == 1 and all(text in err for text in said) and "add --force" in err
+    code, out, err = act(*flags, "--force", "--json", goal="0.9")
     result = json.loads(out)
-    assert text in result["warnings"][0]
-    assert result["goal"] == {"x": float(goal)}
-
-
-def test_act_takes_what_is_as_good_as_in_the_range(act):
-    """Drawn ranges end a little within those that were drawn from."""
+    assert code == 0 and result["goal"] == {"x": 0.9}
+    for text, warning in zip(said, result["warnings"], strict=False):
+        assert text in warning and "it uses" in warning and text in err
     code, _, err = act("--nu", "0.403", "--no-prediction")
     assert code == 0 and "0.75 % above" in err
-
-
-def test_act_names_all_that_its_policy_never_saw(act):
-    err = act("--nu", "0.45", goal="0.9")[2]
-    assert err.count("\n") == 1 and "goal x 0.9" in err and "nu (Poisson's ratio) 0.45" in err
 
 
 @pytest.mark.parametrize(
@@ -452,17 +366,26 @@ def quick(monkeypatch):
 def test_train_then_evaluate(quick, tmp_path, capsys):
     pytest.importorskip("torch", reason="needs the extra `train`")
     pytest.importorskip("onnx", reason="needs the extra `train`")
-    generate(Demonstrator(task=RopeReaching()), 400, tmp_path / "set", seed=0)
+    generate(Demonstrator(task=RopeReaching()), 200, tmp_path / "set", seed=0)
     paths = {}
     for condition, method in (("all", "distal"), ("none", "inverse")):
         paths[condition] = str(tmp_path / f"{condition}.onnx")
-        words = ["train", "rope-reaching", "--data", str(tmp_path / "set"), "--epochs", "40"]
+        words = [
+            "train",
+            "rope-reaching",
+            "--data",
+            str(tmp_path / "set"),
+            "--epochs",
+            "25",
+            "--cases",
+            "40",
+        ]
         words += ["--out", paths[condition], "--condition", condition, "--method", method]
         assert cli.main([*words, "--seed", "5", "--json"]) == 0
         summary = json.loads(capsys.readouterr().out)
         assert summary["training"]["seed"] == 5
-        assert summary["training"]["demonstrations"] == 400
-        assert summary["acted"]["cases"] == 200 and summary["acted"]["error"]["mean"] < 0.01
+        assert summary["training"]["demonstrations"] == 200
+        assert summary["acted"]["cases"] == 40 and summary["acted"]["error"]["mean"] < 0.02
     assert cli.main(words) == 0
     assert "conditioned on no parameters" in capsys.readouterr().out
 
@@ -474,29 +397,24 @@ def test_train_then_evaluate(quick, tmp_path, capsys):
     # the second was trained again just now, with the default seed
     assert [p["training_seed"] for p in result["policies"]] == [5, 0]
     for entry in result["policies"]:
-        assert 0.0 < entry["error"]["mean"] < 0.01
+        assert 0.0 < entry["error"]["mean"] < 0.02
     assert cli.main([*words, "--seed", "7"]) == 0
     out = capsys.readouterr().out
     assert "distal, conditioned on bending_ratio, nu, damping, density" in out
     assert "error   [m]\n" in out
 
 
-def test_the_engine_can_be_chosen(act, quick, make_policy, monkeypatch, capsys):
-    """By `evaluate`, by `act` with its prediction, and by `train`, whose policies say so."""
-    quickly, engines = Simulation.carry_out, []
+def test_the_engine_can_be_chosen(quick, make_policy, monkeypatch, capsys):
+    """By `evaluate`, and by `train`, whose policies say so."""
+    quickly, engines = Simulation.carry_out, set()
 
     def carry_out(self, *given, **more):
-        engines.append(self.engine)
+        engines.add(self.engine)
         return quickly(self, *given, **more)
 
     monkeypatch.setattr(Simulation, "carry_out", carry_out)
-    words = ["evaluate", "rope-reaching", "--cases", "2", "--json"]
-    for flags, engine in (((), "thin"), (("--engine", "mpm"), "mpm")):
-        assert cli.main([*words, *flags]) == 0
-        assert json.loads(capsys.readouterr().out)["engine"] == engine
-        assert act(*flags)[0] == 0
-        assert set(engines) == {engine}
-        engines.clear()
+    assert cli.main(["evaluate", "rope-reaching", "--cases", "2", "--json", "--engine", "mpm"]) == 0
+    assert json.loads(capsys.readouterr().out)["engine"] == "mpm" and engines == {"mpm"}
     training = {"seed": 3, "demonstrations": 9, "architecture": "smooth", "epochs": 3}
     training |= {"refine": 2, "refine_cases": 5}
     for engine in ("thin", "mpm"):
@@ -504,20 +422,6 @@ def test_the_engine_can_be_chosen(act, quick, make_policy, monkeypatch, capsys):
         (_, command) = made_by(make_policy(training=training | refined)[0])
         assert ("--engine mpm" in command) == (engine == "mpm")
     assert cli.main([*command.split()[1:], "--help"]) == 0
-
-
-def test_train_refuses_a_missing_set_and_unknown_parameters(tmp_path, capsys):
-    pytest.importorskip("torch", reason="needs the extra `train`")
-    words = ["train", "rope-reaching", "--data", str(tmp_path / "x"), "--out", "p.onnx"]
-    assert cli.main(words) == 2
-    assert "no such folder" in capsys.readouterr().err
-    assert cli.main([*words, "--condition", "colour"]) == 2
-    assert "there is no parameter 'colour'" in capsys.readouterr().err
-
-
-def test_a_task_that_is_none_is_told_with_those_that_there_are(capsys):
-    assert cli.main(["act", "knitting", "--goal", "0.3"]) == 2
-    assert "knitting" in (told := capsys.readouterr().err) and "rope-casting" in told
 
 
 def test_policies_that_ship_are_listed(capsys):

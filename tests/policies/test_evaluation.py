@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError, PolicyError, SimulationError
-from gendom.materials import PARAMETERS, Rope, dimensionless_parameters, size_of
+from gendom.materials import PARAMETERS, dimensionless_parameters, size_of
 from gendom.policies import Column, Description, GoalRange, Policy
 from gendom.policies.evaluation import choose, draw_cases, judge, score
 from gendom.tasks import RopeReaching
@@ -97,22 +97,6 @@ def test_a_policy_may_know_less_than_the_truth():
     result = judge(cases, choose(make_policy(), cases, known=wrong), world=Quick())
     off = 0.25 * 0.15 * np.log(1.1)
     assert result.error[free(result)] == pytest.approx(off, abs=1e-6)
-
-
-def test_cases_may_have_ropes_of_another_size():
-    task = RopeReaching(
-        item=Rope(length=0.6, diameter=0.02), ranges={"E_over_rho": (1000.0, 5000.0)}
-    )
-    cases = draw_cases(task, 30, seed=3, simulation=Quick())
-    result = score(make_policy(), cases, world=Quick())
-    assert result.error[free(result)].max() < 1e-6
-    assert result.size == pytest.approx(np.full(30, 0.6))
-
-
-def test_given_objects_are_taken_by_turns():
-    items = [Rope(length=L, diameter=0.01) for L in (0.3, 0.4)]
-    cases = draw_cases(TASK, 5, seed=0, simulation=Quick(), items=items)
-    assert [size_of(item) for item in cases.items] == [0.3, 0.4, 0.3, 0.4, 0.3]
 
 
 def test_what_cannot_be_relied_on_makes_no_goal():

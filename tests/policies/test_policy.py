@@ -37,16 +37,12 @@ def test_act_gives_metres_of_the_given_rope(make_policy):
     assert session.fed["goal_x"] == pytest.approx(np.array([[1.4]]))
     assert session.fed["bending_ratio"] == pytest.approx(np.array([[0.4]]), rel=1e-6)
     assert action.warnings == ()
-
-
-def test_action_scales_with_the_rope(make_policy):
-    policy, session = make_policy()
-    small = policy.act(0.36, rope())
     seen = session.fed
-    large = policy.act(0.72, rope(length=0.5, diameter=0.02))
-    for name, value in seen.items():
-        assert session.fed[name] == pytest.approx(value, rel=1e-6), name
-    assert np.array(large.values) == pytest.approx(2.0 * np.array(small.values))
+    large = policy.act(0.70, rope(length=0.5, diameter=0.02))
+    assert session.fed == {name: pytest.approx(value, rel=1e-6) for name, value in seen.items()}
+    assert np.array(large.values) == pytest.approx(2.0 * np.array(action.values))
+    with pytest.raises(PolicyError, match=r"goal x 1 lies .* between 0.6 and 0.9"):
+        policy.act(1.0, rope(0.3, length=0.5, diameter=0.02))
 
 
 @pytest.mark.parametrize(
@@ -62,12 +58,6 @@ def test_goal_range_depends_on_the_rope(make_policy, bending, inside, outside, t
     policy.act(inside, rope(bending))
     with pytest.raises(PolicyError, match=text):
         policy.act(outside, rope(bending))
-
-
-def test_goal_range_is_told_in_metres_of_the_given_rope(make_policy):
-    policy, _ = make_policy()
-    with pytest.raises(PolicyError, match=r"goal x 1 lies .* between 0.6 and 0.9"):
-        policy.act(1.0, rope(0.3, length=0.5, diameter=0.02))
 
 
 def test_policy_without_parameters_sees_none_and_has_one_range(make_policy):
@@ -88,10 +78,6 @@ def test_parameters_outside_are_clipped_with_a_warning(make_policy, caplog):
     assert "bending length over size) 0.875 is 25 % above" in action.warnings[0]
     assert "25 % below" in action.warnings[1]
     assert tuple(record.message for record in caplog.records) == action.warnings
-
-
-def test_parameters_of_many_are_clipped_too(make_policy):
-    policy, session = make_policy()
     policy.actions([1.4] * 3, {"bending_ratio": [0.1, 0.5, 2.0], "nu": 0.3})
     assert session.fed["bending_ratio"][:, 0] == pytest.approx([0.25, 0.5, 0.7])
 
@@ -107,18 +93,10 @@ def test_action_beyond_the_limits_is_moved_into_them(make_policy):
     assert "moved by" in action.warnings[0]
 
 
-@pytest.mark.parametrize(
-    ("goal", "text"),
-    [
-        (math.nan, "give 1 finite number: x"),
-        ([0.3, 0.3], "give 1 finite number: x"),
-        ([], "give 1 finite number: x"),
-    ],
-)
-def test_goals_that_are_none_are_refused(make_policy, goal, text):
-    policy, _ = make_policy()
-    with pytest.raises(PolicyError, match=text):
-        policy.act(goal, rope())
+@pytest.mark.parametrize("goal", [math.nan, [0.3, 0.3], []])
+def test_goals_that_are_none_are_refused(make_policy, goal):
+    with pytest.raises(PolicyError, match="give 1 finite number: x"):
+        make_policy()[0].act(goal, rope())
 
 
 def test_what_the_network_needs_is_asked_for(make_policy):
@@ -144,12 +122,6 @@ def test_unknown_task_is_refused(make_policy, description):
             policy.task()
 
 
-def test_description_survives_json(description):
-    again = Description.from_json(description.to_json(), where="x.onnx")
-    assert again == description
-    assert again.goal_names == ("x",)
-
-
 @pytest.mark.parametrize(
     ("change", "text"),
     [
@@ -169,6 +141,7 @@ def test_description_survives_json(description):
     ],
 )
 def test_broken_descriptions_are_refused(description, change, text):
+    assert Description.from_json(description.to_json(), where="x.onnx") == description
     value = json.loads(description.to_json())
     change(value)
     with pytest.raises(PolicyError, match=text):
@@ -191,38 +164,6 @@ def test_files_that_are_no_policies_are_refused(tmp_path):
     text.write_text("not a network")
     with pytest.raises(PolicyError, match="is not an ONNX file"):
         Policy.read(text)
-
-
-def node(name, *inputs, **attributes):
-    from onnx import helper
-
-    return helper.make_node(name, inputs, [f"{name}{len(inputs)}"], **attributes)
-
-
-def test_graphs_that_no_policy_has_are_refused_before_they_run(tmp_path):
-    """Each would take all memory, read another file or run for long; none of it is begun."""
-    onnx = pytest.importorskip("onnx", reason="needs the extra `train`")
-    helper, FLOAT = onnx.helper, onnx.TensorProto.FLOAT
-    shape = helper.make_tensor("s", onnx.TensorProto.INT64, [2], [1 << 40, 1 << 40])
-    far = helper.make_tensor("s", FLOAT, [1], [0.0])
-    far.ClearField("float_data")
-    far.data_location = onnx.TensorProto.EXTERNAL
-    far.external_data.add(key="location", value="/etc/passwd")
-    wide = helper.make_tensor("s", FLOAT, [1 << 13, 1], bytes(4 << 13), raw=True)
-    loop = node("Loop", "s", "s", body=helper.make_graph([], "body", [], []))
-    for nodes, tensor, words in (
-        ([node("ConstantOfShape", "s")], shape, "the operator 'ConstantOfShape'"),
-        ([node("Add", "s", "s")], far, "keeps weights in another file"),
-        ([node("MatMul", "s", "s")], wide, "has weights of shape"),
-        ([node("Concat", "s", axis=0)] * 2, far.__class__(), "joins more than a policy"),
-        ([node("Add", "s", "s")] * 300, far.__class__(), "more than 256 nodes"),
-        ([loop], far.__class__(), "the operator 'Loop'"),
-    ):
-        graph = helper.make_graph(nodes, "g", [], [], initializer=[tensor])
-        path = tmp_path / "bomb.onnx"
-        path.write_bytes(helper.make_model(graph).SerializeToString())
-        with pytest.raises(PolicyError, match=words):
-            Policy.read(path)
 
 
 def field(number, value):
@@ -261,20 +202,23 @@ FIXED = varint(9 << 3 | 1) + b"\xff" * 8 + varint(9 << 3 | 5) + b"\xff" * 4
         (256 * operation(), None),
         (257 * operation(), "has more than 256 nodes and tensors"),
         (FIXED + operation(), None),
-        (FIXED + operation(name=b"If"), "has the operator 'If'"),
+        (FIXED + operation(name=b"ConstantOfShape"), "has the operator 'ConstantOfShape'"),
+        (operation(name=b"Loop"), "has the operator 'Loop'"),
         (FIXED[:5], "is not an ONNX file"),
         (varint(9 << 3 | 3) + b"xx", "is not an ONNX file"),
         (field(15, b""), "has sparse weights"),
         (field(5, field(14, 1)), "keeps weights in another file"),
     ],
 )
-def test_what_a_graph_may_hold(graph, said):
+def test_what_a_graph_may_hold(graph, said, tmp_path):
+    """Else it is refused before it runs: it could take all memory, or read another file."""
     for model in (field(7, graph), FIXED + field(1, 8) + field(7, graph)):
         if said is None:
             check_graph(model, "p")
             continue
-        with pytest.raises(PolicyError, match=f"^p: {said}"):
-            check_graph(model, "p")
+        (tmp_path / "p.onnx").write_bytes(model)
+        with pytest.raises(PolicyError, match=f"p.onnx: {said}"):
+            Policy.read(tmp_path / "p.onnx")
 
 
 def test_a_policy_that_was_changed_is_refused(tmp_path):

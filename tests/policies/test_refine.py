@@ -1,5 +1,7 @@
 """Policies refined in a world solved in closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,12 +14,12 @@ from policies.ballistic import TASK, Throws, reach_of
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
 
-from gendom.policies import refining  # noqa: E402
+from gendom.policies import fitting, refining  # noqa: E402
 from gendom.policies.fitting import TrainingProblem  # noqa: E402
 from gendom.policies.rollouts import stencil  # noqa: E402
 from gendom.policies.training import Training, train  # noqa: E402
 
-BRIEF = Training(epochs=4, refine=2, refine_cases=150, refine_steps=150, seed=1)
+BRIEF = Training(epochs=4, refine=2, refine_cases=100, refine_steps=100, seed=1)
 """Too short for its method to learn the task."""
 
 
@@ -51,8 +53,8 @@ def misses(policy, seed: int = 9) -> np.ndarray:
 
 
 def test_refined_policies_reach_their_goals(tmp_path):
-    plain = train(thrown(400), tmp_path / "plain.onnx", Training(epochs=4, seed=1))
-    policy = train(thrown(400), tmp_path / "refined.onnx", BRIEF, world=Throws())
+    plain = train(thrown(300), tmp_path / "plain.onnx", Training(epochs=4, seed=1))
+    policy = train(thrown(300), tmp_path / "refined.onnx", BRIEF, world=Throws())
     assert misses(policy).mean() < 0.004 < 0.2 * misses(plain).mean()
     about = policy.description.training
     assert about["refine"] == 2 and about["refined_in"] == Throws().settings()
@@ -62,7 +64,7 @@ def test_refined_policies_reach_their_goals(tmp_path):
 
 def test_what_the_simulator_reaches_counts_not_what_was_demonstrated(tmp_path):
     """The simulator throws farther than the demonstrations by 0.05 lengths."""
-    policy = train(thrown(400), tmp_path / "far.onnx", BRIEF, world=Throws(off=0.05))
+    policy = train(thrown(300), tmp_path / "far.onnx", BRIEF, world=Throws(off=0.05))
     new = thrown(200, 9)
     action, p = policy.actions(new.goal, new.parameters), new.parameters
     reached = reach_of(action[:, 0], action[:, 1], p["bending_ratio"], p["damping"])
@@ -84,7 +86,7 @@ class Swaying(Throws):
 def test_risk_is_avoided(tmp_path, monkeypatch):
     def share_at_risk(training: Training) -> float:
         world = Swaying()
-        policy = train(thrown(400, world=world), tmp_path / "p.onnx", training, world=world)
+        policy = train(thrown(300, world=world), tmp_path / "p.onnx", training, world=world)
         new = thrown(200, 9, world)
         assert new.risk is not None and TASK.risk is not None
         new = new.chosen(new.risk < TASK.risk.limit)
@@ -94,12 +96,13 @@ def test_risk_is_avoided(tmp_path, monkeypatch):
     assert share_at_risk(BRIEF) < 0.02
     # the risk itself does that
     monkeypatch.setattr(TrainingProblem, "caution", lambda _, log_risk: 0.0 * log_risk.sum())
-    assert share_at_risk(BRIEF) > 0.1
+    assert share_at_risk(BRIEF) > 0.05
 
 
 def test_interrupted_rounds_go_on_to_the_same_policy(tmp_path, monkeypatch):
     """What was simulated before is not simulated again."""
-    whole = train(thrown(100), tmp_path / "whole.onnx", BRIEF, world=Throws())
+    brief = replace(BRIEF, refine_cases=40, refine_steps=20)
+    whole = train(thrown(100), tmp_path / "whole.onnx", brief, world=Throws())
     asked = []
 
     class Counting(Throws):
@@ -107,21 +110,20 @@ def test_interrupted_rounds_go_on_to_the_same_policy(tmp_path, monkeypatch):
             asked.append(len(items))
             return super().carry_out(task, items, actions)
 
-    step, done = torch.nn.utils.clip_grad_norm_, []
+    fit, done = fitting.fit, []
 
-    def interrupted(*given):
+    def interrupted(*given, **how):
         done.append(1)
-        if len(done) == 400:
+        if len(done) == 4:  # after the forward model, the policy and the first round
             raise KeyboardInterrupt
-        return step(*given)
+        return fit(*given, **how)
 
-    with monkeypatch.context() as m:
-        m.setattr(torch.nn.utils, "clip_grad_norm_", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            train(thrown(100), tmp_path / "parts.onnx", BRIEF, world=Counting())
+    monkeypatch.setattr(fitting, "fit", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        train(thrown(100), tmp_path / "parts.onnx", brief, world=Counting())
     before = len(asked)
-    parts = train(thrown(100), tmp_path / "parts.onnx", BRIEF, world=Counting())
-    assert (before, len(asked)) == (2, 2)
+    parts = train(thrown(100), tmp_path / "parts.onnx", brief, world=Counting())
+    assert (before, len(asked), len(done)) == (2, 2, 5)
     goal = np.linspace(1.3, 1.6, 7)
     given = {n: np.full(7, v[0]) for n, v in thrown(100).parameters.items()}
     assert (parts.actions(goal, given) == whole.actions(goal, given)).all()

@@ -1,6 +1,7 @@
 """Clouds, from where they are seen, the frames of animations, and GIFs."""
 
 import io
+from typing import Any
 
 import numpy as np
 import pytest

@@ -57,13 +57,10 @@ class Command:
     cases: int = 200
     """New cases to act in afterwards; 0: none."""
     seed: Seed = 0
-    tensorboard: Path | None = None
-    """Folder to log losses to, for TensorBoard."""
     json: Json = False
 
     def run(self) -> int:
-        from gendom.policies.evaluation import draw_cases, score
-        from gendom.policies.training import Training, annotate, train
+        from gendom.policies.training import Training, train
         from gendom.sim.device import open_device
         from gendom.tasks.world import Simulation
 
@@ -74,15 +71,15 @@ class Command:
         finetune = None if self.finetune is None else self._read(self.finetune)
         method = self.method or ("distal" if demonstrations.goal_names else "quantile")
         training = settings_of(Training, self, method=method, conditioned_on=sees)
-        simulation = Simulation(engine=self.engine, device=self.device)
         policy = train(
-            demonstrations, self.out, training, finetune=finetune, world=simulation, progress=True,
-            tensorboard=self.tensorboard,
-        )  # fmt: skip
-        if self.cases:
-            cases = draw_cases(policy.task(), self.cases, seed=self.seed, simulation=simulation)
-            acted = score(policy, cases, world=simulation).summary()
-            policy = annotate(policy, {"acted": acted})
+            demonstrations,
+            self.out,
+            training,
+            finetune=finetune,
+            world=Simulation(engine=self.engine, device=self.device),
+            cases=self.cases,
+            progress=True,
+        )
         summary = summarize(policy)
         print(to_json(summary) if self.json else summary_text(summary))
         return 0

@@ -14,13 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from gendom.arguments import require
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Item, size_of
 from gendom.materials.estimate import Estimate
@@ -66,8 +66,8 @@ class Execution:
 
     def __post_init__(self) -> None:
         for name in ("action", "reached"):
-            if not np.isfinite(getattr(self, name)).all():
-                raise ParameterError("must be finite numbers", where=f"execution's {name}")
+            finite = np.isfinite(getattr(self, name)).all()
+            require(finite, "must be finite numbers", where=f"execution's {name}")
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -121,12 +121,20 @@ def adapting(
     if not executions:
         return Adapted(belief=belief, discrepancy=None, residuals=np.empty((0, G)))
     units, goal_units = task.action_units(item), task.goal_units(item)
-    simulated = partial(_simulated, task, belief, executions, goal_units)
+    N = len(executions)
     A = np.array([e.action for e in executions]) / units
     y = np.array([e.reached for e in executions]) / goal_units
     K = _kernel(A, A) + NOISE**2 * np.eye(len(A))
     L = np.linalg.cholesky(K)
     prior = np.linalg.inv(belief.covariance)
+
+    def simulated(vectors: Sequence[Array]) -> Asking[Array]:
+        """[V, N, G] what executions reach with vectors of unknowns, in units of similarity; NaN
+        where one cannot be simulated."""
+        items = [belief.at(v) for v in vectors for _ in executions]
+        outcomes = yield items, [e.action for _ in vectors for e in executions]
+        reached = [[o.values.get(q.name, np.nan) for q in task.goals] for o in outcomes]
+        return (np.array(reached) / goal_units).reshape(len(vectors), N, G)
 
     def whitened(f: Array) -> Array:
         return np.asarray(solve_triangular(L, f, lower=True)).ravel()
@@ -137,10 +145,8 @@ def adapting(
 
     vector, h = belief.mean.copy(), STEP * belief.sd
     (f,) = yield from simulated([vector])
-    if not np.isfinite(f).all():
-        raise SimulationError(
-            "an execution cannot be simulated", fix="check the object's numbers and the action"
-        )
+    what, fix = "an execution cannot be simulated", "check the object's numbers and the action"
+    require(np.isfinite(f).all(), what, fix=fix, error=SimulationError)
     H = prior
     for _ in range(ITERATIONS if refine else 0):
         ends = [vector + s * h * e for e in np.eye(len(h)) for s in (1.0, -1.0)]
@@ -162,54 +168,18 @@ def adapting(
         vector, f = vector + STEP_LENGTHS[k] * step, tried[k]
         if gained < LEAST_GAIN:
             break
-    error = partial(_discrepancy, K, A, np.linalg.solve(K, y - f), units, goal_units)
+    weights = np.linalg.solve(K, y - f)
+
+    def discrepancy(action: Array) -> tuple[Array, float]:
+        k = _kernel(np.atleast_2d(np.asarray(action, dtype=float)) / units, A)
+        variance = DISCREPANCY**2 - (k @ np.linalg.solve(K, k.T))[0, 0]
+        return (k @ weights)[0] * goal_units, float(np.sqrt(max(variance, 0.0)) * goal_units[0])
+
     return Adapted(
         belief=belief.with_gaussian(vector, np.linalg.inv(H)),
-        discrepancy=error,
+        discrepancy=discrepancy,
         residuals=(y - f) * goal_units,
     )
-
-
-def _simulated(
-    task: Task,
-    belief: Estimate,
-    executions: Sequence[Execution],
-    goal_units: Array,
-    vectors: Sequence[Array],
-) -> Asking[Array]:
-    """[V, N, G] what N executions reach with V vectors of unknowns, in units of similarity; NaN
-    where one cannot be simulated."""
-    items = [belief.at(v) for v in vectors for _ in executions]
-    outcomes = yield items, [e.action for _ in vectors for e in executions]
-    found = np.full((len(items), len(task.goals)), np.nan)
-    for row, outcome in zip(found, outcomes, strict=True):
-        if outcome.fault is None:
-            row[:] = [outcome.values[q.name] for q in task.goals]
-    return (found / goal_units).reshape(len(vectors), len(executions), -1)
-
-
-def _discrepancy(
-    K: Array,
-    seen: Array,
-    weights: Array,
-    units: Array,
-    goal_units: Array,
-    action: Array,
-) -> tuple[Array, float]:
-    """[G] the Gaussian process's mean at an action, and its deviation [SI].
-
-    Args:
-        K: [N, N] covariance of what was seen.
-        seen: [N, A] actions, in units of similarity.
-        weights: [N, G] of their kernels.
-        units: [A] of actions.
-        goal_units: [G] of goals.
-        action: [A] in SI units.
-    """
-    here = np.atleast_2d(np.asarray(action, dtype=float)) / units
-    k = _kernel(here, seen)
-    variance = DISCREPANCY**2 - (k @ np.linalg.solve(K, k.T))[0, 0]
-    return (k @ weights)[0] * goal_units, float(np.sqrt(max(variance, 0.0)) * goal_units[0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,22 +206,17 @@ def executions_from(rows: Sequence[Any], where: str) -> list[Execution]:
 
 def _check(task: Task, executions: Sequence[Execution], item: Item) -> None:
     G, A = len(task.goals), len(task.actions)
-    if not G:
-        raise ParameterError(f"{task.name} has no goals to learn from", where="adapt")
+    require(G, f"{task.name} has no goals to learn from", where="adapt")
     for e in executions:
-        if e.reached.shape != (G,) or e.action.shape != (A,):
-            raise ParameterError(
-                f"an execution has {e.action.size} numbers of an action and {e.reached.size} of a "
-                f"goal, {task.name} has {A} and {G}",
-                where="executions",
-            )
+        what = f"an execution has {e.action.size} numbers of an action and {e.reached.size} of a "
+        what += f"goal, {task.name} has {A} and {G}"
+        fits = e.reached.shape == (G,) and e.action.shape == (A,)
+        require(fits, what, where="executions")
         for quantity, value in zip(task.goals, e.reached, strict=True):
-            if quantity.unit == "m" and abs(value) > LARGEST_REACHED * size_of(item):
-                raise ParameterError(
-                    f"{quantity.name} is {value:g} m, and the {item.kind} {size_of(item):g} m",
-                    where="reached",
-                    fix=f"give metres: {value:g} mm are {1e-3 * value:g} m",
-                )
+            near = quantity.unit != "m" or abs(value) <= LARGEST_REACHED * size_of(item)
+            what = f"{quantity.name} is {value:g} m, and the {item.kind} {size_of(item):g} m"
+            fix = f"give metres: {value:g} mm are {1e-3 * value:g} m"
+            require(near, what, where="reached", fix=fix)
 
 
 def _kernel(a: Array, b: Array) -> Array:

@@ -46,23 +46,16 @@ class Demonstrations:
     """The folder they were read from."""
 
     def __post_init__(self) -> None:
-        if len(self) < SMALLEST:
-            raise DatasetError(
-                f"holds {len(self)} usable demonstrations, training needs {SMALLEST} or more",
-                where=self.where,
-                fix="simulate more with gendom dataset",
+        what = f"holds {len(self)} usable demonstrations, training needs {SMALLEST} or more"
+        fix = "simulate more with gendom dataset"
+        require(len(self) >= SMALLEST, what, where=self.where, fix=fix, error=DatasetError)
+        for name, values in {"goal": self.goal, "action": self.action, **self.parameters}.items():
+            what, fix = (
+                f"{name} holds numbers that are not finite",
+                "simulate the demonstrations again",
             )
-        for name, values in (
-            ("goal", self.goal),
-            ("action", self.action),
-            *self.parameters.items(),
-        ):
-            if not np.isfinite(values).all():
-                raise DatasetError(
-                    f"{name} holds numbers that are not finite",
-                    where=self.where,
-                    fix="simulate the demonstrations again",
-                )
+            finite = np.isfinite(values).all()
+            require(finite, what, where=self.where, fix=fix, error=DatasetError)
 
     def __len__(self) -> int:
         return len(self.action)

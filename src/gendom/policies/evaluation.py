@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.errors import ParameterError, PolicyError, SimulationError
+from gendom.arguments import require
+from gendom.errors import PolicyError, SimulationError
 from gendom.materials import Item, dimensionless_parameters, unit_of
 from gendom.policies.policy import Policy
 from gendom.tasks import Task
@@ -84,7 +85,7 @@ def draw_cases(
     count: int,
     *,
     seed: int,
-    simulation: Simulation | None = None,
+    simulation: World | None = None,
     items: Sequence[Item] | None = None,
 ) -> Cases:
     """Draw objects and goals.
@@ -95,17 +96,15 @@ def draw_cases(
         task: What is done; its `ranges` are those of the objects.
         count: Number of cases.
         seed: Seed of all draws, 0 or more.
-        simulation: Where goals are found.
+        simulation: Where goals are found (default: our simulator).
         items: Objects to take by turns in place of drawn ones.
 
     Raises:
         ParameterError: A number or range is out of bounds.
         SimulationError: Draws keep failing.
     """
-    if count < 1 or seed < 0:
-        raise ParameterError(
-            f"{count} cases with seed {seed}", fix="give 1 case or more and a seed of 0 or more"
-        )
+    fix = "give 1 case or more and a seed of 0 or more"
+    require(count >= 1 and seed >= 0, f"{count} cases with seed {seed}", fix=fix)
     simulation = simulation or Simulation()
     kept: list[Item] = [task.item] * count
     goal = np.full((count, len(task.goals)), np.nan)
@@ -128,9 +127,8 @@ def draw_cases(
         waiting = np.array(again, dtype=int)
         if not len(waiting):
             return Cases(task=task, items=tuple(kept), goal=goal)
-    raise SimulationError(
-        f"{len(waiting)} of {count} cases failed {_ROUNDS} times", fix="choose other ranges"
-    )
+    what = f"{len(waiting)} of {count} cases failed {_ROUNDS} times"
+    raise SimulationError(what, fix="choose other ranges")
 
 
 def score(
@@ -170,26 +168,16 @@ def choose(policy: Policy, cases: Cases, *, known: Sequence[Item] | None = None)
         PolicyError: The policy is for another task.
     """
     task, own = cases.task, policy.task()
-    if own.name != task.name:
-        raise PolicyError(
-            f"is for {own.name}, the cases are for {task.name}",
-            where=policy.where,
-            fix=f"use a policy for {task.name}",
-        )
+    what, fix = f"is for {own.name}, the cases are for {task.name}", f"use a policy for {task.name}"
+    require(own.name == task.name, what, where=policy.where, fix=fix, error=PolicyError)
     alike = [dimensionless_parameters(item) for item in (known or cases.items)]
     given = {name: np.array([a[name] for a in alike]) for name in alike[0]}
     units = np.array([task.action_units(item) for item in cases.items])
-    goal_units = np.array([task.goal_units(item) for item in cases.items]).reshape(
-        len(cases), len(task.goals)
-    )
+    goal_units = np.array([task.goal_units(item) for item in cases.items])
     asked = policy.actions(cases.goal / goal_units, given) * units
     middle = np.array([column.mean for column in policy.description.outputs])
-    return np.array(
-        [
-            task.nearest(item, a, middle * u)
-            for item, a, u in zip(cases.items, asked, units, strict=True)
-        ]
-    )
+    moved = zip(cases.items, asked, units, strict=True)
+    return np.array([task.nearest(item, a, middle * u) for item, a, u in moved])
 
 
 def judge(
@@ -220,12 +208,8 @@ def judge(
 
 
 def _figures(error: Array) -> dict[str, float | None]:
+    names = ("mean", "std", "median", "p95", "max")
     if not len(error):
-        return dict.fromkeys(("mean", "std", "median", "p95", "max"))
-    return {
-        "mean": float(error.mean()),
-        "std": float(error.std()),
-        "median": float(np.median(error)),
-        "p95": float(np.quantile(error, 0.95)),
-        "max": float(error.max()),
-    }
+        return dict.fromkeys(names)
+    found = (error.mean(), error.std(), np.median(error), np.quantile(error, 0.95), error.max())
+    return dict(zip(names, map(float, found), strict=True))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.errors import PolicyError
-from gendom.policies.learning import Checkpoint, Epoch, FitSettings, fit  # explains a missing torch
+from gendom.policies.learning import Checkpoint, fit  # explains a missing torch
 
 # isort: split
 import torch
@@ -20,6 +20,7 @@ from gendom.arguments import require
 from gendom.materials import PARAMETERS
 from gendom.policies.demonstrations import SMALLEST, Demonstrations, joined
 from gendom.policies.policy import GOAL, METHODS, Column
+from gendom.progress import bar
 from gendom.tasks import find_task
 
 ARCHITECTURES: dict[str, tuple[tuple[int, ...], type[nn.Module]]] = {
@@ -30,12 +31,6 @@ ARCHITECTURES: dict[str, tuple[tuple[int, ...], type[nn.Module]]] = {
 
 FINETUNE_LEARNING_RATE = 4e-4
 """Peak of the learning rate of fine-tuning."""
-
-DEMONSTRATED_WEIGHT = 1.0
-"""Weight of the pull towards demonstrated actions, distal only."""
-
-RISK_WEIGHT = 1.0
-"""Weight of the task's risk, distal only."""
 
 VALIDATION_SHARE = 0.1
 """Share of the demonstrations held out."""
@@ -81,24 +76,21 @@ class Training:
     """Fixes the held-out demonstrations, the initial weights and the order of the batches."""
 
     def __post_init__(self) -> None:
-        chosen = [
-            ("method", self.method, METHODS),
-            ("architecture", self.architecture, ARCHITECTURES),
+        chosen = [("method", self.method, METHODS)]
+        chosen += [("architecture", self.architecture, tuple(ARCHITECTURES))]
+        chosen += [
+            ("conditioned_on", name, tuple(PARAMETERS)) for name in self.conditioned_on or ()
         ]
-        chosen += [("conditioned_on", name, PARAMETERS) for name in self.conditioned_on or ()]
         for name, value, known in chosen:
             fix = f"choose from {', '.join(known)}"
             require(value in known, f"{name} is {value!r}", fix=fix, error=PolicyError)
         for name in ("epochs", "batch_size", "learning_rate", "finetune_epochs"):
             value = getattr(self, name)
             require(value > 0, f"{name} must be positive, got {value}", error=PolicyError)
-        require(
-            self.refine >= 0 and min(self.refine_cases, self.refine_steps) >= 1,
-            f"{self.refine} rounds of {self.refine_cases} cases and {self.refine_steps} steps",
-            where="refine",
-            fix="give 0 rounds or more, of 1 case and 1 step or more",
-            error=PolicyError,
-        )
+        what = f"{self.refine} rounds of {self.refine_cases} cases and {self.refine_steps} steps"
+        good = self.refine >= 0 and min(self.refine_cases, self.refine_steps) >= 1
+        fix = "give 0 rounds or more, of 1 case and 1 step or more"
+        require(good, what, where="refine", fix=fix, error=PolicyError)
 
 
 class PhysicalNetwork(nn.Module):
@@ -148,8 +140,8 @@ class TrainingProblem:
         sees: Parameters that the policy sees.
         training: How.
         finetune: Demonstrations that everything is fitted to once more at the end.
-        observe: Called with the name of a fit and how it stands after each epoch.
-        checkpoint: Where interrupted fits are kept.
+        shown: Whether bars show how fits stand.
+        checkpoint: Where stages that are done are kept.
     """
 
     def __init__(
@@ -159,13 +151,14 @@ class TrainingProblem:
         training: Training,
         *,
         finetune: Demonstrations | None = None,
-        observe: Callable[[str, Epoch], None] | None = None,
-        checkpoint: Checkpoint | None = None,
+        shown: bool = False,
+        checkpoint: Checkpoint,
     ):
         d = demonstrations
         self.training = training
-        self.task_name = d.task["name"]
         self.sees = sees
+        self.shown = shown
+        self.checkpoint = checkpoint
         self.goals = [
             standardised(GOAL + name, d.goal[:, k]) for k, name in enumerate(d.goal_names)
         ]
@@ -175,44 +168,35 @@ class TrainingProblem:
             for name in d.varying
         }
         self.inputs = [*self.goals, *(self.parameters[name] for name in sees)]
-        if not self.inputs:  # a policy that sees nothing still needs an input for its batch
-            raise PolicyError(
-                "has neither goals nor parameters to act on", fix="condition it on a parameter"
-            )
-        self._simulated = _split(0, len(d))
-        self._real = None
+        # a policy that sees nothing still needs an input for its batch
+        what, fix = "has neither goals nor parameters to act on", "condition it on a parameter"
+        require(self.inputs, what, fix=fix, error=PolicyError)
+        parts = [_split(0, len(d))]
         if finetune is not None:
-            self._real = _split(len(d), len(finetune))
+            parts.append(_split(len(d), len(finetune)))
             d = joined(d, finetune)
+        self.trained: Tensor = parts[0][0]
+        """Rows of the demonstrations that are trained on first."""
+        self.held_out: Tensor = parts[-1][1]
+        """Rows that nothing is learnt from: of those for fine-tuning, if there are."""
+        self._parts = parts
         self.action = torch.tensor(d.action, dtype=torch.float32)
         self.goal = torch.tensor(d.goal, dtype=torch.float32)
         self.data = {
             name: torch.tensor(d.parameters[name], dtype=torch.float32)[:, None]
             for name in PARAMETERS
         }
-        self.risk = find_task(self.task_name).risk
+        risk = find_task(d.task["name"]).risk
         self.log_risk = None
-        if self.risk is not None and d.risk is not None:
-            logs = np.log(np.maximum(d.risk, RISK_FLOOR))
-            self.log_risk = torch.tensor(logs, dtype=torch.float32)[:, None]
-        self.highest = math.log(self.risk.limit) if self.risk is not None else 0.0
+        self.highest = math.log(risk.limit) if risk is not None else 0.0
         """Logarithm of the risk's limit."""
         self.within = torch.ones(len(d), dtype=torch.bool)
         """[N] which demonstrations' risk is within it."""
-        if self.log_risk is not None:
+        if risk is not None and d.risk is not None:
+            logs = np.log(np.maximum(d.risk, RISK_FLOOR))
+            self.log_risk = torch.tensor(logs, dtype=torch.float32)[:, None]
             self.within = self.log_risk[:, 0] <= self.highest
         self.policy = PhysicalNetwork(self.inputs, self.actions, training.architecture)
-        self._observe, self._checkpoint = observe, checkpoint
-
-    @property
-    def trained(self) -> Tensor:
-        """Rows of the demonstrations that are trained on first."""
-        return self._simulated[0]
-
-    @property
-    def held_out(self) -> Tensor:
-        """Rows that nothing is learnt from: of those for fine-tuning, if there are."""
-        return (self._real or self._simulated)[1]
 
     def act(self, rows: Tensor) -> Tensor:
         """[B, A] what the policy does for some demonstrations' goals and objects."""
@@ -222,11 +206,7 @@ class TrainingProblem:
     def caution(self, log_risk: Tensor) -> Tensor:
         """Loss of risks [B], given by their logarithms, that are near the limit or beyond."""
         beyond = torch.relu(log_risk - (self.highest - RISK_MARGIN))
-        return RISK_WEIGHT * (beyond**2).mean()
-
-    def remembered(self, name: str, make: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
-        """Tensors that an interrupted training need not make again."""
-        return make() if self._checkpoint is None else self._checkpoint.remembered(name, make)
+        return (beyond**2).mean()
 
     def fit(
         self,
@@ -248,16 +228,16 @@ class TrainingProblem:
             PolicyError: It diverged.
         """
         how = self.training
-        stages = [(name, self._simulated, how.epochs, how.learning_rate)]
-        if self._real is not None:
-            tuned = f"{name}, fine-tuned"
-            stages.append((tuned, self._real, how.finetune_epochs, FINETUNE_LEARNING_RATE))
-        for stage, (trained, held_out), epochs, rate in stages:
+        stages = [
+            (name, how.epochs, how.learning_rate),
+            (f"{name}, fine-tuned", how.finetune_epochs, FINETUNE_LEARNING_RATE),
+        ]
+        for (stage, epochs, rate), (rows, held_out) in zip(stages, self._parts, strict=False):
             if only is not None:
-                chosen = trained[only[trained]]
-                trained = chosen if len(chosen) >= SMALLEST else trained
+                chosen = rows[only[rows]]
+                rows = chosen if len(chosen) >= SMALLEST else rows
                 held_out = held_out[only[held_out]]
-            self.fit_to(stage, network, loss_of, trained, epochs, rate, held_out)
+            self.fit_to(stage, network, loss_of, rows, epochs, rate, held_out)
 
     def fit_to(
         self,
@@ -271,27 +251,26 @@ class TrainingProblem:
     ) -> None:
         """`fit` to rows [M] of any kind; the loss of those held out is only reported."""
 
-        def observe(epoch: Epoch) -> None:
-            if self._observe is not None:
-                self._observe(name, epoch)
+        def fitted() -> None:
+            with bar(name, epochs, "epoch", shown=self.shown) as show:
 
-        settings = FitSettings(
-            epochs=epochs,
-            batch_size=self.training.batch_size,
-            learning_rate=learning_rate,
-            weight_decay=self.training.weight_decay,
-        )
-        fit(
-            network,
-            loss_of,
-            rows,
-            settings,
-            held_out=held_out,
-            on_epoch=observe,
-            stage=name,
-            checkpoint=self._checkpoint,
-            error=PolicyError,
-        )
+                def told(done: int, loss: float, known: float | None) -> None:
+                    aside = "" if known is None else f", held out {known:.2e}"
+                    show(done, note=f"loss {loss:.2e}{aside}")
+
+                fit(
+                    network,
+                    loss_of,
+                    rows,
+                    epochs=epochs,
+                    batch_size=self.training.batch_size,
+                    learning_rate=learning_rate,
+                    weight_decay=self.training.weight_decay,
+                    held_out=held_out,
+                    on_epoch=told if self.shown else None,
+                )
+
+        self.checkpoint.fitted(name, network, fitted)
 
 
 def _split(first: int, count: int) -> tuple[Tensor, Tensor]:

@@ -27,13 +27,14 @@ for most.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
 from gendom.arguments import require
 from gendom.errors import PolicyError
 from gendom.policies.fitting import (
-    DEMONSTRATED_WEIGHT,
     PhysicalNetwork,
     TrainingProblem,
     huber,
@@ -56,7 +57,7 @@ def distal(problem: TrainingProblem) -> dict[str, float]:
         PolicyError: The task has no goals.
     """
     training, G = problem.training, len(problem.goals)
-    what, fix = f"{problem.task_name} has no goals to train through", "choose the method inverse"
+    what, fix = "the task has no goals to train through", "choose the method inverse"
     require(G, what, where="method", fix=fix, error=PolicyError)
     outputs, target = list(problem.goals), problem.goal
     if problem.log_risk is not None:
@@ -86,7 +87,7 @@ def distal(problem: TrainingProblem) -> dict[str, float]:
         action = problem.act(rows)
         found = predicted(action, rows)
         error = (found[:, :G] - problem.goal[rows]) / model.output_scale[:G]
-        loss = huber(error, HUBER_THRESHOLD).mean() + DEMONSTRATED_WEIGHT * outside(action / scale)
+        loss = huber(error, HUBER_THRESHOLD).mean() + outside(action / scale)
         if problem.log_risk is not None:
             loss = loss + problem.caution(found[:, G])
         return loss
@@ -103,30 +104,26 @@ def distal(problem: TrainingProblem) -> dict[str, float]:
 
 def inverse(problem: TrainingProblem) -> dict[str, float]:
     """Train the policy; return its root mean square error on held-out demonstrations."""
-    scale = problem.policy.output_scale
-
-    def loss(rows: Tensor) -> Tensor:
-        return (((problem.act(rows) - problem.action[rows]) / scale) ** 2).mean()
-
-    problem.fit("policy", problem.policy, loss)
-    with torch.no_grad():
-        rows = problem.held_out
-        return {"action_rms": rms(problem.act(rows) - problem.action[rows])}
+    return {"action_rms": rms(_regressed(problem, torch.square))}
 
 
 def quantile(problem: TrainingProblem) -> dict[str, float]:
     """Train the policy; return the share of held-out demonstrations that need no more."""
+    lacks = _regressed(problem, lambda z: torch.maximum(QUANTILE * z, (QUANTILE - 1.0) * z))
+    return {"enough_share": float((lacks <= 0.0).float().mean())}
+
+
+def _regressed(problem: TrainingProblem, loss: Callable[[Tensor], Tensor]) -> Tensor:
+    """Fit the policy to demonstrated actions by a loss of what it lacks, standardised; returns
+    what it lacks of the held-out ones."""
     scale = problem.policy.output_scale
 
-    def loss(rows: Tensor) -> Tensor:
-        lacks = (problem.action[rows] - problem.act(rows)) / scale
-        return torch.maximum(QUANTILE * lacks, (QUANTILE - 1.0) * lacks).mean()
+    def lacks(rows: Tensor) -> Tensor:
+        return problem.action[rows] - problem.act(rows)
 
-    problem.fit("policy", problem.policy, loss)
+    problem.fit("policy", problem.policy, lambda rows: loss(lacks(rows) / scale).mean())
     with torch.no_grad():
-        rows = problem.held_out
-        enough = (problem.act(rows) >= problem.action[rows]).float()
-        return {"enough_share": float(enough.mean())}
+        return lacks(problem.held_out)
 
 
 class _DistanceOutside:

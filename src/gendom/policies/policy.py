@@ -97,11 +97,15 @@ class GoalRange:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Acted:
-    """What is read of how a policy did in new cases."""
+class _Errors:
+    mean: float | None
+    p95: float | None
 
+
+@dataclass(frozen=True, kw_only=True)
+class _Acted:
     cases: int
-    error_over_size: dict[str, float | None]
+    error_over_size: _Errors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,41 +156,30 @@ class Description:
         """Read the text back.
 
         Raises:
-            PolicyError: Another format, or fields are missing or of the wrong kind.
+            PolicyError: Another format, or acting cannot rely on what it says.
         """
-        where = f"{where}: {METADATA_KEY}"
+        where, fix = f"{where}: {METADATA_KEY}", "train it again"
         value = parse_json(text, where, PolicyError)
         found = value.get("format")
         what = f"has format {found!r}, this version of gendom reads {FORMAT!r}"
-        fix = "train it again, or use the version of gendom that wrote it"
-        require(found == FORMAT, what, where=where, fix=fix, error=PolicyError)
+        older = f"{fix}, or use the version of gendom that wrote it"
+        require(found == FORMAT, what, where=where, fix=older, error=PolicyError)
         for name in ("conditioned_on", "parameters"):
             value[name] = with_current_names(value.get(name), "network")
-        description = record_of(cls, value, where=where, fix="train it again", error=PolicyError)
-        inputs = tuple(replace(c, name=_input_name(c.name)) for c in description.inputs)
-        return replace(description, inputs=inputs).checked(where)
-
-    def checked(self, where: str) -> Description:
-        """Itself, if acting can rely on its numbers.
-
-        Raises:
-            PolicyError: It cannot.
-        """
+        self = record_of(cls, value, where=where, fix=fix, error=PolicyError)
+        inputs = tuple(replace(c, name=_input_name(c.name)) for c in self.inputs)
+        self = replace(self, inputs=inputs)
         place = f"{where}: training"
-        trained = record_of(_Trained, self.training, where=place, fix="train it again",
-                            error=PolicyError)  # fmt: skip
-        errors = trained.acted.error_over_size if trained.acted else {"mean": 0.0, "p95": 0.0}
-        lacking = [f"training.acted.{n}" for n in ("mean", "p95") if n not in errors]
+        trained = record_of(_Trained, self.training, where=place, fix=fix, error=PolicyError)
         made = ("seed", "epochs", "architecture") if trained.demonstrations else ()
         made += ("refine_cases",) if made and trained.refine else ()
-        lacking += [f"training.{n}" for n in made if getattr(trained, n) is None]
+        lacking = [f"training.{n}" for n in made if getattr(trained, n) is None]
         lacking += [f"task.{n}" for n in ("name", "item", "ranges") if n not in self.task]
         lacking += [f"parameters.{n}" for n in PARAMETERS if n not in self.parameters]
-        goals, G = self.goals, len(self.goal_names)
-        at, sides = np.array(goals.at), (goals.low, goals.high)
-        rows = [*goals.low, *goals.high]
+        at, low, high = (self.goals.at, self.goals.low, self.goals.high)
+        G = len(self.goal_names)
         ascend = len(at) > 0 and at[0] > 0.0 and (np.diff(at) >= 0.0).all()
-        shaped = all(len(side) == len(at) for side in sides) and all(len(r) == G for r in rows)
+        shaped = len(low) == len(high) == len(at) and all(len(row) == G for row in (*low, *high))
         known = set(self.conditioned_on) <= set(PARAMETERS)
         ordered = all(low <= high for low, high in self.parameters.values())
         for holds, what in (
@@ -195,7 +188,7 @@ class Description:
             (known, f"is conditioned on {', '.join(self.conditioned_on)}"),
             (ordered, "has a range of parameters that ends before it begins"),
         ):
-            require(holds, what, where=where, fix="train it again", error=PolicyError)
+            require(holds, what, where=where, fix=fix, error=PolicyError)
         return self
 
 
@@ -279,23 +272,17 @@ class Policy(Shown):
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1  # the network is too small for more
         options.log_severity_level = 4
+        fix = "use a policy written by gendom train"
         try:
             session = onnxruntime.InferenceSession(
                 content, sess_options=options, providers=["CPUExecutionProvider"]
             )
         except Exception as error:  # onnxruntime's own exceptions share no public base class
-            raise PolicyError(
-                "is not an ONNX file that onnxruntime can run",
-                where=where,
-                fix="check that it is a policy written by gendom train",
-            ) from error
-        text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
-        if text is None:
-            raise PolicyError(
-                f"is an ONNX file without {METADATA_KEY!r} metadata",
-                where=where,
-                fix="use a policy written by gendom train",
-            )
+            what = "is not an ONNX file that onnxruntime can run"
+            raise PolicyError(what, where=where, fix=fix) from error
+        text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY, "")
+        what = f"is an ONNX file without {METADATA_KEY!r} metadata"
+        require(text, what, where=where, fix=fix, error=PolicyError)
         description = Description.from_json(text, where=where)
         inputs = {_input_name(i.name): i.name for i in session.get_inputs()}
         goals = {GOAL + name for name in description.goal_names}
@@ -356,16 +343,9 @@ class Policy(Shown):
     @staticmethod
     def shipped() -> list[Policy]:
         """All policies that come with the package, by file name."""
-        found = []
-        for asset in (resources.files("gendom") / "assets").iterdir():
-            if not asset.name.endswith(".onnx"):
-                continue
-            with resources.as_file(asset) as path:
-                try:
-                    found.append(Policy.read(path))
-                except PolicyError:  # networks of other kinds come with it, too
-                    continue
-        return sorted(found, key=lambda policy: policy.where)
+        folder = resources.files("gendom") / "assets"
+        with resources.as_file(folder) as found:
+            return [Policy.read(path) for path in sorted(found.glob("*.onnx"))]
 
     def task(self) -> Task:
         """The task that the policy was trained on.
@@ -425,13 +405,10 @@ class Policy(Shown):
         """
         if item is None:
             return self.description.goals(None)
-        sees = "bending_ratio" in self.description.conditioned_on
-        low, high = self.description.parameters["bending_ratio"]
-        E = (
-            float(np.clip(dimensionless_parameters(item)["bending_ratio"], low, high))
-            if sees
-            else None
-        )
+        E = None
+        if "bending_ratio" in self.description.conditioned_on:
+            low, high = self.description.parameters["bending_ratio"]
+            E = float(np.clip(dimensionless_parameters(item)["bending_ratio"], low, high))
         return self.description.goals(E) * self.task().goal_units(item)[:, None]
 
     def outside(self, goal: ArrayLike, item: Item) -> tuple[Outside, ...]:
@@ -441,9 +418,9 @@ class Policy(Shown):
         Raises:
             PolicyError, ParameterError: As `act`, but for goals that are merely out of range.
         """
-        goals = self._goals_outside(self._check_goal(goal, item), item)
-        parameters = self._parameters_outside(item).values()
-        return (*goals.values(), *(found for found in parameters if found.share > RANGE_TOLERANCE))
+        _, found = self._clipped(self._check_goal(goal, item), item)
+        far = [n for n, o in found.items() if n.startswith(GOAL) or o.share > RANGE_TOLERANCE]
+        return tuple(found[name] for name in far)
 
     def act(self, goal: ArrayLike, item: Item, *, force: bool = False) -> Action:
         """The action that reaches a goal with a given object, of any size.
@@ -466,23 +443,13 @@ class Policy(Shown):
         """
         task, about = self.task(), self.description
         wanted = self._check_goal(goal, item)
-        names = about.goal_names
-        goals, parameters = self._goals_outside(wanted, item), self._parameters_outside(item)
-        if goals and not force:
-            first = next(iter(goals.values()))
+        used, found = self._clipped(wanted, item)
+        first = next((o for name, o in found.items() if name.startswith(GOAL)), None)
+        if first is not None and not force:
             raise PolicyError(first.what, where=self.where, fix=first.fix)
-        warnings = [str(found) for found in (*goals.values(), *parameters.values())]
-        alike = dimensionless_parameters(item)
-        inputs = {
-            name: parameters[name].nearest if name in parameters else alike[name]
-            for name in about.conditioned_on
-        }
-        aim = np.array(
-            [
-                goals[name].nearest if name in goals else value
-                for name, value in zip(names, wanted, strict=True)
-            ]
-        )
+        warnings = [str(outside) for outside in found.values()]
+        inputs = {name: used[name] for name in about.conditioned_on}
+        aim = np.array([used[GOAL + name] for name in about.goal_names])
         units = task.action_units(item)
         asked = self.actions((aim / task.goal_units(item))[None], inputs)[0]
         middle = np.array([column.mean for column in about.outputs])
@@ -496,7 +463,7 @@ class Policy(Shown):
         for line in warnings:
             _log.warning("%s", line)
         return Action(
-            goal=dict(zip(names, map(float, wanted), strict=True)),
+            goal=dict(zip(about.goal_names, map(float, wanted), strict=True)),
             action={q.name: float(v) for q, v in zip(task.actions, values, strict=True)},
             network_input=inputs,
             warnings=tuple(warnings),
@@ -523,49 +490,35 @@ class Policy(Shown):
             require(plausible, what, where=task.name, fix=fix, error=PolicyError)
         return wanted
 
-    def _goals_outside(self, wanted: Array, item: Item) -> dict[str, Outside]:
-        """Goals that demonstrations did not reach with such an object, by name."""
-        found = {}
-        names = self.description.goal_names
-        for name, value, (low, high) in zip(names, wanted, self.goal_range(item), strict=True):
-            nearest = float(np.clip(value, low, high))
-            if nearest != value:
-                found[name] = Outside(
-                    what=f"goal {name} {value:.4g} lies outside what the policy was trained to "
-                    f"reach with such a {item.kind}",
-                    fix=f"choose one between {low:.4g} and {high:.4g}",
-                    nearest=nearest,
-                    share=_share_beyond(value, nearest),
-                )
-        return found
-
-    def _parameters_outside(self, item: Item) -> dict[str, Outside]:
-        """Parameters that demonstrations did not have, by name."""
-        found, alike = {}, dimensionless_parameters(item)
-        for name in self.description.conditioned_on:
-            (low, high), value = self.description.parameters[name], alike[name]
-            nearest = min(max(value, low), high)
-            if nearest != value:
+    def _clipped(self, wanted: Array, item: Item) -> tuple[dict[str, float], dict[str, Outside]]:
+        """Goals and parameters in the range of the demonstrations, by inputs' names, and what of
+        them lies outside: goals that were not reached with such an object, and its parameters."""
+        about, alike = self.description, dimensionless_parameters(item)
+        ranges = self.goal_range(item)
+        goals = zip((GOAL + n for n in about.goal_names), wanted, ranges, strict=True)
+        seen = ((n, alike[n], about.parameters[n]) for n in about.conditioned_on)
+        used, found = {}, {}
+        for name, value, (low, high) in (*goals, *seen):
+            nearest = used[name] = float(min(max(value, low), high))
+            if nearest == value:
+                continue
+            share = abs(value - nearest) / abs(nearest) if nearest else math.inf
+            if name.startswith(GOAL):
+                what = f"goal {name[len(GOAL) :]} {value:.4g} lies outside what the policy was "
+                what += f"trained to reach with such a {item.kind}"
+                fix = f"choose one between {low:.4g} and {high:.4g}"
+            else:
                 side = "below" if value < low else "above"
-                share = _share_beyond(value, nearest)
-                found[name] = Outside(
-                    what=f"{name} ({PARAMETERS[name].meaning}) {value:.4g} is "
-                    f"{100.0 * share:.3g} % {side} the range {low:.4g} to {high:.4g} that the "
-                    "policy was trained on",
-                    fix="check the object's numbers",
-                    nearest=nearest,
-                    share=share,
-                )
-        return found
+                what = f"{name} ({PARAMETERS[name].meaning}) {value:.4g} is {100.0 * share:.3g} % "
+                what += f"{side} the range {low:.4g} to {high:.4g} that the policy was trained on"
+                fix = "check the object's numbers"
+            found[name] = Outside(what=what, fix=fix, nearest=nearest, share=share)
+        return used, found
 
 
 def _input_name(name: str) -> str:
     """The present name of a network's input."""
     return current_name(name, "network")
-
-
-def _share_beyond(value: float, end: float) -> float:
-    return abs(value - end) / abs(end) if end else math.inf
 
 
 def _asset(task: str, parameters: bool) -> str:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -93,43 +93,39 @@ class _Point:
         return float(self.r @ self.r)
 
 
-@dataclass(eq=False)
 class _Problem:
-    task: Task
-    goal: Array
-    items: Sequence[Item]
-    discrepancy: Discrepancy | None
-    rollouts: int = 0
-    units: Array = field(init=False)
-    goal_units: Array = field(init=False)
+    """What is minimised; actions and goals in units of similarity."""
 
-    def __post_init__(self) -> None:
-        first = self.items[0]
-        self.units = self.task.action_units(first)
-        self.goal_units = self.task.goal_units(first)
+    def __init__(
+        self, task: Task, goal: Array, items: Sequence[Item], discrepancy: Discrepancy | None
+    ):
+        self.task, self.goal, self.items, self.discrepancy = task, goal, items, discrepancy
+        self.units = task.action_units(items[0])
+        self.goal_units = task.goal_units(items[0])
+        self.goal_unit = float(self.goal_units[0]) if task.goals else 1.0
+        self.rollouts = 0
 
-    def residuals(self, actions: Sequence[Array]) -> Asking[list[Array]]:
-        """Of each action in units of similarity: [K (G or 1, and 1 for the risk) + 1 for the
-        discrepancy's deviation], weighted so that their square is the mean over the K objects;
+    def residuals(
+        self, actions: Sequence[Array], items: Sequence[Item] | None = None
+    ) -> Asking[list[Array]]:
+        """Of each action with K objects (default: all): [K (G or 1, and 1 for the risk) + 1 for the
+        discrepancy's deviation], weighted so that their square is the mean over the objects;
         infinite where a simulation failed."""
-        K = len(self.items)
-        items = [item for _ in actions for item in self.items]
+        items = self.items if items is None else items
+        K, each = len(items), [item for _ in actions for item in items]
         rows = np.repeat(np.array(actions) * self.units, K, axis=0)
         # objects of one size may differ in what they allow
-        rows = [self.task.nearest(i, a) for i, a in zip(items, rows, strict=True)]
-        outcomes = yield items, rows
-        self.rollouts += len(items)
-        unit = self.goal_units[0] if self.task.goals else 1.0
+        rows = [self.task.nearest(i, a) for i, a in zip(each, rows, strict=True)]
+        outcomes = yield each, rows
+        self.rollouts += len(each)
         found = []
         for n, action in enumerate(actions):
             wrong, deviation = np.zeros(len(self.goal)), 0.0
             if self.discrepancy is not None:
                 wrong, deviation = self.discrepancy(action * self.units)
-            parts = [
-                self._residual(item, outcome, wrong)
-                for item, outcome in zip(self.items, outcomes[n * K : (n + 1) * K], strict=True)
-            ]
-            parts.append(np.array([np.sqrt(K) * deviation / unit]))
+            own = zip(items, outcomes[n * K : (n + 1) * K], strict=True)
+            parts = [self._residual(item, outcome, wrong) for item, outcome in own]
+            parts.append(np.array([np.sqrt(K) * deviation / self.goal_unit]))
             found.append(np.concatenate(parts) / np.sqrt(K))
         return found
 
@@ -138,11 +134,8 @@ class _Problem:
         task, values = self.task, outcome.values
         if outcome.fault is not None:
             return np.full(max(len(task.goals), 1) + 1, np.inf)
-        if task.goals:
-            reached = np.array([values[q.name] for q in task.goals]) + wrong
-            miss = (reached - self.goal) / self.goal_units
-        else:
-            miss = np.array([task.error(item, self.goal, values)])
+        miss = np.array([values[q.name] for q in task.goals]) + wrong - self.goal
+        miss = miss / self.goal_units if task.goals else task.error(item, self.goal, values)
         caution = 0.0
         if task.risk is not None:
             share = values[task.risk.name] / (task.risk.limit * unit_of(task.risk.unit, item))
@@ -151,15 +144,13 @@ class _Problem:
 
     def points(self, actions: Sequence[Array]) -> Asking[list[_Point]]:
         """Actions with residuals and derivatives, all simulated side by side."""
+        task, item, units = self.task, self.items[0], self.units
         ends = stencil(np.array(actions), STEP)
-        allowed = np.array([[self._allowed(a) for a in of_one] for of_one in ends])
+        allowed = np.array([[task.nearest(item, a * units) / units for a in of] for of in ends])
         flat = yield from self.residuals(list(allowed.reshape(-1, allowed.shape[-1])))
         r = np.array(flat).reshape(*allowed.shape[:2], -1)
         J = central_differences(allowed, r)
         return [_Point(a=a[0], r=x[0], J=j) for a, x, j in zip(allowed, r, J, strict=True)]
-
-    def _allowed(self, a: Array) -> Array:
-        return self.task.nearest(self.items[0], a * self.units) / self.units
 
 
 def polish(
@@ -208,7 +199,7 @@ def polishing(
     require(fits, f"is {wanted.tolist()}", where="goal")
     require(seconds > 0.0, f"must be positive, got {seconds}", where="seconds")
     require(items, "no object to polish for", fix="give one or more")
-    problem = _Problem(task=task, goal=wanted, items=items, discrepancy=discrepancy)
+    problem = _Problem(task, wanted, items, discrepancy)
     first = task.check_action(items[0], start) / problem.units
     chosen = yield from _screened(problem, first, seed)
     if task.goals:
@@ -218,11 +209,10 @@ def polishing(
         flat = np.zeros((len(r[0]), len(first)))
         points = [_Point(a=a, r=x, J=flat, done=True) for a, x in zip(chosen, r, strict=True)]
     best = yield from _improved(problem, points, began + seconds)
-    unit = float(problem.goal_units[0]) if task.goals else 1.0
     return Polished(
         action=task.check_action(items[0], best.a * problem.units),
-        expected=float(np.sqrt(best.cost)) * unit,
-        before=float(np.sqrt(points[0].cost)) * unit,
+        expected=float(np.sqrt(best.cost)) * problem.goal_unit,
+        before=float(np.sqrt(points[0].cost)) * problem.goal_unit,
         rollouts=problem.rollouts,
         seconds=time.monotonic() - began,
     )
@@ -233,9 +223,7 @@ def _screened(problem: _Problem, first: Array, seed: int) -> Asking[list[Array]]
     task, item = problem.task, problem.items[0]
     others = task.sample_actions(item, np.random.default_rng(seed), CANDIDATES) / problem.units
     tried = [first, *others]
-    few = replace(problem, items=problem.items[:SCREENING_OBJECTS])
-    r = yield from few.residuals(tried)
-    problem.rollouts = few.rollouts
+    r = yield from problem.residuals(tried, problem.items[:SCREENING_OBJECTS])
     costs = np.array([float(x @ x) for x in r])
     what = f"no action of {task.name} can be simulated with this {task.kind}"
     fix = "check the object's numbers"

@@ -16,7 +16,6 @@ parameters is fitted over all objects that look alike to it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +31,7 @@ from gendom.policies.fitting import (  # explains a missing torch
 import torch
 from torch import Tensor
 
+from gendom.arguments import require
 from gendom.materials import PARAMETERS, Item, unit_of, with_dimensionless
 from gendom.policies.rollouts import central_differences, stencil
 from gendom.progress import bar
@@ -61,40 +61,13 @@ LAST_ROUND_FACTOR = 4
 """How many times as many steps of the optimiser the last round has."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Models:
-    """What M actions reached, and how that changes with them, in units of similarity."""
-
-    row: Tensor
-    """[M] the demonstration that goal and object are of."""
-    action: Tensor
-    """[M, A]."""
-    beyond: Tensor
-    """[M, A] direction in which the policy left the task's limits; 0 where it did not."""
-    reached: Tensor
-    """[M, G, and 1 for the logarithm of the risk]."""
-    derivative: Tensor
-    """[M, G or G + 1, A]."""
-    counts: Tensor
-    """[M, G or G + 1] 1 where a residual counts, else 0."""
-
-    def and_then(self, later: Models) -> Models:
-        """Those of both."""
-        both = {f.name: torch.cat([getattr(self, f.name), getattr(later, f.name)])
-                for f in fields(self)}  # fmt: skip
-        return Models(**both)
-
-
-def refine(
-    problem: TrainingProblem, task: Task, world: World, *, shown: bool = False
-) -> dict[str, float]:
+def refine(problem: TrainingProblem, task: Task, world: World) -> dict[str, float]:
     """Refine the problem's policy in as many rounds as its training says.
 
     Args:
         problem: Its policy is changed.
         task: What is done.
         world: Where.
-        shown: Whether to show a bar of what is simulated.
 
     Returns:
         Root mean square errors of the goals [units of similarity] in the simulator, of the policy
@@ -107,63 +80,63 @@ def refine(
     rng = np.random.default_rng([training.seed, training.refine])
     within = problem.trained[problem.within[problem.trained]]
     cases = (within if len(within) else problem.trained).numpy()
-    models, misses = None, []
+    rounds: list[dict[str, Tensor]] = []
+    misses = []
     for k in range(1, training.refine + 1):
         rows = rng.permutation(cases)[: training.refine_cases]
         name = f"round {k} of {training.refine}"
-        found = problem.remembered(
-            name, lambda rows=rows, name=name: _simulated(problem, task, world, rows, name, shown)
+        new = problem.checkpoint.remembered(
+            f"{name}, acted",
+            lambda rows=rows, name=name: _models(problem, task, world, rows, name),
         )
-        new = Models(**found)
-        usable = new.counts[:, :G] > 0.0
-        if not usable.any():
-            raise PolicyError(
-                "no outcome of what the policy does in the simulator can be relied on",
-                where="refine",
-                fix="train it for more epochs, or check the task's risk",
-            )
-        miss = (new.reached[:, :G] - problem.goal[new.row])[usable]
+        usable = new["counts"][:, :G] > 0.0
+        what = "no outcome of what the policy does in the simulator can be relied on"
+        fix = "train it for more epochs, or check the task's risk"
+        require(usable.any(), what, where="refine", fix=fix, error=PolicyError)
+        miss = (new["reached"][:, :G] - problem.goal[new["row"]])[usable]
         misses.append(float((miss**2).mean().sqrt()))
-        models = new if models is None else models.and_then(new)
+        rounds.append(new)
+        models = {key: torch.cat([one[key] for one in rounds]) for key in new}
         _fit(problem, models, name, LAST_ROUND_FACTOR if k == training.refine else 1)
     return {"goal_rms_before_refining": misses[0], "goal_rms_before_last_round": misses[-1]}
 
 
-def _fit(problem: TrainingProblem, models: Models, name: str, times: int) -> None:
-    """Fit the policy to what models say that its actions reach."""
+def _fit(problem: TrainingProblem, models: dict[str, Tensor], name: str, times: int) -> None:
+    """Fit the policy to what models (`_models`) say that its actions reach."""
     training, G = problem.training, len(problem.goals)
     goal_scale = torch.tensor([column.scale for column in problem.goals])
     scale = problem.policy.output_scale
 
     def loss(at: Tensor) -> Tensor:
-        row = models.row[at]
-        moved = problem.act(row) - models.action[at]
-        found = models.reached[at] + torch.einsum("bra,ba->br", models.derivative[at], moved)
+        row, action, beyond, reached, derivative, counts = (m[at] for m in models.values())
+        moved = problem.act(row) - action
+        found = reached + torch.einsum("bra,ba->br", derivative, moved)
         miss = (found[:, :G] - problem.goal[row]) / goal_scale
         away = moved / scale
-        outwards = torch.relu((models.beyond[at] * away).sum(dim=1))
-        total = (models.counts[at, :G] * huber(miss, HUBER_THRESHOLD)).mean() + (outwards**2).mean()
+        outwards = torch.relu((beyond * away).sum(dim=1))
+        total = (counts[:, :G] * huber(miss, HUBER_THRESHOLD)).mean() + (outwards**2).mean()
         total = total + STEP_PENALTY * (away**2).sum(dim=1).mean()
         if found.shape[1] > G:
-            known = models.counts[at, G] > 0.0
+            known = counts[:, G] > 0.0
             total = total + problem.caution(found[:, G].masked_fill(~known, -torch.inf))
         return total
 
-    batch = min(training.batch_size, len(models.row))
-    epochs = max(1, round(times * training.refine_steps / (len(models.row) // batch)))
-    rows = torch.arange(len(models.row))
+    rows = torch.arange(len(models["row"]))
+    batch = min(training.batch_size, len(rows))
+    epochs = max(1, round(times * training.refine_steps / (len(rows) // batch)))
     problem.fit_to(name, problem.policy, loss, rows, epochs, LEARNING_RATE)
 
 
-def _simulated(
-    problem: TrainingProblem,
-    task: Task,
-    world: World,
-    rows: NDArray[np.intp],
-    name: str,
-    shown: bool,
+def _models(
+    problem: TrainingProblem, task: Task, world: World, rows: NDArray[np.intp], name: str
 ) -> dict[str, Tensor]:
-    """Fields of `Models` of what the policy does now for some demonstrations' goals and objects."""
+    """What the policy reaches now for goals and objects of M demonstrations, and how that changes.
+
+    Returns:
+        row [M], action [M, A], beyond [M, A] the direction in which the policy left the task's
+        limits (0 where it did not), reached [M, R] goals and the risk's logarithm, derivative
+        [M, R, A] and counts [M, R], 1 where a residual counts, else 0; in units of similarity.
+    """
     with torch.no_grad():
         asked = problem.act(torch.as_tensor(rows)).double().numpy()
     items = [
@@ -181,7 +154,7 @@ def _simulated(
     action = allowed(asked[:, None])[:, 0]
     points = allowed(stencil(action, STEP))
     values = []
-    with bar(f"{name}, acting", len(rows), "case", shown=shown) as show:
+    with bar(f"{name}, acting", len(rows), "case", shown=problem.shown) as show:
         show(0)
         for part in np.array_split(np.arange(len(rows)), -(-points.size // (BATCH * len(asked.T)))):
             values.append(_values(task, world, [items[i] for i in part], points[part]))

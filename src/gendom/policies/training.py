@@ -8,24 +8,19 @@ from __future__ import annotations
 import hashlib
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gendom.policies.learning import (  # explains a missing torch
     Checkpoint,
-    Epoch,
     export_onnx,
     reproducible,
 )
 
 # isort: split
-import onnx
 import torch
 
 from gendom import __version__
@@ -35,12 +30,11 @@ from gendom.files import atomic_path
 from gendom.materials import PARAMETERS
 from gendom.policies import methods
 from gendom.policies.demonstrations import SMALLEST, Demonstrations
+from gendom.policies.evaluation import draw_cases, score
 from gendom.policies.fitting import Training, TrainingProblem
-from gendom.policies.graph import sealed
 from gendom.policies.policy import METADATA_KEY, Description, GoalRange, Policy
 from gendom.policies.refining import refine
-from gendom.progress import Show, bar
-from gendom.tasks import Task, find_task, rebuild
+from gendom.tasks import find_task, rebuild
 from gendom.tasks.task import World
 from gendom.tasks.world import Simulation
 
@@ -61,14 +55,15 @@ def train(
     *,
     finetune: Demonstrations | None = None,
     world: World | None = None,
+    cases: int = 0,
     progress: bool = False,
-    tensorboard: str | os.PathLike | None = None,
 ) -> Policy:
     """Train a policy and write it to `path`.
 
     The file appears once the policy is trained and onnxruntime has been seen to agree with torch;
-    until then an older one stays. Equal demonstrations and settings give equal policies. What was
-    interrupted continues from a checkpoint beside the file, to the same policy.
+    until then an older one stays. Equal demonstrations and settings give equal policies. Training
+    that was interrupted continues after the last network or round that was done (they are kept
+    beside the file), to the same policy.
 
     Args:
         demonstrations: What to learn from.
@@ -76,9 +71,9 @@ def train(
         training: How to train.
         finetune: Other demonstrations of the task, such as real ones, that everything is fitted to
             once more; columns stay standardised as the first ones are.
-        world: Where a policy that is refined acts (default: our simulator).
+        world: Where it acts to be refined and judged (default: our simulator).
+        cases: New ones that it acts in afterwards; its file has the errors (`Score.summary`).
         progress: Show progress bars on stderr.
-        tensorboard: Folder to log losses to.
 
     Returns:
         The policy as read back from the file; its description has the validation errors.
@@ -95,34 +90,24 @@ def train(
         demonstrations = _within_risk(demonstrations)  # a failed action reaches no other goal
     sees = _seen(demonstrations, training)
     task, world = rebuild(demonstrations.task), world or Simulation()
-    if training.refine:
-        _check_refined(task, finetune)
-    if finetune is not None:
-        _check_alike(demonstrations, finetune)
+    _check_alike(demonstrations, finetune, training)
     refined_in = world.settings() if training.refine else None
     versions = {"gendom": __version__, "torch": str(torch.__version__)}
-    checkpoint = Checkpoint(
-        path.with_name(path.name + ".partial.pt"),
-        {
-            **versions,
-            "training": asdict(training),
-            "demonstrations": _digest(demonstrations),
-            "finetune": None if finetune is None else _digest(finetune),
-            "world": refined_in,
-        },
-    )
-    with reproducible(training.seed), _shown(progress, tensorboard) as observe:
+    identity = {
+        **versions,
+        "training": asdict(training),
+        "demonstrations": _digest(demonstrations),
+        "finetune": None if finetune is None else _digest(finetune),
+        "world": refined_in,
+    }
+    checkpoint = Checkpoint(path.with_name(path.name + ".partial.pt"), identity)
+    with reproducible(training.seed):
         problem = TrainingProblem(
-            demonstrations,
-            sees,
-            training,
-            finetune=finetune,
-            observe=observe,
-            checkpoint=checkpoint,
+            demonstrations, sees, training, finetune=finetune, shown=progress, checkpoint=checkpoint
         )
         errors = getattr(methods, training.method)(problem)
         if training.refine:
-            errors |= refine(problem, task, world, shown=progress)
+            errors |= refine(problem, task, world)
         figures = {
             **asdict(training),
             "demonstrations": given,
@@ -134,53 +119,22 @@ def train(
             "seconds": time.monotonic() - began,
             **versions,
         }
-        policy = _written(problem, _described(problem, demonstrations, figures), path)
+        description = Description(
+            task=demonstrations.task,
+            method=training.method,
+            conditioned_on=sees,
+            inputs=tuple(problem.inputs),
+            outputs=tuple(problem.actions),
+            goals=goal_range(_within_risk(demonstrations)),
+            parameters={
+                name: (float(values.min()), float(values.max()))
+                for name, values in demonstrations.parameters.items()
+            },
+            training=figures,
+        )
+        policy = _written(problem, description, path, cases, world)
     checkpoint.clear()
     return policy
-
-
-def _described(
-    problem: TrainingProblem, demonstrations: Demonstrations, figures: dict[str, Any]
-) -> Description:
-    """What the policy file says about itself."""
-    return Description(
-        task=demonstrations.task,
-        method=problem.training.method,
-        conditioned_on=problem.sees,
-        inputs=tuple(problem.inputs),
-        outputs=tuple(problem.actions),
-        goals=goal_range(_within_risk(demonstrations)),
-        parameters={
-            name: (float(values.min()), float(values.max()))
-            for name, values in demonstrations.parameters.items()
-        },
-        training=figures,
-    )
-
-
-def annotate(policy: Policy, figures: Mapping[str, Any]) -> Policy:
-    """Add figures to a policy's description of its training, in its file.
-
-    Args:
-        policy: Read from a file.
-        figures: By name, ready for JSON.
-
-    Returns:
-        The policy as read back.
-
-    Raises:
-        GendomError: The file cannot be written.
-    """
-    about = policy.description
-    about = replace(about, training={**about.training, **figures})
-    path = Path(policy.where)
-    model = onnx.load(str(path))
-    for entry in model.metadata_props:
-        if entry.key == METADATA_KEY:
-            entry.value = about.to_json()
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(sealed(model.SerializeToString()))
-    return Policy.read(path)
 
 
 def goal_range(demonstrations: Demonstrations) -> GoalRange:
@@ -212,23 +166,24 @@ def _seen(demonstrations: Demonstrations, training: Training) -> tuple[str, ...]
     return sees
 
 
-def _check_refined(task: Task, finetune: Demonstrations | None) -> None:
-    what, fix = f"{task.name} has no goals that a policy could be refined for", "give 0 rounds"
-    require(task.goals, what, where="refine", fix=fix, error=PolicyError)
-    what, fix = "refining in the simulator would undo the fine-tuning", "choose one of them"
-    require(finetune is None, what, where="refine", fix=fix, error=PolicyError)
-
-
-def _check_alike(demonstrations: Demonstrations, finetune: Demonstrations) -> None:
-    for what in ("action_names", "goal_names"):
-        mine, yours = getattr(demonstrations, what), getattr(finetune, what)
-        if mine != yours or demonstrations.task["name"] != finetune.task["name"]:
-            raise PolicyError(
-                f"is of {finetune.task['name']} ({', '.join(yours)}), the demonstrations are of "
-                f"{demonstrations.task['name']} ({', '.join(mine)})",
-                where=finetune.where or "finetune",
-                fix="give demonstrations of the same task",
-            )
+def _check_alike(
+    demonstrations: Demonstrations, finetune: Demonstrations | None, training: Training
+) -> None:
+    """Refuse to refine without goals or fine-tuned policies, and to fine-tune on another task."""
+    name, goals = demonstrations.task["name"], ", ".join(demonstrations.goal_names)
+    if training.refine:
+        what, fix = f"{name} has no goals that a policy could be refined for", "give 0 rounds"
+        require(goals, what, where="refine", fix=fix, error=PolicyError)
+        what, fix = "refining in the simulator would undo the fine-tuning", "choose one of them"
+        require(finetune is None, what, where="refine", fix=fix, error=PolicyError)
+    if finetune is None:
+        return
+    own = (name, demonstrations.action_names, demonstrations.goal_names)
+    other = (finetune.task["name"], finetune.action_names, finetune.goal_names)
+    told, mine = (f"{n} ({', '.join((*actions, *goals))})" for n, actions, goals in (other, own))
+    what = f"is of {told}, the demonstrations are of {mine}"
+    fix = "give demonstrations of the same task"
+    require(own == other, what, where=finetune.where or "finetune", fix=fix, error=PolicyError)
 
 
 def _within_risk(demonstrations: Demonstrations) -> Demonstrations:
@@ -242,80 +197,47 @@ def _within_risk(demonstrations: Demonstrations) -> Demonstrations:
 
 def _digest(demonstrations: Demonstrations) -> str:
     """Of all numbers that are learnt from."""
-    found = hashlib.sha256()
     d = demonstrations
     risk = [] if d.risk is None else [d.risk]
-    for numbers in (d.goal, d.action, *(d.parameters[n] for n in PARAMETERS), *risk):
-        found.update(np.ascontiguousarray(numbers).tobytes())
-    return found.hexdigest()
+    numbers = (d.goal, d.action, *(d.parameters[n] for n in PARAMETERS), *risk)
+    return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in numbers)).hexdigest()
 
 
-def _written(problem: TrainingProblem, description: Description, path: Path) -> Policy:
+def _written(
+    problem: TrainingProblem, description: Description, path: Path, cases: int, world: World
+) -> Policy:
     """Write the file, once onnxruntime gives the trained network's actions."""
-    rows = problem.held_out
+    rows, seed = problem.held_out, problem.training.seed
     with torch.no_grad():
         expected = problem.act(rows).numpy()
     with atomic_path(path) as temporary:
-        export_onnx(
-            problem.policy,
-            temporary,
-            inputs={column.name: torch.ones(2, 1) for column in description.inputs},
-            outputs=("action",),
-            metadata={METADATA_KEY: description.to_json()},
-        )
+
+        def export(about: Description) -> Policy:
+            export_onnx(
+                problem.policy,
+                temporary,
+                inputs={column.name: torch.ones(2, 1) for column in about.inputs},
+                outputs=("action",),
+                metadata={METADATA_KEY: about.to_json()},
+            )
+            return Policy.read(temporary)
+
+        policy = export(description)
         given: dict[str, NDArray[np.float64]] = {
             name: problem.data[name][rows, 0].numpy().astype(float) for name in problem.sees
         }
-        low_high = description.parameters
-        inside = np.all(
-            [(v >= low_high[n][0]) & (v <= low_high[n][1]) for n, v in given.items()]
-            or [np.ones(len(rows), dtype=bool)],
-            axis=0,
-        )
-        actions = Policy.read(temporary).actions(problem.goal[rows].numpy(), given)
+        inside = np.ones(len(rows), dtype=bool)
+        for name, values in given.items():
+            low, high = description.parameters[name]
+            inside &= (values >= low) & (values <= high)
+        actions = policy.actions(problem.goal[rows].numpy(), given)
         # what lies beyond the training range is clipped
         worst = float(np.abs(actions - expected)[inside].max(initial=0.0))
         what = f"the exported network differs from the trained one by {worst:.3g}"
         fix = "report this, with the versions of torch and onnxruntime"
         require(worst < AGREEMENT, what, where=str(path), fix=fix, error=PolicyError)
+        if cases:
+            drawn = draw_cases(policy.task(), cases, seed=seed, simulation=world)
+            acted = score(policy, drawn, world=world).summary()
+            export(replace(description, training={**description.training, "acted": acted}))
     return Policy.read(path)
-
-
-@contextmanager
-def _shown(
-    progress: bool, tensorboard: str | os.PathLike | None
-) -> Iterator[Callable[[str, Epoch], None]]:
-    """Shows and logs how fits stand.
-
-    Raises:
-        PolicyError: TensorBoard's writer is not installed.
-    """
-    writer = None
-    if tensorboard is not None:
-        try:
-            from tensorboardX import SummaryWriter
-        except ModuleNotFoundError:
-            raise PolicyError(
-                "logging needs tensorboardX", fix="install it with: pip install tensorboardX"
-            ) from None
-        writer = SummaryWriter(str(tensorboard))
-    shows: dict[str, Show] = {}
-    one = ExitStack()  # networks are fitted one after another
-
-    def observe(name: str, epoch: Epoch) -> None:
-        if writer is not None:
-            writer.add_scalar(f"{name}/loss", epoch.loss, epoch.done)
-            if epoch.held_out is not None:
-                writer.add_scalar(f"{name}/held out", epoch.held_out, epoch.done)
-        if name not in shows:
-            one.close()
-            shows[name] = one.enter_context(bar(name, epoch.of, "epoch", shown=progress))
-        aside = "" if epoch.held_out is None else f", held out {epoch.held_out:.2e}"
-        shows[name](epoch.done, note=f"loss {epoch.loss:.2e}{aside}")
-
-    try:
-        with one:
-            yield observe
-    finally:
-        if writer is not None:
-            writer.close()
