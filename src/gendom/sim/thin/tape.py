@@ -78,7 +78,6 @@ class ThinTape:
         self.adjoint = self._zero_adjoint()
         self.frames_bar = e.array(bar, e.types.vec3)
         self.plan_on_device = e.plan_on_device(self.plan)
-        self.silent = e.plan_on_device(self.plan, record=False)
         self.host = HostPaths(e.stacked)
         self.model_bar = np.zeros((W, MODEL_ROWS, n))
         self.radius_bar = np.zeros((W, G))
@@ -131,8 +130,8 @@ class ThinTape:
             every[group] = s
             e.launch(
                 e.kernels.advance, group,
-                [model, e.device_paths, self.silent, e.array(pieces, wp.int32), group.start, count,
-                 rows, rows, -1, 1e30, 1e30, none, never, nowhere, e.zeros(0, wp.int32)],
+                [model, e.device_paths, self.plan_on_device, e.array(pieces, wp.int32), group.start,
+                 count, rows, rows, -1, 1e30, 1e30, none, never, nowhere, e.zeros(0, wp.int32)],
             )  # fmt: skip
             e.launch(
                 e.kernels.reverse, group,
