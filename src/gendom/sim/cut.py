@@ -1,6 +1,5 @@
 """The part of a lattice that a cloth with an outline has: cut cells, and points of those."""
 
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +8,7 @@ from scipy.ndimage import label
 from scipy.sparse import coo_matrix
 from scipy.spatial import KDTree
 
+from gendom.arguments import require
 from gendom.errors import ParameterError
 from gendom.sim.outlines import Outline, cross, integrals
 
@@ -33,24 +33,43 @@ they lie on two sides of a part or a gap. Else they are at a corner of more than
 small hole or notch."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class Cut:
-    """Cells and points of a lattice that lie within an outline, or reach into it."""
+    """Cells and points of a lattice along an outline's box that lie within it, or reach into it.
 
-    outline: Outline
-    spacing: tuple[float, float]
-    """Distance between points along both axes [m]."""
-    cells: Array
-    """[rows - 1, columns - 1] share of each cell's area within the outline; 0: there is no cell."""
-    corners: Array
-    """[2, 2, rows - 1, columns - 1] what of it is represented by a cell's corners: integrals of
-    bilinear shape functions, the corner's row and column first."""
-    at: NDArray[np.int64]
-    """[n] index of each point in the whole lattice, row by row."""
-    area: Array
-    """[n] area represented by each point [m^2]; it has the area and its centre exactly."""
-    skin: Any
-    """[n, n] sparse matrix from points to the places of cloth nearest to them."""
+    Args:
+        outline: What is left of the lattice.
+        points: Its numbers of points along the first and second axis.
+
+    Raises:
+        ParameterError: If parts of the outline are too narrow for the lattice, or too close.
+    """
+
+    def __init__(self, outline: Outline, points: tuple[int, int]):
+        lower, upper = outline.box
+        spacing = (upper - lower) / (np.array(points) - 1.0)
+        _check_resolved(outline, spacing, upper - lower)
+        self.outline = outline
+        self.spacing = (float(spacing[0]), float(spacing[1]))
+        """Distance between points along both axes [m]."""
+        self.corners = _corner_shares(outline, lower, spacing, points)
+        """[2, 2, rows - 1, columns - 1] what of each cell's area within the outline is represented
+        by its corners: integrals of bilinear shape functions, the corner's row and column first."""
+        self.cells = _merged(self.corners)
+        """[rows - 1, columns - 1] share of each cell's area; 0: there is no cell."""
+        _, parts = label(self.cells > 0.0)  # pyright: ignore[reportGeneralTypeIssues]
+        require(parts == 1, "the outline falls apart on this lattice", fix="more points")
+        has, quarters = np.zeros(points[::-1], dtype=bool), np.zeros(points[::-1])
+        for j, i in np.ndindex(2, 2):
+            part = (slice(j, points[1] - 1 + j), slice(i, points[0] - 1 + i))
+            has[part] |= self.cells > 0.0
+            quarters[part] += 0.25 * self.cells
+        self.at = np.flatnonzero(has)
+        """[n] index of each point in the whole lattice, row by row."""
+        place = lower + spacing * np.stack(np.unravel_index(self.at, has.shape)[::-1], axis=1)
+        self.area = _balanced(quarters.flat[self.at] * spacing.prod(), place, outline)
+        """[n] area represented by each point [m^2]; it has the area and its centre exactly."""
+        self.skin = _skin(self, place, lower, spacing)
+        """[n, n] sparse matrix from points to the places of cloth nearest to them."""
 
     def on_skin(self, x: Array) -> Array:
         """Places of cloth [..., n, 3] nearest to its points x [..., n, 3] [m]: points beyond the
@@ -79,40 +98,6 @@ class Cut:
         rows, columns = np.nonzero(number >= 0)
         first, second, third = np.moveaxis((self.skin @ np.stack([columns, rows], 1))[found], 1, 0)
         return found[cross(second - first, third - first) > 1e-3]
-
-
-def cut(outline: Outline, points: tuple[int, int]) -> Cut:
-    """Cut a lattice along an outline's box.
-
-    Args:
-        outline: What is left.
-        points: Numbers of points along the first and second axis.
-
-    Raises:
-        ParameterError: If parts of the outline are too narrow for the lattice, or too close.
-    """
-    lower, upper = outline.box
-    spacing = (upper - lower) / (np.array(points) - 1.0)
-    _check_resolved(outline, spacing, upper - lower)
-    corners = _corner_shares(outline, lower, spacing, points)
-    cells = _merged(corners)
-    _, parts = label(cells > 0.0)  # pyright: ignore[reportGeneralTypeIssues]
-    if parts != 1:
-        raise ParameterError("the outline falls apart on this lattice", fix="more points")
-    has = np.zeros(points[::-1], dtype=bool)
-    quarters = np.zeros(points[::-1])
-    for j, i in np.ndindex(2, 2):
-        part = (slice(j, points[1] - 1 + j), slice(i, points[0] - 1 + i))
-        has[part] |= cells > 0.0
-        quarters[part] += 0.25 * cells
-    at = np.flatnonzero(has)
-    place = lower + spacing * np.stack(np.unravel_index(at, has.shape)[::-1], axis=1)
-    area = _balanced(quarters.flat[at] * spacing.prod(), place, outline)
-    made = Cut(
-        outline=outline, spacing=(float(spacing[0]), float(spacing[1])), cells=cells,
-        corners=corners, at=at, area=area, skin=None,
-    )  # fmt: skip
-    return replace(made, skin=_skin(made, place, lower, spacing))
 
 
 def _applied(matrix: Any, x: Array) -> Array:
