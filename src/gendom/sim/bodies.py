@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import check_integers, check_number, check_numbers, require
 from gendom.errors import ParameterError
-from gendom.sim.cut import Cut
 from gendom.sim.lines import along_line, arc_length, around, around_transpose, frames
-from gendom.sim.outlines import Outline
+from gendom.sim.outlines import Cut, Outline
 
 Array = NDArray[Any]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.materials.parameters import WEAVE
-from gendom.sim.cut import Cut
+from gendom.sim.outlines import Cut
 from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin.types import Lines, ParameterDerivatives, by_modulus
 
