@@ -133,49 +133,6 @@ def test_chosen_particles_are_those_of_all():
     assert counts[-1] == 2 and counts == sorted(counts)
 
 
-# ---- elastic forces --------------------------------------------------------------------------
-
-
-def elastic_energy(body, x, mu, lam):
-    """Sum over particles of their volume times psi(F), F from the rest lattice."""
-    before, behind = body.lattice[:, :, 0], body.lattice[:, :, 1]
-    F = np.swapaxes(x[behind] - x[before], 1, 2) @ body.rest_frames
-    J = np.linalg.det(F)
-    stretches = np.linalg.svd(F, compute_uv=False)
-    psi = mu / 2 * ((stretches**2).sum(axis=1) - 3.0 - 2.0 * np.log(J)) + lam / 2 * np.log(J) ** 2
-    return body.volume * psi.sum()
-
-
-def test_forces_are_the_derivatives_of_the_elastic_energy():
-    """What a substep gives to each particle, over its length, against central differences."""
-    line = [(0.0, 0.0, 0.0), (0.03, 0.0, 0.0), (0.05, 0.02, 0.0), (0.06, 0.05, 0.02)]
-    body = rope(diameter=0.02, cells_across=1.5, centre_line=line)
-    assert body.num_particles % 8  # some are done together with others that are done already
-    rng = np.random.default_rng(4)
-    x = body.x + 0.1 * body.dx * rng.uniform(-1.0, 1.0, body.x.shape)
-    s = simulator(body, gravity=(0.0, 0.0, 0.0), positions=x, substep=1e-6)
-    s.run([1e-6])
-    impulses = s.worlds.state.impulses.numpy()[0, :, :, :3]
-    given = np.zeros_like(x)
-    for axis in range(3):
-        np.add.at(given, body.lattice[:, axis, 0], impulses[:, axis])
-        np.add.at(given, body.lattice[:, axis, 1], -impulses[:, axis])
-    momentum = SOFT.density * body.volume * s.velocities()[0].sum(axis=0)
-    assert np.abs(given.sum(axis=0)).max() < 1e-12 * np.abs(given).max()
-    assert np.abs(momentum).max() < 1e-12 * np.abs(given).sum()
-    mu, lam = SOFT.lame
-    step = 1e-7
-    for p in rng.choice(body.num_particles, 6, replace=False):
-        for n in range(3):
-            moved = np.zeros_like(x)
-            moved[p, n] = step
-            energies = [elastic_energy(body, x + sign * moved, mu, lam) for sign in (1, -1)]
-            force = -(energies[0] - energies[1]) / (2.0 * step)
-            assert given[p, n] / 1e-6 == pytest.approx(
-                force, rel=1e-5, abs=1e-6 * np.abs(given).max() / 1e-6
-            )
-
-
 # ---- grid ------------------------------------------------------------------------------------
 
 

@@ -84,7 +84,7 @@ def check_rope(x: Array, diameter: float, apart: int) -> None:
 
 def check_cloth(x: Array, model: ShellModel) -> None:
     """Check that a cloth of points [n, 3] [m] does not cross itself, nor lie in itself."""
-    edges, triangles = _edges_and_triangles(model)
+    edges, triangles = edges_and_triangles(model)
     middles, centres = x[edges].mean(axis=1), x[triangles].mean(axis=1)
     reach = np.linalg.norm(x[edges] - middles[:, None], axis=2).max()
     reach += np.linalg.norm(x[triangles] - centres[:, None], axis=2).max()
@@ -122,7 +122,7 @@ def check_cloth(x: Array, model: ShellModel) -> None:
         )
 
 
-def _edges_and_triangles(model: ShellModel) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def edges_and_triangles(model: ShellModel) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Points of a cloth's edges [E, 2], with one diagonal of each cell, and triangles [F, 3]."""
     g, cells = model.lines[0].index, model.on_lattice(model.exists)[2, :-1, :-1] > 0.0
     a, b, c, d = (
