@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from gendom.sim import cloth, rope
-from gendom.sim.bodies import round_section
 
 
 def arc(radius, angle, n=400):
@@ -54,18 +53,6 @@ def test_cloth_bends_like_its_section(thickness, layers):
     assert len(np.unique(z.round(9))) == layers
     assert np.mean(z**2) == pytest.approx(thickness**2 / 12.0)
     assert abs(z.mean()) < 1e-15
-
-
-def test_spacing_is_half_a_cell():
-    """Neighbours stand half a cell apart along the body, within rounding to a whole number."""
-    body = rope(diameter=0.02, length=0.301, cells_across=2.0)
-    assert body.dx == pytest.approx(0.01)
-    assert np.diff(np.unique(body.material_coordinates[:, 0])) == pytest.approx(0.301 / 60)
-    sheet = cloth(width=0.2, height=0.1, thickness=0.04, dx=0.01)
-    assert sheet.num_particles == 40 * 20 * 8
-    for axis, loose in ((0, 1e-6), (1, 1e-6), (2, 0.01)):  # layers are spread to bend rightly
-        steps = np.diff(np.unique(sheet.x[:, axis].round(9)))
-        assert steps == pytest.approx(0.005, rel=loose)
 
 
 def test_rope_follows_its_centre_line():
@@ -134,16 +121,6 @@ def test_neighbours_are_mutual(name):
         # a rope's section is bulged: neighbours there do not stand square
         square = axis == 0 or body.kind == "cloth"
         assert np.abs(step[:, others]).max() < (1e-12 if square else 0.5 * np.abs(step).max())
-
-
-@pytest.mark.parametrize("across", range(3, 13))
-def test_a_round_section_is_round(across):
-    """Its outer particles stand nearly on a circle, and no two of them on each other."""
-    points, cells = round_section(across, 1.0)
-    outer = np.linalg.norm(points, axis=1)[(cells == 0).any(axis=1) | (cells == across - 1).any(1)]
-    assert np.ptp(outer) < 0.09
-    near = np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(len(points))
-    assert near.min() > 0.6 / across
 
 
 @pytest.mark.parametrize("name", BODIES)

@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import check_integers, check_number, check_numbers, require
 from gendom.errors import ParameterError
-from gendom.sim.cut import Cut, cut
 from gendom.sim.lines import along_line, arc_length, around, around_transpose, frames
-from gendom.sim.outlines import Outline
+from gendom.sim.outlines import Cut, Outline
 
 Array = NDArray[Any]
 
@@ -120,11 +119,10 @@ class Body:
         if self._has_points(x):
             return around(self.points, self.thickness, x)
         sections = x.reshape(*x.shape[:-2], -1, self.section, 3)
-        out = sections - sections.mean(axis=-2, keepdims=True)
-        out = out[..., self._outer, :]
-        length = np.linalg.norm(out, axis=-1, keepdims=True)
-        skin = sections.mean(axis=-2, keepdims=True) + out * (self.thickness / 2.0 / length)
-        return skin.reshape(*x.shape[:-2], -1, 3)
+        centre = sections.mean(axis=-2, keepdims=True)
+        out = (sections - centre)[..., self._outer, :]
+        out = out * (self.thickness / 2.0 / np.linalg.norm(out, axis=-1, keepdims=True))
+        return (centre + out).reshape(*x.shape[:-2], -1, 3)
 
     def surface_transpose(self, x: Array, bar: Array) -> Array:
         """Derivative of a loss with respect to positions, given that with respect to the surface.
@@ -207,13 +205,14 @@ def rope(
             positive, the centre line is degenerate, ``cells_across`` lies outside its range, or
             there are fewer than three points or more than ``MOST``.
     """
-    _check_positive(diameter=diameter, cells_across=cells_across)
-    require(
-        CELLS_ACROSS[0] <= cells_across <= CELLS_ACROSS[1],
-        f"cells_across must lie between {CELLS_ACROSS[0]:g} and {CELLS_ACROSS[1]:g}, "
-        f"got {cells_across:g}",
-        fix="1.5 is the default of estimates; more cost their fourth power",
+    check_number("diameter", diameter, above=0.0)
+    check_number("cells_across", cells_across, above=0.0)
+    (least, most), fix = (
+        CELLS_ACROSS,
+        "1.5 is the default of estimates; more cost their fourth power",
     )
+    what = f"cells_across must lie between {least:g} and {most:g}, got {cells_across:g}"
+    require(least <= cells_across <= most, what, fix=fix)
     line = _line_of(centre_line, start, direction, length)
     dx = diameter / cells_across
     spacing = dx / 2.0
@@ -243,7 +242,7 @@ def _line_of(
 ) -> Array:
     """[K, 3] the given centre line, or that of a straight rope."""
     if length is not None:
-        _check_positive(length=length)
+        check_number("length", length, above=0.0)
     if centre_line is not None:
         line = check_numbers("centre_line", centre_line, ("K", 3))
         require(len(line) >= 2, f"centre_line must have at least two points, got {len(line)}")
@@ -323,10 +322,16 @@ def cloth(
     if outline is not None:
         shape_of = Outline.of(outline)
         lower, upper = shape_of.box
-        width, height = _sizes(upper - lower, width, height)
+        box = (upper - lower).tolist()
+        for name, given, size in zip(("width", "height"), (width, height), box, strict=True):
+            what = f"{name} is {given} m, and the outline's is {size:g} m"
+            allowed = given is None or abs(given - size) <= 1e-6 * size
+            require(allowed, what, fix=f"leave {name} out")
+        width, height = box
     if width is None or height is None:
         raise ParameterError("a cloth needs its width and height [m], or an outline")
-    _check_positive(width=width, height=height, thickness=thickness, dx=dx)
+    for name, size in (("width", width), ("height", height), ("thickness", thickness), ("dx", dx)):
+        check_number(name, size, above=0.0)
     check_number("yaw", yaw)
     origin = check_numbers("corner", corner, (3,))
     if points is None:
@@ -345,11 +350,15 @@ def cloth(
     middle = np.stack([*np.meshgrid(along, across), np.zeros(points[::-1])], axis=-1).reshape(-1, 3)
     cells, area, part = np.argwhere(np.ones(shape)), width * height, None
     if shape_of is not None:
-        part, area = cut(shape_of, points), shape_of.area
+        part, area = Cut(shape_of, points), shape_of.area
         local[:, :2] += lower
         middle[:, :2] += lower
         inside = np.flatnonzero(shape_of.contains(local[:, :2]))
-        while len(inside) and (lonely := _lonely(_neighbours(cells[inside])).any(axis=1)).any():
+        while len(inside):
+            own = np.arange(len(inside))[:, None, None]
+            lonely = (_neighbours(cells[inside]) == own).all(axis=2).any(axis=1)
+            if not lonely.any():
+                break
             inside = inside[~lonely]
         local, cells, middle = local[inside], cells[inside], middle[part.at]
     thick = thickness > dx
@@ -381,7 +390,8 @@ def _sheet_particles(shape: list[int], sizes: tuple[float, float, float]) -> Arr
 
 
 def round_section(across: int, diameter: float) -> tuple[Array, NDArray[np.integer]]:
-    """Place particles in a round section, on a deformed square lattice.
+    """Particles [across^2, 2] of a round section about its centre [m], on a deformed square
+    lattice, and their cells in it.
 
     A section cut out of a square lattice warps where a round section stays plane, and is too soft
     in torsion (0.65 of theory with 12 particles). Instead, a square lattice is deformed until its
@@ -389,37 +399,11 @@ def round_section(across: int, diameter: float) -> tuple[Array, NDArray[np.integ
     applied by three quarters; the full map would flatten the lattice at its corners. The points
     are then scaled so that their mean squared distance from an axis is the section's second
     moment, d^2 / 16.
-
-    Args:
-        across: Particles across, 2 or more; all have the same volume.
-        diameter: Diameter [m].
-
-    Returns:
-        points: [across^2, 2] positions in the section, relative to its centre [m].
-        cells: [across^2, 2] indices in the lattice; particles that share a side are neighbours.
     """
     cells = np.argwhere(np.ones((across, across)))
     square = cells / (across - 1) * 2.0 - 1.0
     points = square * np.sqrt(1.0 - BULGE * square[:, ::-1] ** 2 / 2.0)
     return points * ((diameter / 4.0) / math.sqrt(np.mean(points[:, 0] ** 2))), cells
-
-
-def _sizes(box: Array, width: float | None, height: float | None) -> tuple[float, float]:
-    """Sizes of an outline's box [2] [m].
-
-    Raises:
-        ParameterError: If a given one is another.
-    """
-    for name, given, size in (("width", width, box[0]), ("height", height, box[1])):
-        if given is not None:
-            what = f"{name} is {given:g} m, and the outline's is {size:g} m"
-            require(abs(given - size) <= 1e-6 * size, what, fix=f"leave {name} out")
-    return float(box[0]), float(box[1])
-
-
-def _check_positive(**values: float) -> None:
-    for name, value in values.items():
-        check_number(name, value, above=0.0)
 
 
 def _check_many(count: float, fix: str) -> None:
@@ -439,8 +423,3 @@ def _neighbours(cells: NDArray[np.integer]) -> NDArray[np.int32]:
             n = number[tuple(beside.T)]
             found[:, axis, side] = np.where(n >= 0, n, np.arange(len(cells)))
     return found
-
-
-def _lonely(neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """[N, 3] which particles have no neighbour along each axis, of ``_neighbours``."""
-    return (neighbours == np.arange(len(neighbours))[:, None, None]).all(axis=2)

@@ -56,11 +56,8 @@ def open_device(name: str) -> Any:
 
 
 def list_devices(names: str) -> list[str]:
-    """Return the aliases of the devices in a comma-separated list, or of ``all`` CUDA devices.
-
-    Raises:
-        DeviceError: If a device does not exist.
-    """
+    """Aliases of the devices in a comma-separated list, or of ``all`` CUDA devices; errors as of
+    ``open_device``."""
     if names != "all":
         return [open_device(name.strip()).alias for name in names.split(",")]
     open_device("cuda")
@@ -89,14 +86,8 @@ def cores() -> int:
 
 
 def load_kernels(module: Any, device: Any, block_dim: int | None = None) -> None:
-    """Compile kernels, or load them from Warp's cache, before threads call them. What is damaged in
-    the cache is made anew.
-
-    Args:
-        module: Warp's module of the kernels.
-        device: That runs them.
-        block_dim: Threads of a CUDA block, 1 on the CPU; None: Warp's default.
-    """
+    """Compile kernels, or load them from Warp's cache, before threads call them, for blocks of so
+    many threads (1 on the CPU). What is damaged in the cache is made anew."""
     _start_warp()
     with making:
         for kept in _folders(module):

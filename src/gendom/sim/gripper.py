@@ -120,11 +120,7 @@ class Targets:
 
 
 def _check_hold(hold_from: Any, hold_until: Any, shape: tuple[int, ...]) -> None:
-    """Check times of closing and opening, which may be infinite.
-
-    Raises:
-        ParameterError: If one is not a number, or a gripper opens before it closes.
-    """
+    """Check times of closing and opening, which may be infinite."""
     begin = check_numbers("hold_from", hold_from, shape, finite=False)
     end = check_numbers("hold_until", hold_until, shape, finite=False)
     if np.any(end < begin):

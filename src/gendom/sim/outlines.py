@@ -1,10 +1,13 @@
-"""Flat outlines of cloths: polygons with holes."""
+"""Flat outlines of cloths: polygons with holes, and the part of a lattice that they cut out."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label
+from scipy.sparse import coo_matrix
+from scipy.spatial import KDTree
 
 from gendom.arguments import require
 from gendom.errors import ParameterError
@@ -13,6 +16,24 @@ Array = NDArray[Any]
 
 ROUNDING = 1e-9
 """Share of an outline's size that counts as no distance."""
+
+LEAST_SHARE = 0.05
+"""Share of its area below which a cell is left out, and its area given to a neighbour. The stable
+step of a membrane is the same with any share, for mass and stiffness have it alike. That of
+bending is shorter: light points take part in the bending of their neighbours. Of 60 outlines drawn
+at random it was at most 2.2 times as short, with 2 % 3.4 times, with 0.5 % 6.6 times."""
+
+NARROWEST = 1.0
+"""Least width of a cloth's parts [spacings]: strips bend as they should within 4 % then, at any
+angle to the lattice."""
+
+CLOSEST = 3.0
+"""Least distance between parts side by side [spacings]: nearer ones may share points."""
+
+LEAST_WAY_AROUND = 4.0
+"""Way along the outline between two places that are too near, over the least distance, from which
+they lie on two sides of a part or a gap. Else they are at a corner of more than 29 degrees, or a
+small hole or notch."""
 
 
 @dataclass(frozen=True)
@@ -101,22 +122,19 @@ class Outline:
         Returns:
             Places [N, 2], the loop of each, how far along it each is, and how long that is [m].
         """
-        places, of, along, whole = [], [], [], []
-        for k, loop in enumerate(self.loops):
-            step = np.roll(loop, -1, axis=0) - loop
-            length = np.linalg.norm(step, axis=1)
-            begins = np.cumsum(length) - length
-            for a, d, l, s in zip(loop, step, length, begins, strict=True):
-                share = np.arange(max(1, int(np.ceil(l / spacing))))
-                share = share / len(share)
-                places.append(a + share[:, None] * d)
-                along.append(s + share * l)
-                of.append(np.full(len(share), k))
-                whole.append(np.full(len(share), length.sum()))
+        a, b, of = self._edges()
+        length = np.linalg.norm(b - a, axis=1)
+        whole = np.bincount(of, length)
+        begins = np.cumsum(length) - length - (np.cumsum(whole) - whole)[of]
+        count = np.maximum(1, np.ceil(length / spacing)).astype(int)
+        e = np.repeat(np.arange(len(a)), count)
+        share = (np.arange(len(e)) - (np.cumsum(count) - count)[e]) / count[e]
         return (
-            np.concatenate(places), np.concatenate(of), np.concatenate(along),
-            np.concatenate(whole),
-        )  # fmt: skip
+            a[e] + share[:, None] * (b - a)[e],
+            of[e],
+            begins[e] + share * length[e],
+            whole[of[e]],
+        )
 
     # ---- checks ----------------------------------------------------------------------------------
 
@@ -189,3 +207,208 @@ def cross(a: Array, b: Array) -> Array:
 
 def _name(k: int) -> str:
     return "outline" if k == 0 else f"hole {k}"
+
+
+# ---- the part of a lattice -----------------------------------------------------------------------
+
+
+class Cut:
+    """Cells and points of a lattice along an outline's box that lie within it, or reach into it.
+
+    Args:
+        outline: What is left of the lattice.
+        points: Its numbers of points along the first and second axis.
+
+    Raises:
+        ParameterError: If parts of the outline are too narrow for the lattice, or too close.
+    """
+
+    def __init__(self, outline: Outline, points: tuple[int, int]):
+        lower, upper = outline.box
+        spacing = (upper - lower) / (np.array(points) - 1.0)
+        _check_resolved(outline, spacing, upper - lower)
+        self.outline = outline
+        self.spacing = (float(spacing[0]), float(spacing[1]))
+        """Distance between points along both axes [m]."""
+        self.corners = _corner_shares(outline, lower, spacing, points)
+        """[2, 2, rows - 1, columns - 1] what of each cell's area within the outline is represented
+        by its corners: integrals of bilinear shape functions, the corner's row and column first."""
+        self.cells = _merged(self.corners)
+        """[rows - 1, columns - 1] share of each cell's area; 0: there is no cell."""
+        _, parts = label(self.cells > 0.0)  # pyright: ignore[reportGeneralTypeIssues]
+        require(parts == 1, "the outline falls apart on this lattice", fix="more points")
+        has, quarters = np.zeros(points[::-1], dtype=bool), np.zeros(points[::-1])
+        for j, i in np.ndindex(2, 2):
+            part = (slice(j, points[1] - 1 + j), slice(i, points[0] - 1 + i))
+            has[part] |= self.cells > 0.0
+            quarters[part] += 0.25 * self.cells
+        self.at = np.flatnonzero(has)
+        """[n] index of each point in the whole lattice, row by row."""
+        place = lower + spacing * np.stack(np.unravel_index(self.at, has.shape)[::-1], axis=1)
+        self.area = _balanced(quarters.flat[self.at] * spacing.prod(), place, outline)
+        """[n] area represented by each point [m^2]; it has the area and its centre exactly."""
+        self.skin = _skin(self, place, lower, spacing)
+        """[n, n] sparse matrix from points to the places of cloth nearest to them."""
+
+    def on_skin(self, x: Array) -> Array:
+        """Places of cloth [..., n, 3] nearest to its points x [..., n, 3] [m]: points beyond the
+        outline are moved onto it."""
+        return _applied(self.skin, x)
+
+    def on_skin_transpose(self, bar: Array) -> Array:
+        """Derivatives [..., n, 3] by x, given those by ``on_skin(x)``."""
+        return _applied(self.skin.T, bar)
+
+    @property
+    def number(self) -> NDArray[np.int64]:
+        """[rows, columns] of each point of the lattice among those that exist; -1: it does not."""
+        found = np.full(np.array(self.cells.shape) + 1, -1)
+        found.flat[self.at] = np.arange(len(self.at))
+        return found
+
+    @property
+    def triangles(self) -> NDArray[np.int64]:
+        """[F, 3] triangles of the skin, counter-clockwise seen from the third axis: two for
+        each cell, less those that an outline leaves nothing of."""
+        j, i = np.nonzero(self.cells)
+        number = self.number
+        a, b, c, d = (number[j + k, i + l] for k in (0, 1) for l in (0, 1))
+        found = np.concatenate([np.stack([a, b, c], axis=1), np.stack([d, c, b], axis=1)])
+        rows, columns = np.nonzero(number >= 0)
+        first, second, third = np.moveaxis((self.skin @ np.stack([columns, rows], 1))[found], 1, 0)
+        return found[cross(second - first, third - first) > 1e-3]
+
+
+def _applied(matrix: Any, x: Array) -> Array:
+    """A matrix [n, n] times vectors [..., n, 3]."""
+    first = np.moveaxis(x, -2, 0)
+    return np.moveaxis((matrix @ first.reshape(len(first), -1)).reshape(first.shape), 0, -2)
+
+
+def _corner_shares(
+    outline: Outline, lower: Array, spacing: Array, points: tuple[int, int]
+) -> Array:
+    """``Cut.corners`` of all cells that the outline reaches into."""
+    shares = np.zeros((2, 2, points[1] - 1, points[0] - 1))
+    for loop in outline.loops:
+        rest = (loop - lower) / spacing
+        for j in range(points[1] - 1):
+            row, rest = _clip(rest, 1, j + 1.0)
+            for i in range(points[0] - 1):
+                if not len(row):
+                    break
+                cell, row = _clip(row, 0, i + 1.0)
+                if len(cell):
+                    one, x, y, xy = integrals(cell - (i, j))
+                    shares[:, :, j, i] += [[one - x - y + xy, x - xy], [y - xy, xy]]
+    full = np.abs(shares.sum(axis=(0, 1)) - 1.0) < 1e-12
+    shares[:, :, full] = 0.25  # as of a rectangle
+    return shares
+
+
+def _clip(loop: Array, axis: int, bound: float) -> tuple[Array, Array]:
+    """Parts [., 2] of a polygon [K, 2] with coordinates up to and from ``bound`` on along an axis.
+
+    Source: Sutherland and Hodgman (1974), "Reentrant polygon clipping". Edges of parts that it
+    joins along the bound cancel in integrals.
+    """
+    beyond = loop[:, axis] > bound
+    if not beyond.any() or beyond.all():
+        none = np.empty((0, 2))
+        return (none, loop) if beyond.any() else (loop, none)
+    after = np.roll(loop, -1, axis=0)
+    crosses = beyond != np.roll(beyond, -1)
+    step = np.where(crosses, after[:, axis] - loop[:, axis], 1.0)
+    meets = loop + ((bound - loop[:, axis]) / step)[:, None] * (after - loop)
+    meets[:, axis] = bound
+    both = np.stack([loop, meets], axis=1)
+    return both[np.stack([~beyond, crosses], axis=1)], both[np.stack([beyond, crosses], axis=1)]
+
+
+def _merged(corners: Array) -> Array:
+    """``Cut.cells``, of which those with too small a share go to a neighbour, in place."""
+    cells = corners.sum(axis=(0, 1))
+    kept = cells >= LEAST_SHARE
+    found = np.where(kept, cells, 0.0)
+    for j, i in np.argwhere(~kept & (cells > 0.0)):
+        near = [
+            (abs(a) + abs(b) == 1, cells[j + b, i + a], j + b, i + a)
+            for b in (-1, 0, 1)
+            for a in (-1, 0, 1)
+            if 0 <= j + b < len(cells) and 0 <= i + a < cells.shape[1] and kept[j + b, i + a]
+        ]
+        if near:
+            *_, b, a = max(near)
+            found[b, a] += cells[j, i]
+    corners *= np.where(kept, found / np.where(kept, cells, 1.0), 0.0)
+    return found
+
+
+def _balanced(area: Array, place: Array, outline: Outline) -> Array:
+    """Areas [n] of points at places [n, 2], times 1 + a + b . x, so that the outline's area and its
+    centre are exact. a and b are small: a cut cell's area counts at the middle of the cell."""
+    out = place - outline.centre
+    basis = np.column_stack([np.ones(len(out)), out / np.abs(out).max()])
+    wanted = np.array([outline.area, 0.0, 0.0])
+    for _ in range(2):  # once more for what rounding leaves
+        by = (basis.T * area) @ basis
+        area = area * (1.0 + basis @ np.linalg.solve(by, wanted - basis.T @ area))
+    return area
+
+
+def _skin(of: Cut, place: Array, lower: Array, spacing: Array) -> coo_matrix:
+    """``Cut.skin``: points within the outline, and for others the nearest place on the outline, by
+    the bilinear shape functions of one of their cells."""
+    n, columns = len(place), of.cells.shape[1] + 1
+    number = of.number
+    inside = of.outline.contains(place)
+    rows, which = [np.flatnonzero(inside)], [np.flatnonzero(inside)]
+    weights = [np.ones(len(rows[0]))]
+    foot = (of.outline.nearest(place[~inside]) - lower) / spacing
+    for p, x in zip(np.flatnonzero(~inside), foot, strict=True):
+        j, i = divmod(int(of.at[p]), columns)
+        near = [
+            (float(np.abs(x - (a + 0.5, b + 0.5)).max()), b, a)
+            for b in (j - 1, j)
+            for a in (i - 1, i)
+            if 0 <= b < len(of.cells) and 0 <= a < columns - 1 and of.cells[b, a] > 0.0
+        ]
+        _, b, a = min(near)
+        u, v = x - (a, b)
+        rows.append(np.full(4, p))
+        which.append(number[[b, b, b + 1, b + 1], [a, a + 1, a, a + 1]])
+        weights.append(np.array([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v]))
+    entries = np.concatenate(weights), (np.concatenate(rows), np.concatenate(which))
+    return coo_matrix(entries, shape=(n, n))
+
+
+def _check_resolved(outline: Outline, spacing: Array, size: Array) -> None:
+    """Check that parts of the outline, and gaps between them, are wide enough for the lattice."""
+    widest = float(spacing.max())
+    reach = CLOSEST * widest
+    places, of, along, whole = outline.sampled(reach / 8.0)
+    i, j = KDTree(places).query_pairs(reach, output_type="ndarray").T
+    way = np.abs(along[i] - along[j])
+    way = np.where(of[i] == of[j], np.minimum(way, whole[i] - way), np.inf)
+    across = way > LEAST_WAY_AROUND * NARROWEST * widest
+    i, j, way = i[across], j[across], way[across]
+    distance = np.linalg.norm(places[i] - places[j], axis=1)
+    shares = np.linspace(0.1, 0.9, 5)[:, None, None]
+    between = places[i] + shares * (places[j] - places[i])
+    cloth = outline.contains(between.reshape(-1, 2)).reshape(len(shares), -1)
+    part, gap = cloth.all(axis=0), ~cloth.any(axis=0)
+    for inside, least, what in (
+        (True, NARROWEST, "a part of the cloth is only {} wide"),
+        (False, CLOSEST, "parts of the cloth are only {} apart"),
+    ):
+        d = np.where(part if inside else gap, distance, np.inf)
+        d = np.where(way > LEAST_WAY_AROUND * least * widest, d, np.inf)
+        k = int(d.argmin()) if len(d) else 0
+        if len(d) and d[k] < (1.0 - 1e-9) * least * widest:
+            finer = 1 + np.ceil(least * size / d[k] - 1e-9).astype(int)
+            raise ParameterError(
+                what.format(f"{1e3 * d[k]:.3g} mm")
+                + f", and points are {1e3 * widest:.3g} mm apart",
+                where=f"outline, near ({between[2, k, 0]:.4g}, {between[2, k, 1]:.4g}) m",
+                fix=f"give it {least:g} spacings: points=({finer[0]}, {finer[1]})",
+            )

@@ -222,7 +222,8 @@ def make_paths(real: Any) -> SimpleNamespace:
 
 @dataclass
 class Pose:
-    """Pose and velocity of a gripper in each of k worlds."""
+    """Pose and velocity of a gripper in each of k worlds; or derivatives by them, [k, 3], that by q
+    by a rotation in world axes."""
 
     centre: Array
     """[k, 3] centre [m]."""
@@ -232,16 +233,6 @@ class Pose:
     """[k, 3] velocity of the centre just before [m/s]."""
     spin: Array
     """[k, 3] angular velocity just before [rad/s]."""
-
-
-@dataclass
-class PoseAdjoint:
-    """Derivatives [k, 3] by the parts of a ``Pose``; for q by a rotation in world axes."""
-
-    centre: Array
-    q: Array
-    velocity: Array
-    spin: Array
 
 
 class HostPaths:
@@ -268,7 +259,7 @@ class HostPaths:
         self._launch("pose", g, w, t, out)
         return made
 
-    def pose_adjoint(self, g: int, w: Array, t: Array, adjoint: PoseAdjoint) -> None:
+    def pose_adjoint(self, g: int, w: Array, t: Array, adjoint: Pose) -> None:
         """Transpose of ``pose``: adds to the derivatives by the knots."""
         adjoints = (*vars(adjoint).values(), self.position_bar, self.turn_bar)
         self._launch("pose_adjoint", g, w, t, [_view(a, wp.vec3d) for a in adjoints])

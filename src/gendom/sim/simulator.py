@@ -149,12 +149,13 @@ class Simulator(Shown):
 
     def _shown(self) -> tuple[str, list[tuple[str, str]]]:
         kind = type(self.engine).__name__
-        return f"Simulator ({self.body.kind}, {_worlds(self.num_worlds)})", [
+        worlds = f"{self.num_worlds} world{'s' * (self.num_worlds != 1)}"
+        return f"Simulator ({self.body.kind}, {worlds})", [
             ("engine", f"{kind}, {self.dtype}, {self.device}"),
             ("points", f"{self.num_points} in each world"),
             ("time", f"{self.time:.4g} s"),
             ("substep", f"{self.substep.min():.3g} s at least"),
-            ("diverged", _worlds(len(self.failures))),
+            ("diverged", f"{len(self.failures)} worlds"),
         ]
 
     @property
@@ -326,13 +327,8 @@ def engine_of(body: Body, solver: Solver) -> str:
 
 
 def _check_clear(body: Body, x: Array, section: int, least: float, table: Table | None) -> None:
-    """Check that positions [..., N, 3] do not lie deeper than ``least`` [m] in the table.
-
-    Each ``section`` consecutive positions form one cross-section.
-
-    Raises:
-        ParameterError: If they do; the error names the depth, and the world if they differ.
-    """
+    """Check that positions [..., N, 3], of which each ``section`` consecutive ones form one
+    cross-section, do not lie deeper than ``least`` [m] in the table."""
     if table is None:
         return
     n = x.shape[-2] // section
@@ -350,33 +346,20 @@ def _check_clear(body: Body, x: Array, section: int, least: float, table: Table 
     )
 
 
-def _worlds(n: int) -> str:
-    return f"{n} world{'s' * (n != 1)}"
-
-
-def _grippers_of_worlds(
-    grippers: Sequence[Gripper] | Sequence[Sequence[Gripper]], worlds: int
-) -> Grippers:
-    """Return the grippers of each world.
-
-    Raises:
-        ParameterError: If they are no grippers, or a world has none, or fewer than others.
-    """
-    every: Any = grippers
-    if not isinstance(grippers, Grippers):
-        own = isinstance(grippers, Sequence) and not any(isinstance(g, Gripper) for g in grippers)
-        if own and grippers:
-            for w, some in enumerate(grippers):
+def _grippers_of_worlds(every: Any, worlds: int) -> Grippers:
+    """The grippers of each world, given those of all worlds or of each, or as arrays."""
+    if not isinstance(every, Grippers):
+        own = isinstance(every, Sequence) and not any(isinstance(g, Gripper) for g in every)
+        if own and every:
+            for w, some in enumerate(every):
                 check_list(f"grippers[{w}]", some, Gripper)
         else:
-            check_list("grippers", grippers, Gripper)
-            every = [grippers] * worlds
-    if len(every) < worlds:
-        raise ParameterError(f"no grippers given for world {len(every)} of the batch")
-    every = every[:worlds]
+            check_list("grippers", every, Gripper)
+            every = [every] * worlds
+    fewer = f"no grippers given for world {len(every)} of the batch"
+    require(len(every) >= worlds, fewer)
     if isinstance(every, Grippers):
-        return every
-    count = {len(g) for g in every}
-    if len(count) != 1:
-        raise ParameterError(f"every world needs the same number of grippers, got {count}")
-    return Grippers.of(every)
+        return every[:worlds]
+    count = {len(g) for g in every[:worlds]}
+    require(len(count) == 1, f"every world needs the same number of grippers, got {count}")
+    return Grippers.of(every[:worlds])

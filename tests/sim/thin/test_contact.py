@@ -39,32 +39,6 @@ def test_a_rope_that_falls_on_itself_keeps_its_thickness():
     assert min(nearest(x, 4) for x in coiling_rope()) < 0.5 * 0.01
 
 
-def test_a_loop_of_rope_is_drawn_tight_without_crossing():
-    """One turn of a helix, whose ends are pulled apart past each other."""
-    turn = np.linspace(-0.5, 2.5, 200) * np.pi
-    line = np.stack([0.02 * turn, 0.04 * np.sin(turn), -0.04 * np.cos(turn)], axis=1)
-    body = rope(diameter=0.008, centre_line=line, points=61)
-    ends = body.points[[0, -1]]
-    hands = [
-        Gripper(
-            time=[0, 1.0],
-            position=[at, at + np.array([side * 0.05, 0, 0])],
-            quat_xyzw=[(0, 0, 0, 1)] * 2,
-            radius=0.008,
-        )
-        for at, side in zip(ends, (-1, 1), strict=True)
-    ]
-    s = Simulator(
-        body,
-        [Material(E=3e5, damping=0.01)],
-        grippers=hands,
-        physics=Physics(gravity=(0, 0, 0), self_contact=True),
-        solver=Solver(engine="thin"),
-    )
-    x = s.run(np.linspace(0.05, 1.0, 20))[:, 0]
-    assert min(nearest(f, 4) for f in x) > 0.95 * 0.008
-
-
 def test_contact_keeps_momentum():
     """The ends of an open ring in space fly into each other."""
     turn = np.linspace(-0.85, 0.85, 200) * np.pi

@@ -155,23 +155,18 @@ TOUCHES = pytest.mark.parametrize("self_friction", [0.2, 5.0])
 
 
 @TOUCHES
-def test_first_touches_are_differentiated(self_friction):
-    check(CLOTH, touching(self_friction, 0.23, 0.0, 2e-4), BY, times=FIRST)
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
+def test_first_touches_are_differentiated(self_friction, device):
+    if device == "cuda" and not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
+    p, rel = touching(self_friction, 0.23, 0.0, 2e-4), 1e-6 if device == "cpu" else 1e-5
+    check(CLOTH, p, BY, times=FIRST, rel=rel, device=device)
 
 
 @TOUCHES
 def test_nearly_parallel_edges_are_differentiated(self_friction):
     p = touching(self_friction, 0.0, 0.0041, 2e-6) | {"stiffness": np.ones(len(CLOTH.points))}
     check(CLOTH, p, BY, times=FIRST)
-
-
-@pytest.mark.gpu
-@TOUCHES
-def test_cuda_differentiates_first_touches(self_friction):
-    if not wp.is_cuda_available():
-        pytest.skip("no CUDA device on this machine")
-    p = touching(self_friction, 0.23, 0.0, 2e-4)
-    check(CLOTH, p, BY, times=FIRST, device="cuda", rel=1e-5)
 
 
 @pytest.mark.gpu

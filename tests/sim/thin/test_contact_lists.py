@@ -8,7 +8,7 @@ import warp as wp
 
 from gendom.materials import Material
 from gendom.sim import Gripper, Physics, Simulator, Solver, Table, cloth, rope
-from gendom.sim.thin.contact import edge_distance, triangle_distance
+from gendom.sim.thin.contact import edge_distance, edges_and_triangles, triangle_distance
 from gendom.sim.thin.types import MARGIN
 
 SOFT = Material(E=1e5, density=400.0, damping=0.01)
@@ -83,30 +83,19 @@ def edge(p, kind, pitch):
 
 def features(s):
     """Points, edges and triangles by their slots, counted from the first."""
-    e = s.engine
-    at, pitch = e.slots - MARGIN, e.device_model.pitch
-    there = set(at.tolist())
-    if pitch == 0:
-        return [], [(p, p + 1) for p in at[:-1].tolist()], []
-    cells = [p for p, has in zip(at.tolist(), e.model.exists[2], strict=True) if has > 0]
-    edges = [(p, p + 1) for p, has in zip(at.tolist(), e.model.exists[0], strict=True) if has > 0]
-    edges += [
-        (p, p + pitch) for p, has in zip(at.tolist(), e.model.exists[1], strict=True) if has > 0
-    ]
-    edges += [(p + 1, p + pitch) for p in cells]
-    triangles = [
-        t for p in cells for t in ((p, p + 1, p + pitch), (p + pitch + 1, p + 1, p + pitch))
-    ]
-    return sorted(there), edges, triangles
+    at = s.engine.slots - MARGIN
+    if s.engine.device_model.pitch == 0:
+        return [], np.stack([at[:-1], at[1:]], axis=1), np.empty((0, 3), dtype=int)
+    edges, triangles = edges_and_triangles(s.engine.model)
+    return at.tolist(), at[edges], at[triangles]
 
 
 def by_search(s, x):
     """All pairs nearer than the list reaches that share no point."""
     b = s.engine.device_model
     far = b.contact_distance + b.contact_margin
-    points, edges, triangles = features(s)
-    E, pairs = np.array(edges), set()
-    for k, (p, q) in enumerate(edges):
+    (points, E, T), pairs = features(s), set()
+    for k, (p, q) in enumerate(E.tolist()):
         rest = E[k + 1 :]
         rest = rest[~np.isin(rest, (p, q)).any(axis=1)]
         if not len(rest):
@@ -114,7 +103,6 @@ def by_search(s, x):
         start, way = np.tile(x[p], (len(rest), 1)), np.tile(x[q] - x[p], (len(rest), 1))
         near = edge_distance(start, way, x[rest[:, 0]], x[rest[:, 1]] - x[rest[:, 0]]) < far
         pairs |= {frozenset({frozenset({p, q}), frozenset(o)}) for o in rest[near].tolist()}
-    T = np.array(triangles).reshape(-1, 3)
     reach = far + 2.0 * s.engine.spacing
     for p in points:
         close = (np.linalg.norm(x[T] - x[p], axis=2).min(axis=1) < reach) & ~(T == p).any(axis=1)

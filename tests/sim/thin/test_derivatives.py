@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Gripper, Physics, Rollout, Simulator, Solver, Table, cloth, rope
+from gendom.sim import Gripper, Physics, Rollout, Simulator, Solver, cloth, rope
 from sim.thin.shared import check_derivatives, check_worlds, scene
 from validation.bench import flat_simulator
 
@@ -223,10 +223,6 @@ def test_bad_input_is_named(body):
 
     with pytest.raises(ParameterError, match="begins stretched by"):
         make(positions=1.5 * body.points)
-    with pytest.raises(ParameterError, match="mm inside the table"):
-        make(table=Table(height=0.1))
-    with pytest.raises(ParameterError, match="unknown engine 'fem'"):
-        Simulator(body, [Material()], solver=Solver(engine="fem"))
     with pytest.raises(ParameterError, match="only the MPM has particles"):
         Simulator(body, [Material()], solver=Solver(engine="thin")).deformation_gradients()
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Gripper, Physics, Simulator, Solver, Table, cloth
+from gendom.sim import Gripper, Physics, Simulator, Table, cloth
 from gendom.sim.outlines import Outline
 from gendom.sim.thin.contact import check_cloth
 from gendom.sim.thin.shells import Shells
@@ -53,42 +53,6 @@ def test_mass_and_its_centre_are_those_of_the_outline(outline, points):
     assert (area > 0.0).all()
     np.testing.assert_allclose(area @ body.points[:, :2] / shape.area, shape.centre, atol=1e-13)
     assert body.volume * body.num_particles == pytest.approx(shape.area * 0.002, rel=1e-12)
-
-
-def test_areas_of_outlines_are_right():
-    """Of a square with a square hole, far from the origin, in either sense of rotation."""
-    hole = 0.25 * np.array(SQUARE) + 0.1
-    for side in (1, -1):
-        shape = Outline.of([np.array(SQUARE)[::side] + 50.0, hole[::side] + 50.0])
-        assert shape.area == pytest.approx(0.04 - 0.0025, rel=1e-10)
-        out = (0.0025 * 0.125 - 0.04 * 0.1) / -0.0375
-        np.testing.assert_allclose(shape.centre, 50.0 + out, atol=1e-12)
-
-
-@OUTLINES
-def test_points_are_those_of_cells_that_the_outline_reaches(outline):
-    body = cloth(outline=outline, points=(20, 20), **SHEET)
-    part, model = part_of(body), model_of(body)
-    lower, spacing = part.outline.box[0], np.array(part.spacing)
-    ticks = (np.arange(16) + 0.5) / 16.0
-    for j, i in np.ndindex(part.cells.shape):
-        inside = part.outline.contains(
-            lower + spacing * np.stack([a.ravel() for a in np.meshgrid(i + ticks, j + ticks)], 1)
-        ).mean()
-        if inside > 0.08:
-            assert 0.9 * inside < part.cells[j, i] < inside + 0.08
-        elif inside < 0.02:
-            assert part.cells[j, i] == 0.0
-    assert part.cells.sum() * spacing.prod() == pytest.approx(part.outline.area, rel=1e-12)
-    corners = {tuple(c) for j, i in np.argwhere(part.cells) for c in
-               ((j, i), (j, i + 1), (j + 1, i), (j + 1, i + 1))}  # fmt: skip
-    rows, columns = np.divmod(part.at, 20)
-    assert corners == set(zip(rows.tolist(), columns.tolist(), strict=True))
-    assert len(body.points) == len(corners) < 400
-    has = model.on_lattice(model.exists)
-    np.testing.assert_array_equal(has[2, :-1, :-1], part.cells > 0.0)
-    below, above = np.pad(part.cells, 1)[1:, 1:-1] > 0, np.pad(part.cells, 1)[:-1, 1:-1] > 0
-    np.testing.assert_array_equal(has[0, :, :-1] > 0, below | above)
 
 
 def test_the_outline_of_a_rectangle_makes_the_same_cloth():
@@ -287,10 +251,3 @@ def test_what_the_lattice_cannot_resolve_is_named():
 def test_a_sheet_too_auxetic_is_refused():
     with pytest.raises(ParameterError, match=r"nu of at least -0.67"):
         Simulator(cloth(outline=RING, **SHEET), [Material(nu=-0.8)])
-
-
-def test_without_particles_only_the_mpm_is_refused():
-    body = cloth(outline=[circle(0.1), circle(0.08)], points=(40, 40), thickness=0.002, dx=0.2)
-    Simulator(body, [MATERIAL]).run([1e-3])
-    with pytest.raises(ParameterError, match="narrower than the particles"):
-        Simulator(body, [MATERIAL], solver=Solver(engine="mpm"))

@@ -9,14 +9,6 @@ from gendom.sim.thin import rotation
 RNG = np.random.default_rng(0)
 
 
-def test_products_and_turns_are_those_of_rotations():
-    a, b = (Rotation.from_quat(RNG.normal(size=(5, 4))) for _ in range(2))
-    v = RNG.normal(size=(5, 3))
-    found = Rotation.from_quat(rotation.product(a.as_quat(), b.as_quat()))
-    assert (found * (a * b).inv()).magnitude() == pytest.approx(np.zeros(5), abs=1e-12)
-    np.testing.assert_allclose(rotation.turned(a.as_quat(), v), a.apply(v), atol=1e-12)
-
-
 def test_the_shortest_turn_takes_one_direction_to_the_other():
     a, b = RNG.normal(size=(2, 20, 3))
     b[0] = -2.0 * a[0]

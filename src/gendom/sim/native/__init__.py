@@ -11,13 +11,12 @@ import warp as wp
 
 
 def module_options(package: str, *headers: str) -> dict[str, Any]:
-    """Options of Warp modules that begin with ``sync.h``, ``vectors.h`` and a package's headers.
+    """Options of Warp modules that begin with ``vectors.h`` and a package's headers.
 
     Compiler flags: products and sums become one rounding, a seventh faster, and sums that begin
     with 0 begin with their first term, a twelfth faster.
     """
-    texts = [files(__name__) / name for name in ("sync.h", "vectors.h")]
-    texts += [files(package) / name for name in headers]
+    texts = [files(__name__) / "vectors.h", *(files(package) / name for name in headers)]
     text = "".join(of.read_text() for of in texts).replace("#pragma once\n", "")
     return {
         "enable_backward": False,

@@ -2,9 +2,24 @@
 //
 // A loop over the points of a body reads `for (EACH(i, n))` or `for (EACH_IN(i, first, end))`: on the CPU it takes as many points at
 // a time as a SIMD register holds, on CUDA every thread of a block takes one at a time.
-#pragma once
 
 namespace gendom {
+
+// What the threads of a CUDA block do together; on the CPU a block is one thread.
+CUDA_CALLABLE inline void block_sync() {
+#if defined(__CUDA_ARCH__)
+    __syncthreads();
+#endif
+}
+
+// Whether a thread's value is not 0.
+CUDA_CALLABLE inline int block_any(int value) {
+#if defined(__CUDA_ARCH__)
+    return __syncthreads_or(value) ? 1 : 0;
+#else
+    return value;
+#endif
+}
 
 template <typename T> struct number_of { typedef T type; };
 

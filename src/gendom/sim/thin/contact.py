@@ -41,14 +41,8 @@ NEIGHBOURS = 2
 
 
 def contact_arrays(setting: Setting, n: int, spacing: float, rows: Any) -> dict[str, Any]:
-    """What the kernels' model needs for contact, by name: numbers, and arrays by dtype.
-
-    Args:
-        setting: Of the simulation.
-        n: Number of points.
-        spacing: Largest distance between neighbouring points [m].
-        rows: Arranges values [..., n] in rows [..., P].
-    """
+    """What the kernels' model of n points, at most ``spacing`` [m] apart, needs for contact, by
+    name: numbers, and arrays by dtype. ``rows`` arranges values [..., n] in rows [..., P]."""
     on = int(setting.self_contact)
     W, thickness = len(setting.materials), setting.body.thickness
     # where nothing is near: the first step lists pairs
@@ -74,11 +68,7 @@ def contact_arrays(setting: Setting, n: int, spacing: float, rows: Any) -> dict[
 
 
 def check_rope(x: Array, diameter: float, apart: int) -> None:
-    """Check that edges of a rope [n, 3] [m] do not overlap if they are ``apart`` points apart.
-
-    Raises:
-        ParameterError: If two edges overlap; the error names them.
-    """
+    """Check that edges of a rope [n, 3] [m] do not overlap if they are ``apart`` points apart."""
     i, j = np.triu_indices(len(x) - 1, apart)
     distance = edge_distance(x[i], x[i + 1] - x[i], x[j], x[j + 1] - x[j])
     if not len(i):
@@ -93,12 +83,8 @@ def check_rope(x: Array, diameter: float, apart: int) -> None:
 
 
 def check_cloth(x: Array, model: ShellModel) -> None:
-    """Check that a cloth of points [n, 3] [m] does not cross itself, nor lie in itself.
-
-    Raises:
-        ParameterError: If it does; the error names the place.
-    """
-    edges, triangles = _edges_and_triangles(model)
+    """Check that a cloth of points [n, 3] [m] does not cross itself, nor lie in itself."""
+    edges, triangles = edges_and_triangles(model)
     middles, centres = x[edges].mean(axis=1), x[triangles].mean(axis=1)
     reach = np.linalg.norm(x[edges] - middles[:, None], axis=2).max()
     reach += np.linalg.norm(x[triangles] - centres[:, None], axis=2).max()
@@ -136,15 +122,14 @@ def check_cloth(x: Array, model: ShellModel) -> None:
         )
 
 
-def _edges_and_triangles(model: ShellModel) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def edges_and_triangles(model: ShellModel) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Points of a cloth's edges [E, 2], with one diagonal of each cell, and triangles [F, 3]."""
-    g = model.on_lattice(np.arange(len(model.at))[None], fill=-1)[0]
-    has = model.on_lattice(model.exists, fill=0.0) > 0.0
-    corners = (g[:-1, :-1], g[:-1, 1:], g[1:, :-1], g[1:, 1:])
-    a, b, c, d = (of[has[2, :-1, :-1]] for of in corners)
-    after, below = has[0, :, :-1], has[1, :-1]
-    ends = ((g[:, :-1][after], g[:, 1:][after]), (g[:-1][below], g[1:][below]), (b, c))
-    edges = np.concatenate([np.stack(pair, axis=1) for pair in ends])
+    g, cells = model.lines[0].index, model.on_lattice(model.exists)[2, :-1, :-1] > 0.0
+    a, b, c, d = (
+        g[j : len(g) - 1 + j, i:][:, : cells.shape[1]][cells] for j in (0, 1) for i in (0, 1)
+    )
+    ends = [np.stack([l.index[:, :-1][l.exist], l.index[:, 1:][l.exist]], 1) for l in model.lines]
+    edges = np.concatenate([*ends, np.stack([b, c], axis=1)])
     return edges, np.concatenate([np.stack([a, b, c], axis=1), np.stack([d, b, c], axis=1)])
 
 

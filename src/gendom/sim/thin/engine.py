@@ -20,7 +20,7 @@ from gendom.sim.paths import HostPaths, LedPaths, Pose, paths_on
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
 from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, close, released
-from gendom.sim.thin.run import Event, Round, Run, Schedule, make_schedule, put, put_worlds
+from gendom.sim.thin.run import Event, Round, Run, Schedule, put, put_worlds
 from gendom.sim.thin.step import make_kernels
 from gendom.sim.thin.types import SPIN, Q, V, X, make_types
 
@@ -338,7 +338,7 @@ class ThinEngine(ABC):
         """Schedule of all worlds up to the last frame."""
         switches = [self.stacked["hold_from"], self.stacked["hold_until"]]
         switches = np.concatenate(switches, axis=1)
-        return make_schedule(frames, switches, self.setting.substep, most_steps, self.last_dt)
+        return Schedule(frames, switches, self.setting.substep, most_steps, self.last_dt)
 
     def _prepared(self, frames: Frames, plan: Schedule, kept: Any) -> Run:
         W, device = self.num_worlds, self.setting.device
@@ -591,11 +591,9 @@ class ThinEngine(ABC):
             record_cmd=record_cmd,
         )
 
-    def plan_on_device(self, plan: Schedule, *, record: bool = True) -> Any:
-        """Convert a schedule to the kernels' struct, without frames if they are not recorded; on
-        the CPU it shares the schedule's memory."""
+    def plan_on_device(self, plan: Schedule) -> Any:
+        """Convert a schedule to the kernels' struct; on the CPU it shares the memory."""
         made, device = self.types.FramePlan(), self.setting.device
-        plan = plan if record else replace(plan, frame=0 * plan.frame - 1)
         for name in ("begins", "done", "steps", "dt", "before", "frame"):
             kind = wp.int32 if name in ("done", "steps", "frame") else wp.float64
             values = np.ascontiguousarray(getattr(plan, name))

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.sim.paths import Pose, PoseAdjoint
+from gendom.sim.paths import Pose
 from gendom.sim.thin import rotation
 from gendom.sim.thin.contact import triangle_distance
 from gendom.sim.thin.shell_model import ShellModel
@@ -280,9 +280,7 @@ def _cut_adjoint(
     return x_bar, centre_bar, radius_bar
 
 
-def close_adjoint(
-    grip: Grip, x: Array, pose: Pose, place_bar: Array
-) -> tuple[Array, Array, PoseAdjoint]:
+def close_adjoint(grip: Grip, x: Array, pose: Pose, place_bar: Array) -> tuple[Array, Array, Pose]:
     """Transpose of the computation of ``Grip.place`` when a gripper closes.
 
     Args:
@@ -300,7 +298,7 @@ def close_adjoint(
     # places are R^T (x - c): a rotation of R by d changes them by R^T ((x - c) x d)
     turned = -np.cross(x - pose.centre[:, None], by_place).sum(axis=1) - q_bar.sum(axis=1)
     none = np.zeros_like(pose.centre)
-    return by_place, q_bar, PoseAdjoint(-by_place.sum(axis=1), turned, none, none)
+    return by_place, q_bar, Pose(-by_place.sum(axis=1), turned, none, none)
 
 
 def released(x: Array, pose: Pose, holds: NDArray[np.integer]) -> tuple[Array, Array]:
@@ -319,11 +317,11 @@ def released(x: Array, pose: Pose, holds: NDArray[np.integer]) -> tuple[Array, A
 
 def released_adjoint(
     x: Array, pose: Pose, holds: NDArray[np.integer], v_bar: Array, spin_bar: Array
-) -> tuple[Array, PoseAdjoint]:
+) -> tuple[Array, Pose]:
     """Transpose of ``released``: derivatives by x [W, n, 3] and by the pose."""
     v_bar = np.where((holds & 1)[..., None] > 0, v_bar, 0.0)
     spin_bar = np.where((holds & 2)[..., None] > 0, spin_bar, 0.0)
     x_bar = np.cross(v_bar, pose.spin[:, None])
     turned = np.cross(x - pose.centre[:, None], v_bar).sum(axis=1) + spin_bar.sum(axis=1)
     none = np.zeros_like(pose.centre)
-    return x_bar, PoseAdjoint(-x_bar.sum(axis=1), none, v_bar.sum(axis=1), turned)
+    return x_bar, Pose(-x_bar.sum(axis=1), none, v_bar.sum(axis=1), turned)

@@ -6,7 +6,6 @@ and i. Rows of edges and joints have n numbers like rows of points; unused entri
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -24,67 +23,45 @@ SHORTEST = 0.02
 """Smallest length represented by a joint at a gripper's border, over its usual length."""
 
 
-@dataclass(frozen=True)
 class RodModel:
     """The elements of W rods of one shape."""
 
-    materials: Sequence[Material]
-    diameter: float
-    """[m]."""
-    length: Array
-    """[n - 1] lengths of edges at rest [m]."""
-    tributary: Array
-    """[n] length of rod represented by each point [m]."""
-    rest_q: Array
-    """[n - 1, 4] directions at rest, without twist."""
-    rest: Array
-    """[7, n] 1 / length, and the stress-free strains of edges and joints."""
-    shares: Array
-    """[W, 6, n] each element's ratio of E to its material's E; for joints over their length."""
-    stiffness: Array
-    """[W, 6, n] stiffness of two shears and stretch [N], and of two bending directions and twist
-    over length [N m]."""
-    mass: Array
-    """[W, n] mass of points [kg]."""
-    inertia: Array
-    """[W, n] moment of inertia of edges [kg m^2]."""
-    drag: Array
-    """[n] drag of points over the density of the air."""
-
-    @classmethod
-    def of(cls, setting: Setting) -> "RodModel":
+    def __init__(self, setting: Setting):
         points, diameter, materials = setting.body.points, setting.body.thickness, setting.materials
         W, n, step = len(materials), len(points), np.diff(points, axis=0)
-        length = np.linalg.norm(step, axis=1)
-        rest_q = rotation.transported(rotation.first_frame(step[0]), step)
-        rest = np.zeros((7, n))
-        rest[0, :-1] = 1.0 / length
-        rest[3, :-1] = 1.0
-        rest[4:, 1:-1] = joint_strains(rest_q).T
-        tributary = np.zeros(n)
-        tributary[:-1] += 0.5 * length
-        tributary[1:] += 0.5 * length
+        self.materials, self.diameter = materials, diameter
+        self.length = length = np.linalg.norm(step, axis=1)
+        """[n - 1] lengths of edges at rest [m]."""
+        self.rest_q = rotation.transported(rotation.first_frame(step[0]), step)
+        """[n - 1, 4] directions at rest, without twist."""
+        self.rest = np.zeros((7, n))
+        """[7, n] 1 / length, and the stress-free strains of edges and joints."""
+        self.rest[0, :-1] = 1.0 / length
+        self.rest[3, :-1] = 1.0
+        self.rest[4:, 1:-1] = joint_strains(self.rest_q).T
+        self.tributary = np.zeros(n)
+        """[n] length of rod represented by each point [m]."""
+        self.tributary[:-1] += 0.5 * length
+        self.tributary[1:] += 0.5 * length
         density = np.array([m.density for m in materials])[:, None]
         area, bending = _section(diameter)
-        inertia = np.zeros((W, n))
-        inertia[:, :-1] = density * length * (bending + area * length**2 / 12.0)
+        factor = spread(setting.mass, (W, n), "mass")
+        self.mass = density * area * self.tributary * factor
+        """[W, n] mass of points [kg]."""
+        self.inertia = np.zeros((W, n))
+        """[W, n] moment of inertia of edges [kg m^2]."""
+        self.inertia[:, :-1] = density * length * (bending + area * length**2 / 12.0)
         share = spread(setting.stiffness, (W, n), "stiffness")
-        shares = np.zeros((W, 6, n))
-        shares[:, :3, :-1] = 0.5 * (share[:, :-1] + share[:, 1:])[:, None]
-        shares[:, 3:, 1:-1] = (share[:, 1:-1] / (0.5 * (length[:-1] + length[1:])))[:, None]
-        return cls(
-            materials=materials,
-            diameter=diameter,
-            length=length,
-            tributary=tributary,
-            rest_q=rest_q,
-            rest=rest,
-            shares=shares,
-            stiffness=_moduli(diameter, materials)[0][:, :, None] * shares,
-            mass=density * area * tributary * spread(setting.mass, (W, n), "mass"),
-            inertia=inertia,
-            drag=0.5 * DRAG["rope"] * diameter * tributary,
-        )
+        self.shares = np.zeros((W, 6, n))
+        """[W, 6, n] each element's ratio of E to its material's E; for joints over their length."""
+        self.shares[:, :3, :-1] = 0.5 * (share[:, :-1] + share[:, 1:])[:, None]
+        joints = 0.5 * (length[:-1] + length[1:])
+        self.shares[:, 3:, 1:-1] = (share[:, 1:-1] / joints)[:, None]
+        self.stiffness = _moduli(diameter, materials)[0][:, :, None] * self.shares
+        """[W, 6, n] stiffness of two shears and stretch [N], and of two bending directions and
+        twist over length [N m]."""
+        self.drag = 0.5 * DRAG["rope"] * diameter * self.tributary
+        """[n] drag of points over the density of the air."""
 
     @cached_property
     def lines(self) -> list[Lines]:

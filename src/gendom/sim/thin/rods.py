@@ -36,7 +36,7 @@ class Rods(ThinEngine):
             f"a diameter of {diameter:g} m and a length of {length:g} m are not those of a rod",
             fix="give metres, or engine='mpm'",
         )
-        self.model = m = RodModel.of(setting)
+        self.model = m = RodModel(setting)
         self.per_turn = np.zeros_like(m.inertia)
         self.per_turn[:, :-1] = 1.0 / m.inertia[:, :-1]
         self.spacing = float(m.length.max())

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[Any]
 
@@ -61,13 +62,7 @@ def first_frame(direction: Array) -> Array:
     x = np.cross(up, z)
     x /= np.linalg.norm(x)
     R = np.stack([x, np.cross(z, x), z], axis=1)
-    w = 0.5 * np.sqrt(max(0.0, 1.0 + np.trace(R)))
-    if w > 1e-3:
-        v = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / (4.0 * w)
-        return np.append(v, w)
-    # half a turn: its axis is the longest column of R + 1
-    column = (R + np.eye(3))[:, np.argmax(np.diag(R))]
-    return np.append(column / np.linalg.norm(column), 0.0)
+    return Rotation.from_matrix(R).as_quat(canonical=True)
 
 
 def transported(first: Array, step: Array) -> Array:

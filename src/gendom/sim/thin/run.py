@@ -39,26 +39,46 @@ class Round:
     """[W, 2] indices of the first piece and of the one after the last."""
 
 
-@dataclass
 class Schedule:
-    """Pieces of equal steps of W worlds, at most S pieces for each world."""
+    """Pieces of equal steps of W worlds up to the last frame, at most S pieces for each world.
 
-    begins: Array
-    """[W, S] start time of the interval that contains the piece [s]."""
-    done: NDArray[np.int32]
-    """[W, S] number of steps of that interval before the piece."""
-    steps: NDArray[np.int32]
-    """[W, S]."""
-    dt: Array
-    """[W, S] [s]."""
-    before: Array
-    """[W, S] length of the step before a piece [s]; 0 where velocities are those at its start."""
-    frame: NDArray[np.int32]
-    """[W, S] index of the frame recorded at a piece's end; -1: none."""
-    due: NDArray[np.bool_]
-    """[W, S + 1] whether a gripper closes or opens at the start of a piece."""
-    count: NDArray[np.int64]
-    """[W] number of pieces."""
+    Args:
+        frames: Frames to record.
+        switches: [W, M] times at which grippers close and open [s].
+        substep: [W] longest steps [s].
+        most_steps: Maximum number of steps in a piece, or None.
+        before: [W] length of the last step before the run, 0 at a start [s].
+    """
+
+    def __init__(
+        self, frames: Frames, switches: Array, substep: Array, most_steps: int | None, before: Array
+    ):
+        blocks = _blocks(frames, switches, substep, most_steps)
+        W, S = len(substep), max(of["steps"].shape[1] for _, of in blocks)
+        self.begins = np.zeros((W, S))
+        """Start times of the intervals that contain the pieces [s]."""
+        self.done = np.zeros((W, S), dtype=np.int32)
+        """Number of steps of that interval before the piece."""
+        self.steps = np.zeros((W, S), dtype=np.int32)
+        self.dt = np.ones((W, S))
+        self.before = np.zeros((W, S))
+        """Length of the step before a piece [s]; 0 where velocities are those at its start."""
+        self.frame = np.full((W, S), -1, dtype=np.int32)
+        """Index of the frame recorded at a piece's end; -1: none."""
+        self.due = np.zeros((W, S + 1), dtype=bool)
+        """[W, S + 1] whether a gripper closes or opens at the start of a piece."""
+        self.count = np.zeros(W, dtype=int)
+        """[W] number of pieces."""
+        for worlds, of in blocks:
+            count = of["steps"].shape[1]
+            self.count[worlds] = count
+            for name in ("begins", "done", "steps", "dt", "frame"):
+                getattr(self, name)[worlds, :count] = of[name]
+            self.due[worlds, 1 : count + 1] = of["due"]
+        last = before.astype(float).copy()
+        for k in range(S):
+            self.before[:, k] = last
+            last = np.where(self.steps[:, k] > 0, self.dt[:, k], last)
 
     def time(self, w: Any, s: Any) -> Array:
         """Start times of pieces s of worlds w [s]."""
@@ -75,27 +95,17 @@ class Schedule:
         return np.where(later.any(axis=1), later.argmax(axis=1), count)
 
 
-def make_schedule(
-    frames: Frames, switches: Array, substep: Array, most_steps: int | None, before: Array
-) -> Schedule:
-    """Make the schedule of all worlds up to the last frame.
-
-    Args:
-        frames: Frames to record.
-        switches: [W, M] times at which grippers close and open [s].
-        substep: [W] longest steps [s].
-        most_steps: Maximum number of steps in a piece, or None.
-        before: [W] length of the last step before the run, 0 at a start [s].
-    """
-    W, T, last = len(substep), len(frames.times), frames.times[-1]
-    # worlds with the same gripper times have the same pieces, with different numbers of steps
-    within = (switches > frames.began) & (switches < last)
+def _blocks(
+    frames: Frames, switches: Array, substep: Array, most_steps: int | None
+) -> list[tuple[Array, dict[str, Array]]]:
+    """Worlds that have the same pieces, with different numbers of steps, and those."""
+    within = (switches > frames.began) & (switches < frames.times[-1])
     alike, which = np.unique(np.where(within, switches, np.inf), axis=0, return_inverse=True)
     blocks = []
     for k, row in enumerate(alike):
         inside = row[np.isfinite(row)]
         times = np.concatenate([[frames.began], frames.times, inside])
-        frame = np.concatenate([[-1], np.arange(T), np.full(len(inside), -1)])
+        frame = np.concatenate([[-1], np.arange(len(frames.times)), np.full(len(inside), -1)])
         order = np.lexsort((frame, times))
         times, frame = times[order], frame[order]
         due = np.isin(times, row)
@@ -105,28 +115,7 @@ def make_schedule(
         else:
             for w in worlds[:, None]:
                 blocks.append((w, _short(_pieces(times, frame, due, substep[w]), most_steps)))
-    S = max(of["steps"].shape[1] for _, of in blocks)
-    plan = Schedule(
-        begins=np.zeros((W, S)),
-        done=np.zeros((W, S), dtype=np.int32),
-        steps=np.zeros((W, S), dtype=np.int32),
-        dt=np.ones((W, S)),
-        before=np.zeros((W, S)),
-        frame=np.full((W, S), -1, dtype=np.int32),
-        due=np.zeros((W, S + 1), dtype=bool),
-        count=np.zeros(W, dtype=int),
-    )
-    for worlds, of in blocks:
-        count = of["steps"].shape[1]
-        plan.count[worlds] = count
-        for name in ("begins", "done", "steps", "dt", "frame"):
-            getattr(plan, name)[worlds, :count] = of[name]
-        plan.due[worlds, 1 : count + 1] = of["due"]
-    last_dt = before.astype(float).copy()
-    for k in range(S):
-        plan.before[:, k] = last_dt
-        last_dt = np.where(plan.steps[:, k] > 0, plan.dt[:, k], last_dt)
-    return plan
+    return blocks
 
 
 def _pieces(

@@ -1,17 +1,14 @@
 """The shell model: element parameters from a cloth's lattice and materials, and derivatives."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.materials import Material
 from gendom.materials.parameters import WEAVE
-from gendom.sim.cut import Cut
+from gendom.sim.outlines import Cut
 from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin.types import Lines, ParameterDerivatives, by_modulus
 
@@ -26,92 +23,66 @@ MOST_COUPLED = 1.5
 they have alone. The energy is positive for nu down to -1 / 1.5."""
 
 
-@dataclass(frozen=True)
 class ShellModel:
     """The elements of W shells of one shape; rows of numbers are those of ``native/shell.h``."""
 
-    materials: Sequence[Material]
-    shape: tuple[int, int]
-    """Number of rows, and of points in a row, of the whole lattice."""
-    at: NDArray[np.int64]
-    """[n] index of each point in the lattice, row by row."""
-    spacing: tuple[float, float]
-    """Distance between points along rows and along columns [m]."""
-    thickness: float
-    exists: Array
-    """[3, n] whether a point has an edge to the next one, to the one below, and a cell."""
-    shares: Array
-    """[8, n] geometric factors of the moduli in each stiffness: areas over spacings."""
-    alone: Array
-    """[2, n] whether transverse curvature is free, along rows and along columns."""
-    faster: tuple[float, float]
-    """Largest factors on the squared frequencies of membrane and bending by light points at an
-    outline."""
-    cut: Cut | None
-    """Cells within the body's outline; None: a whole rectangle."""
-    mass: Array
-    """[W, n] mass of points [kg]."""
-    drag: Array
-    """[n] drag of points over the density of the air."""
-    varies: Array
-    """[W, 8, 1] whether a stiffness varies with E at each point: not a membrane's of its own."""
-    local: Array
-    """[W, 8, n] stiffness over that of the material."""
-
-    @classmethod
-    def of(cls, setting: Setting) -> "ShellModel":
+    def __init__(self, setting: Setting):
         body, materials = setting.body, setting.materials
-        (ny, nx), h = body.shape, body.thickness
-        if body.cut is None:
+        (ny, nx), h, part = body.shape, body.thickness, body.cut
+        self.materials, self.thickness, self.cut = materials, h, part
+        self.shape: tuple[int, int] = (ny, nx)
+        """Number of rows, and of points in a row, of the whole lattice."""
+        cell, area = np.zeros((ny, nx)), np.zeros((ny, nx))
+        if part is None:
             at = np.arange(ny * nx)
             grid = body.points.reshape(ny, nx, 3)
-            lx = float(np.linalg.norm(grid[0, 1] - grid[0, 0]))
-            ly = float(np.linalg.norm(grid[1, 0] - grid[0, 0]))
-            share = np.ones((ny - 1, nx - 1))
+            lx, ly = (float(np.linalg.norm(of - grid[0, 0])) for of in (grid[0, 1], grid[1, 0]))
+            cell[:-1, :-1] = 1.0
+            area[...] = 0.25 * lx * ly * _to_corners(cell[:-1, :-1])
         else:
-            at, (lx, ly), share = body.cut.at, body.cut.spacing, body.cut.cells
-        cell = np.zeros((ny, nx))
-        cell[:-1, :-1] = share
+            at, (lx, ly), cell[:-1, :-1] = part.at, part.spacing, part.cells
+            area.flat[at] = part.area
+        self.at = at
+        """[n] index of each point in the lattice, row by row."""
+        self.spacing = (lx, ly)
+        """Distance between points along rows and along columns [m]."""
         there = (cell > 0.0).astype(float)
         after, below = there.copy(), there.copy()
         after[1:] = np.maximum(after[1:], there[:-1])
         below[:, 1:] = np.maximum(below[:, 1:], there[:, :-1])
+        self.exists = np.stack([after, below, there]).reshape(3, -1)[:, at]
+        """[3, n] whether a point has an edge to the next one, to the one below, and a cell."""
         inner_x, inner_y = np.zeros((ny, nx)), np.zeros((ny, nx))
         inner_x[:, 1:] = after[:, 1:] * after[:, :-1]
         inner_y[1:] = below[1:] * below[:-1]
-        if body.cut is None:
-            area = 0.25 * lx * ly * _to_corners(share)
+        if part is None:
             bent = [area * inner_x, area * inner_y, area * inner_x * inner_y]
             alone = [inner_x * (1.0 - inner_y), inner_y * (1.0 - inner_x)]
         else:
-            area = np.zeros((ny, nx))
-            area.flat[at] = body.cut.area
-            bent, alone = _bent(body.cut, inner_x, inner_y)
+            bent, alone = _bent(part, inner_x, inner_y)
+        self.alone = np.stack(alone).reshape(2, -1)[:, at]
+        """[2, n] whether transverse curvature is free, along rows and along columns."""
         quarter = 0.25 * lx * ly * cell
         xx, yy, xy = bent[0] / lx**4, bent[1] / ly**4, bent[2] / (lx * ly) ** 2
         bending = [xx, yy, xy, 2.0 * lx * ly * cell / (lx * ly) ** 2]
         shares = np.stack([quarter, quarter, quarter, 16.0 * quarter, *bending])
-        W, n, flat = len(materials), len(at), area.reshape(-1)[at]
-        varies = np.ones((W, 8, 1))
-        varies[[m.membrane is not None for m in materials], :4] = 0.0
-        local = 1.0 + varies * (spread(setting.stiffness, (W, n), "stiffness")[:, None] - 1.0)
+        self.shares = shares.reshape(8, -1)[:, at]
+        """[8, n] geometric factors of the moduli in each stiffness: areas over spacings."""
+        self.faster = (1.0, 1.0) if part is None else _faster(part, area, bending)
+        """Largest factors on the squared frequencies of membrane and bending by light points at an
+        outline."""
+        W, n, area = len(materials), len(at), area.reshape(-1)[at]
         density = np.array([[m.density] for m in materials])
-        return cls(
-            materials=materials,
-            shape=(ny, nx),
-            at=at,
-            spacing=(lx, ly),
-            thickness=h,
-            exists=np.stack([after, below, there]).reshape(3, -1)[:, at],
-            shares=shares.reshape(8, -1)[:, at],
-            alone=np.stack(alone).reshape(2, -1)[:, at],
-            faster=(1.0, 1.0) if body.cut is None else _faster(body.cut, area, bending),
-            cut=body.cut,
-            mass=density * h * flat * spread(setting.mass, (W, n), "mass"),
-            drag=0.5 * DRAG["cloth"] * flat,
-            varies=varies,
-            local=local,
-        )
+        self.mass = density * h * area * spread(setting.mass, (W, n), "mass")
+        """[W, n] mass of points [kg]."""
+        self.drag = 0.5 * DRAG["cloth"] * area
+        """[n] drag of points over the density of the air."""
+        self.varies = np.ones((W, 8, 1))
+        """[W, 8, 1] whether a stiffness varies with E at each point; a membrane's own does not."""
+        self.varies[[m.membrane is not None for m in materials], :4] = 0.0
+        share = spread(setting.stiffness, (W, n), "stiffness")[:, None]
+        self.local = 1.0 + self.varies * (share - 1.0)
+        """[W, 8, n] stiffness over that of the material."""
 
     @property
     def modulus(self) -> Array:

@@ -34,7 +34,7 @@ class Shells(ThinEngine):
             setting.body.cut is None or all(m.nu >= least for m in setting.materials),
             f"cloths with an outline have a nu of at least {least:.2f}",
         )
-        self.model = m = ShellModel.of(setting)
+        self.model = m = ShellModel(setting)
         (ny, nx), spacing = m.shape, min(m.spacing)
         side = min((nx - 1) * m.spacing[0], (ny - 1) * m.spacing[1])
         require(

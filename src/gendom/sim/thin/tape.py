@@ -11,27 +11,11 @@ from numpy.typing import NDArray
 from gendom.sim.gradients import Gradients
 from gendom.sim.paths import HostPaths
 from gendom.sim.setting import Frames
+from gendom.sim.thin import types
 from gendom.sim.thin.contact import LISTED
 from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.grips import border_adjoint, close_adjoint, released_adjoint
 from gendom.sim.thin.run import Event, Round, put
-from gendom.sim.thin.types import (
-    DAMPING,
-    DISTANCE,
-    DRAG,
-    FRICTION,
-    GRAVITY,
-    MODEL_ROWS,
-    PER_MASS,
-    PER_TURN,
-    RADIUS,
-    SELF_FRICTION,
-    SPIN_BAR,
-    TURN_BAR,
-    VELOCITY_DAMPING,
-    V,
-    X,
-)
 
 Array = NDArray[Any]
 
@@ -78,9 +62,8 @@ class ThinTape:
         self.adjoint = self._zero_adjoint()
         self.frames_bar = e.array(bar, e.types.vec3)
         self.plan_on_device = e.plan_on_device(self.plan)
-        self.silent = e.plan_on_device(self.plan, record=False)
         self.host = HostPaths(e.stacked)
-        self.model_bar = np.zeros((W, MODEL_ROWS, n))
+        self.model_bar = np.zeros((W, types.MODEL_ROWS, n))
         self.radius_bar = np.zeros((W, G))
         self.stiffer_bar = np.zeros(e.stiffer.shape)
 
@@ -98,7 +81,7 @@ class ThinTape:
         W, G, P = e.num_worlds, e.closed.shape[1], e.row_length
         adjoint = k.ModelAdjoint()
         adjoint.state = e.zeros((W, e.state_bars, P))
-        adjoint.model = e.zeros((W, MODEL_ROWS, P))
+        adjoint.model = e.zeros((W, types.MODEL_ROWS, P))
         adjoint.scratch = e.zeros((W, e.scratch_bars, P))
         adjoint.place = e.zeros((W * G, 6, P))
         adjoint.centre = e.zeros((W, G), k.vec3)
@@ -131,8 +114,8 @@ class ThinTape:
             every[group] = s
             e.launch(
                 e.kernels.advance, group,
-                [model, e.device_paths, self.silent, e.array(pieces, wp.int32), group.start, count,
-                 rows, rows, -1, 1e30, 1e30, none, never, nowhere, e.zeros(0, wp.int32)],
+                [model, e.device_paths, self.plan_on_device, e.array(pieces, wp.int32), group.start,
+                 count, rows, rows, -1, 1e30, 1e30, none, never, nowhere, e.zeros(0, wp.int32)],
             )  # fmt: skip
             e.launch(
                 e.kernels.reverse, group,
@@ -156,7 +139,7 @@ class ThinTape:
         """Add derivatives by the model without grippers, and by the grippers' borders."""
         e = self.engine
         found = self.adjoint.model.numpy()[group][..., e.slots].astype(float)
-        put(self.adjoint.model, group, np.zeros((len(found), MODEL_ROWS, e.row_length)))
+        put(self.adjoint.model, group, np.zeros((len(found), types.MODEL_ROWS, e.row_length)))
         own = e.stiffer[group]
         stiffer = own.prod(axis=1)
         by_stiffer = e.unstiffened(group, stiffer, found)
@@ -184,19 +167,19 @@ class ThinTape:
             )
             pose_bar.centre += by_centre
             self.radius_bar[w, g] += by_radius
-            take(X, part(X) + x_bar + by_x)
+            take(types.X, part(types.X) + x_bar + by_x)
             if e.directed:
-                take(TURN_BAR, part(TURN_BAR) + q_bar)
+                take(types.TURN_BAR, part(types.TURN_BAR) + q_bar)
         else:
             holds = event.grip.holds
             point, edge = (np.asarray(holds & what)[..., None] > 0 for what in (1, 2))
-            v_bar = part(V)
-            spin_bar = part(SPIN_BAR) if e.directed else np.zeros_like(v_bar)
+            v_bar = part(types.V)
+            spin_bar = part(types.SPIN_BAR) if e.directed else np.zeros_like(v_bar)
             x_bar, pose_bar = released_adjoint(event.x, event.pose, holds, v_bar, spin_bar)
-            take(X, part(X) + x_bar)
-            take(V, np.where(point, 0.0, v_bar))
+            take(types.X, part(types.X) + x_bar)
+            take(types.V, np.where(point, 0.0, v_bar))
             if e.directed:
-                take(SPIN_BAR, np.where(edge, 0.0, spin_bar))
+                take(types.SPIN_BAR, np.where(edge, 0.0, spin_bar))
         self.host.pose_adjoint(g, w, event.time, pose_bar)
         put(self.adjoint.state, group, state)
 
@@ -211,16 +194,16 @@ class ThinTape:
     def _gradients(self) -> Gradients:
         e, m = self.engine, self.model_bar
         first = self.adjoint.state.numpy()[..., e.slots].astype(float)
-        x, v = e.component(X, self.first), e.component(V, self.first)
+        x, v = e.component(types.X, self.first), e.component(types.V, self.first)
         x_bar, v_bar = e.by_start(x, v, np.swapaxes(first, 1, 2))
         found = Gradients(
             stiffness=e.model.share_bar(m[:, : e.device_model.stiffness.shape[1]]),
-            damping=m[:, DAMPING].sum(axis=1),
-            velocity_damping=m[:, VELOCITY_DAMPING].sum(axis=1),
-            air_density=m[:, DRAG] @ e.model.drag,
-            friction=m[:, FRICTION].sum(axis=1),
-            self_friction=m[:, SELF_FRICTION].sum(axis=1),
-            gravity=m[:, GRAVITY].sum(axis=2),
+            damping=m[:, types.DAMPING].sum(axis=1),
+            velocity_damping=m[:, types.VELOCITY_DAMPING].sum(axis=1),
+            air_density=m[:, types.DRAG] @ e.model.drag,
+            friction=m[:, types.FRICTION].sum(axis=1),
+            self_friction=m[:, types.SELF_FRICTION].sum(axis=1),
+            gravity=m[:, types.GRAVITY].sum(axis=2),
             positions=x_bar,
             velocities=v_bar,
             gripper_positions=self.adjoint.position.numpy() + self.host.position_bar,
@@ -245,7 +228,8 @@ class ThinTape:
         e, m = self.engine, self.model_bar
         by, R = e.model.derivatives(name), e.device_model.stiffness.shape[1]
         drag = e.air_density[:, None] * e.model.drag
-        touching = 0.5 * m[:, RADIUS] + m[:, DISTANCE]
-        found = np.sum(m[:, :R] * by.stiffness, axis=1) - m[:, PER_MASS] * e.per_mass * by.mass
-        found += m[:, DRAG] * drag * by.drag + touching * by.thickness
-        return np.sum(found - m[:, PER_TURN] * e.per_turn * by.inertia, axis=1)
+        touching = 0.5 * m[:, types.RADIUS] + m[:, types.DISTANCE]
+        found = np.sum(m[:, :R] * by.stiffness, axis=1)
+        found -= m[:, types.PER_MASS] * e.per_mass * by.mass
+        found += m[:, types.DRAG] * drag * by.drag + touching * by.thickness
+        return np.sum(found - m[:, types.PER_TURN] * e.per_turn * by.inertia, axis=1)

@@ -1,4 +1,4 @@
-// What else the threads of a CUDA block do together, see sync.h; on the CPU a block is one thread.
+// What else the threads of a CUDA block do together, see vectors.h; on the CPU a block is one thread.
 #pragma once
 
 namespace gendom {

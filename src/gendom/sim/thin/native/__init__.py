@@ -14,8 +14,7 @@ from gendom.sim.thin.types import make_types
 
 MODULE_OPTIONS = module_options(
     __name__,
-    "ground.h", "hold.h", "contact_lists.h", "contact.h", "contact_adjoint.h",
-    "rod.h", "rod_adjoint.h", "shell.h", "shell_adjoint.h",
+    "ground.h", "hold.h", "contact_lists.h", "contact.h", "rod.h", "shell.h",
 )  # fmt: skip
 """Options of every Warp module of the engine."""
 

@@ -5,10 +5,8 @@
 // that against the body's middle; the list depends on nothing but where points were then. Of the list, a step's
 // turns go over those that are close when they begin. Nearest places: Ericson (2005), "Real-Time Collision
 // Detection", chapter 5.
-#pragma once
 
 namespace gendom {
-
 
 // Up to four points and their shares in the distance between two places, positive on the first.
 template <typename real> struct meeting {
@@ -88,10 +86,6 @@ struct feature_pair {
                          : edges_meet(s, first.i, first.j, second.i, second.j);
     }
 };
-template <typename real>
-CUDA_CALLABLE inline meeting<real> pair_meets(const rows_of<real>& s, int one, int other, int pitch) {
-    return feature_pair(one, other, pitch).meet(s);
-}
 
 // A box along the axes, by its lowest and its highest corner.
 template <typename T> struct box {
@@ -170,7 +164,7 @@ template <typename Model> CUDA_CALLABLE inline pairs_of close_pairs(const Model&
 
 template <typename Model, typename real>
 CUDA_CALLABLE inline void list_pair(const Model& model, int w, const rows_of<real>& s, int one, int other) {
-    const meeting<real> m = pair_meets(s, one, other, model.pitch);
+    const meeting<real> m = feature_pair(one, other, model.pitch).meet(s);
     const int* i = m.point;
     const int own = one % 4 == 3 ? 1 : 2;  // points of the first feature; the rest are the second's
     for (int a = 0; a < own; ++a)
@@ -255,10 +249,6 @@ CUDA_CALLABLE inline bool pair_of(const Model& model, const rows_of<real>& rest,
     return has(cell, 2);
 }
 
-template <typename Model> CUDA_CALLABLE inline int pairs_of_points(const Model& model) {
-    return model.pitch == 0 ? 1 : PAIRS_OF_CELLS;
-}
-
 // Whether corners of two neighbouring cells are much nearer than at rest; only there neighbours meet.
 template <typename Model, typename real>
 CUDA_CALLABLE inline bool is_folded(const Model& model, const rows_of<real>& s, int p, int q, int columns,
@@ -286,7 +276,7 @@ CUDA_CALLABLE inline void list_close(const Model& model, int w, const wp::array_
     for (EACH_ONE_IN(k, 0, near.number())) {
         int one, other;
         near.read(k, one, other);
-        if (pair_meets(s, one, other, model.pitch).distance < far) close.append(one, other);
+        if (feature_pair(one, other, model.pitch).meet(s).distance < far) close.append(one, other);
     }
     block_sync();
 }
@@ -358,7 +348,7 @@ template <typename Model> CUDA_CALLABLE inline void list_pairs(const Model& mode
                 hits &= hits - 1;
                 const int mine = lane < half ? first : second, k = lane % half;
                 int one = 0, other = 0;
-                const bool may_touch = mine >= 0 && k < pairs_of_points(model) &&
+                const bool may_touch = mine >= 0 && k < (model.pitch == 0 ? 1 : PAIRS_OF_CELLS) &&
                                        pair_of(model, rest, m, p, q0 + mine, k, one, other) &&
                                        may(one, other);
                 const unsigned found = __ballot_sync(all, may_touch);
@@ -406,7 +396,7 @@ template <typename Model> CUDA_CALLABLE inline void list_pairs(const Model& mode
                     is_neighbour(model, s, p, q))
                     continue;
                 int one, other;
-                for (int k = 0; k < pairs_of_points(model); ++k)
+                for (int k = 0; k < (model.pitch == 0 ? 1 : PAIRS_OF_CELLS); ++k)
                     if (pair_of(model, rest, m, p, q, k, one, other) && may(one, other))
                         list_pair(model, w, s, one, other);
             }

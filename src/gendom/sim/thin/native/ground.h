@@ -1,5 +1,4 @@
 // What surrounds thin bodies: gravity, and a table with Coulomb friction.
-#pragma once
 
 namespace gendom {
 

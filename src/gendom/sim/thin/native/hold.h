@@ -1,5 +1,4 @@
 // What grippers hold goes with them: points, and directions of a rod's edges, which shells have not.
-#pragma once
 
 namespace gendom {
 
