@@ -56,7 +56,7 @@ PRELOADED = (
 """Packages that are imported once."""
 
 ROOMS = {
-    "discrepancy": ("estimation", "discrepancy", "estimation/test_discrepancy"),
+    "intervals": ("estimation", "intervals", "estimation/test_intervals"),
     "readers": ("datasets", "clouds npz folder ../reading",
                 "datasets/test_clouds datasets/test_folder test_reading"),
     "policies": ("policies", "policy adaptation graph", "policies/test_policy policies/test_adapt"),

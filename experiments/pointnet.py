@@ -86,7 +86,7 @@ def pointnet(problem: Problem) -> Found:
         value=comparison.rms,
         iterations=1,
         done=True,
-        history=[(1, vector.copy(), comparison.rms)],
+        history=[(1, vector.copy(), comparison.rms, "")],
     )
     problem.tell("network", 1, 1, best)
     return Found(

@@ -110,7 +110,7 @@ def test_help_of_a_command(command, capsys):
         ("act rope-casting --gaol 1 2", "act: there is no flag '--gaol'; did you mean '--goal'?"),
         ("estimate x --qqq=3", "estimate: there is no flag '--qqq'; see gendom estimate --help"),
         (
-            "estimate x --sead 3 --clock q",
+            "estimate x --sead 3 --level q",
             "estimate: there is no flag '--sead'; did you mean '--seed'?",
         ),
         ("estimate x -s 3", "estimate: there is no flag '-s'; see gendom estimate --help"),
@@ -125,7 +125,7 @@ def test_help_of_a_command(command, capsys):
         ("estimate x --seed", "estimate: --seed: has no value; give a whole number"),
         ("estimate x --seed --json", "estimate: --seed: has no value; give a whole number"),
         ("estimate x --starts 2.5", "estimate: --starts: is '2.5'; give a whole number"),
-        ("estimate x --clock=q", "estimate: --clock: is 'q'; give a number"),
+        ("estimate x --level=q", "estimate: --level: is 'q'; give a number"),
         ("estimate x --cells_across q", "estimate: --cells-across: is 'q'; give a number"),
         ("perceive x --colour 1 2", "perceive: --colour: is '1 2'; give 3 whole numbers"),
         ("act rope-casting --goal a b", "act: --goal: is 'a b'; give numbers"),

@@ -485,3 +485,14 @@ def test_clouds_in_another_order_are_refused(lift, order):
     places = np.random.default_rng(0).permutation(20) if order == "shuffled" else range(20)[::-1]
     fault = Recording.from_frames([clouds[k] for k in places], **taken).validate()[0]
     assert fault.severity == "error" and "lie at its place of another time" in str(fault)
+
+
+def test_a_file_keeps_which_cameras_saw_a_point(lift, tmp_path):
+    seen = replace(lift, seen_by=np.where(np.arange(len(lift.points)) % 2, 1, 2).astype(np.uint8))
+    seen.write(tmp_path / "lift.npz")
+    again = Recording.read(tmp_path / "lift.npz")
+    np.testing.assert_array_equal(again.seen_by, seen.seen_by)
+    few = again.head(3).seen_by
+    assert few is not None and len(few) == seen.offsets[3]
+    with pytest.raises(RecordingError, match="seen_by: has 5 entries for"):
+        replace(seen, seen_by=np.ones(5, dtype=np.uint8))

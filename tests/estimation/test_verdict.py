@@ -10,20 +10,9 @@ from experiments.verdict import CORRUPTED
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation import EstimateSettings, LiftScene, Problem, Theta, estimate
-from gendom.estimation.placing import lying_rectangle
-from gendom.estimation.verdict import recording_faults, refused_before
+from gendom.estimation.verdict import _blamed_on_cameras, recording_faults, refused_before
 from gendom.materials import STANDARD_GRAVITY
 from gendom.materials.parameters import bending_length
-
-
-@pytest.fixture(scope="module")
-def settings(rope_lift):
-    return EstimateSettings(starts=1, max_iterations=10, scene=rope_lift.settings)
-
-
-@pytest.fixture(scope="module")
-def lifted(rope_lift):
-    return rope_lift.seen()
 
 
 def still(recording):
@@ -52,24 +41,8 @@ def uniform_noise(recording):
     return replace(recording, points=points)
 
 
-def in_grams(recording):
-    described = recording.object
-    return replace(recording, object=replace(described, mass=1e3 * described.mass))
-
-
-def backwards(recording):
-    return replace(recording, gripper_position=recording.gripper_position[::-1])
-
-
 def scaled(recording):
     return replace(recording, points=1.43 * recording.points)
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_good_lift_is_usable(rope_lift, settings, seed):
-    found = estimate(rope_lift.seen(seed=seed, noise=2e-3), settings)
-    assert found.usable, found.verdict.reasons
-    assert found.verdict.text == "usable" and found.interval("E") is not None
 
 
 def test_the_demo_s_lift_is_usable():
@@ -78,41 +51,33 @@ def test_the_demo_s_lift_is_usable():
     assert found.usable, found.verdict.reasons
 
 
-@pytest.mark.slow
-def test_a_good_lift_of_a_cloth_is_usable(cloth_lift):
-    settings = EstimateSettings(starts=1, scene=cloth_lift.settings)
-    found = estimate(cloth_lift.seen(points=400), settings)
-    assert found.usable, found.verdict.reasons
-
-
 def test_a_cloth_that_moves_like_none_is_refused(cloth_lift):
     """One that bulges by 12 mm as it is lifted, more than twice its E would move it."""
-    seen = cloth_lift.seen()
+    seen = cloth_lift.seen(frames=8)
     clouds = []
     for k in range(seen.num_frames):
         cloud = seen.frame(k).astype(float)
         share = np.sin(np.pi * k / (seen.num_frames - 1)) * np.sin(10.0 * np.pi * cloud[:, 1])
         clouds.append(cloud + 0.012 * share[:, None] * [1.0, 0.0, 1.0])
-    found = estimate(
-        cloth_lift.recording(clouds), EstimateSettings(starts=1, scene=cloth_lift.settings)
-    )
+    settings = EstimateSettings(starts=1, max_iterations=4, scene=cloth_lift.settings)
+    found = estimate(cloth_lift.recording(clouds), settings)
     assert any("otherwise than any simulated one" in reason for reason in found.verdict.reasons)
 
 
-@pytest.mark.parametrize(("share", "usable"), [(0.0, True), (0.1, True), (0.4, False)])
-def test_a_rope_that_slips_through_the_fingers_is_refused(rope_lift, share, usable):
+@pytest.mark.parametrize(("share", "usable"), [(0.1, True), (0.4, False)])
+def test_a_rope_that_slips_through_the_fingers_is_refused(rope_lift, settings, share, usable):
     """Where it slips by so much of its lift that E suffers; less of it makes no harm."""
-    settings = EstimateSettings(starts=1, scene=rope_lift.settings)
-    recording = rope_lift.seen(frames=24, noise=2e-3)
-    slid = share * rope_lift.rise * np.clip((np.linspace(0.0, 1.0, 24) - 0.3) / 0.5, 0.0, 1.0)
+    recording = rope_lift.seen(frames=16, noise=2e-3)
+    slid = share * rope_lift.rise * np.clip((np.linspace(0.0, 1.0, 16) - 0.3) / 0.5, 0.0, 1.0)
     path = recording.gripper_position.copy()
     path[:, 0, 2] += slid
+    settings = replace(settings, max_iterations=25 if usable else 6)
     found = estimate(replace(recording, gripper_position=path), settings)
     assert found.usable is usable, found.verdict.reasons
     if usable:
         modulus = rope_lift.truth.E_over_rho
         truth = bending_length(modulus, 0.012 / 4.0, STANDARD_GRAVITY)
-        low, high = found.interval("bending_length") or (0.0, 0.0)
+        low, high = found.interval("bending_length")
         assert low < truth < high < 1.25 * low
     else:
         assert any("otherwise than any simulated one" in said for said in found.verdict.reasons)
@@ -134,9 +99,9 @@ def of_mixed_depth(lift, diameter=0.005):
     return thin, replace(seen, points=seen.points + mixed[:, None] * views)
 
 
-def test_a_thin_rope_of_mixed_depth_is_usable(rope_lift):
+def test_a_thin_rope_of_mixed_depth_is_usable(rope_lift, settings):
     thin, seen = of_mixed_depth(rope_lift)
-    found = estimate(seen, EstimateSettings(starts=1, scene=rope_lift.settings))
+    found = estimate(seen, settings)
     assert found.usable, found.verdict.reasons
     low, high = found.record["intervals"]["E_over_rho"]
     assert low < thin.truth.E_over_rho < high < 2.0 * low
@@ -151,10 +116,6 @@ def test_the_end_of_a_cloud_is_compared_with_a_line(rope_lift):
     assert not refused_before(problem)
 
 
-def one_frame(recording):
-    return replace(recording.head(1), quasi_static=True)
-
-
 @pytest.mark.parametrize(
     ("spoiled", "reason"),
     [
@@ -167,7 +128,7 @@ def one_frame(recording):
         ("thickness x 2", "its diameter is 24 mm"),
         ("gripper 5 cm along", "before the end of an object"),
         (lambda recording: recording.head(1), "1 of the 4 frames"),
-        (one_frame, "1 of the 4 frames"),
+        (lambda recording: replace(recording.head(1), quasi_static=True), "1 of the 4 frames"),
         (still, "the gripper moves by 0 m"),
         (y_up, "under the table"),
         (uniform_noise, "do not belong to the object"),
@@ -177,35 +138,37 @@ def one_frame(recording):
 def test_what_cannot_be_used_is_said(lifted, settings, spoiled, reason):
     """With the reason in words, and without intervals."""
     spoil = CORRUPTED[spoiled] if isinstance(spoiled, str) else spoiled
-    found = estimate(spoil(lifted), settings)
+    found = estimate(spoil(lifted), replace(settings, max_iterations=10))
     assert not found.usable
     assert any(reason in said for said in found.verdict.reasons), found.verdict.reasons
     assert found.record["verdict"] == {"usable": False, "reasons": list(found.verdict.reasons)}
     assert found.record["intervals"] is None and found.interval("E") is None
     assert "not usable" in repr(found) and "90%" not in repr(found)
+    assert np.array_equal(found.posterior.covariance, np.diag(found.posterior.prior.sd**2))
+    assert found.record["recordings"][0]["alone"] is None
+    assert not any(found.record["identifiable"].values())
 
 
 @pytest.mark.parametrize(
-    ("spoil", "reason"),
-    [(in_grams, "it looks like grams"), (backwards, "lie at its place of another time")],
+    ("changes", "reason"),
+    [
+        ({"mass": 28.0}, "it looks like grams"),
+        ({"length": 2.5}, "is its length in metres"),
+        (None, "lie at its place of another time"),
+    ],
 )
-def test_what_reading_would_refuse_is_refused(lifted, settings, spoil, reason):
+def test_what_cannot_be_read_or_placed_is_refused(lifted, settings, changes, reason):
+    wrong = replace(lifted, gripper_position=lifted.gripper_position[::-1])
+    if changes is not None:
+        wrong = replace(lifted, object=replace(lifted.object, **changes))
     with pytest.raises(RecordingError, match=reason):
-        estimate(spoil(lifted), settings)
+        estimate(wrong, settings)
 
 
 def test_times_in_milliseconds_are_told_from_the_speed(lifted):
     slow = replace(lifted, time=1e3 * lifted.time)
     assert any("are times in seconds" in said for said in recording_faults(slow, 1000.0))
     assert recording_faults(lifted, 1000.0) == []
-
-
-def test_a_refused_recording_tells_nothing(lifted, settings):
-    """No interval is left in the file or the posterior, by itself or together."""
-    found = estimate(scaled(lifted), settings)
-    assert np.array_equal(found.posterior.covariance, np.diag(found.posterior.prior.sd**2))
-    assert found.record["recordings"][0]["alone"] is None
-    assert not any(found.record["identifiable"].values())
 
 
 def test_what_is_assumed_counts_in_intervals(lifted, settings):
@@ -215,44 +178,67 @@ def test_what_is_assumed_counts_in_intervals(lifted, settings):
     measured = replace(lifted.object, diameter_sd=1e-5)
     found = estimate(replace(lifted, object=measured), settings)
 
-    def ends(one, key):
-        found = one.interval(key)
-        assert found is not None
-        return found
-
     def width(one, key):
-        low, high = ends(one, key)
+        low, high = one.interval(key)
         return np.log(high / low)
 
     assert width(without, "E") > 2.0 > 10.0 * width(found, "E")
     assert width(without, "bending_length") < 1.5 * width(found, "bending_length")
-    low, high = ends(without, "E_over_rho")
+    low, high = without.interval("E_over_rho")
     assert low < found.theta.E_over_rho < high
-
-
-@pytest.mark.parametrize("yaw", [0.0, 0.3, 1.2])
-def test_sides_of_a_cloth_that_lies_flat(yaw):
-    rng = np.random.default_rng(0)
-    points = rng.uniform(0.0, 1.0, (4000, 2)) * [0.3, 0.2]
-    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    seen = lying_rectangle((points + 0.001 * rng.standard_normal(points.shape)) @ turn.T)
-    assert seen == pytest.approx((0.3, 0.2), abs=0.004)
-    folded = points[points.sum(axis=1) < 0.3]
-    assert lying_rectangle(folded @ turn.T) is None
 
 
 def test_a_cloth_of_another_size_is_refused(cloth_lift):
     """It lies flat before it is lifted, so that its sides are seen."""
     seen = cloth_lift.seen(points=1500)
-    described = replace(
-        seen.object, width=1.15 * seen.object.width, height=1.15 * seen.object.height
-    )
+    described = replace(seen.object, width=0.23, height=0.23)
     settings = EstimateSettings(starts=1, max_iterations=2, scene=cloth_lift.settings)
     found = estimate(replace(seen, object=described), settings)
     assert any("fills a rectangle" in reason for reason in found.verdict.reasons)
 
 
-def test_a_rope_ten_times_as_long_as_seen_is_refused(lifted, settings):
-    longer = replace(lifted, object=replace(lifted.object, length=2.5))
-    with pytest.raises(RecordingError, match="is its length in metres"):
-        estimate(longer, settings)
+@pytest.fixture(scope="module")
+def seen(cloth_lift):
+    """Each half of the points by a camera."""
+    lift = cloth_lift.seen(points=400)
+    return replace(lift, seen_by=np.where(np.arange(len(lift.points)) % 2, 1, 2))
+
+
+def compared(cloth_lift, recording):
+    settings = EstimateSettings(scene=cloth_lift.settings)
+    problem = Problem([LiftScene.of(recording, cloth_lift.settings)], settings)
+    truth = problem.prior.vector(cloth_lift.truth)
+    comparisons = problem.compare([truth], derivatives=False)[0]
+    assert comparisons is not None
+    return problem.parts[0], comparisons.parts[0]
+
+
+def drifted(recording, by):
+    """The second camera is off from the middle of the lift on."""
+    points, half = recording.points.copy(), recording.offsets[recording.num_frames // 2]
+    late = (np.arange(len(points)) >= half) & (recording.seen_by == 2)
+    return replace(recording, points=points + np.outer(late, by))
+
+
+def test_a_camera_that_drifts_is_named(cloth_lift, seen):
+    part, comparison = compared(cloth_lift, drifted(seen, (0.0, 0.006, 0.01)))
+    far, first, last = comparison.cameras_apart()
+    assert far == pytest.approx(0.0117, abs=0.004)
+    assert seen.num_frames // 2 <= first < last < seen.num_frames
+    thick = "points lie 4.0 mm outside an object 2 mm thick: is its thickness right?"
+    (said,) = _blamed_on_cameras([thick], part, comparison)
+    assert f"frames {first} to {last} two cameras place the object {1e3 * far:.0f} mm" in said
+
+
+@pytest.mark.parametrize(("apart", "said"), [(0.011, []), (0.013, ["13 mm"]), ("far", [])])
+def test_what_perception_measured_is_a_reason_by_itself(cloth_lift, seen, apart, said):
+    """Cameras that agree, or are not known, are not blamed."""
+    extra = {"perception": {"cameras_apart": {"table": 0.1, "at_worst": apart}}}
+    part, comparison = compared(cloth_lift, replace(seen, extra=extra))
+    reasons = _blamed_on_cameras([], part, comparison)
+    assert reasons == [
+        f"cameras' clouds of the object are {by} apart: calibrate again" for by in said
+    ]
+    assert comparison.cameras_apart()[0] < 0.002
+    nameless = compared(cloth_lift, replace(seen, seen_by=None))[1]
+    assert nameless.cameras_apart() == (0.0, 0, 0)

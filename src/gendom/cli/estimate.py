@@ -104,8 +104,6 @@ class Command:
     """Points of a rod, or along the longer side of a shell; by default the engine's choice."""
     cells_across: float = 1.5
     """With mpm: grid cells across a rope's diameter (cloths alike); finer is slower."""
-    clock: float | None = None
-    """Recorded seconds for each simulated second; by default chosen for quasi-static motions."""
     device: Device = "cpu"
 
     def run(self) -> int:

@@ -110,12 +110,13 @@ class Command:
         from gendom.robot import MOTION_FORMAT
 
         write_result(folder / "plan.json", plan.to_dict(), json=self.json)
-        item = as_real(plan.middle)
+        middle = plan.objects.at(0.5)
+        item = as_real(middle)
         trial = lifted_by(item, plan.chosen.motion)
         motion = {
             "format": MOTION_FORMAT,
             "lift": plan.chosen.motion,
-            "object": {name: to_columns(plan.middle)[name] for name in item.sizes},
+            "object": {name: to_columns(middle)[name] for name in item.sizes},
             "trajectory": trial.path.to_dict(),
         }
         write_result(folder / "motion.json", motion, json=self.json)

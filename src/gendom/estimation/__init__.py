@@ -1,7 +1,7 @@
 """Parameters of an object from one or more recordings."""
 
-from gendom.estimation.calibration import IntervalCalibration
 from gendom.estimation.estimate import estimate
+from gendom.estimation.intervals import IntervalCalibration
 from gendom.estimation.likelihood import NoiseModel, Observation
 from gendom.estimation.methods import METHODS, find_method
 from gendom.estimation.problem import EstimateSettings, Problem, Progress

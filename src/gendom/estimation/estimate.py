@@ -7,14 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from gendom.arguments import check_list
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
-from gendom.estimation.calibration import IntervalCalibration
-from gendom.estimation.discrepancy import discrepancy, tip_suspected, with_fingers
+from gendom.estimation.intervals import IntervalCalibration, posterior_of, tip_suspected
 from gendom.estimation.methods import find_method
 from gendom.estimation.methods.differential_evolution import differential_evolution
 from gendom.estimation.methods.gauss_newton import gauss_newton, refined
@@ -32,16 +30,6 @@ from gendom.estimation.scene import LiftScene
 from gendom.estimation.verdict import displaced, judge, refused_before
 from gendom.materials.posterior import Posterior
 from gendom.materials.unknowns import Theta
-
-STAGES: tuple[str, ...] = ("scene", "search", "intervals")
-"""That take time; the verdict and replays for the result take the time of a few simulations."""
-
-ITERATIONS_IF_REFUSED = 2
-"""`EstimateSettings.max_iterations` where a recording is refused whatever is found."""
-
-FAILED_FIT = 5.0
-"""Displacement of a cloth's model, over what is usable at most, from which on the search has gone
-astray: then it is as large as the deviation of how a corner is held."""
 
 
 def estimate(
@@ -96,7 +84,7 @@ def estimate(
         times.append(clock.perf_counter())
         calibration = calibration or IntervalCalibration.of(problem.scene.kind, settings.frames)
         shift, suspicion = tip_suspected(problem, found)
-        posterior = _posterior(problem, found, calibration, np.abs(shift))
+        posterior = posterior_of(problem, found, calibration, np.abs(shift))
         alone = _alone(problem, found, posterior, calibration)
         times.append(clock.perf_counter())
         verdict = judge(problem, found, posterior, alone)
@@ -105,7 +93,7 @@ def estimate(
             posterior = posterior.with_assumed(prior)
         if not verdict.usable:
             posterior = posterior.of_prior()
-        seconds = dict(zip(STAGES, map(float, np.diff(times)), strict=True))
+        seconds = dict(zip(("scene", "search", "intervals"), np.diff(times).tolist(), strict=True))
         return result_of(problem, found, posterior, alone, verdict, seconds, suspicion)
 
 
@@ -114,7 +102,7 @@ def _searched(problem: Problem, search: Callable[[Problem], Found]) -> tuple[Pro
     that is refused whatever is found gets a few iterations, which show where it differs."""
     refused = refused_before(problem)
     if refused:
-        problem.settings = replace(problem.settings, starts=1, max_iterations=ITERATIONS_IF_REFUSED)
+        problem.settings = replace(problem.settings, starts=1, max_iterations=2)
     found = search(problem)
     while problem.settings.method == "gauss-newton" and not (found.interrupted or refused):
         finer = problem.finer(found.best.vector)
@@ -130,7 +118,8 @@ def _searched_widely(problem: Problem, found: Found) -> Found:
     """
     parts = zip(problem.parts, found.noise, strict=True)
     cloth = problem.scene.kind == "cloth" and problem.scene.thin
-    if not cloth or not any(displaced(part, noise, times=FAILED_FIT) for part, noise in parts):
+    # a displacement so large is as large as the deviation of how a corner is held
+    if not cloth or not any(displaced(part, noise, times=5.0) for part, noise in parts):
         return found
     try:
         wide = differential_evolution(problem, members=3, generations=40, coarse=True)
@@ -147,44 +136,12 @@ def _searched_widely(problem: Problem, found: Found) -> Found:
     return replace(found, best=wide.best, starts=[*found.starts, wide.best], noise=wide.noise)
 
 
-def _posterior(
-    problem: Problem,
-    found: Found,
-    calibration: IntervalCalibration,
-    added: float | NDArray[np.floating] = 0.0,
-) -> Posterior:
-    """The posterior of what was found, with further deviations [P] added in squares."""
-    covariance = found.covariance
-    if covariance is None:
-        covariance = np.linalg.inv(problem.gradient_and_hessian(found.best, found.noise)[1])
-    covariance = with_fingers(problem, found, covariance)
-    elsewhere = problem.settings.method != "gauss-newton" or found.interrupted
-    if elsewhere and found.covariance is None:
-        added = np.hypot(added, _newton_step(problem, found))
-    # what moves otherwise than any simulated object gets no intervals
-    if not any(displaced(p, n) for p, n in zip(problem.parts, found.noise, strict=True)):
-        added = np.hypot(added, discrepancy(problem, found, covariance, calibration))
-    error = problem.scene.mesh_error(problem.theta(found.best.vector))
-    added = np.hypot(added, error * (np.array(problem.prior.names) == "E_over_rho"))
-    return calibration.posterior(problem.prior, found.best.vector, covariance, problem.bases, added)
-
-
-def _newton_step(problem: Problem, found: Found) -> NDArray[np.floating]:
-    """[P] how far a result is from where the likelihood is greatest, as a Newton step says: other
-    searches minimise something else, or end before."""
-    gradient, hessian = problem.gradient_and_hessian(found.best, found.noise)
-    return np.abs(np.linalg.solve(hessian, gradient))
-
-
 def _alone(
     problem: Problem, found: Found, posterior: Posterior, calibration: IntervalCalibration
 ) -> list[Posterior]:
-    """The posterior of each recording alone, searched from the joint result; empty where the search
-    was interrupted.
-
-    Noise is estimated for each recording again: in the joint fit a recording of another object
-    looks like a noisy one.
-    """
+    """The posterior of each recording alone, searched from the joint result; empty where that was
+    interrupted. Noise is estimated again: in the joint fit a recording of another object looks
+    noisy."""
     if len(problem.parts) == 1:
         return [posterior]
     if found.interrupted:
@@ -193,7 +150,7 @@ def _alone(
     for recording, part in enumerate(problem.parts):
         alone = problem.alone(recording)
         own = gauss_newton(alone, initial=[found.best.vector[part.shown]])
-        posteriors.append(_posterior(alone, own, calibration))
+        posteriors.append(posterior_of(alone, own, calibration))
     return posteriors
 
 
@@ -209,7 +166,6 @@ def _scene(
         registration = register(recording, settings, known) if unknown else None
         return LiftScene.of(recording, settings.scene, registration)
     except RecordingError as error:
-        where = ": ".join(filter(None, (name, error.where)))
-        raise RecordingError(
-            error.what, where=where or None, fix=error.fix, faults=error.faults
-        ) from None
+        where = ": ".join(filter(None, (name, error.where))) or None
+        fix, faults = error.fix, error.faults
+        raise RecordingError(error.what, where=where, fix=fix, faults=faults) from None

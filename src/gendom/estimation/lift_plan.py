@@ -10,16 +10,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, truncnorm
 
+from gendom.arguments import require
 from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.checks import MAX_DENSITY
-from gendom.errors import ParameterError, RobotError
+from gendom.errors import RobotError
 from gendom.estimation import (
     UNKNOWNS,
     EstimateSettings,
@@ -56,12 +57,6 @@ AIMS = (*SHOWN, "all")
 CLOUD_POINTS = {"rope": 320, "cloth": 1400}
 """Points of a frame, twice what an estimate compares."""
 
-CLOTH_POINTS = 15
-"""Along a cloth's longer side: few points are enough to compare motions."""
-
-FASTER = 2.0
-"""How much faster than predefined an object is also lifted, where no speeds are given."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectClass:
@@ -83,56 +78,49 @@ class ObjectClass:
     """A name of `gendom.materials.catalogue`; None: unknown."""
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ParameterError(f"is {self.kind!r}", where="kind", fix="give rope or cloth")
+        require(self.kind in KINDS, f"is {self.kind!r}", where="kind", fix="give rope or cloth")
         ranges = (self.size, self.thickness, self.mass)
         for where, ends in zip((*KINDS[self.kind].sizes, "mass"), ranges, strict=True):
-            if ends is not None and not 0.0 < ends[0] <= ends[1] < math.inf:
-                raise ParameterError(
-                    f"is {ends[0]:g} to {ends[1]:g}",
-                    where=where,
-                    fix="give one number above 0, or the lower end and then the higher one",
-                )
-        if self.material is not None and catalogue.get(self.material).kind != self.kind:
-            raise ParameterError(
-                f"{self.material} is no material of a {self.kind}",
-                where="material",
-                fix=f"gendom materials lists each {self.kind}",
-            )
+            if ends is not None:
+                what = f"is {ends[0]:g} to {ends[1]:g}"
+                fix = "give one number above 0, or the lower end and then the higher one"
+                require(0.0 < ends[0] <= ends[1] < math.inf, what, where=where, fix=fix)
+        if self.material is not None:
+            what = f"{self.material} is no material of a {self.kind}"
+            fix = f"gendom materials lists each {self.kind}"
+            fits = catalogue.get(self.material).kind == self.kind
+            require(fits, what, where="material", fix=fix)
         for share in (0.0, 1.0):
             self.at(share)
 
-    def at(self, share: float) -> Item:
-        """The object whose sizes and mass lie at one share of all ranges.
+    def draw(self, rng: np.random.Generator) -> Item:
+        """One with sizes and mass drawn evenly; of its material only the density counts."""
+        return self.at(*rng.random(3))
+
+    def at(self, *shares: float) -> Item:
+        """The object whose size, thickness and mass lie at these shares of their ranges, or all at
+        one.
 
         Raises:
             ParameterError: There is no such object.
         """
-        return self._made([share] * 3)
-
-    def draw(self, rng: np.random.Generator) -> Item:
-        """One with sizes and mass drawn evenly; of its material only the density counts."""
-        return self._made(rng.random(3))
-
-    def _made(self, shares: Sequence[float] | Array) -> Item:
+        shares = shares * 3 if len(shares) == 1 else shares
         size, thickness = (
             low + share * (high - low)
             for (low, high), share in zip((self.size, self.thickness), shares, strict=False)
         )
-        listed = None if self.material is None else catalogue.get(self.material)
-        density = 1000.0 if listed is None else listed.density.typical
+        density = 1000.0
+        if self.material is not None:
+            density = catalogue.get(self.material).density.typical
         kind = KINDS[self.kind]
         sizes: dict[str, Any] = dict(zip(kind.sizes, (size, thickness), strict=True))
         made = kind(**sizes)
         if self.mass is not None:
             mass = self.mass[0] + shares[2] * (self.mass[1] - self.mass[0])
             density = made.material.density * mass / made.mass
-            if density > MAX_DENSITY:
-                raise ParameterError(
-                    f"is {mass:g} kg, a density of {density:.3g} kg/m^3",
-                    where="mass",
-                    fix="it looks like grams; divide by 1000",
-                )
+            what = f"is {mass:g} kg, a density of {density:.3g} kg/m^3"
+            fix = "it looks like grams; divide by 1000"
+            require(density <= MAX_DENSITY, what, where="mass", fix=fix)
         return replace(made, material=Material(density=density))
 
 
@@ -150,7 +138,7 @@ class LiftPlanSettings:
     rises: tuple[float, ...] = (RISE, FREE_RISE)
     """In lengths of a rope or sides of a cloth."""
     speeds: tuple[float, ...] = ()
-    """[m/s]; by default that of the predefined lift, and `FASTER` times that."""
+    """[m/s]; by default that of the predefined lift, and twice that."""
     draws: int = 4
     """Objects."""
     seed: int = 0
@@ -159,14 +147,11 @@ class LiftPlanSettings:
     """Probability of the intervals."""
 
     def __post_init__(self) -> None:
-        if self.aim not in AIMS:
-            raise ParameterError(
-                f"is {self.aim!r}", where="for", fix=f"choose from {', '.join(AIMS)}"
-            )
-        if self.draws < 1:
-            raise ParameterError(f"is {self.draws}", where="draws", fix="give 1 or more")
-        if not 0.0 < self.level < 1.0:
-            raise ParameterError(f"is {self.level}", where="level", fix="give 0 to 1, as 0.9")
+        fix = f"choose from {', '.join(AIMS)}"
+        require(self.aim in AIMS, f"is {self.aim!r}", where="for", fix=fix)
+        require(self.draws >= 1, f"is {self.draws}", where="draws", fix="give 1 or more")
+        level, fix = f"is {self.level}", "give 0 to 1, as 0.9"
+        require(0.0 < self.level < 1.0, level, where="level", fix=fix)
 
     @property
     def aims(self) -> tuple[str, ...]:
@@ -180,7 +165,7 @@ class LiftPlanSettings:
             RobotError: There is no such end, or a rise or speed is not above 0.
         """
         plain = predefined_lift(kind)
-        speeds = self.speeds or (plain.speed, FASTER * plain.speed)
+        speeds = self.speeds or (plain.speed, 2.0 * plain.speed)
         every = (
             LiftMotion(kind=kind, rise=rise, speed=speed, end=end)
             for end in self.ends
@@ -226,8 +211,6 @@ class LiftPlan:
     """By keys of `SHOWN`, transformed."""
     rows: tuple[MotionForecast, ...]
     """The plain hold first."""
-    middle: Item = field(repr=False)
-    """The object in the middle of the class."""
 
     def score(self, row: MotionForecast) -> float:
         """Mean logarithm of the ratio of prior to posterior deviation, over objects and the
@@ -253,11 +236,7 @@ class LiftPlan:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; half widths of ln E, ln damping and friction."""
-        level = self.settings.level
-
-        def finite(value: float) -> float | None:
-            return value if math.isfinite(value) else None
-
+        widths = [{n: r.half_width(n, self.settings.level) for n in SHOWN} for r in self.rows]
         return {
             "format": "gendom-lift-plan/1",
             "objects": self.objects,
@@ -267,14 +246,14 @@ class LiftPlan:
             "rows": [
                 {
                     "lift": vars(row.motion),
-                    "half_width": {n: finite(row.half_width(n, level)) for n in SHOWN},
+                    "half_width": {n: w if math.isfinite(w) else None for n, w in width.items()},
                     "sd": row.sd,
                     "carried_out": row.carried_out,
                     "gain": self.gain(row),
                     "rolls": rolls(row.motion),
                     "faults": row.faults,
                 }
-                for row in self.rows
+                for row, width in zip(self.rows, widths, strict=True)
             ],
         }
 
@@ -305,68 +284,53 @@ def plan_lift(
         faults: dict[str, None] = {}
         carried_out = 0
         for n, item in enumerate(drawn):
-            trial = lifted_by(as_real(item), motion)
+            trial, sd = lifted_by(as_real(item), motion), None
             sizes = motion, size_of(item), thickness_of(item)
-            if sizes not in arms:
-                arms[sizes] = _tried(trial)
-            arm = arms[sizes]
-            sd = None
-            if isinstance(arm, RobotError):
-                faults[str(arm)] = None
-            else:
+            try:
+                if sizes not in arms:
+                    arms[sizes] = arm_motion(trial, lift_cameras(item))
+                if isinstance(arms[sizes], RobotError):
+                    raise arms[sizes]
+                lying = recorded_lift(trial, arms[sizes], LIFT_FRAME_RATE[motion.end])
                 carried_out += 1
-                lying = recorded_lift(trial, arm, LIFT_FRAME_RATE[motion.end])
                 prior_sd, sd = forecast(lying, objects.material, [settings.seed, n])
                 if sd is None:
                     faults[f"a drawn {objects.kind} could not be simulated"] = None
+            except RobotError as error:
+                arms[sizes] = error
+                faults[str(error)] = None
             found.append(sd)
             on_done(len(rows) * len(drawn) + n + 1, len(motions) * len(drawn))
-        rows.append(
-            MotionForecast(
-                motion=motion, sd=tuple(found), carried_out=carried_out, faults=tuple(faults)
-            )
+        row = MotionForecast(
+            motion=motion, sd=tuple(found), carried_out=carried_out, faults=tuple(faults)
         )
-    if not any(row.carried_out for row in rows):
-        raise RobotError(
-            f"no object can be lifted by any of {len(rows)} motions: {rows[0].faults[0]}",
-            where="plan",
-            fix="lift smaller objects, or less high",
-        )
+        rows.append(row)
+    require(
+        any(row.carried_out for row in rows),
+        f"no object can be lifted by any of {len(rows)} motions: {next(iter(rows[0].faults), '')}",
+        where="plan",
+        fix="lift smaller objects, or less high",
+        error=RobotError,
+    )
     return LiftPlan(
         objects=objects,
         settings=settings,
         prior_sd=prior_sd,
         rows=tuple(rows),
-        middle=objects.at(0.5),
     )
-
-
-def _tried(trial: Trial) -> JointMotion | RobotError:
-    """The arm's motion beside the cameras, or why there is none."""
-    try:
-        return arm_motion(trial, lift_cameras(trial.item))
-    except RobotError as error:
-        return error
 
 
 def forecast(
     lying: Recording, material: str | None, seed: Sequence[int]
 ) -> tuple[dict[str, float], dict[str, float] | None]:
-    """Expected posterior of an estimate from one lift of an object drawn from the prior.
-
-    Args:
-        lying: The lift, as `recorded_lift` has it.
-        material: Of the catalogue; None: unknown.
-        seed: Of parameters and noise; the same ones give like objects for other lifts.
+    """Expected posterior of an estimate from one lift (as `recorded_lift` has it) of an object
+    drawn from the prior; the same seed gives like objects for other lifts.
 
     Returns:
         Standard deviations before and after by keys of `SHOWN`, transformed, and calibrated as the
         estimator's; None in place of the latter where the drawn object cannot be simulated.
-
-    Raises:
-        ParameterError: The object cannot be of that material.
     """
-    coarse = CLOTH_POINTS if lying.object.kind == "cloth" else None
+    coarse = 15 if lying.object.kind == "cloth" else None
     settings = EstimateSettings(scene=SceneSettings(material=material, points=coarse, threads=1))
     scene = LiftScene.of(lying, settings.scene)
     prior, base = scene.prior()
@@ -380,8 +344,8 @@ def forecast(
     x = replay(scene, [prior.theta(truth, base)], keep_going=True)[:, 0]
     if not np.isfinite(x).all():
         return believed, None
-    shown = _seen(scene, x, settings.noise.sensor, rng)
-    problem = Problem([replace(scene, recording=_showing(lying, scene.frames, shown))], settings)
+    shown = _showing(lying, scene.frames, _seen(scene, x, settings.noise.sensor, rng))
+    problem = Problem([replace(scene, recording=shown)], settings)
     comparison = problem.compare([truth])[0]
     if comparison is None:
         return believed, None
@@ -398,13 +362,8 @@ def forecast(
 
 
 def recorded_lift(trial: Trial, arm: JointMotion, frame_rate: float) -> Recording:
-    """The recording of a lift by the arm, its clouds as if the object had stayed on the table.
-
-    Args:
-        trial: The lift.
-        arm: How the arm carries it out.
-        frame_rate: [1/s].
-    """
+    """The recording of a lift as the arm carries it out, its clouds as if the object had stayed on
+    the table."""
     item, layout = trial.item, trial.layout
     closes = next(e.time for e in arm.events if e.closed)
     seconds = end_of(trial, arm) - closes

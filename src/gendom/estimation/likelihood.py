@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,15 +32,9 @@ from gendom.observation import visible
 
 Array = NDArray[np.floating]
 
-FEWEST_POINTS = 100
-"""Of a camera in a third of the frames, whose place is looked for."""
-
 UNKNOWN_SHIFT, UNKNOWN_TURN = 0.05, 0.1
 """`NoiseModel.shift` and `turn` of cameras with unknown poses [m], [rad], after a coarse
 registration."""
-
-SAME_FRAME = 1e-4
-"""Both of a motion capture, which measures hands and markers in one frame [m and rad]."""
 
 THIN, SKIN_OF_THIN = 0.008, 1e-5
 """Diameter of a thin rope, and `NoiseModel.skin` of it [m]. Depth is mixed at most of its pixels,
@@ -55,7 +48,7 @@ a share of the compared frames."""
 HUBER = 0.006
 """Distance beyond which a point's pull grows no further [m]: Huber's loss, smoothed."""
 
-LEAST_MODE = 0.01, 0.05, 0.02
+LEAST_MODE, LEAST_MODE_OF_SIDE, LEAST_SQUARE = 0.01, 0.05, 0.02
 """Modes of displacements that count have at least this share of the largest one's variance, of
 ropes and in time, and of cloths along each side; and of cloths this mean square for a variance of
 1: smaller ones are a tenth of the displacement and cost time."""
@@ -96,7 +89,8 @@ class NoiseModel:
             noise = replace(noise, skin=SKIN_OF_THIN)
         if scene.registration is not None:
             return noise.with_unknown_cameras()
-        return replace(noise, shift=SAME_FRAME, turn=SAME_FRAME) if scene.captured else noise
+        # a motion capture measures hands and markers in one frame
+        return replace(noise, shift=1e-4, turn=1e-4) if scene.captured else noise
 
     def with_unknown_cameras(self) -> NoiseModel:
         """With the wide prior of cameras whose poses are unknown."""
@@ -137,7 +131,9 @@ class Observation:
             self.clouds.append(cloud)
         self.camera = self._cameras()
         self.trees = [KDTree(c) for c in self.clouds]
-        self.gaps = np.array([_gap(tree) for tree in self.trees])
+        # how far apart what a cloud shows may lie: three of its own spacings, 5 mm at least
+        near = [t.query(t.data, k=2)[0][:, 1] if t.n > 1 else 0.0 for t in self.trees]
+        self.gaps = np.array([max(0.005, 3.0 * float(np.median(d))) for d in near])
         self.centre = np.mean([c.mean(axis=0) for c in self.clouds], axis=0)
         sizes = [len(c) for c in self.clouds]
         # clouds of one size, with points that do not count
@@ -154,8 +150,19 @@ class Observation:
             first = scene.recording.frame(scene.begins).astype(float)
             index, weight, _ = self.shape.nearest(rest[None], first[None])
             self.markers = index[0], weight[0]
-        self.in_time = self._in_time()
-        self.in_place = self._in_place()
+        # functions by which displacements change, scaled by deviations: [T, R] of the frames, which
+        # are denser where more happens, and [n, Q] of the middle's points
+        at = np.linspace(0.0, 1.0, len(sizes))
+        # with one shape alone, displacements and parameters have the same effect
+        self.in_time = np.zeros((len(at), 1)) if scene.static else _modes(at, TIME_SCALE)
+        a, b = lattice(scene)
+        scale = PLACE_SCALE * scene.size
+        if len(b) == 1:
+            self.in_place = _modes(a, scale)
+            return
+        both = np.einsum("ai,bj->baij", *(_modes(x, scale, LEAST_MODE_OF_SIDE) for x in (a, b)))
+        both = both.reshape(len(a) * len(b), -1)
+        self.in_place = both[:, (both**2).mean(axis=0) > LEAST_SQUARE]
 
     def _cameras(self) -> NDArray[np.intp]:
         """[T, m] the one camera that saw each point, -1 where several did or none is known."""
@@ -176,28 +183,6 @@ class Observation:
         x = np.einsum("mk,mka->ma", share, middle(self.scene, self.scene.initial)[own])
         away = np.linalg.norm(x[:, None] - self.scene.held, axis=2).min(axis=1)
         return away > 2.0 * held_reach(self.scene) + self.scene.body.thickness
-
-    def _in_time(self) -> Array:
-        """[T, R] functions of the frames by which displacements change, scaled by deviations."""
-        if self.scene.static:
-            # with one shape alone, displacements and parameters have the same effect
-            return np.zeros((len(self.scene.frames), 1))
-        # frames are denser where more happens
-        at = np.linspace(0.0, 1.0, len(self.scene.frames))
-        K = np.exp(-0.5 * ((at[:, None] - at) / TIME_SCALE) ** 2)
-        return _roots(K, LEAST_MODE[0])
-
-    def _in_place(self) -> Array:
-        """[n, Q] functions of the middle's points, likewise."""
-        a, b = lattice(self.scene)
-        scale = PLACE_SCALE * self.scene.size
-        Ka, Kb = (np.exp(-0.5 * ((x[:, None] - x) / scale) ** 2) for x in (a, b))
-        if len(b) == 1:
-            return _roots(Ka, LEAST_MODE[0])
-        Ra, Rb = (_roots(K, LEAST_MODE[1]) for K in (Ka, Kb))
-        both = np.einsum("ai,bj->baij", Ra, Rb).reshape(len(a) * len(b), -1)
-        strong = (both**2).mean(axis=0)
-        return both[:, strong > LEAST_MODE[2]]
 
     def rows(self, shape: Array, r: float) -> Rows:
         """The places on shapes [T, n, 3] of half thickness r [m] that points correspond to, and
@@ -225,7 +210,9 @@ class Observation:
             gap[t], which = self.trees[t].query(c[t])
             near[t] = self.clouds[t][which]
         out = gap - r - self.gaps[:, None]
-        bare = (out > 0.0) & self.shown(shape)
+        bare = (out > 0.0) & self.in_view
+        if self.scene.floor is not None:
+            bare &= c[..., 2] > self.scene.floor
         # what the object hides of itself needs no points
         cameras = self.scene.recording.camera_positions
         for t in np.flatnonzero(bare.any(axis=1)):
@@ -244,14 +231,6 @@ class Observation:
             counts=np.concatenate([self.counts, bare * stands_for], axis=1),
             on_skin=True,
         )
-
-    def shown(self, shape: Array) -> NDArray[np.bool_]:
-        """[T, S] samples of shapes [T, n, 3] in the recorded space that no fingers hide."""
-        own, share = self.shape.samples
-        shown = np.tile(self.in_view, (len(shape), 1))
-        if self.scene.floor is not None:
-            shown &= np.einsum("mk,tmk->tm", share, shape[:, own, 2]) > self.scene.floor
-        return shown
 
     def _marker_rows(self, shape: Array) -> Rows:
         """All three coordinates of a marker count: markers are few and accurate."""
@@ -357,12 +336,11 @@ class Comparison:
         """Of the shape as it is."""
         return self.observation.rows(self.here, self.radius)
 
-    @cached_property
-    def residuals(self) -> list[Array]:
-        """T arrays of points' distances from the skin [m]."""
-        rows = self.rows
-        own = self.observation.counts.shape[1]
-        return [r[:own][k[:own] > 0.0] for r, k in zip(rows.rho, rows.counts, strict=True)]
+    def rms_by_frame(self) -> list[float]:
+        """Distance of each frame's points from the skin [m]."""
+        own, weight = self.observation.counts.shape[1], self.rows.counts
+        squares = self.rows.rho[:, :own] ** 2 * (weight[:, :own] > 0.0)
+        return np.sqrt(squares.sum(axis=1) / (weight[:, :own] > 0.0).sum(axis=1)).tolist()
 
     @cached_property
     def rms(self) -> float:
@@ -372,7 +350,7 @@ class Comparison:
         squares = 2.0 * c**2 * (np.sqrt(1.0 + (rows.rho / c) ** 2) - 1.0)
         return math.sqrt(float((rows.counts * squares).sum() / max(rows.counts.sum(), 1e-9)))
 
-    def cameras_apart(self, thirds: int = 3) -> tuple[float, int, int]:
+    def cameras_apart(self) -> tuple[float, int, int]:
         """How far two cameras' clouds are from each other at the object, in the third of the frames
         where they are farthest [m], and from which frame to which; 0 where it is not known.
 
@@ -382,11 +360,11 @@ class Comparison:
         own, noise = o.counts.shape[1], o.noise.with_unknown_cameras()
         rho, D = rows.rho[:, :own], rows.fixed(o.centre)[:, :own]
         weight = o.counts / np.sqrt(1.0 + (rho / HUBER) ** 2) / noise.sensor**2
-        for part in np.array_split(np.arange(len(rho)), thirds):
+        for part in np.array_split(np.arange(len(rho)), 3):
             shifts = []
             for camera in np.unique(o.camera[part]):
                 mine = (o.camera[part] == camera) & (weight[part] > 0.0)
-                if camera >= 0 and mine.sum() > FEWEST_POINTS:
+                if camera >= 0 and mine.sum() > 100:
                     A, w = D[part][mine], weight[part][mine][:, None]
                     H = A.T @ (w * A) + np.diag(noise.fixed)
                     shifts.append(np.linalg.solve(H, A.T @ (w[:, 0] * rho[part][mine]))[:3])
@@ -405,32 +383,32 @@ class Comparison:
         """Gauss-Newton steps of motion, skin and displacement under their priors, and what is left
         of the gradient by parameters where those follow."""
         S = self.observation.in_time.shape[1] * 3 * self.observation.in_place.shape[1]
-        precision = noise.precision(S)
-        a = self._first if len(self._first) else np.zeros(len(precision))
+        precision, R = noise.precision(S), S + 7
+        a = self._first if len(self._first) else np.zeros(R)
         if self._last is not None:
             a = self._last.a
         for _ in range(noise.rounds):
-            sums = self._sums(a, noise, self.J[..., :0])
-            downhill = sums.slope - precision * a
-            step = cho_solve(cho_factor(sums.M + np.diag(precision), lower=True), downhill)
+            N, _, _ = self._sums(a, noise, self.J[..., :0])
+            downhill = N[:R, -1] - precision * a
+            factor = cho_factor(N[:R, :R] + np.diag(precision), lower=True)
+            step = cho_solve(factor, downhill)
             a = a + step
             if step @ downhill < REGISTERED:
                 break
-        sums = self._sums(a, noise, self.J)
-        M = sums.M + np.diag(precision)
+        N, loss, count = self._sums(a, noise, self.J)
+        M, slope, cross = N[:R, :R] + np.diag(precision), N[:R, -1], N[:R, R:-1]
         factor = cho_factor(M, lower=True)
-        follows = cho_solve(factor, sums.slope - precision * a)
         return Fit(
             noise=noise,
-            value=sums.loss + float(precision @ a**2),
+            value=loss + float(precision @ a**2),
             # residuals fall as the object moves along its normals
-            gradient=sums.cross.T @ follows - sums.gradient,
-            hessian=sums.hessian - sums.cross.T @ cho_solve(factor, sums.cross),
+            gradient=cross.T @ cho_solve(factor, slope - precision * a) - N[R:-1, -1],
+            hessian=N[R:-1, R:-1] - cross.T @ cho_solve(factor, cross),
             a=a,
             M=M,
-            slope=sums.slope,
-            loss=sums.loss * noise.sensor**2,
-            count=sums.count,
+            slope=slope,
+            loss=loss * noise.sensor**2,
+            count=count,
         )
 
     def outside(self, noise: NoiseModel) -> float:
@@ -456,43 +434,34 @@ class Comparison:
         """A shape [..., 3] moved as the cameras' estimated rigid motion shows it [m]."""
         return self._moved(shape, self.fit(noise).a)
 
-    def _sums(self, a: Array, noise: NoiseModel, J: Array) -> _Sums:
-        """Of the shape displaced by ``a`` [S + 7]; J [T, n, 3, P] as that of the comparison."""
-        o = self.observation
-        U, B, P, c = o.in_time, o.in_place, J.shape[3], HUBER
+    def _sums(self, a: Array, noise: NoiseModel, J: Array) -> tuple[Array, float, float]:
+        """Normal equations of the shape displaced by ``a`` [S + 7]; J [T, n, 3, P] as that of the
+        comparison.
+
+        Returns:
+            [S + 7 + P + 1, S + 7 + P + 1] products of residuals' derivatives by registration and by
+            parameters, and of residuals, weighted by how likely they are; the smoothed sum of
+            squared residuals, in their variance; and how many independent points there are.
+        """
+        o, U, B = self.observation, self.observation.in_time, self.observation.in_place
         rows = o.rows(self._displaced(a), self.radius)
         rho = rows.rho - a[-1]
-        root = np.sqrt(1.0 + (rho / c) ** 2)
+        root = np.sqrt(1.0 + (rho / HUBER) ** 2)
         share = rows.counts / noise.patch / noise.sensor**2
         w = (share / root)[..., None]
         # by the displacement of each frame, which all frames' coefficients make up
         psi = np.einsum("tmk,tmkq->tmq", rows.weight, B[rows.index])
         G = (psi[..., :, None] * rows.normal[..., None, :]).reshape(*rho.shape, -1)
-        # by parameters, rigid motion and skin; and what is left
-        by_parameters = rows.parameter_derivatives(J, self.widens[:P])
-        D = np.concatenate(
-            [by_parameters, rows.fixed(o.centre), rho[..., None]],
-            axis=2,
-        )
-        dd = np.einsum("tmi,tmj->ij", D, w * D, optimize=True)
-        Gt = np.swapaxes(G, 1, 2)
-        dq, qq = Gt @ (w * D), Gt @ (w * G)
-        S, n = len(a) - 7, slice(P, P + 7)
-        cross = np.einsum("tr,tqd->rqd", U, dq, optimize=True).reshape(S, -1)
-        M = np.zeros((S + 7, S + 7))
-        M[:S, :S] = np.einsum("tr,ts,tqp->rqsp", U, U, qq, optimize=True).reshape(S, S)
-        M[:S, S:] = cross[:, n]
-        M[S:, :S] = M[:S, S:].T
-        M[S:, S:] = dd[n, n]
-        return _Sums(
-            M=M,
-            slope=np.concatenate([cross[:, -1], dd[n, -1]]),
-            cross=np.concatenate([cross[:, :P], dd[n, :P]]),
-            hessian=dd[:P, :P],
-            gradient=dd[:P, -1],
-            loss=float((share * 2.0 * c**2 * (root - 1.0)).sum()),
-            count=float(rows.counts.sum() / noise.patch),
-        )
+        # by rigid motion, skin and parameters; and what is left
+        by_parameters = rows.parameter_derivatives(J, self.widens[: J.shape[3]])
+        D = np.concatenate([rows.fixed(o.centre), by_parameters, rho[..., None]], axis=2)
+        Gt, S = np.swapaxes(G, 1, 2), len(a) - 7
+        cross = np.einsum("tr,tqd->rqd", U, Gt @ (w * D), optimize=True).reshape(S, -1)
+        smooth = np.einsum("tr,ts,tqp->rqsp", U, U, Gt @ (w * G), optimize=True).reshape(S, S)
+        rest = np.einsum("tmi,tmj->ij", D, w * D, optimize=True)
+        loss = float((share * 2.0 * HUBER**2 * (root - 1.0)).sum())
+        count = float(rows.counts.sum() / noise.patch)
+        return np.block([[smooth, cross], [cross.T, rest]]), loss, count
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -534,19 +503,6 @@ class Comparisons:
             gradient[k] += fit.gradient
             hessian[np.ix_(k, k)] += fit.hessian
         return gradient, hessian
-
-
-class _Sums(NamedTuple):
-    """Normal equations of all residuals, weighted by how likely they are: products of their
-    derivatives by the S + 7 unknowns of registration and by P parameters, and with residuals."""
-
-    M: Array  # [S + 7, S + 7]
-    slope: Array  # [S + 7]
-    cross: Array  # [S + 7, P]
-    hessian: Array  # [P, P]
-    gradient: Array  # [P]
-    loss: float  # smoothed sum of squared residuals, in their variance
-    count: float  # independent points
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -601,15 +557,9 @@ class Fit:
         return noise
 
 
-def _gap(tree: KDTree) -> float:
-    """How far apart what a cloud shows may lie: three of its own spacings, 5 mm at least [m]."""
-    if tree.n < 2:
-        return 0.005
-    return max(0.005, 3.0 * float(np.median(tree.query(tree.data, k=2)[0][:, 1])))
-
-
-def _roots(K: Array, least: float) -> Array:
-    """[n, R] with R R^T near K [n, n], of as few columns as ``least`` of the greatest allows."""
-    values, vectors = np.linalg.eigh(K)
+def _modes(at: Array, scale: float, least: float = LEAST_MODE) -> Array:
+    """[n, R] with R R^T near the covariance of a Gaussian process at places [n], of as few columns
+    as ``least`` of the greatest variance allows."""
+    values, vectors = np.linalg.eigh(np.exp(-0.5 * ((at[:, None] - at) / scale) ** 2))
     keep = values > least * values[-1]
     return vectors[:, keep][:, ::-1] * np.sqrt(values[keep][::-1])

@@ -14,9 +14,11 @@ from scipy.sparse.csgraph import shortest_path
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
+from gendom.arguments import require
 from gendom.datasets import Recording
-from gendom.errors import ParameterError, RecordingError
+from gendom.errors import RecordingError
 from gendom.estimation.scene_settings import SHELL_POINTS, SceneSettings
+from gendom.materials import KINDS
 from gendom.sim import Body, cloth, rope
 from gendom.sim.lines import along_line, arc_length
 
@@ -25,81 +27,28 @@ Array = NDArray[np.floating]
 LINE_PLACES = 200
 """Along the line of a rope at rest."""
 
+THICK, THIN = 50.0, 200.0
+"""Length over the diameter that is assumed of a rope in motion; and at rest, where points of the
+centre line alone are compared. A thicker rod that bends alike is stretched by its own weight, a
+thinner one takes longer: a wire of 1.5 m that bends over 88 mm by 41 mm with 50, by 2 mm with 200.
+"""
 
-@dataclass(frozen=True, kw_only=True)
-class PlacingSettings:
-    """Constants of how objects lie and are held. Lengths are shares of the object's size unless a
-    unit is given."""
+SMOOTHING = 1e3, 1e1, 1.0, 1e-1, 1e-2, 1e-3
+"""Weights of its roughness."""
 
-    fattest: float = 0.2
-    """Diameter beyond which a rope is none."""
-    thick: float = 50.0
-    """Length over the diameter that is assumed of a rope in motion."""
-    thin: float = 200.0
-    """The same at rest, where points of the centre line alone are compared. A thicker rod that
-    bends alike is stretched by its own weight, a thinner one takes longer: a wire of 1.5 m that
-    bends over 88 mm by 41 mm with 50, by 2 mm with 200."""
-    cloth_thickness: float = 0.002
-    """That is assumed [m]: of two sheets of equal bending stiffness the thicker one is softer in
-    its plane, as woven cloth is."""
-    tells: float = 0.25
-    """Points farther from the gripper tell which way a rope lies."""
-    strays: float = 2.0
-    """Points farther from a rope's line, in deviations, are left out of it."""
-    lonely: float = 4.0
-    """So are points whose neighbours are so many times as far away as usual."""
-    line_points: int = 400
-    """Of a cloud that are ordered along a rope, about."""
-    line_patch: float = 4.0
-    """Of those that share their noise."""
-    line_cells: float = 8.0
-    """Of them that are independent, for each diameter of the rope's length, at most."""
-    line_rounds: int = 6
-    """Of projecting them onto a curve and fitting it."""
-    spline: int = 20
-    """Pieces of the curve."""
-    smoothing: tuple[float, ...] = (1e3, 1e1, 1.0, 1e-1, 1e-2, 1e-3)
-    """Weights of its roughness."""
-    line: tuple[float, float] = (0.93, 1.04)
-    """Length of the line through points of a rope between two grippers: chords are shorter than
-    arcs, noise makes them longer. Of six real cables and a wire 0.997 to 1.003."""
-    hops: int = 600
-    """Points of a cloud between two grippers that are put in order, at most."""
-    marker: float = 0.001
-    """How well such points are met by the simulated rope [m]."""
-    strain: float = 1e-3
-    """How well its edges are as long as they are at rest."""
-    turn: float = 0.1
-    """Turn from one edge to the next that counts as much [rad]."""
-    rounds: int = 6
-    """Gauss-Newton steps of these."""
-    even: float = 1e-3
-    """Recorded times that differ by less than this share of their distance are a frame's number."""
-    leap: tuple[float, float, float] = (6.0, 1.5, 0.5)
-    """Frames are lost where hands leap by so many times the ninetieth percentile of how much their
-    speed changes; steps before and after differ by less than this share, and so does a step of
-    several intervals from their multiple [of the leap]."""
-    flat: float = 0.03
-    """How far a cloth at rest and its flat outline may differ for it to lie flat [longer sides].
-    Cloths of the second reality have 0.012, real ones that lie in folds 0.11 and more."""
-    lies: float = 0.01
-    """Motion of the gripper up to which a cloth lies [longer sides]."""
-    low: tuple[float, float] = (0.05, 0.15)
-    """Where a table's height is not stated: motion up to which the lowest points are on it, and
-    height up to which points show a cloth's outline [longer sides]."""
-    outline_points: int = 2000
-    """Of a cloud that are compared with an outline, about."""
-    edge_bins: int = 16
-    """Along an edge of a cloth."""
-    corners: float = 0.1
-    """Share of an edge at each end that is round."""
-    edge: float = 0.003
-    """Share of a flat cloth's points beyond each edge."""
-    filled: float = 0.95
-    """Least share of a rectangle's 256 cells that a flat cloth fills."""
+MEASURED_LINE = 0.93, 1.04
+"""Length of the line through points of a rope between two grippers, over that of the rope: chords
+are shorter than arcs, noise makes them longer. Of six real cables and a wire 0.997 to 1.003."""
+
+MARKER, STRAIN, TURN = 0.001, 1e-3, 0.1
+"""How well such points are met by the simulated rope [m], how well its edges keep their length, and
+the turn from one edge to the next that counts as much [rad]."""
+
+BINS = 16
+"""Along an edge of a cloth."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Placed:
     """Where an object is in the beginning."""
 
@@ -117,30 +66,21 @@ class Placed:
 def place(
     recording: Recording, settings: SceneSettings, frames: tuple[int, ...], notes: list[str]
 ) -> Placed:
-    """Where the recorded object lies in the beginning, and where it is held.
-
-    Args:
-        recording: What is placed.
-        settings: Engine and resolution.
-        frames: Those that hold points, one at least.
-        notes: Gets what was assumed.
+    """Where the recorded object lies in the beginning, and where it is held; ``notes`` get what was
+    assumed. Of ``frames``, those that hold points, there is one at least.
 
     Raises:
         RecordingError: The recording shows too little to place the object, or no rope or cloth.
         ParameterError: The engine cannot simulate it.
     """
     kind = recording.object.kind
-    if kind == "cloth":
-        return _place_cloth(recording, settings, frames, notes)
-    if kind != "rope":
-        raise RecordingError(
-            f"objects of kind {kind!r} cannot be simulated",
-            where="meta.object.kind",
-            fix="use rope or cloth",
-        )
-    if recording.num_grippers == 1:
-        return _place_rope(recording, settings, frames, notes)
-    return _place_between(recording, settings, frames, notes)
+    what = f"objects of kind {kind!r} cannot be simulated"
+    require(
+        kind in KINDS, what, where="meta.object.kind", fix="use rope or cloth", error=RecordingError
+    )
+    of_rope = _place_rope if recording.num_grippers == 1 else _place_between
+    own = _place_cloth if kind == "cloth" else of_rope
+    return own(recording, settings, frames, notes)
 
 
 def _points_of(body: Body, settings: SceneSettings) -> Array:
@@ -148,24 +88,20 @@ def _points_of(body: Body, settings: SceneSettings) -> Array:
 
 
 def _sizes_of_rope(recording: Recording, notes: list[str]) -> tuple[float, float]:
-    """Length and diameter [m].
-
-    Raises:
-        RecordingError: They are no rope's.
-    """
+    """Length and diameter [m]."""
     length, diameter = recording.object.length, recording.object.diameter
     assert length is not None  # the recording's own check
     if diameter is None:
-        rests = recording.extra.get("static", False)
-        share = PlacingSettings.thin if rests else PlacingSettings.thick
+        share = THIN if recording.extra.get("static", False) else THICK
         diameter = length / share
         notes.append(f"diameter not stated: {diameter:.4g} m assumed (length / {share:g})")
-    if diameter > PlacingSettings.fattest * length:
-        raise RecordingError(
-            f"a rope {diameter:g} m thick and {length:g} m long is no rope",
-            where="meta.object",
-            fix="give diameter and length in metres",
-        )
+    require(
+        diameter <= 0.2 * length,
+        f"a rope {diameter:g} m thick and {length:g} m long is no rope",
+        where="meta.object",
+        fix="give diameter and length in metres",
+        error=RecordingError,
+    )
     return length, diameter
 
 
@@ -183,8 +119,7 @@ def _place_rope(
         cells_across=settings.cells_across,
         points=settings.points,
     )
-    steps = np.diff(body.points, axis=0)
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
+    steps, s = np.diff(body.points, axis=0), arc_length(body.points)
     held = np.array([np.interp(inset, s, x) for x in body.points.T])
     direction = steps[min(int(np.searchsorted(s, inset)), len(steps) - 1)]
     return Placed(
@@ -198,23 +133,16 @@ def _place_rope(
 def _place_between(
     recording: Recording, settings: SceneSettings, frames: tuple[int, ...], notes: list[str]
 ) -> Placed:
-    """A rope that two grippers hold by its ends, straight by nature.
-
-    Raises:
-        ParameterError: With the MPM, whose bodies are free of stress as they begin.
-    """
-    if settings.engine != "thin":
-        raise ParameterError(
-            "a rope held at both ends is simulated as a rod", where="engine", fix="engine 'thin'"
-        )
+    """A rope that two grippers hold by its ends, straight by nature; with rods alone, since bodies
+    of the MPM are free of stress as they begin."""
+    what = "a rope held at both ends is simulated as a rod"
+    require(settings.engine == "thin", what, where="engine", fix="engine 'thin'")
     length, diameter = _sizes_of_rope(recording, notes)
     grip = recording.gripper_position[frames[0]].astype(float)
-    s, line, speeds = _line_between(recording, grip, frames, length)
+    s, line, speeds = _line_between(recording, grip, frames, length, diameter)
     body = rope(diameter=diameter, length=length, points=settings.points)
     u = np.linspace(0.0, length, len(body.points))
-    near = PlacingSettings.marker
-    if not recording.extra.get("ordered_markers", False):
-        near = max(near, 0.5 * diameter)
+    near = MARKER if recording.extra.get("ordered_markers", False) else max(MARKER, 0.5 * diameter)
     x = _as_long(CubicSpline(s, line)(u), s / u[1], line, u[1], near)
     ends = np.stack([x[1] - x[0], x[-2] - x[-1]])
     notes.append("held at both ends: straight by nature, as far as is known")
@@ -234,24 +162,21 @@ def lost_time(recording: Recording) -> Array:
     measured hands leap, and their steps before and after are alike, the leap took as many intervals
     as it has such steps.
     """
-    P = PlacingSettings
     time, late = recording.time, np.zeros(recording.num_frames)
     if recording.gripper_source != "measured" or recording.quasi_static or len(time) < 8:
         return late
-    between, steps = (
-        np.diff(time),
-        np.diff(recording.gripper_position.reshape(len(time), -1), axis=0),
-    )
-    if np.ptp(between) > P.even * between.mean():
+    between = np.diff(time)
+    steps = np.diff(recording.gripper_position.reshape(len(time), -1), axis=0)
+    if np.ptp(between) > 1e-3 * between.mean():
         return late  # these are times of a clock
     before, leap, after = steps[:-2], steps[1:-1], steps[2:]
     usual = 0.5 * (before + after)
     size = np.linalg.norm(usual, axis=1)
     count = np.round((leap * usual).sum(axis=1) / np.maximum(size, 1e-9) ** 2)
     off = np.linalg.norm(leap - usual, axis=1)
-    leaps = (count >= 2) & (off > P.leap[0] * np.percentile(off, 90))
-    leaps &= np.linalg.norm(after - before, axis=1) < P.leap[1] * size
-    leaps &= np.linalg.norm(leap - count[:, None] * usual, axis=1) < P.leap[2] * off
+    leaps = (count >= 2) & (off > 6.0 * np.percentile(off, 90))
+    leaps &= np.linalg.norm(after - before, axis=1) < 1.5 * size
+    leaps &= np.linalg.norm(leap - count[:, None] * usual, axis=1) < 0.5 * off
     late[2:-1] = np.cumsum(np.where(leaps, count - 1.0, 0.0) * between[1:-1])
     late[-1] = late[-2]
     return late
@@ -264,38 +189,33 @@ def _as_long(x: Array, places: Array, shown: Array, edge: float, near: float) ->
     Splines between markers have edges that are up to a quarter too long or too short: a shock as
     the motion begins. Gauss-Newton steps for edges, points, and a smooth line, in this order.
     """
-    P, n = PlacingSettings, len(x)
+    n = len(x)
     own = np.clip(places.astype(int), 0, n - 2)
     at = np.zeros((len(places), n))
     at[np.arange(len(places)), own] = 1.0 - (places - own)
     at[np.arange(len(places)), own + 1] = places - own
     bend = np.diff(np.eye(n), 2, axis=0)
-    linear = np.concatenate([at / near, bend / (P.turn * edge)])
-    for _ in range(P.rounds):
+    linear = np.concatenate([at / near, bend / (TURN * edge)])
+    for _ in range(6):
         step = np.diff(x, axis=0)
         length = np.linalg.norm(step, axis=1)
         rows = np.zeros((n - 1, n, 3))
         e = np.arange(n - 1)
         rows[e, e + 1], rows[e, e] = step / length[:, None], -step / length[:, None]
         wanted = np.concatenate([shown / near, np.zeros((n - 2, 3))])
-        off = [(edge - length) / (P.strain * edge), *(wanted - linear @ x).T]
-        J = np.concatenate([rows.reshape(n - 1, -1) / (P.strain * edge),
+        off = [(edge - length) / (STRAIN * edge), *(wanted - linear @ x).T]
+        J = np.concatenate([rows.reshape(n - 1, -1) / (STRAIN * edge),
                             *(np.kron(linear, axis) for axis in np.eye(3))])  # fmt: skip
         x = x + np.linalg.lstsq(J, np.concatenate(off), rcond=None)[0].reshape(n, 3)
     return x
 
 
 def _line_between(
-    recording: Recording, grip: Array, frames: tuple[int, ...], length: float
+    recording: Recording, grip: Array, frames: tuple[int, ...], length: float, diameter: float
 ) -> tuple[Array, Array, Array | None]:
     """Places along a rope [K] [m] from one end to the other, where the first frame shows them
-    [K, 3] [m], and how fast markers are there [K, 3] [m/s].
-
-    Raises:
-        RecordingError: They lie along a line of another length than the rope's.
-    """
-    cloud = recording.frame(frames[0]).astype(float)
-    speeds = None
+    [K, 3] [m], and how fast markers are there [K, 3] [m/s]."""
+    cloud, speeds = recording.frame(frames[0]).astype(float), None
     if recording.extra.get("ordered_markers", False):
         first = [t for t in frames[:5] if len(recording.frame(t)) == len(cloud)]
         x = np.stack([recording.frame(t) for t in first]).astype(float)
@@ -307,25 +227,21 @@ def _line_between(
             speeds = fit[1].reshape(-1, 3)
         gaps = np.linalg.norm(np.diff(x, axis=1), axis=2).mean(axis=0)
     else:
-        # in the order of paths of short hops from the first hand on: a loop may hang beside it
-        cloud = cloud[:: -(-len(cloud) // PlacingSettings.hops)]
-        begun = np.concatenate([grip[:1], cloud])
-        hops = cdist(begun, begun) ** 2
-        cloud = cloud[np.argsort(shortest_path(hops, indices=0)[1:])]
-        bins = np.array_split(cloud, min(24, max(2, len(cloud) // 4)))
-        cloud = np.array([grip[0], *(b.mean(axis=0) for b in bins), grip[1]])
-        gaps = np.linalg.norm(np.diff(cloud, axis=0), axis=1)
+        line = grip[0] + lying_line(cloud - grip[0], length / diameter)[::8]
+        cloud = np.concatenate([grip[:1], line[1:-1], grip[1:]])
+        gaps = np.diff(arc_length(cloud))
     if np.linalg.norm(cloud[0] - grip[0]) > np.linalg.norm(cloud[-1] - grip[0]):
         cloud, gaps = cloud[::-1], gaps[::-1]
         speeds = None if speeds is None else speeds[::-1]
     s = np.concatenate([[0.0], np.cumsum(gaps)])
-    if not PlacingSettings.line[0] * length <= s[-1] <= PlacingSettings.line[1] * length:
-        raise RecordingError(
-            f"in the first frame points lie along a line of {s[-1]:.3g} m from one gripper to the "
-            f"other, the object is stated to be {length:.3g} m long",
-            where="meta.object.length",
-            fix="give the length between the grippers, and points in metres",
-        )
+    require(
+        MEASURED_LINE[0] * length <= s[-1] <= MEASURED_LINE[1] * length,
+        f"in the first frame points lie along a line of {s[-1]:.3g} m from one gripper to the "
+        f"other, the object is stated to be {length:.3g} m long",
+        where="meta.object.length",
+        fix="give the length between the grippers, and points in metres",
+        error=RecordingError,
+    )
     return s * (length / s[-1]), cloud, speeds
 
 
@@ -340,13 +256,14 @@ def _line_from(
     """Centre line of a rope at rest, from somewhat behind the gripper on."""
     early = early_points(recording, frames, diameter)
     flat = early[:, :2] - grip[:2]
-    far = flat[np.linalg.norm(flat, axis=1) > PlacingSettings.tells * length]
-    if len(far) < 5:
-        raise RecordingError(
-            "the first frames show too little of the rope to tell which way it lies",
-            where=f"frames {frames[0]}-{frames[min(9, len(frames) - 1)]}",
-            fix="record from the rope at rest on; is its length in metres?",
-        )
+    # points farther from the gripper tell which way it lies
+    require(
+        int((np.linalg.norm(flat, axis=1) > 0.25 * length).sum()) >= 5,
+        "the first frames show too little of the rope to tell which way it lies",
+        where=f"frames {frames[0]}-{frames[min(9, len(frames) - 1)]}",
+        fix="record from the rope at rest on; is its length in metres?",
+        error=RecordingError,
+    )
     line = lying_line(flat, length / diameter)
     s = arc_length(line)
     # where the gripper is along it: before its first point, which fingers may hide, straight on
@@ -363,8 +280,8 @@ def _line_from(
 
 
 def lying_line(points: Array, slenderness: float) -> Array:
-    """[K, 2] the smooth line that points [n, 2] of a rope at rest lie along, from its end near the
-    origin on [m].
+    """[K, d] the smooth line that points [n, d] of a rope lie along, from its end near the origin
+    on [m].
 
     Points are ordered by shortest paths from the far end; steps cost their fourth power, so that
     paths follow the cloud. A principal curve (Hastie and Stuetzle 1989) goes through them, a
@@ -375,10 +292,9 @@ def lying_line(points: Array, slenderness: float) -> Array:
         points: Seen from the gripper.
         slenderness: Length over diameter.
     """
-    P = PlacingSettings
     apart = KDTree(points).query(points, k=min(5, len(points)))[0][:, -1]
-    points = points[apart <= P.lonely * np.median(apart)]
-    some = points[:: math.ceil(len(points) / P.line_points)]
+    points = points[apart <= 4.0 * np.median(apart)]  # without lonely ones
+    some = points[:: math.ceil(len(points) / 400)]
     steps = cdist(some, some)
     first = int(np.linalg.norm(some, axis=1).argmin())
     last = int(np.argmax(shortest_path(steps**4, indices=first)))
@@ -387,24 +303,25 @@ def lying_line(points: Array, slenderness: float) -> Array:
     for k in np.argsort(cost)[1:]:
         along[k] = along[before[k]] + steps[k, before[k]]
     share = 1.0 - along[KDTree(some).query(points)[1]] / along.max()
-    count = min(len(points) / P.line_patch, P.line_cells * slenderness)
-    found = [_principal_curve(points, share, P.smoothing[0], order=2)]
-    found += [_principal_curve(points, share, stiff) for stiff in P.smoothing]
+    # four points share their noise; no more than eight to a diameter are independent
+    count = min(len(points) / 4.0, 8.0 * slenderness)
+    found = [_principal_curve(points, share, SMOOTHING[0], order=2)]
+    found += [_principal_curve(points, share, stiff) for stiff in SMOOTHING]
     return min(found, key=lambda f: 2.0 * count * math.log(f[1]) + 2.0 * f[2])[0]
 
 
 def _principal_curve(
     points: Array, share: Array, stiff: float, order: int = 3
 ) -> tuple[Array, float, float]:
-    """[K, 2] a penalised spline through points [n, 2], from their shares of its length [n] on; how
+    """[K, d] a penalised spline through points [n, d], from their shares of its length [n] on; how
     far from it they lie in the mean [m], and its degrees of freedom. The stiffest is a parabola, of
     order 2 a straight line."""
-    P = PlacingSettings
-    knots = np.clip(np.arange(-3, P.spline + 4) / P.spline, -3.0 / P.spline, 1.0 + 3.0 / P.spline)
+    pieces = 20
+    knots = np.clip(np.arange(-3, pieces + 4) / pieces, -3.0 / pieces, 1.0 + 3.0 / pieces)
     even, kept = np.linspace(0.0, 1.0, LINE_PLACES), np.ones(len(points), dtype=bool)
-    rough = np.diff(np.eye(P.spline + 3), order, axis=0)
+    rough = np.diff(np.eye(pieces + 3), order, axis=0)
     line, off, free = points, share, 0.0
-    for _ in range(P.line_rounds):
+    for _ in range(6):
         basis = BSpline.design_matrix(share[kept], knots, 3).toarray()
         inner = basis.T @ basis
         smooth = inner + stiff * len(basis) * rough.T @ rough
@@ -412,105 +329,93 @@ def _principal_curve(
         shape = np.linalg.solve(smooth, basis.T @ points[kept])
         line = BSpline(knots, shape, 3)(even)
         off, k = KDTree(line).query(points)
-        kept = off < P.strays * math.sqrt(float((off**2).mean())) + 1e-6
+        kept = off < 2.0 * math.sqrt(float((off**2).mean())) + 1e-6
         s = arc_length(line)[k]
         begin = s[kept].min()
         share = np.clip((s - begin) / (s[kept].max() - begin), 0.0, 1.0)
     return line, float(off.mean()), free
 
 
+def _turn(yaw: float) -> Array:
+    """[2, 2]."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.array([[c, -s], [s, c]])
+
+
 def _place_cloth(
     recording: Recording, settings: SceneSettings, frames: tuple[int, ...], notes: list[str]
 ) -> Placed:
     """A flat cloth on its table."""
-    described = recording.object
-    width, height = described.width, described.height
-    assert width is not None and height is not None  # the recording's own check
-    thickness = described.thickness
+    described, thickness = recording.object, recording.object.thickness
+    assert described.width is not None and described.height is not None  # its own check
+    sides = np.array([described.width, described.height])
     if thickness is None:
-        thickness = PlacingSettings.cloth_thickness
+        # of two sheets of equal bending stiffness the thicker is softer in its plane, as if woven
+        thickness = 0.002
         notes.append(f"thickness not stated: {thickness * 1e3:.3g} mm assumed")
-    grip = recording.gripper_position[frames[0], 0].astype(float)
-    yaw = _cloth_yaw(recording, frames, width, height)
+    grip, longer = recording.gripper_position[frames[0], 0].astype(float), float(sides.max())
+    diagonal, held = sides / math.hypot(*sides), sides / 2.0
+    if described.grasp == "corner":
+        held = (described.grasp_inset or 0.0) * diagonal
+    yaw = _cloth_yaw(recording, frames, sides, -held)
     low = recording.table_height
-    longer = max(width, height)
     if low is None:
-        low = float(
-            np.percentile(early_points(recording, frames, PlacingSettings.low[0] * longer)[:, 2], 5)
-        )
+        low = float(np.percentile(early_points(recording, frames, 0.05 * longer)[:, 2], 5))
     mid = low + thickness / 2.0
-    corner = described.grasp == "corner"
-    diagonal = np.array([width, height]) / math.hypot(width, height)
-    local = np.array([width, height]) / 2.0
-    if corner:
-        local = (described.grasp_inset or 0.0) * diagonal
-    turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
-    spacing = longer / ((settings.points or SHELL_POINTS) - 1)
-    counts = (1 + max(2, round(width / spacing)), 1 + max(2, round(height / spacing)))
+    turn, spacing = _turn(yaw), longer / ((settings.points or SHELL_POINTS) - 1)
     body = cloth(
-        width=width,
-        height=height,
+        width=described.width,
+        height=described.height,
         thickness=thickness,
         dx=longer / 14.0 * 1.5 / settings.cells_across,
-        corner=np.append(grip[:2] - turn @ local, mid),
+        corner=np.append(grip[:2] - turn @ held, mid),
         yaw=yaw,
-        points=counts,
+        points=tuple(1 + max(2, round(side / spacing)) for side in sides.tolist()),
     )
-    inwards = np.append(turn @ diagonal, 0.0)
     return Placed(
         body=body,
         initial=_points_of(body, settings),
         held=np.array([[grip[0], grip[1], mid]]),
-        inwards=inwards[None],
+        inwards=np.append(turn @ diagonal, 0.0)[None],
     )
 
 
-def _cloth_yaw(recording: Recording, frames: tuple[int, ...], width: float, height: float) -> float:
-    """Turn of the flat cloth about the held point.
+def _cloth_yaw(recording: Recording, frames: tuple[int, ...], sides: Array, first: Array) -> float:
+    """Turn of a flat cloth with sides [2] and its first corner at [2] from the held point, about
+    that point.
 
     Of a cloth that lies flat before it is lifted, the turn of its outline. Held by a corner it
     hangs evenly about its diagonal, so otherwise the diagonal points to where the lifted cloud is.
     Held elsewhere, the turn whose outline holds the low points best.
     """
-    described, sides = recording.object, np.array([width, height])
-    grip = recording.gripper_position[frames[0], 0]
-    longer, corner = float(sides.max()), described.grasp == "corner"
-    first = -0.5 * sides
-    if corner:
-        first = -(described.grasp_inset or 0.0) * sides / math.hypot(width, height)
-    lying = early_points(recording, frames, PlacingSettings.lies * longer)[:, :2] - grip[:2]
+    grip, longer = recording.gripper_position[frames[0], 0], float(sides.max())
+    lying = early_points(recording, frames, 0.01 * longer)[:, :2] - grip[:2]
     yaw, off = _outline_yaw(lying, first, sides, filled=True)
-    if off < PlacingSettings.flat * longer:
+    # cloths of the second reality have 0.012, real ones that lie in folds 0.11 and more
+    if off < 0.03 * longer:
         return _along_edges(lying, yaw)
-    if corner:
+    if recording.object.grasp == "corner":
         later = frames[len(frames) // 2 :]
         towards = [recording.frame(t)[:, :2].mean(axis=0) - grip[:2] for t in later]
         x, y = np.median(np.array(towards, dtype=float), axis=0)
-        return math.atan2(y, x) - math.atan2(height, width)
+        return math.atan2(y, x) - math.atan2(sides[1], sides[0])
     points = np.concatenate([recording.frame(t) for t in frames]).astype(float)
     base = recording.table_height if recording.table_height is not None else points[:, 2].min()
-    low = points[points[:, 2] < base + PlacingSettings.low[1] * longer]
+    low = points[points[:, 2] < base + 0.15 * longer]
     flat = (low if len(low) > 50 else points)[:, :2] - grip[:2]
     return _outline_yaw(flat, first, sides, filled=False)[0]
 
 
 def _outline_yaw(points: Array, first: Array, sides: Array, *, filled: bool) -> tuple[float, float]:
-    """The rotation with which a rectangle fits points [n, 2] best, and its residual [m].
-
-    Args:
-        points: Seen from the point that it turns about.
-        first: [2] its first corner from there, not turned.
-        sides: [2].
-        filled: Whether points should fill it, too: the residual is then the mean of the distances
-            from points to it and from it to points, else of the former only.
-    """
-    every = math.ceil(len(points) / PlacingSettings.outline_points)
+    """The rotation with which a rectangle fits points [n, 2] best, seen from the point that it
+    turns about, and its residual [m]: the mean distance from points to it and, if points should
+    fill it, from it to points. Its first corner [2] is seen from there, too, not turned."""
+    every = math.ceil(len(points) / 2000)
     points, grid = points[::every], (np.indices((12, 12)).reshape(2, -1).T + 0.5) / 12.0
     tree, inside = KDTree(points), first + grid * sides
 
     def off(yaw: float) -> float:
-        c, s = math.cos(yaw), math.sin(yaw)
-        turn = np.array([[c, -s], [s, c]])
+        turn = _turn(yaw)
         beyond = np.abs(points @ turn - first - sides / 2.0) - sides / 2.0
         outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1).mean()
         return float(outside + (tree.query(inside @ turn.T)[0].mean() if filled else 0.0))
@@ -524,17 +429,16 @@ def _along_edges(points: Array, yaw: float) -> float:
     """The turn of a rectangle by the slopes of its four edges, as points [n, 2] that fill it show
     them, from a turn that is nearly right."""
     for _ in range(3):
-        c, s = math.cos(yaw), math.sin(yaw)
-        local = points @ np.array([[c, -s], [s, c]])
+        local = points @ _turn(yaw)
         slopes = []
         for axis in (0, 1):
             along, across = local[:, axis], local[:, 1 - axis]
             # corners are round
-            low, high = np.quantile(along, [PlacingSettings.corners, 1.0 - PlacingSettings.corners])
-            ends = np.linspace(float(low), float(high), PlacingSettings.edge_bins + 1)
+            low, high = np.quantile(along, [0.1, 0.9])
+            ends = np.linspace(float(low), float(high), BINS + 1)
             bins = [across[(along >= a) & (along < b)] for a, b in pairwise(ends)]
             kept = [k for k, one in enumerate(bins) if len(one) > 10]
-            if len(kept) < PlacingSettings.edge_bins / 2:
+            if len(kept) < BINS / 2:
                 return yaw
             middle = 0.5 * (ends[:-1] + ends[1:])[kept]
             for share in (0.01, 0.99):
@@ -550,20 +454,16 @@ def lying_rectangle(points: Array) -> tuple[float, float] | None:
     Of all rectangles with nearly all points inside, the smallest.
     """
 
-    def ends(angle: float) -> tuple[Array, Array, Array]:
-        c, s = math.cos(angle), math.sin(angle)
-        local = points @ np.array([[c, -s], [s, c]])
-        low, high = np.quantile(local, [PlacingSettings.edge, 1.0 - PlacingSettings.edge], axis=0)
+    def box(angle: float) -> tuple[Array, Array, Array]:
+        local = points @ _turn(angle)
+        low, high = np.quantile(local, [0.003, 0.997], axis=0)
         return local, low, high - low
 
-    local, low, sides = min(
-        (ends(a) for a in np.radians(np.arange(0.0, 90.0, 0.5))), key=lambda e: float(e[2].prod())
-    )
-    cells = np.floor((local - low) / np.maximum(sides, 1e-9) * PlacingSettings.edge_bins).astype(
-        int
-    )
-    inside = cells[((cells >= 0) & (cells < PlacingSettings.edge_bins)).all(axis=1)]
-    if len(np.unique(inside, axis=0)) < PlacingSettings.filled * PlacingSettings.edge_bins**2:
+    every = (box(angle) for angle in np.radians(np.arange(0.0, 90.0, 0.5)))
+    local, low, sides = min(every, key=lambda one: float(one[2].prod()))
+    cells = np.floor((local - low) / np.maximum(sides, 1e-9) * BINS).astype(int)
+    inside = cells[((cells >= 0) & (cells < BINS)).all(axis=1)]
+    if len(np.unique(inside, axis=0)) < 0.95 * BINS**2:
         return None
     return float(sides.max()), float(sides.min())
 

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import require
-from gendom.errors import ParameterError, SimulationError
+from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons, NoiseModel, Observation
 from gendom.estimation.replay import middle, replay
 from gendom.estimation.scene import LiftScene
-from gendom.estimation.scene_settings import SceneSettings
+from gendom.estimation.scene_settings import COARSE_POINTS, SceneSettings
 from gendom.materials.posterior import Prior, joint_prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 
@@ -28,9 +28,6 @@ SIZES_OF_OBJECT = (
     "length", "diameter", "diameter_sd", "width", "height", "thickness", "thickness_sd", "mass",
 )  # fmt: skip
 """Fields of an object's description that all of its recordings share."""
-
-MEASURED_ALIKE = 0.01
-"""How far lengths of one rope that a motion capture measures may differ: 0.5 % on real ones."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,9 +58,8 @@ class EstimateSettings:
     noise: NoiseModel = field(default_factory=NoiseModel)
 
     def __post_init__(self) -> None:
-        require(
-            self.frames in ("all", "last"), f"frames must be 'all' or 'last', got {self.frames!r}"
-        )
+        what = f"frames must be 'all' or 'last', got {self.frames!r}"
+        require(self.frames in ("all", "last"), what)
         what, fix = f"is {self.camera_pose!r}", "give stated or unknown"
         known = self.camera_pose in (None, "stated", "unknown")
         require(known, what, where="camera_pose", fix=fix)
@@ -107,21 +103,21 @@ class Start:
     """Whether the comparison's derivatives, taken at a neighbour, are too inaccurate to be used."""
     exact: bool = False
     """Whether they are its own."""
-    history: list[tuple[int, Array, float]] = field(default_factory=list)
-    """Iteration, vector, and root mean square distance [m]."""
-    coarse: int | None = None
-    """Last iteration of the coarse stage, which takes part of the unknowns or clouds, if any."""
+    stage: str = ""
+    """Of a search that has several."""
+    history: list[tuple[int, Array, float, str]] = field(default_factory=list)
+    """Iteration, vector, root mean square distance [m], and stage."""
+
+    def noted(self) -> None:
+        """Let the history have where it is."""
+        assert self.comparison is not None
+        place = self.iterations, self.vector.copy(), self.comparison.rms, self.stage
+        self.history.append(place)
 
     def take(self, vector: Array, comparison: Comparisons, value: float) -> None:
         """Go to a place, which joins the history."""
         self.vector, self.comparison, self.value = vector, comparison, value
-        self.history.append((self.iterations, vector.copy(), comparison.rms))
-
-    def stage(self, iteration: int, method: str) -> str:
-        """What an iteration of its history belongs to: the method where it has one stage."""
-        if self.coarse is None:
-            return method
-        return "coarse" if iteration <= self.coarse else "fine"
+        self.noted()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,8 +131,6 @@ class Found:
     interrupted: bool = False
     covariance: Array | None = None
     """[P, P] transformed, of methods that state their own; None: that of the likelihood."""
-    extra: dict[str, Any] = field(default_factory=dict)
-    """More of it, for the result's record."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Durations of parts of the search [s]."""
 
@@ -168,10 +162,9 @@ class Part:
         """The coarse problem, for the first stage of a search: of a rope only frames without fast
         motion, where there are enough (fast motion depends on the earlier motion, too); of a cloth
         fewer simulated and recorded points."""
-        scene, settings = self.scene, self.scene.settings
-        if scene.kind == "cloth" and scene.thin and settings.points is None:
-            coarse = LiftScene.of(scene.recording, replace(settings, points=settings.coarse_points))
-            coarse = replace(coarse, frames=scene.frames, calm=scene.calm)
+        scene = self.scene
+        if scene.kind == "cloth" and scene.thin and scene.settings.points is None:
+            coarse = scene.simulated_with(COARSE_POINTS)
             return replace(self, scene=coarse, noise=self.noise.of_thinner_clouds())
         if len(scene.calm) == len(scene.frames) or len(scene.calm) < 6:
             return self
@@ -209,20 +202,16 @@ class Problem:
         self.settings = settings
         believed = [scene.prior(settings.unknowns, settings.also) for scene in scenes]
         self.prior: Prior = joint_prior([prior for prior, _ in believed])
-        parts, noise = [], settings.noise
-        for k, (scene, (prior, base)) in enumerate(zip(scenes, believed, strict=True)):
-            if known is not None:
-                base = prior.theta(prior.mean, known)
-            parts.append(
-                Part(
-                    scene=scene,
-                    base=base,
-                    shown=np.array([self.prior.index(n, k) for n in prior.names], dtype=np.intp),
-                    noise=noise.of(scene, "thickness" in prior.names),
-                    name=names[k],
-                )
+        self.parts: tuple[Part, ...] = tuple(
+            Part(
+                scene=scene,
+                base=base if known is None else prior.theta(prior.mean, known),
+                shown=np.array([self.prior.index(n, k) for n in prior.names], dtype=np.intp),
+                noise=settings.noise.of(scene, "thickness" in prior.names),
+                name=names[k],
             )
-        self.parts: tuple[Part, ...] = tuple(parts)
+            for k, (scene, (prior, base)) in enumerate(zip(scenes, believed, strict=True))
+        )
         self._on_progress = on_progress
 
     @property
@@ -239,11 +228,6 @@ class Problem:
     def bases(self) -> tuple[Theta, ...]:
         """For each recording everything that is not looked for."""
         return tuple(part.base for part in self.parts)
-
-    @property
-    def frames(self) -> list[tuple[int, ...]]:
-        """That are compared, of each recording."""
-        return [part.scene.frames for part in self.parts]
 
     def _with(self, parts: Sequence[Part], **changes: Any) -> Problem:
         """The same with other parts, and attributes."""
@@ -300,15 +284,9 @@ class Problem:
         """Report progress."""
         if self._on_progress is not None:
             rms = math.nan if best.comparison is None else best.comparison.rms
-            self._on_progress(
-                Progress(
-                    stage=stage,
-                    iteration=iteration,
-                    most=most,
-                    best=self.theta(best.vector),
-                    rms=rms,
-                )
-            )
+            theta = self.theta(best.vector)
+            told = Progress(stage=stage, iteration=iteration, most=most, best=theta, rms=rms)
+            self._on_progress(told)
 
     def positions(self, vectors: Sequence[Array], recording: int = 0) -> Array:
         """[T, W, N, 3] positions in a recording at transformed parameters, NaN where a world
@@ -443,11 +421,7 @@ def recording_names(count: int) -> tuple[str, ...]:
 
 
 def _check_one_object(scenes: Sequence[LiftScene], names: Sequence[str]) -> None:
-    """Refuse recordings whose object descriptions differ.
-
-    Raises:
-        ParameterError: They do, or there is no recording.
-    """
+    """Refuse recordings whose object descriptions differ."""
     require(scenes, "there is no recording", fix="give one or more")
     what = f"{len(scenes)} recordings have {len(names)} names"
     require(len(names) == len(scenes), what, where="names")
@@ -455,21 +429,16 @@ def _check_one_object(scenes: Sequence[LiftScene], names: Sequence[str]) -> None
     for scene, name in zip(scenes[1:], names[1:], strict=True):
         other = scene.recording.object
         what = f"shows a {other.kind}, {names[0]} a {first.kind}"
-        apart = "estimate each object by itself"
+        apart = "estimate each by itself"
         require(other.kind == first.kind, what, where=name, fix=apart)
         here, there = (len(s.recording.frame(s.begins)) for s in (scene, scenes[0]))
         what = f"shows {here} markers in order, {names[0]} {there}"
         require(here == there or not scenes[0].captured, what, where=name, fix=apart)
         for size in SIZES_OF_OBJECT:
             a, b = getattr(first, size), getattr(other, size)
-            # the length between two hands is measured
-            alike = MEASURED_ALIKE if size == "length" and scenes[0].captured else 1e-6
-            if a == b or (a is not None and b is not None and math.isclose(a, b, rel_tol=alike)):
-                continue
+            # the length between two hands is measured, real ones to 0.5 %
+            alike = 0.01 if size == "length" and scenes[0].captured else 1e-6
+            same = a == b or (None not in (a, b) and math.isclose(a, b, rel_tol=alike))
             here, there = ("not stated" if v is None else f"{v:g}" for v in (b, a))
-            raise ParameterError(
-                f"{size} is {here}, in {names[0]} {there}",
-                where=name,
-                fix="state the same for all recordings if they show one object, else estimate "
-                "each by itself",
-            )
+            fix = f"state the same for all recordings if they show one object, else {apart}"
+            require(same, f"{size} is {here}, in {names[0]} {there}", where=name, fix=fix)

@@ -26,21 +26,9 @@ Array = NDArray[np.floating]
 LIFTED = 0.3
 """Rise of the gripper from which the held point is the highest, in the object's size."""
 
-TOP = 0.05
-"""Share of a cloud's points that are its top."""
-
-SCANNED = 8
-"""Moduli of the objects that clouds are moved onto."""
-
-ROUNDS = 5
-"""Of placing the object and moving the clouds, at most."""
-
 CONVERGED = (0.002, 0.005)
 """Registration ends below this motion: [m] at the clouds' centre, and [rad]; the likelihood
 linearises motions of this size."""
-
-COARSE_NOISE = {"sensor": 0.005, "rounds": 8}
-"""Noise [m] and pairings with which clouds are moved."""
 
 
 def register(recording: Recording, settings: EstimateSettings, known: Theta | None = None) -> Array:
@@ -48,17 +36,12 @@ def register(recording: Recording, settings: EstimateSettings, known: Theta | No
 
     A turn about the vertical through the gripper that no sideways motion shows stays as recorded.
 
-    Args:
-        recording: Clouds of cameras with unknown poses, the gripper's path in the robot's frame.
-        settings: How it will be estimated.
-        known: Values of everything that is not looked for; by default those of the priors.
-
     Raises:
         RecordingError: It shows too little to place the object.
         SimulationError: Nothing of it can be simulated.
     """
     T, vector = first_shift(recording), None
-    for _ in range(ROUNDS):
+    for _ in range(5):
         scene = LiftScene.of(recording, settings.scene, registration=T)
         problem = Problem([scene], settings, known=known)
         if vector is None:
@@ -95,7 +78,7 @@ def first_shift(recording: Recording) -> Array:
     away = []
     for t in lifted:
         cloud = recording.frame(t).astype(float)
-        top = np.argsort(cloud[:, 2])[-max(1, round(TOP * len(cloud))) :]
+        top = np.argsort(cloud[:, 2])[-max(1, round(0.05 * len(cloud))) :]
         away.append(recording.gripper_position[t, 0] - cloud[top].mean(axis=0))
     T[:3, 3] = np.median(away, axis=0)
     return T
@@ -108,9 +91,9 @@ def _scanned(problem: Problem) -> tuple[Array, Comparison, NoiseModel]:
     vectors = [prior.vector(part.base.with_values(guess)) for guess in part.scene.guesses]
     if "E_over_rho" in prior.names:
         k = prior.index("E_over_rho")
-        scan = np.linspace(prior.low[k], prior.high[k], SCANNED + 2)[1:-1]
+        scan = np.linspace(prior.low[k], prior.high[k], 10)[1:-1]
         vectors = [np.where(np.arange(len(v)) == k, x, v) for v in vectors for x in scan]
-    (noise,) = problem.first_noise(**COARSE_NOISE)
+    (noise,) = problem.first_noise(sensor=0.005, rounds=8)
     compared = [
         (c.parts[0].fit(noise).value, n, c.parts[0])
         for n, c in enumerate(problem.compare(vectors, derivatives=False))

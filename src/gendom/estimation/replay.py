@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import mul
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from gendom.estimation.scene import LiftScene
+from gendom.estimation.scene import STATIC_SETTLING, LiftScene
+from gendom.estimation.scene_settings import COARSE_POINTS
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.sim import Gripper, Physics, Simulator, Solver, Table
@@ -21,6 +24,20 @@ Array = NDArray[np.floating]
 
 HEM = 0.01
 """Breadth of a cloth's border that may be hemmed [m]."""
+
+STRETCH = 0.002
+"""A cloth's own weight lengthens it by this at most, hanging by a side: the simulated stiffness in
+its plane is limited to that. This allows longer time steps: two to four times for cloths that bend
+over 25 to 45 mm and are 0.5 to 1 mm thick. A rope whose diameter is not stated is lengthened by no
+more: a soft one of the diameter that is assumed would stretch by 4 %."""
+
+RAMP_SPEED, CLAMPING = 0.1, 0.1
+"""Speed at which the gripper takes the object from rest to its first recorded position [m/s], and
+time in which clamps turn from where markers show them to how they hold the rope [s]."""
+
+ROPE_REACH, CLOTH_REACH = 0.75, 0.02
+"""How far from its point a gripper holds an object where `grasp_radius` is not stated: a rope
+[diameters], by fingertips 1.5 diameters wide, and a cloth [m], by two fingertips."""
 
 
 @dataclass(kw_only=True)
@@ -88,11 +105,10 @@ class WorldInputs:
         """Let ln(E) grow by so much from one end of a rope to the other."""
         scene = self.scene
         if slope and scene.thin:
-            share = np.linspace(-0.5, 0.5, len(scene.body.points))
-            self.stiffness = np.exp(slope * share)
+            self.stiffness = np.exp(slope * np.linspace(-0.5, 0.5, len(scene.body.points)))
         elif slope:
-            share = scene.body.material_coordinates[:, 0] / scene.size - 0.5
-            self.stiffness = np.exp(slope * share)
+            share = scene.body.material_coordinates[:, 0] / scene.size
+            self.stiffness = np.exp(slope * (share - 0.5))
 
     def hem(self, *, stiffness: float = 1.0, mass: float = 1.0) -> None:
         """Make a cloth's border so many times as stiff in bending, and as heavy as the rest; its
@@ -172,7 +188,7 @@ class WorldInputs:
         scene, described, more = self.scene, self.scene.recording.object, {}
         E = self.E_over_rho * scene.density
         hangs = described.length or max(described.width or 0.0, described.height or 0.0)
-        along = scene.density * STANDARD_GRAVITY * hangs / (2.0 * scene.settings.stretch)
+        along = scene.density * STANDARD_GRAVITY * hangs / (2.0 * STRETCH)
         if scene.kind == "cloth" and scene.thin:
             warp = math.sqrt(self.warp_over_weft)
             more = {"membrane": min(E, along), "warp": warp, "weft": 1.0 / warp}
@@ -180,27 +196,22 @@ class WorldInputs:
             more = {"membrane": along}  # a real one is as thin as that
         return Material(E=E, nu=self.nu, density=scene.density, damping=self.damping, **more)
 
-    @property
-    def grippers(self) -> list[Gripper]:
-        """The recorded paths, moved onto the held points, with slack and a ramp from rest."""
-        return [self._gripper(g) for g in range(len(self.scene.held))]
-
-    def _gripper(self, g: int) -> Gripper:
+    def gripper(self, g: int) -> Gripper:
+        """The recorded path, moved onto the held point, with slack and a ramp from rest."""
         scene, held = self.scene, self.scene.held[g]
         delay = self.delay / scene.clock
-        time, path = scene.path(g)
-        time, path = time + delay, path.copy()
+        knots, path = scene.path(g)
+        knots, at = knots + delay, path.copy()
         if len(scene.held) == 1:
-            path[:, :2] += held[:2] - path[0, :2]
-            path[:, 2] += self.raised
+            at[:, :2] += held[:2] - at[0, :2]
+            at[:, 2] += self.raised
             if scene.recording.table_height is not None:
-                path[:, 2] = np.maximum(path[:, 2], held[2])
-        knots, at = time, path
-        away = float(np.linalg.norm(path[0] - held))
+                at[:, 2] = np.maximum(at[:, 2], held[2])
+        away = float(np.linalg.norm(at[0] - held))
         if away > 0.0:
             # the first recorded position is reached before the first frame, not in a jump
-            ramp = away / scene.settings.ramp_speed + 1e-3
-            knots, at = np.concatenate([[time[0] - ramp], time]), np.concatenate([held[None], path])
+            begin = knots[0] - away / RAMP_SPEED - 1e-3
+            knots, at = np.append(begin, knots), np.concatenate([held[None], at])
         reach = held_reach(scene, self.reach)
         return Gripper(
             time=knots,
@@ -211,29 +222,24 @@ class WorldInputs:
         )
 
     def _turned(self, g: int, knots: Array, at: Array, reach: float) -> Array | None:
-        """[K, 4] how a gripper turns, or None.
-
-        As its recorded axis does, without turning about it; a pinched corner does not stay level
-        beside it: it hangs once the gripper has risen by its reach.
-        """
-        scene, turned = self.scene, None
-        turns = scene.turns[g]
-        if turns is not None:
+        """[K, 4] how a gripper turns, or None: as its recorded axis does; and a pinched corner does
+        not stay level beside it, it hangs once the gripper has risen by its reach."""
+        scene, found = self.scene, []
+        if (turns := scene.turns[g]) is not None:
             t = turns[0] + self.delay / scene.clock
-            turned = Slerp(t, turns[1])(np.clip(knots, t[0], t[-1]))
+            found.append(Slerp(t, turns[1])(np.clip(knots, t[0], t[-1])))
         if scene.kind == "cloth" and scene.recording.object.grasp == "corner":
             rise = at[:, 2] - scene.held[g, 2]
             inwards = Rotation.from_euler("z", self.yaw).apply(scene.inwards[g])
             axis = np.cross(inwards, [0.0, 0.0, -1.0])
             angle = self.tilt * np.clip(rise / (2.0 * reach), 0.0, 1.0)
-            tilted = Rotation.from_rotvec(angle[:, None] * axis)
-            turned = tilted if turned is None else turned * tilted
+            found.append(Rotation.from_rotvec(angle[:, None] * axis))
         if len(scene.held) > 1 and self.clamps[g].any():
             # the first frame shows how markers lie, not how the rope leaves the clamp
-            begun = np.clip((knots - knots[0]) / scene.settings.clamping, 0.0, 1.0)
-            clamped = Rotation.from_rotvec(begun[:, None] * (scene.clamp_frame(g) @ self.clamps[g]))
-            turned = clamped if turned is None else turned * clamped
-        return None if turned is None else turned.as_quat()
+            begun = np.clip((knots - knots[0]) / CLAMPING, 0.0, 1.0)
+            turn = scene.clamp_frame(g) @ self.clamps[g]
+            found.append(Rotation.from_rotvec(begun[:, None] * turn))
+        return reduce(mul, found).as_quat() if found else None
 
 
 def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, Array]:
@@ -243,10 +249,10 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
         ParameterError: A parameter is out of its range.
     """
     worlds = [WorldInputs.of(scene, theta) for theta in thetas]
-    grippers = [world.grippers for world in worlds]
+    grippers = [[world.gripper(g) for g in range(len(scene.held))] for world in worlds]
     times = scene.sim_time(scene.recording.time[list(scene.frames)])
     begin = min(float(np.asarray(g.time)[0]) for world in grippers for g in world)
-    begin = min(begin, float(times[0])) - scene.settles
+    begin = min(begin, float(times[0])) - (STATIC_SETTLING if scene.static else 0.0)
     table, height = None, scene.recording.table_height
     if height is not None:
         table = Table(height=height, friction=[w.friction for w in worlds])
@@ -307,32 +313,23 @@ def middle(scene: LiftScene, x: Array) -> Array:
     axis, for positions [..., N, 3] of `replay` [m]; `lattice` has its shape."""
     if scene.thin:
         return x
-    if scene.kind == "rope":
-        return x.reshape(*x.shape[:-2], -1, scene.body.section, 3).mean(axis=-2)
-    first, second = _ticks(scene)
-    layers = x.reshape(*x.shape[:-2], len(first), len(second), -1, 3).mean(axis=-2)
+    first, second = (len(ticks) for ticks in lattice(scene))
+    layers = x.reshape(*x.shape[:-2], first, second, -1, 3).mean(axis=-2)
     return np.swapaxes(layers, -3, -2).reshape(*x.shape[:-2], -1, 3)
 
 
 def lattice(scene: LiftScene) -> tuple[Array, Array]:
     """Places of `middle`'s points in the object: [n] along a rope and [1] 0, or columns and rows of
     a cloth [m]."""
-    if scene.kind == "rope":
-        if scene.thin:
-            return np.linspace(0.0, scene.size, len(scene.body.points)), np.zeros(1)
-        return np.unique(scene.body.material_coordinates[:, 0]), np.zeros(1)
+    body, described = scene.body, scene.recording.object
     if not scene.thin:
-        return _ticks(scene)
-    rows, columns = scene.body.shape
-    described = scene.recording.object
+        first, second = (np.unique(x) for x in body.material_coordinates[:, :2].T)
+        return first, np.zeros(1) if scene.kind == "rope" else second
+    if scene.kind == "rope":
+        return np.linspace(0.0, scene.size, len(body.points)), np.zeros(1)
+    rows, columns = body.shape
     assert described.width is not None and described.height is not None
     return np.linspace(0.0, described.width, columns), np.linspace(0.0, described.height, rows)
-
-
-def _ticks(scene: LiftScene) -> tuple[Array, Array]:
-    """Places of a cloth's particles along its first and second axis [m]."""
-    m = scene.body.material_coordinates
-    return np.unique(m[:, 0]), np.unique(m[:, 1])
 
 
 def _stacked(factors: Sequence[Array | None], points: int) -> Array | float:
@@ -363,7 +360,7 @@ def _closed(scene: LiftScene, g: int, delay: float) -> dict[str, Any]:
 def held_reach(scene: LiftScene, farther: float = 0.0) -> float:
     """How far from its point a gripper holds the object fast; a cloth so much farther than stated
     [m]."""
-    settings, stated = scene.settings, scene.recording.object.grasp_radius
+    stated = scene.recording.object.grasp_radius
     if scene.kind == "rope" and len(scene.held) > 1:
         # a gripper holds the part from its point to the end, and as much on the other side
         ends = scene.initial[[0, -1]]
@@ -371,9 +368,9 @@ def held_reach(scene: LiftScene, farther: float = 0.0) -> float:
             float(np.linalg.norm(ends - scene.held, axis=1).max()), 0.5 * scene.body.thickness
         )
     if scene.kind == "rope":
-        return stated or settings.rope_reach * scene.body.thickness
-    least = settings.least_reach_cells * scene.body.dx
+        return stated or ROPE_REACH * scene.body.thickness
+    least = 0.4 * scene.body.dx
     if scene.thin:
         side = scene.size / math.sqrt(2.0)
-        least = settings.least_reach_points * side / (settings.coarse_points - 1)
-    return max((stated or settings.cloth_reach) + farther, least)
+        least = 0.6 * side / (COARSE_POINTS - 1)  # so that it holds points wherever it is
+    return max((stated or CLOTH_REACH) + farther, least)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.estimation.likelihood import Comparison, NoiseModel
-from gendom.estimation.problem import Found, Part, Problem
+from gendom.estimation.problem import Found, Problem
 from gendom.estimation.replay import replay
 from gendom.estimation.scene import LiftScene
 from gendom.materials import KINDS
@@ -38,19 +38,6 @@ class RecordingFit:
     chamfer_surface: Array
     """[T] to the part that cameras could see [m]."""
 
-    @classmethod
-    def of(cls, part: Part, theta: Theta) -> RecordingFit:
-        x = replay(part.scene, [theta])[:, 0]
-        whole, surface = chamfers(part.scene, x, theta)
-        return cls(
-            name=part.name,
-            scene=part.scene,
-            theta=theta,
-            positions=x,
-            chamfer=whole,
-            chamfer_surface=surface,
-        )
-
     def record(self, comparison: Comparison, noise: NoiseModel) -> dict[str, Any]:
         """The file's entries for this recording."""
         scene, fit = self.scene, comparison.fit(noise)
@@ -64,7 +51,7 @@ class RecordingFit:
             "chamfer_last_registered": float(registered[-1]),
             "chamfer_mean_registered": float(registered.mean()),
             "rms": comparison.rms,
-            "rms_by_frame": [float(np.sqrt((r**2).mean())) for r in comparison.residuals],
+            "rms_by_frame": comparison.rms_by_frame(),
             "rms_registered": fit.rms,
             "noise": {"sensor": noise.sensor, "model": noise.model},
             "calibration": {
@@ -150,36 +137,29 @@ def result_of(
     seconds: Mapping[str, float],
     notes: Sequence[str] = (),
 ) -> FittedEstimate:
-    """Everything about a finished search.
-
-    Args:
-        problem: The problem.
-        found: The result of the search.
-        posterior: Of all recordings.
-        alone: Of each recording alone; empty where that was not computed.
-        verdict: Whether it is usable.
-        seconds: Duration of each stage before [s].
-        notes: What else people should know.
-    """
+    """Everything about a finished search; ``seconds`` are the durations of the stages before [s],
+    ``alone`` is empty where it was not computed."""
     comparison = found.best.comparison
     assert comparison is not None
-    fits = tuple(
-        RecordingFit.of(part, own)
-        for part, own in zip(problem.parts, posterior.thetas, strict=True)
-    )
-    own = [
-        fit.record(compared, noise)
-        for fit, compared, noise in zip(fits, comparison.parts, found.noise, strict=True)
-    ]
-    by_itself = [
-        _by_itself(alone[k : k + 1], problem.settings.level, verdict) for k in range(len(fits))
-    ]
+    fits, recordings = [], []
+    for k, (part, theta) in enumerate(zip(problem.parts, posterior.thetas, strict=True)):
+        x = replay(part.scene, [theta])[:, 0]
+        whole, surface = chamfers(part.scene, x, theta)
+        fit = RecordingFit(
+            name=part.name,
+            scene=part.scene,
+            theta=theta,
+            positions=x,
+            chamfer=whole,
+            chamfer_surface=surface,
+        )
+        fits.append(fit)
+        own = fit.record(comparison.parts[k], found.noise[k])
+        by_itself = _by_itself(alone[k : k + 1], problem.settings.level, verdict)
+        recordings.append({"name": part.name, **own, "alone": by_itself})
     about = {
-        **own[0],
-        "recordings": [
-            {"name": fit.name, **r, "alone": single}
-            for fit, r, single in zip(fits, own, by_itself, strict=True)
-        ],
+        **{k: v for k, v in recordings[0].items() if k not in ("name", "alone")},
+        "recordings": recordings,
         "notes": [*dict.fromkeys(note for fit in fits for note in fit.scene.notes), *notes],
         **_search(problem, found, seconds),
     }
@@ -192,7 +172,7 @@ def result_of(
         level=problem.settings.level,
         density_sd=0.0 if weighed else problem.scene.density_sd,
         about=about,
-        fits=fits,
+        fits=tuple(fits),
     )
 
 
@@ -210,28 +190,25 @@ def _known(scene: LiftScene, posterior: Posterior) -> dict[str, float]:
 
 def _search(problem: Problem, found: Found, seconds: Mapping[str, float]) -> dict[str, Any]:
     """The file's entries about the search."""
-    settings = problem.settings
-    starts = [
-        {
-            "initial": _named(problem, s.initial),
-            "final": _named(problem, s.vector),
-            "bending_length": _bending_length(problem.scene, problem.theta(s.vector)),
-            "loss": s.comparison.rms,
-            "converged": bool(s.done),
-        }
-        for s in found.starts
-        if s.comparison is not None
-    ]
+    settings, scene = problem.settings, problem.scene
+    starts = []
+    for s in found.starts:
+        if s.comparison is not None:
+            theta = problem.theta(s.vector)
+            bends = scene.bending_length(theta.E_over_rho, theta.thickness)
+            initial, final = (_named(problem, v) for v in (s.initial, s.vector))
+            ended = {"loss": s.comparison.rms, "converged": bool(s.done)}
+            starts.append({"initial": initial, "final": final, "bending_length": bends, **ended})
     history = [
         {
-            "stage": s.stage(i, settings.method),
+            "stage": stage or settings.method,
             "start": n,
             "iteration": i,
             **_named(problem, v),
             "loss": r,
         }
         for n, s in enumerate(found.starts)
-        for i, v, r in s.history
+        for i, v, r, stage in s.history
     ]
     return {
         "iterations": sum(s.iterations for s in found.starts),
@@ -244,13 +221,7 @@ def _search(problem: Problem, found: Found, seconds: Mapping[str, float]) -> dic
         "interrupted": found.interrupted,
         "starts": starts,
         "history": history,
-        **found.extra,
     }
-
-
-def _bending_length(scene: LiftScene, theta: Theta) -> float:
-    """[m]."""
-    return scene.bending_length(theta.E_over_rho, theta.thickness)
 
 
 def _by_itself(alone: Sequence[Posterior], level: float, verdict: Verdict) -> dict[str, Any] | None:

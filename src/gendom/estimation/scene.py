@@ -18,11 +18,11 @@ from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
 from gendom.datasets import Recording
-from gendom.errors import ParameterError, RecordingError
-from gendom.estimation.placing import lost_time, place, with_points
+from gendom.errors import RecordingError
+from gendom.estimation.placing import Placed, lost_time, place, with_points
 from gendom.estimation.priors import (
     BENDING_RANGE,
-    StatedErrors,
+    DENSITY_SD,
     first_guesses,
     recording_prior,
 )
@@ -44,8 +44,26 @@ FINER = "limp: simulated along its longer side with"
 """Note of a cloth that gets more points than others."""
 
 
+STATIC_DAMPING, STATIC_SETTLING = 3.0, 6.0
+"""Rate at which velocities decay where nothing moves [1/s], and time in which such an object comes
+to rest [s]; its slowest swing then has e^-9 left."""
+
+QUASI_STATIC_SPEED, QUASI_STATIC_DAMPING = 0.05, 1.0
+"""Gripper speed at which quasi-static recordings are replayed [m/s]: faster, a rope that leaves the
+table swings, by 20 mm at 0.12 m/s. And the rate of decay then [1/s]: the drag is 0.5 % of gravity.
+"""
+
+SLOW, AFTER_FAST = 0.15, 1.5
+"""Speed of a gripper below which frames are alike [m/s], and time for which an object moves on
+after that [s]."""
+
+LIFTED = 0.15
+"""Rise of the gripper, in a rope's length or a cloth's longer side, from which the object is
+lifted: before, clouds show hardly more than how it lay."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LiftScene:
+class LiftScene(Placed):
     """A recorded object at rest, its grippers, and the frames that are compared.
 
     A rope lies along its visible centre line, from the gripper on, as long as stated; a cloth is
@@ -56,15 +74,6 @@ class LiftScene:
 
     recording: Recording
     settings: SceneSettings
-    body: Body
-    initial: Array
-    """[N, 3] particles, or points of a rod or shell, in the beginning [m]."""
-    velocities: Array | None = None
-    """[N, 3] likewise [m/s]; None: at rest."""
-    held: Array
-    """[G, 3] points of the object that the grippers hold then [m]."""
-    inwards: Array
-    """[G, 3] unit vectors from those along the object: a rope's direction, a cloth's diagonal."""
     frames: tuple[int, ...]
     """Those that hold points and are compared."""
     calm: tuple[int, ...]
@@ -107,39 +116,38 @@ class LiftScene:
         digest = recording.digest
         notes: list[str] = []
         if registration is not None:
-            notes.append(_registration_note(recording, registration))
+            middle = recording.points.mean(axis=0, dtype=float)
+            shift = np.linalg.norm(registration[:3, :3] @ middle + registration[:3, 3] - middle)
+            turn = math.degrees(Rotation.from_matrix(registration[:3, :3]).magnitude())
+            moved = f"clouds moved by {1e3 * shift:.0f} mm and {turn:.1f} degrees"
+            notes.append(f"camera poses unknown: {moved}")
             recording = recording.moved(registration)
         frames = with_points(recording)
-        if not frames:
-            raise RecordingError("no frame holds a point", where="points", fix="record again")
+        what, fix = "no frame holds a point", "record again"
+        require(frames, what, where="points", fix=fix, error=RecordingError)
         missing = float(lost_time(recording)[-1])
         if missing > 0.0:
-            notes.append(
-                f"the hands leap where frames were lost: {missing:.3g} s added to the times"
-            )
+            leaps = "the hands leap where frames were lost"
+            notes.append(f"{leaps}: {missing:.3g} s added to the times")
         placed = place(recording, settings, frames, notes)
-        body = placed.body
-        clock = _choose_clock(recording, settings)
+        clock = _choose_clock(recording)
         lasts = float(recording.time[frames[-1]] - recording.time[frames[0]]) / clock
-        _check_duration(lasts, settings)
+        longer = f"lasts {lasts:.4g} s, longer than the 300 s that are simulated"
+        fix = "give seconds; cut what does not belong to the motion"
+        require(lasts <= 300.0, longer, where="time", fix=fix, error=RecordingError)
         hanging = frames
         if recording.object.kind == "cloth" and recording.object.grasp == "corner":
-            hanging = _lifted(recording, settings, frames)
+            hanging = _lifted(recording, frames)
             hanging = hanging if len(hanging) >= 5 else frames
         calm, fast = _compared(recording, settings, hanging)
-        density = _density(recording, body, settings, notes)
         return cls(
+            **vars(placed),
             recording=recording,
             settings=settings,
-            body=body,
-            initial=placed.initial,
-            velocities=placed.velocities,
-            held=placed.held,
-            inwards=placed.inwards,
             frames=tuple(sorted(calm + fast)),
-            calm=_lifted(recording, settings, calm) if fast else calm,
+            calm=_lifted(recording, calm) if fast else calm,
             clock=clock,
-            density=density,
+            density=_density(recording, placed.body, settings, notes),
             begins_with=begins_with,
             digest=digest,
             registration=registration,
@@ -174,15 +182,10 @@ class LiftScene:
         return bool(self.recording.extra.get("static", False))
 
     @property
-    def settles(self) -> float:
-        """Simulated time before the first frame in which the object comes to rest [s]."""
-        return self.settings.static_settling if self.static else 0.0
-
-    @property
     def velocity_damping(self) -> float:
         if self.static:
-            return self.settings.static_damping
-        return self.settings.quasi_static_damping if self.quasi_static else 0.0
+            return STATIC_DAMPING
+        return QUASI_STATIC_DAMPING if self.quasi_static else 0.0
 
     @property
     def ordered(self) -> bool:
@@ -218,16 +221,11 @@ class LiftScene:
         return bending_length(E_over_rho, k, STANDARD_GRAVITY)
 
     @property
-    def mass_power(self) -> int:
-        """Exponent of the thickness in the object's volume."""
-        return 2 if self.kind == "rope" else 1
-
-    @property
     def density_sd(self) -> float:
         """Standard deviation of the logarithm of a density that is assumed: of the stated material,
         or of any."""
         if self.settings.material is None:
-            return StatedErrors.density
+            return DENSITY_SD
         return catalogue.get(self.settings.material).density.log_sd
 
     def density_of(self, theta: Theta) -> float:
@@ -235,7 +233,7 @@ class LiftScene:
         [kg/m^3]."""
         if self.recording.object.mass is None:
             return self.density
-        return self.density / theta.thickness**self.mass_power
+        return self.density / theta.thickness ** (2 if self.kind == "rope" else 1)
 
     def rise(self, times: float) -> float:
         """How much higher the middle of an object that is so many times as thick as stated lies on
@@ -247,26 +245,23 @@ class LiftScene:
     def finer(self, theta: Theta) -> LiftScene:
         """The same with the resolution that a cloth of this bending length needs, unless it has it
         or the settings fix the number of points."""
-        settings, described = self.settings, self.recording.object
-        if self.kind != "cloth" or not self.thin or settings.points is not None:
+        described = self.recording.object
+        if self.kind != "cloth" or not self.thin or self.settings.points is not None:
             return self
         bends = self.bending_length(theta.E_over_rho, theta.thickness)
         longer = max(described.width or 0.0, described.height or 0.0)
         points = min(math.ceil(longer / (SHELL_SPACING * bends)) + 1, MOST_SHELL_POINTS)
         if points <= 1.1 * max(self.body.shape):
             return self
-        fine = LiftScene.of(self.recording, replace(settings, points=points))
-        # the number of points stays open, so that it can grow once more
-        return replace(
-            fine,
-            settings=settings,
-            frames=self.frames,
-            calm=self.calm,
-            begins_with=self.begins_with,
-            digest=self.digest,
-            registration=self.registration,
-            notes=(*(n for n in self.notes if not n.startswith(FINER)), f"{FINER} {points} points"),
-        )
+        notes = (n for n in self.notes if not n.startswith(FINER))
+        return replace(self.simulated_with(points), notes=(*notes, f"{FINER} {points} points"))
+
+    def simulated_with(self, points: int) -> LiftScene:
+        """The same with so many points; their number stays open in the settings, so that it can
+        grow once more."""
+        settings = replace(self.settings, points=points)
+        placed = place(self.recording, settings, with_points(self.recording), [])
+        return replace(self, **vars(placed))
 
     def mesh_error(self, theta: Theta) -> float:
         """Standard deviation of ln(E) by the distance of a cloth's points."""
@@ -297,12 +292,9 @@ class LiftScene:
             return None
         cloud = self.recording.frame(self.begins).astype(float)
         gaps = KDTree(cloud).query(self.body.points)[0]
-        settings = self.settings
-        if float(np.mean(gaps < settings.cut_near * self.size)) >= settings.cut_share:
+        if float(np.mean(gaps < 0.05 * self.size)) >= 0.5:
             return None
-        return settings.cut_above + min(
-            float(self.recording.frame(t)[:, 2].min()) for t in self.frames
-        )
+        return 0.003 + min(float(self.recording.frame(t)[:, 2].min()) for t in self.frames)
 
     def sim_time(self, recorded: Array | float) -> Array:
         """Simulated time of recorded ones; 0 in the first frame [s]."""
@@ -352,14 +344,12 @@ class LiftScene:
         ahead = np.diff(self.body.points, axis=0)
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
         turns = np.linalg.norm(np.diff(ahead, axis=0), axis=1)
-        return float(turns.sum()) > self.settings.straight
+        return float(turns.sum()) > 0.1  # [rad]
 
     def clamp_frame(self, g: int) -> Array:
-        """[3, 3] axes of a hand as columns: x and y, and the recorded one along the rope.
-
-        They are the world's, turned the shortest way so that the one that is nearest to the
-        recorded axis in the mean lies along it: alike in all recordings of one rig.
-        """
+        """[3, 3] axes of a hand as columns: x and y, and the recorded one along the rope; the
+        world's, turned the shortest way so that the nearest one lies along it: alike in all
+        recordings of a rig."""
         axes = self.recording.gripper_axis
         along = self.inwards[g : g + 1] if axes is None else axes[self.begins :, g].astype(float)
         mean = along.mean(axis=0)
@@ -430,84 +420,30 @@ def _density(recording: Recording, body: Body, settings: SceneSettings, notes: l
     return density
 
 
-def _registration_note(recording: Recording, registration: Array) -> str:
-    """How far clouds are moved by a registration [4, 4]."""
-    middle = recording.points.mean(axis=0, dtype=float)
-    shift = np.linalg.norm(registration[:3, :3] @ middle + registration[:3, 3] - middle)
-    turn = math.degrees(Rotation.from_matrix(registration[:3, :3]).magnitude())
-    return f"camera poses unknown: clouds moved by {1e3 * shift:.0f} mm and {turn:.1f} degrees"
-
-
 # ---- frames and time ---------------------------------------------------------------------------
 
 
-def _check_duration(lasts: float, settings: SceneSettings) -> None:
-    """Refuse a motion that takes too long to simulate [s].
-
-    Raises:
-        ParameterError: With the stated clock.
-        RecordingError: With the clock that was chosen.
-    """
-    longer = f"longer than the {settings.longest:g} s that are simulated"
-    require(
-        lasts <= settings.longest or settings.clock is None,
-        f"is {settings.clock or 1.0:g}, with which the recording lasts {lasts:.4g} s, {longer}",
-        where="clock",
-        fix="give a larger one, or leave it out",
-    )
-    require(
-        lasts <= settings.longest,
-        f"lasts {lasts:.4g} s, {longer}",
-        where="time",
-        fix="give seconds; cut what does not belong to the motion",
-        error=RecordingError,
-    )
-
-
-def _choose_clock(recording: Recording, settings: SceneSettings) -> float:
-    """Recorded seconds for one simulated second.
-
-    Raises:
-        ParameterError: The stated one makes a motion of which inertia is a part another one.
-    """
-    stated = settings.clock
-    if not recording.quasi_static or recording.extra.get("static", False):
-        if stated not in (None, 1.0):
-            raise ParameterError(
-                f"is {stated:g}, but the recording is not of a quasi-static motion",
-                where="clock",
-                fix="leave it out; a recording states quasi_static where inertia does not count",
-            )
+def _choose_clock(recording: Recording) -> float:
+    """Recorded seconds for one simulated second: 1 where inertia is a part of the motion."""
+    static = recording.extra.get("static", False)
+    if not recording.quasi_static or static or recording.num_frames < 2:
         return 1.0
-    if recording.num_frames < 2:
-        return stated or 1.0
     path, time = recording.gripper_position, recording.time
     steps = np.linalg.norm(np.diff(path, axis=0), axis=-1).max(axis=1)
     moving = steps > 0.1 * steps.max()
     speed = float(steps[moving].sum() / max(float(np.diff(time)[moving].sum()), 1e-9))
-    if stated is not None:
-        if speed * stated > max(settings.slow, speed):
-            raise ParameterError(
-                f"is {stated:g}, with which the gripper moves at {speed * stated:.3g} m/s: "
-                "the object would swing",
-                where="clock",
-                fix=f"give {settings.slow / speed:.2g} or less, or leave it out",
-            )
-        return stated
     # motion near that speed keeps its clock: a faster one would make the object swing
-    clock = settings.quasi_static_speed / max(speed, 1e-9)
+    clock = QUASI_STATIC_SPEED / max(speed, 1e-9)
     return clock if clock > 1.5 else 1.0
 
 
-def _lifted(
-    recording: Recording, settings: SceneSettings, frames: tuple[int, ...]
-) -> tuple[int, ...]:
+def _lifted(recording: Recording, frames: tuple[int, ...]) -> tuple[int, ...]:
     """Those of some frames in which one gripper has lifted the object."""
     if recording.num_grippers > 1:
         return frames
     height, described = recording.gripper_position[:, 0, 2], recording.object
     sides = (described.length, described.width, described.height)
-    least = settings.lifted * max(side for side in sides if side is not None)
+    least = LIFTED * max(side for side in sides if side is not None)
     begin = height[np.argmax(recording.frame_valid)]
     return tuple(t for t in frames if height[t] - begin > least)
 
@@ -521,11 +457,11 @@ def _compared(
     fast = np.zeros(recording.num_frames, dtype=bool)
     if not recording.quasi_static and recording.num_frames > 1:
         speed = np.linalg.norm(np.gradient(path, time, axis=0), axis=-1).max(axis=1)
-        moments = list(time[speed > settings.slow])
+        moments = list(time[speed > SLOW])
         if recording.gripper_closed is not None:
             moments += list(time[(~recording.gripper_closed).any(axis=1)])
         for moment in moments:
-            fast |= (time >= moment) & (time <= moment + settings.after_fast)
+            fast |= (time >= moment) & (time <= moment + AFTER_FAST)
     chosen = []
     for kind, most in ((False, settings.slow_frames), (True, settings.fast_frames)):
         those = [t for t in frames if fast[t] == kind]

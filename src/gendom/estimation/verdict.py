@@ -41,9 +41,6 @@ Array = NDArray[np.floating]
 Findings = Iterator[tuple[float, float, str]]
 """Measured, the most that is usable, and what to say of more."""
 
-AT_REST = 0.02
-"""A gripper has not lifted an object before it has moved by more, in the object's size."""
-
 NUISANCE = 5.0
 """Largest difference, in deviations, of a camera, gripper or clock from its stated value, and of
 recordings of one object from each other."""
@@ -54,19 +51,6 @@ ropes by one gripper it is 0.010 at most, 0.007 of a real rope; ropes that slip 
 have 0.021 and more, with an E that is four and more times too small. Of real cables in fast motion
 between two grippers it is 0.010 to 0.016. Twice a sheet's E moves it by as much in a lift (2 to 5
 mm of a diagonal of 0.42 m): a larger displacement hides the effect of E."""
-
-DAMPING = 0.05
-"""That a recording must not show to be exceeded [s]: ropes and cloths have 1 to 20 ms, and what
-moves too fast for its stiffness looks damped."""
-
-METAL, METAL_BENDS = 4000.0, 2e4
-"""What is denser than that [kg/m^3] is of metal, and bends with an E / density of more than that
-[m^2/s^2]: fibres and rubbers have 300 to 2,500 kg/m^3, cables with copper up to 4,000, and strands
-of metal an E above 0.1 GPa."""
-
-BESIDE, BESIDE_DIAMETERS = 0.015, 1.5
-"""Points of a rope at rest lie along one line: beside it is what is farther from it than the larger
-of these [m], [diameters]."""
 
 
 def _beyond(findings: Findings) -> list[str]:
@@ -79,12 +63,8 @@ def _out_of(value: float, low: float, high: float) -> float:
 
 
 def recording_faults(recording: Recording, density: float | None) -> list[str]:
-    """Why a recording is not usable, independently of the fit.
-
-    Args:
-        recording: A valid one.
-        density: Mass over volume where both are stated [kg/m^3].
-    """
+    """Why a recording is not usable, independently of the fit; of a density where mass and sizes
+    are stated [kg/m^3]."""
     return _beyond(_of_recording(recording, density))
 
 
@@ -145,13 +125,7 @@ def judge(
     problem: Problem, found: Found, posterior: Posterior, alone: Sequence[Posterior]
 ) -> Verdict:
     """The verdict of a fit. Reasons that concern one of several recordings begin with its name.
-
-    Args:
-        problem: The problem.
-        found: The result of the search.
-        posterior: Of all recordings.
-        alone: Posteriors of each recording alone; empty where they are not compared.
-    """
+    Posteriors of each recording alone are compared where there are any."""
     compared, vector = found.best.comparison, found.best.vector
     assert compared is not None
     reasons = []
@@ -230,7 +204,7 @@ def _at_rest(part: Part, theta: Theta) -> Findings:
     scene, recording, described = part.scene, part.scene.recording, part.scene.recording.object
     if scene.ordered or len(scene.held) > 1 or scene.floor is not None:
         return
-    cloud = early_points(recording, with_points(recording), AT_REST * scene.size)
+    cloud = early_points(recording, with_points(recording), 0.02 * scene.size)
     if scene.kind == "cloth":
         seen = lying_rectangle(cloud[:, :2])
         assert described.width is not None and described.height is not None
@@ -247,7 +221,7 @@ def _at_rest(part: Part, theta: Theta) -> Findings:
     along = np.linspace(0.0, scene.size, LINE_PLACES)
     places = along_line(scene.body.points, along)[0][:, :2]
     away, nearest = KDTree(places).query(cloud[:, :2])
-    far_off = max(BESIDE, BESIDE_DIAMETERS * thick)
+    far_off = max(0.015, 1.5 * thick)
     beside = float((away[nearest < len(along) - 1] > far_off).mean())
     apart = np.where(np.abs(along[:, None] - along) > 2.0 * far_off, cdist(places, places), np.inf)
     crosses = beside > 0.15 or apart.min() < 0.5 * thick
@@ -311,18 +285,21 @@ def _of_unknowns(
         own = math.exp(vector[k])
         inside = min(vector[k] - prior.low[k], prior.high[k] - vector[k])
         yield 1e-3, inside, "E / density lies at the end of the range that was searched"
-        if scene.recording.object.mass is not None and own < METAL_BENDS:
+        # fibres and rubbers have 300 to 2,500 kg/m^3, cables with copper up to 4,000; strands of
+        # metal have an E above 0.1 GPa
+        if scene.recording.object.mass is not None and own < 2e4:
             said = (
                 f"mass and sizes give a density of {scene.density:.3g} kg/m^3, which only metals "
                 f"have, but it bends like no metal (E / density {own:.3g} m^2/s^2): is the mass in "
                 "kilograms, are sizes in metres?"
             )
-            yield scene.density, METAL, said
-    # swinging cables, whose strands rub, have 0.03 to 0.16 s
+            yield scene.density, 4000.0, said
+    # ropes and cloths have 1 to 20 ms, and what moves too fast for its stiffness looks damped;
+    # swinging cables, whose strands rub, have 30 to 160
     if not problem.captured and posterior.determined("damping"):
         low, _ = posterior.interval("damping", 0.9)
         said = f"a damping of {low:.2g} s or more is more than objects have: are times in seconds?"
-        yield low, DAMPING, said
+        yield low, 0.05, said
     if name not in prior.names or len(alone) < 2:
         return
     at = [(float(p.mean[p.prior.index(name)]), p.sd(name)) for p in alone]

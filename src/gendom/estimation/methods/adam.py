@@ -30,9 +30,6 @@ from gendom.sim import Rollout
 
 Array = NDArray[np.floating]
 
-CHUNK = 1 << 21
-"""Nodes of grids that are compared at a time."""
-
 
 SCANNED = 16
 """Moduli of the scan that precedes the search, over the whole range."""
@@ -46,15 +43,6 @@ step's share of that (theirs: 1)."""
 
 DECAY = 0.9, 0.999
 """Of the means of gradients and of their squares."""
-
-RESOLUTION = 64
-"""Cells along the grid's longest side."""
-
-REACH = 2.0
-"""Bound of all unknowns but the modulus, in deviations of the prior from its mean."""
-
-LOOK = 10
-"""Steps after which the visible points are determined again."""
 
 
 def adam(problem: Problem, *, initial: Sequence[Array] = (), steps: int = STEPS) -> Found:
@@ -74,10 +62,10 @@ def adam(problem: Problem, *, initial: Sequence[Array] = (), steps: int = STEPS)
     interrupted = False
     try:
         loss = DensityLoss(problem)
-        low, high = prior.within(REACH)
+        low, high = prior.within(2.0)
         descents = [_Descent(s, np.clip(s.vector, low, high)) for s in starts]
         for iteration in range(1, most + 1):
-            if iteration % LOOK == 1:
+            if iteration % 10 == 1:  # the visible points are determined again
                 for d in descents:
                     d.seen = None
             loss.evaluate([d for d in descents if not d.start.done])
@@ -95,8 +83,7 @@ def adam(problem: Problem, *, initial: Sequence[Array] = (), steps: int = STEPS)
             raise
     for s in starts:
         s.done = True
-    best = best_of(starts)
-    return finished(problem, starts, interrupted, density_loss=best.value if best else None)
+    return finished(problem, starts, interrupted)
 
 
 @dataclass(eq=False)
@@ -140,7 +127,7 @@ class DensityLoss:
         clouds = [scene.recording.frame(t).astype(float) for t in scene.frames]
         path = scene.recording.gripper_position.reshape(-1, 3)
         around = np.concatenate([*clouds, scene.initial, path])
-        self.grid = DensityGrid.around(around, margin=0.05 * scene.size, resolution=RESOLUTION)
+        self.grid = DensityGrid.around(around, margin=0.05 * scene.size, resolution=64)
         self.recorded = np.stack([self.grid.splat(cloud) for cloud in clouds])
 
     def shown(self, x: Array) -> Array:
@@ -195,7 +182,7 @@ class DensityLoss:
         points = np.where(np.array(seen)[..., None], shown, self.grid.origin - 9.0 * self.grid.cell)
         share = (M / np.maximum(np.sum(seen, axis=1), 1))[:, None]
         total, bar = 0.0, np.zeros(shown.shape)
-        together = max(1, CHUNK // self.grid.num_nodes)
+        together = max(1, (1 << 21) // self.grid.num_nodes)
         for t in (slice(k, k + together) for k in range(0, T, together)):
             off = self.grid.splat(points[t]) * share[t] - self.recorded[t]
             total += float(np.abs(off).sum()) / T

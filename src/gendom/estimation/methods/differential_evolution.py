@@ -19,12 +19,6 @@ from gendom.estimation.problem import Found, Problem, Start
 
 Array = NDArray[np.floating]
 
-NOISE = 0.005
-"""Of the comparison of clouds [m]."""
-
-REACH = 3.0
-"""How far from its mean an unknown may lie, in deviations of the prior."""
-
 
 def differential_evolution(
     problem: Problem, *, members: int = 15, generations: int | None = None, coarse: bool = False
@@ -44,9 +38,9 @@ def differential_evolution(
     prior, searched = problem.prior, problem.coarse if coarse else problem
     most = generations or problem.settings.max_iterations
     least = problem.settings.noise.least_model
-    noise = searched.first_noise(sensor=NOISE, model=least, rounds=1)
+    noise = searched.first_noise(sensor=0.005, model=least, rounds=1)
     middle = prior.vector(*problem.bases)
-    best = Start(initial=middle, vector=middle)
+    best = Start(initial=middle, vector=middle, stage="coarse" if coarse else "")
 
     def generation(x: Array) -> Array:
         """[S] values of vectors [P, S]; the best so far is kept in `best`."""
@@ -60,7 +54,7 @@ def differential_evolution(
         best.iterations += 1
         if best.comparison is None:
             raise problem.nothing_runs()
-        best.history.append((best.iterations, best.vector.copy(), best.comparison.rms))
+        best.noted()
         problem.tell("evolution", best.iterations, most, best)
         return found
 
@@ -68,7 +62,7 @@ def differential_evolution(
     try:
         ended = optimize.differential_evolution(
             generation,
-            list(zip(*prior.within(REACH), strict=True)),
+            list(zip(*prior.within(3.0), strict=True)),
             popsize=members,
             maxiter=most - 1,  # the first generation is drawn, not evolved
             rng=problem.settings.seed,
@@ -81,6 +75,4 @@ def differential_evolution(
         interrupted = True
         if best.comparison is None:
             raise
-    best.coarse = best.iterations if coarse else None
-    found = {"generations": best.iterations, "population": members * len(middle)}
-    return finished(problem, [best], interrupted, **found)
+    return finished(problem, [best], interrupted)

@@ -40,16 +40,9 @@ COARSE_NOISE, COARSE_SHARE = 0.005, 0.6
 PATIENCE = 6
 """Iterations that other starts may still take after the best one has converged."""
 
-LEAST_GAIN_RATIO = 0.5
-"""Derivatives are computed again where a step gains less than this share of the prediction."""
-
 DAMPING, DAMPING_RATIO = (1e-3, 1e3), 30.0
 """Levenberg's and Marquardt's: the least, and that at which a start is given up; ratio of two side
 by side."""
-
-LONG_STEP = 3.0
-"""Factor of longer steps that are tried side by side: points that slide along a surface make
-Gauss-Newton steps too short."""
 
 PER_BATCH = 2
 """Iterations for each of `EstimateSettings.max_iterations`: few compute derivatives."""
@@ -112,6 +105,8 @@ def gauss_newton(
     names = problem.prior.names
     free = [k for k, name in enumerate(names) if name in settings.leading] or None
     starts = first_starts(problem.coarse, SCANNED, initial)
+    for start in starts:
+        start.stage = "coarse"
     times = [began, time.perf_counter()]
     interrupted, iteration, late = False, 0, 0
     try:
@@ -132,8 +127,7 @@ def gauss_newton(
             raise problem.nothing_runs()
         times.append(time.perf_counter())
         noise, best.damping = stated, DAMPING[0]
-        for start in starts:
-            start.coarse = start.iterations
+        best.stage = "fine"
         if free is not None or problem.coarse is not problem:
             _compare_all(problem, best, settings)
         noise = _fine_stage(problem, best, noise, settings, iteration, most)
@@ -213,11 +207,8 @@ def _jump(
     noise: Sequence[NoiseModel],
     settings: GaussNewtonSettings,
 ) -> bool:
-    """Move a start to a better point some deviations away. Returns whether there is one.
-
-    Each of the object's unknowns is moved in both directions, the others by their conditional
-    means.
-    """
+    """Move a start to a better point some deviations away, each of the object's unknowns in both
+    directions and the others by their conditional means. Returns whether there is one."""
     prior = problem.prior
     if not settings.jumps or not any(UNKNOWNS[name].material for name in prior.names):
         return False
@@ -250,7 +241,9 @@ def _compare_all(problem: Problem, start: Start, settings: GaussNewtonSettings) 
     """
     former, start.exact, start.renew = start.comparison, True, False
     inherited = former is not None and not settings.leading
-    inherited = inherited and problem.frames == [c.observation.scene.frames for c in former.parts]
+    if former is not None and inherited:
+        own = zip(problem.parts, former.parts, strict=True)
+        inherited = all(p.scene.frames == c.observation.scene.frames for p, c in own)
     start.comparison = problem.compare([start.vector], derivatives=not inherited)[0]
     if start.comparison is None:
         raise problem.nothing_runs()
@@ -290,7 +283,7 @@ def _step(
             s.won = won = s.value - values[best]
             little = won < least or (not settings.rugged and gain < least)
             closer.inherit_derivatives(former, vector - s.vector, weight)
-            s.done, s.renew = little and s.exact, little or won < LEAST_GAIN_RATIO * gain
+            s.done, s.renew = little and s.exact, little or won < 0.5 * gain
             s.exact, s.damping = False, max(damping / 10.0, DAMPING[0])
             s.take(vector, closer, values[best])
         elif s.exact:
@@ -316,11 +309,11 @@ def _renew(
             # where a neighbour cannot be simulated, the old derivatives stay
             s.done = former is None
             continue
-        if former is None:
-            s.history.append((s.iterations, s.vector.copy(), comparison.rms))
-        else:
+        if former is not None:
             comparison.warm_start(former)
         s.comparison, s.value = comparison, problem.value(s.vector, comparison, noise)
+        if former is None:
+            s.noted()
 
 
 def _propose(
@@ -346,9 +339,10 @@ def _propose(
     own = free & np.array([UNKNOWNS[name].material for name in prior.names])
     tries = [(free, start.damping, 1.0)]
     if settings.rugged:
-        tries.append((free, start.damping, LONG_STEP))
+        # points that slide along a surface make Gauss-Newton steps too short
+        tries.append((free, start.damping, 3.0))
         if own.any() and (own != free).any():
-            tries += [(own, start.damping, 1.0), (own, start.damping, LONG_STEP)]
+            tries += [(own, start.damping, 1.0), (own, start.damping, 3.0)]
         tries.append((free, DAMPING_RATIO * start.damping, 1.0))
     proposals = []
     for which, damping, times in tries:

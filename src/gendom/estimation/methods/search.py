@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,18 +12,10 @@ from gendom.estimation.problem import Found, Problem, Start
 
 Array = NDArray[np.floating]
 
-ALIKE = 1.08
-"""Moduli of a scan whose distances differ by less than this ratio are taken from the softest on."""
-
 
 def first_starts(problem: Problem, scanned: int, initial: Sequence[Array] = ()) -> list[Start]:
-    """Starting points: the best of a scan over the modulus, and random points about it.
-
-    Args:
-        problem: Has the number of starts, and the seed.
-        scanned: Moduli of the scan, over the whole range.
-        initial: [P] transformed: where to begin instead.
-    """
+    """Starting points: the best of a scan of so many moduli over the whole range, and random points
+    about it; or those where to begin instead, [P] transformed."""
     if initial:
         return [Start(initial=v, vector=v) for v in initial]
     prior, rng = problem.prior, np.random.default_rng(problem.settings.seed)
@@ -73,8 +64,8 @@ def _scanned(problem: Problem, k: int, scan: Array) -> list[Array]:
         vectors = np.where(np.isin(np.arange(vectors.shape[2]), own), chosen, vectors)
     total = np.square(np.take_along_axis(rms, order, axis=1)).sum(axis=0)
     if problem.captured:
-        # before clamps are found, stiff cables fit a little better whatever they are
-        total = np.maximum(total, ALIKE**2 * total.min())
+        # before clamps are found, stiff cables fit a little better: of what is alike the softest
+        total = np.maximum(total, 1.08**2 * total.min())
     return list(vectors.reshape(-1, vectors.shape[2])[np.argsort(total, axis=None, kind="stable")])
 
 
@@ -84,7 +75,7 @@ def best_of(starts: Sequence[Start]) -> Start | None:
     return min(tried, key=lambda s: s.value) if tried else None
 
 
-def finished(problem: Problem, starts: Sequence[Start], interrupted: bool, **extra: Any) -> Found:
+def finished(problem: Problem, starts: Sequence[Start], interrupted: bool) -> Found:
     """The result of a search that took no derivatives and no noise: both are taken at its best.
 
     Raises:
@@ -96,7 +87,7 @@ def finished(problem: Problem, starts: Sequence[Start], interrupted: bool, **ext
         raise problem.nothing_runs()
     best.comparison = comparison
     noise = estimated_noise(comparison, problem.first_noise())
-    return Found(best=best, starts=starts, noise=noise, interrupted=interrupted, extra=extra)
+    return Found(best=best, starts=starts, noise=noise, interrupted=interrupted)
 
 
 def estimated_noise(

@@ -1,0 +1,175 @@
+"""What unknowns do to a simulated lift."""
+
+import math
+from dataclasses import replace
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from gendom.datasets import Recording
+from gendom.estimation import (
+    EstimateSettings,
+    LiftScene,
+    SceneSettings,
+    Theta,
+    estimate,
+    replay,
+)
+from gendom.estimation.likelihood import NoiseModel, Observation
+from gendom.estimation.replay import HEM, WorldInputs, held_reach, lattice, middle
+
+
+def test_grip_height_raises_the_object(rope_lift):
+    """What hangs 5 mm higher than stated is held 5 mm higher, once off the table."""
+    scene = LiftScene.of(rope_lift.at_rest(5), rope_lift.settings)
+    thetas = [rope_lift.truth.with_values({"grip_height": h}) for h in (0.0, 0.005)]
+    x = replay(scene, thetas)
+    held = int(np.linalg.norm(scene.body.points - scene.held[0], axis=1).argmin())
+    rise = x[:, 1, held, 2] - x[:, 0, held, 2]
+    assert rise[1:] == pytest.approx(0.005, abs=5e-4)
+
+
+def test_a_delay_shows_the_motion_late(rope_lift):
+    """What is seen a frame late is where the gripper was a frame before."""
+    scene = LiftScene.of(rope_lift.at_rest(21), rope_lift.settings)
+    step = float(scene.recording.time[1])
+    x = replay(scene, [rope_lift.truth.with_values({"delay": d}) for d in (0.0, step)])
+    top = x[..., 2].max(axis=2)
+    assert top[5:, 1] == pytest.approx(top[4:-1, 0], abs=1e-3)
+    assert (top[8:14, 0] - top[8:14, 1]).min() > 0.005
+
+
+def test_worlds_of_one_call_are_as_each_alone(cloth_lift):
+    """Of a cloth, whose worlds differ in how they lie and are held."""
+    scene = LiftScene.of(cloth_lift.at_rest(4), cloth_lift.settings)
+    changes = [{}, {"yaw": 0.2}, {"grip_along": 0.01, "grip_tilt": 0.3}, {"grip_reach": 0.01}]
+    thetas = [cloth_lift.truth.with_values(c) for c in changes]
+    both = replay(scene, thetas)
+    for w, theta in enumerate(thetas):
+        np.testing.assert_allclose(both[:, w], replay(scene, [theta])[:, 0], atol=1e-6)
+    assert min(np.abs(both[:, w] - both[:, 0]).max() for w in (1, 2, 3)) > 2e-3
+
+
+def test_a_held_corner_hangs_as_steep_as_told(cloth_lift):
+    """Lifted level, a corner's surroundings stay level; tilted, they do not."""
+    scene = LiftScene.of(cloth_lift.at_rest(6), cloth_lift.settings)
+    changes = [{"grip_tilt": 0.0}, {"grip_tilt": 1.2}]
+    x = replay(scene, [cloth_lift.truth.with_values(c) for c in changes])[-1]
+    corner, next_to_it = 0, scene.body.shape[1] + 1
+    drop = x[:, corner, 2] - x[:, next_to_it, 2]
+    assert drop[1] > drop[0] + 0.005
+
+
+def test_a_held_corner_turns_as_its_axis(cloth_lift):
+    """By an axis that turns down by half a radian, and not by one that stays level."""
+    frames, held = 6, replace(cloth_lift.object, grasp_radius=0.06)
+    turns = []
+    for angle in (0.0, 0.5):
+        down = np.linspace(0.0, angle, frames)[:, None]
+        axes = np.cos(down) * [0.5**0.5, 0.5**0.5, 0.0] - np.sin(down) * [0.0, 0.0, 1.0]
+        scene = LiftScene.of(
+            cloth_lift.at_rest(frames, object=held, gripper_axis=axes), cloth_lift.settings
+        )
+        x = replay(scene, [cloth_lift.truth.with_values({"grip_tilt": 0.0})])[-1, 0]
+        along = x[scene.body.shape[1] + 1] - x[0]
+        turns.append(math.atan2(-along[2], math.hypot(along[0], along[1])))
+    assert turns == pytest.approx([0.0, 0.5], abs=0.01)
+
+
+def test_a_tip_keeps_the_mass():
+    inputs = WorldInputs.__new__(WorldInputs)
+    inputs.positions = np.zeros((11, 3))
+    inputs.weigh_tip(0.2)
+    own = np.full(11, 0.1)
+    own[[0, -1]] /= 2.0
+    assert float(inputs.mass @ own) == pytest.approx(1.0)
+    assert float(inputs.mass[-1] * own[-1]) == pytest.approx(0.2 + 0.8 * 0.05)
+
+
+@pytest.fixture(scope="module")
+def scene(cloth_lift):
+    return LiftScene.of(cloth_lift.at_rest(4), cloth_lift.settings)
+
+
+def inputs(scene, cloth_lift, **values):
+    return WorldInputs.of(scene, cloth_lift.truth.with_values(values))
+
+
+def test_warp_and_weft_share_their_geometric_mean(scene, cloth_lift):
+    material = inputs(scene, cloth_lift, warp_over_weft=4.0).material
+    assert (material.warp, material.weft) == pytest.approx((2.0, 0.5))
+    plain = inputs(scene, cloth_lift).material
+    assert plain == replace(material, warp=1.0, weft=1.0)
+
+
+def test_a_hem_counts_by_its_area(scene, cloth_lift):
+    """A border of 10 mm of 0.2 m, whatever the points; the mass stays as stated."""
+    side, counts = 0.2, scene.body.shape
+    hemmed = inputs(scene, cloth_lift, hem_stiffness=5.0, hem_mass=2.0)
+    weight = np.ones(counts)
+    weight[[0, -1]] /= 2.0
+    weight[:, [0, -1]] /= 2.0
+    mean = weight.ravel() / weight.sum()
+    area = 1.0 - (1.0 - 2.0 * HEM / side) ** 2
+    assert hemmed.stiffness @ mean == pytest.approx(1.0 + 4.0 * area)
+    assert hemmed.mass @ mean == pytest.approx(1.0)
+    middle = hemmed.mass.reshape(counts)[counts[0] // 2, counts[1] // 2]
+    assert middle == pytest.approx(1.0 / (1.0 + area))
+
+
+@pytest.mark.slow
+def test_threads_come_back(cloth_lift):
+    """Within half of what they are."""
+    seen = cloth_lift.seen(points=400, warp_over_weft=4.0)
+    wanted = ("E_over_rho", "warp_over_weft")
+    settings = EstimateSettings(starts=1, unknowns=wanted, scene=cloth_lift.settings)
+    known = cloth_lift.truth.with_values({"warp_over_weft": 1.0})
+    found = estimate(seen, settings, known=known)
+    assert found.verdict.usable, found.verdict.reasons
+    assert found.theta.warp_over_weft == pytest.approx(4.0, rel=0.5)
+
+
+THETA = Theta(E_over_rho=960.0, nu=0.35)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return Recording.read(str(files("gendom") / "assets" / "demo-rope-lift.npz"))
+
+
+def test_both_engines_lift_a_rope_alike(recording):
+    x, scenes = [], []
+    for engine in ("thin", "mpm"):
+        scene = LiftScene.of(recording, SceneSettings(engine=engine, slow_frames=3, fast_frames=3))
+        at = replay(scene, [THETA])[:, 0]
+        x.append(middle(scene, at))
+        scenes.append(scene)
+        assert x[-1].shape == (len(scene.frames), len(lattice(scene)[0]), 3)
+    assert scenes[0].frames == scenes[1].frames
+    for a, b in zip(*x, strict=True):
+        away = np.linalg.norm(a[:, None] - b[None], axis=2).min(axis=1)
+        assert away.max() < 0.01
+
+
+@pytest.mark.slow
+def test_the_mpm_finds_what_rods_find(recording):
+    """E of the demo's lift within a fifth."""
+    found = [
+        estimate(recording, EstimateSettings(starts=1, scene=SceneSettings(engine=engine)))
+        for engine in ("thin", "mpm")
+    ]
+    assert found[0].usable and found[1].usable
+    a, b = (f.theta.E_over_rho for f in found)
+    assert b == pytest.approx(a, rel=0.2)
+
+
+def test_fingers_hide_what_they_hold(rope_lift):
+    """Of a rope twice their reach beyond where it is held, and nothing of its far end."""
+    scene = LiftScene.of(rope_lift.seen(), rope_lift.settings)
+    observation = Observation(scene, NoiseModel())
+    seen, (own, share) = observation.in_view, observation.shape.samples
+    x = np.einsum("mk,mka->ma", share, middle(scene, scene.initial)[own])
+    away = np.linalg.norm(x - scene.held[0], axis=1)
+    assert not seen[away < 2.0 * held_reach(scene)].any() and (away < held_reach(scene)).any()
+    assert seen[away > 0.1].all()

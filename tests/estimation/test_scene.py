@@ -1,0 +1,317 @@
+"""Where objects lie and are held, and what of a recording is simulated and compared."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gendom.datasets import Recording
+from gendom.errors import ParameterError, RecordingError
+from gendom.estimation import (
+    UNKNOWNS,
+    EstimateSettings,
+    LiftScene,
+    Problem,
+    SceneSettings,
+    Theta,
+    estimate,
+    replay,
+)
+from gendom.estimation.placing import lying_line, lying_rectangle
+from gendom.estimation.scene_settings import SHELL_ERROR
+from gendom.estimation.shape import Shape
+from gendom.sim import rope
+from gendom.sim.lines import arc_length
+
+
+def test_a_cloth_is_held_as_far_inside_its_corner_as_stated(cloth_lift):
+    inset = 0.015
+    inside = replace(cloth_lift.object, grasp_inset=inset)
+    scene = LiftScene.of(cloth_lift.at_rest(object=inside), cloth_lift.settings)
+    to_grip = scene.held[0] - scene.body.points[0]
+    np.testing.assert_allclose(to_grip, inset * scene.inwards[0], atol=1e-9)
+    corner = LiftScene.of(cloth_lift.at_rest(), cloth_lift.settings)
+    np.testing.assert_allclose(corner.held[0], corner.body.points[0], atol=1e-9)
+
+
+def test_rope_is_placed_where_it_is_seen(rope_lift):
+    """The body lies along the cloud on the table, from half a diameter behind the gripper on."""
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    cloud = rope_lift.lying.copy()
+    cloud[:, :2] = cloud[:, :2] @ turn.T
+    scene = LiftScene.of(rope_lift.recording([cloud] * 3))
+    x, diameter = scene.body.points, rope_lift.object.diameter
+    along, across = x[:, :2] @ turn[:, 0], x[:, :2] @ turn[:, 1]
+    assert along.min() == pytest.approx(-diameter / 2.0, abs=0.002)
+    assert np.ptp(along) == pytest.approx(rope_lift.object.length, abs=0.004)
+    assert np.abs(across).max() < 1e-3
+    assert x[:, 2] == pytest.approx(diameter / 2.0)
+    assert scene.held[0] == pytest.approx([0.0, 0.0, diameter / 2.0], abs=1e-3)
+
+
+def test_unknown_mass_assumes_a_density(rope_lift):
+    """Without a mass the density is assumed and said to be; motion depends on it by the air
+    alone."""
+    x = []
+    for mass, density in ((None, 1000.0), (0.1, 0.1 / (math.pi / 4 * 0.012**2 * 0.25))):
+        described = replace(rope_lift.object, mass=mass)
+        scene = LiftScene.of(rope_lift.at_rest(object=described), rope_lift.settings)
+        assert scene.density == pytest.approx(density)
+        assert any("mass not stated" in note for note in scene.notes) == (mass is None)
+        x.append(replay(scene, [rope_lift.truth]))
+    assert np.abs(x[0] - x[1]).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"substep": 0.0},
+        {"substep": np.nan},
+        {"cells_across": -1.0},
+        {"cells_across": 0.2},
+        {"points": 3},
+        {"engine": "fem"},
+        {"material": "denin"},
+        {"friction": -0.1},
+        {"damping": -1e-3},
+        {"delay": np.nan},
+    ],
+)
+def test_bad_numbers_and_names_are_refused(bad):
+    """Before anything is simulated; the error names the value."""
+    (name,) = bad
+    with pytest.raises(ParameterError, match=name):
+        Theta(E_over_rho=700.0, **bad) if name in UNKNOWNS else SceneSettings(**bad)
+
+
+def test_times_decide_the_clock(rope_lift):
+    """Only quasi-static recordings are replayed faster than they were made; what would take hours
+    is refused, and so is what shows nothing."""
+    seen = rope_lift.at_rest()
+    slow = replace(seen, time=20.0 * seen.time)
+    assert LiftScene.of(slow).clock == 1.0 < LiftScene.of(replace(slow, quasi_static=True)).clock
+    with pytest.raises(RecordingError, match="time: lasts 2000 s, longer than the 300 s"):
+        LiftScene.of(replace(seen, time=1e3 * seen.time))
+    with pytest.raises(RecordingError, match="no frame holds a point"):
+        LiftScene.of(rope_lift.recording([np.zeros((0, 3))] * 3))
+
+
+LENGTH = 0.5
+
+
+CURVATURES = {
+    "straight": lambda s: 0.0 * s,
+    "arc": lambda s: 2.0 + 0.0 * s,
+    "S": lambda s: 10.0 * np.sin(2.0 * np.pi * s / LENGTH),
+    "hook": lambda s: np.where(s > 0.7 * LENGTH, 18.0, 0.0),
+    "spiral": lambda s: 4.0 + 34.0 * s,
+}
+
+
+def line_of(kind, length=LENGTH):
+    """[400, 2] from the origin along x on [m]."""
+    s = np.linspace(0.0, LENGTH, 400)
+    turn = np.cumsum(CURVATURES[kind](s)) * s[1]
+    steps = np.stack([np.cos(turn), np.sin(turn)], axis=1)[:-1] * (length * s[1] / LENGTH)
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+
+
+def seen_along(line, noise, rng):
+    """Points about a line [k, 2] with a hole and 1 % of outliers."""
+    own = rng.integers(12, len(line), 1500)
+    own = own[(own < 150) | (own > 180)]
+    points = line[own] + noise * rng.normal(size=(len(own), 2))
+    stray = rng.random(len(points)) < 0.01
+    points[stray] += rng.uniform(-0.2, 0.2, size=(stray.sum(), 2))
+    return points
+
+
+@pytest.mark.parametrize("kind", CURVATURES)
+def test_a_smooth_line_is_followed_by_its_arc_length(kind):
+    line = line_of(kind)
+    found = lying_line(seen_along(line, 0.002, np.random.default_rng(0)), 50.0)
+    off = np.linalg.norm(found[:, None] - line, axis=2).min(axis=1)
+    assert off.mean() < 0.001 and off.max() < 0.01  # beyond its ends
+    if kind == "straight":  # and no arc of its noise
+        assert np.ptp(found[:, 1] - np.polyval(np.polyfit(*found.T, 1), found[:, 0])) < 2e-4
+    assert arc_length(found)[-1] == pytest.approx(LENGTH * 388 / 400, abs=0.012)
+
+
+def lifted_from(rope_lift, line, **truth) -> Recording:
+    """The lift of the shared fixture, of a rope that lies along a line [k, 2]."""
+    radius = rope_lift.object.diameter / 2.0
+    lying = np.pad(line, ((0, 0), (0, 1)), constant_values=radius)
+    body = rope(
+        diameter=2.0 * radius,
+        length=rope_lift.object.length,
+        centre_line=lying,
+        points=rope_lift.settings.points,
+    )
+    scene = LiftScene.of(rope_lift.at_rest(12), rope_lift.settings)
+    scene = replace(
+        scene,
+        body=body,
+        initial=body.points,
+        held=lying[:1] + np.array([radius, 0.0, 0.0]),
+        frames=tuple(range(12)),
+    )
+    rng, clouds = np.random.default_rng(0), []
+    for x in replay(scene, [rope_lift.truth.with_values(truth)])[:, 0]:
+        skin = body.surface(x)
+        skin = skin[rng.choice(len(skin), size=300, replace=False)]
+        clouds.append(skin + 1e-3 * rng.normal(size=skin.shape))
+    return rope_lift.recording(clouds)
+
+
+@pytest.mark.parametrize("share", [0.0, pytest.param(1.0, marks=pytest.mark.slow)])
+def test_how_much_curvature_is_natural_is_found(rope_lift, share):
+    """Taken as natural, that of a straight rope makes it softer."""
+    line = line_of("arc", rope_lift.object.length)
+    seen = lifted_from(rope_lift, line, natural_curvature=share)
+    found = estimate(seen, EstimateSettings(starts=1, scene=rope_lift.settings))
+    assert found.usable, found.verdict.reasons
+    assert "natural_curvature" in found.posterior.names
+    assert found.theta.natural_curvature == pytest.approx(share, abs=0.25)
+    modulus = rope_lift.truth.E_over_rho
+    assert found.theta.E_over_rho == pytest.approx(modulus, rel=0.06)
+    low, high = found.record["intervals"]["E_over_rho"]
+    assert low < modulus < high
+    low, high = found.interval("bending_length")  # what the diameter's 5 % are no part of
+    assert high < 1.07 * low
+
+
+def test_a_stated_share_is_not_looked_for(rope_lift):
+    seen = lifted_from(rope_lift, line_of("arc", rope_lift.object.length))
+    described = replace(seen.object, extra={"natural_curvature": 0.25})
+    prior, base = LiftScene.of(replace(seen, object=described), rope_lift.settings).prior()
+    assert "natural_curvature" not in prior.names and base.natural_curvature == 0.25
+    straight, _ = LiftScene.of(rope_lift.seen(), rope_lift.settings).prior()
+    assert "natural_curvature" not in straight.names
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.5, "half"])
+def test_a_share_outside_0_to_1_is_a_fault(rope_lift, share):
+    seen = rope_lift.at_rest(5)
+    faulty = replace(seen, object=replace(seen.object, extra={"natural_curvature": share}))
+    assert any("natural_curvature" in str(fault) for fault in faulty.validate())
+
+
+def test_a_rope_across_itself_is_refused(rope_lift):
+    turn = np.linspace(-0.25 * math.pi, 1.75 * math.pi, 200)
+    loop = 0.03 * np.stack([np.sin(turn), 1.0 - np.cos(turn)], axis=1)
+    ahead = np.linspace(0.0, 0.06, 60)[:, None]
+    before = loop[0] + (ahead - 0.06) * (loop[1] - loop[0]) / np.linalg.norm(loop[1] - loop[0])
+    after = loop[-1] + ahead * (loop[-1] - loop[-2]) / np.linalg.norm(loop[-1] - loop[-2])
+    line = np.concatenate([before, loop[1:], after[1:]])
+    line = (line - line[0]) * (rope_lift.object.length / arc_length(line)[-1])
+    settings = EstimateSettings(starts=1, max_iterations=2, scene=rope_lift.settings)
+    found = estimate(lifted_from(rope_lift, line), settings)
+    assert any("crosses itself" in said for said in found.verdict.reasons), found.verdict.reasons
+
+
+ROOM = {"width": 0.28, "height": 0.2}
+
+
+def seen_lying(cloth_lift, turn, *, seed=0, crumpled=False, inset=0.0):
+    """Frames of a rectangle of 0.28 x 0.2 m turned about the held corner [rad]: noisy clouds with
+    round corners and a hole, flat in the first five, then drawn together towards a direction that
+    is not its diagonal's, as a cloth that is lifted is."""
+    rng = np.random.default_rng(seed)
+    sides = np.array(list(ROOM.values()))
+    uv = rng.random((6000, 2)) * sides
+    uv = uv[np.linalg.norm(np.maximum(np.abs(uv - sides / 2) - sides / 2 + 0.02, 0), axis=1) < 0.02]
+    uv = uv[np.linalg.norm(uv - [0.02, 0.03], axis=1) > 0.03]  # under the fingers
+    uv -= inset * sides / np.hypot(*sides)
+    if crumpled:
+        uv = uv * [0.6, 0.8]
+    c, s = math.cos(turn), math.sin(turn)
+    flat = np.pad(uv @ np.array([[c, s], [-s, c]]), ((0, 0), (0, 1)), constant_values=0.002)
+    towards = turn + math.atan2(sides[1], sides[0]) + 0.08
+    along = flat @ [math.cos(towards), math.sin(towards), 0.0]
+    hung = along[:, None] * [math.cos(towards), math.sin(towards), 0.0] + [0.0, 0.0, 0.1]
+    hung = 0.7 * hung + 0.3 * flat
+    clouds = [x + 0.003 * rng.normal(size=x.shape) for x in [flat] * 5 + [hung] * 7]
+    described = replace(cloth_lift.object, **ROOM, grasp_inset=inset or None)
+    return cloth_lift.recording(clouds, object=described)
+
+
+@pytest.mark.parametrize("turn", [-2.0, 0.0, 0.3, 1.4, 3.1])
+def test_a_cloth_that_lies_flat_lies_as_its_edges_show(cloth_lift, turn):
+    scene = LiftScene.of(seen_lying(cloth_lift, turn, inset=0.012), cloth_lift.settings)
+    found = math.atan2(*scene.inwards[0][1::-1]) - math.atan2(ROOM["height"], ROOM["width"])
+    assert math.remainder(found - turn, 2 * math.pi) == pytest.approx(0.0, abs=0.012)
+
+
+def test_one_that_does_not_lies_as_it_hangs(cloth_lift):
+    scene = LiftScene.of(seen_lying(cloth_lift, 0.3, crumpled=True), cloth_lift.settings)
+    found = math.atan2(*scene.inwards[0][1::-1]) - math.atan2(ROOM["height"], ROOM["width"])
+    assert found == pytest.approx(0.38, abs=0.03)
+
+
+@pytest.fixture
+def plain_cloth(cloth_lift):
+    """Its scene with the engine's own points."""
+    return LiftScene.of(cloth_lift.at_rest(8), replace(cloth_lift.settings, points=None))
+
+
+@pytest.mark.parametrize(("share", "points"), [(0.16, 33), (0.09, 33), (0.07, 44), (0.01, 49)])
+def test_limp_cloths_get_points_as_near_as_they_bend(cloth_lift, plain_cloth, share, points):
+    """No more than a third of a bending length apart, as far as that goes."""
+    modulus = plain_cloth.E_over_rho(share * 0.2)
+    finer = plain_cloth.finer(cloth_lift.truth.with_values({"E_over_rho": modulus}))
+    assert finer.body.shape == (points, points)
+    assert finer.frames == plain_cloth.frames and finer.clock == plain_cloth.clock
+    assert (finer is plain_cloth) == (points == 33)
+    limper = cloth_lift.truth.with_values({"E_over_rho": plain_cloth.E_over_rho(0.2 * 0.063)})
+    assert max(finer.finer(limper).body.shape) == max(points, 49)
+    assert len(finer.finer(limper).notes) == len(plain_cloth.notes) + 1
+    # the mesh blurs limp ones the more, the fewer points there are for each bending length
+    for share, times in ((1.0 / 32.0, 1.0), (1.0 / 8.0, 1.0 / 64.0)):
+        theta = cloth_lift.truth.with_values({"E_over_rho": plain_cloth.E_over_rho(share * 0.2)})
+        assert plain_cloth.mesh_error(theta) == pytest.approx(times * SHELL_ERROR)
+    chosen = LiftScene.of(cloth_lift.at_rest(8), cloth_lift.settings)
+    assert chosen.finer(cloth_lift.truth.with_values({"E_over_rho": modulus})) is chosen
+
+
+def test_derivatives_of_a_coarser_sheet_are_those_between_its_points(cloth_lift):
+    """Linear ones exactly."""
+    shapes = [
+        Shape(LiftScene.of(cloth_lift.at_rest(8), replace(cloth_lift.settings, points=n)))
+        for n in (9, 15)
+    ]
+    fields = []
+    for shape in shapes:
+        a, b = (k - k[0] for k in shape.lattice)
+        x, y = np.meshgrid(a, b)
+        fields.append(np.stack([x.ravel(), y.ravel(), 2.0 * x.ravel() - y.ravel()], axis=1)[None])
+    np.testing.assert_allclose(shapes[1].taken_from(shapes[0], fields[0]), fields[1], atol=1e-12)
+
+
+def test_cloths_are_simulated_in_single_precision(cloth_lift):
+    """Unless told otherwise; the same to 20 um."""
+    scene = LiftScene.of(cloth_lift.at_rest(8), cloth_lift.settings)
+    exact = replace(scene, settings=replace(scene.settings, dtype="float64"))
+    assert (scene.dtype, exact.dtype) == ("float32", "float64")
+    shapes = [replay(one, [cloth_lift.truth]) for one in (scene, exact)]
+    assert 0.0 < np.abs(shapes[0] - shapes[1]).max() < 2e-5
+
+
+def test_frames_before_the_lift_are_no_calm_ones(rope_lift):
+    """Of a fast lift they are the only slow ones, and say nothing."""
+    path = np.zeros((24, 1, 3))
+    path[:, 0, 2] = rope_lift.lowest + 0.4 * np.clip(np.arange(24) / 30.0 - 0.4, 0.0, 0.25)
+    fast = replace(rope_lift.at_rest(24), time=np.arange(24) / 30.0, gripper_position=path)
+    problem = Problem([LiftScene.of(fast, rope_lift.settings)], EstimateSettings())
+    assert problem.scene.calm == () and problem.coarse is problem
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.3, 1.2])
+def test_sides_of_a_cloth_that_lies_flat(yaw):
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0.0, 1.0, (4000, 2)) * [0.3, 0.2]
+    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    seen = lying_rectangle((points + 0.001 * rng.standard_normal(points.shape)) @ turn.T)
+    assert seen == pytest.approx((0.3, 0.2), abs=0.004)
+    folded = points[points.sum(axis=1) < 0.3]
+    assert lying_rectangle(folded @ turn.T) is None
