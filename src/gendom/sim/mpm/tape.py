@@ -284,7 +284,9 @@ class Sums:
         G, K = s.paths.time.shape[1:]
         self.state = s.make_state(W, wp.zeros)
         self.state.sums = s.zeros((W, SUMS, N), s.real)
-        self.adjoint = program.records(sums=(W, SUMS, N), spare=(W, variant.components + SUMS, N))
+        self.adjoint = program.records(
+            sums=(W, SUMS, N), spare=(W, variant.components + SUMS, N), spare_order=(W, N)
+        )
         by_world = (
             "friction", "velocity_damping", "damping", "gravity", "damping_factor",
             "branch_factor", "branch_share", "status", "failed_slot", "failed_particle",
