@@ -31,13 +31,6 @@ def test_quick_suite(name):
     assert failing(name, QUICK) == set()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CASES)
-def test_full_suite(name):
-    """The same at the sizes that `make validate` runs."""
-    assert failing(name, Bench(threads=1)) == set()
-
-
 @pytest.mark.parametrize(
     "name", ["free-fall", "free-flight", "objectivity", "tension", "layers", "batch"]
 )

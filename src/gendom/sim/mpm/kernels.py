@@ -12,7 +12,7 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.mpm.block import bounds, make_block, put_near
-from gendom.sim.mpm.boundary import make_boundary, make_grips
+from gendom.sim.mpm.boundary import make_boundary
 from gendom.sim.mpm.grid import MARGIN, make_rebuild
 from gendom.sim.mpm.gripped import AHEAD, make_gripped, make_poses
 from gendom.sim.mpm.internal_forces import make_maxwell_branch
@@ -455,17 +455,3 @@ def _make_beginning(real: Any) -> Namespace:
         by.branch_share[w] = wp.float64(0.0)
 
     return Namespace(begin, close_rates)
-
-
-@functools.cache
-def make_hold_as_at(real: Any) -> Any:
-    """Build the kernel that lets worlds hold again what they held before their substep ``age``."""
-    hold_world_as_at = make_grips(real).hold_as_at
-    Grips = make_types(real).Grips
-
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
-    def hold_as_at(order: wp.array(dtype=wp.int32), age: wp.array(dtype=wp.int32), grips: Grips):
-        w = order[wp.tid()]
-        hold_world_as_at(w, age[w], grips)
-
-    return hold_as_at

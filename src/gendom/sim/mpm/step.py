@@ -62,7 +62,7 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
     def momentum_of(now: Substep, i: int, particles: Records):
         """Momentum of a particle with all impulses of the substep but the table's."""
         own = now.mass * (fields.v(particles, now.w, i) + now.h * now.gravity)
-        return own + forces_of.impulse_on(now, i, particles)
+        return own + forces_of.pulled(now.w, i, particles.of, particles.near)
 
     @wp.func
     def record_state(now: Substep, particles: Records, tape: Records):
@@ -343,13 +343,16 @@ def make_substep_adjoint(variant: Variant) -> Any:
         sums = adjoint.sums
         gravity_sum = vec3()
         for i in range(now.thread, now.N, now.threads):
-            x_bar, wind_bar = forces_of.impulse_on_adjoint(now, i, adjoint)
-            fields.put_x(adjoint, now.w, i, fields.x(adjoint, now.w, i) + x_bar)
+            x_bar = fields.x(adjoint, now.w, i)
+            fields.put_x(
+                adjoint, now.w, i, x_bar - forces_of.pulled(now.w, i, adjoint.of, adjoint.near)
+            )
             v_bar = fields.v(adjoint, now.w, i)
             gravity_sum += now.h * v_bar
             speed = before.v(tape, now.slot, i) + now.h * now.gravity
             sums[now.w, MASS, i] = sums[now.w, MASS, i] + wp.dot(v_bar, speed) / now.mass
-            fields.put_v(adjoint, now.w, i, v_bar + wind_bar)
+            # the air's stands in place of what rounding leaves out
+            fields.put_v(adjoint, now.w, i, v_bar + fields.low(adjoint, now.w, i))
         wp.atomic_add(by.gravity, now.w, boundary.wide(gravity_sum))
 
     @wp.func

@@ -181,11 +181,6 @@ class Snapshot:
                 self._state[name] = array.numpy()[group.own]
         self.step, self.age, self.frame = map(group.read, ("step", "age", "frame"))
 
-    @property
-    def nbytes(self) -> int:
-        """Memory of the state [bytes]."""
-        return sum(values.nbytes for values in self._state.values())
-
     def restore(self, group: Group) -> None:
         """Set the worlds back; their grids are rebuilt first."""
         s = group.worlds
