@@ -2,8 +2,6 @@
 
 import json
 
-import pytest
-
 METHOD = '''
 """`grid`: the best of 24 moduli, everything else as its prior says."""
 
@@ -28,23 +26,11 @@ def grid(problem: Problem) -> Found:
 '''
 
 
-@pytest.fixture
-def lift(rope_lift, tmp_path):
-    path = tmp_path / "lift.npz"
-    rope_lift.seen().write(path)
-    return path
-
-
-def test_a_package_adds_a_method(outside, rope_lift, lift):
+def test_a_package_adds_a_method(outside, rope_lift, tmp_path):
     outside.add("grid", METHOD, methods="grid")
+    rope_lift.seen().write(tmp_path / "lift.npz")
     words = ["--method", "grid", "--unknowns", "E_over_rho", "--points", 15, "--json"]
-    estimated = outside.gendom("estimate", lift, *words)
+    estimated = outside.gendom("estimate", tmp_path / "lift.npz", *words)
     record = json.loads(estimated.stdout)
     assert record["method"] == "grid"
     assert 0.5 < record["E_over_rho"] / rope_lift.truth.E_over_rho < 2.0
-
-
-def test_a_method_that_nobody_adds(outside, lift):
-    refused = outside.gendom("estimate", lift, "--method", "gird")
-    assert refused.returncode == 2
-    assert "there is no method 'gird'" in refused.stderr and "Traceback" not in refused.stderr

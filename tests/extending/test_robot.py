@@ -3,7 +3,6 @@
 import json
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from extending.lifts import FRAMES, depth_pictures, write_lift
@@ -38,10 +37,9 @@ turntable = Arm(
 '''
 
 
-@pytest.fixture
-def lift(tmp_path):
+def test_a_package_adds_a_robot(outside, tmp_path):
     """A lift in which the turntable's post stands beside the rope."""
-    folder = tmp_path / "lift"
+    folder, out = tmp_path / "lift", tmp_path / "lift.npz"
     camera = write_lift(folder, robot="turntable")
     times = [f"{t / 30}" for t in range(FRAMES)]
     for t, depth in enumerate(depth_pictures(post=True)):
@@ -49,20 +47,9 @@ def lift(tmp_path):
     rows = [f"{time},{t}.png\n" for t, time in enumerate(times)]
     (camera / "frames.csv").write_text("time,depth\n" + "".join(rows))
     (folder / "joints.csv").write_text("time,q0\n" + "".join(f"{time},0\n" for time in times))
-    return folder
-
-
-def test_a_package_adds_a_robot(outside, lift, tmp_path):
     outside.add("turntable", CODE, arms="turntable")
-    out = tmp_path / "lift.npz"
-    made = outside.gendom("perceive", lift, "--no-table", "--out", out, "--json")
+    made = outside.gendom("perceive", folder, "--no-table", "--out", out, "--json")
     assert made.returncode == 0, made.stderr
     points = json.loads(made.stdout)["points"]
     assert points["robot"]["median"] < 0.5 * points["support"]["median"]
     assert np.abs(Recording.read(out).frame(0)[:, 0]).max() < 0.01
-
-
-def test_without_the_package_the_robot_is_unknown(outside, lift, tmp_path):
-    refused = outside.gendom("perceive", lift, "--out", tmp_path / "lift.npz")
-    assert refused.returncode == 2 and len(refused.stderr.splitlines()) == 1
-    assert "robot: there is no robot 'turntable'; have xarm7" in refused.stderr

@@ -31,16 +31,7 @@ def test_quick_suite(name):
     assert failing(name, QUICK) == set()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CASES)
-def test_full_suite(name):
-    """The same at the sizes that `make validate` runs."""
-    assert failing(name, Bench(threads=1)) == set()
-
-
-@pytest.mark.parametrize(
-    "name", ["free-fall", "free-flight", "objectivity", "tension", "layers", "batch"]
-)
+@pytest.mark.parametrize("name", ["objectivity", "tension", "batch"])
 def test_quick_suite_in_single_precision(name):
     """The bounds for float32 hold too."""
     assert failing(name, replace(QUICK, dtype="float32")) == set()
@@ -110,7 +101,6 @@ def odd(given):
 
 
 stiffer = materials(lambda m: {"E": 1.25 * m.E})
-stiffer_where_damped = materials(lambda m: {"E": (1.001 if m.damping else 1.0) * m.E})
 more_lateral = materials(lambda m: {"nu": m.nu + 0.05})
 softer_in_torsion = materials(
     lambda m: {"nu": (1.0 + m.nu) / 0.9 - 1.0}
@@ -121,10 +111,10 @@ always_down = options(lambda o: {"gravity": GRAVITY})
 damped = options(lambda o: {"velocity_damping": 0.5})
 braked = options(lambda o: {"velocity_damping": 10.0})
 without_air = options(lambda o: {"air_density": 0.0})
-in_short_substeps, in_odd_substeps = options(lambda o: {"cfl": 0.2}), options(odd)
+in_odd_substeps = options(odd)
 rubbing_more = options(lambda o: {"self_friction": 1.2 * np.asarray(o["self_friction"])})
 rubbing_less = options(lambda o: {"self_friction": 0.8 * np.asarray(o["self_friction"])})
-rougher, slippery, on_a_high_table = table(friction=1.2), table(friction=0.8), table(height=0.002)
+rougher, on_a_high_table = table(friction=1.2), table(height=0.002)
 lifted = moving(0.1, 1.0)
 
 
@@ -140,21 +130,13 @@ lifted = moving(0.1, 1.0)
             ("elastica", stiffer, "largest distance from the elastica / L, L = 2 bending lengths"),
             ("torsion", stiffer, "torsional stiffness, 1 cell", "torsional stiffness, 2"),
             ("ring-down", undamped, "decay rate, damping 10 ms"),
-            ("ring-down", in_short_substeps, "the grid's own damping, 1.5 cells across"),
-            ("damped-sag", stiffer_where_damped, "sag of a tip with damping 10 ms"),
             ("terminal-speed", without_air, "a sheet's terminal speed"),
             ("resting", on_a_high_table,
                 "height of a rope's axis", "height of the middle of a cloth"),
             ("layers", braked, "share of the speed left after 0.1 s at a gap of 2 cells"),
             ("tension", more_lateral, "nu read back, 2 cells across"),
-            ("hanging-chain", heavier, "period of a chain", "period with bending"),
             ("sliding", rougher, "stopping distance at mu = 0.2"),
-            ("sticking", slippery,
-                "way of a block in 0.5 s at 0.95", "way of a rope", "way of a cloth"),
             ("order", in_odd_substeps, "exponent of dt in what halved substeps change"),
-            ("energy", heavier,
-                "growth of energy, free fall of a wobbling block",
-                "growth of energy, free fall of a bent rope, 1 cell across"),
             ("batch", crowded, "largest difference of a batch of 5 from single worlds"),
             ("precision", stiffer_in_single, "largest difference of float32 from float64"),
             ("shell-cantilever", heavier, "sag of strips over theory"),

@@ -36,10 +36,9 @@ from numpy.typing import NDArray
 from gendom.arguments import check_integers, require
 from gendom.materials import PARAMETERS, Item, dimensionless_parameters, size_of, unit_of
 from gendom.robot.path import TcpPaths
-from gendom.sim import Physics, Simulator, Solver, Table, Targets
+from gendom.sim import Simulator, Targets
 from gendom.tasks import Task, find_task
-from gendom.tasks.task import Observed
-from gendom.tasks.world import Simulation, grippers, middle_of, opening
+from gendom.tasks.world import Simulation, judged, opening
 
 STEPS = 40
 """Of an episode."""
@@ -170,18 +169,8 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         paths = TcpPaths([path] * self.num_envs)
         begin, ends = float(paths.moves.min()), float(task.times(item)[-1])
         self._dt = (ends - begin) / STEPS
-        self.body, x = self.world.body(task, item)
-        friction = np.array([i.friction for i in self.items])
-        self._simulator = simulator = Simulator(
-            self.body,
-            [i.material for i in self.items],
-            grippers=grippers(scene, paths, begin),
-            table=None if scene.table is None else Table(height=scene.table, friction=friction),
-            positions=x,
-            start_time=begin,
-            physics=Physics(self_contact=scene.self_contact, self_friction=friction),
-            solver=Solver(engine="thin", device=self.world.device, threads=self.world.threads),
-        )
+        simulator, self.body = self.world.simulator(task, self.items, paths, begin)
+        self._simulator = simulator
         self._still = [np.asarray(scene.origin, dtype=float)] if scene.stand > 0.0 else []
         self._tool = np.tile(path.position_at([begin])[0], (self.num_envs, 1))
         self._reach = max(
@@ -235,27 +224,20 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _judged(self) -> tuple[Array, Array]:
         """Rewards [W], and what was reached [W, G]."""
-        task, L = self.task, size_of(self.items[0])
-        times = np.array([t for t, _, _ in self._seen])
-        x, hand = (np.stack([row[k] for row in self._seen]) for k in (1, 2))
+        task, simulator = self.task, self._simulator
+        times, x, hand = (np.array(values) for values in zip(*self._seen, strict=True))
         reward = np.full(self.num_envs, DIVERGED)
         reached = np.full((self.num_envs, len(task.goals)), np.nan)
-        assert self._simulator is not None
-        lattice = (self.body.shape[0], self.body.shape[1]) if task.kind == "cloth" else (0, 0)
-        for w, item in enumerate(self.items):
-            if w in self._simulator.failures:
-                continue
-            seen = Observed(
-                times=times,
-                points=middle_of(self.body, x[:, w]),
-                hand=hand[:, w],
-                opens=min(float(self._opened[w]), float(times[-1])),
-                lattice=lattice,
-            )
-            values = task.outcome(item, seen)
-            reached[w] = [values[q.name] for q in task.goals]
-            error = task.error(item, self.goals[w], values) / L if task.goals else None
-            reward[w] = next(iter(values.values())) if error is None else -error
+        assert simulator is not None
+        opens = np.minimum(self._opened, times[-1]).tolist()
+        hands = np.moveaxis(hand, 1, 0)
+        found = judged(task, self.items, simulator, self.body, times, x, hands, opens)
+        for w, (item, values) in enumerate(zip(self.items, [o.values for o in found], strict=True)):
+            if values:
+                reached[w] = [values[q.name] for q in task.goals]
+                reward[w] = next(iter(values.values()))
+            if values and task.goals:
+                reward[w] = -task.error(item, self.goals[w], values) / size_of(item)
         return reward, reached
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import require
-from gendom.materials import AIR_DENSITY, Cloth, Item, Rope
+from gendom.materials import AIR_DENSITY, Item, Rope
 from gendom.robot.path import TcpPath, TcpPaths
 from gendom.sim import (
     Body,
@@ -117,6 +117,36 @@ class Simulation:
         names = ("engine", "dtype", "cells_across", "air_density")
         return {name: getattr(self, name) for name in names}
 
+    def simulator(
+        self, task: Task, items: Sequence[Item], paths: TcpPaths, begin: float
+    ) -> tuple[Simulator, Body]:
+        """W objects of one size, held by tools on W paths, at rest at the time `begin` [s]; and
+        their body.
+
+        Raises:
+            ParameterError: Tools do not close equally often.
+        """
+        scene = task.scene(items[0])
+        body, x = self.body(task, items[0])
+        friction = np.array([item.friction for item in items])
+        simulator = Simulator(
+            body,
+            [item.material for item in items],
+            grippers=grippers(scene, paths, begin),
+            table=None if scene.table is None else Table(height=scene.table, friction=friction),
+            positions=x,
+            start_time=begin,
+            physics=Physics(
+                air_density=self.air_density,
+                self_contact=scene.self_contact and self.engine == "thin",
+                self_friction=friction,
+            ),
+            solver=Solver(
+                engine=self.engine, dtype=self.dtype, device=self.device, threads=self.threads
+            ),
+        )
+        return simulator, body
+
     def body(self, task: Task, item: Item) -> tuple[Body, NDArray[np.floating]]:
         """An object and where its particles or points [N, 3] are at first [m]."""
         scene = task.scene(item)
@@ -154,36 +184,13 @@ class Simulation:
         on_frame: Callable[[int], None] | None,
     ) -> list[Outcome]:
         """Simulate objects of one size."""
-        first = items[0]
-        scene = task.scene(first)
-        body, x = self.body(task, first)
         paths = TcpPaths([task.tool_path(item, a) for item, a in zip(items, actions, strict=True)])
-        begin = float(paths.moves.min())
-        times = task.times(first)
+        begin, times = float(paths.moves.min()), task.times(items[0])
         if self.everything:
             before = np.linspace(begin, times[0], EARLIER_FRAMES, endpoint=False)
             times = np.concatenate([before, times])
-        table = None
-        if scene.table is not None:
-            friction = np.array([item.friction for item in items])
-            table = Table(height=scene.table, friction=friction)
         with claimed(self.device):
-            simulator = Simulator(
-                body,
-                [item.material for item in items],
-                grippers=grippers(scene, paths, begin),
-                table=table,
-                positions=x,
-                start_time=begin,
-                physics=Physics(
-                    air_density=self.air_density,
-                    self_contact=scene.self_contact and self.engine == "thin",
-                    self_friction=[item.friction for item in items] if scene.self_contact else 0.3,
-                ),
-                solver=Solver(
-                    engine=self.engine, dtype=self.dtype, device=self.device, threads=self.threads
-                ),
-            )
+            simulator, body = self.simulator(task, items, paths, begin)
             all_points = self.everything or task.watches == "all"
             tip = len(body.points) - 1 if self.engine == "thin" else _last_section(body)
             recorded = simulator.run(
@@ -192,25 +199,36 @@ class Simulation:
                 particles=None if all_points else np.atleast_1d(tip),
                 keep_going=True,
             )
-        lattice = _lattice(body, simulator.num_points) if isinstance(first, Cloth) else (0, 0)
-        outcomes = []
-        for w, (item, path, hand) in enumerate(
-            zip(items, paths.paths, paths.position_at(times), strict=True)
-        ):
-            if w in simulator.failures:
-                error = simulator.failures[w]
-                when = "" if error.time is None else f" at {error.time:.4f} s"
-                outcomes.append(Outcome(values={}, fault=error.what + when))
-                continue
-            seen = Observed(
-                times=times,
-                points=middle_of(body, recorded[:, w].astype(float)),
-                hand=hand,
-                opens=opening(path),
-                lattice=lattice,
-            )
-            outcomes.append(Outcome(values=task.outcome(item, seen), seen=seen if keep else None))
-        return outcomes
+        hands, opens = paths.position_at(times), [opening(path) for path in paths.paths]
+        return judged(task, items, simulator, body, times, recorded, hands, opens, keep=keep)
+
+
+def judged(
+    task: Task,
+    items: Sequence[Item],
+    simulator: Simulator,
+    body: Body,
+    times: Array,
+    x: NDArray[Any],
+    hands: Array,
+    opens: Sequence[float],
+    *,
+    keep: bool = False,
+) -> list[Outcome]:
+    """Outcomes of W objects whose points were at x [T, W, N, 3] at `times` [T], and the tools at
+    `hands` [W, T, 3] [m]; these opened at `opens` [W] [s]."""
+    lattice = _lattice(body, simulator.num_points) if task.kind == "cloth" else (0, 0)
+    outcomes = []
+    for w, item in enumerate(items):
+        if w in simulator.failures:
+            error = simulator.failures[w]
+            when = "" if error.time is None else f" at {error.time:.4f} s"
+            outcomes.append(Outcome(values={}, fault=error.what + when))
+            continue
+        points = middle_of(body, x[:, w].astype(float))
+        seen = Observed(times=times, points=points, hand=hands[w], opens=opens[w], lattice=lattice)
+        outcomes.append(Outcome(values=task.outcome(item, seen), seen=seen if keep else None))
+    return outcomes
 
 
 def check_actions(task: Task, items: Sequence[Item], actions: ArrayLike) -> Array:

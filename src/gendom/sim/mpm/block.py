@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.types import Namespace, make_types
+from gendom.sim.mpm.types import Namespace
 
 ROOMS_OF_TWO = (96_000, 114_000)
 """Shared memory for the particles of one of two blocks on a multiprocessor [bytes]; the smaller
@@ -57,63 +57,7 @@ def make_block(real: Any) -> Namespace:
     return Namespace(resident_at, sync, largest, sum_before, add_by_warp, any=block_any)
 
 
-@functools.cache
-def make_store(real: Any, *, resident: bool) -> Namespace:
-    """Build the access to particles by component, for one scalar type.
-
-    Args:
-        real: ``wp.float32`` or ``wp.float64``.
-        resident: Whether a CUDA block has its particles in shared memory while it runs, all of
-            that its kernel sets aside; otherwise they stand in an array.
-
-    Returns:
-        Namespace with ``get`` and ``put`` of component c of particle i in a row of the array ``of``
-        [rows, components, N], and ``vector``, ``put_vector``, ``matrix`` and ``put_matrix`` of the
-        components from c on.
-    """
-    types = make_types(real)
-    vec3, mat33 = types.vec3, types.mat33
-    number = f"gendom::component<{int(resident)}>(of, row, c, i)"
-
-    @wp.func_native(f"return {number};")
-    def get(of: wp.array3d(dtype=real), row: int, c: int, i: int) -> real: ...
-
-    @wp.func_native(f"{number} = value;")
-    def put(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real): ...
-
-    @wp.func
-    def vector(of: wp.array3d(dtype=real), row: int, c: int, i: int):
-        return vec3(get(of, row, c, i), get(of, row, c + 1, i), get(of, row, c + 2, i))
-
-    @wp.func
-    def put_vector(of: wp.array3d(dtype=real), row: int, c: int, i: int, a: vec3):
-        for n in range(3):
-            put(of, row, c + n, i, a[n])
-
-    @wp.func
-    def matrix(of: wp.array3d(dtype=real), row: int, c: int, i: int):
-        return mat33(
-            get(of, row, c, i), get(of, row, c + 1, i), get(of, row, c + 2, i),
-            get(of, row, c + 3, i), get(of, row, c + 4, i), get(of, row, c + 5, i),
-            get(of, row, c + 6, i), get(of, row, c + 7, i), get(of, row, c + 8, i),
-        )  # fmt: skip
-
-    @wp.func
-    def put_matrix(of: wp.array3d(dtype=real), row: int, c: int, i: int, A: mat33):
-        for m in range(3):
-            for n in range(3):
-                put(of, row, c + 3 * m + n, i, A[m, n])
-
-    return Namespace(vector, put_vector, matrix, put_matrix, get=get, put=put)
-
-
-@wp.func_native("gendom::put_near(near, w, axis, i, before, behind);")
-def put_neighbours(
-    near: wp.array3d(dtype=wp.int32), w: int, axis: int, i: int, before: int, behind: int
-): ...
-
-
-@wp.func
+@wp.func_native("gendom::put_near(near, w, i, p, lattice, place, row);")
 def put_near(
     near: wp.array3d(dtype=wp.int32),  # see ``Records``
     w: int,
@@ -124,7 +68,4 @@ def put_near(
     row: int,
 ):
     """Keep where the neighbours of particle p are, which is the i-th."""
-    for axis in range(3):
-        put_neighbours(
-            near, w, axis, i, place[row, lattice[p, axis, 0]], place[row, lattice[p, axis, 1]]
-        )
+    ...

@@ -34,6 +34,7 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.bodies import Body
+from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.particles import Variant, make_moving, make_taped
 from gendom.sim.mpm.types import Namespace, make_types
 from gendom.sim.paths import make_paths
@@ -72,7 +73,7 @@ def make_boundary(variant: Variant) -> Namespace:
 
     Returns:
         Namespace with ``contact`` (of a section's mean position and velocity), ``near_table``,
-        ``modulus_of``, ``spring``, ``follow`` (a held particle) and ``grasp`` (grippers that open
+        ``spring``, ``follow`` (a held particle) and ``grasp`` (grippers that open
         and close); ``wide`` (to float64); and ``contact_adjoint``, ``follow_adjoint``,
         ``turned_adjoint`` and ``driven_adjoint`` (of a held particle) and ``grasp_adjoint``.
     """
@@ -115,11 +116,6 @@ def make_boundary(variant: Variant) -> Namespace:
     def near_table(x: vec3, model: Model):
         """Whether a particle's section may touch the table before the grid is rebuilt."""
         return model.table == 1 and x[2] < real(2.0) * (model.contact_radius + model.dx)
-
-    @wp.func
-    def modulus_of(w: int, p: int, model: Model):
-        """Of pressure waves [Pa]."""
-        return model.lam[w, p] + real(2.0) * model.mu[w, p]
 
     @wp.func
     def spring(now: Substep, modulus: real, model: Model):
@@ -326,14 +322,14 @@ def make_boundary(variant: Variant) -> Namespace:
                 hold_on(now.w, g, real(0.0), grips)
 
     return Namespace(
-        contact, near_table, modulus_of, spring, follow, grasp,
+        contact, near_table, spring, follow, grasp,
         wide, contact_adjoint, follow_adjoint, turned_adjoint, driven_adjoint, grasp_adjoint,
     )  # fmt: skip
 
 
 @functools.cache
 def make_grips(real: Any) -> Namespace:
-    """Build ``hold_on`` and ``hold_as_at``, which set what grippers hold, for one scalar type."""
+    """Build ``hold_on`` and the kernel ``hold_as_at``, which set what grippers hold."""
     Grips = make_types(real).Grips
 
     @wp.func
@@ -344,9 +340,11 @@ def make_grips(real: Any) -> Namespace:
             grips.free[w, p] = real(1.0) - share * grips.weight[w, g, n]
             grips.held_by[w, p] = g * grips.held_by.shape[1] + n
 
-    @wp.func
-    def hold_as_at(w: int, age: int, grips: Grips):
-        """Hold what was held before substep ``age`` began."""
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    def hold_as_at(order: wp.array(dtype=wp.int32), ages: wp.array(dtype=wp.int32), grips: Grips):
+        """Hold in each world what was held before its substep ``age`` began."""
+        w = order[wp.tid()]
+        age = ages[w]
         for g in range(grips.since.shape[1]):
             hold_on(w, g, real(0.0), grips)
         for g in range(grips.since.shape[1]):
@@ -355,7 +353,7 @@ def make_grips(real: Any) -> Namespace:
             if since >= 0 and since < age and (until < 0 or until >= age):
                 hold_on(w, g, real(1.0), grips)
 
-    return Namespace(hold_on, hold_as_at)
+    return Namespace(hold_on, hold_as_at=hold_as_at)
 
 
 def _section_centre(types: Namespace, x_of: Any) -> Any:

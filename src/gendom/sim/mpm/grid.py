@@ -32,10 +32,6 @@ LARGEST_GRID = 1 << 24
 """Maximum number of nodes of a world; a run that needs more has diverged."""
 
 
-class GridExhausted(Exception):
-    """The object needs more grid nodes than the limit; it has probably diverged."""
-
-
 def room_for(x: NDArray[np.floating], dx: float) -> tuple[int, int, int]:
     """Columns in x and y and nodes that the first grid of particles x [W, N, 3] offers.
 
@@ -49,17 +45,16 @@ def room_for(x: NDArray[np.floating], dx: float) -> tuple[int, int, int]:
     return min(side, WIDEST_WINDOW), min(side, WIDEST_WINDOW), 8 * cells + 256
 
 
-def grown_room(room: tuple[int, int, int], bounds: NDArray[Any], grid: Any) -> tuple[int, int, int]:
-    """Room for the bounds [L, 4] for which the grid was too small.
-
-    Raises:
-        GridExhausted: If that is more than any object needs.
-    """
-    window = (bounds[:, 2:] - bounds[:, :2] + 1).max(axis=0)
+def grown_room(
+    room: tuple[int, int, int], bounds: NDArray[Any], grid: Any
+) -> tuple[int, int, int] | None:
+    """Room for the bounds [4] for which the grid was too small; None if that is more than any
+    object needs."""
+    window = bounds[2:] - bounds[:2] + 1
     X, Y, M = room
     have = grid.low.shape[1:]
     if window.max() > WIDEST_WINDOW or M > LARGEST_GRID:
-        raise GridExhausted
+        return None
     if window[0] > have[0] or window[1] > have[1]:
         X = max(X, min(WIDEST_WINDOW, int(window[0]) + 8))
         Y = max(Y, min(WIDEST_WINDOW, int(window[1]) + 8))

@@ -18,12 +18,6 @@ from gendom.sim.mpm.particles import LAM, MASS, MU, Variant, make_moving, make_t
 from gendom.sim.mpm.types import Namespace, make_types
 from gendom.sim.paths import make_paths
 
-HELD = (
-    "stored_free", "driven", "held_index", "held_gripper", "held_number", "held_share",
-    "held_place", "held_modulus",
-)  # fmt: skip
-"""Arrays of ``Grips`` with a number for each stored particle, or for each of those held."""
-
 AHEAD = 32
 """Number of substeps for which gripper poses are computed at once."""
 
@@ -66,7 +60,7 @@ def make_gripped(variant: Variant) -> Namespace:
                 grips.held_number[now.w, n] = grips.held_by[now.w, p] % N
                 grips.held_share[now.w, n] = free
                 grips.held_place[now.w, n] = grips.place[now.w, g, grips.held_by[now.w, p] % N]
-                grips.held_modulus[now.w, n] = boundary.modulus_of(now.w, p, model)
+                grips.held_modulus[now.w, n] = model.lam[now.w, p] + real(2.0) * model.mu[now.w, p]
         sync()
         return grips.held[now.w]
 

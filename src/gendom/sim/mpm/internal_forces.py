@@ -34,7 +34,7 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.mpm.block import make_block
-from gendom.sim.mpm.particles import Variant, make_moving
+from gendom.sim.mpm.particles import Variant
 from gendom.sim.mpm.types import Namespace, make_types
 
 FILLS = 1.0e-30
@@ -84,14 +84,15 @@ def make_internal_forces(variant: Variant) -> Namespace:
 
     Returns:
         Namespace with ``forces``, which sets the impulses of particles on their neighbours, adds
-        the air's to velocities and moves Z on; ``impulse_on``, what a particle gets of them; and
-        the transposes ``forces_adjoint`` and ``impulse_on_adjoint``.
+        the air's to velocities and moves Z on; its transpose ``forces_adjoint``; and ``pulled``,
+        the impulse of a substep on a particle by its neighbours, or, but for its sign, the
+        derivative by x through all differences between neighbours.
     """
     real = variant.real
     types = make_types(real)
     vec3, Model, Clock, Substep = types.vec3, types.Model, types.Clock, types.Substep
     Records, ConditionsAdjoint = types.Records, types.ConditionsAdjoint
-    block, wind_bar = make_block(real), make_moving(variant).low
+    block = make_block(real)
     call = f"<{int(variant.room > 0)}>(w, thread, threads, "
 
     @wp.func_native(f"return gendom::forces_of_records{call}dt, keep, share, model, particles);")
@@ -124,11 +125,6 @@ def make_internal_forces(variant: Variant) -> Namespace:
         return block.any(int(failed >= 0))
 
     @wp.func
-    def impulse_on(now: Substep, i: int, particles: Records):
-        """Impulse of a substep on a particle by its neighbours."""
-        return pulled(now.w, i, particles.of, particles.near)
-
-    @wp.func
     def forces_adjoint(
         now: Substep, model: Model, tape: Records, adjoint: Records, by: ConditionsAdjoint
     ):
@@ -141,9 +137,4 @@ def make_internal_forces(variant: Variant) -> Namespace:
             wp.atomic_add(by.branch_share, now.w, sums[0])
             wp.atomic_add(by.branch_factor, now.w, sums[1])
 
-    @wp.func
-    def impulse_on_adjoint(now: Substep, i: int, adjoint: Records):
-        """Derivatives by x, through all differences, and by v, through the air."""
-        return -pulled(now.w, i, adjoint.of, adjoint.near), wind_bar(adjoint, now.w, i)
-
-    return Namespace(forces, impulse_on, forces_adjoint, impulse_on_adjoint)
+    return Namespace(forces, forces_adjoint, pulled=pulled)

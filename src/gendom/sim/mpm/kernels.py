@@ -12,7 +12,7 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.mpm.block import bounds, make_block, put_near
-from gendom.sim.mpm.boundary import make_boundary, make_grips
+from gendom.sim.mpm.boundary import make_boundary
 from gendom.sim.mpm.grid import MARGIN, make_rebuild
 from gendom.sim.mpm.gripped import AHEAD, make_gripped, make_poses
 from gendom.sim.mpm.internal_forces import make_maxwell_branch
@@ -22,6 +22,7 @@ from gendom.sim.mpm.particles import (
     Variant,
     make_loading,
     make_moving,
+    make_reordering,
     make_sorting,
 )
 from gendom.sim.mpm.step import (
@@ -297,13 +298,12 @@ def make_reverse(variant: Variant) -> Any:
     Clock, Model, Grid, Substep = types.Clock, types.Model, types.Grid, types.Substep
     Paths, Grips, State = types.Paths, types.Grips, types.State
     ConditionsAdjoint = types.ConditionsAdjoint
-    Records, store = types.Records, make_moving(variant).store
+    Records, reorder = types.Records, make_reordering(variant)
     substep_adjoint, boundary = make_substep_adjoint(variant), make_boundary(variant)
     poses, beginning = make_poses(real), _make_beginning(real)
     list_gripped, loading = make_gripped(variant).list_gripped, make_loading(variant)
     block = make_block(real)
     IN_SHARED_MEMORY, numbers = wp.constant(variant.room > 0), wp.constant(variant.numbers)
-    COMPONENTS = wp.constant(variant.components)
 
     @wp.func
     def set_order(now: Substep, model: Model, tape: Records, adjoint: Records):
@@ -336,20 +336,10 @@ def make_reverse(variant: Variant) -> Any:
     @wp.func
     def change_layout(now: Substep, earlier: int, model: Model, tape: Records, adjoint: Records):
         """Put the records in the order of an earlier layout."""
-        of, sums, spare = adjoint.of, adjoint.sums, adjoint.spare
-        N = sums.shape[2]
-        for i in range(now.thread, N, now.threads):
-            j = tape.place[now.layout, tape.order[earlier, i]]
-            for c in range(COMPONENTS):
-                spare[now.w, c, i] = store.get(of, now.w, c, j)
-            for c in range(SUMS):
-                spare[now.w, COMPONENTS + c, i] = sums[now.w, c, j]
+        for i in range(now.thread, adjoint.of.shape[2], now.threads):
+            adjoint.spare_order[now.w, i] = tape.place[now.layout, tape.order[earlier, i]]
         block.sync()
-        for i in range(now.thread, N, now.threads):
-            for c in range(COMPONENTS):
-                store.put(of, now.w, c, i, spare[now.w, c, i])
-            for c in range(SUMS):
-                sums[now.w, c, i] = spare[now.w, COMPONENTS + c, i]
+        reorder(now, adjoint, adjoint.sums)
         now.layout = earlier
         set_order(now, model, tape, adjoint)
 
@@ -465,17 +455,3 @@ def _make_beginning(real: Any) -> Namespace:
         by.branch_share[w] = wp.float64(0.0)
 
     return Namespace(begin, close_rates)
-
-
-@functools.cache
-def make_hold_as_at(real: Any) -> Any:
-    """Build the kernel that lets worlds hold again what they held before their substep ``age``."""
-    hold_world_as_at = make_grips(real).hold_as_at
-    Grips = make_types(real).Grips
-
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
-    def hold_as_at(order: wp.array(dtype=wp.int32), age: wp.array(dtype=wp.int32), grips: Grips):
-        w = order[wp.tid()]
-        hold_world_as_at(w, age[w], grips)
-
-    return hold_as_at

@@ -10,17 +10,12 @@ from numpy.typing import NDArray
 
 from gendom.errors import SimulationError
 from gendom.sim.mpm.boundary import grip_constants
-from gendom.sim.mpm.grid import GridExhausted, grown_room, room_for
-from gendom.sim.mpm.gripped import AHEAD, HELD
+from gendom.sim.mpm.grid import grown_room, room_for
+from gendom.sim.mpm.gripped import AHEAD
 from gendom.sim.mpm.step import INVERTED, NOTHING_HELD
 from gendom.sim.mpm.types import make_types
 from gendom.sim.paths import paths_on
 from gendom.sim.setting import DRAG, Setting, spread
-
-CLOCK = (
-    "dt", "steps", "step", "age", "travel", "near_table", "status", "failed_particle", "frame"
-)  # fmt: skip
-"""The arrays of a clock."""
 
 
 class Worlds:
@@ -45,13 +40,13 @@ class Worlds:
         # heights are counted from the table: near 0 float32 resolves what presses on it
         self.origin = np.array([0.0, 0.0, s.table.height if s.table is not None else 0.0])
         x = spread(np.asarray(s.positions, dtype=float) - self.origin, (W, N, 3), "positions")
-        self.room = room_for(_distinct(x), s.body.dx)
+        self.room = room_for(x, s.body.dx)
         self.model = self._model()
         stacked = s.grippers.arrays
         position = stacked["position"] - self.origin
         self.paths = paths_on(s.device, {**stacked, "position": position}, self.real)
         self.grips = self._grips()
-        self.clock = self.allocate(self.types.Clock, **dict.fromkeys(CLOCK, W))
+        self.clock = self.allocate(self.types.Clock, **dict.fromkeys(self.types.Clock.vars, W))
         self.carried = ("x", "v", "C", *("Z",) * self.damped)
         self.low = self.zeros((W, N) if s.dtype == "float32" else (0, 0), self.types.vec3)
         self.state = self.make_state(W, wp.zeros)
@@ -65,15 +60,14 @@ class Worlds:
     def _model(self) -> Any:
         s, W = self.setting, self.num_worlds
         lame = np.array([m.lame_of(s.body.lateral_constraint) for m in s.materials])
-        share = _distinct(self.stiffness)
         air = spread(s.air_density, (W,), "air_density")
         across = s.body.thickness if s.body.kind == "rope" else 1.0
         self.drag_by_air = 0.5 * DRAG.get(s.body.kind, 0.0) * across / s.body.section
         beyond, grip_stiffness = grip_constants(s.body)
         return self.filled(
             self.types.Model,
-            mu=np.broadcast_to(lame[:, :1] * share, self.stiffness.shape),
-            lam=np.broadcast_to(lame[:, 1:] * share, self.stiffness.shape),
+            mu=lame[:, :1] * self.stiffness,
+            lam=lame[:, 1:] * self.stiffness,
             mass=np.array([m.density for m in s.materials]) * s.body.volume,
             damping=np.array([m.damping for m in s.materials]),
             drag=self.drag_by_air * air,
@@ -95,12 +89,13 @@ class Worlds:
     def _grips(self) -> Any:
         W, G, N = self.num_worlds, len(self.setting.grippers[0]), self.num_particles
         lists = dict.fromkeys(("particle", "weight", "place"), (W, G, N))
+        listed = [name for name in self.types.Grips.vars if name.startswith("held_")]
         poses = ("closed", "centre", "orientation", "velocity", "spin")
         grips = self.allocate(
             self.types.Grips,
             count=(W, G),
             held=W,
-            **dict.fromkeys(("held_by", *HELD), (W, N)),
+            **dict.fromkeys((*listed, "stored_free", "driven"), (W, N)),
             **lists,
             **dict.fromkeys(poses, (AHEAD * W, G)),
         )
@@ -150,10 +145,9 @@ class Worlds:
         bounds = grid.bounds.numpy()
         exhausted = np.zeros(len(layouts), dtype=bool)
         for n, layout in enumerate(layouts):
-            try:
-                self.room = grown_room(self.room, bounds[layout][None], grid)
-            except GridExhausted:
-                exhausted[n] = True
+            room = grown_room(self.room, bounds[layout], grid)
+            exhausted[n] = room is None
+            self.room = room or self.room
         return exhausted
 
     def divide(self, w: int | slice, interval: float) -> tuple[Any, Any]:
@@ -192,28 +186,8 @@ class Worlds:
         )
 
     def array(self, values: Any, dtype: Any = None) -> wp.array:
-        """An array on the device, of the simulation's scalar type unless told otherwise.
-
-        Numbers that a broadcast array repeats are repeated on the device.
-        """
-        dtype = dtype or self.real
-        values = np.asarray(values)
-        axes = values.ndim - len(getattr(dtype, "_shape_", ()))
-        distinct = _distinct(values, axes)
-        sent = wp.array(np.ascontiguousarray(distinct), dtype=dtype, device=self.device)
-        if distinct.shape == values.shape:
-            return sent
-        shape = values.shape[:axes]
-        strides = tuple(
-            0 if few < many else int(step or 0)
-            for few, many, step in zip(sent.shape, shape, sent.strides, strict=True)
-        )
-        repeated = wp.array(
-            ptr=sent.ptr, shape=shape, strides=strides, dtype=dtype, device=self.device
-        )
-        full = wp.empty(shape, dtype=dtype, device=self.device)
-        wp.copy(full, repeated)
-        return full
+        """An array on the device, of the simulation's scalar type unless told otherwise."""
+        return wp.array(np.ascontiguousarray(values), dtype=dtype or self.real, device=self.device)
 
     def filled(self, struct: Any, **values: Any) -> Any:
         """A struct of these numbers and arrays."""
@@ -243,11 +217,3 @@ def _triangles(frames: NDArray[np.floating]) -> NDArray[np.floating]:
     U = U * np.sign(np.diagonal(U, axis1=1, axis2=2))[:, None]
     rows, columns = np.triu_indices(3)
     return U[:, rows, columns].T
-
-
-def _distinct(values: NDArray[Any], axes: int | None = None) -> NDArray[Any]:
-    """The array without what broadcasting repeats along its first axes, which have length 1."""
-    if values.size == 0:
-        return values
-    steps = values.strides[:axes]
-    return values[tuple(slice(0, 1) if step == 0 else slice(None) for step in steps)]

@@ -16,7 +16,7 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.block import make_block, make_store, put_near
+from gendom.sim.mpm.block import make_block, put_near
 from gendom.sim.mpm.transfer import make_transfer
 from gendom.sim.mpm.types import Namespace, make_types
 
@@ -92,40 +92,34 @@ def make_taped(variant: Variant) -> Namespace:
 
 
 def _access(real: Any, order_of: Any, stress: int, *, resident: bool) -> Namespace:
-    """Access to records whose filtered stress begins at component ``stress``."""
-    store = make_store(real, resident=resident)
+    """Access to records whose filtered stress begins at component ``stress``; ``resident``: in the
+    shared memory of a CUDA block, all that its kernel sets aside."""
     types = make_types(real)
-    vec3, mat33, Records = types.vec3, types.mat33, types.Records
-    STRESS_AT = wp.constant(stress)
+    Records, number, shared = types.Records, f"wp::{real.__name__}", int(resident)
+    one = f"gendom::component<{shared}>(of, row, c, i)"
 
-    def vector(name: str, first: int) -> dict[str, Any]:
-        FIRST = wp.constant(first)
+    @wp.func_native(f"return {one};")
+    def get(of: wp.array3d(dtype=real), row: int, c: int, i: int) -> real: ...
 
-        @wp.func
-        def get(s: Records, row: int, i: int):
-            return store.vector(s.of, row, FIRST, i)
+    @wp.func_native(f"{one} = value;")
+    def put(of: wp.array3d(dtype=real), row: int, c: int, i: int, value: real): ...
 
-        @wp.func
-        def put(s: Records, row: int, i: int, value: vec3):
-            store.put_vector(s.of, row, FIRST, i, value)
+    def field(name: str, kind: Any, native: str, first: int) -> dict[str, Any]:
+        @wp.func_native(f"return gendom::get_as<{shared}, wp::{native}>(s.of, row, {first}, i);")
+        def get(s: Records, row: int, i: int) -> kind: ...
+
+        @wp.func_native(f"gendom::put_as<{shared}>(s.of, row, {first}, i, value);")
+        def put(s: Records, row: int, i: int, value: kind): ...
 
         return {name: get, f"put_{name}": put}
 
     @wp.func
-    def C(s: Records, row: int, i: int):
-        return store.matrix(s.of, row, AFFINE, i)
-
-    @wp.func
-    def put_C(s: Records, row: int, i: int, value: mat33):
-        store.put_matrix(s.of, row, AFFINE, i, value)
-
-    @wp.func
     def get_Z(s: Records, row: int, c: int, i: int):
-        return store.get(s.of, row, STRESS_AT + c, i)
+        return get(s.of, row, wp.static(stress) + c, i)
 
     @wp.func
     def put_Z(s: Records, row: int, c: int, i: int, value: real):
-        store.put(s.of, row, STRESS_AT + c, i, value)
+        put(s.of, row, wp.static(stress) + c, i, value)
 
     @wp.func
     def particle(s: Records, row: int, i: int):
@@ -135,14 +129,16 @@ def _access(real: Any, order_of: Any, stress: int, *, resident: bool) -> Namespa
     def place(s: Records, row: int, p: int):
         return s.place[order_of(s, row), p]
 
+    found = field("C", types.mat33, f"mat_t<3, 3, {number}>", AFFINE)
+    for name, first in (("x", X), ("v", V), ("q", MOMENTUM), ("low", LOW)):
+        found |= field(name, types.vec3, f"vec_t<3, {number}>", first)
+    x = found["x"]
+
     @wp.func
     def x_of(s: Records, row: int, p: int):
-        return store.vector(s.of, row, X, s.place[order_of(s, row), p])
+        return x(s, row, s.place[order_of(s, row), p])
 
-    made = Namespace(C, put_C, get_Z, put_Z, particle, place, x_of, store=store)
-    for name, first in (("x", X), ("v", V), ("q", MOMENTUM), ("low", LOW)):
-        vars(made).update(vector(name, first))
-    return made
+    return Namespace(get_Z, put_Z, particle, place, x_of, get=get, put=put, **found)
 
 
 @functools.cache
@@ -176,15 +172,40 @@ def make_loading(variant: Variant) -> Namespace:
 
 
 @functools.cache
+def make_reordering(variant: Variant) -> Any:
+    """Build ``reorder``, after which the i-th record of a world is the ``spare_order[w, i]``-th."""
+    types, fields = make_types(variant.real), make_moving(variant)
+    Substep, Records, sync = types.Substep, types.Records, make_block(variant.real).sync
+    COMPONENTS = wp.constant(variant.components)
+
+    @wp.func
+    def reorder(now: Substep, records: Records, more: wp.array3d(dtype=variant.real)):
+        """Together with the rows [W, n, N] of ``more``."""
+        of, spare = records.of, records.spare
+        for i in range(now.thread, more.shape[2], now.threads):
+            j = records.spare_order[now.w, i]
+            for c in range(COMPONENTS):
+                spare[now.w, c, i] = fields.get(of, now.w, c, j)
+            for c in range(more.shape[1]):
+                spare[now.w, COMPONENTS + c, i] = more[now.w, c, j]
+        sync()
+        for i in range(now.thread, more.shape[2], now.threads):
+            for c in range(COMPONENTS):
+                fields.put(of, now.w, c, i, spare[now.w, c, i])
+            for c in range(more.shape[1]):
+                more[now.w, c, i] = spare[now.w, COMPONENTS + c, i]
+
+    return reorder
+
+
+@functools.cache
 def make_sorting(variant: Variant) -> Any:
     """Build ``sort``, which puts a world's records in the order of their lowest nodes."""
     real = variant.real
     types = make_types(real)
     Model, Substep, Grid, Records = types.Model, types.Substep, types.Grid, types.Records
-    fields, store = make_moving(variant), make_moving(variant).store
-    locate = make_transfer(real).locate
-    block = make_block(real)
-    COMPONENTS = wp.constant(variant.components)
+    fields, reorder = make_moving(variant), make_reordering(variant)
+    locate, block = make_transfer(real).locate, make_block(real)
 
     @wp.func
     def node_of(now: Substep, i: int, grid: Grid, records: Records):
@@ -193,10 +214,9 @@ def make_sorting(variant: Variant) -> Any:
 
     @wp.func
     def sort(now: Substep, model: Model, grid: Grid, records: Records):
-        of = records.of
         tally = grid.tally
         row = now.w % tally.shape[0]
-        N = of.shape[2]
+        N = records.of.shape[2]
         nodes = grid.count[now.layout]
         begin = now.thread * nodes // now.threads
         end = (now.thread + 1) * nodes // now.threads
@@ -217,21 +237,13 @@ def make_sorting(variant: Variant) -> Any:
         block.sync()
         for i in range(now.thread, N, now.threads):
             j = wp.atomic_add(tally, row, node_of(now, i, grid, records), 1)
-            p = records.order[now.w, i]
-            records.spare_order[now.w, j] = p
-            records.place[now.w, p] = j
-            for c in range(COMPONENTS):
-                records.spare[now.w, c, j] = store.get(of, now.w, c, i)
-            for c in range(2):
-                records.spare[now.w, COMPONENTS + c, j] = records.moduli[now.w, c, i]
+            records.spare_order[now.w, j] = i
+            records.place[now.w, records.order[now.w, i]] = j
         block.sync()
-        for i in range(now.thread, N, now.threads):
-            p = records.spare_order[now.w, i]
+        reorder(now, records, records.moduli)
+        for p in range(now.thread, N, now.threads):
+            i = records.place[now.w, p]
             records.order[now.w, i] = p
-            for c in range(COMPONENTS):
-                store.put(of, now.w, c, i, records.spare[now.w, c, i])
-            for c in range(2):
-                records.moduli[now.w, c, i] = records.spare[now.w, COMPONENTS + c, i]
             put_near(records.near, now.w, i, p, model.lattice, records.place, now.w)
         block.sync()
 

@@ -7,8 +7,9 @@ group, with a block of threads for each world.
 # pyright: basic
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 
 from gendom.sim.device import load_kernels
 from gendom.sim.mpm.block import ROOM_ALONE, ROOMS_OF_TWO
-from gendom.sim.mpm.kernels import make_advance, make_hold_as_at
+from gendom.sim.mpm.boundary import make_grips
+from gendom.sim.mpm.kernels import make_advance
 from gendom.sim.mpm.model import Worlds
 from gendom.sim.mpm.particles import Variant
 from gendom.sim.mpm.step import DIVERGED, GRID_FULL, OK
@@ -81,7 +83,7 @@ class Program:
             self.particles.near = worlds.array(np.broadcast_to(near, (W, 6, N)), wp.int32)
         self.unsorted = worlds.zeros(W, worlds.real)
         self.load(make_advance(self.variant, taped=False))
-        self.load(make_hold_as_at(worlds.real), ANY_THREADS)
+        self.load(make_grips(worlds.real).hold_as_at, ANY_THREADS)
 
     def _shared_room(self) -> int:
         """Shared memory of a block in which its particles fit [bytes]; 0 if they do not."""
@@ -138,18 +140,17 @@ class Program:
         return Plan(time, steps, plan)
 
     def launch(
-        self, kernel: Any, order: wp.array, inputs: list[Any], *, stream: Any = None,
-        threads: int | None = None,
-    ) -> None:  # fmt: skip
+        self, kernel: Any, order: wp.array, inputs: list[Any], *, stream: Any = None
+    ) -> None:
         """Launch a block for each of the worlds ``order``."""
-        threads = self.variant.threads if threads is None else threads
+        threads = self.variant.threads
         wp.launch(
             kernel,
-            dim=(len(order), threads) if threads else len(order),
-            inputs=[order, *([threads] if threads else []), *inputs],
+            dim=(len(order), threads),
+            inputs=[order, threads, *inputs],
             device=None if stream else self.worlds.device,
             stream=stream,
-            block_dim=threads or ANY_THREADS,
+            block_dim=threads,
         )
 
 
@@ -284,17 +285,31 @@ class Group:
         """Hold in each world what was held before substep ``age`` [W] of all."""
         s = self.worlds
         if s.grips.count.shape[1]:
-            self.program.launch(make_hold_as_at(s.real), self.order, [age, s.grips], threads=0)
+            kernel, inputs = make_grips(s.real).hold_as_at, [self.order, age, s.grips]
+            wp.launch(kernel, len(self.own), inputs, device=s.device, block_dim=ANY_THREADS)
 
 
-def for_groups(groups: list[Group], count: int, work: Callable[[Group], None]) -> None:
-    """Do the work for every group, ``count`` at once; the first failure is raised."""
+def for_groups(
+    groups: list[Group], count: int, work: Callable[[Group], None],
+    report: Callable[[], None] = lambda: None, stop: Event | None = None,
+) -> None:  # fmt: skip
+    """Do the work for every group, ``count`` at once; the first failure is raised. Several groups
+    are reported on now and then; what that raises sets ``stop``."""
     if len(groups) == 1:
         work(groups[0])
         return
     with ThreadPoolExecutor(max_workers=count) as pool:
-        for job in [pool.submit(work, group) for group in groups]:
-            job.result()
+        jobs = [pool.submit(work, group) for group in groups]
+        try:
+            while wait(jobs, timeout=0.05).not_done:
+                report()
+        except BaseException:
+            if stop is not None:
+                stop.set()
+            raise
+    report()
+    for job in jobs:
+        job.result()
 
 
 def run(program: Program, frames: Frames, threads: int) -> None:
@@ -328,7 +343,7 @@ def _run_groups(
     program: Program, groups: list[Group], plan: Plan, frames: Frames, first: int, threads: int
 ) -> None:
     s = program.worlds
-    done, stop = 0, False
+    done, stop, alone = 0, Event(), len(groups) == 1
 
     def report() -> None:
         nonlocal done
@@ -340,25 +355,9 @@ def _run_groups(
             frames.on_frame(first + least)
 
     def work(group: Group) -> None:
-        alone = len(groups) == 1
         group.run(
-            plan,
-            keep_going=frames.keep_going,
-            stopped=lambda: stop,
+            plan, keep_going=frames.keep_going, stopped=stop.is_set,
             report=report if alone else lambda: None,
-        )
+        )  # fmt: skip
 
-    if len(groups) == 1:
-        work(groups[0])
-        return
-    with ThreadPoolExecutor(max_workers=threads) as pool:
-        jobs: list[Future[None]] = [pool.submit(work, group) for group in groups]
-        try:
-            while wait(jobs, timeout=0.05).not_done:
-                report()
-        except BaseException:
-            stop = True
-            raise
-    report()
-    for job in jobs:
-        job.result()
+    for_groups(groups, threads, work, report, stop)

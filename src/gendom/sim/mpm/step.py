@@ -58,41 +58,33 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
     compensates = wp.constant(int(types.compensates))
     damped, keeps = wp.constant(int(variant.damped)), wp.constant(int(taped))
 
-    # while, not range: with range the CPU's compiler cannot tell that indices are not negative, and
-    # checks every array index (a fifth slower)
-
     @wp.func
     def momentum_of(now: Substep, i: int, particles: Records):
         """Momentum of a particle with all impulses of the substep but the table's."""
         own = now.mass * (fields.v(particles, now.w, i) + now.h * now.gravity)
-        return own + forces_of.impulse_on(now, i, particles)
+        return own + forces_of.pulled(now.w, i, particles.of, particles.near)
 
     @wp.func
     def record_state(now: Substep, particles: Records, tape: Records):
-        i = int(now.thread)
-        while i < now.N:
+        for i in range(now.thread, now.N, now.threads):
             kept.put_x(tape, now.slot, i, fields.x(particles, now.w, i))
             kept.put_v(tape, now.slot, i, fields.v(particles, now.w, i))
             kept.put_C(tape, now.slot, i, fields.C(particles, now.w, i))
             if damped == 1:
                 for c in range(6):
                     kept.put_Z(tape, now.slot, c, i, fields.get_Z(particles, now.w, c, i))
-            i += now.threads
 
     @wp.func
     def record_momenta(now: Substep, particles: Records, tape: Records):
-        i = int(now.thread)
-        while i < now.N:
+        for i in range(now.thread, now.N, now.threads):
             kept.put_q(tape, now.slot, i, momentum_of(now, i, particles))
-            i += now.threads
 
     @wp.func
     def touch(now: Substep, model: Model, particles: Records):
         """Add to velocities what the table changes of each section's."""
         size = model.section
         share = real(1.0) / real(size)
-        s = int(now.thread)
-        while s < now.N // size:
+        for s in range(now.thread, now.N // size, now.threads):
             first = fields.x_of(particles, now.w, s * size)
             if boundary.near_table(first, model):
                 x = vec3()
@@ -106,17 +98,14 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
                     for p in range(s * size, (s + 1) * size):
                         i = fields.place(particles, now.w, p)
                         fields.put_v(particles, now.w, i, fields.v(particles, now.w, i) + change)
-            s += now.threads
 
     @wp.func
     def p2g(now: Substep, grips: Grips, particles: Records, grid: Grid):
         """Add to the grid mass and momentum of particles that are not held firmly."""
         window = window_type()
         held = wp.vec3i(-1, -1, -1)
-        end = (now.thread + 1) * now.N // now.threads
-        i = now.thread * now.N // now.threads - 1
-        while i < end - 1:
-            i += 1
+        begin = now.thread * now.N // now.threads
+        for i in range(begin, (now.thread + 1) * now.N // now.threads):
             free = grips.stored_free[now.w, i]
             if free == real(0.0):
                 continue
@@ -173,13 +162,11 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
     def g2p(now: Substep, grips: Grips, particles: Records, grid: Grid):
         """Move all others with the grid; return the square of a thread's longest way."""
         far = real(0.0)
-        i = int(now.thread)
-        while i < now.N:
+        for i in range(now.thread, now.N, now.threads):
             if grips.stored_free[now.w, i] > real(0.0):
                 x = fields.x(particles, now.w, i)
                 v, affine = transfer.g2p(now, x, grid)
                 far = wp.max(far, move(now, i, x, v, affine, particles))
-            i += now.threads
         return far
 
     @wp.func
@@ -262,10 +249,8 @@ def make_substep_adjoint(variant: Variant) -> Any:
         """Set derivatives by the nodes' velocities, add to those by x."""
         window = window_type()
         held = wp.vec3i(-1, -1, -1)
-        end = (now.thread + 1) * now.N // now.threads
-        i = now.thread * now.N // now.threads - 1
-        while i < end - 1:
-            i += 1
+        begin = now.thread * now.N // now.threads
+        for i in range(begin, (now.thread + 1) * now.N // now.threads):
             if grips.stored_free[now.w, i] == real(0.0):
                 continue
             node, f, taken = transfer.taken_by(
@@ -279,8 +264,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
             held = node
         bspline.flush(window, held, grid.velocity_bar, now.row, grid.start, now.layout)
         block.sync()
-        i = int(now.thread)
-        while i < now.N:
+        for i in range(now.thread, now.N, now.threads):
             if grips.stored_free[now.w, i] > real(0.0):
                 x_bar = fields.x(adjoint, now.w, i)
                 x_bar += transfer.g2p_adjoint(
@@ -288,7 +272,6 @@ def make_substep_adjoint(variant: Variant) -> Any:
                     fields.C(adjoint, now.w, i), grid,
                 )  # fmt: skip
                 fields.put_x(adjoint, now.w, i, x_bar)
-            i += now.threads
 
     @wp.func
     def p2g_adjoint(
@@ -298,8 +281,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
         """Set derivatives by C and by v (as found in those by momentum), add to those by x, m."""
         per_mass = real(1.0) / now.mass
         sums = adjoint.sums
-        i = int(now.thread)
-        while i < now.N:
+        for i in range(now.thread, now.N, now.threads):
             free = grips.stored_free[now.w, i]
             x_bar = vec3()
             u_bar = vec3()
@@ -330,7 +312,6 @@ def make_substep_adjoint(variant: Variant) -> Any:
             if not (size < real(largest)) and wp.atomic_max(by.status, now.w, NOT_FINITE) == OK:
                 by.failed_particle[now.w] = fields.particle(adjoint, now.w, i)
                 by.failed_slot[now.w] = now.gone
-            i += now.threads
 
     @wp.func
     def touch_adjoint(
@@ -339,8 +320,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
         """Add to derivatives by x, by momenta (as found in those by v) and by mass."""
         size = model.section
         sums = adjoint.sums
-        s = int(now.thread)
-        while s < now.N // size:
+        for s in range(now.thread, now.N // size, now.threads):
             if wp.length_sq(by.touched[now.w, s]) > real(0.0):
                 change_bar = vec3()
                 for p in range(s * size, (s + 1) * size):
@@ -356,23 +336,23 @@ def make_substep_adjoint(variant: Variant) -> Any:
                     i = fields.place(adjoint, now.w, p)
                     fields.put_x(adjoint, now.w, i, fields.x(adjoint, now.w, i) + by_x)
                     fields.put_v(adjoint, now.w, i, fields.v(adjoint, now.w, i) + by_u)
-            s += now.threads
 
     @wp.func
     def momenta_adjoint(now: Substep, tape: Records, adjoint: Records, by: ConditionsAdjoint):
         """From derivatives by momenta to those by x, v, mass and gravity."""
         sums = adjoint.sums
         gravity_sum = vec3()
-        i = int(now.thread)
-        while i < now.N:
-            x_bar, wind_bar = forces_of.impulse_on_adjoint(now, i, adjoint)
-            fields.put_x(adjoint, now.w, i, fields.x(adjoint, now.w, i) + x_bar)
+        for i in range(now.thread, now.N, now.threads):
+            x_bar = fields.x(adjoint, now.w, i)
+            fields.put_x(
+                adjoint, now.w, i, x_bar - forces_of.pulled(now.w, i, adjoint.of, adjoint.near)
+            )
             v_bar = fields.v(adjoint, now.w, i)
             gravity_sum += now.h * v_bar
             speed = before.v(tape, now.slot, i) + now.h * now.gravity
             sums[now.w, MASS, i] = sums[now.w, MASS, i] + wp.dot(v_bar, speed) / now.mass
-            fields.put_v(adjoint, now.w, i, v_bar + wind_bar)
-            i += now.threads
+            # the air's stands in place of what rounding leaves out
+            fields.put_v(adjoint, now.w, i, v_bar + fields.low(adjoint, now.w, i))
         wp.atomic_add(by.gravity, now.w, boundary.wide(gravity_sum))
 
     @wp.func

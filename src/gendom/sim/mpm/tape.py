@@ -181,11 +181,6 @@ class Snapshot:
                 self._state[name] = array.numpy()[group.own]
         self.step, self.age, self.frame = map(group.read, ("step", "age", "frame"))
 
-    @property
-    def nbytes(self) -> int:
-        """Memory of the state [bytes]."""
-        return sum(values.nbytes for values in self._state.values())
-
     def restore(self, group: Group) -> None:
         """Set the worlds back; their grids are rebuilt first."""
         s = group.worlds
@@ -284,7 +279,9 @@ class Sums:
         G, K = s.paths.time.shape[1:]
         self.state = s.make_state(W, wp.zeros)
         self.state.sums = s.zeros((W, SUMS, N), s.real)
-        self.adjoint = program.records(sums=(W, SUMS, N), spare=(W, variant.components + SUMS, N))
+        self.adjoint = program.records(
+            sums=(W, SUMS, N), spare=(W, variant.components + SUMS, N), spare_order=(W, N)
+        )
         by_world = (
             "friction", "velocity_damping", "damping", "gravity", "damping_factor",
             "branch_factor", "branch_share", "status", "failed_slot", "failed_particle",

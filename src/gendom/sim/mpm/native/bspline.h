@@ -59,16 +59,30 @@ template <typename real> inline void store(vec4<real>* node, const vec4<real>& h
 template <typename real> inline void add(vec4<real>* node, const vec4<real>& h) { *node = *node + h; }
 #endif
 
-// The node numbers of nine columns at the level of `node`. They are read before anything is added
-// to the grid, which would keep the compiler from reading them together.
-struct nine_columns {
-    int n[9];
-    GENDOM_INLINE nine_columns(const wp::array_t<int>& start, int layout, const lowest_node& node) {
-        #pragma unroll
-        for (int c = 0; c < 9; ++c)
-            n[c] = wp::index(start, layout, node[0] + c / 3, node[1] + c % 3) + node[2];
+// Velocity and mass of the nodes, a share `keep` of momentum / mass; without mass 0. Empties the
+// momentum if told to.
+template <typename real>
+GENDOM_INLINE void normalise(const nodes_of<real>& momentum, int row, const nodes_of<real>& velocity,
+                             int row_out, int thread, int threads, int count, real keep, int empty) {
+    vec4<real>* nodes = &wp::index(momentum, row, 0);
+    vec4<real>* u = &wp::index(velocity, row_out, 0);
+    vec4<real> next = thread < count ? load(nodes + thread) : vec4<real>();
+    for (int n = thread; n < count; n += threads) {
+        const vec4<real> q = next;
+        // on its way while this one is updated
+        if (n + threads < count) next = load(nodes + n + threads);
+        const bool full = q[3] > real(0);
+        if (full && empty) store(nodes + n, vec4<real>());
+        const real share = full ? keep / q[3] : real(0);
+        store(u + n, vec4<real>(share * q[0], share * q[1], share * q[2], q[3]));
     }
-};
+}
+
+template <typename real>
+GENDOM_INLINE void clear(const nodes_of<real>& grid, int row, int thread, int threads, int count) {
+    vec4<real>* nodes = &wp::index(grid, row, 0);
+    for (int n = thread; n < count; n += threads) store(nodes + n, vec4<real>());
+}
 
 // Transpose of `normalise`: derivatives by momentum and mass in place of those by velocity; returns
 // that by `keep`.
@@ -234,28 +248,6 @@ inline sums<rows, real> gather(const nodes_of<real>& grid, int row, const wp::ar
     return out;
 }
 
-// Velocity and mass of the nodes, a share `keep` of momentum / mass; without mass 0. Empties the
-// momentum if told to.
-template <typename real>
-inline void normalise(const nodes_of<real>& momentum, int row, const nodes_of<real>& velocity,
-                      int row_out, int, int, int count, real keep, int empty) {
-    typedef typename simd<real>::four four;
-    const four* q = (const four*)&wp::index(momentum, row, 0);
-    four* u = (four*)&wp::index(velocity, row_out, 0);
-    for (int n = 0; n < count; ++n) {
-        const real mass = q[n].w;
-        four v = q[n] * (mass > real(0) ? keep / mass : real(0));
-        v.w = mass;
-        u[n] = v;
-    }
-    if (empty) __builtin_memset((void*)q, 0, count * sizeof(four));
-}
-
-template <typename real>
-inline void clear(const nodes_of<real>& grid, int row, int, int, int count) {
-    __builtin_memset(&wp::index(grid, row, 0), 0, count * sizeof(vec4<real>));
-}
-
 #else
 // On CUDA node by node. What neighbouring particles give to the same nodes is summed in a window of
 // 27 nodes first.
@@ -316,10 +308,14 @@ GENDOM_INLINE window_of<real> hand_over(window_of<real> window, const lowest_nod
     if (leaving == 0 || held[0] < 0) return window;
     vec4<real>* nodes = &wp::index(grid, row, 0);
     const auto give = [&](int n, const real* h) { add(nodes + n, vec4<real>(h[0], h[1], h[2], h[3])); };
-    const nine_columns columns(start, layout, held);
+    // read before anything is added to the grid, which would keep the compiler from reading them together
+    int columns[9];
+    #pragma unroll
+    for (int c = 0; c < 9; ++c)
+        columns[c] = wp::index(start, layout, held[0] + c / 3, held[1] + c % 3) + held[2];
     #pragma unroll
     for (int c = 0; c < 9; ++c) {
-        const int n = columns.n[c];
+        const int n = columns[c];
         real* h = window.data[3 * c];
         give(n, h);
         if (leaving > 1) give(n + 1, h + 4);
@@ -446,31 +442,6 @@ GENDOM_INLINE sums<rows, real> gather(const nodes_of<real>& grid, int row,
         out.data[4][3] = real(0);
     }
     return out;
-}
-
-// Velocity and mass of the nodes, a share `keep` of momentum / mass; without mass 0. Empties the
-// momentum if told to.
-template <typename real>
-GENDOM_INLINE void normalise(const nodes_of<real>& momentum, int row, const nodes_of<real>& velocity,
-                             int row_out, int thread, int threads, int count, real keep, int empty) {
-    vec4<real>* nodes = &wp::index(momentum, row, 0);
-    vec4<real>* u = &wp::index(velocity, row_out, 0);
-    vec4<real> next = thread < count ? load(nodes + thread) : vec4<real>();
-    for (int n = thread; n < count; n += threads) {
-        const vec4<real> q = next;
-        // on its way while this one is updated
-        if (n + threads < count) next = load(nodes + n + threads);
-        const bool full = q[3] > real(0);
-        if (full && empty) store(nodes + n, vec4<real>());
-        const real share = full ? keep / q[3] : real(0);
-        store(u + n, vec4<real>(share * q[0], share * q[1], share * q[2], q[3]));
-    }
-}
-
-template <typename real>
-GENDOM_INLINE void clear(const nodes_of<real>& grid, int row, int thread, int threads, int count) {
-    vec4<real>* nodes = &wp::index(grid, row, 0);
-    for (int n = thread; n < count; n += threads) store(nodes + n, vec4<real>());
 }
 #endif
 

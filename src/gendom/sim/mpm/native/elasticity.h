@@ -261,29 +261,6 @@ template <bool in_shared, typename real> struct components {
     }
 };
 
-// The record before record i along an axis, and the one behind it; on CUDA two indices in a number.
-#if defined(__CUDA_ARCH__)
-GENDOM_INLINE int before(const wp::array_t<int>& near, int w, int axis, int i) {
-    return wp::index(near, w, axis, i) & 0xffff;
-}
-GENDOM_INLINE int behind(const wp::array_t<int>& near, int w, int axis, int i) {
-    return wp::index(near, w, axis, i) >> 16;
-}
-GENDOM_INLINE void put_near(const wp::array_t<int>& near, int w, int axis, int i, int before, int behind) {
-    wp::index(near, w, axis, i) = before | behind << 16;
-}
-#else
-inline int before(const wp::array_t<int>& near, int w, int axis, int i) {
-    return wp::index(near, w, axis, i);
-}
-inline int behind(const wp::array_t<int>& near, int w, int axis, int i) {
-    return wp::index(near, w, axis + 3, i);
-}
-inline void put_near(const wp::array_t<int>& near, int w, int axis, int i, int before, int behind) {
-    wp::index(near, w, axis, i) = before, wp::index(near, w, axis + 3, i) = behind;
-}
-#endif
-
 // The records of a world from the i-th on as they move, or their derivatives while a tape is reversed.
 template <bool in_shared, bool reversed, typename Lanes, typename real, typename Model, typename Records>
 struct record {
