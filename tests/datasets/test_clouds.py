@@ -336,8 +336,10 @@ def test_no_cloud_of_numpy(tmp_path, arrays, said):
         read_npz_cloud(tmp_path / "a.npz")
 
 
-@pytest.mark.parametrize("shape", [(10**8, 3), (2**33, 3)], ids=["gigabyte", "huge"])
-def test_a_file_that_unpacks_to_gigabytes(tmp_path, shape):
+@pytest.mark.parametrize(
+    ("shape", "said"), [((10**8, 3), "unpacks to 31"), ((2**33, 3), "is damaged")]
+)
+def test_a_file_that_unpacks_to_gigabytes(tmp_path, shape, said):
     """Members that are, and members that say they are."""
     path = tmp_path / "a.npz"
     with (
@@ -348,7 +350,7 @@ def test_a_file_that_unpacks_to_gigabytes(tmp_path, shape):
         np.lib.format.write_array_header_1_0(member, header)
         for _ in range(300 if shape[0] == 10**8 else 1):
             member.write(bytes(1 << 20))
-    with pytest.raises(RecordingError, match=r"unpacks to|is damaged"):
+    with pytest.raises(RecordingError, match=said):
         read_npz_cloud(path)
 
 

@@ -186,6 +186,7 @@ ORDER = "sort the frames and drop repeated ones; each must be later than the one
         ("gripper_position", lambda a: a[:, 0], "gripper_position: has shape [5, 3]"),
         ("points", lambda a: a.astype("U"), "points: has the type <U32; give float32 [S, 3]"),
         ("offsets", lambda a: a.astype(float), "offsets: has the type float64; give int64 [T + 1]"),
+        ("offsets", lambda a: np.maximum(a, 1), "offsets: runs from 1 to 110, but there are"),
         ("offsets", lambda a: a[:-1], "offsets: has 5 entries for 5 frames"),
         ("points", lambda a: np.concatenate([a, a]), "offsets: runs from 0 to 110, but there are"),
         ("offsets", lambda a: np.array([0, 50, 41, 63, 86, 110]),
