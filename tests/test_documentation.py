@@ -35,13 +35,9 @@ PAGES = sorted([*ROOT.glob("*.md"), *(p for p in DOCS.rglob("*.md") if "_build" 
 TUTORIAL = DOCS / "tutorial.md"
 HARDWARE = DOCS / "hardware.md"
 IN_CELL = "gendom act rope-reaching --goal 0.45 --cell cell.toml"
-OVERHEAD = Camera(
-    name="left",
-    width=640,
-    height=480,
-    K=np.array([[610.0, 0.0, 320.0], [0.0, 610.0, 240.0], [0.0, 0.0, 1.0]]),
-    T_world_camera=np.array([[0, -1, 0, 0.5], [-1, 0, 0, 0], [0, 0, -1, 1.1], [0, 0, 0, 1.0]]),
-)
+K = np.array([[610.0, 0.0, 320.0], [0.0, 610.0, 240.0], [0.0, 0.0, 1.0]])
+DOWN = np.array([[0, -1, 0, 0.5], [-1, 0, 0, 0], [0, 0, -1, 1.1], [0, 0, 0, 1.0]])
+OVERHEAD = Camera(name="left", width=640, height=480, K=K, T_world_camera=DOWN)
 """What `left/camera.toml` of the page on hardware would hold."""
 
 pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="no docs beside the tests")
@@ -113,10 +109,8 @@ def inline(page: Path) -> Iterator[str]:
     """Commands in backticks outside of blocks; not those of earlier releases."""
     text = FENCE.sub("", page.read_text(encoding="utf-8")).partition("## [0.1.0]")[0]
     for code in re.findall(r"`([^`\n]+(?:\n[^`\n]+)?)`", text):
-        words = " ".join(code.split())
-        if re.match(
-            r"(gendom [a-z]|python (examples|benchmarks)/|python -m experiments |make( |$))", words
-        ):
+        words, programs = " ".join(code.split()), r"python (examples/|benchmarks/|-m experiments )"
+        if re.match(rf"(gendom [a-z]|{programs}|make( |$))", words):
             yield words
 
 
@@ -194,9 +188,7 @@ def fault_of(command: str, *, whole: bool = True) -> str | None:
         return None
     if program == "make":
         folder = ROOT / (rest[rest.index("-C") + 1] if "-C" in rest else ".")
-        targets = re.findall(
-            r"^([a-z-]+):", (folder / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
-        )
+        targets = re.findall(r"(?m)^([a-z-]+):", (folder / "Makefile").read_text(encoding="utf-8"))
         wanted = [w for w in rest if "=" not in w and w not in ("-C", folder.name)]
         return next((f"there is no target {w}" for w in wanted if w not in targets), None)
     if program == "pytest":
@@ -256,8 +248,7 @@ def run_command(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.fixture(scope="session")
 def after_tutorial(tmp_path_factory) -> Path:
     """A folder in which the tutorial was followed, with what other pages take for granted."""
-    needed = {"torch", "onnx"}
-    if missing := [n for n in needed if importlib.util.find_spec(n) is None]:
+    if missing := [n for n in ("torch", "onnx") if importlib.util.find_spec(n) is None]:
         pytest.skip(f"needs {', '.join(missing)}")
     folder = tmp_path_factory.mktemp("tutorial")
     with pytest.MonkeyPatch.context() as patch:
@@ -270,19 +261,17 @@ def after_tutorial(tmp_path_factory) -> Path:
     write_camera(folder / "left" / "camera.toml", OVERHEAD)
     with pytest.MonkeyPatch.context() as patch:
         run_command(f"{IN_CELL} --params mine/estimate.json --out action.json", folder, patch)
-    shutil.copy(folder / "mine" / "lift.npz", folder / "lift.npz")
-    shutil.copy(folder / "mine" / "lift.npz", folder / "recording.npz")
-    shutil.copy(folder / "mine" / "estimate.json", folder / "estimate.json")
     (folder / "lift").mkdir()
-    shutil.copy(folder / "mine" / "estimate.json", folder / "lift" / "estimate.json")
+    for name in ("lift.npz", "recording.npz", "estimate.json", "lift/estimate.json"):
+        made = "lift.npz" if name.endswith(".npz") else "estimate.json"
+        shutil.copy(folder / "mine" / made, folder / name)
     return folder
 
 
 @pytest.mark.slow
 def test_the_tutorial_can_be_followed(after_tutorial):
     written = {p.name for p in (after_tutorial / "mine").iterdir()}
-    names = {"lift.npz", "estimate.json", "report.html", "replay.gif", "action.json"}
-    assert names <= written
+    assert {"lift.npz", "estimate.json", "report.html", "replay.gif", "action.json"} <= written
 
 
 RUN = [b for b in ALL if b.skipped is None and b.page != TUTORIAL]
@@ -360,13 +349,16 @@ def test_the_readme_keeps_to_one_screen():
 # ---- links -----------------------------------------------------------------------------------
 
 
+def prose(page: Path) -> str:
+    """A page without its blocks."""
+    return re.sub(r"(?ms)^```.*?^```$", "", page.read_text(encoding="utf-8"))
+
+
+@cache
 def anchors(page: Path) -> set[str]:
     """Those that GitHub and MyST give to headings."""
-    text = re.sub(
-        r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL
-    )
     found = set()
-    for heading in re.findall(r"^#+ (.*)$", text, re.MULTILINE):
+    for heading in re.findall(r"^#+ (.*)$", prose(page), re.MULTILINE):
         plain = re.sub(r"[^\w\- ]", "", re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower())
         found.add(plain.strip().replace(" ", "-"))
     return found
@@ -374,11 +366,8 @@ def anchors(page: Path) -> set[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_relative_links_and_anchors_resolve(page):
-    text = re.sub(
-        r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL
-    )
     broken = []
-    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
         if re.match(r"[a-z]+:", target):
             continue
         path, _, anchor = target.partition("#")
@@ -391,19 +380,13 @@ def test_relative_links_and_anchors_resolve(page):
 # ---- the reference ---------------------------------------------------------------------------
 
 
-def test_public_packages_have_a_page():
-    pages = {path.stem for path in (DOCS / "api").glob("gendom.*.md")}
-    packages = {
-        f"gendom.{path.parent.name}"
-        for path in (ROOT / "src" / "gendom").glob("*/__init__.py")
-        if "__all__" in path.read_text(encoding="utf-8")
-    }
-    assert packages <= pages
-
-
-def test_names_of_the_top_level_are_in_the_reference():
+def test_public_packages_and_names_are_in_the_reference():
     import gendom
 
+    pages = {path.stem for path in (DOCS / "api").glob("gendom.*.md")}
+    rooms = (ROOT / "src" / "gendom").glob("*/__init__.py")
+    public = [path.parent.name for path in rooms if "__all__" in path.read_text(encoding="utf-8")]
+    assert {f"gendom.{name}" for name in public} <= pages
     text = (DOCS / "api" / "index.md").read_text(encoding="utf-8")
     public = set(gendom.__all__) - {"__version__"}
     assert {name for name in public if f"`gendom.{name}`" not in text} <= {"GendomError"}

@@ -56,12 +56,6 @@ def test_every_block_has_a_page_and_every_figure_a_line(figures, stored):
     assert set(re.findall(r"\{([\w-]+)[\[:]", template)) == names >= set(stored)
 
 
-def test_lines_of_what_was_never_measured_are_left_out(figures, stored):
-    text = figures.PAGES[1].read_text(encoding="utf-8")
-    del stored["rope-red"]
-    assert "red rope" in text and "red rope" not in figures.made(text, stored)
-
-
 @pytest.fixture
 def counting(figures, monkeypatch, tmp_path):
     """Make a figure the only one; its command prints how often it has been run."""
@@ -118,12 +112,10 @@ def test_what_fails_is_said_and_run_again(figures, counting, tmp_path, capsys):
 
 def test_what_cannot_be_run_here_is_left_out(figures, counting, tmp_path, capsys):
     out = ["--out", str(tmp_path / "out")]
-    counting(needs=("peers",))
-    assert figures.main(out) == 0
-    assert "not run: needs peers" in capsys.readouterr().out
-    counting(needs=("hours",))
-    assert figures.main(out) == 0
-    assert "not run: needs hours" in capsys.readouterr().out
+    for need in ("peers", "hours"):
+        counting(needs=(need,))
+        assert figures.main(out) == 0
+        assert f"not run: needs {need}" in capsys.readouterr().out
     assert figures.main([*out, "--only", "n"]) == 0  # asked for by name
     assert (tmp_path / "out" / "n" / "runs").read_text() == "x"
 
@@ -136,12 +128,9 @@ def test_tolerances_are_of_the_smaller_number_and_fixed(figures):
     assert near.agrees("x", 0.0, -0.1) and not near.agrees("x", 0.0, 0.11)
 
 
-def test_numbers_of_tables_are_compared_one_by_one(figures):
+def test_numbers_are_found_in_tables_and_behind_text(figures):
     numbers = dict(figures.leaves({"table": "| a | 1.5 x (1 to 2) |", "list": [3.0, {"b": 4.0}]}))
     assert numbers == {"table.0": 1.5, "table.1": 1, "table.2": 2, "list.0": 3.0, "list.1.b": 4.0}
-
-
-def test_json_is_found_behind_text(figures):
     figure = figures.Figure("n", "", lambda found: {"a": found["a"]})
     assert figure.numbers('told [before]\n{"a": 1.23456789}\nand after\n') == {"a": 1.2346}
     with pytest.raises(ValueError, match="no JSON"):

@@ -191,10 +191,6 @@ def test_a_smaller_size_ends_an_interrupted_set(tmp_path, size):
     assert again.count == 12 - max(size, 8)
 
 
-def test_the_shard_size_changes_no_row(tmp_path, whole):
-    assert make(tmp_path / "set", shard_size=7).equals(load(whole))
-
-
 def test_costly_demonstrations_are_kept_sooner_and_a_set_keeps_its_shards(tmp_path):
     def shard_size(cost, **options):
         made = make(tmp_path / "set", 12, task=Throwing(cost=cost), shard_size=None, **options)

@@ -3,6 +3,7 @@
 import resource
 import shutil
 import time
+from functools import partial
 from importlib import resources
 from types import SimpleNamespace
 from typing import Any
@@ -41,6 +42,8 @@ LONGEST, MOST_MEMORY = 2.0, 500e3
 
 WORDS = [b"\0", b"\n", b"-1", b"nan", b"1e400", b"9" * 400, b"../", b"\xff\xfe", b"[" * 2000, b"\\"]
 TOML = 'table_height = 0.0\n[object]\nkind = "rope"\nlength = 0.4\nmass = 0.02\n'
+K = np.array([[10.0, 0.0, 4.0], [0.0, 10.0, 2.0], [0.0, 0.0, 1.0]])
+CAMERA = Camera(name="left", width=8, height=4, K=K, T_world_camera=np.eye(4))
 POINTS = np.random.default_rng(0).normal(size=(12, 3)).astype(np.float32) * 0.05
 
 
@@ -73,31 +76,30 @@ def as_pcd(path, encoding):
 def cameras(folder):
     place = folder / "cameras" / "left"
     (place / "depth").mkdir(parents=True)
-    K = np.array([[10.0, 0.0, 4.0], [0.0, 10.0, 2.0], [0.0, 0.0, 1.0]])
-    camera = Camera(name="left", width=8, height=4, K=K, T_world_camera=np.eye(4))
-    write_camera(place / "camera.toml", camera)
+    write_camera(place / "camera.toml", CAMERA)
     for k in range(3):
         Image.fromarray(np.full((4, 8), 900, np.uint16)).save(place / "depth" / f"{k}.png")
-    rows = [f"{0.1 * k},depth/{k}.png" for k in range(3)]
-    (place / "frames.csv").write_text("\n".join(["time,depth", *rows, ""]))
-    names = "time,capsule,x0,y0,z0,x1,y1,z1,radius\n"
-    (folder / "capsules.csv").write_text(names + "0.0,hand,0,0,0,0,0,1,0.1\n")
-    joints = ["time,q0,q1,q2,q3,q4,q5,q6", *(f"{0.1 * k},0,0,0,0.5,0,0,0" for k in range(3))]
-    (folder / "joints.csv").write_text("\n".join([*joints, ""]))
+    table(place / "frames.csv", "time,depth", *(f"{0.1 * k},depth/{k}.png" for k in range(3)))
+    names, hand = "time,capsule,x0,y0,z0,x1,y1,z1,radius", "0.0,hand,0,0,0,0,0,1,0.1"
+    table(folder / "capsules.csv", names, hand)
+    joints = (f"{0.1 * k},0,0,0,0.5,0,0,0" for k in range(3))
+    table(folder / "joints.csv", "time,q0,q1,q2,q3,q4,q5,q6", *joints)
     gripper(folder)
 
 
+def table(path, *rows):
+    path.write_text("\n".join([*rows, ""]))
+
+
 def gripper(folder):
-    rows = [f"{0.1 * k},0,0,{0.01 * k}" for k in range(4)]
-    (folder / "gripper.csv").write_text("\n".join(["time,x,y,z", *rows, ""]))
+    table(folder / "gripper.csv", "time,x,y,z", *(f"{0.1 * k},0,0,{0.01 * k}" for k in range(4)))
     (folder / "object.toml").write_text(TOML)
 
 
 def board(folder):
-    text = "squares_x = 5\nsquares_y = 4\nsquare = 0.04\nmarker = 0.03\n"
-    (folder / "board.toml").write_text(text)
-    rows = [f"{k}.png,0,0,0,0,0,0,1" for k in range(2)]
-    (folder / "poses.csv").write_text("\n".join(["picture,x,y,z,qx,qy,qz,qw", *rows, ""]))
+    table(folder / "board.toml", "squares_x = 5", "squares_y = 4", "square = 0.04", "marker = 0.03")
+    poses = (f"{k}.png,0,0,0,0,0,0,1" for k in range(2))
+    table(folder / "poses.csv", "picture,x,y,z,qx,qy,qz,qw", *poses)
     for k in range(2):
         Image.fromarray(np.full((4, 8), 90, np.uint8)).save(folder / f"{k}.png")
 
@@ -189,10 +191,12 @@ def motion(folder):
     write_json(folder / "motion.json", record)
 
 
-def clouds(write):
+def clouds(write, suffix):
+    """A folder with a cloud a frame, by a function of a path."""
+
     def make(folder):
         for k in range(4):
-            write(folder, f"{k:04d}")
+            write(folder / f"{k:04d}{suffix}")
         gripper(folder)
 
     return make
@@ -239,9 +243,7 @@ def read_pictures(folder):
 
 
 def read_boards(folder):
-    K = np.array([[10.0, 0.0, 4.0], [0.0, 10.0, 2.0], [0.0, 0.0, 1.0]])
-    camera = Camera(name="left", width=8, height=4, K=K, T_world_camera=np.eye(4))
-    read_views(folder, camera, on_warning=lambda _: None)
+    read_views(folder, CAMERA, on_warning=lambda _: None)
 
 
 def action(folder):
@@ -271,10 +273,10 @@ def log(folder):
 def unchecked(read):
     """A reader of text that people edit: other numbers are read without a word."""
 
-    def taken(folder):
+    def quietly(folder):
         read(folder)
 
-    return taken
+    return quietly
 
 
 READERS = {
@@ -291,11 +293,11 @@ READERS = {
         unchecked(lambda f: Adapt(task="rope-reaching", executions=f / "executions.json")._new()),
     ),
     "motion": (motion, unchecked(lambda f: LiftMotion.read(f / "motion.json"))),
-    "ply": (clouds(lambda f, n: write_ply(f / f"{n}.ply", POINTS)), read),
-    "ply as text": (clouds(lambda f, n: write_ply(f / f"{n}.ply", POINTS, text=True)), read),
-    "clouds as npz": (clouds(lambda f, n: np.savez(f / f"{n}.npz", points=POINTS)), read),
+    "ply": (clouds(partial(write_ply, points=POINTS), ".ply"), read),
+    "ply as text": (clouds(partial(write_ply, points=POINTS, text=True), ".ply"), read),
+    "clouds as npz": (clouds(partial(np.savez, points=POINTS), ".npz"), read),
     **{
-        f"pcd {e}": (clouds(lambda f, n, e=e: as_pcd(f / f"{n}.pcd", e)), read)
+        f"pcd {e}": (clouds(partial(as_pcd, encoding=e), ".pcd"), read)
         for e in ("ascii", "binary", "binary_compressed")
     },
     "mcap": (lambda f: bag(f, "MCAP"), read_bag),

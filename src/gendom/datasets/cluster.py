@@ -7,7 +7,7 @@ import os
 import secrets
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from typing import Any
@@ -27,7 +27,11 @@ Windows and macOS, and takes jobs only with a token."""
 
 
 def on_cluster(
-    simulate: Callable[..., Any], jobs: Sequence[range], address: str, device: str
+    simulate: Callable[..., Any],
+    jobs: Sequence[range],
+    address: str,
+    device: str,
+    settings: Iterable[Any] = (),
 ) -> Iterator[tuple[range, Any]]:
     """Run jobs with one worker for each core or GPU, and yield jobs and results as they finish.
 
@@ -39,6 +43,7 @@ def on_cluster(
         address: ``local``: cores or GPUs of this machine; ``auto`` or ``ray://HOST:PORT``: a
             running cluster.
         device: ``cpu`` or ``cuda``; on CUDA a worker has one GPU.
+        settings: Objects that `simulate` holds; workers need not be able to import their classes.
 
     Raises:
         DeviceError: Ray is not installed, or there is no such cluster, or it lacks GPUs.
@@ -49,8 +54,7 @@ def on_cluster(
     with _connected(address) as ray:
         if not ray.cluster_resources().get(kind):
             raise DeviceError(f"the cluster has no {kind}", where=f"--cluster {address}")
-        # a class loaded from a separate file cannot be imported on workers
-        for name in {type(part).__module__ for part in _settings(simulate)}:
+        for name in {type(part).__module__ for part in settings if is_dataclass(part)}:
             if not name.startswith("gendom."):
                 ray.cloudpickle.register_pickle_by_value(sys.modules[name])
         work = ray.remote(max_retries=RETRIES, **needs)(_work)
@@ -116,11 +120,3 @@ def _environment(variables: Mapping[str, str]) -> Iterator[None]:
     finally:
         for name in own:
             os.environ.pop(name, None)
-
-
-def _settings(value: Any) -> Iterator[Any]:
-    """Yield the dataclasses among the arguments of a partial call of `simulate`."""
-    for inner in [*getattr(value, "args", ()), *getattr(value, "keywords", {}).values()]:
-        if names := getattr(inner, "__dataclass_fields__", ()):
-            yield inner
-            yield from (part for n in names if is_dataclass(part := getattr(inner, n)))

@@ -212,7 +212,7 @@ def _complete(
     if cluster is None:
         results = _on_devices(simulate, jobs, devices)
     else:
-        results = on_cluster(simulate, jobs, cluster, kind)
+        results = on_cluster(simulate, jobs, cluster, kind, (source, *vars(source).values()))
     for job, rows in results:
         number = job.start // shard_size
         parts[number].append(rows)

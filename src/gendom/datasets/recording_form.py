@@ -323,16 +323,15 @@ def joined(clouds: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
 
 def convert(arrays: Mapping[str, Any]) -> tuple[dict[str, np.ndarray | None], list[Fault]]:
     """Convert arrays to their types, read-only; return them and faults of type and shape."""
-    converted: dict[str, np.ndarray | None] = {}
+    converted: dict[str, np.ndarray | None] = dict.fromkeys(ARRAYS)
     faults = []
     for name, (dtype, shape) in ARRAYS.items():
-        value, form = arrays.get(name), f"{np.dtype(dtype)} [{', '.join(map(str, shape))}]"
-        if value is None:
-            converted[name] = None
+        form = f"{np.dtype(dtype)} [{', '.join(map(str, shape))}]"
+        if arrays.get(name) is None:
             if name not in _OPTIONAL_ARRAYS:
                 faults.append(Fault("is missing", name, f"add it: {form}"))
             continue
-        array = np.asarray(value)
+        array = np.asarray(arrays[name])
         if array.dtype.kind not in _KINDS_OF[np.dtype(dtype).kind] and array.size:
             faults.append(Fault(f"has the type {array.dtype}", name, f"give {form}"))
         elif not fits(array.shape, shape):
@@ -349,23 +348,20 @@ def _length_faults(arrays: Mapping[str, np.ndarray | None]) -> Iterator[Fault]:
     """What does not fit in the lengths of arrays, each of which is valid."""
     needed = ("points", "offsets", "time", "gripper_position")
     points, offsets, time, position = (np.asarray(arrays[name]) for name in needed)
-    frames = len(time)
+    frames, seen_by, falls = len(time), arrays["seen_by"], np.diff(offsets) < 0
     if frames == 0:
         yield Fault("is empty", "time", "give at least one frame")
         return
     if len(offsets) != frames + 1:
         what = f"has {len(offsets)} entries for {frames} frames"
         yield Fault(what, "offsets", f"give {frames + 1}, one more than time has")
-    else:
-        falls = np.diff(offsets) < 0
-        if offsets[0] != 0 or offsets[-1] != len(points):
-            what = f"runs from {offsets[0]} to {offsets[-1]}, but there are {len(points)} points"
-            yield Fault(what, "offsets", f"let it run from 0 to {len(points)}")
-        if falls.any():
-            t = int(np.argmax(falls))
-            what = f"falls from {offsets[t]} to {offsets[t + 1]}"
-            yield Fault(what, f"offsets, frame {t}", "let it never decrease")
-    seen_by = arrays["seen_by"]
+    elif offsets[0] != 0 or offsets[-1] != len(points):
+        what = f"runs from {offsets[0]} to {offsets[-1]}, but there are {len(points)} points"
+        yield Fault(what, "offsets", f"let it run from 0 to {len(points)}")
+    elif falls.any():
+        t = int(np.argmax(falls))
+        what = f"falls from {offsets[t]} to {offsets[t + 1]}"
+        yield Fault(what, f"offsets, frame {t}", "let it never decrease")
     if seen_by is not None and len(seen_by) != len(points):
         what = f"has {len(seen_by)} entries for {len(points)} points"
         yield Fault(what, "seen_by", "give one for each point, or leave it out")
@@ -374,12 +370,12 @@ def _length_faults(arrays: Mapping[str, np.ndarray | None]) -> Iterator[Fault]:
         yield Fault(what, "gripper_position", "give one position a frame")
     if position.shape[1] == 0:
         yield Fault("has no gripper", "gripper_position", "give at least one: [T, 1, 3]")
-    for name, shape, values in (
-        ("gripper_closed", position.shape[:2], "true or false"),
-        ("gripper_axis", position.shape, "one unit vector"),
+    for name, axes, values in (
+        ("gripper_closed", 2, "true or false"),
+        ("gripper_axis", 3, "one unit vector"),
     ):
         array = arrays[name]
-        if array is not None and array.shape != shape:
+        if array is not None and array.shape != position.shape[:axes]:
             what = f"has shape {list(array.shape)}, but gripper_position {list(position.shape)}"
             yield Fault(what, name, f"give {values} for each position, or leave it out")
 

@@ -92,7 +92,7 @@ def estimate(
             prior = thickness_prior(problem.scene.recording.object)
             posterior = posterior.with_assumed(prior)
         if not verdict.usable:
-            posterior = posterior.of_prior()
+            posterior = replace(posterior, covariance=np.diag(posterior.prior.sd**2))
         seconds = dict(zip(("scene", "search", "intervals"), np.diff(times).tolist(), strict=True))
         return result_of(problem, found, posterior, alone, verdict, seconds, suspicion)
 

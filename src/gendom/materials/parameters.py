@@ -1,10 +1,9 @@
 """Elastic parameters as estimated, simulated and shown to policies."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from gendom.arguments import check_number, require
-from gendom.shown import Shown
 
 WEAVE = ("warp", "weft", "shear")
 """A shell's stiffness over that of an isotropic sheet, see `Material`."""
@@ -14,7 +13,7 @@ OF_THIN = ("membrane", *WEAVE)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Material(Shown):
+class Material:
     """An elastic material, isotropic but for the threads of a shell.
 
     Motion under gravity depends on E / density, so two materials of equal ``E_over_rho``
@@ -43,15 +42,6 @@ class Material(Shown):
     """The same along its second side; that of twist is their geometric mean."""
     shear: float = 1.0
     """In-plane shear stiffness of a shell, likewise."""
-
-    def _shown(self) -> tuple[str, list[tuple[str, str]]]:
-        pascals = dict.fromkeys(("E", "membrane"), "Pa")
-        units = {"density": "kg/m^3", "damping": "s", **pascals}
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        usual = {"membrane": None, **dict.fromkeys(WEAVE, 1.0)}
-        given = {n: v for n, v in values.items() if n not in usual or v != usual[n]}
-        rows = [(n, f"{v:g} {units.get(n, '')}") for n, v in given.items()]
-        return "Material", [(name, value.strip()) for name, value in rows]
 
     def __post_init__(self) -> None:
         check_number("Young's modulus E", self.E, above=0.0)

@@ -154,10 +154,6 @@ class Posterior:
     bases: tuple[Theta, ...]
     """For each recording the values of everything that was not estimated."""
 
-    def of_prior(self) -> Posterior:
-        """With the deviations of the prior: recordings that are not usable tell nothing."""
-        return replace(self, covariance=np.diag(self.prior.sd**2))
-
     def with_assumed(self, assumed: Prior) -> Posterior:
         """With an unknown of the object that was assumed, not estimated, and is as uncertain as its
         prior. What the recordings determine is the combination that `Unknown.steps_with` keeps:
