@@ -39,16 +39,17 @@ GRIP = [np.array([0.4, 0.0, 0.02 * t + 0.01]) for t in range(3)]
 """Clouds in the world at three times, and where the gripper is then."""
 
 
-def made(kind, values):
+def made(kind, values) -> Any:
     """A message of nested mappings; what is not given is zero or empty."""
     kind, fields = kind.replace("/msg", "").replace("/", "/msg/"), {}
-    for name, (form, of) in STORE.fielddefs[kind][1]:
+    definitions: Any = STORE.fielddefs[kind][1]
+    for name, (form, of) in definitions:
         value: Any = values.get(name)
         if form == Nodetype.NAME:
             value = made(of, value or {})
         elif value is None:
-            zero = {Nodetype.BASE: "" if of[0] == "string" else 0, Nodetype.SEQUENCE: []}
-            value = zero.get(form, np.zeros(of[1]) if form == Nodetype.ARRAY else 0)
+            value = {Nodetype.BASE: "" if of[0] == "string" else 0, Nodetype.SEQUENCE: []}.get(form)
+            value = np.zeros(of[1]) if value is None else value
         elif isinstance(value, list):
             value = [made(of[0][1], one) for one in value]
         fields[name] = value
@@ -76,7 +77,7 @@ def cloud(time, frame, points, *, order="<", height=1, names="xyz", ends=b"junk"
     """Each point has four bytes of colour before x and y, and z after a gap; rows end with
     something else."""
     offsets, kinds = [0, 4, 8, 16], [f"{order}u4", *[f"{order}f4"] * 3]
-    of = {"names": ["rgb", *"xyz"], "formats": kinds, "offsets": offsets, "itemsize": 24}
+    of: Any = {"names": ["rgb", *"xyz"], "formats": kinds, "offsets": offsets, "itemsize": 24}
     table = np.zeros(len(points), np.dtype(of))
     table["x"], table["y"], table["z"] = np.asarray(points).T
     width = len(points) // height

@@ -493,7 +493,7 @@ def _camera(said: _CameraEntry, path: Path) -> CellCamera:
     once, fix = said.calibration is None or T is None, "leave one of them out"
     require(once, "has calibration and T_world_camera", where=where, fix=fix, error=DeviceError)
     if said.calibration is not None:
-        pose = read_camera(path.parent / said.calibration, said.name).T_world_camera
+        pose = read_camera(path.parent / said.calibration).T_world_camera
     else:  # whose checks are those of calibrations
         T = None if T is None else np.array(T)
         pose = Camera(name=where, width=1, height=1, K=np.eye(3), T_world_camera=T).T_world_camera
