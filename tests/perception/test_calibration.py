@@ -188,38 +188,30 @@ def test_stated_errors_hold_and_are_no_excuse(world):
     assert np.mean([f.rms for f in found]) == pytest.approx(0.3 * np.sqrt(2), rel=0.1)
 
 
-def moved(views, which, T):
-    """Views whose reported poses are off."""
-    return [
-        replace(v, T_world_gripper=v.T_world_gripper @ T) if k in which else v
-        for k, v in enumerate(views)
-    ]
+def moved(view, T):
+    """A view whose reported pose is off."""
+    return replace(view, T_world_gripper=view.T_world_gripper @ T)
 
 
 @pytest.mark.parametrize("T", [transform([0, 0, 0], [0.006, -0.008, 0]), transform([3, 0, 0], 0)])
 def test_one_wrong_pose_of_twelve_is_outvoted_and_named(world, T):
     """Least squares are 6 and 11 mm off."""
     camera = world.make_camera()
-    found = calibrate(camera, moved(exact_views(camera, good_tilts(), 0.2)[0], [7], T))
+    views, _ = exact_views(camera, good_tilts(), 0.2)
+    found = calibrate(camera, [*views[:7], moved(views[7], T), *views[8:]])
     assert error_of(found.T_world_camera, camera)[0] < min(2e-3, found.error_position)
     assert found.outliers == ["picture 7"]
 
 
 def test_the_same_as_kinhec(world):
     """Poses with errors of an arm; another program's least squares over poses, not corners."""
-    reason = "needs kinhec: the extra dev"
-    solvers = pytest.importorskip("kinhec.solvers", reason=reason)
+    solvers = pytest.importorskip("kinhec.solvers", reason="needs kinhec: the extra dev")
     camera, rng = world.make_camera(), np.random.default_rng(0)
     views, hold = exact_views(camera, good_tilts(20), 0.05)
-    to_camera = np.linalg.inv(camera.T_world_camera)
-    seen = np.stack([to_camera @ view.T_world_gripper @ hold for view in views])
-    views = [
-        v
-        for k in range(20)
-        for v in moved(
-            views[k : k + 1], [0], transform(rng.normal(0, 0.03, 3), rng.normal(0, 3e-4, 3))
-        )
-    ]
+    poses = np.stack([view.T_world_gripper for view in views])
+    seen = np.linalg.inv(camera.T_world_camera) @ poses @ hold
+    off = (transform(rng.normal(0, 0.03, 3), rng.normal(0, 3e-4, 3)) for _ in views)
+    views = [moved(view, T) for view, T in zip(views, off, strict=True)]
     poses = np.stack([view.T_world_gripper for view in views])
     X, Y = solvers.refine_lm_axyb(poses, seen, *solvers.shah(poses, seen))
     found = calibrate(camera, views)
@@ -247,10 +239,8 @@ def test_degenerate_poses_are_refused(world, tilts, noise, line):
 def test_poses_of_other_pictures_are_refused(world):
     camera = world.make_camera()
     views, _ = exact_views(camera, good_tilts(8))
-    mixed = [
-        replace(a, T_world_gripper=views[k].T_world_gripper)
-        for a, k in zip(views, (5, 2, 7, 0, 6, 1, 3, 4), strict=True)
-    ]
+    others = (views[k].T_world_gripper for k in (5, 2, 7, 0, 6, 1, 3, 4))
+    mixed = [replace(v, T_world_gripper=T) for v, T in zip(views, others, strict=True)]
     with pytest.raises(GendomError, match="check that poses belong to the pictures"):
         calibrate(camera, mixed)
 
@@ -287,36 +277,36 @@ def test_pictures_and_poses_that_are_wrong_are_told(copy, capsys):
     assert "7.png: is 4" in out and "its pose is not" in out
 
 
+BOARD_FILE, POSES = "pictures/board.toml", "pictures/poses.csv"
+
+
 @pytest.mark.parametrize(
-    ("file", "change", "line"),
+    ("file", "old", "new", "line"),
     [
-        ("pictures/board.toml", ("DICT_4X4_50", "DICT_9X9"), "no dictionary 'DICT_9X9'"),
-        ("pictures/board.toml", ("DICT_4X4_50", "DICT_7X7_50"), "found in 0 pictures"),
-        ("pictures/board.toml", ("marker = 0.037", "marker = 37"), "marker smaller"),
-        ("pictures/board.toml", ("marker = 0.037\n", ""), "does not describe a board"),
-        ("pictures/board.toml", ("squares_x = 7", "squares_x = '7'"), "does not describe a board"),
-        ("pictures/poses.csv", ("picture,x", "file,x"), "has another header"),
-        ("pictures/poses.csv", ("0.png,", "0.png,1,"), "line 2: is no pose"),
-        ("pictures/poses.csv", ("qw\n", "qw\na.png,900,0,0,0,0,0,1\n"), "metres, not millimetres"),
-        ("camera.toml", ("width = 640", "width = 848"), "is 640 x 480, the camera 848 x 480"),
-        ("pictures/poses.csv", ("qw\n", "qw\na.png,0,0,0,170,5,9,0\n"), "angles in degrees?"),
-        ("camera.toml", ("385.0", "200.0"), "pixels, not 200; K is of"),
-        ("pictures/board.toml", ("square = 0.05", "square = 0.051"), "the board is printed to"),
+        (BOARD_FILE, "DICT_4X4_50", "DICT_9X9", "no dictionary 'DICT_9X9'"),
+        (BOARD_FILE, "DICT_4X4_50", "DICT_7X7_50", "found in 0 pictures"),
+        (BOARD_FILE, "marker = 0.037", "marker = 37", "marker smaller"),
+        (BOARD_FILE, "marker = 0.037\n", "", "does not describe a board"),
+        (BOARD_FILE, "squares_x = 7", "squares_x = '7'", "does not describe a board"),
+        (BOARD_FILE, "squares_x = 7", "squares_x = 999", "999 x 5 squares; use 3 or more, 100 at"),
+        (POSES, "picture,x", "file,x", "has another header"),
+        (POSES, "0.png,", "0.png,1,", "line 2: is no pose"),
+        (POSES, "qw\n", "qw\na.png,900,0,0,0,0,0,1\n", "metres, not millimetres"),
+        ("camera.toml", "width = 640", "width = 848", "is 640 x 480, the camera 848 x 480"),
+        (POSES, "qw\n", "qw\na.png,0,0,0,170,5,9,0\n", "angles in degrees?"),
+        ("camera.toml", "385.0", "200.0", "pixels, not 200; K is of"),
+        (BOARD_FILE, "square = 0.05", "square = 0.051", "the board is printed to"),
+        *((file, "", None, "no such file") for file in (BOARD_FILE, POSES, "camera.toml")),
     ],
 )
-def test_bad_input(copy, capsys, file, change, line):
+def test_bad_input(copy, capsys, file, old, new, line):
     text = (copy / file).read_text()
-    assert change[0] in text
-    (copy / file).write_text(text.replace(*change))
+    assert old in text
+    if new is None:
+        (copy / file).unlink()
+    else:
+        (copy / file).write_text(text.replace(old, new))
     assert run(copy, "--out", str(copy / "new" / "camera.toml")) == 2
     err = capsys.readouterr().err
     assert line in err and len(err.splitlines()) == 1
     assert not (copy / "new").exists()
-
-
-@pytest.mark.parametrize("file", ["pictures/board.toml", "pictures/poses.csv", "camera.toml"])
-def test_missing_files(copy, capsys, file):
-    (copy / file).unlink()
-    assert run(copy) == 2
-    err = capsys.readouterr().err
-    assert "no such file" in err and file in err and len(err.splitlines()) == 1

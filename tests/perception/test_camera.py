@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gendom.errors import GendomError, RecordingError
+from gendom.errors import RecordingError
 from gendom.perception import Camera, PngCamera, read_camera, write_camera
 from gendom.perception.calibration import read_views
 from gendom.perception.frames import read_png
@@ -153,9 +153,3 @@ def test_pictures_of_too_many_pixels(tmp_path):
     (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + data)
     with pytest.raises(RecordingError, match="has 40000 x 40000 pixels"):
         read_png(tmp_path / "a.png")
-
-
-def test_boards_of_too_many_squares(tmp_path, folder):
-    (tmp_path / "board.toml").write_text("squares_x=9999\nsquares_y=5\nsquare=0.04\nmarker=0.03\n")
-    with pytest.raises(GendomError, match="9999 x 5 squares; use 3 or more, 100 at most"):
-        read_views(tmp_path, read_camera(folder / "camera.toml"), on_warning=print)

@@ -57,7 +57,7 @@ def live(world):
             )
         ]
         robot = RobotPath(np.array(times), np.array(path, float)[:, None])
-        return CameraRecording(sources, robot, meta, where="live")
+        return CameraRecording([*sources], robot, meta, where="live")
 
     return recorded
 

@@ -94,18 +94,22 @@ def test_what_is_not_the_object_is_left_out(world, own, table, beside, chosen):
 
 
 @pytest.mark.parametrize(
-    ("beside", "chosen"),
-    [("hand", False), ("own hand", False), ("own hand", True), ("crossing", True)],
+    ("own", "beside", "settings"),
+    [
+        (RED, "hand", {}),
+        (RED, "own hand", {}),
+        (RED, "own hand", {"colour": RED}),
+        (RED, "crossing", {"colour": RED}),
+        (WHITE, "", {"colour": WHITE, "no_table": True}),
+    ],
 )
-def test_what_touches_the_object_is_refused(world, beside, chosen):
-    settings = PerceptionSettings(colour=RED if chosen else None)
+def test_what_touches_the_object_is_refused(world, own, beside, settings):
+    """So is a table that is not looked for."""
     with pytest.raises(RecordingError, match=LARGE):
-        perceive(recorded(world, beside=beside), settings)
-
-
-def test_a_table_that_is_not_looked_for_is_refused(world):
-    with pytest.raises(RecordingError, match=LARGE):
-        perceive(recorded(world, WHITE, WHITE), PerceptionSettings(colour=WHITE, no_table=True))
+        perceive(
+            recorded(world, own, GREY if own == RED else own, beside),
+            PerceptionSettings(**settings),
+        )
 
 
 def test_frames_with_a_hand_are_left_out(world):

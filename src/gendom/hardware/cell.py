@@ -112,7 +112,7 @@ class CellCamera:
         once, fix = self.calibration is None or T is None, "leave one of them out"
         require(once, "has calibration and T_world_camera", where=where, fix=fix, error=DeviceError)
         if self.calibration is not None:
-            camera = read_camera(path.parent / self.calibration, self.name)
+            camera = read_camera(path.parent / self.calibration)
         else:  # whose checks are those of calibrations
             camera = Camera(name=where, width=1, height=1, K=np.eye(3), T_world_camera=T)
         return replace(self, T_world_camera=camera.T_world_camera)

@@ -1,6 +1,6 @@
 """From depth pictures to point clouds: cameras, segmentation, fusion, calibration."""
 
-from gendom.perception.calibration import Board, BoardView, Calibration, calibrate, find_board
+from gendom.perception.calibration import Board, BoardView, Calibration, calibrate
 from gendom.perception.camera import Camera, read_camera, write_camera
 from gendom.perception.cloud import (
     STAGES,
@@ -13,7 +13,7 @@ from gendom.perception.folder import CameraRecording, PngCamera, PngWriter, Robo
 from gendom.perception.frames import CameraReader, Frame, FrameSource, MatchedFrames, Pictures
 from gendom.perception.perceive import Perceived, perceive
 from gendom.perception.realsense import RealSenseRecording
-from gendom.perception.robot import CapsulePath, Capsules
+from gendom.perception.robot import Capsules
 from gendom.perception.ros import RosSettings, bag_files, read_ros_bag
 
 __all__ = [
@@ -25,7 +25,6 @@ __all__ = [
     "CameraReader",
     "CameraRecording",
     "CameraView",
-    "CapsulePath",
     "Capsules",
     "Frame",
     "FrameSource",
@@ -41,7 +40,6 @@ __all__ = [
     "RosSettings",
     "bag_files",
     "calibrate",
-    "find_board",
     "perceive",
     "perceive_frame",
     "read_camera",

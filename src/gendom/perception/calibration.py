@@ -79,11 +79,7 @@ class Board:
         expect(0.0 < self.marker < self.square < 1.0, what, where="board", fix=fix)
 
     def opencv(self) -> Any:
-        """The same as cv2.aruco.CharucoBoard.
-
-        Raises:
-            RecordingError: There is no such dictionary.
-        """
+        """The same as cv2.aruco.CharucoBoard; RecordingError: there is no such dictionary."""
         from cv2 import aruco
 
         known = self.dictionary.startswith("DICT_") and hasattr(aruco, self.dictionary)
@@ -139,12 +135,8 @@ class Calibration:
 
 
 def find_board(picture: npt.NDArray[np.uint8], board: Board) -> tuple[np.ndarray, np.ndarray]:
-    """The board's inner corners in a grey picture [height, width].
-
-    Returns:
-        Points [n, 3] on the board [m] and pixels [n, 2]; n is 0 where fewer than 6 are found or
-        all on one line.
-    """
+    """The board's inner corners in a grey picture [height, width]: points [n, 3] on the board [m]
+    and pixels [n, 2]; n is 0 where fewer than 6 are found or all on one line."""
     import cv2
 
     model = board.opencv()
@@ -348,14 +340,13 @@ def _hand_eye(camera: Camera, views: Sequence[BoardView]) -> tuple[np.ndarray, n
     """First T_world_camera and T_gripper_board, [4, 4] each, in closed form."""
     import cv2
 
-    boards = [_board_pose(camera, view) for view in views]
-    poses = [view.T_world_gripper for view in views]
+    boards = np.stack([_board_pose(camera, view) for view in views])
+    poses = np.stack([view.T_world_gripper for view in views])
     # T_camera_board T_board_gripper = T_camera_world T_world_gripper
-    parts = (
-        [T[place] for T in Ts] for Ts in (boards, poses) for place in (np.s_[:3, :3], np.s_[:3, 3])
+    (R, t), (R_gripper, t_gripper) = ((T[:, :3, :3], T[:, :3, 3]) for T in (boards, poses))
+    R_board, t_board, R_world, t_world = cv2.calibrateRobotWorldHandEye(
+        [*R], [*t], [*R_gripper], [*t_gripper], method=cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH
     )
-    method = cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH
-    R_board, t_board, R_world, t_world = cv2.calibrateRobotWorldHandEye(*parts, method=method)
     return np.linalg.inv(rigid(R_world, t_world)), np.linalg.inv(rigid(R_board, t_board))
 
 
@@ -396,15 +387,11 @@ def _board_pose(camera: Camera, view: BoardView) -> np.ndarray:
 def read_views(
     folder: str | os.PathLike, camera: Camera, *, on_warning: Callable[[Fault], None]
 ) -> list[BoardView]:
-    """The views of a folder with board.toml, poses.csv and pictures.
+    """The views of a folder with board.toml, poses.csv and pictures that a camera took.
 
     board.toml has the fields of `Board`; poses.csv the columns picture,x,y,z,qx,qy,qz,qw: a PNG
     file in the folder and T_world_gripper at that moment, metres and a unit quaternion.
-
-    Args:
-        folder: Where they are.
-        camera: What took the pictures.
-        on_warning: Called for each picture that is left out: damaged, or without the board.
+    `on_warning` is called for each picture that is left out: damaged, or without the board.
 
     Raises:
         RecordingError: board.toml or poses.csv is missing or malformed, a picture has not the
@@ -451,11 +438,8 @@ def read_board(path: Path) -> Board:
 
 
 def read_poses(path: Path) -> list[tuple[Path, np.ndarray]]:
-    """Pictures and T_world_gripper [4, 4] of poses.csv.
-
-    Raises:
-        RecordingError: It is missing or malformed, or holds millimetres or angles.
-    """
+    """Pictures and T_world_gripper [4, 4] of poses.csv; RecordingError: it is missing or malformed,
+    or holds millimetres or angles."""
     lines, fix = read_rows(path, header=",".join(COLUMNS)), f"write {','.join(COLUMNS)}"
     expect(tuple(lines[0][1]) == COLUMNS, "has another header", where=str(path), fix=fix)
     poses = []

@@ -15,7 +15,7 @@ Axes are OpenCV's: x right, y down, z forward; pixel (0, 0) is centred at u = v 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -104,19 +104,11 @@ class Camera:
 
     @property
     def position(self) -> npt.NDArray[np.float64]:
-        """[3] optical centre in the world [m].
-
-        Raises:
-            RecordingError: The camera is not calibrated.
-        """
+        """[3] optical centre in the world [m]; RecordingError: the camera is not calibrated."""
         return self.calibrated()[:3, 3]
 
     def calibrated(self) -> npt.NDArray[np.float64]:
-        """`T_world_camera`, [4, 4] [m].
-
-        Raises:
-            RecordingError: It is not known.
-        """
+        """`T_world_camera`, [4, 4] [m]; RecordingError: it is not known."""
         T, where = self.T_world_camera, f"{self.name}: T_world_camera"
         expect(T is not None, "is missing", where=where, fix="measure it with gendom calibrate")
         assert T is not None
@@ -156,88 +148,54 @@ def rigid(R: npt.ArrayLike, t: npt.ArrayLike) -> npt.NDArray[np.float64]:
     return T
 
 
-def read_camera(path: str | os.PathLike, name: str | None = None) -> Camera:
+def read_camera(path: str | os.PathLike, *, recorded: Camera | None = None) -> Camera:
     """The camera of a file camera.toml; see the top of this module.
 
     Args:
-        path: The file.
-        name: The camera's name; by default that of its folder.
+        path: The file, whose folder names the camera.
+        recorded: The camera as a recording beside the file describes it. The file then gives the
+            pose, and the depth unit where the recording's is wrong; other keys in it must equal
+            those of the recording. None: it gives all.
 
     Raises:
         RecordingError: The file is missing, no TOML, or lacks or has a wrong value.
     """
     path = Path(path)
-    # A default depth unit would be wrong by a factor of ten for many cameras.
-    table = _read_table(path, required=("width", "height", "K", "depth_unit"))
-    name = name or path.resolve().parent.name
-    return _made(path, lambda: Camera(**{"name": name, "T_world_camera": None, **table}))
-
-
-def adopt_camera(path: str | os.PathLike, camera: Camera) -> Camera:
-    """Complete a camera from a recording with the pose of the camera.toml beside it.
-
-    `depth_unit` in the file overrides the recording's. Intrinsics in the file must equal those of
-    the recording.
-
-    Args:
-        path: The file; if it is missing, the camera is returned unchanged.
-        camera: The camera as described by the recording.
-
-    Raises:
-        RecordingError: The file is no TOML, has a wrong value, or other intrinsics.
-    """
-    path = Path(path)
-    if not path.exists():
-        return camera
-    table = _read_table(path)
-    given = _made(path, lambda: replace(camera, **table))
-    for key, tolerance in (("width", 0.0), ("height", 0.0), ("K", 0.5), ("distortion", 1e-3)):
-        own, stated = (np.atleast_1d(getattr(c, key)) for c in (camera, given))
-        if key == "distortion":  # what is left out is zero
-            own, stated = (np.pad(a, (0, 8 - len(a))) for a in (own, stated))
-        what, fix = "is not that of the recording beside it", "leave it out: its own is taken"
-        expect(np.abs(stated - own).max() <= tolerance, what, where=f"{path}: {key}", fix=fix)
-    kept = {key: table[key] for key in ("depth_unit", "T_world_camera") if key in table}
-    return replace(camera, **kept)
-
-
-def _made(path: Path, make: Callable[[], Camera]) -> Camera:
-    """A camera of a file, which messages name in place of the camera."""
-    try:
-        return make()
-    except RecordingError as error:
-        where = f"{path}: {str(error.where).rpartition(': ')[2]}"
-        raise RecordingError(error.what, where=where, fix=error.fix) from None
-
-
-def _read_table(path: Path, required: tuple[str, ...] = ()) -> dict[str, Any]:
-    """The keys of a camera.toml that are there; `Camera` checks their values.
-
-    Raises:
-        RecordingError: The file is missing, no TOML, lacks a required key or has an unknown one.
-    """
     table = read_toml(
         path,
         missing="no such file, so the intrinsics are unknown",
         fix="write one with width, height, K, depth_unit, distortion and T_world_camera",
         error=RecordingError,
     )
-    missing = [key for key in required if key not in table]
+    # A default depth unit would be wrong by a factor of ten for many cameras.
+    needed = () if recorded else ("width", "height", "K", "depth_unit")
+    missing = [key for key in needed if key not in table]
     fix = "copy it from the camera's own settings; depth is useless without"
     expect(not missing, f"lacks {', '.join(missing)}", where=str(path), fix=fix)
     for key in table:
         what, fix = f"has the unknown key {key!r}", f"known are {', '.join(_KEYS)}"
         expect(key in _KEYS, what, where=str(path), fix=fix)
-    return table
+    name = {"name": path.resolve().parent.name, "T_world_camera": None}
+    try:
+        given = replace(recorded, **table) if recorded else Camera(**{**name, **table})
+    except RecordingError as error:  # messages name the file in place of the camera
+        where = f"{path}: {str(error.where).rpartition(': ')[2]}"
+        raise RecordingError(error.what, where=where, fix=error.fix) from None
+    tolerances = {"width": 0.0, "height": 0.0, "K": 0.5, "distortion": 1e-3} if recorded else {}
+    for key, tolerance in tolerances.items():
+        own, stated = (np.atleast_1d(getattr(c, key)) for c in (recorded, given))
+        if key == "distortion":  # what is left out is zero
+            own, stated = (np.pad(a, (0, 8 - len(a))) for a in (own, stated))
+        what, fix = "is not that of the recording beside it", "leave it out: its own is taken"
+        expect(np.abs(stated - own).max() <= tolerance, what, where=f"{path}: {key}", fix=fix)
+    if recorded:
+        return replace(recorded, depth_unit=given.depth_unit, T_world_camera=given.T_world_camera)
+    return given
 
 
 def write_camera(path: str | os.PathLike, camera: Camera, *, pose_only: bool = False) -> None:
-    """Write a camera as camera.toml, atomically; reading it gives the same numbers.
-
-    Args:
-        path: The file.
-        camera: The camera.
-        pose_only: Whether to leave out all but the pose, for a recording that holds the rest.
+    """Write a camera as camera.toml, atomically; reading it gives the same numbers. `pose_only`
+    leaves out all but the pose, for a recording that holds the rest.
 
     Raises:
         GendomError: The place cannot be written.

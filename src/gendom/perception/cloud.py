@@ -16,14 +16,14 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
 from gendom.errors import RecordingError
-from gendom.perception.camera import Camera
+from gendom.perception.camera import Camera, rigid
 from gendom.perception.colour import LIGHTNESS_WEIGHT, TOLERANCE, ObjectColour
 from gendom.perception.frames import SYNC_TOLERANCE, Pictures
 from gendom.perception.robot import Capsules
-from gendom.perception.table import TablePlane, fit_table
 
 STAGES = ("depth", "workspace", "table", "colour", "support", "robot", "voxels", "outliers")
 """What is counted: pixels with depth, then those left after each stage, then fused voxels and
@@ -51,6 +51,13 @@ _COMMON_UNITS = (1.0, 1e-2, 1e-3, 5e-4, 2.5e-4, 2e-4, 1.25e-4, 1e-4, 1e-5, 1e-6)
 _MAX_VOXEL = 0.5  # [m]; larger ones were not given in metres
 _TABLE_SHARE = 0.2  # of the downward pixels must lie on a table that decides the unit
 _MAX_CAMERAS = 8  # bits of a point's `seen_by`
+# Of the table's plane:
+_SEARCH_RANGE = 0.06  # [m]; how far from the expected height the table is looked for
+_FIT_RANGE = 0.03  # [m]; heights around the most frequent one that begin the fit
+_MAX_TILT = np.radians(5.0)
+_MIN_POINTS = 300
+_MIN_SHARE = 0.03  # of the points in the workspace
+_MAX_POINTS = 20_000  # more do not make the plane better than its calibration
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,28 +96,108 @@ class PerceptionSettings:
         require(len(given) <= 1, f"{' and '.join(given)} are both given", fix="choose one")
         right = all(0 <= c <= 255 for c in self.colour or ())
         require(right, f"colour {self.colour}", fix="give R G B, each 0 to 255")
-        if (box := self.workspace) is not None:
-            ordered = np.isfinite(box).all() and all(np.less(box[:3], box[3:]))
-            what = f"the workspace runs from {box[:3]} to {box[3:]}"
-            require(ordered, what, fix="give x0 y0 z0 x1 y1 z1 in metres, each lower value first")
+        box = self.workspace or (0, 0, 0, 1, 1, 1)
+        ordered = np.isfinite(box).all() and all(np.less(box[:3], box[3:]))
+        what = f"the workspace runs from {box[:3]} to {box[3:]}"
+        require(ordered, what, fix="give x0 y0 z0 x1 y1 z1 in metres, each lower value first")
         late, voxel, count = self.sync_tolerance, self.voxel, self.min_cluster
-        right = np.isfinite(late) and late >= 0.0
-        require(right, f"sync_tolerance is {late}", fix="give seconds")
+        require(0.0 <= late < np.inf, f"sync_tolerance is {late}", fix="give seconds")
         fix = f"give seconds: {late:g} ms are {1e-3 * late:g}"
         require(late <= 1.0, f"sync_tolerance is {late:g} s", fix=fix)
-        right = np.isfinite(voxel) and voxel >= 0.0
-        require(right, f"voxel is {voxel}", fix="give 0 or more")
+        require(0.0 <= voxel < np.inf, f"voxel is {voxel}", fix="give 0 or more")
         fix = f"give metres: {voxel:g} mm are {1e-3 * voxel:g} m"
         require(voxel <= _MAX_VOXEL, f"voxel is {voxel:g} m", fix=fix)
         require(count >= 1, f"min_cluster is {count}", fix="give 1 or more")
 
 
-class CameraView:
-    """One camera's pixels in one workspace.
+@dataclass(frozen=True)
+class TablePlane:
+    """A plane as one camera sees it."""
+
+    normal: npt.NDArray[np.float64]
+    """[3] unit vector, upwards."""
+    offset: float
+    """Points p of the plane have normal . p = offset [m]."""
+    noise: float
+    """Depth noise over depth squared [1/m]: RMS = noise z^2, as stereo has it."""
+
+    def height(self, x: float, y: float) -> float:
+        """z of the plane at a place [m]."""
+        return float((self.offset - self.normal[:2] @ [x, y]) / self.normal[2])
+
+    def levelled(self, x: float, y: float, height: float) -> npt.NDArray[np.float64]:
+        """The motion [4, 4] that makes the plane level and brings its point at a place [m] to a
+        height [m], by the smallest turn."""
+        place = np.array([x, y, self.height(x, y)])
+        axis = np.cross(self.normal, [0.0, 0.0, 1.0])
+        sine, cosine = np.linalg.norm(axis), self.normal[2]
+        turn = axis * (np.arctan2(sine, cosine) / max(sine, 1e-12))
+        R = Rotation.from_rotvec(turn).as_matrix()
+        return rigid(R, [x, y, height] - R @ place)
+
+
+def fit_table(
+    points: npt.NDArray[np.floating],
+    directions: npt.NDArray[np.floating],
+    depth: npt.NDArray[np.floating],
+    *,
+    expected_height: float | None = None,
+) -> TablePlane | None:
+    """The horizontal plane that most points lie on.
+
+    Begins at the most frequent height and repeats least squares on the points within 2.5 robust
+    standard deviations, so that objects on the table do not lift it. The noise is
+    s / (f B) of the stereo model RMS = z^2 s / (f B), from the residuals along the rays.
 
     Args:
-        camera: Calibrated.
-        settings: The workspace, which is given, and what is kept in it.
+        points: [n, 3] in the world [m].
+        directions: [n, 3] their rays in the world, of length such that depth 1 is one ray.
+        depth: [n] along the camera's axis [m].
+        expected_height: z [m]; the table is looked for within 6 cm of it. None: anywhere.
+
+    Returns:
+        None: fewer than 300 points or 3 % are on a plane, or it is tilted by more than 5 degrees.
+    """
+    if len(points) > _MAX_POINTS:
+        pick = np.random.default_rng(0).choice(len(points), _MAX_POINTS, replace=False)
+        points, directions, depth = points[pick], directions[pick], depth[pick]
+    p = points.astype(np.float64)
+    z = p[:, 2]
+    near = np.ones(len(z), bool)
+    if expected_height is not None:
+        near = np.abs(z - expected_height) < _SEARCH_RANGE
+    if near.sum() < _MIN_POINTS:
+        return None
+    low = z[near].min()
+    counts = np.bincount(((z[near] - low) / 0.01).astype(np.int64))
+    counts = np.convolve(counts, [1, 1, 1], mode="same")
+    peak = low + (counts.argmax() + 0.5) * 0.01
+    keep = np.abs(z - peak) < _FIT_RANGE
+    centre = p[keep].mean(axis=0)
+    design = np.stack([p[:, 0] - centre[0], p[:, 1] - centre[1], np.ones(len(p))], axis=1)
+    coefficients = np.zeros(3)
+    for _ in range(10):
+        if keep.sum() < max(_MIN_POINTS, _MIN_SHARE * len(p)):
+            return None
+        coefficients = np.linalg.lstsq(design[keep], z[keep], rcond=None)[0]
+        residual = z - design @ coefficients
+        spread = 1.4826 * np.median(np.abs(residual[keep] - np.median(residual[keep])))
+        keep = np.abs(residual) < max(2.5 * spread, 5e-4)
+    a, b, c = coefficients
+    normal = np.array([-a, -b, 1.0]) / np.sqrt(1.0 + a * a + b * b)
+    if normal[2] < np.cos(_MAX_TILT):
+        return None
+    offset = float(normal @ [centre[0], centre[1], c])
+    # The window must not cut the noise that is measured here, so it is wide again.
+    residual = p @ normal - offset
+    slope = np.abs(directions @ normal)
+    wide = (np.abs(residual) < _FIT_RANGE) & (slope > 0.1)
+    scaled = np.abs(residual[wide] / (slope[wide] * depth[wide] ** 2))
+    return TablePlane(normal, offset, float(1.4826 * np.median(scaled)))
+
+
+class CameraView:
+    """A camera's pixels in the workspace of settings, which is given.
 
     Raises:
         RecordingError: The camera is not calibrated.
@@ -242,14 +329,11 @@ class CameraView:
         colour: ObjectColour | None = None,
         capsules: Capsules | None = None,
     ) -> tuple[npt.NDArray[np.float32], list[int]]:
-        """The object's points in one camera's pictures.
+        """The object's points [n, 3] in the world [m] in one camera's pictures, and how many were
+        left at each of the first six `STAGES`.
 
         A point on the table stays if its colour is the object's; without colours nothing that
         lies within the table's noise can be separated from it.
-
-        Returns:
-            Points [n, 3] in the world [m], and how many were left at each of the first six
-            `STAGES`.
         """
         raw = pictures.depth.ravel()
         inside = (raw >= self._near) & (raw <= self._far)
@@ -342,12 +426,8 @@ def fuse(
     settings: PerceptionSettings,
     held: Held | None = None,
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8], int]:
-    """One cloud of several cameras' clouds: one point a voxel, without outliers.
-
-    Args:
-        clouds: [n_k, 3] of each camera [m].
-        settings: Voxel and outliers.
-        held: What grippers hold, of which only what hangs together with them is kept; None: all.
+    """One cloud of several cameras' clouds [n_k, 3] [m]: one point a voxel, without outliers, and
+    of what grippers hold, where it is given, only what hangs together with them.
 
     Returns:
         Points [n, 3] [m], `seen_by` [n] (bit k: camera k), and how many voxels there were.
@@ -387,7 +467,7 @@ def perceive_frame(
         pictures: One of each.
         colour: The object's colours; None: everything above the table is the object.
         capsules: The robot at that moment; None: it is not taken out.
-        held: What grippers hold, as for `fuse`.
+        held: What grippers hold: only what hangs together with them is kept; None: all.
     """
     parts = [view.segment(p, colour, capsules) for view, p in zip(views, pictures, strict=True)]
     clouds = [points for points, _ in parts]
@@ -397,12 +477,11 @@ def perceive_frame(
 
 
 def _box_depths(
-    position: np.ndarray, directions: np.ndarray, low: Sequence[float], high: Sequence[float]
+    position: np.ndarray, directions: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Depths [n] [m] at which rays enter and leave a box; entry beyond exit where they miss it."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        a = (np.asarray(low) - position) / directions
-        b = (np.asarray(high) - position) / directions
+        a, b = (low - position) / directions, (high - position) / directions
     # A ray along a face of the box gives 0 / 0 there: that face does not bound it.
     near = np.nan_to_num(np.minimum(a, b), nan=-np.inf, neginf=-np.inf, posinf=np.inf).max(axis=1)
     far = np.nan_to_num(np.maximum(a, b), nan=np.inf, neginf=-np.inf, posinf=np.inf).min(axis=1)

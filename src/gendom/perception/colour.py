@@ -100,15 +100,8 @@ class ObjectColour:
 
 
 def picked_colour(colour: npt.NDArray[np.uint8], u: int, v: int) -> npt.NDArray[np.float64]:
-    """L*, a*, b* [3] at a pixel: the median of the 3 x 3 around it.
-
-    Args:
-        colour: [height, width, 3] sRGB.
-        u, v: Column and row.
-
-    Raises:
-        ParameterError: The pixel is not in the picture.
-    """
+    """L*, a*, b* [3] of a picture [height, width, 3] in sRGB at column u and row v: the median of
+    the 3 x 3 around it; ParameterError: they are not in the picture."""
     height, width = colour.shape[:2]
     what = f"pixel ({u}, {v}) is not in a picture of {width} x {height}"
     require(0 <= u < width and 0 <= v < height, what, fix="give column and row, from 0")

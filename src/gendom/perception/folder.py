@@ -103,11 +103,9 @@ class CameraRecording:
 
 
 class PngCamera:
-    """One camera's folder of PNG pictures, as a `FrameSource`.
+    """One camera's folder of camera.toml, frames.csv and PNG pictures, as a `FrameSource`.
 
-    Args:
-        folder: It holds camera.toml, frames.csv and the pictures.
-        on_warning: Called with a fault for rows of frames.csv that cannot be used.
+    `on_warning` is called with a fault for rows of frames.csv that cannot be used.
 
     Raises:
         RecordingError: camera.toml or frames.csv is missing or holds nothing usable.
@@ -148,17 +146,10 @@ class PngCamera:
 
 
 class PngWriter:
-    """Writes one camera's folder, to be read by `PngCamera`.
+    """Writes one camera's folder, made if missing, to be read by `PngCamera`.
 
     Each picture is on disk before its row is in frames.csv, so what an interrupted recording
-    leaves can be read.
-
-    Args:
-        folder: Made if missing.
-        camera: Written as camera.toml.
-
-    Raises:
-        GendomError: The folder cannot be written.
+    leaves can be read. GendomError: the folder cannot be written.
     """
 
     def __init__(self, folder: str | os.PathLike, camera: Camera):

@@ -154,11 +154,7 @@ def interpolate(
 
 
 def read_png(path: Path) -> Image.Image:
-    """A decoded PNG file whose checksums hold.
-
-    Raises:
-        RecordingError: It is missing, damaged or too large.
-    """
+    """A decoded PNG file whose checksums hold; RecordingError: it is missing, damaged or large."""
     fix = "the recording was cut off; record it again"
     return decode_png(read_bytes(path, RecordingError, fix=fix), str(path))
 

@@ -24,13 +24,10 @@ _MAX_POINTS = 500
 
 
 def offset_between(a: npt.ArrayLike, b: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """The translation [3] [m] that moves cloud A onto cloud B.
+    """The translation [3] [m] that moves cloud A [n, 3] onto cloud B [m, 3], neither empty [m].
 
     Iterated closest points (Besl and McKay, 1992), translation only, on the 60 % nearest pairs.
     Along a straight object nothing shows a shift, and none is found.
-
-    Args:
-        a, b: [n, 3] and [m, 3], neither empty [m].
     """
     p, q = (_thinned(np.asarray(cloud, dtype=np.float64)) for cloud in (a, b))
     tree = KDTree(q)
@@ -48,15 +45,12 @@ def offset_between(a: npt.ArrayLike, b: npt.ArrayLike) -> npt.NDArray[np.float64
 def sides_apart(
     centre: npt.ArrayLike, a: npt.ArrayLike, b: npt.ArrayLike, description: ObjectDescription
 ) -> npt.NDArray[np.float64]:
-    """How far cloud B is from cloud A because the cameras see different sides, [3] [m].
+    """How far cloud B is from cloud A because the cameras, at a and b [3] [m], see different sides
+    of an object at a centre [3] [m]: [3] [m].
 
     The visible half of a cylinder of radius r has its mean pi / 4 r in front of the axis, in a
-    picture, where pixels count alike; a sheet's side is half a thickness from its middle.
-
-    Args:
-        centre: [3] of the object [m].
-        a, b: [3] the cameras' positions [m].
-        description: Diameter or thickness; where unknown, 0 is taken.
+    picture, where pixels count alike; a sheet's side is half a thickness from its middle. Where
+    diameter or thickness are unknown, 0 is taken.
     """
     if description.kind == "rope":
         front = np.pi / 8.0 * (description.diameter or 0.0)
@@ -94,16 +88,12 @@ def times_own_area(points: npt.ArrayLike, description: ObjectDescription) -> flo
 
 
 def seen_share(points: npt.ArrayLike, description: ObjectDescription) -> float:
-    """About how much of the object a cloud covers, 0 to 1.
+    """About how much of an object, whose sizes are known, a cloud [n, 3] [m] covers, 0 to 1.
 
     A rope: the length of the shortest tree through points spaced by 1.5 cm (or the diameter, if
     larger), without steps over gaps, over its length. A cloth: occupied cells of 1.5 cm, of
     which a surface of any direction crosses 1.5 a cell's face on average, over its area. Good
     to 0.1 to 0.2, which is enough to see that most is hidden.
-
-    Args:
-        points: [n, 3] [m].
-        description: Its sizes are known.
     """
     p = np.asarray(points, dtype=np.float64)
     if len(p) == 0:

@@ -35,7 +35,7 @@ from gendom.datasets import Fault
 from gendom.errors import DeviceError, RecordingError
 from gendom.files import atomic_path
 from gendom.installation import how_to_install
-from gendom.perception.camera import Camera, adopt_camera, expect
+from gendom.perception.camera import Camera, expect, read_camera
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Pictures
 from gendom.perception.rosbag import Bag, Entry
 from gendom.reading import read_bytes
@@ -85,7 +85,8 @@ class RealSenseRecording:
         unit, fix = unit or self._bag.depth_unit(), "record it with the RealSense SDK"
         expect(unit is not None, "does not say its depth unit", where=where, fix=fix)
         camera = replace(depth.camera, depth_unit=unit)
-        self.camera: Camera = adopt_camera(self.path.with_name("camera.toml"), camera)
+        beside = self.path.with_name("camera.toml")
+        self.camera: Camera = read_camera(beside, recorded=camera) if beside.exists() else camera
         colour = self._bag.stream("Color", f"{name}: colour")
         self._colour = [] if colour is None else colour.entries
         self._colour_times = np.array([entry.time for entry in self._colour])
@@ -111,11 +112,7 @@ class RealSenseRecording:
 
     @staticmethod
     def find(folder: Path) -> Path | None:
-        """The recording in a camera's folder; None: there is none.
-
-        Raises:
-            RecordingError: There are several.
-        """
+        """The recording in a camera's folder; None: there is none, RecordingError: several are."""
         found = sorted(filter(is_recording, folder.iterdir()))
         what = f"holds {len(found)} recordings, {', '.join(p.name for p in found)}"
         expect(len(found) <= 1, what, where=str(folder), fix="leave one in the camera's folder")
@@ -127,39 +124,42 @@ class RealSenseRecording:
             yield Frame(entry.time, where, lambda e=entry, w=where: self._read(e, w))
 
     def _read(self, entry: Entry, where: str) -> Pictures:
-        depth = self._bag.picture(entry, f"{where}: depth")
-        _check_size(depth, (self.camera.height, self.camera.width), np.uint16, f"{where}: depth")
+        depth = self._picture(entry, self.camera, np.uint16, f"{where}: depth")
         if self._align is None:
-            return Pictures(depth)  # pyright: ignore[reportArgumentType]
+            return Pictures(depth)
         nearest = int(np.abs(self._colour_times - entry.time).argmin())
         late = float(abs(self._colour_times[nearest] - entry.time))
         what, fix = f"the nearest colour picture is {late:.3g} s away", "record colour at the rate "
         expect(late <= SYNC_TOLERANCE, what, where=where, fix=f"{fix}of depth")
-        colour = self._bag.picture(self._colour[nearest], f"{where}: colour")
-        size = self._align.colour.height, self._align.colour.width
-        _check_size(colour, size, np.uint8, f"{where}: colour")
-        return self._align(depth, colour)  # pyright: ignore[reportArgumentType]
+        place = f"{where}: colour"
+        colour = self._picture(self._colour[nearest], self._align.colour, np.uint8, place)
+        return self._align(depth, colour)
+
+    def _picture(self, entry: Entry, camera: Camera, kind: type, where: str) -> Any:
+        """A picture, which has the camera's size."""
+        picture, size = self._bag.picture(entry, where), (camera.height, camera.width)
+        what = f"is {picture.shape[1]} x {picture.shape[0]} of {picture.dtype}, the stream "
+        what += f"{size[1]} x {size[0]} of {np.dtype(kind)}"
+        right = picture.shape[:2] == size and picture.dtype == kind
+        expect(right, what, where=where, fix="copy the file again")
+        return picture
 
 
 def write_checksum(path: Path) -> None:
     """Write the SHA-256 of a recording beside it, as ``sha256sum`` does: uncompressed pictures have
     no checksum of their own."""
-    with atomic_path(_checksum_path(path)) as temporary:
+    with atomic_path(path.with_name(path.name + ".sha256")) as temporary:
         temporary.write_text(f"{_checksum(path)}  {path.name}\n", encoding="utf-8")
 
 
 def _check_checksum(path: Path) -> None:
     """Check a recording against the checksum beside it, if there is one."""
-    if not (beside := _checksum_path(path)).exists():
+    if not (beside := path.with_name(path.name + ".sha256")).exists():
         return
     stated = read_bytes(beside, error=RecordingError).split(b" ", 1)[0]
     same = stated.decode("ascii", "replace") == _checksum(path)
     fix = f"copy it again, or delete {beside.name} to use what is left of it"
     expect(same, "differs from its checksum", where=str(path), fix=fix)
-
-
-def _checksum_path(path: Path) -> Path:
-    return path.with_name(path.name + ".sha256")
 
 
 def _checksum(path: Path) -> str:
@@ -168,13 +168,6 @@ def _checksum(path: Path) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise RecordingError(f"cannot be read ({error.strerror})", where=str(path)) from None
-
-
-def _check_size(picture: np.ndarray, size: tuple[int, int], kind: type, where: str) -> None:
-    right = picture.shape[:2] == size and picture.dtype == kind
-    what = f"is {picture.shape[1]} x {picture.shape[0]} of {picture.dtype}, the stream "
-    what += f"{size[1]} x {size[0]} of {np.dtype(kind)}"
-    expect(right, what, where=where, fix="copy the file again")
 
 
 def own_clock(where: str) -> Fault:
@@ -188,12 +181,8 @@ _CONVERT = "import sys, pyrealsense2; pyrealsense2.context().convert_bag_to_db3(
 
 
 def _converted(path: Path, folder: Path, on_warning: Callable[[Fault], None]) -> Path:
-    """Convert the readable part of a .bag to a .db3 file with the SDK.
-
-    Raises:
-        DeviceError: The SDK is missing.
-        RecordingError: The conversion fails.
-    """
+    """Convert the readable part of a .bag to a .db3 file with the SDK; DeviceError: it is missing,
+    RecordingError: the conversion fails."""
     sdk = realsense_sdk()
     if not hasattr(sdk.context, "convert_bag_to_db3"):
         what = f"the RealSense SDK {sdk.__version__} cannot convert .bag files"
@@ -217,11 +206,7 @@ def _converted(path: Path, folder: Path, on_warning: Callable[[Fault], None]) ->
 
 
 def realsense_sdk() -> Any:
-    """The module pyrealsense2.
-
-    Raises:
-        DeviceError: It is missing or does not load.
-    """
+    """The module pyrealsense2; DeviceError: it is missing or does not load."""
     try:
         import pyrealsense2
     except ModuleNotFoundError:
@@ -241,10 +226,8 @@ class Alignment:
     Where a nearer object occludes a point from the colour camera, the colour would be that of the
     nearer object; the depth of such pixels, at the edges of near objects, is removed.
 
-    Args:
-        depth: The depth camera.
-        colour: The colour camera; its pose in the world and its depth unit do not matter.
-        T_colour_depth: [4, 4] from the depth camera's axes to the colour camera's [m].
+    `T_colour_depth` [4, 4] leads from the depth camera's axes to the colour camera's [m]; neither
+    their poses in the world nor the latter's depth unit matter.
     """
 
     def __init__(self, depth: Camera, colour: Camera, T_colour_depth: npt.ArrayLike):
@@ -264,12 +247,8 @@ class Alignment:
         )
 
     def __call__(self, depth: npt.NDArray[np.uint16], colour: npt.NDArray[np.uint8]) -> Pictures:
-        """Both pictures in the depth camera's pixels.
-
-        Args:
-            depth: [height, width] counts.
-            colour: [height, width, 3] of the colour camera's size.
-        """
+        """Depth [height, width] in counts and colour [height, width, 3] of its own camera's size,
+        both in the depth camera's pixels."""
         if self._same:
             return Pictures(depth, colour)
         raw = depth.ravel()
@@ -291,8 +270,8 @@ class Alignment:
         """Column and row of the colour picture, nearest pixels, of points [n, 3] before it."""
         K = self.colour.K
         x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-        k1, k2, p1, p2, k3 = _five(self.colour)
-        if any((k1, k2, p1, p2, k3)):
+        k1, k2, p1, p2, k3 = five = _five(self.colour)
+        if any(five):
             r2 = x * x + y * y
             radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
             x, y = (
@@ -317,7 +296,6 @@ class Alignment:
         return z > self._nearer * around
 
 
-def _five(camera: Camera) -> tuple[float, float, float, float, float]:
+def _five(camera: Camera) -> tuple[float, ...]:
     """k1, k2, p1, p2, k3 of a camera with at most these."""
-    k1, k2, p1, p2, k3 = (*camera.distortion, 0.0, 0.0, 0.0, 0.0, 0.0)[:5]
-    return k1, k2, p1, p2, k3
+    return (*camera.distortion, *[0.0] * 5)[:5]

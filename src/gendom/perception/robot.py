@@ -136,9 +136,8 @@ def read_shape(
         meta: The content of object.toml: `robot` names the arm (by default the xArm 7), and the
             object's diameter or thickness says how far the fingers are open where joints.csv
             does not.
-        span: First and last time at which the shape is needed [s].
+        span: First and last time [s] at which the shape is needed; others are told.
         arm: In place of that which the content names.
-        on_warning: Called when the joints' times do not span that.
 
     Raises:
         RecordingError: A file cannot be read, or the arm is unknown.
@@ -186,11 +185,8 @@ def cut_off(path: Path, line: int) -> Fault:
 
 
 def read_capsules(path: str | os.PathLike) -> CapsulePath:
-    """The capsules of a file capsules.csv; see the top of this module.
-
-    Raises:
-        RecordingError: The file cannot be read, or a row is malformed or out of order.
-    """
+    """The capsules of a file capsules.csv; see the top of this module. RecordingError: it cannot be
+    read, or a row is malformed or out of order."""
     lines, where = read_rows(path, header=",".join(_COLUMNS)), str(path)
     fix = f"write {','.join(_COLUMNS)}, or remove the file"
     expect(tuple(lines[0][1]) == _COLUMNS, "has another header", where=where, fix=fix)
@@ -202,7 +198,9 @@ def read_capsules(path: str | os.PathLike) -> CapsulePath:
             values = [float(text) for i, text in enumerate(row) if i != 1]
         except ValueError:
             values = []
-        right = len(row) == len(_COLUMNS) and all(map(math.isfinite, values)) and values[-1:] > [0]
+        right = (
+            len(row) == len(_COLUMNS) and all(map(math.isfinite, values)) and values[-1:] > [0.0]
+        )
         fix = "give seconds, a name, two ends and a radius above 0 in metres"
         expect(right, f"is no capsule: {','.join(row)[:60]!r}", where=where, fix=fix)
         track = tracks.setdefault(row[1], [])

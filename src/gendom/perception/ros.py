@@ -107,8 +107,16 @@ def read_ros_bag(
         topics = {c.topic: c.msgtype for c in bag.connections}
         topic = _cloud_topic(topics, settings.points, where)
         points_of = _reader(bag, topics, topic, where)
-        frames, gripper = _read_frames(bag, topics, where), settings.gripper
-        poses = _read_poses(bag, topics, gripper, where) if gripper.startswith("/") else None
+        frames, gripper, poses = _Frames(where), settings.gripper, None
+        for name, message in _messages(bag, *(name for name, kind in topics.items() if kind == TF)):
+            for stated in message.transforms:
+                frames.add(stated, still=name.endswith("tf_static"))
+        if gripper.startswith("/"):
+            _check_type(topics, gripper, POSE, where)
+            poses = _Track(f"{where}: {gripper}")
+            for _, message in _messages(bag, gripper):
+                poses.add(message.header, message.pose.position, message.pose.orientation)
+            expect(poses.times, "has no message", where=poses.where, fix="record it")
         world, clouds, times, positions, left_out = settings.world or frames.root, [], [], [], 0
         for _, message in _messages(bag, topic):
             time, frame = _time(message.header), message.header.frame_id
@@ -143,25 +151,6 @@ def read_ros_bag(
     return made
 
 
-def _read_frames(bag: Any, topics: dict[str, str], where: str) -> _Frames:
-    """The tree of TF."""
-    frames = _Frames(where)
-    for name, message in _messages(bag, *(name for name, kind in topics.items() if kind == TF)):
-        for stated in message.transforms:
-            frames.add(stated, still=name.endswith("tf_static"))
-    return frames
-
-
-def _read_poses(bag: Any, topics: dict[str, str], topic: str, where: str) -> _Track:
-    """The gripper's poses of a topic."""
-    _check_type(topics, topic, POSE, where)
-    poses = _Track(f"{where}: {topic}")
-    for _, message in _messages(bag, topic):
-        poses.add(message.header, message.pose.position, message.pose.orientation)
-    expect(poses.times, "has no message", where=poses.where, fix="record it")
-    return poses
-
-
 @contextmanager
 def _opened(path: str | os.PathLike) -> Iterator[Any]:
     """The bag's reader."""
@@ -185,12 +174,8 @@ def _opened(path: str | os.PathLike) -> Iterator[Any]:
 
 
 def _check_file(path: Path) -> None:
-    """Check that a bag's file is one, and that what is compressed in it can be unpacked.
-
-    Raises:
-        RecordingError: It is no regular file, or no plain database.
-        ValueError, OSError: Something is damaged, or unpacks to too much.
-    """
+    """Refuse a bag's file that is no regular file or plain database, or in which something is
+    damaged or unpacks to too much."""
     if path.suffix == ".yaml":
         text = read_bytes(path, RecordingError, most=_LARGEST_METADATA)
         marks = sum(map(text.count, (b"\n", b"[", b"{", b",", b"- ", b"? ")))
@@ -277,7 +262,7 @@ def _reader(
     above = ["/".join(folders[:n]) for n in range(len(folders) - 1, 0, -1)]
     named = (f"{folder}/camera_info" for folder in above)
     found = next((name for name in named if topics.get(name) == INFO), None)
-    info = next((message for _, message in _messages(bag, found)), None) if found else None
+    info: Any = next((message for _, message in _messages(bag, found)), None) if found else None
     what = "are depth pictures without a CameraInfo beside them"
     expect(info, what, where=where, fix="record camera_info too")
     K, D = np.reshape(info.k, (3, 3)), tuple(map(float, info.d))
@@ -305,12 +290,7 @@ def _reader(
 
 
 def _depth(message: Any, kind: str, where: str) -> NDArray[Any]:
-    """[height, width] uint16 [mm] or float32 [m] of a message.
-
-    Raises:
-        ValueError: It is damaged.
-        RecordingError: It is no depth picture.
-    """
+    """[height, width] uint16 [mm] or float32 [m] of a message; ValueError: it is damaged."""
     data = np.asarray(message.data, dtype=np.uint8).tobytes()
     if kind == PACKED:
         depth, said = packed_picture(data, message.format, where), message.format
@@ -368,11 +348,8 @@ class _Track:
         return times, poses
 
     def at(self, time: float) -> Array:
-        """[4, 4] from its own axes to those of `frame` [m].
-
-        Raises:
-            _OutOfTimeError: It moves, and `time` lies before its first or after its last place.
-        """
+        """[4, 4] from its own axes to those of `frame` [m]; `_OutOfTimeError`: it moves, and `time`
+        lies before its first or after its last place."""
         times, poses = self._settled
         if self.still or len(times) == 1:
             return rigid(Rotation.from_quat(poses[-1, 3:]).as_matrix(), poses[-1, :3])
@@ -394,11 +371,8 @@ class _Frames:
     def add(self, stated: Any, *, still: bool) -> None:
         """As tf2 does: a static pose replaces all before, a moving one a static one, and what is
         no pose is ignored."""
-        child, at, turn = (
-            stated.child_frame_id.lstrip("/"),
-            stated.transform.translation,
-            stated.transform.rotation,
-        )
+        child, moved = stated.child_frame_id.lstrip("/"), stated.transform
+        at, turn = moved.translation, moved.rotation
         q = turn.x, turn.y, turn.z, turn.w
         if not np.isfinite([at.x, at.y, at.z, *q]).all() or abs(np.dot(q, q) - 1.0) > _DENORMAL:
             return
@@ -418,18 +392,13 @@ class _Frames:
         return roots[0] if roots else ""
 
     def between(self, to: str, start: str, time: float) -> Array:
-        """[4, 4] from the axes of `start` to those of `to` [m].
-
-        Raises:
-            RecordingError: They are in no tree.
-            _OutOfTimeError: One is not known at `time`.
-        """
+        """[4, 4] from the axes of `start` to those of `to` [m], as `_Track.at`."""
         to, start = to.lstrip("/"), start.lstrip("/")
         up, down = self._lineage(start), self._lineage(to)
-        shared = next((frame for frame in up if frame in down), None)
+        shared = next((frame for frame in up if frame in down), "")
         what = f"TF does not say where {start} is in {to}"
         fix = f"give frames of one tree; it has {', '.join(sorted(self.tracks)) or 'none'}"
-        expect(shared is not None, what, where=self.where, fix=fix)
+        expect(shared in down, what, where=self.where, fix=fix)
         below, above = (
             reduce(
                 lambda T, frame: self.tracks[frame].at(time) @ T, way[: way.index(shared)], _HERE
@@ -450,25 +419,23 @@ class _Frames:
 
 def _points(message: Any, where: str) -> Array:
     """[n, 3] of a PointCloud2 in its own frame, without those that were not seen."""
-    fields = {f.name: f for f in message.fields}
-    order, count = "<>"[bool(message.is_bigendian)], message.width * message.height
+    fields, order = {f.name: f for f in message.fields}, "<>"[bool(message.is_bigendian)]
     try:
-        xyz = [fields[axis] for axis in "xyz"]
-        at = [(f.offset, np.dtype(order + _TYPES[f.datatype])) for f in xyz]
+        at = [(fields[axis].offset, f"{order}{_TYPES[fields[axis].datatype]}") for axis in "xyz"]
     except KeyError as error:
         raise RecordingError(f"a cloud has no {error}", where=where, fix="record x, y, z") from None
     step, row, least = message.point_step, message.row_step, message.width * message.point_step
-    last = max(offset + kind.itemsize for offset, kind in at)
-    data = np.asarray(message.data, dtype=np.uint8)
+    data, shape = np.asarray(message.data, dtype=np.uint8), (message.height, message.width)
     # Drivers leave it 0, or give the whole cloud's: then rows follow each other.
     if row < least or len(data) < (message.height - 1) * row + least:
         row = least
+    last = max(offset + np.dtype(kind).itemsize for offset, kind in at)
+    what = f"a cloud has {len(data)} bytes for {shape[0] * shape[1]} points of {step}"
     fits = last <= step and len(data) >= message.height * least
-    what = f"a cloud has {len(data)} bytes for {count} points of {step}"
     expect(fits, what, where=where, fix="record it again")
-    if not count:
+    if not shape[0] * shape[1]:
         return np.zeros((0, 3))
-    shape, raw = (message.height, message.width), data.tobytes()
+    raw = data.tobytes()
     columns = [np.ndarray(shape, kind, raw, offset, (row, step)) for offset, kind in at]
     cloud = np.stack(columns, axis=-1).reshape(-1, 3).astype(np.float64)
     return cloud[np.isfinite(cloud).all(axis=1)]

@@ -54,18 +54,13 @@ _MAX_UNREADABLE_ROWS = 1000  # in sequence, before the rest is given up
 
 # Distortion models by the SDK's names. It projects "Inverse Brown Conrady" by OpenCV's formula
 # too, to 0.02 pixels at coefficients of 0.07 (rsutil.h).
-_UNDISTORTED = ("None", "")
 _OPENCV = ("Brown Conrady", "Inverse Brown Conrady")
 _PROJECTED = (*_OPENCV, "Modified Brown Conrady")
 
 
 def open_database(path: Path) -> sqlite3.Connection:
-    """A bag's database for reading.
-
-    Raises:
-        RecordingError: It is missing, or no database of plain tables: what views, virtual tables
-            and computed columns yield may have no end.
-    """
+    """A bag's database for reading; RecordingError: it is missing, or no database of plain tables:
+    what views, virtual tables and computed columns yield may have no end."""
     where = str(path)
     file_size(path, RecordingError, most=ANY_SIZE)
     with open(path, "rb") as file:
@@ -119,11 +114,7 @@ class Stream:
 
 
 class Bag:
-    """A .db3 recording.
-
-    Args:
-        path: The file.
-        on_warning: Called with what is damaged.
+    """A .db3 recording; `on_warning` is called with what is damaged.
 
     Raises:
         RecordingError: It is no recording of the SDK, or nothing in it can be read.
@@ -171,12 +162,8 @@ class Bag:
     def stream(self, kind: str, name: str = "") -> Stream | None:
         """The first stream of a kind, "Depth" or "Color"; None: there is none.
 
-        Args:
-            kind: Of the stream.
-            name: What messages call its camera.
-
-        Raises:
-            RecordingError: Its geometry is missing, damaged or of a kind that cannot be used.
+        Messages call its camera `name`. RecordingError: its geometry is missing, damaged or of a
+        kind that cannot be used.
         """
         matches = [m for m in map(_DATA.match, sorted(self._topics)) if m and m[2] == kind]
         if not matches:
@@ -193,19 +180,14 @@ class Bag:
             fix = "copy the file again, or record again; depth needs intrinsics"
             raise self._error(f"{where} is missing or damaged ({error})", fix) from None
         known = _PROJECTED if kind == "Color" else _OPENCV
-        if not any(coefficients) or model in _UNDISTORTED:
+        if not any(coefficients) or model in ("None", ""):
             coefficients = ()
         elif model not in known:
             what = f"{kind} has the distortion {model!r}, which is not known here"
             raise self._error(what, f"use a camera whose distortion is one of {', '.join(known)}")
-        camera = Camera(
-            name=name or kind,
-            width=width,
-            height=height,
-            K=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
-            T_world_camera=None,
-            distortion=coefficients,
-        )
+        K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        size = {"width": width, "height": height, "distortion": coefficients}
+        camera = Camera(name=name or kind, K=K, T_world_camera=None, **size)
         return Stream(camera, self._extrinsics(prefix), list(self._entries(prefix, topic)))
 
     def _extrinsics(self, prefix: str) -> npt.NDArray[np.float64]:
@@ -258,15 +240,8 @@ class Bag:
         return None
 
     def picture(self, entry: Entry, where: str) -> npt.NDArray[np.generic]:
-        """A decoded picture: [height, width] uint16 or [height, width, 3] uint8, RGB.
-
-        Args:
-            entry: Which.
-            where: What messages call it.
-
-        Raises:
-            RecordingError: It is damaged or of an unknown format.
-        """
+        """A decoded picture: [height, width] uint16 or [height, width, 3] uint8, RGB, which
+        messages call `where`; RecordingError: it is damaged or of an unknown format."""
         try:
             cdr = _Cdr(self._message(entry.row))
             for skip in (cdr.uint32, cdr.uint32, cdr.string):  # bag time [s], [ns]; stream's name
@@ -305,12 +280,9 @@ def _pairs(text: str) -> dict[str, str]:
 
 
 def decompressed(data: bytes, codec: str = "zstd") -> bytes:
-    """Decompress data by zstd, if they are so compressed, or by another codec of pyarrow.
-
-    Raises:
-        ValueError: They are damaged, or unpack to more than `LARGEST_MESSAGE`, or than 16 MB and
-            `MOST_UNPACKED` times their size.
-    """
+    """Decompress data by zstd, if they are so compressed, or by another codec of pyarrow;
+    ValueError: they are damaged, or unpack to more than `LARGEST_MESSAGE`, or than 16 MB and
+    `MOST_UNPACKED` times their size."""
     if codec == "zstd" and not data.startswith(ZSTD):
         return data
     import pyarrow  # late: few recordings need it
@@ -328,12 +300,8 @@ def decompressed(data: bytes, codec: str = "zstd") -> bytes:
 
 def packed_picture(data: bytes, form: str, where: str) -> npt.NDArray[np.generic]:
     """The picture of a CompressedImage, whose format is "16UC1; compressedDepth png", "rgb8; png
-    compressed bgr8" or "rgb8; zstd; 64x48 step=192".
-
-    Raises:
-        ValueError: It is damaged.
-        RecordingError: So is the PNG, or the format is unknown.
-    """
+    compressed bgr8" or "rgb8; zstd; 64x48 step=192"; ValueError: it is damaged, RecordingError: so
+    is the PNG, or the format is unknown."""
     if raw := _ZSTD_FORMAT.match(form):
         width, height, step = (int(raw[k]) for k in (2, 3, 4))
         return raw_picture(decompressed(data), raw[1], width, height, step, "<", where)
@@ -377,11 +345,8 @@ _RAW: dict[str, tuple[int, list[int]]] = {
 
 
 class _Cdr:
-    """Values of a CDR message one after the other; numbers are aligned to their size.
-
-    Raises:
-        ValueError: The message is too short, or no CDR.
-    """
+    """Values of a CDR message one after the other, numbers aligned to their size; ValueError: it
+    is too short, or no CDR."""
 
     def __init__(self, message: bytes):
         if len(message) < 4 or message[0] != 0 or message[1] not in (0, 1):
