@@ -16,12 +16,18 @@ from simulated_cell import write_cell
 pytest.importorskip("mujoco", reason="needs mujoco: the extra reality")
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    cell = Cell.read(write_cell(tmp_path_factory.mktemp("cell")))
+    return cell, *cell.devices()
+
+
 @pytest.fixture
-def devices(tmp_path):
-    cell = Cell.read(write_cell(tmp_path))
-    robot, cameras = cell.devices()
+def devices(made):
+    cell, robot, _ = made
+    robot._begin(robot.trial, cell.model.home)
     robot.connect()
-    return cell, robot, cameras
+    return made
 
 
 def shifted(q, angle, seconds=0.5):
@@ -31,13 +37,9 @@ def shifted(q, angle, seconds=0.5):
     return JointMotion(time=seconds * s, q=turned)
 
 
-def test_they_are_what_the_contracts_ask_for(devices):
-    _, robot, cameras = devices
-    assert isinstance(robot, Robot) and all(isinstance(c, DepthCamera) for c in cameras)
-
-
 def test_a_motion_is_followed_and_told_at_100_hz(devices):
-    cell, robot, _ = devices
+    cell, robot, cameras = devices
+    assert isinstance(robot, Robot) and all(isinstance(c, DepthCamera) for c in cameras)
     motion, ticks = shifted(cell.model.home, 0.2), []
     robot.play(motion, on_tick=ticks.append)
     assert [t.time for t in ticks] == pytest.approx(np.arange(51) / 100.0)
@@ -124,10 +126,8 @@ def test_a_lift_is_recorded_through_the_contracts(devices, tmp_path):
     text = 'robot = "xarm7"\n[object]\nkind = "rope"\nlength = 0.3\n'
     recorded = record_motion(robot, cameras, motion, tmp_path / "lift", description=text)
     frames = int(motion.end * 30.0 + 1e-6) + 1
-    assert {n: (r.pictures, r.missing) for n, r in recorded.items()} == {
-        "left": (frames, 0),
-        "right": (frames, 0),
-    }
+    counts = {n: (r.pictures, r.missing) for n, r in recorded.items()}
+    assert counts == {"left": (frames, 0), "right": (frames, 0)}
     read = read_cameras(tmp_path / "lift")
     assert [len(list(source)) for source in read.sources] == [frames, frames]
     path = read.robot.position[:, 0]

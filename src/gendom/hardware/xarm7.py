@@ -221,11 +221,7 @@ class XArmDriver:
 
 
 def _sdk() -> Any:
-    """The vendor's class of connections.
-
-    Raises:
-        DeviceError: The SDK is not installed.
-    """
+    """The vendor's class of connections."""
     try:
         with contextlib.redirect_stdout(io.StringIO()):
             from xarm.core.utils.log import logger, origin_logger

@@ -182,15 +182,8 @@ def descend(
     homing: float = _HOMING,
     iterations: int = _ITERATIONS,
 ) -> tuple[Array, Array]:
-    """Iterate from each start to its pose, and in the null space towards a resting configuration.
-
-    Args:
-        arm: The arm.
-        T_base_tcp: [B, 4, 4] poses.
-        q: [B, J] starts [rad].
-        rest: [J] joint angles to approach in the null space [rad].
-        homing: Share of the distance to `rest` in one step; 0: none.
-        iterations: Maximum number of iterations.
+    """Iterate from starts q [B, J] [rad] to poses [B, 4, 4], and in the null space towards `rest`
+    [J], by a share `homing` of the distance in a step.
 
     Returns:
         q [B, J] within the limits, and the remaining error [B, 6] [m], [rad].
@@ -215,14 +208,8 @@ def descend(
 
 
 def step_towards(arm: Arm, T: Array, q: Array, rest: Array, *, homing: float) -> Array | None:
-    """Solve joint angles [J] [rad] for a pose close to the current one; None: not reached.
-
-    Args:
-        arm: The arm.
-        T: [4, 4] T_base_tcp of the pose.
-        q: [J] current joint angles [rad].
-        rest: [J] joint angles to approach in the null space [rad].
-        homing: Share of the distance to `rest` for each metre (0.3 m a radian) to the pose [1/m].
+    """Joint angles [J] [rad] of a pose T [4, 4] close to that of q [J]; None: not reached.
+    `homing`: share of the distance to `rest` for each metre (0.3 m a radian) to the pose [1/m].
     """
     q = np.clip(q, arm.q_min, arm.q_max)[None]
     share = None
@@ -289,11 +276,7 @@ def _unwound(arm: Arm, q: Array, rest: Array) -> Array:
 
 
 def _check_pose(T: ArrayLike) -> Array:
-    """A pose [4, 4] as float64.
-
-    Raises:
-        RobotError: Its shape is wrong, it is not finite, or its rotation is not a rotation.
-    """
+    """A pose [4, 4] as float64."""
     T = np.asarray(T, dtype=float)
     good = T.shape == (4, 4) and bool(np.isfinite(T).all() and np.all(T[3] == [0, 0, 0, 1]))
     R = T[:3, :3] if good else np.zeros((3, 3))

@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import LinearNDInterpolator, make_interp_spline
 
 from gendom.materials import Item, Rope, size_of, thickness_of
 from gendom.robot import lift, predefined_lift
@@ -101,12 +102,8 @@ class Lift:
         """
         rest = np.asarray(self.body.points, dtype=float)
         if isinstance(self.item, Rope):
-            s, at = rest[:, 0], np.clip(places[:, 0], rest[0, 0], rest[-1, 0])
-            k = np.clip(np.searchsorted(s, at) - 1, 0, len(s) - 2)
-            share = ((at - s[k]) / (s[k + 1] - s[k]))[:, None]
-            return np.asarray(positions[:, k] * (1.0 - share) + positions[:, k + 1] * share)
-        from scipy.interpolate import LinearNDInterpolator
-
+            at = np.clip(places[:, 0], rest[0, 0], rest[-1, 0])
+            return make_interp_spline(rest[:, 0], positions, k=1, axis=1)(at)
         middle = rest[:, :2].mean(axis=0)
         inside = middle + (places[:, :2] - middle) * (1.0 - 1e-9)
         moved = LinearNDInterpolator(rest[:, :2], np.moveaxis(positions, 1, 0))(inside)
