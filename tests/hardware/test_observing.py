@@ -62,8 +62,10 @@ def made():
         clouds, time=time + 5.0, gripper_position=hand,
         object=ObjectDescription(kind="rope", length=0.3, mass=0.05),
     )  # fmt: skip
-    done = PlannedAction(task=task.name, action=dict(enumerate(action)), goal={}, object={},
-                         trajectory=Trajectory(T_base_task=T), plan=planned)  # fmt: skip
+    done = PlannedAction(
+        task=task.name, action=dict(zip("xz", action, strict=True)), goal={}, object={},
+        trajectory=Trajectory(T_base_task=T), plan=planned,
+    )  # fmt: skip
     return task, done, recording, motion.start + 5.0, outcome.values
 
 

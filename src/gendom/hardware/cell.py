@@ -230,11 +230,11 @@ class Cell:
     @cached_property
     def surroundings(self) -> Surroundings:
         """Table, boxes, stands and the housings of calibrated cameras, with their clearances."""
-        housings = []
-        if seen := [c for c in self.camera if c.T_world_camera is not None]:
+        housings, seen = [], {c.name: c.T_world_camera for c in self.camera}
+        if seen:
             from gendom.reality.arm import housing  # with all of MuJoCo's scene
 
-            housings = [housing(c.name, c.T_world_camera) for c in seen]
+            housings = [housing(name, T) for name, T in seen.items() if T is not None]
         return Surroundings(
             table_height=self.table_height,
             obstacles=(*self.box, *self.stand, *housings),

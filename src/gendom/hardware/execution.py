@@ -224,12 +224,12 @@ def read_log(path: str | os.PathLike) -> ExecutionRecord:
     ticks = [row for row in rows[max(plays, default=0) :] if "command" in row]
     keys = ("t", "command", "measured", "age")
     try:
-        arrays = [np.array([tick[key] for tick in ticks], dtype=float) for key in keys]
+        t, command, measured, age = (np.array([x[k] for x in ticks], dtype=float) for k in keys)
     except (KeyError, TypeError, ValueError):
         raise DeviceError("holds a malformed tick", where=where, fix=fix) from None
     events = [row for row in rows[1:] if "command" not in row]
     end = next((row["end"] for row in reversed(events) if "end" in row), None)
-    return ExecutionRecord(rows[0], *arrays, events, end)
+    return ExecutionRecord(rows[0], t, command, measured, age, events, end)
 
 
 def last_time(folder: Path) -> str | None:

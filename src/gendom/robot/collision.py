@@ -64,8 +64,8 @@ class Box:
 
     def distance(self, start: Array, end: Array) -> Array:
         """[...] signed distance from segments [..., 3] [m]."""
-        own = [(point - self.position) @ self.turn for point in (start, end)]
-        return segment_to_box(*own, 0.5 * self.size)
+        a, b = ((point - self.position) @ self.turn for point in (start, end))
+        return segment_to_box(a, b, 0.5 * self.size)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
