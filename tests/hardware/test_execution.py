@@ -19,7 +19,6 @@ from gendom.hardware.contracts import RobotState, Tick
 from gendom.hardware.execution import (
     ACTION_FORMAT,
     ExecutionLog,
-    careful,
     execute,
     last_time,
     preview,
@@ -128,13 +127,6 @@ def test_a_real_arm_wants_a_plan_of_its_cell_and_the_cell_is_checked_again(made)
     shelf = Box(name="shelf", position=np.array([0.45, 0.1, 0.2]), size=np.full(3, 0.1))
     with pytest.raises(RobotError, match="shelf"):
         preview(plan, replace(real, box=(shelf,)))
-
-
-def test_careful_is_a_tenth(made):
-    planned = careful(read_action(made[1]).plan, made[0])
-    uses = [u for m in (planned.motion, planned.approach) for u in m.limit_uses(XARM7)]
-    shares = [u.share for u in uses if u.kind in ("speed", "tool speed")]
-    assert max(shares) == pytest.approx(0.1, rel=1e-6)
 
 
 def test_a_ros_trajectory_s_speeds_are_its_positions_differences(made, tmp_path):

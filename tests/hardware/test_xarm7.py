@@ -294,16 +294,6 @@ def test_faults_of_the_box_in_mid_motion(box, streamer, name):
     assert np.abs(first - AWAY).max() > 0.05
 
 
-def test_the_box_itself_refuses_what_is_too_fast(box, streamer):
-    """What the limits are for: without them the box stops the arm by C24."""
-    streamer.driver.begin()
-    streamer.driver.servo(XARM7.home)
-    with pytest.raises(DeviceError, match="C24"):
-        streamer.driver.servo(XARM7.home + 0.05)
-        streamer.driver.servo(XARM7.home)
-    assert box.true == pytest.approx(XARM7.home, abs=1e-3)
-
-
 def test_a_gripper_that_does_not_close(box, streamer):
     box.stuck = True
     with pytest.raises(DeviceError, match="gripper does not move, at 84 mm; check its power"):
