@@ -39,9 +39,17 @@ class Lift:
     """The predefined lift (`gendom.robot.predefined_lift`) of one object."""
 
     item: Item
-    hold: float = FINGERS
-    """What lies within this distance of the rope's end, or of the corner, moves with the hand
-    [m]."""
+    edge: float | None = None
+    """Length of the segments that a rope has in the other simulator [m]; None: it has none."""
+
+    @property
+    def hold(self) -> float:
+        """What lies within this distance of the rope's end, or of the corner, moves with the hand
+        [m]. The joint beyond the last segment that is held stands for half a segment on both
+        sides."""
+        if self.edge is None:
+            return FINGERS
+        return (max(round(FINGERS / self.edge + 0.5), 1) - 0.5) * self.edge
 
     @property
     def height(self) -> float:
