@@ -1,5 +1,6 @@
 """`Cell` and `gendom cell`: what a file may say, what is wrong with a cell, what may be planned."""
 
+from dataclasses import replace
 from datetime import date
 
 import numpy as np
@@ -9,7 +10,7 @@ from PIL import Image
 from gendom import cli
 from gendom.errors import GendomError, RobotError
 from gendom.hardware.cell import BARE, Cell
-from gendom.robot import DOWN, XARM7, TcpPath, tcp_pose
+from gendom.robot import DOWN, XARM7, Box, TcpPath, tcp_pose
 from simulated_cell import box, write_cell
 
 
@@ -96,51 +97,69 @@ def test_calibrations_that_are_old_or_absent_are_warned_of(tmp_path):
     assert {f.severity for f in faults} == {"warning"}
 
 
-def test_nothing_below_the_table_through_a_box_or_out_of_the_workspace_is_planned(tmp_path):
-    shelf = box("shelf", (0.5, 0.3, 0.1), (0.2, 0.1, 0.2))  # up to y = 0.25
-    cell = Cell.read(write_cell(tmp_path, shelf))
-    down = line((0.45, 0.0, 0.2), (0.45, 0.0, -0.03))
-    for where in (cell, BARE):
-        with pytest.raises(RobotError, match="table"):
-            where.plan(down, opening=0.016)
-    with pytest.raises(RobotError, match="shelf"):
-        cell.plan(line((0.5, 0.0, 0.1), (0.5, 0.3, 0.1)), opening=0.016)
-    with pytest.raises(RobotError, match="leaves the workspace by 50 mm, at"):
-        cell.plan(line((0.3, 0.0, 0.3), (0.1, 0.0, 0.3)), opening=0.016)
-    with pytest.raises(RobotError, match="held object and shelf"):  # which hangs beside the fingers
-        cell.plan(line((0.5, 0.0, 0.35), (0.5, 0.3, 0.35)), opening=0.016, hangs=0.3)
-    assert cell.plan(line((0.5, 0.0, 0.35), (0.5, 0.3, 0.35)), opening=0.016).motion.end > 2.0
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory):
+    """A cell with a wall and a shelf, and how its arm goes 0.3 m sideways in it."""
+    shelf = box("shelf", (0.5, 0.3, 0.05), (0.2, 0.1, 0.1))  # from y = 0.25 on
+    wall = box("wall", (0.5, 0.42, 0.4), (0.2, 0.1, 0.3))
+    folder = tmp_path_factory.mktemp("cell")
+    cell = Cell.read(write_cell(folder, shelf, wall, tool="0.25", cameras=False))
+    path = line((0.5, 0.0, 0.35), (0.5, 0.25, 0.35), seconds=0.5)
+    return cell, cell.plan(path, opening=0.016)
 
 
-def test_clearances_count(tmp_path):
-    """A hand that passes a wall: refused as soon as the cell asks for 2 mm more than there are."""
-    path = line((0.5, 0.0, 0.2), (0.5, 0.15, 0.2))
-    wall = box("wall", (0.5, 0.285, 0.2), (0.2, 0.1, 0.4))
-    loose = Cell.read(write_cell(tmp_path, wall, table_height="0.0\nscene_clearance = 0.0"))
-    planned = loose.plan(path, opening=0.016)
-    scene, own = loose.least_clearances(planned.motion.at(planned.motion.time), opening=0.016)
-    assert 0.0 < scene[0] < 0.1 and "wall" in scene[1] and own[0] > 0.01
-    for more, refused in ((-0.002, False), (0.002, True)):
-        height = f"0.0\nscene_clearance = {scene[0] + more}"
-        cell = Cell.read(write_cell(tmp_path, wall, table_height=height))
-        if refused:
-            with pytest.raises(RobotError, match=r"wall come less than .* mm apart"):
-                cell.plan(path, opening=0.016)
-        else:
-            cell.plan(path, opening=0.016)
+def test_nothing_below_the_table_is_planned(planned):
+    with pytest.raises(RobotError, match="table"):
+        BARE.plan(line((0.45, 0.0, 0.05), (0.45, 0.0, -0.03), seconds=1.0), opening=0.016)
 
 
-def test_speeds_are_the_cell_s(tmp_path):
-    cell = Cell.read(write_cell(tmp_path, tool="0.25"))
-    planned = cell.plan(line((0.4, -0.2, 0.3), (0.4, 0.2, 0.3), seconds=0.5), opening=0.016)
-    uses = planned.motion.limit_uses(XARM7)
-    assert planned.motion.slowed_by > 3.0
+def test_what_was_planned_is_checked_against_the_cell_as_it_is(planned):
+    """A limit, a clearance of 2 mm more than there are, the workspace, what hangs out of the
+    fingers, another arm."""
+    cell, motion = planned
+    cell.check(motion)
+    (scene, which), own = cell.least_clearances(motion.motion.q, opening=0.016)
+    assert 0.0 < scene < 0.1 and "wall" in which and own[0] > 0.01
+    replace(cell, scene_clearance=scene - 0.002).check(motion)
+    narrow = np.array([cell.workspace[0], [0.8, 0.2, 0.8]])
+    for here, what, words in (
+        (replace(cell, scene_clearance=scene + 0.002), motion, r"wall come less than .* mm apart"),
+        (replace(cell, self_clearance=0.2), motion, r"come less than .* mm apart"),
+        (replace(cell, workspace=narrow), motion, "leaves the workspace by 50 mm, at"),
+        (replace(cell, speed=replace(cell.speed, tool=0.2)), motion, r"the tool .*limit 0\.2"),
+        (cell, replace(motion, hangs=0.35), "held object and shelf"),
+        (replace(cell, arm="fr3"), motion, "planned for xarm7, the cell has fr3"),
+    ):
+        with pytest.raises(RobotError, match=words):
+            here.check(what)
+
+
+def test_an_approach_goes_around_what_stands_in_its_way():
+    q, size = XARM7.home + np.array([0.9, 0.3, 0, 0.3, 0, 0.0, 0]), np.full(3, 0.03)
+    middle, end = tcp_pose(XARM7, np.stack([0.5 * (XARM7.home + q), q]))[:, :3, 3]
+    straight = BARE.approach(XARM7.home, q)
+    around = replace(BARE, box=(Box(name="post", position=middle, size=size),))
+    with pytest.raises(RobotError, match="post"):
+        around.slow_move(XARM7.home, q, surroundings=around.surroundings, opening=0.084)
+    way = around.approach(XARM7.home, q)
+    assert way.end > straight.end and way.q[-1] == pytest.approx(q)
+    with pytest.raises(RobotError, match=r"the approach: .* post collide"):
+        replace(BARE, box=(Box(name="post", position=end, size=5 * size),)).approach(XARM7.home, q)
+
+
+def test_speeds_are_the_cell_s(planned):
+    cell, motion = planned
+    uses = motion.motion.limit_uses(XARM7)
+    assert motion.motion.slowed_by > 1.5
+    assert motion.approach.q[0] == pytest.approx(XARM7.home)
+    assert motion.approach.q[-1] == pytest.approx(motion.motion.q[0])
     assert max(u.value for u in uses if u.joint is None) == pytest.approx(0.25, rel=0.02)
     assert max(u.share for u in uses if u.kind in ("speed", "acceleration")) <= 0.3 + 1e-9
-    slow = planned.approach.limit_uses(XARM7)
+    slow = motion.approach.limit_uses(XARM7)
     assert max(u.share for u in slow if u.kind != "angle") <= 0.1 + 1e-6
-    assert planned.approach.q[0] == pytest.approx(XARM7.home)
-    assert planned.approach.q[-1] == pytest.approx(planned.motion.q[0])
+    slower = replace(cell, speed=replace(cell.speed, tool=0.05))
+    tool = slower.approach(XARM7.home, motion.first).limit_uses(XARM7)[-1]
+    assert tool.value <= 0.05 + 1e-6
 
 
 def test_the_picture_shows_what_stands_where(tmp_path, capsys):

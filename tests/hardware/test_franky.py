@@ -7,23 +7,19 @@ import math
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from gendom.errors import DeviceError, RobotError
-from gendom.hardware import cell as cells
+from gendom.errors import DeviceError
 from gendom.hardware.franky import FrankaDriver
 from gendom.hardware.streaming import Streamer
-from gendom.robot import find_arm, joint_move
+from gendom.robot import joint_move
+from hardware import xarm_box
 
 pytest.importorskip("franky", reason="pip install franky-control")
 pytest.importorskip("franky_sim", reason="pip install franky-sim")
-try:
-    find_arm("fr3")
-except RobotError as error:
-    pytest.skip(str(error), allow_module_level=True)
-
 ADDRESS = "127.0.78.1"
 
 
@@ -35,6 +31,13 @@ class Driver(FrankaDriver):
 
     def simulated(self):
         return self._robot.state.time.to_sec()
+
+
+def cell(address):
+    """Without a table, which franky-sim has not."""
+    usual, space = xarm_box.cell(address), np.outer([-1.5, 1.5], np.ones(3))
+    tool = replace(usual.tool, max_opening=0.08, latency=0.05)
+    return replace(usual, robot="fr3", arm="fr3", tool=tool, workspace=space)
 
 
 @pytest.fixture(scope="module")
@@ -52,16 +55,9 @@ def address():
 
 @pytest.fixture
 def streamer(address):
-    cell = cells.Cell(
-        robot="fr3",
-        address=address,
-        arm="fr3",
-        tool=cells.Tool(max_opening=0.08, latency=0.05),
-        workspace=np.outer([-1.5, 1.5], np.ones(3)),
-    )
-    driver = Driver(cell)
+    driver = Driver(cell(address))
     driver.connect()
-    yield Streamer(driver, cell, clock=driver.simulated)
+    yield Streamer(driver, driver.cell, clock=driver.simulated)
     driver.disconnect()
 
 
@@ -110,12 +106,4 @@ def test_it_brakes_within_its_accelerations(streamer):
 
 def test_nobody_there():
     with pytest.raises(DeviceError, match="FCI"):
-        Driver(
-            cells.Cell(
-                robot="fr3",
-                address="127.0.78.2",
-                arm="fr3",
-                tool=cells.Tool(max_opening=0.08, latency=0.05),
-                workspace=np.outer([-1.5, 1.5], np.ones(3)),
-            )
-        ).connect()
+        Driver(cell("127.0.78.2")).connect()

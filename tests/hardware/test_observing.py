@@ -31,7 +31,7 @@ def cloud_of(line, rng, side=(0.0, -1.0, 0.3)):
     return cloud[np.unique((cloud / 0.005).astype(int), axis=0, return_index=True)[1]]
 
 
-@pytest.mark.parametrize("bend", [0.0, 2.0, 4.5])
+@pytest.mark.parametrize("bend", [0.0, 4.5])
 def test_the_tip_is_where_the_rope_ends_however_it_bends(bend):
     """4.5 rad: the tip comes near to the middle again, and is not the farthest point."""
     rng = np.random.default_rng(0)
@@ -44,7 +44,7 @@ def test_the_tip_is_where_the_rope_ends_however_it_bends(bend):
     assert rope_tip(hidden, line[0], ROPE.diameter, 0.24) is None
 
 
-def made(fps=30.0, **changed):
+def made():
     """A simulated release as a recording of clouds, and what it reached."""
     task, action = RopeReaching(), (0.18, 0.09)
     outcome = Simulation(everything=True).carry_out(task, [ROPE], [action], keep=True)[0]
@@ -53,7 +53,7 @@ def made(fps=30.0, **changed):
     motion, seen, rng = planned.motion, outcome.seen, np.random.default_rng(0)
     assert seen is not None
     start = max(float(seen.times[0]), motion.start)
-    time = np.arange(start, seen.times[-1], 1.0 / fps)
+    time = np.arange(start, seen.times[-1], 1.0 / 30.0)
     moved = CubicSpline(seen.times, seen.points)
     lines = moved(time)
     clouds = [(cloud_of(x, rng) @ T[:3, :3].T + T[:3, 3]).astype(np.float32) for x in lines]
@@ -62,20 +62,22 @@ def made(fps=30.0, **changed):
         clouds, time=time + 5.0, gripper_position=hand,
         object=ObjectDescription(kind="rope", length=0.3, mass=0.05),
     )  # fmt: skip
-    done = PlannedAction(task=task.name, action=dict(enumerate(action)), goal={}, object={},
-                         trajectory=Trajectory(T_base_task=T), plan=planned)  # fmt: skip
+    done = PlannedAction(
+        task=task.name, action=dict(zip("xz", action, strict=True)), goal={}, object={},
+        trajectory=Trajectory(T_base_task=T), plan=planned,
+    )  # fmt: skip
     return task, done, recording, motion.start + 5.0, outcome.values
 
 
-def test_what_was_reached_is_seen_within_millimetres():
+def test_what_was_reached_is_seen_within_millimetres_and_nothing_is_made_up():
     task, action, recording, start, truth = made()
     found = reached(task, ROPE, action, recording, start)
     assert found["x"] == pytest.approx(truth["x"], abs=0.006)
     assert found["sideways"] < 0.01
-
-
-def test_what_is_not_seen_is_not_made_up():
-    task, action, recording, start, _ = made(fps=6.0)
+    recording = Recording.from_frames(
+        recording.frames(range(0, recording.num_frames, 5)), time=recording.time[::5],
+        gripper_position=recording.gripper_position[::5], object=recording.object,
+    )  # fmt: skip
     with pytest.raises(RecordingError, match=r"tip is seen in \d pictures after the release"):
         reached(task, ROPE, action, recording, start)
     with pytest.raises(RecordingError, match="cloth-spreading watches more than a tip; write down"):

@@ -125,16 +125,12 @@ def test_a_motion_is_recorded_as_perception_reads_it(record, motion):
 
 
 def test_pictures_that_never_came_are_counted(record):
-    def some(camera, k):
-        return None if camera == 1 and k % 10 == 5 else k + 1
-
-    folder, found = record(number=some)
+    folder, found = record(number=lambda c, k: None if c == 1 and k % 10 == 5 else k + 1)
     assert found["left"].missing == 0
     lost, every = found["right"].missing, found["left"].pictures
     assert abs(lost - every / 10.0) <= 4 and lost % 2 == 0 and lost > 0
-    assert (
-        json.loads((folder / "recording.json").read_text())["cameras"]["right"]["missing"] == lost
-    )
+    said = json.loads((folder / "recording.json").read_text())
+    assert said["cameras"]["right"]["missing"] == lost
 
 
 def _unplugged(cameras):
@@ -162,23 +158,26 @@ def test_a_camera_that_fails_stops_the_robot(record, how, words):
     assert all(len(list(source)) > 15 for source in read_cameras(folder).sources)
 
 
-def test_a_disk_that_fills_stops_the_robot(record, monkeypatch):
-    left = [5e12]
-    usage = lambda _: SimpleNamespace(free=left[0])  # noqa: E731
+@pytest.mark.parametrize(
+    ("left", "seconds", "words"),
+    [(5e12, 60.0, "the disk has 100 MB left"), (0.2e9, 1.0, "the disk has 0.2 GB left, 1 s take")],
+    ids=["fills", "full"],
+)
+def test_a_disk_that_fills_stops_the_robot_and_a_full_one_is_told_before(
+    record, monkeypatch, left, seconds, words
+):
+    rooms = [left]
+    usage = lambda _: SimpleNamespace(free=rooms[-1])  # noqa: E731
     monkeypatch.setattr("gendom.hardware.recording.shutil.disk_usage", usage)
-    threading.Timer(1.0, lambda: left.__setitem__(0, 1e8)).start()
     arm = Arm()
-    folder, error = record(arm, seconds=60.0)
-    assert isinstance(error, DeviceError) and "the disk has 100 MB left" in str(error)
-    assert arm.stopped.is_set() and len(list(read_cameras(folder).sources[0])) > 5
-
-
-def test_too_little_space_is_told_before_the_robot_moves(record, monkeypatch):
-    usage = lambda _: SimpleNamespace(free=0.2e9)  # noqa: E731
-    monkeypatch.setattr("gendom.hardware.recording.shutil.disk_usage", usage)
-    folder, error = record()
-    assert isinstance(error, DeviceError) and "the disk has 0.2 GB left, 1 s take 0.2" in str(error)
-    assert not folder.exists()
+    if seconds > 1.0:
+        threading.Timer(1.0, rooms.append, [1e8]).start()
+    folder, error = record(arm, seconds=seconds)
+    assert isinstance(error, DeviceError) and words in str(error)
+    if seconds > 1.0:
+        assert arm.stopped.is_set() and len(list(read_cameras(folder).sources[0])) > 5
+    else:
+        assert not folder.exists()
 
 
 @pytest.mark.parametrize("breaks", [KeyboardInterrupt(), DeviceError("joint 3 is hot", fix="wait")])

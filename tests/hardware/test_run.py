@@ -24,9 +24,9 @@ def test_finished_steps_are_skipped_and_those_of_changed_inputs_are_not(tmp_path
                 done.append(name)
                 if name == breaks:
                     raise KeyboardInterrupt
-                if name == "folder":
-                    to.mkdir()
-                (to / "inside.txt" if name == "folder" else to).write_text(text)
+                file = to / "inside.txt" if name == "folder" else to
+                file.parent.mkdir(exist_ok=True)
+                file.write_text(text)
 
             return do
 

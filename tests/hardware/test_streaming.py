@@ -9,8 +9,9 @@ import pytest
 from scipy.spatial import KDTree
 
 from gendom.errors import DeviceError, GendomError
+from gendom.hardware.cell import SpeedLimits
 from gendom.hardware.contracts import RobotState
-from gendom.hardware.streaming import BLIND, LAG, TRACKING, Driver, Streamer
+from gendom.hardware.streaming import BLIND, LAG, Driver, Streamer
 from gendom.robot import XARM7, GripperEvent, JointMotion, joint_move, tcp_pose
 from hardware.xarm_box import cell
 
@@ -128,34 +129,34 @@ def test_a_small_distance_from_the_first_pose_is_made_up_for_slowly(streamer):
     assert speed[:5].max() < 0.15
 
 
-@pytest.mark.parametrize(
-    ("share", "change", "message"),
-    [
-        (1.0, {"q": XARM7.home + np.array([0, 0, 0, 0, 0, 0, math.radians(1.5)])}, "1.5 degrees"),
-        (1.0, {"q": XARM7.home + np.array([0.013, 0, 0, 0, 0, 0, 0])}, "5 mm off"),
-        (1.0, {"code": "the user stop is pressed"}, "user stop"),
-        (1.0, {"age": 0.15}, "150 ms old"),
-        (0.3, {}, "take .* times as long"),
-        (1.0, {"low": 0.5}, "leaves the workspace"),
-        (1.0, {"to": np.array([0, 0, 0, 0, 0, 2.1, 0])}, "limit 3.14"),
-        (1.0, {"to": BETWEEN_KNOTS, "knots": 2, "in": 0.84}, "moves at 0.89.*limit 0.8"),
-    ],
-    ids=["far joint", "far tool", "fault", "old report", "speed", "workspace", "angle", "knots"],
-)
-def test_what_is_refused_before_the_arm_moves(streamer, share, change, message):
-    controller, here = streamer.driver, streamer.cell
-    controller.sent = [(0.0, change.get("q", XARM7.home))]
-    controller.code, controller.age = change.get("code"), change.get("age", 0.0)
-    low = np.array([-0.8, -0.8, change.get("low", 0.0)])
-    limited = replace(here, workspace=(low, here.workspace[1]))
-    limited = replace(limited, speed=replace(here.speed, share=share))
-    streamer = Streamer(controller, limited, clock=streamer.clock)
-    motion = motion_to()
-    if "to" in change:
-        time = np.linspace(0.0, change.get("in", 2.0), change.get("knots", 9))
-        motion = JointMotion(time=time, q=XARM7.home + np.outer(time / time[-1], change["to"]))
+def knots(way, seconds, number=9):
+    time = np.linspace(0.0, seconds, number)
+    return JointMotion(time=time, q=XARM7.home + np.outer(time / seconds, way))
+
+
+ONE = np.eye(7)
+REFUSED = {
+    "far joint": ({"q": XARM7.home + math.radians(1.5) * ONE[6]}, {}, None, "1.5 degrees"),
+    "far tool": ({"q": XARM7.home + 0.013 * ONE[0]}, {}, None, "5 mm off"),
+    "fault": ({"code": "the user stop is pressed"}, {}, None, "user stop"),
+    "old report": ({"age": 0.15}, {}, None, "150 ms old"),
+    "speed": ({}, {"speed": SpeedLimits(tool=0.8, share=0.3)}, None, "take .* times as long"),
+    "workspace": ({}, {"workspace": np.array([[-0.8, -0.8, 0.5], [0.8, 0.8, 1.2]])}, None,
+                  "leaves the workspace"),
+    "angle": ({}, {}, knots(2.1 * ONE[5], 2.0), "limit 3.14"),
+    "knots": ({}, {}, knots(BETWEEN_KNOTS, 0.84, 2), "moves at 0.89.*limit 0.8"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_refused_before_the_arm_moves(streamer, name):
+    state, cell, motion, message = REFUSED[name]
+    controller = streamer.driver
+    controller.sent = [(0.0, state.get("q", XARM7.home))]
+    controller.code, controller.age = state.get("code"), state.get("age", 0.0)
+    streamer = Streamer(controller, replace(streamer.cell, **cell), clock=streamer.clock)
     with pytest.raises(GendomError, match=message):
-        streamer.start(motion)
+        streamer.start(motion or motion_to())
     assert not streamer.moving
     assert controller.calls == []
 
@@ -254,11 +255,10 @@ def test_a_command_out_of_the_workspace_is_not_sent(streamer):
     assert "limit of workspace" in streamer.fault
 
 
-@pytest.mark.parametrize("share", [1.0, 0.3])
-def test_how_old_a_report_may_be_depends_on_the_speed(streamer, share):
-    motion = motion_to(share)
+def test_a_slow_motion_s_reports_may_be_older(streamer):
+    motion = motion_to(0.3)
     run(streamer, motion, at=0.5 * motion.end, then=lambda: setattr(streamer.driver, "age", 0.06))
-    assert ("report" in (streamer.fault or "")) == (share == 1.0)
+    assert streamer.fault is None
 
 
 def test_a_late_tick_moves_the_clock_and_never_bursts(streamer):
@@ -275,7 +275,7 @@ def test_a_late_tick_moves_the_clock_and_never_bursts(streamer):
 def test_braking_keeps_to_the_path_and_to_the_accelerations(streamer):
     """Random motions at the arm's limits, braked at random times."""
     rng, longest = np.random.default_rng(0), 0.0
-    for _ in range(20):
+    for _ in range(8):
         time = np.linspace(0.0, 2.0, 9)
         steps = rng.normal(size=(8, 7)) * [0.3, 0.2, 0.3, 0.2, 0.4, 0.2, 0.5]
         q = XARM7.home + np.concatenate([np.zeros((1, 7)), np.cumsum(steps, axis=0)])
@@ -291,4 +291,3 @@ def test_braking_keeps_to_the_path_and_to_the_accelerations(streamer):
         changes = np.abs(np.diff(controller.commands()[1:], n=2, axis=0)) / T**2
         assert np.all(changes <= 1.1 * XARM7.max_acceleration)
     assert longest < 0.2
-    assert TRACKING < 0.05

@@ -31,11 +31,6 @@ def turning(path):
     return replace(path, quat_xyzw=TURNS.as_quat())
 
 
-def test_a_path_is_linear_without_blend(path):
-    np.testing.assert_allclose(path.position_at(0.75), [0.4, 0.0, 0.2])
-    np.testing.assert_allclose(path.position_at([-1.0, 9.0]), path.position[[0, -1]])
-
-
 def test_a_blend_is_the_convolution_with_its_kernel(path):
     blend = 0.12
     s = np.linspace(-0.5, 0.5, 4001)

@@ -38,10 +38,10 @@ def lifted(folder):
 def estimate(tmp_path):
     """Function (an object of the second reality) -> its estimate's file."""
 
-    def saved(item):
-        path = tmp_path / "estimate.json"
-        Estimate.of(item).with_uncertain("E_over_rho", 0.1).save(path)
-        return str(path)
+    def saved(item, doubt=0.1):
+        found = Estimate.of(item).with_uncertain("E_over_rho", doubt)
+        found.save(tmp_path / "estimate.json")
+        return str(tmp_path / "estimate.json")
 
     return saved
 
@@ -79,58 +79,40 @@ def test_a_cloth_lifted_in_mujoco_moves_as_ours(tmp_path, estimate, name):
     assert lifted(folder)[0] < 4.0
 
 
-@pytest.mark.parametrize(
-    "words", [COTTON, ["cotton-shirting", "--side", "0.3"]], ids=["rope", "cloth"]
-)
+@pytest.mark.parametrize("words", [COTTON, ["--side", "0.15"]], ids=["rope", "cloth"])
 def test_usd_holds_the_lift_and_the_parameters(tmp_path, words):
-    if words[0] not in catalogue.materials():
-        words = [next(n for n, m in catalogue.materials().items() if m.kind == "cloth"), *words[1:]]
+    if words is not COTTON:
+        words = [next(n for n, m in catalogue.materials().items() if m.kind == "cloth"), *words]
     folder = written(tmp_path, *words, "--to", "usd")
     text = (folder / "object.usda").read_text()
-    E = catalogue.get(words[0]).E.typical
-    assert f"custom double gendom:E = {E!r} " in text
+    assert f"custom double gendom:E = {catalogue.get(words[0]).E.typical!r} " in text
     frames = re.findall(r"^ +(\d+): \[(.*)\],$", text, re.MULTILINE)
     points = [
         np.array(re.findall(r"-?[\d.]+", row), dtype=float).reshape(-1, 3) for _, row in frames
     ]
-    assert [int(k) for k, _ in frames] == list(range(len(frames))) and len(frames) > 20
-    assert points[0][:, 2].max() < 0.02 < 0.2 < points[-1][:, 2].max()
-    try:
-        from pxr import Usd  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        return
-    stage = Usd.Stage.Open(str(folder / "object.usda"))
-    prim = stage.GetPrimAtPath("/World/object")
-    assert len(prim.GetAttribute("points").Get(5)) == len(points[5])
+    assert [int(k) for k, _ in frames] == list(range(len(frames))) and len(frames) > 15
+    assert points[0][:, 2].max() < 0.02 < 0.1 < points[-1][:, 2].max()
 
 
 def test_newtons_twin_holds_what_its_script_reads(tmp_path):
     folder = written(tmp_path, *COTTON, "--to", "newton")
-    arrays = np.load(folder / "lift.npz")
-    script = (folder / "lift.py").read_text()
+    arrays, script = np.load(folder / "lift.npz"), (folder / "lift.py").read_text()
     compile(script, "lift.py", "exec")
     cloth = {"vertices", "triangles", "mass_per_area", "mu", "lam", "side_hinge",
              "diagonal_hinge", "spacing"}  # fmt: skip
-    read = set(re.findall(r'about\["(\w+)"', script)) - cloth
-    assert read <= set(arrays)
-    m, d, L = (
-        catalogue.get("cotton-rope").material(),
-        catalogue.get("cotton-rope").across.typical,
-        0.3,
-    )
+    assert set(re.findall(r'about\["(\w+)"', script)) - cloth <= set(arrays)
+    m, d = catalogue.get("cotton-rope").material(), catalogue.get("cotton-rope").across.typical
     assert float(arrays["EI"]) == pytest.approx(m.E * np.pi * d**4 / 64.0)
-    segments = len(arrays["nodes"]) - 1
-    assert float(arrays["mass"]) * segments == pytest.approx(m.density * np.pi * d**2 / 4.0 * L)
+    whole = float(arrays["mass"]) * (len(arrays["nodes"]) - 1)
+    assert whole == pytest.approx(m.density * np.pi * d**2 / 4.0 * 0.3)
 
 
 def test_draws_are_variants_for_randomisation(tmp_path, estimate):
-    item = OBJECTS["rope-cotton"]
-    found = Estimate.of(item).with_uncertain("E_over_rho", 0.2)
-    path = tmp_path / "estimate.json"
-    found.save(path)
-    folder = written(tmp_path, str(path), "--to", "usd", "--draws", "3", "--seed", "5")
+    path = estimate(OBJECTS["rope-cotton"], 0.2)
+    folder = written(tmp_path, path, "--to", "usd", "--draws", "3", "--seed", "5")
     E = [json.loads((p / "twin.json").read_text())["object"]["E"] for p in sorted(folder.iterdir())]
-    assert E == pytest.approx([d.material.E for d in found.draws(3, 5)]) and len(set(E)) == 3
+    drawn = Estimate.load(path).draws(3, 5)
+    assert E == pytest.approx([d.material.E for d in drawn]) and len(set(E)) == 3
 
 
 @pytest.mark.parametrize(
@@ -148,18 +130,13 @@ def test_what_cannot_become_a_twin(tmp_path, capsys, words, said):
     assert not (tmp_path / "twin" / "twin.json").exists()
 
 
-def test_a_twin_is_never_overwritten(tmp_path, capsys):
+def test_a_twin_is_never_overwritten_and_has_a_known_target(tmp_path, capsys):
     folder = written(tmp_path, *COTTON, "--to", "usd")
     before = (folder / "object.usda").read_bytes()
-    assert (
-        cli.main(["twin", "cotton-rope", "--length", "0.5", "--to", "usd", "--out", str(folder)])
-        == 2
-    )
+    words = ["twin", "cotton-rope", "--length", "0.5", "--to", "usd", "--out", str(folder)]
+    assert cli.main(words) == 2
     assert "holds a twin already; name another folder" in capsys.readouterr().err
     assert (folder / "object.usda").read_bytes() == before
-
-
-def test_an_unknown_target_is_refused(tmp_path):
     with pytest.raises(GendomError, match="no target 'sdf'; choose mjcf, newton, usd"):
-        write_twin(OBJECTS["rope-cotton"], "sdf", tmp_path / "twin", about={})
-    assert not (tmp_path / "twin").exists()
+        write_twin(OBJECTS["rope-cotton"], "sdf", tmp_path / "other", about={})
+    assert not (tmp_path / "other").exists()

@@ -198,11 +198,7 @@ class Cell:
         return cell
 
     def _check_values(self) -> None:
-        """Refuse what no cell can have.
-
-        Raises:
-            DeviceError: It has.
-        """
+        """Refuse what no cell can have."""
         tool, speed, space, table = self.tool, self.speed, self.workspace, self.table_height
         widest = self.model.gripper.max_opening
         names = [o.name for o in self.surroundings.obstacles]
@@ -234,11 +230,11 @@ class Cell:
     @cached_property
     def surroundings(self) -> Surroundings:
         """Table, boxes, stands and the housings of calibrated cameras, with their clearances."""
-        housings = []
-        if seen := [c for c in self.camera if c.T_world_camera is not None]:
+        housings, seen = [], {c.name: c.T_world_camera for c in self.camera}
+        if seen:
             from gendom.reality.arm import housing  # with all of MuJoCo's scene
 
-            housings = [housing(c.name, c.T_world_camera) for c in seen]
+            housings = [housing(name, T) for name, T in seen.items() if T is not None]
         return Surroundings(
             table_height=self.table_height,
             obstacles=(*self.box, *self.stand, *housings),
@@ -340,7 +336,7 @@ class Cell:
             RobotError: It cannot within its limits, or leaves the workspace, or comes too near to
                 something.
         """
-        arm, around = held(self.limited, opening, hangs), self.surroundings
+        arm, around = self.limited.holding(hangs, 0.5 * opening), self.surroundings
         motion = follow(arm, path, surroundings=around, opening=opening)
         self.check_workspace(motion)
         return PlannedMotion(
@@ -406,7 +402,7 @@ class Cell:
         require(same, what, where="action", fix=fix, error=RobotError)
         what, free = "was planned without a cell", planned.cell is not None or self.simulated
         require(free, what, where="action", fix=fix, error=RobotError)
-        arm = held(self.limited, planned.opening, planned.hangs)
+        arm = self.limited.holding(planned.hangs, 0.5 * planned.opening)
         moves = (
             (arm, planned.motion, planned.opening),
             (self.limited, planned.approach, self.tool.max_opening),
@@ -458,12 +454,6 @@ class Cell:
         return [least[True], least[False]]
 
 
-def held(arm: Arm, opening: float, hangs: float) -> Arm:
-    """The arm with an object in its fingers, of the thickness of their opening [m], that hangs out
-    of them [m]; 0: none."""
-    return arm.holding(hangs, 0.5 * opening) if hangs > 0.0 else arm
-
-
 BARE = Cell(
     robot="simulated",
     address="",
@@ -482,11 +472,7 @@ def _point(x: NDArray[np.float64]) -> str:
 
 
 def _check_keys(kind: Any, table: dict[str, Any], where: str) -> None:
-    """Refuse keys that a file's tables do not have.
-
-    Raises:
-        DeviceError: There is one.
-    """
+    """Refuse keys that a file's tables do not have."""
     known, types = [f.name for f in fields(kind) if f.name != "path"], get_type_hints(kind)
     for key, value in table.items():
         fix = did_you_mean(key, known) or f"known are {', '.join(known)}"

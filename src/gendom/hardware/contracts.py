@@ -34,10 +34,6 @@ class RobotState:
     fault: str | None = None
     """What is wrong and what a person has to do; None: nothing."""
 
-    def age(self, now: float) -> float:
-        """Seconds since the report, at a time `now` of `time.monotonic`."""
-        return now - self.time
-
 
 @runtime_checkable
 class Robot(Protocol):

@@ -87,15 +87,10 @@ def read_action(path: str | os.PathLike) -> PlannedAction:
     return read
 
 
-def write_trajectory(path: str | os.PathLike, motion: JointMotion, rate: float = 100.0) -> None:
-    """Write a motion as a ROS ``trajectory_msgs/JointTrajectory``: JSON, which is YAML, too.
-
-    Args:
-        path: The file.
-        motion: Its joints become joint1 and so on, as the vendor's URDF names them.
-        rate: Points a second.
-    """
-    time = motion.sampled(rate)
+def write_trajectory(path: str | os.PathLike, motion: JointMotion) -> None:
+    """Write a motion as a ROS ``trajectory_msgs/JointTrajectory`` of 100 points a second: JSON,
+    which is YAML, too. Joints become joint1 and so on, as the vendor's URDF names them."""
+    time = motion.sampled(100.0)
     stamps = [divmod(round((t - motion.start) * 1e9), 10**9) for t in time]
     rows = zip(stamps, motion.at(time), motion.speed_at(time), motion.acceleration_at(time),
                strict=True)  # fmt: skip
@@ -229,12 +224,12 @@ def read_log(path: str | os.PathLike) -> ExecutionRecord:
     ticks = [row for row in rows[max(plays, default=0) :] if "command" in row]
     keys = ("t", "command", "measured", "age")
     try:
-        arrays = [np.array([tick[key] for tick in ticks], dtype=float) for key in keys]
+        t, command, measured, age = (np.array([x[k] for x in ticks], dtype=float) for k in keys)
     except (KeyError, TypeError, ValueError):
         raise DeviceError("holds a malformed tick", where=where, fix=fix) from None
     events = [row for row in rows[1:] if "command" not in row]
     end = next((row["end"] for row in reversed(events) if "end" in row), None)
-    return ExecutionRecord(rows[0], *arrays, events, end)
+    return ExecutionRecord(rows[0], t, command, measured, age, events, end)
 
 
 def last_time(folder: Path) -> str | None:
@@ -282,7 +277,7 @@ class LoggedRobot:
                 self._log.write(call=name, fault=f"{type(error).__name__}: {error}")
                 raise
             state = self._robot.state()
-            age = state.age(time.monotonic())
+            age = time.monotonic() - state.time
             self._log.write(call=name, state={**vars(state), "age": age})
 
         return logged

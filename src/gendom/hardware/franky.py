@@ -122,11 +122,7 @@ class FrankaDriver:
         del self._robot, self._hand
 
     def _try(self, call: Callable[[], Any]) -> Any:
-        """Call franky; its errors are faults.
-
-        Raises:
-            DeviceError: In franky's words.
-        """
+        """Call franky; its errors are faults."""
         try:
             return call()
         except self._franky.Exception as error:

@@ -7,6 +7,7 @@ Aligning and encoding pictures while they arrive would lose most of them.
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -81,13 +82,12 @@ class RealSenseCamera:
     @property
     def camera(self) -> Camera:
         """Intrinsics, depth unit and pose, once it is connected."""
-        if self._camera is None:
-            raise DeviceError("is not connected", where=self._where, fix="call connect() first")
+        self._require(self._camera is not None, "is not connected", "call connect() first")
+        assert self._camera is not None
         return self._camera
 
-    @property
-    def _where(self) -> str:
-        return f"camera {self.name}"
+    def _require(self, holds: bool, what: str, fix: str) -> None:
+        require(holds, what, where=f"camera {self.name}", fix=fix, error=DeviceError)
 
     def connect(self) -> None:
         """Find the camera and its streams.
@@ -112,19 +112,16 @@ class RealSenseCamera:
         """A device's sensor and its profile of a stream, in this camera's mode."""
         sdk = realsense_sdk()
         form = sdk.format.z16 if kind == "depth" else sdk.format.rgb8
-        modes = set()
+        modes = {}
         for sensor in device.query_sensors():
             for profile in sensor.get_stream_profiles():
-                if profile.stream_type().name != kind or profile.format() != form:
-                    continue
-                video = profile.as_video_stream_profile()
-                modes.add((video.width(), video.height(), profile.fps()))
-                if (video.width(), video.height(), profile.fps()) == self._mode:
-                    return sensor, video
+                if profile.stream_type().name == kind and profile.format() == form:
+                    video = profile.as_video_stream_profile()
+                    modes[video.width(), video.height(), profile.fps()] = sensor, video
         have = ", ".join(f"{w} x {h} at {f}" for w, h, f in sorted(modes)) or "none"
-        width, height, rate = self._mode
-        what = f"has no {kind} of {width} x {height} at {rate} a second"
-        raise DeviceError(what, where=self._where, fix=f"choose of {have}")
+        what = "has no {} of {} x {} at {} a second".format(kind, *self._mode)
+        self._require(self._mode in modes, what, f"choose of {have}")
+        return modes[self._mode]
 
     def _devices_changed(self, changes: Any) -> None:
         self._unplugged |= changes.was_removed(self._device)
@@ -161,7 +158,7 @@ class RealSenseCamera:
             fix = (
                 "close other programs that use it, plug it in again (USB 3), or name another folder"
             )
-            raise DeviceError(f"does not record ({error})", where=self._where, fix=fix) from None
+            self._require(False, f"does not record ({error})", fix)
 
     def wait_for_pictures(self) -> None:
         """Return when every stream has begun.
@@ -171,10 +168,9 @@ class RealSenseCamera:
         """
         until = time.monotonic() + _FIRST_PICTURE
         while silent := [k for k, s in self._streams.items() if not s.pictures]:
-            if time.monotonic() > until or self._unplugged:
-                what = f"gives no {' and no '.join(silent)} picture"
-                fix = "check cable and hub: it needs USB 3"
-                raise DeviceError(what, where=self._where, fix=fix)
+            what = f"gives no {' and no '.join(silent)} picture"
+            waits = time.monotonic() <= until and not self._unplugged
+            self._require(waits, what, "check cable and hub: it needs USB 3")
             time.sleep(0.01)
 
     def _take(self, frame: Any) -> None:
@@ -204,8 +200,7 @@ class RealSenseCamera:
             DeviceError: It does not record.
             RecordingError: The file cannot be read.
         """
-        if self._recorder is None:
-            raise DeviceError("does not record", where=self._where, fix="start a recording first")
+        self._require(self._recorder is not None, "does not record", "start a recording first")
         time.sleep(_FLUSH)
         self._close()
         if not self._compress:  # PNG has checksums of its own
@@ -220,18 +215,16 @@ class RealSenseCamera:
             pictures, missing = pictures + written, missing + max(0, sent - written)
             own = stream and stream.entries and stream.entries[0].domain == "Hardware Clock"
             if own and kind == "depth":
-                warnings.append(own_clock(self._where))
+                warnings.append(own_clock(f"camera {self.name}"))
         return Recorded(
             pictures=pictures, missing=missing, warnings=tuple(str(w.what) for w in warnings)
         )
 
     def _close(self) -> None:
         for sensor in self._sensors:
-            try:
+            with suppress(RuntimeError):  # not started, or no longer connected
                 sensor.stop()
                 sensor.close()
-            except RuntimeError:  # not started, or no longer connected
-                continue
         self._sensors = []
         # The recorder flushes its buffers when the last reference is deleted.
         self._recorder = None
@@ -244,16 +237,12 @@ class RealSenseCamera:
 
 def _connected(sdk: Any, context: Any, serial: str) -> Any:
     """The connected device of a serial number."""
-    serials = []
-    for device in context.query_devices():
-        serials.append(device.get_info(sdk.camera_info.serial_number))
-        if serials[-1] == serial:
-            return device
-    what, fix = f"no RealSense camera {serial!r} is connected", f"have {', '.join(serials)}"
-    if not serials:
-        what = "no RealSense camera is connected"
-        fix = "plug it in (USB 3); on Linux install the SDK's udev rules"
-    raise DeviceError(what, fix=fix)
+    found = {d.get_info(sdk.camera_info.serial_number): d for d in context.query_devices()}
+    fix = "plug it in (USB 3); on Linux install the SDK's udev rules"
+    require(found, "no RealSense camera is connected", fix=fix, error=DeviceError)
+    what, fix = f"no RealSense camera {serial!r} is connected", f"have {', '.join(found)}"
+    require(serial in found, what, fix=fix, error=DeviceError)
+    return found[serial]
 
 
 def _intrinsics(name: str, profile: Any) -> Camera:

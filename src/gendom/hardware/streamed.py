@@ -286,16 +286,16 @@ class StreamedRobot:
 
     def _until_answered(self, first: int, on_tick: Callable[[Tick], None] | None) -> None:
         """Hand on rows from number `first` on, until the other process answers."""
-        heard, J = time.monotonic(), self.arm.joints
+        heard, J, tell = time.monotonic(), self.arm.joints, on_tick or (lambda _: None)
         since_1970 = time.time() - heard
         while True:
             answered = self._link.poll(0.02)
             rows, first = self._board.read(first)
             heard = time.monotonic() if rows else heard
-            for row in rows if on_tick else ():
+            for row in rows:
                 written, elapsed, reported, opening = row[:4]
                 if math.isfinite(elapsed):
-                    on_tick(Tick(
+                    tell(Tick(
                         time=elapsed, command=row[5 : 5 + J], measured=row[5 + J :],
                         age=written - reported, stamp=reported + since_1970,
                         opening=None if math.isnan(opening) else opening,

@@ -37,6 +37,7 @@ _PULSES = 850.0  # of the gripper's position, fully open
 _GRIPPER_SPEED = 5000  # the largest [pulses/s]
 _NEAR, _STUCK = 10, 5  # [pulses]; arrived; not moved
 _HELD, _GRIPPING = 0.5, 4.0  # [s]; fingers that stand so long hold something; the longest move
+_LOOK = "check its cable and power, and look at UFACTORY Studio"
 
 
 class XArm7(StreamedRobot):
@@ -68,8 +69,7 @@ class XArmDriver:
         self._joints = self._api(sdk, enable_report=False)
         self._hand = self._api(sdk, enable_report=False)
         found, axes = self._commands.version_number, self._commands.axis
-        what = f"the arm has {axes} joints"
-        self._require(axes == 7, what, "give the address of an xArm 7")
+        self._require(axes == 7, f"the arm has {axes} joints", "give the address of an xArm 7")
         what = f"firmware {'.'.join(map(str, found))} does not report measured joints"
         self._require(found >= OLDEST_FIRMWARE, what, "update to 1.10 or newer in UFACTORY Studio")
         self._joints.set_timeout(_QUICK)
@@ -77,15 +77,14 @@ class XArmDriver:
         self._commands.register_report_callback(self._reported)
         threading.Thread(target=self._measure, daemon=True).start()
         end = time.monotonic() + _WAIT
-        while not np.isfinite(self.report().time) and time.monotonic() < end:
+        while not np.isfinite(self.report().time):
+            self._require(time.monotonic() < end, "no reports arrive", "check the cable")
             time.sleep(0.01)
-        self._require(np.isfinite(self.report().time), "no reports arrive", "check the cable")
         fault = self.report().fault
         self._require(fault is None, fault or "", None)
         for order, value in (("enable", True), ("mode", 0), ("speed", _GRIPPER_SPEED)):
             code = getattr(self._hand, f"set_gripper_{order}")(value)
-            fix = "check its cable and power, and look at UFACTORY Studio"
-            self._require(code == 0, f"the gripper refuses to set its {order} ({code})", fix)
+            self._require(code == 0, f"the gripper refuses to set its {order} ({code})", _LOOK)
         self._pulses()
 
     def report(self) -> RobotState:
@@ -196,8 +195,7 @@ class XArmDriver:
     def _pulses(self) -> int:
         answer = self._hand.get_gripper_position()
         code, pulses = answer if isinstance(answer, tuple) else (answer, 0)
-        fix = "check its cable and power, and look at UFACTORY Studio"
-        self._require(code == 0, f"the gripper has a fault ({code})", fix)
+        self._require(code == 0, f"the gripper has a fault ({code})", _LOOK)
         self._opening = self.cell.tool.max_opening * pulses / _PULSES
         return pulses
 
@@ -221,11 +219,7 @@ class XArmDriver:
 
 
 def _sdk() -> Any:
-    """The vendor's class of connections.
-
-    Raises:
-        DeviceError: The SDK is not installed.
-    """
+    """The vendor's class of connections."""
     try:
         with contextlib.redirect_stdout(io.StringIO()):
             from xarm.core.utils.log import logger, origin_logger

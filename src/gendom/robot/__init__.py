@@ -19,6 +19,7 @@ from gendom.robot.collision import (
 )
 from gendom.robot.description import read_arm
 from gendom.robot.kinematics import (
+    arm_shape,
     inverse_kinematics,
     jacobian,
     link_poses,
@@ -30,7 +31,6 @@ from gendom.robot.motion import JointMotion, JointStates, read_joints
 from gendom.robot.motions import LIFT_ENDS, MOTION_FORMAT, LiftMotion, lift, predefined_lift
 from gendom.robot.path import DOWN, Deviation, GripperEvent, TcpPath, TcpPaths, pointing
 from gendom.robot.planning import follow, joint_move
-from gendom.robot.shape import arm_shape
 
 
 def find_arm(name: str, *, files: bool = False) -> Arm:

@@ -133,7 +133,9 @@ class Arm:
         return len(self.T_links)
 
     def holding(self, length: float, radius: float) -> Arm:
-        """The arm with a capsule that stands out of its fingers: what it holds [m]."""
+        """The arm with a capsule that stands out of its fingers: what it holds [m]; 0: nothing."""
+        if length <= 0.0:
+            return self
         start, along = self.T_flange_tcp[:3, 3], self.T_flange_tcp[:3, 2]
         ends = ((*p.tolist(),) for p in (start, start + length * along))
         held = LinkCapsule("held object", self.joints, *ends, radius=radius, held=True)

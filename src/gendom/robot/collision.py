@@ -1,6 +1,6 @@
 """Whether the arm touches itself, the table or what stands around it.
 
-Shapes are the capsules of `gendom.robot.shape`. Capsules of one link and of neighbouring links
+Shapes are the capsules of `gendom.robot.kinematics`. Capsules of one link and of neighbouring links
 overlap by their making and are not compared, nor are those of links two apart that overlap at home;
 what stands around is not compared with the base, which never moves. The object in the fingers is
 looked at where the arm is `Arm.holding` it.
@@ -19,9 +19,8 @@ from scipy.spatial.transform import Rotation
 from gendom.arguments import require
 from gendom.errors import RobotError
 from gendom.robot.arm import Arm
-from gendom.robot.kinematics import link_poses
+from gendom.robot.kinematics import arm_shape, link_poses
 from gendom.robot.motion import JointMotion
-from gendom.robot.shape import arm_shape
 
 Array = NDArray[np.float64]
 
@@ -64,8 +63,8 @@ class Box:
 
     def distance(self, start: Array, end: Array) -> Array:
         """[...] signed distance from segments [..., 3] [m]."""
-        own = [(point - self.position) @ self.turn for point in (start, end)]
-        return segment_to_box(*own, 0.5 * self.size)
+        a, b = ((point - self.position) @ self.turn for point in (start, end))
+        return segment_to_box(a, b, 0.5 * self.size)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -92,6 +92,8 @@ def read_arm(path: str | os.PathLike) -> Arm:
         require(good, f"{name} is {list(told)}", where=str(beside), fix=fix, error=RobotError)
         return value
 
+    r = hand.finger_radius  # two round fingers that slide
+    finger = FingerCapsule("finger", (0.0, 0.0, 0.0), (0.0, 0.0, max(_FINGER - r, 0.0)), r, True)
     return Arm(
         name=path.stem,
         T_links=np.linalg.inv(chain.frames[:-1]) @ chain.frames[1:],
@@ -104,16 +106,15 @@ def read_arm(path: str | os.PathLike) -> Arm:
         max_tcp_speed=hand.max_tcp_speed,
         home=each("home", np.clip(rest, low, high), low, high),
         capsules=tuple(chain.capsules()),
-        gripper=_gripper(hand),
-    )
+        gripper=ParallelGripper(
+            length=_FINGER, max_opening=hand.opening, pivot_y=0.0, pivot_z=0.0, knuckle=0.0, face=r,
+            fingers=(finger,),
+        ),
+    )  # fmt: skip
 
 
 def _hand(path: Path) -> Hand:
-    """The fields of a .toml.
-
-    Raises:
-        RobotError: It cannot be read, holds another field or a number out of its range.
-    """
+    """The fields of a .toml."""
     known = [field.name for field in fields(Hand)]
     table, fix = read_toml(path, error=RobotError), f"it may hold {', '.join(known)}"
     what = f"has {', '.join(sorted(set(table) - set(known)))}"
@@ -127,11 +128,7 @@ def _hand(path: Path) -> Hand:
 
 
 def _compiled(path: Path, mujoco: Any) -> tuple[Any, dict[str, float]]:
-    """MuJoCo's model of a file, and the largest speeds that a URDF has by joints' names [rad/s].
-
-    Raises:
-        RobotError: The file, or one that it names, cannot be read.
-    """
+    """MuJoCo's model of a file, and the largest speeds that a URDF has by joints' names [rad/s]."""
     data, fix = read_bytes(path, RobotError, most=_LARGEST), "give a URDF or MJCF file of one arm"
     plain = not any(word in data for word in (b"<!DOCTYPE", b"<!ENTITY", b"\0"))
     require(plain, "declares entities", where=str(path), fix=fix, error=RobotError)
@@ -171,11 +168,7 @@ def _beside(path: Path, name: str, folder: str) -> Path:
 
 
 class _Chain:
-    """The arm's joints and what hangs on them in MuJoCo's model, at angles of zero.
-
-    Raises:
-        RobotError: There are not 6 or 7 revolute joints in a row.
-    """
+    """The arm's joints and what hangs on them in MuJoCo's model, at angles of zero."""
 
     def __init__(self, mujoco: Any, model: Any, path: Path):
         self._types, self._model, self._path = mujoco.mjtGeom, model, path
@@ -289,16 +282,6 @@ class _Chain:
         while body and body not in carriers:
             body = int(self._model.body_parentid[body])
         return body in carriers
-
-
-def _gripper(hand: Hand) -> ParallelGripper:
-    """Two round fingers that slide."""
-    r = hand.finger_radius
-    finger = FingerCapsule("finger", (0.0, 0.0, 0.0), (0.0, 0.0, max(_FINGER - r, 0.0)), r, True)
-    return ParallelGripper(
-        length=_FINGER, max_opening=hand.opening, pivot_y=0.0, pivot_z=0.0, knuckle=0.0, face=r,
-        fingers=(finger,),
-    )  # fmt: skip
 
 
 def _pose(position: Array, matrix: Array) -> Array:

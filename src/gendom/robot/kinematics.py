@@ -1,4 +1,4 @@
-"""Forward kinematics, Jacobian and inverse kinematics of the tool.
+"""Forward kinematics, Jacobian and inverse kinematics of the tool; where the arm's capsules are.
 
 Poses are T_base_tcp [4, 4]: they map coordinates of the tool point (tcp) to the robot's base.
 The gripper's z points out of the fingers, its y from finger to finger.
@@ -6,13 +6,16 @@ The gripper's z points out of the fingers, its y from finger to finger.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
 from gendom.errors import RobotError
-from gendom.robot.arm import Arm
+from gendom.robot.arm import Arm, FingerCapsule, LinkCapsule, ParallelGripper
 
 Array = NDArray[np.float64]
 
@@ -182,15 +185,8 @@ def descend(
     homing: float = _HOMING,
     iterations: int = _ITERATIONS,
 ) -> tuple[Array, Array]:
-    """Iterate from each start to its pose, and in the null space towards a resting configuration.
-
-    Args:
-        arm: The arm.
-        T_base_tcp: [B, 4, 4] poses.
-        q: [B, J] starts [rad].
-        rest: [J] joint angles to approach in the null space [rad].
-        homing: Share of the distance to `rest` in one step; 0: none.
-        iterations: Maximum number of iterations.
+    """Iterate from starts q [B, J] [rad] to poses [B, 4, 4], and in the null space towards `rest`
+    [J], by a share `homing` of the distance in a step.
 
     Returns:
         q [B, J] within the limits, and the remaining error [B, 6] [m], [rad].
@@ -215,14 +211,8 @@ def descend(
 
 
 def step_towards(arm: Arm, T: Array, q: Array, rest: Array, *, homing: float) -> Array | None:
-    """Solve joint angles [J] [rad] for a pose close to the current one; None: not reached.
-
-    Args:
-        arm: The arm.
-        T: [4, 4] T_base_tcp of the pose.
-        q: [J] current joint angles [rad].
-        rest: [J] joint angles to approach in the null space [rad].
-        homing: Share of the distance to `rest` for each metre (0.3 m a radian) to the pose [1/m].
+    """Joint angles [J] [rad] of a pose T [4, 4] close to that of q [J]; None: not reached.
+    `homing`: share of the distance to `rest` for each metre (0.3 m a radian) to the pose [1/m].
     """
     q = np.clip(q, arm.q_min, arm.q_max)[None]
     share = None
@@ -289,11 +279,7 @@ def _unwound(arm: Arm, q: Array, rest: Array) -> Array:
 
 
 def _check_pose(T: ArrayLike) -> Array:
-    """A pose [4, 4] as float64.
-
-    Raises:
-        RobotError: Its shape is wrong, it is not finite, or its rotation is not a rotation.
-    """
+    """A pose [4, 4] as float64."""
     T = np.asarray(T, dtype=float)
     good = T.shape == (4, 4) and bool(np.isfinite(T).all() and np.all(T[3] == [0, 0, 0, 1]))
     R = T[:3, :3] if good else np.zeros((3, 3))
@@ -317,3 +303,77 @@ def missed(arm: Arm, q: Array, error: Array) -> str:
     off += f"{np.degrees(np.linalg.norm(error[3:])):.2g} degrees"
     held = [str(j + 1) for j in np.flatnonzero((q <= arm.q_min) | (q >= arm.q_max))]
     return off + (f", joint {' and '.join(held)} at its end" if held else "")
+
+
+# ---- where the arm's capsules are ---------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class ArmShape:
+    """C capsules of an arm, at one or more configurations."""
+
+    names: tuple[str, ...]
+    """[C] unique."""
+    start: NDArray[np.float64]
+    """[..., C, 3] one end of each axis in the base's frame [m]."""
+    end: NDArray[np.float64]
+    """[..., C, 3] the other end [m]."""
+    radius: NDArray[np.float64]
+    """[C] [m]."""
+    touches_object: NDArray[np.bool_]
+    """[C] whether the inner side of a capsule holds the object."""
+
+
+def arm_shape(arm: Arm, q: ArrayLike, opening: ArrayLike = 0.0) -> ArmShape:
+    """The arm's capsules, gripper included.
+
+    Args:
+        arm: The arm.
+        q: [..., J] joint angles [rad].
+        opening: [...] distance of the fingers' inner faces [m].
+
+    Raises:
+        RobotError: As `link_poses`.
+    """
+    poses = link_poses(arm, q)
+    opening = np.broadcast_to(np.asarray(opening, dtype=float), poses.shape[:-3])
+    fixed, moved, gripper = arm.capsules, arm.gripper.fingers, arm.gripper
+    hand = poses[..., -1, :, :].copy()
+    hand[..., :3, 3] -= gripper.length * hand[..., :3, 2]
+    right = _carried(gripper, opening)
+    both = np.concatenate([right, right * [1.0, -1.0, 1.0]], axis=-3)
+    own = _placed(poses[..., [c.link for c in fixed], :, :], _ends(fixed))
+    ends = np.concatenate([own, _placed(hand[..., None, :, :], both)], axis=-3)
+    names = [c.name for c in fixed]
+    names += [f"{side} {c.name}" for side in ("left", "right") for c in moved]  # as the URDF
+    return ArmShape(
+        tuple(names),
+        ends[..., 0, :],
+        ends[..., 1, :],
+        np.array([c.radius for c in (*fixed, *moved, *moved)]),
+        np.array([False] * len(fixed) + 2 * [c.touches_object for c in moved], dtype=bool),
+    )
+
+
+def _ends(capsules: Sequence[LinkCapsule | FingerCapsule]) -> Array:
+    """[C, 2, 3] [m]."""
+    return np.array([(c.start, c.end) for c in capsules], dtype=float).reshape(-1, 2, 3)
+
+
+def _carried(gripper: ParallelGripper, opening: Array) -> Array:
+    """[..., C, 2, 3] ends of the +y finger's capsules in the gripper's frame [m]."""
+    finger = gripper.finger_pivot(opening)[..., None, :]
+    turns = np.array([c.pivot is not None for c in gripper.fingers])
+    about = np.array([c.pivot or (0.0, 0.0) for c in gripper.fingers]).reshape(-1, 2)
+    along = (finger - [gripper.pivot_y, gripper.pivot_z]) / max(gripper.knuckle, 1e-9)
+    c = np.where(turns, along[..., 0], 1.0)[..., None]
+    s = np.where(turns, along[..., 1], 0.0)[..., None]
+    pivot = np.where(turns[:, None], about, finger)[..., None, :]
+    x, y, z = np.moveaxis(_ends(gripper.fingers), -1, 0)
+    y, z = c * y - s * z + pivot[..., 0], s * y + c * z + pivot[..., 1]
+    return np.stack([np.broadcast_to(x, y.shape), y, z], axis=-1)
+
+
+def _placed(T: Array, ends: Array) -> Array:
+    """[..., C, 2, 3] points of frames [..., C or 1, 4, 4], in the base's."""
+    return ends @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]

@@ -317,7 +317,7 @@ def read_joints(
     time, q, opening = table[:, 0], table[:, 1 : 1 + arm.joints], table[:, 1 + arm.joints :]
     beyond = np.maximum(arm.q_min - q, q - arm.q_max)
     j, widest = beyond.argmax(axis=1), arm.gripper.max_opening
-    checks: list[tuple[Array, Callable[[int], str], str]] = [
+    checks: list[tuple[Any, Callable[[int], str], str]] = [
         (
             np.isfinite(table).all(axis=1),
             lambda k: "a number is not finite",

@@ -154,30 +154,26 @@ def lift(
     _check_end(end)
     if after is None:
         after = 0.0 if end == "hold" else REST_AT_END
-    rise = height / speed
-    times = [wait, rise]
-    moves = [np.zeros(3), np.array([0.0, 0.0, height])]
+    rise, stroke, still = height / speed, SWING_STROKE * height, np.zeros(3)
+    legs = [(wait, still), (rise, np.array([0.0, 0.0, height]))]
     blends = [0.2 * rise, 2.0 * wait]
     events = [GripperEvent(time=0.0, closed=True)]
     if end != "hold":
-        times.append(wait)
-        moves.append(np.zeros(3))
+        legs.append((wait, still))
     if end == "swing":
-        stroke = SWING_STROKE * height
-        times.append(stroke / SWING_SPEED)
-        moves.append(np.array([stroke, 0.0, 0.0]))
+        legs.append((stroke / SWING_SPEED, np.array([stroke, 0.0, 0.0])))
         # The gripper rests before the move, and accelerates within it.
         blends += [wait, stroke / SWING_SPEED]
     elif end == "drop":
-        events.append(GripperEvent(time=sum(times), closed=False))
+        events.append(GripperEvent(time=sum(seconds for seconds, _ in legs), closed=False))
     _require(math.isfinite(after) and after >= 0.0, f"after is {after}", "give seconds, 0 or more")
     if after > 0.0:
-        times.append(after)
-        moves.append(np.zeros(3))
+        legs.append((after, still))
         blends.append(2.0 * after)
+    seconds, moves = zip(*legs, strict=True)
     return TcpPath(
-        time=np.cumsum([0.0, *times]),
-        position=start + np.cumsum([np.zeros(3), *moves], axis=0),
+        time=np.cumsum([0.0, *seconds]),
+        position=start + np.cumsum([still, *moves], axis=0),
         quat_xyzw=np.asarray(quat_xyzw, dtype=float),
         events=tuple(events),
         max_blend=min(blends),

@@ -44,7 +44,7 @@ def write_twin(item: Item, target: str, folder: Path, *, about: dict[str, Any]) 
     fix = f"choose {', '.join(TARGETS)}"
     require(target in TARGETS, f"there is no target {target!r}", fix=fix, error=GendomError)
     module = import_module(f"gendom.twins.{target}")
-    lift = module.held_by(Lift(item=item))
+    lift = Lift(item=item, edge=module.edge(item))
     texts, places, arrays = module.written(lift)
     folder.mkdir(parents=True, exist_ok=True)
     if module.SCRIPT:

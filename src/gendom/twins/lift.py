@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import LinearNDInterpolator, make_interp_spline
 
 from gendom.materials import Item, Rope, size_of, thickness_of
 from gendom.robot import lift, predefined_lift
@@ -38,9 +39,17 @@ class Lift:
     """The predefined lift (`gendom.robot.predefined_lift`) of one object."""
 
     item: Item
-    hold: float = FINGERS
-    """What lies within this distance of the rope's end, or of the corner, moves with the hand
-    [m]."""
+    edge: float | None = None
+    """Length of the segments that a rope has in the other simulator [m]; None: it has none."""
+
+    @property
+    def hold(self) -> float:
+        """What lies within this distance of the rope's end, or of the corner, moves with the hand
+        [m]. The joint beyond the last segment that is held stands for half a segment on both
+        sides."""
+        if self.edge is None:
+            return FINGERS
+        return (max(round(FINGERS / self.edge + 0.5), 1) - 0.5) * self.edge
 
     @property
     def height(self) -> float:
@@ -101,12 +110,8 @@ class Lift:
         """
         rest = np.asarray(self.body.points, dtype=float)
         if isinstance(self.item, Rope):
-            s, at = rest[:, 0], np.clip(places[:, 0], rest[0, 0], rest[-1, 0])
-            k = np.clip(np.searchsorted(s, at) - 1, 0, len(s) - 2)
-            share = ((at - s[k]) / (s[k + 1] - s[k]))[:, None]
-            return np.asarray(positions[:, k] * (1.0 - share) + positions[:, k + 1] * share)
-        from scipy.interpolate import LinearNDInterpolator
-
+            at = np.clip(places[:, 0], rest[0, 0], rest[-1, 0])
+            return make_interp_spline(rest[:, 0], positions, k=1, axis=1)(at)
         middle = rest[:, :2].mean(axis=0)
         inside = middle + (places[:, :2] - middle) * (1.0 - 1e-9)
         moved = LinearNDInterpolator(rest[:, :2], np.moveaxis(positions, 1, 0))(inside)

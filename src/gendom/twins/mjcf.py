@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gendom.materials import Rope
+from gendom.materials import Item, Rope
 from gendom.reality import Layout, as_real
 from gendom.reality.model import (
     CLOTH_STEP,
@@ -21,20 +21,14 @@ from gendom.reality.model import (
     scene_xml,
 )
 from gendom.reality.trials import ROPE_TIMESTEP
-from gendom.twins.lift import FINGERS, Array, Lift
+from gendom.twins.lift import Array, Lift
 
 SCRIPT = "mujoco_lift.py"
 
 
-def held_by(lift: Lift) -> Lift:
-    """The same lift, of a rope so far held as vertices can have it: it bends at its vertices, the
-    last that is held too, which stands for half an edge on both sides, so it is free from half an
-    edge before that on."""
-    item = as_real(lift.item)
-    if not isinstance(item, Rope):
-        return lift
-    edges = max(round(FINGERS / item.spacing + 0.5), 1)
-    return Lift(item=lift.item, hold=(edges - 0.5) * item.spacing)
+def edge(item: Item) -> float | None:
+    """Length of a rope's edges [m]: it bends at its vertices, the last that is held too."""
+    return as_real(item).spacing if isinstance(item, Rope) else None
 
 
 def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:

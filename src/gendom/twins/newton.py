@@ -14,28 +14,23 @@ from typing import Any
 
 import numpy as np
 
-from gendom.materials import STANDARD_GRAVITY, Cloth, Rope
+from gendom.materials import STANDARD_GRAVITY, Cloth, Item, Rope
 from gendom.reality.model import SHEET_STRETCH
 from gendom.reality.objects import grid
-from gendom.twins.lift import FINGERS, Array, Lift
+from gendom.twins.lift import Array, Lift
 
 SCRIPT = "newton_lift.py"
 
 SEGMENTS, SIDE = 32, 33
 """Segments of a rope, and points along a cloth's side."""
 
-STEP, ITERATIONS = {"rope": 1e-3, "cloth": 1e-3}, {"rope": 20, "cloth": 20}
+STEP, ITERATIONS = 1e-3, 20
 """Time step [s] and iterations a step of the solver."""
 
 
-def held_by(lift: Lift) -> Lift:
-    """The same lift, of a rope so far held as segments can have it: the joint beyond the last that
-    is held stands for half a segment on both sides."""
-    if not isinstance(lift.item, Rope):
-        return lift
-    edge = lift.item.length / SEGMENTS
-    count = max(round(FINGERS / edge + 0.5), 1)
-    return Lift(item=lift.item, hold=(count - 0.5) * edge)
+def edge(item: Item) -> float | None:
+    """Length of a rope's segments [m]."""
+    return item.length / SEGMENTS if isinstance(item, Rope) else None
 
 
 def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
@@ -46,24 +41,24 @@ def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
         "kind": item.kind,
         "friction": item.friction,
         "damping": m.damping,
-        "step": STEP[item.kind],
-        "iterations": ITERATIONS[item.kind],
+        "step": STEP,
+        "iterations": ITERATIONS,
     }
     if isinstance(item, Rope):
         nodes = np.zeros((SEGMENTS + 1, 3))
         nodes[:, 0] = np.linspace(0.0, item.length, SEGMENTS + 1)
         nodes[:, 2] = lift.height
         area, second = math.pi * item.diameter**2 / 4.0, math.pi * item.diameter**4 / 64.0
-        edge = item.length / SEGMENTS
+        length = item.length / SEGMENTS
         return (
             {},
             0.5 * (nodes[1:] + nodes[:-1]),
             common
             | {
                 "nodes": nodes,
-                "held": round(lift.hold / edge + 0.5),
+                "held": round(lift.hold / length + 0.5),
                 "radius": item.diameter / 2.0,
-                "mass": m.density * area * edge,
+                "mass": m.density * area * length,
                 "EI": m.E * second,
                 "GJ": m.E / (1.0 + m.nu) * second,
                 "EA": m.E * area,

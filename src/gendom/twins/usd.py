@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gendom.materials import Rope, to_columns
+from gendom.materials import Item, Rope, to_columns
 from gendom.twins.lift import FRAME_RATE, Array, Lift
 
 SCRIPT = None
@@ -17,8 +17,8 @@ SCRIPT = None
 _UNITS = {"E": "Pa", "nu": "1", "density": "kg/m^3", "damping": "s", "friction": "1"}
 
 
-def held_by(lift: Lift) -> Lift:
-    return lift
+def edge(_: Item) -> None:
+    """There are no segments."""
 
 
 def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
