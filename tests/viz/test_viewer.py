@@ -11,7 +11,7 @@ import pytest
 
 from gendom.errors import GendomError
 from gendom.viz.viewer.scenes import MATERIAL, Layer, Model, Parameter, ViewerScene, tube_faces
-from viz import browser as headless
+from viz.browser import Browser
 
 ARROW = {"key": "ArrowRight", "code": "ArrowRight", "windowsVirtualKeyCode": 39}
 """A key, as the browser's protocol describes it."""
@@ -258,10 +258,7 @@ def test_a_taken_port_makes_room_for_the_next(viewer, capfd):
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     """One that draws with WebGL, in software."""
-    program = headless.find_browser()
-    if program is None:
-        pytest.skip(f"needs a browser: {', '.join(headless.NAMES)}")
-    opened = headless.Browser(program, tmp_path_factory.mktemp("profile"), webgl=True)
+    opened = Browser(tmp_path_factory.mktemp("profile"), webgl=True)
     yield opened
     opened.close()
 

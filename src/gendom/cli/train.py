@@ -62,13 +62,13 @@ class Command:
     json: Json = False
 
     def run(self) -> int:
+        sees = _conditions(self.condition)
+        check_file(self.out, ".onnx")
         from gendom.policies.evaluation import draw_cases, score
         from gendom.policies.training import Training, annotate, train
         from gendom.sim.device import open_device
         from gendom.tasks.world import Simulation
 
-        sees = _conditions(self.condition)
-        check_file(self.out, ".onnx")
         open_device(self.device)
         demonstrations = self._read(self.data)
         finetune = None if self.finetune is None else self._read(self.finetune)
