@@ -99,7 +99,7 @@ class Command:
     def run(self) -> int:
         from gendom.sim import open_device
         from gendom.viz import ReportContent, write_report
-        from gendom.viz.sources import arm_of_lift, clouds_of
+        from gendom.viz.sources import clouds_of
 
         check_places((self.out, ""))
         open_device(self.device)
@@ -137,7 +137,7 @@ class Command:
             recording_source=scene,
             cameras=views,
             cameras_note=CAMERAS_NOTE,
-            lift=arm_of_lift(clouds, rope),
+            lift=clouds,
             estimate=found,
             truth=truth,
             action=action,

@@ -29,9 +29,6 @@ VARIANTS = {
 }
 """What is compared, by its name in actions.json."""
 
-STANDING_DISTANCE = 0.003
-"""The hand stands where it is this near to its last place [m]."""
-
 MOTION_RATE = 30.0
 """Frames a second of the executed motion."""
 
@@ -84,16 +81,7 @@ def _execute(
     seen = observe(task, trial, MOTION_RATE * _FINER)
     values = task.outcome(rope, seen)
     reached = np.array([values[q.name] for q in task.goals])
-    run = PolicyRun(action=action, reached=reached, tip_path=seen.tip[_free(seen) :])
-    return run, trial, seen
-
-
-def _free(seen: Observed) -> int:
-    """Frame at which the rope is let go, or at which the hand stands again."""
-    if np.isfinite(seen.opens):
-        return int(np.searchsorted(seen.times, seen.opens))
-    stands = np.linalg.norm(seen.hand - seen.hand[-1], axis=1) < STANDING_DISTANCE
-    return int(np.argmax(stands))
+    return PolicyRun(action=action, reached=reached), trial, seen
 
 
 def _filled(vertices: np.ndarray, points: int = 150) -> np.ndarray:

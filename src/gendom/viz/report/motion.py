@@ -207,8 +207,6 @@ class PolicyRun:
     """[A]."""
     reached: np.ndarray
     """[D] in the goal's coordinates [m]."""
-    tip_path: np.ndarray
-    """[T, 3] of the rope's tip from the release on [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,7 +260,6 @@ def action(done: ActionSummary) -> str:
             viewer(done.motion, name="motion", subject="The motion"),
             _outcomes_table(done, errors),
             f'<p class="soft">{escaped(names)}</p>',
-            side_by_side([_goal_figure(done.outcomes)]),
         ]
     )
 
@@ -294,32 +291,3 @@ def _verdict(ours: float, without: float, goals: str) -> str:
         saved = 100.0 * (1.0 - ours / without)
         return f"{text}: the estimate takes away {saved:.0f} % of the error."
     return f"{text}: here the estimate did not help."
-
-
-def _goal_figure(outcomes: Sequence[ReachOutcome]) -> str:
-    """Goals and places reached, and the tip's paths, in the plane of the swing."""
-    ways = {WITHOUT: ("without", "dashed", "square"), WITH: ("ours", "line", "dot")}
-    runs = [(name, outcome.runs[name]) for outcome in outcomes for name in ways]
-    goals = [outcome.goal for outcome in outcomes]
-    places = np.concatenate([run.tip_path[:, ::2] for _, run in runs])
-    across = np.concatenate([places[:, 0], *(g[:1] for g in goals)])
-    upwards = np.concatenate([places[:, 1], *(g[1:] for g in goals)])
-    plot = Plot.to_scale(
-        Axis.around(across, margin=0.04, label="distance along the goal's direction [m]"),
-        Axis.around(upwards, margin=0.04),
-    )
-    for k, (name, run) in enumerate(runs):
-        (kind, line, mark), label = ways[name], f"tip, {name}" if k < len(ways) else ""
-        path = run.tip_path[:, ::2]
-        plot.line(path[:, 0], path[:, 1], kind, label, line)
-        # a goal that is a distance is reached by the path's farthest point
-        at = run.reached if len(run.reached) == 2 else path[np.argmax(path[:, 0])]
-        plot.marks([at[0]], [at[1]], kind, shape=mark)
-    for k, goal in enumerate(goals):
-        label = "" if k else "goal"
-        if len(goal) == 1:
-            plot.upright(goal[0], "ink", label)
-        else:
-            plot.marks([goal[0]], [goal[1]], "ink", label, "cross")
-    note = "Paths from where the tip is let go, or the hand stands; dots and squares: reached."
-    return plot.figure("Paths of the rope's tip: height [m]", note)
