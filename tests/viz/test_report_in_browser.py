@@ -48,10 +48,10 @@ def report(tmp_path_factory):
     return path
 
 
-def drawn(browser, viewer, canvas):
-    """What a canvas shows, as text."""
+def drawn(browser, viewer):
+    """What its canvas shows, as text."""
     browser.settle()
-    return browser.evaluate(f"document.querySelector('#{viewer} canvas.{canvas}').toDataURL()")
+    return browser.evaluate(f"document.querySelector('#{viewer} canvas').toDataURL()")
 
 
 def act(browser, element, change, event="input"):
@@ -79,7 +79,7 @@ def test_it_fits_and_is_silent(browser, report, width, dark):
 
 
 @pytest.mark.parametrize("viewer", ["lift", "motion"])
-def test_one_slider_moves_film_view_and_charts(browser, report, viewer):
+def test_one_slider_moves_view_and_charts(browser, report, viewer):
     browser.open(report, width=1280)
     output = f"document.querySelector('#{viewer} output').textContent"
     seen = []
@@ -89,8 +89,7 @@ def test_one_slider_moves_film_view_and_charts(browser, report, viewer):
         cursors = f"[...document.querySelectorAll('.cursor[data-scene={viewer}-scene]')]"
         places = browser.evaluate(f"{cursors}.map((c) => Number(c.getAttribute('x1')))")
         assert len(places) == (2 if viewer == "lift" else 0)
-        pictures = [drawn(browser, viewer, canvas) for canvas in ("film", "turning")]
-        seen.append([*pictures, *places])
+        seen.append([drawn(browser, viewer), *places])
     assert all(first != last for first, last in zip(*seen, strict=True))
 
 
@@ -115,36 +114,32 @@ def test_play_goes_on_until_pause(browser, report):
 
 def test_layers_go_and_come_back_and_clouds_fade(browser, report):
     browser.open(report, width=800)
-    before = [drawn(browser, "motion", canvas) for canvas in ("film", "turning")]
+    before = drawn(browser, "motion")
     for layer in ("recorded", "simulated", "arm", "goal"):
         box = f"#motion input[data-layer={layer}]"
         act(browser, box, "checked = false")
-        for canvas, shown in zip(("film", "turning"), before, strict=True):
-            assert drawn(browser, "motion", canvas) != shown, layer
+        assert drawn(browser, "motion") != before, layer
         act(browser, box, "checked = true")
-        assert drawn(browser, "motion", "film") == before[0]
-    pictures = [before[0]]
+        assert drawn(browser, "motion") == before
+    pictures = [before]
     for fade in (-1, 1):
         act(browser, "#motion input.fade", f"value = {fade}")
-        pictures.append(drawn(browser, "motion", "film"))
+        pictures.append(drawn(browser, "motion"))
     assert len(set(pictures)) == 3
 
 
-def test_dragging_turns_the_view_and_not_the_film(browser, report):
+def test_dragging_turns_the_view(browser, report):
     browser.open(report, width=800)
-    before = [drawn(browser, "lift", canvas) for canvas in ("film", "turning")]
-    browser.evaluate(
-        "document.querySelector('#lift canvas.turning').scrollIntoView({behavior: 'instant'})"
-    )
+    before = drawn(browser, "lift")
+    browser.evaluate("document.querySelector('#lift canvas').scrollIntoView({behavior: 'instant'})")
     x, y = browser.evaluate(
-        "(() => { const b = document.querySelector('#lift canvas.turning').getBoundingClientRect();"
+        "(() => { const b = document.querySelector('#lift canvas').getBoundingClientRect();"
         "return [b.x + b.width / 2, b.y + b.height / 2]; })()"
     )
     for kind, across in (("mousePressed", 0), ("mouseMoved", 60), ("mouseReleased", 60)):
         held = {"button": "left", "buttons": int(kind != "mouseReleased"), "clickCount": 1}
         browser.call("Input.dispatchMouseEvent", type=kind, x=x + across, y=y, **held)
-    film, turned = (drawn(browser, "lift", canvas) for canvas in ("film", "turning"))
-    assert film == before[0] and turned != before[1]
+    assert drawn(browser, "lift") != before
 
 
 def test_contents_lead_to_sections(browser, report):
