@@ -1,10 +1,8 @@
 """`gendom dataset`: a set on disk, its summary, and faults as one line."""
 
-import errno
 import json
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from gendom import cli
@@ -68,16 +66,3 @@ def test_ranges_can_be_chosen(tmp_path, capsys):
     assert about["task"]["ranges"]["nu"] == [0.2, 0.4]
     assert cli.main([*words, "--range", "mass", "1", "2"]) == 2
     assert "unknown parameter 'mass'" in capsys.readouterr().err
-
-
-def test_a_full_disk(tmp_path, monkeypatch, capsys):
-    def fill(*_, **__):
-        raise OSError(errno.ENOSPC, "Error writing bytes to file")
-
-    words = ["dataset", "rope-reaching", "--size", "10", "--out", str(tmp_path / "set")]
-    with monkeypatch.context() as full:
-        full.setattr(pq, "write_table", fill)
-        assert cli.main(words) == 2
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1 and "the disk is full; make room" in err
-    assert cli.main(words) == 0

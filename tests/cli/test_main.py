@@ -143,12 +143,12 @@ def test_faults_are_one_line(command, capsys, error, code, line):
     assert (out, err) == ("", f"gendom act: {line}\n")
 
 
-@pytest.mark.parametrize("words", [["--debug", "act"], ["act", "--debug"]])
-def test_debug_shows_the_traceback(command, capsys, words):
+def test_debug_shows_the_traceback(command, capsys):
     command(raising(GendomError("is odd")))
-    assert cli.main(words) == 2
-    err = capsys.readouterr().err
-    assert "Traceback" in err and err.endswith("gendom act: is odd\n")
+    for words in (["--debug", "act"], ["act", "--debug"]):
+        assert cli.main(words) == 2
+        err = capsys.readouterr().err
+        assert "Traceback" in err and err.endswith("gendom act: is odd\n")
 
 
 @pytest.mark.parametrize("quiet", [False, True])
@@ -198,17 +198,11 @@ def test_check_prints_a_summary(recording, capsys):
     assert summary["sizes"] == {"length": 0.4, "diameter": 0.01}
     assert summary["points_per_frame"] == {"min": 10, "median": 11.0, "max": 12}
     assert [w["where"] for w in summary["warnings"]] == ["points", "frames"]
-
-
-def test_check_says_for_how_long_a_gripper_was_closed(recording, tmp_path, capsys):
-    dropped = tmp_path / "dropped.npz"
+    dropped = recording.with_name("dropped.npz")
     with np.load(recording) as file:
         np.savez(dropped, **file, gripper_closed=np.array([[True], [True], [False], [False]]))
     assert cli.main(["check", str(dropped)]) == 0
     assert "rise 0.03 m, closed in 2 frames\n" in capsys.readouterr().out
-    assert cli.main(["check", str(dropped), "--json"]) == 0
-    (gripper,) = json.loads(capsys.readouterr().out)["grippers"]
-    assert gripper["closed_frames"] == 2
 
 
 def test_check_refuses(recording, tmp_path, capsys):
