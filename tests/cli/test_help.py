@@ -21,40 +21,25 @@ def command_class(name):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_help_page_has_an_example_that_parses(name, capsys):
-    assert cli.main(["help", name]) == 0
-    page = capsys.readouterr().out
-    (example,) = re.findall(rf"^For example: gendom {name} (.*)$", page, re.MULTILINE)
-    words = shlex.split(example.partition(">")[0])
-    tyro.cli(described(command_class(name)), args=words, config=PARSING)
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_help_fits_80_columns_and_breaks_no_example(name, capsys, monkeypatch):
+def test_every_help_page(name, capsys, monkeypatch):
+    """It has an example that parses in one line, fits 80 columns, and nothing of Python leaks.
+    Flags say what they do when they are given: `--no-x` is a field `no_x`, whose help tells of the
+    absence."""
     monkeypatch.setenv("COLUMNS", "80")
     assert cli.main(["help", name]) == 0
     page = capsys.readouterr().out
-    lines = [
-        line for line in page.splitlines() if not line.startswith(("usage: ", "For example: "))
-    ]
+    (example,) = re.findall(rf"^For example: gendom {name} (.*)$\n\n", page, re.MULTILINE)
+    words = shlex.split(example.partition(">")[0])
+    command = command_class(name)
+    tyro.cli(described(command), args=words, config=PARSING)
+    lines = [x for x in page.splitlines() if not x.startswith(("usage: ", "For example: "))]
     assert max(map(len, lines)) <= 80
-    after = page.partition("\nFor example: ")[2].splitlines()
-    assert after[1] == ""
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_nothing_of_python_leaks_into_help(name, capsys):
-    assert cli.main([name, "--help"]) == 0
-    page = capsys.readouterr().out
     for leak in ("None", "True", "False", "(default: )"):
         assert leak not in page
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_flags_say_what_they_do_when_they_are_given(name):
-    """A flag `--no-x` is a field `no_x`, whose help tells of the absence."""
-    on = [f.name for f in dataclasses.fields(command_class(name)) if f.default is True]
-    assert on == []
+    assert [f.name for f in dataclasses.fields(command) if f.default is True] == []
+    if any(f.name == "seed" for f in dataclasses.fields(command)):
+        assert cli.main([name, *words, "--seed", "-1"]) == 2
+        assert capsys.readouterr().err == f"gendom {name}: --seed: is -1; give 0 or more\n"
 
 
 def test_help_of_what_is_no_command(capsys):
@@ -70,15 +55,3 @@ def test_completion_knows_commands_and_flags(shell, capsys, tmp_path):
     if shutil.which(shell):
         (tmp_path / "script").write_text(script, encoding="utf-8")
         subprocess.run([shell, "-n", str(tmp_path / "script")], check=True)
-
-
-SEEDED = [
-    n for n in COMMANDS if any(f.name == "seed" for f in dataclasses.fields(command_class(n)))
-]
-
-
-@pytest.mark.parametrize("name", SEEDED)
-def test_seeds_below_zero_are_refused(name, capsys):
-    page = (command_class(name).__doc__ or "").split("For example: ")[1].split()
-    assert cli.main([*page[1:], "--seed", "-1"]) == 2
-    assert capsys.readouterr().err == f"gendom {name}: --seed: is -1; give 0 or more\n"

@@ -1,16 +1,17 @@
-"""A headless Chromium that is spoken to by its DevTools protocol, over a pipe."""
+"""A headless Chromium that is spoken to by its DevTools protocol."""
 
 from __future__ import annotations
 
 import base64
 import json
-import os
-import select
 import shutil
 import subprocess
 import time
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
+
+import pytest
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 """Of the program, as found on the path."""
@@ -18,15 +19,13 @@ NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
 FLAGS = (
     "--headless=new",
     "--no-sandbox",
-    "--disable-gpu",
     "--hide-scrollbars",
     "--no-first-run",
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
-    "--remote-debugging-pipe",
+    "--remote-debugging-port=0",
 )
-
 
 WEBGL_FLAGS = (
     "--use-angle=swiftshader",
@@ -38,41 +37,34 @@ WEBGL_FLAGS = (
 """For pages that draw with WebGL, in place of `--disable-gpu`."""
 
 
-def find_browser() -> str | None:
-    """Path of a browser, or None."""
-    return next((found for name in NAMES if (found := shutil.which(name))), None)
-
-
 class Browser:
-    """One page at a time; collects what it logs and asks the network for.
-
-    The protocol goes over file descriptors 3 (in) and 4 (out): no port, no packages.
+    """One page at a time; collects what it logs and asks the network for. Skips the test where
+    there is no browser.
 
     Args:
-        program: The browser.
         profile: Folder for its files.
         webgl: Whether pages can draw with WebGL, in software.
     """
 
-    def __init__(self, program: str, profile: Path, *, webgl: bool = False):
-        to_browser, self._commands = os.pipe()
-        self._answers, from_browser = os.pipe()
-        flags = [*FLAGS, f"--user-data-dir={profile}"]
-        if webgl:
-            flags = [flag for flag in flags if flag != "--disable-gpu"] + [*WEBGL_FLAGS]
-        # a shell moves the pipes to the descriptors that the browser expects
-        redirect = f'exec "$0" "$@" 3<&{to_browser} 4>&{from_browser}'
+    def __init__(self, profile: Path, *, webgl: bool = False):
+        connect = pytest.importorskip("websockets.sync.client", reason="the extra viz").connect
+        program = next((found for name in NAMES if (found := shutil.which(name))), None)
+        if program is None:
+            pytest.skip(f"needs a browser: {', '.join(NAMES)}")
+        flags = [*FLAGS, *(WEBGL_FLAGS if webgl else ("--disable-gpu",))]
         self._process = subprocess.Popen(
-            ["/bin/bash", "-c", redirect, program, *flags, "about:blank"],
-            pass_fds=(to_browser, from_browser),
+            [program, *flags, f"--user-data-dir={profile}", "about:blank"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        os.close(to_browser)
-        os.close(from_browser)
-        self._buffer = b""
+        port, until = profile / "DevToolsActivePort", time.monotonic() + 60.0
+        while not (port.is_file() and port.read_text().count("\n")):
+            assert time.monotonic() < until, "the browser does not start"
+            time.sleep(0.02)
+        with urlopen(f"http://127.0.0.1:{port.read_text().split()[0]}/json/list") as answer:
+            pages = [of for of in json.load(answer) if of["type"] == "page"]
+        self._socket = connect(pages[0]["webSocketDebuggerUrl"], max_size=None)
         self._last_id = 0
-        self._session: str | None = None
         self.logged: list[str] = []
         """Errors and warnings of the console, and uncaught exceptions."""
         self.errors: list[str] = []
@@ -80,48 +72,29 @@ class Browser:
         self.requested: list[str] = []
         """Addresses other than the page's own file and what is inside it."""
         self._loaded = False
-        targets = self.call("Target.getTargets")["targetInfos"]
-        page = next(t["targetId"] for t in targets if t["type"] == "page")
-        attached = self.call("Target.attachToTarget", targetId=page, flatten=True)
-        self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
 
     def close(self) -> None:
         """End the browser."""
-        os.close(self._commands)  # the browser ends when its pipe does
-        try:
-            self._process.wait(10.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        os.close(self._answers)
+        self._socket.close()
+        self._process.terminate()
+        self._process.wait(10.0)
 
     def open(self, page: Path | str, *, width: int, height: int = 900, dark: bool = False) -> None:
         """Load a file, or an address, in a window of a size [CSS pixels]."""
-        self.resize(width, height)
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
         features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self.call("Emulation.setEmulatedMedia", features=features)
         self._address = page if isinstance(page, str) else page.resolve().as_uri()
         self._loaded = False
-        self.logged.clear()
-        self.errors.clear()
-        self.requested.clear()
+        for found in (self.logged, self.errors, self.requested):
+            found.clear()
         self.call("Page.navigate", url=self._address)
-        until = time.monotonic() + 60.0
         while not self._loaded:
-            self._receive(until)
+            self._receive()
         self.settle()
-
-    def resize(self, width: int, height: int = 900) -> None:
-        """Another size of the window [CSS pixels]."""
-        self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=1,
-            mobile=False,
-        )
 
     def settle(self) -> None:
         """Wait until what was changed is drawn."""
@@ -144,34 +117,15 @@ class Browser:
     def call(self, method: str, **params: Any) -> dict[str, Any]:
         """One command of the protocol, and its answer."""
         self._last_id += 1
-        message: dict[str, Any] = {"id": self._last_id, "method": method, "params": params}
-        if self._session is not None:
-            message["sessionId"] = self._session
-        data = json.dumps(message).encode() + b"\0"
-        while data:
-            data = data[os.write(self._commands, data) :]
-        until = time.monotonic() + 60.0
-        while True:
-            answer = self._receive(until)
-            if answer.get("id") == self._last_id:
-                assert "error" not in answer, (method, answer["error"])
-                return answer["result"]
+        self._socket.send(json.dumps({"id": self._last_id, "method": method, "params": params}))
+        while (answer := self._receive()).get("id") != self._last_id:
+            pass
+        assert "error" not in answer, (method, answer["error"])
+        return answer["result"]
 
-    def _receive(self, until: float) -> dict[str, Any]:
-        while b"\0" not in self._buffer:
-            ready, _, _ = select.select([self._answers], [], [], max(0.0, until - time.monotonic()))
-            if not ready:
-                raise TimeoutError("the browser does not answer")
-            data = os.read(self._answers, 1 << 20)
-            if not data:
-                raise ConnectionError("the browser has ended")
-            self._buffer += data
-        line, self._buffer = self._buffer.split(b"\0", 1)
-        message = json.loads(line)
-        self._note(message.get("method", ""), message.get("params", {}))
-        return message
-
-    def _note(self, event: str, params: dict[str, Any]) -> None:
+    def _receive(self) -> dict[str, Any]:
+        message = json.loads(self._socket.recv(timeout=60.0))
+        event, params = message.get("method", ""), message.get("params", {})
         if event == "Page.loadEventFired":
             self._loaded = True
         elif event == "Runtime.exceptionThrown":
@@ -184,6 +138,7 @@ class Browser:
             address = params["request"]["url"]
             if address != self._address and not address.startswith("data:"):
                 self.requested.append(address)
+        return message
 
     def _log(self, level: str, text: str) -> None:
         if level in ("error", "warning"):

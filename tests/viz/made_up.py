@@ -74,9 +74,7 @@ def estimate(*, reasons=(), mass=None, **about):
 
 
 def run(reached):
-    reached = np.array(reached)
-    path = np.stack([np.linspace(0.1, reached[0], 9), np.zeros(9), np.ones(9)], axis=1)
-    return PolicyRun(action=np.array([0.2, 0.5]), reached=reached, tip_path=path)
+    return PolicyRun(action=np.array([0.2, 0.5]), reached=np.array(reached))
 
 
 def outcome(goal, ours, without):

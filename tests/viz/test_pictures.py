@@ -45,14 +45,6 @@ def test_the_legend_has_the_clouds_own_names():
     assert len(rows) and rows.max() < 40
 
 
-def test_limits_do_not_change_between_frames():
-    painter = FramePainter(CloudSequence(**lift()))
-    images = [np.asarray(painter.draw(t)) for t in (0, 19)]
-    assert images[0].shape == images[1].shape
-    bar = slice(-38, None)  # the row of the bar and its length
-    assert (images[0][bar] == images[1][bar]).all() and (images[0][bar] != 255).any()
-
-
 def test_a_stray_point_does_not_shrink_the_rest():
     clean, stray = lift(recorded=400), lift(recorded=400)
     stray["recorded"][3] = np.vstack([stray["recorded"][3], [[50.0, 0.0, 50.0]]])

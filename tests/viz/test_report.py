@@ -76,7 +76,6 @@ def test_whole_report(tmp_path):
         "Grip height [mm]",
         "Distance of the clouds from the fit [mm]",
         "Young's modulus [kPa]",
-        "Paths of the rope's tip: height [m]",
     ]
     for text in (
         "Made by a simulator.",

@@ -11,7 +11,7 @@ import pytest
 
 from gendom.errors import GendomError
 from gendom.viz.viewer.scenes import MATERIAL, Layer, Model, Parameter, ViewerScene, tube_faces
-from viz import browser as headless
+from viz.browser import Browser
 
 ARROW = {"key": "ArrowRight", "code": "ArrowRight", "windowsVirtualKeyCode": 39}
 """A key, as the browser's protocol describes it."""
@@ -82,21 +82,11 @@ class Square(Model):
         yield ViewerScene(**shown, chamfer=values["height"] + 1e-3 * TIMES)
 
 
-# ---- scenes --------------------------------------------------------------------------------------
-
-
-def test_a_frame_lasts_until_the_next():
-    scene = Square.initial
-    assert [scene.frame_at(t) for t in (-1.0, 0.0, 0.09, 0.1, 0.59, 5.0)] == [0, 0, 0, 1, 2, 3]
-
-
-def test_the_box_leaves_out_stray_points():
+def test_scenes_know_their_frames_and_their_box():
+    """A frame lasts until the next; stray points do not count."""
     scene = ViewerScene(times=TIMES, layers=(cloud(), square(0.2)))
-    np.testing.assert_allclose(scene.box[1], [0.4, 0.2, 0.26], atol=0.005)
-    np.testing.assert_allclose(scene.box[0], 0.0, atol=0.005)
-
-
-def test_a_scene_without_points_has_no_box():
+    assert [scene.frame_at(t) for t in (-1.0, 0.0, 0.09, 0.1, 0.59, 5.0)] == [0, 0, 0, 1, 2, 3]
+    np.testing.assert_allclose(scene.box, [[0.0, 0.0, 0.0], [0.4, 0.2, 0.26]], atol=0.005)
     with pytest.raises(GendomError, match="no points at all"):
         _ = ViewerScene(times=TIMES, layers=()).box
 
@@ -110,10 +100,9 @@ def test_tubes_are_closed():
 
 
 def test_logarithmic_parameters_have_logarithmic_sliders():
-    """They begin at a round number, and mean what they began with there."""
     height, E = Square().parameters(1)
     assert E.position(100.0) == pytest.approx(2.0) and E.at(2.0) == pytest.approx(100.0)
-    assert E.range == (0.0, 4.0, 0.01) and E.start == pytest.approx(2.09) and E.at(E.start) == 123.0
+    assert E.range == (0.0, 4.0, 0.02) and E.at(E.start) == 123.0
     assert [text for _, text in E.marks or ()] == ["1", "10", "100", "1000", "10000"]
     assert height.text(0.02) == "height 20 mm" and height.range[:2] == (0.0, 0.1)
 
@@ -122,27 +111,14 @@ def test_logarithmic_parameters_have_logarithmic_sliders():
 
 
 @pytest.fixture
-def show():
-    """Makes viewers of models, on any port."""
+def viewer():
+    """Of the square, on any port."""
     pytest.importorskip("viser", reason="needs viser (the extra viz)")
     from gendom.viz.viewer.server import Viewer
 
-    with contextlib.ExitStack() as made:
-
-        def make(model):
-            viewer = Viewer(model, port=0)
-            made.callback(viewer.close)
-            return viewer
-
-        yield make
-
-
-@pytest.fixture
-def viewer(show):
-    """Of the square."""
-    made = show(Square())
-    assert made.wait(10.0)
-    return made
+    with contextlib.closing(Viewer(Square(), port=0)) as made:
+        assert made.wait(10.0)
+        yield made
 
 
 def move(viewer, name, value):
@@ -151,7 +127,7 @@ def move(viewer, name, value):
 
 
 def test_the_last_wish_wins(viewer):
-    """Those in between are never simulated."""
+    """Those in between are never simulated; long simulations are given up, and not waited for."""
     model = viewer._model
     model.seconds = 0.1
     for height in (0.01, 0.02, 0.03, 0.04):
@@ -159,49 +135,38 @@ def test_the_last_wish_wins(viewer):
     assert viewer.wait(10.0)
     assert model.simulated[-1]["height"] == pytest.approx(0.04) and len(model.simulated) <= 3
     assert viewer._scene.chamfer[0] == pytest.approx(0.04)
-
-
-def test_a_long_simulation_is_given_up_for_a_newer_wish(viewer):
-    model = viewer._model
+    model.simulated.clear()
     model.seconds = 30.0
     move(viewer, "height", 0.01)
     time.sleep(0.05)
     model.seconds = 0.0
     move(viewer, "height", 0.02)
     assert viewer.wait(6.0)
-    assert model.simulated[1:] == [{"height": 0.02, "E": 123.0}]
+    assert model.simulated == [{"height": 0.02, "E": 123.0}]
     assert viewer._status_text.startswith("simulated in ")
-
-
-def test_faults_are_told_and_the_next_wish_is_served(viewer, caplog):
-    """The last scene stays."""
-    before = viewer._scene
-    move(viewer, "height", 0.095)
-    assert viewer.wait(5.0)
-    assert viewer._status_text == "height: is too high" and viewer._scene is before
-    viewer._model.fault = KeyError("height")  # of the program
+    model.seconds = 30.0
     move(viewer, "height", 0.01)
-    assert viewer.wait(5.0)
-    assert viewer._status_text == "internal error: KeyError: 'height'"
-    viewer._model.fault = None
-    move(viewer, "height", 0.0)
-    assert viewer.wait(5.0) and viewer._status_text.startswith("simulated in ")
-
-
-def test_closing_does_not_wait_for_a_simulation(show):
-    viewer = show(Square(seconds=30.0))
     assert not viewer.wait(0.2)
     began = time.monotonic()
     viewer.close()
     assert time.monotonic() - began < 2.0
 
 
-def test_a_slider_simulates_again(viewer):
-    assert viewer._scene.chamfer[0] == 0.0
+def test_faults_are_told_and_the_next_wish_is_served(viewer, caplog):
+    """The last scene stays, and its chart until there is another: nothing jumps."""
+    before = viewer._scene
+    for height, fault, said in (
+        (0.095, None, "height: is too high"),
+        (0.01, KeyError("height"), "internal error: KeyError: 'height'"),  # of the program
+    ):
+        viewer._model.fault = fault
+        move(viewer, "height", height)
+        assert viewer.wait(5.0)
+        assert viewer._status_text == said and viewer._scene is before
+    viewer._model.fault = None
     move(viewer, "height", 0.05)
-    assert viewer.wait(10.0)
+    assert viewer.wait(5.0) and viewer._status_text.startswith("simulated in ")
     assert viewer._scene.chamfer[0] == pytest.approx(0.05)
-    # nothing jumps while a slider is dragged
     viewer._take(ViewerScene(times=TIMES, layers=(cloud(), square(0.01))), 0.01)
     assert viewer._chart_folder.visible
     assert "Chamfer distance [mm]</td><td>…" in viewer._readout.content
@@ -209,7 +174,6 @@ def test_a_slider_simulates_again(viewer):
 
 def test_another_case_has_its_own_parameters(viewer):
     """What nobody moved keeps all its digits."""
-    move(viewer, "height", 0.05)
     viewer.set_case(2)
     assert viewer.wait(10.0)
     assert viewer._model.simulated[-1] == {"height": 0.04, "E": 123.0}
@@ -222,32 +186,27 @@ def test_another_case_has_its_own_parameters(viewer):
 def test_playing_goes_on_until_it_is_stopped(viewer):
     viewer._time.value = 0
     viewer.play(True)
-    until = time.monotonic() + 20.0
+    ends = time.monotonic() + 20.0
     while viewer._time.value == 0:
-        assert time.monotonic() < until
+        assert time.monotonic() < ends
         time.sleep(0.02)
     viewer.play(False)
-    time.sleep(0.2)
+    time.sleep(0.1)
     stood = viewer._time.value
-    time.sleep(0.3)
+    time.sleep(0.2)
     assert viewer._time.value == stood
 
 
-def test_only_this_machine_reaches_it(viewer):
-    """Nothing listens on another address of its own either."""
+def test_only_this_machine_reaches_it(viewer, capfd):
+    """On the next port where one is taken. Nothing is printed, and no thread stays."""
+    from gendom.viz.viewer.server import Viewer
+
     socket.create_connection(("127.0.0.1", viewer.port), timeout=5.0).close()
     with pytest.raises(OSError):
         socket.create_connection(("127.0.0.2", viewer.port), timeout=1.0)
     assert viewer._server.request_share_url() is None
-
-
-def test_a_taken_port_makes_room_for_the_next(viewer, capfd):
-    """And nothing is printed; no thread stays."""
-    from gendom.viz.viewer.server import Viewer
-
-    second = Viewer(Square(), port=viewer.port)
-    second.close()
-    assert second.port > viewer.port
+    with contextlib.closing(Viewer(Square(), port=viewer.port)) as second:
+        assert second.port > viewer.port
     with pytest.raises(GendomError, match="port: is 70000"):
         Viewer(Square(), port=70000)
     viewer.close()
@@ -258,10 +217,7 @@ def test_a_taken_port_makes_room_for_the_next(viewer, capfd):
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     """One that draws with WebGL, in software."""
-    program = headless.find_browser()
-    if program is None:
-        pytest.skip(f"needs a browser: {', '.join(headless.NAMES)}")
-    opened = headless.Browser(program, tmp_path_factory.mktemp("profile"), webgl=True)
+    opened = Browser(tmp_path_factory.mktemp("profile"), webgl=True)
     yield opened
     opened.close()
 
@@ -275,15 +231,14 @@ def until(browser, expression, seconds=60.0):
     return value
 
 
-@pytest.mark.parametrize("width", [pytest.param(390, marks=pytest.mark.slow), 900])
-def test_the_page_shows_and_obeys(viewer, browser, width, capfd):
+def test_the_page_shows_and_obeys(viewer, browser, capfd):
     """It is drawn without errors, asks for nothing from elsewhere, and its sliders act."""
-    browser.open(viewer.url + "/", width=width, height=500)  # drawn in software
+    browser.open(viewer.url + "/", width=900, height=500)  # drawn in software
     text = "document.body.textContent"
     for said in ("a square", "It is flat.", "Chamfer", "recorded", "Reset parameters"):
         until(browser, f"{text}.includes({said!r})")
     until(browser, "document.querySelector('canvas') !== null")
-    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    assert browser.evaluate("document.documentElement.scrollWidth") <= 900
     viewer._time.value = 0
     for slider, moved in (
         (1, lambda: viewer._time.value == 1),

@@ -381,7 +381,7 @@ def result_text(result: dict[str, Any], *, motion: bool) -> str:
     rows = [
         (held["kind"], size),
         ("inputs", "of the policy, dimensionless" if inputs else "no parameters"),
-        *[("", f"{n:<8} {v:<8.4g} {PARAMETERS[n].meaning}") for n, v in inputs.items()],
+        *[("", f"{n:<13}  {v:<8.4g} {PARAMETERS[n].meaning}") for n, v in inputs.items()],
         ("goal", ", ".join(_with_unit(n, v, units) for n, v in goal) or "none"),
         ("action", ", ".join(_with_unit(n, v, units, ".4f") for n, v in action)),
     ]

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import warp as wp
 
 from gendom.cli.arguments import Device, Json, Seed
 from gendom.cli.outputs import columns
@@ -22,16 +21,9 @@ from gendom.errors import ParameterError
 from gendom.files import to_json
 from gendom.materials import Material
 from gendom.robot import TcpPaths
-from gendom.sim import Rollout, Simulator, Solver, open_device
+from gendom.sim import Rollout, Simulator, Solver
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation, grippers
-
-STATE_REALS = 15
-"""Numbers that a particle of an elastic body carries from substep to substep: x, v and C."""
-
-COPIED = 1 << 28
-"""Numbers copied to find a device's memory bandwidth."""
-
 
 log = logging.getLogger(__name__)
 
@@ -110,10 +102,6 @@ class Command:
         substeps = math.ceil(self.seconds / s.substep[0])
         median = statistics.median(forward[1:])
         rate = worlds * body.num_particles * substeps / median
-        share = None
-        if s.device.is_cuda:
-            bytes_a_step = 2 * STATE_REALS * np.dtype(dtype).itemsize
-            share = rate * bytes_a_step / memory_bandwidth(self.device)
         gradient_seconds = statistics.median(both[1:]) if self.gradient else None
         return {
             "device": str(s.device),
@@ -125,41 +113,22 @@ class Command:
             "seconds": median,
             "particle_steps_per_second": rate,
             "substep_us": 1e6 * median / substeps,
-            # of the measured bandwidth, if states are read and written once a substep (CUDA)
-            "roofline_share": share,
             "gradient_seconds": gradient_seconds,  # forward and backward together
             "gradient_cost": gradient_seconds / median if gradient_seconds else None,
         }
-
-
-def memory_bandwidth(device: str) -> float:
-    """Bytes read and written per second by copying a large array [bytes/s]."""
-    where = open_device(device)
-    a = wp.zeros(COPIED, dtype=wp.float32, device=where)
-    b = wp.zeros(COPIED, dtype=wp.float32, device=where)
-    wp.copy(b, a)
-    taken = []
-    for _ in range(5):
-        wp.synchronize_device(where)
-        began = time.perf_counter()
-        wp.copy(b, a)
-        wp.synchronize_device(where)
-        taken.append(time.perf_counter() - began)
-    return 2.0 * 4.0 * COPIED / statistics.median(taken)
 
 
 def _table(rows: list[dict[str, Any]]) -> str:
     heads = ("device", "dtype", "worlds", "threads", "particles")
     texts = []
     for row in rows:
-        cost, share = row["gradient_cost"], row["roofline_share"]
+        cost = row["gradient_cost"]
         texts.append(
             (
                 *(str(row[name]) for name in heads),
                 f"{row['particle_steps_per_second'] / 1e6:.2f}",
                 f"{row['substep_us']:.1f}",
                 "" if cost is None else f"{cost:.2f} x",
-                "" if share is None else f"{share:.1%}",
             )
         )
-    return columns((*heads, "M steps/s", "us/substep", "gradient", "roofline"), texts)
+    return columns((*heads, "M steps/s", "us/substep", "gradient"), texts)

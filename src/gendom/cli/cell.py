@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import tyro
+from PIL import Image
 
 from gendom.cli.arguments import Json
 from gendom.cli.outputs import check_places, print_result, tell_written
 from gendom.errors import DeviceError
 from gendom.files import atomic_path
-
-if TYPE_CHECKING:
-    from PIL import Image
+from gendom.hardware.cell import Cell
+from gendom.hardware.picture import draw_cell
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,9 +36,6 @@ class Command:
     json: Json = False
 
     def run(self) -> int:
-        from gendom.hardware.cell import Cell
-        from gendom.hardware.picture import draw_cell
-
         check_places((self.picture, ".png"))
         cell = Cell.read(self.file)
         faults = cell.faults()

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -26,14 +26,35 @@ from gendom.cli.estimate import (
 from gendom.cli.outputs import check_places
 from gendom.cli.parsing import command_line
 from gendom.datasets import Recording
-from gendom.errors import ParameterError, printable
+from gendom.errors import GendomError, ParameterError, printable
+from gendom.estimation import EstimateSettings, FittedEstimate, SceneSettings, estimate
 from gendom.files import to_json, write_json
-
-if TYPE_CHECKING:
-    from gendom.estimation import FittedEstimate
-    from gendom.policies import Policy
-    from gendom.reality import RealRope
-    from gendom.viz import ActionSummary, CloudSequence, ReachOutcome
+from gendom.materials import Item
+from gendom.materials.estimate import Estimate
+from gendom.policies import Policy
+from gendom.policies.adaptation import Execution, adapt
+from gendom.policies.belief import believed
+from gendom.policies.evaluation import draw_cases
+from gendom.policies.polishing import Discrepancy, polish
+from gendom.progress import each
+from gendom.reality import RealRope, RealWorld, find_object, observe
+from gendom.reality.recording import record_and_perceive
+from gendom.reality.trials import TrialRun
+from gendom.sim import open_device
+from gendom.tasks import Observed, Task
+from gendom.tasks.world import Simulation
+from gendom.viz import (
+    ActionSummary,
+    CloudSequence,
+    PolicyRun,
+    ReachOutcome,
+    ReportContent,
+    encode_camera_views,
+    write_gif,
+    write_report,
+)
+from gendom.viz.report.motion import WITH, WITHOUT
+from gendom.viz.sources import arm_poses, clouds_of, goal_mark
 
 RECORDING, VIEWS = "demo-rope-lift.npz", "demo-rope-lift.jpg"
 """The demo's recording in the package's assets, and what its cameras saw halfway: made by
@@ -67,6 +88,24 @@ CAMERAS_NOTE = (
 _log = logging.getLogger(__name__)
 
 
+VARIANTS = {
+    "with_parameters": WITH,
+    "without_parameters": WITHOUT,
+    "polished": "polished in the simulator",
+    "after_one_execution": "after one execution",
+}
+"""What is compared, by its name in actions.json."""
+
+MOTION_RATE = 30.0
+"""Frames a second of the executed motion."""
+
+POLISH_DRAWS = 8
+"""Objects drawn from the estimate to polish an action for."""
+
+_FINER = 4
+"""Reached places are looked for this much finer in time than the motion is shown."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Command:
     """Show every step: a lift, the estimate, the policy's action, what it reaches.
@@ -97,10 +136,6 @@ class Command:
     json: Json = False
 
     def run(self) -> int:
-        from gendom.sim import open_device
-        from gendom.viz import ReportContent, write_report
-        from gendom.viz.sources import arm_of_lift, clouds_of
-
         check_places((self.out, ""))
         open_device(self.device)
         seconds: dict[str, float] = {}
@@ -137,7 +172,7 @@ class Command:
             recording_source=scene,
             cameras=views,
             cameras_note=CAMERAS_NOTE,
-            lift=arm_of_lift(clouds, rope),
+            lift=clouds,
             estimate=found,
             truth=truth,
             action=action,
@@ -162,10 +197,6 @@ class Command:
     def _rope_and_goals(self) -> tuple[RealRope, tuple[Policy, ...], np.ndarray]:
         """The rope, the policies with and without parameters, and goals [K, G], which are drawn
         before anything is estimated."""
-        from gendom.policies import Policy
-        from gendom.policies.evaluation import draw_cases
-        from gendom.reality import RealRope, find_object
-
         rope = find_object(self.reality)
         if not isinstance(rope, RealRope):
             raise ParameterError(
@@ -189,8 +220,6 @@ class Command:
             assets = resources.files("gendom") / "assets"
             with resources.as_file(assets / RECORDING) as path:
                 return Recording.read(path), (assets / VIEWS).read_bytes()
-        from gendom.reality.recording import record_and_perceive
-        from gendom.viz import encode_camera_views
 
         with _timed(seconds, "record and perceive"):
             recording, seen = record_and_perceive(
@@ -201,8 +230,6 @@ class Command:
         return recording, views
 
     def _estimate(self, recording: Recording, seconds: dict[str, float]) -> FittedEstimate:
-        from gendom.estimation import EstimateSettings, SceneSettings, estimate
-
         scene = SceneSettings(device=self.device)
         settings = EstimateSettings(starts=self.starts, seed=self.seed, scene=scene)
         with _timed(seconds, "estimate"), iterations_shown() as show:
@@ -220,9 +247,6 @@ class Command:
         seconds: dict[str, float],
     ) -> ActionSummary:
         """Let the arm act for each goal, say what it reached, and write it."""
-        from gendom.cli.demo_actions import carry_out, predicted
-        from gendom.policies.belief import believed
-        from gendom.viz import ActionSummary, write_gif
 
         task = policies[0].task()
         with _timed(seconds, "act and carry out"):
@@ -253,6 +277,96 @@ class Command:
         )
 
 
+def carry_out(
+    rope: RealRope, policies: Sequence[Policy], goals: np.ndarray, belief: Estimate, seed: int
+) -> tuple[list[ReachOutcome], TrialRun, Observed]:
+    """What each of `VARIANTS` reached for each goal, done by the arm; and the last motion of the
+    policy with parameters.
+
+    Besides the policies' actions one is polished through the simulator for what is believed of
+    the rope, and once more for what is known after that execution.
+    """
+    task, outcomes = policies[0].task(), []
+    for goal in each(goals, "the arm acts", "goal"):
+
+        def polished(
+            start: np.ndarray,
+            belief: Estimate,
+            discrepancy: Discrepancy | None = None,
+            goal: np.ndarray = goal,
+        ) -> np.ndarray:
+            items = belief.draws(POLISH_DRAWS, seed)
+            return polish(task, goal, items, start, discrepancy=discrepancy).action
+
+        ours, without = (np.array(p.act(goal, belief.item).values) for p in policies)
+        first, trial, seen = _execute(rope, task, ours)
+        runs = [first, _execute(rope, task, without)[0]]
+        action = polished(ours, belief)
+        runs.append(_execute(rope, task, action)[0])
+        learnt = adapt(task, belief, [Execution(action=action, reached=runs[-1].reached)])
+        action = polished(action, learnt.belief, learnt.discrepancy)
+        runs.append(_execute(rope, task, action)[0])
+        named = dict(zip(VARIANTS.values(), runs, strict=True))
+        outcomes.append(ReachOutcome(goal=goal, runs=named))
+    return outcomes, trial, seen
+
+
+def _execute(
+    rope: RealRope, task: Task, action: np.ndarray
+) -> tuple[PolicyRun, TrialRun, Observed]:
+    """One action, done by the arm."""
+    trial = RealWorld().begin(task, rope, action)
+    seen = observe(task, trial, MOTION_RATE * _FINER)
+    values = task.outcome(rope, seen)
+    reached = np.array([values[q.name] for q in task.goals])
+    return PolicyRun(action=action, reached=reached), trial, seen
+
+
+def _filled(vertices: np.ndarray, points: int = 150) -> np.ndarray:
+    """[points, 3] along the line through a rope's vertices [V, 3] [m]."""
+    at = np.linspace(0.0, len(vertices) - 1.0, points)
+    knots = np.arange(len(vertices))
+    return np.stack([np.interp(at, knots, vertices[:, axis]) for axis in range(3)], axis=1)
+
+
+def predicted(
+    task: Task, last: ReachOutcome, trial: TrialRun, seen: Observed, known: Item, device: str
+) -> CloudSequence:
+    """A motion as the arm did it, in the task's frame, and beside it what our simulator makes of
+    the same action.
+
+    Args:
+        task: What was done.
+        last: The goal, and the action.
+        trial: The motion.
+        seen: What was seen of it.
+        known: The object as it is estimated.
+        device: That simulates.
+    """
+    world = Simulation(device=device, everything=True)
+    outcome = world.carry_out(task, [known], [last.runs[WITH].action], keep=True)[0]
+    if outcome.seen is None:
+        raise GendomError(outcome.fault or "the simulation failed", where="demo")
+    late = outcome.seen.times
+    frames = np.arange(0, len(seen.times), _FINER)
+    frames = frames[(seen.times[frames] >= late[0]) & (seen.times[frames] <= late[-1])]
+    nearest = [int(np.argmin(np.abs(late - seen.times[k]))) for k in frames]
+    T = task.T_world_task(trial.trial.item)
+    clock = trial.closes + frames / (MOTION_RATE * _FINER)
+    arm, radius = arm_poses(trial, clock, T) or (None, None)
+    return CloudSequence(
+        recorded=[_filled(x) for x in seen.points[frames]],
+        simulated=[_filled(outcome.seen.points[k]) for k in nearest],
+        times=seen.times[frames] - seen.times[frames[0]],
+        table_height=-float(T[2, 3]),
+        gripper=seen.hand[frames],
+        labels=("carried out", "predicted"),
+        arm=arm,
+        arm_radius=radius,
+        goal=goal_mark(last.goal, seen),
+    )
+
+
 def _given_goals(numbers: Sequence[float], policy: Policy, rope: RealRope) -> np.ndarray:
     """[K, G] goals that were asked for; what no rope of this length reaches is refused before
     minutes go into the estimate."""
@@ -276,8 +390,6 @@ def _place(numbers: np.ndarray) -> str:
 
 def _entry(outcome: ReachOutcome) -> dict[str, Any]:
     """One goal in actions.json."""
-    from gendom.cli.demo_actions import VARIANTS
-
     runs = {key: (name, outcome.runs[name]) for key, name in VARIANTS.items()}
     return {"goal": outcome.goal.tolist()} | {
         key: {

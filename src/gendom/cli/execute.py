@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -17,15 +17,26 @@ from gendom.arguments import require
 from gendom.cli.cell import write_picture
 from gendom.cli.outputs import check_places, tell_written
 from gendom.errors import DeviceError, printable
+from gendom.hardware.cell import Cell, PlannedMotion
+from gendom.hardware.contracts import Robot
+from gendom.hardware.execution import (
+    ExecutionLog,
+    PlannedAction,
+    careful,
+    execute,
+    last_time,
+    preview,
+    read_action,
+    read_log,
+)
+from gendom.hardware.picture import draw_cell
+from gendom.hardware.recording import record_motion
+from gendom.hardware.simulated import SimulatedRobot
 from gendom.materials import Cloth, Item, from_columns
 from gendom.reading import read_json
+from gendom.reality import as_real, task_trial
+from gendom.robot import JointMotion, tcp_pose
 from gendom.tasks import find_task
-
-if TYPE_CHECKING:
-    from gendom.hardware.cell import Cell, PlannedMotion
-    from gendom.hardware.contracts import Robot
-    from gendom.hardware.execution import PlannedAction
-    from gendom.robot import JointMotion
 
 _log = logging.getLogger(__name__)
 
@@ -62,9 +73,6 @@ class Command:
     """Folder for what the cell's cameras see of it."""
 
     def run(self) -> int:
-        from gendom.hardware.cell import Cell
-        from gendom.hardware.execution import careful, last_time, preview, read_action
-
         check_places((self.picture, ".png"))
         fix = "add --move"
         require(self.move or not self.yes, "goes with --move", where="--yes", fix=fix)
@@ -96,10 +104,6 @@ class Command:
         return 0
 
     def _drawn(self, cell: Cell, action: PlannedAction) -> Any:
-        from gendom.hardware.execution import read_log
-        from gendom.hardware.picture import draw_cell
-        from gendom.robot import tcp_pose
-
         arm, planned = cell.model, action.plan
         moves = {"approach": planned.approach, "motion": planned.motion}
         paths = {name: m.at(m.sampled(50.0)) for name, m in moves.items()}
@@ -112,8 +116,6 @@ class Command:
 
 def _measured(path: Path) -> str:
     """What a log tells, in some lines."""
-    from gendom.hardware.execution import read_log
-
     seen = read_log(path)
     lines = [f"{'log':<9} {seen.header.get('started')}, {len(seen.time)} ticks; "
              f"end: {printable(seen.end or 'none: it was killed')}"]  # fmt: skip
@@ -142,8 +144,6 @@ def confirm(question: str) -> None:
 
 def read_plan(path: Path) -> dict[str, Any]:
     """All of an action's file, or of that in a log, for the log to hold."""
-    from gendom.hardware.execution import read_log
-
     own = ("log", "started", "at")
     said = read_log(path).header if path.suffix == ".jsonl" else read_json(path)
     return {key: value for key, value in said.items() if key not in own}
@@ -152,8 +152,6 @@ def read_plan(path: Path) -> dict[str, Any]:
 def move(cell: Cell, planned: PlannedMotion, what: str, *, yes: bool, **others: Any) -> None:
     """Show a motion, say what it is, ask, and carry it out, with others as of `carry_out`; with
     ``yes`` nobody is asked, and it moves slowly."""
-    from gendom.hardware.execution import careful, preview
-
     planned = careful(planned, cell) if yes else planned
     print("\n".join([what, *preview(planned, cell)]))
     if not yes:
@@ -180,9 +178,6 @@ def carry_out(
         bring: Called with the robot where it waits for the object.
         record: Folder for pictures, and the content of its object.toml; None: none are taken.
     """
-    from gendom.hardware.execution import ExecutionLog, execute
-    from gendom.hardware.recording import record_motion
-
     robot, cameras = cell.devices()
     name = datetime.now().strftime("%Y-%m-%dT%H-%M-%S-%f")
     log = ExecutionLog(logs / f"{name}.jsonl", said)
@@ -241,9 +236,6 @@ def bring(robot: Any, action: PlannedAction | None, *, ask: bool = True) -> None
         action: What will be done; None: a lift.
         ask: Whether a person is there; else the object is.
     """
-    from gendom.hardware.simulated import SimulatedRobot
-    from gendom.reality import as_real, task_trial
-
     simulated = isinstance(robot, SimulatedRobot)
     if action is None:
         if simulated:

@@ -5,20 +5,27 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from gendom.arguments import require
 from gendom.cli.arguments import Seed, settings_of
 from gendom.cli.execute import FINGER_WIDTH, bring, described, move
 from gendom.errors import ParameterError
 from gendom.files import check_folder
+from gendom.hardware.cell import Cell
 from gendom.materials import Item, size_of, thickness_of
 from gendom.progress import bar
-
-if TYPE_CHECKING:
-    from gendom.hardware.cell import Cell
-    from gendom.reality import RealObject
-    from gendom.robot import LiftMotion
+from gendom.reality import (
+    RealObject,
+    RecordSettings,
+    RigErrors,
+    TrialRun,
+    find_object,
+    lift_cameras,
+    lifted_by,
+    record,
+)
+from gendom.robot import LiftMotion, motions, predefined_lift
 
 SPAN = {"rope": "long", "cloth": "wide"}
 
@@ -90,8 +97,6 @@ class Command:
         return self._in_mujoco(str(self.reality)) if self.cell is None else self._in_cell(self.cell)
 
     def _in_cell(self, path: Path) -> int:
-        from gendom.hardware.cell import Cell
-
         check_folder(self.out)
         cell = Cell.read(path)
         known = known_in(cell, self.object)
@@ -103,8 +108,6 @@ class Command:
 
     def _motion(self, item: Item) -> LiftMotion:
         """The lift that flags ask for."""
-        from gendom.robot import LiftMotion, predefined_lift
-
         if self.motion is not None:
             what, fix = "says how high and with which end", "leave out --rise and --end"
             require(self.rise is None and self.end is None, what, where="--motion", fix=fix)
@@ -113,16 +116,6 @@ class Command:
         return usual if self.rise is None else replace(usual, rise=self.rise / size_of(item))
 
     def _in_mujoco(self, reality: str) -> int:
-        from gendom.reality import (
-            RecordSettings,
-            RigErrors,
-            TrialRun,
-            find_object,
-            lift_cameras,
-            lifted_by,
-            record,
-        )
-
         rate, noise = self.frame_rate, self.encoder_noise
         fix = "give 90 or less, above 0"
         require(0.0 < rate <= 90.0, f"is {rate}", where="--frame-rate", fix=fix)
@@ -174,8 +167,6 @@ def known_in(cell: Cell, path: Path | None) -> RealObject:
     Raises:
         GendomError: It is not described.
     """
-    from gendom.reality import find_object
-
     fix = "give its kind, sizes, mass and colour in a TOML file"
     described = path is not None or cell.simulated
     require(described, "is missing", where="--object", fix=fix)
@@ -197,8 +188,6 @@ def lift_in(
     ``grasp`` is where the fingers take it [m] (None: ahead, on the table); with ``yes`` nobody is
     asked, and it moves slowly; ``logs`` is a folder (None: ``executions`` beside the cell's file).
     """
-    from gendom.robot import motions
-
     size, thick = size_of(known), thickness_of(known)
     table = cell.table_height or 0.0
     usual = (AHEAD + 0.5 * FINGER_WIDTH, 0.0, table + max(0.5 * thick, LEAST_HEIGHT))

@@ -7,23 +7,26 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gendom.arguments import require
-from gendom.cli import act, adapt, estimate, perceive
+from gendom.cli import act, adapt, estimate
 from gendom.cli.arguments import TaskName
 from gendom.cli.execute import bring, described, move, read_plan
 from gendom.cli.outputs import columns
+from gendom.cli.perceive import Command as Perceive
 from gendom.cli.record import known_in, lift_in
 from gendom.errors import DeviceError
 from gendom.files import check_folder, to_json, write_json
+from gendom.hardware.cell import Cell
+from gendom.hardware.execution import last_time, read_action
+from gendom.hardware.observing import reached
+from gendom.perception import PerceptionSettings, perceive, read_cameras
 from gendom.reading import read_json
+from gendom.robot import predefined_lift
 from gendom.tasks import Task, find_task
-
-if TYPE_CHECKING:
-    from gendom.hardware.cell import Cell
 
 _log = logging.getLogger(__name__)
 
@@ -60,9 +63,6 @@ class Command:
     """As for gendom act."""
 
     def run(self) -> int:
-        from gendom.hardware.cell import Cell
-        from gendom.hardware.execution import last_time
-
         check_folder(self.out)
         cell, task = Cell.read(self.cell), find_task(self.task)()
         require(task.goals, f"{task.name} has no goal to learn from", fix="choose another task")
@@ -76,7 +76,7 @@ class Command:
         lift = steps.do("lift", "lift", [self.cell, *named],
                         lambda to: self._lift(cell, known, to), settings=[self.grasp])  # fmt: skip
         colour = known.colour
-        seen = steps.do("perceive", "lift.npz", [lift], lambda to: perceive.Command(
+        seen = steps.do("perceive", "lift.npz", [lift], lambda to: Perceive(
             folder=lift, out=to, perception=_by(colour)).run())  # fmt: skip
         code = 0
 
@@ -100,8 +100,6 @@ class Command:
         return 0
 
     def _lift(self, cell: Cell, known: Any, to: Path) -> None:
-        from gendom.robot import predefined_lift
-
         usual, logs = predefined_lift(known.kind), self.out / "executions"
         lift_in(cell, known, to, motion=usual, grasp=self.grasp, yes=self.yes, logs=logs)
 
@@ -109,7 +107,6 @@ class Command:
         self, steps: _Steps, k: int, cell: Cell, task: Task, known: Any, params: Path
     ) -> tuple[Path, tuple[str, ...]]:
         """Act, execute, observe, adapt; returns the estimate after it, and a row of the table."""
-        from gendom.hardware.execution import read_action
 
         def acted(to: Path) -> None:
             act.Command(
@@ -148,17 +145,11 @@ class Command:
 
 
 def _by(colour: tuple[int, int, int]) -> Any:
-    from gendom.perception import PerceptionSettings
-
     return PerceptionSettings(colour=colour)
 
 
 def _observe(task: Task, known: Any, plan: Path, shown: Path, to: Path) -> None:
     """Write what an execution reached, as gendom adapt takes it."""
-    from gendom.hardware.execution import read_action
-    from gendom.hardware.observing import reached
-    from gendom.perception import perceive, read_cameras
-
     action, recorded = read_action(plan), read_cameras(shown)
     seen = perceive(recorded, _by(known.colour), on_warning=lambda fault: _log.info("%s", fault))
     values = reached(task, known, action, seen.recording, float(recorded.robot.time[0]))

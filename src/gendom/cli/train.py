@@ -60,12 +60,12 @@ class Command:
     json: Json = False
 
     def run(self) -> int:
+        sees = _conditions(self.condition)
+        check_file(self.out, ".onnx")
         from gendom.policies.training import Training, train
         from gendom.sim.device import open_device
         from gendom.tasks.world import Simulation
 
-        sees = _conditions(self.condition)
-        check_file(self.out, ".onnx")
         open_device(self.device)
         demonstrations = self._read(self.data)
         finetune = None if self.finetune is None else self._read(self.finetune)

@@ -19,9 +19,6 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 10.0, 8.0, 40.0
 _WIDTH, _HEIGHT = 420.0, 250.0
 _MARKED = 5
 
-_MARKS = {"dot": "h0", "square": "h0", "cross": "m-7 0h14m-7 -7v14"}
-"""How a mark is drawn from its place on: of dots and squares only the line's cap is seen."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Axis:
@@ -85,31 +82,18 @@ class Plot:
     """The legend: class, label, and its mark's shape."""
     _drawn: list[str] = field(default_factory=list)
 
-    @classmethod
-    def to_scale(cls, x: Axis, y: Axis) -> Plot:
-        """A plot whose axes have one scale; the shorter one is made longer."""
-        inner = _WIDTH - _LEFT - _RIGHT
-        height = min(max((y.high - y.low) / (x.high - x.low), 0.55), 0.95) * inner
-        scale = max((x.high - x.low) / inner, (y.high - y.low) / height)
-
-        def longer(a: Axis, pixels: float) -> Axis:
-            middle, half = 0.5 * (a.low + a.high), 0.5 * scale * pixels
-            return Axis(low=middle - half, high=middle + half, label=a.label)
-
-        return cls(x=longer(x, inner), y=longer(y, height), height=height + _TOP + _BOTTOM)
-
     def line(
         self, x: npt.ArrayLike, y: npt.ArrayLike, kind: str, label: str = "", shape: str = "line"
     ) -> None:
         """A line through points; `shape` is "line" or "dashed"."""
-        self._add(f'<path class="{kind} {shape}" d="{self._through(x, y)}"/>', kind, label, shape)
+        self._drawn.append(f'<path class="{kind} {shape}" d="{self._through(x, y)}"/>')
+        if label:
+            self.entries.append((kind, label, shape))
 
-    def marks(
-        self, x: npt.ArrayLike, y: npt.ArrayLike, kind: str, label: str = "", shape: str = "dot"
-    ) -> None:
-        """A mark at each point: a "dot", "square" or "cross"."""
-        places = "".join(f"M{a:.1f} {b:.1f}{_MARKS[shape]}" for a, b in self._places(x, y))
-        self._add(f'<path class="{kind} marks {shape}" d="{places}"/>', kind, label, shape)
+    def dots(self, x: npt.ArrayLike, y: npt.ArrayLike, kind: str) -> None:
+        """A dot at each point: the cap of a line without length."""
+        places = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in self._places(x, y))
+        self._drawn.append(f'<path class="{kind} marks" d="{places}"/>')
 
     def area(self, x: npt.ArrayLike, y: npt.ArrayLike, kind: str) -> None:
         """What lies between a line and the lower end."""
@@ -201,11 +185,6 @@ class Plot:
     def _through(self, x: npt.ArrayLike, y: npt.ArrayLike) -> str:
         """A path's data."""
         return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in self._places(x, y))
-
-    def _add(self, drawn: str, kind: str, label: str, shape: str) -> None:
-        self._drawn.append(drawn)
-        if label:
-            self.entries.append((kind, label, shape))
 
 
 def _written(values: Sequence[float]) -> list[tuple[float, str]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +12,6 @@ from gendom.viz.clouds import CloudSequence
 
 if TYPE_CHECKING:
     from gendom.estimation import LiftScene, Theta
-    from gendom.reality import RealRope
     from gendom.reality.trials import TrialRun
     from gendom.tasks import Observed
 
@@ -42,15 +40,6 @@ def clouds_of(
         chamfer=chamfer,
         view="oblique" if scene.kind == "cloth" else "auto",
     )
-
-
-def arm_of_lift(clouds: CloudSequence, rope: RealRope) -> CloudSequence:
-    """A lift in the MuJoCo test scene with its arm, which moves the same each time."""
-    from gendom.reality.trials import TrialRun, lift
-
-    run = TrialRun(lift(rope))
-    poses = arm_poses(run, run.closes + clouds.times, np.eye(4))
-    return clouds if poses is None else replace(clouds, arm=poses[0], arm_radius=poses[1])
 
 
 def arm_poses(

@@ -255,7 +255,7 @@ def _chart(
         at, values = np.transpose(points)
         label = ", ".join(filter(None, (f"start {start + 1}", stage)))
         plot.line(at, values, kind, label, "dashed" if early else "line")
-        plot.marks(at, values, kind)
+        plot.dots(at, values, kind)
     if true is not None:
         plot.level(scale * true, "truth", "true value")
     return plot.figure(title, note)

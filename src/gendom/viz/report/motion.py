@@ -1,5 +1,5 @@
-"""Motions: a film and a view that turns, driven by one slider (`viewer.js` brings them to life);
-residuals of a lift over time; what the policy's action reached."""
+"""Motions in a view that turns (`viewer.js` brings it to life), residuals of a lift over time, and
+what the policy's action reached."""
 
 from __future__ import annotations
 
@@ -65,18 +65,14 @@ def viewer(clouds: CloudSequence, *, name: str, subject: str) -> str:
         f'<label>{recorded} <input type="range" class="fade" min="-1" max="1" step="0.05" '
         f'value="0" aria-label="Fade from {recorded} to {simulated}"> {simulated}</label>'
     )
-    where = "from above at an angle" if clouds.view == "oblique" else "from the side"
     said = escaped(subject)
     kind = "viewer" if clouds.num_frames > 1 else "viewer still"
     return (
         f'<div class="{kind}" id="{name}" data-scene="{name}-scene" hidden>'
-        '<div class="screens">'
-        f'<figure><canvas class="film" role="img" aria-label="{said}, {where}"></canvas>'
-        f"<figcaption>Film {where}</figcaption></figure>"
-        f'<figure><canvas class="turning" tabindex="0" role="img" aria-label="{said}; drag or use '
-        'the arrow keys to turn it"></canvas>'
-        "<figcaption>3D view: drag it, or use the arrow keys, to turn it</figcaption></figure>"
-        '</div><div class="controls"><button type="button" class="play">Play</button>'
+        f'<figure><canvas tabindex="0" role="img" aria-label="{said}; drag or use the arrow keys '
+        'to turn it"></canvas>'
+        "<figcaption>Drag it, or use the arrow keys, to turn it</figcaption></figure>"
+        '<div class="controls"><button type="button" class="play">Play</button>'
         '<input type="range" class="time" min="0" value="0" aria-label="Time"><output></output>'
         f'<select class="speed" aria-label="Speed">{speeds}</select></div>'
         f'<div class="options">{options}</div></div>'
@@ -103,16 +99,13 @@ def encode_scene(sequence: CloudSequence) -> str:
     high = np.maximum(high, low + 1e-3)
     clouds, points = _packed(sequence, chosen, low, high)
     side, grippers, chamfer = sequence.projection(), sequence.gripper, sequence.chamfer
-    arm, aside = None, 0.5
+    arm = None
     if sequence.arm is not None and sequence.arm_radius is not None:
         ends = (1e3 * sequence.arm[chosen]).round().astype(int)
         arm = {
             "radius": (1e3 * sequence.arm_radius).round().astype(int).tolist(),
             "ends": ends.reshape(len(chosen), -1).tolist(),
         }
-        # the view that turns begins where the arm stands behind the object
-        away = sequence.arm[chosen[0]].mean(axis=(0, 1)) - 0.5 * (low + high)
-        aside = -0.5 if away[:2] @ [np.cos(side.turn), np.sin(side.turn)] > 0.0 else 0.5
     scene = {
         "low": low.tolist(),
         "high": high.tolist(),
@@ -121,7 +114,7 @@ def encode_scene(sequence: CloudSequence) -> str:
         "of": sequence.num_frames,
         "chamfer": None if chamfer is None else chamfer[chosen].tolist(),
         "table": sequence.table_height,
-        "view": {"turn": side.turn, "tilt": side.tilt, "aside": aside},
+        "view": {"turn": side.turn, "tilt": side.tilt},
         "grippers": [] if grippers is None else grippers[chosen].round(5).tolist(),
         "arm": arm,
         "goal": None if sequence.goal is None else sequence.goal.round(5).tolist(),
@@ -207,8 +200,6 @@ class PolicyRun:
     """[A]."""
     reached: np.ndarray
     """[D] in the goal's coordinates [m]."""
-    tip_path: np.ndarray
-    """[T, 3] of the rope's tip from the release on [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,7 +253,6 @@ def action(done: ActionSummary) -> str:
             viewer(done.motion, name="motion", subject="The motion"),
             _outcomes_table(done, errors),
             f'<p class="soft">{escaped(names)}</p>',
-            side_by_side([_goal_figure(done.outcomes)]),
         ]
     )
 
@@ -294,32 +284,3 @@ def _verdict(ours: float, without: float, goals: str) -> str:
         saved = 100.0 * (1.0 - ours / without)
         return f"{text}: the estimate takes away {saved:.0f} % of the error."
     return f"{text}: here the estimate did not help."
-
-
-def _goal_figure(outcomes: Sequence[ReachOutcome]) -> str:
-    """Goals and places reached, and the tip's paths, in the plane of the swing."""
-    ways = {WITHOUT: ("without", "dashed", "square"), WITH: ("ours", "line", "dot")}
-    runs = [(name, outcome.runs[name]) for outcome in outcomes for name in ways]
-    goals = [outcome.goal for outcome in outcomes]
-    places = np.concatenate([run.tip_path[:, ::2] for _, run in runs])
-    across = np.concatenate([places[:, 0], *(g[:1] for g in goals)])
-    upwards = np.concatenate([places[:, 1], *(g[1:] for g in goals)])
-    plot = Plot.to_scale(
-        Axis.around(across, margin=0.04, label="distance along the goal's direction [m]"),
-        Axis.around(upwards, margin=0.04),
-    )
-    for k, (name, run) in enumerate(runs):
-        (kind, line, mark), label = ways[name], f"tip, {name}" if k < len(ways) else ""
-        path = run.tip_path[:, ::2]
-        plot.line(path[:, 0], path[:, 1], kind, label, line)
-        # a goal that is a distance is reached by the path's farthest point
-        at = run.reached if len(run.reached) == 2 else path[np.argmax(path[:, 0])]
-        plot.marks([at[0]], [at[1]], kind, shape=mark)
-    for k, goal in enumerate(goals):
-        label = "" if k else "goal"
-        if len(goal) == 1:
-            plot.upright(goal[0], "ink", label)
-        else:
-            plot.marks([goal[0]], [goal[1]], "ink", label, "cross")
-    note = "Paths from where the tip is let go, or the hand stands; dots and squares: reached."
-    return plot.figure("Paths of the rope's tip: height [m]", note)

@@ -1,4 +1,4 @@
-// Plays clouds, arm and goal: a film from a fixed side and a view that turns, at one time.
+// Plays clouds, arm and goal, in a view that turns.
 // Points are uint16 in the box `low`..`high` [m], the arm is in millimetres.
 (() => {
   const OPACITY = { recorded: 0.85, simulated: 0.6 };
@@ -42,30 +42,22 @@
       this.last = this.scene.times.length - 1;
       this.slider.max = this.last;
       this.slider.value = Math.floor(this.last * 0.6);
-      const { low, high, grippers, arm, view } = this.scene;
+      this.canvas = root.querySelector("canvas");
+      this.look = this.scene.view;
+      const { low, high, grippers, table } = this.scene;
       const box = [0, 1, 2, 3, 4, 5, 6, 7].map((n) =>
         low.map((l, k) => ((n >> k) & 1 ? high[k] : l)));
       box.push(...grippers.flat());
-      const joints = (arm ? arm.ends : []).flatMap((frame, t) =>
-        arm.radius.flatMap((_, c) => this.capsule(t, c)));
-      this.film = this.view("film", view, box);
-      this.turning = this.view("turning", { turn: view.turn + view.aside, tilt: 0.3 },
-        [...box, ...joints]);
-      this.listen(this.turning.canvas);
-      root.hidden = false;
-      this.draw();
-    }
-
-    // A canvas, from where it looks, and the points [m] that it shows at all times.
-    view(name, look, points) {
       const [from, to] = [Math.min, Math.max].map((best) =>
-        [0, 1].map((k) => points.reduce((m, p) => best(m, p[k]), points[0][k])));
+        [0, 1].map((k) => box.reduce((m, p) => best(m, p[k]), box[0][k])));
       const more = 0.15 * Math.max(to[0] - from[0], to[1] - from[1]);
       const [x, y] = [0, 1].map((k) => [from[k] - more, to[k] + more]);
-      const table = this.scene.table === null ? []
-        : [[0, 0], [1, 0], [1, 1], [0, 1]].map(([i, j]) => [x[i], y[j], this.scene.table]);
-      const canvas = this.root.querySelector(`canvas.${name}`);
-      return { canvas, look: { ...look }, table, shown: [...points, ...table] };
+      this.table = table === null ? []
+        : [[0, 0], [1, 0], [1, 1], [0, 1]].map(([i, j]) => [x[i], y[j], table]);
+      this.shown = [...box, ...this.table]; // at all times [m]
+      this.listen();
+      root.hidden = false;
+      this.draw();
     }
 
     capsule(t, c) {
@@ -73,14 +65,14 @@
         [0, 1, 2].map((k) => this.scene.arm.ends[t][6 * c + n + k] / 1000));
     }
 
-    listen(canvas) {
+    listen() {
+      const { canvas, look } = this;
       this.play.addEventListener("click", () => (this.timer ? this.stop() : this.start()));
       this.slider.addEventListener("input", () => { this.stop(); this.draw(); });
       for (const input of [...this.layers, this.fade].filter(Boolean)) {
         input.addEventListener("input", () => this.draw());
       }
       const turnBy = (right, up) => {
-        const { look } = this.turning;
         look.turn += right;
         look.tilt = Math.min(Math.PI / 2, Math.max(0, look.tilt + up));
         this.draw();
@@ -134,7 +126,7 @@
     draw() {
       const t = Number(this.slider.value);
       const { scene } = this;
-      for (const view of [this.film, this.turning]) this.paint(view, t);
+      this.paint(t);
       const chamfer = scene.chamfer === null ? ""
         : ` · Chamfer ${(1000 * scene.chamfer[t]).toFixed(1)} mm`;
       this.clock.textContent =
@@ -150,7 +142,8 @@
       }
     }
 
-    paint({ canvas, look, table, shown }, t) {
+    paint(t) {
+      const { canvas, look, table, shown } = this;
       const [width, height] = [canvas.clientWidth, canvas.clientHeight];
       if (!width || !height) return;
       const ratio = window.devicePixelRatio || 1;

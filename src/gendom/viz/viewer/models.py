@@ -52,10 +52,7 @@ class RecordingModel(Model):
 
     def __init__(self, scene: LiftScene, theta: Theta, title: str):
         self.scene, self.theta, self.title = scene, theta, title
-        notes = list(scene.notes)
-        if scene.kind == "cloth" or not scene.thin:
-            notes.insert(0, "This takes longer to simulate than a rope as a rod.")
-        self.notes = tuple(notes)
+        self.notes = scene.notes
         self.initial = self._shown(())
         self._parameters = _parameters(scene, theta)
 
@@ -164,6 +161,7 @@ class DatasetModel(Model):
     """
 
     initial = None
+    notes = ()
 
     def __init__(self, folder: Path):
         from gendom.datasets.demonstrations import load, read_description
@@ -183,8 +181,6 @@ class DatasetModel(Model):
         self._rows = load(folder, part=True).to_pylist()
         self.title = f"{folder.name or folder}: {self.task.name}"
         self.cases = ("demonstration", len(self._rows))
-        cloth = self.task.kind == "cloth"
-        self.notes = ("A cloth takes seconds to simulate.",) if cloth else ()
 
     def parameters(self, case: int) -> tuple[Parameter, ...]:
         """The action within its limits, and the object's parameters within those drawn."""
@@ -262,18 +258,12 @@ class DatasetModel(Model):
         return None if not values or None in values else np.array(values, dtype=float)
 
     def _facts(self, case: int, item: Item, values: Mapping[str, float]) -> list[tuple[str, str]]:
-        units = {q.name: q.unit for q in self.task.goals}
+        units = {q.name: "" if q.unit == "1" else f" {q.unit}" for q in self.task.goals}
         facts = [("E", quantity_text("E", item.material.E))]
-        for name, value in values.items():
-            unit = units.get(name, "1")
-            facts.append(
-                (name.replace("_", " "), f"{value:.4g}{'' if unit == '1' else f' {unit}'}")
-            )
-        goal = self._goal(case)
-        if goal is not None:
+        facts += [(n.replace("_", " "), f"{v:.4g}{units.get(n, '')}") for n, v in values.items()]
+        if (goal := self._goal(case)) is not None:
             numbers = ", ".join(f"{g:.4g}" for g in goal)
-            off = self.task.error(item, goal, values)
-            unit = self.task.goals[0].unit
+            off, unit = self.task.error(item, goal, values), self.task.goals[0].unit
             facts.append(("goal", f"{numbers} {unit}, missed by {off:.3g} {unit}"))
         return facts
 

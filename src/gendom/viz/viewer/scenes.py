@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gendom.arguments import require
 from gendom.sim import Body
 from gendom.tasks.cloth_spreading import lattice_triangles
-from gendom.viz.palette import INK, SIMULATED_COLOR, nice_step
+from gendom.viz.palette import INK, SIMULATED_COLOR
 from gendom.viz.quantities import SHOWN_UNITS, with_minus
 
 RING = 8
@@ -23,11 +23,8 @@ RING = 8
 MATERIAL, ACTION, SETUP = "Material", "Action", "Grip and clock"
 """Groups of parameters."""
 
-_POSITIONS = 200
-"""Least number of positions of a parameter's slider."""
-
-_DIGIT = 0.01
-"""Step of a logarithmic slider [decades]."""
+POSITIONS = 200
+"""Of a parameter's slider."""
 
 Array = NDArray[np.floating]
 
@@ -127,19 +124,15 @@ class Parameter:
         return 10.0**position if self.log else position
 
     @property
-    def range(self) -> tuple[float, float, float]:
-        """Lowest and highest position of its slider, and the step: round numbers."""
-        low, high = self.position(self.low), self.position(self.high)
-        step = _DIGIT if self.log else nice_step(max(high - low, 1e-9) / _POSITIONS) / 2.0
-        first, last = math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6)
-        digits = max(0, 2 - math.floor(math.log10(step)))
-        return round(first * step, digits), round(max(last, first + 1) * step, digits), step
-
-    @property
     def start(self) -> float:
         """Where its slider stands at first."""
-        low, high, step = self.range
-        return min(max(low + round((self.position(self.value) - low) / step) * step, low), high)
+        return self.position(self.value)
+
+    @property
+    def range(self) -> tuple[float, float, float]:
+        """Lowest and highest position of its slider, and the step."""
+        low, high = self.position(self.low), max(self.position(self.high), self.start + 1e-9)
+        return low, high, (high - low) / POSITIONS
 
     @property
     def marks(self) -> tuple[tuple[float, str], ...] | None:

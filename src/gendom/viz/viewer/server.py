@@ -48,9 +48,6 @@ PATIENCE = 1.0
 """Time after which a simulation is given up for a newer request [s]. Shorter ones are shown, so
 that the object follows a slider that is dragged."""
 
-_SHORTEST = 3.0
-"""Time that playing takes at first [s], at least if a speed allows it."""
-
 _RATE = 25.0
 """Frames that are played in a second, at most."""
 
@@ -59,9 +56,6 @@ _FIELD_OF_VIEW = math.radians(35.0)
 
 _TURN, _TILT = math.radians(25.0), math.radians(18.0)
 """From where the camera looks, around and down."""
-
-_NARROW = 0.8
-"""Width over height of a window below which the panel lies below what is shown."""
 
 _SQUARES = 10
 """Squares of the table's grid along the longer side of what is shown."""
@@ -119,7 +113,6 @@ class Painter:
         self._handles: dict[str, Any] = {}
         self._drawn: dict[str, Layer] = {}
         self._table: float | None = None
-        self._hidden: set[str] = set()
 
     def paint(self, scene: ViewerScene, frame: int) -> None:
         """Show a frame of a scene; what another scene had and this one lacks goes."""
@@ -129,12 +122,6 @@ class Painter:
         for layer in scene.layers:
             self._paint(layer, frame if len(layer.points) > 1 else 0)
         self._lay_table(scene)
-
-    def show(self, name: str, visible: bool) -> None:
-        """Show or hide a layer, now and in all scenes to come."""
-        (self._hidden.discard if visible else self._hidden.add)(name)
-        if name in self._handles:
-            self._handles[name].visible = visible
 
     def _paint(self, layer: Layer, frame: int) -> None:
         points, before = np.asarray(layer.points[frame], np.float32), self._drawn.get(layer.name)
@@ -150,10 +137,10 @@ class Painter:
         self._handles[layer.name] = self._added(layer, points)
 
     def _added(self, layer: Layer, points: Array) -> Any:
-        name, color, visible = f"/{layer.name}", rgb(layer.color), layer.name not in self._hidden
+        name, color = f"/{layer.name}", rgb(layer.color)
         if layer.kind == "lines":
             thick = {"thickness": 2.0 * layer.radius, "thickness_units": "world"}
-            return self._canvas.add_line_segments(name, points, color, visible=visible, **thick)
+            return self._canvas.add_line_segments(name, points, color, **thick)
         if layer.faces is None:
             return self._canvas.add_point_cloud(
                 name,
@@ -163,7 +150,6 @@ class Painter:
                 point_shape="circle",
                 point_shading="flat",
                 precision="float32",
-                visible=visible,
             )
         return self._canvas.add_mesh_simple(
             name,
@@ -172,7 +158,6 @@ class Painter:
             color=color,
             opacity=None if layer.opacity == 1.0 else layer.opacity,
             side="double",
-            visible=visible,
         )
 
     def _lay_table(self, scene: ViewerScene) -> None:
@@ -208,23 +193,16 @@ def square_size(scene: ViewerScene) -> float:
     return nice_step(float((high - low)[:2].max()) / _SQUARES)
 
 
-def camera_of(scene: ViewerScene, aspect: float = 1.0) -> tuple[Array, Array]:
+def camera_of(scene: ViewerScene) -> tuple[Array, Array]:
     """Where the camera stands and what it looks at, [3] each [m]: at the broad side of what is
-    shown, from a little above.
-
-    Args:
-        scene: What is to be seen.
-        aspect: Width over height of the picture.
-    """
+    shown, from a little above, so that a window as wide as high shows all."""
     low, high = scene.box
     middle, (x, y, _) = 0.5 * (low + high), high - low
     turn = (-0.5 * math.pi if x >= y else 0.0) + _TURN
     towards = np.array([math.cos(turn), math.sin(turn), 0.0])
     direction = math.cos(_TILT) * towards + math.sin(_TILT) * np.array([0.0, 0.0, 1.0])
     radius = 0.5 * float(np.linalg.norm(high - low)) + 1e-3
-    away = 1.05 * radius / math.sin(0.5 * _FIELD_OF_VIEW) / min(aspect, 1.0)
-    if aspect < _NARROW:  # the panel covers the lower part
-        middle = middle - [0.0, 0.0, 0.6 * away * math.tan(0.5 * _FIELD_OF_VIEW)]
+    away = 1.05 * radius / math.sin(0.5 * _FIELD_OF_VIEW)
     return middle + away * direction, middle
 
 
@@ -254,7 +232,6 @@ class Viewer:
         self._server.initial_camera.fov = _FIELD_OF_VIEW
         self._camera_set = False
         self._build()
-        self._server.on_client_connect(self._place_camera)
         self._pool = ThreadPoolExecutor(1, "simulation")
         self._last = self._pool.submit(lambda: None)
         if self._scene is not None:
@@ -349,8 +326,6 @@ class Viewer:
                         self._sliders[p.name] = self._add_slider(p)
         if self._sliders:
             gui.add_button("Reset parameters").on_click(lambda _: self.set_case(self._case))
-        self._layers_folder = gui.add_folder("Layers")
-        self._layers: dict[str, viser.GuiCheckboxHandle] = {}
 
     def _add_slider(self, p: Parameter) -> viser.GuiSliderHandle:
         slider = self._server.gui.add_slider(
@@ -418,39 +393,23 @@ class Viewer:
             with self._server.atomic():
                 self._setting = True
                 self._time.max = max(scene.num_frames - 1, 1)
-                if first:
-                    self._speed.value = _first_speed(scene)
-                    self._time.value = self._time.max // 2
-                else:
-                    self._time.value = scene.frame_at(time_shown)
+                middle = self._time.max // 2
+                self._time.value = middle if first else scene.frame_at(time_shown)
                 self._setting = False
-                self._offer_layers(scene)
                 self._draw_chamfer(scene)
                 self._paint()
-            if not self._camera_set:
+            if first:
                 self._camera_set = True
                 where, at = camera_of(scene)
-                camera = self._server.initial_camera
-                camera.position, camera.look_at = where, at
-                for client in self._server.get_clients().values():
-                    self._place_camera(client)
+                for camera in (
+                    self._server.initial_camera,
+                    *(client.camera for client in self._server.get_clients().values()),
+                ):
+                    camera.position, camera.look_at = where, at
         if seconds > 0.0:
             done = self._status_text.startswith("simulated")
             said = f"{self._status_text}, the rest after" if done else "simulated in"
             self._say(f"{said} {seconds:.2f} s")
-
-    def _offer_layers(self, scene: ViewerScene) -> None:
-        for layer in scene.layers:
-            if layer.name not in self._layers:
-                with self._layers_folder:
-                    box = self._server.gui.add_checkbox(layer.name, True)
-                box.on_update(
-                    lambda _, name=layer.name, box=box: self._painter.show(name, box.value)
-                )
-                self._layers[layer.name] = box
-        names = {layer.name for layer in scene.layers}
-        for name, box in self._layers.items():
-            box.visible = name in names
 
     def _draw_chamfer(self, scene: ViewerScene) -> None:
         """Draw a scene's Chamfer distance; an earlier one stays while it has none."""
@@ -542,12 +501,6 @@ class Viewer:
             with self._lock:
                 self._time.value = scene.frame_at(clock)
 
-    def _place_camera(self, client: viser.ClientHandle) -> None:
-        """So that everything is seen in this window, however narrow."""
-        if self._scene is not None:
-            where, at = camera_of(self._scene, client.camera.aspect)
-            client.camera.position, client.camera.look_at = where, at
-
 
 def encode_html(model: Model, case: int = 0) -> str:
     """A page that plays a case's most complete scene by itself, with viser's own player.
@@ -589,12 +542,6 @@ def from_own_page(headers: Any) -> bool:
     except ValueError:
         return False
     return named and origins in ([], [f"http://{hosts[0]}"])
-
-
-def _first_speed(scene: ViewerScene) -> str:
-    """The highest speed up to life's at which playing is not over at once."""
-    lasts = float(scene.times[-1] - scene.times[0])
-    return next((s for s in ("1", "1/2", "1/4") if lasts / SPEEDS[s] >= _SHORTEST), "1/8")
 
 
 @contextlib.contextmanager
