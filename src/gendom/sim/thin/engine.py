@@ -406,7 +406,7 @@ class ThinEngine(ABC):
         x, most = self.state.numpy()[w, :3], model.farthest.numpy()[w]
         for pair, ends, far2 in zip(self._pairs, model.ends.numpy()[w], most, strict=True):
             far = float(np.linalg.norm(x[:, ends[1]] - x[:, ends[0]]))
-            if far**2 > far2:
+            if far**2 >= (1.0 - 1e-6) * far2:  # as the kernel has rounded it
                 return error(
                     w, time,
                     f"grippers {pair[0]} and {pair[1]} pull the body apart: what they hold is "
