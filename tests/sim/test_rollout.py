@@ -1,6 +1,7 @@
 """Derivatives through whole simulations against central differences, and the rollout's promises."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -111,7 +112,7 @@ def test_derivatives_by_everything_equal_central_differences(options):
         steps = h * np.array([10, 3, 1, 0.3, 0.1, 0.03]) if rubs else (h,)
         errors = []
         for step in steps:
-            moved = [{name: sign * step * direction} for sign in (1.0, -1.0)]
+            moved: list[Any] = [{name: sign * step * direction} for sign in (1.0, -1.0)]
             up, down = (
                 float((scene(rubs=rubs, **options, **by).run(TIMES) * bar).sum()) for by in moved
             )
