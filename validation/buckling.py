@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.materials import Material
 from gendom.sim import Body, Gripper, Table, rope
-from gendom.sim.thin.rod_model import joint_strains
-from gendom.sim.thin.rods import Q, Rods
+from gendom.sim.thin.rods import Q, Rods, joint_strains
 from validation.bench import WEIGHTLESS, Bench, Row, case, over_theory, relative, vanishing, worst
 from validation.bending import SPAN
 from validation.bending import STIFF as MATERIAL

@@ -11,8 +11,7 @@ from scipy.optimize import least_squares
 from gendom.errors import SimulationError
 from gendom.sim import Simulator
 from gendom.sim.mpm.boundary import FOLLOWS, grip_constants
-from gendom.sim.thin.rod_model import joint_strains
-from gendom.sim.thin.rods import Q, Rods
+from gendom.sim.thin.rods import Q, Rods, joint_strains
 from gendom.sim.thin.rotation import conjugate, turned
 from gendom.sim.thin.shells import Shells
 

@@ -18,7 +18,7 @@ from gendom.estimation.scene_settings import COARSE_POINTS
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.sim import Gripper, Physics, Simulator, Solver, Table
-from gendom.sim.thin.rod_model import SHORTEST
+from gendom.sim.thin.rods import SHORTEST
 
 Array = NDArray[np.floating]
 

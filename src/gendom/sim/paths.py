@@ -285,13 +285,8 @@ class LedPaths:
     def __init__(self, paths: HostPaths, now: float):
         W, G = paths.arrays["radius"].shape
         self.arrays = {name: np.array(values) for name, values in paths.arrays.items()}
-        for name, width in (
-            ("time", ()),
-            ("position", (3,)),
-            ("orientation", (4,)),
-            ("turn", (3,)),
-        ):
-            self.arrays[name] = np.zeros((W, G, 3, *width))
+        for name in ("time", "position", "orientation", "turn"):
+            self.arrays[name] = np.zeros((W, G, 3, *self.arrays[name].shape[3:]))
         self.arrays["time"] += now + np.array([-2.0, -1.0, 0.0])
         self.arrays["turns"] = np.ones((W, G), dtype=np.int32)
         for g in range(G):

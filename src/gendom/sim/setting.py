@@ -131,18 +131,13 @@ class Frames:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Setting:
+class Setting(Physics):
     """Description of all worlds: the arguments of ``Simulator``, checked."""
 
     body: Body
     materials: Sequence[Material]
     grippers: Grippers
     table: Table | None
-    gravity: ArrayLike
-    velocity_damping: ArrayLike
-    air_density: ArrayLike
-    self_contact: bool
-    self_friction: ArrayLike
     stiffness: ArrayLike
     mass: ArrayLike
     natural_curvature: ArrayLike

@@ -406,7 +406,7 @@ class ThinEngine(ABC):
         x, most = self.state.numpy()[w, :3], model.farthest.numpy()[w]
         for pair, ends, far2 in zip(self._pairs, model.ends.numpy()[w], most, strict=True):
             far = float(np.linalg.norm(x[:, ends[1]] - x[:, ends[0]]))
-            if far**2 > far2:
+            if far**2 >= (1.0 - 1e-6) * far2:  # as the kernel has rounded it
                 return error(
                     w, time,
                     f"grippers {pair[0]} and {pair[1]} pull the body apart: what they hold is "
@@ -525,16 +525,18 @@ class ThinEngine(ABC):
         held, flat, pairs = self.holds[worlds] & 1, self.model.flat, self._pairs
         ends = np.zeros((len(worlds), len(pairs), 2), dtype=np.int32)
         most = np.full((len(worlds), len(pairs)), np.inf)
-        for p, pair in enumerate(pairs if flat is not None else []):
-            alike, which = np.unique(held[:, pair], axis=0, return_inverse=True)
-            for k, both in enumerate(alike):  # the few ways of holding
-                if both.any(axis=1).all():
-                    i, j = map(np.flatnonzero, both)
-                    far = cdist(flat[i], flat[j])
-                    a, b = np.unravel_index(far.argmin(), far.shape)
-                    some = which.reshape(-1) == k
-                    ends[some, p] = self.slots[[i[a], j[b]]]
-                    most[some, p] = (1.0 + STRETCH) * far[a, b]
+        if flat is None:
+            return ends, most
+        for p, pair in enumerate(pairs):
+            alike: dict[bytes, list[int]] = {}  # the few ways of holding
+            for k in np.flatnonzero(held[:, pair].any(axis=2).all(axis=1)).tolist():
+                alike.setdefault(held[k, pair].tobytes(), []).append(k)
+            for some in alike.values():
+                i, j = map(np.flatnonzero, held[some[0], pair])
+                far = cdist(flat[i], flat[j])
+                a, b = np.unravel_index(far.argmin(), far.shape)
+                ends[some, p] = self.slots[[i[a], j[b]]]
+                most[some, p] = (1.0 + STRETCH) * far[a, b]
         return ends, most
 
     def _loose(self, worlds: NDArray[np.int64]) -> Array:
