@@ -135,79 +135,6 @@ template <typename T> struct air {
     }
 };
 
-// What a substep's damping leaves of the filtered stress Z, and g; both 0 without.
-template <typename real> struct maxwell { real keep, share; };
-
-// Sets what particles pull their neighbours by, what the air does to them, and Z after a substep of
-// dt; returns one whose J <= 0, or -1.
-template <typename At, typename Model, typename real>
-GENDOM_INLINE int internal_forces(const At& at, const Model& model, int w, real dt, maxwell<real> damped) {
-    typedef typename At::T T;
-    const rest_frame<T> U = at.frame();
-    const matrix<T> D = at.differences();
-    const neo_hookean<T> law(U.framed(D), at.mu(), at.lam());
-    const real impulse = dt * model.volume, strength = -dt * wp::index(model.drag, w);
-    vec<T> wind = {T(real(0)), T(real(0)), T(real(0))};
-    if (strength != real(0)) {
-        const vec<T> a = at.per_span(0) * D.a, b = at.per_span(1) * D.b;
-        wind = air<T>{at.velocity(), a, b, model.sheet, T(strength)}.impulse();
-    }
-    matrix<T> P = law.stress(T(impulse * (real(1) + damped.share)));
-    if (damped.share != real(0)) {
-        const symmetric<T> Z = at.filtered(), S = law.second_piola();
-        P = P - T(impulse * damped.share) * (law.F * Z);
-        const T moves = T(real(1) - damped.keep);
-        at.put_filtered({Z.on + moves * (S.on - Z.on), Z.off + moves * (S.off - Z.off)});
-    }
-    at.put(U.unframed(P), wind);
-    return at.inverted(law.J);
-}
-
-// Transpose; derivatives by impulses are found in those by v. Adds to the derivatives by the share g
-// and by `keep`.
-template <typename At, typename Model, typename real>
-GENDOM_INLINE void internal_forces_adjoint(const At& at, const Model& model, int w, real dt,
-                                           maxwell<real> damped, wp::vec2d& by_damped) {
-    typedef typename At::T T;
-    const real per_mass = real(1) / wp::index(model.mass, w), strength = -dt * wp::index(model.drag, w);
-    const rest_frame<T> U = at.frame();
-    const matrix<T> D = at.differences();
-    const neo_hookean<T> law(U.framed(D), at.mu(), at.lam());
-    const matrix<T> P_bar = T(-dt * model.volume * per_mass) * U.framed(at.differences_bar());
-    const T zero = T(real(0));
-    T by_mu, by_lam, by_drag = zero;
-    matrix<T> F_bar;
-    if (damped.share == real(0)) {
-        F_bar = law.adjoint(P_bar, by_mu, by_lam);
-    } else {
-        const T g = T(damped.share), keep = T(damped.keep), moves = T(real(1) - damped.keep);
-        const symmetric<T> Z = at.filtered(), Z_bar = at.filtered_bar(), S = law.second_piola();
-        const symmetric<T> late = {S.on - Z.on, S.off - Z.off};
-        // S = F^-1 P: dS = F^-1 (dP - dF S); off the diagonal a number stands for two
-        const symmetric<T> S_bar = {moves * Z_bar.on, T(real(0.5)) * moves * Z_bar.off};
-        const matrix<T> through = law.inverse_transposed() * S_bar;
-        F_bar = law.adjoint(T(real(1) + damped.share) * P_bar + through, by_mu, by_lam) -
-                g * (P_bar * Z) - through * S;
-        at.add_up(dot(P_bar, law.F * late), by_damped[0]);
-        at.add_up(-dot(Z_bar.on, late.on) - dot(Z_bar.off, late.off), by_damped[1]);
-        const matrix<T>&F = law.F, &P = P_bar;
-        const vec<T> on = {dot(F.a, P.a), dot(F.b, P.b), dot(F.c, P.c)};
-        const vec<T> off = {dot(F.a, P.b) + dot(F.b, P.a), dot(F.a, P.c) + dot(F.c, P.a),
-                            dot(F.b, P.c) + dot(F.c, P.b)};
-        at.put_filtered({keep * Z_bar.on - g * on, keep * Z_bar.off - g * off});
-    }
-    matrix<T> D_bar = U.unframed(F_bar);
-    vec<T> v_bar = {zero, zero, zero};
-    if (strength != real(0)) {
-        vec<T> a_bar, b_bar = {zero, zero, zero};
-        const T s0 = at.per_span(0), s1 = at.per_span(1);
-        const air<T> around = {at.velocity(), s0 * D.a, s1 * D.b, model.sheet, T(strength)};
-        by_drag = T(-dt) * around.adjoint(T(per_mass) * at.velocity_bar(), a_bar, b_bar, v_bar);
-        D_bar.a = D_bar.a + s0 * a_bar, D_bar.b = D_bar.b + s1 * b_bar;
-    }
-    at.put_bars(D_bar, v_bar, by_mu, by_lam, by_drag);
-}
-
 // ---- records: component by component, in an order of their own -----------------------------------
 
 enum { RECORD_V = 3, RECORD_IMPULSES = 15, RECORD_LOW = 24, RECORD_Z = 27, TAPED_Z = 18 };
@@ -262,9 +189,8 @@ template <bool in_shared, typename real> struct components {
 };
 
 // The records of a world from the i-th on as they move, or their derivatives while a tape is reversed.
-template <bool in_shared, bool reversed, typename Lanes, typename real, typename Model, typename Records>
+template <bool in_shared, bool reversed, typename T, typename real, typename Model, typename Records>
 struct record {
-    typedef Lanes T;
     const Model& model;
     const Records& stored;
     const int w, i;
@@ -293,8 +219,10 @@ struct record {
         if constexpr (reversed) return of_particles(of, w);
         else return components<false, real>{stored.moduli, w}.template get<T>(c, i);
     }
-    GENDOM_INLINE T mu() const { return modulus(model.mu, 0); }
-    GENDOM_INLINE T lam() const { return modulus(model.lam, 1); }
+    // Of neighbours along the lattice's axes, of the components from c on.
+    template <typename Store> GENDOM_INLINE matrix<T> differences(const Store& of, int c) const {
+        return {along(of, c, 0), along(of, c, 1), along(of, c, 2)};
+    }
     template <typename Store> GENDOM_INLINE vec<T> along(const Store& of, int c, int axis) const {
         vec<T> d;
         #pragma unroll
@@ -306,26 +234,77 @@ struct record {
         }
         return d;
     }
-    GENDOM_INLINE matrix<T> differences() const {
-        return {along(state, 0, 0), along(state, 0, 1), along(state, 0, 2)};
-    }
-    GENDOM_INLINE matrix<T> differences_bar() const {
-        return {along(own, RECORD_V, 0), along(own, RECORD_V, 1), along(own, RECORD_V, 2)};
-    }
-    GENDOM_INLINE vec<T> velocity() const { return state.template get3<T>(RECORD_V, i); }
-    GENDOM_INLINE vec<T> velocity_bar() const { return own.template get3<T>(RECORD_V, i); }
     GENDOM_INLINE symmetric<T> filtered() const {
         return state.template get_symmetric<T>(reversed ? TAPED_Z : RECORD_Z, i);
     }
-    GENDOM_INLINE symmetric<T> filtered_bar() const { return own.template get_symmetric<T>(RECORD_Z, i); }
-    GENDOM_INLINE void put_filtered(const symmetric<T>& Z) const { own.put_symmetric(RECORD_Z, i, Z); }
-    GENDOM_INLINE void put(const matrix<T>& P, const vec<T>& wind) const {
-        own.put_columns(RECORD_IMPULSES, i, P);
-        if (wp::index(model.drag, w) > real(0))
-            own.put3(RECORD_V, i, velocity() + T(real(1) / wp::index(model.mass, w)) * wind);
+
+    // Sets what particles pull their neighbours by, what the air does to them, and Z after a substep of
+    // dt, of whose damping keep and g are left; returns one whose J <= 0, or -1.
+    GENDOM_INLINE int forces(real dt, real keep, real g) const {
+        const rest_frame<T> U = frame();
+        const matrix<T> D = differences(state, 0);
+        const neo_hookean<T> law(U.framed(D), modulus(model.mu, 0), modulus(model.lam, 1));
+        const real impulse = dt * model.volume, strength = -dt * wp::index(model.drag, w);
+        if (strength != real(0)) {
+            const vec<T> v = state.template get3<T>(RECORD_V, i);
+            const air<T> around = {v, per_span(0) * D.a, per_span(1) * D.b, model.sheet, T(strength)};
+            own.put3(RECORD_V, i, v + T(real(1) / wp::index(model.mass, w)) * around.impulse());
+        }
+        matrix<T> P = law.stress(T(impulse * (real(1) + g)));
+        if (g != real(0)) {
+            const symmetric<T> Z = filtered(), S = law.second_piola();
+            P = P - T(impulse * g) * (law.F * Z);
+            const T moves = T(real(1) - keep);
+            const symmetric<T> later = {Z.on + moves * (S.on - Z.on), Z.off + moves * (S.off - Z.off)};
+            own.put_symmetric(RECORD_Z, i, later);
+        }
+        own.put_columns(RECORD_IMPULSES, i, U.unframed(P));
+        int inverted = -1;
+        for (unsigned l = 0; l < sizeof(T) / sizeof(real); ++l)
+            if (!(((const real*)&law.J)[l] > real(0))) inverted = wp::index(stored.order, w, i + l);
+        return inverted;
     }
-    GENDOM_INLINE void put_bars(const matrix<T>& D_bar, const vec<T>& v_bar, const T& by_mu,
-                                const T& by_lam, const T& by_drag) const {
+
+    // Transpose; derivatives by impulses are found in those by v. Adds to the derivatives by g and keep.
+    GENDOM_INLINE void forces_adjoint(real dt, real keep, real g, wp::vec2d& by_damped) const {
+        const real per_mass = real(1) / wp::index(model.mass, w), strength = -dt * wp::index(model.drag, w);
+        const rest_frame<T> U = frame();
+        const matrix<T> D = differences(state, 0);
+        const neo_hookean<T> law(U.framed(D), modulus(model.mu, 0), modulus(model.lam, 1));
+        const matrix<T> P_bar = T(-dt * model.volume * per_mass) * U.framed(differences(own, RECORD_V));
+        const T zero = T(real(0));
+        T by_mu, by_lam, by_drag = zero;
+        matrix<T> F_bar;
+        if (g == real(0)) {
+            F_bar = law.adjoint(P_bar, by_mu, by_lam);
+        } else {
+            const T moves = T(real(1) - keep);
+            const symmetric<T> Z = filtered(), Z_bar = own.template get_symmetric<T>(RECORD_Z, i);
+            const symmetric<T> S = law.second_piola(), late = {S.on - Z.on, S.off - Z.off};
+            // S = F^-1 P: dS = F^-1 (dP - dF S); off the diagonal a number stands for two
+            const symmetric<T> S_bar = {moves * Z_bar.on, T(real(0.5)) * moves * Z_bar.off};
+            const matrix<T> through = law.inverse_transposed() * S_bar;
+            F_bar = law.adjoint(T(real(1) + g) * P_bar + through, by_mu, by_lam) - T(g) * (P_bar * Z) -
+                    through * S;
+            by_damped[0] += sum_of(dot(P_bar, law.F * late));
+            by_damped[1] -= sum_of(dot(Z_bar.on, late.on) + dot(Z_bar.off, late.off));
+            const matrix<T>&F = law.F, &P = P_bar;
+            const vec<T> on = {dot(F.a, P.a), dot(F.b, P.b), dot(F.c, P.c)};
+            const vec<T> off = {dot(F.a, P.b) + dot(F.b, P.a), dot(F.a, P.c) + dot(F.c, P.a),
+                                dot(F.b, P.c) + dot(F.c, P.b)};
+            const symmetric<T> before = {T(keep) * Z_bar.on - T(g) * on, T(keep) * Z_bar.off - T(g) * off};
+            own.put_symmetric(RECORD_Z, i, before);
+        }
+        matrix<T> D_bar = U.unframed(F_bar);
+        vec<T> v_bar = {zero, zero, zero};
+        if (strength != real(0)) {
+            vec<T> a_bar, b_bar = {zero, zero, zero};
+            const T s0 = per_span(0), s1 = per_span(1);
+            const vec<T> v = state.template get3<T>(RECORD_V, i), u_bar = own.template get3<T>(RECORD_V, i);
+            const air<T> around = {v, s0 * D.a, s1 * D.b, model.sheet, T(strength)};
+            by_drag = T(-dt) * around.adjoint(T(per_mass) * u_bar, a_bar, b_bar, v_bar);
+            D_bar.a = D_bar.a + s0 * a_bar, D_bar.b = D_bar.b + s1 * b_bar;
+        }
         own.put_columns(RECORD_IMPULSES, i, D_bar);
         own.put3(RECORD_LOW, i, v_bar);
         const components<false, real> sums = {stored.sums, w};
@@ -333,13 +312,6 @@ struct record {
         sums.put(BY_LAM, i, sums.template get<T>(BY_LAM, i) + by_lam);
         sums.put(BY_DRAG, i, sums.template get<T>(BY_DRAG, i) + by_drag);
     }
-    GENDOM_INLINE int inverted(const T& J) const {
-        int found = -1;
-        for (unsigned l = 0; l < sizeof(T) / sizeof(real); ++l)
-            if (!(((const real*)&J)[l] > real(0))) found = wp::index(stored.order, w, i + l);
-        return found;
-    }
-    GENDOM_INLINE void add_up(const T& value, double& sum) const { sum += sum_of(value); }
 };
 
 // Calls `job` with the records from each on that a thread has to do: a lane each, the last ones alone.
@@ -359,7 +331,7 @@ GENDOM_INLINE int forces_of_records(int w, int thread, int threads, real dt, rea
     over_records<real>(thread, threads, records.of.shape[2], [&](auto lanes, int i) {
         const record<in_shared, false, decltype(lanes), real, Model, Records> at(model, records, w, i,
                                                                                  records.of, w);
-        failed = wp::max(failed, internal_forces(at, model, w, dt, maxwell<real>{keep, share}));
+        failed = wp::max(failed, at.forces(dt, keep, share));
     });
     return failed;
 }
@@ -371,7 +343,7 @@ GENDOM_INLINE wp::vec2d adjoint_of_records(int w, int thread, int threads, int r
     over_records<real>(thread, threads, adjoint.of.shape[2], [&](auto lanes, int i) {
         const record<in_shared, true, decltype(lanes), real, Model, Records> at(model, adjoint, w, i,
                                                                                 tape.of, row);
-        internal_forces_adjoint(at, model, w, dt, maxwell<real>{keep, share}, by_damped);
+        at.forces_adjoint(dt, keep, share, by_damped);
     });
     return by_damped;
 }
