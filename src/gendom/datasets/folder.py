@@ -92,13 +92,9 @@ def _cloud_files(folder: Path) -> tuple[str, list[Path]]:
 def in_order(names: list[str], time: np.ndarray, *, where: str) -> list[str]:
     """Names of frames in the order of their times.
 
-    Numbers in names are read as decimal ("-2" before "-1", "1.45" before "1.5") or part by part
-    ("1.9" before "1.10"): where that gives two orders, by which the numbers grow as the times do.
-
-    Args:
-        names: Without endings.
-        time: [T], of the frames in order [s].
-        where: What messages call the folder.
+    Numbers in names (without endings) are read as decimal ("-2" before "-1", "1.45" before "1.5")
+    or part by part ("1.9" before "1.10"): where that gives two orders, by which the numbers grow as
+    the times [T] of the frames do.
 
     Raises:
         RecordingError: Neither grows so, or names that are times are not those of the frames.

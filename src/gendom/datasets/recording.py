@@ -115,11 +115,7 @@ class Recording(RecordingData):
         return check(self)
 
     def require_valid(self, where: str, *, on_warning: Callable[[Fault], None]) -> None:
-        """Check the content and refuse errors.
-
-        Args:
-            where: What messages call the recording.
-            on_warning: Called with every fault that does not prevent use.
+        """Check the content and refuse errors; `on_warning` is called with every other fault.
 
         Raises:
             RecordingError: It cannot be used; one line a fault.

@@ -181,8 +181,7 @@ def ranges(
 
     Args:
         posterior: What is known of the unknowns.
-        values: The file's values.
-        numbers: Those that follow from E over density.
+        values, numbers: The file's values, and those that follow from E over density.
         level: Probability of the intervals.
         density_sd: Standard deviation of the logarithm of a density that is assumed.
         stated: Stated thickness or diameter, 1 where it is not known [m].
@@ -248,12 +247,8 @@ def checked_verdict(read: Mapping[str, Any], where: str, *, even_unusable: bool 
 def fields_of(
     read: Mapping[str, Any], kind: str | None, where: str
 ) -> tuple[dict[str, Any], dict[str, float]]:
-    """Fields of the estimate of a record, and the values that its posterior must have.
-
-    Args:
-        read: The record, with present names.
-        kind: Of the object, for files that do not say it.
-        where: The file, for error messages.
+    """Fields of the estimate of a record, with present names, and the values that its posterior
+    must have. `kind` is of the object, for files that do not say it.
 
     Raises:
         KeyError, IndexError, TypeError, ValueError, GendomError: The record cannot be used.
