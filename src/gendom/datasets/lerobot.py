@@ -83,14 +83,8 @@ Units = Mapping[str, Mapping[str, str]]
 
 
 def export_demonstrations(folder: str | os.PathLike, out: str | os.PathLike) -> dict[str, Any]:
-    """Write the finished part of a set of demonstrations as a LeRobot data set.
-
-    Args:
-        folder: Folder of the set.
-        out: Folder to create; it is written completely or not at all.
-
-    Returns:
-        The content of info.json.
+    """Write the finished part of a folder of demonstrations into a new folder, completely or not at
+    all, and return the content of info.json.
 
     Raises:
         DatasetError: The folder holds no set, or one without a usable demonstration.
@@ -139,14 +133,8 @@ def _quantities(about: Mapping[str, Any], where: str) -> dict[str, dict[str, str
 
 
 def export_recording(recording: RecordingData, out: str | os.PathLike) -> dict[str, Any]:
-    """Write a recording as a LeRobot data set of one episode.
-
-    Args:
-        recording: T frames and G grippers.
-        out: Folder to create; it is written completely or not at all.
-
-    Returns:
-        The content of info.json.
+    """Write a recording into a new folder, completely or not at all, and return the content of
+    info.json.
 
     Raises:
         GendomError: `out` is there already or cannot be written, or the disk is full.
@@ -175,6 +163,8 @@ def export_recording(recording: RecordingData, out: str | os.PathLike) -> dict[s
         TIME: recording.time[:, None],
         ACTION: np.concatenate(action, axis=1).astype(np.float32),
     }
+    found = _statistics(recording.points).items()
+    alike = {name: [values] * padded.shape[1] for name, values in found if name != "count"}
     steps = np.diff(recording.time)
     return _write(
         out,
@@ -184,15 +174,8 @@ def export_recording(recording: RecordingData, out: str | os.PathLike) -> dict[s
         units={STATE: units, TIME: {"time": "s"}, ACTION: {**places, **closed}},
         about=recording.meta(),
         fps=max(1, round(1.0 / float(np.median(steps)))) if len(steps) else 1,
-        of_all={POINTS: _of_points(recording.points, T, padded.shape[1])},
+        of_all={POINTS: {**alike, "count": [T]}},
     )
-
-
-def _of_points(points: NDArray[np.float32], T: int, P: int) -> dict[str, Any]:
-    """Statistics of x, y and z, repeated for each of P rows."""
-    found = _statistics(points)
-    alike = {n: [values] * P for n, values in found.items() if n != "count"}
-    return {**alike, "count": [T]}
 
 
 def _read_table(path: Path) -> pa.Table:
@@ -207,13 +190,7 @@ def _read_table(path: Path) -> pa.Table:
 
 
 def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Read the arrays and meta of a recording from a LeRobot data set.
-
-    Args:
-        folder: Folder written by `export_recording`.
-
-    Returns:
-        Arrays by their names in a recording's file, and its `meta`.
+    """Arrays by their names in a recording's file, and its `meta`, of what `export_recording` made.
 
     Raises:
         RecordingError: The data set was not made from a recording, or is incomplete or damaged.
