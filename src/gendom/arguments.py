@@ -73,15 +73,11 @@ def check_numbers(
     """Check that values are numbers of one of the shapes, and in their range; NaN is in none.
 
     Args:
-        name: The argument's name.
-        values: What was given.
+        name, values: The argument's name, and what was given.
         shapes: Shapes that it may have (default: any).
         least: Least number that is allowed.
         above: Number that all must exceed, or None.
         finite: Whether all must be finite.
-
-    Returns:
-        The numbers.
 
     Raises:
         ParameterError: If they are not; the error names the argument and the first bad number.
