@@ -306,8 +306,8 @@ def _on_devices(
 
 
 def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
-    """All demonstrations of a set, in order, failed ones included (`ok` is false); with `part` those
-    of an unfinished set that are there.
+    """All demonstrations of a set, in order, failed ones included (`ok` is false); with `part`
+    those of an unfinished set that are there.
 
     Raises:
         DatasetError: The folder is missing or holds no set, demonstrations are missing, or a

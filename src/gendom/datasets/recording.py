@@ -1,8 +1,8 @@
 """Recording of one demonstration: clouds, gripper motion and the object's description.
 
-On disk it is `gendom-recording/1`, a NumPy `.npz` without pickles: the arrays of `RecordingData` that
-are not None, but for `camera_positions`, and `meta`, JSON text with its other fields (`object`,
-`table_height`, ...) and anything else.
+On disk it is `gendom-recording/1`, a NumPy `.npz` without pickles: the arrays of `RecordingData`
+that are not None, but for `camera_positions`, and `meta`, JSON text with its other fields
+(`object`, `table_height`, ...) and anything else.
 """
 
 from __future__ import annotations

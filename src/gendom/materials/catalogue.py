@@ -169,8 +169,8 @@ def _read() -> tuple[dict[str, Listed], dict[str, Source]]:
 
 def parse(table: dict[str, Any]) -> tuple[dict[str, Listed], dict[str, Source]]:
     """Materials and sources of a catalogue's TOML: ``sources`` (``text`` and ``says`` by key),
-    ``shared`` (ranges by name) and ``materials``: ``kind``, ``about`` and ranges, or names of shared
-    ones, of `UNITS` and of the size across.
+    ``shared`` (ranges by name) and ``materials``: ``kind``, ``about`` and ranges, or names of
+    shared ones, of `UNITS` and of the size across.
 
     Raises:
         ParameterError: Something is missing, unknown or out of its range.

@@ -103,8 +103,8 @@ class Prior:
 
 
 def prior_of(names: Iterable[str], changes: Mapping[str, Mapping[str, float]] = {}) -> Prior:
-    """Prior of some unknowns, with changes of a scene to what `UNKNOWNS` says: by name, other values
-    of low, high, mean, sd, step or widest.
+    """Prior of some unknowns, with changes of a scene to what `UNKNOWNS` says: by name, other
+    values of low, high, mean, sd, step or widest.
 
     Raises:
         ParameterError: There is no such unknown, or one is named twice.
