@@ -33,7 +33,6 @@ from gendom.materials.estimate_file import (
     checksum,
     derived,
     fields_of,
-    ranges,
     read_record,
 )
 from gendom.materials.names import with_current_names
@@ -402,10 +401,7 @@ class Estimate(Shown):
         usable; ``recordings`` has the entries of each recording, those of the first are at the top
         level, too."""
         values = self._values()
-        intervals, bounds, known = ranges(
-            self.posterior, values, self._derived, self.level,
-            density_sd=self.density_sd, stated=self.known.get(self._small, 1.0),
-        )  # fmt: skip
+        intervals, bounds, known = self._ranges(values)
         object_ = {n: self.value(n) for n in (*SIZES[:-1], "mass")}
         side = {"side": self.known["side"]} if "side" in self.known else {}
         entries: dict[str, Any] = {**self.about, "format": FORMAT}
@@ -425,7 +421,7 @@ class Estimate(Shown):
         }
         return {**record, CHECKSUM: checksum(record)}
 
-    @property
+    @cached_property
     def _derived(self) -> dict[str, Derived]:
         return derived(self.kind, weighed="mass" in self.known)
 
@@ -438,6 +434,35 @@ class Estimate(Shown):
             known = all(self.value(other) is not None for other in ("E_over_rho", *number.needs))
             values[name] = getattr(self, name) if known else None
         return values
+
+    def _ranges(
+        self, values: Mapping[str, float | None]
+    ) -> tuple[dict[str, list[float]], dict[str, list[float]], dict[str, bool]]:
+        """Intervals, searched ranges, and whether each of the file's values is determined."""
+        posterior = self.posterior
+        intervals: dict[str, list[float]] = {}
+        bounds: dict[str, list[float]] = {}
+        known = dict.fromkeys(("E_over_rho", "nu", "friction", "damping"), False)
+        for k, name in enumerate(posterior.names):
+            u = UNKNOWNS[name]
+            if not u.material:
+                continue
+            unit = self.known.get(self._small, 1.0) if name == "thickness" else 1.0
+            intervals[name] = [unit * end for end in posterior.interval(name, self.level)]
+            ends = posterior.prior.low[k], posterior.prior.high[k]
+            bounds[name] = [unit * u.value(float(end)) for end in ends]
+            known[name] = posterior.determined(name)
+        known["E"] = known["E_over_rho"]
+        for name, number in self._derived.items():
+            value, power = values[name], number.power
+            if "E_over_rho" not in posterior.names or value is None:
+                continue
+            powers = {"E_over_rho": power, "thickness": power * number.thicker}
+            ends = posterior.factors(powers, self.level, number.heavier * self.density_sd)
+            intervals[name] = [value * end for end in ends]
+            middle = self._estimated("E_over_rho")
+            bounds[name] = [value * (end / middle) ** power for end in bounds["E_over_rho"]]
+        return intervals, bounds, known
 
     def save(self, path: str | Path) -> None:
         """Write ``estimate.json``, atomically.

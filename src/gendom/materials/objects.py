@@ -122,8 +122,7 @@ class Cloth(_Thing):
     """A square cloth.
 
     Raises:
-        ParameterError: A size is not positive and at most `LARGEST`, it is thicker than a fifth of
-            its side, friction is negative, or a number was given in another unit.
+        ParameterError: As of `Rope`.
     """
 
     kind = "cloth"
