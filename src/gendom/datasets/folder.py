@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Callable
 from decimal import Decimal
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -182,20 +183,12 @@ def read_gripper(
     path: Path, *, on_cut: Callable[[int], None] | None = None
 ) -> dict[str, np.ndarray]:
     """Read gripper.csv: time [T], gripper_position [T, G, 3], and gripper_axis [T, G, 3] and
-    gripper_closed bool [T, G] if present.
-
-    Args:
-        path: The file.
-        on_cut: Called with the number of the last line if it is incomplete because the recording
-            was interrupted. The line is then skipped; None: an incomplete line is an error.
+    gripper_closed bool [T, G] if present; `on_cut` as of `read_number_table`.
 
     Raises:
         RecordingError: The file cannot be read, or a row is malformed.
     """
-
-    def right(names: list[str]) -> object:
-        return _gripper_columns(names, path)
-
+    right = partial(_gripper_columns, path=path)
     header, table, lines = read_number_table(
         path, header="time,x,y,z", check_header=right, on_cut=on_cut
     )

@@ -89,11 +89,8 @@ class Estimate(Shown):
 
     @classmethod
     def of(cls, item: Item, posterior: Mapping[str, Any] | None = None) -> Estimate:
-        """An object of which everything is known but for, perhaps, a Gaussian.
-
-        Args:
-            item: The most likely object.
-            posterior: As `Posterior.to_dict` writes it; None: it is known exactly.
+        """The most likely object, of which everything is known but for, perhaps, a Gaussian as
+        `Posterior.to_dict` writes it.
 
         Raises:
             ParameterError: The posterior cannot be used.
@@ -277,14 +274,11 @@ class Estimate(Shown):
     # ---- what is uncertain -----------------------------------------------------------------------
 
     def of_object(self, names: Sequence[str]) -> Self:
-        """What it says of an object of exactly the estimated size, in some of the unknowns.
+        """What it says of an object of exactly the estimated size, in some of the unknowns, without
+        those that have no `Unknown.on_object`.
 
         Where the posterior has none of the names that are usually assumed, the prior's deviation
-        counts, about what is assumed. Numbers that are `given` are not uncertain.
-
-        Args:
-            names: Of `UNKNOWNS` with `Unknown.on_object`; others are left out.
-        """
+        counts, about what is assumed. Numbers that are `given` are not uncertain."""
         chosen = [
             u
             for name, u in UNKNOWNS.items()
@@ -331,12 +325,8 @@ class Estimate(Shown):
         return self._with(self.posterior.prior, mean, covariance)
 
     def with_uncertain(self, name: str, sd: float) -> Self:
-        """With one more uncertain unknown, independent of the others, around the object's value.
-
-        Args:
-            name: Of `UNKNOWNS`.
-            sd: Standard deviation, of the logarithm where that counts.
-        """
+        """With one more uncertain unknown, independent of the others, around the object's value;
+        the deviation is that of the logarithm where that counts."""
         value = self.value(name)
         mean = UNKNOWNS[name].transformed(ASSUMED[name] if value is None else value)
         covariance = np.pad(self.covariance, (0, 1))

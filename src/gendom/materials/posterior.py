@@ -202,15 +202,10 @@ class Posterior:
     def factors(
         self, powers: Mapping[str, float], level: float, other_sd: float = 0.0
     ) -> tuple[float, float]:
-        """Ends of the interval of a product of powers of positive unknowns of the object, over its
-        most likely value, with their joint uncertainty; unknowns that were not estimated are taken
-        as exact.
-
-        Args:
-            powers: By name.
-            level: Probability of the interval.
-            other_sd: Standard deviation of the logarithm of a factor that is none of them.
-        """
+        """Ends of the interval of a product of powers (by name) of positive unknowns of the object,
+        over its most likely value, with their joint uncertainty; unknowns that were not estimated
+        are taken as exact. `other_sd` is the standard deviation of the logarithm of a factor that
+        is none of them."""
         weights, z = np.zeros(len(self.names)), half_width(level)
         for name in set(powers) & set(self.names):
             weights[self.prior.index(name)] = powers[name]
