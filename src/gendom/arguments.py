@@ -1,4 +1,5 @@
-"""Checks of arguments where they enter; one line names the argument, what is wanted and given.
+"""Checks of arguments where they enter. Each raises a `ParameterError` unless they are right: one
+line that names the argument, what is wanted and given, and the first bad element of several.
 
 Shapes are those of docstrings, ``("K", 3)`` for [K, 3]: a word stands for any length, and ``()``
 for a single number.
@@ -36,11 +37,7 @@ def require(
 def check_choice(
     name: str, value: Any, choices: Iterable[str], *, where: str | None = None
 ) -> None:
-    """Check that a value is one of some names.
-
-    Raises:
-        ParameterError: If it is not; the error suggests the closest name or lists all.
-    """
+    """Check that a value is one of some names; the error suggests the closest or lists all."""
     known = tuple(choices)
     if value not in known:
         fix = did_you_mean(str(value), known) or f"choose one of {', '.join(known)}"
@@ -73,18 +70,11 @@ def check_numbers(
     """Check that values are numbers of one of the shapes, and in their range; NaN is in none.
 
     Args:
-        name: The argument's name.
-        values: What was given.
+        name, values: The argument's name, and what was given.
         shapes: Shapes that it may have (default: any).
         least: Least number that is allowed.
         above: Number that all must exceed, or None.
         finite: Whether all must be finite.
-
-    Returns:
-        The numbers.
-
-    Raises:
-        ParameterError: If they are not; the error names the argument and the first bad number.
     """
     a = _array(name, values, shapes, "iuf", "number").astype(float, copy=False)
     bad = ~np.isfinite(a) if finite else np.isnan(a)
@@ -102,11 +92,7 @@ def check_numbers(
 def check_integers(
     name: str, values: Any, *shapes: Shape, least: int = 0, most: int | None = None
 ) -> NDArray[np.int64]:
-    """Check that values are integers of one of the shapes, ``least`` to ``most`` (None: no end).
-
-    Raises:
-        ParameterError: If they are not; the error names the argument and the first bad integer.
-    """
+    """Check that values are integers of one of the shapes, ``least`` to ``most`` (None: no end)."""
     a = _array(name, values, shapes, "iu", "integer").astype(np.int64, copy=False)
     bad = a < least
     if most is not None:
@@ -118,11 +104,7 @@ def check_integers(
 
 
 def check_type(name: str, value: Any, kind: Any, *, optional: bool = False) -> None:
-    """Check that a value is of a class, or with ``optional`` None.
-
-    Raises:
-        ParameterError: If it is not; the error names the argument.
-    """
+    """Check that a value is of a class, or with ``optional`` None."""
     kinds = (bool, np.bool_) if kind is bool else kind
     if not (isinstance(value, kinds) or (optional and value is None)):
         wanted = "True or False" if kind is bool else f"a {kind.__name__}"
@@ -131,11 +113,7 @@ def check_type(name: str, value: Any, kind: Any, *, optional: bool = False) -> N
 
 
 def check_list(name: str, values: Any, kind: type) -> None:
-    """Check that values are a sequence of elements of a class.
-
-    Raises:
-        ParameterError: If they are not; the error names the argument, and the first bad element.
-    """
+    """Check that values are a sequence of elements of a class."""
     if not isinstance(values, Sequence) or isinstance(values, str):
         raise ParameterError(f"{name} must be a list of {kind.__name__}, got {short_repr(values)}")
     for k, value in enumerate(values):

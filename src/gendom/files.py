@@ -47,8 +47,6 @@ def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
     _wanted(not path.is_dir(), "is a folder", path, "name a file")
     with _beside(path) as temporary:
         yield temporary
-        _sync(temporary)
-        os.replace(temporary, path)
 
 
 @contextmanager
@@ -66,10 +64,6 @@ def atomic_folder(path: str | os.PathLike) -> Iterator[Path]:
     with _beside(path) as temporary:
         temporary.mkdir()
         yield temporary
-        for file in temporary.rglob("*"):
-            if file.is_file():
-                _sync(file)
-        os.rename(temporary, path)
 
 
 def check_folder(folder: str | os.PathLike) -> None:
@@ -87,11 +81,7 @@ def check_folder(folder: str | os.PathLike) -> None:
 
 
 def check_file(path: str | os.PathLike, ending: str) -> None:
-    """Whether a file can be written; it is not made.
-
-    Args:
-        path: The file.
-        ending: Of names of what is written, with its dot.
+    """Whether a file can be written, whose name must have an ending; it is not made.
 
     Raises:
         GendomError: It ends otherwise or is a folder, or nothing can be written there.
@@ -114,10 +104,8 @@ def _wanted(holds: object, what: str, where: Path, fix: str) -> None:
 
 def _nearest(path: Path) -> Path:
     """The path itself, or what is there above it."""
-    there = path.absolute()
-    while not there.exists():
-        there = there.parent
-    return there
+    path = path.absolute()
+    return next(there for there in (path, *path.parents) if there.exists())
 
 
 def _check_place(folder: Path) -> None:
@@ -136,8 +124,8 @@ def _check_place(folder: Path) -> None:
 
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
-    """A temporary name in the folder of `path`, which is made if it is missing. Whatever has that
-    name at the end is removed."""
+    """A temporary name in the folder of `path`, which is made if it is missing. What has that name
+    becomes `path` if the block succeeds, once it is on the disk, and is removed if it does not."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -148,6 +136,11 @@ def _beside(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.tmp{path.suffix}")
     try:
         yield temporary
+        for written in (temporary, *temporary.rglob("*")):
+            if written.is_file():
+                with open(written, "rb+") as file:
+                    os.fsync(file.fileno())
+        os.replace(temporary, path)
     except OSError as error:
         if error.errno not in FULL:
             raise
@@ -158,12 +151,6 @@ def _beside(path: Path) -> Iterator[Path]:
             shutil.rmtree(temporary, ignore_errors=True)
         else:
             temporary.unlink(missing_ok=True)
-
-
-def _sync(path: Path) -> None:
-    """Wait until a file is on the disk."""
-    with open(path, "rb+") as file:
-        os.fsync(file.fileno())
 
 
 def to_json(value: Any) -> str:

@@ -14,16 +14,9 @@ _log = logging.getLogger(__name__)
 
 @cache
 def plugins(kind: str) -> dict[str, Any]:
-    """Load the objects that other packages add.
-
-    One that cannot be imported is left out with a warning, so that it does not stop commands that
-    have no use for it.
-
-    Args:
-        kind: The group of entry points, without ``gendom.``.
-
-    Returns:
-        The objects by the names of their entry points.
+    """Load the objects that other packages add to a group, named without ``gendom.``, by the names
+    of their entry points. One that cannot be imported is left out with a warning, so that it does
+    not stop commands that have no use for it.
     """
     found = {}
     for point in metadata.entry_points(group=f"gendom.{kind}"):

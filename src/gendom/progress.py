@@ -39,14 +39,11 @@ def silence() -> Iterator[None]:
 def bar(
     doing: str, total: float, unit: str, *, even: bool = False, shown: bool = True
 ) -> Iterator[Show]:
-    """A bar that is full, and removed, when the block ends without an error.
-
-    It shows in terminals, as wide as they are, and in notebooks.
+    """A bar of what is done of a total of units (named in the singular), in terminals, as wide as
+    they are, and in notebooks. It is full, and removed, when the block ends without an error.
 
     Args:
-        doing: What is done.
-        total: How much of it there is.
-        unit: What is counted, in the singular.
+        doing, total, unit: What is done, how much of it there is, and what is counted.
         even: Whether all units take about equally long, so that a rate is meaningful.
         shown: False: nothing shows at all.
     """

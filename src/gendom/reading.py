@@ -2,6 +2,9 @@
 
 What is read is bounded before memory is taken: only regular files, of sizes up to those below; text
 that is nested `DEEPEST` times at most, with integers of 64 bits.
+
+In all functions `error` is the class that is raised for every fault, and `where` what messages call
+the place of what was read.
 """
 
 from __future__ import annotations
@@ -61,10 +64,9 @@ def file_size(
 
     Args:
         path: Named by a person.
-        error: Raised for every fault.
+        error: See the module.
         most: Largest size that may be read [bytes].
-        missing: What is wrong when there is no such file.
-        fix: What to do then.
+        missing, fix: What is wrong when there is no such file, and what to do then.
 
     Raises:
         GendomError: As `error`: the file is missing, no regular one, or too large.
@@ -116,13 +118,8 @@ def check_unpacked(
 def inside(
     folder: str | os.PathLike, name: str, *, where: str, error: type[GendomError] = RecordingError
 ) -> Path:
-    """The path of a file that another file names, in its folder.
-
-    Args:
-        folder: The file's folder.
-        name: Relative to that, with / or, as Windows writes them, backslashes.
-        where: What messages call the place of the name.
-        error: Raised for every fault.
+    """The path of a file that another file names, relative to its folder, with / or, as Windows
+    writes them, backslashes.
 
     Raises:
         GendomError: As `error`: the name leads out of the folder.
@@ -154,11 +151,6 @@ def parse_json(
 ) -> dict[str, Any]:
     """The object that JSON text holds.
 
-    Args:
-        content: The text.
-        where: What messages call it.
-        error: Raised for every fault.
-
     Raises:
         GendomError: As `error`: it is no JSON or no object, is nested too deep, or has a number
             that is too large.
@@ -182,14 +174,8 @@ def record_of(
     kind: type[Record], value: Any, *, where: str, fix: str, error: type[GendomError] = GendomError
 ) -> Record:
     """A dataclass of what JSON holds: each of its fields has the type that it says (arrays as lists
-    of numbers), those without a default are there, and what else is there is left out.
-
-    Args:
-        kind: The dataclass.
-        value: What was read.
-        where: What messages call it.
-        fix: What to do about a fault.
-        error: Raised for every fault.
+    of numbers), those without a default are there, and what else is there is left out. `fix` is
+    what to do about a fault.
 
     Raises:
         GendomError: As `error`, with the place of the first fault; or what the class raises.
@@ -276,7 +262,7 @@ def read_rows(
         path: The file.
         header: What its first line should be, for messages.
         damaged: Whether bytes that are no UTF-8 are replaced in place of refused.
-        error: Raised for every fault.
+        error: See the module.
 
     Raises:
         GendomError: As `error`: the file is missing, too large, empty or no CSV.
@@ -313,7 +299,7 @@ def read_number_table(
         check_header: Called with the names of the columns; raises an error for wrong ones.
         on_cut: Called with the number of the last line if it is incomplete because the recording
             was interrupted. The line is then skipped; None: an incomplete line is an error.
-        error: Raised for every fault.
+        error: See the module.
 
     Returns:
         Names of the C columns, numbers [N, C], and the N lines' numbers in the file.

@@ -12,8 +12,12 @@ import pytest
 from gendom import cli
 from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.demonstrations import generate, load, read_description
-from gendom.datasets.lerobot import export_demonstrations, export_recording, read_lerobot
-from gendom.datasets.lerobot.format import seal
+from gendom.datasets.lerobot import (
+    export_demonstrations,
+    export_recording,
+    read_lerobot,
+    seal,
+)
 from gendom.errors import DatasetError, GendomError, RecordingError
 from gendom.tasks import ClothSpreading, RopeReaching
 from gendom.tasks.demonstrator import Demonstrator

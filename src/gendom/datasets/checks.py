@@ -13,13 +13,13 @@ from scipy.spatial import KDTree
 
 from gendom.datasets.recording_form import (
     GRASPS,
-    KINDS,
     NEEDED_SIZES,
     SIZES,
     Fault,
     ObjectDescription,
     RecordingData,
 )
+from gendom.materials import KINDS
 
 MAX_GRASP_DISTANCE = 0.15
 """A gripper farther than this from every point in every frame [m] does not hold the object."""
@@ -254,7 +254,7 @@ def _check_density(held: ObjectDescription, size: float) -> Iterator[Fault]:
     if mass is None or not _is_length(mass):
         return
     cloth = held.kind == "cloth"
-    name = "thickness" if cloth else "diameter"
+    name = KINDS["cloth" if cloth else "rope"].sizes[1]
     stated = getattr(held, name)
     across = stated or _THICKEST.get(held.kind, 0.1) * size
     area = (held.width or size) * (held.height or size)

@@ -73,13 +73,8 @@ def read_ply(path: str | os.PathLike) -> np.ndarray:
 
 
 def read_pcd(path: str | os.PathLike) -> np.ndarray:
-    """Read the points of a PCD file: ascii, binary or binary_compressed.
-
-    Other fields, and points with a NaN coordinate, are skipped.
-
-    Returns:
-        [n, 3] positions in the file's unit, float32 or float64 as stored (integers become
-        float64). n may be 0.
+    """Read the points of a PCD file, ascii, binary or binary_compressed, to positions [n, 3] as of
+    `read_ply`. Other fields, and points with a NaN coordinate, are skipped.
 
     Raises:
         RecordingError: The file is missing, no PCD, cut short, damaged, or without x, y, z.

@@ -18,12 +18,10 @@ from gendom.installation import how_to_install
 RETRIES = 5
 """How often a job is restarted after its worker died."""
 
+# Variables that keep Ray from its usage report and a warning, and those by which a cluster of this
+# machine listens on its own address alone, as Ray does on Windows and macOS, and asks for a token.
 QUIET = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}
-"""Variables that keep Ray from its usage report and a warning."""
-
 LOOPBACK = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_AUTH_MODE": "token"}
-"""Variables by which a cluster of this machine listens on its own address alone, as Ray does on
-Windows and macOS, and takes jobs only with a token."""
 
 
 def on_cluster(
@@ -57,9 +55,9 @@ def on_cluster(
         for name in {type(part).__module__ for part in settings if is_dataclass(part)}:
             if not name.startswith("gendom."):
                 ray.cloudpickle.register_pickle_by_value(sys.modules[name])
-        work = ray.remote(max_retries=RETRIES, **needs)(_work)
+        work = ray.remote(max_retries=RETRIES, **needs)(lambda run, job: run(job, device=device))
         shared = ray.put(simulate)
-        waiting = {work.remote(shared, job, device): job for job in jobs}
+        waiting = {work.remote(shared, job): job for job in jobs}
         try:
             while waiting:
                 for done in ray.wait(list(waiting))[0]:
@@ -74,10 +72,6 @@ def on_cluster(
         finally:
             for task in waiting:
                 ray.cancel(task, force=True)
-
-
-def _work(simulate: Callable[..., Any], job: range, device: str) -> Any:
-    return simulate(job, device=device)
 
 
 @contextmanager

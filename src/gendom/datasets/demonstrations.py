@@ -148,8 +148,10 @@ def generate(
         ParameterError: A number is out of range.
         DeviceError: The device is not there.
     """
-    kind = device_kind(device)
-    folder = Path(out)
+    kinds = {"cpu" if name.strip() == "cpu" else "cuda" for name in device.split(",")}
+    fix = "give GPUs or the CPU, not both"  # their rounding differs
+    require(len(kinds) == 1, f"is {device!r}", where="device", fix=fix)
+    folder, kind = Path(out), kinds.pop()
     if shard_size is None:
         usual = max(1, round(SHARD_SIZE[kind] / source.cost))
         begun = (folder / _DESCRIPTION).exists()
@@ -254,18 +256,6 @@ def _alone(folder: Path) -> Iterator[None]:
         lock.release()
 
 
-def device_kind(device: str) -> str:
-    """``cpu`` or ``cuda`` of a device or a list of them.
-
-    Raises:
-        ParameterError: If the list holds both: their rounding differs.
-    """
-    kinds = {"cpu" if name.strip() == "cpu" else "cuda" for name in device.split(",")}
-    fix = "give GPUs or the CPU, not both"
-    require(len(kinds) == 1, f"is {device!r}", where="device", fix=fix)
-    return kinds.pop()
-
-
 def _count_together(kind: str, shard_size: int, left: int, devices: int) -> int:
     """Number of demonstrations passed to a task at once."""
     if kind == "cpu":
@@ -316,11 +306,8 @@ def _on_devices(
 
 
 def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
-    """All demonstrations of a set, in order, failed ones included (`ok` is false).
-
-    Args:
-        folder: Folder of the set.
-        part: Whether to load the finished part of an unfinished set.
+    """All demonstrations of a set, in order, failed ones included (`ok` is false); with `part`
+    those of an unfinished set that are there.
 
     Raises:
         DatasetError: The folder is missing or holds no set, demonstrations are missing, or a
@@ -358,12 +345,8 @@ def write_parquet(table: pa.Table, path: Path) -> None:
 def succeeded(
     table: pa.Table, names: Sequence[str], *, where: str
 ) -> dict[str, NDArray[np.float64]]:
-    """[N] columns of the demonstrations that did not fail, by name.
-
-    Args:
-        table: Table returned by `load`.
-        names: Names of the columns.
-        where: The folder of the set.
+    """[N] columns of what `load` returned of a folder (`where`), by name, without demonstrations
+    that failed.
 
     Raises:
         DatasetError: The set lacks a column.

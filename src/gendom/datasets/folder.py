@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Callable
 from decimal import Decimal
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -92,13 +93,9 @@ def _cloud_files(folder: Path) -> tuple[str, list[Path]]:
 def in_order(names: list[str], time: np.ndarray, *, where: str) -> list[str]:
     """Names of frames in the order of their times.
 
-    Numbers in names are read as decimal ("-2" before "-1", "1.45" before "1.5") or part by part
-    ("1.9" before "1.10"): where that gives two orders, by which the numbers grow as the times do.
-
-    Args:
-        names: Without endings.
-        time: [T], of the frames in order [s].
-        where: What messages call the folder.
+    Numbers in names (without endings) are read as decimal ("-2" before "-1", "1.45" before "1.5")
+    or part by part ("1.9" before "1.10"): where that gives two orders, by which the numbers grow as
+    the times [T] of the frames do.
 
     Raises:
         RecordingError: Neither grows so, or names that are times are not those of the frames.
@@ -186,20 +183,12 @@ def read_gripper(
     path: Path, *, on_cut: Callable[[int], None] | None = None
 ) -> dict[str, np.ndarray]:
     """Read gripper.csv: time [T], gripper_position [T, G, 3], and gripper_axis [T, G, 3] and
-    gripper_closed bool [T, G] if present.
-
-    Args:
-        path: The file.
-        on_cut: Called with the number of the last line if it is incomplete because the recording
-            was interrupted. The line is then skipped; None: an incomplete line is an error.
+    gripper_closed bool [T, G] if present; `on_cut` as of `read_number_table`.
 
     Raises:
         RecordingError: The file cannot be read, or a row is malformed.
     """
-
-    def right(names: list[str]) -> object:
-        return _gripper_columns(names, path)
-
+    right = partial(_gripper_columns, path=path)
     header, table, lines = read_number_table(
         path, header="time,x,y,z", check_header=right, on_cut=on_cut
     )

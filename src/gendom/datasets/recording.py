@@ -1,17 +1,8 @@
 """Recording of one demonstration: clouds, gripper motion and the object's description.
 
-On disk it is `gendom-recording/1`, a NumPy `.npz` without pickles:
-
-    points            float32 [S, 3]     all frames' points [m], world frame, z up
-    offsets           int64   [T + 1]    frame t is points[offsets[t]:offsets[t + 1]]
-    time              float64 [T]        [s]
-    gripper_position  float64 [T, G, 3]  where each gripper holds the object [m]
-    gripper_axis      float64 [T, G, 3]  optional: unit vector along the object at the clamp
-    gripper_closed    bool    [T, G]     optional: whether it holds the object; always if left out
-    seen_by           uint8   [S]        optional: bit k is set where camera k saw the point
-    meta              JSON text          object, table_height, gripper_source, quasi_static,
-                                         source, notes, camera_positions, cameras_calibrated,
-                                         and anything else
+On disk it is `gendom-recording/1`, a NumPy `.npz` without pickles: the arrays of `RecordingData`
+that are not None, but for `camera_positions`, and `meta`, JSON text with its other fields
+(`object`, `table_height`, ...) and anything else.
 """
 
 from __future__ import annotations
@@ -115,11 +106,7 @@ class Recording(RecordingData):
         return check(self)
 
     def require_valid(self, where: str, *, on_warning: Callable[[Fault], None]) -> None:
-        """Check the content and refuse errors.
-
-        Args:
-            where: What messages call the recording.
-            on_warning: Called with every fault that does not prevent use.
+        """Check the content and refuse errors; `on_warning` is called with every other fault.
 
         Raises:
             RecordingError: It cannot be used; one line a fault.

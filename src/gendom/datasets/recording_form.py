@@ -17,11 +17,11 @@ import numpy.typing as npt
 from gendom.arguments import fits, require, short_repr
 from gendom.errors import RecordingError, one_line
 from gendom.files import to_json
+from gendom.materials import KINDS
 from gendom.shown import Shown
 
 FORMAT = "gendom-recording/1"
 
-KINDS = ("rope", "cloth")
 GRASPS = ("end", "corner", "center", "both ends")
 NEEDED_SIZES = {"rope": ("length",), "cloth": ("width", "height")}
 SIZES = ("length", "diameter", "diameter_sd", "width", "height", "thickness", "thickness_sd")
@@ -101,7 +101,7 @@ class ObjectDescription:
 
     def meta(self) -> dict[str, Any]:
         """All fields in the form of the file; unknown sizes only where the kind has them."""
-        optional = {"rope": "diameter", "cloth": "thickness"}.get(self.kind)
+        optional = KINDS[self.kind].sizes[1] if self.kind in KINDS else ""
         shown = (*NEEDED_SIZES.get(self.kind, ()), optional, "mass")
         sizes = {name: getattr(self, name) for name in SIZES}
         sizes = {name: v for name, v in sizes.items() if name in shown or v is not None}

@@ -115,12 +115,8 @@ class Listed(Shown):
 
     def material(self) -> Material:
         """What is typical, for a simulation."""
-        return Material(
-            E=self.E.typical,
-            nu=self.nu.typical,
-            density=self.density.typical,
-            damping=self.damping.typical,
-        )
+        names = ("E", "nu", "density", "damping")
+        return Material(**{name: getattr(self, name).typical for name in names})
 
     def ranges(self) -> dict[str, tuple[str, Range]]:
         """Unit and range by quantity."""
@@ -159,8 +155,7 @@ def sources() -> dict[str, Source]:
 
 @cache
 def _read() -> tuple[dict[str, Listed], dict[str, Source]]:
-    text = files("gendom.materials").joinpath("catalogue.toml").read_text(encoding="utf-8")
-    ours = tomllib.loads(text)
+    ours = tomllib.loads(files("gendom.materials").joinpath("catalogue.toml").read_text("utf-8"))
     found, cited = parse(ours)
     for name, theirs in plugins("materials").items():
         try:
@@ -173,12 +168,9 @@ def _read() -> tuple[dict[str, Listed], dict[str, Source]]:
 
 
 def parse(table: dict[str, Any]) -> tuple[dict[str, Listed], dict[str, Source]]:
-    """Materials and sources of a catalogue's TOML.
-
-    Args:
-        table: ``sources`` (``text`` and ``says`` by key), ``shared`` (ranges by name) and
-            ``materials``: ``kind``, ``about`` and ranges, or names of shared ones, of `UNITS` and
-            of the size across.
+    """Materials and sources of a catalogue's TOML: ``sources`` (``text`` and ``says`` by key),
+    ``shared`` (ranges by name) and ``materials``: ``kind``, ``about`` and ranges, or names of
+    shared ones, of `UNITS` and of the size across.
 
     Raises:
         ParameterError: Something is missing, unknown or out of its range.

@@ -33,7 +33,6 @@ from gendom.materials.estimate_file import (
     checksum,
     derived,
     fields_of,
-    ranges,
     read_record,
 )
 from gendom.materials.names import with_current_names
@@ -90,11 +89,8 @@ class Estimate(Shown):
 
     @classmethod
     def of(cls, item: Item, posterior: Mapping[str, Any] | None = None) -> Estimate:
-        """An object of which everything is known but for, perhaps, a Gaussian.
-
-        Args:
-            item: The most likely object.
-            posterior: As `Posterior.to_dict` writes it; None: it is known exactly.
+        """The most likely object, of which everything is known but for, perhaps, a Gaussian as
+        `Posterior.to_dict` writes it.
 
         Raises:
             ParameterError: The posterior cannot be used.
@@ -278,14 +274,11 @@ class Estimate(Shown):
     # ---- what is uncertain -----------------------------------------------------------------------
 
     def of_object(self, names: Sequence[str]) -> Self:
-        """What it says of an object of exactly the estimated size, in some of the unknowns.
+        """What it says of an object of exactly the estimated size, in some of the unknowns, without
+        those that have no `Unknown.on_object`.
 
         Where the posterior has none of the names that are usually assumed, the prior's deviation
-        counts, about what is assumed. Numbers that are `given` are not uncertain.
-
-        Args:
-            names: Of `UNKNOWNS` with `Unknown.on_object`; others are left out.
-        """
+        counts, about what is assumed. Numbers that are `given` are not uncertain."""
         chosen = [
             u
             for name, u in UNKNOWNS.items()
@@ -332,12 +325,8 @@ class Estimate(Shown):
         return self._with(self.posterior.prior, mean, covariance)
 
     def with_uncertain(self, name: str, sd: float) -> Self:
-        """With one more uncertain unknown, independent of the others, around the object's value.
-
-        Args:
-            name: Of `UNKNOWNS`.
-            sd: Standard deviation, of the logarithm where that counts.
-        """
+        """With one more uncertain unknown, independent of the others, around the object's value;
+        the deviation is that of the logarithm where that counts."""
         value = self.value(name)
         mean = UNKNOWNS[name].transformed(ASSUMED[name] if value is None else value)
         covariance = np.pad(self.covariance, (0, 1))
@@ -402,10 +391,7 @@ class Estimate(Shown):
         usable; ``recordings`` has the entries of each recording, those of the first are at the top
         level, too."""
         values = self._values()
-        intervals, bounds, known = ranges(
-            self.posterior, values, self._derived, self.level,
-            density_sd=self.density_sd, stated=self.known.get(self._small, 1.0),
-        )  # fmt: skip
+        intervals, bounds, known = self._ranges(values)
         object_ = {n: self.value(n) for n in (*SIZES[:-1], "mass")}
         side = {"side": self.known["side"]} if "side" in self.known else {}
         entries: dict[str, Any] = {**self.about, "format": FORMAT}
@@ -425,7 +411,7 @@ class Estimate(Shown):
         }
         return {**record, CHECKSUM: checksum(record)}
 
-    @property
+    @cached_property
     def _derived(self) -> dict[str, Derived]:
         return derived(self.kind, weighed="mass" in self.known)
 
@@ -438,6 +424,35 @@ class Estimate(Shown):
             known = all(self.value(other) is not None for other in ("E_over_rho", *number.needs))
             values[name] = getattr(self, name) if known else None
         return values
+
+    def _ranges(
+        self, values: Mapping[str, float | None]
+    ) -> tuple[dict[str, list[float]], dict[str, list[float]], dict[str, bool]]:
+        """Intervals, searched ranges, and whether each of the file's values is determined."""
+        posterior = self.posterior
+        intervals: dict[str, list[float]] = {}
+        bounds: dict[str, list[float]] = {}
+        known = dict.fromkeys(("E_over_rho", "nu", "friction", "damping"), False)
+        for k, name in enumerate(posterior.names):
+            u = UNKNOWNS[name]
+            if not u.material:
+                continue
+            unit = self.known.get(self._small, 1.0) if name == "thickness" else 1.0
+            intervals[name] = [unit * end for end in posterior.interval(name, self.level)]
+            ends = posterior.prior.low[k], posterior.prior.high[k]
+            bounds[name] = [unit * u.value(float(end)) for end in ends]
+            known[name] = posterior.determined(name)
+        known["E"] = known["E_over_rho"]
+        for name, number in self._derived.items():
+            value, power = values[name], number.power
+            if "E_over_rho" not in posterior.names or value is None:
+                continue
+            powers = {"E_over_rho": power, "thickness": power * number.thicker}
+            ends = posterior.factors(powers, self.level, number.heavier * self.density_sd)
+            intervals[name] = [value * end for end in ends]
+            middle = self._estimated("E_over_rho")
+            bounds[name] = [value * (end / middle) ** power for end in bounds["E_over_rho"]]
+        return intervals, bounds, known
 
     def save(self, path: str | Path) -> None:
         """Write ``estimate.json``, atomically.

@@ -168,51 +168,6 @@ NOTHING_ESTIMATED = Posterior(
 )
 
 
-def ranges(
-    posterior: Posterior,
-    values: Mapping[str, float | None],
-    numbers: Mapping[str, Derived],
-    level: float,
-    *,
-    density_sd: float,
-    stated: float,
-) -> tuple[dict[str, list[float]], dict[str, list[float]], dict[str, bool]]:
-    """Intervals, searched ranges, and whether each value is determined, by name.
-
-    Args:
-        posterior: What is known of the unknowns.
-        values: The file's values.
-        numbers: Those that follow from E over density.
-        level: Probability of the intervals.
-        density_sd: Standard deviation of the logarithm of a density that is assumed.
-        stated: Stated thickness or diameter, 1 where it is not known [m].
-    """
-    intervals: dict[str, list[float]] = {}
-    bounds: dict[str, list[float]] = {}
-    known: dict[str, bool] = dict.fromkeys(("E_over_rho", "nu", "friction", "damping"), False)
-    for name in posterior.names:
-        u = UNKNOWNS[name]
-        if not u.material:
-            continue
-        k = posterior.prior.index(name)
-        unit = stated if name == "thickness" else 1.0
-        intervals[name] = [unit * end for end in posterior.interval(name, level)]
-        ends = posterior.prior.low[k], posterior.prior.high[k]
-        bounds[name] = [unit * u.value(float(end)) for end in ends]
-        known[name] = posterior.determined(name)
-    known["E"] = known["E_over_rho"]
-    for name, number in numbers.items():
-        value, power = values[name], number.power
-        if "E_over_rho" not in posterior.names or value is None:
-            continue
-        powers = {"E_over_rho": power, "thickness": power * number.thicker}
-        ends = posterior.factors(powers, level, number.heavier * density_sd)
-        intervals[name] = [value * end for end in ends]
-        middle = math.exp(posterior.mean[posterior.prior.index("E_over_rho")])
-        bounds[name] = [value * (end / middle) ** power for end in bounds["E_over_rho"]]
-    return intervals, bounds, known
-
-
 # ---- reading -----------------------------------------------------------------------------------
 
 
@@ -248,12 +203,8 @@ def checked_verdict(read: Mapping[str, Any], where: str, *, even_unusable: bool 
 def fields_of(
     read: Mapping[str, Any], kind: str | None, where: str
 ) -> tuple[dict[str, Any], dict[str, float]]:
-    """Fields of the estimate of a record, and the values that its posterior must have.
-
-    Args:
-        read: The record, with present names.
-        kind: Of the object, for files that do not say it.
-        where: The file, for error messages.
+    """Fields of the estimate of a record, with present names, and the values that its posterior
+    must have. `kind` is of the object, for files that do not say it.
 
     Raises:
         KeyError, IndexError, TypeError, ValueError, GendomError: The record cannot be used.
@@ -291,8 +242,7 @@ def _stated(known: dict[str, float], posterior: Posterior, kind: str) -> dict[st
     if "thickness" not in names:
         return stated
     small, power = KINDS[kind].sizes[1], KINDS[kind].thickness_power
-    k = posterior.names.index("thickness")
-    r = UNKNOWNS["thickness"].value(float(posterior.mean[k]))
+    r = UNKNOWNS["thickness"].value(float(posterior.mean[posterior.names.index("thickness")]))
     if small in known:
         stated["thickness"] = known[small]
         known[small] /= r
@@ -322,10 +272,8 @@ def _numbers(read: Mapping[str, Any], described: Mapping[str, Any], where: str) 
     numbers |= {n: described.get(n) for n in (*SIZES, "mass")}
     fix = "estimate again, or give the number by a flag"
     for name, value in numbers.items():
-        positive = isinstance(value, (int, float)) and (
-            value > 0.0 or (value == 0.0 and name in HIDDEN) or name == "stiffness_slope"
-        )
-        right = value is None or positive or (name in UNKNOWNS and UNKNOWNS[name].low <= 0)
+        least = isinstance(value, (int, float)) and (value > 0.0 or (not value and name in HIDDEN))
+        right = value is None or least or (name in UNKNOWNS and UNKNOWNS[name].low <= 0)
         what = f"{name} must be a positive number, got {value!r}"
         require(right, what, where=where, fix=fix, error=GendomError)
     return {n: float(v) for n, v in numbers.items() if v is not None}
@@ -334,10 +282,9 @@ def _numbers(read: Mapping[str, Any], described: Mapping[str, Any], where: str) 
 def _posterior_of(read: Mapping[str, Any], known: Mapping[str, float], level: float) -> Posterior:
     """The file's posterior; of files of earlier versions that of their interval of E."""
     if read.get("posterior") is not None:
-        first = {k: float(v) for k, v in (read.get("theta") or {}).items()}
-        bases = []
+        first, bases = read.get("theta"), []
         if first:
-            base = Theta(**first)
+            base = Theta(**{k: float(v) for k, v in first.items()})
             # files of earlier versions are of one recording
             bases = [base.with_values(r["theta"]) for r in read.get("recordings", [read])]
         return Posterior.from_dict(read["posterior"], bases)

@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.arguments import require
+from gendom.arguments import check_choice, require
 from gendom.errors import ParameterError
 from gendom.materials.names import with_current_names
 from gendom.materials.parameters import E_over_rho_of, Material, bending_length
@@ -122,8 +122,7 @@ class Cloth(_Thing):
     """A square cloth.
 
     Raises:
-        ParameterError: A size is not positive and at most `LARGEST`, it is thicker than a fifth of
-            its side, friction is negative, or a number was given in another unit.
+        ParameterError: As of `Rope`.
     """
 
     kind = "cloth"
@@ -171,23 +170,19 @@ def thickness_of(item: Item) -> float:
 
 
 def unit_of(unit: str, item: Item) -> float:
-    """The factor from a dimensionless number to SI units, for an object of size L.
-
-    Args:
-        unit: ``m``, ``s``, ``m/s`` or ``1``.
-        item: The object.
-
-    Raises:
-        ParameterError: There is no such unit.
-    """
+    """`unit_of_size` of an object."""
     return float(unit_of_size(unit, np.array(size_of(item))))
 
 
 def unit_of_size(unit: str, L: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`unit_of` objects of sizes [...] [m]."""
+    """The factor from a dimensionless number to SI units (``m``, ``s``, ``m/s`` or ``1``), for
+    objects of sizes L [...] [m].
+
+    Raises:
+        ParameterError: There is no such unit.
+    """
     powers = {"m": (1.0, 0.0), "s": (0.5, -0.5), "m/s": (0.5, 0.5), "1": (0.0, 0.0)}
-    if unit not in powers:
-        raise ParameterError(f"unknown unit {unit!r}", fix=f"choose one of {', '.join(powers)}")
+    check_choice("unit", unit, powers)
     of_size, of_gravity = powers[unit]
     return L**of_size * STANDARD_GRAVITY**of_gravity
 
@@ -247,27 +242,17 @@ def from_columns(kind: str, columns: Mapping[str, float]) -> Item:
         KeyError: One is missing.
     """
     made, columns = KINDS[kind], with_current_names(columns)
-    return made(
-        **{name: float(columns[name]) for name in made.sizes},
-        material=Material(
-            E=float(columns["E"]),
-            nu=float(columns["nu"]),
-            density=float(columns["density"]),
-            damping=float(columns["damping"]),
-        ),
-        friction=float(columns["friction"]),
-    )
+    own = {name: float(columns[name]) for name in (*made.sizes, "friction")}
+    material = {name: float(columns[name]) for name in ("E", "nu", "density", "damping")}
+    return made(**own, material=Material(**material))
 
 
 def dimensionless_columns(
     kind: str, columns: Mapping[str, NDArray[np.float64]]
 ) -> dict[str, NDArray[np.float64]]:
     """`dimensionless_parameters` of N objects at once, from columns [N]."""
-    rows = zip(*columns.values(), strict=True)
-    found = [
-        dimensionless_parameters(from_columns(kind, dict(zip(columns, row, strict=True))))
-        for row in rows
-    ]
+    rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+    found = [dimensionless_parameters(from_columns(kind, row)) for row in rows]
     return {name: np.array([row[name] for row in found]) for name in PARAMETERS}
 
 

@@ -103,11 +103,8 @@ class Prior:
 
 
 def prior_of(names: Iterable[str], changes: Mapping[str, Mapping[str, float]] = {}) -> Prior:
-    """Prior of some unknowns, ``changes`` of a scene to what `UNKNOWNS` says applied.
-
-    Args:
-        names: Names of the unknowns to estimate.
-        changes: By name, other values of low, high, mean, sd, step or widest.
+    """Prior of some unknowns, with changes of a scene to what `UNKNOWNS` says: by name, other
+    values of low, high, mean, sd, step or widest.
 
     Raises:
         ParameterError: There is no such unknown, or one is named twice.
@@ -157,11 +154,7 @@ class Posterior:
     def with_assumed(self, assumed: Prior) -> Posterior:
         """With an unknown of the object that was assumed, not estimated, and is as uncertain as its
         prior. What the recordings determine is the combination that `Unknown.steps_with` keeps:
-        others vary with it.
-
-        Args:
-            assumed: Its prior.
-        """
+        others vary with it."""
         (u,), sd = assumed.unknowns, float(assumed.sd[0])
         along = np.append(np.zeros(len(self.names)), 1.0)
         for other, share in u.steps_with:
@@ -209,15 +202,10 @@ class Posterior:
     def factors(
         self, powers: Mapping[str, float], level: float, other_sd: float = 0.0
     ) -> tuple[float, float]:
-        """Ends of the interval of a product of powers of positive unknowns of the object, over its
-        most likely value, with their joint uncertainty; unknowns that were not estimated are taken
-        as exact.
-
-        Args:
-            powers: By name.
-            level: Probability of the interval.
-            other_sd: Standard deviation of the logarithm of a factor that is none of them.
-        """
+        """Ends of the interval of a product of powers (by name) of positive unknowns of the object,
+        over its most likely value, with their joint uncertainty; unknowns that were not estimated
+        are taken as exact. `other_sd` is the standard deviation of the logarithm of a factor that
+        is none of them."""
         weights, z = np.zeros(len(self.names)), half_width(level)
         for name in set(powers) & set(self.names):
             weights[self.prior.index(name)] = powers[name]

@@ -97,23 +97,20 @@ def _sets(name: str) -> Callable[[Any, float], None]:
     return lambda world, value: setattr(world, name, value)
 
 
+def _turns(end: int, about: int) -> Callable[[Any, float], None]:
+    """How a clamp takes its turn about an axis of the hand."""
+    return lambda world, value: world.clamps.__setitem__((end, about), value)
+
+
 def _clamp(end: int, across: int) -> Unknown:
     """How a clamp's direction differs from that of two markers that are glued beside the rope."""
     which, axis = ("first", "last")[end], "xy"[across]
-
-    def turn(world: Any, value: float) -> None:
-        world.clamps[end, across] = value
-
     return _unknown(
         f"{which}_clamp_{axis}", f"{which} clamp, {axis}", "rad",
         f"turn of the clamp at the {which} end from its stated axis, about the hand's {axis} axis",
         low=-1.0, high=1.0, mean=0.0, sd=0.3, step=0.01, widest=0.1, kinds=("rope",),
-        material=True, form=".3f", on_replay=turn,
+        material=True, form=".3f", on_replay=_turns(end, across),
     )  # fmt: skip
-
-
-def _twist(world: Any, value: float) -> None:
-    world.clamps[1, 2] = value
 
 
 def _unknown(name: str, symbol: str, unit: str, meaning: str, **other) -> Unknown:
@@ -213,7 +210,7 @@ UNKNOWNS: dict[str, Unknown] = {
         _unknown(
             "clamp_twist", "clamp twist", "rad", "twist of a rope between two clamps",
             low=-8.0, high=8.0, mean=0.0, sd=1.5, step=0.1, widest=1.0, kinds=("rope",),
-            material=True, form=".2f", on_replay=_twist,
+            material=True, form=".2f", on_replay=_turns(1, 2),
         ),
         _unknown(
             "delay", "delay", "s", "how late clouds show the stated motion of the gripper",

@@ -1,0 +1,429 @@
+"""Demonstrations and recordings as LeRobot data sets, format v3.0; recordings come back whole.
+
+    meta/info.json                            features with names and units, counts, paths
+    meta/stats.json                           statistics of every feature over all frames
+    meta/tasks.parquet                        the task's name and its number, 0
+    meta/episodes/chunk-000/file-000.parquet  one row an episode: where its frames are, statistics
+    meta/gendom.json                          dataset.json of a set, or a recording's `meta`
+    data/chunk-000/file-000.parquet           one row a frame
+
+All numbers are in SI units, stored in info.json as `units` of a feature beside its `names`. A
+feature of one number is a plain column, as LeRobot's reader requires.
+
+A demonstration becomes an episode of one frame, at time 0: an action is a whole motion, chosen
+before it begins, without observations during the motion. Failed demonstrations are left out.
+
+    observation.state  [S] float32: the reached result as the goal, sizes, parameters, in the order
+                       of `gendom.reality.envs`; parameters are those of `PARAMETERS`
+    action             [A] float32: the task's action
+
+In addition to the format's columns, rows of episodes have `demonstration`, the number in the set,
+and `outcome/NAME` for all other measured results.
+
+A recording becomes an episode of T frames:
+
+    observation.points      [P, 3] float32: the cloud [m], padded with zeros to the P points of
+                            the largest frame
+    observation.num_points  int64: number of points; the rest is padding
+    observation.state       [S] float64: position of each gripper [m], its axis where known, and
+                            whether it is closed, where known
+    observation.time        float64: the recorded time [s]
+    action                  [A] float32: position of each gripper in the next frame [m], and whether
+                            it is closed; for LeRobot's own tools, and not read back
+
+LeRobot computes `timestamp` as the frame index over `fps`, so it is correct only for evenly spaced
+frames; `observation.time` is always correct. Statistics of points exclude the padding, and are the
+same for each of the P rows.
+
+Source: the documentation of LeRobotDataset v3.0 (huggingface.co/docs/lerobot), and the reader of
+lerobot 0.4.4.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from gendom.arguments import require
+from gendom.datasets.demonstrations import GOAL, load, read_description, succeeded, write_parquet
+from gendom.datasets.npz import short
+from gendom.datasets.recording_form import RecordingData
+from gendom.errors import DatasetError, RecordingError
+from gendom.files import atomic_folder, to_json
+from gendom.materials import KINDS, PARAMETERS
+from gendom.reading import check_unpacked, file_size, read_bytes, read_json
+
+VERSION = "v3.0"
+STATE, ACTION = "observation.state", "action"
+INFO, ABOUT = Path("meta/info.json"), Path("meta/gendom.json")
+SEAL = Path("meta/gendom.sha256")
+
+QUANTILES = (0.01, 0.1, 0.5, 0.9, 0.99)
+FILE = Path("chunk-000/file-000.parquet")
+"""Of all frames, and of all episodes."""
+
+_NAMED = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+
+POINTS, NUM_POINTS, TIME = "observation.points", "observation.num_points", "observation.time"
+
+Units = Mapping[str, Mapping[str, str]]
+"""Units by the names of its numbers, for each feature with units."""
+
+
+# ---- demonstrations ----------------------------------------------------------------------------
+
+
+def export_demonstrations(folder: str | os.PathLike, out: str | os.PathLike) -> dict[str, Any]:
+    """Write the finished part of a folder of demonstrations into a new folder, completely or not at
+    all, and return the content of info.json.
+
+    Raises:
+        DatasetError: The folder holds no set, or one without a usable demonstration.
+        GendomError: `out` is there already or cannot be written, or the disk is full.
+    """
+    where = str(folder)
+    about = read_description(folder)
+    table = load(folder, part=True)
+    quantities = _quantities(about, where)
+    names = [name for units in quantities.values() for name in units]
+    apart = {*names, "demonstration", "E", "ok", "fault"}
+    others = [name for name in table.column_names if name not in apart]
+    columns = succeeded(table, ["demonstration", *names, *others], where=where)
+    count, fix = len(columns["demonstration"]), "simulate more with gendom dataset"
+    what = "holds no demonstration that did not fail"
+    require(count, what, where=where, fix=fix, error=DatasetError)
+    frames = {}
+    for feature, units in quantities.items():
+        values = np.stack([columns[name] for name in units], axis=1).astype(np.float32)
+        what, fix = f"{feature} holds numbers that are not finite", "simulate the set again"
+        require(np.isfinite(values).all(), what, where=where, fix=fix, error=DatasetError)
+        frames[feature] = values
+    extra = {f"outcome/{name}": pa.array(columns[name]) for name in others}
+    extra["demonstration"] = pa.array(columns["demonstration"].astype(np.int64))
+    lengths, task = np.ones(count, np.int64), about["task"]["name"]
+    return _write(out, frames, lengths, task=task, units=quantities, about=about, extra=extra)
+
+
+def _quantities(about: Mapping[str, Any], where: str) -> dict[str, dict[str, str]]:
+    """Units by column name, for the state and the action."""
+    try:
+        kind = KINDS[about["kind"]]
+        goals = dict(zip(about["goal_names"], about["goal_units"], strict=True))
+        actions = dict(zip(about["action_names"], about["action_units"], strict=True))
+    except (KeyError, TypeError, ValueError):
+        what = "does not say what its actions and goals are"
+        fix = "make it again with this version of gendom dataset"
+        raise DatasetError(what, where=where, fix=fix) from None
+    state = {GOAL + name: unit for name, unit in goals.items()}
+    state |= dict.fromkeys(kind.sizes, "m")
+    state |= {parameter.column: parameter.unit for parameter in PARAMETERS.values()}
+    return {STATE: state, ACTION: actions}
+
+
+# ---- recordings --------------------------------------------------------------------------------
+
+
+def export_recording(recording: RecordingData, out: str | os.PathLike) -> dict[str, Any]:
+    """Write a recording into a new folder, completely or not at all, and return the content of
+    info.json.
+
+    Raises:
+        GendomError: `out` is there already or cannot be written, or the disk is full.
+    """
+    counts = np.diff(recording.offsets)
+    T, G = recording.gripper_position.shape[:2]
+    padded = np.zeros((T, int(counts.max()), 3), np.float32)
+    padded[np.arange(padded.shape[1]) < counts[:, None]] = recording.points
+
+    def named(what: str, unit: str) -> dict[str, str]:
+        """Names and units of three numbers for each gripper."""
+        return {f"gripper{g}.{what}.{axis}": unit for g in range(G) for axis in "xyz"}
+
+    places, closed = named("position", "m"), {f"gripper{g}.closed": "1" for g in range(G)}
+    state, units = [recording.gripper_position.reshape(T, -1)], places
+    if recording.gripper_axis is not None:
+        state, units = [*state, recording.gripper_axis.reshape(T, -1)], units | named("axis", "1")
+    if recording.gripper_closed is not None:
+        state, units = [*state, recording.gripper_closed.astype(float)], units | closed
+    following = np.minimum(np.arange(T) + 1, T - 1)
+    action = [recording.gripper_position[following].reshape(T, -1), recording.holds[following]]
+    frames = {
+        POINTS: padded,
+        NUM_POINTS: counts.astype(np.int64)[:, None],
+        STATE: np.concatenate(state, axis=1),
+        TIME: recording.time[:, None],
+        ACTION: np.concatenate(action, axis=1).astype(np.float32),
+    }
+    found = _statistics(recording.points).items()
+    alike = {name: [values] * padded.shape[1] for name, values in found if name != "count"}
+    steps = np.diff(recording.time)
+    return _write(
+        out,
+        frames,
+        np.array([T]),
+        task=f"move a {recording.object.kind} that is held by: {recording.object.grasp}",
+        units={STATE: units, TIME: {"time": "s"}, ACTION: {**places, **closed}},
+        about=recording.meta(),
+        fps=max(1, round(1.0 / float(np.median(steps)))) if len(steps) else 1,
+        of_all={POINTS: {**alike, "count": [T]}},
+    )
+
+
+def _read_table(path: Path) -> pa.Table:
+    """The table of a file that does not unpack to too much."""
+    size = file_size(path, RecordingError, missing="is incomplete or damaged (no such file)")
+    # not by its name, which may hold a colon or be no UTF-8
+    with open(path, "rb") as data, pq.ParquetFile(data) as file:
+        groups = [file.metadata.row_group(k) for k in range(file.metadata.num_row_groups)]
+        numbers = sum(g.column(k).num_values for g in groups for k in range(g.num_columns))
+        check_unpacked(8 * numbers, size, str(path), RecordingError)
+        return file.read()
+
+
+def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Arrays by their names in a recording's file, and its `meta`, of what `export_recording` made.
+
+    Raises:
+        RecordingError: The data set was not made from a recording, or is incomplete or damaged.
+    """
+    folder = Path(folder)
+
+    def fault(what: str, fix: str = "export it again") -> RecordingError:
+        return RecordingError(what, where=str(folder), fix=fix)
+
+    if not (folder / ABOUT).is_file():
+        what = "is a LeRobot data set that was not made of a recording"
+        raise fault(what, "give one that gendom export wrote: others lack the object's sizes")
+    # before anything else: of damaged files pyarrow may end the process
+    stated = read_bytes(folder / SEAL, RecordingError, fix="export it again with this version")
+    if stated.decode("latin-1").strip() != seal(folder):
+        raise fault("is damaged: its files are not those that were written")
+    info, meta = (read_json(folder / name, RecordingError) for name in (INFO, ABOUT))
+    if not str(meta.get("format")).startswith("gendom-recording/"):
+        raise fault("holds demonstrations, not a recording", "train a policy on them")
+    if info.get("total_episodes") != 1:
+        raise fault(f"has {info.get('total_episodes')} episodes, not one")
+    try:
+        names = info["features"][STATE]["names"]
+        table = _read_table(folder / "data" / FILE)
+        counts, state = table[NUM_POINTS].to_numpy(), np.array(table[STATE].to_pylist(), float)
+        time, order = table[TIME].to_numpy(), table["frame_index"].to_numpy()
+        flat = table[POINTS].combine_chunks().flatten().flatten().to_numpy(zero_copy_only=False)
+        padded = np.asarray(flat, dtype=np.float32).reshape(len(table), -1, 3)
+    except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
+        raise fault(f"is incomplete or damaged ({short(error)})") from None
+    if len(table) != info.get("total_frames") or (order != np.arange(len(table))).any():
+        raise fault(f"has not the {info.get('total_frames')} frames in order that are announced")
+    if state.ndim != 2 or state.shape[1] != len(names):
+        raise fault(f"{STATE} has shape {list(state.shape)} for {len(names)} names")
+    if (counts < 0).any() or (counts > padded.shape[1]).any():
+        raise fault(f"{NUM_POINTS} is {counts.max()} of {padded.shape[1]} points")
+
+    arrays = {
+        "points": padded[np.arange(padded.shape[1]) < counts[:, None]],
+        "offsets": np.concatenate([[0], np.cumsum(counts)]),
+        "time": time,
+    }
+    for what, width in (("position", 3), ("axis", 3), ("closed", 1)):
+        own = [n for n, name in enumerate(names) if f".{what}" in name]
+        if own:
+            values = state[:, own].reshape(len(table), -1, width)
+            arrays[f"gripper_{what}"] = values if width == 3 else values[..., 0] == 1.0
+    if "gripper_position" not in arrays:
+        raise fault(f"{STATE} has no positions of grippers")
+    return arrays, meta
+
+
+# ---- the format --------------------------------------------------------------------------------
+
+
+def _write(
+    out: str | os.PathLike,
+    frames: Mapping[str, NDArray[Any]],
+    lengths: NDArray[np.integer],
+    *,
+    task: str,
+    units: Units,
+    about: Mapping[str, Any],
+    fps: int = 1,
+    of_all: Mapping[str, Mapping[str, Any]] | None = None,
+    extra: Mapping[str, pa.Array] | None = None,
+) -> dict[str, Any]:
+    """Write a data set.
+
+    Args:
+        out: Folder to create; it is written completely or not at all.
+        frames: [N, ...] values of each feature, one row for each frame, episode after episode;
+            frame indices and time stamps are added.
+        lengths: [E] number of frames of each episode; all 1 where there are several.
+        task: Description of the task, the same for all episodes.
+        units: Units of features.
+        about: Content of meta/gendom.json.
+        fps: Frames a second, for time stamps.
+        of_all: Statistics of all frames, for features with padded rows.
+        extra: [E] further columns of the episodes.
+
+    Returns:
+        The content of info.json.
+
+    Raises:
+        GendomError: `out` is there already or cannot be written, or the disk is full.
+    """
+    count, frames = len(lengths), {**frames, **_counted(lengths, fps)}
+    found = {feature: _statistics(values) for feature, values in frames.items()}
+    found |= dict(of_all or {})
+    info = {
+        "codebase_version": VERSION,
+        "robot_type": None,
+        "total_episodes": count,
+        "total_frames": int(lengths.sum()),
+        "total_tasks": 1,
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": fps,
+        "splits": {"train": f"0:{count}"},
+        "data_path": f"data/{_NAMED}",
+        "video_path": None,
+        "features": _features(frames, units),
+    }
+    tables = {
+        Path("meta/tasks.parquet"): _tasks(task),
+        "meta/episodes" / FILE: _episodes(frames, lengths, task, found, extra or {}),
+        "data" / FILE: pa.table({name: _column(values) for name, values in frames.items()}),
+    }
+    with atomic_folder(out) as root:
+        for path, table in tables.items():
+            (root / path).parent.mkdir(parents=True, exist_ok=True)
+            write_parquet(table, root / path)
+        for name, content in (("info", info), ("gendom", about), ("stats", found)):
+            (root / f"meta/{name}.json").write_text(to_json(content) + "\n", encoding="utf-8")
+        (root / SEAL).write_text(seal(root) + "\n", encoding="ascii")
+    return info
+
+
+def seal(root: Path) -> str:
+    """SHA-256 of what is read of a data set: Parquet has no checksums."""
+    found = hashlib.sha256()
+    for path in (root / INFO, root / ABOUT, *sorted((root / "data").rglob("*.parquet"))):
+        file_size(path)
+        with open(path, "rb") as file:
+            found.update(hashlib.file_digest(file, "sha256").digest())
+    return found.hexdigest()
+
+
+def _counted(lengths: NDArray[np.integer], fps: int) -> dict[str, NDArray[Any]]:
+    """Features with frame indices and time stamps, [N, 1] each."""
+    starts = np.repeat(np.cumsum(lengths) - lengths, lengths)
+    number = np.arange(int(lengths.sum()))
+    within = (number - starts)[:, None]
+    return {
+        "timestamp": (within / fps).astype(np.float32),
+        "frame_index": within,
+        "episode_index": np.repeat(np.arange(len(lengths)), lengths)[:, None],
+        "index": number[:, None],
+        "task_index": 0 * within,
+    }
+
+
+def _features(frames: Mapping[str, NDArray[Any]], units: Units) -> dict[str, dict[str, Any]]:
+    """Entries of info.json for the features."""
+    features: dict[str, dict[str, Any]] = {
+        feature: {"dtype": str(values.dtype), "shape": list(values.shape[1:]), "names": None}
+        for feature, values in frames.items()
+    }
+    for feature, of in units.items():
+        features[feature] |= {"names": list(of), "units": list(of.values())}
+    return features
+
+
+def _statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
+    """Statistics of [N, ...] over N, under the format's names."""
+    x = values.astype(float)
+    found = {"min": x.min(axis=0), "max": x.max(axis=0), "mean": x.mean(axis=0)}
+    found |= {"std": x.std(axis=0), "count": np.array([len(x)])}
+    found |= {_quantile(q): np.quantile(x, q, axis=0) for q in QUANTILES}
+    return {name: value.tolist() for name, value in found.items()}
+
+
+def _quantile(q: float) -> str:
+    return f"q{round(100 * q):02d}"
+
+
+def _tasks(task: str) -> pa.Table:
+    """Table of the single task; its text is the index, as pandas stores it."""
+    kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
+    about = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": [
+            {"name": n, "field_name": n, "pandas_type": p, "numpy_type": t, "metadata": None}
+            for n, (p, t) in kinds.items()
+        ],
+    }
+    table = pa.table({"task_index": pa.array([0], pa.int64()), "task": [task]})
+    return table.replace_schema_metadata({"pandas": json.dumps(about)})
+
+
+def _episodes(
+    frames: Mapping[str, NDArray[Any]],
+    lengths: NDArray[np.integer],
+    task: str,
+    whole: Mapping[str, Mapping[str, Any]],
+    extra: Mapping[str, pa.Array],
+) -> pa.Table:
+    """Table with one row for each episode."""
+    count, ends = len(lengths), np.cumsum(lengths)
+    columns: dict[str, Any] = {
+        "episode_index": np.arange(count),
+        "tasks": _lists(np.full((count, 1), task)),
+        "length": lengths,
+        "dataset_from_index": ends - lengths,
+        "dataset_to_index": ends,
+    }
+    for what in ("data", "meta/episodes"):
+        columns |= {
+            f"{what}/{name}": np.zeros(count, int) for name in ("chunk_index", "file_index")
+        }
+    for feature, values in frames.items():
+        for name, rows in _by_episode(values, count, whole[feature]).items():
+            columns[f"stats/{feature}/{name}"] = _lists(rows)
+    return pa.table(columns | dict(extra))
+
+
+def _by_episode(
+    values: NDArray[Any], count: int, whole: Mapping[str, Any]
+) -> dict[str, NDArray[Any]]:
+    """Statistics [E, ...] of the only episode, or of many of one frame, which are its values."""
+    if count == 1:
+        return {name: np.array(found)[None] for name, found in whole.items()}
+    x = values.astype(float)
+    found = {name: x for name in ("min", "max", "mean")} | {"std": np.zeros(x.shape)}
+    found |= {"count": np.ones((len(x), 1), np.int64)}
+    return found | {_quantile(q): x for q in QUANTILES}
+
+
+def _lists(values: NDArray[Any]) -> pa.Array:
+    """[N, K, ...] as lists of K, of lists and so on."""
+    if values.ndim == 1:
+        return pa.array(values.tolist()) if values.dtype.kind == "U" else pa.array(values)
+    starts = np.arange(len(values) + 1, dtype=np.int32) * values.shape[1]
+    return pa.ListArray.from_arrays(pa.array(starts), _lists(values.reshape(-1, *values.shape[2:])))
+
+
+def _column(values: NDArray[Any]) -> pa.Array:
+    """[N, K] as lists of the fixed length K, or as plain numbers if K is 1; [N, K, L] as lists of
+    lists."""
+    if values.ndim > 2:
+        return _lists(values)
+    flat, K = pa.array(values.ravel()), values.shape[1]
+    return flat if K == 1 else pa.FixedSizeListArray.from_arrays(flat, K)
