@@ -93,7 +93,8 @@ def estimate(
             posterior = posterior.with_assumed(prior)
         if not verdict.usable:
             posterior = posterior.of_prior()
-        seconds = dict(zip(("scene", "search", "intervals"), np.diff(times).tolist(), strict=True))
+        stages = zip(("scene", "search", "intervals"), np.diff(times), strict=True)
+        seconds = {name: float(t) for name, t in stages}
         return result_of(problem, found, posterior, alone, verdict, seconds, suspicion)
 
 
