@@ -64,7 +64,7 @@ ROOMS = {
               "robot/test_path robot/test_motion robot/test_timing robot/test_collision"),
     "verdict": ("estimation", "verdict", "estimation/test_verdict"),
     "likelihood": ("estimation", "likelihood", "estimation/test_gauss_newton "
-                   "estimation/test_camera_pose estimation/test_estimate"),
+                   "estimation/test_registration estimation/test_estimate"),
 }  # fmt: skip
 """Folder, modules and tests by room."""
 

@@ -61,7 +61,7 @@ EXPENSIVE = {
     r"gendom record .*": "needs OpenGL; tests/reality/test_recording.py",
     r"gendom dataset .*": "minutes; the tutorial makes a small one",
     r"gendom estimate (rope_red_lift.npz|benchmarks/recordings/).*": "real recordings; "
-    "tests/estimation/test_real.py",
+    "tests/estimation/test_estimate.py",
     r"gendom calibrate .*|gendom perceive .*": "need pictures; tests/perception/test_commands.py",
     r"gendom view .*": "serves until it is stopped; tests/viz",
     r"gendom train .*--data REAL.*": "a placeholder",

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -159,7 +160,7 @@ def bending_stiffness(scene, theta):
 def test_a_thicker_object_moves_as_one_of_that_thickness(rope_lift, weighed):
     """Bending, height on the table and weight are those of the rope that has it."""
     recording = rope_lift.at_rest(8)
-    mass = {} if weighed else {"mass": None}
+    mass: dict[str, Any] = {} if weighed else {"mass": None}
     right = LiftScene.of(stated(recording, **mass), rope_lift.settings)
     wrong = LiftScene.of(stated(recording, 1.0 / RATIO, **mass), rope_lift.settings)
     theta = rope_lift.truth

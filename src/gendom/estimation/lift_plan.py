@@ -288,7 +288,7 @@ def plan_lift(
             sizes = motion, size_of(item), thickness_of(item)
             try:
                 if sizes not in arms:
-                    arms[sizes] = arm_motion(trial, lift_cameras(item))
+                    arms[sizes] = arm_motion(trial, lift_cameras(trial.item))
                 if isinstance(arms[sizes], RobotError):
                     raise arms[sizes]
                 lying = recorded_lift(trial, arms[sizes], LIFT_FRAME_RATE[motion.end])

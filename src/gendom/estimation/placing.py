@@ -370,7 +370,7 @@ def _place_cloth(
         dx=longer / 14.0 * 1.5 / settings.cells_across,
         corner=np.append(grip[:2] - turn @ held, mid),
         yaw=yaw,
-        points=tuple(1 + max(2, round(side / spacing)) for side in sides.tolist()),
+        points=(1 + max(2, round(sides[0] / spacing)), 1 + max(2, round(sides[1] / spacing))),
     )
     return Placed(
         body=body,

@@ -166,9 +166,10 @@ class DensityLoss:
         if self.part.observation.markers is None:
             return value, self.part.scene.body.surface_transpose(x, bar)
         index, weight = self.part.observation.markers
-        of_middle = np.zeros((len(x), len(lattice(self.part.scene)[0]), 3))
+        of_middle = np.zeros((len(lattice(self.part.scene)[0]), len(x), 3))
         for k, share in zip(index.T, weight.T, strict=True):
-            np.add.at(of_middle, (slice(None), k), share[:, None] * bar)
+            np.add.at(of_middle, k, share[:, None, None] * np.swapaxes(bar, 0, 1))
+        of_middle = np.swapaxes(of_middle, 0, 1)
         # each point of the middle is the mean of the particles of a section
         count = x.shape[1] // of_middle.shape[1]
         return value, np.repeat(of_middle, count, axis=1) / count
