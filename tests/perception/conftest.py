@@ -1,4 +1,4 @@
-"""A small ray caster: planes, spheres and ropes of known shape as depth and colour pictures."""
+"""A small ray caster: sheets, spheres and ropes of known shape as depth and colour pictures."""
 
 from __future__ import annotations
 
@@ -56,22 +56,6 @@ def make_camera(name="left", eye=(0.0, -0.65, 0.47), target=(0.0, 0.0, 0.1), **o
     K = np.array([[f, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1.0]])
     values = {"depth_unit": 1e-4, "T_world_camera": look_at(eye, target), **other}
     return Camera(name=name, width=width, height=height, K=K, **values)
-
-
-@dataclass
-class Plane:
-    """z = height, as far as the eye reaches."""
-
-    height: float = 0.0
-    colour: tuple = GREY
-
-    def hit(self, origin, d):
-        with np.errstate(divide="ignore"):
-            t = (self.height - origin[2]) / d[:, 2]
-        return np.where(t > 0, t, np.inf)
-
-    def distance(self, p):
-        return p[:, 2] - self.height
 
 
 @dataclass
@@ -142,18 +126,23 @@ class Sheet:
 
     def hit(self, origin, d):
         n = np.cross(self.u, self.v)
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             t = (np.array(self.corner) - origin) @ n / (d @ n)
-        p = origin + t[:, None] * d - np.array(self.corner)
-        inside = t > 0
-        for side in (self.u, self.v):
-            along = p @ np.array(side) / np.dot(side, side)
-            inside &= (along >= 0) & (along <= 1)
+            p = origin + t[:, None] * d - np.array(self.corner)
+            inside = t > 0
+            for side in (self.u, self.v):
+                along = p @ np.array(side) / np.dot(side, side)
+                inside &= (along >= 0) & (along <= 1)
         return np.where(inside, t, np.inf)
 
     def distance(self, p):
         n = np.cross(self.u, self.v)
         return (p - np.array(self.corner)) @ (n / np.linalg.norm(n))
+
+
+def Plane(height=0.0, colour=GREY):
+    """z = height, as far as the eye reaches."""
+    return Sheet((-50.0, -50.0, height), (100.0, 0.0, 0.0), (0.0, 100.0, 0.0), colour)
 
 
 @dataclass

@@ -38,19 +38,6 @@ def test_crop_is_that_of_the_points(world):
     np.testing.assert_array_equal(cropped[~edge], expected[~edge])
 
 
-def test_table_goes_and_what_stands_on_it_stays(world):
-    camera, ball = world.make_camera(scale=0.5), world.Sphere((0, 0, 0.06), 0.06)
-    pictures = world.Scene([world.Plane(), ball]).pictures(camera)
-    view = CameraView(camera, settings())
-    view.find_table(pictures.depth, None)
-    points, counts = view.segment(pictures)
-    assert counts[0] > counts[1] > 20 * counts[2] > 0
-    # Above the table's noise the ball loses nothing.
-    everything, _ = CameraView(camera, settings()).segment(pictures)
-    assert (points[:, 2] > 0.04).sum() > 0.99 * (everything[:, 2] > 0.04).sum() > 250
-    assert (np.abs(ball.distance(points)) < 0.02).mean() > 0.9
-
-
 def test_pixels_half_behind_the_object_are_dropped(world, monkeypatch):
     """They have its colour, and a depth between its own and that of what is behind."""
     rope, camera, red = world.lifted_rope(), world.make_camera(), ObjectColour.near(lab(world.RED))
@@ -112,20 +99,6 @@ def test_no_voxels_keeps_all_points_and_empty_clouds_stay_empty(world):
     blind = Pictures(np.zeros((camera.height, camera.width), np.uint16))
     found = perceive_frame([CameraView(camera, settings())], [blind])
     assert found.points.shape == (0, 3) and found.counts.tolist() == [0] * 8
-
-
-def test_robot_is_taken_out_by_its_capsules(world):
-    link = world.Rope(np.array([(0.0, 0.1, 0.3), (0.0, -0.1, 0.35)]), 0.04, world.BLUE)
-    rope = world.lifted_rope(tip=(0.12, 0.0, 0.25))
-    camera = world.make_camera(scale=0.5)
-    view = CameraView(camera, settings())
-    pictures = world.Scene([link, rope]).pictures(camera, sensor=world.EXACT)
-    capsules = Capsules(link.line[:1], link.line[1:], np.array([link.radius]))
-    with_robot, _ = view.segment(pictures)
-    points, counts = view.segment(pictures, capsules=capsules)
-    assert counts[4] == len(with_robot) > 2 * len(points) > 200
-    assert np.abs(rope.distance(points)).max() < 2e-4
-    assert len(points) == (np.abs(rope.distance(with_robot)) < 2e-4).sum()
 
 
 def test_capsules_contain_what_a_distance_says():

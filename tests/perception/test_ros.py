@@ -65,10 +65,10 @@ def xyzw(x):
     return dict(zip("xyzw", map(float, x), strict=False))
 
 
-def tf(time, parent, child, x=(5.0, 5.0, 5.0), turn=None):
-    """A transform of TF."""
+def tf(time, parent, child, x=(5.0, 5.0, 5.0), turn=None, length=1.0):
+    """A transform of TF, with a quaternion of a length."""
     turn = Rotation.identity() if turn is None else turn
-    moved = {"translation": xyzw(x), "rotation": xyzw(turn.as_quat())}
+    moved = {"translation": xyzw(x), "rotation": xyzw(length * turn.as_quat())}
     of = {"header": header(time, parent), "child_frame_id": child, "transform": moved}
     return made(TF, {"transforms": [of]})
 
@@ -282,13 +282,14 @@ OF_TF = {
     "static before moving": ("/tf_static", tf(0.0, "base", "hand")),
     "moving before static": ("/tf", tf(0.0, "world", "camera")),
     "no numbers": ("/tf", tf(0.6, "hand", "tool", (np.nan, 0.0, 0.0))),
+    "no turn": ("/tf", tf(0.6, "hand", "tool", length=1.1)),
 }
 
 
 @pytest.mark.parametrize("case", OF_TF)
 def test_frames_are_those_of_tf2(bag, case):
     """The last of equal times counts, the last kind of a frame, and none that is no pose."""
-    rows = [*messages(), OF_TF[case]] if case == "no numbers" else [OF_TF[case], *messages()]
+    rows = [*messages(), OF_TF[case]] if case[:3] == "no " else [OF_TF[case], *messages()]
     check(read(bag(rows)))
 
 

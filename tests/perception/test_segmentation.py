@@ -1,7 +1,6 @@
 """What else is in view: the cloud is right, or it is refused with the reason."""
 
 import shutil
-from typing import Any
 
 import numpy as np
 import pytest
@@ -118,19 +117,6 @@ def test_frames_with_a_hand_are_left_out(world):
     found = perceive(lift, on_warning=warned.append)
     assert found.recording.num_frames == 2 and far(world, found.recording) < 0.05
     assert "in 1 of 3 frames points cover" in str(warned[0])
-
-
-def test_cameras_are_compared(world):
-    lift = recorded(world, frames=5)
-    right: Any = lift.sources[1]
-    T = right.real.T_world_camera.copy()
-    T[:3, 3] += [0.0, 0.008, 0.006]
-    right.camera = right.real.at(T)
-    found = perceive(lift, PerceptionSettings(colour=RED))
-    apart = found.recording.extra["perception"]["cameras_apart"]
-    assert apart["table"] == pytest.approx(0.006, abs=0.001)
-    assert 0.005 < apart["at_rest"] < 0.011
-    assert found.recording.cameras_apart == apart["at_worst"] == found.disagreement
 
 
 @pytest.fixture(scope="module")

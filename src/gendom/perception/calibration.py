@@ -352,10 +352,8 @@ def _hand_eye(camera: Camera, views: Sequence[BoardView]) -> tuple[np.ndarray, n
 
 def _moved(T: np.ndarray, change: np.ndarray) -> np.ndarray:
     """T turned about its own axes by change[:3] [rad], moved in the outer ones by change[3:]."""
-    moved = T.copy()
-    moved[:3, :3] = T[:3, :3] @ Rotation.from_rotvec(change[:3]).as_matrix()
-    moved[:3, 3] += change[3:]
-    return moved
+    turn = Rotation.from_rotvec(change[:3]).as_matrix()
+    return rigid(T[:3, :3] @ turn, T[:3, 3] + change[3:])
 
 
 def _check_turns(views: Sequence[BoardView]) -> None:

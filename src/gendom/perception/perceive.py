@@ -95,8 +95,7 @@ def perceive(
 
     Raises:
         RecordingError: No frames match, depth misses the workspace, cameras disagree by more
-            than 2 cm, no object is in view, or the recording that
-            came of it is not valid.
+            than 2 cm, no object is in view, or the recording that came of it is not valid.
         ParameterError: A setting is out of its range.
     """
     return _Perception(recorded, settings or PerceptionSettings(), on_warning, on_frame).run()
@@ -418,10 +417,10 @@ class _Perception:
         values = dict(self.values)
         settings, box = self.settings, self.settings.workspace
         assert box is not None
-        kept = {"low": box[:3], "high": box[3:]}
+        kept = {"voxel": settings.voxel, "min_cluster": settings.min_cluster}
         history = {  # docs/perception.md
             "cameras": self.names,
-            "settings": {**kept, "voxel": settings.voxel, "min_cluster": settings.min_cluster},
+            "settings": {"low": box[:3], "high": box[3:], **kept},
             "colour_lab": None if self.colour is None else self.colour.reference,
             "cameras_apart": self.apart,
             "levelled": self.levelled,

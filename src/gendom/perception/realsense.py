@@ -61,8 +61,7 @@ class RealSenseRecording:
         on_warning: Called with every fault that does not prevent use.
 
     Raises:
-        RecordingError: It is damaged from the start on, has no depth, or camera.toml contradicts
-            it.
+        RecordingError: It is damaged from its start, without depth, or unlike camera.toml.
         DeviceError: A .bag file is to be read and the SDK is missing.
     """
 

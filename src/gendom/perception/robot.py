@@ -133,9 +133,8 @@ def read_shape(
 
     Args:
         folder: It may hold the files.
-        meta: The content of object.toml: `robot` names the arm (by default the xArm 7), and the
-            object's diameter or thickness says how far the fingers are open where joints.csv
-            does not.
+        meta: The content of object.toml: `robot` names the arm, by default the xArm 7. Fingers are
+            open by the object's diameter or thickness where joints.csv does not say.
         span: First and last time [s] at which the shape is needed; others are told.
         arm: In place of that which the content names.
 

@@ -17,7 +17,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -50,7 +50,6 @@ POSE, TF = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
 _SUFFIXES = (".db3", ".mcap")
 _LARGEST_METADATA, _MOST_MARKS = 1 << 17, 6000  # [bytes], lines and parts: YAML is read slowly
 _DENORMAL = 0.01  # of a quaternion's squared length, as tf2 has it
-_HERE = np.eye(4)
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of PointField
 
 
@@ -399,13 +398,13 @@ class _Frames:
         what = f"TF does not say where {start} is in {to}"
         fix = f"give frames of one tree; it has {', '.join(sorted(self.tracks)) or 'none'}"
         expect(shared in down, what, where=self.where, fix=fix)
-        below, above = (
-            reduce(
-                lambda T, frame: self.tracks[frame].at(time) @ T, way[: way.index(shared)], _HERE
-            )
-            for way in (up, down)
-        )
-        return np.linalg.inv(above) @ below
+        legs = []
+        for way in (up, down):
+            T = np.eye(4)
+            for frame in way[: way.index(shared)]:
+                T = self.tracks[frame].at(time) @ T
+            legs.append(T)
+        return np.linalg.inv(legs[1]) @ legs[0]
 
     def _lineage(self, frame: str) -> list[str]:
         found = [frame]
