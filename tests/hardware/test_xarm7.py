@@ -25,17 +25,9 @@ from gendom.hardware.cell import Cell
 from gendom.hardware.execution import ExecutionLog, execute, read_log
 from gendom.hardware.streamed import StreamedRobot
 from gendom.hardware.streaming import Streamer
-from gendom.robot import DOWN, XARM7, GripperEvent, TcpPath, joint_move
-from hardware.xarm_box import Box, Driver, cell
+from gendom.robot import DOWN, XARM7, GripperEvent, TcpPath
+from hardware.xarm_box import AWAY, Box, Driver, cell, patient, there_and
 from simulated_cell import write_cell
-
-AWAY = XARM7.home + np.array([0.6, 0.1, 0.0, 0.2, 0.0, 0.1, 0.3])
-
-
-def patient(here):
-    """The driver, for a computer that has other work to do."""
-    streaming.BLIND, xarm7._QUICK = (0.3, 1.0), 1.0
-    return Driver(here)
 
 
 @pytest.fixture
@@ -61,10 +53,6 @@ def streamer(box, monkeypatch):
     driver.connect()
     yield Streamer(driver, here)
     driver.disconnect()
-
-
-def there_and(share=0.4, **changes):
-    return replace(joint_move(XARM7, XARM7.home, AWAY, share=share), **changes)
 
 
 # ---- in a process of its own ---------------------------------------------------------------------
@@ -157,7 +145,7 @@ def assert_braked(box):
 
 PROGRAM = """
 import sys
-from hardware.test_xarm7 import StreamedRobot, cell, patient, there_and
+from hardware.xarm_box import StreamedRobot, cell, patient, there_and
 if __name__ == "__main__":
     robot = StreamedRobot(cell(sys.argv[1], tool=0.5, share=1.0), patient)
     robot.connect()

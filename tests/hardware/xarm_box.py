@@ -15,12 +15,15 @@ import struct
 import threading
 import time
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
 from gendom.hardware import cell as cells
+from gendom.hardware import streaming, xarm7
+from gendom.hardware.streamed import StreamedRobot as StreamedRobot
 from gendom.hardware.xarm7 import XArmDriver
-from gendom.robot import XARM7, tcp_pose
+from gendom.robot import XARM7, joint_move, tcp_pose
 
 PORT = 15020
 """Of commands: the box's own, 502, asks for rights."""
@@ -38,6 +41,19 @@ class Driver(XArmDriver):
 
         setattr(XCONF.SocketConf, "TCP_CONTROL_PORT", PORT)  # noqa: B010
         super().connect()
+
+
+AWAY = XARM7.home + np.array([0.6, 0.1, 0.0, 0.2, 0.0, 0.1, 0.3])
+
+
+def there_and(share=0.4, **changes):
+    return replace(joint_move(XARM7, XARM7.home, AWAY, share=share), **changes)
+
+
+def patient(here):
+    """The driver, for a computer that has other work to do."""
+    streaming.BLIND, xarm7._QUICK = (0.3, 1.0), 1.0
+    return Driver(here)
 
 
 def cell(address, **speed):

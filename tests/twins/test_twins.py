@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -48,11 +49,12 @@ def estimate(tmp_path):
 
 def test_a_rope_lifted_in_mujoco_moves_as_ours(tmp_path, estimate):
     pytest.importorskip("mujoco")
-    folder = written(tmp_path, estimate(OBJECTS["rope-polyester"]), "--to", "mjcf")
+    short = replace(OBJECTS["rope-polyester"], length=0.15)
+    folder = written(tmp_path, estimate(short), "--to", "mjcf")
     mean, worst = lifted(folder)
     assert mean < 2.0 and worst < 6.0
     about = json.loads((folder / "twin.json").read_text())
-    assert about["object"]["E"] == pytest.approx(OBJECTS["rope-polyester"].material.E)
+    assert about["object"]["E"] == pytest.approx(short.material.E)
     assert np.load(folder / "positions.npy").shape == np.load(folder / "lift.npz")["gendom"].shape
 
 

@@ -196,14 +196,17 @@ class StreamedRobot:
         )
 
     def approach(self, q: ArrayLike) -> None:
-        """Move slowly, from point to point (`Cell.approach`).
+        """Move slowly, point to point, around nothing: a way that touches something is refused.
 
         Raises:
             RobotError: The pose is out of the limits, or the arm would touch something.
             DeviceError: As `play`.
         """
-        at = np.clip(self._ready().q, self.arm.q_min, self.arm.q_max)
-        self.play(self.cell.approach(at, np.asarray(q, dtype=float)))
+        state, cell = self._ready(), self.cell
+        at = np.clip(state.q, self.arm.q_min, self.arm.q_max)
+        opening = cell.tool.max_opening if state.opening is None else state.opening
+        q = np.asarray(q, dtype=float)
+        self.play(cell.slow_move(at, q, surroundings=cell.surroundings, opening=opening))
 
     def play(self, motion: JointMotion, *, on_tick: Callable[[Tick], None] | None = None) -> None:
         """Follow a motion; `gendom.hardware.Robot.play`."""
