@@ -112,12 +112,12 @@ class Command:
 
     def _write(self, plan: LiftPlan, folder: Path) -> None:
         from gendom.materials import thickness_of, to_columns
-        from gendom.reality import arm_motion, as_real, lift_cameras, lifted_by
+        from gendom.reality import arm_motion, as_real, lift, lift_cameras
         from gendom.robot import MOTION_FORMAT
 
         write_json(folder / "plan.json", plan.to_dict())
         item = as_real(plan.middle)
-        trial = lifted_by(item, plan.chosen.motion)
+        trial = lift(item, plan.chosen.motion)
         motion = {
             "format": MOTION_FORMAT,
             "lift": plan.chosen.motion.to_dict(),

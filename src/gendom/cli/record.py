@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gendom.arguments import require
-from gendom.cli.arguments import settings_of
 from gendom.cli.execute import FINGER_WIDTH, bring, described, move
 from gendom.errors import ParameterError
 from gendom.files import check_folder
@@ -116,12 +115,11 @@ class Command:
     def _in_mujoco(self, reality: str) -> int:
         from gendom.reality import (
             RealRope,
-            RecordSettings,
             RigErrors,
             TrialRun,
             find_object,
+            lift,
             lift_cameras,
-            lifted_by,
             record,
         )
 
@@ -139,7 +137,7 @@ class Command:
             self._check_rise(item.length, f"the rope {item.length:g} m long")
         else:
             self._check_rise(item.side, f"the cloth {item.side:g} m wide")
-        trial = lifted_by(item, self._motion(item))
+        trial = lift(item, self._motion(item))
         trial_run = TrialRun(
             trial,
             cameras=lift_cameras(item),
@@ -155,7 +153,10 @@ class Command:
             record(
                 trial_run,
                 self.out,
-                settings_of(RecordSettings, self, notes=notes, noisy=not self.no_noise),
+                frame_rate=self.frame_rate,
+                seed=self.seed,
+                noisy=not self.no_noise,
+                notes=notes,
                 errors=RigErrors.none() if self.no_errors else errors,
                 on_frame=lambda moment: show(round(moment, 1)),
             )
