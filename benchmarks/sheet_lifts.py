@@ -11,6 +11,7 @@ plane than their material is (`docs/reality.md`); the shell has that modulus (`M
 import argparse
 import json
 import time
+from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
@@ -29,7 +30,7 @@ RATE = 30.0
 
 def theirs(trial: Trial, times: np.ndarray, step: float | None) -> np.ndarray:
     """[T, V, 3] MuJoCo's vertices."""
-    run = TrialRun(trial, robot=False, timestep=step)
+    run = TrialRun(replace(trial, timestep=step or trial.timestep), robot=False)
     try:
         seen = []
         for moment in times:

@@ -21,7 +21,7 @@ from gendom.estimation.lift_plan import (
     rolls,
 )
 from gendom.materials import Rope
-from gendom.reality import as_real, lifted_by
+from gendom.reality import as_real, lift
 from gendom.robot import XARM7, LiftMotion, follow, predefined_lift
 
 ROPES = ObjectClass(kind="rope", size=(0.25, 0.25), thickness=(0.012, 0.012))
@@ -66,7 +66,7 @@ def test_what_is_expected_is_what_the_estimator_reports(monkeypatch):
 
     monkeypatch.setattr(lift_plan, "_showing", kept)
     motion = LiftMotion(kind="rope", rise=1.0, speed=0.1, end="swing")
-    trial = lifted_by(as_real(ROPES.at(0.5)), motion)
+    trial = lift(as_real(ROPES.at(0.5)), motion)
     lying = lift_plan.recorded_lift(trial, follow(XARM7, trial.path), 30.0)
     _, sd = lift_plan.forecast(lying, None, [3])
     assert sd is not None

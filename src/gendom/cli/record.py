@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from gendom.arguments import require
-from gendom.cli.arguments import Seed, settings_of
+from gendom.cli.arguments import Seed
 from gendom.cli.execute import FINGER_WIDTH, bring, described, move
 from gendom.errors import ParameterError
 from gendom.files import check_folder
@@ -17,12 +17,11 @@ from gendom.materials import Item, size_of, thickness_of
 from gendom.progress import bar
 from gendom.reality import (
     RealObject,
-    RecordSettings,
     RigErrors,
     TrialRun,
     find_object,
+    lift,
     lift_cameras,
-    lifted_by,
     record,
 )
 from gendom.robot import LiftMotion, motions, predefined_lift
@@ -127,7 +126,7 @@ class Command:
         check_folder(self.out)
         item = find_object(reality)
         self._check_rise(item)
-        trial = lifted_by(item, self._motion(item))
+        trial = lift(item, self._motion(item))
         trial_run = TrialRun(trial, cameras=lift_cameras(item), grip_force=self.grip_force)
         usual = RigErrors.synchronised() if trial.quick else RigErrors()
         errors = replace(usual, robot_clock=self.robot_clock, encoders=self.encoder_noise)
@@ -138,7 +137,10 @@ class Command:
             record(
                 trial_run,
                 self.out,
-                settings_of(RecordSettings, self, notes=notes, noisy=not self.no_noise),
+                frame_rate=self.frame_rate,
+                seed=self.seed,
+                noisy=not self.no_noise,
+                notes=notes,
                 errors=RigErrors.none() if self.no_errors else errors,
                 on_frame=lambda moment: show(round(moment, 1)),
             )

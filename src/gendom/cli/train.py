@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 class Command:
     """Train a policy on simulated demonstrations. Needs the extra `train`.
 
-    The file appears when the policy is trained and checked; an older one stays until then. Then
-    it acts in new simulated cases, and its errors there are printed. If it is interrupted, run it
-    again: it continues where it stopped.
+    The file appears when the policy is trained and has acted in new simulated cases, whose errors
+    are printed; an older one stays until then. If it is interrupted, run it again: it continues
+    after the last network or round that was done.
 
     For example: gendom train rope-casting --data casts --out casting.onnx
     """

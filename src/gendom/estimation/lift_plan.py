@@ -39,8 +39,8 @@ from gendom.reality import (
     arm_motion,
     as_real,
     end_of,
+    lift,
     lift_cameras,
-    lifted_by,
 )
 from gendom.robot import LIFT_ENDS, XARM7, JointMotion, LiftMotion, predefined_lift
 from gendom.robot.motions import FREE_RISE, LIFT_FRAME_RATE, RISE
@@ -284,7 +284,7 @@ def plan_lift(
         faults: dict[str, None] = {}
         carried_out = 0
         for n, item in enumerate(drawn):
-            trial, sd = lifted_by(as_real(item), motion), None
+            trial, sd = lift(as_real(item), motion), None
             sizes = motion, size_of(item), thickness_of(item)
             try:
                 if sizes not in arms:

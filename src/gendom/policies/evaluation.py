@@ -49,20 +49,14 @@ class Cases:
 class Score:
     """What a policy did in each of W cases."""
 
-    action: Array
-    """[W, A] in SI units."""
-    goal: Array
-    """[W, G]."""
     reached: Array
-    """[W, G]; NaN where it failed."""
+    """[W, G] in SI units; NaN where it failed."""
     error: Array
     """[W] the task's; NaN where it failed."""
     size: Array
     """[W] reference of relative errors: the object's size [m] where goals are lengths, else 1."""
     outside: NDArray[np.bool_]
     """[W] whether `Policy.act` would refuse the goal as outside the training range."""
-    faults: tuple[str | None, ...]
-    """[W] what went wrong."""
 
     def summary(self) -> dict[str, Any]:
         """Figures ready for JSON: errors in the goal's unit and as shares of the size.
@@ -72,7 +66,7 @@ class Score:
         """
         done = np.isfinite(self.error)
         return {
-            "cases": len(self.goal),
+            "cases": len(self.error),
             "failed": int((~done).sum()),
             "outside_range": int(self.outside.sum()),
             "error": _figures(self.error[done]),
@@ -149,8 +143,7 @@ def score(
     Raises:
         PolicyError: The policy is for another task.
     """
-    action = choose(policy, cases)
-    found = judge(cases, action, world=world, on_frame=on_frame)
+    found = judge(cases, choose(policy, cases), world=world, on_frame=on_frame)
     ends = np.array([policy.goal_range(item) for item in cases.items]).reshape(len(cases), -1, 2)
     outside = (cases.goal < ends[..., 0]) | (cases.goal > ends[..., 1])
     return replace(found, outside=outside.any(axis=1))
@@ -197,13 +190,10 @@ def judge(
             reached[w] = [outcome.values[q.name] for q in task.goals]
             error[w] = task.error(item, cases.goal[w], outcome.values)
     return Score(
-        action=action,
-        goal=cases.goal,
         reached=reached,
         error=error,
         size=np.array([unit_of(task.goals[0].unit, i) if task.goals else 1.0 for i in cases.items]),
         outside=np.zeros(len(cases), dtype=bool),
-        faults=tuple(o.fault for o in outcomes),
     )
 
 

@@ -7,6 +7,7 @@ little longer than one world, so searches for many goals or objects are as quick
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
+from itertools import islice
 from typing import TypeVar
 
 import numpy as np
@@ -39,16 +40,13 @@ def side_by_side(task: Task, world: World, searches: Sequence[Asking[T]]) -> lis
         asked: dict[int, Rollouts] = {}
         for k, answer in answers.items():
             try:
-                asked[k] = searches[k].send(answer) if answer is not None else next(searches[k])
+                asked[k] = searches[k].send(answer)  # pyright: ignore[reportArgumentType]
             except StopIteration as done:
                 results[k] = done.value
         items = [item for many, _ in asked.values() for item in many]
         actions = [action for _, many in asked.values() for action in many]
-        outcomes = world.carry_out(task, items, np.array(actions)) if items else []
-        answers = {}
-        for k, (many, _) in asked.items():
-            count = len(many)
-            answers[k], outcomes = outcomes[:count], outcomes[count:]
+        found = iter(world.carry_out(task, items, np.array(actions)) if items else [])
+        answers = {k: list(islice(found, len(many))) for k, (many, _) in asked.items()}
     return [results[k] for k in range(len(searches))]
 
 

@@ -4,11 +4,13 @@ Tasks are Gymnasium environments in it, where that is installed: `gendom/RopeRea
 on, one for each, see `gendom.reality.envs`.
 """
 
+from contextlib import suppress
+
 from gendom.reality.air import Air
 from gendom.reality.model import Layout, default_cameras, looking_at
 from gendom.reality.object_file import find_object
 from gendom.reality.objects import OBJECTS, RealCloth, RealObject, RealRope, as_real
-from gendom.reality.recording import RecordSettings, record
+from gendom.reality.recording import record
 from gendom.reality.sensor import RigErrors
 from gendom.reality.trials import (
     RealWorld,
@@ -18,7 +20,6 @@ from gendom.reality.trials import (
     end_of,
     lift,
     lift_cameras,
-    lifted_by,
     observe,
     task_trial,
 )
@@ -34,7 +35,6 @@ __all__ = [
     "RealRope",
     "RealWorld",
     "Reality",
-    "RecordSettings",
     "RigErrors",
     "Trial",
     "TrialRun",
@@ -45,21 +45,13 @@ __all__ = [
     "find_object",
     "lift",
     "lift_cameras",
-    "lifted_by",
     "looking_at",
     "observe",
     "record",
     "task_trial",
 ]
 
+with suppress(ImportError):  # where Gymnasium is not installed
+    from gendom.environments import register
 
-def _register() -> None:
-    """Add the environments of other packages' tasks."""
-    try:
-        from gendom.environments import register
-    except ImportError:  # Gymnasium is not installed
-        return
-    register(task_names())
-
-
-_register()
+    register(task_names())  # those of other packages, too

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.installation import load_mujoco
 from gendom.perception.camera import Camera
+from gendom.reality.model import row
 from gendom.robot import Arm, Box, JointMotion, Surroundings, arm_shape, link_poses
 
 STIFFNESS, DAMPING, INERTIA = 2.0e4, 4.0e2, 0.3
@@ -63,7 +64,7 @@ class RobotArm:
                 b = b + np.array([0.0, 0.0, 1e-4])
             gripper = link == arm.joints
             geoms[link].append(
-                f'<geom type="capsule" fromto="{_row(a)} {_row(b)}" size="{shape.radius[k]}"'
+                f'<geom type="capsule" fromto="{row(a)} {row(b)}" size="{shape.radius[k]}"'
                 f' rgba="{"0.25 0.26 0.28 1" if gripper else "0.9 0.9 0.92 1"}"'
                 f" {_UNTOUCHED if gripper else _TOUCHED}/>"
             )
@@ -128,8 +129,4 @@ def housing(name: str, T_world_camera: npt.NDArray[np.float64]) -> Box:
 
 def _place(T: npt.NDArray[np.float64]) -> str:
     quat = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
-    return f'pos="{_row(T[:3, 3])}" quat="{_row(quat)}"'
-
-
-def _row(values: npt.ArrayLike) -> str:
-    return " ".join(repr(float(x)) for x in np.ravel(values))
+    return f'pos="{row(T[:3, 3])}" quat="{row(quat)}"'

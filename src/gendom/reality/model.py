@@ -21,8 +21,9 @@ from gendom.materials import STANDARD_GRAVITY
 from gendom.perception.camera import Camera
 from gendom.reality.objects import RealCloth, RealObject, RealRope
 
-ROPE_STEP, CLOTH_STEP = 0.001, 0.004
-"""Time steps [s]."""
+ROPE_STEP, CLOTH_STEP = 0.00025, 0.004
+"""Time steps [s]. In steps of 1 ms a rope of 2.5 ms is damped like one of 3.5 ms, in these like one
+of 2.8 ms."""
 
 SIDE_HINGES, DIAGONAL_HINGES = 4.0 / 3.0, 2.0 / 3.0
 """Factors on MuJoCo's bending stiffness across the edges of a sheet's squares and across their
@@ -77,20 +78,14 @@ def default_cameras(centre: npt.ArrayLike = (0.5, 0.0, 0.1)) -> list[Camera]:
     width, height = CAMERA_SIZE
     K = np.array([[FOCAL, 0, (width - 1) / 2], [0, FOCAL, (height - 1) / 2], [0, 0, 1.0]])
     tilt = np.radians(CAMERA_ELEVATION)
-    cameras = []
-    for name, side in (("left", 1.0), ("right", -1.0)):
-        offset = np.array([0.0, side * np.cos(tilt), np.sin(tilt)])
-        cameras.append(
-            Camera(
-                name=name,
-                width=width,
-                height=height,
-                K=K,
-                T_world_camera=looking_at(centre + CAMERA_DISTANCE * offset, centre),
-                depth_unit=DEPTH_UNIT,
-            )
-        )
-    return cameras
+    sides = {"left": 1.0, "right": -1.0}
+    at = {n: centre + CAMERA_DISTANCE * np.array([0.0, side * np.cos(tilt), np.sin(tilt)])
+          for n, side in sides.items()}  # fmt: skip
+    return [
+        Camera(name=name, width=width, height=height, K=K, depth_unit=DEPTH_UNIT,
+               T_world_camera=looking_at(place, centre))
+        for name, place in at.items()
+    ]  # fmt: skip
 
 
 def looking_at(position: npt.ArrayLike, target: npt.ArrayLike) -> npt.NDArray[np.float64]:
@@ -106,101 +101,48 @@ def looking_at(position: npt.ArrayLike, target: npt.ArrayLike) -> npt.NDArray[np
     return T
 
 
-def build_model(
-    item: RealObject,
-    layout: Layout,
-    *,
-    arm: str = "",
-    actuators: str = "",
-    hand: str = "",
-    cameras: Sequence[Camera] = (),
-    table: bool = True,
-    timestep: float | None = None,
-    tolerance: float | None = None,
-    gravity: npt.ArrayLike = (0.0, 0.0, -STANDARD_GRAVITY),
-) -> Any:
-    """Compile the scene.
-
-    Each vertex of the object has one connect constraint to the hand, named HAND_INDEX and
-    initially inactive; `Reality` switches them to attach and release. Vertices held by the stand
-    are connected to the world.
-
-    Args:
-        item: The object.
-        layout: Its initial placement.
-        arm: Bodies of a robot, see `gendom.reality.arm`, or of a free hand.
-        actuators: The robot's actuators.
-        hand: Name of a body that can hold the object.
-        cameras: Fixed cameras.
-        table: Whether the scene has a table.
-        timestep: Time step [s]; by default 1 ms for ropes, 4 ms for cloths.
-        tolerance: Of MuJoCo's solver; by default 1e-8 for ropes, 1e-6 for cloths.
-        gravity: [3] gravity [m/s^2].
-
-    Returns:
-        The `mujoco.MjModel`.
-
-    Raises:
-        DeviceError: MuJoCo is not installed.
-        ParameterError: MuJoCo refuses the model.
-    """
-    step = timestep or (ROPE_STEP if isinstance(item, RealRope) else CLOTH_STEP)
-    vertices = len(rest_shape(item, layout))
-    connections = [
-        connection(f"{hand}_{v}", f"object_{v}", hand, step, active=False)
-        for v in range(vertices if hand else 0)
-    ]
-    connections += [
-        f'<connect name="stand_{v}" body1="object_{v}" anchor="0 0 0" {_firm(step)}/>'
-        for v in clamped_vertices(item, layout)
-    ]
-    xml = scene_xml(
-        item,
-        layout,
-        step=step,
-        tolerance=tolerance,
-        gravity=gravity,
-        bodies=("".join(map(_camera, cameras)), arm),
-        actuators=actuators,
-        connections=connections,
-        table=table,
-    )
-    return compiled(item, xml)
-
-
 def scene_xml(
     item: RealObject,
     layout: Layout,
     *,
     step: float,
-    bodies: Sequence[str],
-    connections: Sequence[str],
+    bodies: Sequence[str] = (),
+    connections: Sequence[str] = (),
     actuators: str = "",
-    table: bool = True,
     tolerance: float | None = None,
-    gravity: npt.ArrayLike = (0.0, 0.0, -STANDARD_GRAVITY),
 ) -> str:
-    """The scene as MJCF; other arguments as of `build_model`.
+    """The scene as MJCF.
 
     Args:
+        item: The object.
+        layout: Its initial placement.
         step: Time step [s].
         bodies: Elements beside table and object.
-        connections: Equality constraints.
+        connections: Equality constraints beside those of the stand.
+        actuators: A robot's.
+        tolerance: Of MuJoCo's solver; by default 1e-8 for ropes, 1e-6 for cloths.
     """
     # CG needs many iterations where a cloth lies on itself; with too few, vertices penetrate.
     solver, usual = ("Newton", 1e-8) if isinstance(item, RealRope) else ("CG", 1e-6)
-    options = (
-        f'timestep="{step}" integrator="discrete" solver="{solver}" iterations="400"'
-        f' tolerance="{usual if tolerance is None else tolerance}" gravity="{_row(gravity)}"'
-    )
-    around = [_table(item, step)] if table else []
+    stand = [
+        connection(f"stand_{v}", f"object_{v}", "world", step, active=True)
+        for v in clamped_vertices(item, layout)
+    ]
+    x, y, wide, deep = TABLE
     return _SCENE.format(
         name=item.name,
-        options=options,
+        options=f'timestep="{step}" integrator="discrete" solver="{solver}" iterations="400"'
+        f' tolerance="{usual if tolerance is None else tolerance}"'
+        f' gravity="0.0 0.0 {-STANDARD_GRAVITY}"',
+        table=f'pos="{x} {y} -0.02" size="{wide / 2} {deep / 2} 0.02"',
+        # A plane makes one contact for each vertex, a box one for each corner of each triangle,
+        # six times as many constraints, each of them softer. Its priority: its parameters apply.
+        top=f'group="{_UNSEEN}" size="{wide / 2} {deep / 2} 0.1" pos="{x} {y} 0"'
+        f' friction="{item.friction} 0.005 0.0001" solref="{2 * step} 1"',
         floor=f'contype="{_FIXED}" conaffinity="{_OBJECT}"',
-        bodies="".join([*around, *bodies, _flex(item, layout, step)]),
+        bodies="".join([*bodies, _flex(item, layout, step)]),
         actuators=actuators,
-        connections="".join(connections),
+        connections="".join([*connections, *stand]),
     )
 
 
@@ -211,15 +153,21 @@ def compiled(item: RealObject, xml: str) -> Any:
         DeviceError: MuJoCo is not installed.
         ParameterError: MuJoCo refuses the scene.
     """
+    mujoco = load_mujoco()
     try:
-        model = load_mujoco().MjModel.from_xml_string(xml)
+        model = mujoco.MjModel.from_xml_string(xml)
     except ValueError as error:
-        raise ParameterError(
-            f"MuJoCo refuses the scene ({error})", where=item.name, fix="check its sizes"
-        ) from None
-    _weigh(model, item)
-    if isinstance(item, RealCloth):
-        _bend_alike(model, item)
+        what = f"MuJoCo refuses the scene ({error})"
+        raise ParameterError(what, where=item.name, fix="check its sizes") from None
+    # Each vertex has the mass of its share; flexcomp makes them all equal. The inertia of these
+    # bodies has no effect: they translate and do not rotate.
+    model.body_mass[model.flex_vertbodyid] = item.vertex_masses
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    if isinstance(item, RealCloth):  # a sheet, softened or not, bends alike in every direction
+        length = np.linalg.norm(np.diff(item.sheet[0][model.flex_edge], axis=1), axis=(1, 2))
+        hinges = model.flex_bending.reshape(len(length), -1)
+        factor = np.where(length > 1.2 * item.spacing, DIAGONAL_HINGES, SIDE_HINGES)
+        hinges *= factor[:, None] / softened(item)
     return model
 
 
@@ -238,6 +186,8 @@ _SCENE = """
     <light pos="0.2 0.6 1.8" dir="0.1 -0.3 -1" diffuse="0.5 0.5 0.5" castshadow="true"/>
     <light pos="0.8 -0.8 1.6" dir="-0.2 0.4 -1" diffuse="0.3 0.3 0.3" castshadow="false"/>
     <geom name="floor" type="plane" size="4 4 0.1" pos="0 0 -0.75" rgba="0.35 0.37 0.4 1" {floor}/>
+    <geom name="table" type="box" {table} rgba="0.62 0.58 0.52 1" contype="0" conaffinity="0"/>
+    <geom name="top" type="plane" {top} {floor} solimp="0.99 0.999 0.0005" priority="1"/>
     {bodies}
   </worldbody>
   <actuator>{actuators}</actuator>
@@ -247,44 +197,10 @@ _SCENE = """
 </mujoco>"""
 
 
-def _table(item: RealObject, step: float) -> str:
-    """The table: a box that is seen, and a plane that is touched.
-
-    A plane makes one contact for each vertex, a box one for each corner of each triangle, six times
-    as many constraints. Each of the plane's contacts is harder, so that objects on a slope creep as
-    little. By its priority, the plane's contact parameters apply.
-    """
-    x, y, wide, deep = TABLE
-    return (
-        f'<geom name="table" type="box" pos="{x} {y} -0.02" size="{wide / 2} {deep / 2} 0.02"'
-        ' rgba="0.62 0.58 0.52 1" contype="0" conaffinity="0"/>'
-        f'<geom name="top" type="plane" group="{_UNSEEN}" size="{wide / 2} {deep / 2} 0.1"'
-        f' pos="{x} {y} 0" contype="{_FIXED}" conaffinity="{_OBJECT}"'
-        f' friction="{item.friction} 0.005 0.0001" solref="{2 * step} 1" solimp="0.99 0.999 0.0005"'
-        ' priority="1"/>'
-    )
-
-
-def _weigh(model: Any, item: RealObject) -> None:
-    """Set each vertex's mass to that of its share of the object; flexcomp makes them all equal."""
-    mujoco = load_mujoco()
-    # The inertia of these bodies has no effect: they translate and do not rotate.
-    model.body_mass[model.flex_vertbodyid] = item.vertex_masses
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-
-
 def softened(cloth: RealCloth) -> float:
     """Factor by which a sheet's in-plane stiffness is reduced."""
     m = cloth.material
     return min(1.0, m.density * STANDARD_GRAVITY * cloth.side / (2.0 * SHEET_STRETCH * m.E))
-
-
-def _bend_alike(model: Any, cloth: RealCloth) -> None:
-    """Set the bending rigidity of a sheet, softened or not, in every direction."""
-    length = np.linalg.norm(np.diff(cloth.sheet[0][model.flex_edge], axis=1), axis=(1, 2))
-    diagonal = length > 1.2 * cloth.spacing
-    hinges = model.flex_bending.reshape(len(length), -1)
-    hinges *= np.where(diagonal, DIAGONAL_HINGES, SIDE_HINGES)[:, None] / softened(cloth)
 
 
 def rest_shape(item: RealObject, layout: Layout) -> npt.NDArray[np.float64]:
@@ -299,43 +215,36 @@ def rest_shape(item: RealObject, layout: Layout) -> npt.NDArray[np.float64]:
 
 def _flex(item: RealObject, layout: Layout, step: float) -> str:
     """XML element of the object."""
+    rope = isinstance(item, RealRope)
+    E, nu, damping = item.material.E, item.material.nu, item.material.damping
+    if rope:
+        dx = item.spacing
+        shape = f'type="grid" dim="1" count="{item.vertices} 1 1" spacing="{dx} {dx} {dx}"'
+        # A rope hardly stretches: constraints, not springs, keep the length of its edges.
+        inner = f'<edge equality="true" solref="{2 * step} 1" solimp="0.99 0.999 0.001"/>'
+        section = 'section="circle"'
+    else:
+        # Implicit steps damp like a damping as long as they are: with 4 ms a sheet of 12 ms was
+        # damped like one of 15.5 ms, one of 2 ms like one of 6.4 ms.
+        damping = max(damping - step, 0.0)
+        E = softened(item) * E
+        points = rest_shape(item, Layout(origin=(0.0, 0.0, 0.0)))
+        triangles = " ".join(map(str, item.sheet[1].ravel()))
+        shape = f'type="direct" dim="2" point="{row(points - points.mean(axis=0))}"'
+        shape += f' element="{triangles}"'
+        inner, section = "", f'thickness="{float(item.thickness)!r}" elastic2d="both"'
     centre = rest_shape(item, layout).mean(axis=0)
     turned = layout.rotation().as_quat(scalar_first=True)
-    place = f'pos="{_row(centre)}" quat="{_row(turned)}" mass="{item.mass!r}"'
-    colour = _row([*(c / 255.0 for c in item.colour), 1.0])
+    colour = row([*(c / 255.0 for c in item.colour), 1.0])
     # Hard contact: two time steps to settle. The table's friction takes precedence. Cloths touch
     # themselves, too.
-    touched = _FIXED if isinstance(item, RealRope) else _FIXED | _OBJECT
-    contact = (
-        f'<contact contype="{_OBJECT}" conaffinity="{touched}" selfcollide="auto"'
-        f' friction="{item.friction} 0.005 0.0001" solref="{2 * step} 1"/>'
-    )
-    E, nu = item.material.E, item.material.nu
-    damping = item.material.damping
-    if isinstance(item, RealRope):
-        n, dx = item.vertices, item.length / (item.vertices - 1)
-        return (
-            f'<flexcomp name="object" type="grid" dim="1" count="{n} 1 1" spacing="{dx} {dx} {dx}"'
-            f' {place} radius="{item.radius}" rgba="{colour}">'
-            # A rope hardly stretches: constraints, not springs, keep the length of its edges.
-            f'<edge equality="true" solref="{2 * step} 1" solimp="0.99 0.999 0.001"/>'
-            f'<elasticity young="{float(E)!r}" poisson="{nu}" damping="{damping}"'
-            f' section="circle"/>'
-            f"{contact}</flexcomp>"
-        )
-    # Implicit steps damp like a damping as long as they are: with 4 ms a sheet of 12 ms was damped
-    # like one of 15.5 ms, one of 2 ms like one of 6.4 ms.
-    damping = max(damping - step, 0.0)
-    flat = Layout(origin=(0.0, 0.0, 0.0))
-    points = rest_shape(item, flat)
-    points -= points.mean(axis=0)
+    touched = _FIXED if rope else _FIXED | _OBJECT
     return (
-        f'<flexcomp name="object" type="direct" dim="2" point="{_row(points)}"'
-        f' element="{" ".join(map(str, item.sheet[1].ravel()))}"'
-        f' {place} radius="{item.radius}" rgba="{colour}">'
-        f'<elasticity young="{float(softened(item) * E)!r}" poisson="{nu}" damping="{damping}"'
-        f' thickness="{float(item.thickness)!r}" elastic2d="both"/>'
-        f"{contact}</flexcomp>"
+        f'<flexcomp name="object" {shape} pos="{row(centre)}" quat="{row(turned)}"'
+        f' mass="{item.mass!r}" radius="{item.radius}" rgba="{colour}">{inner}'
+        f'<elasticity young="{float(E)!r}" poisson="{nu}" damping="{damping}" {section}/>'
+        f'<contact contype="{_OBJECT}" conaffinity="{touched}" selfcollide="auto"'
+        f' friction="{item.friction} 0.005 0.0001" solref="{2 * step} 1"/></flexcomp>'
     )
 
 
@@ -349,33 +258,30 @@ def clamped_vertices(item: RealObject, layout: Layout) -> npt.NDArray[np.intp]:
     return np.flatnonzero(along <= max(layout.clamped, second) + 1e-9)
 
 
-def connection(name: str, body: str, hand: str, step: float, *, active: bool) -> str:
-    """XML element that ties a body's origin to a hand."""
-    state = "true" if active else "false"
+def connection(name: str, body: str, other: str, step: float, *, active: bool) -> str:
+    """XML element that ties a body's origin to another body. It is stiff: with a softer one the
+    clamped end turns by degrees."""
     return (
-        f'<connect name="{name}" body1="{body}" body2="{hand}" anchor="0 0 0" active="{state}"'
-        f" {_firm(step)}/>"
+        f'<connect name="{name}" body1="{body}" body2="{other}" anchor="0 0 0"'
+        f' active="{"true" if active else "false"}" solref="{2 * step} 1"'
+        ' solimp="0.9999 0.9999 0.001"/>'
     )
 
 
-def _firm(step: float) -> str:
-    """Parameters of a stiff constraint; a softer one lets the clamped end rotate by degrees."""
-    return f'solref="{2 * step} 1" solimp="0.9999 0.9999 0.001"'
-
-
-def _camera(camera: Camera) -> str:
+def camera_xml(camera: Camera) -> str:
     T, K = camera.calibrated(), camera.K
     # MuJoCo's cameras look along -z with y up, OpenCV's along z with y down.
     quat = Rotation.from_matrix(T[:3, :3] * [1.0, -1.0, -1.0]).as_quat(scalar_first=True)
     pixel = 3e-6
     principal = [K[0, 2] - (camera.width - 1) / 2, (camera.height - 1) / 2 - K[1, 2]]
     return (
-        f'<camera name="{camera.name}" pos="{_row(T[:3, 3])}" quat="{_row(quat)}"'
+        f'<camera name="{camera.name}" pos="{row(T[:3, 3])}" quat="{row(quat)}"'
         f' resolution="{camera.width} {camera.height}"'
         f' sensorsize="{camera.width * pixel} {camera.height * pixel}"'
-        f' focalpixel="{K[0, 0]} {K[1, 1]}" principalpixel="{_row(principal)}"/>'
+        f' focalpixel="{K[0, 0]} {K[1, 1]}" principalpixel="{row(principal)}"/>'
     )
 
 
-def _row(values: Any) -> str:
+def row(values: npt.ArrayLike) -> str:
+    """Numbers as MJCF has them."""
     return " ".join(repr(float(x)) for x in np.ravel(values))

@@ -25,7 +25,7 @@ from typing import Any
 
 from gendom.arguments import require
 from gendom.errors import ParameterError
-from gendom.materials import ASSUMED, KINDS, Material, catalogue
+from gendom.materials import ASSUMED, KINDS, Material, catalogue, dimensionless_parameters
 from gendom.reading import read_toml
 from gendom.reality.objects import OBJECTS, PLAIN, RealCloth, RealObject, RealRope, vertices_of
 
@@ -61,32 +61,29 @@ def read_object(path: str | os.PathLike) -> RealObject:
     kind = table.pop("kind", None)
     require(kind in KINDS, f"kind is {kind!r}", where=where, fix=f"give {' or '.join(KINDS)}")
     colour, material = table.pop("colour", list(PLAIN)), table.pop("material", None)
-    require(
-        "outline" not in table,
-        "objects of tasks and of the MuJoCo test scene are squares or ropes, without outline",
-        where=where,
-        fix="gendom.sim.cloth(outline=...) simulates it; or give its side",
-    )
-    number = _numbers(table, _usual(material, kind, where), kind, where)
+    what = "objects of tasks and of the MuJoCo test scene are squares or ropes, without outline"
+    fix = "gendom.sim.cloth(outline=...) simulates it; or give its side"
+    require("outline" not in table, what, where=where, fix=fix)
     good = isinstance(colour, list) and len(colour) == 3
     good = good and all(isinstance(c, int) and 0 <= c <= 255 for c in colour)
     require(good, f"colour is {colour}", where=where, fix="give three of 0 to 255")
-    item: dict[str, Any] = {name: number[name] for name in (*KINDS[kind].sizes, "friction")}
-    item |= {"name": Path(path).stem, "colour": tuple(colour)}
-    elastic = {name: number[name] for name in ("E", "nu", "damping", "density")}
+    made = RealRope if kind == "rope" else RealCloth
     try:
-        item["material"] = Material(**elastic)
-        if kind == "rope":
-            return RealRope(**item)
-        cloth = RealCloth(**item)
-        return replace(cloth, vertices=vertices_of(cloth.side, cloth.bends))
+        usual = {} if material is None else _usual(str(material), kind)
+        number = _numbers(table, usual, kind)
+        elastic = {name: number[name] for name in ("E", "nu", "damping", "density")}
+        own: dict[str, Any] = {name: number[name] for name in (*made.sizes, "friction")}
+        own |= {"name": Path(path).stem, "colour": tuple(colour)}
+        item = made(material=Material(**elastic), **own)
     except ParameterError as error:
         raise ParameterError(error.what, where=where, fix=error.fix) from error
+    if isinstance(item, RealRope):
+        return item
+    bends = dimensionless_parameters(item)["bending_ratio"] * item.side
+    return replace(item, vertices=vertices_of(item.side, bends))
 
 
-def _numbers(
-    given: Mapping[str, Any], usual: Mapping[str, float], kind: str, where: str
-) -> dict[str, float]:
+def _numbers(given: Mapping[str, Any], usual: Mapping[str, float], kind: str) -> dict[str, float]:
     """Sizes, E, nu, damping, friction and density: a file's, its material's, or defaults.
 
     Raises:
@@ -95,38 +92,35 @@ def _numbers(
     large, small = KINDS[kind].sizes
     known = {large, small, "mass", "density", "E", "nu", *DEFAULTS}
     for name, value in given.items():
-        fix = f"have material, {', '.join(sorted(known))}"
-        require(name in known, f"{name} means nothing", where=where, fix=fix)
+        require(
+            name in known, f"{name} means nothing", fix=f"have material, {', '.join(sorted(known))}"
+        )
         good = isinstance(value, int | float) and not isinstance(value, bool)
-        good = good and math.isfinite(value)
-        require(good, f"{name} is {value!r}", where=where, fix="give a number")
+        require(good and math.isfinite(value), f"{name} is {value!r}", fix="give a number")
     number: dict[str, float] = {**DEFAULTS, **usual, **given}
     if "mass" in given and "density" not in given:
         number.pop("density", None)
     missing = [name for name in (large, small, "E", "nu") if name not in number]
     if ("mass" in number) == ("density" in number):
         missing.append("one of mass and density")
-    require(not missing, f"lacks {', '.join(missing)}", where=where, fix="give it")
+    require(not missing, f"lacks {', '.join(missing)}", fix="give it")
     limits = {large: (LARGEST, "metres"), small: (THICKEST, "metres")}
     limits |= {"density": (DENSEST, "kg/m^3"), "E": (STIFFEST, "pascals")}
     for name, (most, unit) in limits.items():
         value = number.get(name, most)
-        require(0.0 < value <= most, f"{name} is {value:g}", where=where, fix=f"give {unit}")
+        require(0.0 < value <= most, f"{name} is {value:g}", fix=f"give {unit}")
     area = math.pi / 4.0 * number[small] ** 2 if kind == "rope" else number[large] * number[small]
     density = number.get("density", number.get("mass", 0.0) / (number[large] * area))
-    what = f"its density would be {density:.4g} kg/m^3"
-    fix = "check the sizes [m] and the mass [kg]"
-    require(1.0 <= density <= DENSEST, what, where=where, fix=fix)
+    what, fix = (
+        f"its density would be {density:.4g} kg/m^3",
+        "check the sizes [m] and the mass [kg]",
+    )
+    require(1.0 <= density <= DENSEST, what, fix=fix)
     return {**number, "density": density}
 
 
-def _usual(name: Any, kind: str, where: str) -> dict[str, float]:
-    """Typical values of a material of the catalogue; empty for None."""
-    if name is None:
-        return {}
-    try:
-        listed = catalogue.get(str(name))
-    except ParameterError as error:
-        raise ParameterError(error.what, where=where, fix=error.fix) from None
-    require(listed.kind == kind, f"{name} is a {listed.kind}, and kind is {kind!r}", where=where)
+def _usual(name: str, kind: str) -> dict[str, float]:
+    """Typical values of a material of the catalogue."""
+    listed = catalogue.get(name)
+    require(listed.kind == kind, f"{name} is a {listed.kind}, and kind is {kind!r}")
     return {quantity: found.typical for quantity, (_, found) in listed.ranges().items()}

@@ -128,12 +128,8 @@ class RealRope(Rope):
 
     def description(self) -> dict[str, Any]:
         """The object's part of a recording's meta, without the grasp."""
-        return {
-            "kind": "rope",
-            "length": self.length,
-            "diameter": self.diameter,
-            "mass": self.mass,
-        }
+        sizes = {"length": self.length, "diameter": self.diameter}
+        return {"kind": "rope", **sizes, "mass": self.mass}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,14 +144,9 @@ class RealCloth(Cloth):
     """Points along a side."""
 
     @property
-    def counts(self) -> tuple[int, int]:
-        """Points along its first and second side."""
-        return self.vertices, self.vertices
-
-    @property
     def sheet(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
         """Vertices [V, 2] of the flat cloth [m] and triangles [F, 3]."""
-        return grid(*self.counts, self.spacing)
+        return grid(self.vertices, self.vertices, self.spacing)
 
     @property
     def spacing(self) -> float:
@@ -176,32 +167,15 @@ class RealCloth(Cloth):
 
     @property
     def vertex_masses(self) -> npt.NDArray[np.float64]:
-        """[V] a third of the triangles that meet there [kg]."""
+        """[V] a third of the triangles that meet there, which are halves of squares [kg]."""
         triangles = self.sheet[1]
-        # All triangles are halves of squares.
         meeting = np.bincount(triangles.ravel()).astype(np.float64)
         return meeting * (self.mass / (3.0 * len(triangles)))
 
-    @property
-    def bends(self) -> float:
-        """Its bending length (D / (density t g))^(1/3) [m]."""
-        weight = self.material.density * self.thickness * STANDARD_GRAVITY
-        return (self.rigidity / weight) ** (1.0 / 3.0)
-
-    @property
-    def rigidity(self) -> float:
-        """Bending rigidity D = E t^3 / (12 (1 - nu^2)) [N m]."""
-        return self.material.E * self.thickness**3 / (12.0 * (1.0 - self.material.nu**2))
-
     def description(self) -> dict[str, Any]:
         """The object's part of a recording's meta, without the grasp."""
-        return {
-            "kind": "cloth",
-            "width": self.side,
-            "height": self.side,
-            "thickness": self.thickness,
-            "mass": self.mass,
-        }
+        sizes = {"width": self.side, "height": self.side, "thickness": self.thickness}
+        return {"kind": "cloth", **sizes, "mass": self.mass}
 
 
 RealObject = RealRope | RealCloth
@@ -252,10 +226,9 @@ def as_real(item: Item) -> RealObject:
     if isinstance(item, RealRope | RealCloth):
         return item
     own: dict[str, Any] = {f.name: getattr(item, f.name) for f in fields(item)}
+    own |= {"name": f"a {item.kind}", "colour": PLAIN}
     if isinstance(item, Rope):
         # as many vertices as the diameter allows
         most = 1 + int(item.length / (1.02 * item.diameter))
-        vertices = min(RealRope.vertices, most)
-        return RealRope(name=f"a {item.kind}", colour=PLAIN, vertices=vertices, **own)
-    own |= {"name": f"a {item.kind}", "colour": PLAIN, "vertices": vertices_of(item.side)}
-    return RealCloth(**own)
+        return RealRope(vertices=min(RealRope.vertices, most), **own)
+    return RealCloth(vertices=vertices_of(item.side), **own)

@@ -16,11 +16,11 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 import numpy.typing as npt
@@ -38,42 +38,22 @@ from gendom.perception import (
 )
 from gendom.reality.objects import RealObject
 from gendom.reality.sensor import MAX_CLOCK_OFFSET, RigErrors, observe
-from gendom.reality.trials import TrialRun, lift_cameras, lifted_by
+from gendom.reality.trials import TrialRun, lift, lift_cameras
 from gendom.reality.world import Reality
-from gendom.robot import LiftMotion, predefined_lift, tcp_pose
+from gendom.robot import LiftMotion, tcp_pose
 
 PATH_RATE = 100.0
 """Sampling rate of the robot's measured path [1/s]."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class RecordSettings:
-    """Settings of a recording.
-
-    Raises:
-        ParameterError: A value is out of its range.
-    """
-
-    frame_rate: float = 30.0
-    """Frame rate of the cameras [1/s]."""
-    notes: str = ""
-    """Free text, stored with the recording."""
-    seed: int = 0
-    """Seed of all sensor errors."""
-    noisy: bool = True
-    """Whether the cameras have the errors of a D435i (`gendom.reality.sensor.observe`)."""
-
-    def __post_init__(self) -> None:
-        within, fix = 0.0 < self.frame_rate <= PATH_RATE, f"give {PATH_RATE:g} or less"
-        require(within, f"is {self.frame_rate}", where="frame_rate", fix=fix)
-        require(self.seed >= 0, f"is {self.seed}", where="seed", fix="give 0 or more")
-
-
 def record(
     run: TrialRun,
     folder: str | os.PathLike,
-    settings: RecordSettings | None = None,
     *,
+    frame_rate: float = 30.0,
+    seed: int = 0,
+    noisy: bool = True,
+    notes: str = "",
     errors: RigErrors | None = None,
     on_frame: Callable[[float], None] = lambda _: None,
 ) -> None:
@@ -86,28 +66,32 @@ def record(
     Args:
         run: The trial, with cameras.
         folder: Output folder, created if missing; must not hold a recording.
-        settings: Settings of the recording.
+        frame_rate: Of the cameras [1/s].
+        seed: Of all sensor errors.
+        noisy: Whether the cameras have the errors of a D435i (`gendom.reality.sensor.observe`).
+        notes: Free text, stored with the recording.
         errors: Errors of the rig; by default the usual ones, or for a quick trial those of
             synchronised cameras.
         on_frame: Called with the recorded time [s] after each frame.
 
     Raises:
         GendomError: The folder holds a recording already, or cannot be written.
-        ParameterError: There is no camera.
+        ParameterError: There is no camera, or a number is out of its range.
         DeviceError: Nothing can be rendered here.
         SimulationError: The world diverged.
     """
-    settings = RecordSettings() if settings is None else settings
     world, folder = run.world, Path(folder)
+    within, fix = 0.0 < frame_rate <= PATH_RATE, f"give {PATH_RATE:g} or less"
+    require(within, f"is {frame_rate}", where="frame_rate", fix=fix)
+    require(seed >= 0, f"is {seed}", where="seed", fix="give 0 or more")
     require(world.cameras, "there is no camera", where="record", fix="give the trial cameras")
-    if (folder / "cameras").exists():
-        raise GendomError("holds a recording already", where=str(folder), fix="name another folder")
+    what, fresh = "holds a recording already", not (folder / "cameras").exists()
+    require(fresh, what, where=str(folder), fix="name another folder", error=GendomError)
     if errors is None:
         errors = RigErrors.synchronised() if run.trial.quick else RigErrors()
     # One stream of random numbers for each use: more frames do not change the calibration.
     rig, *eyes, encoders = [
-        np.random.default_rng(s)
-        for s in np.random.SeedSequence(settings.seed).spawn(2 + len(world.cameras))
+        np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2 + len(world.cameras))
     ]
     # Where nothing can be rendered, before anything is written.
     world.render(0)
@@ -115,31 +99,30 @@ def record(
     folder.mkdir(parents=True, exist_ok=True)
     believed = errors.believed(world.cameras, rig)
     writers = [PngWriter(folder / "cameras" / c.name, c) for c in believed]
-    _write_object(folder / "object.toml", run, settings)
-    path, truth = _PathWriter(folder, world, errors, encoders), []
+    _write_object(folder / "object.toml", run, notes)
+    truth = []
 
     def keep(c: int, moment: float, clean: tuple[np.ndarray, np.ndarray]) -> None:
-        pictures = observe(*clean, world.cameras[c], eyes[c], noisy=settings.noisy)
+        pictures = observe(*clean, world.cameras[c], eyes[c], noisy=noisy)
         writers[c].write(errors.stamp(c, moment), pictures)
 
     began = world.time
-    frames, samples = _moments(run.end - began, settings.frame_rate)
-    try:
-        # OpenGL wants one thread; noise and files take one for each camera.
-        with ThreadPoolExecutor(len(writers)) as pool:
-            for moment in np.union1d(frames, samples):
-                run.step_to(began + moment)
-                if moment in samples:
-                    path.add(moment)
-                if moment not in frames:
-                    continue
-                clean = [world.render(c) for c in range(len(writers))]
-                list(pool.map(keep, range(len(writers)), [moment] * len(writers), clean))
-                truth.append((moment, world.vertices()))
-                on_frame(moment)
-    finally:
-        path.close()
-        _write_truth(folder / "truth", world, settings, errors, truth)
+    frames, samples = _moments(run.end - began, frame_rate)
+    # OpenGL wants one thread; noise and files take one for each camera.
+    with ExitStack() as closed, ThreadPoolExecutor(len(writers)) as pool:
+        said = {"noisy": noisy, "errors": asdict(errors), "seed": seed}
+        closed.callback(_write_truth, folder / "truth", world, said, truth)
+        add = closed.enter_context(_path_files(folder, world, errors, encoders))
+        for moment in np.union1d(frames, samples):
+            run.step_to(began + moment)
+            if moment in samples:
+                add(moment)
+            if moment not in frames:
+                continue
+            clean = [world.render(c) for c in range(len(writers))]
+            list(pool.map(keep, range(len(writers)), [moment] * len(writers), clean))
+            truth.append((moment, world.vertices()))
+            on_frame(moment)
 
 
 def _moments(seconds: float, frame_rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -152,43 +135,39 @@ def _moments(seconds: float, frame_rate: float) -> tuple[np.ndarray, np.ndarray]
     return frames, samples
 
 
-class _PathWriter:
-    """Writer of the robot's measured path; each row is written to disk immediately."""
+@contextmanager
+def _path_files(
+    folder: Path, world: Reality, errors: RigErrors, encoders: np.random.Generator
+) -> Iterator[Callable[[float], None]]:
+    """Adds what is measured of the hand and of the arm's joints at a time [s] to gripper.csv and
+    joints.csv; each row is on the disk at once."""
+    robot = world.robot
+    heads = {"gripper": "time,x,y,z,ax,ay,az,closed"}
+    if robot is not None:
+        heads["joints"] = ",".join(["time", *(f"q{k}" for k in range(robot.arm.joints))])
+    with ExitStack() as files:
+        tables = {}
+        for name, head in heads.items():
+            file = open(folder / f"{name}.csv", "w", buffering=1, encoding="utf-8")  # noqa: SIM115
+            tables[name] = files.enter_context(file)
+            file.write(f"{head}\n")
 
-    def __init__(
-        self, folder: Path, world: Reality, errors: RigErrors, encoders: np.random.Generator
-    ):
-        self._world, self._errors, self._encoders = world, errors, encoders
-        self._files: dict[str, IO[str]] = {}
-        self._write(folder / "gripper.csv", "time,x,y,z,ax,ay,az,closed")
-        if (robot := world.robot) is not None:
-            names = [f"q{k}" for k in range(robot.arm.joints)]
-            self._write(folder / "joints.csv", ",".join(["time", *names]))
+        def row(name: str, *numbers: float) -> None:
+            tables[name].write(",".join(f"{float(x):.6f}" for x in numbers) + "\n")
 
-    def add(self, moment: float) -> None:
-        world, hand = self._world, self._world.hand
-        moment = self._errors.stamp_of_robot(moment)
-        if (robot := world.robot) is not None:
-            q = robot.measured(world.data)
-            wrong = q + self._errors.encoders * self._encoders.standard_normal(len(q))
-            hand = hand + tcp_pose(robot.arm, wrong)[:3, 3] - tcp_pose(robot.arm, q)[:3, 3]
-            self._row("joints.csv", [moment, *wrong])
-        self._row("gripper.csv", [moment, *hand, *world.hand_axis, len(world.held) > 0])
+        def add(moment: float) -> None:
+            stamp, hand = moment + errors.robot_clock, world.hand
+            if robot is not None:
+                q = robot.measured(world.data)
+                wrong = q + errors.encoders * encoders.standard_normal(len(q))
+                hand = hand + tcp_pose(robot.arm, wrong)[:3, 3] - tcp_pose(robot.arm, q)[:3, 3]
+                row("joints", stamp, *wrong)
+            row("gripper", stamp, *hand, *world.hand_axis, len(world.held) > 0)
 
-    def close(self) -> None:
-        for file in self._files.values():
-            file.close()
-
-    def _write(self, path: Path, header: str) -> None:
-        file = open(path, "w", buffering=1, encoding="utf-8")  # noqa: SIM115
-        self._files[path.name] = file
-        file.write(f"{header}\n")
-
-    def _row(self, name: str, numbers: Sequence[float]) -> None:
-        self._files[name].write(",".join(f"{float(x):.6f}" for x in numbers) + "\n")
+        yield add
 
 
-def _write_object(path: Path, run: TrialRun, settings: RecordSettings) -> None:
+def _write_object(path: Path, run: TrialRun, notes: str) -> None:
     trial = run.trial
     lines = [
         "table_height = 0.0",
@@ -196,7 +175,7 @@ def _write_object(path: Path, run: TrialRun, settings: RecordSettings) -> None:
         *([f'robot = "{robot.arm.name}"'] if (robot := run.world.robot) else []),
         f"quasi_static = {str(trial.quasi_static).lower()}",
         'source = "a MuJoCo test scene (the second reality), seen by simulated depth cameras"',
-        f"notes = {json.dumps(settings.notes)}",
+        f"notes = {json.dumps(notes)}",
         "",
         "[object]",
         f'grasp = "{trial.grasp}"',
@@ -209,7 +188,7 @@ def _write_object(path: Path, run: TrialRun, settings: RecordSettings) -> None:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _write_truth(folder, world, settings, errors, truth) -> None:
+def _write_truth(folder, world, said, truth) -> None:
     item = world.item
     with atomic_path(folder / "truth.npz") as temporary:
         np.savez_compressed(
@@ -229,9 +208,7 @@ def _write_truth(folder, world, settings, errors, truth) -> None:
             "friction": item.friction,
             "air_density": world.air.density,
             "grip_force": world.grip_force if math.isfinite(world.grip_force) else None,
-            "noisy": settings.noisy,
-            "errors": asdict(errors),
-            "seed": settings.seed,
+            **said,
         },
     )
 
@@ -242,7 +219,6 @@ def record_and_perceive(
     *,
     frame_rate: float = 15.0,
     seed: int = 0,
-    end: str = "hold",
     motion: LiftMotion | None = None,
 ) -> tuple[Recording, list[tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]]]:
     """Lift an object under two noisy cameras and perceive it by its colour.
@@ -253,8 +229,7 @@ def record_and_perceive(
             written to recording.npz inside.
         frame_rate: [1/s].
         seed: Of all noise.
-        end: How the predefined lift ends, one of `gendom.robot.LIFT_ENDS`.
-        motion: How it is lifted instead.
+        motion: How it is lifted (default: the predefined lift).
 
     Returns:
         The perceived recording, and what each camera saw halfway: colour [height, width, 3] and
@@ -262,25 +237,17 @@ def record_and_perceive(
 
     Raises:
         DeviceError: MuJoCo is not installed, or nothing can be rendered.
-        RobotError: There is no such end, the motion is for another kind, or beyond the arm.
+        RobotError: The motion is for another kind, or beyond the arm.
         GendomError: The folder cannot be written.
     """
     folder = Path(folder)
-    trial = lifted_by(item, motion or predefined_lift(item.kind, end))
+    run = TrialRun(lift(item, motion), cameras=lift_cameras(item))
     for part in ("cameras", "truth"):
         shutil.rmtree(folder / part, ignore_errors=True)
-    run = TrialRun(trial, cameras=lift_cameras(item))
     run.step_to(run.closes)
+    notes = f"The predefined lift of {item.name}, seed {seed}."
     with run.world:
-        record(
-            run,
-            folder,
-            RecordSettings(
-                frame_rate=frame_rate,
-                seed=seed,
-                notes=f"The predefined lift of {item.name}, seed {seed}.",
-            ),
-        )
+        record(run, folder, frame_rate=frame_rate, seed=seed, notes=notes)
     recorded = read_cameras(folder)
     perceived = perceive(recorded, PerceptionSettings(colour=item.colour))
     perceived.recording.write(folder / "recording.npz")
@@ -295,9 +262,6 @@ def _halfway(
     for source in recorded.sources:
         frames = list(source)
         pictures = frames[len(frames) // 2].read()
-        depth = pictures.depth * source.camera.depth_unit
-        colour = pictures.colour
-        if colour is None:
-            colour = np.zeros((*depth.shape, 3), dtype=np.uint8)
-        found.append((colour, depth))
+        assert pictures.colour is not None
+        found.append((pictures.colour, pictures.depth * source.camera.depth_unit))
     return found

@@ -14,9 +14,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
@@ -226,13 +228,9 @@ class RigErrors:
         """Time stamp [s] that the camera with this index assigns to a true time [s]."""
         return time + (self.clock_offset if camera > 0 else 0.0)
 
-    def stamp_of_robot(self, time: float) -> float:
-        """Time stamp [s] that the robot assigns to a true time [s]."""
-        return time + self.robot_clock
-
 
 @lru_cache(maxsize=4)
-def _blur(shape: tuple[int, ...], correlation: float) -> npt.NDArray[np.float64]:
+def _blur(shape: tuple[int, ...], correlation: float) -> Array:
     """Frequency response [height, width // 2 + 1] of a Gaussian blur that preserves the RMS."""
     frequencies = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
     blur = np.exp(-2.0 * (np.pi * correlation) ** 2 * sum(f**2 for f in frequencies))
@@ -245,13 +243,13 @@ def _blur(shape: tuple[int, ...], correlation: float) -> npt.NDArray[np.float64]
 
 
 @lru_cache(maxsize=4)
-def _rays(camera: Camera) -> tuple[npt.NDArray[np.float64], ...]:
+def _rays(camera: Camera) -> tuple[Array, ...]:
     """x, y and squared length of the pixels' rays, [height, width] each; cached for each camera."""
     x, y, _ = camera.rays().T.reshape(3, camera.height, camera.width)
     return np.ascontiguousarray(x), np.ascontiguousarray(y), x**2 + y**2 + 1.0
 
 
-def _in_shadow(disparity: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+def _in_shadow(disparity: Array) -> Mask:
     """Pixels [height, width] of the left imager that the right one does not see.
 
     A pixel of column u is at u - disparity in the right picture. It is outside the picture if that
@@ -265,7 +263,7 @@ def _in_shadow(disparity: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
     return hidden | (right < 0.0)
 
 
-def _slope(values: npt.NDArray[np.float64], axis: int) -> npt.NDArray[np.float64]:
+def _slope(values: Array, axis: int) -> Array:
     """Derivative by pixel along an axis: the smaller of both one-sided differences.
 
     At an edge the smaller difference is the slope of the pixel's own surface, so that edges do
@@ -280,27 +278,15 @@ def _slope(values: npt.NDArray[np.float64], axis: int) -> npt.NDArray[np.float64
     return slope
 
 
-def _between(
-    disparity: npt.NDArray[np.float64],
-    seen: npt.NDArray[np.bool_],
-    chosen: npt.NDArray[np.bool_],
-    rng: np.random.Generator,
-) -> npt.NDArray[np.float64]:
-    """[M] disparities between the lowest and the highest seen next to M chosen pixels.
+def _between(disparity: Array, seen: Mask, chosen: Mask, rng: np.random.Generator) -> Array:
+    """[M] disparities between the lowest and the highest seen next to M chosen pixels, which are
+    seen; draws for every pixel, so that later draws do not depend on the scene."""
 
-    Args:
-        disparity, seen, chosen: [height, width]; chosen pixels must be seen.
-        rng: Random number generator; it draws for every pixel, so that later draws do not depend
-            on the scene.
-    """
-    row, column = np.nonzero(chosen)
-    low, high = disparity[chosen], disparity[chosen]
-    for down in (-1, 0, 1):
-        for right in (-1, 0, 1):
-            # Beyond the border, use the border's pixel, which is in the neighbourhood too.
-            r = np.clip(row + down, 0, disparity.shape[0] - 1)
-            c = np.clip(column + right, 0, disparity.shape[1] - 1)
-            there = seen[r, c]
-            np.minimum(low, disparity[r, c], out=low, where=there)
-            np.maximum(high, disparity[r, c], out=high, where=there)
+    def around(picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """[M, 3, 3]; beyond the border the border's pixel, which is in the neighbourhood too."""
+        return sliding_window_view(np.pad(picture, 1, mode="edge"), (3, 3))[chosen]
+
+    near, there = around(disparity), around(seen)
+    low = np.where(there, near, np.inf).min(axis=(1, 2))
+    high = np.where(there, near, -np.inf).max(axis=(1, 2))
     return low + rng.random(disparity.shape)[chosen] * (high - low)

@@ -11,13 +11,14 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from gendom.arguments import require
 from gendom.errors import DeviceError, RobotError, SimulationError
 from gendom.materials import AIR_DENSITY, Item, size_of, thickness_of
 from gendom.perception.camera import Camera
@@ -27,7 +28,6 @@ from gendom.reality.objects import RealCloth, RealObject, RealRope, as_real
 from gendom.reality.world import FINGER_WIDTH, Reality
 from gendom.robot import (
     XARM7,
-    Deviation,
     JointMotion,
     LiftMotion,
     TcpPath,
@@ -39,12 +39,8 @@ from gendom.tasks import Observed, Task
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import check_actions
 
-ROPE_TIMESTEP = 0.00025
-"""MuJoCo's timestep in trials with ropes [s]: at its default of 1 ms a rope of 2.5 ms is damped
-like one of 3.5 ms, at this one like one of 2.8 ms."""
-
 CLOTH_TIMESTEP = 0.002
-"""The same in tasks with cloths [s]: at the default of 4 ms a rubber cloth of 0.2 m that is brought
+"""MuJoCo's in tasks with cloths [s]: at the default of 4 ms a rubber cloth of 0.2 m that is brought
 down by A = 0.2 covers 0.60 of its area (31 points a side), at this one 0.80, as at 1 ms. While all
 of it is slow (`gendom.reality.world.SLOW`), the default is taken."""
 
@@ -60,6 +56,9 @@ SETTLE = 0.5
 TASK_TOLERANCE = 1e-4
 """Of MuJoCo's solver in tasks with cloths. It moves the vertices of a lifted cloth by 0.05 mm in
 the mean, 0.6 mm at most, so lifts, which are estimated from, keep the default of 1e-6."""
+
+FRAME_RATE = 100.0
+"""At which tasks look at objects [1/s]."""
 
 START_DELAY = 0.01
 """When the hand closes in a task [s]: what hangs would fall until then."""
@@ -103,7 +102,6 @@ class TrialRun:
         cameras: Fixed cameras.
         air_density: Of the still air [kg/m^3]; 0: none.
         grip_force: That the fingers hold at most before the object slips [N]; infinite: all.
-        timestep: MuJoCo's [s], throughout; None for the trial's.
 
     Raises:
         RobotError: The arm cannot follow the path within its limits, or would touch itself, the
@@ -120,21 +118,19 @@ class TrialRun:
         cameras: Sequence[Camera] = (),
         air_density: float = AIR_DENSITY,
         grip_force: float = math.inf,
-        timestep: float | None = None,
     ):
         self.trial = trial
-        thick = thickness_of(trial.item)
-        self.motion = None
+        self.motion, arm = None, None
         if robot:
             self.motion = arm_motion(trial, cameras)
-        arm = None if self.motion is None else RobotArm(XARM7, self.motion, opening=thick)
+            arm = RobotArm(XARM7, self.motion, opening=thickness_of(trial.item))
         self.world = Reality(
             trial.item,
             trial.layout,
             robot=arm,
             cameras=cameras,
-            timestep=trial.timestep if timestep is None else timestep,
-            slow_timestep=trial.slow_timestep if timestep is None else None,
+            timestep=trial.timestep,
+            slow_timestep=trial.slow_timestep,
             tolerance=trial.tolerance,
             air_density=air_density,
             grip_force=grip_force,
@@ -159,16 +155,6 @@ class TrialRun:
     def end(self) -> float:
         """When everything is over [s]: later than in the trial where the arm takes longer."""
         return end_of(self.trial, self.motion)
-
-    @property
-    def slowed_by(self) -> float:
-        """Duration of the arm's motion over the planned one."""
-        return 1.0 if self.motion is None else self.motion.slowed_by
-
-    @property
-    def deviation(self) -> Deviation | None:
-        """How far the arm's path is from the ideal one; None for a free hand."""
-        return None if self.motion is None else self.motion.deviation
 
     def step_to(self, time: float) -> None:
         """Go on until a time [s], closing and opening the hand on the way.
@@ -211,51 +197,39 @@ def end_of(trial: Trial, motion: JointMotion | None) -> float:
         return trial.end
     last = motion.events[-1]
     end = trial.end + last.time - trial.path.events[-1].time
-    if not last.closed:
-        return end
     # The hand still moves after it has closed, and an arm that is slowed down for longer.
-    return max(end, motion.end - 0.5 * motion.blend)
+    return max(end, motion.end - 0.5 * motion.blend) if last.closed else end
 
 
-def lift(
-    item: RealObject,
-    *,
-    rise: float | None = None,
-    speed: float | None = None,
-    end: str = "hold",
-) -> Trial:
-    """The predefined lift: a rope by its end, a cloth by its corner, straight up.
+def lift(item: RealObject, motion: LiftMotion | None = None) -> Trial:
+    """The lift of an object by a motion for its kind (default: the predefined one): a rope by its
+    end, a cloth by its corner, straight up.
 
     The object lies on the table in front of the arm, a rope pointing away, a cloth with its
     diagonal pointing away. Fingers hold what is within half their breadth of the tool point. A
     swing goes away from the robot.
 
-    Args:
-        item: The object.
-        rise: How high [m]; by default that of `gendom.robot.predefined_lift`.
-        speed: [m/s]; by default as well.
-        end: One of `gendom.robot.LIFT_ENDS`.
-
     Raises:
-        RobotError: Rise or speed is no number above 0, or there is no such end.
+        RobotError: The motion is for the other kind.
     """
-    height = item.radius
+    motion = motion or predefined_lift(item.kind)
+    what = f"is for a {motion.kind}, and {item.name} is a {item.kind}"
+    fix = f"plan one with gendom plan-lift {item.kind}"
+    require(motion.kind == item.kind, what, where="motion", fix=fix, error=RobotError)
+    height, rope = item.radius, isinstance(item, RealRope)
     origin = np.array([START, 0.0, height])
-    rope = isinstance(item, RealRope)
-    if rope:
-        layout = Layout(origin=origin)
-    else:
+    layout = Layout(origin=origin)
+    if not rope:
         half = np.sqrt(0.5)
         layout = Layout(origin=origin, along=(half, -half, 0.0), across=(half, half, 0.0))
-    usual = predefined_lift(item.kind, end)
-    speed = usual.speed if speed is None else speed
+    still = motion.end == "hold"
     path = motions.lift(
         origin + np.array([FINGER_WIDTH / 2.0, 0.0, max(TIP_HEIGHT - height, 0.0)]),
-        height=usual.rise * size_of(item) if rise is None else rise,
-        speed=speed,
+        height=motion.rise * size_of(item),
+        speed=motion.speed,
         wait=SETTLE,
-        after=SETTLE if end == "hold" else None,
-        end=end,
+        after=SETTLE if still else None,
+        end=motion.end,
     ).shifted(SETTLE)
     return Trial(
         item=item,
@@ -263,35 +237,18 @@ def lift(
         path=path,
         grasp="end" if rope else "corner",
         # A corner's vertices are farther from its middle than an end's.
-        reach=_rope_reach(item) if rope else FINGER_WIDTH,
+        reach=_rope_reach(item) if isinstance(item, RealRope) else FINGER_WIDTH,
         end=path.end,
-        quasi_static=rope and end == "hold" and speed <= motions.ROPE_LIFT_SPEED,
-        timestep=ROPE_TIMESTEP if rope else None,
-        quick=end != "hold",
+        quasi_static=rope and still and motion.speed <= motions.ROPE_LIFT_SPEED,
+        quick=not still,
     )
-
-
-def lifted_by(item: RealObject, motion: LiftMotion) -> Trial:
-    """The lift of an object by a motion for its kind.
-
-    Raises:
-        RobotError: The motion is for the other kind.
-    """
-    if motion.kind != item.kind:
-        raise RobotError(
-            f"is for a {motion.kind}, and {item.name} is a {item.kind}",
-            where="motion",
-            fix=f"plan one with gendom plan-lift {item.kind}",
-        )
-    return lift(item, rise=motion.rise * size_of(item), speed=motion.speed, end=motion.end)
 
 
 def _rope_reach(item: RealRope) -> float:
     """How far beyond the tool point the fingers hold a rope's end [m]: about half their breadth,
     and just as far as vertices can have it (see `Reality.attach`)."""
-    edge = item.length / (item.vertices - 1)
-    held = max(round(FINGER_WIDTH / edge + 0.5), 1)
-    return (held - 0.5) * edge - FINGER_WIDTH / 2.0
+    held = max(round(FINGER_WIDTH / item.spacing + 0.5), 1)
+    return (held - 0.5) * item.spacing - FINGER_WIDTH / 2.0
 
 
 def lift_cameras(item: RealObject) -> list[Camera]:
@@ -332,7 +289,7 @@ def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:
         grasp="center" if cloth else "end",
         reach=scene.grip,
         end=START_DELAY - closes + float(task.times(item)[-1]),
-        timestep=CLOTH_TIMESTEP if cloth else ROPE_TIMESTEP,
+        timestep=CLOTH_TIMESTEP if cloth else None,
         slow_timestep=CLOTH_STEP if cloth else None,
         tolerance=TASK_TOLERANCE if cloth else None,
     )
@@ -344,14 +301,8 @@ class RealWorld:
 
     robot: bool = True
     """Whether the arm acts, or a free hand."""
-    air_density: float = AIR_DENSITY
-    """[kg/m^3]."""
-    grip_force: float = math.inf
-    """That the fingers hold at most before the object slips [N]."""
     timestep: float | None = None
-    """MuJoCo's [s]; None: the trial's."""
-    frame_rate: float = 100.0
-    """At which objects are looked at [1/s]."""
+    """MuJoCo's [s], throughout; None: the trial's."""
     jobs: int = 1
     """Processes that carry out trials side by side."""
 
@@ -386,16 +337,14 @@ class RealWorld:
         Raises:
             DeviceError: It is not the CPU.
         """
-        if device != "cpu":
-            raise DeviceError(f"the MuJoCo test scene runs on the CPU, not on {device}")
+        what = f"the MuJoCo test scene runs on the CPU, not on {device}"
+        require(device == "cpu", what, error=DeviceError)
         return self
 
     def settings(self) -> dict[str, Any]:
         """As `World.settings`."""
-        own = {name: getattr(self, name) for name in ("robot", "air_density", "timestep")}
-        # JSON has no infinity
-        force = self.grip_force if math.isfinite(self.grip_force) else None
-        return {"world": "reality", **own, "grip_force": force}
+        own = {"robot": self.robot, "air_density": AIR_DENSITY, "timestep": self.timestep}
+        return {"world": "reality", **own, "grip_force": None}  # it holds all
 
     def begin(self, task: Task, item: Item, action: npt.ArrayLike) -> TrialRun:
         """A task about to be carried out.
@@ -404,20 +353,17 @@ class RealWorld:
             RobotError: The arm cannot do it.
             ParameterError: The task does not allow it.
         """
-        return TrialRun(
-            task_trial(task, as_real(item), action),
-            robot=self.robot,
-            air_density=self.air_density,
-            grip_force=self.grip_force,
-            timestep=self.timestep,
-        )
+        trial = task_trial(task, as_real(item), action)
+        if self.timestep is not None:
+            trial = replace(trial, timestep=self.timestep, slow_timestep=None)
+        return TrialRun(trial, robot=self.robot)
 
 
 def _carried_out(
     world: RealWorld, task: Task, keep: bool, item: Item, action: npt.NDArray[np.float64]
 ) -> Outcome:
     try:
-        seen = observe(task, world.begin(task, item, action), world.frame_rate)
+        seen = observe(task, world.begin(task, item, action))
     except (RobotError, SimulationError) as error:
         return Outcome(values={}, fault=str(error))
     return Outcome(values=task.outcome(item, seen), seen=seen if keep else None)
@@ -429,14 +375,14 @@ def _workers(jobs: int) -> ProcessPoolExecutor:
     return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
 
 
-def observe(task: Task, run: TrialRun, frame_rate: float = 100.0) -> Observed:
+def observe(task: Task, run: TrialRun) -> Observed:
     """Carry out a `task_trial` and see what its object does, in the task's frame.
 
     Raises:
         SimulationError: The world diverged, or the hand closes on nothing.
     """
     item, begin = run.trial.item, run.closes
-    times = np.arange(begin, run.end + 0.5 / frame_rate, 1.0 / frame_rate)
+    times = np.arange(begin, run.end + 0.5 / FRAME_RATE, 1.0 / FRAME_RATE)
     points, hand = [], []
     for time in times:
         run.step_to(float(time))
@@ -451,5 +397,5 @@ def observe(task: Task, run: TrialRun, frame_rate: float = 100.0) -> Observed:
         points=np.array(points) @ T[:3, :3].T + T[:3, 3],
         hand=np.array(hand) @ T[:3, :3].T + T[:3, 3],
         opens=run.opens - late,
-        lattice=item.counts if isinstance(item, RealCloth) else (0, 0),
+        lattice=(item.vertices, item.vertices) if isinstance(item, RealCloth) else (0, 0),
     )

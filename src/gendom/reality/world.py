@@ -23,7 +23,16 @@ from gendom.installation import gl_faults, headless, load_mujoco
 from gendom.materials import AIR_DENSITY
 from gendom.perception.camera import Camera
 from gendom.reality.air import Air
-from gendom.reality.model import Layout, build_model, clamped_vertices
+from gendom.reality.model import (
+    CLOTH_STEP,
+    ROPE_STEP,
+    Layout,
+    camera_xml,
+    clamped_vertices,
+    compiled,
+    connection,
+    scene_xml,
+)
 from gendom.reality.objects import RealObject, RealRope
 from gendom.reality.twist import Twist
 
@@ -41,76 +50,9 @@ GL_PACKAGES = "apt install libegl1 libgl1-mesa-dri, or libosmesa6 with MUJOCO_GL
 """Packages that a Debian machine without a screen needs to render."""
 
 
+Array = npt.NDArray[np.float64]
+
 _FREE_HAND = '<body name="hand" mocap="true" pos="0 0 1"/>'
-
-
-class Slip:
-    """The vertices that slide between a hand's fingers.
-
-    Args:
-        force: That the fingers hold at most [N]; infinite: all.
-        masses: [V] of the vertices [kg].
-        dofs: [V, 3] their slides.
-
-    Raises:
-        ParameterError: The force is not above 0.
-    """
-
-    def __init__(self, force: float, masses: npt.NDArray[np.float64], dofs: npt.NDArray[np.intp]):
-        require(force > 0.0, f"is {force:g}", where="grip_force", fix="give newtons above 0")
-        self.force = force
-        self._masses = masses
-        self._dofs = dofs
-        self._speed = 0.0
-        self.vertices = np.empty(0, dtype=np.intp)
-        """Vertices between the fingers that are not fixed."""
-
-    @property
-    def possible(self) -> bool:
-        return math.isfinite(self.force)
-
-    def begin(self, vertices: npt.NDArray[np.intp]) -> None:
-        self.vertices, self._speed = vertices, 0.0
-
-    def end(self, model: Any) -> npt.NDArray[np.intp]:
-        """Free all of them; returns which."""
-        vertices, self.vertices = self.vertices, self.vertices[:0]
-        model.dof_damping[self._dofs[vertices]] = 0.0
-        return vertices
-
-    def leave(self, model: Any, away: npt.NDArray[np.bool_]) -> None:
-        """Free those of them that have left the fingers."""
-        model.dof_damping[self._dofs[self.vertices[away]]] = 0.0
-        self.vertices = self.vertices[~away]
-
-    def apply_friction(
-        self, model: Any, data: Any, hand: npt.NDArray[np.float64]
-    ) -> tuple[npt.NDArray[np.float64], bool]:
-        """Set friction for the next step.
-
-        Args:
-            model, data: MuJoCo's.
-            hand: [3] velocity of the fingers [m/s].
-
-        Returns:
-            [k, 3] forces on what slides that belong to the damping [N], and whether it has come to
-            rest.
-        """
-        dofs = self._dofs[self.vertices]
-        share = self._masses[self.vertices] / self._masses[self.vertices].sum()
-        before = self._speed
-        self._speed = float(np.linalg.norm(share @ (data.qvel[dofs] - hand)))
-        damping = self.force / max(2.0 * self._speed - before, REST_SPEED) * share[:, None]
-        model.dof_damping[dofs] = damping
-        return damping * hand, self._speed < REST_SPEED and self._speed <= before
-
-
-def pull_force(mujoco: Any, data: Any, connections: npt.NDArray[np.intp]) -> float:
-    """By how much connections to a hand were pulled in the last step [N]."""
-    equality = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-    rows = np.flatnonzero(equality & np.isin(data.efc_id, connections))
-    # three rows each, along the world's axes
-    return float(np.linalg.norm(data.efc_force[rows].reshape(-1, 3).sum(axis=0)))
 
 
 class Reality:
@@ -124,11 +66,9 @@ class Reality:
         layout: Where it is at the start.
         robot: The arm that carries the hand; None: a free hand.
         cameras: Fixed cameras, with their true poses.
-        table: Whether there is a table.
         timestep: [s]; None for the default of the object's kind.
         slow_timestep: That while no vertex is faster than `SLOW` [s]; None: the same.
         tolerance: Of MuJoCo's solver; None for the default of the object's kind.
-        gravity: [3] [m/s^2].
         air_density: Of the still air [kg/m^3], see `gendom.reality.air`; 0: none.
         grip_force: That the fingers hold at most [N], see `gendom.reality.world`; infinite: all.
 
@@ -145,41 +85,48 @@ class Reality:
         *,
         robot: Any = None,
         cameras: Sequence[Camera] = (),
-        table: bool = True,
         timestep: float | None = None,
         slow_timestep: float | None = None,
         tolerance: float | None = None,
-        gravity: npt.ArrayLike = (0.0, 0.0, -9.81),
         air_density: float = AIR_DENSITY,
         grip_force: float = math.inf,
     ):
+        fix = "give newtons above 0"
+        require(grip_force > 0.0, f"is {grip_force:g}", where="grip_force", fix=fix)
+        self.grip_force = grip_force
+        """That the fingers hold at most [N]."""
         self.air = Air(item, air_density)
         self._mujoco = load_mujoco()
         self.item = item
         self.layout = layout
         self.cameras = list(cameras)
         self.robot = robot
-        self.model = build_model(
+        step = timestep or (ROPE_STEP if isinstance(item, RealRope) else CLOTH_STEP)
+        vertices = range(len(item.vertex_masses))
+        arm = _FREE_HAND if robot is None else robot.xml()
+        # each vertex may be tied to the hand, see `attach`
+        ties = [
+            connection(f"hand_{v}", f"object_{v}", "hand", step, active=False) for v in vertices
+        ]
+        self.model = compiled(
             item,
-            layout,
-            arm=_FREE_HAND if robot is None else robot.xml(),
-            actuators="" if robot is None else robot.actuators(),
-            hand="hand",
-            cameras=cameras,
-            table=table,
-            timestep=timestep,
-            tolerance=tolerance,
-            gravity=gravity,
+            scene_xml(
+                item,
+                layout,
+                step=step,
+                bodies=[*map(camera_xml, cameras), arm],
+                connections=ties,
+                actuators="" if robot is None else robot.actuators(),
+                tolerance=tolerance,
+            ),
         )
         self.data = self._mujoco.MjData(self.model)
         self._hand = self.model.body("hand").id
         self._bodies = np.array(self.model.flex_vertbodyid)
         # Each vertex has three slides along the world's axes.
         self._dofs = self.model.body_dofadr[self._bodies][:, None] + np.arange(3)
-        self._slip = Slip(grip_force, item.vertex_masses, self._dofs)
-        self._connections = np.array(
-            [self.model.equality(f"hand_{v}").id for v in range(len(self._bodies))]
-        )
+        self._masses, self._sliding, self._slip_speed = item.vertex_masses, np.arange(0), 0.0
+        self._ties = np.array([self.model.equality(f"hand_{v}").id for v in vertices])
         self._path: Callable[[float], npt.ArrayLike] | None = None
         self._twist: Twist | None = None
         self._reach = 0.0
@@ -187,18 +134,11 @@ class Reality:
         self._usual_step, self._slow_step = self.model.opt.timestep, slow_timestep
         self._last_step = self._usual_step
         self._renderer: Any = None
-        self.reset()
+        if robot is not None:
+            robot.reset(self.model, self.data)
+        self._mujoco.mj_forward(self.model, self.data)
 
     # ---- time ------------------------------------------------------------------------------------
-
-    def reset(self) -> None:
-        """Back to time 0: the object in its layout, at rest and free, the hand away."""
-        self._mujoco.mj_resetData(self.model, self.data)
-        self._path = self._twist = None
-        self._slip.end(self.model)
-        if self.robot is not None:
-            self.robot.reset(self.model, self.data)
-        self._mujoco.mj_forward(self.model, self.data)
 
     @property
     def time(self) -> float:
@@ -221,7 +161,7 @@ class Reality:
             elif self._path is not None:
                 self.data.mocap_pos[0] = self._path(self.time + step)
             self._mujoco.mj_step(self.model, self.data)
-            if self._slip.possible:
+            if math.isfinite(self.grip_force):
                 self._open_overloaded()
             # only counted anew where the step has changed: half a step must not be rounded twice
             again = self._remaining_steps(time)
@@ -253,7 +193,7 @@ class Reality:
     def _apply_loads(self) -> None:
         """Forces of twist and air on the vertices, and the twist's moment on the hand, for the next
         step."""
-        if self._twist is None and self.air.density == 0.0 and not self._slip.possible:
+        if self._twist is None and self.air.density == 0.0 and not math.isfinite(self.grip_force):
             return
         self._mujoco.mj_kinematics(self.model, self.data)
         x = self.data.xpos[self._bodies]
@@ -263,30 +203,49 @@ class Reality:
             more, moment = self._twist.load(x, rotation, self.model.opt.timestep)
             forces += more
             self.data.xfrc_applied[self._hand, 3:] = moment
-        if len(self._slip.vertices):
+        if len(self._sliding):
             self._apply_friction(x, forces)
         # As forces on the slides: for wrenches on bodies MuJoCo computes a Jacobian each.
         self.data.qfrc_applied[self._dofs] = forces
 
-    def _apply_friction(self, x: npt.NDArray[np.float64], forces: npt.NDArray[np.float64]) -> None:
-        """Add the fingers' friction to forces [V, 3] [N]; what it stops is held again."""
-        slip = self._slip
-        slip.leave(self.model, np.linalg.norm(x[slip.vertices] - self.hand, axis=1) > self._reach)
-        if len(slip.vertices) == 0:
+    def _apply_friction(self, x: Array, forces: Array) -> None:
+        """Add the fingers' friction to forces [V, 3] [N]; what has left them is free, and what has
+        come to rest between them is held again."""
+        left = np.linalg.norm(x[self._sliding] - self.hand, axis=1) > self._reach
+        sliding = self._sliding[~left]
+        self._let_slide(sliding)
+        if len(sliding) == 0:
             return
-        moved = (self.hand - self._hand_before) / self._last_step
-        friction, rests = slip.apply_friction(self.model, self.data, moved)
-        if rests:
-            self._hold(slip.end(self.model), x)
-        else:
-            forces[slip.vertices] += friction
+        dofs, masses = self._dofs[sliding], self._masses[sliding]
+        share = masses / masses.sum()
+        hand = (self.hand - self._hand_before) / self._last_step
+        before = self._slip_speed
+        speed = float(np.linalg.norm(share @ (self.data.qvel[dofs] - hand)))
+        self._slip_speed = speed
+        if speed < REST_SPEED and speed <= before:
+            self._let_slide(sliding[:0])
+            self._hold(sliding, x)
+            return
+        damping = self.grip_force / max(2.0 * speed - before, REST_SPEED) * share[:, None]
+        self.model.dof_damping[dofs] = damping
+        forces[sliding] += damping * hand
+
+    def _let_slide(self, vertices: npt.NDArray[np.intp]) -> None:
+        """Let these slide between the fingers, and no others."""
+        self.model.dof_damping[self._dofs] = 0.0
+        self._sliding = vertices
 
     def _open_overloaded(self) -> None:
         """Open the connections where they are pulled by more than the grip holds."""
-        held = self._connections[self.data.eq_active[self._connections] > 0]
-        if len(held) and pull_force(self._mujoco, self.data, held) > self._slip.force:
-            self._slip.begin(self.held)
-            self.data.eq_active[self._connections] = 0
+        held, data = self._ties[self.data.eq_active[self._ties] > 0], self.data
+        equality = data.efc_type == int(self._mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        # by how much they were pulled in the last step: three rows each, along the world's axes
+        rows = np.flatnonzero(equality & np.isin(data.efc_id, held))
+        pull = np.linalg.norm(data.efc_force[rows].reshape(-1, 3).sum(axis=0))
+        if len(held) and pull > self.grip_force:
+            self._slip_speed = 0.0
+            self._let_slide(self.held)
+            self.data.eq_active[self._ties] = 0
             self._untwist()
 
     # ---- the hand --------------------------------------------------------------------------------
@@ -297,17 +256,12 @@ class Reality:
         self._path = path
 
     @property
-    def grip_force(self) -> float:
-        """That the fingers hold at most [N]."""
-        return self._slip.force
-
-    @property
-    def hand(self) -> npt.NDArray[np.float64]:
+    def hand(self) -> Array:
         """[3] the point between the fingertips [m]."""
         return self.data.xpos[self._hand].copy()
 
     @property
-    def hand_axis(self) -> npt.NDArray[np.float64]:
+    def hand_axis(self) -> Array:
         """[3] unit vector along the object at the hand: from its free end, for a rope."""
         x, held = self.vertices(), self.held
         if isinstance(self.item, RealRope) and len(held) > 1:
@@ -316,16 +270,10 @@ class Reality:
         return self.data.xmat[self._hand].reshape(3, 3)[:, 0].copy()
 
     @property
-    def twist(self) -> float:
-        """How far a rope's hand-held end is turned against the one in the stand [rad]; 0 where a
-        rope is not held at both ends."""
-        return 0.0 if self._twist is None else self._twist.angle
-
-    @property
     def held(self) -> npt.NDArray[np.intp]:
         """Vertices that the hand holds, or that slide between its fingers."""
-        held = np.flatnonzero(self.data.eq_active[self._connections])
-        return np.union1d(held, self._slip.vertices)
+        held = np.flatnonzero(self.data.eq_active[self._ties])
+        return np.union1d(held, self._sliding)
 
     def attach(self, reach: float = FINGER_WIDTH / 2.0) -> npt.NDArray[np.intp]:
         """Close the hand: what lies between the fingers keeps its place relative to them.
@@ -367,19 +315,19 @@ class Reality:
 
     def release(self) -> None:
         """Open the hand: a free end twists back."""
-        self.data.eq_active[self._connections] = 0
+        self.data.eq_active[self._ties] = 0
         self.data.qfrc_applied[self._dofs] = 0.0
-        self._slip.end(self.model)
+        self._let_slide(self._sliding[:0])
         self._untwist()
 
-    def _hold(self, vertices: npt.NDArray[np.intp], x: npt.NDArray[np.float64]) -> None:
+    def _hold(self, vertices: npt.NDArray[np.intp], x: Array) -> None:
         """Keep vertices where they are, of all [V, 3], relative to the hand."""
         R = self.data.xmat[self._hand].reshape(3, 3)
         for v in vertices:
-            e = self._connections[v]
+            e = self._ties[v]
             self.model.eq_data[e, :3] = 0.0
             self.model.eq_data[e, 3:6] = R.T @ (x[v] - self.hand)
-        self.data.eq_active[self._connections[vertices]] = 1
+        self.data.eq_active[self._ties[vertices]] = 1
 
     def _untwist(self) -> None:
         self._twist = None
@@ -387,7 +335,7 @@ class Reality:
 
     # ---- ground truth ----------------------------------------------------------------------------
 
-    def vertices(self) -> npt.NDArray[np.float64]:
+    def vertices(self) -> Array:
         """[V, 3] the object's vertices [m]."""
         return self.data.flexvert_xpos.copy()
 

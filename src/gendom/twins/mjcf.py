@@ -15,12 +15,12 @@ from gendom.materials import Item, Rope
 from gendom.reality import Layout, as_real
 from gendom.reality.model import (
     CLOTH_STEP,
+    ROPE_STEP,
     compiled,
     connection,
     rest_shape,
     scene_xml,
 )
-from gendom.reality.trials import ROPE_TIMESTEP
 from gendom.twins.lift import Array, Lift
 
 SCRIPT = "mujoco_lift.py"
@@ -47,7 +47,7 @@ def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
     places = rest_shape(item, layout)
     reach = lift.hold + (0.5 * item.spacing if isinstance(item, Rope) else 0.0)
     held = np.flatnonzero(np.linalg.norm(places - origin, axis=1) <= reach + 1e-9)
-    step = ROPE_TIMESTEP if isinstance(item, Rope) else CLOTH_STEP
+    step = ROPE_STEP if isinstance(item, Rope) else CLOTH_STEP
     xml = scene_xml(
         item,
         layout,
