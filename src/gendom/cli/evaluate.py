@@ -10,7 +10,10 @@ from typing import Any, Literal
 from gendom.cli.arguments import Engine, Json, Seed, TaskName
 from gendom.errors import printable
 from gendom.files import to_json
+from gendom.policies import Policy
+from gendom.policies.evaluation import draw_cases, score
 from gendom.progress import bar
+from gendom.tasks.world import Simulation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,10 +46,6 @@ class Command:
     json: Json = False
 
     def run(self) -> int:
-        from gendom.policies import Policy
-        from gendom.policies.evaluation import draw_cases, score
-        from gendom.tasks.world import Simulation
-
         began = time.monotonic()
         if self.policy:
             policies = [Policy.read(path) for path in self.policy]

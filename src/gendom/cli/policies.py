@@ -5,15 +5,13 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gendom.cli.arguments import Json
 from gendom.errors import printable
 from gendom.files import to_json
 from gendom.materials import PARAMETERS
-
-if TYPE_CHECKING:
-    from gendom.policies import Policy
+from gendom.policies import Policy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +27,6 @@ class Command:
     json: Json = False
 
     def run(self) -> int:
-        from gendom.policies import Policy
-
         policies = [Policy.read(path) for path in self.policy] or Policy.shipped()
         rows = [described(policy) for policy in policies]
         print(to_json({"policies": rows}) if self.json else "\n\n".join(map(_text, rows)))
