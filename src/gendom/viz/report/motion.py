@@ -27,7 +27,6 @@ _BYTES_A_POINT = 6
 _FRAMES = 60
 """With more frames than these, evenly spaced ones are shown."""
 
-_UNHURRIED = 3.0  # seconds; a shorter motion is played slowly at first
 _SPEEDS = (("1", "real time"), ("0.5", "half speed"), ("0.25", "quarter speed"))
 
 
@@ -42,12 +41,7 @@ def viewer(clouds: CloudSequence, *, name: str, subject: str) -> str:
     Raises:
         GendomError: The clouds have no points.
     """
-    duration = float(clouds.times[-1] - clouds.times[0])
-    first = next((v for v, _ in _SPEEDS if duration / float(v) >= _UNHURRIED), _SPEEDS[-1][0])
-    speeds = "".join(
-        f'<option value="{value}"{" selected" if value == first else ""}>{said}</option>'
-        for value, said in _SPEEDS
-    )
+    speeds = "".join(f'<option value="{value}">{said}</option>' for value, said in _SPEEDS)
     recorded, simulated = map(escaped, clouds.labels)
     layers = [
         ("recorded", recorded, "dot", clouds.recorded),
@@ -66,9 +60,8 @@ def viewer(clouds: CloudSequence, *, name: str, subject: str) -> str:
         f'value="0" aria-label="Fade from {recorded} to {simulated}"> {simulated}</label>'
     )
     said = escaped(subject)
-    kind = "viewer" if clouds.num_frames > 1 else "viewer still"
     return (
-        f'<div class="{kind}" id="{name}" data-scene="{name}-scene" hidden>'
+        f'<div class="viewer" id="{name}" data-scene="{name}-scene" hidden>'
         f'<figure><canvas tabindex="0" role="img" aria-label="{said}; drag or use the arrow keys '
         'to turn it"></canvas>'
         "<figcaption>Drag it, or use the arrow keys, to turn it</figcaption></figure>"
@@ -184,7 +177,6 @@ def residuals(clouds: CloudSequence, rms_by_frame: Sequence[float]) -> str:
         plot.area(times, shown, "recorded")
         plot.line(times, shown, "recorded")
         plot.level(float(shown.mean()), "soft", f"mean {shown.mean():.1f} mm")
-        plot.cursor("lift-scene")
         figures.append(plot.figure(title, said))
     return side_by_side(figures)
 

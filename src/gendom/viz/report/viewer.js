@@ -38,7 +38,6 @@
       this.speed = root.querySelector("select.speed");
       this.clock = root.querySelector("output");
       this.layers = [...root.querySelectorAll("input[data-layer]")];
-      this.cursors = document.querySelectorAll(`.cursor[data-scene="${root.dataset.scene}"]`);
       this.last = this.scene.times.length - 1;
       this.slider.max = this.last;
       this.slider.value = Math.floor(this.last * 0.6);
@@ -132,14 +131,6 @@
       this.clock.textContent =
         `${scene.times[t].toFixed(2)} s · frame ${scene.frames[t]} of ${scene.of}${chamfer}`;
       this.slider.setAttribute("aria-valuetext", this.clock.textContent);
-      for (const cursor of this.cursors) {
-        const [low, high, left, right] = ["low", "high", "left", "right"].map(
-          (n) => Number(cursor.dataset[n]));
-        const at = left + ((right - left) * (scene.times[t] - low)) / (high - low);
-        cursor.setAttribute("x1", at);
-        cursor.setAttribute("x2", at);
-        cursor.setAttribute("visibility", "visible");
-      }
     }
 
     paint(t) {
