@@ -1,5 +1,5 @@
 // Plays clouds, arm and goal, in a view that turns.
-// Points are uint16 in the box `low`..`high` [m], the arm is in millimetres.
+// Points are in tenths of a millimetre, the arm is in millimetres.
 (() => {
   const OPACITY = { recorded: 0.85, simulated: 0.6 };
   const probe = document.body.appendChild(document.createElement("i"));
@@ -30,8 +30,6 @@
     constructor(root) {
       this.root = root;
       this.scene = JSON.parse(document.getElementById(root.dataset.scene).textContent);
-      const bytes = Uint8Array.from(atob(this.scene.points), (c) => c.charCodeAt(0));
-      this.grid = new DataView(bytes.buffer);
       this.play = root.querySelector("button.play");
       this.slider = root.querySelector("input.time");
       this.fade = root.querySelector("input.fade");
@@ -199,14 +197,12 @@
     }
 
     // All dots are one path: where they lie over each other it is as transparent as anywhere.
-    cloud(pen, { kind, size, offsets }, t, place, width) {
-      const { low, high } = this.scene;
+    cloud(pen, { kind, size, frames }, t, place, width) {
       const r = (size / 2) * Math.min(1.4, Math.max(0.8, width / 450));
       pen.fillStyle = color(kind);
       pen.beginPath();
-      for (let i = offsets[t]; i < offsets[t + 1]; i++) {
-        const [x, y] = place(low.map((l, k) =>
-          l + ((high[k] - l) * this.grid.getUint16(6 * i + 2 * k, true)) / 65535));
+      for (let i = 0; i < frames[t].length; i += 3) {
+        const [x, y] = place(frames[t].slice(i, i + 3).map((c) => c / 1e4));
         pen.moveTo(x + r, y);
         pen.arc(x, y, r, 0, 7);
       }
