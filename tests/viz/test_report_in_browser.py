@@ -79,18 +79,15 @@ def test_it_fits_and_is_silent(browser, report, width, dark):
 
 
 @pytest.mark.parametrize("viewer", ["lift", "motion"])
-def test_one_slider_moves_view_and_charts(browser, report, viewer):
+def test_the_slider_moves_the_view(browser, report, viewer):
     browser.open(report, width=1280)
     output = f"document.querySelector('#{viewer} output').textContent"
     seen = []
     for frame in (0, FRAMES - 1):
         act(browser, f"#{viewer} input.time", f"value = {frame}")
         assert f"frame {frame + 1} of {FRAMES}" in browser.evaluate(output)
-        cursors = f"[...document.querySelectorAll('.cursor[data-scene={viewer}-scene]')]"
-        places = browser.evaluate(f"{cursors}.map((c) => Number(c.getAttribute('x1')))")
-        assert len(places) == (2 if viewer == "lift" else 0)
-        seen.append([drawn(browser, viewer), *places])
-    assert all(first != last for first, last in zip(*seen, strict=True))
+        seen.append(drawn(browser, viewer))
+    assert seen[0] != seen[1]
 
 
 def test_play_goes_on_until_pause(browser, report):

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,16 +17,26 @@ from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import check_places, tell_written, write_result
 from gendom.errors import PolicyError, RobotError, printable
 from gendom.files import to_json
-from gendom.materials import KINDS, LARGEST, PARAMETERS, Item, size_of, thickness_of, to_columns
+from gendom.hardware.cell import BARE, Cell
+from gendom.hardware.execution import write_trajectory
+from gendom.materials import (
+    KINDS,
+    LARGEST,
+    PARAMETERS,
+    Item,
+    size_of,
+    thickness_of,
+    to_columns,
+)
+from gendom.materials.estimate import Estimate
+from gendom.policies import Policy
+from gendom.policies.adaptation import DISCREPANCY, adapt
+from gendom.policies.belief import believed, for_task
+from gendom.policies.polishing import Discrepancy, polish
 from gendom.robot import TcpPath
 from gendom.tasks import Task
-
-if TYPE_CHECKING:
-    from gendom.hardware.cell import Cell
-    from gendom.materials.estimate import Estimate
-    from gendom.policies.policy import Policy
-    from gendom.policies.polishing import Discrepancy
-    from gendom.tasks.task import Outcome, World
+from gendom.tasks.task import Outcome, World
+from gendom.tasks.world import Simulation
 
 _log = logging.getLogger(__name__)
 
@@ -97,10 +107,6 @@ class Command(KnownObject):
     json: Json = False
 
     def run(self) -> int:
-        from gendom.hardware.cell import Cell
-        from gendom.policies.belief import believed, for_task
-        from gendom.tasks.world import Simulation
-
         check_places((self.out, ".json"), (self.joints, ".csv"), (self.trajectory, ".json"))
         cell = None if self.cell is None else Cell.read(self.cell)
         policy = self._policy()
@@ -164,8 +170,6 @@ class Command(KnownObject):
         Raises:
             GendomError: There is none, or it is for another task.
         """
-        from gendom.policies import Policy
-
         if self.policy is None:
             return Policy.pretrained(self.task, parameters=not self.no_parameters)
         what, fix = "cannot be given together with --policy", "leave one of them out"
@@ -185,9 +189,6 @@ class Command(KnownObject):
         Raises:
             RobotError: It cannot.
         """
-        from gendom.hardware.cell import BARE
-        from gendom.hardware.execution import write_trajectory
-
         try:
             where = cell or replace(BARE, arm=self.arm)
             planned = where.plan(path, opening=opening, hangs=hangs)
@@ -217,10 +218,6 @@ class Command(KnownObject):
         self, task: Task, held: Estimate, start: np.ndarray, world: World
     ) -> tuple[np.ndarray, dict[str, Any], Discrepancy | None]:
         """A better action, what is expected of it, ready for JSON, and what executions showed."""
-        from gendom.policies.adaptation import adapt
-        from gendom.policies.belief import believed
-        from gendom.policies.polishing import polish
-
         belief = believed(held, task)
         discrepancy = None
         if seen := executed(held, task):
@@ -261,8 +258,6 @@ def predicted(
     """What an action [A] will reach, simulated: with the object as it is, and the 90 % interval
     over others that are plausible (none: the object is taken as known) and over the simulator's
     error, as `gendom.policies.adaptation` expects it."""
-    from gendom.policies.adaptation import DISCREPANCY
-
     items = [item, *others]
     outcomes = world.carry_out(task, items, np.tile(action, (len(items), 1)))
     if outcomes[0].fault is not None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,14 +12,14 @@ from gendom.cli.arguments import Engine, Json, TaskName
 from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import check_places, write_result
 from gendom.files import to_json
+from gendom.materials.estimate import Estimate
 from gendom.materials.estimate_file import LEVEL
 from gendom.materials.unknowns import UNKNOWNS
+from gendom.policies.adaptation import Adapted, Execution, adapt, executions_from
+from gendom.policies.belief import believed
 from gendom.reading import read_json
 from gendom.tasks import find_task
-
-if TYPE_CHECKING:
-    from gendom.materials.estimate import Estimate
-    from gendom.policies.adaptation import Adapted, Execution
+from gendom.tasks.world import Simulation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,10 +47,6 @@ class Command(KnownObject):
     json: Json = False
 
     def run(self) -> int:
-        from gendom.policies.adaptation import adapt
-        from gendom.policies.belief import believed
-        from gendom.tasks.world import Simulation
-
         fix = "give an estimate's file"
         require(self.params is not None, "is missing", where="--params", fix=fix)
         check_places((self.out, ".json"))
@@ -77,8 +72,6 @@ class Command(KnownObject):
         return 0
 
     def _new(self) -> list[Execution]:
-        from gendom.policies.adaptation import executions_from
-
         found = []
         if self.executions is not None:
             rows = read_json(self.executions).get("executions")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
@@ -15,6 +15,8 @@ from gendom.progress import bar
 
 if TYPE_CHECKING:
     from gendom.estimation import Progress
+    from gendom.materials import Item
+    from gendom.tasks.task import World
 
 Settings = TypeVar("Settings")
 
@@ -96,6 +98,27 @@ def settings_of(kind: type[Settings], command: Any, **others: Any) -> Settings:
     every = fields(kind)  # pyright: ignore[reportArgumentType]
     names = [f.name for f in every if hasattr(command, f.name) and f.name not in others]
     return kind(**{name: getattr(command, name) for name in names}, **others)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Where:
+    """Flags that say where and with which objects something is done."""
+
+    world: Literal["simulation", "reality"] = "simulation"
+    """GenDOM's simulator, or the MuJoCo test scene (the second reality, docs/reality.md)."""
+    objects: tuple[str, ...] = ()
+    """Objects of the MuJoCo test scene (names or TOML files), in place of random ones."""
+    jobs: int = 1
+    """Processes that carry out trials in the MuJoCo test scene."""
+
+    def world_and_items(self, simulation: World) -> tuple[World, tuple[Item, ...]]:
+        """The simulation or the test scene, and the objects that are named."""
+        if self.world == "simulation" and not self.objects:
+            return simulation, ()
+        from gendom.reality import RealWorld, find_object
+
+        items = tuple(find_object(name) for name in self.objects)
+        return RealWorld(jobs=self.jobs) if self.world == "reality" else simulation, items
 
 
 @contextmanager

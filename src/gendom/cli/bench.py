@@ -15,15 +15,18 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gendom.cli.arguments import Device, Json, Seed
+from gendom.arguments import require
+from gendom.cli.arguments import Device, Json
 from gendom.cli.outputs import columns
-from gendom.errors import ParameterError
 from gendom.files import to_json
 from gendom.materials import Material
 from gendom.robot import TcpPaths
 from gendom.sim import Rollout, Simulator, Solver
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation, grippers
+
+RUNS = 5
+"""Rollouts timed for each row."""
 
 log = logging.getLogger(__name__)
 
@@ -46,16 +49,13 @@ class Command:
     """Scalar type."""
     seconds: float = 0.5
     """Simulated time [s]; in a short one the host's share of starting a run counts."""
-    runs: int = 5
-    """Rollouts timed for each row."""
-    seed: Seed = 0
     gradient: bool = False
     """Time forward and backward together too."""
     json: Json = False
 
     def run(self) -> int:
-        if min((*self.worlds, *self.threads, self.runs), default=0) < 1 or self.seconds <= 0.0:
-            raise ParameterError("worlds, threads, runs and seconds must be positive")
+        positive = min((*self.worlds, *self.threads), default=0) >= 1 and self.seconds > 0.0
+        require(positive, "worlds, threads and seconds must be positive", fix="give more")
         cuda = self.device.startswith("cuda")
         rows = []
         for dtype in self.dtype:
@@ -74,7 +74,7 @@ class Command:
         body, _ = world.body(task, task.item)
         scene = task.scene(task.item)
         material = Material(E=1.0e6, nu=0.3, density=1000.0)
-        actions = task.sample_actions(task.item, np.random.default_rng(self.seed), worlds)
+        actions = task.sample_actions(task.item, np.random.default_rng(0), worlds)
         paths = TcpPaths([task.tool_path(task.item, a) for a in actions])
         hands = grippers(scene, paths, 0.0)
 
@@ -88,7 +88,7 @@ class Command:
 
         forward: list[float] = []
         both: list[float] = []
-        for _ in range(self.runs + 1):
+        for _ in range(RUNS + 1):
             s = simulator()
             began = time.perf_counter()
             s.run([self.seconds])

@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gendom.arguments import require
-from gendom.cli.arguments import Engine, Json, Seed, TaskName
+from gendom.cli.arguments import Engine, Json, Seed, TaskName, Where
 from gendom.errors import printable
 from gendom.files import check_folder, to_json
 from gendom.progress import bar
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Command:
+class Command(Where):
     """Simulate demonstrations of a task with random objects and actions, to train a policy on.
 
     If it is interrupted, run it again: it continues where it stopped. A larger size extends a set.
@@ -38,13 +38,6 @@ class Command:
     """cpu, cuda, cuda:0 and so on; several (cuda:0,cuda:1) or all GPUs share the work."""
     cluster: str | None = None
     """A Ray cluster that shares the work: local, auto or ray://HOST:PORT (docs/cluster.md)."""
-    world: Literal["simulation", "reality"] = "simulation"
-    """Where: GenDOM's simulator, or the MuJoCo test scene (the second reality, docs/reality.md)."""
-    objects: tuple[str, ...] = ()
-    """Objects of the MuJoCo test scene (names or TOML files) to draw from, in place of random
-    ones."""
-    jobs: int = 1
-    """Processes that carry out trials in the MuJoCo test scene."""
     engine: Engine = "thin"
     range: tuple[tuple[str, float, float], ...] = ()
     """Parameter, lowest and highest value of drawn objects, in SI units, in place
@@ -55,21 +48,13 @@ class Command:
         from gendom.datasets.demonstrations import generate
         from gendom.tasks import find_task
         from gendom.tasks.demonstrator import Demonstrator
-        from gendom.tasks.task import World
         from gendom.tasks.world import Simulation
 
         began = time.monotonic()
         check_folder(self.out)
         kind = find_task(self.task)
         ranges = {**kind().ranges, **{name: (low, high) for name, low, high in self.range}}
-        world: World = Simulation(engine=self.engine)
-        items = ()
-        if self.world == "reality" or self.objects:
-            from gendom.reality import RealWorld, find_object
-
-            items = tuple(find_object(name) for name in self.objects)
-            if self.world == "reality":
-                world = RealWorld(jobs=self.jobs)
+        world, items = self.world_and_items(Simulation(engine=self.engine))
         source = Demonstrator(task=kind(ranges=ranges), world=world, items=items)
         require(self.size >= 1, f"is {self.size}", where="--size", fix="give 1 or more")
         with bar(self.task, self.size, "demo", even=True) as show:

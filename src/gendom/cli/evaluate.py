@@ -5,16 +5,19 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from gendom.cli.arguments import Engine, Json, Seed, TaskName
+from gendom.cli.arguments import Device, Engine, Json, Seed, TaskName, Where
 from gendom.errors import printable
 from gendom.files import to_json
+from gendom.policies import Policy
+from gendom.policies.evaluation import draw_cases, score
 from gendom.progress import bar
+from gendom.tasks.world import Simulation
 
 
 @dataclass(frozen=True, kw_only=True)
-class Command:
+class Command(Where):
     """Let policies act in cases with goals that can be reached, and print the errors.
 
     All policies meet the same objects and goals. Each case is simulated once to find a goal, and
@@ -27,26 +30,14 @@ class Command:
     task: TaskName
     policy: tuple[Path, ...] = ()
     """Policy files; by default the shipped ones, with and without parameters."""
-    world: Literal["simulation", "reality"] = "simulation"
-    """Where policies act."""
-    objects: tuple[str, ...] = ()
-    """Objects of the MuJoCo test scene (names or TOML files) to use in turn, in place of random
-    ones."""
-    jobs: int = 1
-    """Processes that carry out trials in the MuJoCo test scene."""
     cases: int = 50
     """Number of objects and goals."""
     seed: Seed = 0
     engine: Engine = "thin"
-    device: str = "cpu"
-    """Device of GenDOM's simulator: cpu, cuda or cuda:0 and so on."""
+    device: Device = "cpu"
     json: Json = False
 
     def run(self) -> int:
-        from gendom.policies import Policy
-        from gendom.policies.evaluation import draw_cases, score
-        from gendom.tasks.world import Simulation
-
         began = time.monotonic()
         if self.policy:
             policies = [Policy.read(path) for path in self.policy]
@@ -57,16 +48,9 @@ class Command:
                 if sees or Policy.ships(self.task, parameters=sees)
             ]
         simulation = Simulation(engine=self.engine, device=self.device)
-        world, items = simulation, None
-        if self.world == "reality" or self.objects:
-            from gendom.reality import RealWorld, find_object
-
-            items = [find_object(name) for name in self.objects]
-            if self.world == "reality":
-                world = RealWorld(jobs=self.jobs)
-        cases = draw_cases(
-            policies[0].task(), self.cases, seed=self.seed, simulation=simulation, items=items
-        )
+        world, items = self.world_and_items(simulation)
+        task = policies[0].task()
+        cases = draw_cases(task, self.cases, seed=self.seed, simulation=simulation, items=items)
         entries = []
         for policy in policies:
             with bar("acting", len(cases), "case") as show:
@@ -79,7 +63,7 @@ class Command:
         flags = ("task", "world", "cases", "seed", "engine", "device")
         result = {
             **{name: getattr(self, name) for name in flags},
-            "unit": next((goal.unit for goal in policies[0].task().goals), "1"),
+            "unit": next((goal.unit for goal in task.goals), "1"),
             "policies": entries,
             "seconds": time.monotonic() - began,
         }

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from gendom.arguments import require
 from gendom.errors import GendomError
 from gendom.materials import KINDS, PARAMETERS
-
-if TYPE_CHECKING:
-    from gendom.materials.estimate import Estimate
-    from gendom.policies.adaptation import Execution
-    from gendom.tasks import Task
+from gendom.materials.estimate import Estimate
+from gendom.materials.estimate_file import HIDDEN
+from gendom.policies.adaptation import Execution, executions_from
+from gendom.tasks import Task
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,9 +53,6 @@ class KnownObject:
         Raises:
             GendomError: The file cannot be used, or something that is needed is missing.
         """
-        from gendom.materials.estimate import Estimate
-        from gendom.materials.estimate_file import HIDDEN
-
         found = Estimate(kind=task.kind, known={})
         where = None if self.params is None else str(self.params)
         if self.params is not None:
@@ -90,7 +85,5 @@ class KnownObject:
 
 def executed(found: Estimate, task: Task) -> list[Execution]:
     """Earlier executions of a task, as ``gendom adapt`` writes them into an estimate."""
-    from gendom.policies.adaptation import executions_from
-
     rows = (found.about.get("executions") or {}).get(task.name, ())
     return executions_from(rows, "executions")

@@ -172,16 +172,19 @@ def described(command: type) -> type:
 
 
 def _help(command: type) -> dict[str, str]:
-    """The docstrings of a command's fields, each in one line."""
-    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(command))).body
-    assert isinstance(tree, ast.ClassDef)
-    return {
-        field.target.id: " ".join(text.value.value.split())
-        for field, text in pairwise(tree.body)
-        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
-        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
-        if isinstance(text.value.value, str)
-    }
+    """The docstrings of a command's fields, inherited ones too, each in one line."""
+    found = {}
+    for base in reversed([kind for kind in command.__mro__ if is_dataclass(kind)]):
+        (tree,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
+        assert isinstance(tree, ast.ClassDef)
+        found |= {
+            field.target.id: " ".join(text.value.value.split())
+            for field, text in pairwise(tree.body)
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+            if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+            if isinstance(text.value.value, str)
+        }
+    return found
 
 
 def _description(command: type) -> str:

@@ -5,18 +5,25 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from gendom.arguments import require
 from gendom.cli.arguments import Json, Seed, settings_of
 from gendom.cli.outputs import check_places, columns, tell_written, write_result
+from gendom.estimation.lift_plan import (
+    LiftPlan,
+    LiftPlanSettings,
+    ObjectClass,
+    plan_lift,
+    rolls,
+)
 from gendom.files import to_json
+from gendom.materials import KINDS, thickness_of, to_columns
 from gendom.progress import bar
-
-if TYPE_CHECKING:
-    from gendom.estimation.lift_plan import LiftPlan, ObjectClass
+from gendom.reality import arm_motion, as_real, lift, lift_cameras
+from gendom.robot import MOTION_FORMAT
 
 OPEN = 0.08
 """Of the gripper, as joints.csv states it where it holds nothing [m]."""
@@ -65,8 +72,6 @@ class Command:
     json: Json = False
 
     def run(self) -> int:
-        from gendom.estimation.lift_plan import LiftPlanSettings, plan_lift
-
         check_places((self.out, ""))
         objects = self._objects()
         settings = settings_of(LiftPlanSettings, self, aim=self.for_)
@@ -78,9 +83,6 @@ class Command:
         return 0
 
     def _objects(self) -> ObjectClass:
-        from gendom.estimation.lift_plan import ObjectClass
-        from gendom.materials import KINDS
-
         names = KINDS[self.kind].sizes
         others = [n for kind in KINDS.values() for n in kind.sizes if n not in names]
         fix = f"give --{names[0]} and --{names[1]}"
@@ -105,10 +107,6 @@ class Command:
         return (given[0], given[-1]) if given else None
 
     def _write(self, plan: LiftPlan, folder: Path) -> None:
-        from gendom.materials import thickness_of, to_columns
-        from gendom.reality import arm_motion, as_real, lift, lift_cameras
-        from gendom.robot import MOTION_FORMAT
-
         write_result(folder / "plan.json", plan.to_dict(), json=self.json)
         middle = plan.objects.at(0.5)
         item = as_real(middle)
@@ -127,8 +125,6 @@ class Command:
 
 def plan_text(plan: LiftPlan) -> str:
     """A plan for people."""
-    from gendom.estimation.lift_plan import rolls
-
     level, drawn = plan.settings.level, plan.settings.draws
 
     def percent(half: float) -> str:

@@ -5,15 +5,13 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gendom.cli.arguments import Json
 from gendom.errors import printable
 from gendom.files import to_json
 from gendom.materials import PARAMETERS
-
-if TYPE_CHECKING:
-    from gendom.policies import Policy
+from gendom.policies import Policy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,17 +27,16 @@ class Command:
     json: Json = False
 
     def run(self) -> int:
-        from gendom.policies import Policy
-
         policies = [Policy.read(path) for path in self.policy] or Policy.shipped()
         rows = [described(policy) for policy in policies]
-        print(to_json({"policies": rows}) if self.json else "\n\n".join(map(_text, rows)))
+        print(to_json({"policies": rows}) if self.json else "\n\n".join(map(policy_text, rows)))
         return 0
 
 
 def described(policy: Policy) -> dict[str, Any]:
     """A policy ready for JSON."""
     about = policy.description
+    training = {name: value for name, value in about.training.items() if name != "acted"}
     return {
         "path": policy.where,
         "task": about.task["name"],
@@ -47,8 +44,9 @@ def described(policy: Policy) -> dict[str, Any]:
         "conditioned_on": about.conditioned_on,
         "goals": dict(zip(about.goal_names, policy.goal_range().tolist(), strict=True)),
         "parameters": {n: about.parameters[n] for n in about.conditioned_on},
-        "demonstrations": about.training.get("demonstrations"),
-        "failed": about.training.get("failed", 0),
+        "demonstrations": training.get("demonstrations"),
+        "failed": training.get("failed", 0),
+        "training": training,
         "acted": about.training.get("acted"),
         "made_by": made_by(policy),
     }
@@ -78,22 +76,32 @@ def made_by(policy: Policy) -> list[str]:
     return [made, shlex.join(train)]
 
 
-def _text(row: dict[str, Any]) -> str:
-    lines = [f"{printable(Path(row['path']).name)}: {row['task']}, {row['method']}"]
+def policy_text(row: dict[str, Any]) -> str:
+    """The same for people."""
+    names = ", ".join(row["conditioned_on"]) or "no parameters"
+    name, training, acted = printable(Path(row["path"]).name), row["training"], row["acted"]
+    lines = [f"{name}: {row['task']}, {row['method']}, conditioned on {names}"]
     for name, (low, high) in row["parameters"].items():
         lines.append(f"  input {name:<8} {low:.3g} to {high:.3g} [-] ({PARAMETERS[name].meaning})")
-    if not row["parameters"]:
-        lines.append("  input          no parameters")
     for name, (low, high) in row["goals"].items():
         lines.append(f"  goal {name:<9} {low:.3g} to {high:.3g} sizes")
-    failed = f", of which {row['failed']} failed" if row["failed"] else ""
-    lines.append(f"  trained on     {row['demonstrations']} demonstrations{failed}")
-    acted = row["acted"]
-    if acted and None not in acted["error_over_size"].values():
+    said = [
+        f"{row['demonstrations']} demonstrations",
+        f"of which {row['failed']} failed" * bool(row["failed"]),
+        f"fine-tuned on {training.get('finetuned_on')}" * bool(training.get("finetuned_on")),
+        f"refined in {training.get('refine')} rounds" * bool(training.get("refine")),
+    ]
+    lines.append(f"  trained on     {', '.join(filter(None, said))}")
+    for name, value in training.get("errors", {}).items():
+        of = "" if name.endswith("_share") else " of the size"
+        lines.append(f"  held out       {name.replace('_', ' ')} {100.0 * value:.3g} %{of}")
+    if acted:
         off, of = acted["error_over_size"], "the size" if row["goals"] else "its share"
-        lines.append(
-            f"  misses by      {100.0 * off['mean']:.2g} % of {of} in the mean, "
-            f"{100.0 * off['p95']:.2g} % at the 95th percentile of {acted['cases']} new cases"
-        )
-    lines += [f"  {command}" for command in row["made_by"]]
-    return "\n".join(lines)
+        said = f"in none of {acted['cases']} new cases: none could be simulated"
+        if None not in off.values():
+            said = (
+                f"{100.0 * off['mean']:.2g} % of {of} in the mean, {100.0 * off['p95']:.2g} % at "
+                f"the 95th percentile of {acted['cases']} new cases"
+            )
+        lines.append(f"  misses by      {said}")
+    return "\n".join([*lines, *(f"  {command}" for command in row["made_by"])])

@@ -17,7 +17,7 @@ from gendom.datasets import Recording
 from gendom.errors import ParameterError
 from gendom.files import to_json
 from gendom.progress import bar
-from gendom.viz.sources import clouds_of
+from gendom.viz.sources import clouds_of, of_all_frames
 
 if TYPE_CHECKING:
     from gendom.estimation import LiftScene, Theta
@@ -162,12 +162,6 @@ def of_recording(params: Mapping[str, Any], recording: Recording) -> Mapping[str
     """What an estimate says of a recording alone; None where it is of others."""
     own = (r for r in params.get("recordings", ()) if r.get("begins_with") == recording.begins_with)
     return next(own, None)
-
-
-def of_all_frames(scene: LiftScene, recording: Recording) -> LiftScene:
-    """A scene with every frame of its recording, or of a longer one of the same motion."""
-    every = tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
-    return replace(scene, recording=recording, frames=every)
 
 
 def _found_anew(

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from gendom.arguments import require
 from gendom.cli.arguments import Engine, Json, Seed, TaskName, settings_of
-from gendom.errors import DatasetError, printable
+from gendom.cli.policies import described, policy_text
+from gendom.errors import DatasetError
 from gendom.files import check_file, to_json
 from gendom.materials import PARAMETERS
 
 if TYPE_CHECKING:
-    from gendom.policies import Policy
     from gendom.policies.demonstrations import Demonstrations
 
 
@@ -72,16 +72,11 @@ class Command:
         method = self.method or ("distal" if demonstrations.goal_names else "quantile")
         training = settings_of(Training, self, method=method, conditioned_on=sees)
         policy = train(
-            demonstrations,
-            self.out,
-            training,
-            finetune=finetune,
+            demonstrations, self.out, training, finetune=finetune, cases=self.cases, progress=True,
             world=Simulation(engine=self.engine, device=self.device),
-            cases=self.cases,
-            progress=True,
-        )
-        summary = summarize(policy)
-        print(to_json(summary) if self.json else summary_text(summary))
+        )  # fmt: skip
+        row = described(policy)
+        print(to_json(row) if self.json else policy_text(row))
         return 0
 
     def _read(self, folder: Path) -> Demonstrations:
@@ -104,53 +99,3 @@ def _conditions(words: tuple[str, ...]) -> tuple[str, ...] | None:
     fix = f"choose from {', '.join(PARAMETERS)}, or give all or none"
     require(not unknown[0], f"there is no parameter {unknown[0]!r}", where="--condition", fix=fix)
     return words
-
-
-def summarize(policy: Policy) -> dict[str, Any]:
-    """What a policy is and how its training went, ready for JSON."""
-    about = policy.description
-    training = dict(about.training)
-    acted = training.pop("acted", None)
-    return {
-        "path": policy.where,
-        "task": about.task,
-        "method": about.method,
-        "conditioned_on": about.conditioned_on,
-        "parameters": about.parameters,
-        "training": training,
-        **({} if acted is None else {"acted": acted}),
-    }
-
-
-def summary_text(summary: dict[str, Any]) -> str:
-    """The same for people."""
-    training = summary["training"]
-    names = ", ".join(summary["conditioned_on"]) or "no parameters"
-    failed, finetuned, rounds = (training.get(n) for n in ("failed", "finetuned_on", "refine"))
-    said = [
-        f"on {training['demonstrations']} demonstrations",
-        f"of which {failed} failed" * bool(failed),
-        f"fine-tuned on {finetuned}" * bool(finetuned),
-        f"refined in {rounds} rounds" * bool(rounds),
-        f"seed {training['seed']}",
-    ]
-    rows = {
-        "method": f"{summary['method']}, conditioned on {names}",
-        "trained": ", ".join(filter(None, said)),
-        "held out": f"{training['held_out']} of them, with these errors",
-    }
-    for name, value in training["errors"].items():
-        of = "" if name.endswith("_share") else " of the size"
-        rows[name.replace("_", " ")] = f"{100 * value:.3g} %{of}"
-    rows["took"] = f"{training['seconds']:.3g} s"
-    if acted := summary.get("acted"):
-        figures = acted["error_over_size"]
-        rows["acted"] = "no case could be simulated"
-        if figures["mean"] is not None:
-            rows["acted"] = (
-                f"in {acted['cases']} new cases: error {100 * figures['mean']:.3g} % of the size "
-                f"in the mean, {100 * figures['p95']:.3g} % at the 95th percentile"
-            )
-    width = max(map(len, rows))
-    lines = [f"{printable(summary['path'])}: a policy for {summary['task']['name']}"]
-    return "\n".join(lines + [f"  {name:<{width}}  {text}" for name, text in rows.items()])

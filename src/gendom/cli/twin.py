@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -12,10 +12,9 @@ from gendom.arguments import require
 from gendom.cli.arguments import Seed
 from gendom.cli.outputs import check_places, tell_written
 from gendom.errors import GendomError, did_you_mean
-from gendom.materials import KINDS, catalogue
-
-if TYPE_CHECKING:
-    from gendom.materials import Item
+from gendom.materials import KINDS, Item, catalogue
+from gendom.materials.estimate import Estimate
+from gendom.twins import write_twin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +49,6 @@ class Command:
     """Accept an estimate that is not usable."""
 
     def run(self) -> int:
-        from gendom.twins import write_twin
-
         require(self.draws >= 0, f"is {self.draws}", where="--draws", fix="give 0 or more")
         check_places((self.out, ""))
         if self.source in catalogue.materials():
@@ -85,8 +82,6 @@ class Command:
         return kind(**sizes, material=found.material(), friction=found.friction.typical)
 
     def _of_estimate(self) -> tuple[list[Item], dict[str, Any]]:
-        from gendom.materials.estimate import Estimate
-
         path = Path(self.source)
         near = did_you_mean(self.source, catalogue.materials())
         fix = near or "name a file of gendom estimate, or one of gendom materials"

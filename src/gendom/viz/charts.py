@@ -110,15 +110,6 @@ class Plot:
         """A dashed line from left to right."""
         self.line([self.x.low, self.x.high], [y, y], kind, label, "dashed")
 
-    def cursor(self, scene: str) -> None:
-        """A line at the time that the viewer with this scene shows, moved by its script."""
-        self._drawn.append(
-            f'<line class="cursor" data-scene="{html.escape(scene)}" data-low="{self.x.low:.6g}" '
-            f'data-high="{self.x.high:.6g}" data-left="{self._left:.1f}" '
-            f'data-right="{self._right:.1f}" x1="0" x2="0" y1="{_TOP:.1f}" '
-            f'y2="{self._bottom:.1f}" visibility="hidden"/>'
-        )
-
     def figure(self, title: str, note: str = "") -> str:
         """HTML: the chart under a heading, with its legend and a note; plain text."""
         parts = [f'<figcaption class="title">{html.escape(title)}</figcaption>']

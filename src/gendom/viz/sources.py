@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ from gendom.materials import thickness_of
 from gendom.viz.clouds import CloudSequence
 
 if TYPE_CHECKING:
+    from gendom.datasets import Recording
     from gendom.estimation import LiftScene, Theta
     from gendom.reality.trials import TrialRun
     from gendom.tasks import Observed
@@ -40,6 +42,12 @@ def clouds_of(
         chamfer=chamfer,
         view="oblique" if scene.kind == "cloth" else "auto",
     )
+
+
+def of_all_frames(scene: LiftScene, recording: Recording) -> LiftScene:
+    """A scene with every frame of its recording, or of a longer one of the same motion."""
+    every = tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
+    return replace(scene, recording=recording, frames=every)
 
 
 def arm_poses(

@@ -3,11 +3,9 @@ what the policy's action reached."""
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -20,14 +18,12 @@ WITH, WITHOUT = "with the estimate", "without parameters"
 """Names of the runs that are compared first: of one network, with the estimate's parameters and
 without any."""
 
-# Bytes of all points before base64; two viewers then fit into a report of 2 MB.
-_BUDGET = 420_000
-_BYTES_A_POINT = 6
+_POINTS = 40_000
+"""Of all frames; two viewers then fit into a report of 2 MB."""
 
 _FRAMES = 60
 """With more frames than these, evenly spaced ones are shown."""
 
-_UNHURRIED = 3.0  # seconds; a shorter motion is played slowly at first
 _SPEEDS = (("1", "real time"), ("0.5", "half speed"), ("0.25", "quarter speed"))
 
 
@@ -42,12 +38,7 @@ def viewer(clouds: CloudSequence, *, name: str, subject: str) -> str:
     Raises:
         GendomError: The clouds have no points.
     """
-    duration = float(clouds.times[-1] - clouds.times[0])
-    first = next((v for v, _ in _SPEEDS if duration / float(v) >= _UNHURRIED), _SPEEDS[-1][0])
-    speeds = "".join(
-        f'<option value="{value}"{" selected" if value == first else ""}>{said}</option>'
-        for value, said in _SPEEDS
-    )
+    speeds = "".join(f'<option value="{value}">{said}</option>' for value, said in _SPEEDS)
     recorded, simulated = map(escaped, clouds.labels)
     layers = [
         ("recorded", recorded, "dot", clouds.recorded),
@@ -66,9 +57,8 @@ def viewer(clouds: CloudSequence, *, name: str, subject: str) -> str:
         f'value="0" aria-label="Fade from {recorded} to {simulated}"> {simulated}</label>'
     )
     said = escaped(subject)
-    kind = "viewer" if clouds.num_frames > 1 else "viewer still"
     return (
-        f'<div class="{kind}" id="{name}" data-scene="{name}-scene" hidden>'
+        f'<div class="viewer" id="{name}" data-scene="{name}-scene" hidden>'
         f'<figure><canvas tabindex="0" role="img" aria-label="{said}; drag or use the arrow keys '
         'to turn it"></canvas>'
         "<figcaption>Drag it, or use the arrow keys, to turn it</figcaption></figure>"
@@ -84,9 +74,8 @@ def viewer(clouds: CloudSequence, *, name: str, subject: str) -> str:
 def encode_scene(sequence: CloudSequence) -> str:
     """What `viewer.js` draws, as JSON that is safe inside a script element.
 
-    Points are thinned to a few hundred kilobytes and rounded to 1 / 65535 of their box. The
-    simulated particles that are left are the same in every frame. The arm is rounded to
-    millimetres.
+    Points are thinned to some hundred kilobytes; the simulated ones that are left are the same in
+    every frame.
 
     Raises:
         GendomError: The sequence has no points.
@@ -97,7 +86,17 @@ def encode_scene(sequence: CloudSequence) -> str:
         low = np.minimum(low, sequence.goal.min(axis=0))
         high = np.maximum(high, sequence.goal.max(axis=0))
     high = np.maximum(high, low + 1e-3)
-    clouds, points = _packed(sequence, chosen, low, high)
+    # Points are few in a recording and many in a simulation: what one leaves the other may use.
+    per_frame = _POINTS // len(chosen)
+    keep = min(max(len(sequence.recorded[t]) for t in chosen), per_frame // 2)
+    dot = 3.2 if keep < 400 else 2.2  # small, or a dense cloud would hide the other
+    clouds = [
+        {"kind": kind, "size": size, "frames": [_thinned(frames[t], most) for t in chosen]}
+        for kind, frames, most, size in (
+            ("simulated", sequence.simulated, per_frame - keep, 4.4),
+            ("recorded", sequence.recorded, keep, dot),
+        )
+    ]
     side, grippers, chamfer = sequence.projection(), sequence.gripper, sequence.chamfer
     arm = None
     if sequence.arm is not None and sequence.arm_radius is not None:
@@ -119,42 +118,15 @@ def encode_scene(sequence: CloudSequence) -> str:
         "arm": arm,
         "goal": None if sequence.goal is None else sequence.goal.round(5).tolist(),
         "clouds": clouds,
-        "points": base64.b64encode(points.tobytes()).decode("ascii"),
     }
     return json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
-def _packed(
-    sequence: CloudSequence, chosen: list[int], low: np.ndarray, high: np.ndarray
-) -> tuple[list[dict[str, Any]], np.ndarray]:
-    """What each cloud is and where its frames begin, and the points [n, 3] of all, 0 to 65535
-    between two corners."""
-    per_frame = _BUDGET // (_BYTES_A_POINT * len(chosen))
-    # Points are few in a recording and many in a simulation: what one leaves the other may use.
-    counts = [len(sequence.recorded[t]) for t in chosen]
-    keep = min(max(counts), per_frame // 2)
-    dot = 3.2 if keep < 400 else 2.2  # small, or a dense cloud would hide the other
-    layers = [
-        ("simulated", sequence.simulated, per_frame - keep, 4.4),
-        ("recorded", sequence.recorded, keep, dot),
-    ]
-    packed, clouds, total = [], [], 0
-    for kind, frames, keep, size in layers:
-        offsets = [total]
-        for t in chosen:
-            points = np.clip((_thinned(frames[t], keep) - low) / (high - low), 0.0, 1.0)
-            packed.append((65535.0 * points).round().astype("<u2"))
-            total += len(points)
-            offsets.append(total)
-        clouds.append({"kind": kind, "size": size, "offsets": offsets})
-    return clouds, np.concatenate(packed)
-
-
-def _thinned(points: np.ndarray, keep: int) -> np.ndarray:
-    """At most `keep` of the points; the same ones for the same number of points."""
-    if len(points) <= keep:
-        return points
-    return points[np.sort(np.random.default_rng(0).permutation(len(points))[:keep])]
+def _thinned(points: np.ndarray, most: int) -> list[int]:
+    """Coordinates of at most so many of the points, the same ones for the same number of points, in
+    tenths of a millimetre."""
+    chosen = np.sort(np.random.default_rng(0).permutation(len(points))[:most])
+    return (1e4 * points[chosen]).round().astype(int).ravel().tolist()
 
 
 def residuals(clouds: CloudSequence, rms_by_frame: Sequence[float]) -> str:
@@ -184,7 +156,6 @@ def residuals(clouds: CloudSequence, rms_by_frame: Sequence[float]) -> str:
         plot.area(times, shown, "recorded")
         plot.line(times, shown, "recorded")
         plot.level(float(shown.mean()), "soft", f"mean {shown.mean():.1f} mm")
-        plot.cursor("lift-scene")
         figures.append(plot.figure(title, said))
     return side_by_side(figures)
 

@@ -1,5 +1,5 @@
 // Plays clouds, arm and goal, in a view that turns.
-// Points are uint16 in the box `low`..`high` [m], the arm is in millimetres.
+// Points are in tenths of a millimetre, the arm is in millimetres.
 (() => {
   const OPACITY = { recorded: 0.85, simulated: 0.6 };
   const probe = document.body.appendChild(document.createElement("i"));
@@ -30,15 +30,12 @@
     constructor(root) {
       this.root = root;
       this.scene = JSON.parse(document.getElementById(root.dataset.scene).textContent);
-      const bytes = Uint8Array.from(atob(this.scene.points), (c) => c.charCodeAt(0));
-      this.grid = new DataView(bytes.buffer);
       this.play = root.querySelector("button.play");
       this.slider = root.querySelector("input.time");
       this.fade = root.querySelector("input.fade");
       this.speed = root.querySelector("select.speed");
       this.clock = root.querySelector("output");
       this.layers = [...root.querySelectorAll("input[data-layer]")];
-      this.cursors = document.querySelectorAll(`.cursor[data-scene="${root.dataset.scene}"]`);
       this.last = this.scene.times.length - 1;
       this.slider.max = this.last;
       this.slider.value = Math.floor(this.last * 0.6);
@@ -132,14 +129,6 @@
       this.clock.textContent =
         `${scene.times[t].toFixed(2)} s · frame ${scene.frames[t]} of ${scene.of}${chamfer}`;
       this.slider.setAttribute("aria-valuetext", this.clock.textContent);
-      for (const cursor of this.cursors) {
-        const [low, high, left, right] = ["low", "high", "left", "right"].map(
-          (n) => Number(cursor.dataset[n]));
-        const at = left + ((right - left) * (scene.times[t] - low)) / (high - low);
-        cursor.setAttribute("x1", at);
-        cursor.setAttribute("x2", at);
-        cursor.setAttribute("visibility", "visible");
-      }
     }
 
     paint(t) {
@@ -208,14 +197,12 @@
     }
 
     // All dots are one path: where they lie over each other it is as transparent as anywhere.
-    cloud(pen, { kind, size, offsets }, t, place, width) {
-      const { low, high } = this.scene;
+    cloud(pen, { kind, size, frames }, t, place, width) {
       const r = (size / 2) * Math.min(1.4, Math.max(0.8, width / 450));
       pen.fillStyle = color(kind);
       pen.beginPath();
-      for (let i = offsets[t]; i < offsets[t + 1]; i++) {
-        const [x, y] = place(low.map((l, k) =>
-          l + ((high[k] - l) * this.grid.getUint16(6 * i + 2 * k, true)) / 65535));
+      for (let i = 0; i < frames[t].length; i += 3) {
+        const [x, y] = place(frames[t].slice(i, i + 3).map((c) => c / 1e4));
         pen.moveTo(x + r, y);
         pen.arc(x, y, r, 0, 7);
       }

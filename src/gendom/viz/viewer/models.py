@@ -20,7 +20,7 @@ from gendom.tasks import Observed, Task, rebuild
 from gendom.tasks.world import Simulation
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_OPACITY
 from gendom.viz.quantities import length_text, quantity_text
-from gendom.viz.sources import goal_mark
+from gendom.viz.sources import goal_mark, of_all_frames
 from gendom.viz.viewer.scenes import (
     ACTION,
     MATERIAL,
@@ -65,8 +65,7 @@ class RecordingModel(Model):
         """
         scene = LiftScene.of(recording)
         theta = scene.prior()[1].with_values(scene.guesses[len(scene.guesses) // 2])
-        every = tuple(np.flatnonzero(recording.frame_valid).tolist())
-        return cls(replace(scene, recording=recording, frames=every), theta, title)
+        return cls(of_all_frames(scene, recording), theta, title)
 
     def parameters(self, case: int) -> tuple[Parameter, ...]:
         """The object's parameters, and those of how it is held."""

@@ -112,7 +112,7 @@ class Painter:
         self._canvas = canvas
         self._handles: dict[str, Any] = {}
         self._drawn: dict[str, Layer] = {}
-        self._table: float | None = None
+        self._table = False
 
     def paint(self, scene: ViewerScene, frame: int) -> None:
         """Show a frame of a scene; what another scene had and this one lacks goes."""
@@ -163,12 +163,9 @@ class Painter:
     def _lay_table(self, scene: ViewerScene) -> None:
         """A table as large as what was shown first, in squares of a round size."""
         z = scene.table_height
-        if z == self._table:
+        if z is None or self._table:
             return
-        self._table = z
-        if z is None:
-            self._canvas.remove_by_name("/table")
-            return
+        self._table = True
         step = square_size(scene)
         low = np.floor(scene.box[0, :2] / step - 2.0) * step
         high = np.ceil(scene.box[1, :2] / step + 2.0) * step
