@@ -529,7 +529,7 @@ class ThinEngine(ABC):
             return ends, most
         for p, pair in enumerate(pairs):
             alike: dict[bytes, list[int]] = {}  # the few ways of holding
-            for k in np.flatnonzero(held[:, pair].any(axis=2).all(axis=1)).tolist():
+            for k in np.flatnonzero(np.all(held[:, pair].any(axis=2), axis=1)).tolist():
                 alike.setdefault(held[k, pair].tobytes(), []).append(k)
             for some in alike.values():
                 i, j = map(np.flatnonzero, held[some[0], pair])
