@@ -20,7 +20,7 @@ from gendom.sim.paths import HostPaths, LedPaths, Pose, paths_on
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
 from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, close, released
-from gendom.sim.thin.run import Event, Round, Run, Schedule, put, put_worlds
+from gendom.sim.thin.run import Event, Round, Schedule, put, put_worlds
 from gendom.sim.thin.step import make_kernels
 from gendom.sim.thin.types import SPIN, Q, V, X, make_types
 
@@ -34,6 +34,23 @@ SHORTEST_SUBSTEP = 1e-9
 
 GROUP = 16
 """Maximum number of worlds that a CPU thread simulates at a time."""
+
+
+class Run:
+    """Arrays of one run on the device, shared by the groups of worlds."""
+
+    def __init__(self, engine: "ThinEngine", frames: Frames, plan: Schedule, kept: wp.array | None):
+        W, vec3, nan = engine.num_worlds, engine.types.vec3, np.nan
+        shape, device = (len(frames.times), W, len(frames.particles)), engine.setting.device
+        self.frames, self.plan, self.on_device = frames, plan, engine.plan_on_device(plan)
+        self.pieces = engine.zeros((W, 2), wp.int32)
+        self.stopped = wp.full(W, -1, dtype=wp.int32, device=device)
+        self.stopped_at = engine.zeros(W, wp.float64)
+        self.points = engine.array(frames.particles, wp.int32)
+        self.x = wp.full(shape, vec3(nan, nan, nan), dtype=vec3, device=device)
+        self.kept, self.every = (engine.state, -1) if kept is None else (kept, W)
+        self.launches: dict[int, Any] = {}
+        """By the first world of a group."""
 
 
 class ThinEngine(ABC):
@@ -241,7 +258,7 @@ class ThinEngine(ABC):
         Raises:
             SimulationError: If a world diverges, unless ``keep_going`` is set.
         """
-        run = self._prepared(frames, self.schedule(frames, most_steps), kept)
+        run = Run(self, frames, self.schedule(frames, most_steps), kept)
         self._simulate(run, after)
         frames.x[...] = run.x.numpy().reshape(frames.x.shape) + self.origin.astype(frames.x.dtype)
         if frames.on_frame is not None:
@@ -272,7 +289,7 @@ class ThinEngine(ABC):
     def _stepping(self) -> Run:
         """A run of one piece that records no frame; its arrays serve all steps."""
         frames = Frames(0.0, np.ones(1), np.zeros(0, dtype=int), np.empty(0), None, False)
-        return self._prepared(frames, self.schedule(frames, None), None)
+        return Run(self, frames, self.schedule(frames, None), None)
 
     def _simulate(
         self, run: Run, after: Callable[[slice, Round], None] | None = None, most: int = GROUP
@@ -339,23 +356,6 @@ class ThinEngine(ABC):
         switches = [self.stacked["hold_from"], self.stacked["hold_until"]]
         switches = np.concatenate(switches, axis=1)
         return Schedule(frames, switches, self.setting.substep, most_steps, self.last_dt)
-
-    def _prepared(self, frames: Frames, plan: Schedule, kept: Any) -> Run:
-        W, device = self.num_worlds, self.setting.device
-        vec3, nan = self.types.vec3, np.nan
-        shape = (len(frames.times), W, len(frames.particles))
-        return Run(
-            plan=plan,
-            frames=frames,
-            on_device=self.plan_on_device(plan),
-            pieces=self.zeros((W, 2), wp.int32),
-            stopped=wp.full(W, -1, dtype=wp.int32, device=device),
-            stopped_at=self.zeros(W, wp.float64),
-            points=self.array(frames.particles, wp.int32),
-            x=wp.full(shape, vec3(nan, nan, nan), dtype=vec3, device=device),
-            kept=self.state if kept is None else kept,
-            every=-1 if kept is None else W,
-        )
 
     def _rounds(self, group: slice, plan: Schedule) -> Iterator[Round]:
         worlds = np.arange(group.start, group.stop)
@@ -529,7 +529,7 @@ class ThinEngine(ABC):
             return ends, most
         for p, pair in enumerate(pairs):
             alike: dict[bytes, list[int]] = {}  # the few ways of holding
-            for k in np.flatnonzero(held[:, pair].any(axis=2).all(axis=1)).tolist():
+            for k in np.flatnonzero(np.all(held[:, pair].any(axis=2), axis=1)).tolist():
                 alike.setdefault(held[k, pair].tobytes(), []).append(k)
             for some in alike.values():
                 i, j = map(np.flatnonzero, held[some[0], pair])

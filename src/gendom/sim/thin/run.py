@@ -1,6 +1,6 @@
 """A run of a thin engine: schedule, gripper events, arrays, and how worlds' rows are written."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -151,24 +151,6 @@ def _short(pieces: dict[str, Array], most_steps: int) -> dict[str, Array]:
         "frame": np.where(last, pieces["frame"][of], -1),
         "due": last & pieces["due"][of],
     }
-
-
-@dataclass
-class Run:
-    """Arrays of one run on the device, shared by the groups of worlds."""
-
-    plan: Schedule
-    frames: Frames
-    on_device: Any
-    pieces: wp.array
-    stopped: wp.array
-    stopped_at: wp.array
-    points: wp.array
-    x: wp.array
-    kept: wp.array
-    every: int
-    launches: dict[int, Any] = field(default_factory=dict)
-    """By the first world of a group."""
 
 
 def put_worlds(array: wp.array, worlds: NDArray[np.int64], values: Array) -> None:

@@ -114,16 +114,10 @@ class ShellModel:
 
     def on_lattice(self, values: Array, fill: float = 0.0) -> Array:
         """Values of points [W, n, ...] on the whole lattice, [W, rows, columns, ...]."""
-        ny, nx = self.shape
-        if len(self.at) == ny * nx:
-            return values.reshape(len(values), ny, nx, *values.shape[2:])
-        whole = np.full((len(values), ny * nx, *values.shape[2:]), fill, dtype=values.dtype)
+        (ny, nx), more = self.shape, values.shape[2:]
+        whole = np.full((len(values), ny * nx, *more), fill, dtype=values.dtype)
         whole[:, self.at] = values
-        return whole.reshape(len(values), ny, nx, *values.shape[2:])
-
-    def of_lattice(self, values: Array) -> Array:
-        """Inverse of ``on_lattice``: [W, n, ...] of [W, rows, columns, ...]."""
-        return values.reshape(len(values), -1, *values.shape[3:])[:, self.at]
+        return whole.reshape(len(values), ny, nx, *more)
 
     def derivatives(self, name: str) -> ParameterDerivatives:
         """Derivatives by ``E``, ``nu``, ``density``, ``thickness``, ``membrane`` or one of
