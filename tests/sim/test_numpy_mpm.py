@@ -1,22 +1,13 @@
 """Every runner against a twin of the substep in NumPy, which is written to be read."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 import warp as wp
 
 from gendom.materials import Material
 from gendom.sim import Gripper, Table, cloth, rope
+from sim.numpy_mpm import NumpyMPM
 from validation.bench import flat_simulator
-
-_SPEC = importlib.util.spec_from_file_location(
-    "numpy_mpm", Path(__file__).with_name("numpy_mpm.py")
-)
-assert _SPEC is not None and _SPEC.loader is not None
-numpy_mpm = importlib.util.module_from_spec(_SPEC)
-_SPEC.loader.exec_module(numpy_mpm)
 
 SUBSTEP = 2.0e-4
 TIMES = [0.006, 0.02]
@@ -69,7 +60,7 @@ def test_every_runner_does_what_the_twin_does(device, sheet, damping):
         device=device,
         **scene,
     )
-    twin = numpy_mpm.NumpyMPM(body, made, **scene)
+    twin = NumpyMPM(body, made, **scene)
     v = np.array([0.6, 0.1, -0.2])
     s.set_velocities(v)
     twin.state.v[:] = v

@@ -89,6 +89,14 @@ def test_bodies_that_cuda_cannot_take_are_refused():
         simulator(large, [SOFT], device="cuda")
 
 
+def test_the_cpu_takes_more_particles_than_cuda():
+    """All of a sheet that falls freely moves alike."""
+    large = cloth(width=0.75, height=0.75, thickness=0.005, dx=0.01, corner=(0.0, 0.0, 0.1))
+    assert large.num_particles > runner.MOST_PARTICLES
+    moved = simulator(large, [SOFT], air_density=0.0).run([0.003])[0, 0] - large.x
+    assert moved[:, 2].max() < -4e-5 and np.ptp(moved, axis=0).max() < 1e-12
+
+
 def test_launches_and_recordings_may_end_anywhere(monkeypatch):
     """A run in many launches, a few frames recorded at a time, is that in one launch."""
     times = [0.0, *np.linspace(0.01, 0.12, 12), 0.12]

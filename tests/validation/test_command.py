@@ -33,19 +33,14 @@ def test_list(capsys):
     assert entry == {"name": "rod-twist", "title": "a twisted rope", "engine": "thin"}
 
 
-def test_all_within(capsys, case):
-    case(lambda _: [row(2.05)])
-    assert main(["--only", "test"]) == 0
+@pytest.mark.parametrize(("measured", "code", "within"), [((2.05,), 0, 1), ((2.05, 2.2), 1, 1)])
+def test_rows_within_and_without(capsys, case, measured, code, within):
+    case(lambda _: [row(m) for m in measured])
+    assert main(["--only", "test"]) == code
     out = capsys.readouterr().out
     assert "length of a rope       2 m    2.05 m  0.05 m    0.1 m\n" in out
-    assert "source: a ruler" in out and "1 of 1 checks" in out
-
-
-def test_one_without(capsys, case):
-    case(lambda _: [row(2.05), row(2.2)])
-    assert main(["--only", "test"]) == 1
-    out = capsys.readouterr().out
-    assert "0.2 m    0.1 m  FAILED\n" in out and "1 of 2 checks" in out
+    assert "source: a ruler" in out and f"{within} of {len(measured)} checks" in out
+    assert ("0.2 m    0.1 m  FAILED\n" in out) == bool(code)
 
 
 def test_a_simulation_that_stops_fails_its_case(capsys, case):

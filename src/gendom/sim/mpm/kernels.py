@@ -304,6 +304,7 @@ def make_reverse(variant: Variant) -> Any:
     list_gripped, loading = make_gripped(variant).list_gripped, make_loading(variant)
     block = make_block(real)
     IN_SHARED_MEMORY, numbers = wp.constant(variant.room > 0), wp.constant(variant.numbers)
+    SORTS = wp.constant(variant.sorts)
 
     @wp.func
     def set_order(now: Substep, model: Model, tape: Records, adjoint: Records):
@@ -386,8 +387,9 @@ def make_reverse(variant: Variant) -> Any:
             now.age = clock.age[w] + now.gone
             earlier = tape.layout_of[now.slot]
             if earlier != now.layout:
-                change_layout(now, earlier, model, tape, adjoint)
-                now.holding = list_gripped(now, adjoint, model, grips)
+                if SORTS:
+                    change_layout(now, earlier, model, tape, adjoint)
+                    now.holding = list_gripped(now, adjoint, model, grips)
                 now.layout = earlier
             if grippers > 0 and now.gone < posed:
                 # poses of many substeps at once

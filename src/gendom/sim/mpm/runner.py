@@ -75,9 +75,7 @@ class Program:
             room = self._shared_room()
             threads = NARROW if self.crowded and room != ROOM_ALONE else WIDE
             self.variant = Variant(worlds.real, worlds.damped, together, room, threads)
-        self.particles = self.records(
-            moduli=(W, 2, N), spare=(W, self.variant.components + 2, N), spare_order=(W, N)
-        )
+        self.particles = self.records(moduli=(W, 2, N))
         if not together:
             near = worlds.setting.body.lattice.transpose(2, 1, 0).reshape(6, N)
             self.particles.near = worlds.array(np.broadcast_to(near, (W, 6, N)), wp.int32)
@@ -95,14 +93,17 @@ class Program:
                 return room
         return 0
 
-    def records(self, **more: tuple[int, ...]) -> Any:
-        """Room for records of all worlds, and arrays of further shapes."""
+    def records(self, **more: tuple[int, int, int]) -> Any:
+        """Room for records of all worlds, with an array [W, n, N] more, and for reordering them."""
         W, N = self.worlds.num_worlds, self.worlds.num_particles
+        ((_, n, _),), reordered = more.values(), W * self.variant.sorts
         return self.worlds.allocate(
             self.worlds.types.Records,
             of=(1 if self.variant.room else W, self.variant.components, N),
             near=(W, 3 if self.worlds.device.is_cuda else 6, N),
             **dict.fromkeys(("order", "place"), (W, N)),
+            spare=(reordered, self.variant.components + n, N),
+            spare_order=(reordered, N),
             **more,
         )
 

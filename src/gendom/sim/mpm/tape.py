@@ -274,14 +274,12 @@ class Sums:
 
     def __init__(self, program: Program):
         self.program = program
-        s, variant = program.worlds, program.variant
+        s = program.worlds
         types, W, N = s.types, s.num_worlds, s.num_particles
         G, K = s.paths.time.shape[1:]
         self.state = s.make_state(W, wp.zeros)
         self.state.sums = s.zeros((W, SUMS, N), s.real)
-        self.adjoint = program.records(
-            sums=(W, SUMS, N), spare=(W, variant.components + SUMS, N), spare_order=(W, N)
-        )
+        self.adjoint = program.records(sums=(W, SUMS, N))
         by_world = (
             "friction", "velocity_damping", "damping", "gravity", "damping_factor",
             "branch_factor", "branch_share", "status", "failed_slot", "failed_particle",
