@@ -256,6 +256,7 @@ def after_tutorial(tmp_path_factory) -> Path:
             for command in block.commands:
                 run_command(command, folder, patch)
     cell = re.search(r"^```toml\n(.*?)^```$", HARDWARE.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    assert cell is not None
     (folder / "cell.toml").write_text(cell.group(1), "utf-8")
     (folder / "left").mkdir()
     write_camera(folder / "left" / "camera.toml", OVERHEAD)

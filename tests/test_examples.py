@@ -40,8 +40,9 @@ def test_examples_use_public_names():
     """Those of gendom or one level below; the one of PyTorch has a module of its own."""
     assert {path.stem for path in EXAMPLES.glob("[0-9]*.py")} == set(SCRIPTS)
     for path in EXAMPLES.glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            module = str(getattr(node, "module", ""))
+        tree = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in (node for node in tree if isinstance(node, ast.ImportFrom)):
+            module = str(node.module)
             if module.startswith("gendom") and module not in ("gendom.cli", "gendom.sim.autograd"):
                 assert module.count(".") <= 1, f"{path.name}: {module}"
                 public = importlib.import_module(module).__all__

@@ -2,6 +2,7 @@
 
 import ast
 import graphlib
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -41,6 +42,14 @@ def modules() -> dict[str, ast.Module]:
     return found
 
 
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """All statements below a node; expressions hold neither imports nor functions."""
+    for inner in ast.iter_child_nodes(node):
+        if isinstance(inner, ast.stmt | ast.excepthandler | ast.match_case):
+            yield inner
+            yield from statements(inner)
+
+
 @cache
 def imports() -> dict[str, set[str]]:
     """Modules of the package that each module names in its import statements, wherever these
@@ -49,7 +58,7 @@ def imports() -> dict[str, set[str]]:
     found: dict[str, set[str]] = {}
     for name, tree in known.items():
         targets = set()
-        for node in ast.walk(tree):
+        for node in statements(tree):
             if isinstance(node, ast.Import):
                 targets |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
@@ -95,7 +104,7 @@ def test_functions_are_short():
     long = [
         (lines, f"{name}.{node.name}")
         for name, tree in modules().items()
-        for node in ast.walk(tree)
+        for node in statements(tree)
         if isinstance(node, ast.FunctionDef)
         if (lines := (node.end_lineno or node.lineno) - node.lineno + 1) > LONG
         if not builds_kernels(node)

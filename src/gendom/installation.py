@@ -67,9 +67,10 @@ def load_mujoco() -> Any:
             what, fix = "MuJoCo is not installed", how_to_install("reality")
             raise DeviceError(what, where="reality", fix=fix) from None
         gl_faults.append(fault)
-    if mujoco.get_mju_user_warning() is None:
-        mujoco.set_mju_user_warning(_log.debug)
-    return mujoco
+    module: Any = mujoco
+    if module.get_mju_user_warning() is None:
+        module.set_mju_user_warning(_log.debug)
+    return module
 
 
 def headless() -> bool:

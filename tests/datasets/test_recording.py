@@ -404,7 +404,7 @@ def test_files_that_are_no_recordings(lift, tmp_path):
         ({"meta": np.array({"format": "gendom-recording/1"}, dtype=object)},
          "holds Python objects (pickles), which are never loaded"),
     ):  # fmt: skip
-        np.savez(path, **arrays)
+        np.savez(path, allow_pickle=True, **arrays)
         assert refusal(path)[0].startswith(said)
     assert refusal(tmp_path / "absent.npz") == ["no such file; check the path"]
 

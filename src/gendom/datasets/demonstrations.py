@@ -453,10 +453,11 @@ def _differences(there: Mapping[str, Any], here: Mapping[str, Any], prefix: str 
     """What differs, with nested names."""
     found = []
     for name in sorted({*there, *here}):
-        both = there.get(name), here.get(name)
-        if all(isinstance(value, Mapping) for value in both):
-            found += _differences(*both, f"{prefix}{name}.")
-        elif both[0] != both[1]:
+        mine, yours = there.get(name), here.get(name)
+        if isinstance(mine, Mapping) and isinstance(yours, Mapping):
+            found += _differences(mine, yours, f"{prefix}{name}.")
+        elif mine != yours:
+            both = (mine, yours)
             mine, yours = ("absent" if value is None else json.dumps(value) for value in both)
             found.append(f"{prefix}{name} is {mine} there and {yours} here")
     return found

@@ -432,7 +432,7 @@ class Estimate(Shown):
         posterior = self.posterior
         intervals: dict[str, list[float]] = {}
         bounds: dict[str, list[float]] = {}
-        known = dict.fromkeys(("E_over_rho", "nu", "friction", "damping"), False)
+        known: dict[str, bool] = dict.fromkeys(("E_over_rho", "nu", "friction", "damping"), False)
         for k, name in enumerate(posterior.names):
             u = UNKNOWNS[name]
             if not u.material:
@@ -494,7 +494,8 @@ class Estimate(Shown):
             found = cls(verdict=verdict, **fields)
             values = found._values()
             for name, value in stated.items():
-                own = value if values.get(name) is None else values[name]
+                own = values.get(name)
+                own = value if own is None else own
                 same = math.isclose(own, value, rel_tol=CONSISTENT, abs_tol=1e-9)
                 what = f"{name} is {value:.6g}, its posterior says {own:.6g}"
                 require(same, what, where=where, fix=left)

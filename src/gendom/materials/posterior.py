@@ -60,8 +60,8 @@ class Prior:
     def taken(self, which: Sequence[int] | NDArray[np.intp]) -> Prior:
         """Prior of unknowns with these indices."""
         numbers = {name: getattr(self, name)[list(which)] for name in NUMBERS}
-        names, owners = (tuple(of[k] for k in which) for of in (self.names, self.owners))
-        return Prior(names=names, owners=owners, **numbers)
+        owners = tuple(self.owners[k] for k in which)
+        return Prior(names=tuple(self.names[k] for k in which), owners=owners, **numbers)
 
     def alone(self, which: Sequence[int] | NDArray[np.intp]) -> Prior:
         """Prior of those with these indices, of one recording, as if there were no other."""
