@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 
 from gendom.datasets import Recording
-from gendom.estimation import (
-    EstimateSettings,
-    LiftScene,
-    SceneSettings,
-    Theta,
-    estimate,
-    replay,
-)
+from gendom.estimation import EstimateSettings, LiftScene, SceneSettings, Theta, estimate, replay
 from gendom.estimation.likelihood import NoiseModel, Observation
 from gendom.estimation.replay import HEM, WorldInputs, held_reach, lattice, middle
 

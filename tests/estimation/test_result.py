@@ -5,9 +5,7 @@ from typing import Any
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.estimation import (
-    Estimate,
-)
+from gendom.estimation import Estimate
 from gendom.files import write_json
 from gendom.reading import read_json
 

@@ -17,13 +17,7 @@ from gendom.estimation.methods import find_method
 from gendom.estimation.methods.differential_evolution import differential_evolution
 from gendom.estimation.methods.gauss_newton import gauss_newton, refined
 from gendom.estimation.priors import thickness_prior
-from gendom.estimation.problem import (
-    EstimateSettings,
-    Found,
-    Problem,
-    Progress,
-    recording_names,
-)
+from gendom.estimation.problem import EstimateSettings, Found, Problem, Progress, recording_names
 from gendom.estimation.registration import register
 from gendom.estimation.result import FittedEstimate, result_of
 from gendom.estimation.scene import LiftScene

@@ -34,14 +34,7 @@ from gendom.estimation.methods.search import estimated_noise
 from gendom.estimation.problem import Start
 from gendom.materials import KINDS, Item, Material, Rope, catalogue, size_of, thickness_of
 from gendom.observation import visible
-from gendom.reality import (
-    Trial,
-    arm_motion,
-    as_real,
-    end_of,
-    lift,
-    lift_cameras,
-)
+from gendom.reality import Trial, arm_motion, as_real, end_of, lift, lift_cameras
 from gendom.robot import LIFT_ENDS, XARM7, JointMotion, LiftMotion, predefined_lift
 from gendom.robot.motions import FREE_RISE, LIFT_FRAME_RATE, RISE
 

@@ -20,12 +20,7 @@ from gendom.arguments import require
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.placing import Placed, lost_time, place, with_points
-from gendom.estimation.priors import (
-    BENDING_RANGE,
-    DENSITY_SD,
-    first_guesses,
-    recording_prior,
-)
+from gendom.estimation.priors import BENDING_RANGE, DENSITY_SD, first_guesses, recording_prior
 from gendom.estimation.scene_settings import (
     MOST_SHELL_POINTS,
     SHELL_ERROR,

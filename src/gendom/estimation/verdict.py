@@ -23,12 +23,7 @@ from gendom.datasets.checks import (
     usual_speed,
 )
 from gendom.estimation.likelihood import HUBER, Comparison, NoiseModel
-from gendom.estimation.placing import (
-    LINE_PLACES,
-    early_points,
-    lying_rectangle,
-    with_points,
-)
+from gendom.estimation.placing import LINE_PLACES, early_points, lying_rectangle, with_points
 from gendom.estimation.priors import thickness_stated
 from gendom.estimation.problem import Found, Part, Problem
 from gendom.materials.estimate import Verdict

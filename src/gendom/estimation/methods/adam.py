@@ -20,7 +20,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.errors import ParameterError, SimulationError
+from gendom.arguments import require
+from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison
 from gendom.estimation.methods.search import best_of, finished, first_starts
 from gendom.estimation.problem import Found, Problem, Start
@@ -119,10 +120,8 @@ class DensityLoss:
     def __init__(self, problem: Problem):
         self.problem = problem
         self.part = problem.only()
-        if "thickness" in problem.prior.names:
-            raise ParameterError(
-                "compares objects as thick as stated", where="method adam", fix="use gauss-newton"
-            )
+        what, fix = "compares objects as thick as stated", "use gauss-newton"
+        require("thickness" not in problem.prior.names, what, where="method adam", fix=fix)
         scene = self.part.scene
         clouds = [scene.recording.frame(t).astype(float) for t in scene.frames]
         path = scene.recording.gripper_position.reshape(-1, 3)
