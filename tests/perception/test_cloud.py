@@ -1,5 +1,7 @@
 """Stages of the way from depth to cloud."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from gendom.perception import (
     cloud,
     perceive_frame,
 )
-from gendom.perception.cloud import fuse
+from gendom.perception.cloud import Held, fuse
 from gendom.perception.colour import ObjectColour, lab
 from gendom.perception.robot import read_capsules
 
@@ -113,6 +115,18 @@ def test_capsules_contain_what_a_distance_says():
     gap = (distance - capsules.radius).min(axis=1)
     sure = np.abs(gap - 0.05) > 1e-3
     np.testing.assert_array_equal(capsules.contain(p, 0.05)[sure], (gap < 0.05)[sure])
+
+
+def test_noise_of_fingers_is_left_out_where_nothing_chose_the_points():
+    """It is 7 mm off a finger, whose margin is 3 mm, and beyond the fingertip."""
+    ends, margin = np.array([[[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.1]]]), np.array([0.003])
+    finger = Capsules(*ends, np.array([0.01]), margin)
+    rope = np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, -0.2], 50)
+    points = np.concatenate([rope, [[0.017, 0.0, 0.05]]])
+    held = Held(np.zeros((1, 3)), reach=0.3, robot=finger)
+    assert not finger.contain(points[-1:], 0.01).any()
+    assert held.among(points).tolist() == [True] * 50 + [False]
+    assert replace(held, chosen=True).among(points).all()
 
 
 def test_capsules_move_between_their_rows(tmp_path):
