@@ -159,7 +159,7 @@ def test_the_command_writes_what_record_reads(tmp_path, capsys):
     chosen = plan["rows"][plan["chosen"]]
     hold, only = (row["sd"][0]["friction"] for row in plan["rows"])
     assert chosen["gain"] == pytest.approx(hold / only) and f"{chosen['gain']:.2f}" in told
-    assert LiftMotion.read(out / "motion.json").to_dict() == chosen["lift"]
+    assert vars(LiftMotion.read(out / "motion.json")) == chosen["lift"]
     path = json.loads((out / "motion.json").read_text())["trajectory"]
     rise = chosen["lift"]["rise"] * 0.25
     assert path["position"][-1][2] - path["position"][0][2] == pytest.approx(rise)

@@ -256,22 +256,26 @@ class JointMotion:
         steps = max(1, math.ceil((self.end - self.start) * rate - 1e-9))
         return np.linspace(self.start, self.end, steps + 1)
 
-    def write_joints(self, path: str | os.PathLike, *, opening: tuple[float, float]) -> None:
+    def write_joints(
+        self, path: str | os.PathLike, *, opening: tuple[float, float] | None = None
+    ) -> None:
         """Write joint angles as joints.csv, as `gendom.robot.read_joints` reads it.
 
         Args:
             path: The file.
-            opening: The gripper's opening when closed and when open [m].
+            opening: The gripper's opening when closed and when open [m]; None leaves it out.
 
         Raises:
             GendomError: The file cannot be written.
         """
         time = self.sampled(RATE)
-        gripper = [opening[0 if self.closed_at(t) else 1] for t in time]
-        names = ",".join(["time", *(f"q{j}" for j in range(self.q.shape[1])), "gripper"])
-        rows = np.column_stack([time, self.at(time), gripper])
+        names, columns = ["time", *(f"q{j}" for j in range(self.q.shape[1]))], [time, self.at(time)]
+        if opening is not None:
+            names.append("gripper")
+            columns.append(np.array([opening[0 if self.closed_at(t) else 1] for t in time]))
+        rows, header = np.column_stack(columns), ",".join(names)
         with atomic_path(path) as temporary:
-            np.savetxt(temporary, rows, fmt="%.9g", delimiter=",", header=names, comments="")
+            np.savetxt(temporary, rows, fmt="%.9g", delimiter=",", header=header, comments="")
 
 
 @dataclass(frozen=True, eq=False)
