@@ -11,7 +11,7 @@ from gendom.files import write_json
 from gendom.materials import Rope, dimensionless_parameters
 from gendom.policies.demonstrations import Demonstrations
 from gendom.reading import read_json
-from gendom.tasks import RopeCasting, RopeReaching, Task
+from gendom.tasks import RopeReaching, Task
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
@@ -55,24 +55,12 @@ def test_read_gives_units_of_similarity_and_leaves_failures_out(folder):
     assert data.risk is not None and set(np.round(data.risk, 9)) <= {0.01 * k for k in range(7)}
 
 
-def test_goals_of_two_numbers(tmp_path):
-    generate(demonstrator(RopeCasting), 40, tmp_path / "set", seed=2)
-    data = Demonstrations.read(tmp_path / "set")
-    assert data.goal_names == ("x", "z") and data.risk is None
-    assert data.goal == pytest.approx(data.action[:, :1] + [[1.0, 2.0]])
-
-
 def test_what_is_there_of_an_unfinished_set_is_taken(folder):
     whole = Demonstrations.read(folder)
     (folder / "shard-00004.parquet").unlink()
     part = Demonstrations.read(folder)
     assert len(part) == len(whole) - 8
     np.testing.assert_array_equal(part.goal, whole.first(len(part)).goal)
-
-
-def test_missing_set_is_refused(tmp_path):
-    with pytest.raises(DatasetError, match="no such folder"):
-        Demonstrations.read(tmp_path / "none")
 
 
 def test_a_set_without_a_column_is_refused(folder):

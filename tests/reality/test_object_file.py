@@ -81,14 +81,6 @@ def test_what_is_missing_or_impossible_is_named(tmp_path, change, says):
     assert "\n" not in str(error.value)
 
 
-def test_files_that_are_none(tmp_path):
-    with pytest.raises(ParameterError, match="no such file"):
-        find_object(str(tmp_path / "none.toml"))
-    (tmp_path / "bad.toml").write_text("kind = ")
-    with pytest.raises(ParameterError, match="is not TOML"):
-        find_object(str(tmp_path / "bad.toml"))
-
-
 def test_a_material_of_the_catalogue(tmp_path):
     entries = {"kind": '"rope"', "length": "0.5", "material": '"nylon-rope"'}
     known = catalogue.get("nylon-rope")

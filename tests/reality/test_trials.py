@@ -387,7 +387,8 @@ def test_an_object_without_a_name_is_carried_out():
     own = {
         name: getattr(POLYESTER, name) for name in ("length", "diameter", "material", "friction")
     }
-    named, same = RealWorld(robot=False).carry_out(CASTING, [POLYESTER, Rope(**own)], [[0.2]] * 2)
+    world = RealWorld(robot=False, timestep=1e-3)
+    named, same = world.carry_out(CASTING, [POLYESTER, Rope(**own)], [[0.2]] * 2)
     assert same.values == named.values
     cloth = as_real(Cloth(side=0.2, thickness=0.001))
     assert isinstance(cloth, RealCloth) and (cloth.vertices, cloth.side) == (28, 0.2)
@@ -397,7 +398,8 @@ def test_what_fails_is_a_fault_and_others_go_on(monkeypatch):
     """What the arm refuses, and a world that diverges."""
     done, items = [], [TOO_LONG, POLYESTER]
     actions = [np.array([0.5, 0.31]) * TOO_LONG.length, STRETCHED]
-    refused, reached = RealWorld().carry_out(REACHING, items, actions, on_frame=done.append)
+    world = RealWorld(timestep=1e-3)
+    refused, reached = world.carry_out(REACHING, items, actions, on_frame=done.append)
     assert refused.values == {} and refused.seen is None
     assert refused.fault is not None and refused.fault.startswith("xarm7: position")
     assert "out of reach" in refused.fault

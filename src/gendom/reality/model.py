@@ -7,7 +7,7 @@ compares both with closed-form solutions; `gendom.reality.twist` describes what 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -105,10 +105,11 @@ def scene_xml(
     item: RealObject,
     layout: Layout,
     *,
-    step: float,
-    bodies: Sequence[str] = (),
-    connections: Sequence[str] = (),
+    bodies: Sequence[str],
+    ties: Iterable[int],
+    tied: bool,
     actuators: str = "",
+    step: float | None = None,
     tolerance: float | None = None,
 ) -> str:
     """The scene as MJCF.
@@ -116,17 +117,20 @@ def scene_xml(
     Args:
         item: The object.
         layout: Its initial placement.
-        step: Time step [s].
-        bodies: Elements beside table and object.
-        connections: Equality constraints beside those of the stand.
+        bodies: Elements beside table and object, the body ``hand`` among them.
+        ties: Vertices that can be tied to the hand, by constraints named hand_VERTEX.
+        tied: Whether they are, at first.
         actuators: A robot's.
+        step: Time step [s]; by default `ROPE_STEP` or `CLOTH_STEP`.
         tolerance: Of MuJoCo's solver; by default 1e-8 for ropes, 1e-6 for cloths.
     """
     # CG needs many iterations where a cloth lies on itself; with too few, vertices penetrate.
-    solver, usual = ("Newton", 1e-8) if isinstance(item, RealRope) else ("CG", 1e-6)
-    stand = [
-        connection(f"stand_{v}", f"object_{v}", "world", step, active=True)
-        for v in clamped_vertices(item, layout)
+    rope = isinstance(item, RealRope)
+    solver, usual, usual_step = ("Newton", 1e-8, ROPE_STEP) if rope else ("CG", 1e-6, CLOTH_STEP)
+    step = step or usual_step
+    connections = [_connection("hand", v, "hand", step, active=tied) for v in ties]
+    connections += [
+        _connection("stand", v, "world", step, active=True) for v in clamped_vertices(item, layout)
     ]
     x, y, wide, deep = TABLE
     return _SCENE.format(
@@ -142,7 +146,7 @@ def scene_xml(
         floor=f'contype="{_FIXED}" conaffinity="{_OBJECT}"',
         bodies="".join([*bodies, _flex(item, layout, step)]),
         actuators=actuators,
-        connections="".join([*connections, *stand]),
+        connections="".join(connections),
     )
 
 
@@ -258,11 +262,11 @@ def clamped_vertices(item: RealObject, layout: Layout) -> npt.NDArray[np.intp]:
     return np.flatnonzero(along <= max(layout.clamped, second) + 1e-9)
 
 
-def connection(name: str, body: str, other: str, step: float, *, active: bool) -> str:
-    """XML element that ties a body's origin to another body. It is stiff: with a softer one the
-    clamped end turns by degrees."""
+def _connection(name: str, vertex: int, to: str, step: float, *, active: bool) -> str:
+    """XML element that ties a vertex to a body. It is stiff: with a softer one the clamped end
+    turns by degrees."""
     return (
-        f'<connect name="{name}" body1="{body}" body2="{other}" anchor="0 0 0"'
+        f'<connect name="{name}_{vertex}" body1="object_{vertex}" body2="{to}" anchor="0 0 0"'
         f' active="{"true" if active else "false"}" solref="{2 * step} 1"'
         ' solimp="0.9999 0.9999 0.001"/>'
     )

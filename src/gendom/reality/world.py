@@ -23,16 +23,7 @@ from gendom.installation import gl_faults, headless, load_mujoco
 from gendom.materials import AIR_DENSITY
 from gendom.perception.camera import Camera
 from gendom.reality.air import Air
-from gendom.reality.model import (
-    CLOTH_STEP,
-    ROPE_STEP,
-    Layout,
-    camera_xml,
-    clamped_vertices,
-    compiled,
-    connection,
-    scene_xml,
-)
+from gendom.reality.model import Layout, camera_xml, clamped_vertices, compiled, scene_xml
 from gendom.reality.objects import RealObject, RealRope
 from gendom.reality.twist import Twist
 
@@ -70,7 +61,7 @@ class Reality:
         slow_timestep: That while no vertex is faster than `SLOW` [s]; None: the same.
         tolerance: Of MuJoCo's solver; None for the default of the object's kind.
         air_density: Of the still air [kg/m^3], see `gendom.reality.air`; 0: none.
-        grip_force: That the fingers hold at most [N], see `gendom.reality.world`; infinite: all.
+        grip_force: That the fingers hold at most [N], see the top of this module; infinite: all.
 
     Raises:
         DeviceError: MuJoCo is not installed.
@@ -101,25 +92,18 @@ class Reality:
         self.layout = layout
         self.cameras = list(cameras)
         self.robot = robot
-        step = timestep or (ROPE_STEP if isinstance(item, RealRope) else CLOTH_STEP)
         vertices = range(len(item.vertex_masses))
-        arm = _FREE_HAND if robot is None else robot.xml()
-        # each vertex may be tied to the hand, see `attach`
-        ties = [
-            connection(f"hand_{v}", f"object_{v}", "hand", step, active=False) for v in vertices
-        ]
-        self.model = compiled(
+        xml = scene_xml(
             item,
-            scene_xml(
-                item,
-                layout,
-                step=step,
-                bodies=[*map(camera_xml, cameras), arm],
-                connections=ties,
-                actuators="" if robot is None else robot.actuators(),
-                tolerance=tolerance,
-            ),
+            layout,
+            bodies=[*map(camera_xml, cameras), _FREE_HAND if robot is None else robot.xml()],
+            ties=vertices,  # see `attach`
+            tied=False,
+            actuators="" if robot is None else robot.actuators(),
+            step=timestep,
+            tolerance=tolerance,
         )
+        self.model = compiled(item, xml)
         self.data = self._mujoco.MjData(self.model)
         self._hand = self.model.body("hand").id
         self._bodies = np.array(self.model.flex_vertbodyid)

@@ -13,14 +13,7 @@ import numpy as np
 
 from gendom.materials import Item, Rope
 from gendom.reality import Layout, as_real
-from gendom.reality.model import (
-    CLOTH_STEP,
-    ROPE_STEP,
-    compiled,
-    connection,
-    rest_shape,
-    scene_xml,
-)
+from gendom.reality.model import compiled, rest_shape, scene_xml
 from gendom.twins.lift import Array, Lift
 
 SCRIPT = "mujoco_lift.py"
@@ -47,16 +40,8 @@ def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
     places = rest_shape(item, layout)
     reach = lift.hold + (0.5 * item.spacing if isinstance(item, Rope) else 0.0)
     held = np.flatnonzero(np.linalg.norm(places - origin, axis=1) <= reach + 1e-9)
-    step = ROPE_STEP if isinstance(item, Rope) else CLOTH_STEP
-    xml = scene_xml(
-        item,
-        layout,
-        step=step,
-        bodies=[f'<body name="hand" mocap="true" pos="0 0 {item.radius!r}"/>'],
-        connections=[
-            connection(f"hand_{v}", f"object_{v}", "hand", step, active=True) for v in held
-        ],
-    )
+    hand = f'<body name="hand" mocap="true" pos="0 0 {item.radius!r}"/>'
+    xml = scene_xml(item, layout, bodies=[hand], ties=held, tied=True)
     model = compiled(item, xml)
     return (
         {"scene.xml": xml},
