@@ -126,8 +126,14 @@ class Painter:
     def _paint(self, layer: Layer, frame: int) -> None:
         points, before = np.asarray(layer.points[frame], np.float32), self._drawn.get(layer.name)
         self._drawn[layer.name] = layer
-        alike = before is not None and before.kind == layer.kind
-        if alike and (layer.faces is None or np.array_equal(before.faces, layer.faces)):
+        if (
+            before is not None
+            and before.kind == layer.kind
+            and np.array_equal(
+                [] if before.faces is None else before.faces,
+                [] if layer.faces is None else layer.faces,
+            )
+        ):
             if len(layer.points) > 1 or before is not layer:
                 field = "points" if layer.faces is None else "vertices"
                 setattr(self._handles[layer.name], field, points)
