@@ -107,7 +107,7 @@ def test_a_cloth_is_a_lattice(cloth_lift):
     model = RecordingModel(LiftScene.of(seen, cloth_lift.settings), cloth_lift.truth, "")
     cloth = layers(shown(model)[0])["simulated"]
     rows, columns = model.scene.body.shape
-    assert cloth.faces is not None and len(cloth.faces) == 2 * (rows - 1) * (columns - 1)
+    assert len(cloth.faces) == 2 * (rows - 1) * (columns - 1)
     assert "yaw" in {p.name for p in model.parameters(0)}
 
 

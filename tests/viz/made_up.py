@@ -86,12 +86,9 @@ def action(*outcomes, **changes):
     """By default three goals; a goal is missed by 4 mm, without parameters by 20 mm."""
     usual = [outcome([g], [g + 0.004], [g - 0.02]) for g in (0.3, 0.35, 0.4)]
     motion = CloudSequence(**lift(3) | {"chamfer": None})
-    values: dict[str, Any] = {
-        "outcomes": outcomes or usual,
-        "motion": motion,
-        "goal_name": "farthest x of the tip",
-    }
-    return ActionSummary(**values | {"action_names": ("x [m]", "z [m]")} | changes)
+    values: dict[str, Any] = {"outcomes": outcomes or usual, "motion": motion}
+    values |= {"goal_name": "farthest x of the tip", "action_names": ("x [m]", "z [m]")}
+    return ActionSummary(**values | changes)
 
 
 def content(**changes):

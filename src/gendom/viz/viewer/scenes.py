@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
@@ -41,7 +41,7 @@ class Layer:
     points: Sequence[Array]
     """T clouds of dots [n, 3], ends of lines [L, 2, 3], or vertices of a surface [V, 3] [m]; one
     of what rests. The number of dots may change."""
-    faces: NDArray[np.integer] = NO_FACES
+    faces: NDArray[np.integer] = field(default_factory=lambda: NO_FACES)
     """[F, 3] triangles of a surface."""
     radius: float = 0.0
     """Of dots and lines [m]."""
