@@ -68,7 +68,7 @@ def test_oblique_axes_are_orthonormal():
 
 
 def test_missing_parts_and_empty_frames_are_drawn():
-    bare = lift(frames=3) | dict.fromkeys(("table_height", "gripper", "chamfer"))
+    bare = lift(frames=3, table_height=None, gripper=None, chamfer=None)
     bare["recorded"][0] = np.empty((0, 3))
     for view in ("auto", "oblique"):
         FramePainter(CloudSequence(**bare, view=view)).draw(0)
@@ -132,7 +132,7 @@ def test_frames_durations_and_loop(tmp_path):
 
 
 def test_equal_frames_are_not_merged(tmp_path):
-    still = lift(frames=5) | {"gripper": None, "chamfer": None}
+    still = lift(frames=5, gripper=None, chamfer=None)
     for name in ("recorded", "simulated"):
         still[name] = [still[name][0]] * 5
     still["times"] = 0.001 * np.arange(5)  # the same to two decimals
