@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -126,7 +126,7 @@ def replay_setup(
     what = f"the parameters are of a {found.kind}, the recording shows a {shown}"
     fix = "estimate from a recording of the same object"
     require(found.kind == shown, what, where=where, fix=fix)
-    every: Sequence[Any] = params.get("recordings") or ()
+    every = list(params.get("recordings") or ())
     what, fix = "is of no recording, or of an earlier version", "run gendom estimate again"
     require(every and found.posterior.bases, what, where=where, fix=fix)
     own = of_recording(params, recording)
