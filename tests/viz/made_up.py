@@ -3,6 +3,7 @@
 import io
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -13,7 +14,7 @@ from gendom.viz import ActionSummary, CloudSequence, PolicyRun, ReachOutcome, Re
 from gendom.viz.report.motion import WITH, WITHOUT
 
 
-def lift(frames=20, recorded=40, simulated=120):
+def lift(frames=20, recorded=40, simulated=120, **changes) -> dict[str, Any]:
     """Arguments of a `CloudSequence` for a rope of 0.25 m, lifted by 5 mm a frame: a thin row of
     points that one end pulls up from the table."""
     rng = np.random.default_rng(0)
@@ -32,6 +33,7 @@ def lift(frames=20, recorded=40, simulated=120):
         "table_height": -0.006,
         "gripper": gripper[:, None],
         "chamfer": np.linspace(0.002, 0.006, frames),
+        **changes,
     }
 
 
@@ -84,16 +86,17 @@ def outcome(goal, ours, without):
 def action(*outcomes, **changes):
     """By default three goals; a goal is missed by 4 mm, without parameters by 20 mm."""
     usual = [outcome([g], [g + 0.004], [g - 0.02]) for g in (0.3, 0.35, 0.4)]
-    motion = CloudSequence(**lift(3) | {"chamfer": None})
-    values = {"outcomes": outcomes or usual, "motion": motion, "goal_name": "farthest x of the tip"}
-    return ActionSummary(**values | {"action_names": ("x [m]", "z [m]")} | changes)
+    motion = CloudSequence(**lift(3, chamfer=None))
+    values: dict[str, Any] = {"outcomes": outcomes or usual, "motion": motion}
+    values |= {"goal_name": "farthest x of the tip", "action_names": ("x [m]", "z [m]")}
+    return ActionSummary(**values | changes)
 
 
 def content(**changes):
     """All parts of a report."""
     picture = io.BytesIO()
     Image.new("RGB", (64, 48), "grey").save(picture, "JPEG")
-    parts = {
+    parts: dict[str, Any] = {
         "title": "A rope",
         "summary": "One lift.",
         "command": "gendom demo",

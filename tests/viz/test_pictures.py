@@ -1,7 +1,6 @@
 """Clouds, from where they are seen, the frames of animations, and GIFs."""
 
 import io
-from typing import Any
 
 import numpy as np
 import pytest
@@ -55,7 +54,7 @@ def test_a_stray_point_does_not_shrink_the_rest():
     ("size", "names"),
     [((1.0, 0.2, 0.5), "xz"), ((0.2, 1.0, 0.5), "yz"), ((1.0, 0.8, 0.01), "xy")],
 )
-def test_auto_view_shows_where_the_object_moves(size, names):
+def test_the_view_shows_where_the_object_moves(size, names):
     points = np.random.default_rng(0).uniform(size=(200, 3)) * size
     view = CloudSequence(recorded=[points], simulated=[points], times=[0.0]).projection()  # pyright: ignore
     axes = np.eye(3)[["xyz".index(name) for name in names]]
@@ -63,16 +62,16 @@ def test_auto_view_shows_where_the_object_moves(size, names):
 
 
 def test_oblique_axes_are_orthonormal():
-    axes = CloudSequence(**lift(), view="oblique").projection().axes
+    axes = CloudSequence(**lift(), oblique=True).projection().axes
     assert axes @ axes.T == pytest.approx(np.eye(2))
     assert axes[1, 2] > 0.5  # up stays up
 
 
 def test_missing_parts_and_empty_frames_are_drawn():
-    bare = lift(frames=3) | dict.fromkeys(("table_height", "gripper", "chamfer"))
+    bare = lift(frames=3, table_height=None, gripper=None, chamfer=None)
     bare["recorded"][0] = np.empty((0, 3))
-    for view in ("auto", "oblique"):
-        FramePainter(CloudSequence(**bare, view=view)).draw(0)
+    for oblique in (False, True):
+        FramePainter(CloudSequence(**bare, oblique=oblique)).draw(0)
     none = [np.empty((0, 3))]
     nothing = CloudSequence(recorded=none, simulated=none, times=np.zeros(1))
     with pytest.raises(GendomError, match="recorded: has no points at all"):
@@ -106,7 +105,6 @@ def test_camera_views_of_one_size_become_a_picture(monkeypatch):
         ({"arm": np.zeros((2, 4, 2, 3)), "arm_radius": np.ones(4)}, r"arm must be \[20, C, 2, 3\]"),
         ({"goal": np.zeros(3)}, r"goal must be \[n, 3\] numbers, got shape \[3\]"),
         ({"table_height": "low"}, "table_height must be a number, got 'low'"),
-        ({"view": "yx"}, "view: is 'yx'; choose from auto, oblique"),
     ],
 )
 def test_bad_clouds(change, message):
@@ -133,7 +131,7 @@ def test_frames_durations_and_loop(tmp_path):
 
 
 def test_equal_frames_are_not_merged(tmp_path):
-    still: dict[str, Any] = lift(frames=5) | {"gripper": None, "chamfer": None}
+    still = lift(frames=5, gripper=None, chamfer=None)
     for name in ("recorded", "simulated"):
         still[name] = [still[name][0]] * 5
     still["times"] = 0.001 * np.arange(5)  # the same to two decimals

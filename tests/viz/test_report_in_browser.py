@@ -33,7 +33,7 @@ def report(tmp_path_factory):
     arm[:, 1, 1] = made_up.lift(FRAMES)["gripper"][:, 0]
     held = {"arm": arm, "arm_radius": np.array([0.05, 0.03])}
     motion = CloudSequence(
-        **made_up.lift(FRAMES) | {"chamfer": None},
+        **made_up.lift(FRAMES, chamfer=None),
         **held,
         goal=np.array([[0.5, 0.0, 0.1]]),
         labels=("carried out", "predicted"),

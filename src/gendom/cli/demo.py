@@ -251,9 +251,9 @@ class Command:
         task = policies[0].task()
         with _timed(seconds, "act and carry out"):
             belief = believed(found, task)
-            outcomes, *seen = carry_out(rope, policies, goals, belief, self.seed)
+            outcomes, trial, seen = carry_out(rope, policies, goals, belief, self.seed)
         with _timed(seconds, "predict the motion"):
-            motion = predicted(task, outcomes[-1], *seen, belief.item, self.device)
+            motion = predicted(task, outcomes[-1], trial, seen, belief.item, self.device)
         for outcome in outcomes:
             ours, *_ = outcome.runs.values()
             named = zip(task.actions, ours.action, strict=True)

@@ -126,7 +126,7 @@ def replay_setup(
     what = f"the parameters are of a {found.kind}, the recording shows a {shown}"
     fix = "estimate from a recording of the same object"
     require(found.kind == shown, what, where=where, fix=fix)
-    every = params.get("recordings")
+    every = list(params.get("recordings") or ())
     what, fix = "is of no recording, or of an earlier version", "run gendom estimate again"
     require(every and found.posterior.bases, what, where=where, fix=fix)
     own = of_recording(params, recording)

@@ -12,11 +12,6 @@ import numpy as np
 
 from gendom.arguments import check_numbers, require
 
-VIEWS = ("auto", "oblique")
-"""From where clouds are seen: "auto" is the side view that shows most, z upwards and the longer of
-x and y to the right, or from above where the object hardly rises; "oblique" looks down by 25
-degrees."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Projection:
@@ -68,12 +63,11 @@ class CloudSequence:
     """[C] their radii [m]; goes with `arm`."""
     goal: np.ndarray | None = None
     """[1, 3] a point to be reached, or [2, 3] the ends of a line [m]."""
-    view: str = "auto"
-    """One of `VIEWS`; "oblique" suits cloths."""
+    oblique: bool = False
+    """Seen from 25 degrees above, as suits cloths; else from the side that shows most, z upwards
+    and the longer of x and y to the right, or from above where the object hardly rises."""
 
     def __post_init__(self):
-        fix = f"choose from {', '.join(VIEWS)}"
-        require(self.view in VIEWS, f"is {self.view!r}", where="view", fix=fix)
         times = check_numbers("times", self.times, ("T",))
         T = len(times)
         require(T > 0, "is empty", where="times", fix="give at least one frame")
@@ -136,13 +130,13 @@ class CloudSequence:
         return np.stack([ends.min(axis=0), ends.max(axis=0)])
 
     def projection(self) -> Projection:
-        """Of `view`.
+        """From where it is seen.
 
         Raises:
             ParameterError: There are no points at all.
         """
         x, y, z = np.ptp(self.box(), axis=0).tolist()
-        turn, tilt = 30.0, 25.0
-        if self.view == "auto":
-            turn, tilt = (0.0, 90.0) if z < 0.25 * min(x, y) else (0.0 if x >= y else 90.0, 0.0)
+        turn, tilt = (0.0, 90.0) if z < 0.25 * min(x, y) else (0.0 if x >= y else 90.0, 0.0)
+        if self.oblique:
+            turn, tilt = 30.0, 25.0
         return Projection(turn=math.radians(turn), tilt=math.radians(tilt))

@@ -40,7 +40,7 @@ def clouds_of(
         table_height=recording.table_height,
         gripper=recording.gripper_position[frames],
         chamfer=chamfer,
-        view="oblique" if scene.kind == "cloth" else "auto",
+        oblique=scene.kind == "cloth",
     )
 
 

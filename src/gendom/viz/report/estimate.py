@@ -172,8 +172,9 @@ def _unknown(found: Estimate, truth: Truth, k: int) -> tuple[str, list[str]]:
     after = NormalDist(float(found.mean[k]), float(found.sd[k]))
     relative = u.name == "thickness"
     factor, unit = (1.0, "of the stated one") if relative else unit_of(u.name)
-    several = owner is not None and max(o or 0 for o in all_prior.owners) > 0
-    title = title_of(u.name) + (f", recording {owner + 1}" if several else "")
+    several = any(all_prior.owners)  # recordings
+    title = title_of(u.name)
+    title += "" if owner is None or not several else f", recording {owner + 1}"
     title += f" [{unit}]" if unit else ""
     sds = NormalDist().inv_cdf(0.5 + found.level / 2.0)
 

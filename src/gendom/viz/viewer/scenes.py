@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
@@ -28,6 +28,8 @@ POSITIONS = 200
 
 Array = NDArray[np.floating]
 
+NO_FACES = np.empty((0, 3), dtype=int)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Layer:
@@ -39,7 +41,7 @@ class Layer:
     points: Sequence[Array]
     """T clouds of dots [n, 3], ends of lines [L, 2, 3], or vertices of a surface [V, 3] [m]; one
     of what rests. The number of dots may change."""
-    faces: NDArray[np.integer] | None = None
+    faces: NDArray[np.integer] = field(default_factory=lambda: NO_FACES)
     """[F, 3] triangles of a surface."""
     radius: float = 0.0
     """Of dots and lines [m]."""
@@ -49,7 +51,7 @@ class Layer:
     @property
     def kind(self) -> str:
         """dots, lines or surface."""
-        if self.faces is not None:
+        if len(self.faces):
             return "surface"
         return "lines" if self.points[0].ndim == 3 else "dots"
 
@@ -195,7 +197,7 @@ def object_layer(
         lattice: A cloth's rows and points in a row; None: a rope.
         opacity: Below 1 where something else is to be seen through it.
     """
-    faces, radius = None, 0.5 * body.thickness
+    faces, radius = NO_FACES, 0.5 * body.thickness
     if lattice is not None:
         faces = lattice_triangles(*lattice)
     elif points.shape[1] == len(body.points):

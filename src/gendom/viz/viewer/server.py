@@ -126,13 +126,12 @@ class Painter:
     def _paint(self, layer: Layer, frame: int) -> None:
         points, before = np.asarray(layer.points[frame], np.float32), self._drawn.get(layer.name)
         self._drawn[layer.name] = layer
-        alike = before is not None and before.kind == layer.kind
-        if alike and (layer.faces is None or np.array_equal(before.faces, layer.faces)):
-            if len(layer.points) > 1 or before is not layer:
-                field = "points" if layer.faces is None else "vertices"
-                setattr(self._handles[layer.name], field, points)
-            return
         if before is not None:
+            if before.kind == layer.kind and np.array_equal(before.faces, layer.faces):
+                if len(layer.points) > 1 or before is not layer:
+                    field = "vertices" if layer.kind == "surface" else "points"
+                    setattr(self._handles[layer.name], field, points)
+                return
             self._handles.pop(layer.name).remove()
         self._handles[layer.name] = self._added(layer, points)
 
@@ -141,7 +140,7 @@ class Painter:
         if layer.kind == "lines":
             thick = {"thickness": 2.0 * layer.radius, "thickness_units": "world"}
             return self._canvas.add_line_segments(name, points, color, **thick)
-        if layer.faces is None:
+        if layer.kind == "dots":
             return self._canvas.add_point_cloud(
                 name,
                 points,
