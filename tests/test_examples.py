@@ -24,9 +24,6 @@ SCRIPTS = {
 }
 """Example -> what it writes into --out, and packages of extras that it needs."""
 
-QUICK = ("02_your_own_recording",)
-"""Others are slow, and a step of their own in CI."""
-
 
 pytestmark = pytest.mark.skipif(not EXAMPLES.is_dir(), reason="no examples beside the tests")
 
@@ -49,9 +46,8 @@ def test_examples_use_public_names():
                 assert {name.name for name in node.names} <= set(public), f"{path.name}: {module}"
 
 
-@pytest.mark.parametrize(
-    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in SCRIPTS]
-)
+@pytest.mark.slow  # a step of its own in CI
+@pytest.mark.parametrize("name", SCRIPTS)
 def test_example_runs(name, tmp_path, monkeypatch):
     written, packages = SCRIPTS[name]
     for package in packages:
