@@ -383,7 +383,7 @@ class Problem:
         vectors: Sequence[Array],
         comparisons: Sequence[Comparisons | None],
         noise: Sequence[NoiseModel],
-        near: Comparisons,
+        near: Comparisons | None = None,
     ) -> list[float]:
         """`value` of each, infinite where it could not be simulated; registrations begin with the
         result of a comparison nearby."""
@@ -391,7 +391,8 @@ class Problem:
         def one(vector: Array, comparison: Comparisons | None) -> float:
             if comparison is None:
                 return math.inf
-            comparison.warm_start(near)
+            if near is not None:
+                comparison.warm_start(near)
             return self.value(vector, comparison, noise)
 
         with ThreadPoolExecutor(max_workers=self.settings.scene.threads) as pool:
