@@ -119,8 +119,8 @@ def test_capsules_contain_what_a_distance_says():
 
 def test_noise_of_fingers_is_left_out_where_nothing_chose_the_points():
     """It is 7 mm off a finger, whose margin is 3 mm, and beyond the fingertip."""
-    ends, margin = np.array([[[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.1]]]), np.array([0.003])
-    finger = Capsules(*ends, np.array([0.01]), margin)
+    start, end = np.zeros((1, 3)), np.array([[0.0, 0.0, 0.1]])
+    finger = Capsules(start, end, np.array([0.01]), np.array([0.003]))
     rope = np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, -0.2], 50)
     points = np.concatenate([rope, [[0.017, 0.0, 0.05]]])
     held = Held(np.zeros((1, 3)), reach=0.3, robot=finger)
