@@ -88,12 +88,13 @@ class Browser:
         features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self.call("Emulation.setEmulatedMedia", features=features)
         self._address = page if isinstance(page, str) else page.resolve().as_uri()
-        self._loaded = False
-        for found in (self.logged, self.errors, self.requested):
-            found.clear()
-        self.call("Page.navigate", url=self._address)
-        while not self._loaded:
-            self._receive()
+        for address in ("about:blank", self._address):  # what the page before still says is gone
+            for found in (self.logged, self.errors, self.requested):
+                found.clear()
+            self._loaded = False
+            self.call("Page.navigate", url=address)
+            while not self._loaded:
+                self._receive()
         self.settle()
 
     def settle(self) -> None:
