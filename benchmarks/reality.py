@@ -93,7 +93,7 @@ def shape_at(item: RealObject, truth, time: float) -> NDArray[np.float64]:
     vertices = (1.0 - w) * x[k - 1] + w * x[k]
     if isinstance(item, RealRope):
         return finer(vertices, FINER * 4)
-    grid = vertices.reshape(*item.counts, 3)
+    grid = vertices.reshape(item.vertices, item.vertices, 3)
     return finer(np.swapaxes(finer(grid, FINER), 0, 1), FINER).reshape(-1, 3)
 
 

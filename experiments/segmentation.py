@@ -258,7 +258,7 @@ def away(item: RealObject, vertices: NDArray[np.float64], points: Any) -> NDArra
     if isinstance(item, RealRope):
         shape = finer(vertices, 4 * FINER)
     else:
-        grid = finer(vertices.reshape(*item.counts, 3), 4)
+        grid = finer(vertices.reshape(item.vertices, item.vertices, 3), 4)
         shape = finer(np.swapaxes(grid, 0, 1), 4).reshape(-1, 3)
     return np.abs(KDTree(shape).query(points)[0] - item.radius)
 

@@ -49,18 +49,6 @@ def test_intervals_are_those_of_a_gaussian():
     assert again.interval("nu", 0.5) == known.interval("nu", 0.5)
 
 
-def test_draws_spread_as_the_posterior_does():
-    """Within what is searched; others as in the base; the same from the same seed."""
-    known = posterior(sd=(0.1, 0.002))
-    drawn = known.draws(4000, seed=2)
-    logs, nus = np.log([t.E_over_rho for t in drawn]), np.array([t.nu for t in drawn])
-    assert logs.std() == pytest.approx(0.1, rel=0.05)
-    assert logs.mean() == pytest.approx(math.log(500.0), abs=0.01)
-    assert np.corrcoef(logs, nus)[0, 1] == pytest.approx(0.5, abs=0.05)
-    assert nus.max() <= 0.45 and {t.friction for t in drawn} == {BASE.friction}
-    assert known.draws(3, seed=2) == known.draws(3, seed=2)
-
-
 def test_deviations_are_multiplied_and_added_but_not_beyond_the_prior():
     assert posterior((0.03, 1e-3), {"E_over_rho": 2.0}).sd("E_over_rho") == pytest.approx(
         0.06, 1e-3

@@ -87,7 +87,8 @@ def estimate(
             posterior = posterior.with_assumed(prior)
         if not verdict.usable:
             posterior = replace(posterior, covariance=np.diag(posterior.prior.sd**2))
-        seconds = dict(zip(("scene", "search", "intervals"), np.diff(times).tolist(), strict=True))
+        stages = zip(("scene", "search", "intervals"), np.diff(times), strict=True)
+        seconds = {name: float(t) for name, t in stages}
         return result_of(problem, found, posterior, alone, verdict, seconds, suspicion)
 
 

@@ -375,14 +375,14 @@ def _workers(jobs: int) -> ProcessPoolExecutor:
     return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
 
 
-def observe(task: Task, run: TrialRun) -> Observed:
+def observe(task: Task, run: TrialRun, frame_rate: float = FRAME_RATE) -> Observed:
     """Carry out a `task_trial` and see what its object does, in the task's frame.
 
     Raises:
         SimulationError: The world diverged, or the hand closes on nothing.
     """
     item, begin = run.trial.item, run.closes
-    times = np.arange(begin, run.end + 0.5 / FRAME_RATE, 1.0 / FRAME_RATE)
+    times = np.arange(begin, run.end + 0.5 / frame_rate, 1.0 / frame_rate)
     points, hand = [], []
     for time in times:
         run.step_to(float(time))
