@@ -23,13 +23,9 @@ WARPING = 1.0 / 48.0
 
 
 def hung(
-    loads: ArrayLike,
-    *,
-    curvature: float = 0.0,
-    angle: float = 0.0,
-    first: Any = None,
+    loads: ArrayLike, *, curvature: float = 0.0, angle: float = 0.0, first: Any = None,
     tol: float = 1e-6,
-) -> list[Any]:
+) -> list[Any]:  # fmt: skip
     """Plane rods, clamped at ``angle``, under weights that are raised from one to the next.
 
     theta'' = load (1 - s) cos theta, theta(0) = angle, theta'(1) = curvature. Source: Wang (1986),
@@ -37,8 +33,7 @@ def hung(
 
     Args:
         loads: [K] Gamma, each so near to the one before that its shape can be found from it.
-        curvature: That is free of stress [1 / L].
-        angle: [rad].
+        curvature, angle: Curvature that is free of stress [1 / L]; [rad].
         first: A shape near the first load's, if that is not near 0.
         tol: Of the collocation.
 
@@ -70,27 +65,8 @@ def hung(
     return shapes
 
 
-def heavy_elastica(ratio: float) -> Any:
-    """Shape of a level rod of ``ratio`` bending lengths (E I / w)^(1/3).
-
-    The load is raised in steps, so that the solution is the one that hangs.
-
-    Returns:
-        A function from arc lengths [S] in [0, 1] to x and z [2, S].
-
-    Raises:
-        SimulationError: If the collocation does not converge.
-    """
-    shape = hung(ratio**3 * np.linspace(0.2, 1.0, 5), tol=1e-8)[-1]
-    return lambda s: shape(s)[2:]
-
-
 def sag(loads: ArrayLike) -> NDArray[np.float64]:
-    """[K] how far tips of straight level rods hang down over how far they reach out, at Gamma [K].
-
-    Raises:
-        SimulationError: If a shape was not found.
-    """
+    """[K] how far tips of level rods hang down over how far they reach out, at Gamma [K]."""
     wanted = np.atleast_1d(np.asarray(loads, dtype=float))
     path = np.unique(np.concatenate([np.geomspace(0.1, wanted.max(), 30), wanted]))
     tips = np.array([shape(1.0)[2:] for shape in hung(path)])[np.searchsorted(path, wanted)]
@@ -110,9 +86,7 @@ def leaves_plane(shape: Any, load: float, curvature: float, torsion: float) -> f
     with m = 0 at the tip and phi = 0 at the clamp. Source: Kirchhoff's equations, linearised.
 
     Args:
-        shape: The rod, as of ``hung``.
-        load: Gamma.
-        curvature: As of ``hung``.
+        shape, load, curvature: The rod, Gamma and its curvature, as of ``hung``.
         torsion: Stiffness in torsion over that of bending.
     """
     steps = 200
@@ -135,11 +109,7 @@ def leaves_plane(shape: Any, load: float, curvature: float, torsion: float) -> f
 
 
 def critical_load(
-    between: tuple[float, float],
-    *,
-    curvature: float = 0.0,
-    angle: float = 0.0,
-    torsion: float,
+    between: tuple[float, float], *, curvature: float, angle: float, torsion: float
 ) -> float:
     """Gamma at which a rod leaves its plane, or comes back to it; arguments as ``leaves_plane``.
 
@@ -156,9 +126,7 @@ def critical_load(
 
     if determinant(low) * determinant(high) > 0.0:
         raise SimulationError("no critical load", where=f"between Gamma {low:g} and {high:g}")
-    load = brentq(determinant, low, high, xtol=1e-4 * high)
-    assert isinstance(load, float)
-    return load
+    return float(brentq(determinant, low, high, xtol=1e-4 * high))
 
 
 def lateral_load(warping: float = 0.0, parts: int = 400) -> float:

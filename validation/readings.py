@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from gendom.errors import SimulationError
@@ -150,26 +150,34 @@ def bending_energy(s: Simulator) -> float:
     return 0.5 * float(total)
 
 
-def growth(total: NDArray[np.floating]) -> float:
-    """Largest rise of readings [T] above any earlier one."""
-    return float((total - np.minimum.accumulate(total)).max())
+def energies(
+    s: Simulator, times: ArrayLike, pull: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """[T] energy of world 0 and its gravitational part, at ``times`` under gravity ``pull`` [J]."""
+    total, high = [], []
+    for t in np.asarray(times, dtype=float):
+        if t > 0.0:
+            s.run([t])
+        m = mechanics(s)
+        high.append(-m.mass * float(m.centre @ np.asarray(pull)))
+        total.append(m.kinetic + m.elastic + high[-1])
+        # before the first substep nothing is held yet
+        if t > 0.0 and not isinstance(s.engine, Rods | Shells):
+            total[-1] += spring_energy(s)
+    return np.array(total), np.array(high)
 
 
 # ---- frequencies and rates -----------------------------------------------------------------------
 
 
 def swing(t: NDArray[np.floating], y: NDArray[np.floating], omega: float) -> tuple[float, float]:
-    """Angular frequency and decay rate of a damped oscillation, by least squares.
+    """Angular frequency [rad/s] and decay rate [1/s] of a damped oscillation, by least squares.
 
     y = exp(-gamma t) (a cos omega t + b sin omega t) + c; a, b and c are eliminated.
 
     Args:
-        t: [T] times [s].
-        y: [T] readings; any unit.
+        t, y: [T] times [s] and readings.
         omega: Where the search starts [rad/s]; a tenth off the answer does no harm.
-
-    Returns:
-        omega [rad/s] and gamma [1/s].
 
     Raises:
         SimulationError: If the fit explains less than 99 % of the readings' variance.
@@ -188,26 +196,27 @@ def swing(t: NDArray[np.floating], y: NDArray[np.floating], omega: float) -> tup
     return float(found.x[0]) * omega, float(found.x[1]) * omega
 
 
-def squared_rates(
-    t: NDArray[np.floating], y: NDArray[np.floating], damping: float
-) -> NDArray[np.float64]:
-    """[W] squared rates at which modes would grow without damping, of sizes y [T, W].
+def critical_share(
+    shares: NDArray[np.floating], t: NDArray[np.floating], y: NDArray[np.floating], damping: float
+) -> float:
+    """Share of a critical load at which a mode neither grows nor decays, the nearest to 1.
 
-    All velocities decay at one rate c: of y ~ exp(r t) it is r (r + c).
-    """
-    rate = np.polyfit(t, np.log(np.abs(y.astype(float))), 1)[0]
-    return rate * (rate + damping)
+    All velocities decay at one rate c: of y ~ exp(r t) the squared rate without damping is
+    r (r + c). It is 0 on a parabola through those of ``shares``.
 
-
-def critical_share(shares: NDArray[np.floating], squared: NDArray[np.floating]) -> float:
-    """Share of a critical load at which a parabola through squared rates is 0, the nearest to 1.
+    Args:
+        shares: [W] loads over the critical one.
+        t: [T] times [s].
+        y: [T, W] sizes of the mode; any unit.
+        damping: c [1/s].
 
     Raises:
-        SimulationError: If it is not.
+        SimulationError: If there is no such share.
     """
-    if not np.isfinite(squared).all():
+    rate = np.polyfit(t, np.log(np.abs(y.astype(float))), 1)[0]
+    if not np.isfinite(rate).all():
         raise SimulationError("a kick came to nothing", where="growth")
-    zeros = np.roots(np.polyfit(shares, squared, 2))
+    zeros = np.roots(np.polyfit(shares, rate * (rate + damping), 2))
     zeros = zeros[np.isreal(zeros)].real
     if not len(zeros):
         raise SimulationError("no critical load", where="growth")
