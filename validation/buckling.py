@@ -27,12 +27,6 @@ from validation.specimens import across, clamp_beyond, clamped_rope, clamped_str
 SHARES = np.array([0.9, 0.95, 1.05, 1.1])
 """Loads over the critical one."""
 
-DIAMETER, LENGTH = 0.01, 0.2
-"""Of rods that are pushed or twisted until they leave their axis [m]."""
-
-SOFT = Material(E=1.0e6, nu=0.3, density=1000.0)
-"""Of ropes that are twisted or pushed."""
-
 SLENDER = SPAN / 75.0
 """Diameter of ropes of length ``SPAN`` [m]."""
 
@@ -44,9 +38,10 @@ def torsion(bench: Bench) -> Iterator[Row]:
 
     Its elastic energy gives the stiffness: that of the twist alone, as both ends stay in place.
     """
-    d, angle, G = DIAMETER, 0.1, SOFT.lame[0]
+    d, angle, material = 0.01, 0.1, Material(E=1.0e6, nu=0.3, density=1000.0)
+    G = material.lame[0]
     L, particles = 6.0 * d, bench.engine == "mpm"
-    omega, expected = math.pi * math.sqrt(G / SOFT.density) / L, G * math.pi * d**4 / 32.0 / L
+    omega, expected = math.pi * math.sqrt(G / material.density) / L, G * math.pi * d**4 / 32.0 / L
     near, far = clamp_beyond(reach=d), clamp_beyond((1.0, 0.0, 0.0), d, point=(L, 0.0, 0.0))
     turn = Rotation.from_rotvec([(0.0, 0.0, 0.0), (angle, 0.0, 0.0)]).as_quat()
     place = np.repeat(far.position_at([0.0]), 2, axis=0)
@@ -60,7 +55,7 @@ def torsion(bench: Bench) -> Iterator[Row]:
             back, size, count = L / points, f"{points + 3} points", {"points": points + 3}
         start = (-back, 0.0, 0.0)
         body = rope(diameter=d, length=L + 2.0 * back, start=start, **count)
-        s = bench.simulate(body, [SOFT], **options)
+        s = bench.simulate(body, [material], **options)
         s.run([60.0 / omega])
         source = (
             "U = G J angle^2 / (2 L), J = pi d^4 / 32, of a round bar (Coulomb 1784; Gere and "
@@ -68,43 +63,6 @@ def torsion(bench: Bench) -> Iterator[Row]:
         )
         found = 2.0 * mechanics(s).elastic / angle**2
         yield relative(f"torsional stiffness, {size}", "N m/rad", expected, found, allowed, source)
-
-
-@case("rod-buckling", "ropes pushed and twisted", "thin")
-def columns(bench: Bench) -> Iterator[Row]:
-    """Ropes clamped at both ends that are pushed together, or twisted, and then kicked."""
-    L, held, steps = LENGTH, 0.25 * LENGTH, np.linspace(0.0, 1.0, 13)  # none turns by half a turn
-    body = rope(diameter=DIAMETER, length=1.5 * L, start=(-held, 0, 0), points=49)
-    omega = 22.37 * math.sqrt(SOFT.E_over_rho) * DIAMETER / 4.0 / L**2
-    place = np.clip(2.0 * body.points[:, 0] / L - 1.0, -1.0, 1.0)
-    kick = 1e-4 * np.outer(1.0 + np.cos(math.pi * place), (0.0, 0.0, 1.0))
-    # G J = E I / (1 + nu)
-    for name, way, turn, source in (
-        ("critical shortening, P L / (E A)", 4.0 * math.pi**2 * (DIAMETER / 4.0) ** 2 / L, 0.0,
-            "P = 4 pi^2 E I / L^2 of a column clamped at both ends (Euler 1744)"),
-        ("critical twist, M L / (G J)", 0.0, 8.9868 * (1.0 + SOFT.nu),
-            "M = 8.987 E I / L, tan(u) = u, of a rod clamped at both ends (Greenhill 1883)"),
-    ):  # fmt: skip
-        hands = [
-            [
-                Gripper.still((-held, 0, 0), radius=held),
-                Gripper(
-                    time=2.0 * steps, radius=held,
-                    position=np.outer(L + held - share * way * steps, (1.0, 0.0, 0.0)),
-                    quat_xyzw=Rotation.from_rotvec(
-                        np.outer(share * turn * steps, (1.0, 0.0, 0.0))
-                    ).as_quat(),
-                ),
-            ]
-            for share in SHARES
-        ]  # fmt: skip
-        options = {"grippers": hands, "gravity": WEIGHTLESS, "velocity_damping": 2.0 * omega}
-        s = bench.simulate(body, [SOFT] * len(SHARES), **options)
-        s.run([2.5])  # nothing bends it
-        s.set_velocities(kick)
-        t = 2.5 + np.linspace(6.0, 9.0, 7) / omega
-        share = critical_share(SHARES, t, s.run(t)[:, :, 24, 2], 2.0 * omega)
-        yield over_theory(name, share, 0.03, source)
 
 
 @case("shell-lateral", "a strip on its edge", "thin")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,22 +18,16 @@ from gendom.sim.thin.shells import Shells
 # ---- momenta and energies ------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class Mechanics:
-    """Of world 0 at one moment."""
+class Mechanics(NamedTuple):
+    """Of world 0 at one moment: mass [kg] and its centre [m], momentum P [kg m/s], angular momentum
+    L about the centre [kg m^2/s], kinetic and elastic energy [J]."""
 
-    P: NDArray[np.float64]
-    """[3] momentum [kg m/s]."""
-    L: NDArray[np.float64]
-    """[3] angular momentum about the centre of mass [kg m^2/s]."""
-    centre: NDArray[np.float64]
-    """[3] of mass [m]."""
     mass: float
-    """[kg]."""
+    centre: NDArray[np.float64]
+    P: NDArray[np.float64]
+    L: NDArray[np.float64]
     kinetic: float
-    """[J]."""
     elastic: float
-    """[J]."""
 
 
 def mechanics(s: Simulator) -> Mechanics:
@@ -62,8 +56,7 @@ def mechanics(s: Simulator) -> Mechanics:
         L = L + m[0] * np.array([B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]])
         kinetic += 0.5 * m[0] * s.body.dx**2 / 4.0 * float(np.sum(C**2))
         elastic = particle_energy(s)
-    mass = float(m.sum())
-    return Mechanics(P=m @ v, L=L, centre=centre, mass=mass, kinetic=kinetic, elastic=elastic)
+    return Mechanics(float(m.sum()), centre, m @ v, L, kinetic, elastic)
 
 
 def particle_energy(s: Simulator) -> float:
