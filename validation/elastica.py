@@ -126,7 +126,9 @@ def critical_load(
 
     if determinant(low) * determinant(high) > 0.0:
         raise SimulationError("no critical load", where=f"between Gamma {low:g} and {high:g}")
-    return float(brentq(determinant, low, high, xtol=1e-4 * high))
+    load = brentq(determinant, low, high, xtol=1e-4 * high)
+    assert isinstance(load, float)
+    return load
 
 
 def lateral_load(warping: float = 0.0, parts: int = 400) -> float:

@@ -42,8 +42,9 @@ def falls(bench: Bench, *kinds: str) -> Iterator[Row]:
             squared = 2.0 * body.thickness / 1.2
             source = "sqrt(2 m g / (rho c A)) " + HOERNER
         else:
-            count = {"length": 0.04, "cells_across": 1.5} if particles else {"length": 0.2}
-            body = rope(diameter=0.005, **count)
+            body = rope(diameter=0.005, length=0.2)
+            if particles:
+                body = rope(diameter=0.005, length=0.04, cells_across=1.5)
             squared = math.pi * body.thickness / (2.0 * 1.1)
             source = "sqrt(pi density d g / (2 rho c)) " + HOERNER
         speed = math.sqrt(squared * LIGHT.density * G / AIR_DENSITY)

@@ -65,7 +65,7 @@ def free_flight(bench: Bench, kind: str) -> Iterator[Row]:
     off = np.linalg.norm(last.centre - first.centre - path) / np.linalg.norm(path)
     single = 1e-3 if kind == "sheet" else 1e-4
     for name, found, source in (
-        ("centre's distance from its path, over the path", off, euler),
+        ("centre's distance from its path, over the path", float(off), euler),
         ("drift of momentum", np.abs(P - P[0]).max() / np.abs(P[0]).max(), newton),
         ("drift of angular momentum", np.abs(L - L[0]).max() / np.abs(L[0]).max(), moment),
     ):

@@ -70,11 +70,12 @@ def clamped_strip(
         back: Length of what is held (default: the distance of two points) [m].
     """
     back = length / (points[0] - 2) if back is None else back
-    turned = slice(None, None, -1 if axis else 1)
-    size, corner = (length + back, width)[turned], (-back, -0.5 * width)[turned]
+    size, corner = (length + back, width), (-back, -0.5 * width)
+    if axis == 1:
+        size, corner, points = size[::-1], corner[::-1], (points[1], points[0])
     body = cloth(
         width=size[0], height=size[1], thickness=thickness, dx=0.02, corner=(*corner, 0.0),
-        points=points[turned],
+        points=points,
     )  # fmt: skip
     return body, clamp_beyond(-np.eye(3)[axis])
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +76,7 @@ def order(bench: Bench) -> Iterator[Row]:
     if bench.quick:
         counts, shares = counts[:-1], shares[:-1]
 
-    def exponent(sizes: NDArray[np.floating], errors: list[NDArray[np.floating]]) -> float:
+    def exponent(sizes: NDArray[np.floating], errors: list[Any]) -> float:
         logs = [math.log(math.sqrt(np.mean(e**2))) for e in errors]
         return float(np.polyfit(np.log(sizes), logs, 1)[0])
 

@@ -51,6 +51,7 @@ def test_tip_of_a_column_that_hardly_bends():
     """H / V = q a in Euler's mode a (sin(q s) - q cos(q s) + q (1 - s)), tan(q) = q, which is let
     down by the half of its squared slope."""
     q = brentq(lambda q: math.tan(q) - q, 4.4, 4.6)
+    assert isinstance(q, float)
     s = np.linspace(0.0, 1.0, 2001)
     slope = q * np.cos(q * s) + q**2 * np.sin(q * s) - q
     a = math.sqrt(2.0 * 1e-3 / trapezoid(slope**2, s))
