@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import solve_bvp
+from scipy.integrate import cumulative_trapezoid, solve_bvp, solve_ivp
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 
@@ -52,7 +52,8 @@ def hung(
 
     s = np.linspace(0.0, 1.0, 51)
     theta = angle + curvature * s
-    y = np.stack([theta, 0.0 * s + curvature, _summed(np.cos(theta)), _summed(np.sin(theta))])
+    y = np.stack([theta, 0.0 * s + curvature, 0.0 * s, 0.0 * s])
+    y[2:] = cumulative_trapezoid([np.cos(theta), np.sin(theta)], s, initial=0.0)
     if first is not None:
         s, y = first.x, first(first.x)
     shapes = []
@@ -89,23 +90,21 @@ def leaves_plane(shape: Any, load: float, curvature: float, torsion: float) -> f
         shape, load, curvature: The rod, Gamma and its curvature, as of ``hung``.
         torsion: Stiffness in torsion over that of bending.
     """
-    steps = 200
-    s = np.linspace(1.0, 0.0, 2 * steps + 1)
-    theta, slope = shape(s)[:2]
-    N, k, M = load * (1.0 - s), -slope, curvature - slope
-    A = np.zeros((len(s), 4, 4))
-    A[:, 0, 1], A[:, 0, 2] = k, -N * np.sin(theta)
-    A[:, 1, 0], A[:, 1, 2] = -k, N * np.cos(theta)
-    A[:, 2, 0], A[:, 2, 3] = 1.0, k - M
-    A[:, 3, 1], A[:, 3, 2] = 1.0 / torsion, -k + M / torsion
-    y, h = np.eye(4)[:, 2:], -1.0 / steps
-    for first, middle, last in zip(A[:-2:2], A[1:-1:2], A[2::2], strict=True):
-        a = first @ y
-        b = middle @ (y + 0.5 * h * a)
-        c = middle @ (y + 0.5 * h * b)
-        d = last @ (y + h * c)
-        y = y + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
-    return float(np.linalg.det(y[2:]))
+
+    def slopes(s: float, y: NDArray[np.floating]) -> NDArray[np.floating]:
+        theta, slope = shape(s)[:2]
+        N, k, M = load * (1.0 - s), -slope, curvature - slope
+        A = [
+            [0.0, k, -N * np.sin(theta), 0.0],
+            [-k, 0.0, N * np.cos(theta), 0.0],
+            [1.0, 0.0, 0.0, k - M],
+            [0.0, 1.0 / torsion, -k + M / torsion, 0.0],
+        ]
+        return (np.array(A) @ y.reshape(4, 2)).ravel()
+
+    free = np.eye(4)[:, 2:].ravel()
+    at_clamp = solve_ivp(slopes, (1.0, 0.0), free, rtol=1e-7, atol=1e-9).y[:, -1].reshape(4, 2)
+    return float(np.linalg.det(at_clamp[2:]))
 
 
 def critical_load(
@@ -177,7 +176,8 @@ def tip_friction(load: float, lowered: ArrayLike) -> NDArray[np.float64]:
     s, root = np.linspace(0.0, 1.0, 101), 4.4934094579
     slope = root * np.cos(root * s) + root**2 * np.sin(root * s) - root
     slope *= 0.3 / np.abs(slope).max()
-    y = np.stack([slope - math.pi / 2.0, np.gradient(slope, s), _summed(slope), -s])
+    across = cumulative_trapezoid(slope, s, initial=0.0)
+    y = np.stack([slope - math.pi / 2.0, np.gradient(slope, s), across, -s])
     p, out = np.array([1.0, root**2 + 0.5 * load]), []
     for by in np.atleast_1d(np.asarray(lowered, dtype=float)):
         found = solve_bvp(slopes, partial(at_ends, by=by), s, y, p=p, tol=1e-6, max_nodes=20000)
@@ -186,9 +186,3 @@ def tip_friction(load: float, lowered: ArrayLike) -> NDArray[np.float64]:
         s, y, p = found.x, found.y, found.p
         out.append(p[0] / p[1])
     return np.array(out)
-
-
-def _summed(slope: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Integral over [0, 1] from 0 on, of values at equal distances."""
-    h = 1.0 / (len(slope) - 1)
-    return np.append(0.0, np.cumsum(0.5 * h * (slope[1:] + slope[:-1])))
