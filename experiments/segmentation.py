@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from benchmarks.reality import FINER, finer
 from experiments.lifts import draw_widely
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import GendomError
@@ -252,18 +253,10 @@ def thickness(item: RealObject) -> float:
     return 2.0 * item.radius
 
 
-def finer(x: NDArray[np.float64], times: int) -> NDArray[np.float64]:
-    """Points [V, ...] with others put linearly between them along the first axis."""
-    at = np.linspace(0.0, len(x) - 1.0, (len(x) - 1) * times + 1)
-    k = np.minimum(at.astype(int), len(x) - 2)
-    w = (at - k).reshape(-1, *[1] * (x.ndim - 1))
-    return (1.0 - w) * x[k] + w * x[k + 1]
-
-
 def away(item: RealObject, vertices: NDArray[np.float64], points: Any) -> NDArray[np.float64]:
     """[n] how far points are from the object's surface [m]."""
     if isinstance(item, RealRope):
-        shape = finer(vertices, 32)
+        shape = finer(vertices, 4 * FINER)
     else:
         grid = finer(vertices.reshape(*item.counts, 3), 4)
         shape = finer(np.swapaxes(grid, 0, 1), 4).reshape(-1, 3)
