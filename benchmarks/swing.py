@@ -12,8 +12,7 @@ import numpy as np
 
 from gendom.materials import Material
 from gendom.sim import Gripper, Physics, Simulator, Solver, cloth
-from gendom.sim.thin.shells import Shells
-from validation.readings import bending_energy, membrane_energy
+from validation.readings import energies
 
 PULL = np.array([0.0, 0.0, -9.81])
 CASES = ((0.8, 0.0), (0.6, 0.0), (0.4, 0.0), (0.2, 0.0), (0.8, 1e-5))
@@ -28,17 +27,9 @@ def gained(cfl: float, damping: float, time: float) -> float:
         physics=Physics(gravity=PULL, air_density=0.0),
         solver=Solver(engine="thin", cfl=cfl),
     )
-    assert isinstance(sheet.engine, Shells)
-    mass = sheet.engine.model.mass[0]
-    height, whole = [], []
-    for t in np.linspace(0.0, time, 401)[1:]:
-        sheet.run([t])
-        v = sheet.velocities()[0]
-        height.append(-float(mass @ sheet.positions()[0] @ PULL))
-        own = membrane_energy(sheet) + bending_energy(sheet)
-        whole.append(own + 0.5 * float(mass @ np.sum(v**2, axis=1)) + height[-1])
-    means = np.reshape(whole, (8, -1)).mean(axis=1)
-    return float((means - means[0]).max() / np.ptp(height))
+    total, high = energies(sheet, np.linspace(0.0, time, 401)[1:], PULL)
+    means = total.reshape(8, -1).mean(axis=1)
+    return float((means - means[0]).max() / np.ptp(high))
 
 
 def main() -> None:

@@ -7,12 +7,11 @@ results.
 
 from importlib import import_module
 
-from validation.bench import CASES, Bench, Case, Result, Row, choose, run_cases
+from validation.bench import CASES, Bench, Case, Result, Row, choose, run_case
 
 for _theme in (
-    "motion", "bending", "vibration", "stretching", "buckling", "falling", "friction",
-    "convergence", "consistency", "stability",
+    "motion", "bending", "vibration", "stretching", "buckling", "friction", "stability",
 ):  # fmt: skip
     import_module(f"validation.{_theme}")
 
-__all__ = ["CASES", "Bench", "Case", "Result", "Row", "choose", "run_cases"]
+__all__ = ["CASES", "Bench", "Case", "Result", "Row", "choose", "run_case"]

@@ -8,12 +8,11 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
 
 from gendom.errors import GendomError
 from gendom.files import to_json
 from gendom.sim import open_device
-from validation import Bench, Result, Row, choose, run_cases
+from validation import Bench, Result, Row, choose, run_case
 
 log = logging.getLogger("validation")
 
@@ -24,16 +23,6 @@ def main(words: Sequence[str] | None = None) -> int:
     Returns:
         0: every error is within what is allowed; 1: at least one is not; 2: bad flags.
     """
-    flags = _parser().parse_args(words)
-    logging.basicConfig(format="validation: %(message)s", level=logging.INFO)
-    try:
-        return _run(flags)
-    except GendomError as error:
-        print(f"validation: {error}", file=sys.stderr)
-        return 2
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m validation", description=__doc__)
     add = parser.add_argument
     add("--only", nargs="+", default=[], metavar="NAME", help="names of the cases to run")
@@ -44,45 +33,51 @@ def _parser() -> argparse.ArgumentParser:
     add("--dtype", choices=("float32", "float64"), default="float64", help="default: float64")
     add("--threads", type=int, help="worlds side by side on the CPU; by default all cores")
     add("--json", action="store_true", help="print JSON")
-    return parser
+    flags = parser.parse_args(words)
+    logging.basicConfig(format="validation: %(message)s", level=logging.INFO)
+    try:
+        return _run(flags)
+    except GendomError as error:
+        print(f"validation: {error}", file=sys.stderr)
+        return 2
 
 
 def _run(flags: argparse.Namespace) -> int:
     cases = choose(flags.only, flags.engine)
     if flags.list:
         entries = [{"name": c.name, "title": c.title, "engine": c.engine} for c in cases]
-        width = max((len(case.name) for case in cases), default=0)
-        lines = [f"{case.name:<{width}}  {case.title}" for case in cases]
+        lines = [f"{case.name:<18}  {case.title}" for case in cases]
         print(to_json({"cases": entries}) if flags.json else "\n".join(lines))
         return 0
     open_device(flags.device)
     began = time.monotonic()
     settings = {name: getattr(flags, name) for name in ("device", "dtype", "quick", "threads")}
     results = []
-    for result in run_cases(cases, Bench(**settings)):
+    for one in cases:
+        result = run_case(one, Bench(**settings))
         results.append(result)
         verdict = "passed" if result.passed else "FAILED"
-        log.info("%s %s in %.1f s", result.case.name, verdict, result.seconds)
+        log.info("%s %s in %.1f s", one.name, verdict, result.seconds)
     passed, seconds = all(result.passed for result in results), time.monotonic() - began
     if flags.json:
-        entries = [_entry(result) for result in results]
-        summary = {"settings": settings, "passed": passed, "seconds": seconds, "cases": entries}
-        print(to_json(summary))
+        entries = [
+            {
+                "name": result.case.name, "title": result.case.title, "passed": result.passed,
+                "failure": result.failure, "seconds": result.seconds,
+                "checks": [
+                    {**asdict(row), "error": row.error, "passed": row.passed}
+                    for row in result.rows
+                ],
+            }
+            for result in results
+        ]  # fmt: skip
+        print(
+            to_json({"settings": settings, "passed": passed, "seconds": seconds, "cases": entries})
+        )
     else:
         print(_text(results))
         print(f"took {seconds:.3g} s")
     return 0 if passed else 1
-
-
-def _entry(result: Result) -> dict[str, Any]:
-    """A case's result for JSON."""
-    return {
-        "name": result.case.name, "title": result.case.title, "passed": result.passed,
-        "failure": result.failure, "seconds": result.seconds,
-        "checks": [
-            {**asdict(row), "error": row.error, "passed": row.passed} for row in result.rows
-        ],
-    }  # fmt: skip
 
 
 def _text(results: Sequence[Result]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -20,11 +20,7 @@ WEIGHTLESS = (0.0, 0.0, 0.0)
 
 
 def flat_simulator(body: Body, materials: Sequence[Material], **options: Any) -> Simulator:
-    """A simulator; options are its own and those of ``Physics`` and ``Solver``.
-
-    Raises:
-        ParameterError, DeviceError: As ``Simulator``.
-    """
+    """A simulator; options are its own and those of ``Physics`` and ``Solver``."""
 
     def taken(kind: type) -> dict[str, Any]:
         return {f.name: options.pop(f.name) for f in fields(kind) if f.name in options}
@@ -49,15 +45,7 @@ class Bench:
     """Worlds side by side on the CPU (default: all cores)."""
 
     def simulate(self, body: Body, materials: Sequence[Material], **options: Any) -> Simulator:
-        """A simulator, in vacuum unless told otherwise.
-
-        Args:
-            body, materials: As of ``Simulator``.
-            options: Those of ``Simulator``, ``Physics`` and ``Solver``.
-
-        Raises:
-            ParameterError, DeviceError: As ``Simulator``.
-        """
+        """As ``flat_simulator``, in vacuum unless told otherwise."""
         given: dict[str, Any] = {"engine": self.engine, "device": self.device, "dtype": self.dtype}
         given |= {"threads": self.threads, "air_density": 0.0, **options}
         return flat_simulator(body, materials, **given)
@@ -69,7 +57,7 @@ class Bench:
         """[W, N, 3] where a body comes to rest whose slowest mode is damped critically [m].
 
         Args:
-            body, materials, options: As of ``simulate``.
+            body, materials, options: As of ``flat_simulator``.
             omega: Angular frequency of that mode, one or [W] [rad/s].
             periods: Time of the run, in units of 1 / omega.
         """
@@ -129,7 +117,7 @@ def relative(
     quantity: str, unit: str, expected: float, measured: float, allowed: float, source: str
 ) -> Row:
     """A row whose error is a share of an expected value that is not zero."""
-    return Row(quantity, unit, float(expected), float(measured), allowed, source, relative=True)
+    return replace(absolute(quantity, unit, expected, measured, allowed, source), relative=True)
 
 
 def over_theory(quantity: str, ratio: float, allowed: float, source: str) -> Row:
@@ -149,7 +137,7 @@ def worst(ratios: NDArray[np.floating], theory: float = 1.0) -> float:
 
 # ---- cases ---------------------------------------------------------------------------------------
 
-Measure = Callable[..., list[Row]]
+Measure = Callable[..., Iterable[Row]]
 
 
 @dataclass(frozen=True)
@@ -162,22 +150,8 @@ class Case:
     """``mpm`` or ``thin``: what its simulators run on."""
     measure: Measure
     """Simulates and measures; what it simulates is in its docstring."""
-    given: tuple[Any, ...]
+    given: tuple[Any, ...] = ()
     """What it is given after the bench."""
-
-
-CASES: dict[str, Case] = {}
-"""Every case by its name, in the order in which they run."""
-
-
-def case(name: str, title: str, engine: str, *given: Any) -> Callable[[Measure], Measure]:
-    """Register a function as a case; once for each engine or kind of body that it can measure."""
-
-    def register(measure: Measure) -> Measure:
-        CASES[name] = Case(name, title, engine, measure, given)
-        return measure
-
-    return register
 
 
 @dataclass(frozen=True)
@@ -195,6 +169,20 @@ class Result:
         return self.failure is None and all(row.passed for row in self.rows)
 
 
+CASES: dict[str, Case] = {}
+"""Every case by its name, in the order in which they run."""
+
+
+def case(name: str, title: str, engine: str, *given: Any) -> Callable[[Measure], Measure]:
+    """Register a function as a case; once for each engine or kind of body that it can measure."""
+
+    def register(measure: Measure) -> Measure:
+        CASES[name] = Case(name, title, engine, measure, given)
+        return measure
+
+    return register
+
+
 def choose(names: Sequence[str], engine: str | None = None) -> list[Case]:
     """The cases of these names, in the suite's order; all for no names, or all of an engine.
 
@@ -203,20 +191,22 @@ def choose(names: Sequence[str], engine: str | None = None) -> list[Case]:
     """
     for name in names:
         check_choice("case", name, CASES, where="--only")
-    chosen = [case for name, case in CASES.items() if name in names or not names]
-    return [case for case in chosen if engine in (None, case.engine)]
+    return [
+        case
+        for name, case in CASES.items()
+        if (name in names or not names) and engine in (None, case.engine)
+    ]
 
 
-def run_cases(cases: Sequence[Case], bench: Bench) -> Iterator[Result]:
-    """Run cases one after the other. A simulation that fails ends its case, not the suite.
+def run_case(case: Case, bench: Bench) -> Result:
+    """Run a case. A simulation that fails ends it, not the suite.
 
     Raises:
         ParameterError, DeviceError: If the bench's settings do not make a simulator.
     """
-    for case in cases:
-        began, rows, failure = time.monotonic(), [], None
-        try:
-            rows = case.measure(replace(bench, engine=case.engine), *case.given)
-        except SimulationError as error:
-            failure = str(error)
-        yield Result(case, rows, failure, time.monotonic() - began)
+    began, rows, failure = time.monotonic(), [], None
+    try:
+        rows = list(case.measure(replace(bench, engine=case.engine), *case.given))
+    except SimulationError as error:
+        failure = str(error)
+    return Result(case, rows, failure, time.monotonic() - began)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import solve_bvp
+from scipy.integrate import cumulative_trapezoid, solve_bvp, solve_ivp
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 
@@ -23,13 +23,9 @@ WARPING = 1.0 / 48.0
 
 
 def hung(
-    loads: ArrayLike,
-    *,
-    curvature: float = 0.0,
-    angle: float = 0.0,
-    first: Any = None,
+    loads: ArrayLike, *, curvature: float = 0.0, angle: float = 0.0, first: Any = None,
     tol: float = 1e-6,
-) -> list[Any]:
+) -> list[Any]:  # fmt: skip
     """Plane rods, clamped at ``angle``, under weights that are raised from one to the next.
 
     theta'' = load (1 - s) cos theta, theta(0) = angle, theta'(1) = curvature. Source: Wang (1986),
@@ -37,8 +33,7 @@ def hung(
 
     Args:
         loads: [K] Gamma, each so near to the one before that its shape can be found from it.
-        curvature: That is free of stress [1 / L].
-        angle: [rad].
+        curvature, angle: Curvature that is free of stress [1 / L]; [rad].
         first: A shape near the first load's, if that is not near 0.
         tol: Of the collocation.
 
@@ -57,7 +52,8 @@ def hung(
 
     s = np.linspace(0.0, 1.0, 51)
     theta = angle + curvature * s
-    y = np.stack([theta, 0.0 * s + curvature, _summed(np.cos(theta)), _summed(np.sin(theta))])
+    y = np.stack([theta, 0.0 * s + curvature, 0.0 * s, 0.0 * s])
+    y[2:] = cumulative_trapezoid([np.cos(theta), np.sin(theta)], s, initial=0.0)
     if first is not None:
         s, y = first.x, first(first.x)
     shapes = []
@@ -70,27 +66,8 @@ def hung(
     return shapes
 
 
-def heavy_elastica(ratio: float) -> Any:
-    """Shape of a level rod of ``ratio`` bending lengths (E I / w)^(1/3).
-
-    The load is raised in steps, so that the solution is the one that hangs.
-
-    Returns:
-        A function from arc lengths [S] in [0, 1] to x and z [2, S].
-
-    Raises:
-        SimulationError: If the collocation does not converge.
-    """
-    shape = hung(ratio**3 * np.linspace(0.2, 1.0, 5), tol=1e-8)[-1]
-    return lambda s: shape(s)[2:]
-
-
 def sag(loads: ArrayLike) -> NDArray[np.float64]:
-    """[K] how far tips of straight level rods hang down over how far they reach out, at Gamma [K].
-
-    Raises:
-        SimulationError: If a shape was not found.
-    """
+    """[K] how far tips of level rods hang down over how far they reach out, at Gamma [K]."""
     wanted = np.atleast_1d(np.asarray(loads, dtype=float))
     path = np.unique(np.concatenate([np.geomspace(0.1, wanted.max(), 30), wanted]))
     tips = np.array([shape(1.0)[2:] for shape in hung(path)])[np.searchsorted(path, wanted)]
@@ -110,36 +87,28 @@ def leaves_plane(shape: Any, load: float, curvature: float, torsion: float) -> f
     with m = 0 at the tip and phi = 0 at the clamp. Source: Kirchhoff's equations, linearised.
 
     Args:
-        shape: The rod, as of ``hung``.
-        load: Gamma.
-        curvature: As of ``hung``.
+        shape, load, curvature: The rod, Gamma and its curvature, as of ``hung``.
         torsion: Stiffness in torsion over that of bending.
     """
-    steps = 200
-    s = np.linspace(1.0, 0.0, 2 * steps + 1)
-    theta, slope = shape(s)[:2]
-    N, k, M = load * (1.0 - s), -slope, curvature - slope
-    A = np.zeros((len(s), 4, 4))
-    A[:, 0, 1], A[:, 0, 2] = k, -N * np.sin(theta)
-    A[:, 1, 0], A[:, 1, 2] = -k, N * np.cos(theta)
-    A[:, 2, 0], A[:, 2, 3] = 1.0, k - M
-    A[:, 3, 1], A[:, 3, 2] = 1.0 / torsion, -k + M / torsion
-    y, h = np.eye(4)[:, 2:], -1.0 / steps
-    for first, middle, last in zip(A[:-2:2], A[1:-1:2], A[2::2], strict=True):
-        a = first @ y
-        b = middle @ (y + 0.5 * h * a)
-        c = middle @ (y + 0.5 * h * b)
-        d = last @ (y + h * c)
-        y = y + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
-    return float(np.linalg.det(y[2:]))
+
+    def slopes(s: float, y: NDArray[np.floating]) -> NDArray[np.floating]:
+        theta, slope = shape(s)[:2]
+        N, k, M = load * (1.0 - s), -slope, curvature - slope
+        A = [
+            [0.0, k, -N * np.sin(theta), 0.0],
+            [-k, 0.0, N * np.cos(theta), 0.0],
+            [1.0, 0.0, 0.0, k - M],
+            [0.0, 1.0 / torsion, -k + M / torsion, 0.0],
+        ]
+        return (np.array(A) @ y.reshape(4, 2)).ravel()
+
+    free = np.eye(4)[:, 2:].ravel()
+    at_clamp = solve_ivp(slopes, (1.0, 0.0), free, rtol=1e-7, atol=1e-9).y[:, -1].reshape(4, 2)
+    return float(np.linalg.det(at_clamp[2:]))
 
 
 def critical_load(
-    between: tuple[float, float],
-    *,
-    curvature: float = 0.0,
-    angle: float = 0.0,
-    torsion: float,
+    between: tuple[float, float], *, curvature: float, angle: float, torsion: float
 ) -> float:
     """Gamma at which a rod leaves its plane, or comes back to it; arguments as ``leaves_plane``.
 
@@ -207,7 +176,8 @@ def tip_friction(load: float, lowered: ArrayLike) -> NDArray[np.float64]:
     s, root = np.linspace(0.0, 1.0, 101), 4.4934094579
     slope = root * np.cos(root * s) + root**2 * np.sin(root * s) - root
     slope *= 0.3 / np.abs(slope).max()
-    y = np.stack([slope - math.pi / 2.0, np.gradient(slope, s), _summed(slope), -s])
+    across = cumulative_trapezoid(slope, s, initial=0.0)
+    y = np.stack([slope - math.pi / 2.0, np.gradient(slope, s), across, -s])
     p, out = np.array([1.0, root**2 + 0.5 * load]), []
     for by in np.atleast_1d(np.asarray(lowered, dtype=float)):
         found = solve_bvp(slopes, partial(at_ends, by=by), s, y, p=p, tol=1e-6, max_nodes=20000)
@@ -216,9 +186,3 @@ def tip_friction(load: float, lowered: ArrayLike) -> NDArray[np.float64]:
         s, y, p = found.x, found.y, found.p
         out.append(p[0] / p[1])
     return np.array(out)
-
-
-def _summed(slope: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Integral over [0, 1] from 0 on, of values at equal distances."""
-    h = 1.0 / (len(slope) - 1)
-    return np.append(0.0, np.cumsum(0.5 * h * (slope[1:] + slope[:-1])))

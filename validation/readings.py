@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from gendom.errors import SimulationError
@@ -18,22 +18,16 @@ from gendom.sim.thin.shells import Shells
 # ---- momenta and energies ------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class Mechanics:
-    """Of world 0 at one moment."""
+class Mechanics(NamedTuple):
+    """Of world 0 at one moment: mass [kg] and its centre [m], momentum P [kg m/s], angular momentum
+    L about the centre [kg m^2/s], kinetic and elastic energy [J]."""
 
-    P: NDArray[np.float64]
-    """[3] momentum [kg m/s]."""
-    L: NDArray[np.float64]
-    """[3] angular momentum about the centre of mass [kg m^2/s]."""
-    centre: NDArray[np.float64]
-    """[3] of mass [m]."""
     mass: float
-    """[kg]."""
+    centre: NDArray[np.float64]
+    P: NDArray[np.float64]
+    L: NDArray[np.float64]
     kinetic: float
-    """[J]."""
     elastic: float
-    """[J]."""
 
 
 def mechanics(s: Simulator) -> Mechanics:
@@ -62,8 +56,7 @@ def mechanics(s: Simulator) -> Mechanics:
         L = L + m[0] * np.array([B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]])
         kinetic += 0.5 * m[0] * s.body.dx**2 / 4.0 * float(np.sum(C**2))
         elastic = particle_energy(s)
-    mass = float(m.sum())
-    return Mechanics(P=m @ v, L=L, centre=centre, mass=mass, kinetic=kinetic, elastic=elastic)
+    return Mechanics(float(m.sum()), centre, m @ v, L, kinetic, elastic)
 
 
 def particle_energy(s: Simulator) -> float:
@@ -150,26 +143,34 @@ def bending_energy(s: Simulator) -> float:
     return 0.5 * float(total)
 
 
-def growth(total: NDArray[np.floating]) -> float:
-    """Largest rise of readings [T] above any earlier one."""
-    return float((total - np.minimum.accumulate(total)).max())
+def energies(
+    s: Simulator, times: ArrayLike, pull: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """[T] energy of world 0 and its gravitational part, at ``times`` under gravity ``pull`` [J]."""
+    total, high = [], []
+    for t in np.asarray(times, dtype=float):
+        if t > 0.0:
+            s.run([t])
+        m = mechanics(s)
+        high.append(-m.mass * float(m.centre @ np.asarray(pull)))
+        total.append(m.kinetic + m.elastic + high[-1])
+        # before the first substep nothing is held yet
+        if t > 0.0 and not isinstance(s.engine, Rods | Shells):
+            total[-1] += spring_energy(s)
+    return np.array(total), np.array(high)
 
 
 # ---- frequencies and rates -----------------------------------------------------------------------
 
 
 def swing(t: NDArray[np.floating], y: NDArray[np.floating], omega: float) -> tuple[float, float]:
-    """Angular frequency and decay rate of a damped oscillation, by least squares.
+    """Angular frequency [rad/s] and decay rate [1/s] of a damped oscillation, by least squares.
 
     y = exp(-gamma t) (a cos omega t + b sin omega t) + c; a, b and c are eliminated.
 
     Args:
-        t: [T] times [s].
-        y: [T] readings; any unit.
+        t, y: [T] times [s] and readings.
         omega: Where the search starts [rad/s]; a tenth off the answer does no harm.
-
-    Returns:
-        omega [rad/s] and gamma [1/s].
 
     Raises:
         SimulationError: If the fit explains less than 99 % of the readings' variance.
@@ -188,26 +189,27 @@ def swing(t: NDArray[np.floating], y: NDArray[np.floating], omega: float) -> tup
     return float(found.x[0]) * omega, float(found.x[1]) * omega
 
 
-def squared_rates(
-    t: NDArray[np.floating], y: NDArray[np.floating], damping: float
-) -> NDArray[np.float64]:
-    """[W] squared rates at which modes would grow without damping, of sizes y [T, W].
+def critical_share(
+    shares: NDArray[np.floating], t: NDArray[np.floating], y: NDArray[np.floating], damping: float
+) -> float:
+    """Share of a critical load at which a mode neither grows nor decays, the nearest to 1.
 
-    All velocities decay at one rate c: of y ~ exp(r t) it is r (r + c).
-    """
-    rate = np.polyfit(t, np.log(np.abs(y.astype(float))), 1)[0]
-    return rate * (rate + damping)
+    All velocities decay at one rate c: of y ~ exp(r t) the squared rate without damping is
+    r (r + c). It is 0 on a parabola through those of ``shares``.
 
-
-def critical_share(shares: NDArray[np.floating], squared: NDArray[np.floating]) -> float:
-    """Share of a critical load at which a parabola through squared rates is 0, the nearest to 1.
+    Args:
+        shares: [W] loads over the critical one.
+        t: [T] times [s].
+        y: [T, W] sizes of the mode; any unit.
+        damping: c [1/s].
 
     Raises:
-        SimulationError: If it is not.
+        SimulationError: If there is no such share.
     """
-    if not np.isfinite(squared).all():
+    rate = np.polyfit(t, np.log(np.abs(y.astype(float))), 1)[0]
+    if not np.isfinite(rate).all():
         raise SimulationError("a kick came to nothing", where="growth")
-    zeros = np.roots(np.polyfit(shares, squared, 2))
+    zeros = np.roots(np.polyfit(shares, rate * (rate + damping), 2))
     zeros = zeros[np.isreal(zeros)].real
     if not len(zeros):
         raise SimulationError("no critical load", where="growth")

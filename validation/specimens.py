@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,10 +11,7 @@ from gendom.sim import Body, Gripper, cloth, rope
 
 
 def clamp_beyond(
-    outwards: ArrayLike = (-1.0, 0.0, 0.0),
-    reach: float = 0.1,
-    *,
-    point: ArrayLike = (0.0, 0.0, 0.0),
+    outwards: ArrayLike = (-1.0, 0.0, 0.0), reach: float = 0.1, *, point: ArrayLike = (0, 0, 0)
 ) -> Gripper:
     """A gripper that holds all material beyond a plane: a sphere so wide that it looks flat.
 
@@ -47,11 +43,9 @@ def clamped_rope(
     """A rope whose first edge is held, at ``angle``, and whose rest begins at 0.
 
     Args:
-        length: Of what is free [m].
-        diameter: [m].
+        length, diameter: Of what is free [m].
         points: Of the whole rope.
-        curvature: That is free of stress, upwards [1 / length].
-        angle: [rad].
+        curvature, angle: Curvature that is free of stress, upwards [1 / length]; [rad].
     """
     back = length / (points - 2)
     ds = length / 4000.0
@@ -64,32 +58,24 @@ def clamped_rope(
 
 
 def clamped_strip(
-    length: float,
-    width: float,
-    thickness: float,
-    points: tuple[int, int],
-    *,
-    axis: int = 0,
-    back: float | None = None,
-    **options: Any,
-) -> tuple[Body, Gripper]:
+    length: float, width: float, thickness: float, points: tuple[int, int],
+    *, axis: int = 0, back: float | None = None,
+) -> tuple[Body, Gripper]:  # fmt: skip
     """A level cloth that is free from 0 along an axis on; a plane holds the rest.
 
     Args:
-        length: Of what is free [m].
-        width, thickness: [m].
+        length, width, thickness: Of what is free [m].
         points: Along and across.
         axis: 0 or 1.
         back: Length of what is held (default: the distance of two points) [m].
-        options: Of ``cloth``.
     """
     back = length / (points[0] - 2) if back is None else back
-    size, number, corner = [length + back, width], list(points), [-back, -0.5 * width]
+    size, corner = (length + back, width), (-back, -0.5 * width)
     if axis == 1:
-        size, number, corner = size[::-1], number[::-1], corner[::-1]
+        size, corner, points = size[::-1], corner[::-1], (points[1], points[0])
     body = cloth(
         width=size[0], height=size[1], thickness=thickness, dx=0.02, corner=(*corner, 0.0),
-        points=(number[0], number[1]), **options,
+        points=points,
     )  # fmt: skip
     return body, clamp_beyond(-np.eye(3)[axis])
 
@@ -102,13 +88,8 @@ def circle(radius: float, sides: int = 256) -> NDArray[np.float64]:
 
 
 def block(size: ArrayLike, dx: float, *, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
-    """A solid rectangular block, particles half a cell apart and half of that from its faces.
-
-    Args:
-        size: [3] edges along x, y and z [m].
-        dx: Size of a grid cell [m].
-        centre: [3] [m].
-    """
+    """A solid block of edges ``size`` [3] in cells of ``dx`` [m], its particles half a cell apart
+    and half of that from its faces."""
     edges = np.asarray(size, dtype=float)
     count = np.maximum(2, np.round(edges / (dx / 2.0))).astype(int)
     cells = np.argwhere(np.ones(count, dtype=bool))

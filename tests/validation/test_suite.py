@@ -1,4 +1,4 @@
-"""The suite passes where the simulator is right, fails where it is not, and fails when misled."""
+"""The suite passes where the simulator is right, and fails where it is not."""
 
 import functools
 from collections.abc import Callable
@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.sim import CFL, GRAVITY, Gripper, cloth
-from validation import CASES, Bench, choose, run_cases
+from validation import CASES, Bench, run_case
 from validation.stability import diverged
 
 QUICK = Bench(quick=True, threads=1)
@@ -19,7 +18,7 @@ QUICK = Bench(quick=True, threads=1)
 @functools.cache
 def failing(name, bench):
     """Quantities of a case that are not within what is allowed."""
-    (result,) = run_cases(choose([name]), bench)
+    result = run_case(CASES[name], bench)
     assert result.failure is None
     assert result.rows
     return {row.quantity for row in result.rows if not row.passed}
@@ -27,7 +26,6 @@ def failing(name, bench):
 
 @pytest.mark.parametrize("name", CASES)
 def test_quick_suite(name):
-    """Everything passes."""
     assert failing(name, QUICK) == set()
 
 
@@ -51,71 +49,54 @@ class Misled(Bench):
         return super().simulate(body, materials, **options)
 
 
-def materials(change):
+def made(change):
     """Materials of which some fields are others."""
     return lambda _, materials, options: ([replace(m, **change(m)) for m in materials], options)
 
 
-def options(change):
+def given(change):
     """Options of which some are others."""
     return lambda _, materials, options: (materials, options | change(options))
 
 
-def table(**factors):
-    """A table whose fields are multiplied, or ``height`` moved."""
-
-    def change(given):
-        old, up = given["table"], factors.get("height", 0.0)
-        rough = factors.get("friction", 1.0) * np.asarray(old.friction)
-        return {"table": replace(old, height=old.height + up, friction=rough)}
-
-    return options(change)
-
-
-def moving(velocity, until):
-    """Grippers that move, though the case believes that they stand still."""
-
-    def moved(g):
-        end = g.position[0] + until * np.array([0.0, 0.0, velocity])
-        return [Gripper(time=[0.0, until], position=[g.position[0], end], radius=g.radius)]
-
-    def change(given):
-        hands = given.get("grippers", ())
-        return {"grippers": [moved(*g) if isinstance(g, list) else moved(g)[0] for g in hands]}
-
-    return options(change)
+def lifted(options):
+    """Grippers that rise, though the case believes that they stand still."""
+    hands = [(g, g.position[0] + np.array([0.0, 0.0, 0.1])) for g in options["grippers"]]
+    return {
+        "grippers": [
+            Gripper(time=[0.0, 1.0], position=[g.position[0], end], radius=g.radius)
+            for g, end in hands
+        ]
+    }
 
 
-def stiffer_in_single(bench, given, others):
-    return stiffer(bench, given, others) if bench.dtype == "float32" else (given, others)
-
-
-def crowded(_, given, others):
-    """Worlds of a batch fall differently from single ones."""
-    return given, others | {"gravity": (0.0, 0.0, -9.81 - 1e-9 * len(given))}
-
-
-def odd(given):
+def odd(options):
     """Where substeps ought to be halved they shrink by sqrt(2)."""
-    return {"cfl": 0.2 * (given["cfl"] / 0.2) ** 0.5 if "cfl" in given else CFL}
+    return {"cfl": 0.2 * (options["cfl"] / 0.2) ** 0.5 if "cfl" in options else CFL}
 
 
-stiffer = materials(lambda m: {"E": 1.25 * m.E})
-more_lateral = materials(lambda m: {"nu": m.nu + 0.05})
-softer_in_torsion = materials(
-    lambda m: {"nu": (1.0 + m.nu) / 0.9 - 1.0}
-)  # G by a tenth, E the same
-undamped = materials(lambda m: {"damping": 0.0})
-heavier = options(lambda o: {"gravity": 1.1 * np.asarray(o.get("gravity", GRAVITY))})
-always_down = options(lambda o: {"gravity": GRAVITY})
-damped = options(lambda o: {"velocity_damping": 0.5})
-braked = options(lambda o: {"velocity_damping": 10.0})
-without_air = options(lambda o: {"air_density": 0.0})
-in_odd_substeps = options(odd)
-rubbing_more = options(lambda o: {"self_friction": 1.2 * np.asarray(o["self_friction"])})
-rubbing_less = options(lambda o: {"self_friction": 0.8 * np.asarray(o["self_friction"])})
-rougher, on_a_high_table = table(friction=1.2), table(height=0.002)
-lifted = moving(0.1, 1.0)
+def stiffer_in_single(bench, materials, options):
+    return (stiffer if bench.dtype == "float32" else made(lambda _: {}))(bench, materials, options)
+
+
+def crowded(_, materials, options):
+    """Worlds of a batch fall differently from single ones."""
+    return materials, options | {"gravity": (0.0, 0.0, -9.81 - 1e-9 * len(materials))}
+
+
+stiffer = made(lambda m: {"E": 1.25 * m.E})
+more_lateral = made(lambda m: {"nu": m.nu + 0.05})
+softer_in_torsion = made(lambda m: {"nu": (1.0 + m.nu) / 0.9 - 1.0})  # G by a tenth, E the same
+undamped = made(lambda m: {"damping": 0.0})
+heavier = given(lambda o: {"gravity": 1.1 * np.asarray(o.get("gravity", GRAVITY))})
+always_down = given(lambda _: {"gravity": GRAVITY})
+damped, braked = (given(lambda _, c=c: {"velocity_damping": c}) for c in (0.5, 10.0))
+without_air = given(lambda _: {"air_density": 0.0})
+rubbing_more, rubbing_less = (
+    given(lambda o, f=f: {"self_friction": f * np.asarray(o["self_friction"])}) for f in (1.2, 0.8)
+)
+rougher = given(lambda o: {"table": replace(o["table"], friction=1.2 * o["table"].friction)})
+on_a_high_table = given(lambda o: {"table": replace(o["table"], height=0.002 + o["table"].height)})
 
 
 @pytest.mark.parametrize(
@@ -123,9 +104,8 @@ lifted = moving(0.1, 1.0)
     [
         (name, change, quantities)
         for name, change, *quantities in (
-            ("free-fall", heavier, "worst particle's distance from its path, over the path"),
-            ("free-fall", damped, "worst particle's velocity beside v0 + g t, over |g| t"),
-            ("free-flight", damped, "change of angular momentum", "angle turned"),
+            ("free-flight", heavier, "centre's distance from its path", "drift of momentum"),
+            ("free-flight", damped, "drift of angular momentum"),
             ("objectivity", always_down, "largest difference after 90 degrees about x, over the"),
             ("elastica", stiffer, "largest distance from the elastica / L, L = 2 bending lengths"),
             ("torsion", stiffer, "torsional stiffness, 1 cell", "torsional stiffness, 2"),
@@ -135,15 +115,15 @@ lifted = moving(0.1, 1.0)
                 "height of a rope's axis", "height of the middle of a cloth"),
             ("layers", braked, "share of the speed left after 0.1 s at a gap of 2 cells"),
             ("tension", more_lateral, "nu read back, 2 cells across"),
-            ("sliding", rougher, "stopping distance at mu = 0.2"),
-            ("order", in_odd_substeps, "exponent of dt in what halved substeps change"),
+            ("rod-table", rougher, "acceleration of a rope at 1.1"),
+            ("order", given(odd), "exponent of dt in what halved substeps change"),
             ("batch", crowded, "largest difference of a batch of 5 from single worlds"),
             ("precision", stiffer_in_single, "largest difference of float32 from float64"),
             ("shell-cantilever", heavier, "sag of strips over theory"),
             ("rod-ring", softer_in_torsion, "critical twist of a ring"),
             ("rod-order", stiffer,
                 "order of a rope's sag, from 1", "order of a rope's sag, from 3"),
-            ("rod-swing", lifted, "growth of the mean energy in 40 s, a swinging rope"),
+            ("rod-swing", given(lifted), "growth of the mean energy in 40 s, a swinging rope"),
             ("rod-layers", rubbing_more, "deceleration of", "stopping distance of"),
             ("shell-layers", rubbing_less,
                 "acceleration of a cloth's layer on another at 0.95",
@@ -157,21 +137,10 @@ def test_a_wrong_simulator_fails(name, change, quantities):
     assert [q for q in quantities if not any(one.startswith(q) for one in short)] == []
 
 
-def test_unknown_case():
-    """The error names the case and the one that is closest."""
-    with pytest.raises(ParameterError, match="case 'bending'; did you mean"):
-        choose(["bending"])
-
-
-def test_cases_run_in_the_suites_order():
-    assert [case.name for case in choose(["energy", "free-fall"])] == ["free-fall", "energy"]
-    assert [case.name for case in choose([])] == list(CASES)
-
-
 def test_worlds_that_diverge_are_counted():
     """At eight times the substep none of three lasts, and none stops the count."""
     body = cloth(width=0.04, height=0.04, thickness=0.04, dx=0.01, corner=(0.0, 0.0, 0.02))
     materials = [Material(E=E, nu=0.3, density=1000.0) for E in (1e4, 2e4, 3e4)]
-    held = [[Gripper.still((0.0, 0.0, 0.02), radius=0.02)] for _ in materials]
-    assert diverged(QUICK, body, materials, held, None, 0.3, 8.0) == 3
-    assert diverged(QUICK, body, materials, held, None, 0.05, 1.0) == 0
+    held = [Gripper.still((0.0, 0.0, 0.02), radius=0.02)] * 3
+    assert diverged(QUICK, body, materials, held, 0.3, 8.0) == 3
+    assert diverged(QUICK, body, materials, held, 0.05, 1.0) == 0
