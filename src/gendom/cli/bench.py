@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import warp as wp
 
 from gendom.arguments import require
 from gendom.cli.arguments import Device, Json
@@ -22,7 +21,7 @@ from gendom.cli.outputs import columns
 from gendom.files import to_json
 from gendom.materials import Material
 from gendom.robot import TcpPaths
-from gendom.sim import Rollout, Simulator, Solver, open_device
+from gendom.sim import Solver
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation, grippers
 
@@ -77,6 +76,8 @@ class Command:
 
     def _measure(self, dtype: str, worlds: int, threads: int) -> dict[str, Any]:
         """Time rollouts of ropes that are carried to random points. Times are medians."""
+        from gendom.sim import Rollout, Simulator  # Warp, which takes long to import
+
         task, world = RopeReaching(), Simulation(engine="mpm", cells_across=2.0)
         body, _ = world.body(task, task.item)
         scene = task.scene(task.item)
@@ -132,6 +133,10 @@ class Command:
 
 def memory_bandwidth(device: str) -> float:
     """Bytes read and written per second by copying a large array [bytes/s]."""
+    import warp as wp
+
+    from gendom.sim import open_device
+
     where = open_device(device)
     a, b = (wp.zeros(COPIED, dtype=wp.float32, device=where) for _ in range(2))
     taken = []

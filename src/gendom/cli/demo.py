@@ -40,7 +40,6 @@ from gendom.progress import each
 from gendom.reality import RealRope, RealWorld, find_object, observe
 from gendom.reality.recording import record_and_perceive
 from gendom.reality.trials import TrialRun
-from gendom.sim import open_device
 from gendom.tasks import Observed, Task
 from gendom.tasks.world import Simulation
 from gendom.viz import (
@@ -136,6 +135,8 @@ class Command:
     json: Json = False
 
     def run(self) -> int:
+        from gendom.sim import open_device  # Warp, which takes long to import
+
         check_places((self.out, ""))
         open_device(self.device)
         seconds: dict[str, float] = {}
