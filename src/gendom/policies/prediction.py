@@ -70,7 +70,8 @@ def reached_late(task: Task, item: Item, actions: Array, world: World) -> list[O
             events = [e if e.closed else replace(e, time=e.time + LATE) for e in path.events]
             return replace(path, events=tuple(events))
 
-    late: Any = Late(**{f.name: getattr(task, f.name) for f in fields(task)})
+    made: Any = Late
+    late = made(**{f.name: getattr(task, f.name) for f in fields(task)})
     return world.carry_out(late, [item] * len(actions), actions)
 
 
