@@ -24,7 +24,7 @@ from gendom.cli.estimate import (
     shell,
 )
 from gendom.cli.outputs import check_places
-from gendom.cli.parsing import command_line
+from gendom.cli.parsing import TYPED
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError, printable
 from gendom.estimation import EstimateSettings, FittedEstimate, SceneSettings, estimate
@@ -169,7 +169,7 @@ class Command:
         content = ReportContent(
             title=f"GenDOM: one lift of an unknown rope{acts}",
             summary=SUMMARY if found.usable else NOT_USABLE_SUMMARY,
-            command=command_line("demo", self, without=("json",)),
+            command=shell(TYPED),
             recording_source=scene,
             cameras=views,
             cameras_note=CAMERAS_NOTE,
