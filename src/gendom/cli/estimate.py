@@ -186,11 +186,9 @@ class Command:
 
     def _next_steps(self, found: FittedEstimate, report: Path) -> list[tuple[str, str]]:
         if self.out is None:
-            again, purpose = (
-                shell([*TYPED, "--out", report.parent]),
-                "Write the estimate to a file.",
-            )
-            return [*next_steps(self.recording), (again, purpose)]
+            words = [*TYPED, "--out", report.parent]
+            purpose = "Write the estimate to a file, which other commands take."
+            return [*next_steps(self.recording), (shell(words), purpose)]
         act = [*_task_and_goal(found), "--force"] if found.usable else None
         return next_steps(self.recording, self.out / NAME, act)
 
