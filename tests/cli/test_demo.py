@@ -9,23 +9,6 @@ import tyro
 
 from gendom import cli
 from gendom.cli.demo import Command
-from gendom.cli.parsing import command_line
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        Command(),
-        Command(out=Path("a b"), goal=(0.3, 0.35), starts=1, seed=4),
-        Command(task="rope-reaching", goal=(0.4,)),
-        Command(live=True, reality="rope-polyester", device="cuda"),
-    ],
-)
-def test_the_reported_command_repeats_the_run(command):
-    words = shlex.split(command_line("demo", command, without=("json",)))
-    assert words[:2] == ["gendom", "demo"]
-    config = (tyro.conf.FlagCreatePairsOff,)
-    assert tyro.cli(Command, args=words[2:], config=config) == command
 
 
 @pytest.mark.parametrize("command", [Command(), Command(out=Path("a b"), task="rope-reaching")])

@@ -42,11 +42,6 @@ def test_every_help_page(name, capsys, monkeypatch):
         assert capsys.readouterr().err == f"gendom {name}: --seed: is -1; give 0 or more\n"
 
 
-def test_help_of_what_is_no_command(capsys):
-    assert cli.main(["help", "estimte"]) == 2
-    assert "did you mean 'estimate'?" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_knows_commands_and_flags(shell, capsys, tmp_path):
     assert cli.main(["completion", shell]) == 0

@@ -13,7 +13,6 @@ from gendom import cli
         ("--rise nan", "--rise: is nan m"),
         ("--rise 0", "--rise: is 0 m"),
         ("--encoder-noise 5", "--encoder-noise: is 5 radians; give 0 to 0.1: 5 mrad are 0.005"),
-        ("--encoder-noise nan", "--encoder-noise: is nan radians"),
         ("--frame-rate 0", "--frame-rate: is 0.0; give 90 or less, above 0"),
         (
             "--reality cloth-cotton --rise 150",

@@ -8,18 +8,14 @@ import numpy as np
 import pytest
 
 from gendom import cli
-from gendom.cli.act import (
-    UNSTEADY,
-    reached_late,
-    result_text,
-    steady,
-)
+from gendom.cli.act import result_text
 from gendom.cli.policies import made_by
 from gendom.datasets.demonstrations import generate
 from gendom.files import write_json
 from gendom.hardware.execution import read_action
 from gendom.materials import Rope, size_of
 from gendom.policies import Policy
+from gendom.policies.prediction import UNSTEADY, reached_late, steady
 from gendom.reading import read_json
 from gendom.reality import OBJECTS
 from gendom.robot import XARM7, read_joints
@@ -46,7 +42,7 @@ def act(make_policy, monkeypatch, tmp_path, capsys):
     """Run `gendom act` with the stand-in policy; returns exit code, stdout and stderr."""
     policies = {True: make_policy()[0], False: make_policy(conditioned_on=())[0]}
     monkeypatch.setattr(Policy, "pretrained", lambda task, *, parameters: policies[parameters])
-    monkeypatch.setattr("gendom.cli.act.UNSTEADY", 0.04)  # the stand-in's move by 0.03
+    monkeypatch.setattr("gendom.policies.prediction.UNSTEADY", 0.04)  # the stand-in's move by 0.03
     monkeypatch.setattr("gendom.cli.act.DRAWS", 24)
     monkeypatch.setattr("gendom.cli.act.POLISHED_FOR", 4)
 
@@ -119,7 +115,7 @@ def test_an_unsteady_release_is_replaced():
 
 
 def test_where_none_is_steady_act_refuses(monkeypatch, act):
-    monkeypatch.setattr("gendom.cli.act.UNSTEADY", 0.0)
+    monkeypatch.setattr("gendom.policies.prediction.UNSTEADY", 0.0)
     code, _, err = act()
     assert code == 2 and re.search(r"a release 100 ms late moves what .* no steady one was", err)
     assert act("--force")[0] == 0

@@ -7,10 +7,10 @@ import pytest
 from PIL import Image, ImageSequence
 
 from gendom.errors import GendomError
-from gendom.viz import CloudSequence, encode_camera_views, palette, write_gif
+from gendom.viz import CloudSequence, encode_camera_views, palette, write_gif, write_report
 from gendom.viz.animation import FramePainter
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_COLOR
-from viz.made_up import lift
+from viz.made_up import content, lift
 
 
 def near(image, color, tolerance=60):
@@ -72,10 +72,6 @@ def test_missing_parts_and_empty_frames_are_drawn():
     bare["recorded"][0] = np.empty((0, 3))
     for oblique in (False, True):
         FramePainter(CloudSequence(**bare, oblique=oblique)).draw(0)
-    none = [np.empty((0, 3))]
-    nothing = CloudSequence(recorded=none, simulated=none, times=np.zeros(1))
-    with pytest.raises(GendomError, match="recorded: has no points at all"):
-        FramePainter(nothing)
 
 
 def test_camera_views_of_one_size_become_a_picture(monkeypatch):
@@ -144,16 +140,17 @@ def test_equal_frames_are_not_merged(tmp_path):
 
 def test_a_long_lift_stays_small(tmp_path):
     path = tmp_path / "lift.gif"
-    write_gif(path, CloudSequence(**lift(frames=120, recorded=150, simulated=1000)))
-    assert path.stat().st_size < 1_500_000
+    write_gif(path, CloudSequence(**lift(frames=120)))
+    assert path.stat().st_size < 1_000_000
     with Image.open(path) as image:
         assert count(image) == 60
 
 
-def test_failure_keeps_the_old_file(tmp_path):
-    path = tmp_path / "lift.gif"
+@pytest.mark.parametrize("write", [write_gif, lambda at, of: write_report(at, content(lift=of))])
+def test_failure_keeps_the_old_file(tmp_path, write):
+    path = tmp_path / "shown"
     path.write_text("old")
     none = [np.empty((0, 3))]
     with pytest.raises(GendomError, match="no points at all"):
-        write_gif(path, CloudSequence(recorded=none, simulated=none, times=np.zeros(1)))
+        write(path, CloudSequence(recorded=none, simulated=none, times=np.zeros(1)))
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gendom.errors import GendomError
 from gendom.viz import CloudSequence, write_report
 from gendom.viz.report import motion
 from gendom.viz.report.content import render_report
@@ -196,16 +195,6 @@ def test_scene_holds_arm_and_goal(monkeypatch):
     assert np.reshape(scene["arm"]["ends"][1], (2, 2, 3)) == pytest.approx(1e3 * arm[4], abs=0.5)
     assert scene["goal"] == goal.tolist() and scene["high"][0] == 0.9
     assert scene["frames"] == [1, 5] and scene["of"] == 5
-
-
-def test_failure_keeps_the_old_file(tmp_path):
-    path = tmp_path / "report.html"
-    path.write_text("old")
-    none = [np.empty((0, 3))]
-    nothing = CloudSequence(recorded=none, simulated=none, times=np.zeros(1))
-    with pytest.raises(GendomError, match="no points at all"):
-        write_report(path, content(lift=nothing))
-    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
 
 
 def test_viz_needs_neither_estimation_nor_policies(run_python):

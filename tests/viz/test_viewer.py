@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import GendomError
-from gendom.viz.viewer.scenes import MATERIAL, Layer, Model, Parameter, ViewerScene, tube_faces
+from gendom.viz.viewer.scenes import MATERIAL, Layer, Model, Parameter, ViewerScene
 from viz.browser import Browser
 
 ARROW = {"key": "ArrowRight", "code": "ArrowRight", "windowsVirtualKeyCode": 39}
@@ -89,14 +89,6 @@ def test_scenes_know_their_frames_and_their_box():
     np.testing.assert_allclose(scene.box, [[0.0, 0.0, 0.0], [0.4, 0.2, 0.26]], atol=0.005)
     with pytest.raises(GendomError, match="no points at all"):
         _ = ViewerScene(times=TIMES, layers=()).box
-
-
-def test_tubes_are_closed():
-    """Every edge belongs to two triangles, in opposite directions."""
-    faces = tube_faces(5, 8)
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).tolist()
-    assert len(set(map(tuple, edges))) == len(edges)
-    assert {(b, a) for a, b in edges} == set(map(tuple, edges))
 
 
 def test_logarithmic_parameters_have_logarithmic_sliders():

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +30,13 @@ from gendom.materials import (
 )
 from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
-from gendom.policies.adaptation import DISCREPANCY, adapt
+from gendom.policies.adaptation import adapt
 from gendom.policies.belief import believed, for_task
 from gendom.policies.polishing import Discrepancy, polish
+from gendom.policies.prediction import predict, steady
 from gendom.robot import TcpPath
 from gendom.tasks import Task
-from gendom.tasks.task import Outcome, World
+from gendom.tasks.task import World
 from gendom.tasks.world import Simulation
 
 _log = logging.getLogger(__name__)
@@ -45,17 +46,6 @@ DRAWS = 64
 
 POLISHED_FOR = 8
 """Objects drawn to polish an action for."""
-
-LATE = 0.1
-"""By which a late release is simulated [s]."""
-
-UNSTEADY = 0.025
-"""How far a late release may move what is reached [units of similarity]: of the shipped policy's it
-does so by 0.005 in the median, of unstable ones by up to 0.2."""
-
-REPLACEMENTS, NEARBY = 200, 0.03
-"""Actions that are drawn where the wanted one is unsteady, first from all, then around the best
-with a standard deviation [units of similarity]."""
 
 FORMAT = "gendom-action/4"
 """Of what is written; ``plan`` is what `gendom.hardware.execution.read_action` reads."""
@@ -159,7 +149,7 @@ class Command(KnownObject):
             result["polished"] = polished
         if simulated:
             others = believed(held, task).draws(DRAWS, self.seed) if held.names else []
-            result["predicted"] = predicted(task, item, values, others, self.seed, world)
+            result["predicted"] = predict(task, item, values, others, self.seed, world)
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
         write_result(self.out, result, json=self.json)
         return 0
@@ -245,110 +235,6 @@ def placed(
         require(max(map(abs, origin)) <= LARGEST, what, where="--origin", fix="give metres")
         T[:3, 3] = origin
     return T, task.tool_path(item, action).moved(T)
-
-
-def predicted(
-    task: Task,
-    item: Item,
-    action: np.ndarray,
-    others: Sequence[Item],
-    seed: int,
-    world: World,
-) -> dict[str, Any]:
-    """What an action [A] will reach, simulated: with the object as it is, and the 90 % interval
-    over others that are plausible (none: the object is taken as known) and over the simulator's
-    error, as `gendom.policies.adaptation` expects it."""
-    items = [item, *others]
-    outcomes = world.carry_out(task, items, np.tile(action, (len(items), 1)))
-    if outcomes[0].fault is not None:
-        return {"fault": outcomes[0].fault}
-    found: dict[str, Any] = {"reached": outcomes[0].values}
-    if releases(task, item, action):
-        (late,) = reached_late(task, item, action[None], world)
-        found["late_release"] = {"seconds": LATE, "reached": late.values}
-    values = [o.values for o in outcomes[1:] if o.fault is None]
-    if values:
-        names = [q.name for q in task.goals] or list(values[0])
-        some = np.array([[v[name] for name in names] for v in values])
-        if task.goals:
-            error = np.random.default_rng(seed).normal(size=some.shape)
-            some += DISCREPANCY * task.goal_units(item) * error
-        ends = np.quantile(some, [0.05, 0.95], axis=0).T
-        found["interval_90"] = dict(zip(names, ends.tolist(), strict=True))
-    return found
-
-
-def releases(task: Task, item: Item, action: np.ndarray) -> bool:
-    """Whether a task reaches its goal by opening the hand."""
-    return bool(task.goals) and not all(e.closed for e in task.tool_path(item, action).events)
-
-
-def reached_late(task: Task, item: Item, actions: np.ndarray, world: World) -> list[Outcome]:
-    """What actions [N, A] reach whose release comes late, by `LATE`."""
-
-    class Late(type(task)):
-        def tool_path(self, item: Item, action: np.ndarray) -> TcpPath:
-            path = super().tool_path(item, action)
-            events = [e if e.closed else replace(e, time=e.time + LATE) for e in path.events]
-            return replace(path, events=tuple(events))
-
-    made: Any = Late
-    late = made(**{f.name: getattr(task, f.name) for f in fields(task)})
-    return world.carry_out(late, [item] * len(actions), actions)
-
-
-def _goal_of(task: Task, outcome: Outcome) -> np.ndarray:
-    """[G] NaN where it failed."""
-    return np.array([outcome.values.get(q.name, math.nan) for q in task.goals])
-
-
-def steady(
-    task: Task,
-    item: Item,
-    goal: Mapping[str, float],
-    action: np.ndarray,
-    wrong: Discrepancy | None,
-    world: World,
-    seed: int,
-) -> tuple[np.ndarray, list[str]]:
-    """An action whose release may come late: the wanted one [A], or the best of drawn ones; and
-    what was changed, in words. ``wrong`` is added to what the simulator says is reached.
-
-    Raises:
-        PolicyError: No drawn one that reaches the goal is steady either.
-    """
-    if not releases(task, item, action):
-        return action, []
-    wanted, limit = np.array(list(goal.values())), UNSTEADY * size_of(item)
-    units, rng = task.action_units(item), np.random.default_rng(seed)
-
-    def judged(tried: np.ndarray, most: int) -> list[tuple[float, float, np.ndarray]]:
-        """Misses, movements by a late release and actions, of those that miss least."""
-        on_time = world.carry_out(task, [item] * len(tried), tried)
-        shift = [0.0 if wrong is None else wrong(a)[0] for a in tried]
-        miss = [float(np.linalg.norm(_goal_of(task, o) + s - wanted))
-                for o, s in zip(on_time, shift, strict=True)]  # fmt: skip
-        safe = [n for n, o in enumerate(on_time) if o.values and task.within_risk(item, o.values)]
-        best = sorted(safe if most > 1 else range(1), key=lambda n: miss[n])[:most]
-        late = reached_late(task, item, tried[best], world) if best else []
-        moves = [float(np.linalg.norm(_goal_of(task, o) - _goal_of(task, on_time[n])))
-                 for n, o in zip(best, late, strict=True)]  # fmt: skip
-        return [(miss[n], move, tried[n]) for n, move in zip(best, moves, strict=True)]
-
-    ((_, moved, _),) = judged(action[None], 1)
-    if moved <= limit:
-        return action, []
-    what = f"a release {1e3 * LATE:g} ms late moves what is reached by {1e3 * moved:.1f} mm"
-    tried, best = task.sample_actions(item, rng, REPLACEMENTS), (math.inf, math.inf, action)
-    for _ in range(2):
-        found = [j for j in judged(tried, REPLACEMENTS // 8) if j[1] <= limit]
-        best = min([best, *found], key=lambda j: j[0])
-        around = best[2] + NEARBY * units * rng.normal(size=(REPLACEMENTS // 2, len(units)))
-        tried = np.array([task.nearest(item, a) for a in around])
-    if best[0] > moved:
-        fix = "choose another goal, or add --force"
-        raise PolicyError(f"{what}, and no steady one was found", where=task.name, fix=fix)
-    return best[2], [f"{what}: replaced by an action that should miss by {1e3 * best[0]:.1f} mm"]
 
 
 def units_of(task: Task) -> dict[str, str]:

@@ -24,7 +24,7 @@ from gendom.cli.estimate import (
     shell,
 )
 from gendom.cli.outputs import check_places
-from gendom.cli.parsing import command_line
+from gendom.cli.parsing import TYPED
 from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError, printable
 from gendom.estimation import EstimateSettings, FittedEstimate, SceneSettings, estimate
@@ -40,7 +40,6 @@ from gendom.progress import each
 from gendom.reality import RealRope, RealWorld, find_object, observe
 from gendom.reality.recording import record_and_perceive
 from gendom.reality.trials import TrialRun
-from gendom.sim import open_device
 from gendom.tasks import Observed, Task
 from gendom.tasks.world import Simulation
 from gendom.viz import (
@@ -136,6 +135,8 @@ class Command:
     json: Json = False
 
     def run(self) -> int:
+        from gendom.sim import open_device  # Warp, which takes long to import
+
         check_places((self.out, ""))
         open_device(self.device)
         seconds: dict[str, float] = {}
@@ -168,7 +169,7 @@ class Command:
         content = ReportContent(
             title=f"GenDOM: one lift of an unknown rope{acts}",
             summary=SUMMARY if found.usable else NOT_USABLE_SUMMARY,
-            command=command_line("demo", self, without=("json",)),
+            command=shell(TYPED),
             recording_source=scene,
             cameras=views,
             cameras_note=CAMERAS_NOTE,

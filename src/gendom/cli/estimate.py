@@ -22,7 +22,7 @@ from gendom.cli.arguments import (
     settings_of,
 )
 from gendom.cli.outputs import check_places, tell_written, write_result
-from gendom.cli.parsing import command_line
+from gendom.cli.parsing import TYPED
 from gendom.datasets import Recording
 from gendom.errors import RecordingError, SimulationError, printable
 from gendom.files import to_json
@@ -156,7 +156,7 @@ class Command:
         from gendom.viz import ReportContent, write_report
         from gendom.viz.sources import clouds_of
 
-        command = command_line("estimate", self, without=("out", "report", "json"))
+        command = shell(TYPED)
         named = ", ".join(path.name for path in self.recordings)
         if found is None:
             content = ReportContent(
@@ -179,18 +179,16 @@ class Command:
                 lift_note=f"The first of {several}: {first.name}." if several > 1 else "",
                 estimate=found,
                 stage_seconds=found.record["stage_seconds"],
-                next_steps=self._next_steps(found, command, place),
+                next_steps=self._next_steps(found, place),
             )
         write_report(place, content)
         tell_written(place, json=self.json)
 
-    def _next_steps(
-        self, found: FittedEstimate, command: str, report: Path
-    ) -> list[tuple[str, str]]:
+    def _next_steps(self, found: FittedEstimate, report: Path) -> list[tuple[str, str]]:
         if self.out is None:
-            words = [*shlex.split(command), "--out", report.parent]
-            again = shell(words), "Write the estimate to a file, which other commands take."
-            return [*next_steps(self.recording), again]
+            words = [*TYPED, "--out", report.parent]
+            purpose = "Write the estimate to a file, which other commands take."
+            return [*next_steps(self.recording), (shell(words), purpose)]
         act = [*_task_and_goal(found), "--force"] if found.usable else None
         return next_steps(self.recording, self.out / NAME, act)
 

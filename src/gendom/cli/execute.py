@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -35,6 +34,7 @@ from gendom.hardware.simulated import SimulatedRobot
 from gendom.materials import Cloth, Item, from_columns
 from gendom.reading import read_json
 from gendom.reality import as_real, task_trial
+from gendom.reality.recording import object_file
 from gendom.robot import JointMotion, tcp_pose
 from gendom.tasks import find_task
 
@@ -209,23 +209,20 @@ def described(cell: Cell, item: Item, source: str, *, quasi_static: bool = False
     """
     sizes = {"width": item.side, "height": item.side} if isinstance(item, Cloth) else {}
     sizes |= {name: getattr(item, name) for name in item.sizes if name != "side"}
-    table = cell.table_height
-    lines = [
-        *([] if table is None else [f"table_height = {table!r}"]),
-        'gripper_source = "measured"',
-        f'robot = "{cell.arm}"',
-        f"quasi_static = {str(quasi_static).lower()}",
-        f"source = {json.dumps(source)}",
-        "",
-        "[object]",
-        f'kind = "{item.kind}"',
-        f'grasp = "{"end" if item.kind == "rope" else "corner"}"',
-        f"grasp_radius = {0.5 * FINGER_WIDTH!r}",
-        f"grasp_inset = {0.5 * FINGER_WIDTH!r}",
-        f"mass = {item.mass!r}",
-        *(f"{name} = {float(value)!r}" for name, value in sizes.items()),
-    ]
-    return "\n".join(lines) + "\n"
+    table = {} if cell.table_height is None else {"table_height": cell.table_height}
+    about = {**table, "gripper_source": "measured", "robot": cell.arm,
+             "quasi_static": quasi_static, "source": source}  # fmt: skip
+    return object_file(
+        about,
+        {
+            "kind": item.kind,
+            "grasp": "end" if item.kind == "rope" else "corner",
+            "grasp_radius": 0.5 * FINGER_WIDTH,
+            "grasp_inset": 0.5 * FINGER_WIDTH,
+            "mass": item.mass,
+            **{name: float(value) for name, value in sizes.items()},
+        },
+    )
 
 
 def bring(robot: Any, action: PlannedAction | None, *, ask: bool = True) -> None:

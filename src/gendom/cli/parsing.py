@@ -6,7 +6,6 @@ import ast
 import inspect
 import io
 import re
-import shlex
 import shutil
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -27,6 +26,9 @@ PARSING = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)
 EVERYWHERE = ("--help", "--debug", "--quiet")
 """Flags that all commands take."""
 
+TYPED: list[str] = []
+"""The words of the command that was parsed last."""
+
 _KINDS = {int: "whole number", float: "number", Path: "path", str: "word"}
 
 
@@ -42,6 +44,7 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
         ParameterError: A flag is unknown, or a value is missing or of another type.
         SystemExit: Help was requested and has been printed.
     """
+    TYPED[:] = "gendom", name, *words
     described(command)
     arguments = arguments_of(command)
     flags = [*(called for called in arguments if called.startswith("--")), *EVERYWHERE]
@@ -94,27 +97,6 @@ def arguments_of(command: type) -> dict[str, _Argument]:
         required = field.default is MISSING and field.default_factory is MISSING
         found[called] = _Argument(hints[field.name], told, required)
     return found
-
-
-def command_line(name: str, command: Any, *, without: Sequence[str] = ()) -> str:
-    """The words that run a command again with the same flags, for a shell.
-
-    Args:
-        name: As it is called.
-        command: With its flags; those that are None, empty or False are left out.
-        without: Names of fields to leave out, too.
-    """
-    values: dict[str, Any] = {}
-    for field, value in vars(command).items():
-        values |= vars(value) if is_dataclass(value) else {field: value}
-    words = ["gendom", name]
-    for (field, value), called in zip(values.items(), arguments_of(type(command)), strict=True):
-        if field in without or value is None or value is False or value == ():
-            continue
-        words += [called] if called.startswith("--") else []
-        if value is not True:
-            words += map(str, value if isinstance(value, tuple) else (value,))
-    return shlex.join(words)
 
 
 def _refusal(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from operator import mul
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,10 @@ from gendom.estimation.scene import STATIC_SETTLING, LiftScene
 from gendom.estimation.scene_settings import COARSE_POINTS
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.materials.unknowns import UNKNOWNS, Theta
-from gendom.sim import Gripper, Physics, Simulator, Solver, Table
-from gendom.sim.thin.rods import SHORTEST
+from gendom.sim import Gripper, Physics, Solver, Table
+
+if TYPE_CHECKING:
+    from gendom.sim import Simulator
 
 Array = NDArray[np.floating]
 
@@ -163,6 +165,8 @@ class WorldInputs:
         then is half the weight times the length of a stick; of a chain, sqrt(2 E I w L), with w the
         weight by length.
         """
+        from gendom.sim.thin.rods import SHORTEST  # Warp, which takes long to import
+
         scene = self.scene
         if not turn or not scene.thin or len(scene.held) > 1:
             return
@@ -248,6 +252,8 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
     Raises:
         ParameterError: A parameter is out of its range.
     """
+    from gendom.sim import Simulator  # Warp, which takes long to import
+
     worlds = [WorldInputs.of(scene, theta) for theta in thetas]
     grippers = [[world.gripper(g) for g in range(len(scene.held))] for world in worlds]
     times = scene.sim_time(scene.recording.time[list(scene.frames)])

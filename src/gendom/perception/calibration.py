@@ -29,7 +29,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from gendom.datasets import Fault
 from gendom.errors import RecordingError
@@ -190,7 +190,7 @@ def calibrate(camera: Camera, views: Sequence[BoardView]) -> Calibration:
     fix = "check that poses belong to the pictures, K to the stream, and the board's sizes"
     expect(typical <= _MAX_RMS, what, fix=fix)
     squares = np.diag(covariance)[:6] + (free[:6] - x[:6]) ** 2
-    quantile = student.ppf(0.95, len(views) - 1)
+    quantile = stdtrit(len(views) - 1, 0.95)
     angle, position = quantile * np.sqrt(squares.reshape(2, 3).sum(axis=1))
     T_world_camera, T_gripper_board = problem.poses(x)
     found = Calibration(

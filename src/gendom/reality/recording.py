@@ -16,11 +16,12 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -168,24 +169,25 @@ def _path_files(
 
 
 def _write_object(path: Path, run: TrialRun, notes: str) -> None:
-    trial = run.trial
-    lines = [
-        "table_height = 0.0",
-        'gripper_source = "measured"',
-        *([f'robot = "{robot.arm.name}"'] if (robot := run.world.robot) else []),
-        f"quasi_static = {str(trial.quasi_static).lower()}",
-        'source = "a MuJoCo test scene (the second reality), seen by simulated depth cameras"',
-        f"notes = {json.dumps(notes)}",
-        "",
-        "[object]",
-        f'grasp = "{trial.grasp}"',
-        f"grasp_radius = {trial.reach!r}",
-        f"grasp_inset = {trial.inset!r}",
-    ]
-    for key, value in trial.item.description().items():
-        lines.append(f'{key} = "{value}"' if isinstance(value, str) else f"{key} = {value!r}")
+    trial, robot = run.trial, run.world.robot
+    about = {
+        "table_height": 0.0,
+        "gripper_source": "measured",
+        **({"robot": robot.arm.name} if robot else {}),
+        "quasi_static": trial.quasi_static,
+        "source": "a MuJoCo test scene (the second reality), seen by simulated depth cameras",
+        "notes": notes,
+    }
+    held = {"grasp": trial.grasp, "grasp_radius": trial.reach, "grasp_inset": trial.inset}
     with atomic_path(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        text = object_file(about, held | trial.item.description())
+        temporary.write_text(text, encoding="utf-8")
+
+
+def object_file(about: Mapping[str, Any], held: Mapping[str, Any]) -> str:
+    """Content of object.toml: keys of a recording, and those of what is held."""
+    lines = ([f"{key} = {json.dumps(value)}" for key, value in of.items()] for of in (about, held))
+    return "\n\n[object]\n".join(map("\n".join, lines)) + "\n"
 
 
 def _write_truth(folder, world, said, truth) -> None:

@@ -45,12 +45,7 @@ def register(task: type[Task]) -> type[Task]:
     return task
 
 
-for _task in (
-    RopeReaching,
-    RopeCasting,
-    RopeCastingAtSpeed,
-    ClothSpreading,
-):
+for _task in (RopeReaching, RopeCasting, RopeCastingAtSpeed, ClothSpreading):
     register(_task)
 
 
@@ -134,19 +129,12 @@ def rebuild(description: Mapping[str, Any]) -> Task:
     try:
         return find_task(name).from_settings(settings)
     except (KeyError, TypeError) as error:
-        what = (
-            f"its task {name!r} has settings that are unknown here ({type(error).__name__} {error})"
-        )
+        said = f"{type(error).__name__} {error}"
+        what = f"its task {name!r} has settings that are unknown here ({said})"
         raise ParameterError(what, fix="use this version of gendom to make it again") from error
 
 
-__getattr__ = imported_later(
-    __name__,
-    {
-        "Demonstrator": "demonstrator",
-        "Simulation": "world",
-    },
-)
+__getattr__ = imported_later(__name__, {"Demonstrator": "demonstrator", "Simulation": "world"})
 
 __all__ = [
     "ClothSpreading",

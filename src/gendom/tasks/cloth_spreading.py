@@ -28,16 +28,7 @@ from PIL import Image, ImageDraw
 from gendom.arguments import require
 from gendom.materials import Cloth, Item, Material, size_of, thickness_of, unit_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
-from gendom.tasks.task import (
-    Array,
-    Observed,
-    Outcome,
-    Quantity,
-    Risk,
-    Scene,
-    Task,
-    World,
-)
+from gendom.tasks.task import Array, Observed, Outcome, Quantity, Risk, Scene, Task, World
 
 CLOTH = Cloth(side=0.2, thickness=0.001, material=Material(E=4e5, density=400.0, damping=0.005))
 """What demonstrations are simulated with."""
@@ -143,12 +134,8 @@ class ClothSpreading(Task):
         return np.array([[0.0, LARGEST_A]])
 
     def scene(self, item: Item) -> Scene:
-        return Scene(
-            origin=(0.0, 0.0, 0.5 * thickness_of(item)),
-            grip=GRIP,
-            table=0.0,
-            self_contact=True,
-        )
+        origin = (0.0, 0.0, 0.5 * thickness_of(item))
+        return Scene(origin=origin, grip=GRIP, table=0.0, self_contact=True)
 
     def tool_path(self, item: Item, action: Array) -> TcpPath:
         side, second = size_of(item), unit_of("s", item)
@@ -200,54 +187,45 @@ class ClothSpreading(Task):
 
         Where none does, the A that spreads it best; `spreads` is then 0.
         """
-        W = len(items)
-        share = np.full((W, len(SEARCHED)), np.nan)
         kept: list[dict[int, Outcome]] = [{} for _ in items]
-        waiting = {
-            (w, k)
-            for w in range(W)
-            for k in {*range(0, len(SEARCHED), COARSE_STEP), len(SEARCHED) - 1}
-        }
-        while waiting:
-            tried = sorted(waiting)
-            found = world.carry_out(
-                self,
-                [items[w] for w, _ in tried],
-                np.array([[SEARCHED[k]] for _, k in tried]),
-                on_frame=on_frame,
-            )
+
+        def share(w: int, k: int) -> float:
+            return kept[w][k].values.get("share", -math.inf)
+
+        def first(w: int) -> int:
+            """Index of the first A that spreads a cloth; their number if none does."""
+            return min((k for k in kept[w] if share(w, k) >= SPREAD), default=len(SEARCHED))
+
+        coarse = sorted({*range(0, len(SEARCHED), COARSE_STEP), len(SEARCHED) - 1})
+        tried = [(w, k) for w in range(len(items)) for k in coarse]
+        while tried:
+            some = [items[w] for w, _ in tried]
+            actions = np.array([[SEARCHED[k]] for _, k in tried])
+            found = world.carry_out(self, some, actions, on_frame=on_frame)
             for (w, k), outcome in zip(tried, found, strict=True):
                 kept[w][k] = outcome
-                share[w, k] = outcome.values.get("share", np.nan)
-            waiting = {
+            tried = [
                 (w, k)
-                for w in range(W)
-                for k in range(_first(share[w] >= SPREAD))
-                if k > _first(share[w] >= SPREAD) - COARSE_STEP and k not in kept[w]
-            }
-        chosen = np.empty(W, dtype=int)
-        outcomes = []
-        for w in range(W):
-            first = _first(share[w] >= SPREAD)
-            spreads = first < len(SEARCHED)
+                for w in range(len(items))
+                for k in range(max(0, first(w) - COARSE_STEP + 1), first(w))
+                if k not in kept[w]
+            ]
+        chosen, outcomes = [], []
+        for w, own in enumerate(kept):
+            k, spreads = first(w), first(w) < len(SEARCHED)
             if not spreads:
-                first = int(np.nanargmax(share[w])) if np.isfinite(share[w]).any() else 0
-            chosen[w] = first
-            outcome = kept[w][first]
+                k = max(sorted(own), key=lambda k, w=w: share(w, k))
+            outcome = own[k]
             if outcome.fault is None:
                 outcome = replace(outcome, values={**outcome.values, "spreads": float(spreads)})
+            chosen.append([SEARCHED[k]])
             outcomes.append(outcome)
-        return np.array(SEARCHED)[chosen][:, None], outcomes
+        return np.array(chosen), outcomes
 
     def T_world_task(self, item: Item) -> Array:
         T = np.eye(4)
         T[:3, 3] = [START, -0.5 * size_of(item), 0.0]
         return T
-
-
-def _first(passed: np.ndarray) -> int:
-    """Index of the first that is true; their number if none is."""
-    return int(np.argmax(passed)) if passed.any() else len(passed)
 
 
 def step_shares(A: float) -> Array:
@@ -283,7 +261,11 @@ def spread_areas(x: Array, triangles: np.ndarray) -> tuple[float, float]:
         x: [V, 3] vertices [sides]; the table is z = 0.
         triangles: [F, 3].
     """
-    flat = _lie_flat(x, triangles)
+    corners = x[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
+    flat = np.abs(normal[:, 2]) >= math.cos(FLAT_ANGLE) * size
+    flat &= corners[:, :, 2].max(axis=1) <= FLAT_HEIGHT
     pixels = (x[:, :2] - x[:, :2].min(axis=0)) / PIXEL
     width, height = (int(p) + 2 for p in pixels.max(axis=0))
     picture = Image.new("1", (width, height))
@@ -295,12 +277,3 @@ def spread_areas(x: Array, triangles: np.ndarray) -> tuple[float, float]:
         # pixels that a border crosses count as covered
         areas.append(min(float(np.asarray(picture).sum()) * PIXEL**2, 1.0))
     return areas[0], areas[1]
-
-
-def _lie_flat(x: Array, triangles: np.ndarray) -> np.ndarray:
-    """[F] which triangles lie flat on the table."""
-    corners = x[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    size = np.linalg.norm(normal, axis=1)
-    level = np.abs(normal[:, 2]) >= math.cos(FLAT_ANGLE) * np.maximum(size, 1e-30)
-    return level & (corners[:, :, 2].max(axis=1) <= FLAT_HEIGHT)

@@ -180,7 +180,10 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         self._opened = np.full(self.num_envs, np.inf)
         self._step = 0
         self._seen = [(begin, simulator.positions().astype(float), self._tool.copy())]
-        self.parameters = np.array([_seen_parameters(i) for i in self.items])
+        own = [dimensionless_parameters(i) for i in self.items]
+        seen = [[math.log(o[p.name]) if p.log else o[p.name] for p in PARAMETERS.values()]
+                for o in own]  # fmt: skip
+        self.parameters = np.array(seen)
         return self._observed()
 
     def _lead(self, actions: Array) -> None:
@@ -272,8 +275,3 @@ class StepsEnv(gymnasium.Env[Any, Any]):
         self._over = bool(done[0])
         info = {name: value[0] for name, value in info.items()}
         return seen[0], float(reward[0]), self._over, False, info
-
-
-def _seen_parameters(item: Item) -> list[float]:
-    own = dimensionless_parameters(item)
-    return [math.log(own[p.name]) if p.log else own[p.name] for p in PARAMETERS.values()]

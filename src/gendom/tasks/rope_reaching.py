@@ -117,14 +117,8 @@ class RopeReaching(Task):
         return size_of(item) * np.array([1.0, 0.0, TOP_HEIGHT])
 
     def scene(self, item: Item) -> Scene:
-        L = size_of(item)
-        return Scene(
-            origin=self.top(item),
-            along=(0.0, 0.0, -1.0),
-            bow=self.bow * L,
-            stand=GRIP * L,
-            grip=GRIP * L,
-        )
+        bow, grip = self.bow * size_of(item), GRIP * size_of(item)
+        return Scene(origin=self.top(item), along=(0.0, 0.0, -1.0), bow=bow, stand=grip, grip=grip)
 
     def tool_path(self, item: Item, action: Array) -> TcpPath:
         second, (x, z) = unit_of("s", item), action
@@ -150,18 +144,11 @@ class RopeReaching(Task):
         return {"x": float(free[:, 0].max()), "sideways": float(np.abs(free[:, 1]).max())}
 
     def T_world_task(self, item: Item) -> Array:
-        return ACROSS_THE_ARM.copy()
+        T = np.eye(4)
+        T[:3, :3] = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+        T[:3, 3] = ORIGIN
+        return T
 
-
-ACROSS_THE_ARM = np.array(
-    [
-        [0.0, 1.0, 0.0, ORIGIN[0]],
-        [-1.0, 0.0, 0.0, ORIGIN[1]],
-        [0.0, 0.0, 1.0, ORIGIN[2]],
-        [0.0, 0.0, 0.0, 1.0],
-    ]
-)
-"""[4, 4] the task's frame in the robot's base frame [m]."""
 
 POINTING_FORWARD = pointing((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
 """quat_xyzw in the task's frame of a gripper that points along y, away from the arm, its fingers

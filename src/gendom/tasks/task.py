@@ -210,17 +210,14 @@ class Task(ABC):
         require(kind == self.kind, f"{self.name} takes a {self.kind}, not a {kind}")
         for name, (low, high) in self.ranges.items():
             check_choice("parameter", name, QUANTITIES, where=f"ranges of {self.name}")
-            self._check_range(name, low, high)
-
-    def _check_range(self, name: str, low: float, high: float) -> None:
-        what, where = f"is {low} to {high}", f"range of {name}"
-        ordered = math.isfinite(low) and math.isfinite(high) and low <= high
-        require(ordered, what, where=where, fix="give two finite numbers, the lower one first")
-        positive = low > 0.0 or (low == 0.0 and (high == 0.0 or not QUANTITIES[name].log))
-        require(positive, what, where=where, fix="give positive numbers, the smaller one first")
-        for end in (low, high):
+            what, where = f"is {low} to {high}", f"range of {name}"
+            ordered = math.isfinite(low) and math.isfinite(high) and low <= high
+            require(ordered, what, where=where, fix="give two finite numbers, the lower one first")
+            positive = low > 0.0 or (low == 0.0 and (high == 0.0 or not QUANTITIES[name].log))
+            require(positive, what, where=where, fix="give positive numbers, the smaller one first")
             try:
-                self._item_with({name: end})
+                for end in (low, high):
+                    self._item_with({name: end})
             except ParameterError as error:
                 raise ParameterError(error.what, where=where, fix=error.fix) from None
 
@@ -386,18 +383,11 @@ class Task(ABC):
         Raises:
             ParameterError: There is no such object.
         """
-        m = self.item.material
-        density = values.get("density", m.density)
-        material = replace(
-            m,
-            E=values.get("E_over_rho", m.E_over_rho) * density,
-            nu=values.get("nu", m.nu),
-            density=density,
-            damping=values.get("damping", m.damping),
-        )
-        return replace(
-            self.item, material=material, friction=values.get("friction", self.item.friction)
-        )
+        m, given = self.item.material, dict(values)
+        friction = given.pop("friction", self.item.friction)
+        E_over_rho = given.pop("E_over_rho", m.E_over_rho)
+        E = E_over_rho * given.get("density", m.density)
+        return replace(self.item, material=replace(m, E=E, **given), friction=friction)
 
     def demonstrate(
         self,

@@ -6,28 +6,21 @@ import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
 from gendom.materials import AIR_DENSITY, Item, Rope
 from gendom.robot.path import TcpPath, TcpPaths
-from gendom.sim import (
-    Body,
-    Gripper,
-    Grippers,
-    Physics,
-    Simulator,
-    Solver,
-    Table,
-    claimed,
-    cloth,
-    rope,
-)
+from gendom.sim import Body, Gripper, Grippers, Physics, Solver, Table, cloth, rope
 from gendom.sim.bodies import CELLS_ACROSS
 from gendom.tasks.task import Array, Observed, Outcome, Scene, Task
+
+if TYPE_CHECKING:
+    from gendom.sim import Simulator
 
 _log = logging.getLogger(__name__)
 
@@ -126,6 +119,8 @@ class Simulation:
         Raises:
             ParameterError: Tools do not close equally often.
         """
+        from gendom.sim import Simulator  # Warp, which takes long to import
+
         scene = task.scene(items[0])
         body, x = self.body(task, items[0])
         friction = np.array([item.friction for item in items])
@@ -184,6 +179,8 @@ class Simulation:
         on_frame: Callable[[int], None] | None,
     ) -> list[Outcome]:
         """Simulate objects of one size."""
+        from gendom.sim import claimed
+
         paths = TcpPaths([task.tool_path(item, a) for item, a in zip(items, actions, strict=True)])
         begin, times = float(paths.moves.min()), task.times(items[0])
         if self.everything:
@@ -192,11 +189,15 @@ class Simulation:
         with claimed(self.device):
             simulator, body = self.simulator(task, items, paths, begin)
             all_points = self.everything or task.watches == "all"
-            tip = len(body.points) - 1 if self.engine == "thin" else _last_section(body)
+            if self.engine == "thin":
+                tip = np.array([len(body.points) - 1])
+            else:  # the last section
+                along = body.material_coordinates[:, 0]
+                tip = np.flatnonzero(along == along.max())
             recorded = simulator.run(
                 times,
                 on_frame=on_frame,
-                particles=None if all_points else np.atleast_1d(tip),
+                particles=None if all_points else tip,
                 keep_going=True,
             )
         hands, opens = paths.position_at(times), [opening(path) for path in paths.paths]
@@ -267,7 +268,7 @@ def grippers(scene: Scene, paths: TcpPaths, begin: float) -> Grippers:
     holds = [_holds(path, begin) for path in paths.paths]
     often = {len(h) for h in holds}
     require(len(often) == 1, f"the tool must close equally often in all worlds, got {often}")
-    time, position = _from(paths, begin)
+    time, position, _ = paths.sampled()
     W, K = time.shape
     hold_from, hold_until = np.moveaxis(np.array(holds).reshape(W, -1, 2), 2, 0)
     tools = hold_from.shape[1]
@@ -281,7 +282,8 @@ def grippers(scene: Scene, paths: TcpPaths, begin: float) -> Grippers:
         "orientation": np.tile([0.0, 0.0, 0.0, 1.0], (W, tools, K, 1)),
     }
     for w in np.flatnonzero(paths.turning):
-        arrays["orientation"][w] = _orientations(paths.paths[w], time[w])
+        poses = paths.paths[w].pose_at(time[w], paths.paths[w].blend or 0.0)
+        arrays["orientation"][w] = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
     if scene.stand > 0.0:
         still = Gripper.still(np.asarray(scene.origin, dtype=float), radius=scene.stand)
         for name, values in Grippers.of([[still]], knots=K).arrays.items():
@@ -302,37 +304,12 @@ def _holds(path: TcpPath, begin: float) -> list[tuple[float, float]]:
     return found
 
 
-def _from(paths: TcpPaths, begin: float) -> tuple[Array, Array]:
-    """Times [W, K] [s] and positions [W, K, 3] [m] of paths that begin at `begin` [s]; shorter
-    ones repeat their last."""
-    times, position, count = paths.sampled()
-    later = (times > begin) & (np.arange(times.shape[1]) < count[:, None])
-    left = np.count_nonzero(later, axis=1)
-    K = 1 + max(1, int(left.max()))
-    knot = np.minimum(np.arange(1, K) - 1, left[:, None] - 1) + (count - left)[:, None]
-    row = np.arange(len(times))[:, None]
-    first = np.full((len(times), 1), begin)
-    place = paths.position_at([begin])
-    time = np.concatenate([first, np.where(left[:, None] > 0, times[row, knot], begin)], axis=1)
-    after = np.where(left[:, None, None] > 0, position[row, knot], place)
-    return time, np.concatenate([place, after], axis=1)
-
-
-def _orientations(path: TcpPath, times: Array) -> Array:
-    from scipy.spatial.transform import Rotation
-
-    poses = path.pose_at(times, path.blend or 0.0)
-    return Rotation.from_matrix(poses[:, :3, :3]).as_quat()
-
-
 def middle_of(body: Body, x: Array) -> Array:
     """[T, n, 3] a rope's centre line, or a cloth's middle surface, from all positions [T, N, 3] of
     particles or points, or from a section's alone [m]."""
     if x.shape[1] in (1, len(body.points)):
         return x
-    if body.kind == "rope":
-        return x.reshape(len(x), -1, body.section, 3).mean(axis=2)
-    layers = _count_along(body, 2)
+    layers = body.section if body.kind == "rope" else _count_along(body, 2)
     return x.reshape(len(x), -1, layers, 3).mean(axis=2)
 
 
@@ -345,11 +322,6 @@ def _lattice(body: Body, points: int) -> tuple[int, int]:
 
 def _count_along(body: Body, axis: int) -> int:
     return np.unique(body.material_coordinates[:, axis]).size
-
-
-def _last_section(body: Body) -> NDArray[np.intp]:
-    along = body.material_coordinates[:, 0]
-    return np.flatnonzero(along == along.max())
 
 
 def _groups_of_one_size(items: Sequence[Item]) -> list[NDArray[np.intp]]:

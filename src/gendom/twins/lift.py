@@ -17,7 +17,7 @@ from scipy.interpolate import LinearNDInterpolator, make_interp_spline
 
 from gendom.materials import Item, Rope, size_of, thickness_of
 from gendom.robot import lift, predefined_lift
-from gendom.sim import Body, Gripper, Physics, Simulator, Table, cloth, rope
+from gendom.sim import Body, Gripper, Physics, Table, cloth, rope
 
 Array = NDArray[np.float64]
 
@@ -88,6 +88,8 @@ class Lift:
         Raises:
             SimulationError: It diverges.
         """
+        from gendom.sim import Simulator  # Warp, which takes long to import
+
         time, hand = self.path
         simulator = Simulator(
             self.body,

@@ -27,7 +27,6 @@ from gendom.estimation.methods.search import best_of, finished, first_starts
 from gendom.estimation.problem import Found, Problem, Start
 from gendom.estimation.replay import lattice, middle, simulator_of
 from gendom.observation import DensityGrid, visible
-from gendom.sim import Rollout
 
 Array = NDArray[np.floating]
 
@@ -192,6 +191,8 @@ class DensityLoss:
 
     def evaluate(self, descents: Sequence[_Descent]) -> None:
         """Loss and slope of some descents from one batch; those that diverge are done."""
+        from gendom.sim import Rollout  # Warp, which takes long to import
+
         problem, prior = self.problem, self.problem.prior
         going = list(descents)
         while going:
