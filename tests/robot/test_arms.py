@@ -12,9 +12,9 @@ from gendom.errors import RobotError
 from gendom.robot import (
     FR3,
     XARM7,
+    CollisionChecker,
     Surroundings,
     arm_shape,
-    collision_at,
     find_arm,
     fit_capsules,
     follow,
@@ -226,7 +226,7 @@ def test_the_fr3_stands_as_franka_s_urdf_says():
 def test_the_fr3_carries_out_the_tasks():
     assert find_arm("fr3") is FR3
     table = Surroundings(table_height=0.0, clearance=0.02, self_clearance=0.01)
-    assert collision_at(FR3, FR3.home, table) is None
+    assert CollisionChecker(FR3, table).at(FR3.home) is None
     for task in (RopeReaching(), RopeCasting()):
         (action,) = task.sample_actions(task.item, np.random.default_rng(0), 1)
         path = task.tool_path(task.item, action).moved(task.T_world_task(task.item))

@@ -25,14 +25,12 @@ from gendom.robot import (
     XARM7,
     Arm,
     Box,
+    CollisionChecker,
     JointMotion,
     Post,
     Surroundings,
     TcpPath,
     arm_shape,
-    check_collisions,
-    clearances,
-    collision_at,
     find_arm,
     follow,
     joint_move,
@@ -285,7 +283,7 @@ class Cell:
 
     def _wrong(self) -> Iterator[tuple[str, str, str]]:
         arm, (low, high) = self.model, self.workspace
-        if hit := collision_at(arm, arm.home, self.surroundings):
+        if hit := CollisionChecker(arm, self.surroundings).at(arm.home):
             yield f"at the arm's home pose {hit}", "home", f"move the {hit.second}"
         home = tcp_pose(arm, arm.home)[:3, 3]
         if not np.all((home >= low) & (home <= high)):
@@ -409,7 +407,7 @@ class Cell:
         )
         for body, move, opening in moves:
             move.check_limits(self.limited)
-            check_collisions(body, move, self.surroundings, opening=opening)
+            CollisionChecker(body, self.surroundings, opening=opening).check(move)
         self.check_workspace(planned.motion)
 
     def check_workspace(self, motion: JointMotion, rate: float = RATE) -> None:
@@ -443,12 +441,12 @@ class Cell:
         """Least distances [m] at joint angles [N, J] of the arm from its surroundings and from
         itself, each with whose it is; the fingers, which reach for the object, are not compared
         with the table."""
-        found = clearances(self.model, q, self.surroundings, opening=opening)
+        collisions = CollisionChecker(self.model, self.surroundings, opening=opening)
         others = {"table", *(o.name for o in self.surroundings.obstacles)}
         shape = arm_shape(self.model, self.model.home, opening)
         fingers = {n for n, t in zip(shape.names, shape.touches_object, strict=True) if t}
         least = {True: (math.inf, ""), False: (math.inf, "")}
-        for d, (a, b) in zip(found.distance.min(axis=0), found.pairs, strict=True):
+        for d, (a, b) in zip(collisions.distance(q).min(axis=0), collisions.pairs, strict=True):
             if not (b == "table" and a in fingers):
                 least[b in others] = min(least[b in others], (float(d), f"{a} and {b}"))
         return [least[True], least[False]]
