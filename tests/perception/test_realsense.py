@@ -300,9 +300,6 @@ def test_recordings_that_lack_something(copy):
     path = copy("sdk-2.59.db3")
     edited(path, "UPDATE topics SET name = 'x' || id WHERE name LIKE '%Color_0%'")
     assert [frame.read().colour for frame in RealSenseRecording(path)] == [None] * 4
-    # Pictures that do not say their unit have the sensor's.
-    replaced(path, b"depth_units=0.000100", b"nothing____=0.000100")
-    assert RealSenseRecording(path).camera.depth_unit == pytest.approx(1e-4)
     edited(path, "DELETE FROM topics WHERE name LIKE '%Depth_Units/value'")
     with pytest.raises(RecordingError, match="does not say its depth unit"):
         RealSenseRecording(path)

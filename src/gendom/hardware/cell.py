@@ -7,18 +7,18 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from functools import cached_property
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.datasets import Fault
-from gendom.errors import DeviceError, RobotError, did_you_mean
+from gendom.errors import DeviceError, RobotError
 from gendom.hardware.contracts import DepthCamera, Robot, find_depth_camera, find_robot
 from gendom.reading import read_toml, record_of
 from gendom.robot import (
@@ -185,10 +185,9 @@ class Cell:
         """
         path, where = Path(path), str(path)
         table = read_toml(path, error=DeviceError, fix="write one as docs/hardware.md has it")
-        _check_keys(cls, table, where)
         fix = "see docs/hardware.md for what belongs there"
         try:
-            cell = record_of(cls, table, where=where, fix=fix, error=DeviceError)
+            cell = record_of(cls, table, where=where, fix=fix, by_hand=True, error=DeviceError)
         except RobotError as error:  # of a box or a stand
             raise DeviceError(error.what, where=f"{where}: {error.where}", fix=error.fix) from None
         cell = replace(cell, path=path, camera=tuple(c.placed(path) for c in cell.camera))
@@ -467,17 +466,3 @@ BARE = Cell(
 
 def _point(x: NDArray[np.float64]) -> str:
     return f"({', '.join(f'{v:.3f}' for v in x)})"
-
-
-def _check_keys(kind: Any, table: dict[str, Any], where: str) -> None:
-    """Refuse keys that a file's tables do not have."""
-    known, types = [f.name for f in fields(kind) if f.name != "path"], get_type_hints(kind)
-    for key, value in table.items():
-        fix = did_you_mean(key, known) or f"known are {', '.join(known)}"
-        what = f"has the unknown key {key!r}"
-        require(key in known, what, where=where, fix=fix, error=DeviceError)
-        inner = next((k for k in (types[key], *get_args(types[key])) if is_dataclass(k)), None)
-        for n, entry in enumerate(value if isinstance(value, list) else [value]):
-            if inner is not None and isinstance(entry, dict):
-                place = f"{key}[{n}]" if isinstance(value, list) else key
-                _check_keys(inner, entry, f"{where}: {place}")

@@ -201,6 +201,8 @@ class RealSenseCamera:
             RecordingError: The file cannot be read.
         """
         self._require(self._recorder is not None, "does not record", "start a recording first")
+        # Those that come until the sensors have stopped may be written, or not.
+        counted = {kind: replace(stream) for kind, stream in self._streams.items()}
         time.sleep(_FLUSH)
         self._close()
         if not self._compress:  # PNG has checksums of its own
@@ -208,12 +210,13 @@ class RealSenseCamera:
         warnings: list[Any] = []
         bag = Bag(self._path, on_warning=warnings.append)
         pictures = missing = 0
-        for kind, seen in self._streams.items():
+        for kind, seen in counted.items():
             stream = bag.stream(kind.capitalize(), self.name)
-            written = 0 if stream is None else len(stream.entries)
+            entries = [] if stream is None else stream.entries
+            written = sum(entry.time < seen.stamp + 1e-6 for entry in entries)
             sent = seen.last - seen.first + 1 if seen.pictures else 0
-            pictures, missing = pictures + written, missing + max(0, sent - written)
-            own = stream and stream.entries and stream.entries[0].domain == "Hardware Clock"
+            pictures, missing = pictures + len(entries), missing + max(0, sent - written)
+            own = entries and entries[0].domain == "Hardware Clock"
             if own and kind == "depth":
                 warnings.append(own_clock(f"camera {self.name}"))
         return Recorded(
