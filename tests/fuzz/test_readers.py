@@ -6,7 +6,6 @@ import time
 from functools import partial
 from importlib import resources
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -124,35 +123,11 @@ def arm(folder):
 
 
 def bag(folder, plugin):
-    rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="needs rosbags: the extra ros")
-    from rosbags.typesys import Stores, get_typestore
-
-    store, stamp = get_typestore(Stores.ROS2_HUMBLE), "builtin_interfaces/msg/Time"
-    made = {name.split("/")[-1]: kind for name, kind in store.types.items()}
+    ros = pytest.importorskip("ros_messages", reason="needs rosbags: the extra ros")
     shutil.rmtree(folder)
-    with rosbag2.Writer(folder, version=9, storage_plugin=rosbag2.StoragePlugin[plugin]) as file:
-        cloud, pose = "sensor_msgs/msg/PointCloud2", "geometry_msgs/msg/PoseStamped"
-        topics = {k: file.add_connection(f"/{k[-4:]}", k, typestore=store) for k in (cloud, pose)}
-        for k in range(4):
-            at = store.types[stamp](sec=k, nanosec=0)
-            header = made["Header"](stamp=at, frame_id="world")
-            fields: Any = [
-                made["PointField"](name=axis, offset=4 * n, datatype=7, count=1)
-                for n, axis in enumerate("xyz")
-            ]
-            seen = made["PointCloud2"](
-                header=header, height=1, width=12, fields=fields, is_bigendian=False,
-                point_step=12, row_step=144, data=POINTS.view(np.uint8).ravel(), is_dense=True,
-            )  # fmt: skip
-            held = made["PoseStamped"](
-                header=header,
-                pose=made["Pose"](
-                    position=made["Point"](x=0.0, y=0.0, z=0.01 * k),
-                    orientation=made["Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
-                ),
-            )
-            for kind, message in ((cloud, seen), (pose, held)):
-                file.write(topics[kind], k * 10**9, store.serialize_cdr(message, kind))
+    rows = [("/clouds", ros.cloud(k, "world", POINTS)) for k in range(4)]
+    rows += [("/pose", ros.pose(k, "world", [0.0, 0.0, 0.01 * k])) for k in range(4)]
+    ros.write_bag(folder, rows, plugin)
     (folder / "object.toml").write_text(TOML)
 
 
@@ -233,7 +208,7 @@ def rows_of(folder):
 
 
 def read_bag(folder):
-    read_ros_bag(folder, folder / "object.toml", RosSettings(gripper="/mped"))
+    read_ros_bag(folder, folder / "object.toml", RosSettings(gripper="/pose"))
 
 
 def read_pictures(folder):
