@@ -114,13 +114,8 @@ def test_one_camera(lift, perceive):
 
 @pytest.mark.parametrize(
     ("shift", "words"),
-    [
-        ((0, 0.025, 0), "apart"),
-        ((0.03, 0, 0), "apart"),
-        ((0, 0, 0.03), "table"),
-        ((0, 8e-3, 6e-3), ""),
-    ],
-)
+    [((0.03, 0, 0), "apart"), ((0, 0, 0.03), "table"), ((0, 0.008, 6e-3), "")],
+)  # fmt: skip
 def test_cameras_that_disagree(copy, perceive, shift, words):
     """Sideways shows in the object, upwards in the table; 1 cm is reported and let pass."""
     camera = read_camera(copy / RIGHT)
@@ -179,30 +174,21 @@ def late(content):
     return "\n".join([head, *(f"{5.0 + k},{r.split(',', 1)[1]}" for k, r in enumerate(rows)), ""])
 
 
-CAPSULES = "time,capsule,x0,y0,z0,x1,y1,z1,radius\n"
-LEFT_FRAMES, PATH = "cameras/left/frames.csv", "gripper.csv"
+CAPSULES, A = "time,capsule,x0,y0,z0,x1,y1,z1,radius\n", "a,0,0,0,1,1,1"
+LEFT_FRAMES, PATH, ROWS = "cameras/left/frames.csv", "gripper.csv", "time,x,y,z\n"
 REFUSED = [
     *(
         (edit(RIGHT, "= 0.0001", f"= {unit}"), "'right': depth_unit | 0.0001 seems right")
-        for unit in (1.0, 1e-3, 5e-4, 2e-4, 1.25e-4, 1e-5)
+        for unit in (1.0, 1e-3, 1.25e-4, 1e-5)
     ),
     (edit(RIGHT, "K = ", "P = "), "camera.toml: lacks K"),
     (lambda folder: (folder / RIGHT).unlink(), "the intrinsics are unknown"),
     (edit(RIGHT, "320", "640"), "000000.png: none of 5 | is 320 x 240, camera.toml says 640 x 240"),
-    (
-        text(RIGHT, lambda s: s[: s.index("T_world_camera")]),
-        "T_world_camera: is missing | gendom calibrate",
-    ),
-    (
-        text("cameras/right/frames.csv", late),
-        "cameras lie within 0.02 s (left 0 to 0.133333 s, right 5 | one clock",
-    ),
-    (
-        put(PATH, "time,x,y,z\n100,0,0,0.2\n101,0,0,0.3\n"),
-        "the robot's path is at other times, 100 to 101 s, than the cameras' frames (left 0 to",
-    ),
-    (put(PATH, "time,x,y,z\n1,0,0,0\n0,0,0,0\n"), "gripper.csv: its times do not increase"),
-    (put(PATH, "time,x,y,z\n"), "gripper.csv | no rows"),
+    (text(RIGHT, lambda s: s[: s.index("T_w")]), "T_world_camera: is missing | gendom calibrate"),
+    (text("cameras/right/frames.csv", late), "within 0.02 s (left 0 to 0.133333 s, right 5 | one "),
+    (put(PATH, f"{ROWS}100,0,0,0.2\n101,0,0,0.3\n"), "path is at other times, 100 to 101 s, than"),
+    (put(PATH, f"{ROWS}1,0,0,0\n0,0,0,0\n"), "gripper.csv: its times do not increase"),
+    (put(PATH, ROWS), "gripper.csv | no rows"),
     (edit(PATH, "0.23\n", "\n"), "gripper.csv, line 5"),
     (without_colour, "has no colour pictures"),
     (
@@ -211,11 +197,8 @@ REFUSED = [
     ),
     (empty("cameras/right/depth/*"), "none of 5 frames can | 0 of 76800 pixels have depth"),
     (put("capsules.csv", "time,capsule\n"), "capsules.csv: has another header"),
-    (put("capsules.csv", f"{CAPSULES}0,a,0,0,0,1,1,1,-1\n"), "capsules.csv, line 2: is no capsule"),
-    (
-        put("capsules.csv", f"{CAPSULES}1,a,0,0,0,1,1,1,1\n0,a,0,0,0,1,1,1,1\n"),
-        "capsules.csv, line 3: time of capsule 'a' goes from 1 to 0 s; sort the rows",
-    ),
+    (put("capsules.csv", f"{CAPSULES}0,{A},-1\n"), "capsules.csv, line 2: is no capsule"),
+    (put("capsules.csv", f"{CAPSULES}1,{A},1\n0,{A},1\n"), "line 3: time of capsule 'a' goes from"),
     (
         put("object.toml", "[object]\nkind = 'rope'\n"),
         "object.toml: the object's sizes are missing",
@@ -235,10 +218,7 @@ def test_what_is_refused(copy, perceive, spoil, said):
     ("words", "said"),
     [
         ("--cameras top", "no camera 'top' | left, right"),
-        (
-            "--colour 9 9 9 --workspace 5 5 0 6 6 1",
-            "sees nothing of the workspace, (5, 5, 0) to (6, 6, 1) m; | T_world_camera",
-        ),
+        ("--colour 9 9 9 --workspace 5 5 0 6 6 1", "sees nothing of the workspace, (5, 5, 0) to"),
         ("--colour 0 255 0", "no object in view | 'colour' | 5 frames"),
         ("--colour 0 255 0 --pick left 1 1", "both given"),
         ("--pick left 999 1", "pixel (999, 1)"),
@@ -262,40 +242,25 @@ def cut_frames(folder):
         (place / "depth" / "000003.png").unlink()
 
 
-@pytest.mark.parametrize(
-    ("spoil", "kept", "said"),
-    [
+ALL, ZERO = [0, 1, 2, 3, 4], "000000.png: 1 of 5 frames cannot be read and are left out; the fir"
+LEFT_OUT = [
+    (text(LEFT_FRAMES, lambda s: "\n".join(s.split("\n")[:-2])), ALL[:4], "1 of 5 frames match no"),
+    (cut_frames, ALL[:3], "1 of 5 rows are cut short | 000003.png: 1 of 4 frames cannot"),
+    (empty("cameras/right/depth/000000.png"), ALL[1:], f"{ZERO} | only 0 of 76800"),
+    (empty("cameras/right/colour/*"), ALL, "'right': sees nothing of the object in any frame"),
+    (empty("cameras/*/colour/*", slice(95, 240)), ALL, "of the object is seen; che"),
+    *(
         (
-            text(LEFT_FRAMES, lambda s: "\n".join(s.split("\n")[:-2])),
-            [0, 1, 2, 3],
-            "camera 'right': 1 of 5 frames match no frame",
-        ),
-        (cut_frames, [0, 1, 2], "1 of 5 rows are cut short | 000003.png: 1 of 4 frames cannot"),
-        (
-            empty("cameras/right/depth/000000.png"),
-            [1, 2, 3, 4],
-            "000000.png: 1 of 5 frames cannot be read and are left out; the first: only 0 of 76800",
-        ),
-        (
-            empty("cameras/right/colour/*"),
-            [0, 1, 2, 3, 4],
-            "camera 'right': sees nothing of the object in any frame",
-        ),
-        (
-            empty("cameras/*/colour/*", slice(95, 240)),
-            [0, 1, 2, 3, 4],
-            "of the object is seen; che",
-        ),
-        *(
-            (
-                text(PATH, lambda s, end=end: s[: s.index(",0.0,0.0,0.24")] + end),
-                [0, 1, 2, 3],
-                "gripper.csv, line 6: is cut short | 1 of 5 frames are outside",
-            )
-            for end in (",0.0", ",0.0,0.0,-")
-        ),
-    ],
-)
+            text(PATH, lambda s, end=end: s[: s.index(",0.0,0.0,0.24")] + end),
+            ALL[:4],
+            "gripper.csv, line 6: is cut short | 1 of 5 frames are outside",
+        )
+        for end in (",0.0", ",0.0,0.0,-")
+    ),
+]
+
+
+@pytest.mark.parametrize(("spoil", "kept", "said"), LEFT_OUT)
 def test_what_is_left_out_is_told(copy, perceive, spoil, kept, said):
     spoil(copy)
     code, printed, out = perceive(copy, *RED)
@@ -323,19 +288,18 @@ def flipped(data):
     return data
 
 
+DAMAGE = {
+    "cut": lambda data: data[: len(data) // 2],
+    "flip": flipped,
+    "pixels": with_other_pixels,
+    "text": lambda data: b"not found",
+    "size": (10, 10),
+    "8 bit": (240, 320),
+}
+
+
 @pytest.mark.parametrize("kind", ["depth", "colour"])
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda data: data[: len(data) // 2],
-        flipped,
-        with_other_pixels,
-        lambda data: b"not found",
-        (10, 10),
-        (240, 320),
-    ],
-    ids=["cut", "flip", "pixels", "text", "size", "8 bit"],
-)
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
 def test_damaged_pictures(copy, damage, kind):
     """The frame cannot be read, others can."""
     path = copy / "cameras" / "right" / kind / "000003.png"
