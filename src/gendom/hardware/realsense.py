@@ -37,6 +37,7 @@ class _Stream:
     pictures: int = 0
     first: int = 0
     last: int = 0
+    begun: float = -np.inf
     stamp: float = -np.inf
     advanced: float = -np.inf  # when `stamp` last grew, on the clock of time.monotonic [s]
 
@@ -178,7 +179,7 @@ class RealSenseCamera:
         number, stamp = frame.get_frame_number(), 1e-3 * frame.get_timestamp()
         stream = self._streams[frame.get_profile().stream_type().name]
         if not stream.pictures:
-            stream.first = number
+            stream.first, stream.begun = number, stamp
         stream.pictures += 1
         if stamp > stream.stamp:
             stream.stamp, stream.last, stream.advanced = stamp, number, time.monotonic()
@@ -201,8 +202,6 @@ class RealSenseCamera:
             RecordingError: The file cannot be read.
         """
         self._require(self._recorder is not None, "does not record", "start a recording first")
-        # Those that come until the sensors have stopped may be written, or not.
-        counted = {kind: replace(stream) for kind, stream in self._streams.items()}
         time.sleep(_FLUSH)
         self._close()
         if not self._compress:  # PNG has checksums of its own
@@ -210,12 +209,13 @@ class RealSenseCamera:
         warnings: list[Any] = []
         bag = Bag(self._path, on_warning=warnings.append)
         pictures = missing = 0
-        for kind, seen in counted.items():
+        for kind, seen in self._streams.items():
             stream = bag.stream(kind.capitalize(), self.name)
             entries = [] if stream is None else stream.entries
-            written = sum(entry.time < seen.stamp + 1e-6 for entry in entries)
-            sent = seen.last - seen.first + 1 if seen.pictures else 0
-            pictures, missing = pictures + len(entries), missing + max(0, sent - written)
+            # The SDK gives the first picture to its recorder, or begins that behind it.
+            late = bool(entries) and entries[0].time > seen.begun + 1e-6
+            sent = seen.last - seen.first + 1 - late if seen.pictures else 0
+            pictures, missing = pictures + len(entries), missing + max(0, sent - len(entries))
             own = entries and entries[0].domain == "Hardware Clock"
             if own and kind == "depth":
                 warnings.append(own_clock(f"camera {self.name}"))
