@@ -5,6 +5,7 @@ import shutil
 import time
 from functools import partial
 from importlib import resources
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -27,7 +28,7 @@ from gendom.hardware.execution import (
 from gendom.materials import Material, Rope
 from gendom.materials.estimate import Estimate
 from gendom.materials.posterior import Posterior, prior_of
-from gendom.perception import Camera, read_cameras, write_camera
+from gendom.perception import Camera, RealSenseRecording, read_cameras, write_camera
 from gendom.perception.calibration import read_views
 from gendom.perception.ros import RosSettings, read_ros_bag
 from gendom.policies import Policy
@@ -217,6 +218,17 @@ def read_pictures(folder):
             frame.read()
 
 
+def realsense(folder):
+    shutil.copy(
+        Path(__file__).parents[1] / "perception/recordings/sdk-2.59.db3", folder / "recording.db3"
+    )
+
+
+def read_realsense(folder):
+    for frame in RealSenseRecording(folder):
+        frame.read()
+
+
 def read_boards(folder):
     read_views(folder, CAMERA, on_warning=lambda _: None)
 
@@ -278,6 +290,7 @@ READERS = {
     "mcap": (lambda f: bag(f, "MCAP"), read_bag),
     "db3": (lambda f: bag(f, "SQLITE3"), read_bag),
     "cameras": (cameras, read_pictures),
+    "realsense": (realsense, unchecked(read_realsense)),
     "board": (board, read_boards),
     "arm": (arm, unchecked(lambda f: read_arm(f / "arm.urdf"))),
 }
