@@ -141,8 +141,10 @@ def assert_braked(box):
     assert box.orders("mode")[-1] == 0
 
 
-PLAYED = """from hardware.xarm_box import *; \
-play_aloud(StreamedRobot(cell({!r}, tool=0.5, share=1.0), patient), there_and(), 0.5)"""
+PLAYED = (
+    "from hardware.xarm_box import *; "
+    "play_aloud(StreamedRobot(cell({!r}, tool=0.5, share=1.0), patient), there_and(), 0.5)"
+)
 
 
 @pytest.mark.parametrize("end", ["SIGKILL", "SIGINT"])
