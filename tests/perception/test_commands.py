@@ -45,17 +45,6 @@ def copy(lift, tmp_path):
     return shutil.copytree(lift[0], tmp_path / "lift")
 
 
-@pytest.fixture
-def perceive(tmp_path, capsys):
-    def run(folder, *words):
-        out = tmp_path / "out" / "recording.npz"
-        code = cli.main(["perceive", str(folder), "--out", str(out), *words])
-        printed = capsys.readouterr()
-        return code, printed, out
-
-    return run
-
-
 def refused(result, *parts):
     code, printed, out = result
     assert code == 2 and not out.exists()
@@ -64,9 +53,9 @@ def refused(result, *parts):
         assert part in printed.err
 
 
-def test_recording_of_a_rope(lift, perceive):
+def test_recording_of_a_rope(lift, command):
     folder, ropes = lift
-    code, printed, out = perceive(folder, *RED, "--frames")
+    code, printed, out = command(folder, *RED, "--frames")
     assert code == 0 and printed.err == ""
     assert "warning" not in printed.out
     assert "levelled by the table: left " in printed.out and "; right " in printed.out
@@ -87,13 +76,13 @@ def test_recording_of_a_rope(lift, perceive):
     assert len(seen_by) == len(recording.points) and set(np.unique(seen_by)) == {1, 2, 3}
 
 
-def test_json_has_all_frames_of_a_picked_colour(world, lift, perceive):
+def test_json_has_all_frames_of_a_picked_colour(world, lift, command):
     """The pixel is the rope's upper end in the first picture."""
     folder, ropes = lift
     camera = world.make_camera("left", scale=0.5)
     x = camera.K @ (np.linalg.inv(camera.T_world_camera) @ [*ropes[0].line[:2].mean(0), 1.0])[:3]
     place = [str(round(c / x[2])) for c in x[:2]]
-    code, printed, out = perceive(folder, "--pick", "left", *place, "--json")
+    code, printed, out = command(folder, "--pick", "left", *place, "--json")
     found = json.loads(printed.out)
     assert code == 0 and found["warnings"] == []
     assert len(found["points_by_frame"]) == found["frames"] == 5
@@ -105,8 +94,8 @@ def test_json_has_all_frames_of_a_picked_colour(world, lift, perceive):
     assert len(points) > 300 and np.abs(ropes[0].distance(points)).max() < 0.02
 
 
-def test_one_camera(lift, perceive):
-    code, printed, out = perceive(lift[0], *RED, "--cameras", "right")
+def test_one_camera(lift, command):
+    code, printed, out = command(lift[0], *RED, "--cameras", "right")
     assert code == 0 and "points seen by: right 100 %" in printed.out
     cameras = Recording.read(out).camera_positions
     assert cameras is not None and len(cameras) == 1
@@ -116,13 +105,13 @@ def test_one_camera(lift, perceive):
     ("shift", "words"),
     [((0.03, 0, 0), "apart"), ((0, 0, 0.03), "table"), ((0, 0.008, 6e-3), "")],
 )  # fmt: skip
-def test_cameras_that_disagree(copy, perceive, shift, words):
+def test_cameras_that_disagree(copy, command, shift, words):
     """Sideways shows in the object, upwards in the table; 1 cm is reported and let pass."""
     camera = read_camera(copy / RIGHT)
     T = camera.calibrated().copy()
     T[:3, 3] += shift
     write_camera(copy / RIGHT, camera.at(T))
-    code, printed, out = perceive(copy, *RED, "--json")
+    code, printed, out = command(copy, *RED, "--json")
     if words:
         return refused((code, printed, out), words)
     recording = Recording.read(out)
@@ -209,9 +198,9 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("spoil", "said"), REFUSED)
-def test_what_is_refused(copy, perceive, spoil, said):
+def test_what_is_refused(copy, command, spoil, said):
     spoil(copy)
-    refused(perceive(copy, *RED), *said.split(" | "))
+    refused(command(copy, *RED), *said.split(" | "))
 
 
 @pytest.mark.parametrize(
@@ -225,12 +214,12 @@ def test_what_is_refused(copy, perceive, spoil, said):
         ("--pick top 9 1", "no camera 'top'"),
     ],
 )
-def test_flags_that_are_refused(lift, perceive, words, said):
-    refused(perceive(lift[0], *words.split()), *said.split(" | "))
+def test_flags_that_are_refused(lift, command, words, said):
+    refused(command(lift[0], *words.split()), *said.split(" | "))
 
 
-def test_places_that_are_none(tmp_path, perceive, capsys):
-    refused(perceive(tmp_path / "x"), "no such folder")
+def test_places_that_are_none(tmp_path, command, capsys):
+    refused(command(tmp_path / "x"), "no such folder")
     assert cli.main(["perceive", str(tmp_path / "x"), "--out", str(tmp_path / "a.txt")]) == 2
     assert "a.txt: does not end in .npz" in capsys.readouterr().err
 
@@ -261,9 +250,9 @@ LEFT_OUT = [
 
 
 @pytest.mark.parametrize(("spoil", "kept", "said"), LEFT_OUT)
-def test_what_is_left_out_is_told(copy, perceive, spoil, kept, said):
+def test_what_is_left_out_is_told(copy, command, spoil, kept, said):
     spoil(copy)
-    code, printed, out = perceive(copy, *RED)
+    code, printed, out = command(copy, *RED)
     assert code == 0, printed.err
     np.testing.assert_allclose(Recording.read(out).time * 30, kept, atol=1e-9)
     assert all(part in printed.out for part in said.split(" | ")), printed.out
@@ -316,40 +305,40 @@ def test_damaged_pictures(copy, damage, kind):
             frames[3].read()
 
 
-def test_realsense_recordings_give_the_same_clouds(lift, sdk_lift, perceive, tmp_path):
-    _, _, out = perceive(lift[0], *RED)
+def test_realsense_recordings_give_the_same_clouds(lift, sdk_lift, command, tmp_path):
+    _, _, out = command(lift[0], *RED)
     expected = Recording.read(out)
     mixed = shutil.copytree(sdk_lift, tmp_path / "mixed")  # cameras of both kinds
     shutil.rmtree(mixed / "cameras" / "left")
     shutil.copytree(lift[0] / "cameras" / "left", mixed / "cameras" / "left")
     for folder in (sdk_lift, mixed):
-        code, printed, out = perceive(folder, *RED)
+        code, printed, out = command(folder, *RED)
         assert code == 0 and "warning" not in printed.out
         found = Recording.read(out)
         np.testing.assert_allclose(found.time, expected.time, atol=1e-9)
         np.testing.assert_allclose(found.points, expected.points, atol=1e-6)
 
 
-def test_faults_of_realsense_recordings(sdk_lift, perceive, tmp_path):
+def test_faults_of_realsense_recordings(sdk_lift, command, tmp_path):
     """What comes before a cut is kept, and of damage inside one frame is lost, told by its number.
     A wrong unit is mended by the value that the message gives."""
     copy = shutil.copytree(sdk_lift, tmp_path / "lift")
     path, toml = copy / "cameras/right/recording.db3", copy / RIGHT
     data, pose = path.read_bytes(), toml.read_text()
     toml.write_text(pose + "depth_unit = 0.001\n")
-    refused(perceive(copy, *RED), "'right': depth_unit", "it is 0.001 m a count; 0.0001 seems")
+    refused(command(copy, *RED), "'right': depth_unit", "it is 0.001 m a count; 0.0001 seems")
     toml.write_text(pose + "depth_unit = 0.0001\n")
     path.write_bytes(flipped(bytearray(data)))
-    code, printed, out = perceive(copy, *RED)
+    code, printed, out = command(copy, *RED)
     assert code == 0 and Recording.read(out).num_frames == 4
     assert "recording.db3: frame " in printed.out and "1 of 5 frames cannot be read" in printed.out
     path.write_bytes(data[: len(data) * 2 // 3])
-    code, printed, out = perceive(copy, *RED)
+    code, printed, out = command(copy, *RED)
     assert code == 0 and 2 <= Recording.read(out).num_frames <= 4
     assert "recording.db3: is damaged or cut off" in printed.out
     out.unlink()
     path.write_bytes(data[:20_000])  # not even its intrinsics are left
-    refused(perceive(copy, *RED), "right/recording.db3", "is missing or damaged (no message of it")
+    refused(command(copy, *RED), "right/recording.db3", "is missing or damaged (no message of it")
     path.write_bytes(data)
     toml.unlink()
-    refused(perceive(copy, *RED), "right: T_world_camera: is missing", "gendom calibrate")
+    refused(command(copy, *RED), "right: T_world_camera: is missing", "gendom calibrate")

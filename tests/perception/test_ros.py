@@ -151,34 +151,18 @@ def last(change):
     return lambda rows: [*rows[:-1], (rows[-1][0], change(rows[-1][1]))]
 
 
-POINTS, HELD = "/camera/points", "/tool_pose"
+POINTS, HELD, NOT_SAID = "/camera/points", "/tool_pose", "TF does not say where "
 LACKING = [
     (without(POINTS), {}, "has 0 topics of clouds or depth; record a "),
-    (
-        lambda rows: [*rows, ("/b", rows[-1][1])],
-        {},
-        "has 2 topics of clouds or depth: /camera/points, /b",
-    ),
+    (lambda rows: [*rows, ("/b", rows[-1][1])], {}, f"has 2 topics of clouds or depth: {POINTS}"),
     (list, {"points": "/p"}, "has no topic /p of sensor_msgs/msg/PointCloud2; give one of: /cam"),
     (without(HELD), {"gripper": HELD}, "has no topic /tool_pose of geometry_msgs/msg/PoseStamped"),
-    (
-        list,
-        {"gripper": POINTS},
-        f"{POINTS} is no geometry_msgs/msg/PoseStamped; give one of: {HELD}",
-    ),
-    (
-        list,
-        {"gripper": "tol"},
-        "TF does not say where tol is in world; give frames of one tree; it",
-    ),
-    (last(lambda m: cloud(1.0, "nowhere", NONE)), {}, "TF does not say where nowhere is in world"),
+    (list, {"gripper": POINTS}, f"{POINTS} is no geometry_msgs/msg/PoseStamped; give one of: /t"),
+    (list, {"gripper": "tol"}, f"{NOT_SAID}tol is in world; give frames of one tree; it has base"),
+    (last(lambda m: cloud(1.0, "nowhere", NONE)), {}, f"{NOT_SAID}nowhere is in world"),
     (last(lambda m: cloud(1.5, "camera", NONE, names="xyi")), {}, f"{POINTS}: a cloud has no 'z'"),
-    (
-        last(lambda m: replace(m, data=m.data[:100])),
-        {},
-        f"{POINTS}: a cloud has 100 bytes for 20 p",
-    ),
-    (without("/tf_static"), {}, "TF does not say where camera is in base"),
+    (last(lambda m: replace(m, data=m.data[:100])), {}, f"{POINTS}: a cloud has 100 bytes for 20"),
+    (without("/tf_static"), {}, f"{NOT_SAID}camera is in base"),
     (lambda rows: [*rows, ("/tf", tf(0.0, "tool", "base"))], {"world": "camera"}, "TF has a loop"),
 ]
 
