@@ -136,15 +136,15 @@ def test_pictures_that_never_came_are_counted(record):
 
 def _unplugged(cameras):
     removed = SimpleNamespace(was_removed=lambda which: which is cameras[1]._device)
-    threading.Timer(1.0, cameras[1]._devices_changed, [removed]).start()
+    threading.Timer(0.6, cameras[1]._devices_changed, [removed]).start()
     return cameras
 
 
 @pytest.mark.parametrize(
     ("how", "words"),
     [
-        ({"stamp": lambda c, k: 100.0 + min(k, 30 if c else k) / RATE}, "right has given no new"),
-        ({"number": lambda c, k: None if c == 0 and k > 30 else k + 1}, "left has given no new"),
+        ({"stamp": lambda c, k: 100.0 + min(k, 15 if c else k) / RATE}, "right has given no new"),
+        ({"number": lambda c, k: None if c == 0 and k > 15 else k + 1}, "left has given no new"),
         ({"live": _unplugged}, "right was unplugged"),
     ],
     ids=["frozen", "silent", "unplugged"],
@@ -156,7 +156,7 @@ def test_a_camera_that_fails_stops_the_robot(record, how, words):
     assert isinstance(error, DeviceError) and f"camera {words}" in str(error)
     assert arm.stopped.is_set() and time.monotonic() - began < 15.0
     assert words in json.loads((folder / "recording.json").read_text())["ended"]
-    assert all(len(list(source)) > 15 for source in read_cameras(folder).sources)
+    assert all(len(list(source)) > 5 for source in read_cameras(folder).sources)
 
 
 @pytest.mark.parametrize(
@@ -172,7 +172,7 @@ def test_a_disk_that_fills_stops_the_robot_and_a_full_one_is_told_before(
     monkeypatch.setattr("gendom.hardware.recording.shutil.disk_usage", usage)
     arm = Arm()
     if seconds > 1.0:
-        threading.Timer(1.0, rooms.append, [1e8]).start()
+        threading.Timer(0.6, rooms.append, [1e8]).start()
     folder, error = record(arm, seconds=seconds)
     assert isinstance(error, DeviceError) and words in str(error)
     if seconds > 1.0:

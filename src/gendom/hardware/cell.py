@@ -441,13 +441,13 @@ class Cell:
         itself, each with whose it is; the fingers, which reach for the object, are not compared
         with the table."""
         collisions = CollisionChecker(self.model, self.surroundings, opening=opening)
-        others = {"table", *(o.name for o in self.surroundings.obstacles)}
         shape = arm_shape(self.model, self.model.home, opening)
         fingers = {n for n, t in zip(shape.names, shape.touches_object, strict=True) if t}
         least = {True: (math.inf, ""), False: (math.inf, "")}
         for d, (a, b) in zip(collisions.distance(q).min(axis=0), collisions.pairs, strict=True):
             if not (b == "table" and a in fingers):
-                least[b in others] = min(least[b in others], (float(d), f"{a} and {b}"))
+                other = b in collisions.around
+                least[other] = min(least[other], (float(d), f"{a} and {b}"))
         return [least[True], least[False]]
 
 

@@ -163,11 +163,14 @@ class CollisionChecker:
 
     pairs: tuple[tuple[str, str], ...]
     """[P] names: a capsule of the arm, and another one, "table", or an obstacle's name."""
+    around: frozenset[str]
+    """The latter two."""
 
     def __init__(
         self, arm: Arm, surroundings: Surroundings = NO_OBSTACLES, *, opening: float = 0.0
     ):
         self.arm, self.surroundings, self.opening = arm, surroundings, opening
+        self.around = frozenset(["table", *(o.name for o in surroundings.obstacles)])
         shape = arm_shape(arm, arm.home, opening)
         link = np.array([c.link for c in arm.capsules])
         link = np.append(link, np.full(len(shape.names) - len(link), arm.joints))
@@ -263,7 +266,7 @@ class CollisionChecker:
         if (found := self.along(motion)) is None:
             return
         fix = f"keep the path away from the {found.second}, or move that"
-        if found.second not in {"table", *(o.name for o in self.surroundings.obstacles)}:
+        if found.second not in self.around:
             fix = "move the path away from the base"
         raise RobotError(str(found), where=f"motion of {self.arm.name}", fix=fix)
 
