@@ -143,7 +143,7 @@ def assert_braked(box):
 
 PLAYED = (
     "from hardware.xarm_box import *; "
-    "play_aloud(StreamedRobot(cell({!r}, tool=0.5, share=1.0), patient), there_and(), 0.5)"
+    "play_aloud(StreamedRobot(cell({!r}, tool=0.5, share=1.0), patient), there_and(0.2), 0.5)"
 )
 
 
