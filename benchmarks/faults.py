@@ -10,14 +10,12 @@ a program, too.
 
 import argparse
 import os
-import signal
-import subprocess
-import sys
 import threading
 import time
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -25,7 +23,7 @@ from gendom.errors import DeviceError
 from gendom.hardware.contracts import Tick
 from gendom.hardware.streamed import StreamedRobot
 from gendom.robot import XARM7, JointMotion, joint_move, tcp_pose
-from hardware.xarm_box import Box, Driver, cell
+from hardware.xarm_box import Box, Driver, cell, ended, play_aloud
 
 AWAY = XARM7.home + np.array([1.6, 0.1, 0.0, 0.2, 0.0, -0.2, 1.2])
 
@@ -51,43 +49,20 @@ def motion() -> JointMotion:
     return joint_move(replace(XARM7, max_tcp_speed=0.8), XARM7.home, AWAY)
 
 
-def play(address: str, told: bool = False) -> None:
+def play(address: str) -> None:
     """What a program does that is ended."""
     robot = StreamedRobot(cell(address, tool=0.8, share=1.0), Driver)
-    robot.connect()
-    half = 0.5 * motion().end
-
-    def tick(tick: Tick) -> None:
-        nonlocal told
-        if tick.time >= half and not told:
-            told = True
-            print("now", flush=True)
-
-    robot.play(motion(), on_tick=tick)
-
-
-def ended(box: Box, how: str) -> tuple[float, str]:
-    """When a program was ended by a signal in mid-motion."""
-    code = f"from benchmarks.faults import play\nif __name__ == '__main__': play({box.address!r})"
-    program = Path(f"/tmp/faults-{box.address}.py")  # spawned children import it
-    program.write_text(code)
-    order = [sys.executable, str(program)]
-    with subprocess.Popen(order, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as parent:
-        assert parent.stdout is not None
-        while parent.stdout.readline() != b"now\n":
-            pass
-        at = time.monotonic()
-        parent.send_signal(getattr(signal, how))
-    program.unlink()
-    time.sleep(1.0)
-    return at, "the arm braked"
+    play_aloud(robot, motion(), 0.5 * motion().end)
 
 
 def one(fault: object) -> tuple[float, float, float, str]:
     """Seconds, metres and metres a second of the tool at first, and what was said."""
     with Box() as box:
         if isinstance(fault, str):
-            at, said = ended(box, fault)
+            with TemporaryDirectory() as folder:
+                call = f"from benchmarks.faults import play; play({box.address!r})"
+                at, said = ended(Path(folder), call, fault)[0], "the arm braked"
+            time.sleep(1.0)
         else:
             robot = StreamedRobot(cell(box.address, tool=0.8, share=1.0), Driver)
             robot.connect()

@@ -60,8 +60,8 @@ ROOMS = {
     "readers": ("datasets", "clouds npz folder ../reading",
                 "datasets/test_clouds datasets/test_folder test_reading"),
     "policies": ("policies", "policy adaptation graph", "policies/test_policy policies/test_adapt"),
-    "robot": ("robot", "kinematics path motion timing states collision", "robot/test_kinematics "
-              "robot/test_path robot/test_motion robot/test_timing robot/test_collision"),
+    "robot": ("robot", "kinematics path motion timing collision",
+              "robot/test_kinematics robot/test_path robot/test_motion robot/test_collision"),
     "verdict": ("estimation", "verdict", "estimation/test_verdict"),
     "likelihood": ("estimation", "likelihood", "estimation/test_gauss_newton "
                    "estimation/test_registration estimation/test_estimate"),

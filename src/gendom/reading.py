@@ -18,14 +18,15 @@ import os
 import stat
 import tomllib
 from collections.abc import Callable
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import require
-from gendom.errors import GendomError, RecordingError
+from gendom.errors import GendomError, RecordingError, did_you_mean
 
 Record = TypeVar("Record")
 
@@ -171,23 +172,44 @@ def parse_json(
 
 
 def record_of(
-    kind: type[Record], value: Any, *, where: str, fix: str, error: type[GendomError] = GendomError
+    kind: type[Record],
+    value: Any,
+    *,
+    where: str,
+    fix: str,
+    by_hand: bool = False,
+    error: type[GendomError] = GendomError,
 ) -> Record:
-    """A dataclass of what JSON holds: each of its fields has the type that it says (arrays as lists
-    of numbers), those without a default are there, and what else is there is left out. `fix` is
-    what to do about a fault.
+    """A dataclass of what JSON or TOML holds: each of its fields has the type that it says (arrays
+    as lists of numbers), those without a default are there. What else is there is left out, or in
+    what people write `by_hand` refused. `fix` is what to do about a fault.
 
     Raises:
         GendomError: As `error`, with the place of the first fault; or what the class raises.
     """
     import msgspec
 
+    if by_hand:
+        _check_keys(kind, value, where, error)
     try:
         return msgspec.convert(value, kind, dec_hook=_array_of)
     except (msgspec.ValidationError, RecursionError) as fault:
         what, _, place = str(fault).replace("`", "").partition(" - at $")
         place = f"{where}: {place.lstrip('.')}" if place else where
         raise error(f"{what[0].lower()}{what[1:]}", where=place, fix=fix) from None
+
+
+def _check_keys(kind: Any, table: dict[str, Any], where: str, error: type[GendomError]) -> None:
+    """Refuse keys that are no fields, but for `path`, the place of the file."""
+    known, types = [f.name for f in fields(kind) if f.name != "path"], get_type_hints(kind)
+    for key, value in table.items():
+        fix = did_you_mean(key, known) or f"known are {', '.join(known)}"
+        require(key in known, f"has the unknown key {key!r}", where=where, fix=fix, error=error)
+        inner = next((k for k in (types[key], *get_args(types[key])) if is_dataclass(k)), None)
+        for n, entry in enumerate(value if isinstance(value, list) else [value]):
+            if inner is not None and isinstance(entry, dict):
+                place = f"{key}[{n}]" if isinstance(value, list) else key
+                _check_keys(inner, entry, f"{where}: {place}", error)
 
 
 def _array_of(_: Any, value: Any) -> NDArray[np.float64]:

@@ -5,8 +5,8 @@ import shutil
 import time
 from functools import partial
 from importlib import resources
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ from gendom.hardware.execution import (
 from gendom.materials import Material, Rope
 from gendom.materials.estimate import Estimate
 from gendom.materials.posterior import Posterior, prior_of
-from gendom.perception import Camera, read_cameras, write_camera
+from gendom.perception import Camera, RealSenseRecording, read_cameras, write_camera
 from gendom.perception.calibration import read_views
 from gendom.perception.ros import RosSettings, read_ros_bag
 from gendom.policies import Policy
@@ -124,35 +124,11 @@ def arm(folder):
 
 
 def bag(folder, plugin):
-    rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="needs rosbags: the extra ros")
-    from rosbags.typesys import Stores, get_typestore
-
-    store, stamp = get_typestore(Stores.ROS2_HUMBLE), "builtin_interfaces/msg/Time"
-    made = {name.split("/")[-1]: kind for name, kind in store.types.items()}
+    ros = pytest.importorskip("ros_messages", reason="needs rosbags: the extra ros")
     shutil.rmtree(folder)
-    with rosbag2.Writer(folder, version=9, storage_plugin=rosbag2.StoragePlugin[plugin]) as file:
-        cloud, pose = "sensor_msgs/msg/PointCloud2", "geometry_msgs/msg/PoseStamped"
-        topics = {k: file.add_connection(f"/{k[-4:]}", k, typestore=store) for k in (cloud, pose)}
-        for k in range(4):
-            at = store.types[stamp](sec=k, nanosec=0)
-            header = made["Header"](stamp=at, frame_id="world")
-            fields: Any = [
-                made["PointField"](name=axis, offset=4 * n, datatype=7, count=1)
-                for n, axis in enumerate("xyz")
-            ]
-            seen = made["PointCloud2"](
-                header=header, height=1, width=12, fields=fields, is_bigendian=False,
-                point_step=12, row_step=144, data=POINTS.view(np.uint8).ravel(), is_dense=True,
-            )  # fmt: skip
-            held = made["PoseStamped"](
-                header=header,
-                pose=made["Pose"](
-                    position=made["Point"](x=0.0, y=0.0, z=0.01 * k),
-                    orientation=made["Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
-                ),
-            )
-            for kind, message in ((cloud, seen), (pose, held)):
-                file.write(topics[kind], k * 10**9, store.serialize_cdr(message, kind))
+    rows = [("/clouds", ros.cloud(k, "world", POINTS)) for k in range(4)]
+    rows += [("/pose", ros.pose(k, "world", [0.0, 0.0, 0.01 * k])) for k in range(4)]
+    ros.write_bag(folder, rows, plugin)
     (folder / "object.toml").write_text(TOML)
 
 
@@ -233,13 +209,24 @@ def rows_of(folder):
 
 
 def read_bag(folder):
-    read_ros_bag(folder, folder / "object.toml", RosSettings(gripper="/mped"))
+    read_ros_bag(folder, folder / "object.toml", RosSettings(gripper="/pose"))
 
 
 def read_pictures(folder):
     for source in read_cameras(folder).sources:
         for frame in source:
             frame.read()
+
+
+def realsense(folder):
+    shutil.copy(
+        Path(__file__).parents[1] / "perception/recordings/sdk-2.59.db3", folder / "recording.db3"
+    )
+
+
+def read_realsense(folder):
+    for frame in RealSenseRecording(folder):
+        frame.read()
 
 
 def read_boards(folder):
@@ -303,6 +290,7 @@ READERS = {
     "mcap": (lambda f: bag(f, "MCAP"), read_bag),
     "db3": (lambda f: bag(f, "SQLITE3"), read_bag),
     "cameras": (cameras, read_pictures),
+    "realsense": (realsense, unchecked(read_realsense)),
     "board": (board, read_boards),
     "arm": (arm, unchecked(lambda f: read_arm(f / "arm.urdf"))),
 }

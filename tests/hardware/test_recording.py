@@ -3,6 +3,7 @@
 import json
 import threading
 import time
+from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
@@ -135,15 +136,15 @@ def test_pictures_that_never_came_are_counted(record):
 
 def _unplugged(cameras):
     removed = SimpleNamespace(was_removed=lambda which: which is cameras[1]._device)
-    threading.Timer(1.0, cameras[1]._devices_changed, [removed]).start()
+    threading.Timer(0.6, cameras[1]._devices_changed, [removed]).start()
     return cameras
 
 
 @pytest.mark.parametrize(
     ("how", "words"),
     [
-        ({"stamp": lambda c, k: 100.0 + min(k, 30 if c else k) / RATE}, "right has given no new"),
-        ({"number": lambda c, k: None if c == 0 and k > 30 else k + 1}, "left has given no new"),
+        ({"stamp": lambda c, k: 100.0 + min(k, 15 if c else k) / RATE}, "right has given no new"),
+        ({"number": lambda c, k: None if c == 0 and k > 15 else k + 1}, "left has given no new"),
         ({"live": _unplugged}, "right was unplugged"),
     ],
     ids=["frozen", "silent", "unplugged"],
@@ -155,7 +156,7 @@ def test_a_camera_that_fails_stops_the_robot(record, how, words):
     assert isinstance(error, DeviceError) and f"camera {words}" in str(error)
     assert arm.stopped.is_set() and time.monotonic() - began < 15.0
     assert words in json.loads((folder / "recording.json").read_text())["ended"]
-    assert all(len(list(source)) > 15 for source in read_cameras(folder).sources)
+    assert all(len(list(source)) > 5 for source in read_cameras(folder).sources)
 
 
 @pytest.mark.parametrize(
@@ -171,7 +172,7 @@ def test_a_disk_that_fills_stops_the_robot_and_a_full_one_is_told_before(
     monkeypatch.setattr("gendom.hardware.recording.shutil.disk_usage", usage)
     arm = Arm()
     if seconds > 1.0:
-        threading.Timer(1.0, rooms.append, [1e8]).start()
+        threading.Timer(0.6, rooms.append, [1e8]).start()
     folder, error = record(arm, seconds=seconds)
     assert isinstance(error, DeviceError) and words in str(error)
     if seconds > 1.0:
@@ -196,7 +197,7 @@ def test_a_camera_that_never_gives_a_picture(record, monkeypatch):
     assert "camera right: gives no depth and no color picture; check cable" in str(error)
 
 
-def test_absent_cameras_modes_and_sdk(sdk, monkeypatch):
+def test_absent_cameras_modes_and_sdk(sdk, monkeypatch, tmp_path):
     described = CellCamera(name="left", device="realsense", serial="0" * 12, T_world_camera=None)
     with pytest.raises(DeviceError, match=r"no RealSense camera.* is connected; "):
         RealSenseCamera(described).connect()
@@ -204,7 +205,7 @@ def test_absent_cameras_modes_and_sdk(sdk, monkeypatch):
     with pytest.raises(DeviceError, match=r"no depth of 848 x 480 at 30.*choose of 64 x 48"):
         RealSenseCamera(described, device=device).connect()
     with pytest.raises(DeviceError, match="is not connected; call connect"):
-        _ = RealSenseCamera(described).camera
+        RealSenseCamera(described).start_recording(tmp_path)
     monkeypatch.setitem(__import__("sys").modules, "pyrealsense2", None)
     with pytest.raises(DeviceError, match=r"SDK is missing; pip install .*\[camera\]'"):
         RealSenseCamera(described).connect()
@@ -218,6 +219,22 @@ def test_stamps_of_a_cameras_own_clock_are_told(sdk, tmp_path):
     live.wait_for_pictures()
     (said,) = live.stop_recording().warnings
     assert "of the camera's own clock" in said
+
+
+@pytest.mark.parametrize(("before", "missing"), [(0, 0), (1, 0), (3, 4)])
+def test_the_sdk_may_begin_to_record_with_the_second_picture(sdk, tmp_path, before, missing):
+    """Of both streams. Later pictures that it does not write are missing."""
+    software = SoftwareCamera(camera())
+    live = connected(software)
+    live.start_recording(tmp_path)
+    for k, kind in product(range(before), ("depth", "color")):
+        of = SimpleNamespace(stream_type=lambda kind=kind: SimpleNamespace(name=kind))
+        values = {"frame_number": k, "timestamp": 1e3 * k / RATE, "profile": of}
+        live._take(SimpleNamespace(**{f"get_{n}": lambda v=v: v for n, v in values.items()}))
+    software.show(before / RATE, before, pictures(1))
+    live.wait_for_pictures()
+    found = live.stop_recording()
+    assert (found.pictures, found.missing) == (2, missing)
 
 
 def test_a_recording_is_replayed(record, tmp_path):

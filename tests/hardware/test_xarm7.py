@@ -5,9 +5,7 @@ The machine that runs this may be busy: reports may be older here than `BLIND` s
 
 import math
 import os
-import signal
 import socket
-import subprocess
 import sys
 import threading
 import time
@@ -26,7 +24,7 @@ from gendom.hardware.execution import ExecutionLog, execute, read_log
 from gendom.hardware.streamed import StreamedRobot
 from gendom.hardware.streaming import Streamer
 from gendom.robot import DOWN, XARM7, GripperEvent, TcpPath
-from hardware.xarm_box import AWAY, Box, Driver, cell, patient, there_and
+from hardware.xarm_box import AWAY, Box, Driver, cell, ended, patient, there_and
 from simulated_cell import write_cell
 
 
@@ -143,43 +141,20 @@ def assert_braked(box):
     assert box.orders("mode")[-1] == 0
 
 
-PROGRAM = """
-import sys
-from hardware.xarm_box import StreamedRobot, cell, patient, there_and
-if __name__ == "__main__":
-    robot = StreamedRobot(cell(sys.argv[1], tool=0.5, share=1.0), patient)
-    robot.connect()
-    said = []
-    def tick(tick):
-        if tick.time > 0.5 and not said:
-            said.append(1)
-            print("moving", robot._process.pid, flush=True)
-    robot.play(there_and(), on_tick=tick)
-"""
+PLAYED = (
+    "from hardware.xarm_box import *; "
+    "play_aloud(StreamedRobot(cell({!r}, tool=0.5, share=1.0), patient), there_and(0.2), 0.5)"
+)
 
 
 @pytest.mark.parametrize("end", ["SIGKILL", "SIGINT"])
 def test_the_arm_brakes_when_its_program_ends(box, tmp_path, end):
-    program = tmp_path / "program.py"
-    program.write_text(PROGRAM)
-    path = os.pathsep.join(filter(None, sys.path))
-    with subprocess.Popen(
-        [sys.executable, str(program), box.address],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONPATH": path},
-    ) as parent:
-        assert parent.stdout is not None
-        child = next(int(line.split()[1]) for line in parent.stdout if line.startswith("moving"))
-        ended = time.monotonic()
-        parent.send_signal(getattr(signal, end))
-        parent.wait(20)
-    while alive(child) and time.monotonic() < ended + 10.0:
+    when, child = ended(tmp_path, PLAYED.format(box.address), end)
+    while alive(child) and time.monotonic() < when + 10.0:
         time.sleep(0.01)
     assert not alive(child)
     assert_braked(box)
-    seconds, metres = box.stopping(ended)
+    seconds, metres = box.stopping(when)
     assert seconds < 2.0  # 0.2 where nothing else runs: benchmarks/faults.py
     assert metres < 0.3
 

@@ -10,8 +10,11 @@ lags by `LAG` and is `off`, is asked for by function 42 with a parameter.
 import itertools
 import math
 import os
+import signal
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
 from contextlib import suppress
@@ -54,6 +57,38 @@ def patient(here):
     """The driver, for a computer that has other work to do."""
     streaming.BLIND, xarm7._QUICK = (0.3, 1.0), 1.0
     return Driver(here)
+
+
+def play_aloud(robot, motion, at):
+    """Play a motion; when so many seconds of it are over, print the process that streams it."""
+    told = []
+
+    def tick(tick):
+        if tick.time > at and not told:
+            told.append(1)
+            print("moving", robot._process.pid, flush=True)
+
+    robot.connect()
+    robot.play(motion, on_tick=tick)
+
+
+def ended(folder, call, how):
+    """When a program of imports and one call, which plays a motion aloud, was ended in that by a
+    signal; and the process that streamed it."""
+    program = folder / "program.py"  # spawned children import it
+    imports, _, call = call.rpartition("; ")
+    program.write_text(f"{imports}\nif __name__ == '__main__':\n    {call}\n")
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    order = [sys.executable, str(program)]
+    with subprocess.Popen(
+        order, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=env
+    ) as parent:
+        assert parent.stdout is not None
+        child = next(int(line.split()[1]) for line in parent.stdout if line.startswith("moving"))
+        at = time.monotonic()
+        parent.send_signal(getattr(signal, how))
+        parent.wait(20)
+    return at, child
 
 
 def cell(address, **speed):

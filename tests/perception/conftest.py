@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from gendom.perception import Camera, Pictures, PngWriter
+from gendom import cli
+from gendom.perception import Camera, Frame, Pictures, PngWriter
 from gendom.reality.sensor import BASELINE
 
 
@@ -164,6 +166,23 @@ class Scene:
         return sensor.observe(depth, colours.astype(np.uint8).reshape(*shape, 3), camera, rng)
 
 
+class Live:
+    """A camera that renders a scene when asked, as a device or a vendor's recording would deliver;
+    its pose may be stated wrongly."""
+
+    def __init__(self, camera, scene, frames, stated=None):
+        self.camera, self._frames, self.decoded = stated or camera, frames, 0
+        self._render = cache(lambda key: scene(key).pictures(camera, seed=key))
+
+    def __iter__(self):
+        for t in range(self._frames):
+            yield Frame(t / 30, f"frame {t}", lambda t=t: self._read(t))
+
+    def _read(self, t):
+        self.decoded += 1
+        return self._render(t)
+
+
 def depth_rms(camera, z, sensor=NOISE):
     """RMS of a sensor's noise at depth z [m], steps included: z^2 s / (f B)."""
     s = np.hypot(sensor.subpixel, sensor.quantisation / np.sqrt(12))
@@ -227,6 +246,18 @@ def write_lift(
         '[object]\nkind = "rope"\nlength = 0.4\ndiameter = 0.01\n'
     )
     return ropes
+
+
+@pytest.fixture
+def command(tmp_path, capsys):
+    """Function (folder, flags) of `gendom perceive` -> its code, what was printed, and the file."""
+
+    def run(folder, *words, out="recording.npz"):
+        out = tmp_path / "out" / out
+        code = cli.main(["perceive", str(folder), "--out", str(out), *map(str, words)])
+        return code, capsys.readouterr(), out
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -14,6 +14,7 @@ from gendom import cli
 from gendom.errors import GendomError
 from gendom.perception import Pictures, RealSenseRecording, read_camera, write_camera
 from gendom.perception.calibration import Board, BoardView, calibrate, find_board, read_views
+from gendom.perception.camera import rigid
 
 cv2 = pytest.importorskip("cv2", reason="needs the extra `camera`")
 
@@ -22,10 +23,7 @@ FINER = 4  # the picture is drawn so much larger, then averaged
 
 
 def transform(rotvec_degrees, t):
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_rotvec(np.radians(rotvec_degrees)).as_matrix()
-    T[:3, 3] = t
-    return T
+    return rigid(Rotation.from_rotvec(rotvec_degrees, degrees=True).as_matrix(), t)
 
 
 def render(camera, T_camera_board, board=BOARD, noise=0.0, seed=0):
@@ -120,11 +118,10 @@ def test_within_a_millimetre_and_a_tenth_of_a_degree(taken, tmp_path, capsys):
     np.testing.assert_array_equal(again.K, camera.K)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_other_poses_give_the_same(world, seed):
+def test_other_poses_give_the_same(world):
     """With noise of four grey levels, too; corners are found where they are."""
     camera, views, errors = world.make_camera(), [], []
-    poses, boards, _ = robot_poses(camera, good_tilts(12, seed), seed=seed)
+    poses, boards, _ = robot_poses(camera, good_tilts(8, 0), seed=0)
     for k, (pose, T) in enumerate(zip(poses, boards, strict=True)):
         points, pixels = find_board(render(camera, T, noise=4.0, seed=k), BOARD)
         views.append(BoardView(f"picture {k}", points, pixels, pose))

@@ -11,7 +11,6 @@ from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.perception import (
     CameraRecording,
-    Frame,
     FrameSource,
     PerceptionSettings,
     RobotPath,
@@ -20,23 +19,6 @@ from gendom.perception import (
 
 ROPE = {"object": {"kind": "rope", "length": 0.4, "diameter": 0.01}, "table_height": 0.0}
 SETTINGS = PerceptionSettings(colour=(180, 30, 35), workspace=(-0.4, -0.4, -0.05, 0.4, 0.4, 0.4))
-
-
-class Live:
-    """A camera that renders a scene when asked, as a device or a vendor's recording would deliver;
-    its pose may be stated wrongly."""
-
-    def __init__(self, camera, scene, frames, stated=None):
-        self.camera, self._frames, self.decoded = stated or camera, frames, 0
-        self._render = cache(lambda key: scene(key).pictures(camera, seed=key))
-
-    def __iter__(self):
-        for t in range(self._frames):
-            yield Frame(t / 30, f"frame {t}", lambda t=t: self._read(t))
-
-    def _read(self, t):
-        self.decoded += 1
-        return self._render(t)
 
 
 def lifted(world, t):
@@ -50,11 +32,10 @@ def live(world):
     ):
         """Of two cameras, `held` on a table; `stated` are their poses [4, 4]."""
         cameras = world.pair(other.get("scale", 0.5))
+        stated = other.get("stated", [camera.calibrated() for camera in cameras])
+        scene = lambda t: world.Scene([world.Plane(), held(world, t)])  # noqa: E731
         sources = [
-            Live(c, lambda t, c=c: world.Scene([world.Plane(), held(world, t)]), frames, c.at(T))
-            for c, T in zip(
-                cameras, other.get("stated", [c.calibrated() for c in cameras]), strict=True
-            )
+            world.Live(c, scene, frames, c.at(T)) for c, T in zip(cameras, stated, strict=True)
         ]
         robot = RobotPath(np.array(times), np.array(path, float)[:, None])
         return CameraRecording([*sources], robot, meta, where="live")

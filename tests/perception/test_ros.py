@@ -7,7 +7,6 @@ import subprocess
 import sys
 from contextlib import closing
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,13 +20,10 @@ from gendom.perception import RealSenseRecording, RosSettings, read_ros_bag
 
 pytest.importorskip("rosbags", reason="needs rosbags: the extra ros")
 
-from rosbags.interfaces import Nodetype
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from ros_messages import START, cloud, header, made, pose, tf, write_bag
 
-STORE = get_typestore(Stores.ROS2_HUMBLE)
-CLOUD, POSE, TF = "sensor_msgs/PointCloud2", "geometry_msgs/PoseStamped", "tf2_msgs/TFMessage"
-KIND, START, NONE = "sensor_msgs/msg/", 1_700_000_000, np.zeros((3, 3))
+PLUGINS = ("MCAP", "SQLITE3")
+NONE = np.zeros((3, 3))
 CAMERA, AT = Rotation.from_euler("xyz", [2.0, 0.1, -0.7]), np.array([0.4, -0.3, 0.8])
 """How the camera is turned in the world, and where it is."""
 OBJECT = '[object]\nkind = "rope"\nlength = 0.4\ngrasp = "end"\n'
@@ -37,58 +33,6 @@ LINE = np.linspace(0.0, 0.4, 20)
 CLOUDS = [np.stack([LINE, 0.0 * LINE, 0.05 * t * LINE + 0.01], axis=1) for t in range(3)]
 GRIP = [np.array([0.4, 0.0, 0.02 * t + 0.01]) for t in range(3)]
 """Clouds in the world at three times, and where the gripper is then."""
-
-
-def made(kind, values) -> Any:
-    """A message of nested mappings; what is not given is zero or empty."""
-    kind, fields = kind.replace("/msg", "").replace("/", "/msg/"), {}
-    definitions: Any = STORE.fielddefs[kind][1]
-    for name, (form, of) in definitions:
-        value: Any = values.get(name)
-        if form == Nodetype.NAME:
-            value = made(of, value or {})
-        elif value is None:
-            value = {Nodetype.BASE: "" if of[0] == "string" else 0, Nodetype.SEQUENCE: []}.get(form)
-            value = np.zeros(of[1]) if value is None else value
-        elif isinstance(value, list):
-            value = [made(of[0][1], one) for one in value]
-        fields[name] = value
-    return STORE.types[kind](**fields)
-
-
-def header(time, frame):
-    sec, part = divmod(round(time * 1e9), 10**9)
-    return {"stamp": {"sec": START + sec, "nanosec": part}, "frame_id": frame}
-
-
-def xyzw(x):
-    return dict(zip("xyzw", map(float, x), strict=False))
-
-
-def tf(time, parent, child, x=(5.0, 5.0, 5.0), turn=None, length=1.0):
-    """A transform of TF, with a quaternion of a length."""
-    turn = Rotation.identity() if turn is None else turn
-    moved = {"translation": xyzw(x), "rotation": xyzw(length * turn.as_quat())}
-    of = {"header": header(time, parent), "child_frame_id": child, "transform": moved}
-    return made(TF, {"transforms": [of]})
-
-
-def cloud(time, frame, points, *, order="<", height=1, names="xyz", ends=b"junk"):
-    """Each point has four bytes of colour before x and y, and z after a gap; rows end with
-    something else."""
-    offsets, kinds = [0, 4, 8, 16], [f"{order}u4", *[f"{order}f4"] * 3]
-    of: Any = {"names": ["rgb", *"xyz"], "formats": kinds, "offsets": offsets, "itemsize": 24}
-    table = np.zeros(len(points), np.dtype(of))
-    table["x"], table["y"], table["z"] = np.asarray(points).T
-    width = len(points) // height
-    data = b"".join(table[k * width : (k + 1) * width].tobytes() + ends for k in range(height))
-    fields = [
-        {"name": n, "offset": o, "datatype": 7, "count": 1}
-        for n, o in zip(names, offsets[1:], strict=True)
-    ]
-    size = {"height": height, "width": width, "point_step": 24, "row_step": 24 * width + len(ends)}
-    values = {"header": header(time, frame), "fields": fields, "is_bigendian": order == ">", **size}
-    return made(CLOUD, {**values, "data": np.frombuffer(data, np.uint8)})
 
 
 def seen(points):
@@ -108,9 +52,7 @@ def messages(clouds=CLOUDS, **changes):
         tool = np.array([0.4, 0.0, 0.01 + 0.04 * (time - 0.5)])
         rows.append(("/tf", tf(time, "base", "hand", tool - turn.apply(offset), turn)))
         rows.append(("/tf", tf(time, "hand", "tool", offset)))
-        pose = {"position": xyzw(seen(tool)), "orientation": {"w": 1.0}}
-        held = made(POSE, {"header": header(time, "camera"), "pose": pose})
-        rows.append(("/tool_pose", held))
+        rows.append(("/tool_pose", pose(time, "camera", seen(tool))))
     for time, points in zip(TIMES, clouds, strict=True):
         rows.append(("/camera/points", cloud(time, "camera", seen(points), **changes)))
     return rows
@@ -118,14 +60,8 @@ def messages(clouds=CLOUDS, **changes):
 
 @pytest.fixture
 def bag(tmp_path):
-    def write(rows, plugin=StoragePlugin.MCAP, name="bag"):
-        path, known = tmp_path / name, {}
-        with Writer(path, version=9, storage_plugin=plugin) as writer:
-            for n, (topic, message) in enumerate(rows):
-                kind = message.__msgtype__
-                if topic not in known:
-                    known[topic] = writer.add_connection(topic, kind, typestore=STORE)
-                writer.write(known[topic], START * 10**9 + n, STORE.serialize_cdr(message, kind))
+    def write(rows, plugin="MCAP", name="bag"):
+        path = write_bag(tmp_path / name, rows, plugin)
         (path / "object.toml").write_text(OBJECT)
         return path
 
@@ -145,7 +81,7 @@ def check(recording):
     assert recording.object.length == 0.4
 
 
-@pytest.mark.parametrize("plugin", StoragePlugin)
+@pytest.mark.parametrize("plugin", PLUGINS)
 @pytest.mark.parametrize("gripper", ["tool", "/tool_pose"])
 def test_a_lift(bag, plugin, gripper):
     found = read(bag(messages(), plugin), gripper)
@@ -215,58 +151,23 @@ def last(change):
     return lambda rows: [*rows[:-1], (rows[-1][0], change(rows[-1][1]))]
 
 
-@pytest.mark.parametrize(
-    ("spoil", "settings", "said"),
-    [
-        (without("/camera/points"), {}, "has 0 topics of clouds or depth; record a "),
-        (
-            lambda rows: [*rows, ("/other", rows[-1][1])],
-            {},
-            "has 2 topics of clouds or depth: /camera/points, /other; name one",
-        ),
-        (
-            list,
-            {"points": "/p"},
-            f"has no topic /p of {KIND}PointCloud2; give one of: /camera/points",
-        ),
-        (
-            without("/tool_pose"),
-            {"gripper": "/tool_pose"},
-            "has no topic /tool_pose of geometry_msgs/msg/PoseStamped, nor another one; record one",
-        ),
-        (
-            list,
-            {"gripper": "/camera/points"},
-            "/camera/points is no geometry_msgs/msg/PoseStamped; give one of: /tool_pose",
-        ),
-        (
-            list,
-            {"gripper": "tol"},
-            "TF does not say where tol is in world; give frames of one tree; it has base, camera, ",
-        ),
-        (
-            last(lambda m: cloud(1.0, "nowhere", NONE)),
-            {},
-            "TF does not say where nowhere is in world",
-        ),
-        (
-            last(lambda m: cloud(1.5, "camera", NONE, names="xyi")),
-            {},
-            "/camera/points: a cloud has no 'z'; record x, y, z",
-        ),
-        (
-            last(lambda m: replace(m, data=m.data[:100])),
-            {},
-            "/camera/points: a cloud has 100 bytes for 20 points of 24",
-        ),
-        (without("/tf_static"), {}, "TF does not say where camera is in base"),
-        (
-            lambda rows: [*rows, ("/tf", tf(0.0, "tool", "base"))],
-            {"world": "camera"},
-            "TF has a loop at tool; mend it",
-        ),
-    ],
-)
+POINTS, HELD, NOT_SAID = "/camera/points", "/tool_pose", "TF does not say where "
+LACKING = [
+    (without(POINTS), {}, "has 0 topics of clouds or depth; record a "),
+    (lambda rows: [*rows, ("/b", rows[-1][1])], {}, f"has 2 topics of clouds or depth: {POINTS}"),
+    (list, {"points": "/p"}, "has no topic /p of sensor_msgs/msg/PointCloud2; give one of: /cam"),
+    (without(HELD), {"gripper": HELD}, "has no topic /tool_pose of geometry_msgs/msg/PoseStamped"),
+    (list, {"gripper": POINTS}, f"{POINTS} is no geometry_msgs/msg/PoseStamped; give one of: /t"),
+    (list, {"gripper": "tol"}, f"{NOT_SAID}tol is in world; give frames of one tree; it has base"),
+    (last(lambda m: cloud(1.0, "nowhere", NONE)), {}, f"{NOT_SAID}nowhere is in world"),
+    (last(lambda m: cloud(1.5, "camera", NONE, names="xyi")), {}, f"{POINTS}: a cloud has no 'z'"),
+    (last(lambda m: replace(m, data=m.data[:100])), {}, f"{POINTS}: a cloud has 100 bytes for 20"),
+    (without("/tf_static"), {}, f"{NOT_SAID}camera is in base"),
+    (lambda rows: [*rows, ("/tf", tf(0.0, "tool", "base"))], {"world": "camera"}, "TF has a loop"),
+]
+
+
+@pytest.mark.parametrize(("spoil", "settings", "said"), LACKING)
 def test_what_is_lacking_is_told(bag, spoil, settings, said):
     path = bag(spoil(messages()))
     with pytest.raises(RecordingError) as caught:
@@ -293,7 +194,7 @@ def test_frames_are_those_of_tf2(bag, case):
     check(read(bag(rows)))
 
 
-@pytest.mark.parametrize("plugin", StoragePlugin)
+@pytest.mark.parametrize("plugin", PLUGINS)
 def test_the_command(bag, tmp_path, capsys, plugin):
     """Also of a bag whose recorder was killed, and of what is no bag."""
     path, out = bag(messages(), plugin), tmp_path / "lift.npz"

@@ -6,25 +6,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gendom import cli
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
-from gendom.perception import CameraRecording, Frame, PerceptionSettings, RobotPath, perceive
+from gendom.perception import CameraRecording, PerceptionSettings, RobotPath, perceive
 
 WHITE, BEIGE, GREY, BLACK = (235, 235, 230), (205, 190, 160), (150, 150, 145), (30, 30, 30)
 RED, SKIN = (180, 30, 35), (215, 165, 135)
 META = {"object": {"kind": "rope", "length": 0.4, "diameter": 0.016}, "table_height": 0.0}
 LARGE = r"in 2 of 2 frames points cover \d+ times the object's own area"
-
-
-class Rendered:
-    def __init__(self, camera, scene, frames):
-        self.camera = self.real = camera
-        self.scene, self.frames = scene, frames
-
-    def __iter__(self):
-        for t in range(self.frames):
-            yield Frame(t / 30, f"frame {t}", lambda t=t: self.scene(t).pictures(self.real))
 
 
 def rope_of(world, t, own):
@@ -58,7 +47,7 @@ def recorded(world, own=RED, table=GREY, beside="", frames=2):
         return world.Scene([world.Plane(colour=table), rope_of(world, t, own), *others])
 
     robot = RobotPath(np.array([0.0, 1.0]), np.array([[[0.0, 0.0, 0.2]], [[0.0, 0.0, 0.5]]]))
-    sources = [Rendered(camera, scene, frames) for camera in world.pair()]
+    sources = [world.Live(camera, scene, frames) for camera in world.pair()]
     return CameraRecording([*sources], robot, META, where="lift")
 
 
@@ -136,18 +125,12 @@ def masked(world, tmp_path_factory):
     return folder, ropes
 
 
-def run(folder, masks, out, capsys):
-    words = ["perceive", str(folder / "lift"), "--masks", str(masks), "--out", str(out)]
-    code = cli.main(words)
-    return code, capsys.readouterr()
-
-
-def test_masks_of_another_program(masked, tmp_path, capsys):
+def test_masks_of_another_program(masked, command):
     """They take the rope, with what lies on the table, and not the hand that touches it."""
     folder, ropes = masked
-    code, said = run(folder, folder / "masks", tmp_path / "a.npz", capsys)
+    code, said, out = command(folder / "lift", "--masks", folder / "masks")
     assert code == 0, said.err
-    recording = Recording.read(tmp_path / "a.npz")
+    recording = Recording.read(out)
     for t, rope in enumerate(ropes):
         off = rope.distance(recording.frame(t).astype(float))
         assert (off > 0.02).mean() < 0.05 and abs(np.median(off)) < 0.003
@@ -163,17 +146,17 @@ def test_masks_of_another_program(masked, tmp_path, capsys):
         (lambda path: path.write_bytes(b"GIF"), "is damaged"),
     ],
 )
-def test_bad_masks(masked, tmp_path, capsys, spoil, said):
+def test_bad_masks(masked, tmp_path, command, spoil, said):
     """One leaves a frame out with a warning; where all are bad, one line says why."""
     folder, _ = masked
     masks = shutil.copytree(folder / "masks", tmp_path / "masks")
     spoil(masks / "left" / "000002.png")
-    code, printed = run(folder, masks, tmp_path / "a.npz", capsys)
+    code, printed, out = command(folder / "lift", "--masks", masks)
     assert code == 0 and said in printed.out
-    assert Recording.read(tmp_path / "a.npz").num_frames == 2
+    assert Recording.read(out).num_frames == 2
     for path in masks.rglob("00000[0-9].png"):
         spoil(path)
-    code, printed = run(folder, masks, tmp_path / "b.npz", capsys)
+    code, printed, _ = command(folder / "lift", "--masks", masks)
     assert code == 2 and said in printed.err and len(printed.err.splitlines()) == 1
 
 

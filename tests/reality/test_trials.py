@@ -30,7 +30,7 @@ from gendom.reality import (
     task_trial,
 )
 from gendom.reality.arm import surroundings
-from gendom.robot import LIFT_ENDS, XARM7, LiftMotion, collision_along, predefined_lift
+from gendom.robot import LIFT_ENDS, XARM7, CollisionChecker, LiftMotion, predefined_lift
 from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
 from gendom.tasks.cloth_spreading import WAIT as SPREADING_WAIT
 from gendom.tasks.world import Simulation
@@ -168,7 +168,7 @@ def test_what_is_done_by_default_touches_nothing(trial):
     motion = TrialRun(trial, cameras=cameras).motion
     assert motion is not None
     thick = thickness_of(trial.item)
-    assert collision_along(XARM7, motion, surroundings(cameras), opening=thick) is None
+    assert CollisionChecker(XARM7, surroundings(cameras), opening=thick).along(motion) is None
 
 
 def test_a_camera_in_the_arms_way_is_refused():

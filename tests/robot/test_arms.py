@@ -12,9 +12,9 @@ from gendom.errors import RobotError
 from gendom.robot import (
     FR3,
     XARM7,
+    CollisionChecker,
     Surroundings,
     arm_shape,
-    collision_at,
     find_arm,
     fit_capsules,
     follow,
@@ -178,7 +178,7 @@ def test_an_arm_of_an_mjcf_with_fingers_and_a_file_beside_it(tmp_path):
         (b"<mujoco><include file='/etc/hosts'/></mujoco>", "", "holds <include>"),
         (b"<mujoco><worldbody/></mujoco>", "", "has 0 revolute joints in a row"),
         (b"<mujoco><asset><mesh file='no.stl'/></asset></mujoco>", "", r"no\.stl: no such file"),
-        (None, "grip = 1\n", "has grip"),
+        (None, "grip = 1\n", "has the unknown key 'grip'"),
         (None, "opening = -1\n", "opening is -1"),
         (None, "home = [1, 2]\n", "home is"),
         (None, 'flange = "hand"\n', "no body or site 'hand'"),
@@ -226,7 +226,7 @@ def test_the_fr3_stands_as_franka_s_urdf_says():
 def test_the_fr3_carries_out_the_tasks():
     assert find_arm("fr3") is FR3
     table = Surroundings(table_height=0.0, clearance=0.02, self_clearance=0.01)
-    assert collision_at(FR3, FR3.home, table) is None
+    assert CollisionChecker(FR3, table).at(FR3.home) is None
     for task in (RopeReaching(), RopeCasting()):
         (action,) = task.sample_actions(task.item, np.random.default_rng(0), 1)
         path = task.tool_path(task.item, action).moved(task.T_world_task(task.item))

@@ -11,14 +11,11 @@ from gendom.robot import (
     DOWN,
     XARM7,
     Box,
+    CollisionChecker,
     Post,
     Surroundings,
     TcpPath,
     arm_shape,
-    check_collisions,
-    clearances,
-    collision_along,
-    collision_at,
     follow,
     inverse_kinematics,
     joint_move,
@@ -98,14 +95,14 @@ def test_capsules_are_as_far_apart_as_mujoco_says():
     data, arm_first = mujoco.MjData(model), 2
     surroundings = Surroundings(table_height=0.0, obstacles=(board,))
     q = random_q(15)
-    found = clearances(XARM7, q, surroundings, opening=0.03)
+    checker = CollisionChecker(XARM7, surroundings, opening=0.03)
     names = arm_shape(XARM7, XARM7.home, 0.03).names
     geom = {name: arm_first + k for k, name in enumerate(names)} | {"board": 0, "table": 1}
     overlapping = 0
-    for angles, gap in zip(q, found.distance, strict=True):
+    for angles, gap in zip(q, checker.distance(q), strict=True):
         data.qpos[:] = angles
         mujoco.mj_kinematics(model, data)
-        for (first, second), mine in zip(found.pairs, gap, strict=True):
+        for (first, second), mine in zip(checker.pairs, gap, strict=True):
             theirs = mujoco.mj_geomDistance(model, data, geom[first], geom[second], 10.0, None)
             overlapping += mine < 0.0
             if second == "board" and mine < 0.0:
@@ -120,9 +117,9 @@ def test_capsules_are_as_far_apart_as_mujoco_says():
 
 
 def test_home_is_free_and_a_folded_arm_is_not():
-    assert collision_at(XARM7, XARM7.home, TABLE) is None
+    assert CollisionChecker(XARM7, TABLE).at(XARM7.home) is None
     bowed = np.array([0.0, 1.5, 0.0, 0.0, 0.0, -0.6, 0.0])  # the hand is where the base is
-    found = collision_at(XARM7, bowed)
+    found = CollisionChecker(XARM7).at(bowed)
     assert found is not None and found.depth > 0.05 and found.time is None
     assert str(found).startswith("base and link6 column overlap by 107.0 mm")
 
@@ -131,11 +128,11 @@ def test_a_hand_below_the_table_is_told():
     T = tcp_pose(XARM7, XARM7.home)
     T[:3, 3] = 0.45, 0.0, -0.01
     low = inverse_kinematics(XARM7, T)
-    found = collision_at(XARM7, low, TABLE)
+    found = CollisionChecker(XARM7, TABLE).at(low)
     assert found is not None and found.second == "table" and "pad" in found.first
     # The closed pads reach 1.4 mm beyond the tool point.
     assert found.depth == pytest.approx(0.0114, abs=2e-4)
-    assert collision_at(XARM7, low) is None
+    assert CollisionChecker(XARM7).at(low) is None
 
 
 @pytest.mark.parametrize(
@@ -173,7 +170,7 @@ def test_the_arm_does_not_run_into_itself():
     """Both ends are free, what is between is not."""
     a = np.array([0.8, 1.9, 2.7, 1.2, -2.4, 0.3, -0.6])
     b = np.array([-1.4, 1.4, -1.6, 0.2, 1.8, -0.6, -2.0])
-    assert collision_at(XARM7, a) is None and collision_at(XARM7, b) is None
+    assert CollisionChecker(XARM7).at(a) is None and CollisionChecker(XARM7).at(b) is None
     with pytest.raises(RobotError, match=r"collide, .* mm deep at t = .*; move the path away from"):
         joint_move(XARM7, a, b)
 
@@ -184,9 +181,9 @@ def test_obstacles_in_the_way_are_named_and_those_beside_are_not():
     ball = post("ball", [0.45, 0, 0.2], [0.45, 0, 0.2], 0.1)
     for one, words in ((camera, "camera left collide.*away from the camera left"), (ball, "ball")):
         with pytest.raises(RobotError, match=f"and {words}"):
-            check_collisions(XARM7, motion, Surroundings(obstacles=(one,)))
+            CollisionChecker(XARM7, Surroundings(obstacles=(one,))).check(motion)
     aside = replace(camera, position=np.array([0.45, 0.4, 0.3]))
-    check_collisions(XARM7, motion, Surroundings(table_height=0.0, obstacles=(aside,)))
+    CollisionChecker(XARM7, Surroundings(table_height=0.0, obstacles=(aside,))).check(motion)
 
 
 @pytest.mark.slow
@@ -196,9 +193,9 @@ def test_nothing_slips_through_between_two_looks():
     tool = motion.tcp_at(XARM7, 0.5 * (motion.start + motion.end))[:3, 3]
     for height in (0.0, 0.0005, 0.0012):
         around = Surroundings(obstacles=(post("wire", tool - 0.05 * UP, tool + height * UP, 5e-4),))
-        found = collision_along(XARM7, motion, around)
+        found = CollisionChecker(XARM7, around).along(motion)
         dense = motion.at(np.linspace(motion.start, motion.end, 20001))
-        deep = -clearances(XARM7, dense, around).distance.min()
+        deep = -CollisionChecker(XARM7, around).distance(dense).min()
         assert (found is not None) == (deep > 0.0)
         if found is not None:
             assert found.depth == pytest.approx(deep, abs=2e-3) and found.second == "wire"
@@ -210,9 +207,9 @@ def test_another_posture_is_taken_where_the_first_collides():
     elbow = follow(XARM7, path)
     place = link_poses(XARM7, elbow.q[0])[4, :3, 3]
     around = Surroundings(obstacles=(post("stand", place + 0.05 * UP, place + 0.2 * UP, 0.02),))
-    assert collision_along(XARM7, elbow, around) is not None
+    assert CollisionChecker(XARM7, around).along(elbow) is not None
     other = follow(XARM7, path, surroundings=around)
-    assert collision_along(XARM7, other, around) is None
+    assert CollisionChecker(XARM7, around).along(other) is None
     np.testing.assert_allclose(tcp_pose(XARM7, other.q[0]), tcp_pose(XARM7, elbow.q[0]), atol=1e-6)
 
 
@@ -224,27 +221,28 @@ def test_a_clearance_is_kept_from_boxes_and_the_table_but_the_fingers_may_grasp(
     wall = box("wall", (0.45, 0.26, 0.2), (0.5, 0.3, 0.4))
     free = Surroundings(table_height=0.0, obstacles=(wall,))
     motion = follow(XARM7, path, surroundings=free, opening=0.02)
-    gap = clearances(XARM7, motion.q, free, opening=0.02)
-    to_wall = gap.distance[:, [second == "wall" for _, second in gap.pairs]].min()
+    checker = CollisionChecker(XARM7, free, opening=0.02)
+    walls = [second == "wall" for _, second in checker.pairs]
+    to_wall = checker.distance(motion.q)[:, walls].min()
     assert 0.02 < to_wall < 0.06
     nearly, asked = (replace(free, clearance=to_wall + x) for x in (-1e-3, 1e-3))
-    check_collisions(XARM7, motion, nearly, opening=0.02)
+    CollisionChecker(XARM7, nearly, opening=0.02).check(motion)
     with pytest.raises(RobotError, match=r"and wall come less than .* mm apart, 1\.0 mm too near"):
-        check_collisions(XARM7, motion, asked, opening=0.02)
+        CollisionChecker(XARM7, asked, opening=0.02).check(motion)
     low = follow(XARM7, replace(path, position=path.position - [0.0, 0.0, 0.03]))
     with pytest.raises(RobotError, match="and table collide"):
-        check_collisions(XARM7, low, replace(free, clearance=0.02), opening=0.02)
+        CollisionChecker(XARM7, replace(free, clearance=0.02), opening=0.02).check(low)
 
 
 def test_links_keep_a_clearance_from_each_other():
     q = random_q(400)
-    gaps = clearances(XARM7, q).distance.min(axis=1)
+    gaps = CollisionChecker(XARM7).distance(q).min(axis=1)
     near = int(np.flatnonzero((gaps > 0.002) & (gaps < 0.02))[0])
     bent, gap = q[near], gaps[near]
-    assert collision_at(XARM7, bent) is None
-    found = collision_at(XARM7, bent, Surroundings(self_clearance=gap + 0.01))
+    assert CollisionChecker(XARM7).at(bent) is None
+    found = CollisionChecker(XARM7, Surroundings(self_clearance=gap + 0.01)).at(bent)
     assert found is not None and found.depth == pytest.approx(0.01)
-    assert collision_at(XARM7, XARM7.home, Surroundings(self_clearance=0.01)) is None
+    assert CollisionChecker(XARM7, Surroundings(self_clearance=0.01)).at(XARM7.home) is None
 
 
 def test_what_is_held_belongs_to_the_collision_world():
@@ -253,7 +251,7 @@ def test_what_is_held_belongs_to_the_collision_world():
     tool = tcp_pose(XARM7, XARM7.home)[:3, 3]
     pole = post("post", tool - 0.15 * UP, tool - 0.16 * UP, 0.01)
     around = Surroundings(table_height=0.0, obstacles=(pole,))
-    assert collision_at(XARM7, XARM7.home, around) is None
-    found = collision_at(holding, XARM7.home, around)
+    assert CollisionChecker(XARM7, around).at(XARM7.home) is None
+    found = CollisionChecker(holding, around).at(XARM7.home)
     assert found is not None and (found.first, found.second) == ("held object", "post")
-    assert collision_at(holding, XARM7.home, TABLE) is None
+    assert CollisionChecker(holding, TABLE).at(XARM7.home) is None

@@ -7,32 +7,30 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from functools import cached_property
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.datasets import Fault
-from gendom.errors import DeviceError, RobotError, did_you_mean
+from gendom.errors import DeviceError, RobotError
 from gendom.hardware.contracts import DepthCamera, Robot, find_depth_camera, find_robot
 from gendom.reading import read_toml, record_of
 from gendom.robot import (
     XARM7,
     Arm,
     Box,
+    CollisionChecker,
     JointMotion,
     Post,
     Surroundings,
     TcpPath,
     arm_shape,
-    check_collisions,
-    clearances,
-    collision_at,
     find_arm,
     follow,
     joint_move,
@@ -187,10 +185,9 @@ class Cell:
         """
         path, where = Path(path), str(path)
         table = read_toml(path, error=DeviceError, fix="write one as docs/hardware.md has it")
-        _check_keys(cls, table, where)
         fix = "see docs/hardware.md for what belongs there"
         try:
-            cell = record_of(cls, table, where=where, fix=fix, error=DeviceError)
+            cell = record_of(cls, table, where=where, fix=fix, by_hand=True, error=DeviceError)
         except RobotError as error:  # of a box or a stand
             raise DeviceError(error.what, where=f"{where}: {error.where}", fix=error.fix) from None
         cell = replace(cell, path=path, camera=tuple(c.placed(path) for c in cell.camera))
@@ -285,7 +282,7 @@ class Cell:
 
     def _wrong(self) -> Iterator[tuple[str, str, str]]:
         arm, (low, high) = self.model, self.workspace
-        if hit := collision_at(arm, arm.home, self.surroundings):
+        if hit := CollisionChecker(arm, self.surroundings).at(arm.home):
             yield f"at the arm's home pose {hit}", "home", f"move the {hit.second}"
         home = tcp_pose(arm, arm.home)[:3, 3]
         if not np.all((home >= low) & (home <= high)):
@@ -409,7 +406,7 @@ class Cell:
         )
         for body, move, opening in moves:
             move.check_limits(self.limited)
-            check_collisions(body, move, self.surroundings, opening=opening)
+            CollisionChecker(body, self.surroundings, opening=opening).check(move)
         self.check_workspace(planned.motion)
 
     def check_workspace(self, motion: JointMotion, rate: float = RATE) -> None:
@@ -443,14 +440,14 @@ class Cell:
         """Least distances [m] at joint angles [N, J] of the arm from its surroundings and from
         itself, each with whose it is; the fingers, which reach for the object, are not compared
         with the table."""
-        found = clearances(self.model, q, self.surroundings, opening=opening)
-        others = {"table", *(o.name for o in self.surroundings.obstacles)}
+        collisions = CollisionChecker(self.model, self.surroundings, opening=opening)
         shape = arm_shape(self.model, self.model.home, opening)
         fingers = {n for n, t in zip(shape.names, shape.touches_object, strict=True) if t}
         least = {True: (math.inf, ""), False: (math.inf, "")}
-        for d, (a, b) in zip(found.distance.min(axis=0), found.pairs, strict=True):
+        for d, (a, b) in zip(collisions.distance(q).min(axis=0), collisions.pairs, strict=True):
             if not (b == "table" and a in fingers):
-                least[b in others] = min(least[b in others], (float(d), f"{a} and {b}"))
+                other = b in collisions.around
+                least[other] = min(least[other], (float(d), f"{a} and {b}"))
         return [least[True], least[False]]
 
 
@@ -469,17 +466,3 @@ BARE = Cell(
 
 def _point(x: NDArray[np.float64]) -> str:
     return f"({', '.join(f'{v:.3f}' for v in x)})"
-
-
-def _check_keys(kind: Any, table: dict[str, Any], where: str) -> None:
-    """Refuse keys that a file's tables do not have."""
-    known, types = [f.name for f in fields(kind) if f.name != "path"], get_type_hints(kind)
-    for key, value in table.items():
-        fix = did_you_mean(key, known) or f"known are {', '.join(known)}"
-        what = f"has the unknown key {key!r}"
-        require(key in known, what, where=where, fix=fix, error=DeviceError)
-        inner = next((k for k in (types[key], *get_args(types[key])) if is_dataclass(k)), None)
-        for n, entry in enumerate(value if isinstance(value, list) else [value]):
-            if inner is not None and isinstance(entry, dict):
-                place = f"{key}[{n}]" if isinstance(value, list) else key
-                _check_keys(inner, entry, f"{where}: {place}")

@@ -17,7 +17,7 @@ from gendom.plugins import plugins
 from gendom.robot import Arm, JointMotion
 
 if TYPE_CHECKING:
-    from gendom.perception import Camera
+    pass
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,11 +105,8 @@ class DepthCamera(Protocol):
     """A live depth camera. Its pictures are read from its recordings."""
 
     name: str
-
-    @property
-    def camera(self) -> Camera:
-        """Intrinsics, depth unit and pose, once it is connected."""
-        ...
+    pixels: int
+    """Of a picture."""
 
     def connect(self) -> None:
         """Raises: `DeviceError` where there is no such camera, or it has no such streams."""

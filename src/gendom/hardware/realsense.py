@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from gendom.arguments import require
 from gendom.errors import DeviceError
 from gendom.hardware.cell import CellCamera
 from gendom.hardware.contracts import Recorded
-from gendom.perception import Camera, write_camera
+from gendom.perception.camera import write_pose
 from gendom.perception.realsense import own_clock, realsense_sdk, write_checksum
 from gendom.perception.rosbag import Bag
 
@@ -37,6 +37,7 @@ class _Stream:
     pictures: int = 0
     first: int = 0
     last: int = 0
+    begun: float = -np.inf
     stamp: float = -np.inf
     advanced: float = -np.inf  # when `stamp` last grew, on the clock of time.monotonic [s]
 
@@ -67,24 +68,17 @@ class RealSenseCamera:
     ):
         self.name = cell_camera.name
         self._described = cell_camera
-        self._mode = width, height, rate
+        self.pixels, self._mode = width * height, (width, height, rate)
         self._kinds = ("depth", "color") if colour else ("depth",)
         self._compress = compress
         self._device = device
         self._context: Any = None
-        self._camera: Camera | None = None
+        self._connected = False
         self._recorder: Any = None
         self._sensors: list[Any] = []
         self._streams: dict[str, _Stream] = {}
         self._path = Path()
         self._unplugged = False
-
-    @property
-    def camera(self) -> Camera:
-        """Intrinsics, depth unit and pose, once it is connected."""
-        self._require(self._camera is not None, "is not connected", "call connect() first")
-        assert self._camera is not None
-        return self._camera
 
     def _require(self, holds: bool, what: str, fix: str) -> None:
         require(holds, what, where=f"camera {self.name}", fix=fix, error=DeviceError)
@@ -100,13 +94,9 @@ class RealSenseCamera:
             self._context = sdk.context()
             self._device = _connected(sdk, self._context, self._described.serial)
             self._context.set_devices_changed_callback(self._devices_changed)
-        (sensor, profile), *_ = [self._profile(self._device, kind) for kind in self._kinds]
-        # The SDK holds it as float32, whose shortest text is the number that was meant.
-        unit = float(str(np.float32(sensor.as_depth_sensor().get_depth_scale())))
-        camera = _intrinsics(self.name, profile)
-        self._camera = replace(
-            camera, depth_unit=unit, T_world_camera=self._described.T_world_camera
-        )
+        for kind in self._kinds:
+            self._profile(self._device, kind)
+        self._connected = True
 
     def _profile(self, device: Any, kind: str) -> tuple[Any, Any]:
         """A device's sensor and its profile of a stream, in this camera's mode."""
@@ -133,11 +123,12 @@ class RealSenseCamera:
         Raises:
             DeviceError: The camera does not stream, or the SDK cannot write there.
         """
-        sdk, camera = realsense_sdk(), self.camera
+        self._require(self._connected, "is not connected", "call connect() first")
+        sdk = realsense_sdk()
         self._path = Path(folder) / RECORDING
         taken = self._path.exists()
         require(not taken, "is there already", where=str(self._path), fix="name another folder")
-        write_camera(self._path.with_name("camera.toml"), camera, pose_only=True)
+        write_pose(self._path.with_name("camera.toml"), self._described.T_world_camera)
         try:
             self._recorder = sdk.recorder(str(self._path), self._device, self._compress)
             self._streams = {kind: _Stream() for kind in self._kinds}
@@ -178,7 +169,7 @@ class RealSenseCamera:
         number, stamp = frame.get_frame_number(), 1e-3 * frame.get_timestamp()
         stream = self._streams[frame.get_profile().stream_type().name]
         if not stream.pictures:
-            stream.first = number
+            stream.first, stream.begun = number, stamp
         stream.pictures += 1
         if stamp > stream.stamp:
             stream.stamp, stream.last, stream.advanced = stamp, number, time.monotonic()
@@ -210,10 +201,12 @@ class RealSenseCamera:
         pictures = missing = 0
         for kind, seen in self._streams.items():
             stream = bag.stream(kind.capitalize(), self.name)
-            written = 0 if stream is None else len(stream.entries)
-            sent = seen.last - seen.first + 1 if seen.pictures else 0
-            pictures, missing = pictures + written, missing + max(0, sent - written)
-            own = stream and stream.entries and stream.entries[0].domain == "Hardware Clock"
+            entries = [] if stream is None else stream.entries
+            # The SDK gives the first picture to its recorder, or begins that behind it.
+            late = bool(entries) and entries[0].time > seen.begun + 1e-6
+            sent = seen.last - seen.first + 1 - late if seen.pictures else 0
+            pictures, missing = pictures + len(entries), missing + max(0, sent - len(entries))
+            own = entries and entries[0].domain == "Hardware Clock"
             if own and kind == "depth":
                 warnings.append(own_clock(f"camera {self.name}"))
         return Recorded(
@@ -232,7 +225,7 @@ class RealSenseCamera:
     def disconnect(self) -> None:
         """Stop a recording that still runs, and let the camera go."""
         self._close()
-        self._camera = None
+        self._connected = False
 
 
 def _connected(sdk: Any, context: Any, serial: str) -> Any:
@@ -243,21 +236,3 @@ def _connected(sdk: Any, context: Any, serial: str) -> Any:
     what, fix = f"no RealSense camera {serial!r} is connected", f"have {', '.join(found)}"
     require(serial in found, what, fix=fix, error=DeviceError)
     return found[serial]
-
-
-def _intrinsics(name: str, profile: Any) -> Camera:
-    """Size and intrinsics of a stream."""
-    found = profile.get_intrinsics()
-    distorted = any(found.coeffs) and found.model.name != "none"
-    known = not distorted or "brown_conrady" in found.model.name
-    what = f"has the distortion {found.model.name}, which is not known here"
-    fix = "use a camera of the D400 series"
-    require(known, what, where=f"camera {name}", fix=fix, error=DeviceError)
-    return Camera(
-        name=name,
-        width=found.width,
-        height=found.height,
-        K=np.array([[found.fx, 0.0, found.ppx], [0.0, found.fy, found.ppy], [0.0, 0.0, 1.0]]),
-        T_world_camera=None,
-        distortion=tuple(found.coeffs) if distorted else (),
-    )

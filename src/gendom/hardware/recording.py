@@ -107,7 +107,7 @@ def _check(folder: Path, cameras: Sequence[DepthCamera], seconds: float) -> None
     require(not taken, "holds a recording already", where=str(folder), fix=fix, error=GendomError)
     above = next(p for p in (folder, *folder.resolve().parents) if p.exists())
     free = shutil.disk_usage(above).free
-    pixels = sum(one.camera.width * one.camera.height for one in cameras)
+    pixels = sum(one.pixels for one in cameras)
     need = _STOP_SPACE + _PIXEL * pixels * seconds
     what = f"the disk has {1e-9 * free:.1f} GB left, {seconds:.0f} s take {1e-9 * need:.1f}"
     fix = "free some, or name another folder"

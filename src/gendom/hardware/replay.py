@@ -6,11 +6,9 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from gendom.arguments import require
-from gendom.errors import DeviceError
 from gendom.hardware.cell import CellCamera
 from gendom.hardware.contracts import Recorded
-from gendom.perception import Camera, read_cameras
+from gendom.perception import read_cameras
 
 
 class ReplayedCamera:
@@ -23,17 +21,12 @@ class ReplayedCamera:
     def __init__(self, cell_camera: CellCamera):
         self.name, self._folder = cell_camera.name, Path(cell_camera.serial)
         self._source: Any = None
-
-    @property
-    def camera(self) -> Camera:
-        """Intrinsics, depth unit and pose, once it is connected."""
-        where, fix, known = f"camera {self.name}", "connect it", self._source is not None
-        require(known, "is not connected", where=where, fix=fix, error=DeviceError)
-        return self._source.camera
+        self.pixels = 0
 
     def connect(self) -> None:
         """Raises: `RecordingError` where the folder holds no such camera."""
         (self._source,) = read_cameras(self._folder, cameras=[self.name]).sources
+        self.pixels = self._source.camera.width * self._source.camera.height
 
     def start_recording(self, folder: Path) -> None:
         """Copy what was recorded."""

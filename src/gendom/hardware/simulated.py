@@ -24,7 +24,7 @@ from gendom.errors import DeviceError, SimulationError
 from gendom.hardware.cell import Cell, CellCamera
 from gendom.hardware.contracts import Recorded, RobotState, Tick
 from gendom.materials import thickness_of
-from gendom.perception import Camera, PngWriter
+from gendom.perception import PngWriter
 from gendom.reality import (
     Reality,
     RealObject,
@@ -223,16 +223,14 @@ class SimulatedCamera:
         assert robot is not None
         self._robot = robot
         self._index = [c.name for c in robot.believed].index(self.name)
+        self._camera = robot.believed[self._index]
+        self.pixels = self._camera.width * self._camera.height
         self._rng = np.random.default_rng(self._index + 1)
         self._writer: PngWriter | None = None
         self._written = 0
 
     def _require(self, holds: Any, what: str, fix: str) -> None:
         require(holds, what, where=f"camera {self.name}", fix=fix, error=DeviceError)
-
-    @property
-    def camera(self) -> Camera:
-        return self._robot.believed[self._index]
 
     @property
     def recording(self) -> bool:
@@ -246,7 +244,7 @@ class SimulatedCamera:
 
     def start_recording(self, folder: Path) -> None:
         self._require(self in self._robot.cameras, "is not connected", "connect it first")
-        self._writer, self._written = PngWriter(folder, self.camera), 0
+        self._writer, self._written = PngWriter(folder, self._camera), 0
 
     def wait_for_pictures(self) -> None:
         """They come when something moves."""
@@ -266,6 +264,6 @@ class SimulatedCamera:
         """Write what it sees now."""
         assert self._writer is not None
         robot = self._robot
-        pictures = observe(*robot.world.render(self._index), self.camera, self._rng)
+        pictures = observe(*robot.world.render(self._index), self._camera, self._rng)
         self._writer.write(robot.errors.stamp(self._index, robot.world.time), pictures)
         self._written += 1

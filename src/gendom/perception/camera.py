@@ -193,25 +193,31 @@ def read_camera(path: str | os.PathLike, *, recorded: Camera | None = None) -> C
     return given
 
 
-def write_camera(path: str | os.PathLike, camera: Camera, *, pose_only: bool = False) -> None:
-    """Write a camera as camera.toml, atomically; reading it gives the same numbers. `pose_only`
-    leaves out all but the pose, for a recording that holds the rest.
+def write_camera(path: str | os.PathLike, camera: Camera) -> None:
+    """Write a camera as camera.toml, atomically; reading it gives the same numbers.
 
     Raises:
         GendomError: The place cannot be written.
     """
-    T = camera.T_world_camera
-    lines = [
+    lines = (
         f"width = {camera.width}",
         f"height = {camera.height}",
         f"depth_unit = {camera.depth_unit!r}  # metres a count",
         f"K = {_rows(camera.K)}  # pixels",
         f"distortion = {list(camera.distortion)}  # OpenCV's k1, k2, p1, p2, k3, ...",
-    ]
+    )
+    write_pose(path, camera.T_world_camera, *lines)
+
+
+def write_pose(path: str | os.PathLike, T: npt.NDArray[np.float64] | None, *before: str) -> None:
+    """Write a camera's pose [4, 4] [m] as camera.toml, atomically, behind other lines.
+
+    Raises:
+        GendomError: The place cannot be written.
+    """
     pose = "# not calibrated" if T is None else f"T_world_camera = {_rows(T)}  # metres"
-    text = "\n".join([pose] if pose_only else [*lines, pose])
     with atomic_path(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+        temporary.write_text("\n".join([*before, pose, ""]), encoding="utf-8")
 
 
 def _rows(matrix: np.ndarray) -> str:

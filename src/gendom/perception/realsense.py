@@ -80,8 +80,7 @@ class RealSenseRecording:
         expect(depth and depth.entries, what, where=where, fix="record the depth stream (Z16)")
         assert depth is not None
         self._depth = depth.entries
-        unit = next((e.depth_unit for e in self._depth if e.depth_unit is not None), None)
-        unit, fix = unit or self._bag.depth_unit(), "record it with the RealSense SDK"
+        unit, fix = self._bag.depth_unit(), "record it with the RealSense SDK"
         expect(unit is not None, "does not say its depth unit", where=where, fix=fix)
         camera = replace(depth.camera, depth_unit=unit)
         beside = self.path.with_name("camera.toml")

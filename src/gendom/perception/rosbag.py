@@ -6,7 +6,7 @@ those used here are, below /device_0/sensor_N/:
 
     Depth_0/camera_info         text "width=640;height=480;fx=...;model=...;coeffs=..."
     Depth_0/tf/ref_K            text "rotation=...;translation=...": from reference K to the stream
-    Depth_0/image/metadata      text "timestamp=...;timestamp_domain=...;depth_units=..."
+    Depth_0/image/metadata      text "timestamp=...;timestamp_domain=..."
     Depth_0/image/data...       the picture, of the same bag time as its metadata
 
 and the same for Color_0. SDK 2.58 stored pictures raw and compressed each message by zstd;
@@ -97,8 +97,6 @@ class Entry:
     """Time stamp [s]."""
     domain: str
     """The clock it is of: "Global Time", "System Time" or "Hardware Clock"."""
-    depth_unit: float | None
-    """Metres a count, where the picture says."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,20 +208,19 @@ class Bag:
             try:
                 values = _pairs(_Cdr(self._message(row)).string())
                 stamp = float(values["timestamp"]) * 1e-3
-                unit = float(values["depth_units"]) if "depth_units" in values else None
-                if not np.isfinite(stamp) or not (unit is None or unit > 0.0):
+                if not np.isfinite(stamp):
                     continue
             except (KeyError, ValueError):
                 continue
-            stamps[time] = stamp, values.get("timestamp_domain", ""), unit
+            stamps[time] = stamp, values.get("timestamp_domain", "")
         last, left_out, compressed = -np.inf, 0, "/compressed" in topic
         for row, time in self._rows.get(self._topics[topic], []):
-            stamp, domain, unit = stamps.get(time, (np.nan, "", None))
+            stamp, domain = stamps.get(time, (np.nan, ""))
             if not stamp > last:
                 left_out += 1
                 continue
             last = stamp
-            yield Entry(row, compressed, stamp, domain, unit)
+            yield Entry(row, compressed, stamp, domain)
         if left_out:
             what = f"{left_out} pictures have no time stamp, or one that goes back; "
             what += "they are left out"
@@ -231,7 +228,7 @@ class Bag:
             self._on_warning(Fault(what, f"{self.path}: {prefix}", fix, "warning"))
 
     def depth_unit(self) -> float | None:
-        """The depth sensor's own setting [m], for pictures that do not say; None: unknown."""
+        """The depth sensor's own setting [m a count]; None: unknown."""
         for name in self._topics:
             if name.endswith("/option/Depth_Units/value"):
                 with suppress(ValueError):

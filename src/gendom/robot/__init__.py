@@ -8,15 +8,7 @@ from gendom.errors import RobotError
 from gendom.plugins import plugins
 from gendom.robot.arm import FR3, XARM7, Arm, FingerCapsule, LinkCapsule, ParallelGripper
 from gendom.robot.capsules import fit_capsules
-from gendom.robot.collision import (
-    Box,
-    Post,
-    Surroundings,
-    check_collisions,
-    clearances,
-    collision_along,
-    collision_at,
-)
+from gendom.robot.collision import Box, CollisionChecker, Post, Surroundings
 from gendom.robot.description import read_arm
 from gendom.robot.kinematics import (
     arm_shape,
@@ -61,6 +53,7 @@ __all__ = [
     "XARM7",
     "Arm",
     "Box",
+    "CollisionChecker",
     "Deviation",
     "FingerCapsule",
     "GripperEvent",
@@ -74,10 +67,6 @@ __all__ = [
     "TcpPath",
     "TcpPaths",
     "arm_shape",
-    "check_collisions",
-    "clearances",
-    "collision_along",
-    "collision_at",
     "find_arm",
     "fit_capsules",
     "follow",

@@ -152,122 +152,25 @@ class Collision:
         return f"from t = {self.time:.3f} s on {both} {how} at t = {self.deepest:.3f} s"
 
 
-@dataclass(frozen=True, eq=False)
-class Clearances:
-    """Distances of P pairs of bodies, at one or more configurations."""
-
-    pairs: tuple[tuple[str, str], ...]
-    """[P] names."""
-    distance: Array
-    """[..., P] [m]; negative: they overlap by so much."""
-
-
-def clearances(
-    arm: Arm, q: ArrayLike, surroundings: Surroundings = NO_OBSTACLES, *, opening: float = 0.0
-) -> Clearances:
-    """Distances of all pairs that might collide.
+class CollisionChecker:
+    """Distances and collisions of an arm and its surroundings, by the P pairs that might collide.
 
     Args:
         arm: The arm.
-        q: [..., J] joint angles [rad].
         surroundings: What stands around.
         opening: Distance of the fingers' inner faces [m].
-
-    Raises:
-        RobotError: As `link_poses`.
     """
-    pairs = _CollisionPairs(arm, surroundings, opening)
-    return Clearances(pairs.pairs, pairs.distance(arm.check_q(q)))
 
+    pairs: tuple[tuple[str, str], ...]
+    """[P] names: a capsule of the arm, and another one, "table", or an obstacle's name."""
+    around: frozenset[str]
+    """The latter two."""
 
-def collision_at(
-    arm: Arm, q: ArrayLike, surroundings: Surroundings = NO_OBSTACLES, *, opening: float = 0.0
-) -> Collision | None:
-    """The deepest collision at joint angles [J] [rad], or None.
-
-    Raises:
-        RobotError: As `link_poses`.
-    """
-    pairs = _CollisionPairs(arm, surroundings, opening)
-    gaps = pairs.gaps(arm.check_q(q))
-    k = int(np.argmin(gaps))
-    return pairs.collision(k, gaps[k]) if gaps[k] < 0.0 else None
-
-
-def collision_along(
-    arm: Arm,
-    motion: JointMotion,
-    surroundings: Surroundings = NO_OBSTACLES,
-    *,
-    opening: float = 0.0,
-) -> Collision | None:
-    """The first collision of a motion, or None.
-
-    No collision between two checked times is missed: where a pair's distances at both times are
-    smaller than its possible movement in between, the arm is also checked halfway, down to
-    movements of `RESOLUTION`. An overlap of half of that may be missed.
-
-    Raises:
-        RobotError: As `link_poses`.
-    """
-    pairs = _CollisionPairs(arm, surroundings, opening)
-    time = np.union1d(motion.time, motion.sampled(_RATE))
-    gap = pairs.gaps(motion.at(time))
-    seen = [(time, gap)]
-    a, b, gap_a, gap_b = time[:-1], time[1:], gap[:-1], gap[1:]
-    while len(a):
-        moved = _rotation_bound(motion, a, b) @ pairs.levers  # [intervals, P]
-        unsure = (gap_a + gap_b <= moved) & (moved > RESOLUTION)
-        # Known collisions need no refinement.
-        some = (unsure & (gap_a > 0.0) & (gap_b > 0.0)).any(axis=1)
-        a, b, gap_a, gap_b = a[some], b[some], gap_a[some], gap_b[some]
-        middle = 0.5 * (a + b)
-        gap = pairs.gaps(motion.at(middle)) if len(middle) else gap_a
-        seen.append((middle, gap))
-        a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
-        gap_a, gap_b = np.concatenate([gap_a, gap]), np.concatenate([gap, gap_b])
-    time = np.concatenate([t for t, _ in seen])
-    gap = np.concatenate([g for _, g in seen])
-    hit = (gap < 0.0).any(axis=1)
-    if not hit.any():
-        return None
-    begin = float(time[hit].min())
-    free = float(time[time < begin].max(initial=motion.start))
-    while begin - free > 1e-4:
-        middle = 0.5 * (free + begin)
-        touches = pairs.gaps(motion.at(middle)).min() < 0.0
-        free, begin = (free, middle) if touches else (middle, begin)
-    pair = int(np.argmin(pairs.gaps(motion.at(begin))))
-    deepest = int(np.argmin(gap[:, pair]))
-    found = pairs.collision(pair, gap[deepest, pair])
-    return replace(found, time=begin, deepest=float(time[deepest]))
-
-
-def check_collisions(
-    arm: Arm,
-    motion: JointMotion,
-    surroundings: Surroundings = NO_OBSTACLES,
-    *,
-    opening: float = 0.0,
-) -> None:
-    """Raise an error for a motion through a collision.
-
-    Raises:
-        RobotError: The motion collides; the error names bodies, time, depth and remedy.
-    """
-    found = collision_along(arm, motion, surroundings, opening=opening)
-    if found is not None:
-        fix = f"keep the path away from the {found.second}, or move that"
-        if found.second not in {"table", *(o.name for o in surroundings.obstacles)}:
-            fix = "move the path away from the base"
-        raise RobotError(str(found), where=f"motion of {arm.name}", fix=fix)
-
-
-class _CollisionPairs:
-    """The pairs that might collide: their names, distances and levers."""
-
-    def __init__(self, arm: Arm, surroundings: Surroundings, opening: float):
+    def __init__(
+        self, arm: Arm, surroundings: Surroundings = NO_OBSTACLES, *, opening: float = 0.0
+    ):
         self.arm, self.surroundings, self.opening = arm, surroundings, opening
+        self.around = frozenset(["table", *(o.name for o in surroundings.obstacles)])
         shape = arm_shape(arm, arm.home, opening)
         link = np.array([c.link for c in arm.capsules])
         link = np.append(link, np.full(len(shape.names) - len(link), arm.joints))
@@ -276,41 +179,110 @@ class _CollisionPairs:
         home = segments_apart(a[first], b[first], a[second], b[second])
         home -= shape.radius[first] + shape.radius[second]
         apart = (np.abs(between) > 2) | ((np.abs(between) == 2) & (home >= 0.0))
-        self.first, self.second = first[apart], second[apart]
-        self.moving = np.flatnonzero(link > 0)
+        self._first, self._second = first[apart], second[apart]
+        self._moving = np.flatnonzero(link > 0)
         held = [c for c, capsule in enumerate(arm.capsules) if capsule.held]
-        self.above = np.setdiff1d(self.moving, held)
+        self._above = np.setdiff1d(self._moving, held)
         asked = surroundings.self_clearance
         own = np.where((np.abs(between) > 2) | (home >= asked), asked, 0.0)[apart]
         names, around = shape.names, surroundings.obstacles
-        pairs, margin = list(zip(self.first, self.second, strict=True)), [own]
+        pairs, margin = list(zip(self._first, self._second, strict=True)), [own]
         self.pairs = tuple((names[a], names[b]) for a, b in pairs)
         if surroundings.table_height is not None:
-            self.pairs += tuple((names[c], "table") for c in self.above)
-            margin.append(surroundings.clearance * ~shape.touches_object[self.above])
-        self.pairs += tuple((names[c], other.name) for other in around for c in self.moving)
-        margin.append(np.full(len(around) * len(self.moving), surroundings.clearance))
-        self.margin, self._link = np.concatenate(margin), link
+            self.pairs += tuple((names[c], "table") for c in self._above)
+            margin.append(surroundings.clearance * ~shape.touches_object[self._above])
+        self.pairs += tuple((names[c], other.name) for other in around for c in self._moving)
+        margin.append(np.full(len(around) * len(self._moving), surroundings.clearance))
+        self._margin, self._link = np.concatenate(margin), link
 
-    def gaps(self, q: Array) -> Array:
-        """[..., P] distances above the clearances at joint angles [..., J] [m]."""
-        return self.distance(q) - self.margin
+    def distance(self, q: ArrayLike) -> Array:
+        """[..., P] distances at joint angles [..., J] [rad] [m]; negative: they overlap by so much.
 
-    def collision(self, pair: int, gap: float) -> Collision:
-        """That of a pair with a gap below 0 [m]."""
-        first, second = self.pairs[pair]
-        margin = float(self.margin[pair])
-        return Collision(first=first, second=second, depth=float(-gap), clearance=margin)
-
-    def distance(self, q: Array) -> Array:
-        """[..., P] distances at joint angles [..., J] [m]."""
+        Raises:
+            RobotError: As `link_poses`.
+        """
+        q = self.arm.check_q(q)
         flat = q.reshape(-1, self.arm.joints)
         parts = [self._distance(flat[k : k + _CHUNK]) for k in range(0, len(flat), _CHUNK)]
         return np.concatenate(parts).reshape(*q.shape[:-1], len(self.pairs))
 
+    def at(self, q: ArrayLike) -> Collision | None:
+        """The deepest collision at joint angles [J] [rad], or None.
+
+        Raises:
+            RobotError: As `link_poses`.
+        """
+        gaps = self._gaps(q)
+        k = int(np.argmin(gaps))
+        return self._collision(k, gaps[k]) if gaps[k] < 0.0 else None
+
+    def along(self, motion: JointMotion) -> Collision | None:
+        """The first collision of a motion, or None.
+
+        No collision between two checked times is missed: where a pair's distances at both times are
+        smaller than its possible movement in between, the arm is also checked halfway, down to
+        movements of `RESOLUTION`. An overlap of half of that may be missed.
+
+        Raises:
+            RobotError: As `link_poses`.
+        """
+        time = np.union1d(motion.time, motion.sampled(_RATE))
+        gap = self._gaps(motion.at(time))
+        seen = [(time, gap)]
+        a, b, gap_a, gap_b = time[:-1], time[1:], gap[:-1], gap[1:]
+        while len(a):
+            moved = _rotation_bound(motion, a, b) @ self._levers  # [intervals, P]
+            unsure = (gap_a + gap_b <= moved) & (moved > RESOLUTION)
+            # Known collisions need no refinement.
+            some = (unsure & (gap_a > 0.0) & (gap_b > 0.0)).any(axis=1)
+            a, b, gap_a, gap_b = a[some], b[some], gap_a[some], gap_b[some]
+            middle = 0.5 * (a + b)
+            gap = self._gaps(motion.at(middle)) if len(middle) else gap_a
+            seen.append((middle, gap))
+            a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
+            gap_a, gap_b = np.concatenate([gap_a, gap]), np.concatenate([gap, gap_b])
+        time = np.concatenate([t for t, _ in seen])
+        gap = np.concatenate([g for _, g in seen])
+        hit = (gap < 0.0).any(axis=1)
+        if not hit.any():
+            return None
+        begin = float(time[hit].min())
+        free = float(time[time < begin].max(initial=motion.start))
+        while begin - free > 1e-4:
+            middle = 0.5 * (free + begin)
+            touches = self._gaps(motion.at(middle)).min() < 0.0
+            free, begin = (free, middle) if touches else (middle, begin)
+        pair = int(np.argmin(self._gaps(motion.at(begin))))
+        deepest = int(np.argmin(gap[:, pair]))
+        found = self._collision(pair, gap[deepest, pair])
+        return replace(found, time=begin, deepest=float(time[deepest]))
+
+    def check(self, motion: JointMotion) -> None:
+        """Refuse a motion through a collision.
+
+        Raises:
+            RobotError: The motion collides; the error names bodies, time, depth and remedy.
+        """
+        if (found := self.along(motion)) is None:
+            return
+        fix = f"keep the path away from the {found.second}, or move that"
+        if found.second not in self.around:
+            fix = "move the path away from the base"
+        raise RobotError(str(found), where=f"motion of {self.arm.name}", fix=fix)
+
+    def _gaps(self, q: ArrayLike) -> Array:
+        """[..., P] distances above the clearances [m]."""
+        return self.distance(q) - self._margin
+
+    def _collision(self, pair: int, gap: float) -> Collision:
+        """That of a pair with a gap below 0 [m]."""
+        first, second = self.pairs[pair]
+        margin = float(self._margin[pair])
+        return Collision(first=first, second=second, depth=float(-gap), clearance=margin)
+
     def _distance(self, q: Array) -> Array:
         shape = arm_shape(self.arm, q, self.opening)
-        a, b, c = self.first, self.second, self.moving
+        a, b, c = self._first, self._second, self._moving
         found = [
             segments_apart(shape.start[:, a], shape.end[:, a], shape.start[:, b], shape.end[:, b])
             - (shape.radius[a] + shape.radius[b])
@@ -318,14 +290,14 @@ class _CollisionPairs:
         start, end, radius = shape.start[:, c], shape.end[:, c], shape.radius[c]
         if self.surroundings.table_height is not None:
             low = np.minimum(shape.start[..., 2], shape.end[..., 2]) - shape.radius
-            found.append(low[:, self.above] - self.surroundings.table_height)
+            found.append(low[:, self._above] - self.surroundings.table_height)
         found += [
             obstacle.distance(start, end) - radius for obstacle in self.surroundings.obstacles
         ]
         return np.concatenate(found, axis=1)
 
     @cached_property
-    def levers(self) -> Array:
+    def _levers(self) -> Array:
         """Largest relative movement of each pair for a rotation of each joint, [J, P] [m/rad].
 
         The distance of any point of a capsule from a joint's axis is at most the sum of the
@@ -338,9 +310,9 @@ class _CollisionPairs:
         steps = np.linalg.norm(arm.T_links[:, :3, 3], axis=1).cumsum()
         joint = np.arange(arm.joints)[:, None]
         lever = np.where(link > joint, steps[link - 1] - steps[joint] + own, 0.0)
-        between = np.where(joint >= link[self.first], lever[:, self.second], 0.0)
-        table = [] if self.surroundings.table_height is None else [lever[:, self.above]]
-        others = [lever[:, self.moving]] * len(self.surroundings.obstacles)
+        between = np.where(joint >= link[self._first], lever[:, self._second], 0.0)
+        table = [] if self.surroundings.table_height is None else [lever[:, self._above]]
+        others = [lever[:, self._moving]] * len(self.surroundings.obstacles)
         return np.concatenate([between, *table, *others], axis=1)
 
 

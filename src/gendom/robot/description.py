@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -115,11 +115,8 @@ def read_arm(path: str | os.PathLike) -> Arm:
 
 def _hand(path: Path) -> Hand:
     """The fields of a .toml."""
-    known = [field.name for field in fields(Hand)]
-    table, fix = read_toml(path, error=RobotError), f"it may hold {', '.join(known)}"
-    what = f"has {', '.join(sorted(set(table) - set(known)))}"
-    require(set(table) <= set(known), what, where=str(path), fix=fix, error=RobotError)
-    hand = record_of(Hand, table, where=str(path), fix=fix, error=RobotError)
+    table, fix = read_toml(path, error=RobotError), "see docs/robot.md for what it may hold"
+    hand = record_of(Hand, table, where=str(path), fix=fix, by_hand=True, error=RobotError)
     for name in ("tool", "opening", "finger_radius", "max_tcp_speed"):
         value, fix = getattr(hand, name), "give metres (a second) above 0, at most 2"
         good = value is None or 0.0 < value <= 2.0

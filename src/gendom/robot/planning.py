@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from gendom.arguments import require
 from gendom.errors import RobotError
 from gendom.robot.arm import Arm
-from gendom.robot.collision import NO_OBSTACLES, Surroundings, check_collisions
+from gendom.robot.collision import NO_OBSTACLES, CollisionChecker, Surroundings
 from gendom.robot.kinematics import (
     descend,
     describe,
@@ -102,7 +102,7 @@ def joint_move(
     # The tool may be too fast, and the spline through the knots misses the quintic by 1e-6.
     slower = replace(arm, max_tcp_speed=share * arm.max_tcp_speed)
     motion = replace(motion.stretched(max(1.0, motion.slowdown(slower))), slowed_by=1.0)
-    check_collisions(arm, motion, surroundings, opening=opening)
+    CollisionChecker(arm, surroundings, opening=opening).check(motion)
     return motion
 
 
@@ -143,10 +143,11 @@ def follow(
     # Splines overshoot a little where a joint comes to rest at its end.
     kept = replace(arm, q_min=arm.q_min + _MARGIN, q_max=arm.q_max - _MARGIN)
     best, refusal = None, None
+    collisions = CollisionChecker(arm, surroundings, opening=opening)
     for q in solutions(kept, path.pose_at(path.start))[:_POSTURES]:
         try:
             motion = _from_posture(kept, path, q)
-            check_collisions(arm, motion, surroundings, opening=opening)
+            collisions.check(motion)
         except RobotError as error:
             refusal = refusal or error
             continue
@@ -169,7 +170,7 @@ def follow(
         sharper = in_time(arm, _track(kept, path, motion.q[0], shortest, motion))
         slower = min(slower, sharper, key=lambda m: m.end - m.start)
     slower.check_limits(arm)
-    check_collisions(arm, slower, surroundings, opening=opening)
+    collisions.check(slower)
     return slower
 
 
