@@ -73,13 +73,13 @@ class Stored:
     identifiable: dict[str, bool] | None = None
     density_sd: float | None = None
     simulation: Simulated | None = None
-    recordings: list[Recorded] | None = None
+    recordings: list[StoredRecording] | None = None
     executions: dict[str, list[Any]] | None = None
     before_executions: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recorded:
+class StoredRecording:
     """What is read of one of its recordings."""
 
     theta: dict[str, float | None] | None = None
