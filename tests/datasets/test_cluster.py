@@ -1,46 +1,18 @@
 """Sets on a Ray cluster: what our code does with a stub of it, and, slowly, a real one."""
 
 import os
-import signal
 import subprocess
 import sys
 import warnings
-from dataclasses import dataclass
-from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
-from gendom.datasets.demonstrations import Outcomes, generate
+from gendom.datasets.demonstrations import generate
 from gendom.errors import DeviceError, ParameterError
+from throwing import Throwing
 
 SIZE = 3 * max(16, 2 * (os.cpu_count() or 1)) + 5
-
-
-@dataclass(frozen=True, kw_only=True)
-class Throwing:
-    """Throw a ball: it lands at speed^2 / gravity."""
-
-    cost: float = 1.0
-    dies_once: str | None = None
-    """The first worker to make this file dies in it."""
-    fault: type[Exception] | None = None
-
-    def about(self):
-        return {"task": {"name": "throwing"}}
-
-    def draw(self, rngs):
-        return {"speed": np.array([rng.uniform(0.0, 10.0) for rng in rngs])}
-
-    def demonstrate(self, draws, *, device, on_frame=None):
-        if self.fault is not None:
-            raise self.fault("the ball is flat")
-        if self.dies_once is not None and not Path(self.dies_once).exists():
-            Path(self.dies_once).touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        speed = draws["speed"]
-        return Outcomes(columns={"goal_x": speed**2 / 9.81}, faults=(None,) * len(speed))
 
 
 class TaskError(Exception):
@@ -116,7 +88,7 @@ def test_a_cluster_gives_the_rows_of_one_machine(tmp_path, ray):
     assert shared.equals(alone)
     for shard in (tmp_path / "one").glob("*.parquet"):
         assert (tmp_path / "two" / shard.name).read_bytes() == shard.read_bytes()
-    assert ray.log == [__name__, {"max_retries": 5, "num_cpus": 1}, "ended"]
+    assert ray.log == [Throwing.__module__, {"max_retries": 5, "num_cpus": 1}, "ended"]
     assert "address" not in ray.asked
     assert ray.at_start["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] == "0"
     assert ray.at_start["RAY_AUTH_MODE"] == "token" and len(ray.at_start["RAY_AUTH_TOKEN"]) == 64

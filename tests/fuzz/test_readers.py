@@ -5,7 +5,6 @@ import shutil
 import time
 from functools import partial
 from importlib import resources
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -169,16 +168,11 @@ def policy(folder):
 
 
 def demonstrations(folder):
-    demonstrations = pytest.importorskip("gendom.datasets.demonstrations", reason="needs pyarrow")
-    throwing = SimpleNamespace(
-        cost=1.0,
-        about=lambda: {"task": {"name": "throwing"}},
-        draw=lambda rngs: {"speed": np.array([rng.uniform(0.0, 9.0) for rng in rngs])},
-        demonstrate=lambda draws, **_: demonstrations.Outcomes(
-            columns={"goal_x": draws["speed"] ** 2}, faults=(None,) * len(draws["speed"])
-        ),
-    )
-    demonstrations.generate(throwing, 40, folder / "set", seed=5, shard_size=16)
+    pytest.importorskip("pyarrow", reason="needs the extra data")
+    from gendom.datasets import generate
+    from throwing import Throwing
+
+    generate(Throwing(), 40, folder / "set", seed=5, shard_size=16)
 
 
 def executions(folder):
