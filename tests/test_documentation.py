@@ -2,8 +2,7 @@
 
 Shell blocks (fenced without a language, or as `sh`) hold commands only. Every command parses.
 Blocks are run from top to bottom of a page, but for those under a comment
-`<!-- not run: reason -->`. Commands in backticks are run where they are complete
-and not named below.
+`<!-- not run: reason -->`. Commands in backticks name what there is.
 """
 
 import ast
@@ -52,21 +51,6 @@ NOT_STARTED = {
     "pytest": "the tests themselves; its paths are checked",
 }
 """Programs that blocks may call and this test never does."""
-
-EXPENSIVE = {
-    r"gendom demo( .*)?": "a minute; tests/cli/test_demo.py",
-    r"gendom bench( .*)?": "minutes of timing; tests/cli/test_main.py",
-    r"gendom evaluate .*": "tests/policies/test_commands.py",
-    r"gendom plan-lift .*": "two minutes; tests/estimation/test_lift_plan.py",
-    r"gendom record .*": "needs OpenGL; tests/reality/test_recording.py",
-    r"gendom dataset .*": "minutes; the tutorial makes a small one",
-    r"gendom estimate (rope_red_lift.npz|benchmarks/recordings/).*": "real recordings; "
-    "tests/estimation/test_estimate.py",
-    r"gendom calibrate .*|gendom perceive .*": "need pictures; tests/perception/test_commands.py",
-    r"gendom view .*": "serves until it is stopped; tests/viz",
-    r"gendom train .*--data REAL.*": "a placeholder",
-}
-"""Complete commands in backticks that are not run, as patterns, with the reason."""
 
 
 @dataclass(frozen=True)
@@ -284,35 +268,6 @@ RUN = [b for b in RUN if any(shlex.split(c)[0] not in NOT_STARTED for c in b.com
 def test_blocks_run(block, after_tutorial, monkeypatch):
     for command in block.commands:
         run_command(command, after_tutorial, monkeypatch)
-
-
-def complete() -> list[str]:
-    """Commands of `gendom` in backticks that lack nothing, and are not expensive."""
-    found = []
-    for command in INLINE:
-        words = gendom_words(command) if command.startswith("gendom ") else []
-        if not words or words[0] == "help" or words[0] not in cli.COMMANDS:
-            continue
-        if any(re.fullmatch(pattern, command) for pattern in EXPENSIVE):
-            continue
-        if not re.search(r"\b[A-Z]{2,}\b", command) and parse_error(words[0], words[1:]) is None:
-            found.append(command)
-    return found
-
-
-COMPLETE = complete()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("command", COMPLETE)
-def test_complete_commands_in_backticks_run(command, after_tutorial, monkeypatch):
-    run_command(command, after_tutorial, monkeypatch)
-
-
-def test_every_expensive_pattern_has_a_use():
-    named = [*INLINE, *(c for b in ALL for c in b.commands)]
-    unused = [p for p in EXPENSIVE if not any(re.fullmatch(p, c) for c in named)]
-    assert unused == []
 
 
 PYTHON = [
