@@ -2,8 +2,7 @@
 
 Shell blocks (fenced without a language, or as `sh`) hold commands only. Every command parses.
 Blocks are run from top to bottom of a page, but for those under a comment
-`<!-- not run: reason -->`. Commands in backticks are run where they are complete
-and not named below.
+`<!-- not run: reason -->`. Commands in backticks name what there is.
 """
 
 import ast
@@ -27,19 +26,13 @@ from experiments import __main__ as experiments
 from gendom import cli, tasks
 from gendom.cli.parsing import arguments_of, parse
 from gendom.errors import GendomError
+from gendom.hardware.cell import Cell
 from gendom.perception.camera import Camera, write_camera
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted([*ROOT.glob("*.md"), *(p for p in DOCS.rglob("*.md") if "_build" not in p.parts)])
 TUTORIAL = DOCS / "tutorial.md"
-HARDWARE = DOCS / "hardware.md"
-IN_CELL = "gendom act rope-reaching --goal 0.45 --cell cell.toml"
-K = np.array([[610.0, 0.0, 320.0], [0.0, 610.0, 240.0], [0.0, 0.0, 1.0]])
-DOWN = np.array([[0, -1, 0, 0.5], [-1, 0, 0, 0], [0, 0, -1, 1.1], [0, 0, 0, 1.0]])
-OVERHEAD = Camera(name="left", width=640, height=480, K=K, T_world_camera=DOWN)
-"""What `left/camera.toml` of the page on hardware would hold."""
-
 pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="no docs beside the tests")
 
 NOT_STARTED = {
@@ -52,21 +45,6 @@ NOT_STARTED = {
     "pytest": "the tests themselves; its paths are checked",
 }
 """Programs that blocks may call and this test never does."""
-
-EXPENSIVE = {
-    r"gendom demo( .*)?": "a minute; tests/cli/test_demo.py",
-    r"gendom bench( .*)?": "minutes of timing; tests/cli/test_main.py",
-    r"gendom evaluate .*": "tests/policies/test_commands.py",
-    r"gendom plan-lift .*": "two minutes; tests/estimation/test_lift_plan.py",
-    r"gendom record .*": "needs OpenGL; tests/reality/test_recording.py",
-    r"gendom dataset .*": "minutes; the tutorial makes a small one",
-    r"gendom estimate (rope_red_lift.npz|benchmarks/recordings/).*": "real recordings; "
-    "tests/estimation/test_estimate.py",
-    r"gendom calibrate .*|gendom perceive .*": "need pictures; tests/perception/test_commands.py",
-    r"gendom view .*": "serves until it is stopped; tests/viz",
-    r"gendom train .*--data REAL.*": "a placeholder",
-}
-"""Complete commands in backticks that are not run, as patterns, with the reason."""
 
 
 @dataclass(frozen=True)
@@ -255,13 +233,6 @@ def after_tutorial(tmp_path_factory) -> Path:
         for block in (b for b in ALL if b.page == TUTORIAL and b.skipped is None):
             for command in block.commands:
                 run_command(command, folder, patch)
-    cell = re.search(r"^```toml\n(.*?)^```$", HARDWARE.read_text("utf-8"), re.MULTILINE | re.DOTALL)
-    assert cell is not None
-    (folder / "cell.toml").write_text(cell.group(1), "utf-8")
-    (folder / "left").mkdir()
-    write_camera(folder / "left" / "camera.toml", OVERHEAD)
-    with pytest.MonkeyPatch.context() as patch:
-        run_command(f"{IN_CELL} --params mine/estimate.json --out action.json", folder, patch)
     (folder / "lift").mkdir()
     for name in ("lift.npz", "recording.npz", "estimate.json", "lift/estimate.json"):
         made = "lift.npz" if name.endswith(".npz") else "estimate.json"
@@ -286,35 +257,6 @@ def test_blocks_run(block, after_tutorial, monkeypatch):
         run_command(command, after_tutorial, monkeypatch)
 
 
-def complete() -> list[str]:
-    """Commands of `gendom` in backticks that lack nothing, and are not expensive."""
-    found = []
-    for command in INLINE:
-        words = gendom_words(command) if command.startswith("gendom ") else []
-        if not words or words[0] == "help" or words[0] not in cli.COMMANDS:
-            continue
-        if any(re.fullmatch(pattern, command) for pattern in EXPENSIVE):
-            continue
-        if not re.search(r"\b[A-Z]{2,}\b", command) and parse_error(words[0], words[1:]) is None:
-            found.append(command)
-    return found
-
-
-COMPLETE = complete()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("command", COMPLETE)
-def test_complete_commands_in_backticks_run(command, after_tutorial, monkeypatch):
-    run_command(command, after_tutorial, monkeypatch)
-
-
-def test_every_expensive_pattern_has_a_use():
-    named = [*INLINE, *(c for b in ALL for c in b.commands)]
-    unused = [p for p in EXPENSIVE if not any(re.fullmatch(p, c) for c in named)]
-    assert unused == []
-
-
 PYTHON = [
     (page, found["body"])
     for page in PAGES
@@ -330,6 +272,18 @@ def test_imports_of_python_blocks_are_there(page, code):
             module = import_module(node.module or "")
             missing = [n.name for n in node.names if not hasattr(module, n.name)]
             assert missing == [], node.module
+
+
+def test_the_cell_of_the_page_on_hardware_is_one(tmp_path):
+    text = (DOCS / "hardware.md").read_text(encoding="utf-8")
+    (cell,) = re.findall(r"^```toml\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    (tmp_path / "cell.toml").write_text(cell, encoding="utf-8")
+    (tmp_path / "left").mkdir()
+    K = np.array([[610.0, 0.0, 320.0], [0.0, 610.0, 240.0], [0.0, 0.0, 1.0]])
+    down = np.array([[0, -1, 0, 0.5], [-1, 0, 0, 0], [0, 0, -1, 1.1], [0, 0, 0, 1.0]])
+    camera = Camera(name="left", width=640, height=480, K=K, T_world_camera=down)
+    write_camera(tmp_path / "left" / "camera.toml", camera)
+    assert Cell.read(tmp_path / "cell.toml").faults() == []
 
 
 @pytest.mark.slow

@@ -105,19 +105,12 @@ def test_what_fails_is_said_and_run_again(figures, counting, tmp_path, capsys):
     assert json.loads(figures.STORED.read_text()) == {}
     assert figures.main(out) == 1
     assert (tmp_path / "out" / "n" / "runs").read_text() == "xx"
+    counting(needs=("hours",))
+    assert figures.main(out) == 0
+    assert "not run: needs hours" in capsys.readouterr().out
     counting(read=lambda text: {"runs": json.loads(text)["runs"]})
     assert figures.main([*out, "--again"]) == 1
     assert "cannot be read" in capsys.readouterr().out
-
-
-def test_what_cannot_be_run_here_is_left_out(figures, counting, tmp_path, capsys):
-    out = ["--out", str(tmp_path / "out")]
-    for need in ("peers", "hours"):
-        counting(needs=(need,))
-        assert figures.main(out) == 0
-        assert f"not run: needs {need}" in capsys.readouterr().out
-    assert figures.main([*out, "--only", "n"]) == 0  # asked for by name
-    assert (tmp_path / "out" / "n" / "runs").read_text() == "x"
 
 
 def test_tolerances_are_of_the_smaller_number_and_fixed(figures):

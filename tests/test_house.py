@@ -2,6 +2,7 @@
 
 import ast
 import graphlib
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -92,6 +93,17 @@ def test_imports_run_downwards():
         if floor[room(target)] > floor[room(module)] or {room(module), room(target)} == BESIDE
     ]
     assert not upwards
+
+
+def test_no_two_classes_share_a_name():
+    """But for those of the command line, a class `Command` each."""
+    found = Counter(
+        node.name
+        for tree in modules().values()
+        for node in statements(tree)
+        if isinstance(node, ast.ClassDef) and node.name != "Command"
+    )
+    assert [name for name, count in found.items() if count > 1] == []
 
 
 def builds_kernels(function: ast.FunctionDef) -> bool:

@@ -66,31 +66,6 @@ def test_a_new_unknown_is_found_everywhere(unknown, rope_lift, tmp_path, capsys)
     assert 0.0 < np.std(np.log(E)) < 0.5 * belief.sd[belief.names.index(unknown.name)]
 
 
-OUTSIDE = """
-from gendom.materials.unknowns import Unknown
-
-
-def raised(inputs, value):
-    inputs.raised += value
-
-
-LIFT_OFFSET = Unknown(
-    name="lift_offset", symbol="dz", unit="m", meaning="how much higher the lift was",
-    low=-0.05, high=0.05, mean=0.0, sd=0.002, step=1e-3, widest=0.01, on_replay=raised,
-)
-"""
-
-
-def test_a_package_adds_an_unknown(outside, rope_lift, tmp_path):
-    outside.add("offset", OUTSIDE, unknowns="LIFT_OFFSET")
-    path = tmp_path / "lift.npz"
-    rope_lift.seen().write(path)
-    words = ["--unknowns", "E_over_rho", "lift_offset", "--starts", 1, "--points", 15, "--json"]
-    estimated = outside.gendom("estimate", path, *words)
-    assert estimated.returncode == 0, estimated.stderr
-    assert abs(json.loads(estimated.stdout)["theta"]["lift_offset"]) < 0.01
-
-
 def test_a_name_is_registered_once(unknown):
     with pytest.raises(ParameterError, match="already"):
         register(unknown)

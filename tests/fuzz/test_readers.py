@@ -6,7 +6,6 @@ import time
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -145,16 +144,11 @@ def policy(folder):
 
 
 def demonstrations(folder):
-    demonstrations = pytest.importorskip("gendom.datasets.demonstrations", reason="needs pyarrow")
-    throwing = SimpleNamespace(
-        cost=1.0,
-        about=lambda: {"task": {"name": "throwing"}},
-        draw=lambda rngs: {"speed": np.array([rng.uniform(0.0, 9.0) for rng in rngs])},
-        demonstrate=lambda draws, **_: demonstrations.Outcomes(
-            columns={"goal_x": draws["speed"] ** 2}, faults=(None,) * len(draws["speed"])
-        ),
-    )
-    demonstrations.generate(throwing, 40, folder / "set", seed=5, shard_size=16)
+    pytest.importorskip("pyarrow", reason="needs the extra data")
+    from gendom.datasets import generate
+    from throwing import Throwing
+
+    generate(Throwing(), 40, folder / "set", seed=5, shard_size=16)
 
 
 def executions(folder):
@@ -257,19 +251,10 @@ def log(folder):
     written.end("done")
 
 
-def unchecked(read):
-    """A reader of text that people edit: other numbers are read without a word."""
-
-    def quietly(folder):
-        read(folder)
-
-    return quietly
-
-
 READERS = {
-    "cell": (write_cell, unchecked(lambda f: Cell.read(f / "cell.toml").faults())),
-    "action": (action, unchecked(lambda f: read_action(f / "action.json"))),
-    "log": (log, unchecked(lambda f: read_log(f / "a.jsonl"))),
+    "cell": (write_cell, lambda f: Cell.read(f / "cell.toml").faults()),
+    "action": (action, lambda f: read_action(f / "action.json")),
+    "log": (log, lambda f: read_log(f / "a.jsonl")),
     "npz": (lambda f: recording().write(f / "a.npz"), lambda f: numbers(f / "a.npz")),
     "lerobot": (lambda f: export_recording(recording(), f / "out"), lambda f: numbers(f / "out")),
     "estimate": (estimate, estimated),
@@ -277,9 +262,9 @@ READERS = {
     "demonstrations": (demonstrations, lambda f: rows_of(f / "set")),
     "executions": (
         executions,
-        unchecked(lambda f: Adapt(task="rope-reaching", executions=f / "executions.json")._new()),
+        lambda f: Adapt(task="rope-reaching", executions=f / "executions.json")._new(),
     ),
-    "motion": (motion, unchecked(lambda f: LiftMotion.read(f / "motion.json"))),
+    "motion": (motion, lambda f: LiftMotion.read(f / "motion.json")),
     "ply": (clouds(partial(write_ply, points=POINTS), ".ply"), read),
     "ply as text": (clouds(partial(write_ply, points=POINTS, text=True), ".ply"), read),
     "clouds as npz": (clouds(partial(np.savez, points=POINTS), ".npz"), read),
@@ -290,10 +275,14 @@ READERS = {
     "mcap": (lambda f: bag(f, "MCAP"), read_bag),
     "db3": (lambda f: bag(f, "SQLITE3"), read_bag),
     "cameras": (cameras, read_pictures),
-    "realsense": (realsense, unchecked(read_realsense)),
+    "realsense": (realsense, read_realsense),
     "board": (board, read_boards),
-    "arm": (arm, unchecked(lambda f: read_arm(f / "arm.urdf"))),
+    "arm": (arm, lambda f: read_arm(f / "arm.urdf")),
 }
+
+
+EDITED = ("cell", "action", "log", "executions", "motion", "arm")
+"""Text that people edit: other numbers are read without a word."""
 
 
 def damaged(data, rng):
@@ -334,7 +323,8 @@ def test_damaged_files_are_read_or_refused(tmp_path, kind, count):
         path.write_bytes(damaged(whole, rng))
         began = time.process_time()
         try:
-            assert take(folder) == stated, f"case {case}, {path.name}: other numbers"
+            found = take(folder)
+            assert kind in EDITED or found == stated, f"case {case}, {path.name}: other numbers"
         except GendomError as error:
             lines = str(error).splitlines()
             assert len(lines) <= max(1, len(getattr(error, "faults", ()))), case

@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 
 from gendom.errors import GendomError
-from gendom.viz.viewer.scenes import MATERIAL, Layer, Model, Parameter, ViewerScene
+from gendom.viz.viewer.scenes import (
+    MATERIAL,
+    Layer,
+    SliderParameter,
+    ViewerModel,
+    ViewerScene,
+)
 from viz.browser import Browser
 
 ARROW = {"key": "ArrowRight", "code": "ArrowRight", "windowsVirtualKeyCode": 39}
@@ -37,7 +43,7 @@ def cloud():
     return Layer(name="recorded", color="#0072B2", points=points, radius=0.002)
 
 
-class Square(Model):
+class Square(ViewerModel):
     """A model whose square lies as high as its slider says."""
 
     title = "a square"
@@ -51,7 +57,7 @@ class Square(Model):
         self.asked = []
 
     def parameters(self, case):
-        height = Parameter(
+        height = SliderParameter(
             name="height",
             label="height",
             unit="m",

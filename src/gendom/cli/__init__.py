@@ -172,7 +172,7 @@ def _escaped(error: UnicodeError) -> tuple[str, int]:
     return json.dumps(error.object[error.start : error.end])[1:-1], error.end
 
 
-class _Line(logging.Formatter):
+class _LineFormatter(logging.Formatter):
     """One line for each entry of the log, whatever names it holds."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:
@@ -183,7 +183,7 @@ class _Line(logging.Formatter):
 def _log_to_stderr(name: str, level: int) -> Iterator[None]:
     """Show the package's log while a command runs, and leave logging as it was."""
     handler = logging.StreamHandler()
-    handler.setFormatter(_Line(f"gendom {name}: %(message)s"))
+    handler.setFormatter(_LineFormatter(f"gendom {name}: %(message)s"))
     logger = logging.getLogger("gendom")
     before = logger.level, logger.propagate
     logger.addHandler(handler)

@@ -18,7 +18,7 @@ from gendom.errors import GendomError, printable
 from gendom.files import atomic_path
 
 if TYPE_CHECKING:
-    from gendom.viz.viewer.scenes import Model
+    from gendom.viz.viewer.scenes import ViewerModel
 
 _log = logging.getLogger(__name__)
 
@@ -76,7 +76,7 @@ class Command:
             viewer.close()
         return 0
 
-    def _model(self) -> Model:
+    def _model(self) -> ViewerModel:
         from gendom.materials.estimate_file import read_record
         from gendom.viz.viewer.models import DatasetModel, RecordingModel
 

@@ -84,7 +84,7 @@ class Outcomes:
     """[W] reasons of failures, None without failure."""
 
 
-class Demonstrator(Protocol):
+class DemonstrationSource(Protocol):
     """Source of demonstrations, see `gendom.tasks.demonstrator`."""
 
     @property
@@ -109,7 +109,7 @@ class Demonstrator(Protocol):
 
 
 def generate(
-    source: Demonstrator,
+    source: DemonstrationSource,
     size: int,
     out: str | os.PathLike,
     *,
@@ -171,7 +171,7 @@ def generate(
 
 
 def _complete(
-    source: Demonstrator,
+    source: DemonstrationSource,
     folder: Path,
     description: dict[str, Any],
     device: str,
@@ -404,7 +404,7 @@ class _Described:
 
 
 def _describe(
-    source: Demonstrator, size: int, seed: int, device: str, shard_size: int
+    source: DemonstrationSource, size: int, seed: int, device: str, shard_size: int
 ) -> dict[str, Any]:
     return {
         "format": FORMAT,
@@ -530,7 +530,7 @@ def generator_of(seed: int, index: int) -> np.random.Generator:
 
 
 def _simulate(
-    source: Demonstrator,
+    source: DemonstrationSource,
     indices: range,
     *,
     seed: int,

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, truncnorm
+from scipy.stats import truncnorm
 
 from gendom.arguments import require
 from gendom.datasets import ObjectDescription, Recording
@@ -33,6 +33,7 @@ from gendom.estimation import (
 from gendom.estimation.methods.search import estimated_noise
 from gendom.estimation.problem import Start
 from gendom.materials import KINDS, Item, Material, Rope, catalogue, size_of, thickness_of
+from gendom.materials.posterior import half_width
 from gendom.observation import visible
 from gendom.reality import Trial, arm_motion, as_real, end_of, lift, lift_cameras
 from gendom.robot import LIFT_ENDS, XARM7, JointMotion, LiftMotion, predefined_lift
@@ -191,7 +192,7 @@ class MotionForecast:
     def half_width(self, name: str, level: float) -> float:
         """Of the expected interval, in transformed units; NaN without information."""
         deviations = [sd[name] for sd in self.sd if sd is not None]
-        return float(norm.ppf(0.5 + level / 2.0) * np.mean(deviations)) if deviations else math.nan
+        return half_width(level) * float(np.mean(deviations)) if deviations else math.nan
 
 
 @dataclass(frozen=True, kw_only=True)

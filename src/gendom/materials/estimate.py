@@ -29,7 +29,7 @@ from gendom.materials.estimate_file import (
     USABLE,
     Derived,
     Verdict,
-    checked_verdict,
+    checked,
     checksum,
     derived,
     fields_of,
@@ -486,12 +486,12 @@ class Estimate(Shown):
         cls, read: Mapping[str, Any], where: str = "estimate", *, kind: str | None = None
     ) -> Estimate:
         """Inverse of `record`; arguments and errors as of `load`."""
-        verdict = checked_verdict(read, where)
         read = with_current_names(read)
+        stored = checked(read, where)
         left = "leave the file as it was written; give another number by a flag such as --E"
         try:
-            fields, stated = fields_of(read, kind, where)
-            found = cls(verdict=verdict, **fields)
+            fields, stated = fields_of(read, stored, kind, where)
+            found = cls(verdict=stored.verdict or USABLE, **fields)
             values = found._values()
             for name, value in stated.items():
                 own = values.get(name)

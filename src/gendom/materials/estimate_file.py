@@ -68,21 +68,21 @@ class Stored:
     verdict: Verdict | None = None
     object: dict[str, str | float | None] | None = None
     posterior: dict[str, Any] | None = None
-    theta: dict[str, float | None] | None = None
+    theta: dict[str, float] | None = None
     intervals: dict[str, float | tuple[float, float]] | None = None
     identifiable: dict[str, bool] | None = None
     density_sd: float | None = None
     simulation: Simulated | None = None
-    recordings: list[Recorded] | None = None
+    recordings: list[StoredRecording] | None = None
     executions: dict[str, list[Any]] | None = None
     before_executions: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recorded:
+class StoredRecording:
     """What is read of one of its recordings."""
 
-    theta: dict[str, float | None] | None = None
+    theta: dict[str, float]
     digest: str | None = None
     begins_with: str | None = None
     compared: list[int] | None = None
@@ -173,14 +173,14 @@ NOTHING_ESTIMATED = Posterior(
 
 def read_record(path: str | Path, *, even_unusable: bool = True) -> dict[str, Any]:
     """The JSON document of an estimate's file, perhaps of an earlier version, with the present
-    names of quantities; errors as of `checked_verdict`."""
+    names of quantities; errors as of `checked`."""
     read = with_current_names(read_json(path))
-    checked_verdict(read, str(path), even_unusable=even_unusable)
+    checked(read, str(path), even_unusable=even_unusable)
     return read
 
 
-def checked_verdict(read: Mapping[str, Any], where: str, *, even_unusable: bool = True) -> Verdict:
-    """The verdict of an estimate's record.
+def checked(read: Mapping[str, Any], where: str, *, even_unusable: bool = True) -> Stored:
+    """What is read of an estimate's record with present names, by its type.
 
     Raises:
         ParameterError: It has another format or odd types, holds no numbers, or is not usable,
@@ -197,39 +197,39 @@ def checked_verdict(read: Mapping[str, Any], where: str, *, even_unusable: bool 
     numbers, fix = not read.keys() <= {"format", "verdict"}, f"{again} give flags such as --E"
     what = f"holds no numbers, since nothing was estimated: {why}"
     require(numbers, what, where=where, fix=fix)
-    return verdict
+    return stored
 
 
 def fields_of(
-    read: Mapping[str, Any], kind: str | None, where: str
+    read: Mapping[str, Any], stored: Stored, kind: str | None, where: str
 ) -> tuple[dict[str, Any], dict[str, float]]:
-    """Fields of the estimate of a record, with present names, and the values that its posterior
-    must have. `kind` is of the object, for files that do not say it.
+    """Fields of the estimate of a record that was `checked`, and the values that its posterior must
+    have. `kind` is of the object, for files that do not say it.
 
     Raises:
         KeyError, IndexError, TypeError, ValueError, GendomError: The record cannot be used.
     """
-    described = read.get("object") or {}
-    kind = described.get("kind", kind)
-    if kind not in KINDS:
-        raise ValueError(f"there is no kind of object {kind!r}")
-    known = _numbers(read, described, where)
-    level = float((read.get("intervals") or {}).get("level", LEVEL))
-    require(0.0 < level < 1.0, f"level is {level:g}", where="intervals", fix="estimate again")
-    posterior, stated = _posterior_of(read, known, level), {}
-    if read.get("posterior") is not None:
-        stated = _stated(known, posterior, kind)
+    of = (stored.object or {}).get("kind", kind)
+    if not isinstance(of, str) or of not in KINDS:
+        raise ValueError(f"there is no kind of object {of!r}")
+    known = _numbers(read, stored, where)
+    level = (stored.intervals or {}).get("level", LEVEL)
+    if not isinstance(level, float) or not 0.0 < level < 1.0:
+        raise ParameterError(f"level is {level}", where="intervals", fix="estimate again")
+    posterior, stated = _posterior_of(stored, known, level), {}
+    if stored.posterior is not None:
+        stated = _stated(known, posterior, of)
     else:
         if "E" in known and "E_over_rho" not in known and "density" in known:
             known["E_over_rho"] = known["E"] / known["density"]
         known.pop("E", None)
-    material = (read.get("simulation") or {}).get("material")
+    material = None if stored.simulation is None else stored.simulation.material
     sd = catalogue.get(material).density.log_sd if material else ASSUMED_DENSITY_SD
     density_sd = float(read.get("density_sd", 0.0 if "mass" in known else sd))
     what = f"density_sd is {density_sd:g}"
     require(0.0 <= density_sd <= LARGEST_SD, what, fix="estimate again")
     about = {k: v for k, v in read.items() if k not in _OWN}
-    fields = {"kind": kind, "known": known, "posterior": posterior, "about": about}
+    fields = {"kind": of, "known": known, "posterior": posterior, "about": about}
     return {**fields, "level": level, "density_sd": density_sd}, stated
 
 
@@ -258,16 +258,16 @@ _OWN = (
 """Entries of the file that `Estimate.record` computes, beside values of unknowns."""
 
 
-def _numbers(read: Mapping[str, Any], described: Mapping[str, Any], where: str) -> dict[str, float]:
+def _numbers(read: Mapping[str, Any], stored: Stored, where: str) -> dict[str, float]:
     """The file's numbers of the object.
 
     Raises:
         GendomError: One is none, or not positive.
     """
     names = {n for n, u in UNKNOWNS.items() if u.material and n != "thickness"}
-    told = read.get("identifiable") or {}
+    told, described = stored.identifiable or {}, stored.object or {}
     numbers = {n: read.get(n) for n in ("E", *names, "density")}
-    if not read.get("posterior"):  # what the recording does not tell is its prior's
+    if not stored.posterior:  # what the recording does not tell is its prior's
         numbers |= {n: None for n in HIDDEN if told.get(n, True) is False}
     numbers |= {n: described.get(n) for n in (*SIZES, "mass")}
     fix = "estimate again, or give the number by a flag"
@@ -279,18 +279,19 @@ def _numbers(read: Mapping[str, Any], described: Mapping[str, Any], where: str) 
     return {n: float(v) for n, v in numbers.items() if v is not None}
 
 
-def _posterior_of(read: Mapping[str, Any], known: Mapping[str, float], level: float) -> Posterior:
+def _posterior_of(stored: Stored, known: Mapping[str, float], level: float) -> Posterior:
     """The file's posterior; of files of earlier versions that of their interval of E."""
-    if read.get("posterior") is not None:
-        first, bases = read.get("theta"), []
-        if first:
-            base = Theta(**{k: float(v) for k, v in first.items()})
-            # files of earlier versions are of one recording
-            bases = [base.with_values(r["theta"]) for r in read.get("recordings", [read])]
-        return Posterior.from_dict(read["posterior"], bases)
-    ends = (read.get("intervals") or {}).get("E")
-    if not ends:
+    if stored.posterior is not None:
+        base = Theta(**stored.theta) if stored.theta else None
+        # files of earlier versions are of one recording
+        own = [{}] if stored.recordings is None else [r.theta for r in stored.recordings]
+        bases = [base.with_values(theta) for theta in own] if base else []
+        return Posterior.from_dict(stored.posterior, bases)
+    ends = (stored.intervals or {}).get("E")
+    if ends is None:
         return NOTHING_ESTIMATED
+    if not isinstance(ends, tuple):
+        raise TypeError(f"the interval of E is {ends:g}")
     low, high = (math.log(end / known["density"]) for end in ends)
     variance = (0.5 * (high - low) / half_width(level)) ** 2
     mean, covariance = np.array([0.5 * (low + high)]), np.array([[variance]])

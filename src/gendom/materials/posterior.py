@@ -237,7 +237,7 @@ class Posterior:
             ParameterError: It is none.
         """
         fix = "estimate again"
-        stored = record_of(_Stored, read, where="posterior", fix=fix, error=ParameterError)
+        stored = record_of(_StoredPosterior, read, where="posterior", fix=fix, error=ParameterError)
         names, P = stored.names, len(stored.names)
         usual = prior_of(dict.fromkeys(names))
         told = {"low": stored.low, "high": stored.high, "mean": stored.prior_mean,
@@ -270,7 +270,7 @@ class Posterior:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Stored:
+class _StoredPosterior:
     """A `Posterior` in JSON; what files of older versions lack is None."""
 
     names: tuple[str, ...]

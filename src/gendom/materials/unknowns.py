@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
 from gendom.arguments import check_number, require
 from gendom.plugins import plugins
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Unknown:
     """One number to be estimated, and its prior.
 
@@ -29,6 +29,7 @@ class Unknown:
     """As people write it."""
     unit: str
     meaning: str
+    _: KW_ONLY
     log: bool = False
     low: float
     high: float
@@ -105,7 +106,7 @@ def _turns(end: int, about: int) -> Callable[[Any, float], None]:
 def _clamp(end: int, across: int) -> Unknown:
     """How a clamp's direction differs from that of two markers that are glued beside the rope."""
     which, axis = ("first", "last")[end], "xy"[across]
-    return _unknown(
+    return Unknown(
         f"{which}_clamp_{axis}", f"{which} clamp, {axis}", "rad",
         f"turn of the clamp at the {which} end from its stated axis, about the hand's {axis} axis",
         low=-1.0, high=1.0, mean=0.0, sd=0.3, step=0.01, widest=0.1, kinds=("rope",),
@@ -113,55 +114,51 @@ def _clamp(end: int, across: int) -> Unknown:
     )  # fmt: skip
 
 
-def _unknown(name: str, symbol: str, unit: str, meaning: str, **other) -> Unknown:
-    return Unknown(name=name, symbol=symbol, unit=unit, meaning=meaning, **other)
-
-
 UNKNOWNS: dict[str, Unknown] = {
     u.name: u
     for u in (
         # the range is that of a scene, by bending lengths: see `prior_of`
-        _unknown(
+        Unknown(
             "E_over_rho", "E / density", "m^2/s^2", "Young's modulus over density",
             log=True, low=1e-2, high=1e9, mean=1e3, sd=4.0, step=0.02, widest=1.0, material=True,
             label="E / density", on_replay=_sets("E_over_rho"),
             on_object=lambda item, value: _with("E")(item, value * item.material.density),
         ),
-        _unknown(
+        Unknown(
             "nu", "nu", "1", "Poisson's ratio",
             low=0.05, high=0.45, mean=0.3, sd=0.06, step=0.02, widest=0.1, material=True,
             label="Poisson's ratio", form=".3f", on_object=_with("nu"), on_replay=_sets("nu"),
         ),
         # log-uniform 0.5 to 50 ms has this mean and deviation
-        _unknown(
+        Unknown(
             "damping", "damping", "s", "viscous over elastic stress",
             log=True, low=3e-4, high=0.2, mean=0.005, sd=1.33, step=0.1, widest=1.0,
             material=True, least=0.0, form=".2g",
             on_object=_with("damping"), on_replay=_sets("damping"),
         ),
         # uniform 0.05 to 1 has this deviation
-        _unknown(
+        Unknown(
             "friction", "friction", "1", "coefficient of friction on the table",
             low=0.02, high=1.5, mean=0.5, sd=0.27, step=0.03, widest=0.2, material=True,
             least=0.0, form=".2f",
             on_object=lambda item, value: replace(item, friction=value),
             on_replay=_sets("friction"),
         ),
-        _unknown(
+        Unknown(
             "stiffness_slope", "d ln(E) / d(s / L)", "1", "how E varies along a rope",
             low=-3.0, high=3.0, mean=0.0, sd=1.0, step=0.05, widest=0.5, kinds=("rope",),
             material=True, label="d ln(E) / d(s/L)", form=".2f",
             on_replay=lambda world, value: world.stiffen_along(value),
         ),
         # all of it in a hose from its coil, nothing in a string that somebody laid down
-        _unknown(
+        Unknown(
             "natural_curvature", "natural curvature", "1",
             "share of a lying rope's curvature that it has by nature",
             low=0.0, high=1.0, mean=0.5, sd=0.5, step=0.05, widest=0.5, kinds=("rope",),
             default=1.0, least=0.0, form=".2f", on_replay=_sets("natural_curvature"),
         ),
         # of woven cloths one side is up to twice as stiff
-        _unknown(
+        Unknown(
             "warp_over_weft", "warp / weft", "1",
             "bending stiffness along a cloth's first side over that along its second one",
             log=True, low=0.1, high=10.0, mean=1.0, sd=0.5, step=0.06, widest=0.5,
@@ -169,28 +166,28 @@ UNKNOWNS: dict[str, Unknown] = {
             on_replay=_sets("warp_over_weft"),
         ),
         # cloth folded over once or twice, and sewn
-        _unknown(
+        Unknown(
             "hem_stiffness", "hem's stiffness", "1",
             "bending stiffness of a cloth's border over that of the rest",
             log=True, low=0.5, high=50.0, mean=1.0, sd=1.5, step=0.2, widest=1.0,
             kinds=("cloth",), material=True, above=0.0, form=".2f",
             on_replay=lambda world, value: world.hem(stiffness=value),
         ),
-        _unknown(
+        Unknown(
             "hem_mass", "hem's mass", "1",
             "mass by area of a cloth's border over that of the rest",
             log=True, low=0.5, high=6.0, mean=1.0, sd=0.6, step=0.1, widest=0.5,
             kinds=("cloth",), material=True, above=0.0, form=".2f",
             on_replay=lambda world, value: world.hem(mass=value),
         ),
-        _unknown(
+        Unknown(
             "tip_mass", "tip mass", "1", "share of a rope's mass at its free end: a knot, a sheath",
             low=0.0, high=0.5, mean=0.05, sd=0.1, step=0.02, widest=0.1, kinds=("rope",),
             default=0.0, material=True, least=0.0, form=".3f",
             on_replay=lambda world, value: world.weigh_tip(value),
         ),
         # a caliper squeezes what is soft: half a millimetre of a centimetre
-        _unknown(
+        Unknown(
             "thickness", "thickness / stated", "1",
             "diameter of a rope, thickness of a cloth, over the stated one",
             log=True, low=0.5, high=2.0, mean=1.0, sd=0.05, step=0.02, widest=0.1, material=True,
@@ -199,7 +196,7 @@ UNKNOWNS: dict[str, Unknown] = {
             on_replay=lambda world, value: world.thicken(value),
         ),
         # of a cable 6 mm thick and of 1,500 kg/m^3 twice that of the 20 mm and 1,000 kg/m^3 assumed
-        _unknown(
+        Unknown(
             "air_drag", "air drag / assumed", "1",
             "drag of the air over mass, over that of the assumed diameter and density",
             log=True, low=0.1, high=10.0, mean=2.0, sd=0.7, step=0.1, widest=0.7, default=1.0,
@@ -207,52 +204,52 @@ UNKNOWNS: dict[str, Unknown] = {
         ),
         *(_clamp(end, across) for end in (0, 1) for across in (0, 1)),
         # a rope is clamped as it comes: half a turn more or less
-        _unknown(
+        Unknown(
             "clamp_twist", "clamp twist", "rad", "twist of a rope between two clamps",
             low=-8.0, high=8.0, mean=0.0, sd=1.5, step=0.1, widest=1.0, kinds=("rope",),
             material=True, form=".2f", on_replay=_turns(1, 2),
         ),
-        _unknown(
+        Unknown(
             "delay", "delay", "s", "how late clouds show the stated motion of the gripper",
             low=-0.5, high=0.5, mean=0.0, sd=0.02, step=0.005, widest=0.05,
             on_replay=_sets("delay"),
         ),
-        _unknown(
+        Unknown(
             "grip_height", "grip height", "m", "how much higher than stated the object is held",
             low=-0.1, high=0.1, mean=0.0, sd=0.002, step=1e-3, widest=0.01,
             on_replay=lambda world, value: setattr(world, "raised", world.raised + value),
         ),
-        _unknown(
+        Unknown(
             "grip_along", "grip along", "m",
             "how much farther from its end, or corner, than stated the object is held",
             low=-0.1, high=0.1, mean=0.0, sd=0.003, step=1e-3, widest=0.01,
             on_replay=lambda world, value: world.shift(along=value),
         ),
-        _unknown(
+        Unknown(
             "grip_aside", "grip aside", "m",
             "how far to the left of the diagonal, seen from the corner, a cloth is held",
             low=-0.1, high=0.1, mean=0.0, sd=0.008, step=2e-3, widest=0.01, kinds=("cloth",),
             on_replay=lambda world, value: world.shift(aside=value),
         ),
-        _unknown(
+        Unknown(
             "grip_tilt", "grip tilt", "rad",
             "how far the held corner turns from level, or its recorded axis, as it is lifted",
             low=-0.3, high=2.2, mean=0.8, sd=0.6, step=0.05, widest=0.4, kinds=("cloth",),
             default=0.0, on_replay=_sets("tilt"),
         ),
-        _unknown(
+        Unknown(
             "grip_reach", "grip reach", "m",
             "how much farther from the held point than stated the cloth moves with the gripper",
             low=-0.05, high=0.05, mean=0.0, sd=0.004, step=2e-3, widest=0.01, kinds=("cloth",),
             on_replay=_sets("reach"),
         ),
-        _unknown(
+        Unknown(
             "yaw", "yaw", "rad", "turn of the lying cloth from the first guess on",
             low=-0.8, high=0.8, mean=0.0, sd=0.15, step=0.02, widest=0.15, kinds=("cloth",),
             on_replay=lambda world, value: world.turn(value),
         ),
         # after what moves the object in the fingers
-        _unknown(
+        Unknown(
             "grip_turn", "grip turn", "rad", "how far a rope turns in soft fingers by its weight",
             low=0.0, high=1.5, mean=0.0, sd=0.15, step=0.02, widest=0.2, kinds=("rope",),
             least=0.0, on_replay=lambda world, value: world.soften_grip(value),

@@ -174,7 +174,7 @@ def calibrate(camera: Camera, views: Sequence[BoardView]) -> Calibration:
     fix = "take more, with the board large and sharp in the picture"
     expect(len(views) >= _MIN_PICTURES, what, fix=fix)
     _check_turns(views)
-    problem = _Problem(camera, views)
+    problem = _HandEyeProblem(camera, views)
     x, covariance = problem.fit(np.zeros(_POSE))
     by_view = problem.rms(x)
     typical = float(np.median(by_view))
@@ -210,7 +210,7 @@ def calibrate(camera: Camera, views: Sequence[BoardView]) -> Calibration:
     return found
 
 
-class _Problem:
+class _HandEyeProblem:
     """Least squares over x: changes of both poses (`_moved`) from their first values, and where x
     is longer ln of focal length and board over the stated ones, and the centre's shift [pixels]."""
 
@@ -301,7 +301,7 @@ def _check_refit(camera: Camera, refit: dict[str, tuple[float, float]]) -> None:
 def _check_readings(camera: Camera, views: Sequence[BoardView], typical: float) -> None:
     """Refuse poses that fit much better than by the median view's error [pixels] if they are read
     otherwise, and say how they were written."""
-    readings = [(whats, _Problem(camera, other)) for whats, other in _readings(views)]
+    readings = [(whats, _HandEyeProblem(camera, other)) for whats, other in _readings(views)]
     errors = [np.median(problem.rms(np.zeros(_POSE))) for _, problem in readings]
     whats, problem = readings[int(np.argmin(errors))]
     x, _ = problem.fit(np.zeros(_POSE))

@@ -183,7 +183,7 @@ def adapting(
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Stored:
+class _StoredExecution:
     """An `Execution` in JSON."""
 
     action: tuple[float, ...]
@@ -198,7 +198,9 @@ def executions_from(rows: Sequence[Any], where: str) -> list[Execution]:
     """
     fix = "give an action and what it reached, each a list of numbers"
     stored = [
-        record_of(_Stored, row, where=f"{where}: executions[{k}]", fix=fix, error=ParameterError)
+        record_of(
+            _StoredExecution, row, where=f"{where}: executions[{k}]", fix=fix, error=ParameterError
+        )
         for k, row in enumerate(rows)
     ]
     return [Execution(action=np.array(s.action), reached=np.array(s.reached)) for s in stored]

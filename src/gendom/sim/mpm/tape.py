@@ -99,8 +99,8 @@ class Tape:
         return min(LONGEST, max(SHORTEST, int(self.memory / row)))
 
     def _record(
-        self, group: Group, segment: "Segment", substeps: int, spare: "Recording | None"
-    ) -> "Recording":
+        self, group: Group, segment: "Segment", substeps: int, spare: "TapedStates | None"
+    ) -> "TapedStates":
         """Run a segment from its beginning and keep everything that its reverse needs.
 
         Into ``spare`` where that has the room.
@@ -111,7 +111,7 @@ class Tape:
             layouts = substeps if again else -(-substeps // SUBSTEPS_A_LAYOUT)
             if spare is None or spare.room != s.room or spare.substeps < substeps:
                 spare = None  # its memory first
-                spare = Recording(self.program, group, substeps, layouts)
+                spare = TapedStates(self.program, group, substeps, layouts)
             segment.start.restore(group)
             group.record(plan, spare, most=substeps, frames=segment.frame + 1)
             full = group.read("status") == GRID_FULL
@@ -130,7 +130,7 @@ class Tape:
         sums = Sums(self.program)
 
         def one_group(group: Group) -> None:
-            spare: Recording | None = None
+            spare: TapedStates | None = None
             group.begin()
             # frames without substeps have no segments
             frame = len(positions_bar)
@@ -148,8 +148,8 @@ class Tape:
         return sums.gradients()
 
     def _reverse(
-        self, group: Group, segment: "Segment", sums: "Sums", spare: "Recording | None"
-    ) -> "Recording | None":
+        self, group: Group, segment: "Segment", sums: "Sums", spare: "TapedStates | None"
+    ) -> "TapedStates | None":
         """Carry derivatives from the end of a segment to its beginning."""
         s, program = self.program.worlds, self.program
         if not segment.substeps:
@@ -205,7 +205,7 @@ class Segment:
     start: Snapshot
     end: NDArray[np.integer] | None = None
     """[n] substeps of the frame that are done at the end."""
-    recording: "Recording | None" = None
+    recording: "TapedStates | None" = None
     """If it is kept from the forward run."""
 
     def set_end(self, group: Group, plan: Plan) -> None:
@@ -241,7 +241,7 @@ class Segment:
         return (plan.time[self.frame + 1] - plan.time[self.frame]) / steps
 
 
-class Recording:
+class TapedStates:
     """States, grids and layouts of consecutive substeps of a group of worlds."""
 
     def __init__(self, program: Program, group: Group, substeps: int, layouts: int):
@@ -344,7 +344,7 @@ class Sums:
                 by_knot[w, g, last + 1 :] = 0.0
         return by_knot
 
-    def check(self, group: Group, segment: Segment, recording: Recording, plan: Plan) -> None:
+    def check(self, group: Group, segment: Segment, recording: TapedStates, plan: Plan) -> None:
         """Raise the error of a derivative by a state that is not finite."""
         status = self.conditions.status.numpy()
         for n, w in enumerate(group.own):
@@ -352,7 +352,7 @@ class Sums:
                 raise self._overflow(group, n, segment, recording, plan)
 
     def _overflow(
-        self, group: Group, n: int, segment: Segment, recording: Recording, plan: Plan
+        self, group: Group, n: int, segment: Segment, recording: TapedStates, plan: Plan
     ) -> SimulationError:
         s, w = self.program.worlds, int(group.own[n])
         slot = int(self.conditions.failed_slot.numpy()[w])

@@ -595,7 +595,7 @@ class ThinEngine(ABC):
 
     def plan_on_device(self, plan: Schedule) -> Any:
         """Convert a schedule to the kernels' struct; on the CPU it shares the memory."""
-        made, device = self.types.FramePlan(), self.setting.device
+        made, device = self.types.ThinPlan(), self.setting.device
         for name in ("begins", "done", "steps", "dt", "before", "frame"):
             kind = wp.int32 if name in ("done", "steps", "frame") else wp.float64
             values = np.ascontiguousarray(getattr(plan, name))

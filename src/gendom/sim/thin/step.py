@@ -132,11 +132,11 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
     types, native = make_types(real), make_native(real, kind)
     step, step_adjoint = make_steps(real, kind)
     ThinModel, ModelAdjoint = types.ThinModel, types.ModelAdjoint
-    FramePlan, vec3, Paths = types.FramePlan, types.vec3, make_path_type(real)
+    ThinPlan, vec3, Paths = types.ThinPlan, types.vec3, make_path_type(real)
     rows = wp.array3d(dtype=real)
 
     @wp.func
-    def kick_of(plan: FramePlan, w: int, p: int, k: int):
+    def kick_of(plan: ThinPlan, w: int, p: int, k: int):
         """Time from the middle of the previous step to the middle of step k of a piece [s]."""
         kick = plan.dt[w, p]
         if k == 0:
@@ -144,7 +144,7 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         return real(kick)
 
     @wp.func
-    def end_of(plan: FramePlan, w: int, p: int, k: int):
+    def end_of(plan: ThinPlan, w: int, p: int, k: int):
         """When step k of a piece ends [s]."""
         return plan.begins[w, p] + wp.float64(plan.done[w, p] + k + 1) * plan.dt[w, p]
 
@@ -202,7 +202,7 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         threads: int,  # of a world
         model: ThinModel,
         paths: Paths,
-        plan: FramePlan,
+        plan: ThinPlan,
         piece: wp.array2d(dtype=wp.int32),  # [W, 2] first piece, and the one after the last
         # step k of the call goes from row w + k stride - offset to the next; stride 0: in place
         offset: int,
@@ -275,7 +275,7 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         threads: int,
         model: ThinModel,
         paths: Paths,
-        plan: FramePlan,
+        plan: ThinPlan,
         s: wp.array(dtype=wp.int32),  # [W] the piece, recorded in rows as by ``advance``; -1: none
         offset: int,
         stride: int,

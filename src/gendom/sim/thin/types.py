@@ -164,7 +164,7 @@ def make_types(real: Any) -> SimpleNamespace:
         turn: wp.array2d(dtype=vec3)  # [W, G] of one step
 
     @wp.struct
-    class FramePlan:
+    class ThinPlan:
         """Schedule of W worlds: pieces of equal steps."""
 
         begins: wp.array2d(dtype=wp.float64)  # [W, S] start of the piece's interval [s]
@@ -175,5 +175,5 @@ def make_types(real: Any) -> SimpleNamespace:
         frame: wp.array2d(dtype=wp.int32)  # [W, S] recorded at its end; -1: none
 
     return SimpleNamespace(
-        vec3=vec3, quat=quat, ThinModel=ThinModel, ModelAdjoint=ModelAdjoint, FramePlan=FramePlan
+        vec3=vec3, quat=quat, ThinModel=ThinModel, ModelAdjoint=ModelAdjoint, ThinPlan=ThinPlan
     )

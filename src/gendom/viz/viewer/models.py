@@ -26,8 +26,8 @@ from gendom.viz.viewer.scenes import (
     MATERIAL,
     SETUP,
     Layer,
-    Model,
-    Parameter,
+    SliderParameter,
+    ViewerModel,
     ViewerScene,
     gripper_layer,
     object_layer,
@@ -39,7 +39,7 @@ FRAMES = 160
 GOAL_COLOR = "#009E73"
 
 
-class RecordingModel(Model):
+class RecordingModel(ViewerModel):
     """A recording that is replayed with the parameters of sliders.
 
     Args:
@@ -67,7 +67,7 @@ class RecordingModel(Model):
         theta = scene.prior()[1].with_values(scene.guesses[len(scene.guesses) // 2])
         return cls(of_all_frames(scene, recording), theta, title)
 
-    def parameters(self, case: int) -> tuple[Parameter, ...]:
+    def parameters(self, case: int) -> tuple[SliderParameter, ...]:
         """The object's parameters, and those of how it is held."""
         return self._parameters
 
@@ -106,7 +106,7 @@ class RecordingModel(Model):
         )
 
 
-def _parameters(scene: LiftScene, theta: Theta) -> tuple[Parameter, ...]:
+def _parameters(scene: LiftScene, theta: Theta) -> tuple[SliderParameter, ...]:
     """Unknowns of the object, those that are searched, and those that have other values than usual,
     within the ranges that are searched."""
     searched = scene.prior()[0].names
@@ -134,9 +134,9 @@ def _parameters(scene: LiftScene, theta: Theta) -> tuple[Parameter, ...]:
     )
 
 
-def _parameter(*, ends: tuple[float, float], value: float, **about: Any) -> Parameter:
+def _parameter(*, ends: tuple[float, float], value: float, **about: Any) -> SliderParameter:
     """With room for a value beyond the ends of its usual range."""
-    return Parameter(low=min(ends[0], value), high=max(ends[1], value), value=value, **about)
+    return SliderParameter(low=min(ends[0], value), high=max(ends[1], value), value=value, **about)
 
 
 def _facts(scene: LiftScene, theta: Theta) -> tuple[tuple[str, str], ...]:
@@ -148,7 +148,7 @@ def _facts(scene: LiftScene, theta: Theta) -> tuple[tuple[str, str], ...]:
     return tuple(facts)
 
 
-class DatasetModel(Model):
+class DatasetModel(ViewerModel):
     """Demonstrations of a set, one at a time, with other actions and parameters on request.
 
     Args:
@@ -181,7 +181,7 @@ class DatasetModel(Model):
         self.title = f"{folder.name or folder}: {self.task.name}"
         self.cases = ("demonstration", len(self._rows))
 
-    def parameters(self, case: int) -> tuple[Parameter, ...]:
+    def parameters(self, case: int) -> tuple[SliderParameter, ...]:
         """The action within its limits, and the object's parameters within those drawn."""
         row, ranges = self._rows[case], self.task.ranges
         actions = zip(self.task.actions, self.task.limits(self._item(case)), strict=True)

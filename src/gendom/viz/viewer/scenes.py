@@ -100,7 +100,7 @@ class ViewerScene:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parameter:
+class SliderParameter:
     """One number that a slider changes. The slider of a logarithmic one stands at its log10."""
 
     name: str
@@ -152,7 +152,7 @@ class Parameter:
         return f"{self.label} " + with_minus(f"{factor * value:.3g} {unit}".rstrip())
 
 
-class Model(Protocol):
+class ViewerModel(Protocol):
     """Something to view: some cases, each with parameters of the same names."""
 
     title: str
@@ -163,7 +163,7 @@ class Model(Protocol):
     initial: ViewerScene | None
     """What is known before anything is simulated."""
 
-    def parameters(self, case: int) -> tuple[Parameter, ...]: ...
+    def parameters(self, case: int) -> tuple[SliderParameter, ...]: ...
 
     def simulate(
         self, case: int, values: Mapping[str, float], go_on: Callable[[], None]

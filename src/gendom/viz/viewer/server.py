@@ -34,7 +34,7 @@ from gendom.viz.palette import (
     nice_step,
     rgb,
 )
-from gendom.viz.viewer.scenes import Array, Layer, Model, Parameter, ViewerScene
+from gendom.viz.viewer.scenes import Array, Layer, SliderParameter, ViewerModel, ViewerScene
 
 HOST = "127.0.0.1"
 
@@ -214,7 +214,7 @@ class Viewer:
         GendomError: There is no such port.
     """
 
-    def __init__(self, model: Model, *, case: int = 0, port: int = 8080):
+    def __init__(self, model: ViewerModel, *, case: int = 0, port: int = 8080):
         require(0 <= port < 65536, f"is {port}", where="port", fix="give 0 to 65535")
         self._model, self._case = model, case
         self._lock = threading.RLock()
@@ -323,7 +323,7 @@ class Viewer:
         if self._sliders:
             gui.add_button("Reset parameters").on_click(lambda _: self.set_case(self._case))
 
-    def _add_slider(self, p: Parameter) -> viser.GuiSliderHandle:
+    def _add_slider(self, p: SliderParameter) -> viser.GuiSliderHandle:
         slider = self._server.gui.add_slider(
             p.text(p.value),
             *p.range,
@@ -498,7 +498,7 @@ class Viewer:
                 self._time.value = scene.frame_at(clock)
 
 
-def encode_html(model: Model, case: int = 0) -> str:
+def encode_html(model: ViewerModel, case: int = 0) -> str:
     """A page that plays a case's most complete scene by itself, with viser's own player.
 
     Raises:
