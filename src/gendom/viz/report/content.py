@@ -115,8 +115,8 @@ class ReportContent:
         cards, found = [], self.estimate
         if found is not None:
             cards += _parameter_cards(found) if found.usable else []
-            distance = length_text(found.record["chamfer_mean"])
-            cards.append((distance, "Chamfer distance of both lifts, mean of all frames"))
+            distance = length_text(found.record["rms"])
+            cards.append((distance, "distance of the clouds from the best fit, root mean square"))
         if self.action is not None:
             errors = self.action.mean_errors()
             without = length_text(errors[motion.WITHOUT])
