@@ -228,7 +228,7 @@ class WorldInputs:
         if (turns := scene.turns[g]) is not None:
             t = turns[0] + self.delay / scene.clock
             found.append(Slerp(t, turns[1])(np.clip(knots, t[0], t[-1])))
-        if scene.kind == "cloth" and scene.recording.object.grasp == "corner":
+        if scene.by_corner:
             rise = at[:, 2] - scene.held[g, 2]
             inwards = Rotation.from_euler("z", self.yaw).apply(scene.inwards[g])
             axis = np.cross(inwards, [0.0, 0.0, -1.0])
