@@ -9,7 +9,7 @@ import numpy as np
 from gendom.arguments import require
 from gendom.datasets import ObjectDescription, Recording
 from gendom.materials.catalogue import Listed
-from gendom.materials.posterior import Prior, half_width, prior_of
+from gendom.materials.posterior import half_width
 from gendom.materials.unknowns import UNKNOWNS
 
 BENDING_RANGE = {"rope": (0.04, 2.5), "held rope": (0.04, 1.2), "cloth": (0.01, 0.2)}
@@ -96,11 +96,6 @@ def thickness_stated(described: ObjectDescription) -> bool:
     """Whether a recording says how thick its object is."""
     stated = described.diameter if described.kind == "rope" else described.thickness
     return stated is not None
-
-
-def thickness_prior(described: ObjectDescription) -> Prior:
-    """Prior of a diameter or thickness, over the stated or the assumed one."""
-    return prior_of(["thickness"], {"thickness": _thickness(described)})
 
 
 def material_prior(
