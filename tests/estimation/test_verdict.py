@@ -26,21 +26,6 @@ def still(recording):
     )
 
 
-def y_up(recording):
-    return replace(
-        recording,
-        points=recording.points[:, [0, 2, 1]],
-        gripper_position=recording.gripper_position[..., [0, 2, 1]],
-    )
-
-
-def uniform_noise(recording):
-    """As many points anywhere in the box of all clouds."""
-    low, high = recording.points.min(axis=0), recording.points.max(axis=0)
-    points = np.random.default_rng(0).uniform(low, high, size=recording.points.shape)
-    return replace(recording, points=points)
-
-
 def test_the_demo_s_lift_is_usable():
     place = str(files("gendom") / "assets" / "demo-rope-lift.npz")
     found = estimate(Recording.read(place), EstimateSettings(starts=1))
@@ -124,9 +109,9 @@ def test_the_end_of_a_cloud_is_compared_with_a_line(rope_lift):
         ("gripper 5 cm along", "before the end of an object"),
         (lambda recording: recording.head(1), "1 of the 4 frames"),
         (still, "the gripper moves by 0 m"),
-        (y_up, "under the table"),
-        (uniform_noise, "do not belong to the object"),
-        (lambda seen: replace(seen, points=1.43 * seen.points), "otherwise than any simulated one"),
+        ("y up", "under the table"),
+        ("uniform noise", "do not belong to the object"),
+        ("clouds x 1.43", "otherwise than any simulated one"),
     ],
 )
 def test_what_cannot_be_used_is_said(lifted, settings, spoiled, reason):

@@ -1,5 +1,4 @@
-"""`replay`: simulated positions of an object in a scene, for given parameters; and its `Shape`, to
-which points are assigned."""
+"""Simulated positions of an object in a scene, for given parameters, and its `Shape`."""
 
 from __future__ import annotations
 

@@ -45,7 +45,6 @@ Array = NDArray[np.floating]
 FINER = "limp: simulated along its longer side with"
 """Note of a cloth that gets more points than others."""
 
-
 STATIC_DAMPING, STATIC_SETTLING = 3.0, 6.0
 """Rate at which velocities decay where nothing moves [1/s], and time in which such an object comes
 to rest [s]; its slowest swing then has e^-9 left."""

@@ -31,7 +31,6 @@ from gendom.sim import Rollout
 
 Array = NDArray[np.floating]
 
-
 SCANNED = 16
 """Moduli of the scan that precedes the search, over the whole range."""
 

@@ -30,7 +30,6 @@ from gendom.materials.unknowns import UNKNOWNS
 
 Array = NDArray[np.floating]
 
-
 SCANNED = 12
 """Moduli of the scan that precedes the search, over the whole range."""
 
