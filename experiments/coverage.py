@@ -126,7 +126,7 @@ def _estimated(runs: Runs, lifts: Lifts, which: str, seed: int) -> dict[str, Any
         recording = lifts.recorded(runs, seed)
         if which == "-measured":
             recording = measured(recording, seed)
-        calibration = IntervalCalibration.none() if which == "-raw" else None
+        calibration = IntervalCalibration() if which == "-raw" else None
         found = estimate(recording, estimate_settings(seed), calibration=calibration)
     except GendomError as error:
         return {**row, "fault": str(error)}

@@ -1,5 +1,6 @@
 """Ropes, cables and wires that are held at both ends, and shapes at rest."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -115,15 +116,11 @@ def test_recordings_of_different_cables_are_refused(cable):
     scenes = [LiftScene.of(r) for r in (cable, fewer)]
     with pytest.raises(ParameterError, match="shows 11 markers in order, recording 1 12"):
         Problem(scenes, EstimateSettings())
-    measured = cable.object.length
-    for times, same in ((1.004, True), (1.02, False)):
-        other = replace(cable, object=replace(cable.object, length=times * measured))
+    for times in (1.004, 1.02):  # one is as near as it is measured
+        other = replace(cable, object=replace(cable.object, length=times * cable.object.length))
         scenes[1] = LiftScene.of(other)
-        if same:
+        with nullcontext() if times < 1.01 else pytest.raises(ParameterError, match="length is"):
             Problem(scenes, EstimateSettings())
-        else:
-            with pytest.raises(ParameterError, match="length is"):
-                Problem(scenes, EstimateSettings())
 
 
 @pytest.mark.slow
@@ -161,7 +158,7 @@ def test_a_wire_at_rest():
     ends = found.interval("bending_stiffness")
     assert ends is not None and ends[0] < 0.98e-4 < 1.2166e-4 < ends[1]
     # it is as long as it is
-    x = found.positions[0]
+    x = found.fits[0].positions[0]
     assert np.linalg.norm(np.diff(x, axis=0), axis=1).sum() == pytest.approx(1.5, rel=0.002)
     assert np.abs(found.record["calibration"]["shift"]).max() < 0.003
     assert found.record["rms"] < 0.003

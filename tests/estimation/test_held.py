@@ -176,7 +176,7 @@ def test_a_thicker_object_moves_as_one_of_that_thickness(rope_lift, weighed):
     assert [np.ptp(skin[:, 1]) for skin in skins] == pytest.approx([0.012, 0.012], rel=0.01)
 
 
-@pytest.mark.parametrize("along", [-0.004, 0.0, 0.004, 0.008])
+@pytest.mark.parametrize("along", [-0.004, 0.008])
 def test_a_rope_turns_at_the_fingers(high_lift, along):
     """Wherever between points they end; a turn relieves the moment that it is stated by."""
     scene = LiftScene.of(high_lift.at_rest(8), replace(high_lift.settings, points=31))

@@ -137,7 +137,7 @@ def test_nothing_that_the_arm_can_do():
 
 def test_sizes_are_drawn_within_their_ranges():
     ropes = ObjectClass(kind="rope", size=(0.2, 0.4), thickness=(0.01, 0.01), mass=(0.02, 0.04))
-    drawn = [ropes.draw(np.random.default_rng(n)) for n in range(20)]
+    drawn = [ropes.at(*shares) for shares in np.random.default_rng(0).random((20, 3))]
     lengths = [rope.length for rope in drawn if isinstance(rope, Rope)]
     assert 0.2 < min(lengths) < 0.25 and 0.35 < max(lengths) < 0.4
     assert all(0.02 < rope.mass < 0.04 for rope in drawn)

@@ -8,7 +8,6 @@ import pytest
 
 from gendom.errors import ParameterError, RecordingError
 from gendom.estimation import LiftScene
-from gendom.estimation.priors import thickness_prior
 from gendom.materials import catalogue
 
 
@@ -100,7 +99,6 @@ def test_the_delay_of_slow_frames_is_less_sure(rope_lift):
 def test_a_diameter_is_as_sure_as_is_stated(rope_lift, stated, share):
     """One that is not stated may be a third to three times what is assumed; none is exact."""
     described = replace(rope_lift.object, **stated)
-    assert thickness_prior(described).sd == pytest.approx([share])
     lifted = replace(rope_lift.at_rest(), object=described)
     assert LiftScene.of(lifted).prior(("thickness",))[0].sd == pytest.approx([share])
     assert "thickness" not in LiftScene.of(lifted).prior()[0].names

@@ -69,15 +69,6 @@ def test_where_the_cameras_stood_does_not_matter(lifted, settings, found):
     assert again.theta.E_over_rho == pytest.approx(modulus, rel=0.01)
 
 
-@pytest.mark.slow
-def test_taken_as_they_are_such_clouds_mislead(rope_lift, uncalibrated, settings):
-    """Without a search for the motion the truth is not in the interval, or there is none."""
-    blind = estimate(uncalibrated, replace(settings, camera_pose="stated"))
-    ends = blind.interval("E_over_rho")
-    assert ends is None or not ends[0] < rope_lift.truth.E_over_rho < ends[1]
-    assert blind.record["calibration"]["registration"] is None
-
-
 def test_replays_use_the_motion_that_was_found(found, uncalibrated, rope_lift, tmp_path):
     """Another uncalibrated recording is registered anew."""
     found.save(tmp_path / "estimate.json")

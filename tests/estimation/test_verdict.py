@@ -10,7 +10,7 @@ from experiments.verdict import CORRUPTED
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation import EstimateSettings, LiftScene, Problem, Theta, estimate
-from gendom.estimation.verdict import _blamed_on_cameras, recording_faults, refused_before
+from gendom.estimation.verdict import _blamed_on_cameras, beyond, of_recording, refused_before
 from gendom.materials import STANDARD_GRAVITY
 from gendom.materials.parameters import bending_length
 
@@ -24,25 +24,6 @@ def still(recording):
         offsets=np.arange(frames + 1) * len(first),
         gripper_position=np.repeat(recording.gripper_position[:1], frames, axis=0),
     )
-
-
-def y_up(recording):
-    return replace(
-        recording,
-        points=recording.points[:, [0, 2, 1]],
-        gripper_position=recording.gripper_position[..., [0, 2, 1]],
-    )
-
-
-def uniform_noise(recording):
-    """As many points anywhere in the box of all clouds."""
-    low, high = recording.points.min(axis=0), recording.points.max(axis=0)
-    points = np.random.default_rng(0).uniform(low, high, size=recording.points.shape)
-    return replace(recording, points=points)
-
-
-def scaled(recording):
-    return replace(recording, points=1.43 * recording.points)
 
 
 def test_the_demo_s_lift_is_usable():
@@ -119,7 +100,6 @@ def test_the_end_of_a_cloud_is_compared_with_a_line(rope_lift):
 @pytest.mark.parametrize(
     ("spoiled", "reason"),
     [
-        ("mass / 10", "is the mass in kilograms"),
         ("mass x 10", "is the mass in kilograms"),
         ("time in minutes", "are times in seconds"),
         ("frame numbers as time", "are times frame numbers"),
@@ -128,11 +108,10 @@ def test_the_end_of_a_cloud_is_compared_with_a_line(rope_lift):
         ("thickness x 2", "its diameter is 24 mm"),
         ("gripper 5 cm along", "before the end of an object"),
         (lambda recording: recording.head(1), "1 of the 4 frames"),
-        (lambda recording: replace(recording.head(1), quasi_static=True), "1 of the 4 frames"),
         (still, "the gripper moves by 0 m"),
-        (y_up, "under the table"),
-        (uniform_noise, "do not belong to the object"),
-        (scaled, "otherwise than any simulated one"),
+        ("y up", "under the table"),
+        ("uniform noise", "do not belong to the object"),
+        ("clouds x 1.43", "otherwise than any simulated one"),
     ],
 )
 def test_what_cannot_be_used_is_said(lifted, settings, spoiled, reason):
@@ -167,8 +146,8 @@ def test_what_cannot_be_read_or_placed_is_refused(lifted, settings, changes, rea
 
 def test_times_in_milliseconds_are_told_from_the_speed(lifted):
     slow = replace(lifted, time=1e3 * lifted.time)
-    assert any("are times in seconds" in said for said in recording_faults(slow, 1000.0))
-    assert recording_faults(lifted, 1000.0) == []
+    assert any("are times in seconds" in said for said in beyond(of_recording(slow, 1000.0)))
+    assert beyond(of_recording(lifted, 1000.0)) == []
 
 
 def test_what_is_assumed_counts_in_intervals(lifted, settings):

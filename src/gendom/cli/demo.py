@@ -154,7 +154,8 @@ class Command:
         # Kept whatever becomes of the actions: a goal may turn out to be beyond this rope's reach.
         write_json(self.out / NAME, found.record)
         recording.write(self.out / "recording.npz")
-        clouds = clouds_of(found.scene, found.positions, found.fits[0].theta, found.chamfer)
+        fit = found.fits[0]
+        clouds = clouds_of(fit.scene, fit.positions, fit.theta, fit.chamfer)
         action, scene = None, "Recorded in the MuJoCo test scene (the second reality). "
         scene += (
             f"{recording.notes} This scene has other equations than the simulator that estimates. "

@@ -16,7 +16,6 @@ from gendom.estimation.intervals import IntervalCalibration, posterior_of, tip_s
 from gendom.estimation.methods import find_method
 from gendom.estimation.methods.differential_evolution import differential_evolution
 from gendom.estimation.methods.gauss_newton import gauss_newton, refined
-from gendom.estimation.priors import thickness_prior
 from gendom.estimation.problem import EstimateSettings, Found, Problem, Progress, recording_names
 from gendom.estimation.registration import register
 from gendom.estimation.result import FittedEstimate, result_of
@@ -83,8 +82,7 @@ def estimate(
         times.append(clock.perf_counter())
         verdict = judge(problem, found, posterior, alone)
         if "E_over_rho" in posterior.names and "thickness" not in posterior.names:
-            prior = thickness_prior(problem.scene.recording.object)
-            posterior = posterior.with_assumed(prior)
+            posterior = posterior.with_assumed(problem.scene.prior(("thickness",))[0])
         if not verdict.usable:
             posterior = replace(posterior, covariance=np.diag(posterior.prior.sd**2))
         stages = zip(("scene", "search", "intervals"), np.diff(times), strict=True)

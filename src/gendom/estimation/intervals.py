@@ -20,7 +20,7 @@ import functools
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib import resources
 
 import numpy as np
@@ -46,8 +46,8 @@ class IntervalCalibration:
     """Calibration of intervals for one kind of object: factors of standard deviations, and what is
     added to them in squares."""
 
-    factor: Mapping[str, float]
-    added: Mapping[str, float]
+    factor: Mapping[str, float] = field(default_factory=dict)
+    added: Mapping[str, float] = field(default_factory=dict)
     displaced: float = math.inf
     """Up to which displacement of the model, over the object's size, it holds."""
 
@@ -59,10 +59,6 @@ class IntervalCalibration:
         every = json.loads(place.read_text(encoding="utf-8"))
         read = every.get(f"{kind}-{frames}", every[kind])
         return cls(factor=read["factor"], added=read["added"], displaced=read["displaced"])
-
-    @classmethod
-    def none(cls) -> IntervalCalibration:
-        return cls(factor={}, added={})
 
     def posterior(
         self,

@@ -87,13 +87,9 @@ class ObjectClass:
         for share in (0.0, 1.0):
             self.at(share)
 
-    def draw(self, rng: np.random.Generator) -> Item:
-        """One with sizes and mass drawn evenly; of its material only the density counts."""
-        return self.at(*rng.random(3))
-
     def at(self, *shares: float) -> Item:
         """The object whose size, thickness and mass lie at these shares of their ranges, or all at
-        one.
+        one; of its material only the density counts.
 
         Raises:
             ParameterError: There is no such object.
@@ -271,7 +267,8 @@ def plan_lift(
     """
     settings = settings or LiftPlanSettings()
     motions = settings.motions(objects.kind)
-    drawn = [objects.draw(np.random.default_rng([settings.seed, n])) for n in range(settings.draws)]
+    shares = (np.random.default_rng([settings.seed, n]).random(3) for n in range(settings.draws))
+    drawn = [objects.at(*three) for three in shares]
     rows, prior_sd, arms = [], {}, {}
     for motion in motions:
         found: list[Mapping[str, float] | None] = []
@@ -306,12 +303,7 @@ def plan_lift(
         fix="lift smaller objects, or less high",
         error=RobotError,
     )
-    return LiftPlan(
-        objects=objects,
-        settings=settings,
-        prior_sd=prior_sd,
-        rows=tuple(rows),
-    )
+    return LiftPlan(objects=objects, settings=settings, prior_sd=prior_sd, rows=tuple(rows))
 
 
 def forecast(

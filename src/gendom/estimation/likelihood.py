@@ -15,7 +15,6 @@ expectation and maximisation (Dempster et al. 1977).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -25,9 +24,8 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import KDTree
 
-from gendom.estimation.replay import held_reach, lattice, middle
+from gendom.estimation.replay import Shape, held_reach, lattice, middle, taken
 from gendom.estimation.scene import LiftScene
-from gendom.estimation.shape import Shape, taken
 from gendom.observation import visible
 
 Array = NDArray[np.floating]
@@ -96,10 +94,6 @@ class NoiseModel:
         """With the wide prior of cameras whose poses are unknown."""
         return replace(self, shift=UNKNOWN_SHIFT, turn=UNKNOWN_TURN)
 
-    def of_thinner_clouds(self, times: int = 4) -> NoiseModel:
-        """With so many times fewer points of equal total weight."""
-        return replace(self, cloud_points=self.cloud_points // times, patch=self.patch / times)
-
     @property
     def fixed(self) -> Array:
         """[7] precisions of rigid motion and skin."""
@@ -143,7 +137,11 @@ class Observation:
             self.points[t, :size], self.points[t, size:] = cloud, cloud[0]
             self.counts[t, :size] = 1.0
         self.shape = Shape(scene)
-        self.in_view = self._in_view()
+        # samples that no fingers hide: farther from what is held than twice its reach
+        own, share = self.shape.samples
+        x = np.einsum("mk,mka->ma", share, middle(scene, scene.initial)[own])
+        away = np.linalg.norm(x[:, None] - scene.held, axis=2).min(axis=1)
+        self.in_view = away > 2.0 * held_reach(scene) + scene.body.thickness
         self.markers = None
         if scene.ordered:
             rest = middle(scene, scene.initial)
@@ -176,13 +174,6 @@ class Observation:
             own = alone[recording.seen_by[recording.offsets[t] : recording.offsets[t + 1]]]
             row[: len(cloud)] = own[:: -(-len(own) // len(cloud))]
         return found
-
-    def _in_view(self) -> NDArray[np.bool_]:
-        """[S] samples that no fingers hide: farther from what is held than twice its reach."""
-        own, share = self.shape.samples
-        x = np.einsum("mk,mka->ma", share, middle(self.scene, self.scene.initial)[own])
-        away = np.linalg.norm(x[:, None] - self.scene.held, axis=2).min(axis=1)
-        return away > 2.0 * held_reach(self.scene) + self.scene.body.thickness
 
     def rows(self, shape: Array, r: float) -> Rows:
         """The places on shapes [T, n, 3] of half thickness r [m] that points correspond to, and
@@ -374,14 +365,10 @@ class Comparison:
         return farthest
 
     def fit(self, noise: NoiseModel) -> Fit:
-        """Register motion, skin and displacement for this noise, or take the last registration."""
-        if self._last is None or self._last.noise != noise:
-            self._last = self._registered(noise)
-        return self._last
-
-    def _registered(self, noise: NoiseModel) -> Fit:
-        """Gauss-Newton steps of motion, skin and displacement under their priors, and what is left
-        of the gradient by parameters where those follow."""
+        """Motion, skin and displacement, registered for this noise by Gauss-Newton steps under
+        their priors, and what is left of the gradient by parameters where those follow."""
+        if self._last is not None and self._last.noise == noise:
+            return self._last
         S = self.observation.in_time.shape[1] * 3 * self.observation.in_place.shape[1]
         precision, R = noise.precision(S), S + 7
         a = self._first if len(self._first) else np.zeros(R)
@@ -398,7 +385,7 @@ class Comparison:
         N, loss, count = self._sums(a, noise, self.J)
         M, slope, cross = N[:R, :R] + np.diag(precision), N[:R, -1], N[:R, R:-1]
         factor = cho_factor(M, lower=True)
-        return Fit(
+        self._last = Fit(
             noise=noise,
             value=loss + float(precision @ a**2),
             # residuals fall as the object moves along its normals
@@ -410,6 +397,7 @@ class Comparison:
             loss=loss * noise.sensor**2,
             count=count,
         )
+        return self._last
 
     def outside(self, noise: NoiseModel) -> float:
         """Median distance of points from the skin of the registered object, 0 of markers [m]."""
@@ -464,16 +452,12 @@ class Comparison:
         return np.block([[smooth, cross], [cross.T, rest]]), loss, count
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class Comparisons:
     """Clouds of all recordings of an object beside simulated shapes."""
 
     parts: tuple[Comparison, ...]
     """One for each recording."""
-    shown: tuple[NDArray[np.intp], ...]
-    """[P_k] each: the unknowns that its shapes change with."""
-    unknowns: int
-    """P."""
 
     @property
     def rms(self) -> float:
@@ -484,25 +468,6 @@ class Comparisons:
         """Start the registrations from the results of comparisons nearby."""
         for mine, theirs in zip(self.parts, other.parts, strict=True):
             mine.warm_start(theirs)
-
-    def inherit_derivatives(self, other: Comparisons, step: Array, weight: Array) -> None:
-        """`Comparison.inherit_derivatives` of all, from comparisons a step [P] away."""
-        for mine, theirs, k in zip(self.parts, other.parts, self.shown, strict=True):
-            mine.inherit_derivatives(theirs, step[k], weight[k])
-
-    def value(self, noise: Sequence[NoiseModel]) -> float:
-        """-2 log likelihood with each recording's noise, up to a constant that depends on the noise
-        only."""
-        return sum(c.fit(n).value for c, n in zip(self.parts, noise, strict=True))
-
-    def gradient_and_hessian(self, noise: Sequence[NoiseModel]) -> tuple[Array, Array]:
-        """Half of that value's slope [P] and curvature [P, P]."""
-        gradient, hessian = np.zeros(self.unknowns), np.zeros((self.unknowns, self.unknowns))
-        for comparison, k, own in zip(self.parts, self.shown, noise, strict=True):
-            fit = comparison.fit(own)
-            gradient[k] += fit.gradient
-            hessian[np.ix_(k, k)] += fit.hessian
-        return gradient, hessian
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

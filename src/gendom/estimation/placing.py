@@ -407,9 +407,9 @@ def _cloth_yaw(recording: Recording, frames: tuple[int, ...], sides: Array, firs
 
 
 def _outline_yaw(points: Array, first: Array, sides: Array, *, filled: bool) -> tuple[float, float]:
-    """The rotation with which a rectangle fits points [n, 2] best, seen from the point that it
-    turns about, and its residual [m]: the mean distance from points to it and, if points should
-    fill it, from it to points. Its first corner [2] is seen from there, too, not turned."""
+    """The turn with which a rectangle, its first corner at [2], fits points [n, 2] best, both seen
+    from the point that it turns about; and the mean distance from points to it and, if points
+    should fill it, from it to points [m]."""
     every = math.ceil(len(points) / 2000)
     points, grid = points[::every], (np.indices((12, 12)).reshape(2, -1).T + 0.5) / 12.0
     tree, inside = KDTree(points), first + grid * sides

@@ -1,4 +1,4 @@
-"""Priors of a recording's unknowns, and where a search for them should begin."""
+"""Priors of unknowns: what recordings and materials say of them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ import numpy as np
 from gendom.arguments import require
 from gendom.datasets import ObjectDescription, Recording
 from gendom.materials.catalogue import Listed
-from gendom.materials.posterior import Prior, half_width, prior_of
-from gendom.materials.unknowns import UNKNOWNS, Theta
+from gendom.materials.posterior import half_width
+from gendom.materials.unknowns import UNKNOWNS
 
 BENDING_RANGE = {"rope": (0.04, 2.5), "held rope": (0.04, 1.2), "cloth": (0.01, 0.2)}
 """Range of bending lengths that is searched, in lengths of a rope or diagonals of a cloth: below it
 the object hangs like a chain, above it it does not bend; a rope between two hands then
 has one shape whatever its E."""
-
 
 DENSITY_SD = 0.5
 """Of the logarithm of a density that is assumed, as ropes and cloths have 300 to 2,000 kg/m^3."""
@@ -47,68 +46,24 @@ CLAMPS = ("first_clamp_x", "first_clamp_y", "last_clamp_x", "last_clamp_y", "cla
 """How two hands hold a rope, where markers beside it show its ends."""
 
 
-def recording_prior(
-    recording: Recording,
-    moduli: tuple[float, float],
-    *,
-    quasi_static: bool,
-    thin: bool = True,
-    curved: bool = False,
-    wanted: tuple[str, ...] = (),
-    also: tuple[str, ...] = (),
-    material: Listed | None = None,
-) -> tuple[Prior, Theta]:
-    """The prior of what is looked for, and the estimate that has everything else, see
-    `LiftScene.prior`.
-
-    Args:
-        recording: Of a rope or cloth.
-        moduli: Ends of the range of E / density [m^2/s^2].
-        quasi_static: Whether it is replayed on another clock, or nothing moves.
-        thin: Whether it is simulated as a rod or shell.
-        curved: Whether it is a rope that lies curved.
-        wanted: Names; by default what a recording of this kind shows.
-        also: Names of further ones.
-        material: What it is made of, of the catalogue.
-    """
+def stated_priors(recording: Recording) -> dict[str, dict[str, float]]:
+    """What a recording says of its own unknowns and of the thickness, as changes to the priors of
+    `UNKNOWNS`."""
     described, gripper = recording.object, recording.gripper_source
-    kind, inset = described.kind, described.grasp_inset is not None
-    for name in (*wanted, *also):
-        known = name not in UNKNOWNS or kind in UNKNOWNS[name].kinds
-        require(known, f"a {kind} has no {name}", where="unknowns")
-    logs = np.log(moduli)
-    changes: dict[str, dict[str, float]] = {
-        # searched over its range without preference: a wide Gaussian
-        "E_over_rho": {
-            "low": moduli[0], "high": moduli[1],
-            "mean": math.exp(logs.mean()), "sd": float(np.ptp(logs)) / 2,
-        },
-        # an arm follows its commands with a delay, and commands are for a point of the hand
-        "grip_height": {"sd": HEIGHT[gripper]},
-        "delay": _delay(recording),
-        "grip_along": {"sd": INSET if inset else UNKNOWN_INSET},
-        "thickness": _thickness(described),
-    }  # fmt: skip
-    if kind == "cloth":
-        changes["grip_along"] = {"sd": CORNER[gripper, inset], "low": -0.02, "step": 3e-3}
-        times = 1.0 if gripper == "measured" else 2.0
-        changes["grip_height"] = {"sd": times * HEIGHT[gripper], "step": 2e-3}
-        changes["E_over_rho"]["step"] = 0.06
-        if recording.gripper_axis is not None:
-            # the corner turns as its axis does
-            changes["grip_tilt"] = {"mean": 0.0, "sd": 0.1}
-    base = Theta(E_over_rho=math.exp(logs.mean()))
-    if material is not None:
-        of_material = material_prior(material, kind, moduli)
-        for name, change in of_material.items():
-            changes[name] = changes.get(name, {}) | change
-        base = base.with_values({name: change["mean"] for name, change in of_material.items()})
-    stated = described.extra.get("natural_curvature")
-    if stated is not None:
-        base, curved = base.with_values({"natural_curvature": stated}), False
-    shown = _shown(recording, quasi_static, thin) + (("natural_curvature",) if curved else ())
-    prior = prior_of((*(wanted or shown), *also), changes)
-    return prior, prior.theta(prior.mean, base)
+    inset = described.grasp_inset is not None
+    # an arm follows its commands with a delay, and commands are for a point of the hand
+    changes = {"delay": _delay(recording), "thickness": _thickness(described)}
+    if described.kind == "rope":
+        changes["grip_height"] = {"sd": HEIGHT[gripper]}
+        changes["grip_along"] = {"sd": INSET if inset else UNKNOWN_INSET}
+        return changes
+    times = 1.0 if gripper == "measured" else 2.0
+    changes["grip_height"] = {"sd": times * HEIGHT[gripper], "step": 2e-3}
+    changes["grip_along"] = {"sd": CORNER[gripper, inset], "low": -0.02, "step": 3e-3}
+    if recording.gripper_axis is not None:
+        # the corner turns as its axis does
+        changes["grip_tilt"] = {"mean": 0.0, "sd": 0.1}
+    return changes
 
 
 def _delay(recording: Recording) -> dict[str, float]:
@@ -140,11 +95,6 @@ def thickness_stated(described: ObjectDescription) -> bool:
     """Whether a recording says how thick its object is."""
     stated = described.diameter if described.kind == "rope" else described.thickness
     return stated is not None
-
-
-def thickness_prior(described: ObjectDescription) -> Prior:
-    """Prior of a diameter or thickness, over the stated or the assumed one."""
-    return prior_of(["thickness"], {"thickness": _thickness(described)})
 
 
 def material_prior(
@@ -181,46 +131,3 @@ def material_prior(
             "sd": (ends[1] - ends[0]) / 2.0 / half_width(0.9),
         }
     return found
-
-
-def _shown(recording: Recording, quasi_static: bool, thin: bool) -> tuple[str, ...]:
-    """Unknowns that a recording may determine."""
-    described, rope = recording.object, recording.object.kind == "rope"
-    ordered = bool(recording.extra.get("ordered_markers"))
-    static = bool(recording.extra.get("static", False))
-    two = recording.num_grippers > 1
-    corner = not rope and described.grasp == "corner"
-    swinging = two and ordered and not static
-    drag = swinging and (not thickness_stated(described) or described.mass is None)
-    rows = (
-        (True, ("E_over_rho",)),
-        (rope and not swinging, ("nu",)),
-        (recording.table_height is not None, ("friction",)),
-        (not two, ("grip_height", "grip_along")),
-        (not quasi_static, ("damping",)),
-        # markers are seen by what sees the hands that hold them
-        (not static and not ordered, ("delay",)),
-        (swinging, CLAMPS),
-        (drag, ("air_drag",)),
-        (not two and rope and thin, ("grip_turn",)),
-        (not rope, ("warp_over_weft",)),
-        (corner, ("grip_aside", "grip_tilt", "grip_reach", "yaw")),
-    )
-    return tuple(name for holds, names in rows if holds for name in names)
-
-
-def first_guesses(recording: Recording) -> list[dict[str, float]]:
-    """Values of a recording's own unknowns from which a search should begin.
-
-    With commanded gripper positions, a level corner at the stated point and a hanging corner at
-    fingertips below it give similar clouds, and a search from one does not reach the other.
-    """
-    described = recording.object
-    if described.kind != "cloth" or described.grasp != "corner":
-        return [{}]
-    if recording.gripper_axis is not None:
-        return [{}]  # the axis gives the direction of the corner
-    hanging = {"grip_tilt": 1.4}
-    if recording.gripper_source != "measured":
-        hanging |= {"grip_along": 0.02, "grip_height": -0.02, "delay": 0.1}
-    return [{"grip_tilt": 0.2}, {"grip_tilt": 0.8}, hanging]

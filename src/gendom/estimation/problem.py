@@ -153,10 +153,6 @@ class Part:
     def observation(self) -> Observation:
         return Observation(self.scene, self.noise)
 
-    def named(self, reason: str) -> str:
-        """With the name of the recording in front."""
-        return f"{self.name}: {reason}" if self.name else reason
-
     @cached_property
     def coarse(self) -> Part:
         """The coarse problem, for the first stage of a search: of a rope only frames without fast
@@ -164,8 +160,10 @@ class Part:
         fewer simulated and recorded points."""
         scene = self.scene
         if scene.kind == "cloth" and scene.thin and scene.settings.points is None:
-            coarse = scene.simulated_with(COARSE_POINTS)
-            return replace(self, scene=coarse, noise=self.noise.of_thinner_clouds())
+            coarse, own = scene.simulated_with(COARSE_POINTS), self.noise
+            # fewer points of equal total weight
+            noise = replace(own, cloud_points=own.cloud_points // 4, patch=own.patch / 4)
+            return replace(self, scene=coarse, noise=noise)
         if len(scene.calm) == len(scene.frames) or len(scene.calm) < 6:
             return self
         return replace(self, scene=replace(scene, frames=scene.calm))
@@ -309,10 +307,36 @@ class Problem:
             derivatives: Whether they know how shapes change with parameters.
             free: Indices of the free parameters (default: all); derivatives by the others are 0.
         """
-        columns = [
-            self._compared(recording, vectors, derivatives, free)
-            for recording in range(len(self.parts))
-        ]
+        prior, columns = self.prior, []
+        steps = [np.where(v + prior.step > prior.high, -prior.step, prior.step) for v in vectors]
+        among = (range(len(prior.names)) if free is None else free) if derivatives else ()
+        for recording, part in enumerate(self.parts):
+            # by the unknowns that it depends on
+            moved = np.flatnonzero(np.isin(part.shown, among))
+            which = part.shown[moved]
+            along = self._along(which)
+            back = np.linalg.inv(along[np.ix_(which, which)])
+            worlds = []
+            for v, h in zip(vectors, steps, strict=True):
+                worlds += [v, *(v + along[k] * h[k] for k in which)]
+            m = middle(part.scene, self.positions(worlds, recording))
+            thickness = np.array([self.theta(v, recording).thickness for v in worlds])
+            radius = part.observation.shape.radius * thickness
+            found: list[Comparison | None] = []
+            for n, h in enumerate(steps):
+                own = slice(n * (1 + len(which)), (n + 1) * (1 + len(which)))
+                here, r = m[:, own][:, 0], radius[own]
+                if not np.isfinite(m[:, own]).all():
+                    found.append(None)
+                    continue
+                # parameters that are not free do not change the shape
+                widens = np.zeros(len(part.shown) if derivatives else 0)
+                J = np.zeros((*here.shape, len(widens)))
+                change = np.moveaxis(m[:, own][:, 1:] - here[:, None], 1, -1)
+                J[..., moved] = change / h[which] @ back.T
+                widens[moved] = back @ ((r[1:] - r[0]) / h[which])
+                found.append(Comparison(part.observation, here, J, float(r[0]), widens))
+            columns.append(found)
         return [self.joined(row) for row in zip(*columns, strict=True)]
 
     def joined(self, parts: Sequence[Comparison | None]) -> Comparisons | None:
@@ -320,43 +344,14 @@ class Problem:
         whole = tuple(c for c in parts if c is not None)
         if len(whole) < len(self.parts):
             return None
-        shown = tuple(part.shown for part in self.parts)
-        return Comparisons(parts=whole, shown=shown, unknowns=len(self.prior.names))
+        return Comparisons(whole)
 
-    def _compared(
-        self,
-        recording: int,
-        vectors: Sequence[Array],
-        derivatives: bool,
-        free: Sequence[int] | None,
-    ) -> list[Comparison | None]:
-        """`compare` of one recording, by the unknowns that it depends on."""
-        prior, part = self.prior, self.parts[recording]
-        moved = [n for n, k in enumerate(part.shown) if derivatives and (free is None or k in free)]
-        which = part.shown[moved]
-        steps = [np.where(v + prior.step > prior.high, -prior.step, prior.step) for v in vectors]
-        along = self._along(which)
-        back = np.linalg.inv(along[np.ix_(which, which)])
-        worlds = []
-        for v, h in zip(vectors, steps, strict=True):
-            worlds += [v, *(v + along[k] * h[k] for k in which)]
-        m = middle(part.scene, self.positions(worlds, recording))
-        thickness = np.array([self.theta(v, recording).thickness for v in worlds])
-        radius = part.observation.shape.radius * thickness
-        found: list[Comparison | None] = []
-        for n, h in enumerate(steps):
-            own = slice(n * (1 + len(which)), (n + 1) * (1 + len(which)))
-            here, r = m[:, own][:, 0], radius[own]
-            if not np.isfinite(m[:, own]).all():
-                found.append(None)
-                continue
-            # parameters that are not free do not change the shape
-            widens = np.zeros(len(part.shown) if derivatives else 0)
-            J = np.zeros((*here.shape, len(widens)))
-            J[..., moved] = np.moveaxis(m[:, own][:, 1:] - here[:, None], 1, -1) / h[which] @ back.T
-            widens[moved] = back @ ((r[1:] - r[0]) / h[which])
-            found.append(Comparison(part.observation, here, J, float(r[0]), widens))
-        return found
+    def inherit_derivatives(
+        self, near: Comparisons, other: Comparisons, step: Array, weight: Array
+    ) -> None:
+        """`Comparison.inherit_derivatives` of all, from comparisons a step [P] away."""
+        for part, mine, theirs in zip(self.parts, near.parts, other.parts, strict=True):
+            mine.inherit_derivatives(theirs, step[part.shown], weight[part.shown])
 
     def _along(self, moved: NDArray[np.intp]) -> Array:
         """[P, P] the direction in which each unknown's step goes, where these are moved."""
@@ -367,16 +362,11 @@ class Problem:
                     along[k, moved[own.index(name)]] = share
         return along
 
-    def is_as_fine_as(self, comparison: Comparisons) -> bool:
-        """Whether a comparison has all frames and points of this problem, not those of a coarse
-        one."""
-        parts = zip(comparison.parts, self.parts, strict=True)
-        return all(c.observation is part.observation for c, part in parts)
-
     def value(self, vector: Array, comparison: Comparisons, noise: Sequence[NoiseModel]) -> float:
         """-2 log of likelihood times prior, up to a constant that depends on the noise only."""
         off = (vector - self.prior.mean) / self.prior.sd
-        return comparison.value(noise) + float(off @ off)
+        fits = (c.fit(n).value for c, n in zip(comparison.parts, noise, strict=True))
+        return sum(fits) + float(off @ off)
 
     def values(
         self,
@@ -403,9 +393,13 @@ class Problem:
     ) -> tuple[Array, Array]:
         """Half of the gradient [P] and of the Hessian [P, P] of `value`."""
         assert start.comparison is not None
-        gradient, hessian = start.comparison.gradient_and_hessian(noise)
         precision, off = self.prior.sd**-2.0, start.vector - self.prior.mean
-        return gradient + precision * off, hessian + np.diag(precision)
+        gradient, hessian = precision * off, np.diag(precision)
+        for part, compared, own in zip(self.parts, start.comparison.parts, noise, strict=True):
+            fit, k = compared.fit(own), part.shown
+            gradient[k] += fit.gradient
+            hessian[np.ix_(k, k)] += fit.hessian
+        return gradient, hessian
 
     def nothing_runs(self) -> SimulationError:
         frames = ", ".join(str(len(part.scene.frames)) for part in self.parts)

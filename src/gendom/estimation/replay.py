@@ -1,4 +1,4 @@
-"""`replay`: simulated positions of an object in a scene, for given parameters."""
+"""Simulated positions of an object in a scene, for given parameters, and its `Shape`."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation, Slerp
 
 from gendom.estimation.scene import STATIC_SETTLING, LiftScene
 from gendom.estimation.scene_settings import COARSE_POINTS
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.materials.unknowns import UNKNOWNS, Theta
+from gendom.observation import visible_on_sheet
 from gendom.sim import Gripper, Physics, Solver, Table
 
 if TYPE_CHECKING:
@@ -36,6 +38,9 @@ more: a soft one of the diameter that is assumed would stretch by 4 %."""
 RAMP_SPEED, CLAMPING = 0.1, 0.1
 """Speed at which the gripper takes the object from rest to its first recorded position [m/s], and
 time in which clamps turn from where markers show them to how they hold the rope [s]."""
+
+FEET = 48
+"""Places along the longer side of a cloth that points may belong to, about."""
 
 ROPE_REACH, CLOTH_REACH = 0.75, 0.02
 """How far from its point a gripper holds an object where `grasp_radius` is not stated: a rope
@@ -232,7 +237,7 @@ class WorldInputs:
         if (turns := scene.turns[g]) is not None:
             t = turns[0] + self.delay / scene.clock
             found.append(Slerp(t, turns[1])(np.clip(knots, t[0], t[-1])))
-        if scene.kind == "cloth" and scene.recording.object.grasp == "corner":
+        if scene.by_corner:
             rise = at[:, 2] - scene.held[g, 2]
             inwards = Rotation.from_euler("z", self.yaw).apply(scene.inwards[g])
             axis = np.cross(inwards, [0.0, 0.0, -1.0])
@@ -380,3 +385,94 @@ def held_reach(scene: LiftScene, farther: float = 0.0) -> float:
         side = scene.size / math.sqrt(2.0)
         least = 0.6 * side / (COARSE_POINTS - 1)  # so that it holds points wherever it is
     return max((stated or CLOTH_REACH) + farther, least)
+
+
+class Shape:
+    """The middle line or surface of a scene's object as a finite element."""
+
+    def __init__(self, scene: LiftScene):
+        self.rope = scene.kind == "rope"
+        self.radius = scene.body.thickness / 2.0
+        self.lattice = a, b = lattice(scene)
+        if self.rope:
+            k = np.arange(len(a) - 1)
+            parts = (np.arange(2) + 0.5) / 2.0
+            u = np.tile(parts, len(k))
+            index = np.repeat(np.stack([k, k + 1], axis=1), len(parts), axis=0)
+            self.samples = index, np.stack([1.0 - u, u], axis=1)
+            self.spacing = float(a[1] - a[0])
+            return
+        parts = max(2, round(FEET / max(len(a) - 1, len(b) - 1)))
+        self.spacing = float(max(a[1] - a[0], b[1] - b[0])) / parts
+        number = np.arange(len(a) * len(b)).reshape(len(b), len(a))
+        corners = [number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]]
+        cells = np.stack([c.ravel() for c in corners], axis=1)
+        ticks = (np.arange(parts) + 0.5) / parts
+        v, u = (x.ravel() for x in np.meshgrid(ticks, ticks, indexing="ij"))
+        shares = np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v], axis=1)
+        index = np.repeat(cells, len(shares), axis=0)
+        self.fine = index, np.tile(shares, (len(cells), 1))
+        self.samples = cells, np.full((len(cells), 4), 0.25)
+
+    def taken_from(self, other: Shape, values: Array) -> Array:
+        """[T, n, ...] at this shape's points, of values at those of another of the same object,
+        between which they are linear."""
+        if [len(k) for k in self.lattice] == [len(k) for k in other.lattice]:
+            return values
+        Ka, Kb = (
+            np.stack([np.interp(ours, theirs, e) for e in np.eye(len(theirs))], axis=1)
+            for ours, theirs in zip(self.lattice, other.lattice, strict=True)
+        )
+        T, _, *rest = values.shape
+        rows = values.reshape(T, Kb.shape[1], Ka.shape[1], -1)
+        return np.einsum("ij,kl,tjlp->tikp", Kb, Ka, rows, optimize=True).reshape(T, -1, *rest)
+
+    def nearest(self, x: Array, points: Array) -> tuple[NDArray[np.intp], Array, Array]:
+        """Middle points around the feet of points [T, m, 3] on shapes [T, n, 3], [T, m, k], their
+        shares, and the feet [T, m, 3]."""
+        if self.rope:
+            a, d = x[:, :-1], np.diff(x, axis=1)
+            long = np.maximum((d**2).sum(axis=2), 1e-18)
+            # |p - a - u d|^2 with u the foot's share of each edge, by products of matrices
+            along = points @ np.swapaxes(d, 1, 2) - (a * d).sum(axis=2)[:, None]
+            far = (points**2).sum(axis=2)[..., None] - 2.0 * points @ np.swapaxes(a, 1, 2)
+            far += (a**2).sum(axis=2)[:, None]
+            u = np.clip(along / long[:, None], 0.0, 1.0)
+            k = (far - 2.0 * u * along + u**2 * long[:, None]).argmin(axis=2)
+            share = np.take_along_axis(u, k[..., None], axis=2)
+            foot = np.take_along_axis(a, k[..., None], axis=1)
+            foot = foot + share * np.take_along_axis(d, k[..., None], axis=1)
+            return np.stack([k, k + 1], axis=2), np.concatenate([1.0 - share, share], axis=2), foot
+        index, weight = self.fine
+        places = np.einsum("mk,tmka->tma", weight, x[:, index])
+        # trees that are built fast, for about as many queries as they have points
+        trees = (KDTree(a, balanced_tree=False, compact_nodes=False) for a in places)
+        near = np.stack([tree.query(b)[1] for tree, b in zip(trees, points, strict=True)])
+        foot = np.take_along_axis(places, near[..., None], axis=1)
+        return index[near], weight[near], foot
+
+    def open_to(self, cameras: Array, x: Array, places: Array) -> NDArray[np.bool_]:
+        """[m] which samples of a sheet [n, 3], at these places [m, 3], a camera sees."""
+        index, weight = self.fine
+        return visible_on_sheet(
+            places,
+            self.normals(x[None], self.samples[0][None])[0],
+            np.einsum("mk,mka->ma", weight, x[index]),
+            spacing=self.spacing,
+            camera_positions=cameras,
+        )
+
+    def normals(self, x: Array, index: NDArray[np.intp]) -> Array:
+        """[T, m, 3] unit normals of sheets' [T, n, 3] cells with corners [T, m, 4]."""
+        q = taken(x, index)
+        along = q[..., 1, :] - q[..., 0, :] + q[..., 3, :] - q[..., 2, :]
+        across = q[..., 2, :] - q[..., 0, :] + q[..., 3, :] - q[..., 1, :]
+        n = np.cross(along, across)
+        return n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-18)
+
+
+def taken(J: Array, index: NDArray[np.intp]) -> Array:
+    """[T, m, k, 3] of [T, n, 3] at indices [T, m, k]."""
+    return np.take_along_axis(J[:, :, None], index.reshape(len(index), -1, 1, 1), axis=1).reshape(
+        *index.shape, 3
+    )

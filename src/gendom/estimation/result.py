@@ -85,16 +85,6 @@ class FittedEstimate(Estimate):
         """Of the first recording."""
         return self.fits[0].scene
 
-    @property
-    def positions(self) -> Array:
-        """[T, N, 3] of the first recording, see `RecordingFit`."""
-        return self.fits[0].positions
-
-    @property
-    def chamfer(self) -> Array:
-        """[T] likewise."""
-        return self.fits[0].chamfer
-
 
 def chamfers(scene: LiftScene, x: Array, theta: Theta) -> tuple[Array, Array]:
     """Chamfer distance a frame, to all of the object and to what the cameras could see [T] [m].

@@ -20,7 +20,14 @@ from gendom.arguments import require
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.placing import Placed, lost_time, place, with_points
-from gendom.estimation.priors import BENDING_RANGE, DENSITY_SD, first_guesses, recording_prior
+from gendom.estimation.priors import (
+    BENDING_RANGE,
+    CLAMPS,
+    DENSITY_SD,
+    material_prior,
+    stated_priors,
+    thickness_stated,
+)
 from gendom.estimation.scene_settings import (
     MOST_SHELL_POINTS,
     SHELL_ERROR,
@@ -29,15 +36,14 @@ from gendom.estimation.scene_settings import (
 )
 from gendom.materials import STANDARD_GRAVITY, catalogue
 from gendom.materials.parameters import E_over_rho_of, bending_length
-from gendom.materials.posterior import Prior
-from gendom.materials.unknowns import Theta
+from gendom.materials.posterior import Prior, prior_of
+from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.sim import Body
 
 Array = NDArray[np.floating]
 
 FINER = "limp: simulated along its longer side with"
 """Note of a cloth that gets more points than others."""
-
 
 STATIC_DAMPING, STATIC_SETTLING = 3.0, 6.0
 """Rate at which velocities decay where nothing moves [1/s], and time in which such an object comes
@@ -191,6 +197,11 @@ class LiftScene(Placed):
     def captured(self) -> bool:
         """Whether a motion capture saw markers and hands move."""
         return self.ordered and not self.static
+
+    @property
+    def by_corner(self) -> bool:
+        """Whether it is a cloth held by a corner."""
+        return self.kind == "cloth" and self.recording.object.grasp == "corner"
 
     @property
     def begins(self) -> int:
@@ -355,8 +366,17 @@ class LiftScene(Placed):
 
     @property
     def guesses(self) -> list[dict[str, float]]:
-        """Starting values of a recording's own unknowns."""
-        return first_guesses(self.recording)
+        """Values of a recording's own unknowns from which a search should begin.
+
+        With commanded gripper positions, a level corner at the stated point and a hanging corner at
+        fingertips below it give similar clouds, and a search from one does not reach the other.
+        """
+        if not self.by_corner or self.recording.gripper_axis is not None:
+            return [{}]  # an axis gives the direction of the corner
+        hanging = {"grip_tilt": 1.4}
+        if self.recording.gripper_source != "measured":
+            hanging |= {"grip_along": 0.02, "grip_height": -0.02, "delay": 0.1}
+        return [{"grip_tilt": 0.2}, {"grip_tilt": 0.8}, hanging]
 
     def prior(
         self, wanted: tuple[str, ...] = (), also: tuple[str, ...] = ()
@@ -371,19 +391,52 @@ class LiftScene(Placed):
             ParameterError: There is no such unknown, or the object has none, or it cannot be of
                 the stated material.
         """
+        for name in (*wanted, *also):
+            known = name not in UNKNOWNS or self.kind in UNKNOWNS[name].kinds
+            require(known, f"a {self.kind} has no {name}", where="unknowns")
         kind = self.kind if len(self.held) == 1 else "held rope"
         low, high = (self.E_over_rho(b * self.size) for b in BENDING_RANGE[kind])
-        material = self.settings.material
-        return recording_prior(
-            self.recording,
-            (low, high),
-            quasi_static=self.quasi_static,
-            thin=self.thin,
-            curved=self.curved,
-            wanted=wanted,
-            also=also,
-            material=None if material is None else catalogue.get(material),
+        logs = np.log([low, high])
+        mean, sd = math.exp(logs.mean()), float(np.ptp(logs)) / 2
+        base, changes = Theta(E_over_rho=mean), stated_priors(self.recording)
+        # searched over its range without preference: a wide Gaussian
+        changes["E_over_rho"] = {"low": low, "high": high, "mean": mean, "sd": sd}
+        if self.kind == "cloth":
+            changes["E_over_rho"]["step"] = 0.06
+        if self.settings.material is not None:
+            listed = catalogue.get(self.settings.material)
+            of_material = material_prior(listed, self.kind, (low, high))
+            changes |= {n: changes.get(n, {}) | change for n, change in of_material.items()}
+            base = base.with_values({n: change["mean"] for n, change in of_material.items()})
+        stated = self.recording.object.extra.get("natural_curvature")
+        if stated is not None:
+            base = base.with_values({"natural_curvature": stated})
+        prior = prior_of((*(wanted or self._shown), *also), changes)
+        return prior, prior.theta(prior.mean, base)
+
+    @property
+    def _shown(self) -> tuple[str, ...]:
+        """Unknowns that such a recording may determine."""
+        described, rope = self.recording.object, self.kind == "rope"
+        two, natural = self.recording.num_grippers > 1, described.extra.get("natural_curvature")
+        swinging = two and self.captured
+        drag = swinging and (not thickness_stated(described) or described.mass is None)
+        rows = (
+            (True, ("E_over_rho",)),
+            (rope and not swinging, ("nu",)),
+            (self.recording.table_height is not None, ("friction",)),
+            (not two, ("grip_height", "grip_along")),
+            (not self.quasi_static, ("damping",)),
+            # markers are seen by what sees the hands that hold them
+            (not self.static and not self.ordered, ("delay",)),
+            (swinging, CLAMPS),
+            (drag, ("air_drag",)),
+            (not two and rope and self.thin, ("grip_turn",)),
+            (not rope, ("warp_over_weft",)),
+            (self.by_corner, ("grip_aside", "grip_tilt", "grip_reach", "yaw")),
+            (self.curved and natural is None, ("natural_curvature",)),
         )
+        return tuple(name for holds, names in rows if holds for name in names)
 
 
 def _turn_between(a: Array, b: Array) -> Rotation:

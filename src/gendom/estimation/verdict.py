@@ -48,7 +48,8 @@ between two grippers it is 0.010 to 0.016. Twice a sheet's E moves it by as much
 mm of a diagonal of 0.42 m): a larger displacement hides the effect of E."""
 
 
-def _beyond(findings: Findings) -> list[str]:
+def beyond(findings: Findings) -> list[str]:
+    """Reasons."""
     return [said for value, most, said in findings if value > most]
 
 
@@ -57,13 +58,8 @@ def _out_of(value: float, low: float, high: float) -> float:
     return max(low / max(value, 1e-12), value / high)
 
 
-def recording_faults(recording: Recording, density: float | None) -> list[str]:
-    """Why a recording is not usable, independently of the fit; of a density where mass and sizes
-    are stated [kg/m^3]."""
-    return _beyond(_of_recording(recording, density))
-
-
-def _of_recording(recording: Recording, density: float | None) -> Findings:
+def of_recording(recording: Recording, density: float | None) -> Findings:
+    """Independently of the fit; of a density where mass and sizes are stated [kg/m^3]."""
     if density is not None:
         low = MIN_DENSITY.get(recording.object.kind, 0.0)
         said = (
@@ -105,8 +101,8 @@ def refused_before(problem: Problem) -> bool:
     """Whether a recording is not usable whatever a search finds."""
     known = "thickness" not in problem.prior.names
     return any(
-        recording_faults(part.scene.recording, _density(part))
-        or (known and _beyond(_at_rest(part, part.base)))
+        beyond(of_recording(part.scene.recording, _density(part)))
+        or (known and beyond(_at_rest(part, part.base)))
         for part in problem.parts
     )
 
@@ -126,12 +122,12 @@ def judge(
     reasons = []
     for k, (part, comparison) in enumerate(zip(problem.parts, compared.parts, strict=True)):
         noise, theta = found.noise[k], problem.theta(vector, k)
-        faults = recording_faults(part.scene.recording, _density(part))
-        faults += _beyond(_of_fit(part, comparison, noise, theta))
+        faults = beyond(of_recording(part.scene.recording, _density(part)))
+        faults += beyond(_of_fit(part, comparison, noise, theta))
         faults = _blamed_on_cameras(faults, part, comparison)
-        faults += _beyond(_improbable(problem, vector, k))
-        reasons += [part.named(reason) for reason in faults]
-    reasons += _beyond(_of_unknowns(problem, vector, posterior, alone))
+        faults += beyond(_improbable(problem, vector, k))
+        reasons += [f"{part.name}: {said}" if part.name else said for said in faults]
+    reasons += beyond(_of_unknowns(problem, vector, posterior, alone))
     return Verdict(usable=not reasons, reasons=tuple(reasons))
 
 

@@ -30,7 +30,6 @@ from gendom.observation import DensityGrid, visible
 
 Array = NDArray[np.floating]
 
-
 SCANNED = 16
 """Moduli of the scan that precedes the search, over the whole range."""
 

@@ -30,7 +30,6 @@ from gendom.materials.unknowns import UNKNOWNS
 
 Array = NDArray[np.floating]
 
-
 SCANNED = 12
 """Moduli of the scan that precedes the search, over the whole range."""
 
@@ -127,16 +126,16 @@ def gauss_newton(
             raise problem.nothing_runs()
         times.append(time.perf_counter())
         noise, best.damping = stated, DAMPING[0]
-        best.stage = "fine"
         if free is not None or problem.coarse is not problem:
             _compare_all(problem, best, settings)
+        best.stage = "fine"
         noise = _fine_stage(problem, best, noise, settings, iteration, most)
     except KeyboardInterrupt:
         interrupted = True
         best = best_of(starts)
         if best is None:
             raise
-        if best.comparison is None or not problem.is_as_fine_as(best.comparison):
+        if best.stage == "coarse":
             _compare_all(problem, best, settings)
         assert best.comparison is not None
         noise = estimated_noise(best.comparison, noise)
@@ -228,7 +227,7 @@ def _jump(
     closer = compared[best]
     if closer is None or start.value - values[best] < settings.gain[1]:
         return False
-    closer.inherit_derivatives(former, *np.zeros((2, len(prior.names))))
+    problem.inherit_derivatives(closer, former, *np.zeros((2, len(prior.names))))
     start.iterations += 1
     start.take(places[best], closer, values[best])
     start.done, start.renew, start.damping = False, True, DAMPING[0]
@@ -236,9 +235,8 @@ def _jump(
 
 
 def _compare_all(problem: Problem, start: Start, settings: GaussNewtonSettings) -> None:
-    """Compare a start of the coarse problem in the full one, by all unknowns. Derivatives of the
-    coarse problem are taken over where it has the same frames and free unknowns.
-    """
+    """Compare a start of the coarse problem in the full one, by all unknowns; derivatives are taken
+    over from the same frames and free unknowns."""
     former, start.exact, start.renew = start.comparison, True, False
     inherited = former is not None and not settings.leading
     if former is not None and inherited:
@@ -248,7 +246,7 @@ def _compare_all(problem: Problem, start: Start, settings: GaussNewtonSettings) 
     if start.comparison is None:
         raise problem.nothing_runs()
     if former is not None and inherited:
-        start.comparison.inherit_derivatives(former, *np.zeros((2, len(start.vector))))
+        problem.inherit_derivatives(start.comparison, former, *np.zeros((2, len(start.vector))))
         start.exact = False
 
 
@@ -262,8 +260,7 @@ def _step(
 ) -> None:
     """Proposals of every start, in one batch, of which it takes the best; a start is done where it
     can gain no more than ``least``. Derivatives are updated by Broyden's rule while steps gain what
-    they predict; they are computed again before a start is given up, and at the end.
-    """
+    they predict, and computed again before a start is given up, and at the end."""
     _renew(problem, [s for s in going if s.comparison is None or s.renew], noise, free)
     going = [s for s in going if not s.done]
     if not going:
@@ -282,7 +279,7 @@ def _step(
         if closer is not None and values[best] < s.value:
             s.won = won = s.value - values[best]
             little = won < least or (not settings.rugged and gain < least)
-            closer.inherit_derivatives(former, vector - s.vector, weight)
+            problem.inherit_derivatives(closer, former, vector - s.vector, weight)
             s.done, s.renew = little and s.exact, little or won < 0.5 * gain
             s.exact, s.damping = False, max(damping / 10.0, DAMPING[0])
             s.take(vector, closer, values[best])
@@ -324,12 +321,8 @@ def _propose(
     among: Sequence[int] | None,
 ) -> tuple[list[tuple[Array, float, float]], Array]:
     """A damped step; on rugged objectives also one of greater damping, one by the object's unknowns
-    alone, and longer ones.
-
-    Returns:
-        Places [P] with the gain that the quadratic model predicts and their damping; and that
-        model's curvature along each unknown [P].
-    """
+    alone, and longer ones: places [P] with the gain that the quadratic model predicts and their
+    damping; and that model's curvature along each unknown [P]."""
     prior = problem.prior
     gradient, H = problem.gradient_and_hessian(start, noise)
     # a parameter pressed against its bound is held there
