@@ -14,8 +14,8 @@ from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.intervals import IntervalCalibration, posterior_of, tip_suspected
 from gendom.estimation.methods import find_method
-from gendom.estimation.methods.differential_evolution import differential_evolution
 from gendom.estimation.methods.gauss_newton import gauss_newton, refined
+from gendom.estimation.methods.nearest import nearest
 from gendom.estimation.problem import EstimateSettings, Found, Problem, Progress, recording_names
 from gendom.estimation.registration import register
 from gendom.estimation.result import FittedEstimate, result_of
@@ -115,9 +115,7 @@ def _searched_widely(problem: Problem, found: Found) -> Found:
     if not cloth or not any(displaced(part, noise, times=5.0) for part, noise in parts):
         return found
     try:
-        wide = differential_evolution(problem, members=3, generations=40, coarse=True)
-        if wide.interrupted:
-            raise KeyboardInterrupt
+        wide = nearest(problem)
         if not any(displaced(p, n) for p, n in zip(problem.parts, wide.noise, strict=True)):
             # it can be simulated: what is nearest is not yet what is most likely
             return gauss_newton(problem, initial=[wide.best.vector])

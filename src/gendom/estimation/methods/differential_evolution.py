@@ -20,32 +20,26 @@ from gendom.estimation.problem import Found, Problem, Start
 Array = NDArray[np.floating]
 
 
-def differential_evolution(
-    problem: Problem, *, members: int = 15, generations: int | None = None, coarse: bool = False
-) -> Found:
+def differential_evolution(problem: Problem, *, members: int = 15) -> Found:
     """Search, and keep the best so far if interrupted.
 
     Args:
         problem: What is looked for.
         members: Of the population, for each unknown.
-        generations: At most; by default `EstimateSettings.max_iterations`.
-        coarse: Whether to search in the coarse problem.
 
     Raises:
         SimulationError: Nothing of a population can be simulated.
         KeyboardInterrupt: If interrupted before anything was found.
     """
-    prior, searched = problem.prior, problem.coarse if coarse else problem
-    most = generations or problem.settings.max_iterations
-    least = problem.settings.noise.least_model
-    noise = searched.first_noise(sensor=0.005, model=least, rounds=1)
+    prior, most = problem.prior, problem.settings.max_iterations
+    noise = problem.first_noise(sensor=0.005, model=problem.settings.noise.least_model, rounds=1)
     middle = prior.vector(*problem.bases)
-    best = Start(initial=middle, vector=middle, stage="coarse" if coarse else "")
+    best = Start(initial=middle, vector=middle)
 
     def generation(x: Array) -> Array:
         """[S] values of vectors [P, S]; the best so far is kept in `best`."""
         found = np.full(x.shape[1], math.inf)
-        for n, comparison in enumerate(searched.compare(list(x.T), derivatives=False)):
+        for n, comparison in enumerate(problem.compare(list(x.T), derivatives=False)):
             if comparison is None:
                 continue
             found[n] = problem.value(x[:, n], comparison, noise)
