@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gendom.datasets import Recording
-from gendom.estimation import EstimateSettings, IntervalCalibration, Theta, estimate
-from gendom.estimation.intervals import discrepancy
+from gendom.estimation import EstimateSettings, IntervalCalibration, Theta, estimate, intervals
+from gendom.estimation.intervals import discrepancy, posterior_of
 from gendom.estimation.likelihood import NoiseModel
 from gendom.materials.estimate import Estimate
 from gendom.materials.objects import ASSUMED
@@ -166,6 +166,22 @@ def deviations(model, x, calibration=NONE, **options):
     noise = NoiseModel(model=model, least_model=1e-7)
     given, found = Given(x, **options), SimpleNamespace(noise=[noise], best=best)
     return discrepancy(given, found, np.diag([1e-4, 1e-4]) ** 2, calibration)  # type: ignore
+
+
+@pytest.mark.parametrize(("astray", "sd"), [(False, 0.5), (True, 0.01)])
+def test_intervals_hold_what_cannot_be_explained(monkeypatch, astray, sd):
+    """But where nothing simulated moves like the object: that is refused."""
+    monkeypatch.setattr(intervals, "discrepancy", lambda *_: np.array([0.5, 0.0]))
+    monkeypatch.setattr(intervals, "displaced", lambda *_: astray)
+    scene = SimpleNamespace(mesh_error=lambda theta: 0.0)
+    prior = prior_of(("E_over_rho", "nu"), {"E_over_rho": {"sd": 3.0}})
+    problem = SimpleNamespace(
+        parts=[None], scene=scene, prior=prior, bases=[BASE], theta=lambda vector: BASE
+    )
+    best = SimpleNamespace(vector=np.array([math.log(500.0), 0.44]))
+    found = SimpleNamespace(covariance=np.diag([1e-4, 1e-6]), noise=[None], best=best)
+    known = posterior_of(problem, found, NONE)  # type: ignore
+    assert known.sd("E_over_rho") == pytest.approx(sd, rel=1e-3)
 
 
 @pytest.mark.slow
