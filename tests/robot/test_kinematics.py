@@ -14,6 +14,7 @@ from gendom.robot import (
     find_arm,
     inverse_kinematics,
     jacobian,
+    kinematics,
     link_poses,
     pose_error,
     solutions,
@@ -87,6 +88,19 @@ def test_inverse_kinematics_comes_back_near_given_angles():
         for near in (q, turned):
             found = inverse_kinematics(XARM7, T, near=near)
             np.testing.assert_allclose(found, near, atol=1e-4)
+
+
+@pytest.mark.parametrize("turns", [-1, 1])
+@pytest.mark.parametrize("offset", [-2.0, 2.0])
+def test_whole_turns_go_to_the_nearest(turns, offset):
+    """Of a joint that goes round twice, wherever within half a turn of the rest its angle lies."""
+    arm = replace(XARM7, q_min=np.full(7, -7.0), q_max=np.full(7, 7.0))
+    rest = 0.1 * np.arange(7.0)
+    q, near = rest.copy(), rest.copy()
+    q[6] += offset + 2.0 * np.pi * turns
+    near[6] += offset
+    (found,) = kinematics._unwound(arm, q[None], rest)
+    np.testing.assert_allclose(found, near if abs(q[6]) > np.pi else q, atol=1e-12)
 
 
 def test_redundancy_leans_towards_home():
