@@ -63,6 +63,7 @@ def test_what_was_found_is_searched_once_more_in_a_finer_problem(rope_lift, prob
     rough = gauss_newton(Problem([LiftScene.of(rope_lift.seen(), coarse)], settings))
     before = rough.best.vector.copy()
     again = refined(problem, rough)
+    assert again.best.comparison is not None
     assert again.best.comparison.parts[0].observation is problem.parts[0].observation
     sd = np.sqrt(np.diag(np.linalg.inv(problem.gradient_and_hessian(found.best, found.noise)[1])))
     off = np.abs(again.best.vector - found.best.vector) / sd
