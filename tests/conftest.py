@@ -2,6 +2,7 @@
 
 import math
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,6 +18,9 @@ from gendom.estimation import LiftScene, SceneSettings, Theta, replay
 from gendom.materials.parameters import E_over_rho_of
 from gendom.observation import visible
 from gendom.perception.realsense import realsense_sdk
+
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as in the background of a shell
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # programs of tests inherit that
 
 CAMERAS = np.array([[0.1, -0.8, 0.6], [0.1, 0.8, 0.6]])
 """On both sides of an object that lies along x [m]."""
