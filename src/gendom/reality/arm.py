@@ -121,7 +121,7 @@ def surroundings(cameras: Sequence[Camera]) -> Surroundings:
 
 def housing(name: str, T_world_camera: npt.NDArray[np.float64]) -> Box:
     """The housing of a D435i at a pose [4, 4] of its depth camera [m]."""
-    R, t = T_world_camera[:3, :3], T_world_camera[:3, 3]
+    R, t = T_world_camera[:3, :3].copy(), T_world_camera[:3, 3]  # SciPy 1.15 needs to own it
     quat = Rotation.from_matrix(R).as_quat()
     middle = t + R @ _HOUSING_MIDDLE
     return Box(name=f"camera {name}", position=middle, size=np.array(HOUSING), quat_xyzw=quat)
