@@ -16,11 +16,11 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from gendom.arguments import check_choice, require
+from gendom.arguments import check_choice
 from gendom.errors import ParameterError
-from gendom.materials.names import with_current_names
+from gendom.materials.names import current_name
 from gendom.materials.parameters import E_over_rho_of, Material, bending_length
 
 STANDARD_GRAVITY = 9.81
@@ -241,18 +241,30 @@ def from_columns(kind: str, columns: Mapping[str, float]) -> Item:
         ParameterError: A number is out of its range.
         KeyError: One is missing.
     """
-    made, columns = KINDS[kind], with_current_names(columns)
-    own = {name: float(columns[name]) for name in (*made.sizes, "friction")}
-    material = {name: float(columns[name]) for name in ("E", "nu", "density", "damping")}
-    return made(**own, material=Material(**material))
+    return items_from_columns(kind, {name: [x] for name, x in columns.items()})[0]
+
+
+def items_from_columns(kind: str, columns: Mapping[str, ArrayLike]) -> list[Item]:
+    """N objects at once from columns [N], each as of `from_columns`."""
+    made = KINDS[kind]
+    columns = {current_name(name): values for name, values in columns.items()}
+    own, of_material = (*made.sizes, "friction"), ("E", "nu", "density", "damping")
+    rows = np.array([columns[name] for name in (*own, *of_material)], dtype=float).T.tolist()
+    k = len(own)
+    return [
+        made(
+            **dict(zip(own, row, strict=False)),
+            material=Material(**dict(zip(of_material, row[k:], strict=True))),
+        )
+        for row in rows
+    ]
 
 
 def dimensionless_columns(
     kind: str, columns: Mapping[str, NDArray[np.float64]]
 ) -> dict[str, NDArray[np.float64]]:
     """`dimensionless_parameters` of N objects at once, from columns [N]."""
-    rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
-    found = [dimensionless_parameters(from_columns(kind, row)) for row in rows]
+    found = [dimensionless_parameters(item) for item in items_from_columns(kind, columns)]
     return {name: np.array([row[name] for row in found]) for name in PARAMETERS}
 
 
@@ -281,18 +293,22 @@ def _in_metres(value: float, item: Item) -> str:
 def _check_units(item: Item) -> None:
     for name, low, high, unit, other, factor in _MISREAD:
         value = getattr(item.material, name)
-        fix = f"give {unit}: {value:g} {other} are {factor * value:g} {unit}"
-        require(low <= value <= high, f"{name} is {value:g} {unit}", fix=fix)
+        if not low <= value <= high:
+            fix = f"give {unit}: {value:g} {other} are {factor * value:g} {unit}"
+            raise ParameterError(f"{name} is {value:g} {unit}", fix=fix)
     for name in item.sizes:
         value = getattr(item, name)
-        what = f"{name} must be positive and finite, got {value}"
-        require(math.isfinite(value) and value > 0.0, what, fix="give metres")
+        if not 0.0 < value < math.inf:
+            what = f"{name} must be positive and finite, got {value}"
+            raise ParameterError(what, fix="give metres")
         if value > LARGEST:
             raise ParameterError(f"{name} is {value:g} m", fix=_in_metres(value, item))
     (large, small), (L, h) = item.sizes, (size_of(item), thickness_of(item))
-    fix = _in_metres(h, item) if h > L else f"give a {small} of at most 0.2 of its {large}"
-    what = f"a {item.kind} with {small} {h} m and {large} {L} m is no {item.kind}"
-    require(h <= 0.2 * L, what, fix=fix)
-    fix = "most things have 0.1 to 0.8 on a table"
-    what = f"friction must be finite and not negative, got {item.friction}"
-    require(math.isfinite(item.friction) and item.friction >= 0.0, what, fix=fix)
+    if not h <= 0.2 * L:
+        fix = _in_metres(h, item) if h > L else f"give a {small} of at most 0.2 of its {large}"
+        what = f"a {item.kind} with {small} {h} m and {large} {L} m is no {item.kind}"
+        raise ParameterError(what, fix=fix)
+    if not 0.0 <= item.friction < math.inf:
+        fix = "most things have 0.1 to 0.8 on a table"
+        what = f"friction must be finite and not negative, got {item.friction}"
+        raise ParameterError(what, fix=fix)

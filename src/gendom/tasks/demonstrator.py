@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.datasets.demonstrations import GOAL, Outcomes
-from gendom.materials import Item, from_columns, to_columns
+from gendom.materials import Item, items_from_columns, to_columns
 from gendom.tasks.task import Task, World
 from gendom.tasks.world import Simulation
 
@@ -75,8 +75,7 @@ class Demonstrator:
             DeviceError: The device is not there.
         """
         task = self.task
-        rows = zip(*(values.tolist() for values in draws.values()), strict=True)
-        items = [from_columns(task.kind, dict(zip(draws, row, strict=True))) for row in rows]
+        items = items_from_columns(task.kind, draws)
         drawn = np.stack([draws[q.name] for q in task.actions], axis=1)
         actions, outcomes = task.demonstrate(self.world.on(device), items, drawn, on_frame=on_frame)
         goals = [q.name for q in task.goals]
