@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gendom.arguments import check_numbers, require
+from gendom.arrays import Array
 from gendom.cli.arguments import Device, Json, Recorded, iterations_shown
 from gendom.cli.outputs import check_places, tell_written, write_result
 from gendom.datasets import Recording
@@ -164,9 +162,7 @@ def of_recording(params: Mapping[str, Any], recording: Recording) -> Mapping[str
     return next(own, None)
 
 
-def _found_anew(
-    scene: LiftScene, theta: Theta
-) -> tuple[Theta, tuple[str, ...], NDArray[np.floating] | None]:
+def _found_anew(scene: LiftScene, theta: Theta) -> tuple[Theta, tuple[str, ...], Array | None]:
     """Parameters for another recording of the same object, what there is to say of them, and its
     `LiftScene.registration`."""
     from gendom.estimation import UNKNOWNS, EstimateSettings, estimate

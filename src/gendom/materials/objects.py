@@ -16,9 +16,9 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gendom.arguments import check_choice, require
+from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.materials.names import with_current_names
 from gendom.materials.parameters import E_over_rho_of, Material, bending_length
@@ -174,7 +174,7 @@ def unit_of(unit: str, item: Item) -> float:
     return float(unit_of_size(unit, np.array(size_of(item))))
 
 
-def unit_of_size(unit: str, L: NDArray[np.float64]) -> NDArray[np.float64]:
+def unit_of_size(unit: str, L: Array) -> Array:
     """The factor from a dimensionless number to SI units (``m``, ``s``, ``m/s`` or ``1``), for
     objects of sizes L [...] [m].
 
@@ -247,9 +247,7 @@ def from_columns(kind: str, columns: Mapping[str, float]) -> Item:
     return made(**own, material=Material(**material))
 
 
-def dimensionless_columns(
-    kind: str, columns: Mapping[str, NDArray[np.float64]]
-) -> dict[str, NDArray[np.float64]]:
+def dimensionless_columns(kind: str, columns: Mapping[str, Array]) -> dict[str, Array]:
     """`dimensionless_parameters` of N objects at once, from columns [N]."""
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
     found = [dimensionless_parameters(from_columns(kind, row)) for row in rows]

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
-Array = NDArray[np.float64]
+from gendom.arrays import Array
+
 Capsule = tuple[Array, Array, float]
 """Both ends of the axis [3] [m] and the radius [m]."""
 

@@ -19,18 +19,16 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import RobotError
 from gendom.installation import load_mujoco
 from gendom.reading import read_bytes, read_toml, record_of
 from gendom.robot.arm import Arm, FingerCapsule, LinkCapsule, ParallelGripper
 from gendom.robot.capsules import fit_capsules
-
-Array = NDArray[np.float64]
 
 EXCESS, MOST_CAPSULES = 0.03, 4
 """How far a link's capsules may stick out of its shapes [m], and how many there are at most, with

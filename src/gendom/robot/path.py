@@ -31,9 +31,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import RobotError
-
-Array = NDArray[np.float64]
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
 """quat_xyzw of a gripper that points down, its fingers opening along the world's y."""

@@ -21,12 +21,10 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.sim.device import load_kernels
 from gendom.sim.gripper import turns_of
-
-Array = NDArray[Any]
 
 
 @functools.cache

@@ -34,6 +34,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from gendom.arguments import check_integers, require
+from gendom.arrays import Array
 from gendom.materials import PARAMETERS, Item, dimensionless_parameters, size_of, unit_of
 from gendom.robot.path import TcpPaths
 from gendom.sim import Simulator, Targets
@@ -56,8 +57,6 @@ BANK = 256
 """Objects and goals that episodes draw from, at least; a goal is what an action reaches."""
 
 DIVERGED = -10.0
-
-Array = NDArray[np.float64]
 
 
 class StepsVectorEnv(VectorEnv[Any, Any, Any]):

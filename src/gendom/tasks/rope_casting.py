@@ -14,9 +14,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from gendom.arrays import Array
 from gendom.materials import STANDARD_GRAVITY, Item, size_of, unit_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
-from gendom.tasks.task import ROPE, ROPE_RANGES, Array, Observed, Quantity, Scene, Task
+from gendom.tasks.task import ROPE, ROPE_RANGES, Observed, Quantity, Scene, Task
 
 MOVE_LENGTH = (0.4, 0.9)
 """How far the hand goes [L]."""

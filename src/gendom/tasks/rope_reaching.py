@@ -17,9 +17,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from gendom.arrays import Array
 from gendom.materials import Item, size_of, unit_of
 from gendom.robot.path import GripperEvent, TcpPath, pointing
-from gendom.tasks.task import ROPE, ROPE_RANGES, Array, Observed, Quantity, Risk, Scene, Task
+from gendom.tasks.task import ROPE, ROPE_RANGES, Observed, Quantity, Risk, Scene, Task
 
 PAPER_CLOCK = math.sqrt(0.5 / 12.0)
 """Unit of time of the paper's scene [-]."""

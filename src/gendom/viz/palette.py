@@ -11,6 +11,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from gendom.arguments import require
+from gendom.arrays import Array
 
 # From Okabe and Ito's palette, told apart with every common form of colour blindness.
 RECORDED_COLOR = "#0072B2"
@@ -45,7 +46,7 @@ def nice_step(at_least: float) -> float:
 
 
 def encode_camera_views(
-    views: Sequence[tuple[npt.NDArray[np.uint8], npt.NDArray[np.floating]]],
+    views: Sequence[tuple[npt.NDArray[np.uint8], Array]],
 ) -> bytes:
     """One JPEG: a row for each camera, colour on the left and depth on the right.
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import ParameterError, SimulationError
 from gendom.sim.device import load_kernels
 from gendom.sim.paths import HostPaths, LedPaths, Pose, paths_on
@@ -23,8 +24,6 @@ from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, close, released
 from gendom.sim.thin.run import Event, Round, Schedule, put, put_worlds
 from gendom.sim.thin.step import make_kernels
 from gendom.sim.thin.types import SPIN, Q, V, X, make_types
-
-Array = NDArray[Any]
 
 CFL = 0.8
 """Default share of the longest stable step of small vibrations, of damped bodies and rods."""

@@ -11,18 +11,16 @@ Shapes: W worlds, n points.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.sim.paths import Pose
 from gendom.sim.thin import rotation
 from gendom.sim.thin.contact import triangle_distance
 from gendom.sim.thin.shell_model import ShellModel
 from gendom.sim.thin.types import Lines
-
-Array = NDArray[Any]
 
 STRETCH = 0.2
 """Largest mean stretch or compression of a body, and stretch of what two grippers have between
