@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gendom import cli
-from gendom.cli.replay import replay_setup
 from gendom.errors import ParameterError
 from gendom.estimation import UNKNOWNS, EstimateSettings, estimate
+from gendom.estimation.replayed import replay_setup
 from gendom.files import write_json
 from viz.made_up import record_of
 

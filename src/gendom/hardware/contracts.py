@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from numpy.typing import ArrayLike
 
@@ -15,9 +15,6 @@ from gendom.arrays import Array
 from gendom.errors import DeviceError, did_you_mean
 from gendom.plugins import plugins
 from gendom.robot import Arm, JointMotion
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,7 +94,6 @@ class Recorded:
     """On disk, of all streams."""
     missing: int
     """That the device numbered but that are not on disk."""
-    warnings: tuple[str, ...] = ()
 
 
 @runtime_checkable

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import shortest_path
 from scipy.spatial.distance import cdist
 
 from gendom.arguments import require
-from gendom.arrays import Array
+from gendom.arrays import Array, placed
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.hardware.execution import PlannedAction
@@ -61,7 +61,7 @@ def reached(
     free = size_of(item) - scene.stand
     tips, seen = [], []
     for k, t in enumerate(time):
-        cloud = recording.frame(k).astype(float) @ T[:3, :3].T + T[:3, 3]
+        cloud = placed(T, recording.frame(k))
         hold = path.position_at(t, motion.blend) if stand is None else stand
         tip = rope_tip(cloud, hold, thickness_of(item), _LEAST_SEEN * free)
         if tip is not None:

@@ -31,10 +31,10 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 from scipy.special import stdtrit
 
-from gendom.arrays import Array
+from gendom.arrays import Array, rigid
 from gendom.datasets import Fault
 from gendom.errors import RecordingError
-from gendom.perception.camera import MAX_DISTANCE, Camera, expect, rigid
+from gendom.perception.camera import MAX_DISTANCE, Camera, expect
 from gendom.perception.frames import read_png
 from gendom.reading import inside, read_rows, read_toml
 

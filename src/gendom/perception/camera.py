@@ -142,13 +142,6 @@ class Camera:
         return replace(self, T_world_camera=np.asarray(T_world_camera, dtype=np.float64))
 
 
-def rigid(R: npt.ArrayLike, t: npt.ArrayLike) -> Array:
-    """[4, 4] transform of a rotation [3, 3] and a shift of three numbers [m]."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, np.ravel(t)
-    return T
-
-
 def read_camera(path: str | os.PathLike, *, recorded: Camera | None = None) -> Camera:
     """The camera of a file camera.toml; see the top of this module.
 

@@ -19,9 +19,9 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
-from gendom.arrays import Array
+from gendom.arrays import Array, rigid
 from gendom.errors import RecordingError
-from gendom.perception.camera import Camera, rigid
+from gendom.perception.camera import Camera
 from gendom.perception.colour import LIGHTNESS_WEIGHT, TOLERANCE, ObjectColour
 from gendom.perception.frames import SYNC_TOLERANCE, Pictures
 from gendom.perception.robot import Capsules

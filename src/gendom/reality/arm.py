@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gendom.arrays import Array
+from gendom.arrays import Array, placed
 from gendom.installation import load_mujoco
 from gendom.perception.camera import Camera
 from gendom.reality.model import row
@@ -59,7 +59,7 @@ class RobotArm:
         geoms: list[list[str]] = [[] for _ in range(arm.joints + 1)]
         for k, link in enumerate(links):
             T = np.linalg.inv(poses[link])
-            a, b = (T[:3, :3] @ p + T[:3, 3] for p in (shape.start[k], shape.end[k]))
+            a, b = placed(T, [shape.start[k], shape.end[k]])
             if np.linalg.norm(b - a) < 1e-4:  # MuJoCo wants capsules longer than that
                 b = b + np.array([0.0, 0.0, 1e-4])
             gripper = link == arm.joints

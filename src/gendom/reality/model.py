@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from gendom.arrays import Array
+from gendom.arrays import Array, rigid
 from gendom.errors import ParameterError
 from gendom.installation import load_mujoco
 from gendom.materials import STANDARD_GRAVITY
@@ -96,10 +96,7 @@ def looking_at(position: npt.ArrayLike, target: npt.ArrayLike) -> Array:
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
-    T = np.eye(4)
-    T[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    T[:3, 3] = position
-    return T
+    return rigid(np.stack([right, np.cross(forward, right), forward], axis=1), position)
 
 
 def scene_xml(

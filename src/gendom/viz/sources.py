@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gendom.arrays import Array
+from gendom.arrays import Array, placed
 from gendom.materials import thickness_of
 from gendom.viz.clouds import CloudSequence
 
 if TYPE_CHECKING:
-    from gendom.datasets import Recording
     from gendom.estimation import LiftScene, Theta
     from gendom.reality.trials import TrialRun
     from gendom.tasks import Observed
@@ -44,12 +42,6 @@ def clouds_of(
     )
 
 
-def of_all_frames(scene: LiftScene, recording: Recording) -> LiftScene:
-    """A scene with every frame of its recording, or of a longer one of the same motion."""
-    every = tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
-    return replace(scene, recording=recording, frames=every)
-
-
 def arm_poses(run: TrialRun, times: Array, T_world_frame: Array) -> tuple[Array, Array] | None:
     """[T, C, 2, 3] ends of the arm's capsules in a frame [4, 4], and [C] their radii [m].
 
@@ -62,7 +54,7 @@ def arm_poses(run: TrialRun, times: Array, T_world_frame: Array) -> tuple[Array,
     shape = arm_shape(XARM7, run.motion.at(times), thickness_of(run.trial.item))
     ends = np.stack([shape.start, shape.end], axis=-2)
     T = np.linalg.inv(T_world_frame)
-    return ends @ T[:3, :3].T + T[:3, 3], shape.radius
+    return placed(T, ends), shape.radius
 
 
 def goal_mark(goal: Array, seen: Observed) -> Array:
