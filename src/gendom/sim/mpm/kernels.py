@@ -274,7 +274,6 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
             unsorted[w] = far
             clock.frame[w] = frame
             clock.dt[w] = dt
-            clock.steps[w] = steps
             clock.step[w] = step
             clock.age[w] = now.age
             clock.travel[w] = travel

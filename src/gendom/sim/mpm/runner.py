@@ -135,7 +135,6 @@ class Program:
         frame = np.zeros(s.num_worlds, dtype=np.int32)
         frame[list(s.failures)] = len(times)
         clock.frame.assign(frame)
-        clock.steps.assign(steps[0])
         clock.dt.assign(s.divide(slice(None), times[0] - began)[1])
         clock.step.zero_()
         clock.status.zero_()

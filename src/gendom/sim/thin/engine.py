@@ -5,13 +5,11 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
-from itertools import combinations
 from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.distance import cdist
 
 from gendom.arguments import require
 from gendom.arrays import Array
@@ -20,7 +18,7 @@ from gendom.sim.device import load_kernels
 from gendom.sim.paths import HostPaths, LedPaths, Pose, paths_on
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
-from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, close, released
+from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, between, close, pairs_of, released
 from gendom.sim.thin.run import Event, Round, Schedule, put, put_worlds
 from gendom.sim.thin.step import make_kernels
 from gendom.sim.thin.types import SPIN, Q, V, X, make_types
@@ -403,7 +401,7 @@ class ThinEngine(ABC):
                 where="contact of the body with itself", fix="fewer points, or a thinner body",
             )  # fmt: skip
         x, most = self.state.numpy()[w, :3], model.farthest.numpy()[w]
-        for pair, ends, far2 in zip(self._pairs, model.ends.numpy()[w], most, strict=True):
+        for pair, ends, far2 in zip(pairs_of(self.holds), model.ends.numpy()[w], most, strict=True):
             far = float(np.linalg.norm(x[:, ends[1]] - x[:, ends[0]]))
             if far**2 >= (1.0 - 1e-6) * far2:  # as the kernel has rounded it
                 return error(
@@ -504,39 +502,13 @@ class ThinEngine(ABC):
         """Copy the held points of worlds [k] to the kernels' model."""
         model = self.device_model
         put_worlds(model.holds, worlds, self.holds[worlds])
-        if self._pairs:
-            ends, most = self._between(worlds)
+        if self.closed.shape[1] > 1:
+            ends, most = between(self.holds[worlds], self.model.flat, self.slots)
             put_worlds(model.ends, worlds, ends)
             put_worlds(model.farthest, worlds, most**2)
         self.stiffen(model, worlds)
         if self.setting.self_contact:
             put_worlds(model.loose, worlds, self._loose(worlds))
-
-    @property
-    def _pairs(self) -> list[tuple[int, int]]:
-        """Of grippers."""
-        return list(combinations(range(self.closed.shape[1]), 2))
-
-    def _between(self, worlds: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Of worlds [k] and pairs of grippers [p]: the slots [k, p, 2] of the two points that have
-        least of the body at rest between them, and how far apart they may be [k, p] [m]; infinite
-        where one holds nothing or the body has holes and notches."""
-        held, flat, pairs = self.holds[worlds] & 1, self.model.flat, self._pairs
-        ends = np.zeros((len(worlds), len(pairs), 2), dtype=np.int32)
-        most = np.full((len(worlds), len(pairs)), np.inf)
-        if flat is None:
-            return ends, most
-        for p, pair in enumerate(pairs):
-            alike: dict[bytes, list[int]] = {}  # the few ways of holding
-            for k in np.flatnonzero(np.all(held[:, pair].any(axis=2), axis=1)).tolist():
-                alike.setdefault(held[k, pair].tobytes(), []).append(k)
-            for some in alike.values():
-                i, j = map(np.flatnonzero, held[some[0], pair])
-                far = cdist(flat[i], flat[j])
-                a, b = np.unravel_index(far.argmin(), far.shape)
-                ends[some, p] = self.slots[[i[a], j[b]]]
-                most[some, p] = (1.0 + STRETCH) * far[a, b]
-        return ends, most
 
     def _loose(self, worlds: NDArray[np.int64]) -> Array:
         """Inverse masses of points of worlds [k], 0 for held ones, [k, 1, P] [1/kg]."""
@@ -616,7 +588,7 @@ class ThinEngine(ABC):
         model.radius = s.body.thickness / 2.0
         model.holds = self.array(self.holds, wp.int32)
         model.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
-        ends, most = self._between(np.arange(W))
+        ends, most = between(self.holds, self.model.flat, self.slots)
         model.ends, model.farthest = self.array(ends, wp.int32), self.array(most)
         self.fill(model)
         for name, value in contact_arrays(s, n, self.spacing, self.rows).items():
