@@ -20,7 +20,7 @@ Capsule = tuple[Array, Array, float]
 
 _CUTS = (0.3, 0.4, 0.5, 0.6, 0.7)  # places along each principal axis at which a part may be cut
 
-_ENOUGH = 100  # triangles by which cuts are compared
+_COMPARED = 100  # triangles by which cuts are compared
 
 
 def fit_capsules(triangles: Array, *, excess: float, most: int) -> tuple[list[Capsule], float]:
@@ -162,7 +162,7 @@ def _halves(triangles: Array) -> list[Array]:
             if not 0 < low.sum() < len(low):
                 continue
             halves = [triangles[low], triangles[~low]]
-            few = [half[:: len(half) // _ENOUGH + 1].reshape(-1, 3) for half in halves]
+            few = [half[:: len(half) // _COMPARED + 1].reshape(-1, 3) for half in halves]
             volume = sum(_volume(_rough(points)) for points in few)
             if volume < least:
                 best, least = halves, volume

@@ -283,8 +283,8 @@ class Simulator(Shown):
         until = self.time + dt
         engine = self._thin("steps")
         if targets is not None:
-            engine.lead(*targets.of(*engine.closed.shape), until)
-        if engine.led is None:
+            engine.command(*targets.of(*engine.closed.shape), until)
+        if engine.commanded is None:
             self.run([until], particles=[], keep_going=keep_going)
             return
         engine.step(until, keep_going=keep_going)

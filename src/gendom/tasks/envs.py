@@ -1,4 +1,4 @@
-"""Tasks led step by step in our simulator, as Gymnasium environments, many worlds side by side.
+"""Tasks step by step in our simulator, as Gymnasium environments, many worlds side by side.
 
     envs = gymnasium.make_vec("gendom.environments:gendom/RopeReachingSteps-v0", num_envs=64)
 
@@ -131,7 +131,7 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         if self._step == STEPS:
             seen = self._begin()
             return seen, np.zeros(W), never, never, {"parameters": self.parameters.copy()}
-        self._lead(np.clip(wanted, -1.0, 1.0))
+        self._act(np.clip(wanted, -1.0, 1.0))
         info: dict[str, Any] = {"parameters": self.parameters.copy()}
         done, reward = never, np.zeros(W)
         if self._step == STEPS:
@@ -185,7 +185,7 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         self.parameters = np.array(seen)
         return self._observed()
 
-    def _lead(self, actions: Array) -> None:
+    def _act(self, actions: Array) -> None:
         simulator, item = self._simulator, self.items[0]
         assert simulator is not None
         if self.lets_go:

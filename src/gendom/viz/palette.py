@@ -20,8 +20,8 @@ SIMULATED_COLOR = "#E69F00"
 DEPTH_COLORS = ("#fde725", "#5ec962", "#21918c", "#3b528b", "#440154")
 """From near to far: five of the colours of matplotlib's viridis."""
 
-NEAR, FAR = 0.5, 1.3
-"""Depths of their ends [m]; black is no depth."""
+DEPTHS = 0.5, 1.3
+"""Of their ends [m]; black is no depth."""
 
 WIDTH = 1280
 """Of a picture of what all cameras saw [pixels]."""
@@ -63,7 +63,7 @@ def encode_camera_views(
     scale = np.transpose([rgb(color) for color in DEPTH_COLORS])
     rows = []
     for colour, depth in views:
-        share = np.clip((depth - NEAR) / (FAR - NEAR), 0.0, 1.0)
+        share = np.clip((depth - DEPTHS[0]) / np.ptp(DEPTHS), 0.0, 1.0)
         channels = [np.interp(share, np.linspace(0.0, 1.0, len(c)), c) for c in scale]
         painted = np.stack(channels, axis=-1).astype(np.uint8)
         painted[depth <= 0.0] = 0

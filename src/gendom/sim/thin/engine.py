@@ -15,7 +15,7 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import ParameterError, SimulationError
 from gendom.sim.device import load_kernels
-from gendom.sim.paths import HostPaths, LedPaths, Pose, paths_on
+from gendom.sim.paths import CommandedPaths, HostPaths, Pose, paths_on
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
 from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, between, close, pairs_of, released
@@ -115,8 +115,8 @@ class ThinEngine(ABC):
         """[W] time of the state [s]."""
         self.failures: dict[int, SimulationError] = {}
         self.used = False
-        self.led: LedPaths | None = None
-        """Paths of grippers after ``lead``."""
+        self.commanded: CommandedPaths | None = None
+        """Paths of grippers after ``command``."""
         self.last_dt = np.zeros(W)
         """[W] length of the last step [s]; 0 where velocities are those at the current time."""
         x = spread(np.asarray(s.positions, dtype=float) - self.origin, (W, n, 3), "positions")
@@ -307,7 +307,7 @@ class ThinEngine(ABC):
         if self.failures and not keep_going:
             raise self.failures[min(self.failures)]
 
-    def lead(
+    def command(
         self,
         position: Array,
         quat_xyzw: Array | None,
@@ -323,13 +323,13 @@ class ThinEngine(ABC):
         held = (self.stacked["hold_from"] <= now) & (now < self.stacked["hold_until"])
         held = held if closed is None else closed
         self.closed[held & (self.closed == 2)] = 0
-        if self.led is None:
-            self.led = LedPaths(self.paths, now)
-            self.stacked, self.paths = self.led.arrays, HostPaths(self.led.arrays)
+        if self.commanded is None:
+            self.commanded = CommandedPaths(self.paths, now)
+            self.stacked, self.paths = self.commanded.arrays, HostPaths(self.commanded.arrays)
             self.device_paths = paths_on(self.setting.device, self.stacked, self.real)
-        self.led.lead(now, until, position - self.origin, quat_xyzw, held)
+        self.commanded.command(now, until, position - self.origin, quat_xyzw, held)
         if self.setting.device.is_cuda:  # else the kernels read the same memory
-            for name in self.led.changing:
+            for name in self.commanded.changing:
                 getattr(self.device_paths, name).assign(self.stacked[name])
 
     def each_group(self, job: Callable[[slice], None], most: int = GROUP) -> None:
