@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from gendom.arguments import require
 from gendom.arrays import Array
+from gendom.arrays import rigid as rigid
 from gendom.errors import RecordingError
 from gendom.files import atomic_path
 from gendom.reading import MOST_PIXELS, read_toml

@@ -25,13 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from gendom.arrays import rigid
 from gendom.datasets import Fault, Recording
 from gendom.datasets.folder import read_object
 from gendom.datasets.npz import short
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
-from gendom.perception.camera import Camera, expect
+from gendom.perception.camera import Camera, expect, rigid
 from gendom.perception.rosbag import (
     ANY_SIZE,
     ZSTD,
