@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from experiments.runs import Result, Runs, Table
+from gendom.arrays import rigid
 from gendom.errors import GendomError
 from gendom.perception import Board, BoardView, Camera, calibrate
 from gendom.perception.calibration import COLUMNS, read_poses
-from gendom.perception.camera import rigid
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ import gendom
 SOURCES = Path(gendom.__file__).parent
 
 FLOORS = (
-    ("errors", "shown", "lazy", "environments", "plugins", "installation", "progress", "arguments",
-     "files", "reading"),
+    ("arrays", "errors", "shown", "lazy", "environments", "plugins", "installation", "progress",
+     "arguments", "files", "reading"),
     ("materials", "observation", "robot"),
     ("sim", "datasets"),
     ("tasks", "perception"),

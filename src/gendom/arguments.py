@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.errors import GendomError, ParameterError, did_you_mean
 
 Shape = tuple[int | str, ...]
@@ -66,7 +67,7 @@ def check_numbers(
     least: float = -math.inf,
     above: float | None = None,
     finite: bool = True,
-) -> NDArray[np.float64]:
+) -> Array:
     """Check that values are numbers of one of the shapes, and in their range; NaN is in none.
 
     Args:
@@ -120,9 +121,7 @@ def check_list(name: str, values: Any, kind: type) -> None:
         check_type(f"{name}[{k}]", value, kind)
 
 
-def _array(
-    name: str, values: Any, shapes: tuple[Shape, ...], kinds: str, noun: str
-) -> NDArray[Any]:
+def _array(name: str, values: Any, shapes: tuple[Shape, ...], kinds: str, noun: str) -> Array:
     """Values as an array of a kind (``dtype.kind``) and shape."""
     try:
         a = np.asarray(values)
@@ -145,7 +144,7 @@ def fits(have: tuple[int, ...], wanted: Shape) -> bool:
     )
 
 
-def _refused(name: str, wanted: str, a: NDArray[Any], bad: NDArray[np.bool_]) -> ParameterError:
+def _refused(name: str, wanted: str, a: Array, bad: NDArray[np.bool_]) -> ParameterError:
     """The error for an array whose first bad element is named."""
     k = tuple(int(i) for i in np.argwhere(bad)[0])
     place = f" at {list(k)}" if k else ""

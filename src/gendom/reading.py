@@ -23,9 +23,9 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import GendomError, RecordingError, did_you_mean
 
 Record = TypeVar("Record")
@@ -212,7 +212,7 @@ def _check_keys(kind: Any, table: dict[str, Any], where: str, error: type[Gendom
                 _check_keys(inner, entry, f"{where}: {place}", error)
 
 
-def _array_of(_: Any, value: Any) -> NDArray[np.float64]:
+def _array_of(_: Any, value: Any) -> Array:
     """What a field that is an array takes.
 
     Raises:
@@ -312,7 +312,7 @@ def read_number_table(
     check_header: Callable[[list[str]], Any],
     on_cut: Callable[[int], None] | None = None,
     error: type[GendomError] = RecordingError,
-) -> tuple[list[str], NDArray[np.float64], list[int]]:
+) -> tuple[list[str], Array, list[int]]:
     """Read a CSV file of numbers under a header.
 
     Args:

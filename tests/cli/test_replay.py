@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gendom import cli
-from gendom.cli.replay import replay_setup
 from gendom.errors import ParameterError
 from gendom.estimation import UNKNOWNS, EstimateSettings, estimate
+from gendom.estimation.replayed import replay_setup
 from gendom.files import write_json
 from viz.made_up import record_of
 
@@ -99,7 +99,7 @@ def test_what_is_not_usable_is_refused(files, params, tmp_path, capsys):
         ({"theta": {"colour": 1.0}}, "cannot be used"),
         ({"recordings": []}, "is of no recording, or of an earlier version; run gendom estimate"),
         ({"recordings": [{"theta": {}}]}, "cannot be used: KeyError 'simulation'"),
-        (dict.fromkeys(("theta", "posterior", "intervals")), "is of no recording, or of an"),
+        (dict.fromkeys(("theta", "posterior", "intervals")), "is of a version before 0.2"),
     ],
 )
 def test_what_is_no_estimate_is_refused(lifted, params, changes, words):

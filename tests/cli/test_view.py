@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 
 from gendom import cli
-from gendom.cli.view import find_recording
 from gendom.errors import DatasetError, GendomError, SimulationError
 from gendom.estimation import LiftScene, SceneSettings, Theta, chamfers, replay
+from gendom.estimation.replayed import find_recording, of_all_frames
 from gendom.files import write_json
 from gendom.reading import read_json
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
-from gendom.viz.sources import of_all_frames
 from gendom.viz.viewer.models import FRAMES, DatasetModel, RecordingModel
 from gendom.viz.viewer.scenes import MATERIAL, RING
 from viz.made_up import record_of

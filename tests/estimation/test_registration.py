@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gendom.cli.replay import replay_setup
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation import Estimate, estimate
 from gendom.estimation.registration import first_shift
+from gendom.estimation.replayed import replay_setup
 
 
 def off(recording, axis=(0.6, 0.8, 0.0), degrees=4.0, shift=(0.02, -0.02, 0.01)):

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gendom.cli.replay import replay_setup
 from gendom.errors import ParameterError, RecordingError
 from gendom.estimation import Estimate, LiftScene, Problem, estimate
+from gendom.estimation.replayed import replay_setup
 from gendom.materials.unknowns import UNKNOWNS
 
 GRIPS = (0.004, -0.003)

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 import software_camera
 from gendom import cli
+from gendom.arrays import rigid
 from gendom.errors import GendomError
 from gendom.perception import Pictures, RealSenseRecording, read_camera, write_camera
 from gendom.perception.calibration import Board, BoardView, calibrate, find_board, read_views
-from gendom.perception.camera import rigid
 
 cv2 = pytest.importorskip("cv2", reason="needs the extra `camera`")
 

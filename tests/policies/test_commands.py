@@ -14,6 +14,8 @@ from gendom.datasets.demonstrations import generate
 from gendom.files import write_json
 from gendom.hardware.execution import read_action
 from gendom.materials import Rope, size_of
+from gendom.materials.estimate import Estimate
+from gendom.materials.posterior import Posterior, prior_of
 from gendom.policies import Policy
 from gendom.policies.prediction import UNSTEADY, reached_late, steady
 from gendom.reading import read_json
@@ -25,16 +27,21 @@ from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
 from simulated_cell import write_cell
 
-ESTIMATE = {
-    "format": "gendom-estimate/1",
-    "E": 9.0e5,
-    "nu": 0.3,
-    "density": 900.0,
-    "E_over_rho": 1000.0,
-    "bending_length": 0.1077,
-    "intervals": {"E": [8.0e5, 1.0e6]},
-    "object": {"kind": "rope", "length": 0.25, "diameter": 0.014},
-}
+
+def estimated(sd=0.068, **known):
+    """Record of an estimate of E over density, which is 1,000 m^2/s^2."""
+    posterior = Posterior(
+        prior=prior_of(["E_over_rho"]),
+        mean=np.log([1000.0]),
+        covariance=np.array([[sd**2]]),
+        bases=(),
+    )
+    known = {"length": 0.25, "diameter": 0.014, "nu": 0.3, "density": 900.0} | known
+    record = Estimate(kind="rope", known=known, posterior=posterior).record
+    return {name: value for name, value in record.items() if name != "sha256"}
+
+
+ESTIMATE = estimated()
 
 
 @pytest.fixture
@@ -93,7 +100,7 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     flags = ["--E=9e5", "--nu=0.3", "--density=900", "--length=0.25", "--diameter=0.014"]
     moved = ["--origin", "0.5", "0.2", "0.1", "--no-prediction", "--json"]
     elsewhere = json.loads(act(*flags, *moved, estimate=None)[1])
-    assert elsewhere["network_input"] == result["network_input"]
+    assert elsewhere["network_input"] == pytest.approx(result["network_input"])
     shift = np.subtract(elsewhere["trajectory"]["position"], motion["position"])
     # not the same action: without a prediction it is not looked whether it is steady
     assert shift[0] == pytest.approx([0.02, -0.1, -0.02])
@@ -149,21 +156,20 @@ def test_act_plans_what_execute_reads(act, tmp_path):
 
 
 def test_act_predicts_what_will_be_reached(act):
-    """By the estimate's interval and its level, and by what its simulator errs, which counts also
-    where the object is known all but exactly."""
+    """By the estimate's deviation, and by what its simulator errs, which counts also where the
+    object is known all but exactly."""
 
-    def spread(level=None, ends=(8.0e5, 1.0e6)):
-        intervals = {"E": list(ends)} | ({} if level is None else {"level": level})
-        changed = ESTIMATE | {"intervals": intervals}
-        found = json.loads(act("--json", "--damping", "0.004", estimate=changed)[1])["predicted"]
+    def spread(sd):
+        flags = ("--json", "--damping", "0.004")
+        found = json.loads(act(*flags, estimate=estimated(sd))[1])["predicted"]
         low, high = found["interval_90"]["x"]
         assert 0.25 < low < high < 0.5 and low - 0.01 < found["reached"]["x"] < high + 0.01
         return high - low
 
     own = 0.008 * ESTIMATE["object"]["length"]  # deviation of the simulator
-    usual, half = (math.sqrt(spread(level) ** 2 - (3.29 * own) ** 2) for level in (None, 0.5))
-    assert half > 1.5 * usual
-    assert 2.4 * own < spread(0.9, (0.8999e6, 0.9001e6)) < 4.2 * own
+    usual, wide = (math.sqrt(spread(sd) ** 2 - (3.29 * own) ** 2) for sd in (0.068, 0.165))
+    assert wide > 1.5 * usual
+    assert 2.4 * own < spread(1e-4) < 4.2 * own
     assert "predicted" not in json.loads(act("--json", "--no-prediction")[1])
 
 
@@ -249,11 +255,9 @@ def test_adapt_refuses(adapt, flags, text):
 
 def test_act_takes_damping_and_friction_from_the_estimate(act):
     """Where it has them; what it does not know is assumed."""
-    changed = ESTIMATE | {"damping": None, "friction": 0.0, "intervals": None}
-    result = json.loads(act("--json", estimate=changed)[1])
+    result = json.loads(act("--json", "--no-prediction", estimate=estimated(friction=0.0))[1])
     assert result["object"]["friction"] == 0.0 and result["assumed"] == {"damping": 0.004}
-    assert "interval_90" not in result["predicted"]
-    changed = ESTIMATE | {"damping": 0.007, "friction": 0.6}
+    changed = estimated(damping=0.007, friction=0.6)
     result = json.loads(act("--json", "--no-prediction", estimate=changed)[1])
     assert (result["object"]["damping"], result["object"]["friction"]) == (0.007, 0.6)
 
@@ -334,6 +338,7 @@ def test_what_cannot_be_is_refused_even_if_forced(act, flags, goal, text):
         ((), ESTIMATE | {"format": "other/1"}, "0.35", "not 'gendom-estimate/1'"),
         ((), ESTIMATE | {"nu": "0.3"}, "0.35", "must be a positive number, got '0.3'"),
         ((), ESTIMATE | {"object": {"kind": "cloth"}}, "0.35", "describes a cloth"),
+        ((), ESTIMATE | {"posterior": None}, "0.35", "is of a version before 0.2"),
         (("--E", "-1"), ESTIMATE, "0.35", "must be positive"),
         (("--no-parameters", "--policy", "x.onnx"), ESTIMATE, "0.35", "together with --policy"),
         (("--policy", "x.onnx"), ESTIMATE, "0.35", "x.onnx: no such file"),

@@ -18,7 +18,7 @@ from gendom.cli.outputs import check_places, tell_written, write_result
 from gendom.errors import PolicyError, RobotError, printable
 from gendom.files import to_json
 from gendom.hardware.cell import BARE, Cell
-from gendom.hardware.execution import write_trajectory
+from gendom.hardware.execution import ACTION_FORMAT, write_trajectory
 from gendom.materials import (
     KINDS,
     LARGEST,
@@ -46,9 +46,6 @@ DRAWS = 64
 
 POLISHED_FOR = 8
 """Objects drawn to polish an action for."""
-
-FORMAT = "gendom-action/4"
-"""Of what is written; ``plan`` is what `gendom.hardware.execution.read_action` reads."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +120,7 @@ class Command(KnownObject):
         named = zip((q.name for q in task.actions), map(float, values), strict=True)
         T, path = placed(task, item, values, self.origin)
         result = {
-            "format": FORMAT,
+            "format": ACTION_FORMAT,
             "task": self.task,
             "goal": action.goal,
             "action": dict(named),

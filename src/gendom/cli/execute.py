@@ -13,6 +13,7 @@ import numpy as np
 import tyro
 
 from gendom.arguments import require
+from gendom.arrays import placed
 from gendom.cli.cell import write_picture
 from gendom.cli.outputs import check_places, tell_written
 from gendom.errors import DeviceError, printable
@@ -248,7 +249,7 @@ def bring(robot: Any, action: PlannedAction | None, *, ask: bool = True) -> None
     elif ask:
         scene = task.scene(item)
         T = action.trajectory.T_base_task
-        at = ", ".join(f"{x:.3f}" for x in T[:3, :3] @ np.asarray(scene.origin) + T[:3, 3])
+        at = ", ".join(f"{x:.3f}" for x in placed(T, scene.origin))
         hung = f"Fix the object's first end in the stand at ({at}) m. " if scene.stand else ""
         confirm(
             f"{hung}Put what is to be held between the fingers: they close when you have typed."

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from gendom.arguments import require
+from gendom.cli.arguments import iterations_shown
 from gendom.cli.outputs import check_places, tell_written
 from gendom.datasets import Recording
-from gendom.datasets.recording import is_recording
-from gendom.errors import GendomError, printable
+from gendom.errors import printable
 from gendom.files import atomic_path
 
 if TYPE_CHECKING:
@@ -90,48 +89,15 @@ class Command:
             fix = "give a recording and one estimate"
             require(params is None, "are given twice", where="--params", fix=fix)
             params = shown
+            from gendom.estimation.replayed import find_recording
+
             shown = find_recording(read_record(params, even_unusable=self.force), params)
         recording = Recording.read(shown)
         if params is None:
             return RecordingModel.of(recording, shown.name)
-        from gendom.cli.replay import replay_setup
+        from gendom.estimation.replayed import replay_setup
 
         values = read_record(params, even_unusable=self.force)
-        scene, theta = replay_setup(recording, values, str(params), "cpu")
+        with iterations_shown() as show:
+            scene, theta = replay_setup(recording, values, str(params), on_progress=show)
         return RecordingModel(scene, theta, shown.name)
-
-
-def find_recording(params: Mapping[str, Any], where: Path) -> Path:
-    """The recording of an estimate, by its `Recording.digest`: a file or folder beside it, or one
-    folder above.
-
-    Args:
-        params: The estimate's JSON.
-        where: Its file.
-
-    Raises:
-        GendomError: It is not there.
-    """
-    from gendom.cli.replay import of_recording
-
-    folder, similar = where.absolute().parent, ""
-    for path in [*_recordings_in(folder), *_recordings_in(folder.parent)]:
-        try:
-            recording = Recording.read(path, on_warning=lambda _: None)
-        except GendomError:  # another kind of file
-            continue
-        if any(own.get("digest") == recording.digest for own in params.get("recordings", ())):
-            return path
-        if not similar and of_recording(params, recording) is not None:
-            similar = f"; {path} begins like it, but is cut or changed"
-    raise GendomError(
-        f"its recording is neither beside it nor in the folder above{similar}",
-        where=str(where),
-        fix=f"name it: gendom view RECORDING --params {where}",
-    )
-
-
-def _recordings_in(folder: Path) -> list[Path]:
-    """What may be recordings, by name."""
-    inside = [*folder.glob("*.npz"), *(p for p in folder.iterdir() if p.is_dir())]
-    return sorted(path for path in inside if is_recording(path))

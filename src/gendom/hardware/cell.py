@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.datasets import Fault
 from gendom.errors import DeviceError, RobotError
 from gendom.hardware.contracts import DepthCamera, Robot, find_depth_camera, find_robot
@@ -36,8 +36,6 @@ from gendom.robot import (
     joint_move,
     tcp_pose,
 )
-
-Array = NDArray[np.float64]
 
 FASTEST_TOOL = 0.8
 """In servo mode [m/s]."""
@@ -464,5 +462,5 @@ BARE = Cell(
 """An arm on its table and nothing else, for simulation only."""
 
 
-def _point(x: NDArray[np.float64]) -> str:
+def _point(x: Array) -> str:
     return f"({', '.join(f'{v:.3f}' for v in x)})"

@@ -6,18 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import DeviceError, did_you_mean
 from gendom.plugins import plugins
 from gendom.robot import Arm, JointMotion
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,7 +23,7 @@ class RobotState:
 
     time: float
     """When its oldest part was asked for or arrived, on the clock of `time.monotonic` [s]."""
-    q: NDArray[np.float64]
+    q: Array
     """[J] measured, not commanded, joint angles [rad]."""
     opening: float | None = None
     """Measured distance of the fingers' inner faces [m]; None: not reported."""
@@ -76,9 +73,9 @@ class Tick:
 
     time: float
     """Since the motion's start [s]."""
-    command: NDArray[np.float64]
+    command: Array
     """[J] [rad]."""
-    measured: NDArray[np.float64]
+    measured: Array
     """[J] [rad]."""
     age: float
     """Of the report that `measured` comes from [s]."""
@@ -97,7 +94,6 @@ class Recorded:
     """On disk, of all streams."""
     missing: int
     """That the device numbered but that are not on disk."""
-    warnings: tuple[str, ...] = ()
 
 
 @runtime_checkable

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import DeviceError, RobotError
 from gendom.files import LEAST_ROOM, free_room, to_json, write_json
 from gendom.hardware.cell import CAREFUL, Cell, PlannedMotion
@@ -41,7 +41,7 @@ _FIX = "make it again with gendom act --cell"
 class Trajectory:
     """Where a task was planned."""
 
-    T_base_task: NDArray[np.float64]
+    T_base_task: Array
     """[4, 4] the task's frame in the robot's [m]."""
 
 
@@ -194,13 +194,13 @@ class ExecutionRecord:
 
     header: dict[str, Any]
     """The action's file as it was executed, when, and how fast."""
-    time: NDArray[np.float64]
+    time: Array
     """[N] since the start [s] of what was played last: the approach, or the motion."""
-    command: NDArray[np.float64]
+    command: Array
     """[N, J] [rad]."""
-    measured: NDArray[np.float64]
+    measured: Array
     """[N, J] [rad]."""
-    age: NDArray[np.float64]
+    age: Array
     """[N] of the reports [s]."""
     events: list[dict[str, Any]]
     """Calls and faults in order."""

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.sparse.csgraph import shortest_path
 from scipy.spatial.distance import cdist
 
 from gendom.arguments import require
+from gendom.arrays import Array, placed
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.hardware.execution import PlannedAction
 from gendom.materials import Item, size_of, thickness_of
 from gendom.tasks import Observed, Task
-
-Array = NDArray[np.float64]
 
 FEWEST = 10
 """Points of a cloud that shows where a rope ends."""
@@ -63,7 +61,7 @@ def reached(
     free = size_of(item) - scene.stand
     tips, seen = [], []
     for k, t in enumerate(time):
-        cloud = recording.frame(k).astype(float) @ T[:3, :3].T + T[:3, 3]
+        cloud = placed(T, recording.frame(k))
         hold = path.position_at(t, motion.blend) if stand is None else stand
         tip = rope_tip(cloud, hold, thickness_of(item), _LEAST_SEEN * free)
         if tip is not None:

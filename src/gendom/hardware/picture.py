@@ -7,10 +7,10 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial import ConvexHull
 
+from gendom.arrays import Array
 from gendom.hardware.cell import Cell
 from gendom.robot import Box, Post, arm_shape
 from gendom.viz.palette import INK, SOFT_INK, TABLE_LINE, nice_step
@@ -23,8 +23,6 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73")
 
 _GRID, _FAINT_ARM = (225, 225, 225), (222, 226, 232)
 _ARM, _BOX, _SPACE = (150, 160, 175), (214, 170, 140), (120, 180, 140)
-
-Array = NDArray[np.float64]
 
 
 def draw_cell(cell: Cell, q: Array, paths: Mapping[str, Array] | None = None) -> Image.Image:

@@ -19,7 +19,7 @@ from gendom.errors import DeviceError
 from gendom.hardware.cell import CellCamera
 from gendom.hardware.contracts import Recorded
 from gendom.perception.camera import write_pose
-from gendom.perception.realsense import own_clock, realsense_sdk, write_checksum
+from gendom.perception.realsense import realsense_sdk, write_checksum
 from gendom.perception.rosbag import Bag
 
 RECORDING = "recording.db3"
@@ -196,8 +196,7 @@ class RealSenseCamera:
         self._close()
         if not self._compress:  # PNG has checksums of its own
             write_checksum(self._path)
-        warnings: list[Any] = []
-        bag = Bag(self._path, on_warning=warnings.append)
+        bag = Bag(self._path)
         pictures = missing = 0
         for kind, seen in self._streams.items():
             stream = bag.stream(kind.capitalize(), self.name)
@@ -206,12 +205,7 @@ class RealSenseCamera:
             late = bool(entries) and entries[0].time > seen.begun + 1e-6
             sent = seen.last - seen.first + 1 - late if seen.pictures else 0
             pictures, missing = pictures + len(entries), missing + max(0, sent - len(entries))
-            own = entries and entries[0].domain == "Hardware Clock"
-            if own and kind == "depth":
-                warnings.append(own_clock(f"camera {self.name}"))
-        return Recorded(
-            pictures=pictures, missing=missing, warnings=tuple(str(w.what) for w in warnings)
-        )
+        return Recorded(pictures=pictures, missing=missing)
 
     def _close(self) -> None:
         for sensor in self._sensors:

@@ -14,37 +14,25 @@ fault leaves can be read.
 from __future__ import annotations
 
 import math
-import shutil
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Protocol
 
 from gendom.arguments import require
 from gendom.errors import DeviceError, GendomError
-from gendom.files import write_json
-from gendom.hardware.contracts import DepthCamera, Recorded, Tick
-from gendom.robot import Arm, JointMotion, tcp_pose
+from gendom.files import free_room, write_json
+from gendom.hardware.contracts import DepthCamera, Recorded, Robot, Tick
+from gendom.robot import JointMotion, tcp_pose
 
 _PIXEL = 5 * 30  # bytes a second of a pixel: 16 bit of depth and 24 of colour, 30 times
 _STOP_SPACE = 2e8  # [bytes] at which a recording stops
 _LOOK = 0.1  # [s] between two looks at cameras and disk
 
 
-class Player(Protocol):
-    """What is needed of a `gendom.hardware.Robot`."""
-
-    arm: Arm
-
-    def play(self, motion: JointMotion, *, on_tick: Callable[[Tick], None]) -> None: ...
-
-    def stop(self) -> None: ...
-
-
 def record_motion(
-    robot: Player,
+    robot: Robot,
     cameras: Sequence[DepthCamera],
     motion: JointMotion,
     folder: Path,
@@ -105,10 +93,8 @@ def _check(folder: Path, cameras: Sequence[DepthCamera], seconds: float) -> None
     """Check that a recording can be written to a folder."""
     taken, fix = (folder / "cameras").exists(), "name another folder"
     require(not taken, "holds a recording already", where=str(folder), fix=fix, error=GendomError)
-    above = next(p for p in (folder, *folder.resolve().parents) if p.exists())
-    free = shutil.disk_usage(above).free
-    pixels = sum(one.pixels for one in cameras)
-    need = _STOP_SPACE + _PIXEL * pixels * seconds
+    free = free_room(folder)
+    need = _STOP_SPACE + _PIXEL * sum(one.pixels for one in cameras) * seconds
     what = f"the disk has {1e-9 * free:.1f} GB left, {seconds:.0f} s take {1e-9 * need:.1f}"
     fix = "free some, or name another folder"
     require(free >= need, what, where=str(folder), fix=fix, error=DeviceError)
@@ -123,7 +109,7 @@ def _stop_all(cameras: Sequence[DepthCamera]) -> dict[str, Recorded]:
 
 @contextmanager
 def _watched(
-    robot: Player, cameras: Sequence[DepthCamera], folder: Path, faults: list[str]
+    robot: Robot, cameras: Sequence[DepthCamera], folder: Path, faults: list[str]
 ) -> Iterator[None]:
     """Look at cameras and disk, in a thread; when one of them fails stop the robot, and say so in
     `faults`."""
@@ -132,7 +118,7 @@ def _watched(
     def look() -> None:
         while not over.wait(_LOOK) and not faults:
             faults.extend(f"camera {c.name} {said}" for c in cameras if (said := c.fault()))
-            free = shutil.disk_usage(folder).free
+            free = free_room(folder)
             faults.extend([f"the disk has {1e-6 * free:.0f} MB left"] * (free < _STOP_SPACE))
             if faults:
                 robot.stop()
@@ -147,7 +133,7 @@ def _watched(
 
 
 @contextmanager
-def _rows(folder: Path, robot: Player, motion: JointMotion) -> Iterator[Callable[[Tick], None]]:
+def _rows(folder: Path, robot: Robot, motion: JointMotion) -> Iterator[Callable[[Tick], None]]:
     """Gives a function that adds a tick's rows to joints.csv and gripper.csv."""
     names, last = ",".join(f"q{j}" for j in range(robot.arm.joints)), -math.inf
     with ExitStack() as stack:

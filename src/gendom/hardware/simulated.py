@@ -17,9 +17,10 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import DeviceError, SimulationError
 from gendom.hardware.cell import Cell, CellCamera
 from gendom.hardware.contracts import Recorded, RobotState, Tick
@@ -79,7 +80,7 @@ class SimulatedRobot:
         self._stopping = threading.Event()
         self._begin(lift(self.item), cell.model.home)
 
-    def _begin(self, trial: Trial, q: NDArray[np.float64]) -> None:
+    def _begin(self, trial: Trial, q: Array) -> None:
         """Put the object where a trial has it, with the arm at rest at joint angles [J] [rad]."""
         still = JointMotion(time=np.array([0.0, 1.0]), q=np.array([q, q]))
         self.servos = RobotArm(self.arm, still, opening=thickness_of(self.item))

@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gendom.arguments import check_number, require
+from gendom.arrays import Array
 from gendom.errors import DeviceError, GendomError
 from gendom.hardware.cell import Cell
 from gendom.hardware.contracts import RobotState, Tick
-from gendom.hardware.streaming import Array, Driver, Streamer
+from gendom.hardware.streaming import Driver, Streamer
 from gendom.robot import JointMotion
 
 _CONNECTING, _STARTING, _SILENT = 20.0, 60.0, 5.0  # [s]; to connect, to start, without a row

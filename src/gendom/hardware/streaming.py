@@ -18,15 +18,13 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import DeviceError, GendomError, RobotError
 from gendom.hardware.cell import FASTEST_TOOL, Cell
 from gendom.hardware.contracts import RobotState
 from gendom.robot import JointMotion, tcp_pose
-
-Array = NDArray[np.float64]
 
 BLIND = (0.03, 0.1)
 """Largest age of a report, and lateness of a tick, at full speed and at most [s]. In between it is

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import DeviceError
 from gendom.hardware.cell import Cell
 from gendom.hardware.contracts import RobotState
 from gendom.hardware.streamed import StreamedRobot
-from gendom.hardware.streaming import Array
 from gendom.installation import how_to_install
 
 SERVO_MODE = 1

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.files import write_json
 from gendom.materials.estimate_file import (
@@ -50,8 +50,6 @@ from gendom.materials.parameters import bending_length
 from gendom.materials.posterior import Posterior, Prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.shown import Shown
-
-Array = NDArray[np.floating]
 
 CONSISTENT = 1e-6
 """Relative difference beyond which a file's value contradicts its posterior."""
@@ -107,17 +105,17 @@ class Estimate(Shown):
         return self.posterior.names
 
     @property
-    def mean(self) -> NDArray[np.float64]:
+    def mean(self) -> Array:
         """[P] transformed: logarithms where `UNKNOWNS` says so."""
         return np.asarray(self.posterior.mean, dtype=float)
 
     @property
-    def covariance(self) -> NDArray[np.float64]:
+    def covariance(self) -> Array:
         """[P, P] of that."""
         return np.asarray(self.posterior.covariance, dtype=float)
 
     @property
-    def sd(self) -> NDArray[np.float64]:
+    def sd(self) -> Array:
         """[P] standard deviations of that."""
         return np.sqrt(np.diag(self.covariance))
 
@@ -298,7 +296,7 @@ class Estimate(Shown):
         prior = prior_of(u.name for u in chosen)
         return replace(self, known=known)._with(prior, mean, covariance)
 
-    def _of_this_size(self) -> NDArray[np.float64]:
+    def _of_this_size(self) -> Array:
         """[P, P] covariance with the thickness at its most likely value. Of an uncertain thickness
         and E over density, what bends alike is known better than either."""
         if "thickness" not in self.names:

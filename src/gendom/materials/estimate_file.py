@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from gendom.files import to_json
 from gendom.materials import catalogue
 from gendom.materials.names import with_current_names
 from gendom.materials.objects import KINDS
-from gendom.materials.posterior import Posterior, half_width, prior_of
+from gendom.materials.posterior import Posterior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.reading import read_json, record_of
 
@@ -70,7 +69,6 @@ class Stored:
     posterior: dict[str, Any] | None = None
     theta: dict[str, float] | None = None
     intervals: dict[str, float | tuple[float, float]] | None = None
-    identifiable: dict[str, bool] | None = None
     density_sd: float | None = None
     simulation: Simulated | None = None
     recordings: list[StoredRecording] | None = None
@@ -197,6 +195,8 @@ def checked(read: Mapping[str, Any], where: str, *, even_unusable: bool = True) 
     numbers, fix = not read.keys() <= {"format", "verdict"}, f"{again} give flags such as --E"
     what = f"holds no numbers, since nothing was estimated: {why}"
     require(numbers, what, where=where, fix=fix)
+    what = "has no posterior: is of a version before 0.2"
+    require(stored.posterior is not None, what, where=where, fix="run gendom estimate again")
     return stored
 
 
@@ -216,13 +216,12 @@ def fields_of(
     level = (stored.intervals or {}).get("level", LEVEL)
     if not isinstance(level, float) or not 0.0 < level < 1.0:
         raise ParameterError(f"level is {level}", where="intervals", fix="estimate again")
-    posterior, stated = _posterior_of(stored, known, level), {}
-    if stored.posterior is not None:
-        stated = _stated(known, posterior, of)
-    else:
-        if "E" in known and "E_over_rho" not in known and "density" in known:
-            known["E_over_rho"] = known["E"] / known["density"]
-        known.pop("E", None)
+    base = Theta(**stored.theta) if stored.theta else None
+    # files of earlier versions are of one recording
+    own = [{}] if stored.recordings is None else [r.theta for r in stored.recordings]
+    bases = [base.with_values(theta) for theta in own] if base else []
+    posterior = Posterior.from_dict(stored.posterior or {}, bases)
+    stated = _stated(known, posterior, of)
     material = None if stored.simulation is None else stored.simulation.material
     sd = catalogue.get(material).density.log_sd if material else ASSUMED_DENSITY_SD
     density_sd = float(read.get("density_sd", 0.0 if "mass" in known else sd))
@@ -265,11 +264,8 @@ def _numbers(read: Mapping[str, Any], stored: Stored, where: str) -> dict[str, f
         GendomError: One is none, or not positive.
     """
     names = {n for n, u in UNKNOWNS.items() if u.material and n != "thickness"}
-    told, described = stored.identifiable or {}, stored.object or {}
     numbers = {n: read.get(n) for n in ("E", *names, "density")}
-    if not stored.posterior:  # what the recording does not tell is its prior's
-        numbers |= {n: None for n in HIDDEN if told.get(n, True) is False}
-    numbers |= {n: described.get(n) for n in (*SIZES, "mass")}
+    numbers |= {n: (stored.object or {}).get(n) for n in (*SIZES, "mass")}
     fix = "estimate again, or give the number by a flag"
     for name, value in numbers.items():
         least = isinstance(value, (int, float)) and (value > 0.0 or (not value and name in HIDDEN))
@@ -277,22 +273,3 @@ def _numbers(read: Mapping[str, Any], stored: Stored, where: str) -> dict[str, f
         what = f"{name} must be a positive number, got {value!r}"
         require(right, what, where=where, fix=fix, error=GendomError)
     return {n: float(v) for n, v in numbers.items() if v is not None}
-
-
-def _posterior_of(stored: Stored, known: Mapping[str, float], level: float) -> Posterior:
-    """The file's posterior; of files of earlier versions that of their interval of E."""
-    if stored.posterior is not None:
-        base = Theta(**stored.theta) if stored.theta else None
-        # files of earlier versions are of one recording
-        own = [{}] if stored.recordings is None else [r.theta for r in stored.recordings]
-        bases = [base.with_values(theta) for theta in own] if base else []
-        return Posterior.from_dict(stored.posterior, bases)
-    ends = (stored.intervals or {}).get("E")
-    if ends is None:
-        return NOTHING_ESTIMATED
-    if not isinstance(ends, tuple):
-        raise TypeError(f"the interval of E is {ends:g}")
-    low, high = (math.log(end / known["density"]) for end in ends)
-    variance = (0.5 * (high - low) / half_width(level)) ** 2
-    mean, covariance = np.array([0.5 * (low + high)]), np.array([[variance]])
-    return Posterior(prior=prior_of(["E_over_rho"]), mean=mean, covariance=covariance, bases=())

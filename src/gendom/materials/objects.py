@@ -16,9 +16,10 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gendom.arguments import check_choice
+from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.materials.names import current_name
 from gendom.materials.parameters import E_over_rho_of, Material, bending_length
@@ -174,7 +175,7 @@ def unit_of(unit: str, item: Item) -> float:
     return float(unit_of_size(unit, np.array(size_of(item))))
 
 
-def unit_of_size(unit: str, L: NDArray[np.float64]) -> NDArray[np.float64]:
+def unit_of_size(unit: str, L: Array) -> Array:
     """The factor from a dimensionless number to SI units (``m``, ``s``, ``m/s`` or ``1``), for
     objects of sizes L [...] [m].
 
@@ -260,9 +261,7 @@ def items_from_columns(kind: str, columns: Mapping[str, ArrayLike]) -> list[Item
     ]
 
 
-def dimensionless_columns(
-    kind: str, columns: Mapping[str, NDArray[np.float64]]
-) -> dict[str, NDArray[np.float64]]:
+def dimensionless_columns(kind: str, columns: Mapping[str, Array]) -> dict[str, Array]:
     """`dimensionless_parameters` of N objects at once, from columns [N]."""
     found = [dimensionless_parameters(item) for item in items_from_columns(kind, columns)]
     return {name: np.array([row[name] for row in found]) for name in PARAMETERS}

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import check_numbers, require
+from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.materials.unknowns import UNKNOWNS, Theta, Unknown
 from gendom.reading import record_of
-
-Array = NDArray[np.floating]
 
 IDENTIFIABLE = 0.5
 """A parameter counts as determined where its posterior deviation is at most this share of the

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from gendom.arguments import require
+from gendom.arrays import Array
 
 _HEIGHT_FROM_ABOVE = 20.0  # of the viewpoint that stands for "from above", in sizes of the object
 _FLIP_RADIUS = 30.0  # of the spherical flip, in distances of the farthest point
@@ -52,7 +53,7 @@ class DensityGrid:
     of 100 points compares with one of 1,000. Source: Kuroki et al. (2024), section III-C.
     """
 
-    origin: NDArray[np.floating]
+    origin: Array
     """[3] position of node (0, 0, 0) [m]."""
     cell: float
     """Edge of a cell [m]."""
@@ -86,7 +87,7 @@ class DensityGrid:
     def num_nodes(self) -> int:
         return int(np.prod(self.shape))
 
-    def splat(self, points: ArrayLike) -> NDArray[np.floating]:
+    def splat(self, points: ArrayLike) -> Array:
         """Densities [..., X * Y * Z] of clouds [..., n, 3]; a node off the grid takes nothing.
 
         Each cloud's weights sum to one when it lies on the grid.
@@ -101,7 +102,7 @@ class DensityGrid:
         sums = np.bincount(index.ravel(), weight.ravel(), minlength=total)
         return sums.astype(float).reshape(*lead, self.num_nodes)
 
-    def splat_transpose(self, points: ArrayLike, adjoint: ArrayLike) -> NDArray[np.floating]:
+    def splat_transpose(self, points: ArrayLike, adjoint: ArrayLike) -> Array:
         """Derivative of a loss by the points of clouds, from that by their densities.
 
         Args:
@@ -123,9 +124,7 @@ class DensityGrid:
             found[..., axis] = np.einsum("lnijk,lni,lnj,lnk->ln", gathered, x, y, z, optimize=True)
         return (found / (n * self.cell)).reshape(p.shape)
 
-    def _stencil(
-        self, p: NDArray[np.floating]
-    ) -> tuple[NDArray[np.int64], NDArray[np.floating], NDArray[np.floating]]:
+    def _stencil(self, p: Array) -> tuple[NDArray[np.int64], Array, Array]:
         """Nodes [L, n, 3, 3, 3] around points [L, n, 3], the weights [L, n, 3 axes, 3] whose
         products they take, and their derivatives by the position in cells."""
         q = (p - self.origin) / self.cell
@@ -237,7 +236,7 @@ def visible_on_sheet(
     return seen
 
 
-def _viewpoints(points: NDArray[np.float64], positions: ArrayLike | None) -> NDArray[np.float64]:
+def _viewpoints(points: Array, positions: ArrayLike | None) -> Array:
     """[K, 3] optical centres [m]."""
     if positions is None:
         size = max(float(np.ptp(points, axis=0).max()), 1e-6)

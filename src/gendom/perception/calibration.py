@@ -31,9 +31,10 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 from scipy.special import stdtrit
 
+from gendom.arrays import Array, rigid
 from gendom.datasets import Fault
 from gendom.errors import RecordingError
-from gendom.perception.camera import MAX_DISTANCE, Camera, expect, rigid
+from gendom.perception.camera import MAX_DISTANCE, Camera, expect
 from gendom.perception.frames import read_png
 from gendom.reading import inside, read_rows, read_toml
 
@@ -99,11 +100,11 @@ class BoardView:
 
     name: str
     """What messages call it."""
-    points: npt.NDArray[np.float64]
+    points: Array
     """[n, 3] the corners on the board [m]."""
-    pixels: npt.NDArray[np.float64]
+    pixels: Array
     """[n, 2] the same in the picture."""
-    T_world_gripper: npt.NDArray[np.float64]
+    T_world_gripper: Array
     """[4, 4] gripper to world [m]."""
 
 
@@ -111,9 +112,9 @@ class BoardView:
 class Calibration:
     """A camera's pose and its uncertainty."""
 
-    T_world_camera: npt.NDArray[np.float64]
+    T_world_camera: Array
     """[4, 4] camera to world [m]."""
-    T_gripper_board: npt.NDArray[np.float64]
+    T_gripper_board: Array
     """[4, 4] board to gripper [m]."""
     rms: float
     """Reprojection error of all corners [pixels]."""

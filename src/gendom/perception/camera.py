@@ -25,6 +25,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.arguments import require
+from gendom.arrays import Array
+from gendom.arrays import rigid as rigid
 from gendom.errors import RecordingError
 from gendom.files import atomic_path
 from gendom.reading import MOST_PIXELS, read_toml
@@ -53,9 +55,9 @@ class Camera:
     """Columns of its pictures."""
     height: int
     """Rows."""
-    K: npt.NDArray[np.float64]
+    K: Array
     """[3, 3] intrinsic matrix [pixels]."""
-    T_world_camera: npt.NDArray[np.float64] | None
+    T_world_camera: Array | None
     """[4, 4] camera to world [m]; None: not calibrated yet."""
     depth_unit: float = 1e-3
     """Metres a count of the depth pictures."""
@@ -103,18 +105,18 @@ class Camera:
             yield distance <= MAX_DISTANCE, key, what, f"{fix}metres, not millimetres"
 
     @property
-    def position(self) -> npt.NDArray[np.float64]:
+    def position(self) -> Array:
         """[3] optical centre in the world [m]; RecordingError: the camera is not calibrated."""
         return self.calibrated()[:3, 3]
 
-    def calibrated(self) -> npt.NDArray[np.float64]:
+    def calibrated(self) -> Array:
         """`T_world_camera`, [4, 4] [m]; RecordingError: it is not known."""
         T, where = self.T_world_camera, f"{self.name}: T_world_camera"
         expect(T is not None, "is missing", where=where, fix="measure it with gendom calibrate")
         assert T is not None
         return T
 
-    def rays(self) -> npt.NDArray[np.float64]:
+    def rays(self) -> Array:
         """[height * width, 3] directions of the pixels, row after row, in the camera's axes.
 
         Their z is 1: a pixel of depth z is at z times its ray. Distortion is taken out.
@@ -139,13 +141,6 @@ class Camera:
     def at(self, T_world_camera: npt.ArrayLike) -> Camera:
         """The same camera at another pose, [4, 4] [m]."""
         return replace(self, T_world_camera=np.asarray(T_world_camera, dtype=np.float64))
-
-
-def rigid(R: npt.ArrayLike, t: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """[4, 4] transform of a rotation [3, 3] and a shift of three numbers [m]."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, np.ravel(t)
-    return T
 
 
 def read_camera(path: str | os.PathLike, *, recorded: Camera | None = None) -> Camera:
@@ -209,7 +204,7 @@ def write_camera(path: str | os.PathLike, camera: Camera) -> None:
     write_pose(path, camera.T_world_camera, *lines)
 
 
-def write_pose(path: str | os.PathLike, T: npt.NDArray[np.float64] | None, *before: str) -> None:
+def write_pose(path: str | os.PathLike, T: Array | None, *before: str) -> None:
     """Write a camera's pose [4, 4] [m] as camera.toml, atomically, behind other lines.
 
     Raises:

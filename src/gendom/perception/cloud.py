@@ -19,8 +19,9 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
+from gendom.arrays import Array, rigid
 from gendom.errors import RecordingError
-from gendom.perception.camera import Camera, rigid
+from gendom.perception.camera import Camera
 from gendom.perception.colour import LIGHTNESS_WEIGHT, TOLERANCE, ObjectColour
 from gendom.perception.frames import SYNC_TOLERANCE, Pictures
 from gendom.perception.robot import Capsules
@@ -114,7 +115,7 @@ class PerceptionSettings:
 class TablePlane:
     """A plane as one camera sees it."""
 
-    normal: npt.NDArray[np.float64]
+    normal: Array
     """[3] unit vector, upwards."""
     offset: float
     """Points p of the plane have normal . p = offset [m]."""
@@ -125,7 +126,7 @@ class TablePlane:
         """z of the plane at a place [m]."""
         return float((self.offset - self.normal[:2] @ [x, y]) / self.normal[2])
 
-    def levelled(self, x: float, y: float, height: float) -> npt.NDArray[np.float64]:
+    def levelled(self, x: float, y: float, height: float) -> Array:
         """The motion [4, 4] that makes the plane level and brings its point at a place [m] to a
         height [m], by the smallest turn."""
         place = np.array([x, y, self.height(x, y)])
@@ -137,9 +138,9 @@ class TablePlane:
 
 
 def fit_table(
-    points: npt.NDArray[np.floating],
-    directions: npt.NDArray[np.floating],
-    depth: npt.NDArray[np.floating],
+    points: Array,
+    directions: Array,
+    depth: Array,
     *,
     expected_height: float | None = None,
 ) -> TablePlane | None:
@@ -382,7 +383,7 @@ class CameraView:
 class Held:
     """What grippers hold: the rest of a scene is farther away or apart from it."""
 
-    places: npt.NDArray[np.floating]
+    places: Array
     """[G, 3] the grippers [m]."""
     reach: float
     """How far it reaches from each of them at most [m]."""
@@ -392,7 +393,7 @@ class Held:
     robot: Capsules | None = None
     """The grippers' shape, of which noise is left where nothing chose the points; None: unknown."""
 
-    def among(self, points: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+    def among(self, points: Array) -> npt.NDArray[np.bool_]:
         """[n] those of points [n, 3] [m] that belong to it."""
         away = np.linalg.norm(points[:, None] - self.places, axis=2)
         near = (away <= self.reach).all(axis=1)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.arguments import require
+from gendom.arrays import Array
 
 TOLERANCE = 25.0
 """Largest distance from the reference colour in L*a*b*, lightness weighed."""
@@ -37,7 +38,7 @@ _RGB_TO_XYZ = np.array(
 )
 
 
-def lab(rgb: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def lab(rgb: npt.ArrayLike) -> Array:
     """[..., 3] L*, a*, b* of sRGB colours [..., 3] in 0..255, white point D65.
 
     Source: IEC 61966-2-1 (sRGB to XYZ), CIE 15 (XYZ to L*a*b*).
@@ -55,7 +56,7 @@ def lab(rgb: npt.ArrayLike) -> npt.NDArray[np.float64]:
 class ObjectColour:
     """All colours near a reference."""
 
-    reference: npt.NDArray[np.float64]
+    reference: Array
     """[3] L*, a*, b*."""
     table: npt.NDArray[np.bool_]
     """[2^18] whether a colour is the object's, by the upper six bits of R, G and B."""
@@ -99,7 +100,7 @@ class ObjectColour:
         return self.table[index]
 
 
-def picked_colour(colour: npt.NDArray[np.uint8], u: int, v: int) -> npt.NDArray[np.float64]:
+def picked_colour(colour: npt.NDArray[np.uint8], u: int, v: int) -> Array:
     """L*, a*, b* [3] of a picture [height, width, 3] in sRGB at column u and row v: the median of
     the 3 x 3 around it; ParameterError: they are not in the picture."""
     height, width = colour.shape[:2]

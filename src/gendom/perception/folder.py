@@ -31,6 +31,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from gendom.arrays import Array
 from gendom.datasets import Fault
 from gendom.datasets.folder import check_named, read_gripper, read_object
 from gendom.perception.camera import Camera, expect, read_camera, write_camera
@@ -56,11 +57,11 @@ _ROUNDING = 1e-6  # [s]; files of different formats round the same time differen
 class RobotPath:
     """Path of the grippers, on the cameras' clock."""
 
-    time: npt.NDArray[np.float64]
+    time: Array
     """[M] [s]."""
-    position: npt.NDArray[np.float64]
+    position: Array
     """[M, G, 3] [m]."""
-    axis: npt.NDArray[np.float64] | None = None
+    axis: Array | None = None
     """[M, G, 3] unit vectors along the object at the clamp; None: unknown."""
     closed: npt.NDArray[np.bool_] | None = None
     """[M, G] whether each gripper holds the object; None: all do, always."""

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from gendom.arrays import Array
 from gendom.datasets import Fault
 from gendom.errors import RecordingError
 from gendom.perception.camera import Camera, expect
@@ -142,9 +143,7 @@ def _in_order(source: Iterable[Frame]) -> Iterator[Frame]:
         last = frame.time
 
 
-def interpolate(
-    times: npt.NDArray[np.float64], values: npt.NDArray[np.float64], time: float
-) -> npt.NDArray[np.float64]:
+def interpolate(times: Array, values: Array, time: float) -> Array:
     """Values [...] at a time, linear between rows [M, ...] at times [M]; constant outside."""
     k = int(np.searchsorted(times, time))
     before, after = max(k - 1, 0), min(k, len(times) - 1)

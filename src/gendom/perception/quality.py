@@ -8,6 +8,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
+from gendom.arrays import Array
 from gendom.datasets import ObjectDescription
 from gendom.perception.cloud import unique_cells
 
@@ -23,7 +24,7 @@ _PAIRED_SHARE = 0.6  # of the points: each camera also sees what the other canno
 _MAX_POINTS = 500
 
 
-def offset_between(a: npt.ArrayLike, b: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def offset_between(a: npt.ArrayLike, b: npt.ArrayLike) -> Array:
     """The translation [3] [m] that moves cloud A [n, 3] onto cloud B [m, 3], neither empty [m].
 
     Iterated closest points (Besl and McKay, 1992), translation only, on the 60 % nearest pairs.
@@ -44,7 +45,7 @@ def offset_between(a: npt.ArrayLike, b: npt.ArrayLike) -> npt.NDArray[np.float64
 
 def sides_apart(
     centre: npt.ArrayLike, a: npt.ArrayLike, b: npt.ArrayLike, description: ObjectDescription
-) -> npt.NDArray[np.float64]:
+) -> Array:
     """How far cloud B is from cloud A because the cameras, at a and b [3] [m], see different sides
     of an object at a centre [3] [m]: [3] [m].
 

@@ -93,7 +93,9 @@ class RealSenseRecording:
             T = colour.T_stream_reference @ np.linalg.inv(depth.T_stream_reference)
             self._align = Alignment(self.camera, colour.camera, T)
         if self._depth[0].domain == _DEVICE_CLOCK:
-            on_warning(own_clock(where))
+            what = "its time stamps are of the camera's own clock"
+            fix = "record with the option Global Time Enabled to compare them with other clocks"
+            on_warning(Fault(what, where, fix, "warning"))
 
     def _as_db3(self) -> Path:
         """Path of the .db3 file, converted by the SDK from a .bag if necessary."""
@@ -166,13 +168,6 @@ def _checksum(path: Path) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise RecordingError(f"cannot be read ({error.strerror})", where=str(path)) from None
-
-
-def own_clock(where: str) -> Fault:
-    """Warning that time stamps are relative to the start of a camera."""
-    what = "its time stamps are of the camera's own clock"
-    fix = "record with the option Global Time Enabled to compare them with other clocks"
-    return Fault(what, where, fix, "warning")
 
 
 _CONVERT = "import sys, pyrealsense2; pyrealsense2.context().convert_bag_to_db3(*sys.argv[1:])"

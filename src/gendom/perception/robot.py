@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from gendom.arrays import Array
 from gendom.datasets import Fault
 from gendom.errors import RecordingError, RobotError
 from gendom.perception.camera import expect
@@ -45,16 +45,16 @@ _COLUMNS = ("time", "capsule", "x0", "y0", "z0", "x1", "y1", "z1", "radius")
 class Capsules:
     """C capsules at one moment."""
 
-    start: npt.NDArray[np.float64]
+    start: Array
     """[C, 3] one end of the axis [m]."""
-    end: npt.NDArray[np.float64]
+    end: Array
     """[C, 3] the other end [m]."""
-    radius: npt.NDArray[np.float64]
+    radius: Array
     """[C] [m]."""
-    largest_margin: npt.NDArray[np.float64] | None = None
+    largest_margin: Array | None = None
     """[C] upper bound on the margin around each capsule [m]; None: no bounds."""
 
-    def contain(self, points: npt.NDArray[np.floating], margin: float = 0.0) -> np.ndarray:
+    def contain(self, points: Array, margin: float = 0.0) -> np.ndarray:
         """[n] points [n, 3] that are in a capsule or nearer to one than a margin [m]."""
         found = np.zeros(len(points), dtype=bool)
         columns = np.ascontiguousarray(points.T)
@@ -81,7 +81,7 @@ class Capsules:
 class CapsulePath:
     """Capsules over time."""
 
-    tracks: dict[str, tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]
+    tracks: dict[str, tuple[Array, Array]]
     """Name -> times [M] [s] and rows [M, 7]: both ends and the radius [m]."""
 
     largest_margin: Mapping[str, float] = field(default_factory=dict)

@@ -31,9 +31,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from gendom.arrays import rigid
 from gendom.datasets import Fault
 from gendom.errors import RecordingError
-from gendom.perception.camera import Camera, expect, rigid
+from gendom.perception.camera import Camera, expect
 from gendom.perception.frames import decode_png
 from gendom.reading import MOST_UNPACKED, file_size
 

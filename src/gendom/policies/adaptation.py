@@ -17,10 +17,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Item, size_of
 from gendom.materials.estimate import Estimate
@@ -30,8 +30,6 @@ from gendom.reading import record_of
 from gendom.tasks import Task
 from gendom.tasks.task import World
 from gendom.tasks.world import Simulation
-
-Array = NDArray[np.float64]
 
 STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)
 """Of a Gauss-Newton step, simulated side by side."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.datasets.demonstrations import GOAL, load, read_description, succeeded
 from gendom.errors import DatasetError
 from gendom.materials import KINDS, PARAMETERS, dimensionless_columns, unit_of_size
@@ -18,8 +19,6 @@ from gendom.tasks import rebuild
 
 SMALLEST = 20
 """Fewer demonstrations than this cannot be split and standardised sensibly."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

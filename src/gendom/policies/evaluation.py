@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import PolicyError, SimulationError
 from gendom.materials import Item, dimensionless_parameters, unit_of
 from gendom.policies.policy import Policy
@@ -28,8 +29,6 @@ _ROUNDS = 100
 
 _STREAM = 1
 """Part of the seed: makes these draws independent of demonstrations with the same seed."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

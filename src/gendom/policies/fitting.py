@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.errors import PolicyError
 from gendom.policies.learning import Checkpoint, fit  # explains a missing torch
 
@@ -280,7 +280,7 @@ def _split(first: int, count: int) -> tuple[Tensor, Tensor]:
     return order[held:], order[:held]
 
 
-def standardised(name: str, values: NDArray[np.float64], *, log: bool = False) -> Column:
+def standardised(name: str, values: Array, *, log: bool = False) -> Column:
     """How a quantity in units of similarity is standardised."""
     x = np.log(values) if log else values
     # a quantity that never changes stays at zero once standardised

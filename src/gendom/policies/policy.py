@@ -23,9 +23,10 @@ from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import ParameterError, PolicyError
 from gendom.materials import PARAMETERS, Item, dimensionless_parameters
 from gendom.materials.names import current_name, with_current_names
@@ -48,7 +49,6 @@ NOTABLE_MOVE = 0.01
 """An action moved into the task's limits by more than this is worth a warning [units of
 similarity]."""
 
-Array = NDArray[np.float64]
 
 RANGE_TOLERANCE = 0.01
 """A parameter outside the range by less than this share of its end counts as in it."""

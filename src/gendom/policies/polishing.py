@@ -19,17 +19,16 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.materials import Item, unit_of
 from gendom.policies.rollouts import Asking, central_differences, side_by_side, stencil
 from gendom.tasks import Task
 from gendom.tasks.task import Outcome, World
 from gendom.tasks.world import Simulation
-
-Array = NDArray[np.float64]
 
 
 class Discrepancy(Protocol):

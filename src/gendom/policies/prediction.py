@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from gendom.arrays import Array
 from gendom.errors import PolicyError
 from gendom.materials import Item, size_of
 from gendom.policies.adaptation import DISCREPANCY
 from gendom.policies.polishing import Discrepancy
-from gendom.policies.rollouts import Array
 from gendom.robot import TcpPath
 from gendom.tasks import Task
 from gendom.tasks.task import Outcome, World

@@ -20,6 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.errors import PolicyError
 from gendom.policies.fitting import (  # explains a missing torch
     RISK_FLOOR,
@@ -38,8 +39,6 @@ from gendom.progress import bar
 from gendom.tasks import Task
 from gendom.tasks.task import World
 from gendom.tasks.world import BATCH
-
-Array = NDArray[np.float64]
 
 STEP = 0.002
 """Of central differences [units of similarity]."""

@@ -11,14 +11,13 @@ from itertools import islice
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.materials import Item
 from gendom.tasks import Task
 from gendom.tasks.task import Outcome, World
 
 T = TypeVar("T")
-Array = NDArray[np.float64]
 
 
 Rollouts = tuple[Sequence[Item], Sequence[Array]]

@@ -12,8 +12,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.policies.learning import (  # explains a missing torch
     Checkpoint,
     export_onnx,
@@ -223,7 +223,7 @@ def _written(
             return Policy.read(temporary)
 
         policy = export(description)
-        given: dict[str, NDArray[np.float64]] = {
+        given: dict[str, Array] = {
             name: problem.data[name][rows, 0].numpy().astype(float) for name in problem.sees
         }
         inside = np.ones(len(rows), dtype=bool)

@@ -17,14 +17,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_array
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.materials import AIR_DENSITY
 from gendom.reality.objects import RealObject, RealRope
-
-Array = npt.NDArray[np.float64]
 
 SHEET_DRAG = 1.2
 """Drag coefficient of a flat sheet across the flow [-]: a square plate has 1.17 (Hoerner,

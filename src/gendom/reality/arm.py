@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from gendom.arrays import Array, placed
 from gendom.installation import load_mujoco
 from gendom.perception.camera import Camera
 from gendom.reality.model import row
@@ -59,7 +59,7 @@ class RobotArm:
         geoms: list[list[str]] = [[] for _ in range(arm.joints + 1)]
         for k, link in enumerate(links):
             T = np.linalg.inv(poses[link])
-            a, b = (T[:3, :3] @ p + T[:3, 3] for p in (shape.start[k], shape.end[k]))
+            a, b = placed(T, [shape.start[k], shape.end[k]])
             if np.linalg.norm(b - a) < 1e-4:  # MuJoCo wants capsules longer than that
                 b = b + np.array([0.0, 0.0, 1e-4])
             gripper = link == arm.joints
@@ -108,7 +108,7 @@ class RobotArm:
         torque += data.qfrc_bias - data.qfrc_gravcomp
         data.qfrc_applied[self._v] = torque[self._v]
 
-    def measured(self, data: Any) -> npt.NDArray[np.float64]:
+    def measured(self, data: Any) -> Array:
         """[J] joint angles as the encoders have them [rad]."""
         return data.qpos[self._q].copy()
 
@@ -119,7 +119,7 @@ def surroundings(cameras: Sequence[Camera]) -> Surroundings:
     return Surroundings(table_height=0.0, obstacles=boxes)
 
 
-def housing(name: str, T_world_camera: npt.NDArray[np.float64]) -> Box:
+def housing(name: str, T_world_camera: Array) -> Box:
     """The housing of a D435i at a pose [4, 4] of its depth camera [m]."""
     R, t = T_world_camera[:3, :3].copy(), T_world_camera[:3, 3]  # SciPy 1.15 needs to own it
     quat = Rotation.from_matrix(R).as_quat()
@@ -127,6 +127,6 @@ def housing(name: str, T_world_camera: npt.NDArray[np.float64]) -> Box:
     return Box(name=f"camera {name}", position=middle, size=np.array(HOUSING), quat_xyzw=quat)
 
 
-def _place(T: npt.NDArray[np.float64]) -> str:
+def _place(T: Array) -> str:
     quat = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
     return f'pos="{row(T[:3, 3])}" quat="{row(quat)}"'

@@ -35,6 +35,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.arguments import check_numbers, require
+from gendom.arrays import Array
 from gendom.errors import DeviceError, ParameterError, RobotError
 from gendom.installation import how_to_install
 from gendom.materials import LARGEST, PARAMETERS, to_columns
@@ -53,7 +54,6 @@ except ImportError:
         fix=how_to_install("reality"),
     ) from None
 
-Array = npt.NDArray[np.float64]
 Observation = dict[str, npt.NDArray[np.float32]]
 
 REFUSED = -100.0

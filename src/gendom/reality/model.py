@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from gendom.arrays import Array, rigid
 from gendom.errors import ParameterError
 from gendom.installation import load_mujoco
 from gendom.materials import STANDARD_GRAVITY
@@ -88,17 +89,14 @@ def default_cameras(centre: npt.ArrayLike = (0.5, 0.0, 0.1)) -> list[Camera]:
     ]  # fmt: skip
 
 
-def looking_at(position: npt.ArrayLike, target: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def looking_at(position: npt.ArrayLike, target: npt.ArrayLike) -> Array:
     """`T_world_camera` [4, 4] [m] of an upright camera at a position, looking at a target."""
     position = np.asarray(position, dtype=float)
     forward = np.asarray(target, dtype=float) - position
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
-    T = np.eye(4)
-    T[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    T[:3, 3] = position
-    return T
+    return rigid(np.stack([right, np.cross(forward, right), forward], axis=1), position)
 
 
 def scene_xml(
@@ -207,7 +205,7 @@ def softened(cloth: RealCloth) -> float:
     return min(1.0, m.density * STANDARD_GRAVITY * cloth.side / (2.0 * SHEET_STRETCH * m.E))
 
 
-def rest_shape(item: RealObject, layout: Layout) -> npt.NDArray[np.float64]:
+def rest_shape(item: RealObject, layout: Layout) -> Array:
     """Initial positions of the vertices, [V, 3] [m]; for a cloth `across` varies fastest."""
     origin = np.asarray(layout.origin, dtype=np.float64)
     if isinstance(item, RealRope):

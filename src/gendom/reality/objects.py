@@ -48,6 +48,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gendom.arrays import Array
 from gendom.materials import STANDARD_GRAVITY, Cloth, Item, Material, Rope
 
 LEAST_RADIUS = 0.0005
@@ -67,9 +68,7 @@ SHEET_NU = -1.0 / 3.0
 """Poisson's ratio of bending; that of the material counts in a sheet's rigidity and its plane."""
 
 
-def grid(
-    along: int, across: int, spacing: float
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
+def grid(along: int, across: int, spacing: float) -> tuple[Array, npt.NDArray[np.intp]]:
     """A flat rectangle.
 
     Args:
@@ -120,7 +119,7 @@ class RealRope(Rope):
         return self.diameter / 2.0
 
     @property
-    def vertex_masses(self) -> npt.NDArray[np.float64]:
+    def vertex_masses(self) -> Array:
         """[V] half of the edges that meet there [kg]."""
         masses = np.full(self.vertices, self.mass / (self.vertices - 1))
         masses[[0, -1]] /= 2.0
@@ -144,7 +143,7 @@ class RealCloth(Cloth):
     """Points along a side."""
 
     @property
-    def sheet(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
+    def sheet(self) -> tuple[Array, npt.NDArray[np.intp]]:
         """Vertices [V, 2] of the flat cloth [m] and triangles [F, 3]."""
         return grid(self.vertices, self.vertices, self.spacing)
 
@@ -166,7 +165,7 @@ class RealCloth(Cloth):
         return area * self.thickness * self.material.density
 
     @property
-    def vertex_masses(self) -> npt.NDArray[np.float64]:
+    def vertex_masses(self) -> Array:
         """[V] a third of the triangles that meet there, which are halves of squares [kg]."""
         triangles = self.sheet[1]
         meeting = np.bincount(triangles.ravel()).astype(np.float64)

@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import GendomError
 from gendom.files import atomic_path, check_folder, write_json
@@ -222,7 +223,7 @@ def record_and_perceive(
     frame_rate: float = 15.0,
     seed: int = 0,
     motion: LiftMotion | None = None,
-) -> tuple[Recording, list[tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]]]:
+) -> tuple[Recording, list[tuple[npt.NDArray[np.uint8], Array]]]:
     """Lift an object under two noisy cameras and perceive it by its colour.
 
     Args:
@@ -258,7 +259,7 @@ def record_and_perceive(
 
 def _halfway(
     recorded: CameraRecording,
-) -> list[tuple[npt.NDArray[np.uint8], npt.NDArray[np.float64]]]:
+) -> list[tuple[npt.NDArray[np.uint8], Array]]:
     """Colour and depth [m] of each camera's middle picture."""
     found = []
     for source in recorded.sources:

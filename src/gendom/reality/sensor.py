@@ -14,7 +14,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +21,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.perception import Camera, Pictures
 
 BASELINE = 0.05
@@ -66,7 +66,6 @@ MAX_CLOCK_OFFSET = 0.1
 """Largest offset between the robot's clock and the first camera's [s]; the robot's path is recorded
 for this much longer than the pictures."""
 
-Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 
@@ -282,7 +281,7 @@ def _between(disparity: Array, seen: Mask, chosen: Mask, rng: np.random.Generato
     """[M] disparities between the lowest and the highest seen next to M chosen pixels, which are
     seen; draws for every pixel, so that later draws do not depend on the scene."""
 
-    def around(picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def around(picture: Array) -> Array:
         """[M, 3, 3]; beyond the border the border's pixel, which is in the neighbourhood too."""
         return sliding_window_view(np.pad(picture, 1, mode="edge"), (3, 3))[chosen]
 

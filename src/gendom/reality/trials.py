@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.arguments import require
+from gendom.arrays import Array, placed
 from gendom.errors import DeviceError, RobotError, SimulationError
 from gendom.materials import AIR_DENSITY, Item, size_of, thickness_of
 from gendom.perception.camera import Camera
@@ -359,9 +360,7 @@ class RealWorld:
         return TrialRun(trial, robot=self.robot)
 
 
-def _carried_out(
-    world: RealWorld, task: Task, keep: bool, item: Item, action: npt.NDArray[np.float64]
-) -> Outcome:
+def _carried_out(world: RealWorld, task: Task, keep: bool, item: Item, action: Array) -> Outcome:
     try:
         seen = observe(task, world.begin(task, item, action))
     except (RobotError, SimulationError) as error:
@@ -394,8 +393,8 @@ def observe(task: Task, run: TrialRun, frame_rate: float = FRAME_RATE) -> Observ
     late += run.trial.end - float(task.times(item)[-1])
     return Observed(
         times=times - late,
-        points=np.array(points) @ T[:3, :3].T + T[:3, 3],
-        hand=np.array(hand) @ T[:3, :3].T + T[:3, 3],
+        points=placed(T, points),
+        hand=placed(T, hand),
         opens=run.opens - late,
         lattice=(item.vertices, item.vertices) if isinstance(item, RealCloth) else (0, 0),
     )

@@ -21,10 +21,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from gendom.arrays import Array
 from gendom.reality.objects import RealRope
-
-Array = npt.NDArray[np.float64]
-
 
 _ONE = np.eye(3)
 _CROSS = np.swapaxes(np.cross(_ONE[:, None], _ONE[None]), 1, 2).reshape(3, 9)  # b @ it: b x

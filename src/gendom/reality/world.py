@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import DeviceError, SimulationError
 from gendom.installation import gl_faults, headless, load_mujoco
 from gendom.materials import AIR_DENSITY
@@ -40,8 +41,6 @@ REST_SPEED = 1e-4
 GL_PACKAGES = "apt install libegl1 libgl1-mesa-dri, or libosmesa6 with MUJOCO_GL=osmesa"
 """Packages that a Debian machine without a screen needs to render."""
 
-
-Array = npt.NDArray[np.float64]
 
 _FREE_HAND = '<body name="hand" mocap="true" pos="0 0 1"/>'
 

@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import RobotError
 from gendom.reading import read_toml, record_of
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

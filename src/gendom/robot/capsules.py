@@ -10,17 +10,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
-Array = NDArray[np.float64]
+from gendom.arrays import Array
+
 Capsule = tuple[Array, Array, float]
 """Both ends of the axis [3] [m] and the radius [m]."""
 
 _CUTS = (0.3, 0.4, 0.5, 0.6, 0.7)  # places along each principal axis at which a part may be cut
 
-_ENOUGH = 100  # triangles by which cuts are compared
+_COMPARED = 100  # triangles by which cuts are compared
 
 
 def fit_capsules(triangles: Array, *, excess: float, most: int) -> tuple[list[Capsule], float]:
@@ -162,7 +162,7 @@ def _halves(triangles: Array) -> list[Array]:
             if not 0 < low.sum() < len(low):
                 continue
             halves = [triangles[low], triangles[~low]]
-            few = [half[:: len(half) // _ENOUGH + 1].reshape(-1, 3) for half in halves]
+            few = [half[:: len(half) // _COMPARED + 1].reshape(-1, 3) for half in halves]
             volume = sum(_volume(_rough(points)) for points in few)
             if volume < least:
                 best, least = halves, volume

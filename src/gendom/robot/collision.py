@@ -17,12 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import RobotError
 from gendom.robot.arm import Arm
 from gendom.robot.kinematics import arm_shape, link_poses
 from gendom.robot.motion import JointMotion
-
-Array = NDArray[np.float64]
 
 RESOLUTION = 2e-4
 """Largest movement of any part between two checked configurations of a motion [m]."""

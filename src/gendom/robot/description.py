@@ -19,18 +19,16 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
+from gendom.arrays import Array, placed, rigid
 from gendom.errors import RobotError
 from gendom.installation import load_mujoco
 from gendom.reading import read_bytes, read_toml, record_of
 from gendom.robot.arm import Arm, FingerCapsule, LinkCapsule, ParallelGripper
 from gendom.robot.capsules import fit_capsules
-
-Array = NDArray[np.float64]
 
 EXCESS, MOST_CAPSULES = 0.03, 4
 """How far a link's capsules may stick out of its shapes [m], and how many there are at most, with
@@ -205,7 +203,7 @@ class _Chain:
         }
 
     def _frame(self, body: int) -> Array:
-        return _pose(self._data.xpos[body], self._data.xmat[body])
+        return rigid(self._data.xmat[body].reshape(3, 3), self._data.xpos[body])
 
     def _geoms(self, bodies: Callable[[int], bool]) -> list[int]:
         """Geoms of some bodies: those that collide, or all where there are none."""
@@ -228,17 +226,15 @@ class _Chain:
             return np.empty((0, 3, 3))
         else:
             faces = hull_faces(_points(types, kind, size))
-        T = np.linalg.inv(self.frames[0]) @ _pose(
-            self._data.geom_xpos[geom], self._data.geom_xmat[geom]
-        )
-        return faces @ T[:3, :3].T + T[:3, 3]
+        T = rigid(self._data.geom_xmat[geom].reshape(3, 3), self._data.geom_xpos[geom])
+        return placed(np.linalg.inv(self.frames[0]) @ T, faces)
 
     def capsules(self) -> Iterator[LinkCapsule]:
         """Those that cover the links, in the links' frames."""
         for link, T in enumerate(np.linalg.inv(np.linalg.inv(self.frames[0]) @ self.frames)):
             geoms = self._geoms(lambda body, link=link: self._link[body] == link)
             triangles = [np.empty((0, 3, 3)), *map(self._triangles, geoms)]
-            triangles = np.concatenate(triangles) @ T[:3, :3].T + T[:3, 3]
+            triangles = placed(T, np.concatenate(triangles))
             if not len(triangles):
                 continue
             found, _ = fit_capsules(triangles, excess=EXCESS, most=MOST_CAPSULES)
@@ -266,7 +262,7 @@ class _Chain:
             if (k := sites.get(hand.flange)) is None:
                 flange = self._frame(bodies[hand.flange])
             else:
-                flange = _pose(data.site_xpos[k], data.site_xmat[k])
+                flange = rigid(data.site_xmat[k].reshape(3, 3), data.site_xpos[k])
         carriers = {self.bodies[-1], *self._fingers}
         ends = [0.1]
         for g in self._geoms(lambda b: self._link[b] == last or self._below(b, carriers)):
@@ -279,12 +275,6 @@ class _Chain:
         while body and body not in carriers:
             body = int(self._model.body_parentid[body])
         return body in carriers
-
-
-def _pose(position: Array, matrix: Array) -> Array:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = np.reshape(matrix, (3, 3)), position
-    return T
 
 
 def _points(types: Any, kind: int, size: Array) -> Array:

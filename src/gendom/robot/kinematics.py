@@ -14,10 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import RobotError
 from gendom.robot.arm import Arm, FingerCapsule, LinkCapsule, ParallelGripper
-
-Array = NDArray[np.float64]
 
 POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-7, 1e-6
 """Tolerances of inverse kinematics for a pose [m], [rad]; one more Newton step follows, which
@@ -314,11 +313,11 @@ class ArmShape:
 
     names: tuple[str, ...]
     """[C] unique."""
-    start: NDArray[np.float64]
+    start: Array
     """[..., C, 3] one end of each axis in the base's frame [m]."""
-    end: NDArray[np.float64]
+    end: Array
     """[..., C, 3] the other end [m]."""
-    radius: NDArray[np.float64]
+    radius: Array
     """[C] [m]."""
     touches_object: NDArray[np.bool_]
     """[C] whether the inner side of a capsule holds the object."""

@@ -10,18 +10,17 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import RobotError
 from gendom.files import atomic_path
 from gendom.reading import read_number_table
 from gendom.robot.arm import Arm
 from gendom.robot.kinematics import jacobian, tcp_pose
 from gendom.robot.path import Deviation, GripperEvent
-
-Array = NDArray[np.float64]
 
 RATE = 100.0
 """Rows a second of written files [1/s]."""

@@ -31,9 +31,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
+from gendom.arrays import Array, placed
 from gendom.errors import RobotError
-
-Array = NDArray[np.float64]
 
 DOWN = (1.0, 0.0, 0.0, 0.0)
 """quat_xyzw of a gripper that points down, its fingers opening along the world's y."""
@@ -238,9 +237,7 @@ class TcpPath:
         """Return the path transformed by `T` [4, 4] [m] from its frame to another one."""
         T = np.asarray(T, dtype=float)
         turned = Rotation.from_matrix(T[:3, :3]) * Rotation.from_quat(self.quat_xyzw)
-        return replace(
-            self, position=self.position @ T[:3, :3].T + T[:3, 3], quat_xyzw=turned.as_quat()
-        )
+        return replace(self, position=placed(T, self.position), quat_xyzw=turned.as_quat())
 
     def shifted(self, seconds: float) -> TcpPath:
         """The same path, later by some seconds."""

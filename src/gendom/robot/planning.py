@@ -7,9 +7,10 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import RobotError
 from gendom.robot.arm import Arm
 from gendom.robot.collision import NO_OBSTACLES, CollisionChecker, Surroundings
@@ -26,8 +27,6 @@ from gendom.robot.kinematics import (
 from gendom.robot.motion import JointMotion
 from gendom.robot.path import TcpPath
 from gendom.robot.timing import in_time
-
-Array = NDArray[np.float64]
 
 SOLVED_RATE = 100.0
 """Rate at which joint angles along a path are solved [1/s]: at least this rate where corners are

@@ -17,14 +17,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
+from gendom.arrays import Array
 from gendom.robot.arm import Arm
 from gendom.robot.kinematics import jacobian
 from gendom.robot.motion import JointMotion
-
-Array = NDArray[np.float64]
 
 _POINTS_A_KNOT = 4  # points of the grid between two knots of the motion
 _LONGEST_STEP = 0.01  # [s] of the path's time between two of them at most

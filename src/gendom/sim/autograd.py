@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from gendom.arguments import check_list, check_numbers, check_type
+from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.materials.parameters import OF_THIN
@@ -20,8 +21,6 @@ from gendom.sim.rollout import Rollout
 from gendom.sim.setting import Physics, Solver, Table
 from gendom.sim.simulator import Simulator, engine_of
 from gendom.sim.thin.rotation import left_jacobian
-
-Array = NDArray[Any]
 
 _OF_MATERIAL = ("E", "nu", "density", "damping", *OF_THIN)
 _OF_PHYSICS = ("velocity_damping", "air_density", "self_friction", "gravity")

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gendom.arguments import check_integers, check_number, check_numbers, require
+from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.sim.lines import along_line, arc_length, around, around_transpose, frames
 from gendom.sim.outlines import Cut, Outline
-
-Array = NDArray[Any]
 
 CELLS_ACROSS = (0.6, 6.0)
 """Fewest and most grid cells across a rope for which its bending and twisting are validated."""

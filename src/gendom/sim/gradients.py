@@ -1,11 +1,8 @@
 """Derivatives with respect to all inputs of a simulation."""
 
 from dataclasses import dataclass
-from typing import Any
 
-from numpy.typing import NDArray
-
-Array = NDArray[Any]
+from gendom.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import check_number, check_numbers, require
+from gendom.arrays import Array
 from gendom.errors import ParameterError
-
-Array = NDArray[Any]
 
 NEEDED = ("time", "position", "hold_from", "hold_until", "radius")
 """Arrays that ``Grippers`` is not without."""

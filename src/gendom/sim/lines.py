@@ -1,14 +1,11 @@
 """Centre lines: places along them, frames, and the skin around them."""
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.errors import ParameterError
-
-Array = NDArray[Any]
 
 
 def arc_length(line: Array) -> Array:

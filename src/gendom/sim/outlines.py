@@ -10,9 +10,8 @@ from scipy.sparse import coo_matrix
 from scipy.spatial import KDTree
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import ParameterError
-
-Array = NDArray[Any]
 
 ROUNDING = 1e-9
 """Share of an outline's size that counts as no distance."""

@@ -21,12 +21,10 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.sim.device import load_kernels
 from gendom.sim.gripper import turns_of
-
-Array = NDArray[Any]
 
 
 @functools.cache
@@ -270,9 +268,9 @@ class HostPaths:
         wp.launch(getattr(self._kernels, name), dim=len(w), inputs=inputs, device="cpu")
 
 
-class LedPaths:
-    """Paths of three knots, which are led from step to step: where grippers came from, where they
-    are, and where they go.
+class CommandedPaths:
+    """Paths of three knots, given anew at each step: where grippers came from, where they are, and
+    where they go.
 
     Args:
         paths: What grippers follow until now.
@@ -280,7 +278,7 @@ class LedPaths:
     """
 
     changing = ("time", "position", "orientation", "turn", "hold_from", "hold_until")
-    """Names of the arrays that ``lead`` changes."""
+    """Names of the arrays that ``command`` changes."""
 
     def __init__(self, paths: HostPaths, now: float):
         W, G = paths.arrays["radius"].shape
@@ -297,7 +295,7 @@ class LedPaths:
             self.arrays["turn"][:, g, 1] = pose.spin
         self._arrive = now
 
-    def lead(
+    def command(
         self, now: float, until: float, position: Array, quat_xyzw: Array | None, closed: Array
     ) -> None:
         """Let grippers go straight to positions [W, G, 3] [m] and orientations [W, G, 4] until then

@@ -1,17 +1,14 @@
 """Derivatives of whole simulations, by reverse mode with recorded or recomputed substeps."""
 
-from typing import Any
-
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gendom.arguments import check_number, check_numbers, check_type
+from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.sim.gradients import Gradients
 from gendom.sim.simulator import Simulator
 from gendom.sim.thin import ThinEngine
 from gendom.sim.thin.tape import ThinTape
-
-Array = NDArray[Any]
 
 MEMORY = {"cpu": 64 << 20, "cuda": 8 << 30}
 """Default limits on the memory that a rollout uses for its reverse pass [bytes]."""

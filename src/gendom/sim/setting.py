@@ -16,12 +16,11 @@ from gendom.arguments import (
     check_type,
     require,
 )
+from gendom.arrays import Array
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.sim.bodies import Body
 from gendom.sim.gripper import Grippers
-
-Array = NDArray[Any]
 
 GRAVITY = (0.0, 0.0, -STANDARD_GRAVITY)
 """Standard gravity, z up [m/s^2]."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gendom.arguments import (
     check_integers,
@@ -16,6 +16,7 @@ from gendom.arguments import (
     check_type,
     require,
 )
+from gendom.arrays import Array
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.materials.parameters import WEAVE
@@ -27,8 +28,6 @@ from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
 from gendom.sim.setting import Frames, Physics, Setting, Solver, Table
 from gendom.sim.thin import THIN_ENGINES, ThinEngine
-
-Array = NDArray[Any]
 
 START_INSIDE = 0.1
 """Greatest initial depth of a body in a table [cells, or diameters of a rod]; contact pushes it
@@ -284,8 +283,8 @@ class Simulator(Shown):
         until = self.time + dt
         engine = self._thin("steps")
         if targets is not None:
-            engine.lead(*targets.of(*engine.closed.shape), until)
-        if engine.led is None:
+            engine.command(*targets.of(*engine.closed.shape), until)
+        if engine.commanded is None:
             self.run([until], particles=[], keep_going=keep_going)
             return
         engine.step(until, keep_going=keep_going)

@@ -26,9 +26,10 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.materials import Cloth, Item, Material, size_of, thickness_of, unit_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
-from gendom.tasks.task import Array, Observed, Outcome, Quantity, Risk, Scene, Task, World
+from gendom.tasks.task import Observed, Outcome, Quantity, Risk, Scene, Task, World
 
 CLOTH = Cloth(side=0.2, thickness=0.001, material=Material(E=4e5, density=400.0, damping=0.005))
 """What demonstrations are simulated with."""

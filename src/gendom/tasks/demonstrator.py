@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.datasets.demonstrations import GOAL, Outcomes
 from gendom.materials import Item, items_from_columns, to_columns
 from gendom.tasks.task import Task, World
@@ -44,7 +44,7 @@ class Demonstrator:
             **objects,
         }
 
-    def draw(self, rngs: Sequence[np.random.Generator]) -> dict[str, NDArray[np.float64]]:
+    def draw(self, rngs: Sequence[np.random.Generator]) -> dict[str, Array]:
         """Objects and actions of W demonstrations, by column name [W], in SI units."""
         task = self.task
         if self.items:
@@ -60,7 +60,7 @@ class Demonstrator:
 
     def demonstrate(
         self,
-        draws: Mapping[str, NDArray[np.float64]],
+        draws: Mapping[str, Array],
         *,
         device: str,
         on_frame: Callable[[int], None] | None = None,

@@ -1,4 +1,4 @@
-"""Tasks led step by step in our simulator, as Gymnasium environments, many worlds side by side.
+"""Tasks step by step in our simulator, as Gymnasium environments, many worlds side by side.
 
     envs = gymnasium.make_vec("gendom.environments:gendom/RopeReachingSteps-v0", num_envs=64)
 
@@ -34,6 +34,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from gendom.arguments import check_integers, require
+from gendom.arrays import Array
 from gendom.materials import PARAMETERS, Item, dimensionless_parameters, size_of, unit_of
 from gendom.robot.path import TcpPaths
 from gendom.sim import Simulator, Targets
@@ -56,8 +57,6 @@ BANK = 256
 """Objects and goals that episodes draw from, at least; a goal is what an action reaches."""
 
 DIVERGED = -10.0
-
-Array = NDArray[np.float64]
 
 
 class StepsVectorEnv(VectorEnv[Any, Any, Any]):
@@ -132,7 +131,7 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         if self._step == STEPS:
             seen = self._begin()
             return seen, np.zeros(W), never, never, {"parameters": self.parameters.copy()}
-        self._lead(np.clip(wanted, -1.0, 1.0))
+        self._act(np.clip(wanted, -1.0, 1.0))
         info: dict[str, Any] = {"parameters": self.parameters.copy()}
         done, reward = never, np.zeros(W)
         if self._step == STEPS:
@@ -186,7 +185,7 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         self.parameters = np.array(seen)
         return self._observed()
 
-    def _lead(self, actions: Array) -> None:
+    def _act(self, actions: Array) -> None:
         simulator, item = self._simulator, self.items[0]
         assert simulator is not None
         if self.lets_go:

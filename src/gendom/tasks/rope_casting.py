@@ -14,9 +14,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from gendom.arrays import Array, rigid
 from gendom.materials import STANDARD_GRAVITY, Item, size_of, unit_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
-from gendom.tasks.task import ROPE, ROPE_RANGES, Array, Observed, Quantity, Scene, Task
+from gendom.tasks.task import ROPE, ROPE_RANGES, Observed, Quantity, Scene, Task
 
 MOVE_LENGTH = (0.4, 0.9)
 """How far the hand goes [L]."""
@@ -145,10 +146,8 @@ class RopeCasting(Task):
 
     def T_world_task(self, item: Item) -> Array:
         # x runs along the base's y, the middle of the longest cast straight ahead
-        T = np.eye(4)
-        T[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
-        T[:3, 3] = [PLACE[0], -0.5 * MOVE_LENGTH[1] * size_of(item), PLACE[1]]
-        return T
+        place = [PLACE[0], -0.5 * MOVE_LENGTH[1] * size_of(item), PLACE[1]]
+        return rigid([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], place)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,9 +17,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from gendom.arrays import Array, rigid
 from gendom.materials import Item, size_of, unit_of
 from gendom.robot.path import GripperEvent, TcpPath, pointing
-from gendom.tasks.task import ROPE, ROPE_RANGES, Array, Observed, Quantity, Risk, Scene, Task
+from gendom.tasks.task import ROPE, ROPE_RANGES, Observed, Quantity, Risk, Scene, Task
 
 PAPER_CLOCK = math.sqrt(0.5 / 12.0)
 """Unit of time of the paper's scene [-]."""
@@ -144,10 +145,7 @@ class RopeReaching(Task):
         return {"x": float(free[:, 0].max()), "sideways": float(np.abs(free[:, 1]).max())}
 
     def T_world_task(self, item: Item) -> Array:
-        T = np.eye(4)
-        T[:3, :3] = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
-        T[:3, 3] = ORIGIN
-        return T
+        return rigid([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], ORIGIN)
 
 
 POINTING_FORWARD = pointing((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))

@@ -19,16 +19,15 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Protocol, Self, get_type_hints
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gendom.arguments import check_choice, require
+from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.materials import QUANTITIES, Item, Material, Rope, from_columns, to_columns, unit_of
 from gendom.materials.names import with_current_names
 from gendom.reading import record_of
 from gendom.robot.path import TcpPath
-
-Array = NDArray[np.float64]
 
 ROPE = Rope(length=0.25, diameter=0.014, material=Material(damping=0.004))
 """The rope that demonstrations are simulated with, where a task asks for no other."""

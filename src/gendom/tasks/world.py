@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.materials import AIR_DENSITY, Item, Rope
 from gendom.robot.path import TcpPath, TcpPaths
 from gendom.sim import Body, Gripper, Grippers, Physics, Solver, Table, cloth, rope
 from gendom.sim.bodies import CELLS_ACROSS
-from gendom.tasks.task import Array, Observed, Outcome, Scene, Task
+from gendom.tasks.task import Observed, Outcome, Scene, Task
 
 if TYPE_CHECKING:
     from gendom.sim import Simulator
@@ -142,7 +143,7 @@ class Simulation:
         )
         return simulator, body
 
-    def body(self, task: Task, item: Item) -> tuple[Body, NDArray[np.floating]]:
+    def body(self, task: Task, item: Item) -> tuple[Body, Array]:
         """An object and where its particles or points [N, 3] are at first [m]."""
         scene = task.scene(item)
         along, across = (np.asarray(a, dtype=float) for a in (scene.along, scene.across))
@@ -210,7 +211,7 @@ def judged(
     simulator: Simulator,
     body: Body,
     times: Array,
-    x: NDArray[Any],
+    x: Array,
     hands: Array,
     opens: Sequence[float],
     *,

@@ -12,14 +12,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator, make_interp_spline
 
+from gendom.arrays import Array
 from gendom.materials import Item, Rope, size_of, thickness_of
 from gendom.robot import lift, predefined_lift
 from gendom.sim import Body, Gripper, Physics, Table, cloth, rope
-
-Array = NDArray[np.float64]
 
 FINGERS = 0.025
 """Breadth of usual fingers [m]: how much of an object they hold."""

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from gendom.arrays import Array
 from gendom.materials import Item, Rope
 from gendom.reality import Layout, as_real
 from gendom.reality.model import compiled, rest_shape, scene_xml
-from gendom.twins.lift import Array, Lift
+from gendom.twins.lift import Lift
 
 SCRIPT = "mujoco_lift.py"
 

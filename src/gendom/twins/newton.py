@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from gendom.arrays import Array
 from gendom.materials import STANDARD_GRAVITY, Cloth, Item, Rope
 from gendom.reality.model import SHEET_STRETCH
 from gendom.reality.objects import grid
-from gendom.twins.lift import Array, Lift
+from gendom.twins.lift import Lift
 
 SCRIPT = "newton_lift.py"
 

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gendom.arrays import Array
 from gendom.materials import Item, Rope, to_columns
-from gendom.twins.lift import FRAME_RATE, Array, Lift
+from gendom.twins.lift import FRAME_RATE, Lift
 
 SCRIPT = None
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from gendom.arguments import require
+from gendom.arrays import Array
 
 # From Okabe and Ito's palette, told apart with every common form of colour blindness.
 RECORDED_COLOR = "#0072B2"
@@ -19,8 +20,8 @@ SIMULATED_COLOR = "#E69F00"
 DEPTH_COLORS = ("#fde725", "#5ec962", "#21918c", "#3b528b", "#440154")
 """From near to far: five of the colours of matplotlib's viridis."""
 
-NEAR, FAR = 0.5, 1.3
-"""Depths of their ends [m]; black is no depth."""
+DEPTHS = 0.5, 1.3
+"""Of their ends [m]; black is no depth."""
 
 WIDTH = 1280
 """Of a picture of what all cameras saw [pixels]."""
@@ -45,7 +46,7 @@ def nice_step(at_least: float) -> float:
 
 
 def encode_camera_views(
-    views: Sequence[tuple[npt.NDArray[np.uint8], npt.NDArray[np.floating]]],
+    views: Sequence[tuple[npt.NDArray[np.uint8], Array]],
 ) -> bytes:
     """One JPEG: a row for each camera, colour on the left and depth on the right.
 
@@ -62,7 +63,7 @@ def encode_camera_views(
     scale = np.transpose([rgb(color) for color in DEPTH_COLORS])
     rows = []
     for colour, depth in views:
-        share = np.clip((depth - NEAR) / (FAR - NEAR), 0.0, 1.0)
+        share = np.clip((depth - DEPTHS[0]) / np.ptp(DEPTHS), 0.0, 1.0)
         channels = [np.interp(share, np.linspace(0.0, 1.0, len(c)), c) for c in scale]
         painted = np.stack(channels, axis=-1).astype(np.uint8)
         painted[depth <= 0.0] = 0

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gendom.arrays import Array, placed
 from gendom.materials import thickness_of
 from gendom.viz.clouds import CloudSequence
 
 if TYPE_CHECKING:
-    from gendom.datasets import Recording
     from gendom.estimation import LiftScene, Theta
     from gendom.reality.trials import TrialRun
     from gendom.tasks import Observed
@@ -20,9 +18,9 @@ if TYPE_CHECKING:
 
 def clouds_of(
     scene: LiftScene,
-    x: NDArray[np.floating],
+    x: Array,
     theta: Theta,
-    chamfer: NDArray[np.floating],
+    chamfer: Array,
 ) -> CloudSequence:
     """Recorded clouds and simulated skins.
 
@@ -44,15 +42,7 @@ def clouds_of(
     )
 
 
-def of_all_frames(scene: LiftScene, recording: Recording) -> LiftScene:
-    """A scene with every frame of its recording, or of a longer one of the same motion."""
-    every = tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
-    return replace(scene, recording=recording, frames=every)
-
-
-def arm_poses(
-    run: TrialRun, times: NDArray[np.floating], T_world_frame: NDArray[np.floating]
-) -> tuple[NDArray[np.floating], NDArray[np.floating]] | None:
+def arm_poses(run: TrialRun, times: Array, T_world_frame: Array) -> tuple[Array, Array] | None:
     """[T, C, 2, 3] ends of the arm's capsules in a frame [4, 4], and [C] their radii [m].
 
     None where a free hand moves. `times` [T] [s] are the run's own.
@@ -64,10 +54,10 @@ def arm_poses(
     shape = arm_shape(XARM7, run.motion.at(times), thickness_of(run.trial.item))
     ends = np.stack([shape.start, shape.end], axis=-2)
     T = np.linalg.inv(T_world_frame)
-    return ends @ T[:3, :3].T + T[:3, 3], shape.radius
+    return placed(T, ends), shape.radius
 
 
-def goal_mark(goal: NDArray[np.floating], seen: Observed) -> NDArray[np.floating]:
+def goal_mark(goal: Array, seen: Observed) -> Array:
     """A goal in its task's frame: [1, 3] the place of a goal (x, z) beside where the tip hung, or
     [2, 3] an upright line at the distance x, as high as the rope comes [m]."""
     if len(goal) == 1:

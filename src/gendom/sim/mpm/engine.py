@@ -3,12 +3,12 @@
 # pyright: basic
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.materials import Material
 from gendom.sim.mpm.model import Worlds
@@ -74,10 +74,10 @@ class MpmEngine:
     def failures(self) -> dict[int, SimulationError]:
         return self.worlds.failures
 
-    def positions(self) -> NDArray[Any]:
+    def positions(self) -> Array:
         return self.worlds.state.x.numpy() + self.worlds.origin.astype(self.dtype)
 
-    def velocities(self) -> NDArray[Any]:
+    def velocities(self) -> Array:
         return np.array(self.worlds.state.v.numpy())
 
     def set_velocities(self, v: ArrayLike, affine: ArrayLike) -> None:
@@ -85,17 +85,6 @@ class MpmEngine:
         C = spread(affine, (*shape, 3), "affine velocities")
         self.worlds.state.v.assign(spread(v, shape, "velocities").astype(dtype))
         self.worlds.state.C.assign(C.astype(dtype))
-
-    def kept(self, *, last_good: bool) -> dict[str, NDArray[Any]]:
-        """x, v, C, F and, where there is one, Z; of the last good state with its time."""
-        worlds, dtype = self.worlds, self.dtype
-        state = worlds.last_good if last_good else worlds.state
-        kept = {name: getattr(state, name).numpy() for name in worlds.carried}
-        kept["F"] = worlds.deformation_at(kept["x"]).astype(dtype)
-        kept["x"] = kept["x"] + worlds.origin.astype(dtype)
-        if last_good:
-            kept["time"] = worlds.last_good_time
-        return kept
 
     @property
     def program(self) -> Program:

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.sim.mpm.block import make_block
 from gendom.sim.mpm.particles import Variant, make_moving
 from gendom.sim.mpm.types import make_types
@@ -32,7 +32,7 @@ LARGEST_GRID = 1 << 24
 """Maximum number of nodes of a world; a run that needs more has diverged."""
 
 
-def room_for(x: NDArray[np.floating], dx: float) -> tuple[int, int, int]:
+def room_for(x: Array, dx: float) -> tuple[int, int, int]:
     """Columns in x and y and nodes that the first grid of particles x [W, N, 3] offers.
 
     A body may turn any way without needing more columns.
@@ -45,9 +45,7 @@ def room_for(x: NDArray[np.floating], dx: float) -> tuple[int, int, int]:
     return min(side, WIDEST_WINDOW), min(side, WIDEST_WINDOW), 8 * cells + 256
 
 
-def grown_room(
-    room: tuple[int, int, int], bounds: NDArray[Any], grid: Any
-) -> tuple[int, int, int] | None:
+def grown_room(room: tuple[int, int, int], bounds: Array, grid: Any) -> tuple[int, int, int] | None:
     """Room for the bounds [4] for which the grid was too small; None if that is more than any
     object needs."""
     window = bounds[2:] - bounds[:2] + 1

@@ -148,7 +148,6 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         paths: Paths,
         grips: Grips,
         state: State,
-        last_good: State,  # where the last frame began
         # a layout a world; L for the tape, which keeps momentum. Else it is empty between substeps
         world_grid: Grid,
         particles: Records,
@@ -195,9 +194,6 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         grid = velocities_at(world_grid, velocity_at)
         load_all(now, afresh, model, state, particles)
         block.sync()
-        if step == 0:
-            for i in range(thread, now.N, threads):
-                loading.unload(particles, w, i, fields.particle(particles, w, i), last_good)
         while frame < frames and left > 0 and status == OK and t < pause:
             if step < steps and travel >= real(MARGIN) * now.dx:
                 if keeps == 1:
@@ -266,8 +262,6 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
                 step = 0
                 posed = -AHEAD
                 if frame < frames:
-                    for i in range(thread, now.N, threads):
-                        loading.unload(particles, w, i, fields.particle(particles, w, i), last_good)
                     steps = plan.steps[frame, w]
                     dt = frame_substep(frame, w, plan)
                     # not by a function: a struct that is assigned whole does not stay in registers
@@ -280,7 +274,6 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
             unsorted[w] = far
             clock.frame[w] = frame
             clock.dt[w] = dt
-            clock.steps[w] = steps
             clock.step[w] = step
             clock.age[w] = now.age
             clock.travel[w] = travel

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.sim.mpm.boundary import grip_constants
 from gendom.sim.mpm.grid import grown_room, room_for
@@ -49,12 +50,8 @@ class Worlds:
         self.clock = self.allocate(self.types.Clock, **dict.fromkeys(self.types.Clock.vars, W))
         self.carried = ("x", "v", "C", *("Z",) * self.damped)
         self.low = self.zeros((W, N) if s.dtype == "float32" else (0, 0), self.types.vec3)
-        self.state = self.make_state(W, wp.zeros)
+        self.state = self.make_state()
         wp.copy(self.state.x, self.array(x, self.types.vec3))
-        self.last_good = self.make_state(W)
-        for name in self.carried:
-            wp.copy(getattr(self.last_good, name), getattr(self.state, name))
-        self.last_good_time = np.full(W, s.start_time)
         self.failures: dict[int, SimulationError] = {}
 
     def _model(self) -> Any:
@@ -104,16 +101,16 @@ class Worlds:
         grips.free = wp.full((W, N), 1.0, dtype=self.real, device=self.device)
         return grips
 
-    def make_state(self, rows: int, make: Any = wp.empty) -> Any:
-        """Room for states, as ``carried`` names them; all have the worlds' own ``low``."""
-        N, State = self.num_particles, self.types.State
-        have = {name: rows if name in self.carried else 0 for name in ("x", "v", "C", "Z")}
+    def make_state(self) -> Any:
+        """States at zero, as ``carried`` names them; all have the worlds' own ``low``."""
+        W, N, State = self.num_worlds, self.num_particles, self.types.State
+        have = {name: W if name in self.carried else 0 for name in ("x", "v", "C", "Z")}
         shapes = {name: (n, 6, N) if name == "Z" else (n, N) for name, n in have.items()}
-        state = self.allocate(State, make, **shapes)
+        state = self.allocate(State, **shapes)
         state.low = self.low
         return state
 
-    def deformation_at(self, x: NDArray[np.floating]) -> NDArray[np.floating]:
+    def deformation_at(self, x: Array) -> Array:
         """[..., N, 3, 3] deformation gradients F of particles at [..., N, 3] [-]."""
         body = self.setting.body
         x = x.astype(float)
@@ -210,7 +207,7 @@ class Worlds:
         return wp.zeros(shape, dtype=dtype, device=self.device)
 
 
-def _triangles(frames: NDArray[np.floating]) -> NDArray[np.floating]:
+def _triangles(frames: Array) -> Array:
     """[6, N] upper triangles U, row by row, of the frames R = U Q [N, 3, 3] with a rotation Q."""
     _, inverse = np.linalg.qr(np.linalg.inv(frames))
     U = np.linalg.inv(inverse)

@@ -16,6 +16,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.sim.device import load_kernels
 from gendom.sim.mpm.block import ROOM_ALONE, ROOMS_OF_TWO
 from gendom.sim.mpm.boundary import make_grips
@@ -120,7 +121,7 @@ class Program:
             return [Group(self, slowest)]
         return [Group(self, slowest[n : n + 1]) for n in range(len(slowest))]
 
-    def plan(self, began: float, times: NDArray[np.float64], particles: Any, x: Any) -> "Plan":
+    def plan(self, began: float, times: Array, particles: Any, x: Any) -> "Plan":
         """Set all worlds to go from ``began`` to each of the times [T] [s].
 
         The positions of the particles [P] are recorded at each into x [T, W, P].
@@ -134,7 +135,6 @@ class Program:
         frame = np.zeros(s.num_worlds, dtype=np.int32)
         frame[list(s.failures)] = len(times)
         clock.frame.assign(frame)
-        clock.steps.assign(steps[0])
         clock.dt.assign(s.divide(slice(None), times[0] - began)[1])
         clock.step.zero_()
         clock.status.zero_()
@@ -159,7 +159,7 @@ class Program:
 class Plan:
     """The frames that worlds go through."""
 
-    time: NDArray[np.float64]
+    time: Array
     """[T + 1] where each frame begins, and the last one's end [s]."""
     steps: NDArray[np.int32]
     """[T, W] substeps."""
@@ -203,7 +203,7 @@ class Group:
         if self.worlds.device.is_cuda:
             array.assign(numbers)
 
-    def read(self, name: str) -> NDArray[Any]:
+    def read(self, name: str) -> Array:
         """[n] a copy of an array of these worlds' clock."""
         return getattr(self.worlds.clock, name).numpy()[self.own]
 
@@ -255,7 +255,7 @@ class Group:
         kernel = make_advance(program.variant, taped=tape is not None)
         program.launch(kernel, order, [
             self.shared, most, pause, frames, plan.arrays, s.clock, program.unsorted, s.model,
-            s.paths, s.grips, s.state, s.last_good, grid, program.particles,
+            s.paths, s.grips, s.state, grid, program.particles,
             s.types.Records() if tape is None else tape,
         ], stream=stream)  # fmt: skip
 
@@ -274,10 +274,8 @@ class Group:
         for n in np.flatnonzero(status != OK):
             w = int(self.own[n])
             if w not in s.failures:
-                s.last_good_time[w] = begins[n]
                 s.failures[w] = s.failure(w, begins[n])
         ok = status == OK
-        s.last_good_time[self.own[ok]] = begins[ok]
         if not ok.all() and not keep_going:
             return False
         return bool((ok & (frame <= last)).any())

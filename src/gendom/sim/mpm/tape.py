@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.sim.gradients import Gradients
 from gendom.sim.mpm.kernels import SUMS, make_advance, make_reverse
@@ -46,7 +47,7 @@ class Tape:
         program.load(make_advance(program.variant, taped=True))
         program.load(make_reverse(program.variant))
 
-    def forward(self, times: NDArray[np.float64], began: float) -> NDArray[np.floating]:
+    def forward(self, times: Array, began: float) -> Array:
         """[T, W, N, 3] positions at the times, from the time ``began`` [s].
 
         Raises:
@@ -121,7 +122,7 @@ class Tape:
             s.make_room(spare.grid, group.layouts[full])
             group.begin()
 
-    def backward(self, positions_bar: NDArray[np.floating]) -> Gradients:
+    def backward(self, positions_bar: Array) -> Gradients:
         """Derivatives by all inputs, given those [T, W, N, 3] by the positions of ``forward``.
 
         Raises:
@@ -235,7 +236,7 @@ class Segment:
         clock.dt, clock.age = s.array(dt, wp.float64), s.array(age, wp.int32)
         return s.array(began, wp.float64), s.array(slots, wp.int32), clock
 
-    def substep(self, plan: Plan) -> NDArray[np.float64]:
+    def substep(self, plan: Plan) -> Array:
         """[n] length of the substeps [s]."""
         steps = np.maximum(plan.steps[self.frame, self.own], 1)
         return (plan.time[self.frame + 1] - plan.time[self.frame]) / steps
@@ -277,7 +278,7 @@ class Sums:
         s = program.worlds
         types, W, N = s.types, s.num_worlds, s.num_particles
         G, K = s.paths.time.shape[1:]
-        self.state = s.make_state(W, wp.zeros)
+        self.state = s.make_state()
         self.state.sums = s.zeros((W, SUMS, N), s.real)
         self.adjoint = program.records(sums=(W, SUMS, N))
         by_world = (
@@ -294,7 +295,7 @@ class Sums:
             **dict.fromkeys(("centre", "rotation", "velocity", "spin"), s.grips.closed.shape),
         )
 
-    def add_positions(self, own: NDArray[np.integer], bar: NDArray[np.floating]) -> None:
+    def add_positions(self, own: NDArray[np.integer], bar: Array) -> None:
         """Add a loss's own derivative by the positions now [n, N, 3] of some worlds [1/m]."""
         now = self.state.x.numpy()
         now[own] += bar
@@ -334,7 +335,7 @@ class Sums:
             gripper_radius=np.array(by.radius.numpy()),
         )
 
-    def _by_knots(self, of: Any) -> NDArray[np.float64]:
+    def _by_knots(self, of: Any) -> Array:
         """[W, G, K, 3] with the derivatives by repeats of a last knot at the first of them."""
         by_knot = np.array(of.numpy())
         for w, grippers in enumerate(self.program.worlds.setting.grippers):

@@ -153,7 +153,6 @@ def make_types(real: Any) -> Namespace:
         """Where W worlds stand in the frame that they are in."""
 
         dt: wp.array(dtype=wp.float64)  # [W] [s]
-        steps: wp.array(dtype=wp.int32)  # [W] substeps to do
         step: wp.array(dtype=wp.int32)  # [W] substeps done
         age: wp.array(dtype=wp.int32)  # [W] substeps done in all
         travel: wp.array(dtype=real)  # [W] distance since the grid was rebuilt [m]

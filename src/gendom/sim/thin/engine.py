@@ -5,26 +5,23 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
-from itertools import combinations
 from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.distance import cdist
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import ParameterError, SimulationError
 from gendom.sim.device import load_kernels
-from gendom.sim.paths import HostPaths, LedPaths, Pose, paths_on
+from gendom.sim.paths import CommandedPaths, HostPaths, Pose, paths_on
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
-from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, close, released
+from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, between, close, pairs_of, released
 from gendom.sim.thin.run import Event, Round, Schedule, put, put_worlds
 from gendom.sim.thin.step import make_kernels
 from gendom.sim.thin.types import SPIN, Q, V, X, make_types
-
-Array = NDArray[Any]
 
 CFL = 0.8
 """Default share of the longest stable step of small vibrations, of damped bodies and rods."""
@@ -118,8 +115,8 @@ class ThinEngine(ABC):
         """[W] time of the state [s]."""
         self.failures: dict[int, SimulationError] = {}
         self.used = False
-        self.led: LedPaths | None = None
-        """Paths of grippers after ``lead``."""
+        self.commanded: CommandedPaths | None = None
+        """Paths of grippers after ``command``."""
         self.last_dt = np.zeros(W)
         """[W] length of the last step [s]; 0 where velocities are those at the current time."""
         x = spread(np.asarray(s.positions, dtype=float) - self.origin, (W, n, 3), "positions")
@@ -310,7 +307,7 @@ class ThinEngine(ABC):
         if self.failures and not keep_going:
             raise self.failures[min(self.failures)]
 
-    def lead(
+    def command(
         self,
         position: Array,
         quat_xyzw: Array | None,
@@ -326,13 +323,13 @@ class ThinEngine(ABC):
         held = (self.stacked["hold_from"] <= now) & (now < self.stacked["hold_until"])
         held = held if closed is None else closed
         self.closed[held & (self.closed == 2)] = 0
-        if self.led is None:
-            self.led = LedPaths(self.paths, now)
-            self.stacked, self.paths = self.led.arrays, HostPaths(self.led.arrays)
+        if self.commanded is None:
+            self.commanded = CommandedPaths(self.paths, now)
+            self.stacked, self.paths = self.commanded.arrays, HostPaths(self.commanded.arrays)
             self.device_paths = paths_on(self.setting.device, self.stacked, self.real)
-        self.led.lead(now, until, position - self.origin, quat_xyzw, held)
+        self.commanded.command(now, until, position - self.origin, quat_xyzw, held)
         if self.setting.device.is_cuda:  # else the kernels read the same memory
-            for name in self.led.changing:
+            for name in self.commanded.changing:
                 getattr(self.device_paths, name).assign(self.stacked[name])
 
     def each_group(self, job: Callable[[slice], None], most: int = GROUP) -> None:
@@ -404,7 +401,7 @@ class ThinEngine(ABC):
                 where="contact of the body with itself", fix="fewer points, or a thinner body",
             )  # fmt: skip
         x, most = self.state.numpy()[w, :3], model.farthest.numpy()[w]
-        for pair, ends, far2 in zip(self._pairs, model.ends.numpy()[w], most, strict=True):
+        for pair, ends, far2 in zip(pairs_of(self.holds), model.ends.numpy()[w], most, strict=True):
             far = float(np.linalg.norm(x[:, ends[1]] - x[:, ends[0]]))
             if far**2 >= (1.0 - 1e-6) * far2:  # as the kernel has rounded it
                 return error(
@@ -505,39 +502,13 @@ class ThinEngine(ABC):
         """Copy the held points of worlds [k] to the kernels' model."""
         model = self.device_model
         put_worlds(model.holds, worlds, self.holds[worlds])
-        if self._pairs:
-            ends, most = self._between(worlds)
+        if self.closed.shape[1] > 1:
+            ends, most = between(self.holds[worlds], self.model.flat, self.slots)
             put_worlds(model.ends, worlds, ends)
             put_worlds(model.farthest, worlds, most**2)
         self.stiffen(model, worlds)
         if self.setting.self_contact:
             put_worlds(model.loose, worlds, self._loose(worlds))
-
-    @property
-    def _pairs(self) -> list[tuple[int, int]]:
-        """Of grippers."""
-        return list(combinations(range(self.closed.shape[1]), 2))
-
-    def _between(self, worlds: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Of worlds [k] and pairs of grippers [p]: the slots [k, p, 2] of the two points that have
-        least of the body at rest between them, and how far apart they may be [k, p] [m]; infinite
-        where one holds nothing or the body has holes and notches."""
-        held, flat, pairs = self.holds[worlds] & 1, self.model.flat, self._pairs
-        ends = np.zeros((len(worlds), len(pairs), 2), dtype=np.int32)
-        most = np.full((len(worlds), len(pairs)), np.inf)
-        if flat is None:
-            return ends, most
-        for p, pair in enumerate(pairs):
-            alike: dict[bytes, list[int]] = {}  # the few ways of holding
-            for k in np.flatnonzero(np.all(held[:, pair].any(axis=2), axis=1)).tolist():
-                alike.setdefault(held[k, pair].tobytes(), []).append(k)
-            for some in alike.values():
-                i, j = map(np.flatnonzero, held[some[0], pair])
-                far = cdist(flat[i], flat[j])
-                a, b = np.unravel_index(far.argmin(), far.shape)
-                ends[some, p] = self.slots[[i[a], j[b]]]
-                most[some, p] = (1.0 + STRETCH) * far[a, b]
-        return ends, most
 
     def _loose(self, worlds: NDArray[np.int64]) -> Array:
         """Inverse masses of points of worlds [k], 0 for held ones, [k, 1, P] [1/kg]."""
@@ -617,7 +588,7 @@ class ThinEngine(ABC):
         model.radius = s.body.thickness / 2.0
         model.holds = self.array(self.holds, wp.int32)
         model.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
-        ends, most = self._between(np.arange(W))
+        ends, most = between(self.holds, self.model.flat, self.slots)
         model.ends, model.farthest = self.array(ends, wp.int32), self.array(most)
         self.fill(model)
         for name, value in contact_arrays(s, n, self.spacing, self.rows).items():

@@ -11,18 +11,18 @@ Shapes: W worlds, n points.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
+from gendom.arrays import Array
 from gendom.sim.paths import Pose
 from gendom.sim.thin import rotation
 from gendom.sim.thin.contact import triangle_distance
 from gendom.sim.thin.shell_model import ShellModel
 from gendom.sim.thin.types import Lines
-
-Array = NDArray[Any]
 
 STRETCH = 0.2
 """Largest mean stretch or compression of a body, and stretch of what two grippers have between
@@ -325,3 +325,30 @@ def released_adjoint(
     turned = np.cross(x - pose.centre[:, None], v_bar).sum(axis=1) + spin_bar.sum(axis=1)
     none = np.zeros_like(pose.centre)
     return x_bar, Pose(-x_bar.sum(axis=1), none, v_bar.sum(axis=1), turned)
+
+
+def pairs_of(holds: Array) -> list[tuple[int, int]]:
+    """Pairs of grippers that hold as ``holds`` [W, G, n]."""
+    return list(combinations(range(holds.shape[1]), 2))
+
+
+def between(holds: Array, flat: Array | None, slots: Array) -> tuple[Array, Array]:
+    """Of W worlds and pairs of grippers [p]: the slots [W, p, 2] of the two points that have least
+    of the body at rest between them, and how far apart they may be [W, p] [m]; infinite where one
+    holds nothing, or the body has holes and notches and thus no ``flat`` [n, .] places at rest."""
+    held, pairs = holds & 1, pairs_of(holds)
+    ends = np.zeros((len(held), len(pairs), 2), dtype=np.int32)
+    most = np.full((len(held), len(pairs)), np.inf)
+    if flat is None:
+        return ends, most
+    for p, pair in enumerate(pairs):
+        alike: dict[bytes, list[int]] = {}  # the few ways of holding
+        for k in np.flatnonzero(np.all(held[:, pair].any(axis=2), axis=1)).tolist():
+            alike.setdefault(held[k, pair].tobytes(), []).append(k)
+        for some in alike.values():
+            i, j = map(np.flatnonzero, held[some[0], pair])
+            far = cdist(flat[i], flat[j])
+            a, b = np.unravel_index(far.argmin(), far.shape)
+            ends[some, p] = slots[[i[a], j[b]]]
+            most[some, p] = (1.0 + STRETCH) * far[a, b]
+    return ends, most

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.materials import Material
 from gendom.sim.lines import arc_length
 from gendom.sim.setting import DRAG, Setting, spread
@@ -31,8 +32,6 @@ from gendom.sim.thin.types import (
     Q,
     by_modulus,
 )
-
-Array = NDArray[Any]
 
 SHORTEST = 0.02
 """Smallest length represented by a joint at a gripper's border, over its usual length."""

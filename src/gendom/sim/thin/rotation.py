@@ -1,12 +1,9 @@
 """Unit quaternions (scalar last) for the directions of a rod, and twist-free frames."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-Array = NDArray[Any]
+from gendom.arrays import Array
 
 
 def product(a: Array, b: Array) -> Array:

@@ -7,11 +7,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.sim.paths import Pose
 from gendom.sim.setting import Frames
 from gendom.sim.thin.grips import Grip
-
-Array = NDArray[Any]
 
 
 @dataclass

@@ -2,17 +2,14 @@
 
 import math
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.materials.parameters import WEAVE
 from gendom.sim.outlines import Cut
 from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin.types import Lines, ParameterDerivatives, by_modulus
-
-Array = NDArray[Any]
 
 SHORTEST = 0.125
 """Smallest length represented by a joint at a gripper's border, over its usual length: no added

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.materials.parameters import WEAVE
 from gendom.sim.setting import Setting
 from gendom.sim.thin.contact import check_cloth
@@ -14,8 +15,6 @@ from gendom.sim.thin.grips import held_of_shell
 from gendom.sim.thin.run import put_worlds
 from gendom.sim.thin.shell_model import MOST_COUPLED, ShellModel
 from gendom.sim.thin.types import MARGIN
-
-Array = NDArray[Any]
 
 
 class Shells(ThinEngine):

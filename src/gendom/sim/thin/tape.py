@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.sim.gradients import Gradients
 from gendom.sim.paths import HostPaths
 from gendom.sim.setting import Frames
@@ -16,8 +16,6 @@ from gendom.sim.thin.contact import LISTED
 from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.grips import border_adjoint, close_adjoint, released_adjoint
 from gendom.sim.thin.run import Event, Round, put
-
-Array = NDArray[Any]
 
 
 class ThinTape:

@@ -18,9 +18,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.materials import Material
-
-Array = NDArray[Any]
 
 MARGIN = 8
 """Length of the margin at the start of a row."""

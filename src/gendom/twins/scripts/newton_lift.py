@@ -82,7 +82,7 @@ pipeline = newton.CollisionPipeline(model)
 contacts = pipeline.contacts()
 
 
-def carry(state, offset):
+def put(state, offset):
     """Put what the hand holds where the hand is."""
     array = state.body_q if rope else state.particle_q
     x = array.numpy()
@@ -97,8 +97,8 @@ for moment in about["frames"]:
     while (step + 0.5) * dt < moment:
         step += 1
         offset = [np.interp(step * dt, times, hand[:, a] - hand[0, a]) for a in range(3)]
-        carry(now, offset)
-        carry(then, offset)
+        put(now, offset)
+        put(then, offset)
         now.clear_forces()
         pipeline.collide(now, contacts)
         solver.step(now, then, control, contacts, dt)

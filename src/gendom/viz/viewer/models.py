@@ -14,13 +14,14 @@ from gendom.datasets import Recording
 from gendom.errors import DatasetError, SimulationError
 from gendom.estimation import UNKNOWNS, LiftScene, Theta, chamfers, replay
 from gendom.estimation.replay import lattice, middle
+from gendom.estimation.replayed import of_all_frames
 from gendom.materials import PARAMETERS, Item, from_columns, size_of, to_columns
 from gendom.reading import record_of
 from gendom.tasks import Observed, Task, rebuild
 from gendom.tasks.world import Simulation
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_OPACITY
 from gendom.viz.quantities import length_text, quantity_text
-from gendom.viz.sources import goal_mark, of_all_frames
+from gendom.viz.sources import goal_mark
 from gendom.viz.viewer.scenes import (
     ACTION,
     MATERIAL,

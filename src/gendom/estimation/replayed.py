@@ -1,0 +1,148 @@
+"""An estimate and a recording brought together: which one is its own, and what is replayed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from gendom.arguments import check_numbers, require
+from gendom.arrays import Array
+from gendom.datasets import Recording
+from gendom.datasets.recording import is_recording
+from gendom.errors import GendomError, ParameterError
+from gendom.estimation.estimate import estimate
+from gendom.estimation.problem import EstimateSettings, Progress
+from gendom.estimation.scene import LiftScene
+from gendom.estimation.scene_settings import SceneSettings
+from gendom.materials.estimate import Estimate
+from gendom.materials.unknowns import UNKNOWNS, Theta
+
+
+def replay_setup(
+    recording: Recording,
+    params: Mapping[str, Any],
+    where: str,
+    device: str = "cpu",
+    engine: str | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> tuple[LiftScene, Theta]:
+    """The scene of all frames of a recording, and an estimate's parameters for it.
+
+    For the recording of the estimate, however long, all parameters are taken over. For another
+    one, those that do not belong to the material are estimated again.
+
+    Args:
+        recording: What is replayed.
+        params: An estimate's JSON.
+        where: Its file, for error messages.
+        device: That simulates.
+        engine: None: that of the estimate.
+        on_progress: Called with each iteration of an estimation.
+
+    Raises:
+        ParameterError: The parameters cannot be used, or are of the other kind of object.
+        RecordingError: The recording shows too little to place the object.
+        SimulationError: None of the parameters that are estimated again can be simulated.
+    """
+    found = Estimate.from_dict(params, where)
+    shown = recording.object.kind
+    what = f"the parameters are of a {found.kind}, the recording shows a {shown}"
+    fix = "estimate from a recording of the same object"
+    require(found.kind == shown, what, where=where, fix=fix)
+    every = list(params.get("recordings") or ())
+    what, fix = "is of no recording, or of an earlier version", "run gendom estimate again"
+    require(every and found.posterior.bases, what, where=where, fix=fix)
+    own = of_recording(params, recording)
+    try:
+        made = (own or every[0])["simulation"]
+        points = made["points"] if engine in (None, made["engine"]) else None
+        settings = SceneSettings(
+            engine=engine or made["engine"],
+            points=points,  # another engine has its own number
+            cells_across=made["cells_across"],
+            device=device,
+        )
+        # the object lies as it was taken to lie from the frames that were fitted
+        fitted = recording.num_frames if own is None else 1 + max(own["compared"])
+        theta = found.theta.with_values({} if own is None else own["theta"])
+        registration = None if own is None else own["calibration"]["registration"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ParameterError(
+            f"cannot be used: {type(error).__name__} {error}", where=where, fix=fix
+        ) from None
+    first = recording.head(min(fitted, recording.num_frames))
+    said: tuple[str, ...] = ()
+    if own is None:
+        theta, said, registration = _found_anew(LiftScene.of(first, settings), theta, on_progress)
+    if registration is not None:
+        registration = check_numbers("calibration.registration", registration, (4, 4))
+        recording = recording.moved(registration)
+    scene = LiftScene.of(first, settings, registration)
+    return of_all_frames(replace(scene, notes=scene.notes + said), recording), theta
+
+
+def of_recording(params: Mapping[str, Any], recording: Recording) -> Mapping[str, Any] | None:
+    """What an estimate says of a recording alone; None where it is of others."""
+    own = (r for r in params.get("recordings", ()) if r.get("begins_with") == recording.begins_with)
+    return next(own, None)
+
+
+def _found_anew(
+    scene: LiftScene, theta: Theta, on_progress: Callable[[Progress], None] | None
+) -> tuple[Theta, tuple[str, ...], Array | None]:
+    """Parameters for another recording of the same object, what there is to say of them, and its
+    `LiftScene.registration`."""
+    prior, base = scene.prior()
+    material = {n: getattr(theta, n) for n, u in UNKNOWNS.items() if u.material}
+    known = base.with_values(material)
+    own = tuple(n for n in prior.names if not UNKNOWNS[n].material)
+    if not own:
+        return known, (), None
+    settings = EstimateSettings(unknowns=own, starts=1, scene=scene.settings)
+    found = estimate(scene.recording, settings, on_progress=on_progress, known=known)
+    listed = ", ".join(own).replace("_", " ")
+    said = [f"found anew in this recording: {listed}"]
+    said += [f"not as this recording shows it: {reason}" for reason in found.verdict.reasons]
+    return found.theta, tuple(said), found.fits[0].scene.registration
+
+
+def of_all_frames(scene: LiftScene, recording: Recording) -> LiftScene:
+    """A scene with every frame of its recording, or of a longer one of the same motion."""
+    every = tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
+    return replace(scene, recording=recording, frames=every)
+
+
+def find_recording(params: Mapping[str, Any], where: Path) -> Path:
+    """The recording of an estimate, by its `Recording.digest`: a file or folder beside it, or one
+    folder above.
+
+    Args:
+        params: The estimate's JSON.
+        where: Its file.
+
+    Raises:
+        GendomError: It is not there.
+    """
+    folder, similar = where.absolute().parent, ""
+    for path in [*_recordings_in(folder), *_recordings_in(folder.parent)]:
+        try:
+            recording = Recording.read(path, on_warning=lambda _: None)
+        except GendomError:  # another kind of file
+            continue
+        if any(own.get("digest") == recording.digest for own in params.get("recordings", ())):
+            return path
+        if not similar and of_recording(params, recording) is not None:
+            similar = f"; {path} begins like it, but is cut or changed"
+    raise GendomError(
+        f"its recording is neither beside it nor in the folder above{similar}",
+        where=str(where),
+        fix=f"name it: gendom view RECORDING --params {where}",
+    )
+
+
+def _recordings_in(folder: Path) -> list[Path]:
+    """What may be recordings, by name."""
+    inside = [*folder.glob("*.npz"), *(p for p in folder.iterdir() if p.is_dir())]
+    return sorted(path for path in inside if is_recording(path))
