@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gendom import cli
 from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import DeviceError
 from gendom.estimation import LiftScene, SceneSettings, Theta, replay
@@ -168,6 +169,18 @@ def run_python() -> Callable[[str], str]:
             [sys.executable, "-c", code], capture_output=True, text=True, check=True
         )
         return result.stdout.strip()
+
+    return run
+
+
+@pytest.fixture
+def refused(capsys) -> Callable[..., str]:
+    """Runs a command that ends with exit code 2 and prints nothing but one line: gives that."""
+
+    def run(*words: object) -> str:
+        code, (out, err) = cli.main([str(word) for word in words]), capsys.readouterr()
+        assert (code, out, err.count("\n")) == (2, "", 1), err
+        return err
 
     return run
 

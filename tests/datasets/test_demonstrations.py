@@ -148,19 +148,6 @@ def test_a_smaller_size_ends_an_interrupted_set(tmp_path, size):
     assert again.count == 12 - max(size, 8)
 
 
-def test_costly_demonstrations_are_kept_sooner_and_a_set_keeps_its_shards(tmp_path):
-    def shard_size(cost, **options):
-        made = make(tmp_path / "set", 12, task=Throwing(cost=cost), shard_size=None, **options)
-        assert len(made) == 12
-        return read_description(tmp_path / "set")["shard_size"]
-
-    assert shard_size(32.0) == 8
-    assert names(tmp_path / "set")[1:] == ["shard-00000.parquet", "shard-00001.parquet"]
-    shard(tmp_path / "set", 1).unlink()
-    assert shard_size(1.0) == 8
-    assert demonstrations.SHARD_SIZE["cuda"] / find_task("cloth-spreading").cost == 256
-
-
 # ---- what is refused -----------------------------------------------------------------------------
 
 

@@ -189,11 +189,6 @@ def test_lerobot_reads_demonstrations(tmp_path, reader, task):
         assert item["task"] == task.name
         assert item["observation.state"].tolist() == row["observation.state"]
         assert item["action"].tolist() == row["action"]
-    some = reader.LeRobotDataset("gendom/test", root=tmp_path / "out", episodes=[1, 3])
-    assert [int(some[k]["episode_index"]) for k in range(2)] == [1, 3]
-    later = {"action": [0.0, 1.0]}
-    chunks = reader.LeRobotDataset("gendom/test", root=tmp_path / "out", delta_timestamps=later)
-    assert chunks[2]["action_is_pad"].tolist() == [False, True]
 
 
 # ---- recordings ------------------------------------------------------------------------------
@@ -328,7 +323,3 @@ def test_lerobot_reads_recordings(uneven, tmp_path, reader):
         assert float(item["observation.time"]) == pytest.approx(uneven.time[t], rel=1e-6)
         assert item["task"] == "move a rope that is held by: end"
     assert found.meta.stats["observation.points"]["mean"].shape == (24, 3)
-    later = reader.LeRobotDataset(
-        "gendom/test", root=tmp_path / "out", delta_timestamps={"action": [0.0, 1.0 / 7.0]}
-    )
-    assert later[4]["action_is_pad"].tolist() == [False, True]

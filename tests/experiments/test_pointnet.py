@@ -10,9 +10,7 @@ from experiments.pointnet import (
     CENTRES,
     NEIGHBOURS,
     POINTS,
-    farthest,
     grouped,
-    neighbours,
     pointnet,
     read_network,
 )
@@ -32,17 +30,6 @@ RNG = np.random.default_rng(0)
 @pytest.fixture(scope="module")
 def paper_lift():
     return sim2sim_recording(4000.0, 0.3, markers=False, shows="last")
-
-
-def test_farthest_points_of_a_line():
-    line = np.stack([np.arange(9.0), np.zeros(9), np.zeros(9)], axis=1)
-    assert farthest(line[None], 5).tolist() == [[0, 8, 4, 2, 6]]
-
-
-def test_neighbours_beyond_the_radius_are_the_nearest_one():
-    line = np.stack([np.arange(40.0), np.zeros(40), np.zeros(40)], axis=1)[None]
-    found = neighbours(line, line[:, :1], 2.5)[0, 0]
-    assert found.tolist() == [0, 1, 2] + [0] * (NEIGHBOURS - 3)
 
 
 def test_groups_do_not_depend_on_the_order_of_points():
@@ -86,14 +73,6 @@ def test_the_shipped_network_reads_a_lift(paper_lift):
     sd = math.sqrt(found.covariance[0, 0])
     assert 0.0 < sd < 0.3
     assert abs(math.log(E / 4000.0)) < 4.0 * sd
-
-
-def test_the_network_refuses_another_lift():
-    settings = scene_settings(fast_frames=20)
-    short = {"frames": 20, "rise": 0.2, "markers": False, "shows": "last"}
-    recording = sim2sim_recording(4000.0, 0.3, settings=settings, **short)
-    with pytest.raises(ParameterError, match="knows lifts with rise"):
-        pointnet(sim2sim_problem(recording, settings=settings))
 
 
 def test_a_file_that_is_no_network_is_refused(tmp_path):

@@ -108,14 +108,13 @@ def test_an_action_is_read_as_it_was_planned(made):
         (lambda s: s["plan"]["motion"]["time"].reverse(), "its times do not increase"),
     ],
 )
-def test_a_damaged_action_is_refused_in_one_line(made, tmp_path, capsys, change, words):
+def test_a_damaged_action_is_refused_in_one_line(made, tmp_path, refused, change, words):
     cell, path = made
     said = read_json(path)
     change(said)
     write_json(tmp_path / "bad.json", said)
-    code = cli.main(["execute", str(tmp_path / "bad.json"), "--cell", str(cell.path)])
-    err = capsys.readouterr().err
-    assert code == 2 and words in err and err.count("\n") == 1 and "bad.json" in err
+    err = refused("execute", tmp_path / "bad.json", "--cell", cell.path)
+    assert words in err and "bad.json" in err
 
 
 def test_a_real_arm_wants_a_plan_of_its_cell_and_the_cell_is_checked_again(made):

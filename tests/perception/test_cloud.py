@@ -103,20 +103,6 @@ def test_no_voxels_keeps_all_points_and_empty_clouds_stay_empty(world):
     assert found.points.shape == (0, 3) and found.counts.tolist() == [0] * 8
 
 
-def test_capsules_contain_what_a_distance_says():
-    rng = np.random.default_rng(0)
-    ends = rng.normal(size=(2, 5, 3))
-    ends[1, 4] = ends[0, 4]  # a sphere
-    capsules = Capsules(ends[0], ends[1], rng.uniform(0.1, 0.5, 5))
-    p = rng.normal(size=(300, 3))
-    along = np.linspace(0, 1, 2001)[:, None, None]
-    line = ends[0] + along * (ends[1] - ends[0])
-    distance = np.array([np.linalg.norm(line - x, axis=2).min(axis=0) for x in p])
-    gap = (distance - capsules.radius).min(axis=1)
-    sure = np.abs(gap - 0.05) > 1e-3
-    np.testing.assert_array_equal(capsules.contain(p, 0.05)[sure], (gap < 0.05)[sure])
-
-
 def test_noise_of_fingers_is_left_out_where_nothing_chose_the_points():
     """It is 7 mm off a finger, whose margin is 3 mm, and beyond the fingertip."""
     start, end = np.zeros((1, 3)), np.array([[0.0, 0.0, 0.1]])

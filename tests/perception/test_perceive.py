@@ -163,14 +163,3 @@ def test_cameras_are_levelled_by_the_table(live, world, degrees, rise, told):
     assert moved["left"]["rise"] == pytest.approx(-rise, abs=1e-3)
     assert moved["right"]["turn"] == pytest.approx(np.radians(1.118 * degrees), abs=2e-3)
     assert unmoved == {}
-
-
-def test_frames_know_whether_the_gripper_was_closed(live):
-    lift = live(3)
-    assert perceive(lift, SETTINGS).recording.gripper_closed is None
-    path = np.array([[[0.0, 0.0, z]] for z in (0.2, 0.215, 0.5)])
-    closed = np.array([[True], [False], [False]])
-    robot = RobotPath(np.array([0.0, 0.05, 1.0]), path, closed=closed)
-    found = perceive(replace(lift, robot=robot), SETTINGS).recording
-    assert found.gripper_closed is not None
-    assert found.gripper_closed[:, 0].tolist() == [True, True, False]

@@ -93,18 +93,6 @@ def test_what_the_fingers_hold_is_not_erased(q):
     assert whole.contain(rope[between].reshape(-1, 3), 0.01).all()
 
 
-def test_links_move_between_the_rows_as_the_joints_do(q):
-    """Half a turn of the base between two rows: the capsules go around, not through."""
-    q = np.stack([q, q + np.array([np.pi, 0, 0, 0, 0, 0, 0])])
-    path = arm_capsules(XARM7, JointStates(np.array([0.0, 2.0]), q))
-    for t in (0.0, 0.37, 1.0, 2.0, 5.0):
-        shape = arm_shape(XARM7, q[0] + min(t / 2.0, 1.0) * (q[1] - q[0]))
-        found = path.at(t)
-        np.testing.assert_allclose(found.start, shape.start, atol=4e-4)
-        np.testing.assert_allclose(found.end, shape.end, atol=4e-4)
-        np.testing.assert_allclose(found.radius, shape.radius)
-
-
 @pytest.fixture(scope="module")
 def seen(world, tmp_path_factory):
     """A lift by an arm in view of two cameras, and the ropes in it.

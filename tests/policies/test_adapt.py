@@ -10,7 +10,7 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Cloth, dimensionless_parameters, size_of
 from gendom.materials.estimate import Estimate
 from gendom.policies import adaptation
-from gendom.policies.adaptation import Execution, adapt, adapting, executions_from
+from gendom.policies.adaptation import Execution, adapt, executions_from
 from gendom.policies.belief import uncertain
 from gendom.policies.polishing import polish
 from gendom.tasks import ClothSpreading
@@ -92,18 +92,6 @@ def test_what_parameters_cannot_explain_is_expected_again_nearby():
     ).action
     (outcome,) = Throws(off=0.02).carry_out(TASK, [ROPE], [action])
     assert abs(outcome.values["x"] - goal) < 0.3 * 0.02 * ROPE.length
-
-
-def test_shares_of_a_step_are_tried():
-    """Of a search that asks three times: for where it is, differences, and steps."""
-    belief, world = belief_of(ROPE, POSTERIOR, known=(*KNOWN, "damping")), Throws()
-    search = adapting(TASK, belief, [executed(0.4, 0.4)])
-    items, actions = next(search)
-    for _ in range(2):
-        items, actions = search.send(world.carry_out(TASK, items, actions))
-    moved = np.array([math.log(item.material.E_over_rho) for item in items])
-    moved -= belief.mean[0]
-    assert moved / moved[0] == pytest.approx([1.0, 0.5, 0.25, 0.1])
 
 
 def test_nothing_seen_changes_nothing():

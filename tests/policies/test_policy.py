@@ -21,14 +21,6 @@ def rope(bending=0.4, nu=0.3, length=0.25, diameter=0.014):
     return Rope(length=length, diameter=diameter, material=material)
 
 
-def test_import_brings_neither_torch_nor_the_simulator(run_python):
-    code = (
-        "import sys, gendom.policies; "
-        "print(sorted({'torch', 'onnx', 'onnxruntime', 'warp'} & set(sys.modules)))"
-    )
-    assert run_python(code) == "[]"
-
-
 def test_act_gives_metres_of_the_given_rope(make_policy):
     policy, session = make_policy()
     action = policy.act(0.35, rope())

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from gendom.errors import PolicyError
-from gendom.installation import how_to_install
 from gendom.policies import Policy
 from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
@@ -317,13 +316,3 @@ def test_goal_range_follows_the_stiffness():
     ends = np.array([goals(s)[0] for s in data.parameters["bending_ratio"]])
     inside = (ends[:, 0] <= data.goal[:, 0]) & (data.goal[:, 0] <= ends[:, 1])
     assert 0.9 < inside.mean() < 1.0
-
-
-def test_missing_torch_names_the_extra(run_python):
-    code = (
-        "import sys; sys.modules['torch'] = None\n"
-        "try:\n    import gendom.policies.training\n"
-        "except ModuleNotFoundError as error:\n    print(error.name, '|', error)"
-    )
-    advice = f"install it with: {how_to_install('train')}"
-    assert run_python(code) == f"torch | training needs torch; {advice}"

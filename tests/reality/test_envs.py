@@ -122,21 +122,6 @@ def test_seeds_repeat_and_differ():
     assert len({info["object"] for _, info in a + c}) == 3
 
 
-@pytest.mark.parametrize("options", [{"object": "rope-cotton"}, {"goal": 0.4}])
-def test_what_is_given_leaves_later_draws_as_they_are(options):
-    env = make("RopeReaching")
-    first, _ = env.reset(seed=7)
-    drawn = env.reset()
-    given, info = env.reset(seed=7, options=options)
-    if "goal" in options:
-        assert given["goal"] == pytest.approx([0.4])
-    else:
-        assert given["goal"] != first["goal"] and info["object"] == "rope-cotton"
-    again = env.reset()
-    assert again[1] == drawn[1]
-    np.testing.assert_array_equal(again[0]["goal"], drawn[0]["goal"])
-
-
 def test_objects_may_be_given_themselves():
     mine = replace(POLYESTER, name="mine", length=0.25, diameter=0.01)
     env = make("RopeCasting", objects=["rope-cotton", mine])

@@ -71,6 +71,8 @@ def test_a_cloth(tmp_path):
         ({"friction": "-1"}, "friction must be"),
         ({"colour": "[1, 2]"}, "three of 0 to 255"),
         ({"weight": "1"}, "weight means nothing"),
+        ({"material": '"nylon-rop"'}, "no material 'nylon-rop'; did you mean 'nylon-rope'"),
+        ({"material": '"denim"'}, "mine.toml: denim is a cloth, and kind is 'rope'"),
         ({"outline": "[[0, 0], [1, 0], [0, 1]]"}, r"without outline; gendom.sim.cloth\(outline="),
     ],
 )
@@ -91,16 +93,3 @@ def test_a_material_of_the_catalogue(tmp_path):
     item = find_object(written(tmp_path, entries | {"mass": "0.03", "nu": "0.3"}))
     assert item.mass == pytest.approx(0.03) and item.material.nu == 0.3
     assert item.material.E == known.E.typical
-
-
-@pytest.mark.parametrize(
-    ("material", "said"),
-    [
-        ("nylon-rop", "mine.toml: there is no material 'nylon-rop'; did you mean 'nylon-rope'"),
-        ("denim", "mine.toml: denim is a cloth, and kind is 'rope'"),
-    ],
-)
-def test_a_material_that_cannot_be(tmp_path, material, said):
-    entries = {"kind": '"rope"', "length": "0.5", "material": f'"{material}"'}
-    with pytest.raises(ParameterError, match=said):
-        find_object(written(tmp_path, entries))

@@ -14,7 +14,7 @@ from gendom.errors import (
     RobotError,
     SimulationError,
 )
-from gendom.materials import Cloth, Material, Rope, thickness_of, unit_of
+from gendom.materials import Material, Rope, thickness_of, unit_of
 from gendom.reality import (
     OBJECTS,
     RealCloth,
@@ -127,24 +127,6 @@ def test_a_dropped_rope_lies_on_the_table():
     assert run.world.hand == pytest.approx(hand)
     assert run.world.vertices()[:, 2].max() < POLYESTER.diameter
     assert run.world.speed() < 0.02
-
-
-def test_a_swung_rope_goes_on_when_the_arm_stops():
-    rise = LiftMotion(kind="rope", rise=0.28 / POLYESTER.length, speed=0.3, end="swing")
-    run = TrialRun(lift(POLYESTER, rise))
-    motion = run.motion
-    assert motion is not None
-    stops = motion.end - (run.trial.path.end - run.trial.path.time[-2])
-    run.step_to(stops)
-    still, tips = run.world.hand, []
-    for time in np.arange(stops, run.end, 0.02):
-        run.step_to(time)
-        assert run.world.hand == pytest.approx(still, abs=1e-3)
-        tips.append(run.world.vertices()[-1, 0])
-    assert run.end == pytest.approx(stops + 1.0, abs=motion.blend)
-    # It swings on, there and back.
-    steps = np.diff(tips)
-    assert np.ptp(tips) > 0.04 and steps.max() > 0.004 and steps.min() < -0.004
 
 
 # ---- what the arm touches ------------------------------------------------------------------------
@@ -312,19 +294,6 @@ def test_a_cast_runs_along_the_world_s_y_and_waits_for_the_rope_to_hang_still(ca
     assert trial.layout.origin == pytest.approx([0.45, -0.135, 0.15 + L])
 
 
-def test_the_arm_casts():
-    """Quick as it is, the arm stays near the path that it was given."""
-    run = TrialRun(casting(POLYESTER, 0.2))
-    path, motion, world = run.trial.path, run.motion, run.world
-    assert motion is not None and motion.blend == path.blend
-    assert motion.slowed_by == 1.0
-    for time in np.arange(run.closes, run.end, 0.01):
-        run.step_to(time)
-        ideal = motion.tcp_at(XARM7, world.time)[:3, 3]
-        assert np.linalg.norm(world.hand - ideal) < 1e-3
-        assert np.linalg.norm(ideal - path.position_at(world.time, motion.blend)) < 1e-3
-
-
 def test_arm_and_free_hand_cast_alike(casts):
     free, _ = casts[1]
     arm, _ = carried_out(RealWorld(timestep=5e-4), CASTING, POLYESTER, [0.25])
@@ -369,29 +338,6 @@ def test_a_cloth_lies_where_the_task_has_it_and_is_held_beside_its_centre():
 
 
 # ---- the world of tasks --------------------------------------------------------------------------
-
-
-def test_cloths_of_tasks_take_long_steps_unless_told():
-    for timestep, taken in [(None, 0.004), (0.002, 0.002)]:
-        world = RealWorld(robot=False, timestep=timestep)
-        run = world.begin(SPREADING, COTTON_CLOTH, [0.2])
-        run.step_to(0.008)
-        options = run.world.model.opt
-        assert (options.timestep, options.tolerance) == (taken, 1e-4)
-    lifted = TrialRun(lift(COTTON_CLOTH), robot=False)
-    assert lifted.world.model.opt.tolerance == 1e-6
-
-
-def test_an_object_without_a_name_is_carried_out():
-    """It does what a named one does that has its numbers."""
-    own = {
-        name: getattr(POLYESTER, name) for name in ("length", "diameter", "material", "friction")
-    }
-    world = RealWorld(robot=False, timestep=1e-3)
-    named, same = world.carry_out(CASTING, [POLYESTER, Rope(**own)], [[0.2]] * 2)
-    assert same.values == named.values
-    cloth = as_real(Cloth(side=0.2, thickness=0.001))
-    assert isinstance(cloth, RealCloth) and (cloth.vertices, cloth.side) == (28, 0.2)
 
 
 def test_what_fails_is_a_fault_and_others_go_on(monkeypatch):

@@ -16,14 +16,12 @@ from gendom.robot import (
     Surroundings,
     arm_shape,
     find_arm,
-    fit_capsules,
     follow,
     lift,
     link_poses,
     read_arm,
     tcp_pose,
 )
-from gendom.robot.description import hull_faces
 from gendom.tasks import RopeCasting, RopeReaching
 
 POINTS = np.load(Path(__file__).parent / "xarm_gripper.npz")
@@ -73,19 +71,6 @@ def test_the_gripper_s_capsules_and_its_meshes_are_within_6_mm(opening):
         hidden = (from_segments(points, a, b) - shape.radius).min(axis=1) < -1e-6
         far = tree.query(points[~hidden])[0]
         assert far.max(initial=0.0) < 0.006, (name, points[~hidden][far.argmax()])
-
-
-def test_capsules_hold_a_mesh_and_say_how_far_they_stick_out():
-    """One that holds a cube is at least the ball through its corners."""
-    cube = hull_faces(np.array([*product((-0.05, 0.05), repeat=3)]))
-    ((a, b, radius),), out = fit_capsules(cube, excess=0.02, most=1)
-    assert 0.05 * np.sqrt(3.0) - 0.05 < out + 1e-3 < 0.05
-    several, less = fit_capsules(cube, excess=0.02, most=8)
-    assert less < out
-    for capsules in ([(a, b, radius)], several):
-        starts, ends, radii = (np.array(part) for part in zip(*capsules, strict=True))
-        held = (from_segments(cube.mean(axis=1), starts, ends) - radii).min(axis=1)
-        assert held.max() < 1e-9
 
 
 # ---- files ---------------------------------------------------------------------------------------

@@ -16,7 +16,6 @@ from gendom.robot import (
     jacobian,
     joint_move,
     lift,
-    pointing,
     pose_error,
     read_joints,
     tcp_pose,
@@ -96,18 +95,6 @@ def test_blend_is_about_the_shortest_or_the_path_s_own(path, motion):
     longer = follow(XARM7, replace(path, blend=0.3))
     assert longer.blend == 0.3 and longer.slowed_by == 1.0
     assert motion.deviation == path.deviation(motion.blend)
-
-
-def test_redundant_joint_rests_with_the_tool():
-    """Off the middle plane the arm leans towards home while it moves, and only then."""
-    path = make_path(
-        [0, 1, 2],
-        [[0.35, 0.3, 0.2], [0.35, -0.2, 0.2], [0.35, -0.2, 0.2]],
-        pointing([0, 0, -1], [np.sin(0.4), -np.cos(0.4), 0]),
-    )
-    motion = follow(XARM7, path)
-    np.testing.assert_allclose(motion.speed_at(1.6), 0.0, atol=1e-4)
-    assert np.abs(motion.at(1.0) - motion.at(0.0)).max() > 0.5
 
 
 CORNERS = [[0.4, -0.1, 0.2], [0.6, -0.1, 0.2], [0.6, 0.1, 0.2], [0.4, 0.1, 0.2]]

@@ -1,19 +1,10 @@
-"""The lift and the tasks' motions: their numbers, and that the xArm 7 carries them out."""
+"""The predefined lift: its numbers, and that the xArm 7 carries it out."""
 
 import numpy as np
 import pytest
 
 from gendom.errors import RobotError
 from gendom.robot import LIFT_ENDS, XARM7, follow, lift
-from gendom.tasks import ClothSpreading, RopeReaching
-from gendom.tasks.rope_reaching import ARRIVES, RELEASES, WAIT
-
-
-def in_front(task, action):
-    """The path of the task's own object, in front of the arm."""
-    path = task.tool_path(task.item, np.array(action))
-    return path.moved(task.T_world_task(task.item))
-
 
 # ---- lift ----------------------------------------------------------------------------------------
 
@@ -88,45 +79,3 @@ def test_bad_numbers(wrong, says):
     assert ends == pytest.approx([2.0, 2.0 + 1.0 + 0.05, 2.0 + 1.0])
     with pytest.raises(RobotError, match=f"motion: {says}"):
         lift(**{**good, **wrong})
-
-
-# ---- the tasks' motions --------------------------------------------------------------------------
-
-
-def test_reaching_takes_the_task_s_times_and_places():
-    """L = 0.25 m; task x is the base's -y from 0.30 m, the task's origin 0.12 m high."""
-    clock = np.sqrt(0.25 / 9.81)
-    path = in_front(RopeReaching(), [0.16, 0.11])
-    np.testing.assert_allclose(path.position_at(0.0), [0.48, 0.05, 0.145], atol=1e-12)
-    np.testing.assert_allclose(path.position_at(ARRIVES * clock), [0.48, 0.14, 0.23], atol=1e-12)
-    events = [(event.time / clock, event.closed) for event in path.events]
-    assert events == [(pytest.approx(-WAIT), True), (pytest.approx(RELEASES), False)]
-
-    motion = follow(XARM7, path)
-    at_release = motion.tcp_at(XARM7, RELEASES * clock)
-    np.testing.assert_allclose(at_release[:3, 3], [0.48, 0.14, 0.23], atol=1e-5)
-    # It points forward, its fingers open in the rope's plane.
-    np.testing.assert_allclose(at_release[:3, 2], [1.0, 0.0, 0.0], atol=1e-5)
-    np.testing.assert_allclose(np.abs(at_release[:3, 1]), [0.0, 1.0, 0.0], atol=1e-5)
-    np.testing.assert_allclose(motion.speed_at(RELEASES * clock), 0.0, atol=1e-2)
-    assert motion.deviation is not None
-    assert 1e-3 < motion.deviation.at_equal_times < 0.015
-    assert motion.deviation.off_the_path < 1e-6
-
-
-def test_the_arm_spreads_within_its_limits():
-    """The last of the steps, two sixteenths of 0.16 m in 40 ms, ends at once: there it is late by
-    (3 / 32) |dv| blend."""
-    path = in_front(ClothSpreading(), [0.25])
-    assert [event.closed for event in path.events] == [True]
-    motion = follow(XARM7, path)
-    motion.check_limits(XARM7)
-    assert motion.blend <= path.max_blend
-    assert motion.deviation is not None
-    assert motion.deviation.at_equal_times == pytest.approx(3 / 32 * 0.5 * motion.blend, rel=0.02)
-    assert motion.deviation.at_equal_times < 0.0055
-    top, low = path.position[:, 2].max(), path.position[-1, 2]
-    assert top - low == pytest.approx(0.16)
-    down = motion.tcp_at(XARM7, np.linspace(1.3, path.end, 300))[:, 2, 3]
-    assert down.max() == pytest.approx(top, abs=1e-5) and down[-1] == pytest.approx(low, abs=1e-5)
-    assert np.diff(down[np.argmax(down < top - 1e-5) :]).max() <= 1e-7

@@ -111,21 +111,6 @@ def test_straight_between_its_samples_a_path_runs_as_it_does(path, blend):
     assert missed[1] < 0.1 * missed[0]
 
 
-def test_samples_are_the_knots_and_those_of_blends_each_once(path):
-    for own in (path, replace(path, blend=0.0)):
-        time, position = own.sampled()
-        np.testing.assert_array_equal(time, path.time)
-        np.testing.assert_allclose(position, path.position, atol=1e-12)
-    time, position = replace(path, blend=0.2).sampled(per_blend=4)
-    expected = [0.0, *(c + d for c in (0.5, 1.0, 2.0) for d in (-0.1, -0.05, 0.0, 0.05, 0.1))]
-    np.testing.assert_allclose(time, expected, atol=1e-12)
-    np.testing.assert_array_equal(position, path.position_at(time, 0.2))
-    # Corners a blend apart: the end of one is the begin of the other, to the last digit or not.
-    row = np.outer([0, 1, 1, 0, 2, 1, 1], [0.05, 0.0, 0.0])
-    close = replace(path, time=np.arange(7) / 10.0, position=row, blend=0.1).sampled(10)[0]
-    assert np.diff(close).min() == pytest.approx(0.01)
-
-
 def test_when_a_path_first_moves(path, turning):
     """When its wait is over, or half a blend before; turning is moving."""
     assert path.moves == 0.5

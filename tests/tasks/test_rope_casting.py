@@ -37,14 +37,6 @@ def test_the_hand_keeps_speed_and_acceleration():
     assert np.abs(np.gradient(v, t)).max() == pytest.approx(0.8 * 9.81, rel=1e-2)
 
 
-def test_simulated_hands_go_where_the_path_goes():
-    path = TASK.tool_path(ROPE, np.array([0.2]))
-    time, position = path.sampled()
-    t = np.linspace(0.0, 0.6, 500)
-    x = np.interp(t, time, position[:, 0])
-    assert np.abs(x - path.position_at(t, path.blend or 0.0)[:, 0]).max() < 2e-4
-
-
 def test_the_arm_does_it_as_it_is_asked():
     for action in TASK.limits(ROPE)[0]:
         path = TASK.tool_path(ROPE, np.array([action])).moved(TASK.T_world_task(ROPE))

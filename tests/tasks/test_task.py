@@ -167,11 +167,6 @@ def test_a_file_is_code_where_a_person_names_it(code_file, tmp_path):
     assert (tmp_path / "trace").exists()
 
 
-def test_tasks_need_neither_torch_nor_the_simulator(run_python):
-    code = "import sys, gendom.tasks; print(sorted({'torch', 'warp'} & set(sys.modules)))"
-    assert run_python(code) == "[]"
-
-
 # ---- our simulator -------------------------------------------------------------------------------
 
 

@@ -34,16 +34,6 @@ def test_points_are_drawn_where_they_are():
     assert not near(picture, SIMULATED_COLOR, 20).any()  # under the recorded one, and pale
 
 
-def test_the_legend_has_the_clouds_own_names():
-    """Other names, another legend, and the same picture below it."""
-    pictures = [
-        np.asarray(FramePainter(CloudSequence(**lift(), labels=labels)).draw(0))
-        for labels in (("recorded", "simulated"), ("carried out", "predicted"))
-    ]
-    rows = np.flatnonzero((pictures[0] != pictures[1]).any(axis=(1, 2)))
-    assert len(rows) and rows.max() < 40
-
-
 def test_a_stray_point_does_not_shrink_the_rest():
     clean, stray = lift(recorded=400), lift(recorded=400)
     stray["recorded"][3] = np.vstack([stray["recorded"][3], [[50.0, 0.0, 50.0]]])
@@ -59,12 +49,6 @@ def test_the_view_shows_where_the_object_moves(size, names):
     view = CloudSequence(recorded=[points], simulated=[points], times=[0.0]).projection()  # pyright: ignore
     axes = np.eye(3)[["xyz".index(name) for name in names]]
     assert view.axes == pytest.approx(axes, abs=1e-12)
-
-
-def test_oblique_axes_are_orthonormal():
-    axes = CloudSequence(**lift(), oblique=True).projection().axes
-    assert axes @ axes.T == pytest.approx(np.eye(2))
-    assert axes[1, 2] > 0.5  # up stays up
 
 
 def test_missing_parts_and_empty_frames_are_drawn():

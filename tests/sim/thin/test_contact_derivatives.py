@@ -8,7 +8,6 @@ changes small. How small depends on what is changed, see ``shared``.
 import math
 from functools import partial
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -186,40 +185,6 @@ def test_these_scenes_have_contact_with_friction(body, self_friction):
     passes = simulator(body, [p], self_contact=False).run(TIMES)[2]
     for other, least in ((passes[0], 1e-5), (x[1], 1e-5), (x[2], 1e-6)):
         assert np.abs(other - x[0]).max() > least
-
-
-@SCENES
-def test_pieces_are_run_again_bit_for_bit(body, self_friction, monkeypatch):
-    """With the lists of pairs that the first run had, though they were made in pieces before."""
-    p = given(body, self_friction)
-    rollout = Rollout(simulator(body, [p]))
-    x = rollout.forward(TIMES)
-    np.testing.assert_array_equal(x, simulator(body, [p]).run(TIMES))
-    recorded: Any = rollout._tape
-    engine, plan = recorded.engine, recorded.plan
-    steps = plan.steps[0]
-    launch, compared = engine.launch, []
-
-    def known(rows):
-        """Positions, velocities and where points were listed."""
-        return rows.numpy()[:, np.r_[0:6, -3:0]][..., engine.slots]
-
-    kept = known(recorded.kept)
-
-    def launch_and_compare(kernel, group, inputs):
-        launch(kernel, group, inputs)
-        if kernel is engine.kernels.advance:
-            piece, rows = inputs[3].numpy()[0, 0], known(inputs[6])
-            np.testing.assert_array_equal(rows[0], kept[piece])
-            if piece + 1 < len(steps) and not plan.due[0, piece + 1]:
-                np.testing.assert_array_equal(rows[steps[piece]], kept[piece + 1])
-                compared.append(not np.array_equal(kept[piece, -3:], kept[piece + 1, -3:]))
-
-    monkeypatch.setattr(engine, "launch", launch_and_compare)
-    rollout.backward(np.ones_like(x))
-    assert len(compared) > 8
-    assert any(compared)  # pairs were listed anew
-    assert not all(compared)
 
 
 def test_every_step_has_its_own_list_of_pairs(monkeypatch):
