@@ -1,4 +1,5 @@
-"""Air and the table: terminal speeds, rest, slopes, and layers that slide on each other."""
+"""Air, the table and obstacles: terminal speeds, rest, slopes, a rope over a bar, and layers that
+slide on each other."""
 
 from __future__ import annotations
 
@@ -11,7 +12,17 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
 from gendom.materials import Material
-from gendom.sim import AIR_DENSITY, GRAVITY, Body, Simulator, Table, cloth, rope
+from gendom.sim import (
+    AIR_DENSITY,
+    GRAVITY,
+    Body,
+    Capsule,
+    Gripper,
+    Simulator,
+    Table,
+    cloth,
+    rope,
+)
 from validation.bench import WEIGHTLESS, Bench, Row, absolute, case, relative, vanishing
 from validation.readings import mechanics
 from validation.specimens import across, block, clamp_beyond
@@ -170,6 +181,62 @@ def _put_down(
     s.run([20.0 / omega])
     table = Table(height=0.0, friction=np.full(len(worlds), friction))
     return bench.simulate(body, worlds, table=table, gravity=gravity, positions=s.positions())
+
+
+# ---- a rope that is drawn over a bar ------------------------------------------------------------
+
+
+@case("rod-capstan", "a rope that is drawn over a bar", "thin")
+def capstan(bench: Bench) -> Iterator[Row]:
+    """Two grippers draw a stretched rope over a round bar, at the same speed, without gravity.
+
+    Its damping is that of short waves: left alone they shake the rope so that it sticks at times,
+    which takes up to a quarter of the friction.
+    """
+    radius, d, n, length, speed, time = 0.03, 0.004, 121, 0.3, 0.1, 0.6
+    frictions = [0.1, 0.3] if bench.quick else [0.1, 0.3, 0.6]
+    material = Material(E=1.0e6, nu=0.3, density=1000.0, membrane=1.0e7, damping=1.0e-4)
+    for angle in (math.pi / 2.0, math.pi):
+        path, ways = _around(angle, radius + d / 2.0, np.linspace(0.0, 1.02 * length, n))
+        hands = [
+            Gripper(
+                time=[0.0, time], position=[path[k], path[k] + speed * time * way],
+                radius=1.2 * length / (n - 1),
+            )
+            for k, way in zip((0, -1), ways, strict=True)
+        ]  # fmt: skip
+        bars = [
+            [Capsule.between((0, -0.1, 0), (0, 0.1, 0), radius=radius, friction=mu)]
+            for mu in frictions
+        ]
+        s = bench.simulate(
+            rope(diameter=d, length=length, points=n), [material] * len(bars), grippers=hands,
+            positions=path, obstacles=bars, gravity=WEIGHTLESS,
+        )  # fmt: skip
+        forces = []
+        for t in np.linspace(0.7, 1.0, 20) * time:
+            s.run([t])
+            forces.append(np.abs(np.einsum("wgk,gk->wg", s.gripper_forces(), ways)))
+        slack, tight = np.mean(forces, axis=0).T
+        for w, mu in enumerate(frictions):
+            name = f"tension over that beyond {math.degrees(angle):.0f} degrees, mu = {mu:g}"
+            formula = "exp(mu angle) (Euler 1762; Eytelwein 1808)"
+            found = float(tight[w] / slack[w])
+            yield relative(name, "-", math.exp(mu * angle), found, 0.01, formula)
+
+
+def _around(
+    angle: float, radius: float, s: NDArray[np.floating]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """[n, 3] places so far along a line that goes up to a circle and around it by an angle, as long
+    before as beyond it; and its directions at both ends [2, 3]."""
+    before = (s[-1] - angle * radius) * 0.7
+    turn = np.clip((s - before) / radius, 0.0, angle)
+    rest = np.where(s < before, s - before, np.maximum(s - before - angle * radius, 0.0))
+    x = -radius * np.cos(turn) + rest * np.sin(turn)
+    z = radius * np.sin(turn) + rest * np.cos(turn)
+    ends = [[0.0, 0.0, 1.0], [math.sin(angle), 0.0, math.cos(angle)]]
+    return np.stack([x, 0.0 * x, z], axis=1), np.array(ends)
 
 
 # ---- layers of one rod or shell ------------------------------------------------------------------

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.sim import Gripper, Solver, Table, cloth, rope
+from gendom.materials import Material
+from gendom.sim import Capsule, Gripper, Simulator, Solver, Table, cloth, rope
 
 torch = pytest.importorskip("torch", reason="needs the extra train")
 
@@ -18,7 +19,7 @@ def setup():
     gripper = Gripper(
         time=[0.0, 0.03], position=[[0.0001, 0, 0.0076], [0.0101, 0, 0.0301]], radius=0.006
     )
-    solver = Solver(engine="mpm", substep=2e-4)
+    solver = Solver(engine="mpm", substep=2e-4, dtype="float64")
     return body, {"grippers": [gripper], "table": Table(height=0.0), "solver": solver}
 
 
@@ -66,18 +67,20 @@ def test_every_input_of_rods_and_shells_gets_its_derivative(kind):
         "air_density": torch.tensor(30.0), "positions": torch.tensor(body.points),
         "thickness": torch.tensor(body.thickness), "gravity": torch.tensor([0.5, 0.2, -20.0]),
         "gripper_positions": torch.stack([ends, ends + torch.tensor([0.0, 0.004, 0.008])], dim=1),
-        "gripper_rotations": turn, "gripper_radius": torch.tensor([0.0231, 0.0213]),
+        "obstacle_friction": torch.tensor([0.3]), "gripper_rotations": turn,
+        "gripper_radius": torch.tensor([0.0231, 0.0213]),
     }  # fmt: skip
     if sheet:
         given |= {"membrane": torch.tensor(2e5), "warp": torch.tensor(1.2),
                   "weft": torch.tensor(0.9), "shear": torch.tensor(0.7)}  # fmt: skip
     given = {name: a.to(torch.float64).requires_grad_() for name, a in given.items()}
     hands = [Gripper(time=[0.0, 0.03], position=[(0, 0, 0)] * 2, radius=0.01)] * 2
-    n = len(body.points)
+    n, low = len(body.points), body.points[:, 2].min() - body.thickness / 2.0
+    bar = Capsule.between((0.05, -0.1, low - 0.0201), (0.06, 0.2, low - 0.0203), radius=0.02)
 
     def loss(values):
         x = simulate(
-            body, [0.015, 0.03], grippers=hands, solver=Solver(substep=1e-4),
+            body, [0.015, 0.03], grippers=hands, obstacles=[bar], solver=Solver(substep=1e-4),
             **values,
         )  # fmt: skip
         return (x[:, 0] * torch.arange(6 * n, dtype=torch.float64).reshape(2, n, 3).sin()).sum()
@@ -96,6 +99,18 @@ def test_every_input_of_rods_and_shells_gets_its_derivative(kind):
             assert float((value.grad * way).sum()) == pytest.approx(expected, rel=3e-5), name
 
 
+def test_keywords_and_defaults_are_those_of_the_simulator():
+    body = rope(diameter=0.004, length=0.1, start=(0, 0, 0.05), points=11)
+    more = {"table": Table(height=0.0), "mass": np.linspace(1.0, 2.0, 11), "start_time": 0.1}
+    soft = [Material(E=1e4, damping=0.01), Material(E=1e5)]
+    hand = [Gripper.still(body.points[0], radius=0.012)]
+    y = Simulator(body, soft, grippers=hand, **more).run([0.2])
+    x = simulate(body, [0.2], materials=soft, grippers=hand, **more)
+    np.testing.assert_array_equal(x.numpy(), y)
+    x = simulate(body, [0.2], E=torch.tensor([1e4, 1e5]), grippers=hand, **more)
+    np.testing.assert_array_equal(x[:, 1].numpy(), y[:, 1])
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -109,6 +124,7 @@ def test_every_input_of_rods_and_shells_gets_its_derivative(kind):
         ({"grippers": [3]}, r"grippers\[0\] must be a Gripper"),
         ({"body": 3}, "body must be a Body"),
         ({"times": "soon"}, "times must be"),
+        ({"obstacles": [3]}, r"obstacles\[0\] must be a Obstacle"),
         ({"table": None, "friction": np.float64(0.2)}, "without a table"),
     ],
 )

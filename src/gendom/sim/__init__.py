@@ -8,7 +8,8 @@ from gendom.materials import AIR_DENSITY
 from gendom.sim.bodies import Body, cloth, rope
 from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper, Grippers, Targets
-from gendom.sim.setting import ENGINES, GRAVITY, Physics, Solver, Table
+from gendom.sim.obstacles import Capsule, Cuboid, Obstacle, Sphere, Table
+from gendom.sim.setting import ENGINES, GRAVITY, Physics, Solver
 
 if TYPE_CHECKING:
     from gendom.sim.device import claimed, list_devices, open_device
@@ -33,13 +34,17 @@ __all__ = [
     "ENGINES",
     "GRAVITY",
     "Body",
+    "Capsule",
+    "Cuboid",
     "Gradients",
     "Gripper",
     "Grippers",
+    "Obstacle",
     "Physics",
     "Rollout",
     "Simulator",
     "Solver",
+    "Sphere",
     "Table",
     "Targets",
     "check_numbers",

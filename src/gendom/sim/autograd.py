@@ -17,8 +17,9 @@ from gendom.materials import Material
 from gendom.materials.parameters import OF_THIN
 from gendom.sim.bodies import Body
 from gendom.sim.gripper import Gripper
+from gendom.sim.obstacles import Obstacle, Table
 from gendom.sim.rollout import Rollout
-from gendom.sim.setting import Physics, Solver, Table
+from gendom.sim.setting import Physics, Solver
 from gendom.sim.simulator import Simulator, engine_of
 from gendom.sim.thin.rotation import left_jacobian
 
@@ -27,12 +28,13 @@ _OF_PHYSICS = ("velocity_damping", "air_density", "self_friction", "gravity")
 _OF_SIMULATOR = ("stiffness", "positions")
 
 
-def _shapes(N: int, grippers: Sequence[Gripper]) -> dict[str, tuple[int, ...]]:
+def _shapes(N: int, grippers: Sequence[Gripper], obstacles: int) -> dict[str, tuple[int, ...]]:
     """Inputs that may be tensors, and their shapes in one world."""
     path = (len(grippers), max((len(np.asarray(g.time)) for g in grippers), default=0), 3)
     scalars = ("velocity_damping", "air_density", "friction", "self_friction", "thickness")
     return dict.fromkeys((*_OF_MATERIAL, *scalars), ()) | {
-        "gravity": (3,), "stiffness": (N,), "positions": (N, 3), "velocities": (N, 3),
+        "gravity": (3,), "obstacle_friction": (obstacles,),
+        "stiffness": (N,), "positions": (N, 3), "velocities": (N, 3),
         "gripper_positions": path, "gripper_rotations": path, "gripper_radius": path[:1],
     }  # fmt: skip
 
@@ -41,62 +43,71 @@ def simulate(
     body: Body,
     times: ArrayLike,
     *,
+    materials: Sequence[Material] = (Material(),),
     grippers: Sequence[Gripper] = (),
     table: Table | None = None,
+    obstacles: Sequence[Obstacle] = (),
     physics: Physics = Physics(),
     solver: Solver = Solver(),
+    mass: ArrayLike = 1.0,
+    natural_curvature: ArrayLike = 1.0,
+    start_time: float = 0.0,
     memory: float | None = None,
     **given: Tensor | float,
 ) -> Tensor:
     """Simulate positions at given times, differentiable with respect to every input tensor.
 
+    Keywords and their defaults are those of ``Simulator``.
+
     Args:
         body: The body to simulate.
         times: [T] not decreasing [s].
+        materials: One for each world, or one for all; inputs of the names of its fields replace
+            them.
         grippers: Shared by all worlds; ``gripper_positions``, ``gripper_rotations`` and
             ``gripper_radius`` change them.
         table: Table; ``friction``, if given, replaces its coefficient.
-        physics: As of ``Simulator``; inputs of these names replace its values.
-        solver: As of ``Simulator``, in ``float64`` unless it says otherwise.
+        obstacles: Shared by all worlds; ``obstacle_friction``, if given, replaces their
+            coefficients.
+        physics: Inputs of the names of its fields replace them.
+        solver, mass, natural_curvature, start_time: As of ``Simulator``.
         memory: Limit on memory for the backward pass [bytes] (default: as ``Rollout``).
-        given: ``E`` [Pa], ``nu``, ``density`` [kg/m^3] and optionally ``damping`` [s]
-            (``Material.damping``), of shells ``membrane`` [Pa], ``warp``, ``weft`` and ``shear``,
-            ``velocity_damping`` [1/s], ``air_density`` [kg/m^3], ``friction``,
-            ``self_friction``: numbers or [W]; ``gravity`` [3] or [W, 3]; ``stiffness`` [N] or
-            [W, N]; ``positions`` and ``velocities`` [N, 3] or [W, N, 3]; of grippers, with K the
-            knots of each one's own path, ``gripper_positions`` [G, K, 3] or [W, G, K, 3],
-            ``gripper_rotations`` of the same shape, rotation vectors that turn them further, in
-            world axes [rad], and ``gripper_radius`` [G] or [W, G]. For rods and shells also what
-            all worlds share of the body: ``thickness`` (or diameter) [m]. Tensors that require a
-            gradient get one.
+        given: ``E`` [Pa], ``nu``, ``density`` [kg/m^3], ``damping`` [s], of shells ``membrane``
+            [Pa], ``warp``, ``weft`` and ``shear``, ``velocity_damping`` [1/s], ``air_density``
+            [kg/m^3], ``friction``, ``self_friction``: numbers or [W]; ``gravity`` [3] or [W, 3];
+            ``obstacle_friction`` [O] or [W, O]; ``stiffness`` [N] or [W, N]; ``positions`` and
+            ``velocities`` [N, 3] or [W, N, 3]; of grippers, with K the knots of each one's own
+            path, ``gripper_positions`` [G, K, 3] or [W, G, K, 3], ``gripper_rotations`` of the same
+            shape, rotation vectors that turn them further, in world axes [rad], and
+            ``gripper_radius`` [G] or [W, G]. For rods and shells also what all worlds share of the
+            body: ``thickness`` (or diameter) [m]. Tensors that require a gradient get one.
 
     Returns:
         [T, W, N, 3] positions [m], in the dtype of the simulation.
 
     Raises:
-        ParameterError: If a name is unknown, E, nu or density is missing, or an argument is of
-            another type, shape or range.
+        ParameterError: If a name is unknown, or an argument is of another type, shape or range.
         SimulationError: If a world diverges, or a derivative does in the backward pass.
     """
     check_type("body", body, Body)
+    check_list("materials", materials, Material)
     check_list("grippers", grippers, Gripper)
+    check_list("obstacles", obstacles, Obstacle)
     thin = engine_of(body, solver) == "thin"
-    shapes = _shapes(len(body.points) if thin else body.num_particles, grippers)
-    unknown = sorted(set(given) - set(shapes))
-    missing = sorted({"E", "nu", "density"} - set(given))
-    if unknown or missing:
-        raise ParameterError(
-            f"simulate takes {', '.join(shapes)}; unknown: {unknown}, missing: {missing}"
-        )
-    only_thin = sorted({"thickness", *OF_THIN} & set(given))
+    shapes = _shapes(len(body.points) if thin else body.num_particles, grippers, len(obstacles))
+    if unknown := sorted(set(given) - set(shapes)):
+        raise ParameterError(f"simulate takes {', '.join(shapes)}; unknown: {unknown}")
+    only_thin = sorted({"thickness", "obstacle_friction", *OF_THIN} & set(given))
     if only_thin and not thin:
         raise ParameterError(
             f"the MPM has no derivative by {', '.join(only_thin)}",
             fix='solver=Solver(engine="thin")',
         )
     tensors = {n: _tensor(n, given[n]) for n in shapes if n in given}
-    scene = (body, times, tuple(grippers), table, physics, solver, memory)
-    return _Simulation.apply(scene, list(tensors), *_spread(tensors, shapes))  # pyright: ignore[reportReturnType]
+    own = {"mass": mass, "natural_curvature": natural_curvature, "start_time": start_time}
+    scene = (body, times, grippers, table, obstacles, physics, solver, own, memory)
+    spread = _spread(tensors, shapes, len(materials))
+    return _Simulation.apply(scene, materials, list(tensors), *spread)  # pyright: ignore[reportReturnType]
 
 
 def _tensor(name: str, value: Any) -> Tensor:
@@ -104,16 +115,18 @@ def _tensor(name: str, value: Any) -> Tensor:
     return torch.as_tensor(given, dtype=torch.float64)
 
 
-def _spread(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]]) -> list[Tensor]:
+def _spread(
+    tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]], worlds: int
+) -> list[Tensor]:
     """Expand the tensors to one leading axis of worlds; torch sums the derivatives over it."""
     extra = {n: t.dim() - len(shapes[n]) for n, t in tensors.items()}
     wrong = [n for n, e in extra.items() if e not in ((0,) if n == "thickness" else (0, 1))]
     if wrong:
         raise ParameterError(f"too many or too few axes: {', '.join(wrong)}")
-    counts = {t.shape[0] for n, t in tensors.items() if extra[n] == 1}
+    counts = {worlds} | {t.shape[0] for n, t in tensors.items() if extra[n] == 1}
     if len(counts - {1}) > 1:
         raise ParameterError(f"arguments are for different numbers of worlds: {sorted(counts)}")
-    W, spread = max(counts, default=1), []
+    W, spread = max(counts), []
     for n, t in tensors.items():
         shape = (W, *shapes[n])
         try:
@@ -125,12 +138,17 @@ def _spread(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]]) -> l
 
 class _Simulation(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, scene: tuple, names: list[str], *tensors: Tensor) -> Tensor:
-        body, times, grippers, table, physics, solver, memory = scene
+    def forward(
+        ctx: Any, scene: tuple, materials: Sequence[Material], names: list[str], *tensors: Tensor
+    ) -> Tensor:
+        body, times, grippers, table, obstacles, physics, solver, more, memory = scene
         v = {n: t.detach().cpu().numpy() for n, t in zip(names, tensors, strict=True)}
-        W = len(v["E"])
+        W = max([len(materials), *(len(values) for values in v.values())])
         given = [n for n in _OF_MATERIAL if n in v]
-        materials = [Material(**{n: float(v[n][w]) for n in given}) for w in range(W)]
+        materials = [
+            replace(materials[w % len(materials)], **{n: float(v[n][w]) for n in given})
+            for w in range(W)
+        ]
         own: dict[str, Any] = {}
         if "thickness" in v:
             h = float(v["thickness"][0])
@@ -140,14 +158,21 @@ class _Simulation(torch.autograd.Function):
             if table is None:
                 raise ParameterError("friction without a table: pass table=Table(height=...)")
             table = replace(table, friction=v["friction"])
-        more: dict[str, Any] = {n: v[n] for n in _OF_SIMULATOR if n in v}
+        if "obstacle_friction" in v:
+            rubs = v["obstacle_friction"].tolist()
+            obstacles = [
+                [replace(of, friction=mu) for of, mu in zip(obstacles, rubs[w], strict=True)]
+                for w in range(W)
+            ]
+        more = more | {n: v[n] for n in _OF_SIMULATOR if n in v}
         simulator = Simulator(
             replace(body, **own),
             materials,
             grippers=every,
             table=table,
+            obstacles=obstacles,
             physics=replace(physics, **{n: v[n] for n in _OF_PHYSICS if n in v}),
-            solver=replace(solver, dtype=solver.dtype or "float64"),
+            solver=solver,
             **more,
         )
         if "velocities" in v:
@@ -163,7 +188,7 @@ class _Simulation(torch.autograd.Function):
         if ctx.turned is not None:  # by rotation vectors, not by a further rotation
             by_turn = found["gripper_rotations"][..., None, :] @ left_jacobian(ctx.turned)
             found["gripper_rotations"] = by_turn[..., 0, :]
-        return None, None, *(torch.as_tensor(a, dtype=torch.float64) for a in found.values())
+        return None, None, None, *(torch.as_tensor(a, dtype=torch.float64) for a in found.values())
 
 
 def _changed(gripper: Gripper, i: int, w: int, v: dict[str, Array]) -> Gripper:

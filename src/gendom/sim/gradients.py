@@ -10,7 +10,8 @@ class Gradients:
     """Derivatives of a loss with respect to all inputs of a simulation.
 
     Not differentiated: the times at which grippers open and close, the substep's length, and
-    whether a section touches the table or the body itself, sticks or slides.
+    whether a section touches the table, an obstacle or the body itself, sticks or slides, and poses
+    and sizes of obstacles.
     """
 
     E: Array
@@ -48,6 +49,8 @@ class Gradients:
     thickness: Array | None = None
     """[W] by the thickness of a cloth or the diameter of a rope, the initial positions unchanged
     [1/m]. MPM: None."""
+    obstacle_friction: Array | None = None
+    """[W, O] by the obstacles' coefficients of friction. MPM: None."""
     membrane: Array | None = None
     """[W] by the modulus in a cloth's plane [1/Pa]; None if no material has its own, and 0 for
     those that have not."""

@@ -18,27 +18,61 @@ NEEDED = ("time", "position", "hold_from", "hold_until", "radius")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Gripper:
+class Path:
+    """A timed path of a rigid body.
+
+    Between two knots it moves on a straight line at constant speed and turns at a constant rate;
+    before the first and after the last knot it stands still.
+
+    Raises:
+        ParameterError: If shapes do not agree, times do not increase or a number is not finite.
+    """
+
+    time: ArrayLike = 0.0
+    """[K] times of the knots [s]."""
+    position: ArrayLike
+    """[K, 3] centre at each knot [m]."""
+    quat_xyzw: ArrayLike | None = None
+    """[K, 4] orientation at each knot, or None for what never turns."""
+
+    @property
+    def kind(self) -> str:
+        """What moves."""
+        return type(self).__name__
+
+    def __post_init__(self) -> None:
+        what = self.kind
+        t = np.atleast_1d(check_numbers(f"{what} time", self.time))
+        p = np.atleast_2d(check_numbers(f"{what} position", self.position))
+        if t.ndim != 1 or len(t) == 0 or p.shape != (len(t), 3):
+            raise ParameterError(
+                f"{what} path needs time [K > 0] and position [K, 3], got {t.shape} and {p.shape}"
+            )
+        if np.any(np.diff(t) <= 0.0):
+            raise ParameterError(f"{what} path: times must increase from knot to knot")
+        object.__setattr__(self, "time", t)
+        object.__setattr__(self, "position", p)
+        if self.quat_xyzw is not None:
+            q = np.atleast_2d(check_numbers(f"{what} quat_xyzw", self.quat_xyzw))
+            check_numbers(f"{what} quat_xyzw", q, (len(t), 4))
+            if np.any(np.linalg.norm(q, axis=1) < 1e-6):
+                raise ParameterError(f"{what} quat_xyzw must not be zero")
+            object.__setattr__(self, "quat_xyzw", q)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gripper(Path):
     """A gripper that carries all material inside a sphere along a timed path.
 
     The held material is determined when the gripper closes: from then on each held particle keeps
     its position in the gripper's frame. A cross-section is held if its centre is inside the
     sphere, so the free length of a rope begins where the sphere's surface cuts its centre line.
-    Between two knots the gripper moves on a straight line at constant speed and turns at a
-    constant rate; before the first and after the last knot it stands still.
 
     Raises:
-        ParameterError: If shapes do not agree, times do not increase, a number is not finite (times
-            of closing and opening may be infinite), the radius is not positive, or it opens before
-            it closes.
+        ParameterError: As of ``Path``, or if the radius is not positive, or it opens before it
+            closes (times of both may be infinite).
     """
 
-    time: ArrayLike
-    """[K] times of the knots [s]."""
-    position: ArrayLike
-    """[K, 3] centre at each knot [m]."""
-    quat_xyzw: ArrayLike | None = None
-    """[K, 4] orientation at each knot, or None for a gripper that never turns."""
     radius: float
     """Radius of the sphere [m]."""
     hold_from: float = -math.inf
@@ -46,29 +80,19 @@ class Gripper:
     hold_until: float = math.inf
     """Time at which the gripper opens [s]."""
 
+    @property
+    def kind(self) -> str:
+        return "gripper"
+
     def __post_init__(self) -> None:
-        t = np.atleast_1d(check_numbers("gripper time", self.time))
-        p = np.atleast_2d(check_numbers("gripper position", self.position))
-        if t.ndim != 1 or len(t) == 0 or p.shape != (len(t), 3):
-            raise ParameterError(
-                f"gripper path needs time [K > 0] and position [K, 3], got {t.shape} and {p.shape}"
-            )
-        if np.any(np.diff(t) <= 0.0):
-            raise ParameterError("gripper path: times must increase from knot to knot")
+        super().__post_init__()
         check_number("gripper radius", self.radius, above=0.0)
         _check_hold(self.hold_from, self.hold_until, ())
-        object.__setattr__(self, "time", t)
-        object.__setattr__(self, "position", p)
-        if self.quat_xyzw is not None:
-            q = check_numbers("gripper quat_xyzw", self.quat_xyzw, (len(t), 4))
-            if np.any(np.linalg.norm(q, axis=1) < 1e-6):
-                raise ParameterError("gripper quat_xyzw must not be zero")
-            object.__setattr__(self, "quat_xyzw", q)
 
     @classmethod
     def still(cls, position: ArrayLike, *, radius: float, **hold: Any) -> "Gripper":
         """Return a gripper that stays at ``position`` [3] [m]; errors as of ``Gripper``."""
-        return cls(time=[0.0], position=position, radius=radius, **hold)
+        return cls(position=position, radius=radius, **hold)
 
     def position_at(self, time: ArrayLike) -> Array:
         """Centre at given times [s], [..., 3] [m]."""

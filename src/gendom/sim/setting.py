@@ -1,4 +1,4 @@
-"""What an engine is given: the table, the physics around a body, how it is solved, the checked
+"""What an engine is given: the physics around a body, how it is solved, the checked
 arguments of a simulator, and the frames to record."""
 
 from collections.abc import Callable, Sequence
@@ -21,6 +21,7 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.sim.bodies import Body
 from gendom.sim.gripper import Grippers
+from gendom.sim.obstacles import Obstacle, Table
 
 GRAVITY = (0.0, 0.0, -STANDARD_GRAVITY)
 """Standard gravity, z up [m/s^2]."""
@@ -31,24 +32,6 @@ that faces it. Source: Hoerner (1965), "Fluid-Dynamic Drag", chapter 3."""
 
 ENGINES = ("mpm", "thin")
 """``mpm``: particles on a grid; ``thin``: ropes as rods, cloths as shells."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Table:
-    """An impenetrable horizontal plane with Coulomb friction, which may differ between worlds.
-
-    Raises:
-        ParameterError: If a number is not finite, or friction is negative.
-    """
-
-    height: float
-    """Height of the plane [m]."""
-    friction: float | ArrayLike = 0.3
-    """Coefficient of friction, one number or [W]."""
-
-    def __post_init__(self) -> None:
-        check_number("table height", self.height)
-        check_numbers("friction", self.friction, (), ("W",), least=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,6 +120,8 @@ class Setting(Physics):
     materials: Sequence[Material]
     grippers: Grippers
     table: Table | None
+    obstacles: Sequence[Sequence[Obstacle]]
+    """Of each world."""
     stiffness: ArrayLike
     mass: ArrayLike
     natural_curvature: ArrayLike

@@ -26,12 +26,13 @@ from gendom.sim.device import cores, making, open_device
 from gendom.sim.gripper import Gripper, Grippers, Targets
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.setting import Frames, Physics, Setting, Solver, Table
+from gendom.sim.obstacles import Obstacle, Table, check_clear, obstacles_of_worlds
+from gendom.sim.setting import Frames, Physics, Setting, Solver
 from gendom.sim.thin import THIN_ENGINES, ThinEngine
 
 START_INSIDE = 0.1
-"""Greatest initial depth of a body in a table [cells, or diameters of a rod]; contact pushes it
-out."""
+"""Greatest initial depth of a body in a table or obstacle [cells, or diameters of a rod]; contact
+pushes it out."""
 
 ATTRIBUTES = ("body", "materials", "time", "dtype", "device", "engine")
 """Of a simulator."""
@@ -49,6 +50,8 @@ class Simulator(Shown):
         grippers: Grippers shared by all worlds, or one sequence of them for each world, or all as
             arrays (``Grippers``).
         table: Table, or None for open space.
+        obstacles: Boxes, spheres and capsules that rods and shells meet, shared by all worlds or
+            one sequence for each world.
         physics: Gravity, air, damping and self-contact.
         solver: Engine, steps, precision and device.
         stiffness: E of each particle or point over E of its material, [N] or [W, N] [-]; of
@@ -73,6 +76,7 @@ class Simulator(Shown):
         *,
         grippers: Sequence[Gripper] | Sequence[Sequence[Gripper]] = (),
         table: Table | None = None,
+        obstacles: Sequence[Obstacle] | Sequence[Sequence[Obstacle]] = (),
         physics: Physics = Physics(),
         solver: Solver = Solver(),
         stiffness: ArrayLike = 1.0,
@@ -89,7 +93,7 @@ class Simulator(Shown):
         require(materials, "a simulation needs at least one material (one a world)")
         check_number("start_time", start_time)
         engine, W = engine_of(body, solver), len(materials)
-        thin = engine == "thin"
+        thin, every = engine == "thin", obstacles_of_worlds(obstacles, W)
         rest = body.points if thin else body.x
         N = len(rest)
         require(
@@ -108,6 +112,7 @@ class Simulator(Shown):
             (bool(np.any(np.asarray(mass) != 1.0)), thin, "mass",
              "rods and shells have points of other masses"),
             (curved, rod, "natural_curvature", "rods may begin with stress"),
+            (any(every), thin, "obstacles", "rods and shells meet obstacles"),
         ):  # fmt: skip
             what = f"only {only}, not a {body.kind} of the {engine} engine"
             fix = "leave that out, or take engine='thin'"
@@ -115,7 +120,9 @@ class Simulator(Shown):
         x = rest if positions is None else positions
         x = check_numbers("positions", x, (N, 3), ("W", N, 3))
         unit = body.thickness if thin else body.dx
-        _check_clear(body, x, 1 if thin else body.section, START_INSIDE * unit, table)
+        section = 1 if thin else body.section
+        centres = x.reshape(*x.shape[:-2], N // section, section, 3).mean(axis=-2)
+        check_clear(body, centres, START_INSIDE * unit, table, every, start_time)
         self.body = body
         self.materials = tuple(materials)
         self.time = start_time
@@ -126,6 +133,7 @@ class Simulator(Shown):
             materials=self.materials,
             grippers=_grippers_of_worlds(grippers, W),
             table=table,
+            obstacles=every,
             **vars(physics),
             stiffness=stiffness,
             mass=mass,
@@ -323,26 +331,6 @@ class Simulator(Shown):
 def engine_of(body: Body, solver: Solver) -> str:
     """The engine of a body's simulation: the solver's, or the body's usual one."""
     return solver.engine or ("thin" if body.kind in ("rope", "cloth") else "mpm")
-
-
-def _check_clear(body: Body, x: Array, section: int, least: float, table: Table | None) -> None:
-    """Check that positions [..., N, 3], of which each ``section`` consecutive ones form one
-    cross-section, do not lie deeper than ``least`` [m] in the table."""
-    if table is None:
-        return
-    n = x.shape[-2] // section
-    centres = x.reshape(*x.shape[:-2], n, section, 3).mean(axis=-2).reshape(-1, n, 3)
-    lowest, highest = centres.min(axis=1), centres.max(axis=1)
-    w = int(lowest[:, 2].argmin())
-    depth = table.height + body.contact_radius - lowest[w, 2]
-    require(
-        depth <= least,
-        f"the object begins {1e3 * depth:.3g} mm inside the table",
-        where=f"{f'world {w}, ' if len(lowest) > 1 else ''}centres of its cross-sections "
-        f"lie between {lowest[w].round(4).tolist()} and {highest[w].round(4).tolist()} m, "
-        f"half its thickness is {body.contact_radius:.4g} m",
-        fix="move the object, or the table",
-    )
 
 
 def _grippers_of_worlds(every: Any, worlds: int) -> Grippers:

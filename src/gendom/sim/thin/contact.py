@@ -55,7 +55,7 @@ def contact_arrays(setting: Setting, n: int, spacing: float, rows: Any) -> dict[
         "contact_margin": MARGIN_OF_LISTS * spacing,
         "contact_most_turns": MOST_TURNS,
         "self_friction": spread(setting.self_friction, (W,), "self_friction"),
-        "push": np.zeros((W * on, 7, P)),
+        "push": np.zeros((W * on, 10, P)),
         "listed": nowhere,
         "boxes": np.zeros((W * on, 6, P)),
         "near": np.zeros((*pairs, 2), np.int32),

@@ -15,6 +15,7 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import ParameterError, SimulationError
 from gendom.sim.device import load_kernels
+from gendom.sim.obstacles import CENTRE, numbers_of_obstacles, paths_of_obstacles
 from gendom.sim.paths import CommandedPaths, HostPaths, Pose, paths_on
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
@@ -573,6 +574,25 @@ class ThinEngine(ABC):
             setattr(made, name, wp.array(values, dtype=kind, device=device, copy=device.is_cuda))
         return made
 
+    def _obstacles(self, radius: float) -> tuple[wp.array, Any]:
+        """Numbers and paths of obstacles for the kernels' model of a body of this radius [m]."""
+        every = self.setting.obstacles
+        for o, of in enumerate(every[0]):
+            require(
+                of.inner_radius + radius >= self.spacing,
+                f"obstacle {o} ({of.kind}) fits between the body's points, which are "
+                f"{1e3 * self.spacing:.3g} mm apart",
+                where=f"it is {2e3 * of.inner_radius:.3g} mm thick",
+                fix="a thicker obstacle, or a body of more points",
+            )
+        numbers, paths = (
+            numbers_of_obstacles(every, self.setting.start_time),
+            paths_of_obstacles(every),
+        )
+        numbers[..., CENTRE] -= self.origin
+        paths["position"] = paths["position"] - self.origin
+        return self.array(numbers), paths_on(self.setting.device, paths, self.real)
+
     def _device_model(self) -> Any:
         s, W, n = self.setting, self.num_worlds, self.num_points
         friction = s.table.friction if s.table is not None else 0.0
@@ -586,6 +606,7 @@ class ThinEngine(ABC):
         model.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), self.types.vec3)
         model.table = int(s.table is not None)
         model.radius = s.body.thickness / 2.0
+        model.obstacles, model.obstacle_paths = self._obstacles(model.radius)
         model.holds = self.array(self.holds, wp.int32)
         model.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
         ends, most = between(self.holds, self.model.flat, self.slots)

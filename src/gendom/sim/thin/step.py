@@ -2,9 +2,9 @@
 
 The integrator is leapfrog (Stoermer-Verlet): forces at the start of a step advance velocities from
 the middle of the previous step to the middle of this one, and velocities advance positions and
-directions to its end. Contact with the table changes velocities so that no point ends beyond it,
-with Coulomb friction (Moreau 1988). Held points are moved with their gripper. Each world uses one
-block of threads on CUDA, and one thread with SIMD lanes on the CPU.
+directions to its end. Contact with the table and obstacles changes velocities so that no point ends
+in one of them, with Coulomb friction (Moreau 1988). Held points are moved with their gripper. Each
+world uses one block of threads on CUDA, and one thread with SIMD lanes on the CPU.
 """
 
 # Types inside kernels are Warp's, made at run time; a type checker cannot follow them.
@@ -43,6 +43,26 @@ def make_steps(real: Any, kind: str) -> tuple[Any, Any]:
         return wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
 
     @wp.func
+    def place_obstacles(model: ThinModel, w: int, thread: int, t: wp.float64, dt: real):
+        """Where obstacles are at time t, and how they came there in a step of dt."""
+        if thread == 0:
+            per, paths = wp.float64(1.0) / wp.float64(dt), model.obstacle_paths
+            for o in range(model.obstacles.shape[1]):
+                was, before, _knot = paths_of.placed(w, o, t - wp.float64(dt), paths)
+                centre, q, _last = paths_of.placed(w, o, t, paths)
+                gone = q * wp.quat_inverse(before)
+                axes = wp.quat_to_matrix(q)
+                for c in range(3):
+                    for k in range(3):
+                        model.obstacles[w, o, 5 + 3 * c + k] = real(axes[k, c])
+                    model.obstacles[w, o, 14 + c] = real(centre[c])
+                    model.obstacles[w, o, 17 + c] = real(per * (centre[c] - was[c]))
+                    model.obstacles[w, o, 20 + c] = real(
+                        wp.float64(2.0) * per * gone[c] * wp.sign(gone[3])
+                    )
+        native.block_sync()
+
+    @wp.func
     def hold_all(
         model: ThinModel, w: int, began: wp.float64, t: wp.float64, paths: Paths,
         state: rows, row: int,
@@ -73,7 +93,7 @@ def make_steps(real: Any, kind: str) -> tuple[Any, Any]:
 
     @wp.func
     def step(
-        model: ThinModel, paths: Paths, w: int, state: rows, row: int, next: int,
+        model: ThinModel, paths: Paths, w: int, thread: int, state: rows, row: int, next: int,
         began: wp.float64, t: wp.float64, dt: real, kick: real,
     ) -> real:  # fmt: skip
         """Take a step of dt from one row of the state to the next; it ends at time t.
@@ -85,6 +105,8 @@ def make_steps(real: Any, kind: str) -> tuple[Any, Any]:
         Returns:
             The largest squared stretch of an edge, NaN if any is.
         """
+        if model.obstacles.shape[1] > 0:
+            place_obstacles(model, w, thread, t, dt)
         stretch = native.forces(model, w, state, row, next, dt)
         native.block_sync()
         native.move(model, w, state, row, next, dt, kick)
@@ -101,6 +123,8 @@ def make_steps(real: Any, kind: str) -> tuple[Any, Any]:
         kick: real,
     ):  # fmt: skip
         """Transpose of ``step``, which is repeated: the next row is rewritten."""
+        if model.obstacles.shape[1] > 0:
+            place_obstacles(model, w, thread, t, dt)
         native.forces(model, w, state, row, next, dt)
         native.block_sync()
         if model.contact == 1:
@@ -237,7 +261,7 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
                     kick = kick_of(plan, w, p, k)
                     next = row + stride
                     if not step(
-                        model, paths, w, state, row, next, began, t, h, kick
+                        model, paths, w, thread, state, row, next, began, t, h, kick
                     ) <= limit:  # fmt: skip
                         bad = 1
                     row = next

@@ -57,11 +57,12 @@ class ThinTape:
         """Derivatives with respect to all inputs, given those by the points of ``forward``."""
         e = self.engine
         W, n, G = e.num_worlds, e.num_points, e.closed.shape[1]
-        self.adjoint = self._zero_adjoint()
         self.frames_bar = e.array(bar, e.types.vec3)
         self.plan_on_device = e.plan_on_device(self.plan)
         self.host = HostPaths(e.stacked)
-        self.model_bar = np.zeros((W, types.MODEL_ROWS, n))
+        self.model_rows = types.MODEL_ROWS + e.device_model.obstacles.shape[1]
+        self.model_bar = np.zeros((W, self.model_rows, n))
+        self.adjoint = self._zero_adjoint()
         self.radius_bar = np.zeros((W, G))
         self.stiffer_bar = np.zeros(e.stiffer.shape)
 
@@ -79,7 +80,7 @@ class ThinTape:
         W, G, P = e.num_worlds, e.closed.shape[1], e.row_length
         adjoint = k.ModelAdjoint()
         adjoint.state = e.zeros((W, e.state_bars, P))
-        adjoint.model = e.zeros((W, types.MODEL_ROWS, P))
+        adjoint.model = e.zeros((W, self.model_rows, P))
         adjoint.scratch = e.zeros((W, e.scratch_bars, P))
         adjoint.place = e.zeros((W * G, 6, P))
         adjoint.centre = e.zeros((W, G), k.vec3)
@@ -102,7 +103,7 @@ class ThinTape:
         e, model = self.engine, self.engine.device_model
         W, count = e.num_worlds, group.stop - group.start
         rows = e.zeros((count * (self.most + 1), self.rows, e.row_length))
-        turns = e.zeros((count * model.contact, 6 * model.contact_most_turns, e.row_length))
+        turns = e.zeros((count * model.contact, 9 * model.contact_most_turns, e.row_length))
         none = wp.full(W, -1, dtype=wp.int32, device=e.setting.device)
         never, nowhere = e.zeros(W, wp.float64), e.zeros((0, 0, 0), e.types.vec3)
         for s in self._pieces_back(group, round, rows):
@@ -137,7 +138,7 @@ class ThinTape:
         """Add derivatives by the model without grippers, and by the grippers' borders."""
         e = self.engine
         found = self.adjoint.model.numpy()[group][..., e.slots].astype(float)
-        put(self.adjoint.model, group, np.zeros((len(found), types.MODEL_ROWS, e.row_length)))
+        put(self.adjoint.model, group, np.zeros((len(found), self.model_rows, e.row_length)))
         own = e.stiffer[group]
         stiffer = own.prod(axis=1)
         by_stiffer = e.unstiffened(group, stiffer, found)
@@ -201,6 +202,7 @@ class ThinTape:
             air_density=m[:, types.DRAG] @ e.model.drag,
             friction=m[:, types.FRICTION].sum(axis=1),
             self_friction=m[:, types.SELF_FRICTION].sum(axis=1),
+            obstacle_friction=m[:, types.MODEL_ROWS :].sum(axis=2),
             gravity=m[:, types.GRAVITY].sum(axis=2),
             positions=x_bar,
             velocities=v_bar,

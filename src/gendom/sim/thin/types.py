@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from gendom.arrays import Array
 from gendom.materials import Material
+from gendom.sim.paths import make_path_type
 
 MARGIN = 8
 """Length of the margin at the start of a row."""
@@ -41,7 +42,7 @@ TURN_BAR, SPIN_BAR = slice(6, 9), slice(9, 12)
 """Components of derivatives by a rod's state: by rotations of directions, and by spins."""
 
 MODEL_ROWS = 24
-"""Components of derivatives by the model."""
+"""Components of derivatives by the model; then come those by each obstacle's friction."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,7 @@ def make_types(real: Any) -> SimpleNamespace:
     """Make vector types and structs for ``wp.float32`` or ``wp.float64``."""
     vec3 = wp.types.vector(3, real)
     quat = wp.quatf if real == wp.float32 else wp.quatd
+    Paths = make_path_type(real)
 
     @wp.struct
     class ThinModel:
@@ -124,6 +126,8 @@ def make_types(real: Any) -> SimpleNamespace:
         gravity: wp.array(dtype=vec3)  # [W] [m/s^2]
         table: int  # at height 0
         radius: real  # height of a point on the table [m]
+        obstacles: wp.array3d(dtype=real)  # [W, O, .], see ``native/surroundings.h``
+        obstacle_paths: Paths
         holds: wp.array3d(dtype=wp.int32)  # [W, G, n] 1: a point is held, 2: an edge's direction is
         place: wp.array3d(dtype=real)  # [W G, 7, P] of those, in the gripper's frame
         # of each pair of grippers
@@ -137,7 +141,7 @@ def make_types(real: Any) -> SimpleNamespace:
         contact_most_turns: int  # over the contacts of a step
         self_friction: wp.array(dtype=real)  # [W]
         loose: wp.array3d(dtype=real)  # [W, 1, P] 1 / mass of free points, 0 for held ones [1/kg]
-        push: wp.array3d(dtype=real)  # [W, 7, P] of one step's contacts, see ``native/contact.h``
+        push: wp.array3d(dtype=real)  # [W, 10, P] of one step's contacts, see ``native/contact.h``
         listed: wp.array3d(dtype=real)  # [W, 3, P] where points were when pairs were listed [m]
         boxes: wp.array3d(dtype=real)  # [W, 6, P] around each one's features then [m]
         near: wp.array3d(dtype=wp.int32)  # [W, M, 2] pairs
@@ -154,7 +158,7 @@ def make_types(real: Any) -> SimpleNamespace:
         """Derivatives of a loss; those by the model are for each point's contribution."""
 
         state: wp.array3d(dtype=real)  # [W, ., P]
-        model: wp.array3d(dtype=real)  # [W, MODEL_ROWS, P]
+        model: wp.array3d(dtype=real)  # [W, MODEL_ROWS + O, P]
         scratch: wp.array3d(dtype=real)  # [W, ., P]
         place: wp.array3d(dtype=real)  # [W G, 6, P]
         position: wp.array3d(dtype=wp.vec3d)  # [W, G, K] by grippers' knots

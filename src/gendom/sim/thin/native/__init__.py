@@ -14,7 +14,7 @@ from gendom.sim.thin.types import make_types
 
 MODULE_OPTIONS = module_options(
     __name__,
-    "ground.h", "hold.h", "contact_lists.h", "contact.h", "rod.h", "shell.h",
+    "surroundings.h", "hold.h", "contact_lists.h", "contact.h", "rod.h", "shell.h",
 )  # fmt: skip
 """Options of every Warp module of the engine."""
 

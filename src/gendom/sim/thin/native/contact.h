@@ -149,16 +149,17 @@ CUDA_CALLABLE inline void take_impulses(const Model& model, int w, const wp::arr
     }
 }
 
-// What a turn pushed beyond the table or a wall goes back to it; left there, it would be thrown out by the next
-// step's velocities.
+// What a turn pushed into the table or an obstacle goes back to its surface; left there, it would be thrown out by
+// the next step's velocities. Places before that are kept for the transpose.
 template <typename Model, typename real>
 CUDA_CALLABLE inline void end_turn(const Model& model, int w, const wp::array_t<real>& state, int row) {
     typedef typename several<real>::lanes T;
     take_impulses(model, w, state, row);
-    const ground<T> around(model, w, real(1));
-    const rows_of<real> s(state, row), loose(model.loose, w);
+    const surroundings<T> around(model, w, real(1));
+    const rows_of<real> s(state, row), loose(model.loose, w), push(model.push, w);
     for (EACH_IN(p, model.first, model.end)) {
         const vec<T> x = s.template get3<T>(0, p);
+        push.put3(7, p, x);
         const T moves = is_above(loose.template get<T>(0, p), T(real(0)));
         s.put3(0, p, moves * around.brought_back(x) + (T(real(1)) - moves) * x);
     }
@@ -195,18 +196,18 @@ CUDA_CALLABLE inline void resolve(const Model& model, int w, const wp::array_t<r
 //
 //     sum_l (e_k . e_l) dt_l = -(e_k . da + a . de_k),  da at unchanged shares s.
 
-// Of `end_turn`, but for `take_impulses`; the row is as the turn left it.
+// Of `end_turn`, but for `take_impulses`; rows from c on are places as the turn pushed them.
 template <typename Model, typename Adjoint, typename real>
 CUDA_CALLABLE inline void end_turn_adjoint(const Model& model, const Adjoint& adjoint, int w,
-                                           const wp::array_t<real>& state, int row) {
+                                           const rows_of<real>& pushed, int c) {
     typedef typename several<real>::lanes T;
-    const ground<T> around(model, w, real(1));
-    const rows_of<real> s(state, row), b(adjoint.state, w), by(adjoint.model, w), loose(model.loose, w);
+    const surroundings<T> around(model, w, real(1));
+    const rows_of<real> b(adjoint.state, w), by(adjoint.model, w), loose(model.loose, w);
     for (EACH_IN(p, model.first, model.end)) {
         const T moves = is_above(loose.template get<T>(0, p), T(real(0)));
         const vec<T> x_bar = b.template get3<T>(0, p);
         vec<T> moved_bar = moves * x_bar;
-        by.add(RADIUS_BAR, p, around.brought_back_adjoint(s.template get3<T>(0, p), moved_bar));
+        by.add(RADIUS_BAR, p, around.brought_back_adjoint(pushed.template get3<T>(c, p), moved_bar));
         b.put3(0, p, moved_bar + (T(real(1)) - moves) * x_bar);
     }
 }
@@ -354,7 +355,7 @@ CUDA_CALLABLE inline void contact_impulses_adjoint(const Model& model, const Adj
 }
 
 // Of `resolve`; the row is as that found it, and rows from c on tell what its list was made from. `kept` has
-// room for the points before each turn, [worlds, turns * 6, P].
+// room for the points before each turn, and where it pushed them, [worlds, turns * 9, P].
 template <typename Model, typename Adjoint, typename real>
 CUDA_CALLABLE inline void resolve_adjoint(const Model& model, const Adjoint& adjoint, int w,
                                           const wp::array_t<real>& kept, int at,
@@ -362,16 +363,17 @@ CUDA_CALLABLE inline void resolve_adjoint(const Model& model, const Adjoint& adj
     rebuild_lists(model, w, state, row, c, real(0));
     if (near_pairs(model, w).number() == 0) return;
     list_close(model, w, state, row);
-    const rows_of<real> s(state, row), before(kept, at);  // all points before each turn
+    const rows_of<real> s(state, row), before(kept, at), push(model.push, w);
     int turns = 0;
     for (bool again = true; again && turns < model.contact_most_turns; ++turns) {
-        copy_rows(model, 6, s, 0, before, 6 * turns);
+        copy_rows(model, 6, s, 0, before, 9 * turns);
         again = turn_once(model, w, state, row, dt, turns);
+        copy_rows(model, 3, push, 7, before, 9 * turns + 6);
     }
     while (turns-- > 0) {
-        end_turn_adjoint(model, adjoint, w, state, row);
+        end_turn_adjoint(model, adjoint, w, before, 9 * turns + 6);
         block_sync();
-        copy_rows(model, 6, before, 6 * turns, s, 0);
+        copy_rows(model, 6, before, 9 * turns, s, 0);
         block_sync();
         count_contacts(model, w, state, row);
         block_sync();

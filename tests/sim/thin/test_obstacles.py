@@ -1,0 +1,240 @@
+"""Rigid obstacles that rods and shells meet: where they end, derivatives, and what is refused."""
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+import warp as wp
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from gendom.errors import ParameterError
+from gendom.materials import Material
+from gendom.sim import (
+    Capsule,
+    Cuboid,
+    Gripper,
+    Physics,
+    Rollout,
+    Simulator,
+    Solver,
+    Sphere,
+    Table,
+    cloth,
+    rope,
+)
+from sim.thin.shared import check_derivatives, check_worlds, scene
+
+ROPE = rope(diameter=0.012, length=0.24, start=(-0.12, 0, 0.1), direction=(1, 0.1, 0), points=17)
+CLOTH = cloth(
+    width=0.12, height=0.1, thickness=0.004, dx=0.02, corner=(-0.06, -0.05, 0.1), points=(9, 8)
+)
+TIMES = [0.01, 0.02, 0.03]
+
+
+def around(body, friction=(0.2, 0.4, 0.3)):
+    """A box that comes from below and turns, a bar that stands askew, and a ball."""
+    low = body.points[:, 2].min() - body.thickness / 2.0
+    turned = Rotation.from_rotvec([[0.1, 0.2, 0.3], [0.4, 0.1, 0.2]]).as_quat()
+    return [
+        Cuboid(
+            size=(0.07, 0.06, 0.05), rounding=0.008, friction=friction[0], quat_xyzw=turned,
+            time=[0.0, 0.04], position=[[-0.06, 0.0, low - 0.033], [-0.05, 0.01, low - 0.012]],
+        ),
+        Capsule.between(
+            [0.0, -0.1, low - 0.032], [0.02, 0.1, low - 0.021], radius=0.02, friction=friction[1]
+        ),
+        Sphere(radius=0.03, position=[0.07, 0.004, low - 0.034], friction=friction[2]),
+    ]  # fmt: skip
+
+
+def given(body, seed=0):
+    rng = np.random.default_rng(seed)
+    n, sheet = len(body.points), body.kind == "cloth"
+    end = body.points[0]
+    return {
+        "thickness": body.thickness,
+        "E": 1e5 if sheet else 1e6,
+        "nu": 0.3,
+        "density": 900.0,
+        "damping": 0.003,
+        "friction": 0.3,
+        "obstacle_friction": np.array([0.2, 0.4, 0.3]),
+        "self_friction": 0.3,
+        "gravity": np.array([0.3, 0.2, -30.0]),
+        "velocity_damping": 2.0,
+        "air_density": 40.0,
+        "stiffness": 1.0 + 0.2 * rng.normal(size=n) ** 2,
+        "positions": body.points + 3e-4 * rng.normal(size=(n, 3)),
+        "velocities": 0.2 * rng.normal(size=(n, 3)) - [0, 0, 0.7],
+        "gripper_positions": np.array([[end, end + np.array([0.004, 0.006, 0.01])]]),
+        "gripper_radius": np.array([0.02]),
+    }
+
+
+def simulator(body, worlds, **options):
+    def hands(p):
+        path, radius = p["gripper_positions"][0], p["gripper_radius"][0]
+        return [Gripper(time=[0, 0.05], position=path, radius=radius, hold_until=0.025)]
+
+    obstacles = [around(body, world["obstacle_friction"]) for world in worlds]
+    height = body.points[:, 2].min() - 0.02
+    return scene(body, worlds, hands, height, obstacles=obstacles, substep=2e-4, **options)
+
+
+def assert_meets(s, obstacles, times):
+    """That a body touches each obstacle and is in none; steps along a tangent end outside."""
+    x, radius = s.run(times)[:, 0], s.body.thickness / 2.0
+    for of in obstacles:
+        far = [of.distance(now, t).min() - radius for now, t in zip(x, times, strict=True)]
+        assert -1e-9 < min(far) < 1e-6, of
+
+
+LENGTHS = ("positions", "gripper_positions", "gripper_radius", "thickness")
+
+
+@pytest.mark.parametrize(
+    ("body", "self_contact"), [(ROPE, False), (CLOTH, True)], ids=["rope", "cloth"]
+)
+def test_every_derivative_is_that_of_central_differences(body, self_contact):
+    p = given(body)
+    made = partial(simulator, body, self_contact=self_contact)
+    assert_meets(made([p]), around(body), np.linspace(0.001, 0.03, 30))
+    names = [n for n in p if self_contact or n != "self_friction"]
+    steps = {
+        n: (None, 2e-8 if n in LENGTHS else 1e-5 * max(np.abs(p[n]).max(), 1e-2)) for n in names
+    }
+    check_derivatives(made, p, steps, TIMES, 2e-6)
+
+
+@pytest.mark.parametrize("body", [ROPE, CLOTH], ids=["rope", "cloth"])
+def test_worlds_of_a_batch_do_not_see_each_other(body):
+    worlds = [
+        given(body, seed) | {"obstacle_friction": 0.1 * np.ones(3) * seed} for seed in range(3)
+    ]
+    weights = np.random.default_rng(1).normal(size=(len(TIMES), 1, len(body.points), 3))
+
+    def run(chosen):
+        rollout = Rollout(simulator(body, [worlds[k] for k in chosen], threads=2))
+        x = rollout.forward(TIMES)
+        return x, rollout.backward(np.broadcast_to(weights, x.shape))
+
+    check_worlds(run, 3)
+
+
+SHAPES = {
+    "ball": lambda **more: Sphere(radius=0.04, **more),
+    "bar": lambda **more: Capsule(radius=0.03, length=0.08, **more),
+    "box": lambda **more: Cuboid(size=(0.1, 0.06, 0.08), **more),
+    "rounded box": lambda **more: Cuboid(size=(0.1, 0.06, 0.08), rounding=0.01, **more),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_no_place_of_the_surface_is_nearer_than_the_distance(shape):
+    rng, centre = np.random.default_rng(2), np.array([0.1, 0.2, 0.3])
+    of = SHAPES[shape](position=centre, quat_xyzw=Rotation.random(random_state=3).as_quat())
+    ways = rng.normal(size=(30_000, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    low, high = np.zeros(len(ways)), np.full(len(ways), 0.2)
+    for _ in range(50):
+        middle = (low + high) / 2.0
+        out = of.distance(centre + middle[:, None] * ways) > 0.0
+        low, high = np.where(out, low, middle), np.where(out, middle, high)
+    assert of.inner_radius == pytest.approx(high.min(), abs=1e-5)
+    x = centre + 0.035 * rng.normal(size=(100, 3))
+    found, nearest = of.distance(x), KDTree(centre + high[:, None] * ways).query(x)[0]
+    assert 10 < np.count_nonzero(found < 0.0) < 90
+    assert np.all(np.abs(found) <= nearest + 1e-12)
+    assert np.all(nearest - np.abs(found) < 2e-3)  # places are about 1 mm apart
+
+
+def test_what_rests_on_a_box_moves_with_it():
+    """A box that turns and goes aside carries a cloth, or leaves a slippery one behind."""
+    sheet = cloth(
+        width=0.1, height=0.1, thickness=0.002, dx=0.02, corner=(-0.05, -0.05, 0.001), points=(9, 9)
+    )
+    angle = 0.6
+    turned = Rotation.from_rotvec([[0, 0, 0], [0, 0, angle]]).as_quat()
+
+    def box(friction):
+        return [Cuboid(size=(0.3, 0.3, 0.1), friction=friction, time=[0.1, 0.6], quat_xyzw=turned,
+                    position=[[0.0, 0.0, -0.05], [0.05, 0.02, -0.05]])]  # fmt: skip
+
+    s = Simulator(sheet, [Material(E=1e6, nu=0.3, density=500.0, damping=0.003)] * 2,
+                  obstacles=[box(5.0), box(0.0)])  # fmt: skip
+    x = s.run([0.7])[0]
+    carried = Rotation.from_rotvec([0, 0, angle]).apply(sheet.points) + np.array([0.05, 0.02, 0])
+    assert np.abs(x[0] - carried).max() < 2e-4
+    assert np.abs(x[1] - sheet.points).max() < 2e-4
+
+
+def test_a_pushed_rope_stays_before_the_obstacle():
+    """A ball that moves at a constant speed carries a rope in free space with it, at that speed."""
+    line = rope(diameter=0.006, length=0.1, start=(-0.05, 0, 0), points=41)
+    ball = Sphere(
+        radius=0.03, friction=0.0, time=[0.0, 1.0], position=[[0, 0, -0.035], [0, 0, 0.165]]
+    )
+    s = Simulator(line, [Material(E=1e5, nu=0.3, density=500.0, damping=0.05)], obstacles=[ball],
+                  physics=Physics(gravity=(0, 0, 0), air_density=0.0))  # fmt: skip
+    x = s.run([0.3, 0.8])[:, 0]
+    assert ball.distance(x[1], 0.8).min() > 0.003 - 1e-9
+    assert np.all(x[1, :, 2] - x[0, :, 2] > 0.09)
+
+
+def test_obstacles_of_their_own_for_each_world():
+    line = rope(diameter=0.006, length=0.1, start=(-0.05, 0, 0.2), points=41)
+    bars = [[Capsule.between((0, -0.1, z), (0, 0.1, z), radius=0.01)] for z in (0.1, 0.15)]
+    x = Simulator(line, [Material(E=1e5)] * 2, obstacles=bars).run([0.14])[0]
+    for w, (bar,) in enumerate(bars):
+        one = Simulator(line, [Material(E=1e5)], obstacles=[bar]).run([0.14])[0, 0]
+        np.testing.assert_array_equal(x[w], one)
+    assert np.abs(x[0] - x[1]).max() > 1e-3
+
+
+@pytest.mark.gpu
+def test_cuda_meets_obstacles_as_the_cpu_does():
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device on this machine")
+    p = given(CLOTH)
+    x, y = (simulator(CLOTH, [p], self_contact=True, device=d).run(TIMES) for d in ("cpu", "cuda"))
+    np.testing.assert_allclose(x, y, atol=1e-9)
+
+
+LINE = rope(diameter=0.01, length=0.2, start=(-0.1, 0.0, 0.1), points=21)
+BALL = Sphere(radius=0.03, position=[0.0, 0.0, 0.05])
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Sphere(radius=-0.1, position=[0, 0, 0]), "Sphere radius must be positive"),
+        (lambda: Cuboid(size=(0.1, 0.1), position=[0, 0, 0]), "Cuboid size"),
+        (lambda: Cuboid(size=(1, 1, 1), rounding=0.6, position=[0, 0, 0]), "rounded by 0.6 m"),
+        (lambda: Capsule.between((0, 0, 1), (0, 0, 1), radius=0.1), "ends are the same place"),
+        (lambda: Sphere(radius=0.1, position=[0, 0, math.nan]), "Sphere position"),
+        (lambda: Sphere(radius=0.1, time=[0, 0], position=np.zeros((2, 3))), "must increase"),
+        (lambda: Sphere(radius=0.1, position=[0, 0, 0], friction=-1.0), "Sphere friction"),
+        (lambda: Simulator(LINE, [Material()], obstacles=BALL), "obstacles must be a list"),
+        (lambda: Simulator(LINE, [Material()], obstacles=[Table(height=0.0)]), r"obstacles\[0\]"),
+        (lambda: Simulator(LINE, [Material()] * 2, obstacles=[[BALL]]), "each of 2 worlds needs"),
+        (
+            lambda: Simulator(LINE, [Material()], obstacles=[replace(BALL, radius=0.1)]),
+            r"55 mm inside the obstacle 0 \(Sphere\)",
+        ),
+        (
+            lambda: Simulator(LINE, [Material()], obstacles=[replace(BALL, radius=0.004)]),
+            "fits between the body's points, which are 10 mm apart",
+        ),
+        (
+            lambda: Simulator(LINE, [Material()], obstacles=[BALL], solver=Solver(engine="mpm")),
+            "only rods and shells meet obstacles, not a rope of the mpm engine",
+        ),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_said_in_one_line(make, said):
+    with pytest.raises(ParameterError, match=said) as error:
+        make()
+    assert "\n" not in str(error.value)
