@@ -46,8 +46,8 @@ COMMANDS = {
     "calibrate": ("gendom.cli.calibrate", "a camera's pose, from pictures of a board"),
     "plan-lift": ("gendom.cli.plan_lift", "which lift shows an object's parameters best"),
     "record": ("gendom.cli.record", "a lift under depth cameras, in a cell or in the MuJoCo scene"),
-    "perceive": ("gendom.cli.perceive", "from depth pictures to a recording"),
-    "import": ("gendom.cli.import_", "from a ROS 2 bag, clouds or LeRobot to a recording"),
+    "perceive": ("gendom.cli.perceive", "from depth pictures or a ROS bag to a recording"),
+    "import": ("gendom.cli.import_", "from a ROS bag, clouds or LeRobot to a recording"),
     "bench": ("gendom.cli.bench", "measure the simulator's speed on this machine"),
     "completion": ("gendom.cli.completion", "complete commands and flags in your shell"),
 }

@@ -136,7 +136,7 @@ def _check_numbers(recording: RecordingData) -> Iterator[Fault]:
     time, late = recording.time, np.diff(recording.time) > 0
     if np.isfinite(time).all() and not late.all():
         t = int(np.argmax(~late)) + 1
-        what = f"goes from {time[t - 1]:.6g} s to {time[t]:.6g} s"
+        what = f"goes from {time[t - 1]:.14g} s to {time[t]:.14g} s"
         fix = "sort the frames and drop repeated ones; each must be later than the one before"
         yield Fault(what, f"time, frame {t}", fix)
 

@@ -136,7 +136,7 @@ class MatchedFrames:
 def _in_order(source: Iterable[Frame]) -> Iterator[Frame]:
     last = -np.inf
     for frame in source:
-        what, fix = f"time goes from {last:.6g} s to {frame.time:.6g} s", "sort the frames"
+        what, fix = f"time goes from {last:.14g} s to {frame.time:.14g} s", "sort the frames"
         expect(frame.time > last, what, where=frame.where, fix=f"{fix} and drop repeated ones")
         yield frame
         last = frame.time

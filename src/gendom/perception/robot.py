@@ -164,7 +164,7 @@ def read_shape(
         shape = arm_capsules(arm, states, held=width)
         first, last = states.time[0], states.time[-1]
         if first > span[0] + _MAX_GAP_AT_ENDS or last < span[1] - _MAX_GAP_AT_ENDS:
-            what = f"spans {first:.6g} to {last:.6g} s of {span[0]:.6g} to {span[1]:.6g} s: "
+            what = f"spans {first:.14g} to {last:.14g} s of {span[0]:.14g} to {span[1]:.14g} s: "
             what += "outside, the arm is taken to stand still"
             fix = "put joints and gripper on one clock, or record both throughout"
             on_warning(Fault(what, str(joints), fix, "warning"))
