@@ -42,6 +42,7 @@ COMMANDS = {
     "policies": ("gendom.cli.policies", "the shipped policies"),
     "materials": ("gendom.cli.materials", "ropes, cables and cloths with parameters and sources"),
     "twin": ("gendom.cli.twin", "the estimated object for MuJoCo, Newton or USD"),
+    "doctor": ("gendom.cli.doctor", "what lies there, what is wrong with it, the next command"),
     "check": ("gendom.cli.check", "validate a recording and say what is in it"),
     "calibrate": ("gendom.cli.calibrate", "a camera's pose, from pictures of a board"),
     "plan-lift": ("gendom.cli.plan_lift", "which lift shows an object's parameters best"),

@@ -11,8 +11,8 @@ import tyro
 
 from gendom.arguments import require
 from gendom.cli.arguments import Json, ObjectFile, beside_bag, refuse_bag_flags
-from gendom.cli.check import summarize, summary_text
 from gendom.cli.outputs import print_result, tell_written
+from gendom.cli.summary import summarize, summary_text
 from gendom.datasets import Fault, Recording
 from gendom.datasets.folder import bag_files
 from gendom.files import check_file

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import tyro
 
 from gendom.cli.arguments import Json, ObjectFile, beside_bag, refuse_bag_flags
-from gendom.cli.check import spread
 from gendom.cli.outputs import columns, print_result, tell_written
+from gendom.cli.summary import spread
 from gendom.datasets import Fault
 from gendom.datasets.folder import bag_files
 from gendom.files import check_file

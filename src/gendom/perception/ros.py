@@ -45,7 +45,7 @@ from gendom.perception.ros_cameras import (
     intrinsics,
     topics_of,
 )
-from gendom.perception.ros_frames import Array, Frames, Track, stamp
+from gendom.perception.ros_frames import Array, FrameTree, Track, stamp
 from gendom.perception.ros_messages import (
     CLOUD,
     IMAGE,
@@ -210,7 +210,7 @@ class _Scene:
         self.bag, self.track, self.name = RosBag(path), None, settings.gripper
         where, topics = self.bag.where, self.bag.topics
         self.values["source"] = self.values["source"] or f"ROS bag {Path(path).name}"
-        self.frames = Frames(where)
+        self.frames = FrameTree(where)
         of_tf = [name for name, kind in topics.items() if kind in TF]
         for name, message in self.bag.messages(*of_tf):
             for stated in message.transforms:

@@ -75,7 +75,7 @@ class Track:
         return T
 
 
-class Frames:
+class FrameTree:
     """The tree of TF."""
 
     def __init__(self, where: str):
