@@ -1,4 +1,4 @@
-"""Messages of ROS 2, and bags of them."""
+"""Messages of ROS, and bags of them of both versions."""
 
 from typing import Any
 
@@ -8,11 +8,15 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("rosbags", reason="needs rosbags: the extra ros")
 
+from rosbags import rosbag1
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-STORE = get_typestore(Stores.ROS2_HUMBLE)
+STORE, STORE1 = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
+STORE1.register(
+    get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", "tf2_msgs/msg/TFMessage")
+)
 CLOUD, POSE, TF = "sensor_msgs/PointCloud2", "geometry_msgs/PoseStamped", "tf2_msgs/TFMessage"
 START = 1_700_000_000
 
@@ -26,9 +30,10 @@ def made(kind, values) -> Any:
         if form == Nodetype.NAME:
             value = made(of, value or {})
         elif value is None:
-            value = {Nodetype.BASE: "" if of[0] == "string" else 0, Nodetype.SEQUENCE: []}.get(form)
-            value = np.zeros(of[1]) if value is None else value
-        elif isinstance(value, list):
+            empty = [] if of[0][0] == Nodetype.NAME or "string" in str(of) else np.zeros(0)
+            value = {Nodetype.BASE: "" if of[0] == "string" else 0, Nodetype.SEQUENCE: empty}
+            value = value.get(form, np.zeros(of[1]) if form == Nodetype.ARRAY else None)
+        elif isinstance(value, list) and of[0][0] == Nodetype.NAME:
             value = [made(of[0][1], one) for one in value]
         fields[name] = value
     return STORE.types[kind](**fields)
@@ -75,9 +80,37 @@ def cloud(time, frame, points, *, order="<", height=1, names="xyz", ends=b"junk"
     return made(CLOUD, {**values, "data": np.frombuffer(data, np.uint8)})
 
 
+def of_ros1(message) -> Any:
+    """The same message as ROS 1 has it."""
+    kind, fields = message.__msgtype__, {}
+    if kind == "builtin_interfaces/msg/Time":
+        return message
+    definitions: Any = STORE1.fielddefs[kind][1]
+    for name, (form, of) in definitions:
+        value: Any = getattr(message, name, getattr(message, name.lower(), 0))
+        if form == Nodetype.NAME:
+            value = of_ros1(value)
+        elif form == Nodetype.SEQUENCE and of[0][0] == Nodetype.NAME:
+            value = [of_ros1(one) for one in value]
+        fields[name] = value
+    return STORE1.types[kind](**fields)
+
+
 def write_bag(path, rows, plugin):
-    """A folder with topics and messages."""
+    """Topics and messages: a folder of ROS 2's, or a file of ROS 1's."""
     known = {}
+    if plugin.startswith("ROS1"):
+        writer = rosbag1.Writer(path)
+        if codec := plugin.removeprefix("ROS1").strip():
+            writer.set_compression(getattr(writer.CompressionFormat, codec))
+        with writer:
+            for n, (topic, message) in enumerate(rows):
+                kind = message.__msgtype__
+                if topic not in known:
+                    known[topic] = writer.add_connection(topic, kind, typestore=STORE1)
+                data = STORE1.serialize_ros1(of_ros1(message), kind)
+                writer.write(known[topic], START * 10**9 + n, data)
+        return path
     with Writer(path, version=9, storage_plugin=StoragePlugin[plugin]) as writer:
         for n, (topic, message) in enumerate(rows):
             kind = message.__msgtype__

@@ -27,7 +27,8 @@ from gendom import cli, tasks
 from gendom.cli.parsing import arguments_of, parse
 from gendom.errors import GendomError
 from gendom.hardware.cell import Cell
-from gendom.perception.camera import Camera, write_camera
+from gendom.perception.camera import Camera
+from gendom.perception.camera_file import write_camera
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"

@@ -155,3 +155,8 @@ def short_repr(value: Any, most: int = 60) -> str:
     """A value in one line of so many characters at most."""
     text = " ".join(repr(value).split())
     return text if len(text) <= most else text[: most - 3] + "..."
+
+
+def time_text(time: float) -> str:
+    """A time [s], since 1970 or from a start, to a microsecond."""
+    return f"{round(time, 6):.16g}"

@@ -176,7 +176,7 @@ def test_check_prints_a_summary(recording, capsys):
     out, err = capsys.readouterr()
     assert err == ""
     assert out == (
-        f"{recording}: can be used\n"
+        f"{recording}: a recording, can be used\n"
         "  object    rope, length 0.4 m, diameter 0.01 m, mass unknown, held by: end\n"
         "  frames    4, 1 of them empty\n"
         "  points    10 to 12 a frame, median 11\n"
@@ -186,6 +186,7 @@ def test_check_prints_a_summary(recording, capsys):
         "  motion    dynamic\n"
         "  warning   points: 1 of 4 frames are empty (3); nothing need be done: they are skipped\n"
         "  warning   frames: 3 with points; record a whole lift: 4 frames at least\n"
+        f"next:\n  gendom estimate {recording}\n      Estimate the object's parameters.\n"
     )
     assert cli.main(["check", str(recording), "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)

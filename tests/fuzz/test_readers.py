@@ -123,11 +123,14 @@ def arm(folder):
 
 
 def bag(folder, plugin):
+    """A folder of ROS 2's, or of a file of ROS 1's."""
     ros = pytest.importorskip("ros_messages", reason="needs rosbags: the extra ros")
     shutil.rmtree(folder)
     rows = [("/clouds", ros.cloud(k, "world", POINTS)) for k in range(4)]
     rows += [("/pose", ros.pose(k, "world", [0.0, 0.0, 0.01 * k])) for k in range(4)]
-    ros.write_bag(folder, rows, plugin)
+    if plugin.startswith("ROS1"):
+        folder.mkdir()
+    ros.write_bag(folder / "x.bag" if plugin.startswith("ROS1") else folder, rows, plugin)
     (folder / "object.toml").write_text(TOML)
 
 
@@ -273,6 +276,8 @@ READERS = {
         for e in ("ascii", "binary", "binary_compressed")
     },
     "mcap": (lambda f: bag(f, "MCAP"), read_bag),
+    "ros 1": (lambda f: bag(f, "ROS1"), read_bag),
+    "ros 1 packed": (lambda f: bag(f, "ROS1 LZ4"), read_bag),
     "db3": (lambda f: bag(f, "SQLITE3"), read_bag),
     "cameras": (cameras, read_pictures),
     "realsense": (realsense, read_realsense),

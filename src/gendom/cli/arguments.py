@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import tyro
 
+from gendom.arguments import require
 from gendom.progress import bar
 
 if TYPE_CHECKING:
     from gendom.estimation import Progress
     from gendom.materials import Item
+    from gendom.perception import RosSettings
     from gendom.tasks.task import World
 
 Settings = TypeVar("Settings")
@@ -42,6 +44,28 @@ Recorded = Annotated[
         "gripper.csv and object.toml (docs/data.md).",
     ),
 ]
+
+ObjectFile = Annotated[
+    Path | None,
+    tyro.conf.arg(
+        help="Of a bag: what is held, a TOML file; by default object.toml in its folder."
+    ),
+]
+
+
+def beside_bag(bag: Path, held: Path | None, settings: RosSettings) -> Path:
+    """The object's file of a bag of which enough is said; ParameterError: the gripper is not."""
+    fix = f"name a frame of TF, or a topic of poses: gendom doctor {bag} lists them"
+    require(settings.gripper, "is missing", where="--gripper", fix=fix)
+    return held or (bag if bag.is_dir() else bag.parent) / "object.toml"
+
+
+def refuse_bag_flags(source: Path, settings: RosSettings, **others: Any) -> None:
+    """Refuse flags of bags where the source is none."""
+    given = [f"--{flag}" for flag, value in {**vars(settings), **others}.items() if value]
+    what, where = f"{source} is no ROS bag", next(iter(given), None)
+    require(not given, what, where=where, fix="leave it out")
+
 
 TASKS_HELP = "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|FILE.py"
 

@@ -14,7 +14,7 @@ from gendom.cli.outputs import check_places, print_result, tell_written
 from gendom.datasets import Fault
 from gendom.errors import GendomError
 from gendom.perception.calibration import Calibration, calibrate, read_views
-from gendom.perception.camera import read_camera, write_camera
+from gendom.perception.camera_file import read_camera, write_camera
 from gendom.perception.realsense import RealSenseRecording, is_recording
 
 

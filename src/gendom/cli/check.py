@@ -1,104 +1,29 @@
-"""`gendom check`: validate a recording and say what is in it."""
+"""`gendom check`: what `gendom doctor` finds, without its picture."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Annotated
 
-import numpy as np
+import tyro
 
-from gendom.cli.arguments import Json, Recorded
-from gendom.cli.outputs import fault_entry, print_result
-from gendom.datasets import Fault, Recording
-from gendom.errors import RecordingError, printable
-from gendom.files import to_json
+from gendom.cli.arguments import Json
+from gendom.cli.doctor import examine
 
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Validate a recording and print what is in it.
+    """Validate a recording, or whatever lies there, and print what is in it.
 
     Exit code 0: it can be used, perhaps with warnings. 2: it cannot; every fault is listed.
 
     For example: gendom check lift.npz
     """
 
-    recording: Recorded
+    recording: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
+    """A recording, or what gendom doctor takes."""
     json: Json = False
 
     def run(self) -> int:
-        warnings: list[Fault] = []
-        try:
-            recording = Recording.read(self.recording, on_warning=warnings.append)
-        except RecordingError as error:
-            if self.json:
-                faults = [fault_entry(f) for f in error.faults] or [
-                    {"what": error.what, "where": error.where, "fix": error.fix}
-                ]
-                print(to_json({"path": self.recording, "valid": False, "faults": faults}))
-            raise
-        summary = summarize(recording)
-        found = {"path": self.recording, "valid": True, **summary}
-        print_result(found, summary_text(str(self.recording), summary), warnings, json=self.json)
-        return 0
-
-
-def summarize(recording: Recording) -> dict[str, Any]:
-    """What a recording holds, in metres and seconds, ready for JSON."""
-    counts = np.diff(recording.offsets)
-    used = counts[recording.frame_valid]
-    position, held = recording.gripper_position, recording.object
-    length = np.linalg.norm(np.diff(position, axis=0), axis=2).sum(axis=0)
-    sizes = ("length", "diameter", "width", "height", "thickness")
-    return {
-        "kind": held.kind,
-        "sizes": {n: getattr(held, n) for n in sizes if getattr(held, n) is not None},
-        "mass": held.mass,
-        "grasp": held.grasp,
-        "frames": recording.num_frames,
-        "empty_frames": int((counts == 0).sum()),
-        "points_per_frame": spread(used),
-        "time": {"first": recording.time[0], "last": recording.time[-1]},
-        "grippers": [
-            {
-                "path_length": float(length[g]),
-                "rise": float(position[-1, g, 2] - position[0, g, 2]),
-                "closed_frames": int(recording.holds[:, g].sum()),
-            }
-            for g in range(recording.num_grippers)
-        ],
-        "gripper_source": recording.gripper_source,
-        "gripper_axis": recording.gripper_axis is not None,
-        "table_height": recording.table_height,
-        "quasi_static": recording.quasi_static,
-        "source": recording.source,
-    }
-
-
-def spread(counts: np.ndarray) -> dict[str, float]:
-    """Least, median and most of some counts."""
-    return {"min": int(counts.min()), "median": float(np.median(counts)), "max": int(counts.max())}
-
-
-def summary_text(path: str, summary: dict[str, Any]) -> str:
-    """The same for people."""
-    sizes = ", ".join(f"{name} {value:.4g} m" for name, value in summary["sizes"].items())
-    mass = "unknown" if summary["mass"] is None else f"{summary['mass']:.4g} kg"
-    points, time, table = summary["points_per_frame"], summary["time"], summary["table_height"]
-    frames, empty = summary["frames"], summary["empty_frames"]
-    grippers = []
-    for g in summary["grippers"]:
-        said = f"path {g['path_length']:.3g} m, rise {g['rise']:.3g} m"
-        shorter = g["closed_frames"] < frames
-        grippers.append(said + f", closed in {g['closed_frames']} frames" * shorter)
-    rows = {
-        "object": f"{summary['kind']}, {sizes}, mass {mass}, held by: {summary['grasp']}",
-        "frames": f"{frames}" + f", {empty} of them empty" * bool(empty),
-        "points": f"{points['min']} to {points['max']} a frame, median {points['median']:g}",
-        "time": f"{time['first']:.4g} to {time['last']:.4g} s",
-        "grippers": f"{len(grippers)} ({summary['gripper_source']}): {'; '.join(grippers)}",
-        "table": "none" if table is None else f"at z = {table:.4g} m",
-        "motion": "quasi-static" if summary["quasi_static"] else "dynamic",
-    }
-    lines = [f"  {name:<9} {text}" for name, text in rows.items()]
-    return "\n".join([f"{printable(path)}: can be used", *lines])
+        return examine(self.recording, json=self.json)

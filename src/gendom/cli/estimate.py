@@ -189,7 +189,11 @@ class Command:
             words = [*TYPED, "--out", report.parent]
             purpose = "Write the estimate to a file, which other commands take."
             return [*next_steps(self.recording), (shell(words), purpose)]
-        act = [*_task_and_goal(found), "--force"] if found.usable else None
+        act = (
+            [*task_and_goal(found.kind, found.record["object"].get("length")), "--force"]
+            if found.usable
+            else None
+        )
         return next_steps(self.recording, self.out / NAME, act)
 
 
@@ -228,13 +232,14 @@ def _sentences(*texts: str) -> str:
     return " ".join(text if text.endswith(".") else f"{text}." for text in texts if text)
 
 
-def _task_and_goal(found: FittedEstimate) -> list[str]:
-    """A task for an object of this kind, with a goal in the middle of those trained on."""
+def task_and_goal(kind: str, length: float | None) -> list[str]:
+    """A task for an object of a kind, with a goal in the middle of those trained on for a rope of
+    a length [m]."""
     from gendom.policies import Policy
 
-    if found.kind == "cloth":
+    if kind == "cloth" or length is None:
         return ["cloth-spreading"]
-    ends = found.record["object"]["length"] * Policy.pretrained("rope-casting").goal_range()
+    ends = length * Policy.pretrained("rope-casting").goal_range()
     return ["rope-casting", "--goal", *(f"{end:.3f}" for end in ends.mean(axis=1))]
 
 

@@ -1,7 +1,8 @@
-"""`gendom import`: a recording of another format, or a ROS 2 bag, as a gendom-recording/1 file."""
+"""`gendom import`: a recording of another format, or a ROS bag, as a gendom-recording/1 file."""
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -9,20 +10,22 @@ from typing import Annotated
 import tyro
 
 from gendom.arguments import require
-from gendom.cli.arguments import Json
-from gendom.cli.check import summarize, summary_text
+from gendom.cli.arguments import Json, ObjectFile, beside_bag, refuse_bag_flags
 from gendom.cli.outputs import print_result, tell_written
+from gendom.cli.summary import summarize, summary_text
 from gendom.datasets import Fault, Recording
+from gendom.datasets.folder import bag_files
 from gendom.files import check_file
-from gendom.perception import RosSettings, bag_files, read_ros_bag
+from gendom.perception import RosSettings, read_ros_bag
 
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
     """Turn another format into a recording, check it and say what is in it.
 
-    Read are ROS 2 bags (PointCloud2 and TF or PoseStamped; .db3 and .mcap), folders of clouds
-    (.ply, .pcd, .npz) and LeRobot data sets that gendom export wrote: see docs/data.md.
+    Read are bags of ROS 1 and 2 (clouds or depth as they are: gendom perceive takes table and robot
+    out of them), folders of clouds (.ply, .pcd, .npz) and LeRobot data sets that gendom export
+    wrote: see docs/data.md.
 
     For example: gendom import lift-bag --gripper tool0 --object object.toml --out lift.npz
     """
@@ -32,26 +35,25 @@ class Command:
     out: Path = Path("recording.npz")
     """The gendom-recording/1 file to write."""
     bag: RosSettings = field(default_factory=RosSettings)
-    object: Path | None = None
-    """Of a bag: what is held, a TOML file; by default object.toml in the bag's folder."""
+    workspace: tuple[float, float, float, float, float, float] | None = None
+    """Of a bag: x0 y0 z0 x1 y1 z1 in the world, in metres; points elsewhere are left out."""
+    object: ObjectFile = None
     json: Json = False
 
     def run(self) -> int:
         check_file(self.out, ".npz")
         warnings: list[Fault] = []
         # no recording beside which a bag lies
-        bag = bag_files(self.source) and not (self.source / "gripper.csv").exists()
-        if bag:
-            fix = "name a frame of TF, or a topic of poses"
-            require(self.bag.gripper, "is missing", where="--gripper", fix=fix)
-            folder = self.source if self.source.is_dir() else self.source.parent
-            held = self.object or folder / "object.toml"
-            recording = read_ros_bag(self.source, held, self.bag, on_warning=warnings.append)
+        if bag_files(self.source) and not (self.source / "gripper.csv").exists():
+            held, box = beside_bag(self.source, self.object, self.bag), self.workspace
+            ordered = box is None or all(map(operator.lt, box[:3], box[3:]))
+            fix = "give x0 y0 z0 x1 y1 z1, each lower value first"
+            require(ordered, f"is {box}", where="--workspace", fix=fix)
+            recording = read_ros_bag(
+                self.source, held, self.bag, workspace=box, on_warning=warnings.append
+            )
         else:
-            flags = {**vars(self.bag), "object": self.object}
-            given = [f"--{flag}" for flag, value in flags.items() if value]
-            what, where = f"{self.source} is no ROS 2 bag", next(iter(given), None)
-            require(not given, what, where=where, fix="leave it out")
+            refuse_bag_flags(self.source, self.bag, object=self.object, workspace=self.workspace)
             recording = Recording.read(self.source, on_warning=warnings.append)
         summary = summarize(recording)
         text = summary_text(str(self.source), summary)

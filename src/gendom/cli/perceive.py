@@ -1,4 +1,4 @@
-"""`gendom perceive`: from depth pictures to a recording."""
+"""`gendom perceive`: from depth pictures or a ROS bag to a recording."""
 
 from __future__ import annotations
 
@@ -9,18 +9,21 @@ from typing import Annotated, Any
 
 import tyro
 
-from gendom.cli.arguments import Json
-from gendom.cli.check import spread
+from gendom.cli.arguments import Json, ObjectFile, beside_bag, refuse_bag_flags
 from gendom.cli.outputs import columns, print_result, tell_written
+from gendom.cli.summary import spread
 from gendom.datasets import Fault
+from gendom.datasets.folder import bag_files
 from gendom.files import check_file
 from gendom.perception import (
     STAGES,
     FusedCloud,
     Perceived,
     PerceptionSettings,
+    RosSettings,
     perceive,
     read_cameras,
+    read_ros_cameras,
 )
 from gendom.robot import find_arm
 
@@ -29,14 +32,15 @@ from gendom.robot import find_arm
 class Command:
     """Turn depth pictures of cameras into a recording of the object's clouds.
 
-    The folder's layout is described in docs/perception.md. Prints how many points each stage
-    kept. Frames that cannot be used are left out, with a warning.
+    The folder's layout is described in docs/perception.md; bags of ROS 1 and 2 are taken, too, with
+    depth or clouds of one camera or several. Prints how many points each stage kept. Frames that
+    cannot be used are left out, with a warning.
 
     For example: gendom perceive lift --colour 180 30 35 --out lift.npz
     """
 
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
-    """Folder with object.toml, gripper.csv and cameras/NAME/."""
+    """Folder with object.toml, gripper.csv and cameras/NAME/, or a ROS bag."""
     out: Path = Path("recording.npz")
     """The gendom-recording/1 file to write."""
     cameras: tuple[str, ...] = ()
@@ -44,6 +48,8 @@ class Command:
     arm: str = ""
     """The robot of joints.csv: a name, or a URDF or MJCF file; by default object.toml names it."""
     perception: PerceptionSettings = field(default_factory=PerceptionSettings)
+    bag: RosSettings = field(default_factory=RosSettings)
+    object: ObjectFile = None
     frames: bool = False
     """Print the counts of every frame."""
     json: Json = False
@@ -52,9 +58,14 @@ class Command:
         check_file(self.out, ".npz")
         warnings: list[Fault] = []
         arm = find_arm(self.arm, files=True) if self.arm else None
-        recorded = read_cameras(
-            self.folder, cameras=self.cameras, arm=arm, on_warning=warnings.append
-        )
+        if bag_files(self.folder) and not (self.folder / "cameras").is_dir():
+            held = beside_bag(self.folder, self.object, self.bag)
+            recorded = read_ros_cameras(self.folder, held, self.bag, cameras=self.cameras, arm=arm)
+        else:
+            refuse_bag_flags(self.folder, self.bag, object=self.object)
+            recorded = read_cameras(
+                self.folder, cameras=self.cameras, arm=arm, on_warning=warnings.append
+            )
         show = self.frames and not self.json
         if show:
             print(_row("time", STAGES))

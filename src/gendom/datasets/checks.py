@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from scipy.spatial import KDTree
 
+from gendom.arguments import time_text
 from gendom.datasets.recording_form import (
     GRASPS,
     NEEDED_SIZES,
@@ -37,6 +38,7 @@ _MAX_EXTENT = 20.0  # [m]; larger clouds are not in metres
 _USUAL_EXTENT = (0.1, 2.0)  # [m]; usual lengths of objects that robots handle
 _THICKEST = {"rope": 0.1, "cloth": 0.02}  # of the size, where the thickness is unknown
 _USUAL_DENSITY = (200.0, 3000.0)  # [kg/m^3]
+_SINCE_1970 = 1e9  # [s]; later times are not from a start
 _MAX_STEP = 10.0  # [s] between frames
 _TIMES = (  # frames less far apart than so many seconds, their unit, and what brings seconds
     (5e3, "milliseconds", "1000"),
@@ -48,6 +50,12 @@ _SPEEDS = (  # units of time given by mistake, in a second, and what brings seco
     ("minutes", 1 / 60.0, "multiply by 60"),
     ("microseconds", 1e6, "divide by 1e6"),
 )
+_UPS = {  # other axes that may point up, and what stands for x, y and z then
+    (0, 1, 0): ("y", "x, -z, y"),
+    (0, -1, 0): ("-y", "x, z, -y"),
+    (1, 0, 0): ("x", "-z, y, x"),
+    (-1, 0, 0): ("-x", "z, y, -x"),
+}
 _MISPLACED = 0.25  # of the clouds: in right order none of 33 lifts has one, in wrong order 60 %
 _MAX_BELOW, _MAX_AWAY = 5.0, 50.0  # [m] that a table lies from the object, that a camera stands
 _LENGTHS = {"centimetres": 100.0, "millimetres": 1000.0}  # units given by mistake, in a metre
@@ -67,7 +75,7 @@ def check(recording: RecordingData) -> list[Fault]:
     faults += number_faults
     if not number_faults:
         faults += _check_frames(recording)
-        for look in (_check_units, _check_other_units, _check_motion, _check_grippers):
+        for look in (_check_units, _check_other_units, _check_motion, _check_grippers, _check_up):
             found = list(look(recording))
             faults += found
             if any(fault.severity == "error" for fault in found):
@@ -136,8 +144,11 @@ def _check_numbers(recording: RecordingData) -> Iterator[Fault]:
     time, late = recording.time, np.diff(recording.time) > 0
     if np.isfinite(time).all() and not late.all():
         t = int(np.argmax(~late)) + 1
-        what = f"goes from {time[t - 1]:.6g} s to {time[t]:.6g} s"
+        what = f"goes from {time_text(time[t - 1])} s to {time_text(time[t])} s"
         fix = "sort the frames and drop repeated ones; each must be later than the one before"
+        if time.min() > _SINCE_1970 and (time.astype(np.float32) == time).all():
+            fix = "they look like float32, which tells times since 1970 to 2 minutes only: store "
+            fix += "float64, or seconds from the start"
         yield Fault(what, f"time, frame {t}", fix)
 
 
@@ -372,3 +383,32 @@ def _check_order(
     if off.mean() > _MISPLACED and off[: len(off) // 2].any():  # slipped out, it would be later
         what = f"{off.sum()} of {len(off)} clouds lie at its place of another time"
         yield Fault(what, where, "check the order of the clouds, and both clocks")
+
+
+def _check_up(recording: RecordingData) -> Iterator[Fault]:
+    """Check that z points up: grippers rise along it, and what they hold hangs below them. Where
+    another axis does, the object lay flat across that one before."""
+    frames = np.flatnonzero(recording.frame_valid)
+    if len(frames) == 0 or not recording.cameras_calibrated:
+        return
+    way = recording.gripper_position.mean(axis=1)
+    way = way - way[frames[0]]
+    farthest = way[int(np.argmax(np.linalg.norm(way, axis=1)))]
+    if np.linalg.norm(farthest) < 0.02:
+        return
+    late = frames[-max(1, len(frames) // 3) :]
+    held = recording.gripper_position.mean(axis=1)
+    hang = np.mean([recording.frame(int(t)).mean(axis=0) - held[t] for t in late], axis=0)
+    rise, hang = farthest / np.linalg.norm(farthest), hang / np.linalg.norm(hang)
+    extent = np.ptp(recording.frame(int(frames[0])), axis=0)
+    for up, (name, right) in _UPS.items():
+        along = float(hang @ up)
+        flat = float(extent @ np.abs(up)) < 0.35 * extent.max()
+        if rise @ up > 0.8 and along < -0.15 and hang[2] > along and flat:
+            low = float(recording.frame(int(frames[0]))[:, 2].min())
+            height = recording.table_height
+            lies = height is not None and abs(low - height) < 0.05
+            what = f"the gripper rises along {name}, and the object hangs below it there"
+            fix = f"give z up: {right} in place of x, y, z"
+            fix += ", unless the object was dragged over the table" if lies else ""
+            yield Fault(what, "points", fix, "warning" if lies else "error")

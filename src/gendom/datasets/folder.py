@@ -31,6 +31,9 @@ READERS: dict[str, Callable[[Path], np.ndarray]] = {
 }
 """Readers of clouds, by file suffix."""
 
+BAGS = (".db3", ".mcap", ".bag")
+"""Suffixes of ROS bags' files."""
+
 # Keys of object.toml that belong beside the table [object]. TOML gives keys written below a
 # table's head to that table, so they are also looked for there.
 _TOP_KEYS = ("table_height", "gripper_source", "quasi_static", "robot", "camera_positions")
@@ -67,6 +70,17 @@ def read_folder(folder: str | os.PathLike) -> tuple[dict[str, np.ndarray], dict[
     ordered = in_order(list(names), arrays["time"], where=str(folder))
     clouds = [READERS[suffix](names[name]) for name in ordered]
     return {**arrays, **joined(clouds)}, meta
+
+
+def bag_files(path: str | os.PathLike) -> list[Path]:
+    """What of a ROS bag is opened: a folder with metadata.yaml, or else the files of one kind in
+    it, or the file itself; empty: it is no bag."""
+    path = Path(path)
+    if not path.is_dir():
+        return [path] if path.suffix in BAGS else []
+    if (path / "metadata.yaml").exists():
+        return [path]
+    return next(filter(None, (sorted(path.glob(f"*{suffix}")) for suffix in BAGS)), [])
 
 
 def _wanted(holds: Any, what: str, where: str | Path, fix: str) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import os
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ import numpy as np
 
 from gendom.arguments import require
 from gendom.datasets.checks import check
-from gendom.datasets.folder import read_folder
+from gendom.datasets.folder import bag_files, read_folder
 from gendom.datasets.npz import read_npz
 from gendom.datasets.recording_form import (
     STORED_ARRAYS,
@@ -32,8 +33,6 @@ from gendom.errors import GendomError, RecordingError
 from gendom.files import atomic_path, to_json
 
 _log = logging.getLogger(__name__)
-
-_BAGS = (".bag", ".db3", ".mcap")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -122,13 +121,9 @@ def _read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any], str, list[F
     faults of the meta's keys."""
     is_lerobot = (path / "meta/info.json").is_file()
     described = is_lerobot or (path / "gripper.csv").is_file()
-    is_bag = path.suffix in _BAGS or ((path / "metadata.yaml").is_file() and not described)
-    of_camera = "put it into DIR/cameras/NAME and run gendom perceive DIR"
-    fix = f"turn it into a recording: gendom import (ROS 2), or {of_camera} (RealSense)"
-    if path.suffix == ".bag":
-        fix = f"of ROS 1, rosbags-convert --src {path.name} --dst NEW makes one of ROS 2; of a "
-        fix += f"RealSense camera, {of_camera}"
-    require(not is_bag, "is a bag", where=str(path), fix=fix, error=RecordingError)
+    fix = f"gendom doctor {shlex.quote(str(path))} says what is in it and what makes a recording of"
+    is_bag = bag_files(path) and not described
+    require(not is_bag, "is a bag", where=str(path), fix=f"{fix} it", error=RecordingError)
     if path.is_dir() and not is_lerobot:
         arrays, meta = read_folder(path)
         what, key = "is not given, so there is no table", "table_height"

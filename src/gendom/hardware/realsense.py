@@ -18,7 +18,7 @@ from gendom.arguments import require
 from gendom.errors import DeviceError
 from gendom.hardware.cell import CellCamera
 from gendom.hardware.contracts import Recorded
-from gendom.perception.camera import write_pose
+from gendom.perception.camera_file import write_pose
 from gendom.perception.realsense import realsense_sdk, write_checksum
 from gendom.perception.rosbag import Bag
 

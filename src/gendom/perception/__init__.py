@@ -1,7 +1,8 @@
 """From depth pictures to point clouds: cameras, segmentation, fusion, calibration."""
 
 from gendom.perception.calibration import Board, BoardView, Calibration, calibrate
-from gendom.perception.camera import Camera, read_camera, write_camera
+from gendom.perception.camera import Camera
+from gendom.perception.camera_file import read_camera, write_camera
 from gendom.perception.cloud import (
     STAGES,
     CameraView,
@@ -14,7 +15,7 @@ from gendom.perception.frames import CameraReader, Frame, FrameSource, MatchedFr
 from gendom.perception.perceive import Perceived, perceive
 from gendom.perception.realsense import RealSenseRecording
 from gendom.perception.robot import Capsules
-from gendom.perception.ros import RosSettings, bag_files, read_ros_bag
+from gendom.perception.ros import RosSettings, read_ros_bag, read_ros_cameras
 
 __all__ = [
     "STAGES",
@@ -38,12 +39,12 @@ __all__ = [
     "RealSenseRecording",
     "RobotPath",
     "RosSettings",
-    "bag_files",
     "calibrate",
     "perceive",
     "perceive_frame",
     "read_camera",
     "read_cameras",
     "read_ros_bag",
+    "read_ros_cameras",
     "write_camera",
 ]

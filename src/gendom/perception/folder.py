@@ -6,7 +6,7 @@
       joints.csv             optional: the robot's joint angles, see `gendom.robot`
       capsules.csv           optional: shape of the robot, or of what else is in the way
       cameras/NAME/
-        camera.toml          see `gendom.perception.camera`
+        camera.toml          see `gendom.perception.camera_file`
         frames.csv           time,depth[,colour]: seconds, and files relative to this folder
         depth/*.png          16 bit grey, counts of depth_unit along the optical axis, 0: none
         colour/*.png         8 bit, of the depth's size and aligned with it
@@ -34,7 +34,8 @@ from PIL import Image
 from gendom.arrays import Array
 from gendom.datasets import Fault
 from gendom.datasets.folder import check_named, read_gripper, read_object
-from gendom.perception.camera import Camera, expect, read_camera, write_camera
+from gendom.perception.camera import Camera, expect
+from gendom.perception.camera_file import read_camera, write_camera
 from gendom.perception.frames import (
     CameraReader,
     Frame,

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from gendom.arguments import time_text
 from gendom.arrays import Array
 from gendom.datasets import Fault
 from gendom.errors import RecordingError
@@ -137,7 +138,10 @@ class MatchedFrames:
 def _in_order(source: Iterable[Frame]) -> Iterator[Frame]:
     last = -np.inf
     for frame in source:
-        what, fix = f"time goes from {last:.6g} s to {frame.time:.6g} s", "sort the frames"
+        what, fix = (
+            f"time goes from {time_text(last)} s to {time_text(frame.time)} s",
+            "sort the frames",
+        )
         expect(frame.time > last, what, where=frame.where, fix=f"{fix} and drop repeated ones")
         yield frame
         last = frame.time

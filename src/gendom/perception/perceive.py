@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from gendom.arguments import require
+from gendom.arguments import require, time_text
 from gendom.datasets import Fault, Recording
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
@@ -355,7 +355,9 @@ class _Perception:
         """Warn of frames that are left out, and refuse if none is left."""
         late, used = f"{self.settings.sync_tolerance:g} s", matched.used
         pairs = zip(self.names, matched.spans, strict=True)
-        spans = ", ".join(f"{name} {first:.6g} to {last:.6g} s" for name, (first, last) in pairs)
+        spans = ", ".join(
+            f"{name} {time_text(first)} to {time_text(last)} s" for name, (first, last) in pairs
+        )
         what = f"no frames of the cameras lie within {late} ({spans})"
         self._require(used, what, "put all time stamps on one clock, or raise --sync-tolerance")
         for name, alone in zip(self.names, matched.alone, strict=True):
@@ -364,7 +366,7 @@ class _Perception:
                 what += f"within {late}; they are left out"
                 self._warn(what, f"camera {name!r}", "check the cameras' clocks if there are many")
         path = self.recorded.robot.time
-        times = f"{path[0]:.6g} to {path[-1]:.6g} s"
+        times = f"{time_text(path[0])} to {time_text(path[-1])} s"
         if self.unreadable:
             first, count = self.unreadable[0], len(self.unreadable)
             where, fix = first.where or self.recorded.where, first.fix or ""

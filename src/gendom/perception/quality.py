@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse.csgraph import minimum_spanning_tree
@@ -9,7 +11,8 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from gendom.arrays import Array
-from gendom.datasets import ObjectDescription
+from gendom.datasets import Fault, ObjectDescription
+from gendom.perception.camera import Camera
 from gendom.perception.cloud import unique_cells
 
 MAX_DISAGREEMENT = 0.02
@@ -18,6 +21,9 @@ MAX_DISAGREEMENT = 0.02
 MOST_COVERED = {"rope": 3.5, "cloth": 2.5}
 """Largest `times_own_area` by kind (docs/perception.md#what-else-is-in-view has the evidence)."""
 
+_FIELD = (25.0, 130.0)  # [degrees] across the wider side that depth cameras see
+_OFF_CENTRE = 0.15  # of the pictures' size, at most, that their centre lies from the middle
+_LEVEL = 0.15  # of the points lie on the largest plane of a scene with a table
 _CELL = 0.005  # [m]
 _THICKEST = 0.07  # of its length, a rope of unknown diameter
 _PAIRED_SHARE = 0.6  # of the points: each camera also sees what the other cannot
@@ -122,3 +128,33 @@ def _spaced(points: np.ndarray, spacing: float) -> np.ndarray:
         chosen.append(left[0])
         left = left[((left - left[0]) ** 2).sum(axis=1) >= spacing**2]
     return np.array(chosen)
+
+
+def odd_intrinsics(camera: Camera) -> Iterator[Fault]:
+    """Faults of a camera whose K is unusual for pictures of its size, as one of other pictures or
+    of a cropped part is."""
+    (fx, _, cx), (_, fy, cy) = camera.K[0], camera.K[1]
+    width, height = camera.width, camera.height
+    field = float(np.degrees(2.0 * np.arctan(0.5 * max(width / fx, height / fy))))
+    fix = "give K of the stream that these pictures are of"
+    if abs(cx / width - 0.5) > _OFF_CENTRE or abs(cy / height - 0.5) > _OFF_CENTRE:
+        what = f"its centre ({cx:.0f}, {cy:.0f}) is that of {2 * cx:.0f} x {2 * cy:.0f} pictures, "
+        what += f"not of {width} x {height}"
+        yield Fault(what, f"{camera.name}: K", f"{fix}; crop shifts the centre", "warning")
+    elif not _FIELD[0] < field < _FIELD[1]:
+        what = f"it sees {field:.0f} degrees"
+        yield Fault(what, f"{camera.name}: K", fix, "warning")
+    if abs(fx / fy - 1.0) > 0.05:
+        what = f"its focal lengths differ, {fx:.1f} and {fy:.1f} pixels"
+        yield Fault(what, f"{camera.name}: K", f"{fix}, resized alike in both", "warning")
+
+
+def level_axis(points: npt.NDArray[np.floating]) -> int | None:
+    """The axis across which the largest plane of points [n, 3] [m] lies, 0, 1 or 2: 2 where z is
+    up and there is a table; None: there is no such plane."""
+    shares = []
+    for x in points.T:
+        counts = np.bincount(((x - x.min()) / 0.01).astype(np.int64))
+        shares.append(np.convolve(counts, [1, 1, 1]).max() / len(x))
+    best = int(np.argmax(shares))
+    return best if len(points) > 300 and shares[best] > _LEVEL else None

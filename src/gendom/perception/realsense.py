@@ -35,7 +35,8 @@ from gendom.datasets import Fault
 from gendom.errors import DeviceError, RecordingError
 from gendom.files import atomic_path
 from gendom.installation import how_to_install
-from gendom.perception.camera import Camera, expect, read_camera
+from gendom.perception.camera import Camera, expect
+from gendom.perception.camera_file import read_camera
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Pictures
 from gendom.perception.rosbag import Bag, Entry
 from gendom.reading import read_bytes

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from gendom.arguments import time_text
 from gendom.arrays import Array
 from gendom.datasets import Fault
 from gendom.errors import RecordingError, RobotError
@@ -164,7 +165,8 @@ def read_shape(
         shape = arm_capsules(arm, states, held=width)
         first, last = states.time[0], states.time[-1]
         if first > span[0] + _MAX_GAP_AT_ENDS or last < span[1] - _MAX_GAP_AT_ENDS:
-            what = f"spans {first:.6g} to {last:.6g} s of {span[0]:.6g} to {span[1]:.6g} s: "
+            what = f"spans {time_text(first)} to {time_text(last)} s of {time_text(span[0])} to "
+            what += f"{time_text(span[1])} s: "
             what += "outside, the arm is taken to stand still"
             fix = "put joints and gripper on one clock, or record both throughout"
             on_warning(Fault(what, str(joints), fix, "warning"))

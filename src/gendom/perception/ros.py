@@ -1,56 +1,66 @@
-"""Recordings from ROS 2 bags: clouds of a topic, and the gripper's motion from TF or a topic.
+"""Recordings from bags of ROS 1 and ROS 2: what cameras saw, and the gripper's motion.
 
-A bag is a folder with metadata.yaml, or one or all of its files (.db3, .mcap). Read are
+A bag is a folder with metadata.yaml, or one or all of its files (.bag, .db3, .mcap). Read are
 
-    sensor_msgs/msg/PointCloud2    the clouds, of one topic, or
-    sensor_msgs/msg/Image          depth, 16UC1 in millimetres or 32FC1 in metres, also as a
-                                   CompressedImage (PNG), with its CameraInfo
-    tf2_msgs/msg/TFMessage         /tf and /tf_static: where frames are
-    geometry_msgs/msg/PoseStamped  the gripper, where it is no frame of TF
+    sensor_msgs/PointCloud2        clouds, of one topic or several
+    sensor_msgs/Image              depth, 16UC1 in millimetres or 32FC1 in metres, and colour; also
+                                   CompressedImage (depth PNG, colour PNG or JPEG); with CameraInfo
+    tf2_msgs/TFMessage             /tf and /tf_static: where frames are
+    geometry_msgs/PoseStamped,     the gripper, where it is no frame of TF
+    TransformStamped, FrankaState
+    sensor_msgs/JointState         the robot's joints, to take its shape out of the clouds
 
-Clouds and the gripper are brought into one frame, the world's. Times are those of the headers.
+`read_ros_bag` takes the clouds as they are, `read_ros_cameras` makes cameras of them for
+`gendom.perception.perceive`, which removes table and robot. All is brought into one frame, the
+world's. Times are those of the headers.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
-from dataclasses import dataclass
-from functools import cached_property
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 from gendom.datasets import Fault, Recording
 from gendom.datasets.folder import read_object
-from gendom.datasets.npz import short
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
-from gendom.perception.camera import Camera, expect, rigid
-from gendom.perception.rosbag import (
-    ANY_SIZE,
-    ZSTD,
-    decompressed,
-    open_database,
-    packed_picture,
-    raw_picture,
+from gendom.perception.camera import expect
+from gendom.perception.folder import CameraRecording, RobotPath
+from gendom.perception.frames import MatchedFrames
+from gendom.perception.poses import read_poses
+from gendom.perception.robot import CapsulePath, arm_capsules
+from gendom.perception.ros_bag import RosBag
+from gendom.perception.ros_cameras import (
+    DEPTH_UNIT,
+    RosCamera,
+    RosCloudCamera,
+    check_size,
+    colour_topic,
+    intrinsics,
+    topics_of,
 )
-from gendom.reading import check_unpacked, file_size, read_bytes
-
-Array = NDArray[np.float64]
-
-CLOUD, IMAGE, PACKED, INFO = (
-    f"sensor_msgs/msg/{name}" for name in ("PointCloud2", "Image", "CompressedImage", "CameraInfo")
+from gendom.perception.ros_frames import Array, FrameTree, Track, stamp
+from gendom.perception.ros_messages import (
+    CLOUD,
+    IMAGE,
+    JOINTS,
+    PACKED,
+    POSES,
+    TF,
+    depth_of,
+    points_of,
 )
-POSE, TF = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
-_SUFFIXES = (".db3", ".mcap")
-_LARGEST_METADATA, _MOST_MARKS = 1 << 17, 6000  # [bytes], lines and parts: YAML is read slowly
-_DENORMAL = 0.01  # of a quaternion's squared length, as tf2 has it
-_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of PointField
+from gendom.robot import Arm, JointStates, find_arm
+
+Box = tuple[float, float, float, float, float, float]
+
+_MOST_SHIFT, _MOST_TURN = 0.002, np.radians(0.2)  # [m], [rad]; beyond, a camera moves
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,24 +69,12 @@ class RosSettings:
 
     gripper: str = ""
     """Of a bag: frame of the point between the fingertips, or topic of its poses."""
-    points: str | None = None
-    """Of a bag: topic of the clouds, if there are several."""
+    points: tuple[str, ...] = ()
+    """Of a bag: topics of the clouds or the depth; by default all, one of each frame."""
     world: str | None = None
     """Of a bag: frame of the recording, z up; by default the root of TF."""
-    workspace: tuple[float, float, float, float, float, float] | None = None
-    """Of a bag: x, y and z from and to in the world, in metres; points elsewhere are left out."""
-
-
-def bag_files(path: str | os.PathLike) -> list[Path]:
-    """What of a ROS 2 bag is opened: a folder with metadata.yaml, or else the files of one kind in
-    it, or the file itself; empty: it is no bag."""
-    path = Path(path)
-    if not path.is_dir():
-        return [path] if path.suffix in _SUFFIXES else []
-    if (path / "metadata.yaml").exists():
-        return [path]
-    found = [sorted(path.glob(f"*{suffix}")) for suffix in _SUFFIXES]
-    return next(filter(None, found), [])
+    poses: tuple[Path, ...] = ()
+    """Of a bag: files with cameras' poses, of easy_handeye (YAML) or MoveIt (a launch file)."""
 
 
 def read_ros_bag(
@@ -84,357 +82,310 @@ def read_ros_bag(
     object_file: str | os.PathLike,
     settings: RosSettings,
     *,
+    workspace: Box | None = None,
     on_warning: Callable[[Fault], None] = lambda _: None,
 ) -> Recording:
-    """Read a recording from a bag.
+    """Read a recording from a bag, its clouds as they are.
 
     Args:
         path: The bag.
         object_file: What is held, as object.toml of a folder (see `gendom.datasets.folder`).
         settings: What is read.
+        workspace: x0 y0 z0 x1 y1 z1 in the world [m]; points elsewhere are left out.
         on_warning: Called with what is left out.
 
     Raises:
         RecordingError: The bag cannot be read or lacks something, or the recording is not valid.
         ModuleNotFoundError: There is no rosbags.
     """
-    where = str(path)
-    values, faults = parse_meta(read_object(Path(object_file)))
-    if faults:
-        raise RecordingError(where=str(object_file), faults=faults)
-    with _opened(path) as bag:
-        topics = {c.topic: c.msgtype for c in bag.connections}
-        topic = _cloud_topic(topics, settings.points, where)
-        points_of = _reader(bag, topics, topic, where)
-        frames, gripper, poses = _Frames(where), settings.gripper, None
-        for name, message in _messages(bag, *(name for name, kind in topics.items() if kind == TF)):
-            for stated in message.transforms:
-                frames.add(stated, still=name.endswith("tf_static"))
-        if gripper.startswith("/"):
-            _check_type(topics, gripper, POSE, where)
-            poses = _Track(f"{where}: {gripper}")
-            for _, message in _messages(bag, gripper):
-                poses.add(message.header, message.pose.position, message.pose.orientation)
-            expect(poses.times, "has no message", where=poses.where, fix="record it")
-        world, clouds, times, positions, left_out = settings.world or frames.root, [], [], [], 0
-        for _, message in _messages(bag, topic):
-            time, frame = _time(message.header), message.header.frame_id
-            world = world or frame
-            try:
-                T = frames.between(world, frame, time)
-                held = frames.between(world, poses.frame if poses else gripper, time)
-                held = held @ poses.at(time) if poses else held
-            except _OutOfTimeError:
-                left_out += 1
-                continue
-            cloud = points_of(message) @ T[:3, :3].T + T[:3, 3]
-            if settings.workspace is not None:
-                low, high = np.reshape(settings.workspace, (3, 2)).T
-                cloud = cloud[((cloud >= low) & (cloud <= high)).all(axis=1)]
-            clouds.append(cloud.astype(np.float32))
-            times.append(time)
-            positions.append(held[:3, 3])
+    scene = _Scene(path, object_file, settings)
+    chosen = _chosen(scene, settings.points, (CLOUD, IMAGE, PACKED))
+    points_in = {topic: _points_in(scene.bag, topic) for topic in chosen}
+    matched = MatchedFrames([scene.bag.frames(topic) for topic in chosen])
+    clouds, times, positions, left_out = [], [], [], 0
+    for frames in matched:
+        parts = [
+            scene.placed(frame.read(), points_in[t])
+            for t, frame in zip(chosen, frames, strict=True)
+        ]
+        time = float(np.mean([frame.time for frame in frames]))
+        held = scene.gripper(np.array([time]), parts[0][1])[0, 0]
+        cloud = np.concatenate([part for part, _ in parts])
+        if not np.isfinite(held).all() or not np.isfinite(cloud).all():
+            left_out += 1
+            continue
+        if workspace is not None:
+            low, high = np.reshape(workspace, (2, 3))
+            cloud = cloud[((cloud >= low) & (cloud <= high)).all(axis=1)]
+        clouds.append(cloud.astype(np.float32))
+        times.append(time)
+        positions.append(held)
+    where, topics = scene.bag.where, ", ".join(chosen)
     what = f"none of {left_out} clouds lies in the time in which the gripper's place is known"
+    what = what if matched.used else f"no clouds of {topics} are of one time"
     fix = "record /tf, or the gripper's poses, as long as the clouds"
     expect(clouds, what, where=where, fix=fix)
     if left_out:
         what = f"{left_out} of {left_out + len(clouds)} clouds lie outside of the time in which "
         what += "frames are known; they are left out"
-        on_warning(Fault(what, topic, "record /tf as long as the clouds", "warning"))
-    values["source"] = values["source"] or f"ROS bag {Path(path).name}"
-    values["extra"] |= {"ros": {"points": topic, "gripper": gripper}}
-    values["extra"] |= {"started": times[0], "world": world}
-    time = np.array(times) - times[0]
-    made = Recording.from_frames(clouds, time=time, gripper_position=np.array(positions), **values)
-    made.require_valid(where, on_warning=on_warning)
+        on_warning(Fault(what, topics, "record /tf as long as the clouds", "warning"))
+    for topic, alone in zip(chosen, matched.alone, strict=True):
+        if alone:
+            what = f"{alone} of {alone + matched.used} clouds match none of the other topics"
+            on_warning(Fault(f"{what}; they are left out", topic, "check the clocks", "warning"))
+    values = scene.values
+    values["extra"] |= {"ros": {"points": chosen, "gripper": settings.gripper}}
+    values["extra"] |= {"started": times[0], "world": scene.world}
+    time, position = np.array(times) - times[0], np.array(positions)[:, None]
+    made = Recording.from_frames(clouds, time=time, gripper_position=position, **values)
+    try:
+        made.require_valid(where, on_warning=on_warning)
+    except RecordingError as error:
+        if workspace is None and any(f.where == "points" for f in error.faults):
+            fault = error.faults[0]
+            fix = f"{fault.fix}; if table or robot are in the clouds: gendom perceive {path} "
+            faults = [replace(fault, fix=f"{fix}--gripper {settings.gripper}"), *error.faults[1:]]
+            raise RecordingError(where=where, faults=faults) from None
+        raise
     return made
 
 
-@contextmanager
-def _opened(path: str | os.PathLike) -> Iterator[Any]:
-    """The bag's reader."""
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
+def read_ros_cameras(
+    path: str | os.PathLike,
+    object_file: str | os.PathLike,
+    settings: RosSettings,
+    *,
+    cameras: Sequence[str] = (),
+    arm: Arm | None = None,
+) -> CameraRecording:
+    """Cameras, the robot's path and the object of a bag, for `gendom.perception.perceive`.
 
-    files, store = bag_files(path), get_typestore(Stores.ROS2_HUMBLE)
-    there, fix = bool(files) and Path(path).exists(), "check the path"
-    expect(there, "no such bag", where=str(path), fix=fix)
-    try:
-        for file in files if files[0].is_file() else sorted(files[0].iterdir()):
-            _check_file(file)
-        with AnyReader(files, default_typestore=store) as bag:
-            yield bag
-    except (RecordingError, ModuleNotFoundError):
-        raise
-    except Exception as error:  # the reader's, and whatever its decoders make of damaged data
-        what = f"cannot be read as a ROS 2 bag ({short(error)})"
-        fix = "give the bag's folder, whole; ros2 bag reindex may mend it"
-        raise RecordingError(what, where=str(path), fix=fix) from error
+    Clouds of an optical frame become pictures of a camera, that of a CameraInfo of their frame if
+    there is one.
 
+    Args:
+        path: The bag.
+        object_file: What is held, as object.toml of a folder (see `gendom.datasets.folder`).
+        settings: What is read.
+        cameras: Names of those to use, the first parts of their topics; by default all.
+        arm: The robot of the joint states; by default the one that the object's file names.
 
-def _check_file(path: Path) -> None:
-    """Refuse a bag's file that is no regular file or plain database, or in which something is
-    damaged or unpacks to too much."""
-    if path.suffix == ".yaml":
-        text = read_bytes(path, RecordingError, most=_LARGEST_METADATA)
-        marks = sum(map(text.count, (b"\n", b"[", b"{", b",", b"- ", b"? ")))
-        what, fix = f"has {marks} lines and parts, at most {_MOST_MARKS} are read", "split the bag"
-        expect(marks <= _MOST_MARKS, what, where=str(path), fix=fix)
-    elif path.suffix == ".db3":
-        with closing(open_database(path)) as database:
-            packed = "SELECT data FROM messages WHERE substr(data, 1, 4) = ?"
-            for (data,) in database.execute(packed, (ZSTD,)):
-                decompressed(data)
-    elif path.suffix in (".mcap", ".zstd"):
-        size = file_size(path, RecordingError, most=ANY_SIZE)
-        with open(path, "rb") as file:
-            if path.suffix == ".mcap":
-                _check_chunks(file, size)
-            else:
-                _check_stream(file, size)
-
-
-def _check_chunks(file: BinaryIO, size: int) -> None:
-    """Unpack each chunk of a .mcap file (its specification, "Chunk")."""
-    at = 8
-    while at < size:
-        file.seek(at)
-        head = file.read(49)
-        kind, length = head[0], int.from_bytes(head[1:9], "little")
-        if kind == 6 and len(head) == 49:
-            word = int.from_bytes(head[37:41], "little")
-            codec = (head[41:] + file.read(word))[: min(word, 8)].decode("latin-1")
-            file.seek(at + 49 - 8 + word)
-            packed = file.read(min(int.from_bytes(file.read(8), "little"), size))
-            if codec in ("lz4", "zstd"):
-                decompressed(packed, codec)
-        at += 9 + length
+    Raises:
+        RecordingError: The bag cannot be read or lacks something, or a camera moves.
+        ModuleNotFoundError: There is no rosbags.
+    """
+    scene = _Scene(path, object_file, settings)
+    where, names = scene.bag.where, {}
+    chosen = _chosen(scene, settings.points, (IMAGE, PACKED, CLOUD))
+    for topic, name in _named(chosen).items():
+        names[name] = topic
+    for name in cameras:
+        what, fix = f"there is no camera {name!r}", f"have {', '.join(names)}"
+        expect(name in names, what, where=where, fix=fix)
+    sources = [_camera(scene, name, names[name]) for name in cameras or names]
+    frame = sources[0].frame_id
+    scene.world = scene.world or frame
+    placed: list[Any] = []
+    for source in sources:
+        placed.append(source.at(_at_rest(scene, source.frame_id)))
+    times = scene.times()
+    position = scene.gripper(times, frame)
+    known = np.isfinite(position).all(axis=(1, 2))
+    what, fix = "does not move, or its place is never known", "record /tf, or the gripper's poses"
+    expect(known.sum() > 1, what, where=f"{where}: {settings.gripper}", fix=fix)
+    path_of = RobotPath(times[known], position[known])
+    capsules = _capsules(scene, arm)
+    return CameraRecording(placed, path_of, scene.meta, capsules, where)
 
 
-def _check_stream(file: BinaryIO, size: int) -> None:
-    """Unpack a file of zstd, piece by piece."""
-    import pyarrow
+class _Scene:
+    """A bag's tree of frames, the gripper's track in it and the object."""
 
-    there = 0
-    with pyarrow.CompressedInputStream(file, "zstd") as stream:
-        while piece := stream.read(1 << 20):
-            there += len(piece)
-            check_unpacked(there, size, "compressed file", RecordingError)
+    def __init__(self, path: str | os.PathLike, object_file: Any, settings: RosSettings):
+        object_file = Path(object_file)
+        self.meta = {"gripper_source": "measured", **read_object(object_file)}
+        self.values, faults = parse_meta(self.meta)
+        if faults:
+            raise RecordingError(where=str(object_file), faults=faults)
+        self.bag, self.track, self.name = RosBag(path), None, settings.gripper
+        where, topics = self.bag.where, self.bag.topics
+        self.values["source"] = self.values["source"] or f"ROS bag {Path(path).name}"
+        self.frames = FrameTree(where)
+        of_tf = [name for name, kind in topics.items() if kind in TF]
+        for name, message in self.bag.messages(*of_tf):
+            for stated in message.transforms:
+                self.frames.add(stated, still=name.endswith("tf_static"))
+        for file in settings.poses:
+            for pose in read_poses(file):
+                self.frames.attach(pose)
+        self.world = settings.world or self.frames.root
+        if self.name.startswith("/"):
+            self.track = self._poses(self.name)
+
+    def _poses(self, topic: str) -> Track:
+        """The gripper's track from a topic; of one that names no frame it is in the world."""
+        kind = self.bag.topics.get(topic, "")
+        _check_type(self.bag, topic, tuple(POSES))
+        track = Track(f"{self.bag.where}: {topic}")
+        for _, message in self.bag.messages(topic):
+            header = getattr(message, "header", None) or message.o_t_ee.header
+            track.add(header.frame_id.lstrip("/"), stamp(header), *POSES[kind](message))
+        expect(track.times, "has no message", where=track.where, fix="record it")
+        return track
+
+    def gripper(self, times: Array, seen_in: str) -> Array:
+        """[N, 1, 3] places at times [s] in the world, which without TF is the frame in which things
+        are seen [m]; NaN: unknown."""
+        self.world = self.world or seen_in
+        if self.track is None:
+            return self.frames.between(self.world, self.name, times)[:, None, :3, 3]
+        frame = self.track.frame or self.world
+        T = self.frames.between(self.world, frame, times) @ self.track.at(times)
+        return T[:, None, :3, 3]
+
+    def times(self) -> Array:
+        """Times at which the gripper's place is known [s]."""
+        if self.track is None:
+            return self.frames.times(self.name, self.world)
+        return np.unique(self.track.times)
+
+    def placed(self, message: Any, points_in: Callable[[Any], Array]) -> tuple[Array, str]:
+        """A message's points [n, 3] in the world [m], NaN where its place is unknown, and the frame
+        it is in."""
+        frame = message.header.frame_id.lstrip("/")
+        self.world = self.world or frame
+        (T,) = self.frames.between(self.world, frame, np.array([stamp(message.header)]))
+        return points_in(message) @ T[:3, :3].T + T[:3, 3], frame
 
 
-def _messages(bag: Any, *topics: str) -> Iterator[tuple[str, Any]]:
-    """Topics and messages of some topics, in the order in which they came."""
-    wanted = [c for c in bag.connections if c.topic in topics]
+def _check_type(bag: RosBag, name: str, kinds: Sequence[str]) -> None:
+    """Refuse a topic that is missing or of another type."""
+    others = ", ".join(n for n, k in bag.topics.items() if k in kinds)
+    wanted = " or ".join(kinds)
+    what = f"{name} is no {wanted}" if name in bag.topics else f"has no topic {name} of {wanted}"
+    fix = f"give one of: {others}" if others else "record one"
+    what += "" if others else ", nor another one"
+    expect(bag.topics.get(name) in kinds, what, where=bag.where, fix=fix)
+
+
+def _chosen(scene: _Scene, wanted: Sequence[str], kinds: tuple[str, ...]) -> list[str]:
+    """The topics that are read: those wanted, or of the first kind that there is all, but for the
+    same pictures once more."""
+    bag = scene.bag
+    for topic in wanted:
+        _check_type(bag, topic, (CLOUD, IMAGE, PACKED))
     if wanted:
-        for connection, _, data in bag.messages(connections=wanted):
-            yield connection.topic, bag.deserialize(data, connection.msgtype)
-
-
-def _cloud_topic(topics: dict[str, str], wanted: str | None, where: str) -> str:
-    """The topic of the clouds, or else of depth pictures."""
-    if wanted is not None:
-        if topics.get(wanted) not in (IMAGE, PACKED):
-            _check_type(topics, wanted, CLOUD, where)
-        return wanted
-    own = [name for name, kind in topics.items() if kind == CLOUD]
-    is_realsense = not own and any(name.startswith("/device_0/") for name in topics)
+        return list(wanted)
+    is_realsense = any(name.startswith("/device_0/") for name in bag.topics)
     what = "is a recording of the RealSense SDK, of depth pictures"
     fix = "put it into DIR/cameras/NAME and run gendom perceive DIR"
-    expect(not is_realsense, what, where=where, fix=fix)
-    for kind in (IMAGE, PACKED):
-        depth = [name for name, k in topics.items() if k == kind and "depth" in name.lower()]
-        own = own or depth
-    what = f"has {len(own)} topics of clouds or depth" + (f": {', '.join(own)}" if own else "")
-    fix = "name one with --points" if own else f"record a {CLOUD}, or depth and its CameraInfo"
-    expect(len(own) == 1, what, where=where, fix=fix)
-    return own[0]
+    expect(not is_realsense, what, where=bag.where, fix=fix)
+    found: list[str] = next(filter(None, (topics_of(bag, kind) for kind in kinds)), [])
+    fix = f"record a {CLOUD}, or depth and its CameraInfo"
+    expect(found, "has no topic of clouds or depth", where=bag.where, fix=fix)
+    by_frame: dict[str, str] = {}
+    for topic in found:
+        message = bag.first(topic)
+        if message is None:
+            continue
+        frame, other = message.header.frame_id, by_frame.get(message.header.frame_id)
+        what = f"has {other} and {topic}, both of frame {frame}"
+        expect(other is None, what, where=bag.where, fix="name one with --points")
+        by_frame[frame] = topic
+    what = f"has no message of {', '.join(found)}"
+    expect(by_frame, what, where=bag.where, fix="record them")
+    return list(by_frame.values())
 
 
-def _reader(
-    bag: Any, topics: dict[str, str], topic: str, where: str
-) -> Callable[[Any], NDArray[np.floating]]:
+def _named(topics: list[str]) -> dict[str, str]:
+    """Topics and a short name for each: the first parts in which they differ."""
+    parts = {topic: topic.strip("/").split("/") for topic in topics}
+    for n in range(1, max(map(len, parts.values())) + 1):
+        names = {topic: "_".join(part[:n]) for topic, part in parts.items()}
+        if len(set(names.values())) == len(topics):
+            return names
+    return {topic: topic.strip("/").replace("/", "_") for topic in topics}
+
+
+def _points_in(bag: RosBag, topic: str) -> Callable[[Any], Array]:
     """What makes a cloud [n, 3] of a message, in its own frame [m]."""
-    where = f"{where}: {topic}"
-    if topics[topic] == CLOUD:
-        return lambda message: _points(message, where)
-    folders = topic.split("/")
-    above = ["/".join(folders[:n]) for n in range(len(folders) - 1, 0, -1)]
-    named = (f"{folder}/camera_info" for folder in above)
-    found = next((name for name in named if topics.get(name) == INFO), None)
-    info: Any = next((message for _, message in _messages(bag, found)), None) if found else None
-    what = "are depth pictures without a CameraInfo beside them"
-    expect(info, what, where=where, fix="record camera_info too")
-    K, D = np.reshape(info.k, (3, 3)), tuple(map(float, info.d))
-    if "image_rect" in topic:
-        K, D = np.reshape(info.p, (3, 4))[:, :3], ()
-    D = D if any(D) else ()
-    size = {"width": int(info.width), "height": int(info.height)}
-    camera = Camera(name=where, K=K, distortion=D, T_world_camera=None, **size)
+    where, kind = f"{bag.where}: {topic}", bag.topics[topic]
+    if kind == CLOUD:
+
+        def points(message: Any) -> Array:
+            cloud, seen = points_of(message, where)
+            return cloud[seen]
+
+        return points
+    camera = intrinsics(bag, topic, topic)
     rays = camera.rays()
 
-    def points(message: Any) -> NDArray[np.floating]:
-        try:
-            depth = _depth(message, topics[topic], where)
-        except ValueError as error:
-            raise RecordingError(f"is damaged ({error})", where=where, fix="copy it") from None
-        right = depth.size == len(rays)
-        what = f"is {depth.shape[1]} x {depth.shape[0]}, its CameraInfo {camera.width} x "
-        fix = "record the CameraInfo of these pictures"
-        expect(right, f"{what}{camera.height}", where=where, fix=fix)
+    def points_of_depth(message: Any) -> Array:
+        depth = depth_of(message, kind, where)
+        check_size(depth, camera, where)
         z = depth.reshape(-1, 1) * (1e-3 if depth.dtype == np.uint16 else 1.0)
         seen = (np.isfinite(z) & (z > 0.0))[:, 0]
         return rays[seen] * z[seen]
 
-    return points
+    return points_of_depth
 
 
-def _depth(message: Any, kind: str, where: str) -> NDArray[Any]:
-    """[height, width] uint16 [mm] or float32 [m] of a message; ValueError: it is damaged."""
-    data = np.asarray(message.data, dtype=np.uint8).tobytes()
-    if kind == PACKED:
-        depth, said = packed_picture(data, message.format, where), message.format
-    else:
-        order, size = "<>"[bool(message.is_bigendian)], (message.width, message.height)
-        depth = raw_picture(data, message.encoding, *size, message.step, order, where)
-        said = message.encoding
-    fix = "record 16UC1 or 32FC1, packed ones as 16UC1 PNG"
-    right = depth.ndim == 2 and not said.startswith("32FC1;")
-    expect(right, f"is {said[:40]!r}, no depth", where=where, fix=fix)
-    return depth
+def _camera(scene: _Scene, name: str, topic: str) -> RosCamera | RosCloudCamera:
+    """A topic as a camera, not placed yet."""
+    bag = scene.bag
+    if bag.topics[topic] == CLOUD:
+        return RosCloudCamera.of(bag, topic, name, scene.world)
+    depth = bag.first(topic)
+    what = "has no message"
+    expect(depth is not None, what, where=f"{bag.where}: {topic}", fix="record it")
+    is_float = bag.topics[topic] == IMAGE and depth.encoding.lower() == "32fc1"
+    camera = intrinsics(bag, topic, name, DEPTH_UNIT if is_float else 1e-3)
+    frame, beside = depth.header.frame_id.lstrip("/"), colour_topic(bag, topic)
+    if beside is None:
+        return RosCamera(bag, topic, camera, frame)
+    colour, message = intrinsics(bag, beside, f"{name}: colour"), bag.first(beside)
+    other = message.header.frame_id.lstrip("/")
+    (T,) = scene.frames.between(other, frame, np.array([stamp(depth.header)]))
+    return RosCamera(bag, topic, camera, frame, beside, colour, T)
 
 
-def _check_type(topics: dict[str, str], name: str, kind: str, where: str) -> None:
-    others = ", ".join(n for n, k in topics.items() if k == kind)
-    what = f"{name} is no {kind}" if name in topics else f"has no topic {name} of {kind}"
-    fix = f"give one of: {others}" if others else "record one"
-    what += "" if others else ", nor another one"
-    expect(topics.get(name) == kind, what, where=where, fix=fix)
+def _at_rest(scene: _Scene, frame: str) -> Array:
+    """Pose [4, 4] of a camera's frame in the world [m], which must not change."""
+    times = scene.frames.times(frame, scene.world)
+    some = times[np.unique(np.linspace(0, len(times) - 1, 50).astype(int))]
+    T = scene.frames.between(scene.world, frame, some)
+    T = T[np.isfinite(T).all(axis=(1, 2))]
+    expect(len(T), f"frame {frame} has no place", where=scene.bag.where, fix="record /tf longer")
+    shift = np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1).max()
+    cosine = 0.5 * (np.einsum("nij,ij->n", T[:, :3, :3], T[0, :3, :3]).min() - 1.0)
+    turn = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    what = f"frame {frame} moves in {scene.world} by {1e3 * shift:.1f} mm and {turn:.2g} rad"
+    fix = "name the robot's base with --world; clouds of a moving camera take gendom import"
+    right = shift <= _MOST_SHIFT and turn <= _MOST_TURN
+    expect(right, what, where=scene.bag.where, fix=fix)
+    return T[0]
 
 
-def _time(header: Any) -> float:
-    """Since 1970, to a quarter of a microsecond [s]."""
-    return header.stamp.sec + 1e-9 * header.stamp.nanosec
-
-
-class _OutOfTimeError(Exception):
-    """A moving frame's pose is unknown at a time."""
-
-
-class _Track:
-    """Pose of an object over time, in one frame; of static ones the last counts."""
-
-    def __init__(self, where: str, still: bool = False):
-        self.where, self.still = where, still
-        self.frame = ""
-        self.times: list[float] = []
-        self._poses: list[list[float]] = []
-
-    def add(self, header: Any, at: Any, turn: Any) -> None:
-        """A place and an orientation of messages."""
-        what = f"is in {header.frame_id} after {self.frame}"
-        expect(self.frame in ("", header.frame_id), what, where=self.where, fix="keep one")
-        self.frame = header.frame_id
-        self.times.append(_time(header))
-        self._poses.append([at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w])
-
-    @cached_property
-    def _settled(self) -> tuple[Array, Array]:
-        """Increasing times [M] [s] and poses [M, 7]; of equal times the last counts."""
-        times, back = np.unique(self.times[::-1], return_index=True)
-        poses = np.array(self._poses)[::-1][back]
-        right = np.isfinite(poses).all() and (np.linalg.norm(poses[:, 3:], axis=1) >= 0.5).all()
-        expect(right, "has a pose that is none", where=self.where, fix="record it again")
-        return times, poses
-
-    def at(self, time: float) -> Array:
-        """[4, 4] from its own axes to those of `frame` [m]; `_OutOfTimeError`: it moves, and `time`
-        lies before its first or after its last place."""
-        times, poses = self._settled
-        if self.still or len(times) == 1:
-            return rigid(Rotation.from_quat(poses[-1, 3:]).as_matrix(), poses[-1, :3])
-        if not times[0] <= time <= times[-1]:
-            raise _OutOfTimeError
-        k = max(int(np.searchsorted(times, time)), 1)
-        turns = Rotation.from_quat(poses[k - 1 : k + 1, 3:])
-        x = [np.interp(time, times, axis) for axis in poses[:, :3].T]
-        return rigid(Slerp(times[k - 1 : k + 1], turns)(time).as_matrix(), x)
-
-
-class _Frames:
-    """The tree of TF."""
-
-    def __init__(self, where: str):
-        self.where = where
-        self.tracks: dict[str, _Track] = {}
-
-    def add(self, stated: Any, *, still: bool) -> None:
-        """As tf2 does: a static pose replaces all before, a moving one a static one, and what is
-        no pose is ignored."""
-        child, moved = stated.child_frame_id.lstrip("/"), stated.transform
-        at, turn = moved.translation, moved.rotation
-        q = turn.x, turn.y, turn.z, turn.w
-        if not np.isfinite([at.x, at.y, at.z, *q]).all() or abs(np.dot(q, q) - 1.0) > _DENORMAL:
-            return
-        track = self.tracks.get(child)
-        if still or track is None or track.still:
-            self.tracks[child] = track = _Track(f"{self.where}: frame {child}", still)
-        track.add(stated.header, at, turn)
-
-    @property
-    def root(self) -> str:
-        """The frame in which all others are; empty without TF."""
-        parents = {track.frame.lstrip("/") for track in self.tracks.values()}
-        roots = sorted(parents - set(self.tracks))
-        what = f"TF has several roots: {', '.join(roots)}"
-        fix = "name the frame of the recording with --world"
-        expect(len(roots) <= 1, what, where=self.where, fix=fix)
-        return roots[0] if roots else ""
-
-    def between(self, to: str, start: str, time: float) -> Array:
-        """[4, 4] from the axes of `start` to those of `to` [m], as `_Track.at`."""
-        to, start = to.lstrip("/"), start.lstrip("/")
-        up, down = self._lineage(start), self._lineage(to)
-        shared = next((frame for frame in up if frame in down), "")
-        what = f"TF does not say where {start} is in {to}"
-        fix = f"give frames of one tree; it has {', '.join(sorted(self.tracks)) or 'none'}"
-        expect(shared in down, what, where=self.where, fix=fix)
-        legs = []
-        for way in (up, down):
-            T = np.eye(4)
-            for frame in way[: way.index(shared)]:
-                T = self.tracks[frame].at(time) @ T
-            legs.append(T)
-        return np.linalg.inv(legs[1]) @ legs[0]
-
-    def _lineage(self, frame: str) -> list[str]:
-        found = [frame]
-        while found[-1] in self.tracks:
-            parent = self.tracks[found[-1]].frame.lstrip("/")
-            what, new = f"TF has a loop at {parent}", parent not in found
-            expect(new, what, where=self.where, fix="mend it")
-            found.append(parent)
-        return found
-
-
-def _points(message: Any, where: str) -> Array:
-    """[n, 3] of a PointCloud2 in its own frame, without those that were not seen."""
-    fields, order = {f.name: f for f in message.fields}, "<>"[bool(message.is_bigendian)]
-    try:
-        at = [(fields[axis].offset, f"{order}{_TYPES[fields[axis].datatype]}") for axis in "xyz"]
-    except KeyError as error:
-        raise RecordingError(f"a cloud has no {error}", where=where, fix="record x, y, z") from None
-    step, row, least = message.point_step, message.row_step, message.width * message.point_step
-    data, shape = np.asarray(message.data, dtype=np.uint8), (message.height, message.width)
-    # Drivers leave it 0, or give the whole cloud's: then rows follow each other.
-    if row < least or len(data) < (message.height - 1) * row + least:
-        row = least
-    last = max(offset + np.dtype(kind).itemsize for offset, kind in at)
-    what = f"a cloud has {len(data)} bytes for {shape[0] * shape[1]} points of {step}"
-    fits = last <= step and len(data) >= message.height * least
-    expect(fits, what, where=where, fix="record it again")
-    if not shape[0] * shape[1]:
-        return np.zeros((0, 3))
-    raw = data.tobytes()
-    columns = [np.ndarray(shape, kind, raw, offset, (row, step)) for offset, kind in at]
-    cloud = np.stack(columns, axis=-1).reshape(-1, 3).astype(np.float64)
-    return cloud[np.isfinite(cloud).all(axis=1)]
+def _capsules(scene: _Scene, arm: Arm | None) -> CapsulePath | None:
+    """The robot's shape from its joint states, where it is known which robot it is."""
+    named, bag = scene.values["extra"].get("robot"), scene.bag
+    topics = [n for n, kind in bag.topics.items() if kind == JOINTS]
+    if not topics or (arm is None and not isinstance(named, str)):
+        return None
+    arm = arm or find_arm(named)
+    rows: dict[float, list[float]] = {}
+    for _, message in bag.messages(*topics):
+        # The arm's joints are numbered; fingers and others are not among the first of them.
+        joints = sorted(
+            (int(number[1]), float(q))
+            for name, q in zip(message.name, message.position, strict=False)
+            if (number := re.search(r"joint[_a-z]*(\d+)$", name)) and "finger" not in name
+        )
+        if len(joints) >= arm.joints:
+            rows[stamp(message.header)] = [q for _, q in joints[: arm.joints]]
+    if len(rows) < 2:
+        return None
+    times = sorted(rows)
+    states = JointStates(np.array(times), np.array([rows[t] for t in times]), None)
+    held = scene.values["object"]
+    return arm_capsules(arm, states, held=held.diameter or held.thickness or 0.0)

@@ -1,0 +1,82 @@
+"""`gendom doctor`: what lies in a file or folder, what is wrong with it, and the next command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from gendom.cli.arguments import Json
+from gendom.cli.outputs import check_places, fault_entry, print_result, tell_written
+from gendom.cli.recognised import look
+from gendom.errors import GendomError, RecordingError, printable
+from gendom.files import atomic_path, to_json
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """Say what lies there, check axes, units, intrinsics and crop, draw it, and name the next
+    command.
+
+    Known are recordings, folders of clouds or of depth pictures, bags of ROS 1 and 2, sets of
+    LeRobot, boards of a calibration, cameras' files, estimates, policies and demonstrations. Exit
+    code 2: it cannot be used; every fault is listed.
+
+    For example: gendom doctor lift
+    """
+
+    place: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PATH")]
+    """A file or folder."""
+    picture: Path = Path("doctor.png")
+    """PNG file: the clouds from the top, the front and the side, where there are any."""
+    json: Json = False
+
+    def run(self) -> int:
+        return examine(self.place, self.picture, json=self.json)
+
+
+def examine(place: Path, picture: Path | None = None, *, json: bool) -> int:
+    """Print what lies there, and draw it where a picture is wanted; the exit code.
+
+    Raises:
+        RecordingError: It cannot be used; one line a fault.
+    """
+    check_places((picture, ".png"))
+    try:
+        found = look(place)
+    except GendomError as error:
+        if json:
+            faults = [fault_entry(f) for f in getattr(error, "faults", ())] or [
+                {"what": error.what, "where": error.where, "fix": error.fix}
+            ]
+            print(to_json({"path": place, "valid": False, "faults": faults}))
+        raise
+    errors = [fault for fault in found.faults if fault.severity == "error"]
+    warnings = [fault for fault in found.faults if fault.severity != "error"]
+    of = {"path": place, "is": found.kind, "valid": not errors, **found.summary}
+    if errors:
+        of["faults"] = [fault_entry(fault) for fault in errors]
+    of["next"] = [{"command": command, "does": does} for command, does in found.next]
+    print_result(of, _text(place, found.kind, found.rows, not errors), warnings, json=json)
+    if found.next and not json:
+        print("next:")
+        print("\n".join(f"  {command}\n      {does}" for command, does in found.next))
+    if picture is not None and found.clouds:
+        from gendom.viz.views import draw_views
+
+        drawn = draw_views(found.clouds, gripper=found.gripper, table=found.table)
+        with atomic_path(picture) as temporary:
+            drawn.save(temporary, "PNG")
+        tell_written(picture, json=json)
+    if errors:
+        named = any(fault.where.startswith(str(place)) for fault in errors)
+        raise RecordingError(where="" if named else str(place), faults=errors)
+    return 0
+
+
+def _text(place: Path, kind: str, rows: dict[str, str], usable: bool) -> str:
+    said = "can be used" if usable else "lacks something"
+    lines = [f"  {name:<9} {text}" for name, text in rows.items()]
+    return "\n".join([f"{printable(place)}: {kind}, {said}", *lines])

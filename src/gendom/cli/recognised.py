@@ -1,0 +1,400 @@
+"""What lies in a file or folder, found by its own reader, and the command that goes on from it."""
+
+from __future__ import annotations
+
+import shlex
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.cli.summary import summarize, summary_rows
+from gendom.datasets import Fault, Recording
+from gendom.datasets.folder import BAGS, READERS, bag_files
+from gendom.errors import RecordingError
+from gendom.reading import file_size, read_json, read_toml
+
+_POINTS = 20_000  # drawn of a picture
+_LARGEST_SCENE, _SMALLEST_SCENE = 20.0, 0.02  # [m]
+_OBJECT = 'object.toml with: [object] kind = "rope", length = METRES, diameter = METRES'
+
+
+@dataclass
+class Finding:
+    """What lies somewhere."""
+
+    kind: str
+    """What it is, with its article."""
+    rows: dict[str, str] = field(default_factory=dict)
+    """For people, by what it is about."""
+    summary: dict[str, Any] = field(default_factory=dict)
+    """For programs."""
+    faults: list[Fault] = field(default_factory=list)
+    next: list[tuple[str, str]] = field(default_factory=list)
+    """Commands that go on, and what they do."""
+    clouds: list[NDArray[np.floating]] = field(default_factory=list)
+    """[n, 3] at some moments, in the world [m]."""
+    gripper: NDArray[np.floating] | None = None
+    """[M, 3] its path [m]."""
+    table: float | None = None
+    """z of the table [m]."""
+
+    def step(self, *words: object, does: str) -> None:
+        """Add a command."""
+        self.next.append((shlex.join(map(str, words)), does))
+
+    def lacks(self, what: str, where: object, fix: str) -> None:
+        """Add a fault that prevents use."""
+        self.faults.append(Fault(what, str(where), fix))
+
+
+def look(place: Path) -> Finding:
+    """Recognise what lies in a file or folder, and check it.
+
+    Raises:
+        GendomError: It cannot be read; one line a fault.
+    """
+    if place.is_dir():
+        return next((of(place) for holds, of in _FOLDERS if holds(place)), None) or _below(place)
+    file_size(place, RecordingError, most=1 << 62)
+    reader = _FILES.get(place.suffix.lower())
+    if reader is None:
+        fix = f"give a folder, or one of {', '.join(sorted(_FILES))}"
+        raise RecordingError("is of no kind that is known", where=str(place), fix=fix)
+    return reader(place)
+
+
+def _recording(place: Path) -> Finding:
+    found = Finding("a recording")
+    recording = Recording.read(place, on_warning=found.faults.append)
+    found.summary = summarize(recording)
+    found.rows = summary_rows(found.summary)
+    valid = np.flatnonzero(recording.frame_valid)
+    some = valid[np.unique(np.linspace(0, len(valid) - 1, 3).astype(int))]
+    found.clouds = [recording.frame(int(t)) for t in some]
+    found.gripper = recording.gripper_position[:, 0]
+    found.table = recording.table_height
+    if not recording.extra.get("static", False):
+        found.step("gendom", "estimate", place, does="Estimate the object's parameters.")
+    return found
+
+
+def _clouds(place: Path) -> Finding:
+    """A folder of clouds that lacks what is beside them in a recording."""
+    files = sorted(path for path in place.iterdir() if path.suffix.lower() in READERS)
+    found = _cloud(files[0])
+    found.kind = f"a folder of {len(files)} clouds"
+    needed = {
+        "gripper.csv": "one row a cloud: time,x,y,z in seconds and metres",
+        "object.toml": f"{_OBJECT} (or kind = 'cloth', width, height)",
+    }
+    for name, content in needed.items():
+        if not (place / name).exists():
+            found.lacks("is missing", place / name, f"write {content}")
+    found.next = []
+    return found
+
+
+def _cloud(place: Path) -> Finding:
+    points = READERS[place.suffix.lower()](place)
+    points = points[np.isfinite(points).all(axis=1)]
+    found = Finding("a cloud", clouds=[points])
+    found.rows = {"points": str(len(points)), **_extent(points, found)}
+    fix = "put one a frame into a folder, with gripper.csv and object.toml (docs/data.md)"
+    found.lacks("is one cloud, a recording is a lift", place, fix)
+    return found
+
+
+def _extent(points: NDArray[np.floating], found: Finding, *, units: bool = True) -> dict[str, str]:
+    """How large a scene is, and what is wrong with its units and axes."""
+    from gendom.perception.quality import level_axis
+
+    if not len(points):
+        found.lacks("has no points", "points", "check the cropping and the depth range")
+        return {}
+    size = np.ptp(points, axis=0)
+    if units and (size.max() > _LARGEST_SCENE or size.max() < _SMALLEST_SCENE):
+        unit = "millimetres; divide by 1000" if size.max() > _LARGEST_SCENE else "kilometres"
+        found.lacks(f"spans {size.max():.4g} m", "points", f"they look like {unit}")
+    axis = level_axis(points)
+    if axis in (0, 1):
+        name = "xyz"[axis]
+        what = f"the largest plane lies across {name}, as a table where {name} is up"
+        fix = "give a world with z up, or check that this plane is a wall"
+        found.faults.append(Fault(what, "points", fix, "warning"))
+    return {"extent": " x ".join(f"{x:.3g}" for x in size) + " m"}
+
+
+def _bag(place: Path) -> Finding:
+    from gendom.perception.ros_content import bag_content
+
+    content, files = bag_content(place), bag_files(place)
+    version = 1 if files[0].suffix == ".bag" else 2
+    found = Finding(f"a bag of ROS {version}")
+    found.rows = {n: f"{kind}, {count} messages" for n, (kind, count) in content.topics.items()}
+    found.summary = {"topics": content.topics, "grippers": content.grippers}
+    if content.of_realsense:
+        found.kind = "a recording of the RealSense SDK"
+        fix = "put it into DIR/cameras/NAME beside camera.toml, DIR/object.toml and DIR/gripper.csv"
+        found.lacks("is one camera", place, f"{fix}, then gendom perceive DIR (docs/perception.md)")
+        return found
+    if not content.cameras:
+        fix = "record PointCloud2, or depth Image and CameraInfo"
+        found.lacks("holds no clouds and no depth", place, fix)
+    if not content.grippers:
+        fix = "record /tf, or the gripper's PoseStamped"
+        found.lacks("does not say where the gripper is", place, fix)
+    if not (content.cameras and content.grippers):
+        return found
+    gripper = content.grippers[0]
+    found.rows["gripper"] = f"perhaps {', '.join(content.grippers[:4])}"
+    held = (place if place.is_dir() else place.parent) / "object.toml"
+    if not held.exists():
+        found.lacks("is missing", held, f"write {_OBJECT}; or name another file by --object")
+    _bag_cameras(place, held, gripper, found)
+    return found
+
+
+def _bag_cameras(place: Path, held: Path, gripper: str, found: Finding) -> None:
+    """Whether `gendom perceive` or `gendom import` takes a bag, whatever is held."""
+    from gendom.perception import RosSettings, read_ros_cameras
+
+    command = "perceive"
+    with tempfile.TemporaryDirectory() as folder:
+        some = Path(folder) / "object.toml"
+        some.write_text('[object]\nkind = "rope"\nlength = 0.5\n', encoding="utf-8")
+        try:
+            recorded = read_ros_cameras(
+                place, held if held.exists() else some, RosSettings(gripper=gripper)
+            )
+            _cameras_seen(recorded, found)
+        except RecordingError as error:
+            if error.fix is None or "gendom import" not in error.fix:
+                raise
+            command = "import"
+    does = {
+        "perceive": "Take table and robot out, and write a recording (--colour R G B helps).",
+        "import": "Write a recording of the clouds as they are.",
+    }
+    words = ("gendom", command, place, "--gripper", gripper, "--out", f"{place.stem}.npz")
+    found.step(*words, does=does[command])
+
+
+def _depth(place: Path) -> Finding:
+    from gendom.perception import read_cameras
+
+    found = Finding("depth pictures of cameras")
+    recorded = read_cameras(place, on_warning=found.faults.append)
+    _cameras_seen(recorded, found)
+    words = ("gendom", "perceive", place, "--out", f"{place.resolve().name}.npz")
+    found.step(*words, does="Find the object in the pictures (--colour R G B helps).")
+    return found
+
+
+def _cameras_seen(recorded: Any, found: Finding) -> None:
+    """What cameras see in their first picture that can be read, in the world."""
+    from gendom.datasets.recording_form import parse_meta
+    from gendom.perception.quality import odd_intrinsics
+
+    values, faults = parse_meta(recorded.meta)
+    found.faults += faults
+    found.gripper, found.table = recorded.robot.position[:, 0], values["table_height"]
+    for source in recorded.sources:
+        camera, name = source.camera, source.camera.name
+        found.faults += odd_intrinsics(camera)
+        size, f = f"{camera.width} x {camera.height}", camera.K[0, 0]
+        found.rows[name] = f"{size}, f {f:.0f} pixels"
+        try:
+            frame = next(iter(source))
+            depth = frame.read().depth
+            camera.calibrated()
+        except (StopIteration, RecordingError) as error:
+            found.lacks(str(error) or "no picture can be read", name, "record again")
+            continue
+        raw = depth.ravel()
+        seen = np.flatnonzero(raw)
+        share, away = len(seen) / raw.size, float(np.median(raw[seen] if len(seen) else 0))
+        away *= camera.depth_unit
+        found.rows[name] += (
+            f", depth in {100 * share:.0f} % of the first picture, median {away:.2f} m"
+        )
+        if not 0.1 < away < 5.0:
+            fix = f"check depth_unit, {camera.depth_unit:g} m a count"
+            found.faults.append(Fault(f"median depth is {away:.3g} m", name, fix, "warning"))
+        some = seen[:: max(1, len(seen) // _POINTS)]
+        T = camera.calibrated()
+        points = camera.rays()[some] * (raw[some, None] * camera.depth_unit)
+        found.clouds.append(points @ T[:3, :3].T + T[:3, 3])
+    if found.clouds:
+        points = np.concatenate(found.clouds)
+        found.rows |= _extent(points, found, units=False)
+        nearest = np.linalg.norm(points - recorded.robot.position[0, 0], axis=1).min()
+        if nearest > 0.3:
+            what = f"is {nearest:.2f} m from all that cameras see at first"
+            fix = "check that gripper and cameras are in one frame, in metres"
+            found.faults.append(Fault(what, "gripper", fix, "warning"))
+
+
+def _board(place: Path) -> Finding:
+    from gendom.perception.calibration import read_board, read_poses
+
+    board, poses = read_board(place / "board.toml"), read_poses(place / "poses.csv")
+    found = Finding("pictures of a board, for a camera's calibration")
+    size = f"{board.squares_x} x {board.squares_y} squares of {1e3 * board.square:g} mm"
+    found.rows = {"board": size, "pictures": str(len(poses))}
+    camera = next(
+        (p for p in (place / "camera.toml", *place.glob("*.toml")) if _is_camera(p)), None
+    )
+    if camera is None:
+        fix = "write it with width, height, K and depth_unit of the stream that took the pictures"
+        found.lacks("is missing", place / "camera.toml", fix)
+        return found
+    words = ("gendom", "calibrate", place, "--camera", camera, "--out", camera)
+    found.step(*words, does="Find the camera's pose, and how far it may be trusted.")
+    return found
+
+
+def _is_camera(path: Path) -> bool:
+    return path.is_file() and "K" in read_toml(path, error=RecordingError)
+
+
+def _toml(place: Path) -> Finding:
+    table = read_toml(place, error=RecordingError)
+    if "K" in table or "T_world_camera" in table:
+        from gendom.perception import read_camera
+        from gendom.perception.quality import odd_intrinsics
+
+        camera = read_camera(place)
+        found = Finding("a camera", faults=[*odd_intrinsics(camera)])
+        known = (
+            "no pose yet" if camera.T_world_camera is None else f"at {camera.position.round(3)} m"
+        )
+        found.rows = {"camera": f"{camera.width} x {camera.height}, {known}"}
+        return found
+    if "robot" in table and "address" in table:
+        found = Finding("a cell")
+        found.step("gendom", "cell", "check", place, does="Check the cell.")
+        return found
+    if "object" in table:
+        found = Finding("the description of an object")
+        found.rows = {"object": ", ".join(f"{k} {v}" for k, v in table["object"].items())}
+        return found
+    fix = "known are camera.toml, cell.toml and object.toml"
+    raise RecordingError("is no table that is known", where=str(place), fix=fix)
+
+
+def _json(place: Path) -> Finding:
+    form = read_json(place, RecordingError).get("format")
+    if form == "gendom-action/4":
+        found = Finding("an action")
+        found.step("gendom", "execute", place, "--cell", "cell.toml", does="Show it in a cell.")
+        return found
+    from gendom.materials.estimate import Estimate
+
+    estimate = Estimate.load(place)
+    found = Finding(f"an estimate of a {estimate.kind}")
+    found.rows = {name: value for name, value, _ in estimate.rows()}
+    found.rows["verdict"] = "usable" if estimate.usable else "not usable"
+    if estimate.usable:
+        from gendom.cli.estimate import task_and_goal
+
+        task = task_and_goal(estimate.kind, estimate.known.get("length"))
+        words = ("gendom", "act", *task, "--params", place)
+        found.step(*words, does="Get an action for this object, and the robot's motion.")
+    return found
+
+
+def _policy(place: Path) -> Finding:
+    from gendom.cli.policies import described
+    from gendom.policies import Policy
+
+    policy = Policy.read(place)
+    found = Finding("a policy", summary=described(policy))
+    about, task = policy.description, policy.description.task["name"]
+    found.rows = {"task": task, "sees": ", ".join(about.conditioned_on) or "the goal alone"}
+    words = ("gendom", "evaluate", task, "--policy", place)
+    found.step(*words, does="Measure how well it reaches its goals.")
+    return found
+
+
+def _demonstrations(place: Path) -> Finding:
+    from gendom.datasets.demonstrations import read_description
+
+    about = read_description(place)
+    task = about["task"]["name"]
+    found = Finding(f"demonstrations of {task}", {"size": str(about["size"])}, {"task": task})
+    found.step("gendom", "train", task, "--data", place, does="Train a policy on them.")
+    return found
+
+
+def _lerobot(place: Path) -> Finding:
+    if (place / "meta/gendom.json").exists():
+        own = read_json(place / "meta/gendom.json", RecordingError)
+        if str(own.get("format")).startswith("gendom-recording/"):
+            found = _recording(place)
+            found.kind = "a recording as a data set of LeRobot"
+            return found
+    info = read_json(place / "meta/info.json", RecordingError)
+    found = Finding("a data set of LeRobot")
+    names = ("codebase_version", "robot_type", "total_episodes", "total_frames", "fps")
+    found.rows = {name: str(info[name]) for name in names if name in info}
+    fix = "gendom reads those that gendom export made of a recording"
+    found.faults.append(Fault("is not a recording", str(place), fix, "warning"))
+    return found
+
+
+def _poses(place: Path) -> Finding:
+    from gendom.perception.poses import read_poses
+
+    found = Finding("a calibration of another program")
+    for pose in read_poses(place):
+        x, y, z = pose.T[:3, 3]
+        found.rows[pose.child] = f"at ({x:.3f}, {y:.3f}, {z:.3f}) m in {pose.parent}"
+    does = "in camera.toml, or --poses of gendom perceive for a ROS bag"
+    found.rows["use"] = f'T_world_camera = "{place.name}" {does}'
+    return found
+
+
+def _below(place: Path) -> Finding:
+    """A folder that is nothing itself: what its folders and files are."""
+    found = Finding("a folder")
+    for path in sorted(place.iterdir())[:200]:
+        known = [holds for holds, _ in _FOLDERS if path.is_dir() and holds(path)]
+        if known or (path.suffix.lower() in (".npz", *BAGS) and path.is_file()):
+            found.step("gendom", "doctor", path, does="Look into it.")
+    active = sorted(place.glob("*.bag.active"))
+    if active:
+        found.lacks("was not closed by its recorder", active[0], "mend it: rosbag reindex FILE")
+    elif not found.next:
+        fix = "docs/data.md and docs/perception.md say what a recording is made of"
+        found.lacks("holds nothing that is known", place, fix)
+    return found
+
+
+_FOLDERS: list[tuple[Callable[[Path], bool], Callable[[Path], Finding]]] = [
+    (lambda p: (p / "meta/info.json").is_file(), _lerobot),
+    (lambda p: (p / "cameras").is_dir(), _depth),
+    (lambda p: (p / "board.toml").is_file() or (p / "poses.csv").is_file(), _board),
+    (lambda p: (p / "dataset.json").is_file(), _demonstrations),
+    (lambda p: bool(bag_files(p)) and not (p / "gripper.csv").is_file(), _bag),
+    (lambda p: (p / "gripper.csv").is_file() and (p / "object.toml").is_file(), _recording),
+    (lambda p: any(f.suffix.lower() in (".ply", ".pcd") for f in p.iterdir()), _clouds),
+    (lambda p: (p / "gripper.csv").is_file(), _recording),
+    (lambda p: (p / "estimate.json").is_file(), lambda p: _json(p / "estimate.json")),
+]
+"""Whether a folder is of a kind, and what looks into it."""
+
+_FILES: dict[str, Callable[[Path], Finding]] = {
+    ".npz": _recording,
+    ".onnx": _policy,
+    ".json": _json,
+    ".toml": _toml,
+    **dict.fromkeys((".ply", ".pcd"), _cloud),
+    **dict.fromkeys(BAGS, _bag),
+    **dict.fromkeys((".yaml", ".yml", ".calib", ".launch", ".xml", ".py"), _poses),
+}
+"""What looks into a file, by its suffix."""

@@ -1,0 +1,238 @@
+"""Cameras of ROS bags, as `FrameSource`s: depth pictures with their colour, and clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import takewhile
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.arrays import rigid
+from gendom.errors import RecordingError
+from gendom.perception.camera import Camera, expect
+from gendom.perception.frames import SYNC_TOLERANCE, Frame, Pictures
+from gendom.perception.realsense import Alignment
+from gendom.perception.ros_bag import RosBag
+from gendom.perception.ros_frames import Array
+from gendom.perception.ros_messages import (
+    CLOUD,
+    IMAGE,
+    INFO,
+    PACKED,
+    camera_of,
+    colour_of,
+    colours_of,
+    depth_of,
+    points_of,
+)
+from gendom.reading import MOST_PIXELS
+
+DEPTH_UNIT = 1e-4
+"""Metres a count of depth pictures that are made of metres."""
+
+_FORWARD = rigid([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], [0.0, 0.0, 0.0])
+"""From a camera's axes to those of ROS's bodies: x forward, y left, z up (REP 103)."""
+_WIDEST = 2.0  # tangent of the angle from the axis that a camera sees at most
+_AROUND = 0.1  # of the width of the first cloud's view, that later ones may exceed it by
+_HIDDEN = ("depth", "infra", "ir", "stereo", "mask", "label")  # in names of pictures without colour
+
+
+def topics_of(bag: RosBag, kind: str) -> list[str]:
+    """Topics of clouds, or of depth pictures: of those that one camera gives twice the ones that
+    are aligned with colour."""
+    found = sorted(n for n, k in bag.topics.items() if k == kind)
+    if kind == CLOUD:
+        return found
+    found = [name for name in found if "depth" in name.lower()]
+    aligned = {name.split("/aligned_depth")[0] for name in found if "/aligned_depth" in name}
+    return [n for n in found if "/aligned_depth" in n or n.rpartition("/depth")[0] not in aligned]
+
+
+def intrinsics(bag: RosBag, topic: str, name: str, depth_unit: float = 1e-3) -> Camera:
+    """The camera of a topic of pictures, from the CameraInfo beside it."""
+    folders, where = topic.split("/"), f"{bag.where}: {topic}"
+    above = ["/".join(folders[:n]) for n in range(len(folders) - 1, 0, -1)]
+    named = (f"{folder}/camera_info" for folder in above)
+    found = next((n for n in named if bag.topics.get(n) == INFO and bag.counts[n]), None)
+    what = "are pictures without a CameraInfo beside them"
+    expect(found, what, where=where, fix="record camera_info too")
+    assert found is not None
+    info, rectified = bag.first(found), "image_rect" in topic
+    try:
+        return camera_of(info, rectified=rectified, name=name, depth_unit=depth_unit)
+    except RecordingError as error:
+        place = f"{bag.where}: {found}: {str(error.where).rpartition(': ')[2]}"
+        raise RecordingError(error.what, where=place, fix=error.fix) from None
+
+
+def check_size(picture: NDArray[Any], camera: Camera, where: str) -> None:
+    """Refuse a picture that is not of its camera's size."""
+    height, width = picture.shape[:2]
+    what = f"is {width} x {height}, its CameraInfo {camera.width} x {camera.height}"
+    right, fix = (height, width) == (camera.height, camera.width), "record that of these pictures"
+    expect(right, what, where=where, fix=fix)
+
+
+def colour_topic(bag: RosBag, depth: str) -> str | None:
+    """The topic of the colour pictures of a depth topic's camera; None: there is none."""
+    folders = depth.split("/")
+    found = []
+    for name, kind in bag.topics.items():
+        parts = name.split("/")
+        hidden = any(part.startswith(_HIDDEN) for part in parts)
+        if kind not in (IMAGE, PACKED) or hidden or not bag.counts[name]:
+            continue
+        same = (a == b for a, b in zip(parts, folders, strict=False))
+        shared = sum(takewhile(bool, same))
+        if shared > 1:  # beside the empty part in front of the first /
+            found.append((-shared, "rect" not in name, kind == PACKED, name))
+    return min(found)[-1] if found else None
+
+
+@dataclass(frozen=True, eq=False)
+class RosCamera:
+    """A topic of depth pictures, and one of colour pictures beside it."""
+
+    bag: RosBag
+    topic: str
+    camera: Camera
+    """Its intrinsics, and where it has been placed its pose."""
+    frame_id: str
+    """The frame of TF that it rests in."""
+    colour_topic: str | None = None
+    colour: Camera | None = None
+    T_colour_depth: Array | None = None
+    """[4, 4] from the depth camera's axes to the colour camera's [m]."""
+
+    def at(self, T_world_frame: Array) -> RosCamera:
+        """The same where its frame is in the world, [4, 4] [m]."""
+        return replace(self, camera=self.camera.at(T_world_frame))
+
+    def __iter__(self) -> Iterator[Frame]:
+        align = None
+        if self.colour is not None and self.T_colour_depth is not None:
+            align = Alignment(self.camera, self.colour, self.T_colour_depth)
+        colours = self._colours()
+        near = next(colours, None)
+        after = next(colours, None)
+        for k, frame in enumerate(self.bag.frames(self.topic)):
+            while near and after and abs(after.time - frame.time) <= abs(near.time - frame.time):
+                near, after = after, next(colours, None)
+            where = f"{self.bag.where}: {self.topic}: frame {k}"
+            yield Frame(
+                frame.time,
+                where,
+                lambda f=frame, w=where, c=near: self._read(f, c, align, w),
+            )
+
+    def _colours(self) -> Iterator[Frame]:
+        return iter(()) if self.colour_topic is None else self.bag.frames(self.colour_topic)
+
+    def _read(
+        self, frame: Frame, colour: Frame | None, align: Alignment | None, where: str
+    ) -> Pictures:
+        depth = depth_of(frame.read(), self.bag.topics[self.topic], where)
+        check_size(depth, self.camera, where)
+        if depth.dtype != np.uint16:
+            depth = _counts(depth)
+        if align is None or self.colour_topic is None:
+            return Pictures(depth)
+        late = np.inf if colour is None else abs(colour.time - frame.time)
+        what, fix = f"the nearest colour picture is {late:.3g} s away", "record colour at the rate "
+        expect(late <= SYNC_TOLERANCE, what, where=where, fix=f"{fix}of depth")
+        assert colour is not None
+        seen = colour_of(colour.read(), self.bag.topics[self.colour_topic], where)
+        check_size(seen, align.colour, f"{where}: colour")
+        return align(depth, seen)
+
+
+@dataclass(frozen=True, eq=False)
+class RosCloudCamera:
+    """A topic of clouds that a camera saw, as pictures of its own."""
+
+    bag: RosBag
+    topic: str
+    camera: Camera
+    """Its intrinsics, and where it has been placed its pose."""
+    frame_id: str
+    T_frame_camera: Array
+    """[4, 4] from the camera's axes to those of the clouds [m]."""
+
+    @classmethod
+    def of(cls, bag: RosBag, topic: str, name: str, world: str) -> RosCloudCamera:
+        """The camera of a topic: of the CameraInfo of its frame, or one that sees the first cloud
+        with about a pixel a point; RecordingError: the clouds are not seen from their origin."""
+        where, message = f"{bag.where}: {topic}", bag.first(topic)
+        frame = message.header.frame_id.lstrip("/")
+        cloud, seen = points_of(message, where)
+        what, fix = "the first cloud is empty", "record it from before the lift"
+        expect(seen.sum() > 100, what, where=where, fix=fix)
+        for info_topic in (n for n, kind in bag.topics.items() if kind == INFO and bag.counts[n]):
+            info = bag.first(info_topic)
+            if info.header.frame_id.lstrip("/") == frame:
+                of = {"name": name, "depth_unit": DEPTH_UNIT}
+                camera = replace(camera_of(info, rectified=False, **of), distortion=())
+                return cls(bag, topic, camera, frame, np.eye(4))
+        for T in (np.eye(4), _FORWARD):
+            points = cloud[seen] @ T[:3, :3]
+            ahead = points[points[:, 2] > 0.0]
+            slopes = ahead[:, :2] / ahead[:, 2:]
+            all_ahead = len(ahead) > 0.99 * len(points) and np.abs(slopes).max() < _WIDEST
+            if all_ahead and frame != world:
+                camera = _around(slopes, name)
+                return cls(bag, topic, camera, frame, T)
+        what = f"clouds of frame {frame} are not seen from its origin, as a camera's are"
+        fix = "gendom import takes them as they are; crop table and robot by --workspace"
+        raise RecordingError(what, where=where, fix=fix)
+
+    def at(self, T_world_frame: Array) -> RosCloudCamera:
+        """The same where its frame is in the world, [4, 4] [m]."""
+        return replace(self, camera=self.camera.at(T_world_frame @ self.T_frame_camera))
+
+    def __iter__(self) -> Iterator[Frame]:
+        for k, frame in enumerate(self.bag.frames(self.topic)):
+            where = f"{self.bag.where}: {self.topic}: frame {k}"
+            yield Frame(frame.time, where, lambda f=frame, w=where: self._read(f, w))
+
+    def _read(self, frame: Frame, where: str) -> Pictures:
+        """Each point in the pixel that it falls into, the nearest one where several do."""
+        message, camera = frame.read(), self.camera
+        cloud, seen = points_of(message, where)
+        points = cloud[seen] @ self.T_frame_camera[:3, :3]
+        ahead = points[:, 2] > 1e-3
+        K, z = camera.K, points[ahead, 2]
+        slopes = points[ahead, :2] / z[:, None]
+        u = np.rint(K[0, 0] * slopes[:, 0] + K[0, 1] * slopes[:, 1] + K[0, 2])
+        v = np.rint(K[1, 1] * slopes[:, 1] + K[1, 2])
+        inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        farthest_first = np.argsort(-z[inside], kind="stable")
+        pixels = (v[inside] * camera.width + u[inside]).astype(np.int64)[farthest_first]
+        depth = np.zeros(camera.height * camera.width, np.uint16)
+        depth[pixels] = _counts(z[inside][farthest_first])
+        depth = depth.reshape(camera.height, camera.width)
+        if (colours := colours_of(message, where)) is None:
+            return Pictures(depth)
+        painted = np.zeros((depth.size, 3), np.uint8)
+        painted[pixels] = colours[seen][ahead][inside][farthest_first]
+        return Pictures(depth, painted.reshape(*depth.shape, 3))
+
+
+def _counts(metres: NDArray[Any]) -> NDArray[np.uint16]:
+    """Depth in metres as counts of `DEPTH_UNIT`; 0 where there is none, or it is too far."""
+    counts = np.rint(np.nan_to_num(metres, nan=0.0, posinf=0.0, neginf=0.0) / DEPTH_UNIT)
+    return np.where((counts > 0) & (counts < 65535), counts, 0).astype(np.uint16)
+
+
+def _around(slopes: Array, name: str) -> Camera:
+    """A camera that sees points whose x / z and y / z are given [n, 2], one a pixel."""
+    low, high = slopes.min(axis=0), slopes.max(axis=0)
+    low, high = low - _AROUND * (high - low), high + _AROUND * (high - low)
+    f = float(np.sqrt(len(slopes) / max(np.prod(high - low), 1e-6)))
+    f = min(f, float(np.sqrt(0.9 * MOST_PIXELS / max(np.prod(high - low), 1e-6))))
+    width, height = (int(n) + 1 for n in f * (high - low))
+    K = np.array([[f, 0.0, -f * low[0]], [0.0, f, -f * low[1]], [0.0, 0.0, 1.0]])
+    size = {"width": width, "height": height, "depth_unit": DEPTH_UNIT}
+    return Camera(name=name, K=K, T_world_camera=None, **size)

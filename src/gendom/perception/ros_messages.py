@@ -1,0 +1,142 @@
+"""Clouds, depth and colour of messages of ROS, of both versions."""
+
+from __future__ import annotations
+
+import io
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+from scipy.spatial.transform import Rotation
+
+from gendom.errors import RecordingError
+from gendom.perception.camera import Camera, expect
+from gendom.perception.rosbag import packed_picture, raw_picture
+from gendom.reading import MOST_PIXELS
+
+CLOUD, IMAGE, PACKED, INFO, JOINTS = (
+    f"sensor_msgs/msg/{name}"
+    for name in ("PointCloud2", "Image", "CompressedImage", "CameraInfo", "JointState")
+)
+TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+POSES = {
+    "geometry_msgs/msg/PoseStamped": lambda m: (m.pose.position, m.pose.orientation),
+    "geometry_msgs/msg/TransformStamped": lambda m: (m.transform.translation, m.transform.rotation),
+    "franka_msgs/msg/FrankaState": lambda m: _of_matrix(m.O_T_EE),
+    "franka_msgs/msg/FrankaRobotState": lambda m: (
+        m.o_t_ee.pose.position,
+        m.o_t_ee.pose.orientation,
+    ),
+}
+"""Types of topics that tell where a gripper is, and the place and orientation in a message."""
+
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of PointField
+
+
+def _of_matrix(columns: Any) -> tuple[Any, Any]:
+    """Place and orientation of 16 numbers, column after column."""
+    T = np.reshape(columns, (4, 4)).T
+    turn = Rotation.from_matrix(T[:3, :3]).as_quat()
+    return tuple(SimpleNamespace(**dict(zip("xyzw", x, strict=False))) for x in (T[:3, 3], turn))
+
+
+def camera_of(info: Any, *, rectified: bool, name: str, depth_unit: float) -> Camera:
+    """The camera of a CameraInfo; RecordingError: it is none. ROS 1 has its fields in capitals."""
+    K, D, P = (
+        np.array(getattr(info, field, getattr(info, field.upper(), ())))
+        for field in ("k", "d", "p")
+    )
+    K, D = K.reshape(3, 3), tuple(map(float, D))
+    if rectified:
+        K, D = P.reshape(3, 4)[:, :3], ()
+    size = {"width": int(info.width), "height": int(info.height), "depth_unit": depth_unit}
+    distortion = D if any(D) else ()
+    return Camera(name=name, K=K, distortion=distortion, T_world_camera=None, **size)
+
+
+def depth_of(message: Any, kind: str, where: str) -> NDArray[Any]:
+    """[height, width] uint16 [mm] or float32 [m] of a message; RecordingError: it is damaged, or no
+    depth."""
+    depth, said = _picture(message, kind, where)
+    fix = "record 16UC1 or 32FC1, packed ones as 16UC1 PNG"
+    right = depth.ndim == 2 and not said.startswith("32FC1;")
+    expect(right, f"is {said[:40]!r}, no depth", where=where, fix=fix)
+    return depth
+
+
+def colour_of(message: Any, kind: str, where: str) -> NDArray[np.uint8]:
+    """[height, width, 3] sRGB of a message; RecordingError: it is damaged, or no colour."""
+    colour, said = _picture(message, kind, where)
+    right = colour.ndim == 3 and colour.dtype == np.uint8
+    expect(right, f"is {said[:40]!r}, no colour", where=where, fix="record rgb8 or bgr8")
+    return colour
+
+
+def _picture(message: Any, kind: str, where: str) -> tuple[NDArray[Any], str]:
+    """The picture of a message, and how it says that it is stored."""
+    data = np.asarray(message.data, dtype=np.uint8).tobytes()
+    try:
+        if kind == PACKED:
+            said = message.format
+            if data.startswith(b"\xff\xd8"):
+                return _jpeg(data, where), said
+            return packed_picture(data, said, where), said
+        order, size = "<>"[bool(message.is_bigendian)], (message.width, message.height)
+        return raw_picture(data, message.encoding, *size, message.step, order, where), (
+            message.encoding
+        )
+    except ValueError as error:
+        raise RecordingError(f"is damaged ({error})", where=where, fix="copy it") from None
+
+
+def _jpeg(data: bytes, where: str) -> NDArray[Any]:
+    try:
+        with Image.open(io.BytesIO(data), formats=["JPEG"]) as picture:
+            width, height = picture.size
+            what, fix = f"has {width} x {height} pixels", f"give {MOST_PIXELS} at most"
+            expect(width * height <= MOST_PIXELS, what, where=where, fix=fix)
+            return np.asarray(picture.convert("RGB"))
+    except (OSError, SyntaxError, UnidentifiedImageError) as error:
+        raise ValueError(str(error)[:80]) from None
+
+
+def points_of(message: Any, where: str) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Points [height, width, 3] of a PointCloud2 in its own frame [m], and which [height, width]
+    were seen; RecordingError: it is damaged, or has no x, y and z."""
+    order, fields = "<>"[bool(message.is_bigendian)], {f.name: f for f in message.fields}
+    try:
+        kinds = [f"{order}{_TYPES[fields[axis].datatype]}" for axis in "xyz"]
+    except KeyError as error:
+        raise RecordingError(f"a cloud has no {error}", where=where, fix="record x, y, z") from None
+    columns = [_column(message, fields[a], k, where) for a, k in zip("xyz", kinds, strict=True)]
+    cloud = np.stack(columns, axis=-1).astype(np.float64)
+    return cloud, np.isfinite(cloud).all(axis=-1)
+
+
+def colours_of(message: Any, where: str) -> NDArray[np.uint8] | None:
+    """[height, width, 3] sRGB of a PointCloud2; None: it has none."""
+    field = next((f for f in message.fields if f.name in ("rgb", "rgba")), None)
+    if field is None:
+        return None
+    order = "<>"[bool(message.is_bigendian)]
+    packed = _column(message, field, f"{order}u4", where)  # also where it says float32
+    return np.stack([packed >> 16, packed >> 8, packed], axis=-1).astype(np.uint8)
+
+
+def _column(message: Any, field: Any, kind: str, where: str) -> NDArray[Any]:
+    """One field of all points, [height, width]."""
+    step, row, least = message.point_step, message.row_step, message.width * message.point_step
+    data, shape = np.asarray(message.data, dtype=np.uint8), (message.height, message.width)
+    # Drivers leave it 0, or give the whole cloud's: then rows follow each other.
+    if row < least or len(data) < (message.height - 1) * row + least:
+        row = least
+    last = field.offset + np.dtype(kind).itemsize
+    what = f"a cloud has {len(data)} bytes for {shape[0] * shape[1]} points of {step}"
+    fits = last <= step and len(data) >= message.height * least
+    expect(fits, what, where=where, fix="record it again")
+    if not shape[0] * shape[1]:
+        return np.zeros(shape, kind)
+    raw = np.ascontiguousarray(data)
+    return np.ndarray(shape, kind, raw, field.offset, (row, step)).copy()

@@ -1,0 +1,193 @@
+"""`gendom doctor`: what it recognises, what it finds wrong, and that the command it names works."""
+
+import json
+import shlex
+import shutil
+from importlib import import_module, resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from gendom import cli
+from gendom.cli.parsing import parse
+from gendom.datasets import Recording
+from gendom.materials import Material, Rope
+from gendom.materials.estimate import Estimate
+from gendom.perception import read_camera, write_camera
+from perception import conftest as world
+from written import write_ply
+
+ASSETS = Path(str(resources.files("gendom"))) / "assets"
+DEMO = ASSETS / "demo-rope-lift.npz"
+
+
+def demo(**changes):
+    recording = Recording.read(DEMO, on_warning=lambda _: None)
+    return recording if not changes else type(recording)(**{**vars(recording), **changes})
+
+
+def clouds(folder, recording, **lacking):
+    folder.mkdir()
+    for t in range(recording.num_frames):
+        write_ply(folder / f"{t:04d}.ply", recording.frame(t))
+    rows = [
+        ",".join(map(repr, (float(time), *map(float, at))))
+        for time, at in zip(recording.time, recording.gripper_position[:, 0], strict=True)
+    ]
+    (folder / "gripper.csv").write_text("\n".join(["time,x,y,z", *rows]) + "\n")
+    toml = 'table_height = 0.0\n[object]\nkind = "rope"\nlength = 0.3\ndiameter = 0.016\n'
+    (folder / "object.toml").write_text(toml)
+    return folder
+
+
+def board(folder):
+    from perception.test_calibration import BOARD, robot_poses
+
+    folder.mkdir()
+    write_camera(folder / "camera.toml", world.make_camera())
+    names = ("squares_x", "squares_y", "square", "marker")
+    (folder / "board.toml").write_text("".join(f"{n} = {getattr(BOARD, n)}\n" for n in names))
+    poses, _, _ = robot_poses(world.make_camera(), [[20, 0, 0], [0, 20, 0]])
+    rows = []
+    for k, T in enumerate(poses):
+        Image.new("L", (640, 480)).save(folder / f"{k}.png")
+        q = Rotation.from_matrix(T[:3, :3]).as_quat()
+        rows.append(",".join([f"{k}.png", *map(str, (*T[:3, 3], *q))]))
+    (folder / "poses.csv").write_text("\n".join(["picture,x,y,z,qx,qy,qz,qw", *rows]) + "\n")
+
+
+def estimate(path):
+    rope = Rope(
+        length=0.3, diameter=0.016, material=Material(E=8e5, nu=0.3, density=800.0, damping=0.005)
+    )
+    Estimate.of(rope).save(path)
+
+
+def lerobot(folder):
+    pytest.importorskip("pyarrow", reason="needs the extra data")
+    from gendom.datasets.lerobot import export_recording
+
+    export_recording(demo(), folder)
+
+
+def depth(folder):
+    folder.mkdir()
+    world.write_lift(folder, frames=4)
+
+
+def ros(version):
+    def write(path):
+        cameras = pytest.importorskip("perception.test_ros_cameras")
+        rows, _, _ = cameras.rows_of(world, "raw")
+        cameras.write_bag(path, rows, version)
+        (path.parent if path.is_file() else path).joinpath("object.toml").write_text(cameras.OBJECT)
+
+    return write
+
+
+KINDS = {  # name: how it is made, what it is called, whether the next command is run
+    "lift.npz": (lambda p: demo().write(p), "a recording", False),
+    "clouds": (lambda p: clouds(p, demo()), "a recording", False),
+    "lerobot": (lerobot, "a recording as a data set", False),
+    "pictures": (depth, "depth pictures of cameras", True),
+    "old.bag": (ros("ROS1"), "a bag of ROS 1", True),
+    "new": (ros("MCAP"), "a bag of ROS 2", True),
+    "board": (board, "pictures of a board", False),
+    "estimate.json": (estimate, "an estimate of a rope", True),
+    "rope-casting.onnx": (lambda p: shutil.copy(ASSETS / p.name, p), "a policy", False),
+    "camera.toml": (lambda p: write_camera(p, world.make_camera()), "a camera", False),
+}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_what_lies_there_and_the_next_command(tmp_path, capsys, monkeypatch, name):
+    make, called, run = KINDS[name]
+    monkeypatch.chdir(tmp_path)
+    make(tmp_path / name)
+    assert cli.main(["doctor", name, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["is"].startswith(called) and found["valid"]
+    assert (tmp_path / "doctor.png").exists() == (called.partition(" ")[2][:4] in DRAWN)
+    for step in found["next"]:
+        program, command, *words = shlex.split(step["command"])
+        assert program == "gendom"
+        parse(import_module(cli.COMMANDS[command][0]).Command, command, words)
+        if run:
+            assert cli.main([command, *words]) == 0, capsys.readouterr().err
+    assert found["next"] or name == "camera.toml"
+    assert cli.main(["check", name]) == 0
+    assert "can be used" in capsys.readouterr().out
+
+
+DRAWN = ("reco", "pict", "bag ", "dept")
+
+
+def up(points):
+    """z up as y up."""
+    return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
+
+
+def y_up(path):
+    recording = demo()
+    turned = {n: up(getattr(recording, n)) for n in ("points", "gripper_position")}
+    demo(**turned, gripper_axis=None, table_height=None).write(path)
+
+
+def odd_depth(key, value):
+    """Depth pictures of which camera.toml says something else."""
+
+    def write(folder):
+        depth(folder)
+        file = folder / "cameras/left/camera.toml"
+        camera = read_camera(file)
+        write_camera(file, type(camera)(**{**vars(camera), key: value(camera)}))
+
+    return write
+
+
+def lacking(folder):
+    clouds(folder, demo()).joinpath("gripper.csv").unlink()
+
+
+def turned_camera(camera):
+    T = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
+    return T @ camera.T_world_camera
+
+
+def shifted(camera):
+    return camera.K + np.array([[0, 0, 110.0], [0, 0, 60.0], [0, 0, 0]])
+
+
+WRONG = {  # name: how it is made, what is said, exit code
+    "lift.npz": (y_up, "the gripper rises along y, and the object hangs below it there; give z", 2),
+    "lifted": (lacking, "gripper.csv: is missing; write one row a cloud: time,x,y,z in seconds", 2),
+    "turned": (odd_depth("T_world_camera", turned_camera), "the largest plane lies across y", 0),
+    "units": (odd_depth("depth_unit", lambda c: 0.01), "median depth is 8", 0),
+    "crop": (odd_depth("K", shifted), "is that of 539 x 359 pictures, not of 320 x 240", 0),
+    "kept": (lambda p: p.mkdir() or (p / "a.bag.active").touch(), "rosbag reindex FILE", 2),
+    "empty": (lambda p: p.mkdir(), "holds nothing that is known; docs/data.md and", 2),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_named(tmp_path, capsys, monkeypatch, name):
+    make, said, code = WRONG[name]
+    monkeypatch.chdir(tmp_path)
+    make(tmp_path / name)
+    assert cli.main(["doctor", name]) == code
+    out, err = capsys.readouterr()
+    assert said in out + err
+    assert all(line.startswith("gendom doctor: ") for line in err.splitlines())
+
+
+def test_a_folder_of_folders(tmp_path, capsys):
+    """Each of them is named with the command that looks into it."""
+    (tmp_path / "bags").mkdir()
+    ros("ROS1")(tmp_path / "bags/old.bag")
+    depth(tmp_path / "pictures")
+    assert cli.main(["doctor", str(tmp_path), "--json"]) == 0
+    steps = json.loads(capsys.readouterr().out)["next"]
+    assert [shlex.split(s["command"])[2].split("/")[-1] for s in steps] == ["bags", "pictures"]
