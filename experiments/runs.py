@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -279,14 +280,18 @@ def _train(work: tuple[TrainingJob, str]) -> None:
 
 def _thinned(recording: Recording, most: int, seed: int) -> Recording:
     """The recording with at most so many points a frame."""
-    rng = np.random.default_rng(seed)
-    clouds, recording = [], replace(recording, seen_by=None)
-    for cloud in recording.frames():
-        if len(cloud) > most:
-            cloud = cloud[np.sort(rng.choice(len(cloud), most, replace=False))]
-        clouds.append(cloud)
-    offsets = np.cumsum([0, *map(len, clouds)])
-    return replace(recording, points=np.concatenate(clouds), offsets=offsets)
+    rng, kept = np.random.default_rng(seed), []
+    for first, last in pairwise(recording.offsets):
+        size = int(last - first)
+        chosen = rng.choice(size, most, replace=False) if size > most else np.arange(size)
+        kept.append(first + np.sort(chosen))
+    every, by = np.concatenate(kept), recording.seen_by
+    return replace(
+        recording,
+        points=recording.points[every],
+        offsets=np.cumsum([0, *map(len, kept)]),
+        seen_by=None if by is None else by[every],
+    )
 
 
 def polished(

@@ -41,11 +41,11 @@ def plan():
 
 @pytest.mark.slow
 def test_a_swing_is_expected_to_show_damping(plan):
-    """As a swinging rope's decay does, and a slow hold does not: its damping stays as believed."""
+    """As a swinging rope's decay does; a slow hold tells its damping within a factor of two."""
     hold, swing = plan.rows
     assert hold.motion == predefined_lift("rope") and swing.motion.end == "swing"
     assert plan.chosen is swing and plan.gain(hold) == 1.0 and plan.gain(swing) > 2.0
-    assert hold.half_width("damping", 0.9) > 0.5 * 1.645 * plan.prior_sd["damping"]
+    assert hold.half_width("damping", 0.9) > 4.0 * swing.half_width("damping", 0.9)
     for row in plan.rows:
         assert row.carried_out == 2
         for sd in row.sd:
@@ -55,8 +55,8 @@ def test_a_swing_is_expected_to_show_damping(plan):
 
 @pytest.mark.slow
 def test_what_is_expected_is_what_the_estimator_reports(monkeypatch):
-    """The estimate from the simulated clouds themselves has the deviations that were forecast, and
-    its errors are no larger than those say."""
+    """The estimate from the simulated clouds themselves has the deviations that were forecast, of a
+    diameter that is known."""
     clouds = []
     showing = lift_plan._showing
 
@@ -70,7 +70,8 @@ def test_what_is_expected_is_what_the_estimator_reports(monkeypatch):
     lying = lift_plan.recorded_lift(trial, follow(XARM7, trial.path), 30.0)
     _, sd = lift_plan.forecast(lying, None, [3])
     assert sd is not None
-    found = estimate(clouds[0], EstimateSettings(starts=1, scene=SceneSettings(threads=1)))
+    measured = replace(clouds[0], object=replace(clouds[0].object, diameter_sd=1e-5))
+    found = estimate(measured, EstimateSettings(starts=1, scene=SceneSettings(threads=1)))
     assert found.usable
     for name, unknown in SHOWN.items():
         assert found.posterior.sd(unknown) == pytest.approx(sd[name], rel=0.25), name

@@ -380,9 +380,12 @@ def recorded_lift(trial: Trial, arm: JointMotion, frame_rate: float) -> Recordin
 
 
 def _showing(lying: Recording, frames: Sequence[int], clouds: Sequence[Array]) -> Recording:
-    """A recording with other clouds in some frames."""
+    """A recording with other clouds in some frames, and none in those after the first of them."""
     shown = dict(zip(frames, clouds, strict=True))
-    every = [shown.get(t, lying.frame(t)) for t in range(lying.num_frames)]
+    nothing = np.zeros((0, 3))
+    every = [
+        shown.get(t, lying.frame(t) if t <= frames[0] else nothing) for t in range(lying.num_frames)
+    ]
     return replace(lying, points=np.concatenate(every), offsets=np.cumsum([0, *map(len, every)]))
 
 
