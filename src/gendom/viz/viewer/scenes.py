@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.sim import Body
 from gendom.tasks.cloth_spreading import lattice_triangles
 from gendom.viz.palette import INK, SIMULATED_COLOR
@@ -26,7 +27,6 @@ MATERIAL, ACTION, SETUP = "Material", "Action", "Grip and clock"
 POSITIONS = 200
 """Of a parameter's slider."""
 
-Array = NDArray[np.floating]
 
 NO_FACES = np.empty((0, 3), dtype=int)
 
