@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import require
-from gendom.arrays import Array
 from gendom.sim import Body
 from gendom.tasks.cloth_spreading import lattice_triangles
 from gendom.viz.palette import INK, SIMULATED_COLOR
@@ -27,6 +26,7 @@ MATERIAL, ACTION, SETUP = "Material", "Action", "Grip and clock"
 POSITIONS = 200
 """Of a parameter's slider."""
 
+Array = NDArray[np.floating]
 
 NO_FACES = np.empty((0, 3), dtype=int)
 
