@@ -36,13 +36,11 @@ from gendom.materials import Cloth, Item, from_columns
 from gendom.reading import read_json
 from gendom.reality import as_real, task_trial
 from gendom.reality.recording import object_file
+from gendom.reality.world import FINGER_WIDTH
 from gendom.robot import JointMotion, tcp_pose
 from gendom.tasks import find_task
 
 _log = logging.getLogger(__name__)
-
-FINGER_WIDTH = 0.025
-"""Of what holds the object [m]."""
 
 WORD = "move"
 """What a person types before the arm moves."""
@@ -81,26 +79,24 @@ class Command:
         cell, action = Cell.read(self.cell), read_action(self.action)
         if killed := last_time(self.cell.parent / "executions"):
             _log.warning("%s", killed)
-        slow = careful(action.plan, cell) if self.yes else action.plan
-        print("\n".join(preview(slow, cell)))
         if self.action.suffix == ".jsonl":
             print(_measured(self.action))
         if self.picture is not None:
             write_picture(self.picture, self._drawn(cell, action))
             tell_written(self.picture)
         if not self.move:
+            print("\n".join(preview(action.plan, cell)))
             print("nothing moved: this was a dry run (--move)")
             return 0
-        if not self.yes:
-            confirm("The arm will move as above. Is the cell empty and the emergency stop at hand?")
-        record = None
+        record, what = None, "the execution of an action"
         if self.record is not None:
             task = find_task(action.task)()
             item = from_columns(task.kind, action.object)
-            record = self.record, described(cell, item, "the execution of an action")
-        carry_out(
-            cell, slow, read_plan(self.action), self.cell.parent / "executions",
-            bring=lambda robot: bring(robot, action, ask=not self.yes), record=record,
+            record = self.record, described(cell, item, what)
+        move(
+            cell, action.plan, what, logs=self.cell.parent / "executions", record=record,
+            said=read_plan(self.action), yes=self.yes,
+            bring=lambda robot: bring(robot, action, ask=not self.yes),
         )  # fmt: skip
         return 0
 

@@ -9,7 +9,7 @@ from typing import Literal
 
 from gendom.arguments import require
 from gendom.cli.arguments import Seed
-from gendom.cli.execute import FINGER_WIDTH, bring, described, move
+from gendom.cli.execute import bring, described, move
 from gendom.errors import ParameterError
 from gendom.files import check_folder
 from gendom.hardware.cell import Cell
@@ -24,18 +24,13 @@ from gendom.reality import (
     lift_cameras,
     record,
 )
-from gendom.robot import LiftMotion, motions, predefined_lift
+from gendom.reality.trials import lift_path
+from gendom.robot import LiftMotion, predefined_lift
 
 SPAN = {"rope": "long", "cloth": "wide"}
 
 MAX_RISE = 2.0
 """In lengths of a rope or sides of a cloth; more was not given in metres."""
-
-AHEAD = 0.32
-"""How far in front of the base an object's near end lies, unless --grasp says so [m]."""
-
-LEAST_HEIGHT, WAIT = 0.002, 0.5
-"""Of the tool point above the table [m], and pauses of the lift [s]."""
 
 MAX_ENCODER_NOISE = 0.1
 """Far more than any robot's [rad]."""
@@ -190,17 +185,9 @@ def lift_in(
     ``grasp`` is where the fingers take it [m] (None: ahead, on the table); with ``yes`` nobody is
     asked, and it moves slowly; ``logs`` is a folder (None: ``executions`` beside the cell's file).
     """
-    size, thick = size_of(known), thickness_of(known)
-    table = cell.table_height or 0.0
-    usual = (AHEAD + 0.5 * FINGER_WIDTH, 0.0, table + max(0.5 * thick, LEAST_HEIGHT))
-    require(motion.kind == known.kind, f"is for a {motion.kind}, the object is a {known.kind}",
-            where="motion", fix=f"plan one with gendom plan-lift {known.kind}")  # fmt: skip
-    path = motions.lift(
-        grasp or usual, height=motion.rise * size, speed=motion.speed, wait=WAIT, end=motion.end,
-        after=WAIT if motion.end == "hold" else None,
-    )  # fmt: skip
-    planned = cell.plan(path, opening=thick, hangs=size)
-    slow = known.kind == "rope" and motion.end == "hold" and motion.speed <= motions.ROPE_LIFT_SPEED
+    path = lift_path(known, motion, grasp, cell.table_height or 0.0)
+    planned = cell.plan(path, opening=thickness_of(known), hangs=size_of(known))
+    source = "a lift in a cell"
     move(
         cell,
         planned,
@@ -208,6 +195,6 @@ def lift_in(
         logs=logs or Path(cell.path or ".").parent / "executions",
         said={"plan": planned},
         bring=lambda robot: bring(robot, None, ask=not yes),
-        record=(out, described(cell, known, "a lift in a cell", quasi_static=slow)),
+        record=(out, described(cell, known, source, quasi_static=motion.quasi_static)),
         yes=yes,
     )

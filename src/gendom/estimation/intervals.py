@@ -24,8 +24,8 @@ from dataclasses import dataclass, field, replace
 from importlib import resources
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.estimation.methods.gauss_newton import gauss_newton
 from gendom.estimation.problem import Found, Part, Problem
@@ -33,8 +33,6 @@ from gendom.estimation.replay import middle
 from gendom.estimation.verdict import displaced
 from gendom.materials.posterior import IDENTIFIABLE, Posterior, Prior
 from gendom.materials.unknowns import UNKNOWNS, Theta
-
-Array = NDArray[np.floating]
 
 SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, IDENTIFIABLE)
 """Of the prior's deviation: changes that are simulated, both ways. Beyond the last the recording
@@ -98,7 +96,7 @@ def posterior_of(
     problem: Problem,
     found: Found,
     calibration: IntervalCalibration,
-    added: float | NDArray[np.floating] = 0.0,
+    added: float | Array = 0.0,
 ) -> Posterior:
     """The posterior of what was found, with further deviations [P] added in squares."""
     covariance = found.covariance

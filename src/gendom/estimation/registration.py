@@ -9,9 +9,9 @@ likelihood, with a wide prior.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.likelihood import Comparison, NoiseModel
@@ -20,8 +20,6 @@ from gendom.estimation.placing import with_points
 from gendom.estimation.problem import EstimateSettings, Problem
 from gendom.estimation.scene import LiftScene
 from gendom.materials.unknowns import Theta
-
-Array = NDArray[np.floating]
 
 LIFTED = 0.3
 """Rise of the gripper from which the held point is the highest, in the object's size."""

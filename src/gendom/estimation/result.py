@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.estimation.likelihood import Comparison, NoiseModel
 from gendom.estimation.problem import Found, Problem
 from gendom.estimation.replay import replay
@@ -18,8 +19,6 @@ from gendom.materials.estimate import Estimate, Verdict
 from gendom.materials.posterior import Posterior
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.observation import chamfer, visible
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,17 +1,7 @@
-"""An object of your own, as a TOML file:
+"""An object of your own, as a TOML file; docs/reality.md has its keys.
 
-kind = "rope"                  # or "cloth", with side and thickness
-length = 0.28                  # [m]
-diameter = 0.012               # [m]
-mass = 0.03                    # [kg], or density [kg/m^3]
-E = 1.2e6                      # [Pa]
-nu = 0.35
-damping = 0.004                # [s]; default 0.004
-friction = 0.4                 # on the table; default 0.3
-colour = [200, 60, 60]         # sRGB; default grey
-
-material = "cotton-rope", a name of `gendom.materials.catalogue`, gives typical values of all but
-the length or side and the colour; values in the file replace them.
+``material``, a name of `gendom.materials.catalogue`, gives typical values of all but the length or
+side and the colour; values in the file replace them.
 """
 
 from __future__ import annotations

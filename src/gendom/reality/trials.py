@@ -214,24 +214,12 @@ def lift(item: RealObject, motion: LiftMotion | None = None) -> Trial:
         RobotError: The motion is for the other kind.
     """
     motion = motion or predefined_lift(item.kind)
-    what = f"is for a {motion.kind}, and {item.name} is a {item.kind}"
-    fix = f"plan one with gendom plan-lift {item.kind}"
-    require(motion.kind == item.kind, what, where="motion", fix=fix, error=RobotError)
-    height, rope = item.radius, isinstance(item, RealRope)
-    origin = np.array([START, 0.0, height])
+    path = lift_path(item, motion).shifted(SETTLE)
+    rope, origin = isinstance(item, RealRope), np.array([START, 0.0, item.radius])
     layout = Layout(origin=origin)
     if not rope:
         half = np.sqrt(0.5)
         layout = Layout(origin=origin, along=(half, -half, 0.0), across=(half, half, 0.0))
-    still = motion.end == "hold"
-    path = motions.lift(
-        origin + np.array([FINGER_WIDTH / 2.0, 0.0, max(TIP_HEIGHT - height, 0.0)]),
-        height=motion.rise * size_of(item),
-        speed=motion.speed,
-        wait=SETTLE,
-        after=SETTLE if still else None,
-        end=motion.end,
-    ).shifted(SETTLE)
     return Trial(
         item=item,
         layout=layout,
@@ -240,8 +228,31 @@ def lift(item: RealObject, motion: LiftMotion | None = None) -> Trial:
         # A corner's vertices are farther from its middle than an end's.
         reach=_rope_reach(item) if isinstance(item, RealRope) else FINGER_WIDTH,
         end=path.end,
-        quasi_static=rope and still and motion.speed <= motions.ROPE_LIFT_SPEED,
-        quick=not still,
+        quasi_static=motion.quasi_static,
+        quick=motion.end != "hold",
+    )
+
+
+def lift_path(
+    item: RealObject, motion: LiftMotion, at: npt.ArrayLike | None = None, table: float = 0.0
+) -> TcpPath:
+    """Where the tool goes in a lift from a place [3]; None: ahead of the arm on a table of such a
+    height [m].
+
+    Raises:
+        RobotError: The motion is for the other kind.
+    """
+    what = f"is for a {motion.kind}, and {item.name} is a {item.kind}"
+    fix = f"plan one with gendom plan-lift {item.kind}"
+    require(motion.kind == item.kind, what, where="motion", fix=fix, error=RobotError)
+    ahead = START + FINGER_WIDTH / 2.0, 0.0, table + max(TIP_HEIGHT, item.radius)
+    return motions.lift(
+        ahead if at is None else at,
+        height=motion.rise * size_of(item),
+        speed=motion.speed,
+        wait=SETTLE,
+        after=SETTLE if motion.end == "hold" else None,
+        end=motion.end,
     )
 
 

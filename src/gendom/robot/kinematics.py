@@ -22,7 +22,7 @@ POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-7, 1e-6
 """Tolerances of inverse kinematics for a pose [m], [rad]; one more Newton step follows, which
 squares the error."""
 
-_ANGLE_LENGTH = 0.3  # [m]; an angle of 1 rad weighs as much as this distance
+ANGLE_LENGTH = 0.3  # [m/rad]; a rotation of the tool counts as this movement
 _DAMPING = 0.1  # damping^2 = (this)^2 |error|: zero at the solution, so that the end is Newton's
 _LARGEST_STEP = 0.4  # [rad]; a joint's step in one iteration
 _ITERATIONS, _STARTS = 100, 24
@@ -232,7 +232,7 @@ def _step(
     arm: Arm, poses: Array, q: Array, error: Array, rest: Array, homing: float
 ) -> tuple[Array, Array]:
     """One step [B, J] of damped least squares, and the largest part within the null space [B]."""
-    weight = np.array([1.0, 1.0, 1.0, _ANGLE_LENGTH, _ANGLE_LENGTH, _ANGLE_LENGTH])
+    weight = np.array([1.0, 1.0, 1.0, ANGLE_LENGTH, ANGLE_LENGTH, ANGLE_LENGTH])
     J = _jacobian(poses) * weight[:, None]
     e = error * weight
     far = np.linalg.norm(e, axis=1)
@@ -266,8 +266,8 @@ def reached(error: Array) -> NDArray[np.bool_]:
 
 
 def _size(error: Array) -> Array:
-    """Distance [m], with angles weighted by `_ANGLE_LENGTH`."""
-    turn = _ANGLE_LENGTH * np.linalg.norm(error[..., 3:], axis=-1)
+    """Distance [m], with angles weighted by `ANGLE_LENGTH`."""
+    turn = ANGLE_LENGTH * np.linalg.norm(error[..., 3:], axis=-1)
     return np.hypot(np.linalg.norm(error[..., :3], axis=-1), turn)
 
 

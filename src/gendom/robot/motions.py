@@ -76,6 +76,11 @@ class LiftMotion:
         _check_positive(rise=self.rise, speed=self.speed)
         _check_end(self.end)
 
+    @property
+    def quasi_static(self) -> bool:
+        """Whether inertia plays no part."""
+        return self.kind == "rope" and self.end == "hold" and self.speed <= ROPE_LIFT_SPEED
+
     def __str__(self) -> str:
         size = "lengths" if self.kind == "rope" else "sides"
         return f"{self.end}, {self.rise:g} {size} at {self.speed:g} m/s"

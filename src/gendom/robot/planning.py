@@ -15,6 +15,7 @@ from gendom.errors import RobotError
 from gendom.robot.arm import Arm
 from gendom.robot.collision import NO_OBSTACLES, CollisionChecker, Surroundings
 from gendom.robot.kinematics import (
+    ANGLE_LENGTH,
     descend,
     describe,
     missed,
@@ -38,7 +39,6 @@ SHORTEST_BLEND = 0.04
 _KNOTS_A_BLEND = 16
 _SPACING = 0.003  # [m]; the tool's movement between two solved times
 _LARGEST_SPACING = 0.005  # [m]; the same at most, however fast the path is
-_ANGLE_LENGTH = 0.3  # [m/rad]; a rotation of the tool counts as this movement
 _LONGEST_STEP = 0.2  # [s]; between two solved times at most
 _HOMING = 3.0  # [1/m]; towards home within the null space, for each metre the tool moves
 _POSTURES = 5  # configurations that a path is tried from
@@ -241,7 +241,7 @@ def _ways(path: TcpPath, blend: float) -> tuple[Array, Array]:
     T = path.pose_at(time, blend)
     shift = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
     turn = np.linalg.norm(np.diff(T[:, :3, :3], axis=0), axis=(1, 2)) / math.sqrt(2.0)
-    return time, np.concatenate([[0.0], np.cumsum(shift + _ANGLE_LENGTH * turn)])
+    return time, np.concatenate([[0.0], np.cumsum(shift + ANGLE_LENGTH * turn)])
 
 
 def _stepped(arm: Arm, path: TcpPath, q: Array, blend: float) -> tuple[Array, Array]:
@@ -305,7 +305,7 @@ def _solved_times(path: TcpPath, blend: float) -> Array:
 def _movement(T: Array, T_from: Array) -> float:
     """Distance between two poses of the tool [m], including rotation."""
     shift, turn = np.split(pose_error(T, T_from), 2)
-    return float(np.linalg.norm(shift) + _ANGLE_LENGTH * np.linalg.norm(turn))
+    return float(np.linalg.norm(shift) + ANGLE_LENGTH * np.linalg.norm(turn))
 
 
 def _not_followed(arm: Arm, T: Array, q: Array, step: Array | None, time: float) -> RobotError:

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 
 from gendom.arrays import Array
 from gendom.materials import Item, Rope, to_columns
+from gendom.materials.catalogue import UNITS
 from gendom.twins.lift import FRAME_RATE, Lift
 
 SCRIPT = None
-
-_UNITS = {"E": "Pa", "nu": "1", "density": "kg/m^3", "damping": "s", "friction": "1"}
 
 
 def edge(_: Item) -> None:
@@ -44,7 +43,7 @@ def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
     shape.append(f"point3f[] points = {_points(positions[0])}")
     shape.append("\n".join(["point3f[] points.timeSamples = {", *samples, "        }"]))
     for name, value in to_columns(item).items():
-        said = f'doc = "{_UNITS.get(name, "m")}"'
+        said = f'doc = "{UNITS.get(name, "m")}"'
         shape.append(f"custom double gendom:{name} = {value!r} ({said})")
     text = _STAGE.format(
         end=len(positions) - 1, rate=f"{FRAME_RATE:g}", kind=kind, shape="\n        ".join(shape)

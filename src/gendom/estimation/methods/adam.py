@@ -21,14 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison
 from gendom.estimation.methods.search import best_of, finished, first_starts
 from gendom.estimation.problem import Found, Problem, Start
 from gendom.estimation.replay import lattice, middle, simulator_of
 from gendom.observation import DensityGrid, visible
-
-Array = NDArray[np.floating]
 
 SCANNED = 16
 """Moduli of the scan that precedes the search, over the whole range."""

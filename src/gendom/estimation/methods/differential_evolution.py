@@ -11,13 +11,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
+from gendom.arrays import Array
 from gendom.estimation.methods.search import finished
 from gendom.estimation.problem import Found, Problem, Start
-
-Array = NDArray[np.floating]
 
 
 def differential_evolution(problem: Problem, *, members: int = 15) -> Found:

@@ -12,13 +12,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.estimation.likelihood import Comparison, Comparisons
 from gendom.estimation.methods.search import finished
 from gendom.estimation.problem import Found, Problem, Start
-
-Array = NDArray[np.floating]
 
 GENERATIONS = 40
 """The mean distance of real cloths then falls by less than 0.1 mm a generation."""
