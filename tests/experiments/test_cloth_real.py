@@ -14,7 +14,6 @@ from experiments.cloth_real import CLOTHS, Settings, cloth_real, tables_of
 from experiments.runs import Runs
 from gendom.errors import GendomError
 from gendom.materials.estimate import Estimate
-from gendom.policies import Policy
 from gendom.policies.belief import believed
 from gendom.reality import find_object
 from gendom.tasks.cloth_spreading import OFF_CENTRE
@@ -71,12 +70,8 @@ def test_every_row_is_tried_and_what_has_no_estimate_is_said(runs):
     assert set(rubber) == {"ours, no parameters", "ours, true parameters"}
     assert "it did not move" in result["estimates"][RUBBER]["refused"]
     assert "friction" in result["estimates"][COTTON]
-    # of the shipped policy: what was enough for nine of ten cloths that it was trained on
-    shipped = Policy.pretrained("cloth-spreading")
+    # a policy that does not know which cloth it has does the same to all
     assert cotton["ours, no parameters"]["A"] == rubber["ours, no parameters"]["A"]
-    A = shipped.description.outputs[0]
-    enough = min(A.mean + 1.2816 * A.scale, 0.65)
-    assert cotton["ours, no parameters"]["A"] == pytest.approx(enough, abs=1e-4)
     assert cotton["searched"]["A"] == 0.3
     off = np.hypot(*(np.array(result["hands"]) - OFF_CENTRE).T)
     assert off[0] == 0.0 and 0.001 < off[1:].min() < off.max() < 0.05
@@ -103,15 +98,15 @@ def test_policies_are_trained_on_their_own_demonstrations(runs, monkeypatch):
             return found
 
     monkeypatch.setattr(module, "Demonstrator", partial(Demonstrator, world=Demonstrated()))
-    settings = replace(SMALL, demonstrations=24, trials=1, epochs=2, steps=60)
+    settings = replace(SMALL, demonstrations=200, trials=1, epochs=20, steps=600)
     rows = cloth_real(runs, settings)["cloths"][COTTON]
-    # 0.15 is the smallest A that spreads
-    assert rows["ours"]["A"] == pytest.approx(0.15, abs=0.02)
-    assert rows["ours, no parameters"]["A"] == pytest.approx(0.15, abs=0.02)
+    # 0.15 to 0.45 spread, 0.65 fails
+    assert rows["ours"]["A"] == pytest.approx(0.2, abs=0.06)
+    assert rows["ours, no parameters"]["A"] == pytest.approx(0.2, abs=0.06)
 
 
 def test_trials_are_kept_and_faults_are_no_numbers(runs, monkeypatch):
-    monkeypatch.setattr(module, "_acts", lambda policy, item: 0.65)
+    monkeypatch.setattr(module, "_acts", lambda policy, items: 0.65)
     result = cloth_real(runs, SMALL)
     row = result["cloths"][COTTON]["ours"]
     assert row["covered"] == [None] * 3 == row["share"]

@@ -18,8 +18,8 @@ No way down opens a limp cloth: see docs/tasks.md for what was measured.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -28,7 +28,7 @@ from PIL import Image, ImageDraw
 from gendom.arguments import require
 from gendom.materials import Cloth, Item, Material, size_of, thickness_of, unit_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
-from gendom.tasks.task import Array, Observed, Outcome, Quantity, Risk, Scene, Task, World
+from gendom.tasks.task import Array, Observed, Quantity, Risk, Scene, Task
 
 CLOTH = Cloth(side=0.2, thickness=0.001, material=Material(E=4e5, density=400.0, damping=0.005))
 """What demonstrations are simulated with."""
@@ -78,11 +78,8 @@ START = 0.32
 SPREAD = 0.75
 """Share that the paper asks for."""
 
-SEARCHED = tuple(round(0.05 * k, 2) for k in range(14))
-"""Values of A among which the smallest that spreads a cloth is looked for; at first every
-`COARSE_STEP`-th, then those just below the smallest of them that does."""
-
-COARSE_STEP = 3
+CHOICES = tuple(round(0.05 * k, 2) for k in range(14))
+"""Values of A that demonstrations try and policies choose among."""
 
 FLAT_ANGLE, FLAT_HEIGHT = math.radians(20.0), 0.05
 """What lies flat is inclined by at most this [rad], and at most so high above the table [sides]."""
@@ -115,10 +112,10 @@ class ClothSpreading(Task):
         Quantity(name="share", unit="1", meaning="share of the area that lies flat, unwrinkled"),
         Quantity(name="unspread", unit="1", meaning="share of the area that does not"),
         Quantity(name="covered", unit="1", meaning="covered area of the table over the cloth's"),
-        Quantity(name="spreads", unit="bool", meaning="whether any A spreads the cloth"),
     )
     risk: ClassVar[Risk | None] = Risk(name="unspread", unit="1", limit=1.0 - SPREAD)
     watches: ClassVar[str] = "all"
+    candidates: ClassVar[tuple[tuple[float, ...], ...]] = tuple((A,) for A in CHOICES)
     cost: ClassVar[float] = 16.0
     height: ClassVar[float] = HEIGHT
     """To which a cloth is raised [sides]."""
@@ -174,53 +171,6 @@ class ClothSpreading(Task):
     def error(self, item: Item, goal: Array, values: Mapping[str, float]) -> float:
         """What is missing of the share that is asked for [-]."""
         return max(0.0, SPREAD - values["share"])
-
-    def demonstrate(
-        self,
-        world: World,
-        items: Sequence[Item],
-        actions: Array,
-        *,
-        on_frame: Callable[[int], None] | None = None,
-    ) -> tuple[Array, list[Outcome]]:
-        """The smallest A that spreads each cloth, and its outcome; see `SEARCHED`.
-
-        Where none does, the A that spreads it best; `spreads` is then 0.
-        """
-        kept: list[dict[int, Outcome]] = [{} for _ in items]
-
-        def share(w: int, k: int) -> float:
-            return kept[w][k].values.get("share", -math.inf)
-
-        def first(w: int) -> int:
-            """Index of the first A that spreads a cloth; their number if none does."""
-            return min((k for k in kept[w] if share(w, k) >= SPREAD), default=len(SEARCHED))
-
-        coarse = sorted({*range(0, len(SEARCHED), COARSE_STEP), len(SEARCHED) - 1})
-        tried = [(w, k) for w in range(len(items)) for k in coarse]
-        while tried:
-            some = [items[w] for w, _ in tried]
-            actions = np.array([[SEARCHED[k]] for _, k in tried])
-            found = world.carry_out(self, some, actions, on_frame=on_frame)
-            for (w, k), outcome in zip(tried, found, strict=True):
-                kept[w][k] = outcome
-            tried = [
-                (w, k)
-                for w in range(len(items))
-                for k in range(max(0, first(w) - COARSE_STEP + 1), first(w))
-                if k not in kept[w]
-            ]
-        chosen, outcomes = [], []
-        for w, own in enumerate(kept):
-            k, spreads = first(w), first(w) < len(SEARCHED)
-            if not spreads:
-                k = max(sorted(own), key=lambda k, w=w: share(w, k))
-            outcome = own[k]
-            if outcome.fault is None:
-                outcome = replace(outcome, values={**outcome.values, "spreads": float(spreads)})
-            chosen.append([SEARCHED[k]])
-            outcomes.append(outcome)
-        return np.array(chosen), outcomes
 
     def T_world_task(self, item: Item) -> Array:
         T = np.eye(4)
