@@ -43,7 +43,9 @@ Recorded = Annotated[
     ),
 ]
 
-TASKS_HELP = "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|FILE.py"
+TASKS_HELP = (
+    "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|cloth-dragging|FILE.py"
+)
 
 METHODS_HELP = "gauss-newton|adam|differential-evolution"
 
