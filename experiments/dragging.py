@@ -37,7 +37,7 @@ START = (0.5, 0.0, 1.25, 2.5, 1.0, 0.0, 0.8, 2.5, 1.45, 0.0, 0.02, 2.0, 1.9, 0.0
 SIGMA = 0.15
 """Of the first generation [of the limits' width]."""
 
-LATTICES, AIR = (1.0, 1.2, 1.5), (0.0, 1.2)
+LATTICES, AIR = (1.0, 1.0, 1.2), (0.0, 1.2)
 """Cells across, and densities of the air [kg/m^3], of the generations."""
 
 ENOUGH, SOFT = 0.75, 0.05
