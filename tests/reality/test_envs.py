@@ -31,12 +31,14 @@ ALL = [
     "RopeCasting",
     "RopeCastingAtSpeed",
     "ClothSpreading",
+    "ClothDragging",
 ]
 NUMBERS = {
     "RopeReaching": {"action": 2, "goal": 1},
     "RopeCasting": {"action": 1, "goal": 2},
     "RopeCastingAtSpeed": {"action": 2, "goal": 2},
     "ClothSpreading": {"action": 1},
+    "ClothDragging": {"action": 15},
 }
 """How many numbers an action and a goal have."""
 

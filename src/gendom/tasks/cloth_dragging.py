@@ -89,10 +89,12 @@ class ClothDragging(ClothSpreading):
     def tool_path(self, item: Item, action: Array) -> TcpPath:
         side, second = size_of(item), unit_of("s", item)
         place, duration = self._waypoints(item, action)
-        raised = TOP / RISE_SPEED
-        lowest = place[-1, 2]
+        # rounded off, the tool moves half a blend earlier: at 0
+        rises = 0.5 * BLEND
+        raised = rises + TOP / RISE_SPEED
         begins = raised + SETTLE
-        time = np.r_[-WAIT, 0.0, raised, begins, begins + np.cumsum(duration), self.end]
+        time = np.r_[-WAIT, rises, raised, begins, begins + np.cumsum(duration), self.end]
+        lowest = place[-1, 2]
         place = np.vstack([[0.0, 0.0, lowest], [0.0, 0.0, lowest], place[:1], place, place[-1:]])
         away = np.array(self.off_centre) / math.hypot(*self.off_centre)
         axes = np.array([[*away, 0.0], [-away[1], away[0], 0.0], [0.0, 0.0, 1.0]])
@@ -124,7 +126,7 @@ class ClothDragging(ClothSpreading):
 
     @property
     def end(self) -> float:
-        return TOP / RISE_SPEED + SETTLE + LONGEST + REST_AT_END
+        return BLEND + TOP / RISE_SPEED + SETTLE + LONGEST + REST_AT_END
 
     def T_world_task(self, item: Item) -> Array:
         # the diagonal runs along the base's y
