@@ -134,6 +134,7 @@ def search(
     seed: int,
     start: Sequence[Array],
     sigma: float = SIGMA,
+    generations: float = math.inf,
     told: Path | None = None,
 ) -> list[list[Array]]:
     """For each family, the means of the search and its best motions [N], in units of similarity."""
@@ -146,7 +147,7 @@ def search(
     ]
     began, generation = time.monotonic(), 0
     kept: list[list[tuple[float, list[float]]]] = [[] for _ in families]
-    while time.monotonic() - began < seconds:
+    while time.monotonic() - began < seconds and generation < generations:
         rng = np.random.default_rng([seed, generation])
         world = replace(
             simulation,
