@@ -117,10 +117,6 @@ class ClothSpreading(Task):
     watches: ClassVar[str] = "all"
     candidates: ClassVar[tuple[tuple[float, ...], ...]] = tuple((A,) for A in CHOICES)
     cost: ClassVar[float] = 16.0
-    height: ClassVar[float] = HEIGHT
-    """To which a cloth is raised [sides]."""
-    step_time: ClassVar[float] = STEP_TIME
-    """Of each of the steps down [sqrt(L / g)]."""
 
     item: Item = CLOTH
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(RANGES))
@@ -138,15 +134,15 @@ class ClothSpreading(Task):
         side, second = size_of(item), unit_of("s", item)
         low = max(0.5 * thickness_of(item), MIN_HEIGHT)
         down = np.concatenate([[0.0], np.cumsum(step_shares(float(action[0])))])
-        raised = self.height / RISE_SPEED
+        raised = HEIGHT / RISE_SPEED
         begins = raised + SETTLE
         time = np.concatenate(
-            [[-WAIT, 0.0, raised], begins + self.step_time * np.arange(DOWN_STEPS + 1), [self.end]]
+            [[-WAIT, 0.0, raised], begins + STEP_TIME * np.arange(DOWN_STEPS + 1), [self.end]]
         )
         height = np.concatenate([[0.0, 0.0, 1.0], 1.0 - down, [0.0]])
         position = np.zeros((len(time), 3))
         position[:, :2] = side * (0.5 + np.array(self.off_centre))
-        position[:, 2] = low + self.height * side * height
+        position[:, 2] = low + HEIGHT * side * height
         return TcpPath(
             time=second * time,
             position=position,
@@ -158,7 +154,7 @@ class ClothSpreading(Task):
     @property
     def end(self) -> float:
         """When all is over [sqrt(L / g)]."""
-        return self.height / RISE_SPEED + SETTLE + DOWN_STEPS * self.step_time + REST_AT_END
+        return HEIGHT / RISE_SPEED + SETTLE + DOWN_STEPS * STEP_TIME + REST_AT_END
 
     def times(self, item: Item) -> Array:
         return unit_of("s", item) * np.array([self.end])
