@@ -1,95 +1,93 @@
-"""What spreads cloths: how quickly they are brought down, and from how high.
+"""Cloths that are spread, by quarters of their bending length: policies beside the best constant.
 
-    python benchmarks/spreading.py --count 150 --device cuda
+    python benchmarks/spreading.py --task cloth-spreading --device cuda
+    python benchmarks/spreading.py --task cloth-dragging --device cuda --world reality --jobs 16
 
-Drawn cloths (the ranges of `ClothSpreading`) are brought down by A in our simulator, for every step
-time [sqrt(L / g)], height [sides] and largest acceleration of the tool [g] that is asked for. The
-table: share of cloths that lie spread, of all and by quarters of their bending length, limp first;
-and the mean share of a cloth that does.
+Newly drawn cloths, for each of some seeds. Every known action of the task is tried with each of
+them, so that all rows are of the same trials: the policy, which sees the parameters; the same for
+cloths that it knows nothing of; the one action that spreads most of these cloths; and the best that
+any does, of all cloths and of each quarter.
 """
 
 import argparse
-import math
-import time
-from dataclasses import replace
 
 import numpy as np
 
-from gendom.materials import STANDARD_GRAVITY, dimensionless_parameters
-from gendom.robot import TcpPath
-from gendom.tasks import ClothSpreading
+from gendom.materials import dimensionless_parameters
+from gendom.policies import Policy
+from gendom.reality import RealWorld
+from gendom.tasks import find_task
 from gendom.tasks.cloth_spreading import SPREAD
 from gendom.tasks.world import Simulation
 
-
-def gentle(path: TcpPath, acceleration: float) -> TcpPath:
-    """The path with the shortest blend that keeps the tool's acceleration below a limit [m/s^2]."""
-
-    def peak(blend: float) -> float:
-        step = blend / 32.0
-        t = np.arange(path.start - blend, path.end + blend, step)
-        a = np.diff(path.position_at(t, blend), n=2, axis=0) / step**2
-        return float(np.linalg.norm(a, axis=1).max())
-
-    low, high = 0.0, path.max_blend
-    if peak(high) > acceleration:
-        raise SystemExit(f"no blend keeps the tool below {acceleration:g} m/s^2")
-    while high - low > 1e-3 * high:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if peak(middle) > acceleration else (low, middle)
-    return replace(path, blend=high)
-
-
-def way_down(step_time: float, height: float, acceleration: float) -> ClothSpreading:
-    """The task with another step time, height and largest acceleration."""
-    steps, raised = step_time, height
-
-    class WayDown(ClothSpreading):
-        step_time = steps
-        height = raised
-
-        def tool_path(self, item, action):
-            path = super().tool_path(item, action)
-            limited = math.isfinite(acceleration)
-            return gentle(path, acceleration * STANDARD_GRAVITY) if limited else path
-
-    return WayDown()
+PRIOR = 512
+"""Cloths for which a policy acts that knows nothing of the one at hand."""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--count", type=int, default=24)
-    parser.add_argument("--A", type=float, nargs="+", default=[0.0, 0.2, 0.65])
-    parser.add_argument("--step-times", type=float, nargs="+", default=[0.28, 0.14, 0.07])
-    parser.add_argument("--heights", type=float, nargs="+", default=[0.8])
-    parser.add_argument("--accelerations", type=float, nargs="+", default=[math.inf])
+    parser.add_argument("--task", default="cloth-spreading")
+    parser.add_argument("--policy", help="a file; by default the one that ships")
+    parser.add_argument("--world", choices=("simulation", "reality"), default="simulation")
+    parser.add_argument("--count", type=int, default=120)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[101, 102, 103])
     parser.add_argument("--device", default="cpu")
-    parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args()
-    rng = np.random.default_rng(given.seed)
-    items = [ClothSpreading().draw_item(rng) for _ in range(given.count)]
-    stiffness = np.array([dimensionless_parameters(item)["bending_ratio"] for item in items])
-    quarter = np.searchsorted(np.quantile(stiffness, [0.25, 0.5, 0.75]), stiffness)
-    print("step time  height  acceleration     A   spread  by quarters              share  time")
-    for step_time in given.step_times:
-        for height in given.heights:
-            for acceleration in given.accelerations:
-                task = way_down(step_time, height, acceleration)
-                for A in given.A:
-                    began = time.perf_counter()
-                    actions = np.full((len(items), 1), A)
-                    outcomes = Simulation(device=given.device).carry_out(task, items, actions)
-                    share = np.array([o.values.get("share", math.nan) for o in outcomes])
-                    done = share >= SPREAD
-                    by = "  ".join(f"{done[quarter == k].mean():.2f}" for k in range(4))
-                    print(
-                        f"{step_time:9.2f}{height:8.1f}{acceleration:14.2f}{A:6.2f}"
-                        f"{done.mean():9.2f}  {by}  {np.nanmean(share):9.2f}"
-                        f"{time.perf_counter() - began:6.0f} s",
-                        flush=True,
-                    )
+    policy = Policy.read(given.policy) if given.policy else Policy.pretrained(given.task)
+    task = find_task(given.task)()
+    world = Simulation(device=given.device)
+    if given.world == "reality":
+        world = RealWorld(jobs=given.jobs)
+    known = np.array(policy.description.candidates)
+    rng = np.random.default_rng(0)
+    prior = [task.draw_item(rng) for _ in range(PRIOR)]
+    blind = np.array(list(policy.act((), prior[0], likely=prior).action.values()))
+    rows: dict[str, list[list[float]]] = {}
+    for seed in given.seeds:
+        items = [task.draw_item(np.random.default_rng([seed, i])) for i in range(given.count)]
+        actions = np.array(
+            [task.nearest(i, a * task.action_units(i)) for i in items for a in known]
+        )
+        outcomes = world.carry_out(task, [i for i in items for _ in known], actions)
+        share = np.array([o.values.get("share", 0.0) for o in outcomes]).reshape(len(items), -1)
+        alike = [dimensionless_parameters(i) for i in items]
+        chosen = policy.actions(
+            np.empty((len(items), 0)), {n: np.array([a[n] for a in alike]) for n in alike[0]}
+        )
+        stiffness = np.array([a["bending_ratio"] for a in alike])
+        quarter = np.searchsorted(np.quantile(stiffness, [0.25, 0.5, 0.75]), stiffness)
+        done = share >= SPREAD
+        own = np.abs(known[None] - chosen[:, None]).sum(axis=2).argmin(axis=1)
+        blindly = np.abs(known - blind / task.action_units(prior[0])).sum(axis=1).argmin()
+        best = [done[quarter == k].mean(axis=0).argmax() for k in range(4)]
+        every = np.arange(len(items))
+        for name, k in {
+            "policy": own,
+            "without parameters": np.full(len(items), blindly),
+            "best constant": np.full(len(items), done.mean(axis=0).argmax()),
+            "best of each quarter": np.array(best)[quarter],
+        }.items():
+            spread, first = done[every, k], known[k, 0]
+            by = [spread[quarter == q].mean() for q in range(4)]
+            figures = [spread.mean(), *by, *(first[quarter == q].mean() for q in range(4))]
+            rows.setdefault(name, []).append(figures)
+        any_of = done.any(axis=1)
+        by = [any_of[quarter == q].mean() for q in range(4)]
+        rows.setdefault("any", []).append([any_of.mean(), *by, *[np.nan] * 4])
+        head = f"seeds {given.seeds[: len(rows['policy'])]}, {given.count} cloths each"
+        print(
+            f"{head:40s} spread  by quarters, limp first   first number of the action", flush=True
+        )
+        for name, found in rows.items():
+            mean = np.mean(found, axis=0)
+            numbers = (
+                "  ".join(f"{x:.2f}" for x in mean[1:5]),
+                "  ".join(f"{x:.2f}" for x in mean[5:]),
+            )
+            print(f"{name:40s} {mean[0]:6.2f}  {numbers[0]}       {numbers[1]}", flush=True)
 
 
 if __name__ == "__main__":

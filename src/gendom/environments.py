@@ -10,7 +10,13 @@ from collections.abc import Iterable
 
 import gymnasium
 
-BUILT_IN = ("rope-reaching", "rope-casting", "rope-casting-at-speed", "cloth-spreading")
+BUILT_IN = (
+    "rope-reaching",
+    "rope-casting",
+    "rope-casting-at-speed",
+    "cloth-spreading",
+    "cloth-dragging",
+)
 
 
 def register(names: Iterable[str] = BUILT_IN) -> None:

@@ -13,7 +13,6 @@ from experiments.cloth_real import CLOTHS, Settings, cloth_real, tables_of
 from experiments.runs import Runs
 from gendom.errors import GendomError
 from gendom.materials.estimate import Estimate
-from gendom.policies import Policy
 from gendom.policies.belief import believed
 from gendom.reality import find_object
 from gendom.tasks.cloth_spreading import OFF_CENTRE
@@ -69,12 +68,8 @@ def test_every_row_is_tried_and_what_has_no_estimate_is_said(runs):
     assert set(rubber) == {"ours, no parameters", "ours, true parameters"}
     assert "it did not move" in result["estimates"][RUBBER]["refused"]
     assert "friction" in result["estimates"][COTTON]
-    # of the shipped policy: what was enough for nine of ten cloths that it was trained on
-    shipped = Policy.pretrained("cloth-spreading")
+    # a policy that does not know which cloth it has does the same to all
     assert cotton["ours, no parameters"]["A"] == rubber["ours, no parameters"]["A"]
-    A = shipped.description.outputs[0]
-    enough = min(A.mean + 1.2816 * A.scale, 0.65)
-    assert cotton["ours, no parameters"]["A"] == pytest.approx(enough, abs=1e-4)
     assert cotton["searched"]["A"] == 0.3
     off = np.hypot(*(np.array(result["hands"]) - OFF_CENTRE).T)
     assert off[0] == 0.0 and 0.001 < off[1:].min() < off.max() < 0.05
@@ -85,7 +80,7 @@ def test_every_row_is_tried_and_what_has_no_estimate_is_said(runs):
 
 
 def test_trials_are_kept_and_faults_are_no_numbers(runs, monkeypatch):
-    monkeypatch.setattr(module, "_acts", lambda policy, item: 0.65)
+    monkeypatch.setattr(module, "_acts", lambda policy, items: 0.65)
     result = cloth_real(runs, SMALL)
     row = result["cloths"][COTTON]["ours"]
     assert row["covered"] == [None] * 3 == row["share"]

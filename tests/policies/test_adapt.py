@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Cloth, dimensionless_parameters, size_of
 from gendom.materials.estimate import Estimate
 from gendom.policies import adaptation
-from gendom.policies.adaptation import Execution, adapt, executions_from
-from gendom.policies.belief import uncertain
+from gendom.policies.adaptation import Execution, adapt, adapting, executions_from
+from gendom.policies.belief import believed, uncertain, weighed
 from gendom.policies.polishing import polish
 from gendom.tasks import ClothSpreading
 from policies.ballistic import ROPE, TASK, Throws, reach_of
@@ -114,8 +115,9 @@ def test_bad_executions_are_refused():
         adapt(TASK, belief, [far], world=Throws())
     with pytest.raises(SimulationError, match="cannot be simulated"):
         adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(fails=True))
-    with pytest.raises(ParameterError, match="no goals"):
-        adapt(ClothSpreading(), belief, [wrong], world=Throws())
+    with pytest.raises(ParameterError, match="share is 4; give a share"):
+        many = Execution(action=np.array([0.2]), reached=np.array([4.0]))
+        adapt(ClothSpreading(), belief, [many], world=Throws())
     seen = executed(0.4, 0.4)
     (again,) = executions_from([seen.to_dict()], "file")
     assert np.array_equal(again.action, seen.action) and again.reached == seen.reached
@@ -199,3 +201,30 @@ def test_a_belief_is_about_an_object_of_the_item_s_thickness():
     }
     belief = belief_of(ROPE, posterior, known=("nu", "friction", "damping"))
     assert belief.names == ("E_over_rho",) and belief.sd == pytest.approx([0.03])
+
+
+def test_what_was_enough_says_which_objects_are_likely():
+    """Of a task without goals: a policy's probabilities weigh the drawn objects."""
+    task = ClothSpreading()
+
+    class Knows:
+        """Enough is A beyond what the friction asks for, in nine of ten cases."""
+
+        description = SimpleNamespace(candidates=ClothSpreading.candidates)
+
+        def task(self):
+            return ClothSpreading()
+
+        def chances(self, actions, parameters):
+            return np.where(np.ravel(actions) > parameters["friction"], 0.9, 0.05)
+
+    drawn = [replace(task.item, friction=f) for f in np.linspace(0.2, 0.6, 200)]
+    tried = [
+        Execution(action=np.array([A]), reached=np.array([s])) for A, s in ((0.4, 0.8), (0.3, 0.5))
+    ]
+    friction = np.array([i.friction for i in weighed(drawn, tried, Knows(), 0)])
+    assert np.mean((friction > 0.3) & (friction < 0.4)) > 0.75
+    assert weighed(drawn, [], Knows(), 0) == drawn
+    # they are kept as they are, for the policy
+    belief = believed(Estimate.of(task.item), task)
+    assert adapt(task, belief, tried, world=Throws()).belief is belief

@@ -117,7 +117,10 @@ def test_unknown_task_is_refused(make_policy, description):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (lambda d: d.update(format="gendom-policy/1"), "reads 'gendom-policy/2'"),
+        (
+            lambda d: d.update(format="gendom-policy/1"),
+            "reads 'gendom-policy/3' and 'gendom-policy/2'",
+        ),
         (lambda d: d.pop("task"), "missing required field task"),
         (lambda d: d["task"].pop("ranges"), r"lacks task\.ranges"),
         (lambda d: d["parameters"].pop("nu"), r"lacks parameters\.nu"),

@@ -12,7 +12,8 @@ from gendom.materials import Item
 from gendom.materials.estimate import Estimate
 from gendom.policies.polishing import polish, polishing
 from gendom.policies.rollouts import side_by_side
-from gendom.tasks import RopeCasting
+from gendom.tasks import ClothSpreading, RopeCasting
+from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
 from policies.ballistic import ROPE, TASK, Throws
 
@@ -142,3 +143,17 @@ def test_simulated_cast_is_polished_to_a_tenth_of_a_millimetre():
     softer = replace(ROPE, material=replace(ROPE.material, E=4e5))
     other = polish(task, goal, [softer], [0.14], world=world)
     assert other.expected > 10.0 * found.expected
+
+
+def test_an_action_without_a_goal_is_varied_until_it_is_enough():
+    """From the best of the known ones; the search knows no slope."""
+    task = ClothSpreading()
+
+    class Narrow(Throws):
+        def carry_out(self, task, items, actions, **_):
+            share = [0.95 - 4.0 * abs(float(a) - 0.372) for (a,) in actions]
+            return [Outcome(values={"share": s, "unspread": 1.0 - s}) for s in share]
+
+    found = polish(task, (), [task.item], [0.0], world=Narrow())
+    assert found.action[0] == pytest.approx(0.372, abs=0.03)
+    assert found.expected < 0.02 < 0.5 < found.before

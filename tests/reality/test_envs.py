@@ -31,12 +31,14 @@ ALL = [
     "RopeCasting",
     "RopeCastingAtSpeed",
     "ClothSpreading",
+    "ClothDragging",
 ]
 NUMBERS = {
     "RopeReaching": {"action": 2, "goal": 1},
     "RopeCasting": {"action": 1, "goal": 2},
     "RopeCastingAtSpeed": {"action": 2, "goal": 2},
     "ClothSpreading": {"action": 1},
+    "ClothDragging": {"action": 15},
 }
 """How many numbers an action and a goal have."""
 
@@ -97,8 +99,9 @@ def test_every_number_has_a_unit(name):
     shapes = {key: len(space.low) for key, space in spaces.items()}
     assert shapes == {**NUMBERS[name], "sizes": 2, "parameters": 5}
     units = env.metadata["units"]
-    limits = env.task.limits(env.objects[0])
-    np.testing.assert_array_equal([env.action_space.low, env.action_space.high], limits.T)
+    low, high = np.moveaxis([env.task.limits(item) for item in env.objects], 2, 0)
+    ends = [low.min(axis=0), high.max(axis=0)]
+    np.testing.assert_array_equal([env.action_space.low, env.action_space.high], ends)
     assert {key: len(units[key]) for key in shapes} == shapes
     assert units["action"] == tuple(q.unit for q in env.task.actions)
     assert units["goal"] == ("m",) * NUMBERS[name].get("goal", 0)

@@ -1,6 +1,6 @@
 """Cloth spreading: the paper's steps, and the share that lies spread on known shapes."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +10,6 @@ from gendom.materials import Cloth, Material
 from gendom.tasks import ClothSpreading, RopeReaching
 from gendom.tasks.cloth_spreading import (
     CLOTH,
-    SEARCHED,
     lattice_triangles,
     spread_areas,
     step_shares,
@@ -87,43 +86,7 @@ def test_what_lies_flat_is_spread(x, share, covered):
         assert low <= found <= high
 
 
-# ---- the search ----------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class Formula(Simulation):
-    """Each cloth is spread by all A from its friction on."""
-
-    tried: list[float] = field(default_factory=list)
-
-    def carry_out(self, task, items, actions, **_):
-        self.tried.extend(np.ravel(actions))
-        shares = [
-            0.9 if a >= i.friction - 1e-9 else 0.2 + 0.1 * a
-            for i, a in zip(items, np.ravel(actions), strict=True)
-        ]
-        return [Outcome(values={"share": s, "unspread": 1.0 - s, "covered": s}) for s in shares]
-
-
-def test_the_smallest_A_that_spreads_is_found_with_few_trials():
-    world = Formula()
-    items = [replace(TASK.item, friction=f) for f in (0.0, 0.22, 0.3, 0.65, 0.9)]
-    found, outcomes = TASK.demonstrate(world, items, np.zeros((5, 1)))
-    assert found[:, 0] == pytest.approx([0.0, 0.25, 0.3, 0.65, 0.65])
-    assert [o.values["spreads"] for o in outcomes] == [1.0, 1.0, 1.0, 1.0, 0.0]
-    assert len(world.tried) < 5 * 8 < 5 * len(SEARCHED)
-    # what is missing of the share is the error
-    errors = [TASK.error(TASK.item, np.empty(0), {"share": share}) for share in (0.5, 0.9)]
-    assert errors == [0.25, 0.0]
-
-
-def test_a_cloth_that_no_action_can_simulate_keeps_its_fault():
-    class Broken(Simulation):
-        def carry_out(self, task, items, actions, **_):
-            return [Outcome(values={}, fault="diverged") for _ in items]
-
-    found, outcomes = TASK.demonstrate(Broken(), [TASK.item], np.zeros((1, 1)))
-    assert np.isfinite(found).all() and outcomes[0].fault == "diverged"
+# ---- in the simulator ----------------------------------------------------------------------------
 
 
 def test_a_hand_that_presses_a_limp_heap_on_the_table_keeps_it_whole(monkeypatch):

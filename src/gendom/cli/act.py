@@ -31,7 +31,7 @@ from gendom.materials import (
 from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
 from gendom.policies.adaptation import adapt
-from gendom.policies.belief import believed, for_task
+from gendom.policies.belief import believed, for_task, weighed
 from gendom.policies.polishing import Discrepancy, polish
 from gendom.policies.prediction import predict, steady
 from gendom.robot import TcpPath
@@ -42,7 +42,8 @@ from gendom.tasks.world import Simulation
 _log = logging.getLogger(__name__)
 
 DRAWS = 64
-"""Objects drawn from an estimate's posterior to say what will be reached."""
+"""Objects drawn from an estimate's posterior to choose an action for, and to say what will be
+reached."""
 
 POLISHED_FOR = 8
 """Objects drawn to polish an action for."""
@@ -62,7 +63,7 @@ class Command(KnownObject):
     task: TaskName
     goal: tuple[float, ...] = ()
     """The goal in SI units and the task's frame: rope-reaching x, rope-casting x and z [m]; none
-    for cloth-spreading."""
+    for cloths."""
     cell: Path | None = None
     """cell.toml (gendom cell) in which the arm will act: table, obstacles, distances and speeds.
     Without it the arm is planned beside its table alone, for simulation only."""
@@ -106,7 +107,9 @@ class Command(KnownObject):
                 where=policy.where,
                 fix=f"{', '.join(dict.fromkeys(o.fix for o in outside))}, or add --force",
             )
-        action = policy.act(self.goal, item, force=self.force)
+        others = believed(held, task).draws(DRAWS, self.seed) if held.names else []
+        others = weighed(others, executed(held, task), policy, self.seed)
+        action = policy.act(self.goal, item, likely=others, force=self.force)
         values, polished, wrong, notes = np.array(action.values), None, None, []
         world = Simulation(engine=self.engine)
         if self.polish:
@@ -131,6 +134,7 @@ class Command(KnownObject):
                 "path": policy.where,
                 "method": about.method,
                 "conditioned_on": about.conditioned_on,
+                "chance": action.chance,
                 "seed": about.training.get("seed"),
             },
             "network_input": inputs,
@@ -145,7 +149,6 @@ class Command(KnownObject):
         if polished is not None:
             result["polished"] = polished
         if simulated:
-            others = believed(held, task).draws(DRAWS, self.seed) if held.names else []
             result["predicted"] = predict(task, item, values, others, self.seed, world)
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
         write_result(self.out, result, json=self.json)
@@ -266,6 +269,8 @@ def result_text(result: dict[str, Any], *, motion: bool) -> str:
     for event in path["events"]:
         does = "closes" if event["closed"] else "opens"
         rows.append(("hand", f"{does} at {event['time']:.4f} s"))
+    if (chance := result["policy"]["chance"]) is not None:
+        rows.append(("chance", f"{chance:.2f} to be enough, by the policy"))
     if "polished" in result:
         p = result["polished"]
         unit = next((u for n in result["goal"] if (u := units[n]) != "1"), "[-]")

@@ -28,7 +28,8 @@ class Command(KnownObject):
 
     Damping and Young's modulus change as far as they explain what was reached; the rest of the miss
     is expected to repeat for similar actions. gendom act --polish --params uses both. To add a
-    further execution, pass the written file as --params.
+    further execution, pass the written file as --params. Of a task without goals the share that was
+    reached is kept, and gendom act weighs by it which objects are likely.
 
     For example: gendom adapt rope-casting --params estimate.json --action 0.17 --reached 0.35 0.08
     --out adapted.json
@@ -38,7 +39,7 @@ class Command(KnownObject):
     action: tuple[float, ...] = ()
     """The executed action, as gendom act printed it [SI]."""
     reached: tuple[float, ...] = ()
-    """What it reached, in the form of a goal [SI]."""
+    """What it reached, in the form of a goal [SI]; of cloths the share that lies spread."""
     executions: Path | None = None
     """JSON file with a list of executions: {"action": [...], "reached": [...]} each."""
     engine: Engine = "thin"
@@ -99,5 +100,6 @@ def _text(before: Estimate, adapted: Adapted) -> str:
             said.append(f"{value:.4g} [{low:.4g}, {high:.4g}]")
         rows.append(f"  {name:<18} {said[0]}  ->  {said[1]}{unit}")
     left = ", ".join(f"{1e3 * np.linalg.norm(r):.1f}" for r in adapted.residuals)
+    last = f"not explained [mm]: {left}" if left else "gendom act weighs by what was enough"
     title = "parameters, with 90 % intervals, before and after"
-    return "\n".join([title, *rows, f"  not explained [mm]: {left}"])
+    return "\n".join([title, *rows, f"  {last}"])

@@ -67,7 +67,9 @@ def refuse_bag_flags(source: Path, settings: RosSettings, **others: Any) -> None
     require(not given, what, where=where, fix="leave it out")
 
 
-TASKS_HELP = "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|FILE.py"
+TASKS_HELP = (
+    "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|cloth-dragging|FILE.py"
+)
 
 METHODS_HELP = "gauss-newton|adam|differential-evolution"
 

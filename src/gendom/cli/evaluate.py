@@ -82,6 +82,8 @@ def result_text(result: dict[str, Any]) -> str:
         if entry["error"]["mean"] is None:
             lines.append("  all failed")
             continue
+        if "enough_share" in entry:
+            lines.append(f"  {entry['enough_share']:.2f} of the cases miss nothing")
         unit = "-" if result["unit"] == "1" else result["unit"]
         lines.append(f"  error   [{unit}]")
         for name, value in entry["error"].items():

@@ -103,5 +103,7 @@ def policy_text(row: dict[str, Any]) -> str:
                 f"{100.0 * off['mean']:.2g} % of {of} in the mean, {100.0 * off['p95']:.2g} % at "
                 f"the 95th percentile of {acted['cases']} new cases"
             )
+        if "enough_share" in acted:
+            lines.append(f"  is enough      in {100.0 * acted['enough_share']:.3g} % of them")
         lines.append(f"  misses by      {said}")
     return "\n".join([*lines, *(f"  {command}" for command in row["made_by"])])

@@ -35,9 +35,9 @@ class Command:
     """ONNX file to write."""
     finetune: Path | None = None
     """Folder of further demonstrations, such as real ones, to fine-tune on at the end."""
-    method: Literal["distal", "inverse", "quantile"] | None = None
+    method: Literal["distal", "inverse", "chance"] | None = None
     """distal: learn a forward model, then train the policy through it (default). inverse: regress
-    actions on goals, as in the paper. quantile: what is enough for nine of ten objects (default of
+    actions on goals, as in the paper. chance: learn how probably an action is enough (default of
     tasks without goals)."""
     condition: tuple[str, ...] = ("all",)
     """Parameters that the policy sees: some of bending_ratio, nu, damping, friction and density, or
@@ -69,7 +69,7 @@ class Command:
         open_device(self.device)
         demonstrations = self._read(self.data)
         finetune = None if self.finetune is None else self._read(self.finetune)
-        method = self.method or ("distal" if demonstrations.goal_names else "quantile")
+        method = self.method or ("distal" if demonstrations.goal_names else "chance")
         training = settings_of(Training, self, method=method, conditioned_on=sees)
         policy = train(
             demonstrations, self.out, training, finetune=finetune, cases=self.cases, progress=True,

@@ -60,7 +60,7 @@ class Execution:
     action: Array
     """[A] in SI units."""
     reached: Array
-    """[G] in SI units."""
+    """[G] in SI units; of a task without goals the first number of its outcome."""
 
     def __post_init__(self) -> None:
         for name in ("action", "reached"):
@@ -116,7 +116,7 @@ def adapting(
     """`adapt` as a search that asks for rollouts, for many at once (`side_by_side`)."""
     _check(task, executions, belief.item)
     G, item = len(task.goals), belief.item
-    if not executions:
+    if not executions or not G:  # a policy weighs what was enough, see `belief.weighed`
         return Adapted(belief=belief, discrepancy=None, residuals=np.empty((0, G)))
     units, goal_units = task.action_units(item), task.goal_units(item)
     N = len(executions)
@@ -205,18 +205,24 @@ def executions_from(rows: Sequence[Any], where: str) -> list[Execution]:
 
 
 def _check(task: Task, executions: Sequence[Execution], item: Item) -> None:
-    G, A = len(task.goals), len(task.actions)
-    require(G, f"{task.name} has no goals to learn from", where="adapt")
+    known = task.goals or task.outcomes[:1]
+    require(known, f"{task.name} has no goals to learn from", where="adapt")
+    G, A = len(known), len(task.actions)
     for e in executions:
-        what = f"an execution has {e.action.size} numbers of an action and {e.reached.size} of a "
-        what += f"goal, {task.name} has {A} and {G}"
+        what = (
+            f"an execution has {e.action.size} numbers of an action and {e.reached.size} reached, "
+        )
+        what += f"{task.name} has {A} and {G}: {', '.join(q.name for q in known)}"
         fits = e.reached.shape == (G,) and e.action.shape == (A,)
         require(fits, what, where="executions")
-        for quantity, value in zip(task.goals, e.reached, strict=True):
+        for quantity, value in zip(known, e.reached, strict=True):
             near = quantity.unit != "m" or abs(value) <= LARGEST_REACHED * size_of(item)
             what = f"{quantity.name} is {value:g} m, and the {item.kind} {size_of(item):g} m"
             fix = f"give metres: {value:g} mm are {1e-3 * value:g} m"
             require(near, what, where="reached", fix=fix)
+            what, fix = f"{quantity.name} is {value:g}", "give a share from 0 to 1"
+            share = bool(task.goals) or 0.0 <= value <= 1.0
+            require(share, what, where="reached", fix=fix)
 
 
 def _kernel(a: Array, b: Array) -> Array:

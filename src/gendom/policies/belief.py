@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from gendom.arguments import require
 from gendom.errors import GendomError
-from gendom.materials import Item
+from gendom.materials import Item, dimensionless_parameters
 from gendom.materials.estimate import Estimate
 from gendom.materials.unknowns import UNKNOWNS
+from gendom.policies.adaptation import Execution
+from gendom.policies.policy import Policy
 from gendom.tasks import Task
 
 
@@ -48,3 +53,24 @@ def believed(estimate: Estimate, task: Task, where: str = "estimate") -> Estimat
     """
     estimate = for_task(estimate, task, where)
     return estimate.of_object(uncertain(task, estimate.item))
+
+
+def weighed(
+    items: Sequence[Item], executions: Sequence[Execution], policy: Policy, seed: int
+) -> list[Item]:
+    """Objects drawn from an estimate's posterior, drawn again by how well they explain which
+    executions were enough, as a policy of the method ``chance`` predicts it."""
+    task, alike = policy.task(), [dimensionless_parameters(item) for item in items]
+    if not items or not executions or not policy.description.candidates:
+        return list(items)
+    given = {name: np.array([one[name] for one in alike]) for name in alike[0]}
+    weight = np.ones(len(items))
+    for e in executions:
+        enough = (
+            task.error(items[0], np.empty(0), {task.outcomes[0].name: float(e.reached[0])}) <= 0
+        )
+        actions = np.array([e.action / task.action_units(item) for item in items])
+        chance = policy.chances(actions, given)
+        weight *= np.clip(chance if enough else 1.0 - chance, 1e-3, 1.0)
+    rng = np.random.default_rng(seed)
+    return [items[k] for k in rng.choice(len(items), len(items), p=weight / weight.sum())]

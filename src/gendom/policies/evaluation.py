@@ -61,10 +61,15 @@ class Score:
         """Figures ready for JSON: errors in the goal's unit and as shares of the size.
 
         Cases that failed are counted in `failed` and in no other figure; if all failed, the errors
-        are None. Goals outside the policy's range count like all others.
+        are None. Goals outside the policy's range count like all others. `enough_share` is the
+        share of all cases in which a task without goals misses nothing.
         """
         done = np.isfinite(self.error)
+        enough = (
+            {} if self.reached.shape[1] else {"enough_share": float(np.mean(self.error <= 0.0))}
+        )
         return {
+            **enough,
             "cases": len(self.error),
             "failed": int((~done).sum()),
             "outside_range": int(self.outside.sum()),

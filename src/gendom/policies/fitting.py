@@ -42,6 +42,10 @@ RISK_MARGIN = 0.5
 """How far below its limit a policy keeps the risk that is predicted, in powers of e."""
 
 
+CHANCE = Column(name="chance", mean=0.0, scale=1.0)
+"""Output of the method ``chance``."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Training:
     """How to train.
@@ -51,7 +55,7 @@ class Training:
     """
 
     method: str = "distal"
-    """One of "distal", "inverse" and "quantile"; see `gendom.policies.methods`."""
+    """One of "distal", "inverse" and "chance"; see `gendom.policies.methods`."""
     conditioned_on: tuple[str, ...] | None = None
     """The parameters that the policy sees; None: all that vary. The forward model
     that it is trained through always sees all: they are those of the demonstration. A policy that
@@ -132,6 +136,14 @@ class PhysicalNetwork(nn.Module):
         return self.layers(z) * self.output_scale + self.output_mean
 
 
+class ChanceNetwork(PhysicalNetwork):
+    """One whose outputs are probabilities: standardised by nothing, and each between 0 and 1."""
+
+    def forward(self, *columns: Tensor) -> Tensor:
+        """As `PhysicalNetwork.forward`."""
+        return torch.sigmoid(super().forward(*columns))
+
+
 class TrainingProblem:
     """A policy in training.
 
@@ -167,7 +179,10 @@ class TrainingProblem:
             name: standardised(name, d.parameters[name], log=PARAMETERS[name].log)
             for name in d.varying
         }
-        self.inputs = [*self.goals, *(self.parameters[name] for name in sees)]
+        self.chooses = training.method == "chance"
+        """Whether the network says of an action how probably it is enough."""
+        first = self.actions if self.chooses else self.goals
+        self.inputs = [*first, *(self.parameters[name] for name in sees)]
         # a policy that sees nothing still needs an input for its batch
         what, fix = "has neither goals nor parameters to act on", "condition it on a parameter"
         require(self.inputs, what, fix=fix, error=PolicyError)
@@ -186,7 +201,9 @@ class TrainingProblem:
             name: torch.tensor(d.parameters[name], dtype=torch.float32)[:, None]
             for name in PARAMETERS
         }
-        risk = find_task(d.task["name"]).risk
+        task = find_task(d.task["name"])
+        self.candidates = task.candidates
+        risk = task.risk
         self.log_risk = None
         self.highest = math.log(risk.limit) if risk is not None else 0.0
         """Logarithm of the risk's limit."""
@@ -196,12 +213,17 @@ class TrainingProblem:
             logs = np.log(np.maximum(d.risk, RISK_FLOOR))
             self.log_risk = torch.tensor(logs, dtype=torch.float32)[:, None]
             self.within = self.log_risk[:, 0] <= self.highest
-        self.policy = PhysicalNetwork(self.inputs, self.actions, training.architecture)
+        if self.chooses:
+            self.policy = ChanceNetwork(self.inputs, [CHANCE], training.architecture)
+        else:
+            self.policy = PhysicalNetwork(self.inputs, self.actions, training.architecture)
 
     def act(self, rows: Tensor) -> Tensor:
-        """[B, A] what the policy does for some demonstrations' goals and objects."""
-        goals = self.goal[rows].split(1, dim=1) if self.goals else ()
-        return self.policy(*goals, *(self.data[name][rows] for name in self.sees))
+        """[B, A] what the policy does for some demonstrations' goals and objects; of the method
+        ``chance`` [B, 1] the probability that their actions are enough."""
+        first = self.action if self.chooses else self.goal
+        columns = first[rows].split(1, dim=1) if first.shape[1] else ()
+        return self.policy(*columns, *(self.data[name][rows] for name in self.sees))
 
     def caution(self, log_risk: Tensor) -> Tensor:
         """Loss of risks [B], given by their logarithms, that are near the limit or beyond."""

@@ -19,18 +19,17 @@ minimiser of the mean squared error is the *mean* of all actions that lead to th
 of a release make one distance, so a whole curve of releases reaches each goal, and where the curve
 bends its mean lies beside it. No amount of data takes that error away.
 
-`quantile` is the regression of a quantile of the action (Koenker and Bassett 1978, "Regression
-quantiles"), for tasks whose demonstrations hold the least action that is enough, like cloth
-spreading: the mean of those is enough for half of the objects that look alike, an upper quantile
-for most.
+`chance` is for tasks without goals, like cloth spreading, where an action is enough or is not: it
+fits the probability that an action is enough to all that were tried, those that failed, too. What
+an action of a crumpled cloth leads to is chance: the smallest disturbance decides. The policy then
+takes the action that asks least of those that are enough with nearly the best probability, for all
+objects that may be the one at hand.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from gendom.arguments import require
 from gendom.errors import PolicyError
@@ -41,7 +40,6 @@ from gendom.policies.fitting import (
     rms,
     standardised,
 )
-from gendom.policies.policy import QUANTILE
 
 ANCHORS = 1024
 """Demonstrated actions, at most, that the pull looks for the nearest among."""
@@ -104,26 +102,39 @@ def distal(problem: TrainingProblem) -> dict[str, float]:
 
 def inverse(problem: TrainingProblem) -> dict[str, float]:
     """Train the policy; return its root mean square error on held-out demonstrations."""
-    return {"action_rms": rms(_regressed(problem, torch.square))}
-
-
-def quantile(problem: TrainingProblem) -> dict[str, float]:
-    """Train the policy; return the share of held-out demonstrations that need no more."""
-    lacks = _regressed(problem, lambda z: torch.maximum(QUANTILE * z, (QUANTILE - 1.0) * z))
-    return {"enough_share": float((lacks <= 0.0).float().mean())}
-
-
-def _regressed(problem: TrainingProblem, loss: Callable[[Tensor], Tensor]) -> Tensor:
-    """Fit the policy to demonstrated actions by a loss of what it lacks, standardised; returns
-    what it lacks of the held-out ones."""
     scale = problem.policy.output_scale
 
     def lacks(rows: Tensor) -> Tensor:
         return problem.action[rows] - problem.act(rows)
 
-    problem.fit("policy", problem.policy, lambda rows: loss(lacks(rows) / scale).mean())
+    problem.fit("policy", problem.policy, lambda rows: ((lacks(rows) / scale) ** 2).mean())
     with torch.no_grad():
-        return lacks(problem.held_out)
+        return {"action_rms": rms(lacks(problem.held_out))}
+
+
+def chance(problem: TrainingProblem) -> dict[str, float]:
+    """Train the policy; return the share of held-out demonstrations of which it says the less
+    likely of enough and not enough.
+
+    Raises:
+        PolicyError: The task has no risk by which to know, or no actions to choose among.
+    """
+    what, fix = (
+        "the task has no risk, or no candidates to choose among",
+        "choose the method inverse",
+    )
+    known = problem.log_risk is not None and problem.candidates
+    require(known, what, where="method", fix=fix, error=PolicyError)
+    enough = problem.within.float()[:, None]
+
+    def loss(rows: Tensor) -> Tensor:
+        return nn.functional.binary_cross_entropy(problem.act(rows), enough[rows])
+
+    problem.fit("policy", problem.policy, loss)
+    with torch.no_grad():
+        rows = problem.held_out
+        wrong = (problem.act(rows) > 0.5) != (enough[rows] > 0.5)
+        return {"wrong_share": float(wrong.float().mean())}
 
 
 class _DistanceOutside:

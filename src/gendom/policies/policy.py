@@ -7,6 +7,10 @@ depend on the object's size:
     NAME       float32 [B, 1]  one for each parameter that it sees, of `PARAMETERS`
     action     float32 [B, A]
 
+Of the method ``chance`` it takes the numbers of an action, by their names, in place of a goal, and
+gives the probability [B, 1] that this action is enough, ``chance``: such a policy chooses among
+known actions, for all objects that an estimate holds for likely.
+
 Standardisation is part of the graph. Under the key `gendom-policy` of the file's metadata lies one
 JSON object, see `Description`.
 """
@@ -17,7 +21,7 @@ import json
 import logging
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from typing import TYPE_CHECKING, Any
@@ -37,11 +41,13 @@ from gendom.shown import Shown
 if TYPE_CHECKING:
     from gendom.tasks import Task
 
-FORMAT = "gendom-policy/2"
+FORMAT, OLDER = "gendom-policy/3", "gendom-policy/2"
+"""Of files, as they are written and as they were before the method ``chance``."""
 METADATA_KEY = "gendom-policy"
-METHODS = ("distal", "inverse", "quantile")
-QUANTILE = 0.9
-"""Of the method ``quantile``: share of like objects for which an action is to be enough."""
+METHODS = ("distal", "inverse", "chance")
+MARGIN = 0.02
+"""Of the method ``chance``: how much less probable to be enough than the best one an action may be
+that asks less of the robot."""
 GOAL = "goal_"
 """What inputs for goals begin with."""
 
@@ -130,7 +136,7 @@ class Description:
     task: dict[str, Any]
     """`name` and settings of the task."""
     method: str
-    """"distal" or "inverse"."""
+    """One of `METHODS`."""
     conditioned_on: tuple[str, ...]
     """The parameters that the policy sees, a selection of `PARAMETERS`."""
     inputs: tuple[Column, ...]
@@ -139,6 +145,9 @@ class Description:
     """Goals seen in training."""
     parameters: dict[str, tuple[float, float]]
     """Smallest and largest value of each of `PARAMETERS` in training [-]."""
+    candidates: tuple[tuple[float, ...], ...] = ()
+    """[K][A] actions to choose among, that which asks least first [units of similarity]; of the
+    method ``chance`` only."""
     training: dict[str, Any] = field(default_factory=dict)
     """Figures of the training run: size, seed, epochs, errors, seconds, versions."""
 
@@ -161,9 +170,9 @@ class Description:
         where, fix = f"{where}: {METADATA_KEY}", "train it again"
         value = parse_json(text, where, PolicyError)
         found = value.get("format")
-        what = f"has format {found!r}, this version of gendom reads {FORMAT!r}"
+        what = f"has format {found!r}, this version of gendom reads {FORMAT!r} and {OLDER!r}"
         older = f"{fix}, or use the version of gendom that wrote it"
-        require(found == FORMAT, what, where=where, fix=older, error=PolicyError)
+        require(found in (FORMAT, OLDER), what, where=where, fix=older, error=PolicyError)
         for name in ("conditioned_on", "parameters"):
             value[name] = with_current_names(value.get(name), "network")
         self = record_of(cls, value, where=where, fix=fix, error=PolicyError)
@@ -187,6 +196,11 @@ class Description:
             (ascend and shaped, f"its goals are no ranges of {G} numbers"),
             (known, f"is conditioned on {', '.join(self.conditioned_on)}"),
             (ordered, "has a range of parameters that ends before it begins"),
+            (bool(self.candidates) == (self.method == "chance"), "has no actions to choose among"),
+            (
+                all(len(row) == len(self.outputs) for row in self.candidates),
+                f"its actions to choose among are not of {len(self.outputs)} numbers",
+            ),
         ):
             require(holds, what, where=where, fix=fix, error=PolicyError)
         return self
@@ -202,6 +216,8 @@ class Action:
     """By name, in SI units."""
     network_input: dict[str, float]
     """Parameters that the network was given, by name [-], see `dimensionless_parameters`."""
+    chance: float | None = None
+    """Probability that it is enough, of a policy that knows [-]."""
     warnings: tuple[str, ...] = ()
     """Goals and parameters outside the training range, an action at its limits; one line each."""
 
@@ -286,7 +302,8 @@ class Policy(Shown):
         description = Description.from_json(text, where=where)
         inputs = {_input_name(i.name): i.name for i in session.get_inputs()}
         goals = {GOAL + name for name in description.goal_names}
-        described = inputs.keys() == goals | set(description.conditioned_on)
+        chosen = {c.name for c in description.outputs if description.candidates}
+        described = inputs.keys() == goals | chosen | set(description.conditioned_on)
         what = f"its graph takes {sorted(inputs)}, which its description does not say"
         require(described, what, where=where, fix="train it again", error=PolicyError)
         return cls(session, description, where=where, graph_names=inputs)._tried()
@@ -376,16 +393,39 @@ class Policy(Shown):
         Raises:
             PolicyError: A parameter that the policy needs is missing, or a number is not finite.
         """
-        names, given = self.description.goal_names, parameters or {}
+        about = self.description
+        names = about.goal_names
         goals = np.asarray(goals, dtype=float)
         goals = goals.reshape(-1, len(names)) if names else goals.reshape(len(goals), 0)
+        if about.candidates:
+            chances = self._chances_of_candidates(parameters or {}, len(goals))
+            return np.array(about.candidates)[_least(chances)]
         feed = {GOAL + name: goals[:, k] for k, name in enumerate(names)}
+        return self._run("action", feed, parameters or {}, len(goals))
+
+    def chances(self, actions: ArrayLike, parameters: Mapping[str, ArrayLike]) -> Array:
+        """[B] probabilities that actions [B, A] (units of similarity) are enough, of the method
+        ``chance``; parameters and errors as of `actions`."""
+        actions = np.asarray(actions, dtype=float)
+        feed = {c.name: actions[:, k] for k, c in enumerate(self.description.outputs)}
+        return self._run("chance", feed, parameters, len(actions))[:, 0]
+
+    def _chances_of_candidates(self, parameters: Mapping[str, ArrayLike], count: int) -> Array:
+        """[count, K] of all candidates, with each of so many objects."""
+        known = np.array(self.description.candidates)
+        every = {n: np.repeat(np.broadcast_to(v, count), len(known)) for n, v in parameters.items()}
+        return self.chances(np.tile(known, (count, 1)), every).reshape(count, -1)
+
+    def _run(
+        self, output: str, feed: dict[str, Array], given: Mapping[str, ArrayLike], count: int
+    ) -> Array:
+        """An output of the network for `count` rows of inputs and parameters."""
         for name in self.description.conditioned_on:
             fix = "give it, or use a policy without parameters"
             what, known = f"the policy needs {name}", name in given
             require(known, what, where=self.where, fix=fix, error=PolicyError)
             low, high = self.description.parameters[name]
-            value = np.broadcast_to(np.asarray(given[name], dtype=float), len(goals))
+            value = np.broadcast_to(np.asarray(given[name], dtype=float), count)
             feed[name] = np.clip(value, low, high)
         for name, value in feed.items():
             what, finite = f"{name} must be finite", np.isfinite(value).all()
@@ -394,7 +434,7 @@ class Policy(Shown):
             self._graph_names.get(name, name): value.astype(np.float32)[:, None]
             for name, value in feed.items()
         }
-        return self._session.run(["action"], columns)[0].astype(float)
+        return self._session.run([output], columns)[0].astype(float)
 
     def goal_range(self, item: Item | None = None) -> Array:
         """[G, 2] smallest and largest goals that `act` accepts.
@@ -422,13 +462,17 @@ class Policy(Shown):
         far = [n for n, o in found.items() if n.startswith(GOAL) or o.share > RANGE_TOLERANCE]
         return tuple(found[name] for name in far)
 
-    def act(self, goal: ArrayLike, item: Item, *, force: bool = False) -> Action:
+    def act(
+        self, goal: ArrayLike, item: Item, *, likely: Sequence[Item] = (), force: bool = False
+    ) -> Action:
         """The action that reaches a goal with a given object, of any size.
 
         Args:
             goal: [G] in SI units and the task's frame.
             item: The object; parameters that the policy does not see do not matter. Those outside
                 the training range are clipped to it.
+            likely: Objects drawn from what is known of it, for which the method ``chance`` chooses
+                (default: the object alone).
             force: Whether a goal outside of what demonstrations reached with such an object is
                 clipped as well, and not refused.
 
@@ -451,7 +495,7 @@ class Policy(Shown):
         inputs = {name: used[name] for name in about.conditioned_on}
         aim = np.array([used[GOAL + name] for name in about.goal_names])
         units = task.action_units(item)
-        asked = self.actions((aim / task.goal_units(item))[None], inputs)[0]
+        asked, chance = self._asked(aim / task.goal_units(item), inputs, likely)
         middle = np.array([column.mean for column in about.outputs])
         values = task.nearest(item, asked * units, middle * units)
         moved = float(np.linalg.norm(values / units - asked))
@@ -466,8 +510,22 @@ class Policy(Shown):
             goal=dict(zip(about.goal_names, map(float, wanted), strict=True)),
             action={q.name: float(v) for q, v in zip(task.actions, values, strict=True)},
             network_input=inputs,
+            chance=chance,
             warnings=tuple(warnings),
         )
+
+    def _asked(
+        self, goal: Array, inputs: Mapping[str, float], likely: Sequence[Item]
+    ) -> tuple[Array, float | None]:
+        """[A] the action for a goal [G], in units of similarity, and its chance."""
+        known = self.description.candidates
+        if not known:
+            return self.actions(goal[None], inputs)[0], None
+        alike = [dimensionless_parameters(item) for item in likely] or [inputs]
+        given = {name: np.array([one[name] for one in alike]) for name in inputs}
+        chances = self._chances_of_candidates(given, len(alike)).mean(axis=0)
+        k = int(_least(chances))
+        return np.array(known[k]), float(chances[k])
 
     def _check_goal(self, goal: ArrayLike, item: Item) -> Array:
         """The goal [G], if such an object can have one like it."""
@@ -514,6 +572,11 @@ class Policy(Shown):
                 fix = "check the object's numbers"
             found[name] = Outside(what=what, fix=fix, nearest=nearest, share=share)
         return used, found
+
+
+def _least(chances: Array) -> NDArray[np.intp]:
+    """[...] the first of actions whose chances [..., K] are nearly the best."""
+    return np.argmax(chances >= chances.max(axis=-1, keepdims=True) - MARGIN, axis=-1)
 
 
 def _input_name(name: str) -> str:

@@ -9,6 +9,9 @@ where f is the simulated result, b the simulator's error as learnt from executio
 standard deviation of b (`gendom.policies.adaptation`). Actions whose outcome depends little on what
 is uncertain win. An action has one to three numbers, so its derivatives are central differences of
 worlds in one batch.
+
+A task without goals has no such residuals: a share that is enough or not has no derivative. There
+the best of the known actions is varied by chance, ever less, and the best so far is kept.
 """
 
 from __future__ import annotations
@@ -48,6 +51,10 @@ POLISHED_ACTIONS = 3
 
 MAX_ITERATIONS = 6
 """Steps of each, at most."""
+
+VARIATION, VARIATIONS = 0.08, 12
+"""Standard deviation of the first variations of an action of a task without goals [of its limits'
+width], and how many there are in each of `MAX_ITERATIONS` rounds."""
 
 STEP = 0.002
 """Of central differences [units of similarity]."""
@@ -141,11 +148,21 @@ class _Problem:
             caution = RISK_WEIGHT * max(0.0, share - RISK_MARGIN)
         return np.append(miss, caution)
 
+    def nearest(self, action: Array) -> Array:
+        """[A] the nearest action that is allowed."""
+        return self.task.nearest(self.items[0], action * self.units) / self.units
+
+    def flat(self, actions: Sequence[Array]) -> Asking[list[_Point]]:
+        """Actions with residuals alone."""
+        r = yield from self.residuals(actions)
+        return [
+            _Point(a=a, r=x, J=np.zeros((len(x), len(a)))) for a, x in zip(actions, r, strict=True)
+        ]
+
     def points(self, actions: Sequence[Array]) -> Asking[list[_Point]]:
         """Actions with residuals and derivatives, all simulated side by side."""
-        task, item, units = self.task, self.items[0], self.units
         ends = stencil(np.array(actions), STEP)
-        allowed = np.array([[task.nearest(item, a * units) / units for a in of] for of in ends])
+        allowed = np.array([[self.nearest(a) for a in of] for of in ends])
         flat = yield from self.residuals(list(allowed.reshape(-1, allowed.shape[-1])))
         r = np.array(flat).reshape(*allowed.shape[:2], -1)
         J = central_differences(allowed, r)
@@ -200,14 +217,14 @@ def polishing(
     require(items, "no object to polish for", fix="give one or more")
     problem = _Problem(task, wanted, items, discrepancy)
     first = task.check_action(items[0], start) / problem.units
-    chosen = yield from _screened(problem, first, seed)
+    rng, deadline = np.random.default_rng(seed), began + seconds
+    chosen = yield from _screened(problem, first, rng)
     if task.goals:
         points = yield from problem.points(chosen)
-    else:  # a share that is met or not has no derivative
-        r = yield from problem.residuals(chosen)
-        flat = np.zeros((len(r[0]), len(first)))
-        points = [_Point(a=a, r=x, J=flat, done=True) for a, x in zip(chosen, r, strict=True)]
-    best = yield from _improved(problem, points, began + seconds)
+        best = yield from _improved(problem, points, deadline)
+    else:
+        points = yield from problem.flat(chosen)
+        best = yield from _varied(problem, points, rng, deadline)
     return Polished(
         action=task.check_action(items[0], best.a * problem.units),
         expected=float(np.sqrt(best.cost)) * problem.goal_unit,
@@ -217,10 +234,12 @@ def polishing(
     )
 
 
-def _screened(problem: _Problem, first: Array, seed: int) -> Asking[list[Array]]:
-    """The start, and the best of drawn actions as simulated with a few of the objects."""
+def _screened(problem: _Problem, first: Array, rng: np.random.Generator) -> Asking[list[Array]]:
+    """The start, and the best of drawn or known actions as simulated with a few of the objects."""
     task, item = problem.task, problem.items[0]
-    others = task.sample_actions(item, np.random.default_rng(seed), CANDIDATES) / problem.units
+    others = [np.array(known) for known in task.candidates]
+    if not others:
+        others = [*(task.sample_actions(item, rng, CANDIDATES) / problem.units)]
     tried = [first, *others]
     r = yield from problem.residuals(tried, problem.items[:SCREENING_OBJECTS])
     costs = np.array([float(x @ x) for x in r])
@@ -230,6 +249,24 @@ def _screened(problem: _Problem, first: Array, seed: int) -> Asking[list[Array]]
     order = [int(k) for k in np.argsort(costs, kind="stable")[:POLISHED_ACTIONS]]
     # the start is polished too: the policy may know better than a few draws
     return [tried[k] for k in [0, *(k for k in order if k)][:POLISHED_ACTIONS]]
+
+
+def _varied(
+    problem: _Problem, points: Sequence[_Point], rng: np.random.Generator, deadline: float
+) -> Asking[_Point]:
+    """The best that variations of the best lead to from some points until a time [s]."""
+    best = min(points, key=lambda p: p.cost)
+    low, high = (problem.task.limits(problem.items[0]) / problem.units[:, None]).T
+    round_seconds = 0.0
+    for k in range(MAX_ITERATIONS):
+        starts = time.monotonic()
+        if best.cost < TOLERANCE**2 or deadline - starts < round_seconds:
+            break
+        away = VARIATION * 0.7**k * (high - low) * rng.normal(size=(VARIATIONS, len(low)))
+        found = yield from problem.flat([problem.nearest(best.a + one) for one in away])
+        best = min([best, *found], key=lambda p: p.cost)
+        round_seconds = time.monotonic() - starts
+    return best
 
 
 def _improved(problem: _Problem, points: Sequence[_Point], deadline: float) -> Asking[_Point]:

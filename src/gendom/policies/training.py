@@ -45,7 +45,8 @@ GOAL_QUANTILE = 0.005
 """Share of the demonstrations in a bin that lie beyond each end of its range of goals."""
 
 AGREEMENT = 1e-5
-"""Largest difference allowed between onnxruntime and torch [units of similarity]."""
+"""Largest difference allowed between onnxruntime and torch [units of similarity]; ten times that of
+probabilities."""
 
 
 def train(
@@ -86,7 +87,7 @@ def train(
     began = time.monotonic()
     path = Path(path)
     given = len(demonstrations)
-    if not demonstrations.goal_names:
+    if not demonstrations.goal_names and training.method != "chance":
         demonstrations = _within_risk(demonstrations)  # a failed action reaches no other goal
     sees = _seen(demonstrations, training)
     task, world = rebuild(demonstrations.task), world or Simulation()
@@ -130,6 +131,7 @@ def train(
                 name: (float(values.min()), float(values.max()))
                 for name, values in demonstrations.parameters.items()
             },
+            candidates=problem.candidates if problem.chooses else (),
             training=figures,
         )
         policy = _written(problem, description, path, cases, world)
@@ -217,7 +219,7 @@ def _written(
                 problem.policy,
                 temporary,
                 inputs={column.name: torch.ones(2, 1) for column in about.inputs},
-                outputs=("action",),
+                outputs=("chance" if problem.chooses else "action",),
                 metadata={METADATA_KEY: about.to_json()},
             )
             return Policy.read(temporary)
@@ -230,12 +232,16 @@ def _written(
         for name, values in given.items():
             low, high = description.parameters[name]
             inside &= (values >= low) & (values <= high)
-        actions = policy.actions(problem.goal[rows].numpy(), given)
+        if problem.chooses:
+            found = policy.chances(problem.action[rows].numpy(), given)[:, None]
+        else:
+            found = policy.actions(problem.goal[rows].numpy(), given)
         # what lies beyond the training range is clipped
-        worst = float(np.abs(actions - expected)[inside].max(initial=0.0))
+        worst = float(np.abs(found - expected)[inside].max(initial=0.0))
         what = f"the exported network differs from the trained one by {worst:.3g}"
         fix = "report this, with the versions of torch and onnxruntime"
-        require(worst < AGREEMENT, what, where=str(path), fix=fix, error=PolicyError)
+        most = AGREEMENT * (10.0 if problem.chooses else 1.0)
+        require(worst < most, what, where=str(path), fix=fix, error=PolicyError)
         if cases:
             drawn = draw_cases(policy.task(), cases, seed=seed, simulation=world)
             acted = score(policy, drawn, world=world).summary()

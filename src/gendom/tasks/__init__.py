@@ -18,6 +18,7 @@ from gendom.arguments import require
 from gendom.errors import ParameterError
 from gendom.lazy import imported_later
 from gendom.plugins import plugins
+from gendom.tasks.cloth_dragging import ClothDragging
 from gendom.tasks.cloth_spreading import ClothSpreading
 from gendom.tasks.rope_casting import RopeCasting, RopeCastingAtSpeed
 from gendom.tasks.rope_reaching import RopeReaching
@@ -45,7 +46,7 @@ def register(task: type[Task]) -> type[Task]:
     return task
 
 
-for _task in (RopeReaching, RopeCasting, RopeCastingAtSpeed, ClothSpreading):
+for _task in (RopeReaching, RopeCasting, RopeCastingAtSpeed, ClothSpreading, ClothDragging):
     register(_task)
 
 
@@ -137,6 +138,7 @@ def rebuild(description: Mapping[str, Any]) -> Task:
 __getattr__ = imported_later(__name__, {"Demonstrator": "demonstrator", "Simulation": "world"})
 
 __all__ = [
+    "ClothDragging",
     "ClothSpreading",
     "Demonstrator",
     "Observed",

@@ -18,8 +18,8 @@ No way down opens a limp cloth: see docs/tasks.md for what was measured.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -29,7 +29,7 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.materials import Cloth, Item, Material, size_of, thickness_of, unit_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
-from gendom.tasks.task import Observed, Outcome, Quantity, Risk, Scene, Task, World
+from gendom.tasks.task import Observed, Quantity, Risk, Scene, Task
 
 CLOTH = Cloth(side=0.2, thickness=0.001, material=Material(E=4e5, density=400.0, damping=0.005))
 """What demonstrations are simulated with."""
@@ -79,11 +79,8 @@ START = 0.32
 SPREAD = 0.75
 """Share that the paper asks for."""
 
-SEARCHED = tuple(round(0.05 * k, 2) for k in range(14))
-"""Values of A among which the smallest that spreads a cloth is looked for; at first every
-`COARSE_STEP`-th, then those just below the smallest of them that does."""
-
-COARSE_STEP = 3
+CHOICES = tuple(round(0.05 * k, 2) for k in range(14))
+"""Values of A that demonstrations try and policies choose among."""
 
 FLAT_ANGLE, FLAT_HEIGHT = math.radians(20.0), 0.05
 """What lies flat is inclined by at most this [rad], and at most so high above the table [sides]."""
@@ -116,15 +113,11 @@ class ClothSpreading(Task):
         Quantity(name="share", unit="1", meaning="share of the area that lies flat, unwrinkled"),
         Quantity(name="unspread", unit="1", meaning="share of the area that does not"),
         Quantity(name="covered", unit="1", meaning="covered area of the table over the cloth's"),
-        Quantity(name="spreads", unit="bool", meaning="whether any A spreads the cloth"),
     )
     risk: ClassVar[Risk | None] = Risk(name="unspread", unit="1", limit=1.0 - SPREAD)
     watches: ClassVar[str] = "all"
+    candidates: ClassVar[tuple[tuple[float, ...], ...]] = tuple((A,) for A in CHOICES)
     cost: ClassVar[float] = 16.0
-    height: ClassVar[float] = HEIGHT
-    """To which a cloth is raised [sides]."""
-    step_time: ClassVar[float] = STEP_TIME
-    """Of each of the steps down [sqrt(L / g)]."""
 
     item: Item = CLOTH
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(RANGES))
@@ -142,15 +135,15 @@ class ClothSpreading(Task):
         side, second = size_of(item), unit_of("s", item)
         low = max(0.5 * thickness_of(item), MIN_HEIGHT)
         down = np.concatenate([[0.0], np.cumsum(step_shares(float(action[0])))])
-        raised = self.height / RISE_SPEED
+        raised = HEIGHT / RISE_SPEED
         begins = raised + SETTLE
         time = np.concatenate(
-            [[-WAIT, 0.0, raised], begins + self.step_time * np.arange(DOWN_STEPS + 1), [self.end]]
+            [[-WAIT, 0.0, raised], begins + STEP_TIME * np.arange(DOWN_STEPS + 1), [self.end]]
         )
         height = np.concatenate([[0.0, 0.0, 1.0], 1.0 - down, [0.0]])
         position = np.zeros((len(time), 3))
         position[:, :2] = side * (0.5 + np.array(self.off_centre))
-        position[:, 2] = low + self.height * side * height
+        position[:, 2] = low + HEIGHT * side * height
         return TcpPath(
             time=second * time,
             position=position,
@@ -162,7 +155,7 @@ class ClothSpreading(Task):
     @property
     def end(self) -> float:
         """When all is over [sqrt(L / g)]."""
-        return self.height / RISE_SPEED + SETTLE + DOWN_STEPS * self.step_time + REST_AT_END
+        return HEIGHT / RISE_SPEED + SETTLE + DOWN_STEPS * STEP_TIME + REST_AT_END
 
     def times(self, item: Item) -> Array:
         return unit_of("s", item) * np.array([self.end])
@@ -175,53 +168,6 @@ class ClothSpreading(Task):
     def error(self, item: Item, goal: Array, values: Mapping[str, float]) -> float:
         """What is missing of the share that is asked for [-]."""
         return max(0.0, SPREAD - values["share"])
-
-    def demonstrate(
-        self,
-        world: World,
-        items: Sequence[Item],
-        actions: Array,
-        *,
-        on_frame: Callable[[int], None] | None = None,
-    ) -> tuple[Array, list[Outcome]]:
-        """The smallest A that spreads each cloth, and its outcome; see `SEARCHED`.
-
-        Where none does, the A that spreads it best; `spreads` is then 0.
-        """
-        kept: list[dict[int, Outcome]] = [{} for _ in items]
-
-        def share(w: int, k: int) -> float:
-            return kept[w][k].values.get("share", -math.inf)
-
-        def first(w: int) -> int:
-            """Index of the first A that spreads a cloth; their number if none does."""
-            return min((k for k in kept[w] if share(w, k) >= SPREAD), default=len(SEARCHED))
-
-        coarse = sorted({*range(0, len(SEARCHED), COARSE_STEP), len(SEARCHED) - 1})
-        tried = [(w, k) for w in range(len(items)) for k in coarse]
-        while tried:
-            some = [items[w] for w, _ in tried]
-            actions = np.array([[SEARCHED[k]] for _, k in tried])
-            found = world.carry_out(self, some, actions, on_frame=on_frame)
-            for (w, k), outcome in zip(tried, found, strict=True):
-                kept[w][k] = outcome
-            tried = [
-                (w, k)
-                for w in range(len(items))
-                for k in range(max(0, first(w) - COARSE_STEP + 1), first(w))
-                if k not in kept[w]
-            ]
-        chosen, outcomes = [], []
-        for w, own in enumerate(kept):
-            k, spreads = first(w), first(w) < len(SEARCHED)
-            if not spreads:
-                k = max(sorted(own), key=lambda k, w=w: share(w, k))
-            outcome = own[k]
-            if outcome.fault is None:
-                outcome = replace(outcome, values={**outcome.values, "spreads": float(spreads)})
-            chosen.append([SEARCHED[k]])
-            outcomes.append(outcome)
-        return np.array(chosen), outcomes
 
     def T_world_task(self, item: Item) -> Array:
         T = np.eye(4)

@@ -68,8 +68,7 @@ class Demonstrator:
         """Simulate draws side by side; one that diverges is recorded as failed, others go on.
 
         Returns:
-            Columns of the goals (`goal_` and the name), of whatever else the task's outcome has,
-            and of its actions where the task searched for them.
+            Columns of the goals (`goal_` and the name) and of the outcome's other numbers.
 
         Raises:
             DeviceError: The device is not there.
@@ -77,7 +76,7 @@ class Demonstrator:
         task = self.task
         items = items_from_columns(task.kind, draws)
         drawn = np.stack([draws[q.name] for q in task.actions], axis=1)
-        actions, outcomes = task.demonstrate(self.world.on(device), items, drawn, on_frame=on_frame)
+        outcomes = self.world.on(device).carry_out(task, items, drawn, on_frame=on_frame)
         goals = [q.name for q in task.goals]
         done = [o.values for o in outcomes if o.fault is None]
         names = list(done[0]) if done else goals
@@ -87,6 +86,4 @@ class Demonstrator:
             )
             for name in names
         }
-        if actions is not drawn:
-            columns |= {q.name: actions[:, k] for k, q in enumerate(task.actions)}
         return Outcomes(columns=columns, faults=tuple(o.fault for o in outcomes))

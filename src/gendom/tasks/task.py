@@ -194,6 +194,9 @@ class Task(ABC):
     """What actions are to avoid."""
     watches: ClassVar[str] = "tip"
     """What it observes: ``tip`` or ``all`` points."""
+    candidates: ClassVar[tuple[tuple[float, ...], ...]] = ()
+    """[K][A] actions among which policies of a task without goals choose, those that ask least of
+    the robot first [units of similarity]; demonstrations are drawn from them."""
     cost: ClassVar[float] = 1.0
     """About how long a demonstration takes, in those of rope reaching: long ones are written to a
     data set in smaller parts."""
@@ -338,11 +341,17 @@ class Task(ABC):
 
     def draw_actions(self, items: Sequence[Item], rngs: Sequence[np.random.Generator]) -> Array:
         """[W, A] one action for each of W objects, each from its own generator: drawn uniformly
-        from all that are allowed.
+        from `candidates`, or where a task has none from all that are allowed.
 
         Raises:
             ParameterError: None is found.
         """
+        if self.candidates:
+            known = np.array(self.candidates)
+            one = [known[rng.integers(len(known))] for rng in rngs]
+            return np.array(
+                [a * self.action_units(item) for a, item in zip(one, items, strict=True)]
+            )
         low, high = np.moveaxis(np.array([self.limits(item) for item in items]), 2, 0)
         drawn = np.empty_like(low)
         left = list(range(len(items)))
@@ -387,26 +396,6 @@ class Task(ABC):
         E_over_rho = given.pop("E_over_rho", m.E_over_rho)
         E = E_over_rho * given.get("density", m.density)
         return replace(self.item, material=replace(m, E=E, **given), friction=friction)
-
-    def demonstrate(
-        self,
-        world: World,
-        items: Sequence[Item],
-        actions: Array,
-        *,
-        on_frame: Callable[[int], None] | None = None,
-    ) -> tuple[Array, list[Outcome]]:
-        """Demonstrations with W objects: the actions [W, A] and their outcomes.
-
-        A task that looks for actions rather than trying those that were drawn does so here.
-
-        Args:
-            world: Where.
-            items: W objects.
-            actions: [W, A] that were drawn.
-            on_frame: As in `World.carry_out`.
-        """
-        return actions, world.carry_out(self, items, actions, on_frame=on_frame)
 
     # ---- settings --------------------------------------------------------------------------------
 
