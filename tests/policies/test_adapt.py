@@ -11,7 +11,7 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Cloth, dimensionless_parameters, size_of
 from gendom.materials.estimate import Estimate
 from gendom.policies import adaptation
-from gendom.policies.adaptation import Execution, adapt, adapting, executions_from
+from gendom.policies.adaptation import Execution, adapt, executions_from
 from gendom.policies.belief import believed, uncertain, weighed
 from gendom.policies.polishing import polish
 from gendom.tasks import ClothSpreading

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from gendom.errors import PolicyError
-from gendom.installation import how_to_install
 from gendom.materials import with_dimensionless
 from gendom.policies import Policy
 from gendom.policies.demonstrations import Demonstrations

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.cli.summary import summarize, summary_rows
 from gendom.datasets import Fault, Recording
 from gendom.datasets.folder import BAGS, READERS, bag_files
@@ -36,9 +36,9 @@ class Finding:
     faults: list[Fault] = field(default_factory=list)
     next: list[tuple[str, str]] = field(default_factory=list)
     """Commands that go on, and what they do."""
-    clouds: list[NDArray[np.floating]] = field(default_factory=list)
+    clouds: list[Array] = field(default_factory=list)
     """[n, 3] at some moments, in the world [m]."""
-    gripper: NDArray[np.floating] | None = None
+    gripper: Array | None = None
     """[M, 3] its path [m]."""
     table: float | None = None
     """z of the table [m]."""
@@ -109,7 +109,7 @@ def _cloud(place: Path) -> Finding:
     return found
 
 
-def _extent(points: NDArray[np.floating], found: Finding, *, units: bool = True) -> dict[str, str]:
+def _extent(points: Array, found: Finding, *, units: bool = True) -> dict[str, str]:
     """How large a scene is, and what is wrong with its units and axes."""
     from gendom.perception.quality import level_axis
 

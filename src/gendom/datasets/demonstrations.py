@@ -34,10 +34,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
-from numpy.typing import NDArray
 
 from gendom import __version__
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.datasets.cluster import on_cluster
 from gendom.errors import DatasetError
 from gendom.files import atomic_path, free_room, write_json
@@ -70,7 +70,7 @@ LARGEST_SHARD = 1 << 28
 _log = logging.getLogger(__name__)
 
 
-Columns = Mapping[str, NDArray[np.float64]]
+Columns = Mapping[str, Array]
 """[W] numbers by name."""
 
 
@@ -342,9 +342,7 @@ def write_parquet(table: pa.Table, path: Path) -> None:
         pq.write_table(table, file)
 
 
-def succeeded(
-    table: pa.Table, names: Sequence[str], *, where: str
-) -> dict[str, NDArray[np.float64]]:
+def succeeded(table: pa.Table, names: Sequence[str], *, where: str) -> dict[str, Array]:
     """[N] columns of what `load` returned of a folder (`where`), by name, without demonstrations
     that failed.
 

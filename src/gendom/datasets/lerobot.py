@@ -54,6 +54,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.datasets.demonstrations import GOAL, load, read_description, succeeded, write_parquet
 from gendom.datasets.npz import short
 from gendom.datasets.recording_form import RecordingData
@@ -189,7 +190,7 @@ def _read_table(path: Path) -> pa.Table:
         return file.read()
 
 
-def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, Array], dict[str, Any]]:
     """Arrays by their names in a recording's file, and its `meta`, of what `export_recording` made.
 
     Raises:
@@ -248,7 +249,7 @@ def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, NDArray[Any]], di
 
 def _write(
     out: str | os.PathLike,
-    frames: Mapping[str, NDArray[Any]],
+    frames: Mapping[str, Array],
     lengths: NDArray[np.integer],
     *,
     task: str,
@@ -321,7 +322,7 @@ def seal(root: Path) -> str:
     return found.hexdigest()
 
 
-def _counted(lengths: NDArray[np.integer], fps: int) -> dict[str, NDArray[Any]]:
+def _counted(lengths: NDArray[np.integer], fps: int) -> dict[str, Array]:
     """Features with frame indices and time stamps, [N, 1] each."""
     starts = np.repeat(np.cumsum(lengths) - lengths, lengths)
     number = np.arange(int(lengths.sum()))
@@ -335,7 +336,7 @@ def _counted(lengths: NDArray[np.integer], fps: int) -> dict[str, NDArray[Any]]:
     }
 
 
-def _features(frames: Mapping[str, NDArray[Any]], units: Units) -> dict[str, dict[str, Any]]:
+def _features(frames: Mapping[str, Array], units: Units) -> dict[str, dict[str, Any]]:
     """Entries of info.json for the features."""
     features: dict[str, dict[str, Any]] = {
         feature: {"dtype": str(values.dtype), "shape": list(values.shape[1:]), "names": None}
@@ -346,7 +347,7 @@ def _features(frames: Mapping[str, NDArray[Any]], units: Units) -> dict[str, dic
     return features
 
 
-def _statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
+def _statistics(values: Array) -> dict[str, list[Any]]:
     """Statistics of [N, ...] over N, under the format's names."""
     x = values.astype(float)
     found = {"min": x.min(axis=0), "max": x.max(axis=0), "mean": x.mean(axis=0)}
@@ -375,7 +376,7 @@ def _tasks(task: str) -> pa.Table:
 
 
 def _episodes(
-    frames: Mapping[str, NDArray[Any]],
+    frames: Mapping[str, Array],
     lengths: NDArray[np.integer],
     task: str,
     whole: Mapping[str, Mapping[str, Any]],
@@ -400,9 +401,7 @@ def _episodes(
     return pa.table(columns | dict(extra))
 
 
-def _by_episode(
-    values: NDArray[Any], count: int, whole: Mapping[str, Any]
-) -> dict[str, NDArray[Any]]:
+def _by_episode(values: Array, count: int, whole: Mapping[str, Any]) -> dict[str, Array]:
     """Statistics [E, ...] of the only episode, or of many of one frame, which are its values."""
     if count == 1:
         return {name: np.array(found)[None] for name, found in whole.items()}
@@ -412,7 +411,7 @@ def _by_episode(
     return found | {_quantile(q): x for q in QUANTILES}
 
 
-def _lists(values: NDArray[Any]) -> pa.Array:
+def _lists(values: Array) -> pa.Array:
     """[N, K, ...] as lists of K, of lists and so on."""
     if values.ndim == 1:
         return pa.array(values.tolist()) if values.dtype.kind == "U" else pa.array(values)
@@ -420,7 +419,7 @@ def _lists(values: NDArray[Any]) -> pa.Array:
     return pa.ListArray.from_arrays(pa.array(starts), _lists(values.reshape(-1, *values.shape[2:])))
 
 
-def _column(values: NDArray[Any]) -> pa.Array:
+def _column(values: Array) -> pa.Array:
     """[N, K] as lists of the fixed length K, or as plain numbers if K is 1; [N, K, L] as lists of
     lists."""
     if values.ndim > 2:

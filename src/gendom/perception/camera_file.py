@@ -18,8 +18,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from gendom.arrays import Array
 from gendom.errors import RecordingError
 from gendom.files import atomic_path
 from gendom.perception.camera import Camera, expect
@@ -92,7 +92,7 @@ def write_camera(path: str | os.PathLike, camera: Camera) -> None:
     write_pose(path, camera.T_world_camera, *lines)
 
 
-def write_pose(path: str | os.PathLike, T: npt.NDArray[np.float64] | None, *before: str) -> None:
+def write_pose(path: str | os.PathLike, T: Array | None, *before: str) -> None:
     """Write a camera's pose [4, 4] [m] as camera.toml, atomically, behind other lines.
 
     Raises:

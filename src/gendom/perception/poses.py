@@ -18,10 +18,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from gendom.arrays import rigid
+from gendom.arrays import Array, rigid
 from gendom.errors import RecordingError
 from gendom.perception.camera import expect
 from gendom.reading import decoded, read_bytes
@@ -41,7 +40,7 @@ class StatedPose:
 
     parent: str
     child: str
-    T: npt.NDArray[np.float64]
+    T: Array
     """[4, 4] from the axes of `child` to those of `parent` [m]."""
 
 
@@ -63,7 +62,7 @@ def read_poses(path: str | os.PathLike) -> list[StatedPose]:
     return found
 
 
-def camera_pose(path: str | os.PathLike) -> npt.NDArray[np.float64]:
+def camera_pose(path: str | os.PathLike) -> Array:
     """`T_world_camera` [4, 4] [m] of a file that states one pose, of a frame with a camera's axes.
 
     Raises:

@@ -149,7 +149,7 @@ def odd_intrinsics(camera: Camera) -> Iterator[Fault]:
         yield Fault(what, f"{camera.name}: K", f"{fix}, resized alike in both", "warning")
 
 
-def level_axis(points: npt.NDArray[np.floating]) -> int | None:
+def level_axis(points: Array) -> int | None:
     """The axis across which the largest plane of points [n, 3] [m] lies, 0, 1 or 2: 2 where z is
     up and there is a table; None: there is no such plane."""
     shares = []

@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from gendom.arrays import Array
 from gendom.datasets import Fault, Recording
 from gendom.datasets.folder import read_object
 from gendom.datasets.recording_form import parse_meta
@@ -45,7 +46,7 @@ from gendom.perception.ros_cameras import (
     intrinsics,
     topics_of,
 )
-from gendom.perception.ros_frames import Array, FrameTree, Track, stamp
+from gendom.perception.ros_frames import FrameTree, Track, stamp
 from gendom.perception.ros_messages import (
     CLOUD,
     IMAGE,

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import takewhile
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.arrays import rigid
+from gendom.arrays import Array, rigid
 from gendom.errors import RecordingError
 from gendom.perception.camera import Camera, expect
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Pictures
 from gendom.perception.realsense import Alignment
 from gendom.perception.ros_bag import RosBag
-from gendom.perception.ros_frames import Array
 from gendom.perception.ros_messages import (
     CLOUD,
     IMAGE,
@@ -68,7 +66,7 @@ def intrinsics(bag: RosBag, topic: str, name: str, depth_unit: float = 1e-3) -> 
         raise RecordingError(error.what, where=place, fix=error.fix) from None
 
 
-def check_size(picture: NDArray[Any], camera: Camera, where: str) -> None:
+def check_size(picture: Array, camera: Camera, where: str) -> None:
     """Refuse a picture that is not of its camera's size."""
     height, width = picture.shape[:2]
     what = f"is {width} x {height}, its CameraInfo {camera.width} x {camera.height}"
@@ -220,7 +218,7 @@ class RosCloudCamera:
         return Pictures(depth, painted.reshape(*depth.shape, 3))
 
 
-def _counts(metres: NDArray[Any]) -> NDArray[np.uint16]:
+def _counts(metres: Array) -> NDArray[np.uint16]:
     """Depth in metres as counts of `DEPTH_UNIT`; 0 where there is none, or it is too far."""
     counts = np.rint(np.nan_to_num(metres, nan=0.0, posinf=0.0, neginf=0.0) / DEPTH_UNIT)
     return np.where((counts > 0) & (counts < 65535), counts, 0).astype(np.uint16)

@@ -6,14 +6,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from gendom.arrays import rigid
+from gendom.arrays import Array, rigid
 from gendom.perception.camera import expect
 from gendom.perception.poses import StatedPose
-
-Array = NDArray[np.float64]
 
 _DENORMAL = 0.01  # of a quaternion's squared length, as tf2 has it
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 from scipy.spatial.transform import Rotation
 
+from gendom.arrays import Array
 from gendom.errors import RecordingError
 from gendom.perception.camera import Camera, expect
 from gendom.perception.rosbag import packed_picture, raw_picture
@@ -56,7 +57,7 @@ def camera_of(info: Any, *, rectified: bool, name: str, depth_unit: float) -> Ca
     return Camera(name=name, K=K, distortion=distortion, T_world_camera=None, **size)
 
 
-def depth_of(message: Any, kind: str, where: str) -> NDArray[Any]:
+def depth_of(message: Any, kind: str, where: str) -> Array:
     """[height, width] uint16 [mm] or float32 [m] of a message; RecordingError: it is damaged, or no
     depth."""
     depth, said = _picture(message, kind, where)
@@ -74,7 +75,7 @@ def colour_of(message: Any, kind: str, where: str) -> NDArray[np.uint8]:
     return colour
 
 
-def _picture(message: Any, kind: str, where: str) -> tuple[NDArray[Any], str]:
+def _picture(message: Any, kind: str, where: str) -> tuple[Array, str]:
     """The picture of a message, and how it says that it is stored."""
     data = np.asarray(message.data, dtype=np.uint8).tobytes()
     try:
@@ -91,7 +92,7 @@ def _picture(message: Any, kind: str, where: str) -> tuple[NDArray[Any], str]:
         raise RecordingError(f"is damaged ({error})", where=where, fix="copy it") from None
 
 
-def _jpeg(data: bytes, where: str) -> NDArray[Any]:
+def _jpeg(data: bytes, where: str) -> Array:
     try:
         with Image.open(io.BytesIO(data), formats=["JPEG"]) as picture:
             width, height = picture.size
@@ -102,7 +103,7 @@ def _jpeg(data: bytes, where: str) -> NDArray[Any]:
         raise ValueError(str(error)[:80]) from None
 
 
-def points_of(message: Any, where: str) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def points_of(message: Any, where: str) -> tuple[Array, NDArray[np.bool_]]:
     """Points [height, width, 3] of a PointCloud2 in its own frame [m], and which [height, width]
     were seen; RecordingError: it is damaged, or has no x, y and z."""
     order, fields = "<>"[bool(message.is_bigendian)], {f.name: f for f in message.fields}
@@ -125,7 +126,7 @@ def colours_of(message: Any, where: str) -> NDArray[np.uint8] | None:
     return np.stack([packed >> 16, packed >> 8, packed], axis=-1).astype(np.uint8)
 
 
-def _column(message: Any, field: Any, kind: str, where: str) -> NDArray[Any]:
+def _column(message: Any, field: Any, kind: str, where: str) -> Array:
     """One field of all points, [height, width]."""
     step, row, least = message.point_step, message.row_step, message.width * message.point_step
     data, shape = np.asarray(message.data, dtype=np.uint8), (message.height, message.width)

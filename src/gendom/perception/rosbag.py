@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from gendom.arrays import rigid
+from gendom.arrays import Array, rigid
 from gendom.datasets import Fault
 from gendom.errors import RecordingError
 from gendom.perception.camera import Camera, expect
@@ -106,7 +106,7 @@ class Stream:
 
     camera: Camera
     """Size and intrinsics."""
-    T_stream_reference: npt.NDArray[np.float64]
+    T_stream_reference: Array
     """[4, 4] from the device's axes to the stream's [m]."""
     entries: list[Entry]
     """In order of time."""
@@ -189,7 +189,7 @@ class Bag:
         camera = Camera(name=name or kind, K=K, T_world_camera=None, **size)
         return Stream(camera, self._extrinsics(prefix), list(self._entries(prefix, topic)))
 
-    def _extrinsics(self, prefix: str) -> npt.NDArray[np.float64]:
+    def _extrinsics(self, prefix: str) -> Array:
         topic = next((name for name in self._topics if name.startswith(f"{prefix}/tf/")), None)
         if topic is None:
             return np.eye(4)

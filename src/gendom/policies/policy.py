@@ -574,7 +574,7 @@ class Policy(Shown):
         return used, found
 
 
-def _least(chances: Array) -> NDArray[np.intp]:
+def _least(chances: Array) -> Array:
     """[...] the first of actions whose chances [..., K] are nearly the best."""
     return np.argmax(chances >= chances.max(axis=-1, keepdims=True) - MARGIN, axis=-1)
 

@@ -5,14 +5,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
 from gendom.arguments import check_list, check_number, check_numbers, require
+from gendom.arrays import Array
 from gendom.sim.bodies import Body
 from gendom.sim.gripper import Gripper, Grippers, Path
-
-Array = NDArray[Any]
 
 CENTRE = slice(14, 17)
 """Of an obstacle, among its numbers for kernels."""

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.sim.setting import Setting, spread
 from gendom.sim.thin.shell_model import ShellModel
-
-Array = NDArray[Any]
 
 MARGIN_OF_LISTS = 0.3
 """Margin of the list of pairs that may come into contact [spacings]."""
