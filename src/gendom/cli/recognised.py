@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gendom.arrays import Array
+from gendom.arrays import Array, placed
 from gendom.cli.summary import summarize, summary_rows
 from gendom.datasets import Fault, Recording
 from gendom.datasets.folder import BAGS, READERS, bag_files
@@ -228,7 +228,7 @@ def _cameras_seen(recorded: Any, found: Finding) -> None:
         some = seen[:: max(1, len(seen) // _POINTS)]
         T = camera.calibrated()
         points = camera.rays()[some] * (raw[some, None] * camera.depth_unit)
-        found.clouds.append(points @ T[:3, :3].T + T[:3, 3])
+        found.clouds.append(placed(T, points))
     if found.clouds:
         points = np.concatenate(found.clouds)
         found.rows |= _extent(points, found, units=False)
