@@ -10,7 +10,6 @@ import contextlib
 import html
 import io
 import logging
-import math
 import threading
 import time
 from collections.abc import Iterator
@@ -31,10 +30,19 @@ from gendom.viz.palette import (
     SIMULATED_COLOR,
     TABLE_FILL,
     TABLE_LINE,
-    nice_step,
     rgb,
 )
-from gendom.viz.viewer.scenes import Array, Layer, SliderParameter, ViewerModel, ViewerScene
+from gendom.viz.viewer.scenes import (
+    FIELD_OF_VIEW,
+    Array,
+    Layer,
+    SliderParameter,
+    ViewerModel,
+    ViewerScene,
+    camera_of,
+    square_size,
+    table_ends,
+)
 
 HOST = "127.0.0.1"
 
@@ -50,15 +58,6 @@ that the object follows a slider that is dragged."""
 
 _RATE = 25.0
 """Frames that are played in a second, at most."""
-
-_FIELD_OF_VIEW = math.radians(35.0)
-"""The camera's, upwards."""
-
-_TURN, _TILT = math.radians(25.0), math.radians(18.0)
-"""From where the camera looks, around and down."""
-
-_SQUARES = 10
-"""Squares of the table's grid along the longer side of what is shown."""
 
 CHAMFER = "Chamfer distance [mm]"
 
@@ -165,9 +164,7 @@ class Painter:
         if z is None or self._table:
             return
         self._table = True
-        step = square_size(scene)
-        low = np.floor(scene.box[0, :2] / step - 2.0) * step
-        high = np.ceil(scene.box[1, :2] / step + 2.0) * step
+        step, (low, high) = square_size(scene), table_ends(scene)
         (width, depth), (x, y) = (high - low).tolist(), (0.5 * (low + high)).tolist()
         self._canvas.add_grid(
             "/table",
@@ -181,25 +178,6 @@ class Painter:
             plane_opacity=0.7,
             position=(x, y, z),
         )
-
-
-def square_size(scene: ViewerScene) -> float:
-    """Side of the squares of a scene's table [m]."""
-    low, high = scene.box
-    return nice_step(float((high - low)[:2].max()) / _SQUARES)
-
-
-def camera_of(scene: ViewerScene) -> tuple[Array, Array]:
-    """Where the camera stands and what it looks at, [3] each [m]: at the broad side of what is
-    shown, from a little above, so that a window as wide as high shows all."""
-    low, high = scene.box
-    middle, (x, y, _) = 0.5 * (low + high), high - low
-    turn = (-0.5 * math.pi if x >= y else 0.0) + _TURN
-    towards = np.array([math.cos(turn), math.sin(turn), 0.0])
-    direction = math.cos(_TILT) * towards + math.sin(_TILT) * np.array([0.0, 0.0, 1.0])
-    radius = 0.5 * float(np.linalg.norm(high - low)) + 1e-3
-    away = 1.05 * radius / math.sin(0.5 * _FIELD_OF_VIEW)
-    return middle + away * direction, middle
 
 
 class Viewer:
@@ -225,7 +203,7 @@ class Viewer:
         self._closed = threading.Event()
         self._server = _Server(port, label=model.title)
         self._painter = Painter(self._server.scene)
-        self._server.initial_camera.fov = _FIELD_OF_VIEW
+        self._server.initial_camera.fov = FIELD_OF_VIEW
         self._camera_set = False
         self._build()
         self._pool = ThreadPoolExecutor(1, "simulation")
@@ -510,7 +488,7 @@ def encode_html(model: ViewerModel, case: int = 0) -> str:
     try:
         painter = Painter(server.scene)
         where, at = camera_of(scene)
-        server.initial_camera.fov = _FIELD_OF_VIEW
+        server.initial_camera.fov = FIELD_OF_VIEW
         server.initial_camera.position, server.initial_camera.look_at = where, at
         painter.paint(scene, 0)
         recorder = server.get_scene_serializer()
