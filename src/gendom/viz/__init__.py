@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 # these import bodies and tasks
 _LATER = {"save": "simulation", "show": "simulation", "write_gif": "stage"}
 __getattr__ = imported_later(__name__, _LATER)
-    __name__, {"save": "simulation", "show": "simulation", "write_gif": "stage"}
-)
 
 __all__ = [
     "ActionSummary",
