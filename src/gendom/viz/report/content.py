@@ -160,7 +160,7 @@ def _parameter_cards(found: Estimate) -> list[tuple[str, str]]:
         elif ends is None:
             cards.append((value, name))
         else:
-            said = f"{estimated.level_text(found)} interval {interval_text(key, ends)}"
+            said = f"{estimated.level_text(found)} interval {interval_text(key, ends, record[key])}"
             cards.append((value, f"{name}; {said}"))
     if record["density_assumed"]:
         value, name = cards[0]

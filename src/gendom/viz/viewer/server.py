@@ -12,7 +12,7 @@ import io
 import logging
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from http import HTTPStatus
 from typing import Any
@@ -242,7 +242,7 @@ class Viewer:
                 slider = self._sliders[name]
                 slider.min, slider.max, slider.step = p.range
                 slider.value = p.start
-                slider.label = p.text(p.value)
+                self._label(p, p.value)
             self._setting = False
         self._ask()
 
@@ -292,6 +292,7 @@ class Viewer:
             self._chart: viser.GuiUplotHandle | None = None
             self._chart_folder = gui.add_folder(None, visible=False)
         self._sliders: dict[str, viser.GuiSliderHandle] = {}
+        self._boxes: dict[str, Any] = {}
         groups = dict.fromkeys(p.group for p in self._parameters.values())
         for group in groups:
             with gui.add_folder(group, expand_by_default=group == next(iter(groups))):
@@ -307,17 +308,41 @@ class Viewer:
             *p.range,
             p.start,
             marks=p.marks,
-            hint=f"{p.meaning}{'; the number is its logarithm to base 10' if p.log else ''}",
+            hint=p.meaning,
         )
 
         def moved(_: Any) -> None:
             if self._setting:
                 return
-            slider.label = self._parameters[p.name].text(self._value(p.name))
+            self._label(self._parameters[p.name], self._value(p.name))
             self._ask()
 
         slider.on_update(moved)
+        if p.log:
+            self._add_box(p, slider)
         return slider
+
+    def _add_box(self, p: SliderParameter, slider: viser.GuiSliderHandle) -> None:
+        """A box with a logarithmic parameter's value, in place of its slider's own."""
+        gui, (factor, unit) = self._server.gui, p.shown
+        gui.add_html(f'<style>[id="{slider._impl.uuid}"] + div {{display: none}}</style>')
+        box = gui.add_number(f"= [{unit}]" if unit else "=", float(f"{factor * p.value:.4g}"))
+
+        def typed(_: Any) -> None:
+            if not self._setting and box.value > 0.0:
+                low, high, _step = self._parameters[p.name].range
+                slider.value = min(max(p.position(box.value / factor), low), high)
+
+        box.on_update(typed)
+        self._boxes[p.name] = box
+
+    def _label(self, p: SliderParameter, value: float) -> None:
+        """Write a parameter's value to its label and box."""
+        self._sliders[p.name].label = p.text(value)
+        if p.name in self._boxes:
+            was, self._setting = self._setting, True
+            self._boxes[p.name].value = float(f"{p.shown[0] * value:.4g}")
+            self._setting = was
 
     def _value(self, name: str) -> float:
         return self._parameters[name].at(self._sliders[name].value)
@@ -412,11 +437,7 @@ class Viewer:
             rows, layers = (), ()
             if self._scene is not None:
                 rows, layers = self._rows(self._scene), self._scene.layers
-            legend = " ".join(
-                f'<span style="white-space:nowrap"><span style="color:{layer.color}">●</span> '
-                f"{html.escape(layer.name)}</span>"
-                for layer in layers
-            )
+            legend = legend_of(layers)
             table = "".join(
                 f'<tr><td style="color:{_SOFT};padding-right:0.8em;vertical-align:top">'
                 f"{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
@@ -476,6 +497,15 @@ class Viewer:
                 self._time.value = scene.frame_at(clock)
 
 
+def legend_of(layers: Sequence[Layer]) -> str:
+    """HTML: colours and names of layers."""
+    return " ".join(
+        f'<span style="white-space:nowrap"><span style="color:{layer.color}">●</span> '
+        f"{html.escape(layer.name)}</span>"
+        for layer in layers
+    )
+
+
 def encode_html(model: ViewerModel, case: int = 0) -> str:
     """A page that plays a case's most complete scene by itself, with viser's own player.
 
@@ -496,7 +526,9 @@ def encode_html(model: ViewerModel, case: int = 0) -> str:
             recorder.insert_sleep(float(scene.times[frame] - scene.times[frame - 1]))
             painter.paint(scene, frame)
         recorder.insert_sleep(1.0)  # time to look at the end
-        return recorder.as_html()
+        style = "position:fixed;left:1em;top:1em;z-index:9;font:0.8em sans-serif"
+        legend = f'<div style="{style}">{legend_of(scene.layers)}</div></body>'
+        return legend.join(recorder.as_html().rsplit("</body>", 1))
     finally:
         with _silent():
             server.stop()
