@@ -255,10 +255,10 @@ def test_the_page_shows_and_obeys(viewer, browser, capfd):
     # the box beside a logarithmic slider has the value itself, in both directions
     boxes = "[...document.querySelectorAll('input')].filter(i => i.offsetParent !== null)"
     values = f"{boxes}.map(i => i.value)"
-    until(browser, f"{values}.includes('123')")
+    until(browser, f"{values}.includes('123000')")
     assert browser.evaluate(f"!{values}.some(v => v.startsWith('2.08'))")
-    viewer._boxes["E"].value = 456.0
-    until(browser, f"{values}.includes('456')")
+    viewer._boxes["E"].value = 456e3  # in mm
+    until(browser, f"{values}.includes('456000')")
     assert viewer._value("E") == pytest.approx(456.0)
     assert browser.errors == []
     assert [a for a in browser.requested if not a.startswith((viewer.url, "blob:"))] == []
