@@ -8,8 +8,8 @@ from PIL import Image, ImageSequence
 
 from gendom.errors import GendomError
 from gendom.viz import CloudSequence, encode_camera_views, palette, write_gif, write_report
-from gendom.viz.animation import FramePainter
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_COLOR
+from gendom.viz.stage import Stage, clouds_scene
 from viz.made_up import content, lift
 
 
@@ -23,12 +23,17 @@ def count(image):
     return sum(1 for _ in ImageSequence.Iterator(image))
 
 
+def drawn(clouds):
+    """The first frame [height, width, 3]."""
+    return np.asarray(Stage(clouds_scene(clouds, [0]), clouds.distance).draw(0))
+
+
 def test_points_are_drawn_where_they_are():
     """One point at the lower left, simulated too, and one at the upper right."""
     recorded = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0]])
     sequence = CloudSequence(recorded=[recorded], simulated=[recorded[:1]], times=np.array([0.0]))
     # The legend shows both colours above the picture.
-    picture = np.asarray(FramePainter(sequence).draw(0))[26:]
+    picture = drawn(sequence)[30:]
     blue_rows, blue_columns = np.nonzero(near(picture, RECORDED_COLOR))
     assert blue_columns[blue_rows < 100].mean() > 320 > blue_columns[blue_rows > 320].mean()
     assert not near(picture, SIMULATED_COLOR, 20).any()  # under the recorded one, and pale
@@ -55,7 +60,7 @@ def test_missing_parts_and_empty_frames_are_drawn():
     bare = lift(frames=3, table_height=None, gripper=None, chamfer=None)
     bare["recorded"][0] = np.empty((0, 3))
     for oblique in (False, True):
-        FramePainter(CloudSequence(**bare, oblique=oblique)).draw(0)
+        drawn(CloudSequence(**bare, oblique=oblique))
 
 
 def test_camera_views_of_one_size_become_a_picture(monkeypatch):

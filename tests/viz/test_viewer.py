@@ -101,7 +101,7 @@ def test_logarithmic_parameters_have_logarithmic_sliders():
     height, E = Square().parameters(1)
     assert E.position(100.0) == pytest.approx(2.0) and E.at(2.0) == pytest.approx(100.0)
     assert E.range == (0.0, 4.0, 0.02) and E.at(E.start) == 123.0
-    assert [text for _, text in E.marks or ()] == ["1", "10", "100", "1000", "10000"]
+    assert [text for _, text in E.marks or ()] == ["1", "10", "100", "1000", "10k"]
     assert height.text(0.02) == "height 20 mm" and height.range[:2] == (0.0, 0.1)
 
 
@@ -252,6 +252,14 @@ def test_the_page_shows_and_obeys(viewer, browser, capfd):
         while not moved():
             assert time.monotonic() < ends, slider
             browser.settle()
+    # the box beside a logarithmic slider has the value itself, in both directions
+    boxes = "[...document.querySelectorAll('input')].filter(i => i.offsetParent !== null)"
+    values = f"{boxes}.map(i => i.value)"
+    until(browser, f"{values}.includes('123000')")
+    assert browser.evaluate(f"!{values}.some(v => v.startsWith('2.08'))")
+    viewer._boxes["E"].value = 456e3  # in mm
+    until(browser, f"{values}.includes('456000')")
+    assert viewer._value("E") == pytest.approx(456.0)
     assert browser.errors == []
     assert [a for a in browser.requested if not a.startswith((viewer.url, "blob:"))] == []
     assert capfd.readouterr().out == ""
@@ -268,6 +276,8 @@ def test_a_page_plays_by_itself(browser, tmp_path):
     path.write_text(encode_html(Square()), encoding="utf-8")
     browser.open(path, width=500, height=400)
     until(browser, "document.querySelector('canvas') !== null")
+    for name in ("recorded", "simulated", "stick"):  # the legend
+        assert browser.evaluate(f"document.body.textContent.includes('● {name}')")
     assert browser.errors == []
     assert [a for a in browser.requested if not a.startswith(("file:", "blob:"))] == []
 
