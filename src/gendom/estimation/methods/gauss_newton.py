@@ -43,6 +43,9 @@ DAMPING, DAMPING_RATIO = (1e-3, 1e3), 30.0
 """Levenberg's and Marquardt's: the least, and that at which a start is given up; ratio of two side
 by side."""
 
+TRIED = 4
+"""Leaps that are simulated as finely as the problem asks for: the nearest ones of a coarse try."""
+
 PER_BATCH = 2
 """Iterations for each of `EstimateSettings.max_iterations`: few compute derivatives."""
 
@@ -97,9 +100,7 @@ def gauss_newton(
     """
     began, settings = time.perf_counter(), settings or GaussNewtonSettings.of(problem.scene.kind)
     stated = problem.first_noise()
-    first = problem.coarse.first_noise(
-        sensor=COARSE_NOISE, model=problem.settings.noise.least_model, rounds=1
-    )
+    first = problem.coarse.first_noise(sensor=COARSE_NOISE, model=0.0, rounds=1)
     noise, most = first, PER_BATCH * problem.settings.max_iterations
     names = problem.prior.names
     free = [k for k, name in enumerate(names) if name in settings.leading] or None
@@ -136,6 +137,7 @@ def gauss_newton(
         if best is None:
             raise
         if best.stage == "coarse":
+            noise = stated
             _compare_all(problem, best, settings)
         assert best.comparison is not None
         noise = estimated_noise(best.comparison, noise)
@@ -221,6 +223,10 @@ def _jump(
     ]
     former = start.comparison
     assert former is not None
+    # those that are nearest with few points
+    coarse = problem.coarse.compare(places, derivatives=False)
+    rms = [np.inf if c is None else c.rms for c in coarse]
+    places = [places[k] for k in np.argsort(rms, kind="stable")[:TRIED]]
     compared = problem.compare(places, derivatives=False)
     values = problem.values(places, compared, noise, former)
     best = int(np.argmin(values))
@@ -235,19 +241,11 @@ def _jump(
 
 
 def _compare_all(problem: Problem, start: Start, settings: GaussNewtonSettings) -> None:
-    """Compare a start of the coarse problem in the full one, by all unknowns; derivatives are taken
-    over from the same frames and free unknowns."""
-    former, start.exact, start.renew = start.comparison, True, False
-    inherited = former is not None and not settings.leading
-    if former is not None and inherited:
-        own = zip(problem.parts, former.parts, strict=True)
-        inherited = all(p.scene.frames == c.observation.scene.frames for p, c in own)
-    start.comparison = problem.compare([start.vector], derivatives=not inherited)[0]
+    """Compare a start of the coarse problem in the full one, by all unknowns."""
+    start.exact, start.renew = not settings.rugged, False
+    start.comparison = problem.compare([start.vector], sketched=True)[0]
     if start.comparison is None:
         raise problem.nothing_runs()
-    if former is not None and inherited:
-        problem.inherit_derivatives(start.comparison, former, *np.zeros((2, len(start.vector))))
-        start.exact = False
 
 
 def _step(
