@@ -135,6 +135,8 @@ class Found:
     noise: tuple[NoiseModel, ...]
     """Of each recording; its comparison is evaluated with it."""
     interrupted: bool = False
+    others: tuple[Array, ...] = ()
+    """[P] where other starts have ended that are about as likely as the best one."""
     covariance: Array | None = None
     """[P, P] transformed, of methods that state their own; None: that of the likelihood."""
     seconds: dict[str, float] = field(default_factory=dict)

@@ -46,6 +46,9 @@ by side."""
 TRIED = 4
 """Leaps that are simulated as finely as the problem asks for: the nearest ones of a coarse try."""
 
+UNLIKELY = 9.0
+"""Fall of -2 log likelihood, that of three deviations, beyond which another end does not count."""
+
 PER_BATCH = 2
 """Iterations for each of `EstimateSettings.max_iterations`: few compute derivatives."""
 
@@ -108,7 +111,7 @@ def gauss_newton(
     for start in starts:
         start.stage = "coarse"
     times = [began, time.perf_counter()]
-    interrupted, iteration, late = False, 0, 0
+    interrupted, iteration, late, best, others = False, 0, 0, None, ()
     try:
         while iteration < max(1, round(COARSE_SHARE * most)):
             going = [s for s in starts if not s.done]
@@ -126,21 +129,18 @@ def gauss_newton(
         if best is None:
             raise problem.nothing_runs()
         times.append(time.perf_counter())
-        noise, best.damping = stated, DAMPING[0]
-        if free is not None or problem.coarse is not problem:
-            _compare_all(problem, best, settings)
-        best.stage = "fine"
-        noise = _fine_stage(problem, best, noise, settings, iteration, most)
+        rivals = _apart(problem.coarse, best, starts, noise, 3.0)
+        noise = _fine_stage(problem, best, stated, settings, iteration, most)
+        ends = [(s, _fine_stage(problem, s, stated, settings, iteration, most)) for s in rivals]
+        best, noise, others = _likeliest(problem, [(best, noise), *ends])
     except KeyboardInterrupt:
-        interrupted = True
-        best = best_of(starts)
+        interrupted, best = True, best or best_of(starts)
         if best is None:
             raise
         if best.stage == "coarse":
-            noise = stated
             _compare_all(problem, best, settings)
         assert best.comparison is not None
-        noise = estimated_noise(best.comparison, noise)
+        noise = estimated_noise(best.comparison, stated if noise is first else noise)
     times.append(time.perf_counter())
     parts = zip(("scan", "coarse", "fine"), np.diff(times), strict=False)
     return Found(
@@ -148,6 +148,7 @@ def gauss_newton(
         starts=starts,
         noise=noise,
         interrupted=interrupted,
+        others=others,
         seconds={name: float(t) for name, t in parts},
     )
 
@@ -160,8 +161,7 @@ def refined(problem: Problem, found: Found) -> Found:
     """
     settings = GaussNewtonSettings.of(problem.scene.kind)
     best, noise = found.best, found.noise
-    _compare_all(problem, best, settings)
-    best.damping = DAMPING[0]
+    best.stage = "coarse"
     most = PER_BATCH * problem.settings.max_iterations
     most = max(1, round((1.0 - COARSE_SHARE) * most))
     try:
@@ -180,6 +180,8 @@ def _fine_stage(
     most: int,
 ) -> tuple[NoiseModel, ...]:
     """Steps of a start by all unknowns, in turns with estimates of the noise. Returns the noise."""
+    if best.stage == "coarse":
+        _compare_all(problem, best, settings)
     while iteration < most:
         iteration += 1
         assert best.comparison is not None
@@ -200,6 +202,39 @@ def _fine_stage(
         _renew(problem, [best], noise, None)
     assert best.comparison is not None
     return estimated_noise(best.comparison, noise)
+
+
+def _apart(
+    problem: Problem,
+    best: Start,
+    starts: Sequence[Start],
+    noise: Sequence[NoiseModel],
+    least: float,
+) -> list[Start]:
+    """Starts that have ended so many deviations or more from the best one, and from each other, in
+    an unknown of the object, and are not much less likely."""
+    own = [UNKNOWNS[name].material for name in problem.prior.names]
+    hessian, found = problem.gradient_and_hessian(best, noise)[1], [best]
+    sd = np.sqrt(np.diag(np.linalg.inv(hessian)))
+    for s in starts:
+        near = s.comparison is not None and s.done and s.value - best.value < UNLIKELY
+        off = [(np.abs(s.vector - other.vector) / sd)[own].max(initial=0.0) for other in found]
+        if near and min(off) > least:
+            found.append(s)
+    return found[1:]
+
+
+def _likeliest(
+    problem: Problem, ends: Sequence[tuple[Start, tuple[NoiseModel, ...]]]
+) -> tuple[Start, tuple[NoiseModel, ...], tuple[Array, ...]]:
+    """Of starts' ends the most likely one, its noise, and places [P] of others that are apart."""
+    if len(ends) > 1:
+        for s, _ in ends:
+            assert s.comparison is not None
+            s.value = problem.value(s.vector, s.comparison, ends[0][1])
+    best, noise = min(ends, key=lambda end: end[0].value)
+    others = _apart(problem, best, [s for s, _ in ends], noise, 1.0) if len(ends) > 1 else []
+    return best, noise, tuple(s.vector for s in others)
 
 
 def _jump(
@@ -242,7 +277,8 @@ def _jump(
 
 def _compare_all(problem: Problem, start: Start, settings: GaussNewtonSettings) -> None:
     """Compare a start of the coarse problem in the full one, by all unknowns."""
-    start.exact, start.renew = not settings.rugged, False
+    start.exact, start.renew, start.stage = not settings.rugged, False, "fine"
+    start.damping = DAMPING[0]
     start.comparison = problem.compare([start.vector], sketched=True)[0]
     if start.comparison is None:
         raise problem.nothing_runs()
