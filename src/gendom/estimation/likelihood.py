@@ -15,16 +15,25 @@ expectation and maximisation (Dempster et al. 1977).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
-from gendom.estimation.replay import Shape, held_reach, lattice, middle, taken
+from gendom.estimation.replay import (
+    Shape,
+    columns,
+    held_reach,
+    lattice,
+    middle,
+    with_ones,
+)
 from gendom.estimation.scene import LiftScene
 from gendom.observation import visible
 
@@ -62,7 +71,7 @@ class NoiseModel:
     sensor: float = 0.002
     """Noise of independent points [m]; the first guess."""
     model: float = 0.002
-    """The simulated object's smooth displacement [m]; the first guess."""
+    """The simulated object's smooth displacement [m]; the first guess. 0: there is none."""
     least_sensor: float = 5e-4
     """Lower bound of the sensor noise [m]."""
     least_model: float = 3e-4
@@ -102,7 +111,7 @@ class NoiseModel:
 
     def precision(self, smooth: int) -> Array:
         """[S + 7] of displacement, motion and skin before anything is seen."""
-        return np.concatenate([np.full(smooth, self.model**-2), self.fixed])
+        return np.concatenate([np.full(smooth, self.model**-2) if smooth else [], self.fixed])
 
 
 class Observation:
@@ -175,9 +184,9 @@ class Observation:
             row[: len(cloud)] = own[:: -(-len(own) // len(cloud))]
         return found
 
-    def rows(self, shape: Array, r: float) -> Rows:
+    def rows(self, shape: Array, r: float, in_sight: Callable[[int], Array]) -> Rows:
         """The places on shapes [T, n, 3] of half thickness r [m] that points correspond to, and
-        which parts of the shapes have no points near."""
+        which parts of the shapes have no points near, of those that are in sight in a frame."""
         if self.markers is not None:
             return self._marker_rows(shape)
         T = len(shape)
@@ -196,21 +205,15 @@ class Observation:
             rho = np.where(inside, np.abs(high) - r, rho)
         own, share = self.shape.samples
         c = np.einsum("mk,tmka->tma", share, shape[:, own])
-        near, gap = np.zeros(c.shape), np.zeros(c.shape[:2])
-        for t in range(T):
-            gap[t], which = self.trees[t].query(c[t])
-            near[t] = self.clouds[t][which]
+        near = np.take_along_axis(self.points, self._nearest(c)[..., None], axis=1)
+        gap = np.linalg.norm(near - c, axis=2)
         out = gap - r - self.gaps[:, None]
         bare = (out > 0.0) & self.in_view
         if self.scene.floor is not None:
             bare &= c[..., 2] > self.scene.floor
         # what the object hides of itself needs no points
-        cameras = self.scene.recording.camera_positions
-        for t in np.flatnonzero(bare.any(axis=1)):
-            if self.shape.rope:
-                bare[t] &= visible(c[t], camera_positions=cameras)
-            elif cameras is not None:
-                bare[t] &= self.shape.open_to(cameras, shape[t], c[t])
+        for t in np.flatnonzero(bare.any(axis=1)).tolist():
+            bare[t] &= in_sight(t)
         stands_for = np.minimum(self.counts.sum(axis=1) / len(own), 1.0)[:, None]
         every = np.broadcast_to(own, (T, *own.shape)), np.broadcast_to(share, (T, *share.shape))
         return Rows(
@@ -222,6 +225,25 @@ class Observation:
             counts=np.concatenate([self.counts, bare * stands_for], axis=1),
             on_skin=True,
         )
+
+    def in_sight(self, shape: Array) -> NDArray[np.bool_]:
+        """[m] which samples of a shape [n, 3] a camera sees."""
+        own, share = self.shape.samples
+        c, cameras = (
+            np.einsum("mk,mka->ma", share, shape[own]),
+            self.scene.recording.camera_positions,
+        )
+        if self.shape.rope:
+            return visible(c, camera_positions=cameras)
+        return np.ones(len(c), bool) if cameras is None else self.shape.open_to(cameras, shape, c)
+
+    def _nearest(self, places: Array) -> NDArray[np.intp]:
+        """[T, m] the clouds' points that are nearest to places [T, m, 3]."""
+        if not self.shape.rope:
+            return np.stack([t.query(x)[1] for t, x in zip(self.trees, places, strict=True)])
+        # few: squared distances by products of matrices
+        far = with_ones(places) @ columns(-2.0 * self.points, (self.points**2).sum(axis=2))
+        return far.argmin(axis=2)
 
     def _marker_rows(self, shape: Array) -> Rows:
         """All three coordinates of a marker count: markers are few and accurate."""
@@ -262,11 +284,24 @@ class Rows:
     def parameter_derivatives(self, J: Array, widens: Array) -> Array:
         """[T, m, P] by how much residuals fall with parameters that change shapes by J
         [T, n, 3, P] and half their thickness by ``widens`` [P]."""
-        found = np.zeros((*self.rho.shape, J.shape[3]))
-        for p in range(J.shape[3]):
-            moved = taken(J[..., p], self.index)
-            found[..., p] = np.einsum("tmk,tmka,tma->tm", self.weight, moved, self.normal)
-        return found + widens if self.on_skin else found
+        _, n, _, P = J.shape
+        along = self.weight[..., None] * self.normal[:, :, None]
+        found = self._sparse(along, 3 * n) @ J.reshape(-1, P)
+        return found.reshape(*self.rho.shape, P) + (widens if self.on_skin else 0.0)
+
+    def displacing(self, modes: Array) -> Array:
+        """[T, m, 3 Q] likewise with the displacements of each frame by modes [n, Q] in place."""
+        (T, m), (n, Q) = self.rho.shape, modes.shape
+        psi = self._sparse(self.weight[..., None], n) @ np.tile(modes, (T, 1))
+        return (psi.reshape(T, m, Q, 1) * self.normal[:, :, None]).reshape(*self.rho.shape, 3 * Q)
+
+    def _sparse(self, values: Array, size: int) -> csr_array:
+        """[T m, T size] of values [T, m, k, c] at the components c of a frame's points."""
+        T, m, k, c = values.shape
+        frame = size * np.arange(T)[:, None, None, None]
+        column = frame + c * self.index[..., None] + np.arange(c)
+        begins = k * c * np.arange(T * m + 1)
+        return csr_array((values.ravel(), column.ravel(), begins), shape=(T * m, T * size))
 
     def fixed(self, centre: Array) -> Array:
         """[T, m, 7] likewise with a shift, a turn about a centre [3] [m], and the skin."""
@@ -299,7 +334,10 @@ class Comparison:
         self.radius = observation.shape.radius if radius is None else radius
         self.widens = np.zeros(0) if widens is None else widens
         self._last: Fit | None = None
+        self._near: Linearised | None = None
+        self._registered: NoiseModel | None = None
         self._first = np.zeros(0)
+        self._in_sight = cache(lambda t: observation.in_sight(here[t]))
 
     def warm_start(self, other: Comparison) -> None:
         """Start the registration from the result of a comparison nearby."""
@@ -325,7 +363,11 @@ class Comparison:
     @cached_property
     def rows(self) -> Rows:
         """Of the shape as it is."""
-        return self.observation.rows(self.here, self.radius)
+        return self._rows(self.here)
+
+    def _rows(self, shape: Array) -> Rows:
+        """Of a shape near it, which hides the same of itself."""
+        return self.observation.rows(shape, self.radius, self._in_sight)
 
     def rms_by_frame(self) -> list[float]:
         """Distance of each frame's points from the skin [m]."""
@@ -370,32 +412,34 @@ class Comparison:
         if self._last is not None and self._last.noise == noise:
             return self._last
         S = self.observation.in_time.shape[1] * 3 * self.observation.in_place.shape[1]
-        precision, R = noise.precision(S), S + 7
-        a = self._first if len(self._first) else np.zeros(R)
-        if self._last is not None:
-            a = self._last.a
-        for _ in range(noise.rounds):
-            N, _, _ = self._sums(a, noise, self.J[..., :0])
-            downhill = N[:R, -1] - precision * a
-            factor = cho_factor(N[:R, :R] + np.diag(precision), lower=True)
-            step = cho_solve(factor, downhill)
-            a = a + step
-            if step @ downhill < REGISTERED:
+        precision, weight = noise.precision(S if noise.model > 0.0 else 0), noise.sensor**-2.0
+        R, at = len(precision), self._near
+        if at is None or len(at.a) != R:
+            at = self._linearised(self._first if len(self._first) == R else np.zeros(R))
+        # with other derivatives alone it stays where it is
+        for left in reversed(range(1 if self._registered == noise else noise.rounds + 1)):
+            slope = weight * at.products[:R, -1]
+            M = weight * at.products[:R, :R] + np.diag(precision)
+            factor = cho_factor(M, lower=True)
+            step = cho_solve(factor, slope - precision * at.a)
+            gain = float(step @ (slope - precision * at.a))
+            if left == 0 or gain < REGISTERED:
                 break
-        N, loss, count = self._sums(a, noise, self.J)
-        M, slope, cross = N[:R, :R] + np.diag(precision), N[:R, -1], N[:R, R:-1]
-        factor = cho_factor(M, lower=True)
+            at = self._linearised(at.a + step)
+        self._near, self._registered, own = at, noise, self._by_parameters(at)
+        cross, P = weight * own[:R], own.shape[1]
         self._last = Fit(
             noise=noise,
-            value=loss + float(precision @ a**2),
+            # a small step is not taken, but counts
+            value=weight * at.loss + float(precision @ at.a**2) - gain * (gain < REGISTERED),
             # residuals fall as the object moves along its normals
-            gradient=cross.T @ cho_solve(factor, slope - precision * a) - N[R:-1, -1],
-            hessian=N[R:-1, R:-1] - cross.T @ cho_solve(factor, cross),
-            a=a,
+            gradient=cross.T @ step - weight * own[R],
+            hessian=weight * own[R + 1 :] - cross.T @ cho_solve(factor, cross).reshape(R, P),
+            a=at.a,
             M=M,
             slope=slope,
-            loss=loss * noise.sensor**2,
-            count=count,
+            loss=at.loss,
+            count=at.count,
         )
         return self._last
 
@@ -404,11 +448,13 @@ class Comparison:
         o = self.observation
         if o.markers is not None:
             return 0.0
-        rho = o.rows(self._displaced(self.fit(noise).a), self.radius).rho
+        rho = self._rows(self._displaced(self.fit(noise).a)).rho
         return float(np.median(rho[:, : o.counts.shape[1]][o.counts > 0.0]))
 
     def _displaced(self, a: Array) -> Array:
         """[T, n, 3] the shape with displacement and rigid motion of ``a`` [S + 7] [m]."""
+        if len(a) == 7:
+            return self._moved(self.here, a)
         o = self.observation
         U, B = o.in_time, o.in_place
         smooth = (U @ a[:-7].reshape(U.shape[1], -1)).reshape(len(U), -1, 3)
@@ -422,34 +468,62 @@ class Comparison:
         """A shape [..., 3] moved as the cameras' estimated rigid motion shows it [m]."""
         return self._moved(shape, self.fit(noise).a)
 
-    def _sums(self, a: Array, noise: NoiseModel, J: Array) -> tuple[Array, float, float]:
-        """Normal equations of the shape displaced by ``a`` [S + 7]; J [T, n, 3, P] as that of the
-        comparison.
-
-        Returns:
-            [S + 7 + P + 1, S + 7 + P + 1] products of residuals' derivatives by registration and by
-            parameters, and of residuals, weighted by how likely they are; the smoothed sum of
-            squared residuals, in their variance; and how many independent points there are.
-        """
-        o, U, B = self.observation, self.observation.in_time, self.observation.in_place
-        rows = o.rows(self._displaced(a), self.radius)
+    def _linearised(self, a: Array) -> Linearised:
+        """Residuals about the shape displaced by ``a`` [S + 7], of points that are paired anew."""
+        o, smooth = self.observation, len(a) > 7
+        U = o.in_time if smooth else o.in_time[:, :0]
+        rows = self._rows(self._displaced(a)) if a.any() else self.rows
         rho = rows.rho - a[-1]
         root = np.sqrt(1.0 + (rho / HUBER) ** 2)
-        share = rows.counts / noise.patch / noise.sensor**2
-        w = (share / root)[..., None]
-        # by the displacement of each frame, which all frames' coefficients make up
-        psi = np.einsum("tmk,tmkq->tmq", rows.weight, B[rows.index])
-        G = (psi[..., :, None] * rows.normal[..., None, :]).reshape(*rho.shape, -1)
-        # by rigid motion, skin and parameters; and what is left
-        by_parameters = rows.parameter_derivatives(J, self.widens[: J.shape[3]])
-        D = np.concatenate([rows.fixed(o.centre), by_parameters, rho[..., None]], axis=2)
-        Gt, S = np.swapaxes(G, 1, 2), len(a) - 7
-        cross = np.einsum("tr,tqd->rqd", U, Gt @ (w * D), optimize=True).reshape(S, -1)
-        smooth = np.einsum("tr,ts,tqp->rqsp", U, U, Gt @ (w * G), optimize=True).reshape(S, S)
-        rest = np.einsum("tmi,tmj->ij", D, w * D, optimize=True)
-        loss = float((share * 2.0 * HUBER**2 * (root - 1.0)).sum())
-        count = float(rows.counts.sum() / noise.patch)
-        return np.block([[smooth, cross], [cross.T, rest]]), loss, count
+        share = rows.counts / o.noise.patch
+        # by the displacement of each frame, which all frames' coefficients make up; by rigid motion
+        # and skin; and what is left
+        G, w = rows.displacing(o.in_place[:, : None if smooth else 0]), (share / root)[..., None]
+        D = np.concatenate([rows.fixed(o.centre), rho[..., None]], axis=2)
+        Gt, Dt, S = np.swapaxes(w * G, 1, 2), np.swapaxes(w * D, 1, 2), len(a) - 7
+        cross = np.einsum("tr,tqd->rqd", U, Gt @ D, optimize=True).reshape(S, 8)
+        square = np.einsum("tr,ts,tqp->rqsp", U, U, Gt @ G, optimize=True).reshape(S, S)
+        return Linearised(
+            a=a,
+            rows=rows,
+            Gt=Gt,
+            Dt=Dt,
+            products=np.block([[square, cross], [cross.T, (Dt @ D).sum(axis=0)]]),
+            loss=float((share * 2.0 * HUBER**2 * (root - 1.0)).sum()),
+            count=float(rows.counts.sum() / o.noise.patch),
+        )
+
+    def _by_parameters(self, at: Linearised) -> Array:
+        """[S + 7 + 1 + P, P] products of residuals' derivatives by parameters with those by
+        registration, with residuals, and with each other."""
+        P, S = self.J.shape[3], len(at.a) - 7
+        if P == 0:
+            return np.zeros((S + 8, 0))
+        by, U = at.rows.parameter_derivatives(self.J, self.widens), self.observation.in_time
+        smooth = np.einsum("tr,tqd->rqd", U[:, : None if S else 0], at.Gt @ by, optimize=True)
+        fixed, w = (at.Dt @ by).sum(axis=0), at.Dt[:, 6, :, None]  # the skin's derivative is 1
+        return np.concatenate(
+            [smooth.reshape(S, P), fixed, (np.swapaxes(w * by, 1, 2) @ by).sum(axis=0)]
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Linearised:
+    """Residuals about a registration; weighted by how likely they are, not by their variance."""
+
+    a: Array
+    """[S + 7] the registration."""
+    rows: Rows
+    Gt: Array
+    """[T, 3 Q, m] weighted derivatives by each frame's displacement."""
+    Dt: Array
+    """[T, 8, m] by rigid motion and skin, and residuals, likewise."""
+    products: Array
+    """[S + 8, S + 8] of derivatives by registration, and of residuals [m^2]."""
+    loss: float
+    """Smoothed sum of squares [m^2]."""
+    count: float
+    """Independent points."""
 
 
 @dataclass(frozen=True, eq=False)

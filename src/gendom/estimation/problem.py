@@ -16,9 +16,15 @@ from numpy.typing import NDArray
 from gendom.arguments import require
 from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons, NoiseModel, Observation
-from gendom.estimation.replay import middle, replay
+from gendom.estimation.replay import Shape, middle, replay
 from gendom.estimation.scene import LiftScene
-from gendom.estimation.scene_settings import COARSE_POINTS, SceneSettings
+from gendom.estimation.scene_settings import (
+    COARSE_FRAMES,
+    COARSE_POINTS,
+    COARSE_STRETCH,
+    STRETCH,
+    SceneSettings,
+)
 from gendom.materials.posterior import Prior, joint_prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 
@@ -129,6 +135,8 @@ class Found:
     noise: tuple[NoiseModel, ...]
     """Of each recording; its comparison is evaluated with it."""
     interrupted: bool = False
+    others: tuple[Array, ...] = ()
+    """[P] where other starts have ended that are about as likely as the best one."""
     covariance: Array | None = None
     """[P, P] transformed, of methods that state their own; None: that of the likelihood."""
     seconds: dict[str, float] = field(default_factory=dict)
@@ -154,19 +162,30 @@ class Part:
         return Observation(self.scene, self.noise)
 
     @cached_property
+    def coarser(self) -> LiftScene:
+        """The scene with fewer simulated points, unless settings fix their number."""
+        scene, rope = self.scene, self.scene.kind == "rope"
+        along = len(scene.initial) if rope else max(scene.body.shape)
+        fixed = not scene.thin or scene.settings.points is not None or len(scene.held) > 1
+        few, stretch = fixed or along <= COARSE_POINTS, STRETCH if rope else COARSE_STRETCH
+        return scene if few else scene.simulated_with(COARSE_POINTS, stretch)
+
+    @cached_property
     def coarse(self) -> Part:
-        """The coarse problem, for the first stage of a search: of a rope only frames without fast
-        motion, where there are enough (fast motion depends on the earlier motion, too); of a cloth
-        fewer simulated and recorded points."""
-        scene = self.scene
-        if scene.kind == "cloth" and scene.thin and scene.settings.points is None:
-            coarse, own = scene.simulated_with(COARSE_POINTS), self.noise
+        """The coarse problem, for the first stage of a search: fewer simulated and recorded points
+        and frames; of a rope, where there are enough, only those without fast motion, which depends
+        on the earlier motion, too."""
+        scene, noise = self.coarser, self.noise
+        frames, thinned = scene.frames, scene is not self.scene
+        if scene.kind == "rope":
+            frames, thinned = scene.calm if len(scene.calm) >= 6 else frames, not scene.captured
+        elif thinned:
             # fewer points of equal total weight
-            noise = replace(own, cloud_points=own.cloud_points // 4, patch=own.patch / 4)
-            return replace(self, scene=coarse, noise=noise)
-        if len(scene.calm) == len(scene.frames) or len(scene.calm) < 6:
-            return self
-        return replace(self, scene=replace(scene, frames=scene.calm))
+            noise = replace(noise, cloud_points=noise.cloud_points // 4, patch=noise.patch / 4)
+        every = -(-len(frames) // COARSE_FRAMES) if thinned else 1
+        scene = replace(scene, frames=frames[::every])
+        same = scene.frames == self.scene.frames and scene.body is self.scene.body
+        return self if same else replace(self, scene=scene, noise=noise)
 
 
 class Problem:
@@ -298,6 +317,7 @@ class Problem:
         *,
         derivatives: bool = True,
         free: Sequence[int] | None = None,
+        sketched: bool = False,
     ) -> list[Comparisons | None]:
         """Comparisons at transformed parameters, None where a world diverges, from one batch for
         each recording.
@@ -306,6 +326,8 @@ class Problem:
             vectors: [P] each.
             derivatives: Whether they know how shapes change with parameters.
             free: Indices of the free parameters (default: all); derivatives by the others are 0.
+            sketched: Whether those of cloths are taken with few points, too, as those of ropes are:
+                of 21 and 47 they differ by 1 to 2 % in E and how it is held.
         """
         prior, columns = self.prior, []
         steps = [np.where(v + prior.step > prior.high, -prior.step, prior.step) for v in vectors]
@@ -316,28 +338,45 @@ class Problem:
             which = part.shown[moved]
             along = self._along(which)
             back = np.linalg.inv(along[np.ix_(which, which)])
-            worlds = []
-            for v, h in zip(vectors, steps, strict=True):
-                worlds += [v, *(v + along[k] * h[k] for k in which)]
-            m = middle(part.scene, self.positions(worlds, recording))
-            thickness = np.array([self.theta(v, recording).thickness for v in worlds])
-            radius = part.observation.shape.radius * thickness
+            worlds = [
+                [v, *(v + along[k] * h[k] for k in which)]
+                for v, h in zip(vectors, steps, strict=True)
+            ]
+            few = part.coarser if sketched or part.scene.kind == "rope" else part.scene
+            shapes, changes = self._shapes(worlds, recording, few if derivatives else part.scene)
             found: list[Comparison | None] = []
-            for n, h in enumerate(steps):
-                own = slice(n * (1 + len(which)), (n + 1) * (1 + len(which)))
-                here, r = m[:, own][:, 0], radius[own]
-                if not np.isfinite(m[:, own]).all():
+            for own, here, change, h in zip(worlds, shapes, changes, steps, strict=True):
+                if not (np.isfinite(here).all() and np.isfinite(change).all()):
                     found.append(None)
                     continue
+                times = np.array([self.theta(v, recording).thickness for v in own])
+                r = part.observation.shape.radius * times
                 # parameters that are not free do not change the shape
                 widens = np.zeros(len(part.shown) if derivatives else 0)
                 J = np.zeros((*here.shape, len(widens)))
-                change = np.moveaxis(m[:, own][:, 1:] - here[:, None], 1, -1)
                 J[..., moved] = change / h[which] @ back.T
                 widens[moved] = back @ ((r[1:] - r[0]) / h[which])
                 found.append(Comparison(part.observation, here, J, float(r[0]), widens))
             columns.append(found)
         return [self.joined(row) for row in zip(*columns, strict=True)]
+
+    def _shapes(
+        self, worlds: Sequence[Sequence[Array]], recording: int, few: LiftScene
+    ) -> tuple[list[Array], list[Array]]:
+        """Of a recording the shapes [T, n, 3] at the first of each row of places, and by how much
+        they change from there to the others [T, n, 3, k] [m], in a scene that may be coarser; NaN
+        where a world diverges."""
+        part = self.parts[recording]
+        thetas = [self.theta(v, recording) for row in worlds for v in row]
+        m = middle(few, replay(few, thetas, keep_going=True))
+        rows = np.split(m, np.cumsum([len(row) for row in worlds])[:-1], axis=1)
+        shapes = [own[:, 0] for own in rows]
+        changes = [np.moveaxis(own[:, 1:] - own[:, :1], 1, -1) for own in rows]
+        if few is part.scene:
+            return shapes, changes
+        m = middle(part.scene, self.positions([row[0] for row in worlds], recording))
+        to, of = part.observation.shape, Shape(few)
+        return list(np.swapaxes(m, 0, 1)), [to.taken_from(of, change) for change in changes]
 
     def joined(self, parts: Sequence[Comparison | None]) -> Comparisons | None:
         """The joint comparison of all recordings; None where one could not be simulated."""

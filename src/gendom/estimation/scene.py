@@ -32,6 +32,7 @@ from gendom.estimation.scene_settings import (
     MOST_SHELL_POINTS,
     SHELL_ERROR,
     SHELL_SPACING,
+    STRETCH,
     SceneSettings,
 )
 from gendom.materials import STANDARD_GRAVITY, catalogue
@@ -87,6 +88,7 @@ class LiftScene(Placed):
     """`Recording.begins_with`, before any registration."""
     digest: str = ""
     """`Recording.digest`, likewise."""
+    stretch: float = STRETCH
     registration: Array | None = None
     """[4, 4] by which the recording's clouds were moved [m]; None: the stated camera poses are
     taken."""
@@ -262,12 +264,12 @@ class LiftScene(Placed):
         notes = (n for n in self.notes if not n.startswith(FINER))
         return replace(self.simulated_with(points), notes=(*notes, f"{FINER} {points} points"))
 
-    def simulated_with(self, points: int) -> LiftScene:
+    def simulated_with(self, points: int, stretch: float = STRETCH) -> LiftScene:
         """The same with so many points; their number stays open in the settings, so that it can
         grow once more."""
         settings = replace(self.settings, points=points)
         placed = place(self.recording, settings, with_points(self.recording), [])
-        return replace(self, **vars(placed))
+        return replace(self, **vars(placed), stretch=stretch)
 
     def mesh_error(self, theta: Theta) -> float:
         """Standard deviation of ln(E) by the distance of a cloth's points."""
