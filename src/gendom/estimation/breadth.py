@@ -26,11 +26,11 @@ def seen_breadth(comparison: Comparison, noise: NoiseModel) -> float | None:
     """Diameter of a rope as its cameras see it [m], None where their places are not known.
 
     Pixels lie evenly across the strip that a camera sees of a rope, so that three quarters of them
-    lie within three quarters of half its breadth. Which camera saw a point is a latent variable of a
-    mixture (McLachlan and Peel 2000, "Finite mixture models"), as points that were fused are of
-    several: a point lies in one camera's strip, and before the rope's middle as seen from there,
-    with the noise of depth. Each camera's strip may be off by a rigid motion. Errors of what is
-    simulated are those of the registered line.
+    lie within three quarters of half its breadth. Which camera saw a point is a latent variable of
+    a mixture (McLachlan and Peel 2000, "Finite mixture models"), as fused points are of several: a
+    point lies in one camera's strip, and before the rope's middle as seen from there, with the
+    noise of depth. Each camera's strip may be off by a rigid motion. Errors of what is simulated
+    are those of the registered line.
     """
     o = comparison.observation
     cameras = o.scene.recording.camera_positions
