@@ -22,14 +22,15 @@ from gendom.datasets.checks import (
     numbered,
     usual_speed,
 )
-from gendom.estimation.breadth import seen_breadth
 from gendom.estimation.likelihood import HUBER, Comparison, NoiseModel
 from gendom.estimation.placing import LINE_PLACES, early_points, lying_rectangle, with_points
 from gendom.estimation.priors import thickness_stated
 from gendom.estimation.problem import Found, Part, Problem
+from gendom.estimation.replay import taken
 from gendom.materials.estimate import Verdict
 from gendom.materials.posterior import Posterior
 from gendom.materials.unknowns import UNKNOWNS, Theta
+from gendom.observation import breadth_across
 from gendom.sim.lines import along_line
 
 Array = NDArray[np.floating]
@@ -48,9 +49,12 @@ have 0.021 and more, with an E that is four and more times too small. Of real ca
 between two grippers it is 0.010 to 0.016. Twice a sheet's E moves it by as much in a lift (2 to 5
 mm of a diagonal of 0.42 m): a larger displacement hides the effect of E."""
 
-BROADER, BLURRED = 1.3, 0.0015
+BROADER, BLURRED = 1.3, 0.001
 """Most by which a rope's breadth differs from its thickness, and by which cameras may widen it
 besides [m]."""
+
+STRAY, FEWEST_POINTS = 0.02, 200
+"""Distance from a rope beyond which points are not its own [m], and how many show its breadth."""
 
 
 def beyond(findings: Findings) -> list[str]:
@@ -175,21 +179,32 @@ def _of_fit(part: Part, comparison: Comparison, noise: NoiseModel, theta: Theta)
 
 def _of_thickness(comparison: Comparison, noise: NoiseModel) -> Findings:
     """A thickness that is not that of the object."""
-    thick, seen = 2.0 * comparison.radius, seen_breadth(comparison, noise)
-    if seen is not None:
-        said = (
-            f"cameras see {1e3 * seen:.1f} mm across an object {1e3 * thick:.3g} mm thick: is its "
-            "thickness right?"
-        )
-        yield _out_of(seen, thick / BROADER, BROADER * thick + BLURRED), 1.0, said
-        return
+    thick, seen = 2.0 * comparison.radius, _seen_breadth(comparison, noise)
     outside = comparison.outside(noise)
     side = "outside" if outside > 0.0 else "inside"
-    said = (
-        f"points lie {1e3 * abs(outside):.1f} mm {side} an object {1e3 * thick:.3g} mm thick: "
-        "is its thickness right?"
-    )
-    yield abs(outside), max(0.0025, 0.3 * thick), said
+    said = f"points lie {1e3 * abs(outside):.1f} mm {side} an object {1e3 * thick:.3g} mm thick"
+    found, most = abs(outside), max(0.0025, 0.3 * thick)
+    if seen is not None:
+        said = f"cameras see {1e3 * seen:.1f} mm across an object {1e3 * thick:.3g} mm thick"
+        found, most = _out_of(seen, thick / BROADER, BROADER * thick + BLURRED), 1.0
+    yield found, most, f"{said}: is its thickness right?"
+
+
+def _seen_breadth(comparison: Comparison, noise: NoiseModel) -> float | None:
+    """Of a rope across its cameras' views [m]; None where that is not known."""
+    o, cameras = comparison.observation, comparison.observation.scene.recording.camera_positions
+    if cameras is None or o.markers is not None or not o.shape.rope:
+        return None
+    line = comparison.registered(noise)
+    index, _, feet = o.shape.nearest(line, o.points)
+    tangent = np.diff(taken(line, index), axis=2)[:, :, 0]
+    tangent = tangent / norm(tangent, axis=2, keepdims=True)
+    # beyond its ends it is no cylinder
+    own = (index[..., 0] > 2) & (index[..., 1] < line.shape[1] - 3) & (o.counts > 0.0)
+    own &= norm(o.points - feet, axis=2) < STRAY
+    if own.sum() < FEWEST_POINTS:
+        return None
+    return breadth_across(o.points[own], feet[own], tangent[own], cameras, noise.sensor)
 
 
 def _blamed_on_cameras(reasons: list[str], part: Part, comparison: Comparison) -> list[str]:
