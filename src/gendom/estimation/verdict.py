@@ -53,9 +53,6 @@ BROADER, BLURRED = 1.3, 0.001
 """Most by which a rope's breadth differs from its thickness, and by which cameras may widen it
 besides [m]."""
 
-STRAY, FEWEST_POINTS = 0.02, 200
-"""Distance from a rope beyond which points are not its own [m], and how many show its breadth."""
-
 
 def beyond(findings: Findings) -> list[str]:
     """Reasons."""
@@ -178,7 +175,7 @@ def _of_fit(part: Part, comparison: Comparison, noise: NoiseModel, theta: Theta)
 
 
 def _of_thickness(comparison: Comparison, noise: NoiseModel) -> Findings:
-    """A thickness that is not that of the object."""
+    """A thickness that is not that of the object: by the breadth of a rope, where it is seen."""
     thick, seen = 2.0 * comparison.radius, _seen_breadth(comparison, noise)
     outside = comparison.outside(noise)
     side = "outside" if outside > 0.0 else "inside"
@@ -197,14 +194,11 @@ def _seen_breadth(comparison: Comparison, noise: NoiseModel) -> float | None:
         return None
     line = comparison.registered(noise)
     index, _, feet = o.shape.nearest(line, o.points)
-    tangent = np.diff(taken(line, index), axis=2)[:, :, 0]
-    tangent = tangent / norm(tangent, axis=2, keepdims=True)
+    ends = taken(line, index)
     # beyond its ends it is no cylinder
     own = (index[..., 0] > 2) & (index[..., 1] < line.shape[1] - 3) & (o.counts > 0.0)
-    own &= norm(o.points - feet, axis=2) < STRAY
-    if own.sum() < FEWEST_POINTS:
-        return None
-    return breadth_across(o.points[own], feet[own], tangent[own], cameras, noise.sensor)
+    along = (ends[:, :, 1] - ends[:, :, 0])[own]
+    return breadth_across(o.points[own], feet[own], along, cameras, noise.sensor)
 
 
 def _blamed_on_cameras(reasons: list[str], part: Part, comparison: Comparison) -> list[str]:

@@ -17,10 +17,14 @@ AHEAD = np.pi / 4.0
 """How far before a rope's middle a camera sees it, in half its thickness, in the mean."""
 
 
+STRAY, FEWEST = 0.02, 200
+"""Distance from a rope beyond which points are not its own [m], and how many show its breadth."""
+
+
 def breadth_across(
     points: Array, feet: Array, tangent: Array, cameras: Array, noise: float, rounds: int = 20
-) -> float:
-    """Breadth of the strip that cameras see of a rope [m].
+) -> float | None:
+    """Breadth of the strip that cameras see of a rope [m]; None where too few points show it.
 
     Pixels lie evenly across it, so that three quarters of them lie within three quarters of half
     its breadth. A point lies in one camera's strip, and before the rope's middle as seen from
@@ -31,11 +35,16 @@ def breadth_across(
     Args:
         points: [m, 3] of all cameras, fused [m].
         feet: [m, 3] nearest places on the rope's middle line [m].
-        tangent: [m, 3] unit vectors along it.
+        tangent: [m, 3] along it.
         cameras: [C, 3] places of the cameras [m].
         noise: Standard deviation of depth [m].
         rounds: Of expectation and maximisation.
     """
+    near = np.linalg.norm(points - feet, axis=1) < STRAY
+    if near.sum() < FEWEST:
+        return None
+    points, feet, tangent = points[near], feet[near], tangent[near]
+    tangent = tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
     off = points - feet
     view = feet - cameras[:, None]
     view = view / np.linalg.norm(view, axis=2, keepdims=True)
@@ -45,25 +54,44 @@ def breadth_across(
     seen = steep > 0.3  # along its length a rope shows no breadth
     to = np.stack([across, np.cross(tangent, across)])  # sideways, and away from the camera
     by = np.concatenate([to, np.cross(points - points.mean(axis=0), to)], axis=3)
-    off = left = np.einsum("ma,dcma->dcm", off, to)
-    share = seen * np.where(off[1] < 0.0, 0.6, 0.4)
-    half = float(np.quantile(np.abs(off[0]), 0.5))
+    off = np.einsum("ma,dcma->dcm", points - feet, to)
+    # whose points are before the rope, or all on one side of it
+    aside = off[0] - np.median(off[0], axis=1, keepdims=True)
+    sides = (off[1], 0.6), (aside, 0.95), (-aside, 0.95)
+    starts = (seen * np.where(side < 0.0, most, 1.0 - most) for side, most in sides)
+    return max(_mixture(off, by, seen, noise, start, rounds) for start in starts)[1]
+
+
+def _mixture(
+    off: Array, by: Array, seen: Array, noise: float, share: Array, rounds: int
+) -> tuple[float, float]:
+    """Log likelihood and breadth [m], from shares [C, m] of cameras in points on.
+
+    Args:
+        off: [2, C, m] how far points lie sideways of the line and behind it, by each camera [m].
+        by: [2, C, m, 6] how that grows with a rigid motion.
+        seen: [C, m] whether a camera sees the breadth there.
+        noise: Standard deviation of depth [m].
+        share: In the beginning.
+        rounds: Of expectation and maximisation.
+    """
+    half, reach, left, fits = float(np.median(np.abs(off[0]))), STRAY, off, 0.0
     for _ in range(rounds):
         wanted = np.array([0.0, -AHEAD * half])[:, None, None]
-        sideways, depth = 2.0 * left[0] / half, (left[1] - wanted[1]) / noise
         weight = share * [
-            1.0 / (1.0 + (sideways / 2.0) ** 4) / (half / 2.0) ** 2,
-            1.0 / (1.0 + depth**2) / noise**2,
+            4.0 / (half**2 * (1.0 + (left[0] / reach) ** 4)),
+            1.0 / (noise**2 + (left[1] - wanted[1]) ** 2),
         ]
         H = np.einsum("dcmi,dcm,dcmj->cij", by, weight, by, optimize=True) + np.diag(MOVED)
         pull = np.einsum("dcmi,dcm->ci", by, weight * (off - wanted))
         left = off - np.einsum("dcmi,ci->dcm", by, np.linalg.solve(H, pull[..., None])[..., 0])
-        outside = np.maximum(np.abs(left[0]) - half, 0.0) / EDGE
-        depth = (left[1] - wanted[1]) / noise
-        likely = seen / ((1.0 + outside**2 / 2.0) ** 1.5 * (1.0 + depth**2 / 2.0))
-        share = likely / np.maximum(likely.sum(axis=0), 1e-300)
         order = np.argsort(np.abs(left[0]), axis=None)
         total = np.cumsum(share.ravel()[order])
         place = order[np.searchsorted(total, 0.75 * total[-1])]
-        half = float(np.abs(left[0]).ravel()[place]) / 0.75
-    return 2.0 * half
+        half = reach = float(np.abs(left[0]).ravel()[place]) / 0.75
+        outside = np.maximum(np.abs(left[0]) - half, 0.0) / EDGE
+        depth = (left[1] - wanted[1]) / noise
+        likely = seen / ((1.0 + outside**2 / 2.0) ** 1.5 * (1.0 + depth**2 / 2.0))
+        every = np.maximum(likely.sum(axis=0), 1e-300)
+        share, fits = likely / every, float(np.log(every / (half + EDGE)).sum())
+    return fits, 2.0 * half
