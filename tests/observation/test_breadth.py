@@ -11,7 +11,7 @@ CAMERAS = np.array([[0.4, -0.7, 0.4], [0.4, 0.7, 0.4]])
 def strips(diameter, moved, noise=0.003, points=3000, seed=0):
     """A hanging rope as two cameras see it, one of them `moved` sideways: points and their feet."""
     rng = np.random.default_rng(seed)
-    feet = np.zeros((points, 3)) + [0.4, 0.0, 0.0]
+    feet = np.tile([0.4, 0.0, 0.0], (points, 1))
     feet[:, 2] = rng.uniform(0.05, 0.35, points)
     camera = rng.integers(0, len(CAMERAS), points)
     view = feet - CAMERAS[camera]
