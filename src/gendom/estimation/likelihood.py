@@ -443,12 +443,16 @@ class Comparison:
         )
         return self._last
 
+    def registered(self, noise: NoiseModel) -> Array:
+        """[T, n, 3] the shape as clouds show it, displaced and moved [m]."""
+        return self._displaced(self.fit(noise).a)
+
     def outside(self, noise: NoiseModel) -> float:
         """Median distance of points from the skin of the registered object, 0 of markers [m]."""
         o = self.observation
         if o.markers is not None:
             return 0.0
-        rho = self._rows(self._displaced(self.fit(noise).a)).rho
+        rho = self._rows(self.registered(noise)).rho
         return float(np.median(rho[:, : o.counts.shape[1]][o.counts > 0.0]))
 
     def _displaced(self, a: Array) -> Array:
