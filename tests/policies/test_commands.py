@@ -344,7 +344,7 @@ def test_what_cannot_be_is_refused_even_if_forced(act, flags, goal, text):
     ("flags", "estimate", "goal", "text"),
     [
         ((), ESTIMATE, "0.9", "choose one between"),
-        (("--E", "1e5", "--length", "0.2"), None, "0.3", "give --diameter, --E and --density"),
+        (("--E", "1e5", "--length", "0.2"), None, "0.3", "give --diameter [m], --density [kg/m^3]"),
         ((), ESTIMATE | {"format": "other/1"}, "0.35", "not 'gendom-estimate/1'"),
         ((), ESTIMATE | {"nu": "0.3"}, "0.35", "must be a positive number, got '0.3'"),
         ((), ESTIMATE | {"object": {"kind": "cloth"}}, "0.35", "describes a cloth"),
