@@ -117,3 +117,11 @@ def test_a_core_installation_is_small(place, capsys):
     with capsys.disabled():
         print(f"\n{1e-6 * sum(own.values()):.0f} MB in all: {told}")
     assert beside < LARGEST, f"{1e-6 * beside:.0f} MB without Warp: {told}"
+
+
+def test_the_demo_runs_without_extras(place, gendom):
+    """The action in our own simulator; how to get the second reality is said."""
+    told = gendom("demo", "--starts", "1")
+    assert "off by: with the estimate" in told and (place / "demo/report.html").exists()
+    page = (place / "demo/report.html").read_text(encoding="utf-8")
+    assert "carried out in our own simulator" in page

@@ -366,6 +366,18 @@ def test_another_axis_that_points_up_is_named(up, height):
     )
 
 
+@pytest.mark.parametrize("where", ["object.lenght", "table_hight"])
+def test_a_misspelt_key_is_named(lift, tmp_path, where):
+    """Others that nothing reads are kept."""
+    arrays, meta = stored(lift, tmp_path)
+    right = {"object.lenght": "length", "table_hight": "table_height"}[where]
+    inner = meta["object"] if "." in where else meta
+    inner[where.rpartition(".")[2]] = inner.pop(right)
+    meta["object"]["colour"] = meta["batch"] = "red"
+    lines = refusal(save(tmp_path / "bad.npz", arrays, meta))
+    assert f"{where}: is read by nothing; did you mean '{right}'?" in lines
+
+
 def test_times_since_1970_in_half_the_digits_are_named(lift, tmp_path):
     arrays, meta = stored(lift, tmp_path)
     arrays["time"] = (1.7e9 + arrays["time"]).astype(np.float32)

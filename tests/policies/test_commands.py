@@ -53,8 +53,9 @@ def act(make_policy, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("gendom.cli.act.DRAWS", 24)
     monkeypatch.setattr("gendom.cli.act.POLISHED_FOR", 4)
 
-    def run(*flags, estimate=ESTIMATE, goal="0.35"):
+    def run(*flags, estimate=ESTIMATE, goal="0.35", policys=True):
         words = ["act", "rope-reaching", "--goal", goal, *flags]
+        words += ["--no-polish"] if policys and "--polish" not in flags else []
         if estimate is not None:
             write_json(tmp_path / "estimate.json", estimate)
             words += ["--params", str(tmp_path / "estimate.json")]
@@ -67,7 +68,7 @@ def act(make_policy, monkeypatch, tmp_path, capsys):
 def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     """What is dimensionless or assumed is said so; by file or by flags, here or elsewhere."""
     code, out, err = act("--json", "--out", str(tmp_path / "action.json"))
-    assert (code, err) == (0, f"written: {tmp_path / 'action.json'}\n")
+    assert code == 0 and err.endswith(f"written: {tmp_path / 'action.json'}\n")
     result = json.loads(out)
     assert result == read_json(tmp_path / "action.json")
     assert result["format"] == "gendom-action/4"
@@ -175,8 +176,10 @@ def test_act_predicts_what_will_be_reached(act):
 
 def test_act_polishes_for_the_estimated_object(act):
     plain = json.loads(act("--json")[1])
-    flags = ("--polish", "--damping", "0.004", "--seconds", "60")
-    polished = json.loads(act("--json", *flags)[1])
+    flags = ("--damping", "0.004", "--seconds", "60")
+    polished = json.loads(act("--json", *flags, policys=False)[1])
+    again = json.loads(act("--json", *flags, "--polish")[1])
+    assert polished["action"] == again["action"]
     about = polished["polished"]
     assert about["expected"] < 0.5 * about["before"]
     assert polished["action"] != plain["action"]
@@ -184,6 +187,17 @@ def test_act_polishes_for_the_estimated_object(act):
     wanted, there = polished["goal"]["x"], polished["predicted"]["reached"]["x"]
     assert abs(there - wanted) < abs(plain["predicted"]["reached"]["x"] - wanted)
     assert "polished expected miss" in result_text(polished, motion=True)
+
+
+def test_act_warns_of_a_goal_outside_of_its_own_interval(act):
+    """The stand-in's release reaches farther, as it says itself; a polished one does not."""
+    for warns in (True, False):
+        _, out, err = act("--json", "--damping", "0.004", "--seconds", "60", policys=warns)
+        said = json.loads(out)
+        low, high = said["predicted"]["interval_90"]["x"]
+        assert (low <= 0.35 <= high) != warns
+        what = f"the goal x 0.35 m lies outside of what is predicted, 90 % in {low:.4g} to"
+        assert any(what in w for w in said["warnings"]) == warns == (what in err)
 
 
 @pytest.fixture
@@ -329,7 +343,7 @@ what is said, also where it is forced."""
         *((*row, ESTIMATE) for row in UNITS),
         *((("--force", *flags), *row, ESTIMATE) for flags, *row in UNITS),
         ((), "0.9", "choose one between", ESTIMATE),
-        (FEW, "0.3", "give --diameter, --E and --density", None),
+        (FEW, "0.3", "give --diameter [m], --density [kg/m^3]", None),
         ((), "0.35", "not 'gendom-estimate/1'", ESTIMATE | {"format": "other/1"}),
         ((), "0.35", "must be a positive number, got '0.3'", ESTIMATE | {"nu": "0.3"}),
         ((), "0.35", "describes a cloth", CLOTH),

@@ -319,5 +319,4 @@ class Theta(Mapping[str, float]):
 
 
 # last, so that their modules can import this one
-for _added in plugins("unknowns").values():
-    register(_added)
+plugins("unknowns", register)
