@@ -102,7 +102,7 @@ def record(sdk, tmp_path, motion):
     return recorded
 
 
-def test_a_motion_is_recorded_as_perception_reads_it(record, motion):
+def test_a_motion_is_recorded_as_perception_reads_it(record, motion, tmp_path):
     folder, found = record()
     assert isinstance(connected(SoftwareCamera(camera())), DepthCamera)
     read = read_cameras(folder)
@@ -123,6 +123,20 @@ def test_a_motion_is_recorded_as_perception_reads_it(record, motion):
     np.testing.assert_allclose(read.robot.position[:, 0], tool, atol=1e-5)
     said = json.loads((folder / "recording.json").read_text())
     assert said["ended"] == "done" and said["cameras"]["left"]["missing"] == 0
+    # a recording is replayed
+    folder, _ = record()
+    described = CellCamera(
+        name="left", device="replay", serial=str(folder), T_world_camera=np.eye(4)
+    )
+    again = ReplayedCamera(described)
+    again.connect()
+    assert isinstance(again, DepthCamera)
+    still = JointMotion(time=np.array([0.0, 0.1]), q=np.stack([XARM7.home] * 2))
+    found = record_motion(Arm(), [again], still, tmp_path / "again", description=OBJECT)
+    (old, _), (new,) = (read_cameras(f).sources for f in (folder, tmp_path / "again"))
+    assert found["left"].pictures == len(list(old)) == len(list(new))
+    with pytest.raises(GendomError, match="holds a recording already"):
+        record_motion(Arm(), [], still, folder, description=OBJECT)
 
 
 def test_pictures_that_never_came_are_counted(record):
@@ -232,19 +246,3 @@ def test_the_sdk_may_begin_to_record_with_the_second_picture(sdk, tmp_path, befo
     live.wait_for_pictures()
     found = live.stop_recording()
     assert (found.pictures, found.missing) == (2, missing)
-
-
-def test_a_recording_is_replayed(record, tmp_path):
-    folder, _ = record()
-    described = CellCamera(
-        name="left", device="replay", serial=str(folder), T_world_camera=np.eye(4)
-    )
-    again = ReplayedCamera(described)
-    again.connect()
-    assert isinstance(again, DepthCamera)
-    still = JointMotion(time=np.array([0.0, 0.1]), q=np.stack([XARM7.home] * 2))
-    found = record_motion(Arm(), [again], still, tmp_path / "again", description=OBJECT)
-    (old, _), (new,) = (read_cameras(f).sources for f in (folder, tmp_path / "again"))
-    assert found["left"].pictures == len(list(old)) == len(list(new))
-    with pytest.raises(GendomError, match="holds a recording already"):
-        record_motion(Arm(), [], still, folder, description=OBJECT)

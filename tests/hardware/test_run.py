@@ -57,11 +57,9 @@ def test_finished_steps_are_skipped_and_those_of_changed_inputs_are_not(tmp_path
         (["rope-reaching", "--goal", "0.45", "--executions", "0"], "--executions: is 0"),
     ],
 )
-def test_what_cannot_be_run(tmp_path, capsys, words, line):
-    cell = str(write_cell(tmp_path))
-    assert cli.main(["run", *words, "--cell", cell, "--out", str(tmp_path / "run")]) == 2
-    err = capsys.readouterr().err
-    assert line in err and err.count("\n") == 1
+def test_what_cannot_be_run(tmp_path, refused, words, line):
+    cell = write_cell(tmp_path)
+    assert line in refused("run", *words, "--cell", cell, "--out", tmp_path / "run")
 
 
 @pytest.mark.slow
@@ -87,23 +85,6 @@ def test_from_lift_to_adapted_second_execution(tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     assert cli.main(words) == 0 and len(asked) == 3  # nothing is done twice
     assert json.loads((out / "run.json").read_text()).keys() >= {"lift", "observe 2", "adapt 2"}
-
-
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        ([], "give either --reality or --cell"),
-        (["--reality", "rope-cotton", "--cell"], "give either --reality or --cell"),
-        (["--rise", "30", "--cell"], "--rise: is 30 m, and the rope 0.3 m long"),
-        (["--end", "swing", "--rise", "0.2", "--object", "no.toml", "--cell"], "no.toml"),
-    ],
-)
-def test_lifts_that_cannot_be_recorded(tmp_path, capsys, words, line):
-    pytest.importorskip("mujoco", reason="needs mujoco: the extra reality")
-    words = [*words, str(write_cell(tmp_path))] if "--cell" in words else words
-    assert cli.main(["record", *words, "--out", str(tmp_path / "lift")]) == 2
-    assert line in capsys.readouterr().err
-    assert not (tmp_path / "lift").exists()
 
 
 @pytest.mark.slow
