@@ -18,7 +18,7 @@ from gendom.errors import ParameterError, RobotError
 from gendom.installation import how_to_install
 from gendom.materials import Material, unit_of
 from gendom.reality import OBJECTS, RealRope, RealWorld
-from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching, task_names
+from gendom.tasks import ClothSpreading, RopeReaching, task_names
 from gendom.tasks.cloth_spreading import WAIT as SPREADING_WAIT
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
@@ -122,34 +122,6 @@ def test_seeds_repeat_and_differ():
     assert len({info["object"] for _, info in a + c}) == 3
 
 
-@pytest.mark.parametrize("options", [{"object": "rope-cotton"}, {"goal": 0.4}])
-def test_what_is_given_leaves_later_draws_as_they_are(options):
-    env = make("RopeReaching")
-    first, _ = env.reset(seed=7)
-    drawn = env.reset()
-    given, info = env.reset(seed=7, options=options)
-    if "goal" in options:
-        assert given["goal"] == pytest.approx([0.4])
-    else:
-        assert given["goal"] != first["goal"] and info["object"] == "rope-cotton"
-    again = env.reset()
-    assert again[1] == drawn[1]
-    np.testing.assert_array_equal(again[0]["goal"], drawn[0]["goal"])
-
-
-def test_objects_may_be_given_themselves():
-    mine = replace(POLYESTER, name="mine", length=0.25, diameter=0.01)
-    env = make("RopeCasting", objects=["rope-cotton", mine])
-    seen = [env.reset(seed=s, options={"goal": (0.3, 0.1)}) for s in range(8)]
-    assert {info["object"] for _, info in seen} == {"rope-cotton", "mine"}
-    for observation, info in seen:
-        sizes = [0.25, 0.01] if info["object"] == "mine" else [0.3, 0.016]
-        assert observation["sizes"] == pytest.approx(sizes)
-    env.reset(options={"object": mine, "goal": (0.3, 0.1)})
-    direct = RealWorld(robot=False, timestep=1e-3).carry_out(RopeCasting(), [mine], [[0.2]])[0]
-    assert env.step([0.2])[4]["reached"] == pytest.approx([direct.values[n] for n in ("x", "z")])
-
-
 def test_drawn_goals_keep_to_the_risk_s_limit(monkeypatch):
     """Most releases fall out of the plane; the first that does not makes the goal."""
     drawn = []
@@ -179,16 +151,14 @@ def test_objects_for_which_no_goal_is_found_are_refused():
     assert env.reset(options={"object": weak, "goal": 0.4})[1] == {"object": "weak"}
 
 
-def test_a_task_without_goals_shows_none():
+def test_what_is_observed():
     observation, _ = make("ClothSpreading").reset(options={"object": "cloth-rubber"})
     assert set(observation) == {"sizes"}
     assert observation["sizes"] == pytest.approx([0.3, 1e-3])
     for goal in (0.4, (0.3, 0.1)):
         with pytest.raises(ParameterError, match="reset: there is no option 'goal' here"):
             make("ClothSpreading").reset(options={"goal": goal})
-
-
-def test_parameters_are_seen_only_if_asked_for():
+    # parameters are seen only if asked for
     blind, _ = make("RopeReaching").reset(seed=0)
     assert set(blind) == {"goal", "sizes"}
     env = make("RopeReaching", parameters=True)

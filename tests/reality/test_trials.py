@@ -14,7 +14,7 @@ from gendom.errors import (
     RobotError,
     SimulationError,
 )
-from gendom.materials import Cloth, Material, Rope, thickness_of, unit_of
+from gendom.materials import Material, Rope, thickness_of, unit_of
 from gendom.reality import (
     OBJECTS,
     RealCloth,
@@ -129,24 +129,6 @@ def test_a_dropped_rope_lies_on_the_table():
     assert run.world.speed() < 0.02
 
 
-def test_a_swung_rope_goes_on_when_the_arm_stops():
-    rise = LiftMotion(kind="rope", rise=0.28 / POLYESTER.length, speed=0.3, end="swing")
-    run = TrialRun(lift(POLYESTER, rise))
-    motion = run.motion
-    assert motion is not None
-    stops = motion.end - (run.trial.path.end - run.trial.path.time[-2])
-    run.step_to(stops)
-    still, tips = run.world.hand, []
-    for time in np.arange(stops, run.end, 0.02):
-        run.step_to(time)
-        assert run.world.hand == pytest.approx(still, abs=1e-3)
-        tips.append(run.world.vertices()[-1, 0])
-    assert run.end == pytest.approx(stops + 1.0, abs=motion.blend)
-    # It swings on, there and back.
-    steps = np.diff(tips)
-    assert np.ptp(tips) > 0.04 and steps.max() > 0.004 and steps.min() < -0.004
-
-
 # ---- what the arm touches ------------------------------------------------------------------------
 
 
@@ -193,41 +175,14 @@ def stretched():
     return both
 
 
-def test_arm_and_free_hand_reach_the_same(stretched):
+def test_reaching_by_arm_and_by_free_hand(stretched):
     (_, _, free), (run, _, arm) = stretched
     assert run.motion is not None
     run.motion.check_limits(XARM7)
     assert run.motion.slowed_by == 1.0
     assert arm["x"] == pytest.approx(free["x"], abs=0.003)
     assert arm["sideways"] < 0.015
-
-
-def test_the_demo_s_rope_stays_in_its_plane_under_the_arm():
-    """One of its releases; a rope without resistance to twist falls by 57 mm."""
-    release = (0.1598, 0.1197)
-    rope = OBJECTS["rope-cotton"]
-    free, arm = (
-        carried_out(RealWorld(robot=robot, timestep=1e-3), REACHING, rope, release)[0]
-        for robot in (False, True)
-    )
-    assert free["sideways"] < 1e-3
-    assert arm["sideways"] < 0.005
-    assert arm["x"] == pytest.approx(free["x"], abs=1e-3)
-
-
-def test_the_unloaded_hand_is_where_it_is_sent():
-    """Servos that are told what weight and motion ask for have little left to correct."""
-    run = TrialRun(reaching(POLYESTER, STRETCHED))
-    motion, world, apart = run.motion, run.world, []
-    assert motion is not None
-    for time in np.arange(run.closes, run.opens, 0.02):
-        world.step_to(time)  # the hand stays open
-        apart.append(world.hand - motion.tcp_at(XARM7, world.time)[:3, 3])
-    assert np.abs(apart).max() < 5e-6
-
-
-def test_the_release_keeps_its_time(stretched):
-    """Closing, a wait of 3 sqrt(L / g), then the paper's own times, worked out anew."""
+    # the release keeps its time
     wait = 3.0 * np.sqrt(POLYESTER.length / 9.81)
     for run, seen, _ in stretched:
         moves = run.closes + wait
@@ -237,14 +192,7 @@ def test_the_release_keeps_its_time(stretched):
         assert seen.times[0] == pytest.approx(-wait, abs=1e-9)
         assert seen.times[-1] == pytest.approx(1.14 * PAPER_CLOCK, abs=0.01)
         assert seen.opens == pytest.approx(0.57 * PAPER_CLOCK, abs=1e-9)
-
-
-def test_the_goal_is_measured_in_the_task_frame(stretched):
-    """Task x is the world's -y from 0.30 m, and the hanging rope shows where it begins.
-
-    At the start the top is at task (L, 0, 1.1 L) and the tip at (L, 0, 0.1 L); 0.12 m is the
-    height of the task's origin.
-    """
+    # the goal is measured in the task frame
     L = POLYESTER.length
     for run, seen, values in stretched:
         assert seen.points[0, 0] == pytest.approx([L, 0.0, 1.1 * L], abs=1e-3)
@@ -264,6 +212,19 @@ def test_the_goal_is_measured_in_the_task_frame(stretched):
         held = seen.tip[~after][-1]
         assert held == pytest.approx([STRETCHED[0], 0.0, STRETCHED[1]], abs=1e-3)
         assert L < values["x"] < 2.0 * L
+
+
+def test_the_demo_s_rope_stays_in_its_plane_under_the_arm():
+    """One of its releases; a rope without resistance to twist falls by 57 mm."""
+    release = (0.1598, 0.1197)
+    rope = OBJECTS["rope-cotton"]
+    free, arm = (
+        carried_out(RealWorld(robot=robot, timestep=1e-3), REACHING, rope, release)[0]
+        for robot in (False, True)
+    )
+    assert free["sideways"] < 1e-3
+    assert arm["sideways"] < 0.005
+    assert arm["x"] == pytest.approx(free["x"], abs=1e-3)
 
 
 @pytest.mark.slow
@@ -294,7 +255,7 @@ def casts():
     return [carried_out(world, CASTING, POLYESTER, [way]) for way in (0.15, 0.25)]
 
 
-def test_a_cast_runs_along_the_world_s_y_and_waits_for_the_rope_to_hang_still(casts):
+def test_casting_by_free_hand_by_arm_and_in_our_simulator(casts):
     L, second = POLYESTER.length, np.sqrt(POLYESTER.length / 9.81)
     for way, (_, seen) in zip((0.15, 0.25), casts, strict=True):
         assert seen.points[0, 0] == pytest.approx([0.0, 0.0, L], abs=1e-3)
@@ -310,31 +271,13 @@ def test_a_cast_runs_along_the_world_s_y_and_waits_for_the_rope_to_hang_still(ca
     assert trial.path.position[0] == pytest.approx([0.45, -0.135, 0.15 + L])
     assert trial.path.position[-1] == pytest.approx([0.45, 0.115, 0.15 + L])
     assert trial.layout.origin == pytest.approx([0.45, -0.135, 0.15 + L])
-
-
-def test_the_arm_casts():
-    """Quick as it is, the arm stays near the path that it was given."""
-    run = TrialRun(casting(POLYESTER, 0.2))
-    path, motion, world = run.trial.path, run.motion, run.world
-    assert motion is not None and motion.blend == path.blend
-    assert motion.slowed_by == 1.0
-    for time in np.arange(run.closes, run.end, 0.01):
-        run.step_to(time)
-        ideal = motion.tcp_at(XARM7, world.time)[:3, 3]
-        assert np.linalg.norm(world.hand - ideal) < 1e-3
-        assert np.linalg.norm(ideal - path.position_at(world.time, motion.blend)) < 1e-3
-
-
-def test_arm_and_free_hand_cast_alike(casts):
+    # arm and free hand cast alike
     free, _ = casts[1]
     arm, _ = carried_out(RealWorld(timestep=5e-4), CASTING, POLYESTER, [0.25])
     assert (arm["x"], arm["z"]) == pytest.approx((free["x"], free["z"]), abs=0.003)
     # A servo is never perfect: it is the arm that did it.
     assert 0.0 < abs(arm["x"] - free["x"]) and arm["sideways"] > 1e-6
-
-
-def test_both_realities_cast_alike(casts):
-    """Our simulator, and MuJoCo with a hand that follows the same path."""
+    # both realities cast alike
     ours, our_seen = carried_out(Simulation(everything=True), CASTING, POLYESTER, [0.25])
     theirs, seen = casts[1]
     for name in ("x", "z"):
@@ -369,29 +312,6 @@ def test_a_cloth_lies_where_the_task_has_it_and_is_held_beside_its_centre():
 
 
 # ---- the world of tasks --------------------------------------------------------------------------
-
-
-def test_cloths_of_tasks_take_long_steps_unless_told():
-    for timestep, taken in [(None, 0.004), (0.002, 0.002)]:
-        world = RealWorld(robot=False, timestep=timestep)
-        run = world.begin(SPREADING, COTTON_CLOTH, [0.2])
-        run.step_to(0.008)
-        options = run.world.model.opt
-        assert (options.timestep, options.tolerance) == (taken, 1e-4)
-    lifted = TrialRun(lift(COTTON_CLOTH), robot=False)
-    assert lifted.world.model.opt.tolerance == 1e-6
-
-
-def test_an_object_without_a_name_is_carried_out():
-    """It does what a named one does that has its numbers."""
-    own = {
-        name: getattr(POLYESTER, name) for name in ("length", "diameter", "material", "friction")
-    }
-    world = RealWorld(robot=False, timestep=1e-3)
-    named, same = world.carry_out(CASTING, [POLYESTER, Rope(**own)], [[0.2]] * 2)
-    assert same.values == named.values
-    cloth = as_real(Cloth(side=0.2, thickness=0.001))
-    assert isinstance(cloth, RealCloth) and (cloth.vertices, cloth.side) == (28, 0.2)
 
 
 def test_what_fails_is_a_fault_and_others_go_on(monkeypatch):

@@ -28,33 +28,6 @@ def across(edge):
 # ---- the angle -----------------------------------------------------------------------------------
 
 
-def test_a_plane_rod_is_not_twisted():
-    angle = np.linspace(0.0, 4.0, 12)
-    edges = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(12)])
-    up = np.array([0.0, 0.0, 1.0])
-    np.testing.assert_allclose(transported(edges, up), up, atol=1e-12)
-    assert twist(edges, up, up) == pytest.approx(0.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("pitch", [0.02, 0.1, 0.5])
-def test_a_helix_turns_by_its_torsion(pitch):
-    """Its normal turns about its tangent by torsion times length, c / (r^2 + c^2) a length.
-
-    The error of the polygon is of second order.
-    """
-    r, c, turns = 0.05, pitch / (2.0 * np.pi), 2.3
-    errors = []
-    for n in (200, 400):
-        t = np.linspace(0.0, 2.0 * np.pi * turns, n + 1)
-        x = np.column_stack([r * np.cos(t), r * np.sin(t), c * t])
-        middle = 0.5 * (t[1:] + t[:-1])
-        normal = -np.column_stack([np.cos(middle), np.sin(middle), np.zeros(n)])
-        found = twist(np.diff(x, axis=0), normal[0], normal[-1])
-        expected = c / np.hypot(r, c) * (middle[-1] - middle[0])
-        errors.append(abs((found - expected + np.pi) % (2.0 * np.pi) - np.pi))
-    assert errors[1] < 1e-3 and errors[1] < 0.26 * errors[0]
-
-
 def test_the_gradient_matches_central_differences():
     """Directors at the ends turn with their edges, without twist."""
     x = crooked()
@@ -101,10 +74,7 @@ def test_a_straight_rod_s_moment_is_that_of_torsion():
             rate = -stiffness * COTTON.material.damping * 0.5 / 1e-3
             assert moving[0] - still[0] == pytest.approx(rate)
         np.testing.assert_allclose(forces, 0.0, atol=1e-12)
-
-
-def test_forces_neither_push_nor_turn_the_whole():
-    """All forces sum to none; their moment balances those of both clamps."""
+    # forces neither push nor turn the whole
     x = crooked(COTTON.vertices)
     rod = Twist(COTTON, x, first=1, last=COTTON.vertices - 3, rotation=np.eye(3))
     edges = np.diff(x, axis=0)
