@@ -13,7 +13,7 @@ import software_camera
 from gendom import cli
 from gendom.errors import GendomError
 from gendom.perception import Pictures, RealSenseRecording, read_camera, write_camera
-from gendom.perception.calibration import Board, BoardView, calibrate, find_board, read_views
+from gendom.perception.calibration import Board, BoardView, calibrate, read_views
 from gendom.perception.camera import rigid
 
 cv2 = pytest.importorskip("cv2", reason="needs the extra `camera`")
@@ -118,23 +118,6 @@ def test_within_a_millimetre_and_a_tenth_of_a_degree(taken, tmp_path, capsys):
     np.testing.assert_array_equal(again.K, camera.K)
 
 
-def test_other_poses_give_the_same(world):
-    """With noise of four grey levels, too; corners are found where they are."""
-    camera, views, errors = world.make_camera(), [], []
-    poses, boards, _ = robot_poses(camera, good_tilts(8, 0), seed=0)
-    for k, (pose, T) in enumerate(zip(poses, boards, strict=True)):
-        points, pixels = find_board(render(camera, T, noise=4.0, seed=k), BOARD)
-        views.append(BoardView(f"picture {k}", points, pixels, pose))
-        x = (points @ T[:3, :3].T + T[:3, 3]) @ camera.K.T
-        errors.append(pixels - x[:, :2] / x[:, 2:])
-        assert len(points) == 24
-    errors = np.concatenate(errors)
-    assert np.abs(errors.mean(axis=0)).max() < 0.03 and np.sqrt(np.mean(errors**2)) < 0.1
-    found = calibrate(camera, views)
-    position, angle = error_of(found.T_world_camera, camera)
-    assert position < 1e-3 and angle < 0.1 and found.rms < 0.15
-
-
 def test_intrinsics_of_a_realsense_recording(taken, sdk, tmp_path, capsys):
     """They come from the recording, and the result fits beside it."""
     camera = replace(taken[1], T_world_camera=None)
@@ -183,10 +166,7 @@ def test_stated_errors_hold_and_are_no_excuse(world):
     assert (true <= stated).all(axis=1).mean() >= 0.9
     assert (np.median(stated, axis=0) < 8.0 * np.median(true, axis=0)).all()
     assert np.mean([f.rms for f in found]) == pytest.approx(0.3 * np.sqrt(2), rel=0.1)
-
-
-def test_a_focal_length_that_is_hardly_wrong_is_in_the_stated_errors(world):
-    """It is off by 0.4 %, which no residual shows; 0.5 % are refused."""
+    # a focal length that is hardly wrong is in the stated errors
     camera = world.make_camera()
     views, _ = exact_views(camera, good_tilts(), 0.1)
     K = camera.K * [[1.004], [1.004], [1.0]]
@@ -243,15 +223,6 @@ def test_degenerate_poses_are_refused(world, tilts, noise, line):
         calibrate(camera, exact_views(camera, tilts, noise)[0])
 
 
-def test_poses_of_other_pictures_are_refused(world):
-    camera = world.make_camera()
-    views, _ = exact_views(camera, good_tilts(8))
-    others = (views[k].T_world_gripper for k in (5, 2, 7, 0, 6, 1, 3, 4))
-    mixed = [replace(v, T_world_gripper=T) for v, T in zip(views, others, strict=True)]
-    with pytest.raises(GendomError, match="check that poses belong to the pictures"):
-        calibrate(camera, mixed)
-
-
 @pytest.mark.parametrize("legacy", [True, False])
 def test_boards_of_the_other_side_of_opencv_4_6_are_named(world, tmp_path, legacy):
     """And what is said is right."""
@@ -306,14 +277,13 @@ BOARD_FILE, POSES = "pictures/board.toml", "pictures/poses.csv"
         *((file, "", None, "no such file") for file in (BOARD_FILE, POSES, "camera.toml")),
     ],
 )
-def test_bad_input(copy, capsys, file, old, new, line):
+def test_bad_input(copy, refused, file, old, new, line):
     text = (copy / file).read_text()
     assert old in text
     if new is None:
         (copy / file).unlink()
     else:
         (copy / file).write_text(text.replace(old, new))
-    assert run(copy, "--out", str(copy / "new" / "camera.toml")) == 2
-    err = capsys.readouterr().err
-    assert line in err and len(err.splitlines()) == 1
+    words = ["calibrate", copy / "pictures", "--camera", copy / "camera.toml", "--out"]
+    assert line in refused(*words, copy / "new" / "camera.toml")
     assert not (copy / "new").exists()

@@ -67,13 +67,22 @@ def test_thin_objects_keep_their_pixels(world, monkeypatch):
     assert kept > 0.85 * CameraView(camera, settings()).segment(pictures)[1][4] > 0
 
 
-def test_scattered_points_are_outliers():
+def test_scattered_points_are_outliers(world):
     rng = np.random.default_rng(0)
     rope = np.linspace([-0.2, 0, 0.1], [0.2, 0, 0.1], 500) + rng.normal(0, 1e-3, (500, 3))
     stray = rng.uniform([-0.3, -0.3, 0.2], [0.3, 0.3, 0.8], (40, 3))
     points, _, voxels = fuse([np.concatenate([rope, stray]).astype(np.float32)], settings())
     assert voxels > len(points) and voxels - len(points) == 40
     assert points[:, 2].max() < 0.11
+    # no voxels keeps all points and empty clouds stay empty
+    p = np.random.default_rng(0).normal(0, 1e-3, (50, 3)).astype(np.float32)
+    points, seen_by, _ = fuse([p[:20], p[20:]], settings(voxel=0.0))
+    np.testing.assert_array_equal(points, p)
+    assert seen_by.tolist() == [1] * 20 + [2] * 30
+    camera = world.make_camera(scale=0.25)
+    blind = Pictures(np.zeros((camera.height, camera.width), np.uint16))
+    found = perceive_frame([CameraView(camera, settings())], [blind])
+    assert found.points.shape == (0, 3) and found.counts.tolist() == [0] * 8
 
 
 @pytest.mark.parametrize("spread", [0.05, 0.5])
@@ -90,31 +99,6 @@ def test_voxels_are_means_and_know_their_cameras(spread):
     means = np.array([np.mean([point for point, _ in row], axis=0) for row in rows])
     np.testing.assert_allclose(points, means, atol=1e-6)
     np.testing.assert_array_equal(seen_by, [np.bitwise_or.reduce([b for _, b in r]) for r in rows])
-
-
-def test_no_voxels_keeps_all_points_and_empty_clouds_stay_empty(world):
-    p = np.random.default_rng(0).normal(0, 1e-3, (50, 3)).astype(np.float32)
-    points, seen_by, _ = fuse([p[:20], p[20:]], settings(voxel=0.0))
-    np.testing.assert_array_equal(points, p)
-    assert seen_by.tolist() == [1] * 20 + [2] * 30
-    camera = world.make_camera(scale=0.25)
-    blind = Pictures(np.zeros((camera.height, camera.width), np.uint16))
-    found = perceive_frame([CameraView(camera, settings())], [blind])
-    assert found.points.shape == (0, 3) and found.counts.tolist() == [0] * 8
-
-
-def test_capsules_contain_what_a_distance_says():
-    rng = np.random.default_rng(0)
-    ends = rng.normal(size=(2, 5, 3))
-    ends[1, 4] = ends[0, 4]  # a sphere
-    capsules = Capsules(ends[0], ends[1], rng.uniform(0.1, 0.5, 5))
-    p = rng.normal(size=(300, 3))
-    along = np.linspace(0, 1, 2001)[:, None, None]
-    line = ends[0] + along * (ends[1] - ends[0])
-    distance = np.array([np.linalg.norm(line - x, axis=2).min(axis=0) for x in p])
-    gap = (distance - capsules.radius).min(axis=1)
-    sure = np.abs(gap - 0.05) > 1e-3
-    np.testing.assert_array_equal(capsules.contain(p, 0.05)[sure], (gap < 0.05)[sure])
 
 
 def test_noise_of_fingers_is_left_out_where_nothing_chose_the_points():

@@ -61,6 +61,11 @@ def test_any_source_of_frames_will_do(live, tmp_path):
     np.testing.assert_array_equal(again.points, found.recording.points)
     np.testing.assert_array_equal(again.seen_by, found.recording.seen_by)
     assert again.extra["perception"]["cameras"] == ["left", "right"]
+    # table height is measured where it is unknown
+    found = perceive(live(1, {"object": ROPE["object"]}), SETTINGS)
+    assert found.recording.table_height == pytest.approx(0.0, abs=1e-3)
+    with pytest.raises(RecordingError, match="correct table_height"):
+        perceive(live(1, {**ROPE, "table_height": 0.04}), SETTINGS)
 
 
 def test_a_cloth_lifted_by_its_corner(world, live):
@@ -125,13 +130,6 @@ def test_a_shift_along_a_rope_shows_when_it_is_lifted(world, live):
         perceive(frames(21), SETTINGS)
 
 
-def test_table_height_is_measured_where_it_is_unknown(live):
-    found = perceive(live(1, {"object": ROPE["object"]}), SETTINGS)
-    assert found.recording.table_height == pytest.approx(0.0, abs=1e-3)
-    with pytest.raises(RecordingError, match="correct table_height"):
-        perceive(live(1, {**ROPE, "table_height": 0.04}), SETTINGS)
-
-
 @pytest.mark.parametrize(("degrees", "rise", "told"), [(0.3, 0.003, 0), (1.5, -0.007, 2)])
 def test_cameras_are_levelled_by_the_table(live, world, degrees, rise, told):
     """Their calibration is off in opposite ways; what lies on the table lies there again."""
@@ -163,14 +161,3 @@ def test_cameras_are_levelled_by_the_table(live, world, degrees, rise, told):
     assert moved["left"]["rise"] == pytest.approx(-rise, abs=1e-3)
     assert moved["right"]["turn"] == pytest.approx(np.radians(1.118 * degrees), abs=2e-3)
     assert unmoved == {}
-
-
-def test_frames_know_whether_the_gripper_was_closed(live):
-    lift = live(3)
-    assert perceive(lift, SETTINGS).recording.gripper_closed is None
-    path = np.array([[[0.0, 0.0, z]] for z in (0.2, 0.215, 0.5)])
-    closed = np.array([[True], [False], [False]])
-    robot = RobotPath(np.array([0.0, 0.05, 1.0]), path, closed=closed)
-    found = perceive(replace(lift, robot=robot), SETTINGS).recording
-    assert found.gripper_closed is not None
-    assert found.gripper_closed[:, 0].tolist() == [True, True, False]

@@ -306,20 +306,12 @@ def test_time_stamps_that_are_odd_are_told(copy, change, frames, said):
 
 
 def test_a_damaged_bag(copy, sdk):
-    """The SDK does not open a .bag that was cut off; junk inside ends it early."""
+    """The SDK does not open one that was cut off."""
     path = copy("sdk-2.55.bag")
     data = path.read_bytes()
-    third, half = len(data) // 3, len(data) // 2
-    path.write_bytes(data[:half])
+    path.write_bytes(data[: len(data) // 2])
     with pytest.raises(RecordingError, match=r"recording\.bag: the RealSense SDK cannot read"):
         RealSenseRecording(path)
-    path.write_bytes(data[:third] + bytes(half - third) + data[half:])
-    try:
-        good, faults = frames_read(path)
-    except RecordingError as error:
-        assert "recording.bag" in str(error)
-    else:
-        assert len(good) < 4 and "is damaged or cut off" in str(faults[0])
 
 
 # Alignment of colour.
@@ -376,20 +368,3 @@ def test_hidden_pixels_do_not_take_the_colour_of_what_hides_them(world):
     assert red[np.abs(away) < 1e-3].mean() > 0.95
     assert (red & (away > 0.02)).sum() == 0
     assert 0 < ((clean.depth > 0) & (found.depth == 0)).mean() < 0.03
-
-
-def test_projection_is_the_sdks(world, sdk):
-    """For coefficients of a real camera's size, with each of its models that is accepted."""
-    places = np.random.default_rng(0).uniform(-0.55, 0.55, (200, 2))
-    points, k = np.column_stack([places, np.ones(200)]), (-0.055, 0.065, 0.0005, -0.0007, -0.021)
-    found = sdk.intrinsics()
-    found.width, found.height, found.fx, found.fy = 1280, 720, 640.0, 640.0
-    found.ppx, found.ppy, found.coeffs = 640.0, 360.0, list(k)
-    K = np.array([[640.0, 0, 640], [0, 640, 360], [0, 0, 1]])
-    camera = Camera(name="c", width=1280, height=720, K=K, T_world_camera=None, distortion=k)
-    pixels = np.stack(Alignment(camera, camera, np.eye(4))._project(points), axis=1)
-    for model in ("brown_conrady", "inverse_brown_conrady", "modified_brown_conrady"):
-        found.model = getattr(sdk.distortion, model)
-        expected = np.array([sdk.rs2_project_point_to_pixel(found, list(p)) for p in points])
-        inside = (expected >= 0).all(axis=1)
-        assert np.abs(pixels - expected)[inside].max() < 0.52  # half a pixel is rounding
