@@ -198,11 +198,3 @@ def test_every_method_can_be_asked_for(capsys):
         assert tyro.cli(Command, args=["x.npz", "--method", name], config=config).method == name
     assert cli.main(["estimate", "--help"]) == 0
     assert "|".join(METHODS) in capsys.readouterr().out
-
-
-def test_help_needs_no_simulator(run_python):
-    code = (
-        "import sys, gendom.cli.estimate, gendom.cli.replay; "
-        "print(sorted({'warp', 'torch', 'matplotlib', 'gendom.estimation'} & set(sys.modules)))"
-    )
-    assert run_python(code) == "[]"

@@ -171,7 +171,7 @@ def test_closed_pipe_is_quiet(recording):
     assert result.stderr.strip() in ("0", "141")  # 0: it wrote before the reader was gone
 
 
-def test_check_prints_a_summary(recording, capsys):
+def test_check_prints_a_summary(recording, capsys, tmp_path):
     assert cli.main(["check", str(recording)]) == 0
     out, err = capsys.readouterr()
     assert err == ""
@@ -198,9 +198,7 @@ def test_check_prints_a_summary(recording, capsys):
         np.savez(dropped, **file, gripper_closed=np.array([[True], [True], [False], [False]]))
     assert cli.main(["check", str(dropped)]) == 0
     assert "rise 0.03 m, closed in 2 frames\n" in capsys.readouterr().out
-
-
-def test_check_refuses(recording, tmp_path, capsys):
+    # check refuses
     with np.load(recording) as file:
         arrays = dict(file)
     arrays["time"][2] = 0.0
