@@ -14,9 +14,8 @@ from policies.ballistic import TASK, Throws, reach_of
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
 
-from gendom.policies import fitting, refining  # noqa: E402
+from gendom.policies import fitting  # noqa: E402
 from gendom.policies.fitting import TrainingProblem  # noqa: E402
-from gendom.policies.rollouts import stencil  # noqa: E402
 from gendom.policies.training import Training, train  # noqa: E402
 
 BRIEF = Training(epochs=4, refine=2, refine_cases=100, refine_steps=100, seed=1)
@@ -60,15 +59,6 @@ def test_refined_policies_reach_their_goals(tmp_path):
     assert about["refine"] == 2 and about["refined_in"] == Throws().settings()
     first, last = (about["errors"][f"goal_rms_before_{n}"] for n in ("refining", "last_round"))
     assert last < 0.5 * first
-
-
-def test_what_the_simulator_reaches_counts_not_what_was_demonstrated(tmp_path):
-    """The simulator throws farther than the demonstrations by 0.05 lengths."""
-    policy = train(thrown(300), tmp_path / "far.onnx", BRIEF, world=Throws(off=0.05))
-    new = thrown(200, 9)
-    action, p = policy.actions(new.goal, new.parameters), new.parameters
-    reached = reach_of(action[:, 0], action[:, 1], p["bending_ratio"], p["damping"])
-    assert np.median(reached - new.goal[:, 0]) == pytest.approx(-0.05, abs=0.004)
 
 
 class Swaying(Throws):
@@ -127,25 +117,6 @@ def test_interrupted_rounds_go_on_to_the_same_policy(tmp_path, monkeypatch):
     goal = np.linspace(1.3, 1.6, 7)
     given = {n: np.full(7, v[0]) for n, v in thrown(100).parameters.items()}
     assert (parts.actions(goal, given) == whole.actions(goal, given)).all()
-
-
-def test_jumps_and_failures_do_not_count():
-    """A jump between a point and its neighbours leaves no slope to follow."""
-
-    class Jumping(Throws):
-        def carry_out(self, task, items, actions, **_):
-            found = super().carry_out(task, items, actions)
-            for outcome, item, (x, _) in zip(found, items, np.asarray(actions), strict=True):
-                outcome.values["x"] += 0.1 * size_of(item) * (x > 0.5 * size_of(item))
-            return found
-
-    items = [TASK.draw_item(np.random.default_rng(k)) for k in range(3)]
-    at = np.array([[0.4, 0.5], [0.499, 0.5], [0.6, 0.5]])
-    points = stencil(at, refining.STEP)
-    values = refining._values(TASK, Jumping(), items, points)
-    assert refining._smooth(values)[:, 0].tolist() == [True, False, True]
-    failed = refining._values(TASK, Throws(fails=True), items, points)
-    assert np.isnan(failed).all() and not refining._smooth(failed).any()
 
 
 @pytest.mark.parametrize("given", [{"refine": -1}, {"refine": 1, "refine_cases": 0}])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from gendom.errors import PolicyError
-from gendom.installation import how_to_install
 from gendom.policies import Policy
 from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
@@ -18,7 +17,7 @@ pytest.importorskip("onnx", reason="needs the extra `train`")
 
 from gendom.policies import fitting, learning  # noqa: E402
 from gendom.policies import training as train_module  # noqa: E402
-from gendom.policies.training import Training, goal_range, train  # noqa: E402
+from gendom.policies.training import Training, train  # noqa: E402
 
 CENTRE, RADIUS = np.array([0.45, 0.45]), 0.16
 TASK = {"name": "rope-reaching", **RopeReaching().settings()}
@@ -304,26 +303,3 @@ def test_what_does_not_vary_cannot_be_conditioned_on(tmp_path):
     other = replace(toy(100), goal_names=("z",))
     with pytest.raises(PolicyError, match="same task"):
         train(toy(100), tmp_path / "p.onnx", Training(epochs=1), finetune=other)
-
-
-def test_goal_range_follows_the_stiffness():
-    data = toy(4000)
-    goals = goal_range(data)
-    assert list(goals.at) == sorted(goals.at)
-    soft, stiff = goals(0.27)[0], goals(0.65)[0]
-    assert stiff[1] - soft[1] > 0.15
-    for low, high in (soft, stiff):
-        assert 1.2 <= low < 1.25 < high
-    ends = np.array([goals(s)[0] for s in data.parameters["bending_ratio"]])
-    inside = (ends[:, 0] <= data.goal[:, 0]) & (data.goal[:, 0] <= ends[:, 1])
-    assert 0.9 < inside.mean() < 1.0
-
-
-def test_missing_torch_names_the_extra(run_python):
-    code = (
-        "import sys; sys.modules['torch'] = None\n"
-        "try:\n    import gendom.policies.training\n"
-        "except ModuleNotFoundError as error:\n    print(error.name, '|', error)"
-    )
-    advice = f"install it with: {how_to_install('train')}"
-    assert run_python(code) == f"torch | training needs torch; {advice}"
