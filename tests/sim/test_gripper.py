@@ -1,7 +1,5 @@
 """Gripper paths: interpolation, spin from orientations, and many of them as arrays."""
 
-import math
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -38,14 +36,6 @@ def test_turns_carry_one_orientation_into_the_next():
         assert np.linalg.norm(turn[k]) < np.pi
     assert np.array_equal(turn[2], np.zeros(3))
     assert not Grippers.of([[Gripper(**path())]]).arrays["turn"].any()
-
-
-def test_still():
-    """A still gripper is at one place at all times and takes hold times."""
-    gripper = Gripper.still((1.0, 2.0, 3.0), radius=0.02, hold_until=0.5)
-    assert np.array_equal(gripper.position_at([-5.0, 5.0]), [[1.0, 2.0, 3.0]] * 2)
-    assert gripper.hold_until == 0.5
-    assert gripper.hold_from == -math.inf
 
 
 def test_stacked_grippers_are_those_that_were_given():

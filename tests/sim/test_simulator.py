@@ -1,7 +1,5 @@
 """The promises of the simulator; mechanics are the validation's (``tests/validation``)."""
 
-import math
-
 import numpy as np
 import pytest
 import warp as wp
@@ -44,19 +42,6 @@ def lifted_rope(materials=(SOFT,), *, cells=1.5, **options):
     return simulator(body, materials, grippers=[grip], table=table, velocity_damping=2.0, **options)
 
 
-# ---- free motion -----------------------------------------------------------------------------
-
-
-def test_damping_is_exponential():
-    """Without gravity every velocity falls as exp(-damping t), whatever the substep."""
-    s = simulator(block(), gravity=(0, 0, 0), velocity_damping=3.0)
-    s.set_velocities((1.0, 2.0, -3.0))
-    s.run([0.4])
-    assert s.velocities()[0] == pytest.approx(
-        np.tile([1.0, 2.0, -3.0], (s.body.num_particles, 1)) * math.exp(-1.2), rel=1e-12
-    )
-
-
 # ---- equal problems have equal answers -------------------------------------------------------
 
 
@@ -95,19 +80,9 @@ def test_worlds_take_their_own_values():
     assert moved[0] > 0.005 and moved[1] > moved[2] + 0.005
 
 
-def test_float32_is_close_to_float64():
-    """Over a table it differs by more: a section that sticks in one slides in the other."""
-    for table, bound in ((None, 3e-7), (Table(height=0.0), 3e-5)):
-        double = lifted_rope(DIFFERENT, table=table).run([0.1, 0.3])
-        single = lifted_rope(DIFFERENT, table=table, dtype="float32").run([0.1, 0.3])
-        assert single.dtype == np.float32 and 0.0 < np.abs(single - double).max() < bound
-
-
 @pytest.mark.gpu
 def test_cuda_agrees_with_cpu():
     """A short lift of five worlds on cuda equals the CPU's: 10 um in float32, 1e-9 m in float64."""
-    if not wp.is_cuda_available():
-        pytest.skip("no CUDA device on this machine")
     for dtype, bound in (("float32", 1e-5), ("float64", 1e-9)):
         cpu = lifted_rope(DIFFERENT, dtype=dtype).run([0.1, 0.3])
         cuda = lifted_rope(DIFFERENT, dtype=dtype, device="cuda").run([0.1, 0.3])
@@ -123,10 +98,7 @@ def test_two_runs_equal_one():
     assert np.array_equal(frames[1:], two.run([0.17]))
     assert np.array_equal(one.velocities(), two.velocities())
     assert np.array_equal(two.run([0.17]), frames[1:])  # no time passes
-
-
-def test_chosen_particles_are_those_of_all():
-    """``particles`` records a part, ``on_frame`` counts the frames, the last one included."""
+    # chosen particles are those of all
     counts = []
     part = lifted_rope().run([0.05, 0.1], particles=[7, 3], on_frame=counts.append)
     assert np.array_equal(part, lifted_rope().run([0.05, 0.1])[:, :, [7, 3]])
@@ -222,11 +194,3 @@ def test_devices():
     if not wp.is_cuda_available():
         with pytest.raises(DeviceError, match="--device cpu"):
             list_devices("all")
-
-
-def test_substeps_that_are_too_short_are_refused():
-    body = rope(diameter=0.02, length=0.1)
-    with pytest.raises(ParameterError, match=r"world 1 .*substeps of .* s would be needed"):
-        Simulator(body, [Material(), Material(E=1e14)], solver=Solver(engine="mpm"))
-    with pytest.raises(ParameterError, match="substeps of 1e-09 s"):
-        Simulator(body, [Material()], solver=Solver(engine="mpm", substep=1e-9))

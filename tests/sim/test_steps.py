@@ -89,10 +89,7 @@ def test_what_is_let_go_flies_on_with_the_hand():
         thrown.step(0.002, Targets(position=[above(0.002 * k)]))
     thrown.step(0.002, Targets(position=[above(0.02)], closed=[False]))
     assert thrown.velocities()[0, 0, 2] > 0.8
-
-
-def test_a_gripper_that_stood_lets_go_at_rest():
-    """Whatever speed it came with, moving and turning."""
+    # a gripper that stood lets go at rest
     stood, turned = simulator(still()), Rotation.from_rotvec([0.0, 0.2, 0.0]).as_quat()
     there = Targets(position=[above(0.01)], quat_xyzw=[turned])
     stood.step(0.01, there)

@@ -55,22 +55,6 @@ def test_mass_and_its_centre_are_those_of_the_outline(outline, points):
     assert body.volume * body.num_particles == pytest.approx(shape.area * 0.002, rel=1e-12)
 
 
-def test_the_outline_of_a_rectangle_makes_the_same_cloth():
-    plain = cloth(width=0.2, height=0.15, points=(12, 9), yaw=0.3, corner=(1, 2, 3), **SHEET)
-    square = [(0, 0), (0.2, 0), (0.2, 0.15), (0, 0.15)]
-    same = cloth(outline=square, points=(12, 9), yaw=0.3, corner=(1, 2, 3), **SHEET)
-    np.testing.assert_array_equal(plain.points, same.points)
-    np.testing.assert_array_equal(plain.x, same.x)
-    one, other = model_of(plain), model_of(same)
-    np.testing.assert_allclose(one.mass, other.mass, rtol=1e-13)
-    np.testing.assert_array_equal(one.exists, other.exists)
-    np.testing.assert_allclose(one.shares[[0, 3, 7]], other.shares[[0, 3, 7]], rtol=1e-12)
-    # but for the ends of lines, which carry no moment
-    np.testing.assert_allclose(
-        one.shares[4].reshape(9, 12)[:, 2:-2], other.shares[4].reshape(9, 12)[:, 2:-2], rtol=1e-12
-    )
-
-
 def test_width_and_height_must_agree():
     assert cloth(outline=SQUARE, width=0.2, height=0.2, **SHEET).shape == (28, 28)
     with pytest.raises(ParameterError, match=r"width is 0.3 m, and the outline's is 0.2 m"):
