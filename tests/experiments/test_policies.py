@@ -13,13 +13,13 @@ from experiments import ablation as ablation_module
 from experiments import rope_real as rope_real_module
 from experiments.ablation import ablation, curves_of
 from experiments.generalization import PAPER, generalization, table_of
-from experiments.rope_real import WithinRisk, rope_real, shown_of
+from experiments.rope_real import rope_real, shown_of
 from experiments.runs import Chart, Runs, TrainingJob
 from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
 from gendom.policies.belief import believed
 from gendom.policies.fitting import Training
-from gendom.reality import RealRope, find_object
+from gendom.reality import find_object
 from gendom.tasks import RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
 from policies.ballistic import Throws
@@ -58,16 +58,7 @@ def test_policies_are_trained_unless_they_are_there(runs, monkeypatch):
     other = {"a": TrainingJob(demonstrations=data, training=Training(epochs=2))}
     (changed,) = runs.policies(other).values()
     assert changed.description.training["epochs"] == 2
-
-
-def test_small_sets_get_small_batches_and_as_many_steps(runs):
-    data = set_of(runs)
-    few = TrainingJob.of_steps(data, Training(epochs=2), 60).training
-    assert (few.batch_size, few.epochs) == (32, 11)  # 180 are fitted, 5.6 batches a pass
-    assert TrainingJob.of_steps(data, Training(epochs=40), 60).training.epochs == 40
-
-
-def test_the_best_of_a_search_is_taken_and_all_are_told(runs):
+    # the best of a search is taken and all are told
     data = set_of(runs)
     search = {
         str(epochs): TrainingJob(
@@ -113,27 +104,6 @@ def test_generalization_has_both_domains_and_what_r2s2r_found(runs, monkeypatch)
         assert "0.0" in str(table_of(domain, rows, PAPER[domain]))
     assert result["identified"]["R2S2R, cotton rope"]["misfit"] < 1e-3
     assert result["identified"]["R2S2R, three ropes"]["misfit"] > 1e-3
-
-
-def test_real_demonstrations_are_drawn_within_the_risk_of_the_estimate():
-    """Releases above 0.55 lengths leave their plane: nearly none of those is drawn."""
-    task, rope = RopeReaching(), find_object("rope-cotton")
-    assert isinstance(rope, RealRope)
-    limit = 0.55
-    source = WithinRisk(
-        task=task,
-        world=Thrown(),
-        items=(rope,),
-        known=rope,
-        simulation=Thrown(risky_above=limit),
-    )
-    plain = Demonstrator(task=task, world=Thrown(), items=(rope,))
-    heights = [
-        d.draw([np.random.default_rng(k) for k in range(40)])["release_z"] / rope.length
-        for d in (source, plain)
-    ]
-    assert (heights[0] <= limit).all() and (heights[1] > limit).any()
-    assert source.about()["within_risk_of"]["length"] == rope.length
 
 
 @pytest.mark.slow

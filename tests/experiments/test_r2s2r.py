@@ -5,7 +5,7 @@ import pytest
 
 from experiments.r2s2r import identify
 from gendom.errors import ParameterError, SimulationError
-from gendom.materials import dimensionless_parameters, with_dimensionless
+from gendom.materials import with_dimensionless
 from gendom.policies.adaptation import Execution
 from policies.ballistic import ROPE, TASK, Throws
 
@@ -33,21 +33,7 @@ def test_one_object_is_explained():
     assert found.misfit < 1e-4 and found.executions == 20
     again = identify(TASK, seen(TRUE), world=Throws())
     assert again == found
-
-
-def test_several_objects_share_a_compromise():
-    other = with_dimensionless(ROPE, {"bending_ratio": 0.3, "damping": 0.03})
-    start = with_dimensionless(ROPE, {"damping": 0.03})
-    both = [(start, e) for _, e in [*seen(TRUE, 10), *seen(other, 10)]]
-    found = identify(TASK, both, world=Throws(), ranges={"bending_ratio": (0.2, 0.8)})
-    assert 0.3 < found.parameters["bending_ratio"] < 0.5
-    assert found.misfit > 0.01
-    assert dimensionless_parameters(found.item(ROPE))["bending_ratio"] == pytest.approx(
-        found.parameters["bending_ratio"]
-    )
-
-
-def test_nothing_to_learn_from_is_told():
+    # nothing to learn from is told
     with pytest.raises(ParameterError, match="no executions"):
         identify(TASK, [], world=Throws())
     with pytest.raises(SimulationError, match="no parameters could be simulated"):
