@@ -116,27 +116,6 @@ def decode(address):
     return match[1]
 
 
-def test_a_search_has_a_line_for_each_stage_of_each_start():
-    entries = [
-        {"start": start, "stage": stage, "iteration": k, "loss": 0.01 / k, "E": 1e3}
-        for start, stage, first in ((0, "coarse", 1), (0, "fine", 4), (1, "coarse", 1))
-        for k in range(first, first + 3)
-    ]
-    words = Page(render_report(only(estimate=estimate(history=entries)))).words
-    for label in ("start 1, coarse", "start 1, fine", "start 2, coarse"):
-        assert words.count(label) == 2, label  # of the distance and of E
-    assert "start 2, fine" not in words
-
-
-def test_distances_over_time_are_drawn():
-    """Where the clouds are those of the frames that were compared."""
-    clouds, counts = CloudSequence(**lift(frames=4)), []
-    for rms in ([0.001] * 4, [0.001] * 3):
-        report = only(lift=clouds, estimate=estimate(rms_by_frame=rms))
-        counts.append(len(Page(render_report(report)).charts))
-    assert counts[0] == counts[1] + 1
-
-
 def test_what_is_not_usable_has_reasons_and_no_beliefs():
     found = estimate(reasons=["the gripper rests", "the clouds are <noise>"], mass=0.03)
     words = Page(render_report(only(estimate=found))).words
@@ -147,9 +126,7 @@ def test_what_is_not_usable_has_reasons_and_no_beliefs():
     words = Page(render_report(only(refused=["no frames with <points>"]))).words
     assert "Not usable." in words and "no frames with <points>" in words
     assert "The estimate" not in words
-
-
-def test_goals_in_the_plane_and_a_worse_policy_that_is_not_praised():
+    # goals in the plane and a worse policy that is not praised
     plane = [outcome([0.3, 0.2 + z], [0.33, 0.24 + z], [0.31, 0.2 + z]) for z in (0.0, 0.1)]
     page = Page(render_report(only(action=action(*plane))))
     assert page.words.count("50.0 mm") == 5  # of each goal, in the mean, in words, at the top
@@ -195,9 +172,3 @@ def test_scene_holds_arm_and_goal(monkeypatch):
     assert np.reshape(scene["arm"]["ends"][1], (2, 2, 3)) == pytest.approx(1e3 * arm[4], abs=0.5)
     assert scene["goal"] == goal.tolist() and scene["high"][0] == 0.9
     assert scene["frames"] == [1, 5] and scene["of"] == 5
-
-
-def test_viz_needs_neither_estimation_nor_policies(run_python):
-    code = "import sys, gendom.viz; print(*(m.removeprefix('gendom.') for m in sys.modules))"
-    found = {name.split(".")[0] for name in run_python(code).split()}
-    assert not found & {"estimation", "policies", "sim", "datasets", "warp", "torch", "matplotlib"}
