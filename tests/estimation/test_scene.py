@@ -18,7 +18,6 @@ from gendom.estimation import (
     replay,
 )
 from gendom.estimation.placing import lying_line, lying_rectangle
-from gendom.estimation.replay import Shape
 from gendom.estimation.scene_settings import SHELL_ERROR
 from gendom.sim.lines import arc_length
 
@@ -249,29 +248,6 @@ def test_limp_cloths_get_points_as_near_as_they_bend(cloth_lift):
     # the mesh blurs limp ones the more, the fewer points there are for each bending length
     for share, times in ((1.0 / 32.0, 1.0), (1.0 / 8.0, 1.0 / 64.0)):
         assert plain.mesh_error(bending(share)) == pytest.approx(times * SHELL_ERROR)
-
-
-def test_derivatives_of_a_coarser_sheet_are_those_between_its_points(cloth_lift):
-    """Linear ones exactly."""
-    shapes = [
-        Shape(LiftScene.of(cloth_lift.at_rest(8), replace(cloth_lift.settings, points=n)))
-        for n in (9, 15)
-    ]
-    fields = []
-    for shape in shapes:
-        a, b = (k - k[0] for k in shape.lattice)
-        x, y = np.meshgrid(a, b)
-        fields.append(np.stack([x.ravel(), y.ravel(), 2.0 * x.ravel() - y.ravel()], axis=1)[None])
-    np.testing.assert_allclose(shapes[1].taken_from(shapes[0], fields[0]), fields[1], atol=1e-12)
-
-
-def test_cloths_are_simulated_in_single_precision(cloth_lift):
-    """Unless told otherwise; the same to 20 um."""
-    scene = LiftScene.of(cloth_lift.at_rest(8), cloth_lift.settings)
-    exact = replace(scene, settings=replace(scene.settings, dtype="float64"))
-    assert (scene.dtype, exact.dtype) == ("float32", "float64")
-    shapes = [replay(one, [cloth_lift.truth]) for one in (scene, exact)]
-    assert 0.0 < np.abs(shapes[0] - shapes[1]).max() < 2e-5
 
 
 def test_frames_before_the_lift_are_no_calm_ones(rope_lift):

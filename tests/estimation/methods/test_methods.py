@@ -10,7 +10,6 @@ import pytest
 from experiments.sim2sim import paper_E, truth_of
 from gendom.estimation import EstimateSettings, LiftScene, estimate
 from gendom.estimation.likelihood import Comparisons
-from gendom.estimation.methods import METHODS
 from gendom.estimation.methods.adam import DensityLoss, _Descent, adam
 from gendom.estimation.methods.differential_evolution import differential_evolution
 from gendom.estimation.methods.gauss_newton import gauss_newton
@@ -58,27 +57,11 @@ def test_an_interrupted_method_keeps_its_best(short_lift, method):
     assert found.best.comparison is not None
 
 
-@pytest.mark.parametrize("method", [adam, few_members], ids=["adam", "differential-evolution"])
-def test_an_interruption_before_anything_was_found_is_passed_on(short_lift, method, monkeypatch):
-    problem = short_lift()
-
-    def stop(*args, **kwargs):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(problem, "compare", stop)
-    with pytest.raises(KeyboardInterrupt):
-        method(problem)
-
-
 @pytest.mark.slow
 def test_evolution_is_seeded(short_lift):
     ends = [few_members(short_lift(max_iterations=3, seed=s)).best.vector for s in (1, 1, 2)]
     np.testing.assert_array_equal(ends[0], ends[1])
     assert (ends[0] != ends[2]).any()
-
-
-def test_methods_go_by_the_names_of_the_command_line():
-    assert list(METHODS) == ["gauss-newton", "adam", "differential-evolution"]
 
 
 # ---- slopes of the density loss -----------------------------------------------------------------
