@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gendom import cli
 from gendom.datasets import ObjectDescription, Recording
 from gendom.errors import DeviceError
 from gendom.estimation import LiftScene, SceneSettings, Theta, replay
@@ -104,6 +105,15 @@ def filled(scene: LiftScene, x: np.ndarray) -> np.ndarray:
     return sheet.reshape(-1, 3)
 
 
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Tests of GPUs skip where there is none."""
+    if item.get_closest_marker("gpu") is not None:
+        import warp as wp
+
+        if not wp.is_cuda_available():
+            pytest.skip("no CUDA device on this machine")
+
+
 @pytest.fixture(scope="session")
 def rope_lift() -> SimulatedLift:
     """A rope of 0.25 m that bends over a third of its length."""
@@ -168,6 +178,18 @@ def run_python() -> Callable[[str], str]:
             [sys.executable, "-c", code], capture_output=True, text=True, check=True
         )
         return result.stdout.strip()
+
+    return run
+
+
+@pytest.fixture
+def refused(capsys) -> Callable[..., str]:
+    """Runs a command that ends with exit code 2 and prints nothing but one line: gives that."""
+
+    def run(*words: object) -> str:
+        code, (out, err) = cli.main([str(word) for word in words]), capsys.readouterr()
+        assert (code, out, err.count("\n")) == (2, "", 1), err
+        return err
 
     return run
 

@@ -345,13 +345,3 @@ def test_public_packages_and_names_are_in_the_reference():
     text = (DOCS / "api" / "index.md").read_text(encoding="utf-8")
     public = set(gendom.__all__) - {"__version__"}
     assert {name for name in public if f"`gendom.{name}`" not in text} <= {"GendomError"}
-
-
-def test_tables_end_with_a_blank_line():
-    """What follows a row without one is taken for another row."""
-    for page in PAGES:
-        code, lines = False, page.read_text(encoding="utf-8").splitlines()
-        for n, (line, after) in enumerate(zip(lines, [*lines[1:], ""], strict=True), start=1):
-            code ^= line.startswith("```")
-            if line.startswith("|") and not code:
-                assert after == "" or after.startswith("|"), f"{page.relative_to(ROOT)}:{n}"
