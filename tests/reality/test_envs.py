@@ -7,7 +7,6 @@ from typing import cast
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs the extra reality")
 pytest.importorskip("gymnasium", reason="needs the extra reality")
 
 import gymnasium

@@ -6,8 +6,6 @@ from typing import cast
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs the extra reality")
-
 from gendom.errors import ParameterError
 from gendom.materials import STANDARD_GRAVITY
 from gendom.reality import OBJECTS, Layout, RealCloth, Reality, RealObject, RealRope, lift

@@ -7,8 +7,6 @@ from typing import cast
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs the extra reality")
-
 from gendom.errors import GendomError, ParameterError
 from gendom.perception import PerceptionSettings, perceive, read_cameras
 from gendom.reading import read_json

@@ -6,9 +6,6 @@ from typing import cast
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs the extra reality")
-
-
 from gendom.reality import OBJECTS, Layout, RealCloth, Reality
 from gendom.reality.model import load_mujoco
 from gendom.reality.objects import SHEET_NU

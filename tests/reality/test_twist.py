@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("mujoco", reason="needs the extra reality")
-
 from gendom.reality import OBJECTS, Layout, Reality, RealRope
 from gendom.reality.twist import Twist, torsion_rigidity, transported, twist, twist_gradient
 
