@@ -15,12 +15,12 @@ from gymnasium.utils.env_checker import check_env
 import gendom.reality.envs as envs
 from gendom.errors import ParameterError, RobotError
 from gendom.installation import how_to_install
-from gendom.materials import Material, unit_of
+from gendom.materials import Material
 from gendom.reality import OBJECTS, RealRope, RealWorld
-from gendom.tasks import ClothSpreading, RopeReaching, task_names
-from gendom.tasks.cloth_spreading import WAIT as SPREADING_WAIT
+from gendom.tasks import RopeReaching, task_names
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
+from reality.test_trials import NotYetRaised
 
 POLYESTER = cast(RealRope, OBJECTS["rope-polyester"])
 STRETCHED = np.array([0.15, 0.093])
@@ -50,11 +50,8 @@ def make(name, **kwargs) -> envs.TaskEnv:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NotYetRaised(ClothSpreading):
-    """Over 50 ms after the hand has closed, and with an outcome of its own."""
-
-    def times(self, item):
-        return np.array([0.05 - SPREADING_WAIT * unit_of("s", item)])
+class Covered(NotYetRaised):
+    """With an outcome of its own."""
 
     def outcome(self, item, seen):
         return {"share": 0.4, "covered": 0.6}
@@ -194,7 +191,7 @@ def test_reaching_is_the_trial_and_its_goal():
 
 
 def test_spreading_rewards_the_share_that_lies_spread():
-    env = envs.TaskEnv(NotYetRaised(), objects=["cloth-cotton"], robot=False)
+    env = envs.TaskEnv(Covered(), objects=["cloth-cotton"], robot=False)
     env.reset(seed=0)
     observation, reward, terminated, _, info = env.step([0.1])
     assert reward == info["share"] == 0.4 and info["covered"] == 0.6
