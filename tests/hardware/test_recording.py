@@ -3,7 +3,6 @@
 import json
 import threading
 import time
-from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
@@ -230,19 +229,3 @@ def test_stamps_of_a_cameras_own_clock_are_told(sdk, tmp_path):
     live.wait_for_pictures()
     (said,) = live.stop_recording().warnings
     assert "of the camera's own clock" in said
-
-
-@pytest.mark.parametrize(("before", "missing"), [(0, 0), (1, 0), (3, 4)])
-def test_the_sdk_may_begin_to_record_with_the_second_picture(sdk, tmp_path, before, missing):
-    """Of both streams. Later pictures that it does not write are missing."""
-    software = SoftwareCamera(camera())
-    live = connected(software)
-    live.start_recording(tmp_path)
-    for k, kind in product(range(before), ("depth", "color")):
-        of = SimpleNamespace(stream_type=lambda kind=kind: SimpleNamespace(name=kind))
-        values = {"frame_number": k, "timestamp": 1e3 * k / RATE, "profile": of}
-        live._take(SimpleNamespace(**{f"get_{n}": lambda v=v: v for n, v in values.items()}))
-    software.show(before / RATE, before, pictures(1))
-    live.wait_for_pictures()
-    found = live.stop_recording()
-    assert (found.pictures, found.missing) == (2, missing)

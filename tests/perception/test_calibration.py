@@ -9,10 +9,9 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-import software_camera
 from gendom import cli
 from gendom.errors import GendomError
-from gendom.perception import Pictures, RealSenseRecording, read_camera, write_camera
+from gendom.perception import read_camera, write_camera
 from gendom.perception.calibration import Board, BoardView, calibrate, read_views
 from gendom.perception.camera import rigid
 
@@ -116,18 +115,6 @@ def test_within_a_millimetre_and_a_tenth_of_a_degree(taken, tmp_path, capsys):
     again = read_camera(out)
     np.testing.assert_array_equal(again.T_world_camera, found["T_world_camera"])
     np.testing.assert_array_equal(again.K, camera.K)
-
-
-def test_intrinsics_of_a_realsense_recording(taken, sdk, tmp_path, capsys):
-    """They come from the recording, and the result fits beside it."""
-    camera = replace(taken[1], T_world_camera=None)
-    with software_camera.recording(tmp_path, camera, coloured=False) as write:
-        write(0.0, Pictures(np.zeros((480, 640), np.uint16)))
-    recording, out = tmp_path / "recording.db3", tmp_path / "camera.toml"
-    words = ["--camera", str(recording), "--out", str(out)]
-    assert cli.main(["calibrate", str(taken[0] / "pictures"), *words]) == 0
-    distance, degrees = error_of(RealSenseRecording(recording).camera.calibrated(), taken[1])
-    assert distance < 1e-3 and degrees < 0.1
 
 
 def exact_views(camera, tilts, pixel_noise=0.0, seed=0):

@@ -9,7 +9,6 @@ import pytest
 
 from gendom import cli
 from gendom.cli.act import result_text
-from gendom.cli.policies import made_by
 from gendom.datasets.demonstrations import generate
 from gendom.files import write_json
 from gendom.hardware.execution import read_action
@@ -382,26 +381,6 @@ def test_train_then_evaluate(quick, tmp_path, capsys):
     out = capsys.readouterr().out
     assert "distal, conditioned on bending_ratio, nu, damping, density" in out
     assert "error   [m]\n" in out
-
-
-def test_the_engine_can_be_chosen(quick, make_policy, monkeypatch, capsys):
-    """By `evaluate`, and by `train`, whose policies say so."""
-    quickly, engines = Simulation.carry_out, set()
-
-    def carry_out(self, *given, **more):
-        engines.add(self.engine)
-        return quickly(self, *given, **more)
-
-    monkeypatch.setattr(Simulation, "carry_out", carry_out)
-    assert cli.main(["evaluate", "rope-reaching", "--cases", "2", "--json", "--engine", "mpm"]) == 0
-    assert json.loads(capsys.readouterr().out)["engine"] == "mpm" and engines == {"mpm"}
-    training = {"seed": 3, "demonstrations": 9, "architecture": "smooth", "epochs": 3}
-    training |= {"refine": 2, "refine_cases": 5}
-    for engine in ("thin", "mpm"):
-        refined = {"refined_in": Simulation(engine=engine).settings()}
-        (_, command) = made_by(make_policy(training=training | refined)[0])
-        assert ("--engine mpm" in command) == (engine == "mpm")
-    assert cli.main([*command.split()[1:], "--help"]) == 0
 
 
 def test_policies_that_ship_are_listed(capsys):

@@ -10,7 +10,7 @@ import pytest
 from gendom.errors import PolicyError
 from gendom.policies import Policy
 from gendom.policies.demonstrations import Demonstrations
-from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
+from gendom.tasks import ClothSpreading, RopeReaching
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
@@ -160,22 +160,6 @@ def test_equal_seeds_give_equal_policies(tmp_path):
     assert torch.equal(state, torch.get_rng_state())
     assert threads == torch.get_num_threads()
     assert not np.allclose(first, actions("c.onnx", 5))
-
-
-def test_goals_of_two_numbers(tmp_path):
-    """Casting: the action is found from either."""
-    rng = np.random.default_rng(0)
-    A, E = rng.uniform(0.4, 0.9, (600, 1)), np.exp(rng.uniform(-1.4, -0.4, 600))
-    cast = replace(
-        sheets(A[:, 0], E),
-        task={"name": "rope-casting", **RopeCasting().settings()},
-        action_names=("way",),
-        goal_names=("x", "z"),
-        goal=np.concatenate([A * E[:, None], A], axis=1),
-    )
-    policy = train(cast, tmp_path / "cast.onnx", Training(epochs=40))
-    found = policy.actions(cast.goal, {"bending_ratio": E})
-    assert np.abs(found - A).mean() < 0.02
 
 
 def test_a_quantile_is_enough_for_most(tmp_path):

@@ -106,18 +106,6 @@ def test_without_air_things_fall_freely(item):
     assert (90.0 - airy.vertices()[:, 2]).max() < fallen.min()
 
 
-def test_a_released_rope_keeps_no_force():
-    """The force of the step before does not stay where nothing replaces it."""
-    run = TrialRun(task_trial(RopeReaching(), ROPE, (0.153, 0.125)), robot=False, air_density=0.0)
-    run.step_to(run.opens - 0.01)
-    # A hair's breadth of twist is enough.
-    run.world.data.mocap_quat[0] = [np.cos(0.1), 0.0, 0.0, np.sin(0.1)]
-    run.world.step_to(run.world.time + 0.002)
-    assert np.any(run.world.data.qfrc_applied != 0.0)
-    run.world.release()
-    assert np.all(run.world.data.qfrc_applied == 0.0)
-
-
 @pytest.mark.parametrize("density", [-1.2, np.nan, np.inf])
 def test_a_density_that_cannot_be_is_refused(density):
     message = r"^air_density: is (-1\.2|nan|inf); give kg/m\^3: 0 for none, 1\.2 in a room$"

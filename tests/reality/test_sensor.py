@@ -101,29 +101,6 @@ def test_noise_is_that_of_stereo(z, correlation, only):
     assert abs(error.mean()) < 0.05 * expected
 
 
-@pytest.mark.parametrize("correlation", [0.0, 2.0])
-def test_neighbours_share_noise(correlation, only):
-    """The product of two Gaussian blurs: exp(-(n / 2 sigma)^2) between pixels n apart."""
-    only(SUBPIXEL=0.08, CORRELATION=correlation)
-    error = measured(flat(0.8)) - 0.8
-    for n in (1, 2, 4, 12):
-        expected = np.exp(-((n / (2.0 * correlation)) ** 2)) if correlation else 0.0
-        for a, b in ((error[:, :-n], error[:, n:]), (error[:-n], error[n:])):
-            assert np.mean(a * b) / np.mean(error**2) == pytest.approx(expected, abs=0.05)
-
-
-def test_depth_comes_in_steps_of_disparity(only):
-    """A plane: few depths, z^2 / (32 f B) apart."""
-    depth, _ = tilted(0.3)
-    only(QUANTISATION=1.0 / 32.0)
-    found = measured(depth)
-    disparity = F * B / found
-    np.testing.assert_allclose(disparity * 32.0, np.round(disparity * 32.0), atol=0.1)
-    levels = np.unique(found[np.abs(found - 0.8) < 0.05])
-    np.testing.assert_allclose(np.diff(levels), levels[1:] ** 2 / (32.0 * F * B), atol=1.2e-4)
-    assert np.abs(found - depth).max() <= 0.51 * depth.max() ** 2 / (32.0 * F * B) + DEPTH_UNIT
-
-
 def test_edges_lose_and_mix_depth(only):
     """Of the two columns at a step so many as asked, and no other pixel."""
     depth = step()

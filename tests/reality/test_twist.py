@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gendom.reality import OBJECTS, Layout, Reality, RealRope
-from gendom.reality.twist import Twist, torsion_rigidity, transported, twist, twist_gradient
+from gendom.reality.twist import Twist, torsion_rigidity
 
 COTTON = cast(RealRope, OBJECTS["rope-cotton"])
 
@@ -21,35 +21,6 @@ def crooked(n=9, seed=0):
 
 def across(edge):
     return np.cross(edge, [0.3, -0.5, 1.0])
-
-
-# ---- the angle -----------------------------------------------------------------------------------
-
-
-def test_the_gradient_matches_central_differences():
-    """Directors at the ends turn with their edges, without twist."""
-    x = crooked()
-    edges = np.diff(x, axis=0)
-    first = across(edges[0])
-    last = Rotation.from_rotvec(0.4 * edges[-1] / np.linalg.norm(edges[-1])).apply(
-        transported(edges, first)
-    )
-
-    def angle(vertices):
-        e = np.diff(vertices, axis=0)
-        carried = [
-            transported(np.stack([old, new]), u)
-            for old, new, u in ((edges[0], e[0], first), (edges[-1], e[-1], last))
-        ]
-        return twist(e, *carried)
-
-    assert angle(x) == pytest.approx(0.4)
-    h, found = 1e-6, np.zeros_like(x)
-    for i in np.ndindex(x.shape):
-        step = np.zeros_like(x)
-        step[i] = h
-        found[i] = (angle(x + step) - angle(x - step)) / (2.0 * h)
-    np.testing.assert_allclose(twist_gradient(edges), found, atol=1e-6)
 
 
 # ---- the load ------------------------------------------------------------------------------------

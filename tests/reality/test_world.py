@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from gendom.errors import SimulationError
-from gendom.materials import STANDARD_GRAVITY
 from gendom.reality import (
     OBJECTS,
     Layout,
@@ -17,7 +16,7 @@ from gendom.reality import (
     RealRope,
     find_object,
 )
-from gendom.reality.model import SHEET_STRETCH, load_mujoco
+from gendom.reality.model import load_mujoco
 
 COTTON = cast(RealRope, OBJECTS["rope-cotton"])
 
@@ -132,35 +131,3 @@ def test_a_world_that_diverges_is_told_and_leaves_no_file(tmp_path, monkeypatch)
     with pytest.raises(SimulationError, match="the second reality diverged"):
         world.step_to(0.01)
     assert list(tmp_path.iterdir()) == []  # MuJoCo would write MUJOCO_LOG.TXT
-
-
-@pytest.mark.parametrize("vertices", [21, 26, 31])
-def test_a_cloth_is_free_from_where_the_fingers_end(vertices):
-    """Between the last vertices that are held and the next it bends as half an edge does."""
-    cloth = replace(cast(RealCloth, OBJECTS["cloth-cotton"]), vertices=vertices)
-    world = Reality(cloth, lying(cloth))
-    world.follow(lambda t: (0.36, 0.01, cloth.radius))
-    world.step_to(0.02)
-    reach = 0.025
-    held = world.attach(reach)
-    x = world.vertices()
-    distance = np.linalg.norm(x - world.hand, axis=1)
-    half = cloth.spacing / 2.0
-    assert set(held) >= set(np.flatnonzero(distance <= reach + 0.95 * half))
-    assert set(held).isdisjoint(np.flatnonzero(distance > reach + 1.15 * half))
-
-
-def test_a_stiff_sheet_is_softened_in_its_plane_only():
-    """So that its own weight, hanging by a side, lengthens it by SHEET_STRETCH."""
-    cloth = replace(cast(RealCloth, OBJECTS["cloth-cotton"]), vertices=11)
-    softest = cloth.material.density * STANDARD_GRAVITY * cloth.side / (2.0 * SHEET_STRETCH)
-
-    def stiffness(E):
-        """In the plane and of bending, over those of 1 Pa."""
-        item = replace(cloth, material=replace(cloth.material, E=E))
-        model = Reality(item, lying(item)).model
-        return np.abs(model.flex_stiffness).max() / E, np.abs(model.flex_bending).max() / E
-
-    plain, softened = stiffness(0.5 * softest), stiffness(20.0 * softest)
-    assert softened[0] == pytest.approx(plain[0] / 20.0)
-    assert softened[1] == pytest.approx(plain[1])

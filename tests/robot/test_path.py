@@ -106,18 +106,6 @@ def test_straight_between_its_samples_a_path_runs_as_it_does(path, blend):
     assert missed[1] < 0.1 * missed[0]
 
 
-def test_when_a_path_first_moves(path, turning):
-    """When its wait is over, or half a blend before; turning is moving."""
-    assert path.moves == 0.5
-    assert replace(path, blend=0.3).moves == pytest.approx(0.35)
-    before, after = replace(path, blend=0.3).position_at([0.35, 0.36], 0.3)
-    np.testing.assert_array_equal(before, KNOTS[0])
-    assert np.linalg.norm(after - KNOTS[0]) > 1e-6
-    still = np.tile(KNOTS[:1], (4, 1))
-    assert replace(path, position=still, blend=0.1).moves == math.inf
-    assert replace(turning, position=still).moves == 0.5
-
-
 @pytest.mark.parametrize("turns", [False, True])
 def test_a_path_in_another_frame_or_later_is_the_same_path_there(path, turning, turns):
     path = replace(turning if turns else path, blend=0.2)

@@ -44,16 +44,6 @@ def test_a_led_gripper_moves_the_body_as_a_known_path_does(body, radius):
         np.testing.assert_allclose(led.positions(), run[k - 1], atol=1e-12)
 
 
-def test_steps_without_targets_go_on_along_the_paths():
-    path = Gripper(time=[0.0, 0.1], position=[END, above(0.03)], radius=0.01)
-    run = simulator(path).run([0.02, 0.05])
-    stepped = simulator(path)
-    stepped.step(0.02)
-    stepped.step(0.03)
-    np.testing.assert_allclose(stepped.positions(), run[-1], atol=1e-12)
-    assert stepped.time == pytest.approx(0.05)
-
-
 def test_the_force_at_a_gripper_is_the_weight_that_hangs():
     upright = Rotation.from_euler("y", 90, degrees=True).apply(ROPE.points - END) + END
     body, damped = ROPE, Material(E=5e5, nu=0.3, density=800.0, damping=0.02)

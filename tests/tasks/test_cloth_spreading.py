@@ -113,15 +113,6 @@ def test_the_smallest_A_that_spreads_is_found_with_few_trials():
     assert errors == [0.25, 0.0]
 
 
-def test_a_cloth_that_no_action_can_simulate_keeps_its_fault():
-    class Broken(Simulation):
-        def carry_out(self, task, items, actions, **_):
-            return [Outcome(values={}, fault="diverged") for _ in items]
-
-    found, outcomes = TASK.demonstrate(Broken(), [TASK.item], np.zeros((1, 1)))
-    assert np.isfinite(found).all() and outcomes[0].fault == "diverged"
-
-
 def test_a_hand_that_presses_a_limp_heap_on_the_table_keeps_it_whole(monkeypatch):
     """Between the fingers and the table there is no room for all the layers. Contacts that are
     taken one after the other throw points out."""

@@ -5,16 +5,12 @@ The scenes are therefore irregular and short, 200 steps with contact in the last
 changes small. How small depends on what is changed, see ``shared``.
 """
 
-import math
 from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from gendom.materials import Material
-from gendom.sim import Gripper, Physics, Rollout, Simulator, Table, cloth, rope
-from gendom.sim.thin import tape
+from gendom.sim import Gripper, Rollout, cloth, rope
 from sim.thin.shared import check_derivatives, check_worlds, scene
 
 TIMES = [0.01, 0.02, 0.025, 0.03]
@@ -180,23 +176,6 @@ def test_these_scenes_have_contact_with_friction(body, self_friction):
     passes = simulator(body, [p], self_contact=False).run(TIMES)[2]
     for other, least in ((passes[0], 1e-5), (x[1], 1e-5), (x[2], 1e-6)):
         assert np.abs(other - x[0]).max() > least
-
-
-def test_every_step_has_its_own_list_of_pairs(monkeypatch):
-    """A rope coils in one piece, at whose end other pairs are listed than in its middle."""
-    body = rope(
-        diameter=0.01, length=0.4, start=(0, 0, 0.42), direction=(0.02, 0.01, -1), points=41
-    )
-
-    def by_positions():
-        material = [Material(E=2e5, damping=0.01)]
-        s = Simulator(body, material, table=Table(height=0.0), physics=Physics(self_contact=True))
-        rollout = Rollout(s)
-        return rollout.backward(np.ones_like(rollout.forward([0.5]))).positions
-
-    expected = by_positions()
-    monkeypatch.setattr(tape, "math", SimpleNamespace(ceil=math.ceil, sqrt=lambda steps: steps))
-    np.testing.assert_array_equal(by_positions(), expected)
 
 
 def test_worlds_do_not_see_each_others_contacts():
