@@ -188,7 +188,7 @@ def test_a_closed_pipe_does_not_stop_the_work(tmp_path):
     assert told.stderr.strip() == "0" and (tmp_path / "out").read_text() == "done"
 
 
-def test_check_prints_a_summary(recording, capsys):
+def test_check_prints_a_summary(recording, capsys, tmp_path):
     assert cli.main(["check", str(recording)]) == 0
     out, err = capsys.readouterr()
     assert err == ""
@@ -216,9 +216,7 @@ def test_check_prints_a_summary(recording, capsys):
         np.savez(dropped, **file, gripper_closed=np.array([[True], [True], [False], [False]]))
     assert cli.main(["check", str(dropped)]) == 0
     assert "rise 0.03 m, closed in 2 frames\n" in capsys.readouterr().out
-
-
-def test_check_refuses(recording, tmp_path, capsys):
+    # check refuses
     with np.load(recording) as file:
         arrays = dict(file)
     arrays["time"][2] = 0.0

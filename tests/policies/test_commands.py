@@ -9,7 +9,6 @@ import pytest
 
 from gendom import cli
 from gendom.cli.act import result_text
-from gendom.cli.policies import made_by
 from gendom.datasets.demonstrations import generate
 from gendom.files import write_json
 from gendom.hardware.execution import read_action
@@ -274,6 +273,10 @@ def test_act_takes_damping_and_friction_from_the_estimate(act):
     changed = estimated(damping=0.007, friction=0.6)
     result = json.loads(act("--json", "--no-prediction", estimate=changed)[1])
     assert (result["object"]["damping"], result["object"]["friction"]) == (0.007, 0.6)
+    # a flag comes before the file
+    softer = json.loads(act("--E", "4.5e5", "--json")[1])
+    assert softer["object"]["E_over_rho"] == pytest.approx(500.0)
+    assert "interval_90" not in softer["predicted"]  # that was of another E
 
 
 def test_act_refuses_an_estimate_that_is_not_usable(act):
@@ -296,12 +299,6 @@ def test_a_motion_that_the_arm_cannot_do_is_refused(act):
     code, out, err = act(*far, "--force", "--no-prediction", "--json")
     assert code == 0 and "is out of reach" in err
     assert any("is out of reach" in line for line in json.loads(out)["warnings"])
-
-
-def test_a_flag_comes_before_the_file(act):
-    softer = json.loads(act("--E", "4.5e5", "--json")[1])
-    assert softer["object"]["E_over_rho"] == pytest.approx(500.0)
-    assert "interval_90" not in softer["predicted"]  # that was of another E
 
 
 def test_act_refuses_what_its_policy_never_saw_unless_forced(act):
@@ -403,26 +400,6 @@ def test_train_then_evaluate(quick, tmp_path, capsys):
     out = capsys.readouterr().out
     assert "distal, conditioned on bending_ratio, nu, damping, density" in out
     assert "error   [m]\n" in out
-
-
-def test_the_engine_can_be_chosen(quick, make_policy, monkeypatch, capsys):
-    """By `evaluate`, and by `train`, whose policies say so."""
-    quickly, engines = Simulation.carry_out, set()
-
-    def carry_out(self, *given, **more):
-        engines.add(self.engine)
-        return quickly(self, *given, **more)
-
-    monkeypatch.setattr(Simulation, "carry_out", carry_out)
-    assert cli.main(["evaluate", "rope-reaching", "--cases", "2", "--json", "--engine", "mpm"]) == 0
-    assert json.loads(capsys.readouterr().out)["engine"] == "mpm" and engines == {"mpm"}
-    training = {"seed": 3, "demonstrations": 9, "architecture": "smooth", "epochs": 3}
-    training |= {"refine": 2, "refine_cases": 5}
-    for engine in ("thin", "mpm"):
-        refined = {"refined_in": Simulation(engine=engine).settings()}
-        (_, command) = made_by(make_policy(training=training | refined)[0])
-        assert ("--engine mpm" in command) == (engine == "mpm")
-    assert cli.main([*command.split()[1:], "--help"]) == 0
 
 
 def test_policies_that_ship_are_listed(capsys):

@@ -95,9 +95,7 @@ def test_scenes_know_their_frames_and_their_box():
     np.testing.assert_allclose(scene.box, [[0.0, 0.0, 0.0], [0.4, 0.2, 0.26]], atol=0.005)
     with pytest.raises(GendomError, match="no points at all"):
         _ = ViewerScene(times=TIMES, layers=()).box
-
-
-def test_logarithmic_parameters_have_logarithmic_sliders():
+    # logarithmic parameters have logarithmic sliders
     height, E = Square().parameters(1)
     assert E.position(100.0) == pytest.approx(2.0) and E.at(2.0) == pytest.approx(100.0)
     assert E.range == (0.0, 4.0, 0.02) and E.at(E.start) == 123.0
@@ -179,20 +177,6 @@ def test_another_case_has_its_own_parameters(viewer):
     move(viewer, "E", 1000.0)
     assert viewer.wait(10.0)
     assert viewer._model.simulated[-1]["E"] == pytest.approx(1000.0)
-
-
-def test_playing_goes_on_until_it_is_stopped(viewer):
-    viewer._time.value = 0
-    viewer.play(True)
-    ends = time.monotonic() + 20.0
-    while viewer._time.value == 0:
-        assert time.monotonic() < ends
-        time.sleep(0.02)
-    viewer.play(False)
-    time.sleep(0.1)
-    stood = viewer._time.value
-    time.sleep(0.2)
-    assert viewer._time.value == stood
 
 
 def test_only_this_machine_reaches_it(viewer, capfd):
