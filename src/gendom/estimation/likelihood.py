@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import KDTree
 
+from gendom.estimation.markers import Offsets, aside, beside_axis, material_frames, spread
 from gendom.estimation.replay import Shape, held_reach, lattice, middle, taken
 from gendom.estimation.scene import LiftScene
 from gendom.observation import visible
@@ -38,6 +39,10 @@ THIN, SKIN_OF_THIN = 0.008, 1e-5
 """Diameter of a thin rope, and `NoiseModel.skin` of it [m]. Depth is mixed at most of its pixels,
 which widens it along the views: a larger skin beside the cloud would fit better than the true one
 (10 mm outside a rope of 6 mm, with an E 27 % too small)."""
+
+SHARED = 16.0
+"""`NoiseModel.patch` of markers in motion, the first guess: what moves otherwise than the model
+does so for some tenths of a second, along a quarter of the cable."""
 
 PLACE_SCALE, TIME_SCALE = 0.3, 0.1
 """Correlation length of displacements along the object, in its size, and their correlation time, as
@@ -73,8 +78,10 @@ class NoiseModel:
     """Likewise [rad]."""
     skin: float = 0.002
     """Of the distance of points from the true skin [m]: hairs, edges of pixels."""
+    beside: float = 0.01
+    """Of markers from the axis of a cable [m]: balls of 1 to 2 cm on its sheath."""
     patch: float = 4.0
-    """Points of a thinned cloud that share their noise."""
+    """Points of a thinned cloud, or coordinates of markers, that share their noise."""
     cloud_points: int = 160
     """Points of a frame that are compared, at most; four times as many of a cloth."""
     rounds: int = 3
@@ -87,8 +94,10 @@ class NoiseModel:
             noise = replace(noise, skin=SKIN_OF_THIN)
         if scene.registration is not None:
             return noise.with_unknown_cameras()
-        # a motion capture measures hands and markers in one frame
-        return replace(noise, shift=1e-4, turn=1e-4) if scene.captured else noise
+        if scene.captured:
+            # hands and markers are measured in one frame
+            return replace(noise, shift=1e-4, turn=1e-4, patch=SHARED)
+        return replace(noise, patch=1.0) if scene.ordered else noise
 
     def with_unknown_cameras(self) -> NoiseModel:
         """With the wide prior of cameras whose poses are unknown."""
@@ -100,9 +109,10 @@ class NoiseModel:
         sd = [self.shift] * 3 + [self.turn] * 3 + [self.skin]
         return np.array(sd) ** -2.0
 
-    def precision(self, smooth: int) -> Array:
-        """[S + 7] of displacement, motion and skin before anything is seen."""
-        return np.concatenate([np.full(smooth, self.model**-2), self.fixed])
+    def precision(self, smooth: int, beside: int) -> Array:
+        """[S + B + 7] of displacement, markers, motion and skin before anything is seen."""
+        own = np.repeat([self.model**-2, self.beside**-2], [smooth, beside])
+        return np.concatenate([own, self.fixed])
 
 
 class Observation:
@@ -143,7 +153,9 @@ class Observation:
         away = np.linalg.norm(x[:, None] - scene.held, axis=2).min(axis=1)
         self.in_view = away > 2.0 * held_reach(scene) + scene.body.thickness
         self.markers = None
-        if scene.ordered:
+        if scene.places is not None:
+            self.markers = scene.markers
+        elif scene.ordered:
             rest = middle(scene, scene.initial)
             first = scene.recording.frame(scene.begins).astype(float)
             index, weight, _ = self.shape.nearest(rest[None], first[None])
@@ -153,7 +165,11 @@ class Observation:
         at = np.linspace(0.0, 1.0, len(sizes))
         # with one shape alone, displacements and parameters have the same effect
         self.in_time = np.zeros((len(at), 1)) if scene.static else _modes(at, TIME_SCALE)
+        if scene.captured:
+            self.in_time = np.zeros((len(at), 0))
         a, b = lattice(scene)
+        self.beside = beside_axis(scene) if scene.beside else np.zeros((0, 0))
+        """[m, B / 3] offsets of a cable's markers from its axis."""
         scale = PLACE_SCALE * scene.size
         if len(b) == 1:
             self.in_place = _modes(a, scale)
@@ -235,7 +251,7 @@ class Observation:
             index=np.broadcast_to(index, (T, *index.shape)),
             weight=np.broadcast_to(weight, (T, *weight.shape)),
             point=np.repeat(self.points, 3, axis=1),
-            counts=np.repeat(self.counts, 3, axis=1) * self.noise.patch,
+            counts=np.repeat(self.counts, 3, axis=1),
             on_skin=False,
         )
 
@@ -279,23 +295,26 @@ class Comparison:
 
     Args:
         observation: The clouds.
-        here: [T, n, 3] the shape [m].
+        axis: [T, n, 3] the shape, of a cable with markers beside it the axis [m].
         J: [T, n, 3, P] how it changes with the transformed parameters [m]; None: P is 0.
         radius: Half its thickness [m]; None: as stated.
         widens: [P] how that changes with the transformed parameters [m].
+        offsets: [m, 3] by which markers are beside it [m], where that was found before.
     """
 
     def __init__(
         self,
         observation: Observation,
-        here: Array,
+        axis: Array,
         J: Array | None = None,
         radius: float | None = None,
         widens: Array | None = None,
+        offsets: Offsets = (),
     ):
         self.observation = observation
-        self.here = here
-        self.J = np.zeros((*here.shape, 0)) if J is None else J
+        self.axis = axis
+        self.offsets = np.array(offsets)
+        self.J = np.zeros((*axis.shape, 0)) if J is None else J
         self.radius = observation.shape.radius if radius is None else radius
         self.widens = np.zeros(0) if widens is None else widens
         self._last: Fit | None = None
@@ -318,14 +337,22 @@ class Comparison:
         J = self.observation.shape.taken_from(other.observation.shape, other.J)
         size = float(step @ (weight * step))
         if size > 0.0:
-            missing = self.here - other.here - J @ step
+            missing = self.axis - other.axis - J @ step
             J = J + missing[..., None] * (weight * step / size)
         self.J, self.widens, self._last = J, other.widens, None
 
     @cached_property
+    def frames(self) -> Array:
+        """[T, n, 3, 3] of a cable's cross-sections."""
+        return material_frames(self.observation.scene, self.axis[:, None])[:, 0]
+
+    @cached_property
     def rows(self) -> Rows:
-        """Of the shape as it is."""
-        return self.observation.rows(self.here, self.radius)
+        """Of the shape as it is, of a cable the line through its markers."""
+        shape = self.axis
+        if len(self.offsets):
+            shape = shape + aside(self.observation.scene, self.frames, self.offsets)
+        return self.observation.rows(shape, self.radius)
 
     def rms_by_frame(self) -> list[float]:
         """Distance of each frame's points from the skin [m]."""
@@ -369,8 +396,8 @@ class Comparison:
         their priors, and what is left of the gradient by parameters where those follow."""
         if self._last is not None and self._last.noise == noise:
             return self._last
-        S = self.observation.in_time.shape[1] * 3 * self.observation.in_place.shape[1]
-        precision, R = noise.precision(S), S + 7
+        S, B = self.smooth, 3 * self.observation.beside.shape[1]
+        precision, R = noise.precision(S, B), S + B + 7
         a = self._first if len(self._first) else np.zeros(R)
         if self._last is not None:
             a = self._last.a
@@ -392,12 +419,24 @@ class Comparison:
             gradient=cross.T @ cho_solve(factor, slope - precision * a) - N[R:-1, -1],
             hessian=N[R:-1, R:-1] - cross.T @ cho_solve(factor, cross),
             a=a,
+            smooth=S,
             M=M,
             slope=slope,
             loss=loss * noise.sensor**2,
             count=count,
         )
         return self._last
+
+    def correlated_noise(self, noise: NoiseModel) -> NoiseModel:
+        """Noise of markers in motion: how large their residuals are, and how many share theirs by
+        their correlation in time and along the cable."""
+        o = self.observation
+        rows = o.rows(self._displaced(self.fit(noise).a), self.radius)
+        e = rows.rho.reshape(len(rows.rho), -1, 3)
+        e = e - e.mean(axis=0)  # what stays is a marker's place
+        sensor = max(float(np.sqrt(np.mean(e**2))), noise.least_sensor)
+        shared = _shared(e) * _shared(np.swapaxes(e, 0, 1))
+        return replace(noise, sensor=sensor, model=noise.least_model, patch=shared)
 
     def outside(self, noise: NoiseModel) -> float:
         """Median distance of points from the skin of the registered object, 0 of markers [m]."""
@@ -407,15 +446,38 @@ class Comparison:
         rho = o.rows(self._displaced(self.fit(noise).a), self.radius).rho
         return float(np.median(rho[:, : o.counts.shape[1]][o.counts > 0.0]))
 
+    @property
+    def smooth(self) -> int:
+        """S, numbers of the displacement."""
+        return self.observation.in_time.shape[1] * 3 * self.observation.in_place.shape[1]
+
+    def beside(self, a: Array) -> Array:
+        """[m, 3] by which a cable's markers are beside the axis, of ``a`` [S + B + 7] [m]."""
+        own = self.observation.beside
+        return own @ a[self.smooth : -7].reshape(own.shape[1], 3)
+
     def _displaced(self, a: Array) -> Array:
-        """[T, n, 3] the shape with displacement and rigid motion of ``a`` [S + 7] [m]."""
+        """[T, n, 3] the shape displaced, offset and moved by ``a`` [S + B + 7] [m]."""
         o = self.observation
         U, B = o.in_time, o.in_place
-        smooth = (U @ a[:-7].reshape(U.shape[1], -1)).reshape(len(U), -1, 3)
-        return self._moved(self.here + np.einsum("nq,tqa->tna", B, smooth), a)
+        smooth = (U @ a[: self.smooth].reshape(U.shape[1], 3 * B.shape[1])).reshape(len(U), -1, 3)
+        shape = self.axis + np.einsum("nq,tqa->tna", B, smooth)
+        if o.scene.beside:
+            shape += aside(o.scene, self.frames, self.beside(a))
+        return self._moved(shape, a)
+
+    def _by_offsets(self, rows: Rows) -> Array:
+        """[T, m, B] by how much residuals fall with the markers' offsets."""
+        o = self.observation
+        if not o.scene.beside:
+            return np.zeros((*rows.rho.shape, 0))
+        along = np.einsum("tmk,tmkq->tmkq", rows.weight, (spread(o.scene) @ o.beside)[rows.index])
+        frames = self.frames[np.arange(len(rows.rho))[:, None, None], rows.index]
+        found = np.einsum("tmkq,tmkab,tma->tmqb", along, frames, rows.normal, optimize=True)
+        return found.reshape(*rows.rho.shape, -1)
 
     def _moved(self, shape: Array, a: Array) -> Array:
-        """A shape [..., 3] with the rigid motion of ``a`` [S + 7] [m]."""
+        """A shape [..., 3] with the rigid motion of ``a`` [S + B + 7] [m]."""
         return shape - a[-7:-4] - np.cross(a[-4:-1], shape - self.observation.centre)
 
     def as_seen(self, shape: Array, noise: NoiseModel) -> Array:
@@ -423,11 +485,11 @@ class Comparison:
         return self._moved(shape, self.fit(noise).a)
 
     def _sums(self, a: Array, noise: NoiseModel, J: Array) -> tuple[Array, float, float]:
-        """Normal equations of the shape displaced by ``a`` [S + 7]; J [T, n, 3, P] as that of the
-        comparison.
+        """Normal equations of the shape displaced by ``a`` [S + B + 7]; J [T, n, 3, P] as that of
+        the comparison.
 
         Returns:
-            [S + 7 + P + 1, S + 7 + P + 1] products of residuals' derivatives by registration and by
+            [S + B + 7 + P + 1] squared products of residuals' derivatives by registration and by
             parameters, and of residuals, weighted by how likely they are; the smoothed sum of
             squared residuals, in their variance; and how many independent points there are.
         """
@@ -440,11 +502,11 @@ class Comparison:
         # by the displacement of each frame, which all frames' coefficients make up
         psi = np.einsum("tmk,tmkq->tmq", rows.weight, B[rows.index])
         G = (psi[..., :, None] * rows.normal[..., None, :]).reshape(*rho.shape, -1)
-        # by rigid motion, skin and parameters; and what is left
+        # by offsets, rigid motion, skin and parameters; and what is left
         by_parameters = rows.parameter_derivatives(J, self.widens[: J.shape[3]])
-        D = np.concatenate([rows.fixed(o.centre), by_parameters, rho[..., None]], axis=2)
-        Gt, S = np.swapaxes(G, 1, 2), len(a) - 7
-        cross = np.einsum("tr,tqd->rqd", U, Gt @ (w * D), optimize=True).reshape(S, -1)
+        own = [self._by_offsets(rows), rows.fixed(o.centre), by_parameters, rho[..., None]]
+        D, Gt, S = np.concatenate(own, axis=2), np.swapaxes(G, 1, 2), self.smooth
+        cross = np.einsum("tr,tqd->rqd", U, Gt @ (w * D), optimize=True).reshape(S, D.shape[2])
         smooth = np.einsum("tr,ts,tqp->rqsp", U, U, Gt @ (w * G), optimize=True).reshape(S, S)
         rest = np.einsum("tmi,tmj->ij", D, w * D, optimize=True)
         loss = float((share * 2.0 * HUBER**2 * (root - 1.0)).sum())
@@ -483,11 +545,14 @@ class Fit:
     hessian: Array
     """[P, P] half its curvature, with the nuisance parameters marginalised."""
     a: Array
-    """[S + 7] displacement's coefficients [m], rigid motion [m, rad], skin [m]."""
+    """[S + B + 7] displacement's coefficients [m], markers beside the axis [m], rigid motion
+    [m, rad], skin [m]."""
+    smooth: int
+    """S."""
     M: Array
-    """Precision of that."""
+    """Precision of ``a``."""
     slope: Array
-    """[S + 7] how residuals' squares, in their variance, fall with it."""
+    """[S + B + 7] how residuals' squares, in their variance, fall with it."""
     loss: float
     """Sum of squares that is left [m^2]."""
     count: float
@@ -501,18 +566,19 @@ class Fit:
     def updated_noise(self, rounds: int) -> NoiseModel:
         """Noise of higher likelihood, by rounds of expectation and maximisation with fixed
         correspondences."""
-        noise, S = self.noise, len(self.a) - 7
+        noise, S, B = self.noise, self.smooth, len(self.a) - self.smooth - 7
         # of the residuals alone, in m^2
-        D = (self.M - np.diag(noise.precision(S))) * noise.sensor**2
+        D = (self.M - np.diag(noise.precision(S, B))) * noise.sensor**2
         slope = self.slope * noise.sensor**2
         for _ in range(rounds):
-            spread = np.linalg.inv(D / noise.sensor**2 + np.diag(noise.precision(S)))
+            prior = noise.precision(S, B)
+            spread = np.linalg.inv(D / noise.sensor**2 + np.diag(prior))
             a = spread @ (slope + D @ self.a) / noise.sensor**2
             off = a - self.a
             loss = max(self.loss - float((2.0 * slope - D @ off) @ off), 0.0)
             own = np.diag(spread)
             of_model = float(a[:S] @ a[:S] + own[:S].sum()) / S
-            used = S - float(own[:S].sum()) / noise.model**2 + 7.0 - float(own[S:] @ noise.fixed)
+            used = len(a) - float(own @ prior)
             of_sensor = loss / max(self.count - used, 0.1 * self.count)
             noise = replace(
                 noise,
@@ -520,6 +586,19 @@ class Fit:
                 sensor=max(math.sqrt(of_sensor), noise.least_sensor),
             )
         return noise
+
+
+def _shared(e: Array) -> float:
+    """How many successive ones of residuals [T, ...] count as one: one, and twice their
+    correlations up to the first that is not positive (Geyer 1992, "Practical Markov chain Monte
+    Carlo")."""
+    total, least = 1.0, float(np.mean(e**2)) + 1e-30
+    for lag in range(1, len(e)):
+        correlation = float(np.mean(e[lag:] * e[:-lag])) / least
+        if correlation <= 0.0:
+            break
+        total += 2.0 * correlation
+    return total
 
 
 def _modes(at: Array, scale: float, least: float = LEAST_MODE) -> Array:

@@ -69,6 +69,7 @@ class Stored:
     object: dict[str, str | float | None] | None = None
     posterior: dict[str, Any] | None = None
     theta: dict[str, float] | None = None
+    marker_offsets: list[tuple[float, float, float]] | None = None
     intervals: dict[str, float | tuple[float, float]] | None = None
     identifiable: dict[str, bool] | None = None
     density_sd: float | None = None
@@ -252,8 +253,9 @@ def _stated(known: dict[str, float], posterior: Posterior, kind: str) -> dict[st
 
 
 _OWN = (
-    "format", "theta", "E", "bending_length", "bending_stiffness", "density", "density_assumed",
-    "density_sd", "verdict", "intervals", "bounds", "identifiable", "posterior", "object", CHECKSUM,
+    "format", "theta", "marker_offsets", "E", "bending_length", "bending_stiffness", "density",
+    "density_assumed", "density_sd", "verdict", "intervals", "bounds", "identifiable", "posterior",
+    "object", CHECKSUM,
 )  # fmt: skip
 """Entries of the file that `Estimate.record` computes, beside values of unknowns."""
 
@@ -283,6 +285,7 @@ def _posterior_of(stored: Stored, known: Mapping[str, float], level: float) -> P
     """The file's posterior; of files of earlier versions that of their interval of E."""
     if stored.posterior is not None:
         base = Theta(**stored.theta) if stored.theta else None
+        base = base and base.with_offsets(stored.marker_offsets or ())
         # files of earlier versions are of one recording
         own = [{}] if stored.recordings is None else [r.theta for r in stored.recordings]
         bases = [base.with_values(theta) for theta in own] if base else []
