@@ -103,13 +103,18 @@ def aside(scene: LiftScene, frames: Array, offsets: Array) -> Array:
 
 
 @functools.lru_cache(maxsize=64)
-def axis_beside(scene: LiftScene, offsets: Offsets) -> Array:
-    """[n, 3] the axis in the first frame, of which markers are beside [m]."""
+def axis_beside(scene: LiftScene, offsets: Offsets, longer: float) -> Array:
+    """[n, 3] the axis in the first frame, which is so many times as long as stated and of which
+    markers are beside [m]."""
     index, weight = scene.markers
     shown, x = scene.recording.frame(scene.begins).astype(float), scene.initial
-    off = np.asarray(offsets)
-    for _ in range(2):  # frames are those of the axis
-        frames = material_frames(scene, x[None, None], [scene.begins])[0, 0]
-        moved = np.einsum("mk,mka->ma", weight, aside(scene, frames, off)[index])
-        x = rod_near(scene.size, shown - moved, (index * weight).sum(axis=1), len(x))
+    if not offsets and longer == 1.0:
+        return x
+    moved = np.zeros_like(shown)
+    for _ in range(2 if offsets else 1):  # frames are those of the axis
+        if offsets:
+            frames = material_frames(scene, x[None, None], [scene.begins])[0, 0]
+            by = aside(scene, frames, np.asarray(offsets))
+            moved = np.einsum("mk,mka->ma", weight, by[index])
+        x = rod_near(longer * scene.size, shown - moved, (index * weight).sum(axis=1), len(x))
     return x

@@ -91,8 +91,8 @@ class WorldInputs:
     def of(cls, scene: LiftScene, theta: Theta) -> WorldInputs:
         """Of a scene with these parameters."""
         inputs = cls(scene=scene, positions=scene.initial)
-        if scene.beside and theta.offsets:
-            inputs.positions = axis_beside(scene, theta.offsets)
+        if scene.beside:
+            inputs.positions = axis_beside(scene, theta.offsets, theta.length_ratio)
         for name, unknown in UNKNOWNS.items():
             if unknown.on_replay is not None:
                 unknown.on_replay(inputs, theta[name])
@@ -278,6 +278,7 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
         stiffness=_stacked([w.stiffness for w in worlds], len(scene.initial)),
         mass=_stacked([w.mass for w in worlds], len(scene.initial)),
         natural_curvature=[w.natural_curvature for w in worlds] if scene.curved else 1.0,
+        stretch=[theta.length_ratio for theta in thetas] if scene.beside else 1.0,
         positions=np.stack([w.positions for w in worlds]),
         start_time=begin,
         physics=Physics(

@@ -206,6 +206,12 @@ UNKNOWNS: dict[str, Unknown] = {
             log=True, low=0.1, high=10.0, mean=2.0, sd=0.7, step=0.1, widest=0.7, default=1.0,
             kinds=("rope",), material=True, above=0.0, form=".2f", on_replay=_sets("air_drag"),
         ),
+        # a line through markers in zigzag is longer, one through few is shorter
+        Unknown(
+            "length_ratio", "length / stated", "1", "length of a cable over the stated one",
+            log=True, low=0.9, high=1.1, mean=1.0, sd=0.02, step=0.002, widest=0.02,
+            kinds=("rope",), material=True, above=0.0,
+        ),
         *(_clamp(end, across) for end in (0, 1) for across in (0, 1)),
         # a rope is clamped as it comes: half a turn more or less
         Unknown(

@@ -141,6 +141,7 @@ class Setting(Physics):
     stiffness: ArrayLike
     mass: ArrayLike
     natural_curvature: ArrayLike
+    stretch: ArrayLike
     positions: ArrayLike
     start_time: float
     dtype: str

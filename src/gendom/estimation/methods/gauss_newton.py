@@ -50,7 +50,8 @@ class GaussNewtonSettings:
     """What differs between searches; defaults are those of ropes; `of` has those of cloths."""
 
     leading: tuple[str, ...] = (
-        "E_over_rho", "damping", "grip_turn", "tip_mass", "air_drag", *CLAMPS,
+        "E_over_rho", "damping", "grip_turn", "tip_mass", "air_drag",
+        "length_ratio", *CLAMPS,
     )  # fmt: skip
     """Unknowns that are free in the coarse stage, so that the others do not absorb their effect.
     None: all."""
