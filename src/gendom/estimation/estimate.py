@@ -104,7 +104,7 @@ def _searched(problem: Problem, search: Callable[[Problem], Found]) -> tuple[Pro
         problem.settings = replace(problem.settings, starts=1, max_iterations=2)
     found = search(problem)
     while problem.settings.method == "gauss-newton" and not (found.interrupted or refused):
-        finer = problem.finer(found.best.vector)
+        finer = problem.finer(found.best.vector).beside(found)
         if finer is problem:
             return problem, _searched_widely(problem, found)
         problem, found = finer, refined(finer, found)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gendom.arguments import require
 from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons, NoiseModel, Observation
-from gendom.estimation.replay import Shape, middle, replay
+from gendom.estimation.replay import Shape, middle, replay_axis
 from gendom.estimation.scene import LiftScene
 from gendom.estimation.scene_settings import (
     COARSE_FRAMES,
@@ -34,6 +34,10 @@ SIZES_OF_OBJECT = (
     "length", "diameter", "diameter_sd", "width", "height", "thickness", "thickness_sd", "mass",
 )  # fmt: skip
 """Fields of an object's description that all of its recordings share."""
+
+PLACED, MOST_PLACED = 5e-4, 3
+"""Change of markers' places beside an axis that does not count, root mean square [m], and how often
+they are looked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,6 +234,8 @@ class Problem:
             for k, (scene, (prior, base)) in enumerate(zip(scenes, believed, strict=True))
         )
         self._on_progress = on_progress
+        self.placed = 0
+        """How often markers were found beside the axis."""
 
     @property
     def scene(self) -> LiftScene:
@@ -266,6 +272,22 @@ class Problem:
         if all(s is p.scene for p, s in both):
             return self
         return self._with([replace(p, scene=s) for p, s in both])
+
+    def beside(self, found: Found) -> Problem:
+        """The same with the markers of a cable as far beside its axis as was found, in the mean of
+        its recordings; itself where they are already."""
+        compared = found.best.comparison
+        assert compared is not None
+        own = zip(compared.parts, found.noise, strict=True)
+        seen = [c.beside(c.fit(noise).a) for c, noise in own if c.observation.scene.beside]
+        if not seen:
+            return self
+        mean = np.mean(seen, axis=0)
+        before = np.asarray(self.parts[0].base.offsets or np.zeros_like(mean))
+        if np.sqrt(np.mean((mean - before) ** 2)) < PLACED or self.placed == MOST_PLACED:
+            return self
+        parts = [replace(p, base=p.base.with_offsets(mean)) for p in self.parts]
+        return self._with(parts, placed=self.placed + 1)
 
     def with_unknown(self, name: str) -> Problem:
         """The same of one recording with one more unknown, the last one."""
@@ -306,10 +328,10 @@ class Problem:
             self._on_progress(told)
 
     def positions(self, vectors: Sequence[Array], recording: int = 0) -> Array:
-        """[T, W, N, 3] positions in a recording at transformed parameters, NaN where a world
-        diverges [m]."""
+        """[T, W, N, 3] positions in a recording at transformed parameters, of a cable its axis, NaN
+        where a world diverges [m]."""
         thetas = [self.theta(v, recording) for v in vectors]
-        return replay(self.parts[recording].scene, thetas, keep_going=True)
+        return replay_axis(self.parts[recording].scene, thetas, keep_going=True)
 
     def compare(
         self,
@@ -356,7 +378,9 @@ class Problem:
                 J = np.zeros((*here.shape, len(widens)))
                 J[..., moved] = change / h[which] @ back.T
                 widens[moved] = back @ ((r[1:] - r[0]) / h[which])
-                found.append(Comparison(part.observation, here, J, float(r[0]), widens))
+                found.append(
+                    Comparison(part.observation, here, J, float(r[0]), widens, part.base.offsets)
+                )
             columns.append(found)
         return [self.joined(row) for row in zip(*columns, strict=True)]
 
@@ -368,7 +392,7 @@ class Problem:
         where a world diverges."""
         part = self.parts[recording]
         thetas = [self.theta(v, recording) for row in worlds for v in row]
-        m = middle(few, replay(few, thetas, keep_going=True))
+        m = middle(few, replay_axis(few, thetas, keep_going=True))
         rows = np.split(m, np.cumsum([len(row) for row in worlds])[:-1], axis=1)
         shapes = [own[:, 0] for own in rows]
         changes = [np.moveaxis(own[:, 1:] - own[:, :1], 1, -1) for own in rows]

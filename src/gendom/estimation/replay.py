@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation, Slerp
 
+from gendom.estimation.markers import aside, axis_beside, material_frames
 from gendom.estimation.scene import STATIC_SETTLING, LiftScene
 from gendom.estimation.scene_settings import COARSE_POINTS
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
@@ -84,6 +85,8 @@ class WorldInputs:
     def of(cls, scene: LiftScene, theta: Theta) -> WorldInputs:
         """Of a scene with these parameters."""
         inputs = cls(scene=scene, positions=scene.initial)
+        if scene.beside:
+            inputs.positions = axis_beside(scene, theta.offsets, theta.length_ratio)
         for name, unknown in UNKNOWNS.items():
             if unknown.on_replay is not None:
                 unknown.on_replay(inputs, theta[name])
@@ -269,6 +272,7 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
         stiffness=_stacked([w.stiffness for w in worlds], len(scene.initial)),
         mass=_stacked([w.mass for w in worlds], len(scene.initial)),
         natural_curvature=[w.natural_curvature for w in worlds] if scene.curved else 1.0,
+        stretch=[theta.length_ratio for theta in thetas] if scene.beside else 1.0,
         positions=np.stack([w.positions for w in worlds]),
         start_time=begin,
         physics=Physics(
@@ -295,7 +299,8 @@ def replay(
     keep_going: bool = False,
     on_frame: Callable[[int], None] | None = None,
 ) -> Array:
-    """[T, W, N, 3] particles, or points of a rod or shell, at the frames of a scene [m].
+    """[T, W, N, 3] particles, or points of a rod or shell, at the frames of a scene [m]; of a cable
+    with markers beside its axis the line through these.
 
     Args:
         scene: What was recorded.
@@ -306,6 +311,22 @@ def replay(
     Raises:
         SimulationError: A world diverges, and `keep_going` is not set.
     """
+    x = replay_axis(scene, thetas, keep_going=keep_going, on_frame=on_frame)
+    for w, offsets in enumerate(theta.offsets for theta in thetas):
+        if scene.beside and offsets and np.isfinite(x[:, w]).all():
+            frames = material_frames(scene, x[:, w : w + 1])
+            x[:, w] += aside(scene, frames[:, 0], np.asarray(offsets))
+    return x
+
+
+def replay_axis(
+    scene: LiftScene,
+    thetas: Sequence[Theta],
+    *,
+    keep_going: bool = False,
+    on_frame: Callable[[int], None] | None = None,
+) -> Array:
+    """As `replay`, of a cable its axis."""
     simulator, times = simulator_of(scene, thetas)
     x = simulator.run(times, keep_going=keep_going, on_frame=on_frame).astype(float)
     # a thicker object lies higher: its table is raised and its grippers are lowered

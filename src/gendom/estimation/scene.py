@@ -201,6 +201,19 @@ class LiftScene(Placed):
         return self.ordered and not self.static
 
     @property
+    def beside(self) -> bool:
+        """Whether markers move between two hands: they may be beside the axis."""
+        return self.captured and len(self.held) > 1
+
+    @cached_property
+    def markers(self) -> tuple[NDArray[np.intp], Array]:
+        """[m, 2] points of a rope around markers between two hands, and their shares."""
+        assert self.places is not None
+        index = np.clip(self.places.astype(int), 0, len(self.initial) - 2)
+        share = self.places - index
+        return np.stack([index, index + 1], axis=1), np.stack([1.0 - share, share], axis=1)
+
+    @property
     def by_corner(self) -> bool:
         """Whether it is a cloth held by a corner."""
         return self.kind == "cloth" and self.recording.object.grasp == "corner"
@@ -431,7 +444,7 @@ class LiftScene(Placed):
             (not self.quasi_static, ("damping",)),
             # markers are seen by what sees the hands that hold them
             (not self.static and not self.ordered, ("delay",)),
-            (swinging, CLAMPS),
+            (swinging, ("length_ratio", *CLAMPS)),
             (drag, ("air_drag",)),
             (not two and rope and self.thin, ("grip_turn",)),
             (not rope, ("warp_over_weft",)),

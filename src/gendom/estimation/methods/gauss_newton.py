@@ -7,9 +7,7 @@ cloth with several dampings and once by the object's own unknowns alone: the set
 changes in jumps, and those unknowns do not cause any. In the coarse stage only the most influential
 unknowns are free, clouds are not registered, and frames with fast motion are left out where enough
 others are left. In the fine stage, about the best start's result, everything is free, the model's
-displacement is registered, and noise and displacement are estimated in turns with steps. Of a
-motion capture displacement is left out until the end: it would take the place of how clamps hold
-and of the air.
+displacement is registered, and noise and displacement are estimated in turns with steps.
 """
 
 from __future__ import annotations
@@ -58,7 +56,8 @@ class GaussNewtonSettings:
     """What differs between searches; defaults are those of ropes; `of` has those of cloths."""
 
     leading: tuple[str, ...] = (
-        "E_over_rho", "damping", "grip_turn", "tip_mass", "air_drag", *CLAMPS,
+        "E_over_rho", "damping", "grip_turn", "tip_mass", "air_drag",
+        "length_ratio", *CLAMPS,
     )  # fmt: skip
     """Unknowns that are free in the coarse stage, so that the others do not absorb their effect.
     None: all."""
@@ -185,13 +184,7 @@ def _fine_stage(
     while iteration < most:
         iteration += 1
         assert best.comparison is not None
-        if problem.captured:
-            noise = tuple(
-                replace(n, sensor=max(c.rms, n.least_sensor), model=n.least_model)
-                for n, c in zip(noise, best.comparison.parts, strict=True)
-            )
-        else:
-            noise = estimated_noise(best.comparison, noise)
+        noise = estimated_noise(best.comparison, noise)
         best.value = problem.value(best.vector, best.comparison, noise)
         best.done = False
         _step(problem, [best], noise, settings.gain[1], settings)
