@@ -88,7 +88,7 @@ $(PLACE):
 	@printf '%s\n' "$(CURDIR)" > $@
 
 $(CORE): $(PLACE) pyproject.toml constraints.txt
-	@echo "installing gendom, its core and MuJoCo (about 300 MB to fetch, 1 to 4 minutes the first time)"
+	@echo "installing gendom, its core and MuJoCo (250 MB to fetch, 0.8 GB on disk, 1 to 4 minutes the first time)"
 	@touch $(INSTALLING)
 	@$(PIP) install -qq -c constraints.txt -e '.[reality]'
 	@rm $(INSTALLING)

@@ -105,6 +105,15 @@ def filled(scene: LiftScene, x: np.ndarray) -> np.ndarray:
     return sheet.reshape(-1, 3)
 
 
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Tests of GPUs skip where there is none."""
+    if item.get_closest_marker("gpu") is not None:
+        import warp as wp
+
+        if not wp.is_cuda_available():
+            pytest.skip("no CUDA device on this machine")
+
+
 @pytest.fixture(scope="session")
 def rope_lift() -> SimulatedLift:
     """A rope of 0.25 m that bends over a third of its length."""

@@ -11,9 +11,7 @@ def test_message_parts():
     error = GendomError("is cut short", where="a\nb\x1b[31m.ply", fix="copy it")
     assert str(error) == r"a\nb\u001b[31m.ply: is cut short; copy it"
     assert len(str(GendomError("x" * 10**6))) < 5000
-
-
-def test_errors_survive_pickling():
+    # errors survive pickling
     simulation = SimulationError("x", fix="y", world=1, time=0.5, parameters={"E": 1.0}, particle=7)
     recording = RecordingError(where="a.npz", faults=["one", "two"])
     for error in (simulation, recording):

@@ -44,6 +44,11 @@ def test_examples_use_public_names():
                 assert module.count(".") <= 1, f"{path.name}: {module}"
                 public = importlib.import_module(module).__all__
                 assert {name.name for name in node.names} <= set(public), f"{path.name}: {module}"
+    # examples are short and say what they show
+    for path in EXAMPLES.glob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        assert len(text.splitlines()) <= 75 and text.startswith('"""'), path.name
+        assert path.stem not in SCRIPTS or " s" in text.split('"""')[1], path.name  # its run time
 
 
 @pytest.mark.slow  # a step of its own in CI
@@ -63,13 +68,6 @@ def test_example_runs(name, tmp_path, monkeypatch):
     made = tmp_path / "made"
     assert {p.name for p in made.glob("*")} == written
     assert {p.name for p in tmp_path.iterdir()} == ({"made"} if written else set())
-
-
-def test_examples_are_short_and_say_what_they_show():
-    for path in EXAMPLES.glob("*.py"):
-        text = path.read_text(encoding="utf-8")
-        assert len(text.splitlines()) <= 75 and text.startswith('"""'), path.name
-        assert path.stem not in SCRIPTS or " s" in text.split('"""')[1], path.name  # its run time
 
 
 NOTEBOOK_NAMES = [path.name for path in sorted(NOTEBOOKS.glob("*.ipynb"))]

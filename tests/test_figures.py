@@ -37,17 +37,13 @@ def test_pages_state_what_was_measured(figures, stored):
     for page in figures.PAGES:
         text = page.read_text(encoding="utf-8")
         assert figures.made(text, stored) == text, f"{page.name}: numbers were edited by hand"
-
-
-def test_a_number_that_was_edited_is_found(figures, stored):
+    # a number that was edited is found
     text = figures.PAGES[1].read_text(encoding="utf-8")
     number = re.search(r"bending length \| (0\.\d+) m", text)
     assert number is not None
     edited = text[: number.start(1)] + "0.999" + text[number.end(1) :]
     assert figures.made(edited, stored) == text != edited
-
-
-def test_every_block_has_a_page_and_every_figure_a_line(figures, stored):
+    # every block has a page and every figure a line
     pages = "".join(page.read_text(encoding="utf-8") for page in figures.PAGES)
     template = figures.TEMPLATES.read_text(encoding="utf-8")
     blocks = [[m[2] for m in figures.BLOCK.finditer(text)] for text in (pages, template)]
@@ -119,9 +115,7 @@ def test_tolerances_are_of_the_smaller_number_and_fixed(figures):
     assert not figure.agrees("x", 2.0, 4.1) and not figure.agrees("rows", 2.0, 3.0)
     near = replace(figure, relative=0.05, absolute=0.1)
     assert near.agrees("x", 0.0, -0.1) and not near.agrees("x", 0.0, 0.11)
-
-
-def test_numbers_are_found_in_tables_and_behind_text(figures):
+    # numbers are found in tables and behind text
     numbers = dict(figures.leaves({"table": "| a | 1.5 x (1 to 2) |", "list": [3.0, {"b": 4.0}]}))
     assert numbers == {"table.0": 1.5, "table.1": 1, "table.2": 2, "list.0": 3.0, "list.1.b": 4.0}
     figure = figures.Figure("n", "", lambda found: {"a": found["a"]})

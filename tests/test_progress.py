@@ -4,10 +4,7 @@ import io
 import pty
 import re
 import termios
-import time
 from contextlib import contextmanager, redirect_stderr
-
-import pytest
 
 from gendom import progress
 from gendom.progress import bar, each, silence
@@ -42,21 +39,6 @@ def test_iterations_are_counted_and_the_last_line_is_full():
     assert " 0%|" in lines[0]
     assert re.match(r"estimating: 100%\|[█#]+\| iteration 4/4, 00:00, E/rho.*mm off$", lines[-1])
     assert all(len(line) <= 80 for line in lines)
-
-
-def test_rates_count_what_is_done_now():
-    with terminal() as lines, bar("rope-casting-at-speed", 40_000, "demo", even=True) as show:
-        show(39_000)
-        time.sleep(0.2)
-        show(40_000)
-    assert re.search(r"[█#]\| demo 40000/40000, \d{4}.\d\d demo/s, 00:00 left$", lines[-1])
-    assert all(len(line) <= 80 and "%/s" not in line for line in lines)
-
-
-def test_an_error_leaves_no_full_bar():
-    with terminal() as lines, pytest.raises(KeyboardInterrupt), bar("acting", 4, "action"):
-        raise KeyboardInterrupt
-    assert "acting:   0%|" in lines[0] and "100%" not in "".join(lines)
 
 
 def test_nothing_shows_where_it_is_not_wanted():

@@ -1,7 +1,5 @@
 """What objects say of themselves."""
 
-import inspect
-
 import pytest
 
 from gendom.datasets import ObjectDescription, Recording
@@ -38,10 +36,3 @@ def test_objects_are_short_and_useful(made, says):
     assert text.startswith(type(item).__name__) and len(text.splitlines()) <= 8
     for words in says:
         assert words in text and words in page
-
-
-@pytest.mark.parametrize("shown", [Simulator, Simulator.run, Recording.from_frames, Policy.act])
-def test_signatures_fit_a_screen(shown):
-    """NumPy's own types are named, not spelt out."""
-    text = str(inspect.signature(shown))
-    assert "numpy._typing" not in text and len(text) < 1500

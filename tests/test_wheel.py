@@ -78,24 +78,18 @@ def test_the_wheel_has_every_file_of_the_package(wheel):
     assert not [name for name in names if name.startswith(("tests", "docs", "src"))]
 
 
-def test_it_is_not_a_clone(gendom):
+def test_the_program_works_without_a_clone(gendom, place):
     assert gendom("--version") == f"gendom {__version__}\n"
     assert "usage: gendom COMMAND" in gendom("--help")
-
-
-def test_policies_and_materials_are_there(gendom):
+    # policies and materials are there
     policies = json.loads(gendom("policies", "--json"))["policies"]
     assert "rope-casting" in {policy["task"] for policy in policies}
     assert "cotton-rope: soft braided" in gendom("materials", "cotton-rope")
-
-
-def test_it_acts(gendom):
+    # it acts
     rope = "--length 0.5 --diameter 0.012 --E 1e6 --density 900 --nu 0.35"
     told = gendom("act", "rope-casting", "--goal", "0.35", "0.07", *rope.split(), "--force")
     assert re.search(r"\d", told)
-
-
-def test_it_reads_the_recording_that_it_brings(place, gendom):
+    # it reads the recording that it brings
     code = "from importlib.resources import files; print(files('gendom') / 'assets')"
     assets = Path(run(place / "venv/bin/python", "-c", code, cwd=place).strip())
     assert assets.is_relative_to(place)
@@ -117,3 +111,11 @@ def test_a_core_installation_is_small(place, capsys):
     with capsys.disabled():
         print(f"\n{1e-6 * sum(own.values()):.0f} MB in all: {told}")
     assert beside < LARGEST, f"{1e-6 * beside:.0f} MB without Warp: {told}"
+
+
+def test_the_demo_runs_without_extras(place, gendom):
+    """The action in our own simulator; how to get the second reality is said."""
+    told = gendom("demo", "--starts", "1")
+    assert "off by: with the estimate" in told and (place / "demo/report.html").exists()
+    page = (place / "demo/report.html").read_text(encoding="utf-8")
+    assert "carried out in our own simulator" in page

@@ -122,8 +122,9 @@ def printable(text: object) -> str:
     return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in str(text))
 
 
-def did_you_mean(word: str, names: Iterable[str]) -> str:
-    """A question that suggests the closest of several names; empty where none is close."""
+def did_you_mean(word: str, names: Iterable[str], *, cutoff: float = 0.5) -> str:
+    """A question that suggests the closest of several names; empty where none is as close as
+    `cutoff`, of 1."""
     known = {name.strip("-").lower(): name for name in names}
-    near = difflib.get_close_matches(word.strip("-").lower(), known, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(word.strip("-").lower(), known, n=1, cutoff=cutoff)
     return f"did you mean {known[near[0]]!r}?" if near else ""

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import shlex
 import subprocess
 import sys
 import types
@@ -171,7 +172,23 @@ def test_closed_pipe_is_quiet(recording):
     assert result.stderr.strip() in ("0", "141")  # 0: it wrote before the reader was gone
 
 
-def test_check_prints_a_summary(recording, capsys):
+def test_a_closed_pipe_does_not_stop_the_work(tmp_path):
+    """More text than a pipe holds, to a reader that has gone; the file comes after it."""
+    code = (
+        "import sys; from gendom import cli; from gendom.cli import policies\n"
+        "def run(_):\n"
+        "    for _ in range(20): print('x' * 20_000)\n"
+        f"    open({str(tmp_path / 'out')!r}, 'w').write('done')\n"
+        "    return 0\n"
+        "policies.Command.run = run\n"
+        "sys.exit(cli.main(['policies']))\n"
+    )
+    line = f"{sys.executable} -c {shlex.quote(code)}; echo $? >&2"
+    told = subprocess.run(["bash", "-c", f"({line}) | true"], capture_output=True, text=True)
+    assert told.stderr.strip() == "0" and (tmp_path / "out").read_text() == "done"
+
+
+def test_check_prints_a_summary(recording, capsys, tmp_path):
     assert cli.main(["check", str(recording)]) == 0
     out, err = capsys.readouterr()
     assert err == ""
@@ -199,9 +216,7 @@ def test_check_prints_a_summary(recording, capsys):
         np.savez(dropped, **file, gripper_closed=np.array([[True], [True], [False], [False]]))
     assert cli.main(["check", str(dropped)]) == 0
     assert "rise 0.03 m, closed in 2 frames\n" in capsys.readouterr().out
-
-
-def test_check_refuses(recording, tmp_path, capsys):
+    # check refuses
     with np.load(recording) as file:
         arrays = dict(file)
     arrays["time"][2] = 0.0

@@ -57,6 +57,10 @@ def test_in_its_own_recording_all_of_an_estimate_is_taken(lifted, params):
     assert dict(theta) == params["theta"] and theta.grip_height > 0.002
     assert scene.recording is lifted and len(scene.frames) == 16
     assert scene.settings.points == 15 and scene.clock == params["simulation"]["clock"]
+    # the estimate's engine is taken or another
+    assert replay_setup(lifted, params, "here", "cpu")[0].thin
+    scene, _ = replay_setup(lifted, params, "here", "cpu", "mpm")
+    assert not scene.thin and scene.settings.points is None
 
 
 def unsealed(params):
@@ -72,12 +76,6 @@ def test_in_another_recording_the_material_is_taken(rope_lift, params):
         assert getattr(theta, name) == params["theta"][name], name
     assert theta.grip_height == pytest.approx(-0.003, abs=0.0015)
     assert "found anew in this recording: grip height, grip along, delay, grip turn" in scene.notes
-
-
-def test_the_estimate_s_engine_is_taken_or_another(lifted, params):
-    assert replay_setup(lifted, params, "here", "cpu")[0].thin
-    scene, _ = replay_setup(lifted, params, "here", "cpu", "mpm")
-    assert not scene.thin and scene.settings.points is None
 
 
 def test_what_is_not_usable_is_refused(files, params, tmp_path, capsys):

@@ -52,7 +52,7 @@ def lift_model(rope_lift, lifted):
 # ---- recordings ----------------------------------------------------------------------------------
 
 
-def test_the_object_comes_after_the_clouds_and_then_its_distance(lift_model, lifted):
+def test_a_recording_is_shown_beside_its_simulation(lift_model, lifted):
     found, scene = layers(lift_model.initial), lift_model.scene
     assert list(found) == ["recorded", "gripper"]
     np.testing.assert_array_equal(found["recorded"].points[3], lifted.frame(3))
@@ -64,20 +64,14 @@ def test_the_object_comes_after_the_clouds_and_then_its_distance(lift_model, lif
     assert before.chamfer is None
     np.testing.assert_allclose(after.chamfer, chamfers(scene, x, lift_model.theta)[0])
     assert dict(after.facts)["bending length"].endswith(" mm")
-
-
-def test_the_skin_of_a_rope_is_closed_and_faces_outwards(lift_model):
-    """Its volume is that of a tube of eight sides, positive."""
+    # the skin of a rope is closed and faces outwards
     body = lift_model.scene.body
     rope = layers(shown(lift_model)[0])["simulated"]
     a, b, c = np.moveaxis(rope.points[5][rope.faces], 1, 0)
     volume = np.sum(a * np.cross(b, c)) / 6.0
     octagon = 0.5 * RING * np.sin(2.0 * np.pi / RING) * (0.5 * body.thickness) ** 2
     assert volume == pytest.approx(octagon * lift_model.scene.size, rel=0.1)
-
-
-def test_sliders_change_the_motion(lift_model):
-    """A softer rope hangs lower in the last frame, and is farther from the clouds."""
+    # sliders change the motion
     true, soft = shown(lift_model)[-1], shown(lift_model, E_over_rho=20.0)[-1]
     heights = [layers(s)["simulated"].points[-1][:, 2].mean() for s in (true, soft)]
     assert heights[1] < heights[0] - 0.005
@@ -101,34 +95,22 @@ def test_parameters_are_those_that_a_recording_is_searched_for(lift_model, rope_
     assert "friction" not in {p.name for p in made}
 
 
-def test_a_cloth_is_a_lattice(cloth_lift):
+def test_unknown_objects_particles_and_cloths_are_shown(lifted, cloth_lift):
+    model = RecordingModel.of(lifted, "a lift")
+    assert len(model.scene.frames) == lifted.num_frames
+    p = next(p for p in model.parameters(0) if p.name == "E_over_rho")
+    assert p.value == pytest.approx(np.sqrt(p.low * p.high))
+    # particles are shown as a chain
+    scene = LiftScene.of(lifted.head(2), SceneSettings(engine="mpm"))
+    rope = layers(shown(RecordingModel(scene, Theta(E_over_rho=700.0), ""))[0])["simulated"]
+    assert rope.kind == "lines" and len(rope.points) == 2
+    # a cloth is a lattice
     seen = cloth_lift.at_rest(4)
     model = RecordingModel(LiftScene.of(seen, cloth_lift.settings), cloth_lift.truth, "")
     cloth = layers(shown(model)[0])["simulated"]
     rows, columns = model.scene.body.shape
     assert len(cloth.faces) == 2 * (rows - 1) * (columns - 1)
     assert "yaw" in {p.name for p in model.parameters(0)}
-
-
-def test_an_unknown_object_begins_in_the_middle(lifted):
-    model = RecordingModel.of(lifted, "a lift")
-    assert len(model.scene.frames) == lifted.num_frames
-    p = next(p for p in model.parameters(0) if p.name == "E_over_rho")
-    assert p.value == pytest.approx(np.sqrt(p.low * p.high))
-
-
-def test_particles_are_shown_as_a_chain(lifted):
-    scene = LiftScene.of(lifted.head(2), SceneSettings(engine="mpm"))
-    rope = layers(shown(RecordingModel(scene, Theta(E_over_rho=700.0), ""))[0])["simulated"]
-    assert rope.kind == "lines" and len(rope.points) == 2
-
-
-def test_a_simulation_can_be_given_up(lift_model):
-    def go_on():
-        raise TimeoutError
-
-    with pytest.raises(TimeoutError):
-        list(lift_model.simulate(0, first_values(lift_model), go_on))
 
 
 # ---- estimates -----------------------------------------------------------------------------------
@@ -193,10 +175,7 @@ def test_a_demonstration_is_simulated_as_it_was(casts_model):
     assert list(layers(after)) == ["object", "gripper", "goal"]
     assert len(after.times) <= FRAMES and after.times[0] == 0.0
     assert re.search(r"missed by (0|\d\S*e-\d\d) m", dict(after.facts)["goal"])
-
-
-def test_another_action_and_stiffness_go_elsewhere(casts_model):
-    """Sliders stay within what was drawn."""
+    # another action and stiffness go elsewhere
     own, values = shown(casts_model)[0], first_values(casts_model)
     stiff = shown(casts_model, E_over_rho=3.0 * values["E_over_rho"])[0]
     farther = shown(casts_model, way=0.22)[0]

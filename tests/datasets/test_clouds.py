@@ -236,9 +236,7 @@ def test_an_old_and_short_header(tmp_path):
     (tmp_path / "a.pcd").write_bytes(head + b"1 2 3\r\n")
     found = read_pcd(tmp_path / "a.pcd")
     assert found.dtype == np.float32 and found.tolist() == [[1.0, 2.0, 3.0]]
-
-
-def test_capital_and_small_letters_and_comments_in_any_encoding(tmp_path):
+    # capital and small letters and comments in any encoding
     head = pcd("ASCII", FIELDS="rgb X normal Y Z", TYPE="u f f F f")
     head = head.replace(b"# by", "# \u00c5ngstr\u00f6m\x0b\x0c \u0085by".encode())
     (tmp_path / "a.pcd").write_bytes(head + text(rows(CLOUD)).replace(b"5.0", b"-nan(ind)"))

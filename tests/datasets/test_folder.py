@@ -36,6 +36,22 @@ def test_folder_equals_the_recording(lift, folder):
     assert (recording.object.length, recording.object.mass) == (0.4, 0.02)
     assert recording.table_height == 0.0 and not recording.quasi_static
     assert recording.extra == {"operator": "nobody"}
+    # recordings among the clouds are left alone
+    lift.write(folder / "recording.npz")
+    assert Recording.read(folder).num_frames == 5
+    # keys below the table count too
+    path = folder / "object.toml"
+    path.write_text(
+        '[object]\nkind = "rope"\nlength = 0.4\ntable_height = -0.1\nquasi_static = true'
+    )
+    recording = Recording.read(folder)
+    assert recording.table_height == -0.1 and recording.quasi_static
+    assert recording.object.extra == {}
+    # missing table height is a warning
+    (folder / "object.toml").write_text('[object]\nkind = "rope"\nlength = 0.4\n')
+    faults = []
+    assert Recording.read(folder, on_warning=faults.append).table_height is None
+    assert [fault.where for fault in faults] == ["table_height"]
 
 
 def as_pcd(path, cloud):
@@ -64,22 +80,6 @@ def test_clouds_in_other_formats(lift, folder, suffix, write, capsys):
     assert err.startswith(f"gendom check: {path}: is ") and err.count("\n") == 1
 
 
-def test_recordings_among_the_clouds_are_left_alone(lift, folder):
-    lift.write(folder / "recording.npz")
-    assert Recording.read(folder).num_frames == 5
-
-
-def test_keys_below_the_table_count_too(folder):
-    """TOML gives every key below [object] to that table."""
-    path = folder / "object.toml"
-    path.write_text(
-        '[object]\nkind = "rope"\nlength = 0.4\ntable_height = -0.1\nquasi_static = true'
-    )
-    recording = Recording.read(folder)
-    assert recording.table_height == -0.1 and recording.quasi_static
-    assert recording.object.extra == {}
-
-
 def test_two_grippers_and_when_each_is_closed(folder):
     rows = ["time,x0,y0,z0,x1,y1,z1,closed0,closed1"]
     rows += [f"{0.1 * t},0.4,0,{0.01 * t},0,0,0,1,{int(t < 2)}" for t in range(5)]
@@ -88,20 +88,6 @@ def test_two_grippers_and_when_each_is_closed(folder):
     assert recording.gripper_position.shape == (5, 2, 3) and recording.gripper_axis is None
     assert recording.gripper_position[4].tolist() == [[0.4, 0.0, 0.04], [0.0, 0.0, 0.0]]
     assert recording.holds.T.tolist() == [[True] * 5, [True, True, False, False, False]]
-
-
-def test_when_the_gripper_is_closed(folder):
-    add_closed(1, 1, 1, 0, 0)(folder)
-    recording = Recording.read(folder)
-    assert recording.gripper_axis is not None
-    assert recording.holds[:, 0].tolist() == [True, True, True, False, False]
-
-
-def test_missing_table_height_is_a_warning(folder):
-    (folder / "object.toml").write_text('[object]\nkind = "rope"\nlength = 0.4\n')
-    faults = []
-    assert Recording.read(folder, on_warning=faults.append).table_height is None
-    assert [fault.where for fault in faults] == ["table_height"]
 
 
 def rewrite(name, old, new):

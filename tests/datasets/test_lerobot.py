@@ -76,9 +76,7 @@ def test_every_demonstration_that_did_not_fail_is_an_episode(made):
     assert episodes["demonstration"].to_pylist() == [row["demonstration"] for row in kept]
     assert episodes["outcome/sideways"].to_pylist() == [row["sideways"] for row in kept]
     assert json.loads((made[1] / "meta/gendom.json").read_text()) == read_description(made[0])
-
-
-def test_what_describes_the_frames_agrees_with_them(made):
+    # what describes the frames agrees with them
     info = json.loads((made[1] / "meta/info.json").read_text())
     frames, episodes = (pq.read_table(made[1] / name) for name in (DATA, EPISODES))
     assert info["codebase_version"] == "v3.0"
@@ -103,9 +101,7 @@ def test_what_describes_the_frames_agrees_with_them(made):
     assert episodes["tasks"].to_pylist() == [["rope-reaching"]] * 9
     tasks = pq.read_table(made[1] / "meta/tasks.parquet")
     assert tasks.to_pylist() == [{"task_index": 0, "task": "rope-reaching"}]
-
-
-def test_statistics(made):
+    # statistics
     frames, episodes = (pq.read_table(made[1] / name) for name in (DATA, EPISODES))
     stats = json.loads((made[1] / "meta/stats.json").read_text())
     assert set(stats) == set(frames.column_names)
@@ -141,7 +137,7 @@ def test_a_set_that_only_failed_is_refused(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_the_command(made, tmp_path, capsys):
+def test_the_command(made, tmp_path, capsys, lift):
     words = ["export", str(made[0]), "--out"]
     assert cli.main([*words, str(tmp_path / "new")]) == 0
     out = capsys.readouterr().out
@@ -155,14 +151,11 @@ def test_the_command(made, tmp_path, capsys):
     assert cli.main([*words, str(tmp_path / "more"), "--to", "json"]) == 2
     assert cli.main(["export", str(tmp_path / "none"), "--out", str(tmp_path / "more")]) == 2
     assert "no such folder" in capsys.readouterr().err
-
-
-def test_the_command_of_recordings(lift, tmp_path, capsys):
-    """The other direction is `gendom check`."""
+    # the command of recordings
     lift.write(tmp_path / "lift.npz")
-    assert cli.main(["export", str(tmp_path / "lift.npz"), "--out", str(tmp_path / "out")]) == 0
+    assert cli.main(["export", str(tmp_path / "lift.npz"), "--out", str(tmp_path / "lift")]) == 0
     assert "gripper0.position.x [m]" in capsys.readouterr().out
-    assert cli.main(["check", str(tmp_path / "out")]) == 0
+    assert cli.main(["check", str(tmp_path / "lift")]) == 0
     assert "points    20 to 24 a frame" in capsys.readouterr().out
 
 

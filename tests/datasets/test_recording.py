@@ -51,6 +51,20 @@ def test_the_file_keeps_everything_in_the_documented_types(lift, tmp_path):
         own, other = getattr(lift, field.name), getattr(again, field.name)
         np.testing.assert_array_equal(own, other)
         assert getattr(own, "dtype", None) == getattr(other, "dtype", None)
+    # sizes that are not known may be null
+    arrays, meta = stored(lift, tmp_path)
+    meta["object"] = {"kind": "cloth", "width": 0.3, "height": 0.3, "thickness": None}
+    expected = ObjectDescription(kind="cloth", width=0.3, height=0.3, grasp="corner")
+    assert Recording.read(save(tmp_path / "cloth.npz", arrays, meta)).object == expected
+    # a file keeps which cameras saw a point
+    seen = replace(lift, seen_by=np.where(np.arange(len(lift.points)) % 2, 1, 2).astype(np.uint8))
+    seen.write(tmp_path / "lift.npz")
+    again = Recording.read(tmp_path / "lift.npz")
+    np.testing.assert_array_equal(again.seen_by, seen.seen_by)
+    few = again.head(3).seen_by
+    assert few is not None and len(few) == seen.offsets[3]
+    with pytest.raises(RecordingError, match="seen_by: has 5 entries for"):
+        replace(seen, seen_by=np.ones(5, dtype=np.uint8))
 
 
 def test_a_write_that_fails_leaves_the_old_file(lift, tmp_path, monkeypatch):
@@ -86,6 +100,10 @@ def test_frames_and_head(lift):
     for n in (0, 6):
         with pytest.raises(RecordingError, match="choose 1 to 5"):
             lift.head(n)
+    # from frames says which cloud is wrong
+    with pytest.raises(RecordingError, match=r"frame 1: has shape \[4, 2\]; give \[n, 3\]"):
+        clouds, taken = [np.zeros((4, 3)), np.zeros((4, 2))], {"gripper_position": np.zeros((2, 3))}
+        Recording.from_frames(clouds, time=np.arange(2.0), object=lift.object, **taken)
 
 
 def test_the_digest_tells_recordings_apart(lift, tmp_path):
@@ -131,12 +149,6 @@ def test_when_the_gripper_was_closed_is_kept(lift, tmp_path):
     for recording in (dropped, Recording.read(tmp_path / "good.npz", on_warning=lambda _: None)):
         assert recording.holds[:, 0].tolist() == closed
     assert dropped.head(4).holds[:, 0].tolist() == closed[:4]
-
-
-def test_from_frames_says_which_cloud_is_wrong(lift):
-    with pytest.raises(RecordingError, match=r"frame 1: has shape \[4, 2\]; give \[n, 3\]"):
-        clouds, taken = [np.zeros((4, 3)), np.zeros((4, 2))], {"gripper_position": np.zeros((2, 3))}
-        Recording.from_frames(clouds, time=np.arange(2.0), object=lift.object, **taken)
 
 
 @pytest.mark.parametrize("name", ["lift.mcap", "lift.db3", "lift.bag", "bag/metadata.yaml"])
@@ -277,13 +289,6 @@ def test_fault_in_meta(lift, tmp_path, where, changes, line):
     assert told.startswith(line) and "; " in told
 
 
-def test_sizes_that_are_not_known_may_be_null(lift, tmp_path):
-    arrays, meta = stored(lift, tmp_path)
-    meta["object"] = {"kind": "cloth", "width": 0.3, "height": 0.3, "thickness": None}
-    expected = ObjectDescription(kind="cloth", width=0.3, height=0.3, grasp="corner")
-    assert Recording.read(save(tmp_path / "cloth.npz", arrays, meta)).object == expected
-
-
 def test_warnings_do_not_prevent_reading(lift, tmp_path, caplog):
     """An empty frame is kept and marked; a cloud too wide and a slipped grip are told."""
     arrays, meta = stored(lift, tmp_path)
@@ -364,6 +369,18 @@ def test_another_axis_that_points_up_is_named(up, height):
     assert (
         np.ptp(cured[:400, 2]) < 0.1 and np.linalg.det(np.linalg.lstsq(of["points"], cured)[0]) > 0
     )
+
+
+@pytest.mark.parametrize("where", ["object.lenght", "table_hight"])
+def test_a_misspelt_key_is_named(lift, tmp_path, where):
+    """Others that nothing reads are kept."""
+    arrays, meta = stored(lift, tmp_path)
+    right = {"object.lenght": "length", "table_hight": "table_height"}[where]
+    inner = meta["object"] if "." in where else meta
+    inner[where.rpartition(".")[2]] = inner.pop(right)
+    meta["object"]["colour"] = meta["batch"] = "red"
+    lines = refusal(save(tmp_path / "bad.npz", arrays, meta))
+    assert f"{where}: is read by nothing; did you mean '{right}'?" in lines
 
 
 def test_times_since_1970_in_half_the_digits_are_named(lift, tmp_path):
@@ -463,17 +480,6 @@ def test_clouds_in_another_order_are_refused(lift, order):
     places = np.random.default_rng(0).permutation(20) if order == "shuffled" else range(20)[::-1]
     fault = Recording.from_frames([clouds[k] for k in places], **taken).validate()[0]
     assert fault.severity == "error" and "lie at its place of another time" in str(fault)
-
-
-def test_a_file_keeps_which_cameras_saw_a_point(lift, tmp_path):
-    seen = replace(lift, seen_by=np.where(np.arange(len(lift.points)) % 2, 1, 2).astype(np.uint8))
-    seen.write(tmp_path / "lift.npz")
-    again = Recording.read(tmp_path / "lift.npz")
-    np.testing.assert_array_equal(again.seen_by, seen.seen_by)
-    few = again.head(3).seen_by
-    assert few is not None and len(few) == seen.offsets[3]
-    with pytest.raises(RecordingError, match="seen_by: has 5 entries for"):
-        replace(seen, seen_by=np.ones(5, dtype=np.uint8))
 
 
 # ---- shapes at rest --------------------------------------------------------------------------

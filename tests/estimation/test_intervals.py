@@ -1,5 +1,6 @@
 """Posteriors: calibrated, and as wide as what the simulator cannot explain."""
 
+import importlib
 import math
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -11,10 +12,13 @@ import pytest
 from gendom.datasets import Recording
 from gendom.estimation import EstimateSettings, IntervalCalibration, Theta, estimate, intervals
 from gendom.estimation.intervals import discrepancy, posterior_of
-from gendom.estimation.likelihood import NoiseModel
+from gendom.estimation.likelihood import Comparisons, NoiseModel
+from gendom.estimation.problem import Found, Start
 from gendom.materials.estimate import Estimate
 from gendom.materials.objects import ASSUMED
 from gendom.materials.posterior import Posterior, prior_of
+
+steps = importlib.import_module("gendom.estimation.methods.gauss_newton")
 
 BASE = Theta(E_over_rho=700.0)
 
@@ -179,9 +183,70 @@ def test_intervals_hold_what_cannot_be_explained(monkeypatch, astray, sd):
         parts=[None], scene=scene, prior=prior, bases=[BASE], theta=lambda vector: BASE
     )
     best = SimpleNamespace(vector=np.array([math.log(500.0), 0.44]))
-    found = SimpleNamespace(covariance=np.diag([1e-4, 1e-6]), noise=[None], best=best)
+    covariance = np.diag([1e-4, 1e-6])
+    found = SimpleNamespace(covariance=covariance, noise=[None], best=best, others=())
     known = posterior_of(problem, found, NONE)  # type: ignore
     assert known.sd("E_over_rho") == pytest.approx(sd, rel=1e-3)
+
+
+def ended(*lnE: float, **values: float) -> list[Start]:
+    """Starts that have ended at such moduli, of deviations of 0.1, with values by number."""
+    starts = []
+    for k, x in enumerate(lnE):
+        at = np.array([x, 0.002 * k])
+        start = Start(initial=at, vector=at, done=True, comparison=Comparisons(()))
+        start.value = values.get(f"v{k}", 0.0)
+        starts.append(start)
+    return starts
+
+
+class Hollows:
+    """A problem whose likelihood is what a start says."""
+
+    parts: tuple = ()
+    settings = EstimateSettings()
+    bases = (BASE,)
+    scene = SimpleNamespace(
+        mesh_error=lambda theta: 0.0, bending_length=lambda modulus, thickness: modulus
+    )
+    prior = prior_of(("E_over_rho", "grip_height"), {"E_over_rho": {"sd": 3.0}})
+
+    def __init__(self, starts):
+        self.values = {tuple(s.vector): s.value for s in starts}
+
+    def gradient_and_hessian(self, start, noise):
+        return np.zeros(2), np.diag([100.0, 1e4])
+
+    def value(self, vector, comparison, noise):
+        return self.values[tuple(vector)]
+
+    def theta(self, vector):
+        return BASE.with_values({"E_over_rho": math.exp(vector[0])})
+
+
+@pytest.mark.parametrize(
+    ("starts", "hold"),
+    [
+        (ended(6.0, 6.8, v1=2.0), (6.0, 6.8)),
+        (ended(6.0, 6.8, v0=2.0), (6.0, 6.8)),  # the second one is the more likely one
+        (ended(6.0, 6.05, v1=2.0), (6.0,)),  # within a deviation
+        (ended(6.0, 6.8, v1=12.0), (6.0,)),  # far less likely
+    ],
+)
+def test_intervals_hold_all_ends_of_starts_that_are_about_as_likely(starts, hold):
+    """And the result says so; nothing changes where all starts end alike."""
+    problem: Any = Hollows(starts)
+    first, *others = sorted(starts, key=lambda s: s.value)
+    assert steps._apart(problem, first, others, [], 3.0) == (others if len(hold) > 1 else [])
+    noise = (NoiseModel(),)
+    best, _, apart = steps._likeliest(problem, [(s, noise) for s in starts])
+    found = Found(best=best, starts=starts, noise=(), others=apart)
+    known = posterior_of(problem, found, NONE)
+    low, high = np.log(known.interval("E_over_rho", 0.9))
+    assert best is first and all(low < end < high for end in hold)
+    assert len(hold) > 1 or known.sd("E_over_rho") == pytest.approx(0.1, rel=1e-3)
+    said = intervals.told_apart(problem, found)
+    assert len(said) == len(hold) - 1 and all("hold all of them" in line for line in said)
 
 
 @pytest.mark.slow

@@ -88,6 +88,15 @@ def test_a_thin_rope_of_mixed_depth_is_usable(rope_lift, settings):
     assert low < thin.truth.E_over_rho < high < 2.0 * low
 
 
+@pytest.mark.parametrize("times", [0.5, 2.0])
+def test_a_thin_rope_of_another_thickness_is_refused(rope_lift, settings, times):
+    """By its breadth across the views: points of such noise lie about any thickness."""
+    _, seen = of_mixed_depth(rope_lift)
+    described = replace(seen.object, diameter=times * seen.object.diameter, mass=None)
+    found = estimate(replace(seen, object=described), settings)
+    assert any("cameras see" in said for said in found.verdict.reasons), found.verdict.reasons
+
+
 def test_the_end_of_a_cloud_is_compared_with_a_line(rope_lift):
     """Not with points of the rod, that are 62 mm apart here."""
     shorter = replace(rope_lift, lying=rope_lift.lying[rope_lift.lying[:, 0] < 0.244])

@@ -61,7 +61,7 @@ def lifted(runs, name, task):
 SMALL = Settings(trials=3, demonstrations=0, draws=2)
 
 
-def test_every_row_is_tried_and_what_has_no_estimate_is_said(runs):
+def test_every_row_is_tried_and_what_has_no_estimate_is_said(runs, capsys, monkeypatch):
     result = cloth_real(runs, SMALL)
     cotton, rubber = result["cloths"][COTTON], result["cloths"][RUBBER]
     assert set(cotton) == {"ours, no parameters", "ours", "searched", "ours, true parameters"}
@@ -77,6 +77,15 @@ def test_every_row_is_tried_and_what_has_no_estimate_is_said(runs):
     assert cotton["searched"]["covered"] == pytest.approx(1.0 - off)
     (first, second) = tables_of(result)
     assert "0.78" in str(first) and "0.52" in str(first) and "it did not move" in str(second)
+    # the command prints the table
+    small = Settings(trials=2, demonstrations=0, draws=1)
+    monkeypatch.setattr(module, "SCALES", {"small": small})
+    out = runs.folder / "command"
+    command = ["cloth-real", "--objects", COTTON, "--out", str(out), "--jobs", "1"]
+    assert main(command) == 0
+    told = capsys.readouterr().out
+    assert COTTON in told and RUBBER not in told and "extended ratio" in told
+    assert (out / "cloth-real.json").exists() and (out / "cloth-real.txt").exists()
 
 
 def test_trials_are_kept_and_faults_are_no_numbers(runs, monkeypatch):
@@ -90,14 +99,3 @@ def test_trials_are_kept_and_faults_are_no_numbers(runs, monkeypatch):
     done.clear()
     assert cloth_real(runs, SMALL) == result
     assert not done
-
-
-def test_the_command_prints_the_table(runs, capsys, monkeypatch):
-    small = Settings(trials=2, demonstrations=0, draws=1)
-    monkeypatch.setattr(module, "SCALES", {"small": small})
-    out = runs.folder / "command"
-    command = ["cloth-real", "--objects", COTTON, "--out", str(out), "--jobs", "1"]
-    assert main(command) == 0
-    told = capsys.readouterr().out
-    assert COTTON in told and RUBBER not in told and "extended ratio" in told
-    assert (out / "cloth-real.json").exists() and (out / "cloth-real.txt").exists()

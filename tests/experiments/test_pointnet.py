@@ -7,9 +7,6 @@ import numpy as np
 import pytest
 
 from experiments.pointnet import (
-    CENTRES,
-    NEIGHBOURS,
-    POINTS,
     grouped,
     pointnet,
     read_network,
@@ -24,22 +21,10 @@ from experiments.sim2sim import (
 from gendom.errors import ParameterError
 from gendom.estimation.scene import LiftScene
 
-RNG = np.random.default_rng(0)
-
 
 @pytest.fixture(scope="module")
 def paper_lift():
     return sim2sim_recording(4000.0, 0.3, markers=False, shows="last")
-
-
-def test_groups_do_not_depend_on_the_order_of_points():
-    n = 2 * POINTS
-    cloud = RNG.normal(size=(1, n, 3))
-    a, b = (grouped(c) for c in (cloud, cloud[:, RNG.permutation(n)]))
-    assert a["near"].shape == (1, CENTRES[0], NEIGHBOURS, 3)
-    assert a["which"].shape == (1, CENTRES[1], NEIGHBOURS)
-    np.testing.assert_array_equal(a["at"], b["at"])
-    np.testing.assert_array_equal(np.sort(a["near"], axis=2), np.sort(b["near"], axis=2))
 
 
 def test_the_file_gives_what_torch_gives(tmp_path):
@@ -64,7 +49,7 @@ def test_the_file_gives_what_torch_gives(tmp_path):
         np.testing.assert_allclose(a, b.numpy(), atol=1e-5)
 
 
-def test_the_shipped_network_reads_a_lift(paper_lift):
+def test_the_shipped_network_reads_a_lift(paper_lift, tmp_path):
     problem = sim2sim_problem(paper_lift)
     found = pointnet(problem)
     E = paper_E(problem.theta(found.best.vector).E_over_rho)
@@ -73,9 +58,7 @@ def test_the_shipped_network_reads_a_lift(paper_lift):
     sd = math.sqrt(found.covariance[0, 0])
     assert 0.0 < sd < 0.3
     assert abs(math.log(E / 4000.0)) < 4.0 * sd
-
-
-def test_a_file_that_is_no_network_is_refused(tmp_path):
+    # a file that is no network is refused
     path = tmp_path / "net.onnx"
     path.write_bytes(os.urandom(100))
     with pytest.raises(ParameterError, match="is no network of this method"):

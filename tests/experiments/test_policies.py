@@ -58,9 +58,7 @@ def test_policies_are_trained_unless_they_are_there(runs, monkeypatch):
     other = {"a": TrainingJob(demonstrations=data, training=Training(epochs=2))}
     (changed,) = runs.policies(other).values()
     assert changed.description.training["epochs"] == 2
-
-
-def test_the_best_of_a_search_is_taken_and_all_are_told(runs):
+    # the best of a search is taken and all are told
     data = set_of(runs)
     search = {
         str(epochs): TrainingJob(

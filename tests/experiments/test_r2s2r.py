@@ -33,9 +33,7 @@ def test_one_object_is_explained():
     assert found.misfit < 1e-4 and found.executions == 20
     again = identify(TASK, seen(TRUE), world=Throws())
     assert again == found
-
-
-def test_nothing_to_learn_from_is_told():
+    # nothing to learn from is told
     with pytest.raises(ParameterError, match="no executions"):
         identify(TASK, [], world=Throws())
     with pytest.raises(SimulationError, match="no parameters could be simulated"):

@@ -85,6 +85,10 @@ def test_every_method_has_a_row_or_a_reason(estimated, tmp_path, capsys):
     assert rope.rows["adam"][4] == "17.0" and rope.rows["pointnet"][4] == "46.0"
     assert rope.rows["gauss-newton"][2:5] == ("+0.095", "5.0", "")
     assert "is crumpled" in str(sheet)
+    # an unknown object is refused before the work
+    estimated[0].clear()
+    assert main(["real2sim", "--objects", COTTON, "rope-hemp", "--out", str(tmp_path)]) == 2
+    assert "there is no object 'rope-hemp'" in capsys.readouterr().err and estimated[0] == []
 
 
 def test_rows_are_kept_and_skipped_ones_are_tried_again(estimated, tmp_path):
@@ -96,9 +100,3 @@ def test_rows_are_kept_and_skipped_ones_are_tried_again(estimated, tmp_path):
     del estimated[0][:]
     make(tmp_path, "--method", "gauss-newton", "--seed", "1")
     assert len(estimated[0]) == 3
-
-
-def test_an_unknown_object_is_refused_before_the_work(estimated, tmp_path, capsys):
-    words = ["real2sim", "--objects", COTTON, "rope-hemp", "--out", str(tmp_path)]
-    assert main(words) == 2
-    assert "there is no object 'rope-hemp'" in capsys.readouterr().err and estimated[0] == []

@@ -54,10 +54,16 @@ def test_a_package_adds_a_task(add, gendom, tmp_path):
     """Another one cannot be imported, which stops nothing."""
     add("dragging", EXAMPLE.read_text(encoding="utf-8"), tasks="RopeDragging")
     add("broken", "import no_such_module", tasks="Task")
+    add("odd", "Task = 3", tasks="Task")
+    add("twin", "from gendom.tasks.task import Task\nclass Twin(Task):\n    name = 'rope-casting'",
+        tasks="Twin")  # fmt: skip
     drags = tmp_path / "drags"
     made = gendom("dataset", "rope-dragging", "--size", 3, "--out", drags, "--seed", 1)
     assert made.returncode == 0, made.stderr
     assert "'broken' (broken:Task) is left out: ModuleNotFoundError" in made.stderr
+    assert "'odd' (odd:Task) is left out: ParameterError: it is no subclass" in made.stderr
+    assert "'twin' (twin:Twin) is left out: ParameterError" in made.stderr
+    assert "rope-dragging" in gendom("help", "act").stdout.replace("\n", "")
     assert json.loads((drags / "dataset.json").read_text())["task"]["name"] == "rope-dragging"
 
 

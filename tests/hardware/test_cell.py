@@ -116,6 +116,19 @@ def test_what_was_planned_is_checked_against_the_cell_as_it_is(planned):
     ):
         with pytest.raises(RobotError, match=words):
             here.check(what)
+    # speeds are the cell s
+    cell, motion = planned
+    uses = motion.motion.limit_uses(XARM7)
+    assert motion.motion.slowed_by > 1.5
+    assert motion.approach.q[0] == pytest.approx(XARM7.home)
+    assert motion.approach.q[-1] == pytest.approx(motion.motion.q[0])
+    assert max(u.value for u in uses if u.joint is None) == pytest.approx(0.25, rel=0.02)
+    assert max(u.share for u in uses if u.kind in ("speed", "acceleration")) <= 0.3 + 1e-9
+    slow = motion.approach.limit_uses(XARM7)
+    assert max(u.share for u in slow if u.kind != "angle") <= 0.1 + 1e-6
+    slower = replace(cell, speed=replace(cell.speed, tool=0.05))
+    tool = slower.approach(XARM7.home, motion.first).limit_uses(XARM7)[-1]
+    assert tool.value <= 0.05 + 1e-6
 
 
 def test_an_approach_goes_around_what_stands_in_its_way():
@@ -130,21 +143,6 @@ def test_an_approach_goes_around_what_stands_in_its_way():
     with pytest.raises(RobotError, match=r"the approach: .* post collide"):
         near = replace(BARE, box=(Box(name="post", position=home, size=5 * size),))
         near.approach(XARM7.home, XARM7.home + 0.01)
-
-
-def test_speeds_are_the_cell_s(planned):
-    cell, motion = planned
-    uses = motion.motion.limit_uses(XARM7)
-    assert motion.motion.slowed_by > 1.5
-    assert motion.approach.q[0] == pytest.approx(XARM7.home)
-    assert motion.approach.q[-1] == pytest.approx(motion.motion.q[0])
-    assert max(u.value for u in uses if u.joint is None) == pytest.approx(0.25, rel=0.02)
-    assert max(u.share for u in uses if u.kind in ("speed", "acceleration")) <= 0.3 + 1e-9
-    slow = motion.approach.limit_uses(XARM7)
-    assert max(u.share for u in slow if u.kind != "angle") <= 0.1 + 1e-6
-    slower = replace(cell, speed=replace(cell.speed, tool=0.05))
-    tool = slower.approach(XARM7.home, motion.first).limit_uses(XARM7)[-1]
-    assert tool.value <= 0.05 + 1e-6
 
 
 def test_the_picture_shows_what_stands_where(tmp_path, capsys):

@@ -3,7 +3,6 @@
 import json
 import threading
 import time
-from itertools import product
 from types import SimpleNamespace
 from typing import Any
 
@@ -104,7 +103,7 @@ def record(sdk, tmp_path, motion):
     return recorded
 
 
-def test_a_motion_is_recorded_as_perception_reads_it(record, motion):
+def test_a_motion_is_recorded_as_perception_reads_it(record, motion, tmp_path):
     folder, found = record()
     assert isinstance(connected(SoftwareCamera(camera())), DepthCamera)
     read = read_cameras(folder)
@@ -125,6 +124,20 @@ def test_a_motion_is_recorded_as_perception_reads_it(record, motion):
     np.testing.assert_allclose(read.robot.position[:, 0], tool, atol=1e-5)
     said = json.loads((folder / "recording.json").read_text())
     assert said["ended"] == "done" and said["cameras"]["left"]["missing"] == 0
+    # a recording is replayed
+    folder, _ = record()
+    described = CellCamera(
+        name="left", device="replay", serial=str(folder), T_world_camera=np.eye(4)
+    )
+    again = ReplayedCamera(described)
+    again.connect()
+    assert isinstance(again, DepthCamera)
+    still = JointMotion(time=np.array([0.0, 0.1]), q=np.stack([XARM7.home] * 2))
+    found = record_motion(Arm(), [again], still, tmp_path / "again", description=OBJECT)
+    (old, _), (new,) = (read_cameras(f).sources for f in (folder, tmp_path / "again"))
+    assert found["left"].pictures == len(list(old)) == len(list(new))
+    with pytest.raises(GendomError, match="holds a recording already"):
+        record_motion(Arm(), [], still, folder, description=OBJECT)
 
 
 def test_pictures_that_never_came_are_counted(record):
@@ -220,35 +233,3 @@ def test_stamps_of_a_cameras_own_clock_are_told(sdk, tmp_path):
     told = []
     RealSenseRecording(tmp_path, on_warning=told.append)
     assert any("of the camera's own clock" in fault.what for fault in told)
-
-
-@pytest.mark.parametrize(("before", "missing"), [(0, 0), (1, 0), (3, 4)])
-def test_the_sdk_may_begin_to_record_with_the_second_picture(sdk, tmp_path, before, missing):
-    """Of both streams. Later pictures that it does not write are missing."""
-    software = SoftwareCamera(camera())
-    live = connected(software)
-    live.start_recording(tmp_path)
-    for k, kind in product(range(before), ("depth", "color")):
-        of = SimpleNamespace(stream_type=lambda kind=kind: SimpleNamespace(name=kind))
-        values = {"frame_number": k, "timestamp": 1e3 * k / RATE, "profile": of}
-        live._take(SimpleNamespace(**{f"get_{n}": lambda v=v: v for n, v in values.items()}))
-    software.show(before / RATE, before, pictures(1))
-    live.wait_for_pictures()
-    found = live.stop_recording()
-    assert (found.pictures, found.missing) == (2, missing)
-
-
-def test_a_recording_is_replayed(record, tmp_path):
-    folder, _ = record()
-    described = CellCamera(
-        name="left", device="replay", serial=str(folder), T_world_camera=np.eye(4)
-    )
-    again = ReplayedCamera(described)
-    again.connect()
-    assert isinstance(again, DepthCamera)
-    still = JointMotion(time=np.array([0.0, 0.1]), q=np.stack([XARM7.home] * 2))
-    found = record_motion(Arm(), [again], still, tmp_path / "again", description=OBJECT)
-    (old, _), (new,) = (read_cameras(f).sources for f in (folder, tmp_path / "again"))
-    assert found["left"].pictures == len(list(old)) == len(list(new))
-    with pytest.raises(GendomError, match="holds a recording already"):
-        record_motion(Arm(), [], still, folder, description=OBJECT)

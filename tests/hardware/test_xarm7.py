@@ -207,11 +207,8 @@ def run(streamer, motion, at, then):
 FAULTS = {
     "silent": (lambda box: setattr(box, "silent", True), "does not answer|ms old"),
     "dies": (lambda box: box.die(), "does not answer|refuses|ms old"),
-    "reports end": (lambda box: setattr(box, "reports", 0), "ms old"),
-    "frozen": (lambda box: setattr(box, "frozen", True), "repeats itself|off its commands"),
     "off": (lambda box: setattr(box, "off", np.full(7, 0.1)), "degrees off its commands"),
     "C31": (lambda box: box.fail(31), "C31: Collision"),
-    "emergency stop": (lambda box: box.fail(1), "C1: .*release"),
     "other mode": (lambda box: setattr(box, "mode", 2), "something else set mode 2"),
     "paused": (lambda box: setattr(box, "state", 3), "state 3"),
 }

@@ -24,11 +24,21 @@ def table():
     return copy.deepcopy(tomllib.loads(text))
 
 
-def test_a_material_for_a_simulation():
+def test_a_material_for_a_simulation(table):
     known = catalogue.get("cotton-rope")
     rope = Rope(length=0.3, diameter=known.across.typical, material=known.material())
     assert rope.material.E == known.E.typical and rope.material.density == known.density.typical
     assert known.size == "diameter" and catalogue.get("denim").size == "thickness"
+    # every source and shared range is used
+    entries = [x for material in table["materials"].values() for x in material.values()]
+    ranges = [x for x in (*entries, *table["shared"].values()) if isinstance(x, dict)]
+    assert {x["source"] for x in ranges if "source" in x} == set(table["sources"])
+    assert set(table["shared"]) <= {x for x in entries if isinstance(x, str)}
+    # an unknown name has a near one
+    with pytest.raises(ParameterError, match=r"'coton-rop'; did you mean 'cotton-rope'\?"):
+        catalogue.get("coton-rop")
+    with pytest.raises(ParameterError, match="no material 'q'; gendom materials lists them"):
+        catalogue.get("q")
 
 
 @pytest.mark.parametrize("material", catalogue.materials().values(), ids=lambda m: m.name)
@@ -45,13 +55,6 @@ def test_numbers_are_those_of_things_that_hang(material):
     for name, (_, found) in material.ranges().items():
         said = found.basis == "estimate" or catalogue.sources()[found.source].says
         assert found.how and (said is True or re.search(r"\d", said)), name
-
-
-def test_every_source_and_shared_range_is_used(table):
-    entries = [x for material in table["materials"].values() for x in material.values()]
-    ranges = [x for x in (*entries, *table["shared"].values()) if isinstance(x, dict)]
-    assert {x["source"] for x in ranges if "source" in x} == set(table["sources"])
-    assert set(table["shared"]) <= {x for x in entries if isinstance(x, str)}
 
 
 @pytest.mark.parametrize(
@@ -96,13 +99,6 @@ def test_densities_of_ropes_are_those_of_the_cited_tables(name):
     found = [m / (math.pi / 4.0 * d**2) for m, d in pairs]
     assert density.low <= min(found) and max(found) <= density.high
     assert sum(found) / len(found) == pytest.approx(density.typical, rel=0.05)
-
-
-def test_an_unknown_name_has_a_near_one():
-    with pytest.raises(ParameterError, match=r"'coton-rop'; did you mean 'cotton-rope'\?"):
-        catalogue.get("coton-rop")
-    with pytest.raises(ParameterError, match="no material 'q'; gendom materials lists them"):
-        catalogue.get("q")
 
 
 def test_the_command(capsys):

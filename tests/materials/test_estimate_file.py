@@ -79,14 +79,12 @@ def test_every_number_that_is_changed_by_hand_is_refused(found, tmp_path, at):
         Estimate.load(path)
 
 
-def test_intervals_end_where_the_search_did(found):
+def test_intervals_end_where_the_search_did(found, tmp_path):
     """Of what follows from E over density, too."""
     wide = found.with_gaussian(found.mean, np.diag([100.0, 1e-4])).record
     for name in ("E_over_rho", "E", "bending_length"):
         assert wide["intervals"][name] == pytest.approx(wide["bounds"][name])
-
-
-def test_another_layout_of_the_text_is_no_change(found, tmp_path):
+    # another layout of the text is no change
     path = tmp_path / "estimate.json"
     path.write_text(json.dumps(found.record, sort_keys=True).replace(".0,", ","))
     assert Estimate.load(path).E == pytest.approx(found.E)

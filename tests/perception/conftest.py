@@ -12,6 +12,7 @@ import pytest
 
 from gendom import cli
 from gendom.perception import Camera, Frame, Pictures, PngWriter
+from gendom.reality import looking_at
 from gendom.reality.sensor import BASELINE
 
 
@@ -40,23 +41,12 @@ NOISE = Sensor(subpixel=0.08, quantisation=1.0 / 32.0)
 RED, BLUE, GREY = (180, 30, 35), (30, 60, 170), (150, 150, 145)
 
 
-def look_at(eye, target):
-    """T_world_camera [4, 4] of a camera at `eye` that looks at `target`, upright."""
-    z = np.subtract(target, eye).astype(float)
-    z /= np.linalg.norm(z)
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    T = np.eye(4)
-    T[:3, :4] = np.stack([x, np.cross(z, x), z, np.asarray(eye, float)], axis=1)
-    return T
-
-
 def make_camera(name="left", eye=(0.0, -0.65, 0.47), target=(0.0, 0.0, 0.1), **other):
     """A D435i-like camera, 0.8 m from the middle; `scale` 0.5 halves the picture."""
     scale = other.pop("scale", 1.0)
     width, height, f = int(640 * scale), int(480 * scale), 385.0 * scale
     K = np.array([[f, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1.0]])
-    values = {"depth_unit": 1e-4, "T_world_camera": look_at(eye, target), **other}
+    values = {"depth_unit": 1e-4, "T_world_camera": looking_at(eye, target), **other}
     return Camera(name=name, width=width, height=height, K=K, **values)
 
 

@@ -78,27 +78,6 @@ def test_fused_cloud_has_no_bias(world, name, whole):
     assert whole or all(0.2 < np.mean(cloud.seen_by == bit) for bit in (1, 2))
 
 
-def test_rope_on_the_table(world):
-    """The part that lies there is within the table's noise; its colour keeps it, without bias, and
-    what is thinner than the noise only that."""
-
-    def lying(radius, colour):
-        rope, camera = world.lifted_rope(tip=(0.0, 0.0, 0.2), radius=radius), world.make_camera()
-        (view,), (pictures,) = on_table(world, rope, [camera])
-        points, _ = view.segment(pictures, colour)
-        return rope, points[points[:, 2] < 0.012].astype(float)
-
-    red = ObjectColour.near(lab(world.RED))
-    rope, points = lying(0.005, red)
-    assert np.ptp(points[:, 0]) > 0.1
-    assert abs(rope.distance(points).mean()) < 1e-3
-    blind, chosen = (
-        ((p[:, 0] > 0.12) & (np.abs(p[:, 1]) < 0.004)).sum()
-        for _, p in (lying(0.002, None), lying(0.002, red))
-    )
-    assert blind < 0.3 * chosen
-
-
 def test_table_fit_measures_plane_and_noise(world):
     camera = world.make_camera()
     view = CameraView(camera, SETTINGS)

@@ -9,11 +9,10 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-import software_camera
 from gendom import cli
 from gendom.arrays import rigid
 from gendom.errors import GendomError
-from gendom.perception import Pictures, RealSenseRecording, read_camera, write_camera
+from gendom.perception import read_camera, write_camera
 from gendom.perception.calibration import Board, BoardView, calibrate, read_views
 
 cv2 = pytest.importorskip("cv2", reason="needs the extra `camera`")
@@ -118,18 +117,6 @@ def test_within_a_millimetre_and_a_tenth_of_a_degree(taken, tmp_path, capsys):
     np.testing.assert_array_equal(again.K, camera.K)
 
 
-def test_intrinsics_of_a_realsense_recording(taken, sdk, tmp_path, capsys):
-    """They come from the recording, and the result fits beside it."""
-    camera = replace(taken[1], T_world_camera=None)
-    with software_camera.recording(tmp_path, camera, coloured=False) as write:
-        write(0.0, Pictures(np.zeros((480, 640), np.uint16)))
-    recording, out = tmp_path / "recording.db3", tmp_path / "camera.toml"
-    words = ["--camera", str(recording), "--out", str(out)]
-    assert cli.main(["calibrate", str(taken[0] / "pictures"), *words]) == 0
-    distance, degrees = error_of(RealSenseRecording(recording).camera.calibrated(), taken[1])
-    assert distance < 1e-3 and degrees < 0.1
-
-
 def exact_views(camera, tilts, pixel_noise=0.0, seed=0):
     """What a perfect detector would find, or one with noise."""
     poses, boards, hold = robot_poses(camera, tilts)
@@ -166,10 +153,7 @@ def test_stated_errors_hold_and_are_no_excuse(world):
     assert (true <= stated).all(axis=1).mean() >= 0.9
     assert (np.median(stated, axis=0) < 8.0 * np.median(true, axis=0)).all()
     assert np.mean([f.rms for f in found]) == pytest.approx(0.3 * np.sqrt(2), rel=0.1)
-
-
-def test_a_focal_length_that_is_hardly_wrong_is_in_the_stated_errors(world):
-    """It is off by 0.4 %, which no residual shows; 0.5 % are refused."""
+    # a focal length that is hardly wrong is in the stated errors
     camera = world.make_camera()
     views, _ = exact_views(camera, good_tilts(), 0.1)
     K = camera.K * [[1.004], [1.004], [1.0]]

@@ -30,6 +30,11 @@ def test_written_camera_reads_the_same(world, tmp_path):
     assert again.depth_unit == camera.depth_unit and again.distortion == camera.distortion
     np.testing.assert_array_equal(again.K, camera.K)
     np.testing.assert_array_equal(again.T_world_camera, camera.T_world_camera)
+    # a camera without pose says so
+    path = tmp_path / "camera.toml"
+    path.write_text(GOOD[: GOOD.index("T_world")])
+    with pytest.raises(RecordingError, match="gendom calibrate"):
+        _ = read_camera(path).position
 
 
 @pytest.mark.parametrize("distortion", [(), (0.12, -0.2, 1e-3, -2e-3, 0.05)])
@@ -71,13 +76,6 @@ def test_bad_files(tmp_path, old, new, line):
     with pytest.raises(RecordingError) as error:
         read_camera(path)
     assert line in str(error.value) and str(error.value).count("\n") == 0
-
-
-def test_a_camera_without_pose_says_so(tmp_path):
-    path = tmp_path / "camera.toml"
-    path.write_text(GOOD[: GOOD.index("T_world")])
-    with pytest.raises(RecordingError, match="gendom calibrate"):
-        _ = read_camera(path).position
 
 
 @pytest.fixture

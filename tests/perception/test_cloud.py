@@ -1,43 +1,22 @@
 """Stages of the way from depth to cloud."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from gendom.errors import ParameterError
 from gendom.perception import (
     CameraView,
-    Capsules,
     PerceptionSettings,
     Pictures,
     cloud,
     perceive_frame,
 )
-from gendom.perception.cloud import Held, fuse
+from gendom.perception.cloud import fuse
 from gendom.perception.colour import ObjectColour, lab
-from gendom.perception.robot import read_capsules
 
 
 def settings(box=(-0.4, -0.4, -0.1, 0.4, 0.4, 0.5), **other):
     return PerceptionSettings(workspace=box, **other)
-
-
-def test_crop_is_that_of_the_points(world):
-    """Depth limits a pixel against a test of every point, at all depths."""
-    camera = world.make_camera(scale=0.25)
-    wide = CameraView(camera, settings((-9, -9, -9, 9, 9, 9)))
-    view = CameraView(camera, settings((-0.2, -0.1, 0.05, 0.15, 0.3, 0.25)))
-    size = (camera.height, camera.width)
-    depth = np.random.default_rng(0).integers(3000, 14000, size).astype(np.uint16)
-    depth[0, :50] = 0
-    points = wide.points(depth.ravel(), np.arange(depth.size))
-    low, high = np.array([-0.2, -0.1, 0.05]), np.array([0.15, 0.3, 0.25])
-    expected = ((points >= low) & (points <= high)).all(axis=1) & (depth.ravel() > 0)
-    cropped = view.in_workspace(depth).ravel()
-    edge = np.minimum(abs(points - low), abs(points - high)).min(axis=1) < 1e-5
-    assert expected.sum() > 300
-    np.testing.assert_array_equal(cropped[~edge], expected[~edge])
 
 
 def test_pixels_half_behind_the_object_are_dropped(world, monkeypatch):
@@ -58,22 +37,22 @@ def test_pixels_half_behind_the_object_are_dropped(world, monkeypatch):
     assert far[0] > 50 and far[1] == 0
 
 
-def test_thin_objects_keep_their_pixels(world, monkeypatch):
-    """Two pixels across are enough."""
-    camera = world.make_camera()
-    pictures = world.Scene([world.lifted_rope(radius=0.002)]).pictures(camera)
-    kept = CameraView(camera, settings()).segment(pictures)[1][4]
-    monkeypatch.setattr(cloud, "MIN_SUPPORT", 0)
-    assert kept > 0.85 * CameraView(camera, settings()).segment(pictures)[1][4] > 0
-
-
-def test_scattered_points_are_outliers():
+def test_scattered_points_are_outliers(world):
     rng = np.random.default_rng(0)
     rope = np.linspace([-0.2, 0, 0.1], [0.2, 0, 0.1], 500) + rng.normal(0, 1e-3, (500, 3))
     stray = rng.uniform([-0.3, -0.3, 0.2], [0.3, 0.3, 0.8], (40, 3))
     points, _, voxels = fuse([np.concatenate([rope, stray]).astype(np.float32)], settings())
     assert voxels > len(points) and voxels - len(points) == 40
     assert points[:, 2].max() < 0.11
+    # no voxels keeps all points and empty clouds stay empty
+    p = np.random.default_rng(0).normal(0, 1e-3, (50, 3)).astype(np.float32)
+    points, seen_by, _ = fuse([p[:20], p[20:]], settings(voxel=0.0))
+    np.testing.assert_array_equal(points, p)
+    assert seen_by.tolist() == [1] * 20 + [2] * 30
+    camera = world.make_camera(scale=0.25)
+    blind = Pictures(np.zeros((camera.height, camera.width), np.uint16))
+    found = perceive_frame([CameraView(camera, settings())], [blind])
+    assert found.points.shape == (0, 3) and found.counts.tolist() == [0] * 8
 
 
 @pytest.mark.parametrize("spread", [0.05, 0.5])
@@ -90,38 +69,6 @@ def test_voxels_are_means_and_know_their_cameras(spread):
     means = np.array([np.mean([point for point, _ in row], axis=0) for row in rows])
     np.testing.assert_allclose(points, means, atol=1e-6)
     np.testing.assert_array_equal(seen_by, [np.bitwise_or.reduce([b for _, b in r]) for r in rows])
-
-
-def test_no_voxels_keeps_all_points_and_empty_clouds_stay_empty(world):
-    p = np.random.default_rng(0).normal(0, 1e-3, (50, 3)).astype(np.float32)
-    points, seen_by, _ = fuse([p[:20], p[20:]], settings(voxel=0.0))
-    np.testing.assert_array_equal(points, p)
-    assert seen_by.tolist() == [1] * 20 + [2] * 30
-    camera = world.make_camera(scale=0.25)
-    blind = Pictures(np.zeros((camera.height, camera.width), np.uint16))
-    found = perceive_frame([CameraView(camera, settings())], [blind])
-    assert found.points.shape == (0, 3) and found.counts.tolist() == [0] * 8
-
-
-def test_noise_of_fingers_is_left_out_where_nothing_chose_the_points():
-    """It is 7 mm off a finger, whose margin is 3 mm, and beyond the fingertip."""
-    start, end = np.zeros((1, 3)), np.array([[0.0, 0.0, 0.1]])
-    finger = Capsules(start, end, np.array([0.01]), np.array([0.003]))
-    rope = np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, -0.2], 50)
-    points = np.concatenate([rope, [[0.017, 0.0, 0.05]]])
-    held = Held(np.zeros((1, 3)), reach=0.3, robot=finger)
-    assert not finger.contain(points[-1:], 0.01).any()
-    assert held.among(points).tolist() == [True] * 50 + [False]
-    assert replace(held, chosen=True).among(points).all()
-
-
-def test_capsules_move_between_their_rows(tmp_path):
-    path = tmp_path / "capsules.csv"
-    rows = "0,base,0,0,0,0,0,1,0.1\n0,arm,0,0,1,1,0,1,0.05\n2,arm,0,0,1,1,2,1,0.05\n"
-    path.write_text("time,capsule,x0,y0,z0,x1,y1,z1,radius\n" + rows)
-    capsules = read_capsules(path).at(0.5)
-    np.testing.assert_allclose(capsules.end, [[0, 0, 1], [1, 0.5, 1]])
-    np.testing.assert_allclose(capsules.radius, [0.1, 0.05])
 
 
 @pytest.mark.parametrize(

@@ -43,9 +43,7 @@ def test_lightness_tells_greys_apart_when_it_counts():
     assert lenient.match(black)[0]
     with pytest.raises(ParameterError, match="tolerance"):
         ObjectColour.near((50, 0, 0), tolerance=0.0)
-
-
-def test_a_picked_pixel():
+    # a picked pixel
     image = np.full((60, 80, 3), (150, 150, 145), float)
     image[10:50, 40:44] = (180, 30, 35)
     noisy = image + np.random.default_rng(0).normal(0, 4, image.shape)

@@ -74,6 +74,11 @@ def test_recording_of_a_rope(lift, command):
         assert abs(error.mean()) < 2e-3 and np.sqrt(np.mean(error**2)) < 6e-3
     seen_by = np.load(out)["seen_by"]
     assert len(seen_by) == len(recording.points) and set(np.unique(seen_by)) == {1, 2, 3}
+    # one camera
+    code, printed, out = command(lift[0], *RED, "--cameras", "right")
+    assert code == 0 and "points seen by: right 100 %" in printed.out
+    cameras = Recording.read(out).camera_positions
+    assert cameras is not None and len(cameras) == 1
 
 
 def test_json_has_all_frames_of_a_picked_colour(world, lift, command):
@@ -92,13 +97,6 @@ def test_json_has_all_frames_of_a_picked_colour(world, lift, command):
     assert found["seen_share"] > 0.8 and found["disagreement"] < 0.004
     points = Recording.read(out).frame(0)
     assert len(points) > 300 and np.abs(ropes[0].distance(points)).max() < 0.02
-
-
-def test_one_camera(lift, command):
-    code, printed, out = command(lift[0], *RED, "--cameras", "right")
-    assert code == 0 and "points seen by: right 100 %" in printed.out
-    cameras = Recording.read(out).camera_positions
-    assert cameras is not None and len(cameras) == 1
 
 
 @pytest.mark.parametrize(

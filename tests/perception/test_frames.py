@@ -59,9 +59,7 @@ def test_path_between_its_rows():
     assert direction[0, 2] > direction[0, 0] > 0
     assert path.at(2.1) is None and path.at(2.0) is not None
     assert path.closed_at(1.0) is None
-
-
-def test_a_gripper_stays_as_the_last_row_says():
+    # a gripper stays as the last row says
     closed = np.array([[True], [True], [False]])
     path = RobotPath(np.array([0.0, 1.0, 2.0]), np.zeros((3, 1, 3)), closed=closed)
     states = [path.closed_at(time) for time in (0.0, 1.99, 2.0, 2.1)]

@@ -43,14 +43,6 @@ def test_share_of_a_rope(share):
     assert seen_share(p, rope) == pytest.approx(share, abs=0.15)
 
 
-def test_gaps_of_a_rope_are_not_seen():
-    p = np.concatenate([np.linspace(0, 0.1, 200), np.linspace(0.5, 0.6, 200)])
-    points = np.stack([p, 0 * p, 0 * p], axis=1)
-    rope = ObjectDescription(kind="rope", length=0.6)
-    assert seen_share(points, rope) == pytest.approx(2 / 6, abs=0.1)
-    assert seen_share(np.zeros((0, 3)), rope) == 0.0
-
-
 @pytest.mark.parametrize("share", [1.0, 0.4])
 def test_share_of_a_cloth(share):
     """However it lies, and closer on average over all directions."""

@@ -50,7 +50,7 @@ def q():
     return inverse_kinematics(XARM7, T)
 
 
-def test_points_on_the_arm_go(q):
+def test_the_arm_goes_and_what_is_near_or_held_stays(q):
     """All of its surface, wherever it stands and within 8 mm; the fingers' within 2 mm."""
     rng = np.random.default_rng(0)
     turned = np.array([0.5, -0.4, 0.3, 1.2, -0.6, 1.0, 0.7])
@@ -61,10 +61,7 @@ def test_points_on_the_arm_go(q):
             away = rng.normal(size=points.shape)
             away *= (0.002 if fingers else 0.008) / np.linalg.norm(away, axis=1, keepdims=True)
             assert capsules.contain(points + away, 0.01).all(), shape.names[c]
-
-
-def test_an_object_2_cm_from_the_fingers_stays(q):
-    """Below the tips, in front and behind, and beside the fingers."""
+    # an object 2 cm from the fingers stays
     shape, capsules = arm_shape(XARM7, q, DIAMETER), at_rest(q)
     tcp = tcp_pose(XARM7, q)[:3, 3]
     fingers = np.flatnonzero(shape.touches_object)
@@ -73,10 +70,7 @@ def test_an_object_2_cm_from_the_fingers_stays(q):
     for way in ([0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]):
         beyond = 0.02 + (outer @ np.abs(way) if way[2] == 0 else 0.0)
         assert not capsules.contain((tcp + beyond * np.array(way))[None], 0.01)[0]
-
-
-def test_what_the_fingers_hold_is_not_erased(q):
-    """Of a rope between them a strip stays, and of one that hangs from them nearly all."""
+    # what the fingers hold is not erased
     capsules = at_rest(q)
     tcp = tcp_pose(XARM7, q)[:3, 3]
     angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 73), np.linspace(-0.05, 0.03, 81))

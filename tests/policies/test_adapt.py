@@ -72,6 +72,16 @@ def test_belief_is_that_of_the_linear_model():
     assert found.belief.sd[0] == pytest.approx(
         math.sqrt(1.0 / (1.0 / 0.05**2 + slope**2 / variance)), rel=1e-3
     )
+    # nothing seen changes nothing
+    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
+    found = adapt(TASK, belief, [], world=Throws())
+    assert found.belief is belief and found.discrepancy is None
+    found = adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(), refine=False)
+    assert np.array_equal(found.belief.mean, belief.mean) and found.discrepancy is not None
+    # what a task depends on
+    assert uncertain(TASK, ROPE) == ("E_over_rho", "damping")
+    cloth = Cloth(side=0.3, thickness=0.001)
+    assert uncertain(ClothSpreading(), cloth) == ("E_over_rho", "nu", "damping", "friction")
 
 
 def test_what_parameters_cannot_explain_is_expected_again_nearby():
@@ -93,14 +103,6 @@ def test_what_parameters_cannot_explain_is_expected_again_nearby():
     ).action
     (outcome,) = Throws(off=0.02).carry_out(TASK, [ROPE], [action])
     assert abs(outcome.values["x"] - goal) < 0.3 * 0.02 * ROPE.length
-
-
-def test_nothing_seen_changes_nothing():
-    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
-    found = adapt(TASK, belief, [], world=Throws())
-    assert found.belief is belief and found.discrepancy is None
-    found = adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(), refine=False)
-    assert np.array_equal(found.belief.mean, belief.mean) and found.discrepancy is not None
 
 
 def test_bad_executions_are_refused():
@@ -126,12 +128,6 @@ def test_bad_executions_are_refused():
             executions_from(rows, "file.json")
 
 
-def test_what_a_task_depends_on():
-    assert uncertain(TASK, ROPE) == ("E_over_rho", "damping")
-    cloth = Cloth(side=0.3, thickness=0.001)
-    assert uncertain(ClothSpreading(), cloth) == ("E_over_rho", "nu", "damping", "friction")
-
-
 # ---- beliefs ---------------------------------------------------------------------------------
 
 
@@ -148,29 +144,24 @@ def test_belief_takes_the_posterior_and_doubts_the_rest():
     inside = (np.exp(logs) > low) & (np.exp(logs) < high)
     assert inside.mean() == pytest.approx(0.9, abs=0.02)
     assert all(size_of(item) == ROPE.length for item in drawn)
-
-
-def test_belief_keeps_correlations_in_any_order():
+    # belief keeps correlations in any order
     posterior = {"names": ["damping", "yaw", "E_over_rho"], "mean": [-5.0, 0.0, 7.0],
                  "covariance": [[0.04, 0.0, 0.01], [0.0, 1.0, 0.0], [0.01, 0.0, 0.09]]}  # fmt: skip
     belief = belief_of(ROPE, posterior, known=KNOWN)
     assert belief.names == ("E_over_rho", "damping")
     assert belief.mean == pytest.approx([7.0, -5.0])
     assert belief.covariance == pytest.approx(np.array([[0.09, 0.01], [0.01, 0.04]]))
-
-
-@pytest.mark.parametrize(
-    "posterior",
-    [{}, {"names": ["E_over_rho"], "mean": [1.0], "covariance": [[-1.0]]},
-     {"names": ["E_over_rho"], "mean": ["x"], "covariance": [[1.0]]}],
-)  # fmt: skip
-def test_broken_posteriors_are_refused(posterior):
-    with pytest.raises(ParameterError):
-        belief_of(ROPE, posterior, known=KNOWN)
-
-
-def test_what_recordings_have_each_is_kept():
-    """Of an estimate from several recordings, whose own unknowns share a name."""
+    # a belief is about an object of the item's thickness
+    slope = np.array([-2.0, 1.0])
+    covariance = np.diag([0.03**2, 0.0]) + 0.8**2 * np.outer(slope, slope)
+    posterior = {
+        "names": ["E_over_rho", "thickness"],
+        "mean": [math.log(8e5 / 900), 0.0],
+        "covariance": covariance.tolist(),
+    }
+    belief = belief_of(ROPE, posterior, known=("nu", "friction", "damping"))
+    assert belief.names == ("E_over_rho",) and belief.sd == pytest.approx([0.03])
+    # what recordings have each is kept
     old = {
         "names": ["E_over_rho", "grip_height", "grip_height"],
         "recordings": [None, 0, 1],
@@ -190,17 +181,14 @@ def test_what_recordings_have_each_is_kept():
     assert np.diag(found["covariance"]) == pytest.approx([1e-2, 1e-6, 4e-6])
 
 
-def test_a_belief_is_about_an_object_of_the_item_s_thickness():
-    """What bends alike is known, a thickness that was assumed is not: the item has the latter."""
-    slope = np.array([-2.0, 1.0])
-    covariance = np.diag([0.03**2, 0.0]) + 0.8**2 * np.outer(slope, slope)
-    posterior = {
-        "names": ["E_over_rho", "thickness"],
-        "mean": [math.log(8e5 / 900), 0.0],
-        "covariance": covariance.tolist(),
-    }
-    belief = belief_of(ROPE, posterior, known=("nu", "friction", "damping"))
-    assert belief.names == ("E_over_rho",) and belief.sd == pytest.approx([0.03])
+@pytest.mark.parametrize(
+    "posterior",
+    [{}, {"names": ["E_over_rho"], "mean": [1.0], "covariance": [[-1.0]]},
+     {"names": ["E_over_rho"], "mean": ["x"], "covariance": [[1.0]]}],
+)  # fmt: skip
+def test_broken_posteriors_are_refused(posterior):
+    with pytest.raises(ParameterError):
+        belief_of(ROPE, posterior, known=KNOWN)
 
 
 def test_what_was_enough_says_which_objects_are_likely():

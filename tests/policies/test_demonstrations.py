@@ -53,9 +53,7 @@ def test_read_gives_units_of_similarity_and_leaves_failures_out(folder):
         dimensionless_parameters(first)["bending_ratio"]
     )
     assert data.risk is not None and set(np.round(data.risk, 9)) <= {0.01 * k for k in range(7)}
-
-
-def test_what_is_there_of_an_unfinished_set_is_taken(folder):
+    # what is there of an unfinished set is taken
     whole = Demonstrations.read(folder)
     (folder / "shard-00004.parquet").unlink()
     part = Demonstrations.read(folder)

@@ -84,9 +84,7 @@ def test_exact_policy_has_no_error_and_blind_policy_has():
     assert summary["error"]["mean"] == pytest.approx(blind.error.mean())
     assert summary["error"]["max"] == pytest.approx(blind.error.max())
     assert summary["error_over_size"]["p95"] == pytest.approx(summary["error"]["p95"] / 0.25)
-
-
-def test_a_policy_may_know_less_than_the_truth():
+    # a policy may know less than the truth
     cases = draw_cases(TASK, 40, seed=3, simulation=Quick())
     wrong = [replace(i, material=replace(i.material, E=i.material.E * 1.1**3)) for i in cases.items]
     result = judge(cases, choose(make_policy(), cases, known=wrong), world=Quick())
@@ -100,6 +98,11 @@ def test_what_cannot_be_relied_on_makes_no_goal():
     E = np.array([dimensionless_parameters(item)["bending_ratio"] for item in cases.items])
     release = (2.0 + 0.15 * np.log(E / 0.4) - cases.goal[:, 0] / 0.25) / 0.8
     assert release.min() >= 0.6 - 1e-9
+    # case depends on seed and number alone
+    few, many = (draw_cases(TASK, n, seed=3, simulation=Quick()) for n in (5, 9))
+    assert few.items == many.items[:5]
+    assert np.array_equal(few.goal, many.goal[:5])
+    assert few.items[0] != draw_cases(TASK, 1, seed=4, simulation=Quick()).items[0]
 
 
 def test_summary_counts_failures_and_goals_outside():
@@ -116,13 +119,6 @@ def test_summary_counts_failures_and_goals_outside():
     assert high.summary()["failed"] == failed > 0
     none = score(make_policy(), cases, world=Quick(fails_above=0.0)).summary()
     assert none["failed"] == 40 and none["error"]["mean"] is None
-
-
-def test_case_depends_on_seed_and_number_alone():
-    few, many = (draw_cases(TASK, n, seed=3, simulation=Quick()) for n in (5, 9))
-    assert few.items == many.items[:5]
-    assert np.array_equal(few.goal, many.goal[:5])
-    assert few.items[0] != draw_cases(TASK, 1, seed=4, simulation=Quick()).items[0]
 
 
 def test_faults_are_told():

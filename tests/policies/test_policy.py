@@ -10,7 +10,7 @@ import pytest
 
 from gendom.errors import ParameterError, PolicyError
 from gendom.materials import Cloth, Material, Rope, dimensionless_parameters
-from gendom.policies import Description, GoalRange, Policy
+from gendom.policies import Description, Policy
 from gendom.policies.graph import SEAL, check_graph, sealed
 
 
@@ -91,7 +91,7 @@ def test_goals_that_are_none_are_refused(make_policy, goal):
         make_policy()[0].act(goal, rope())
 
 
-def test_what_the_network_needs_is_asked_for(make_policy):
+def test_what_a_policy_cannot_take_is_refused(make_policy, description):
     policy, _ = make_policy()
     with pytest.raises(PolicyError, match="needs nu"):
         policy.actions([1.4], {"bending_ratio": 0.4})
@@ -99,15 +99,11 @@ def test_what_the_network_needs_is_asked_for(make_policy):
         policy.actions([1.4], {"bending_ratio": 0.4, "nu": math.nan})
     both = policy.actions([1.4, 1.5], {**dimensionless_parameters(rope()), "nu": [0.3, 0.3]})
     assert both.shape == (2, 2)
-
-
-def test_another_kind_of_object_is_refused(make_policy):
+    # another kind of object is refused
     policy, _ = make_policy()
     with pytest.raises(ParameterError, match="takes a rope, not a cloth"):
         policy.act(0.35, Cloth(side=0.2, thickness=0.001))
-
-
-def test_unknown_task_is_refused(make_policy, description):
+    # unknown task is refused
     for task in ({"name": "rope-juggling"}, description.task | {"colour": "red"}):
         policy, _ = make_policy(task=task)
         with pytest.raises(PolicyError, match=r"unknown here|there is no task"):
@@ -143,14 +139,7 @@ def test_broken_descriptions_are_refused(description, change, text):
         Description.from_json(json.dumps(value), where="x.onnx")
 
 
-def test_range_of_all_covers_every_bin():
-    goals = GoalRange(at=(0.2, 0.4), low=((1.1, 0.0), (1.0, 0.1)), high=((1.5, 1.0), (1.4, 2.0)))
-    np.testing.assert_allclose(goals(None), [[1.0, 1.5], [0.0, 2.0]])
-    np.testing.assert_allclose(goals(0.01), [[1.1, 1.5], [0.0, 1.0]])
-    np.testing.assert_allclose(goals(9.0), [[1.0, 1.4], [0.1, 2.0]])
-
-
-def test_files_that_are_no_policies_are_refused(tmp_path):
+def test_files_that_are_no_policies_are_refused(tmp_path, description):
     with pytest.raises(PolicyError, match="no such file"):
         Policy.read(tmp_path / "none.onnx")
     with pytest.raises(PolicyError, match="is a folder"):
@@ -159,6 +148,24 @@ def test_files_that_are_no_policies_are_refused(tmp_path):
     text.write_text("not a network")
     with pytest.raises(PolicyError, match="is not an ONNX file"):
         Policy.read(text)
+    # missing pretrained policy is told
+    with pytest.raises(PolicyError, match=r"gendom dataset rope-casting-at-speed"):
+        Policy.pretrained("rope-casting-at-speed")
+    with pytest.raises(ParameterError, match=r"there is no task 'rope-juggling'; choose rope-r"):
+        Policy.pretrained("rope-juggling")
+    # networks that give no action are refused
+    about = {"gendom-policy": description.to_json()}
+    names = ["goal_x", "bending_ratio", "nu"]
+    with pytest.raises(PolicyError, match=r"actions of shape \(1, 1\)"):
+        Policy.read(graph(tmp_path / "one.onnx", names, about, outputs=1))
+    onnx = pytest.importorskip("onnx")
+    path = tmp_path / "nan.onnx"
+    model = onnx.load(graph(path, names, about))
+    model.graph.node[0].input.append("w")
+    model.graph.initializer.append(onnx.helper.make_tensor("w", 1, [1, 1], [math.nan]))
+    onnx.save(model, path)
+    with pytest.raises(PolicyError, match="that are not finite"):
+        Policy.read(path)
 
 
 def field(number, value):
@@ -230,29 +237,6 @@ def test_a_policy_that_was_changed_is_refused(tmp_path):
     kept = Policy.read(path).description
     path.write_bytes(sealed(path.read_bytes()))
     assert path.read_bytes() == whole and Policy.read(path).description == kept
-
-
-def test_networks_that_give_no_action_are_refused(tmp_path, description):
-    """A graph of two outputs' policy that gives one; weights that are not finite."""
-    about = {"gendom-policy": description.to_json()}
-    names = ["goal_x", "bending_ratio", "nu"]
-    with pytest.raises(PolicyError, match=r"actions of shape \(1, 1\)"):
-        Policy.read(graph(tmp_path / "one.onnx", names, about, outputs=1))
-    onnx = pytest.importorskip("onnx")
-    path = tmp_path / "nan.onnx"
-    model = onnx.load(graph(path, names, about))
-    model.graph.node[0].input.append("w")
-    model.graph.initializer.append(onnx.helper.make_tensor("w", 1, [1, 1], [math.nan]))
-    onnx.save(model, path)
-    with pytest.raises(PolicyError, match="that are not finite"):
-        Policy.read(path)
-
-
-def test_missing_pretrained_policy_is_told():
-    with pytest.raises(PolicyError, match=r"gendom dataset rope-casting-at-speed"):
-        Policy.pretrained("rope-casting-at-speed")
-    with pytest.raises(ParameterError, match=r"there is no task 'rope-juggling'; choose rope-r"):
-        Policy.pretrained("rope-juggling")
 
 
 def graph(path, inputs, metadata, outputs=2):

@@ -25,12 +25,36 @@ def missed(action, goal, item: Item = ROPE, **world) -> float:
     return abs(outcome.values["x"] - goal)
 
 
-def test_known_object_is_reached_exactly():
+def test_a_known_object_is_reached_within_risk_discrepancy_and_doubt():
     found = polish(TASK, 0.42, [ROPE], START, world=Throws())
     assert found.before == pytest.approx(missed(START, 0.42), rel=1e-9)
     assert missed(found.action, 0.42) < 1e-4 * ROPE.length
     assert found.expected < 1e-4 * ROPE.length < found.before
     assert TASK.allows(ROPE, found.action)
+    # risk is avoided
+    start = ROPE.length * np.array([0.3, 0.8])
+    found = polish(TASK, 0.4, [ROPE], start, world=Throws(risky_above=0.5))
+    assert found.action[1] < 0.5 * ROPE.length
+    assert missed(found.action, 0.4) < 1e-3
+    # discrepancy is made up for
+    found = polish(
+        TASK,
+        0.42,
+        [ROPE],
+        START,
+        world=Throws(),
+        discrepancy=lambda action: (np.array([0.006]), 0.0),
+    )
+    assert missed(found.action, 0.42, off=0.02) < 1e-3
+
+    # doubt keeps the action near to what was tried
+    def doubt(action):
+        return np.zeros(1), float(np.linalg.norm(action - START))
+
+    goal = 0.45
+    far = polish(TASK, goal, [ROPE], START, world=Throws())
+    near = polish(TASK, goal, [ROPE], START, world=Throws(), discrepancy=doubt)
+    assert np.linalg.norm(near.action - START) < np.linalg.norm(far.action - START)
 
 
 def test_uncertain_object_gets_an_action_that_hardly_depends_on_it():
@@ -56,35 +80,6 @@ def test_uncertain_object_gets_an_action_that_hardly_depends_on_it():
     assert spread(safe.action) < 1.05 * least < 0.5 * spread(start)
 
 
-def test_risk_is_avoided():
-    start = ROPE.length * np.array([0.3, 0.8])
-    found = polish(TASK, 0.4, [ROPE], start, world=Throws(risky_above=0.5))
-    assert found.action[1] < 0.5 * ROPE.length
-    assert missed(found.action, 0.4) < 1e-3
-
-
-def test_discrepancy_is_made_up_for():
-    found = polish(
-        TASK,
-        0.42,
-        [ROPE],
-        START,
-        world=Throws(),
-        discrepancy=lambda action: (np.array([0.006]), 0.0),
-    )
-    assert missed(found.action, 0.42, off=0.02) < 1e-3
-
-
-def test_doubt_keeps_the_action_near_to_what_was_tried():
-    def doubt(action):
-        return np.zeros(1), float(np.linalg.norm(action - START))
-
-    goal = 0.45
-    far = polish(TASK, goal, [ROPE], START, world=Throws())
-    near = polish(TASK, goal, [ROPE], START, world=Throws(), discrepancy=doubt)
-    assert np.linalg.norm(near.action - START) < np.linalg.norm(far.action - START)
-
-
 def test_many_side_by_side_are_as_one_by_one():
     goals = (0.38, 0.42, 0.46)
     together = side_by_side(TASK, Throws(), [polishing(TASK, g, [ROPE], START) for g in goals])
@@ -92,6 +87,9 @@ def test_many_side_by_side_are_as_one_by_one():
         alone = polish(TASK, goal, [ROPE], START, world=Throws())
         assert np.array_equal(found.action, alone.action)
         assert found.expected == alone.expected
+    # an object that cannot be simulated is told
+    with pytest.raises(SimulationError, match="no action"):
+        polish(TASK, 0.4, [ROPE], START, world=Throws(fails=True))
 
 
 def test_time_is_kept(monkeypatch):
@@ -126,11 +124,6 @@ def test_bad_input_is_refused(given, text):
     arguments = {"goal": 0.4, "items": [ROPE], "start": START} | given
     with pytest.raises(ParameterError, match=text):
         polish(TASK, world=Throws(), **arguments)
-
-
-def test_an_object_that_cannot_be_simulated_is_told():
-    with pytest.raises(SimulationError, match="no action"):
-        polish(TASK, 0.4, [ROPE], START, world=Throws(fails=True))
 
 
 def test_simulated_cast_is_polished_to_a_tenth_of_a_millimetre():

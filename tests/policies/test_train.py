@@ -11,14 +11,14 @@ from gendom.errors import PolicyError
 from gendom.materials import with_dimensionless
 from gendom.policies import Policy
 from gendom.policies.demonstrations import Demonstrations
-from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching
+from gendom.tasks import ClothSpreading, RopeReaching
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
 
 from gendom.policies import fitting, learning  # noqa: E402
 from gendom.policies import training as train_module  # noqa: E402
-from gendom.policies.training import Training, goal_range, train  # noqa: E402
+from gendom.policies.training import Training, train  # noqa: E402
 
 CENTRE, RADIUS = np.array([0.45, 0.45]), 0.16
 TASK = {"name": "rope-reaching", **RopeReaching().settings()}
@@ -161,22 +161,6 @@ def test_equal_seeds_give_equal_policies(tmp_path):
     assert torch.equal(state, torch.get_rng_state())
     assert threads == torch.get_num_threads()
     assert not np.allclose(first, actions("c.onnx", 5))
-
-
-def test_goals_of_two_numbers(tmp_path):
-    """Casting: the action is found from either."""
-    rng = np.random.default_rng(0)
-    A, E = rng.uniform(0.4, 0.9, (600, 1)), np.exp(rng.uniform(-1.4, -0.4, 600))
-    cast = replace(
-        sheets(A[:, 0], E),
-        task={"name": "rope-casting", **RopeCasting().settings()},
-        action_names=("way",),
-        goal_names=("x", "z"),
-        goal=np.concatenate([A * E[:, None], A], axis=1),
-    )
-    policy = train(cast, tmp_path / "cast.onnx", Training(epochs=40))
-    found = policy.actions(cast.goal, {"bending_ratio": E})
-    assert np.abs(found - A).mean() < 0.02
 
 
 def tries(count: int, seed: int = 0) -> Demonstrations:
@@ -329,16 +313,3 @@ def test_what_does_not_vary_cannot_be_conditioned_on(tmp_path):
     other = replace(toy(100), goal_names=("z",))
     with pytest.raises(PolicyError, match="same task"):
         train(toy(100), tmp_path / "p.onnx", Training(epochs=1), finetune=other)
-
-
-def test_goal_range_follows_the_stiffness():
-    data = toy(4000)
-    goals = goal_range(data)
-    assert list(goals.at) == sorted(goals.at)
-    soft, stiff = goals(0.27)[0], goals(0.65)[0]
-    assert stiff[1] - soft[1] > 0.15
-    for low, high in (soft, stiff):
-        assert 1.2 <= low < 1.25 < high
-    ends = np.array([goals(s)[0] for s in data.parameters["bending_ratio"]])
-    inside = (ends[:, 0] <= data.goal[:, 0]) & (data.goal[:, 0] <= ends[:, 1])
-    assert 0.9 < inside.mean() < 1.0

@@ -6,8 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs the extra reality")
-
 from gendom.materials import STANDARD_GRAVITY
 from gendom.reality import OBJECTS, Layout, Reality, RealRope
 

@@ -7,7 +7,6 @@ from typing import cast
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs the extra reality")
 pytest.importorskip("gymnasium", reason="needs the extra reality")
 
 import gymnasium
@@ -16,12 +15,12 @@ from gymnasium.utils.env_checker import check_env
 import gendom.reality.envs as envs
 from gendom.errors import ParameterError, RobotError
 from gendom.installation import how_to_install
-from gendom.materials import Material, unit_of
+from gendom.materials import Material
 from gendom.reality import OBJECTS, RealRope, RealWorld
-from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching, task_names
-from gendom.tasks.cloth_spreading import WAIT as SPREADING_WAIT
+from gendom.tasks import RopeReaching, task_names
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
+from reality.test_trials import NotYetRaised
 
 POLYESTER = cast(RealRope, OBJECTS["rope-polyester"])
 STRETCHED = np.array([0.15, 0.093])
@@ -53,11 +52,8 @@ def make(name, **kwargs) -> envs.TaskEnv:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NotYetRaised(ClothSpreading):
-    """Over 50 ms after the hand has closed, and with an outcome of its own."""
-
-    def times(self, item):
-        return np.array([0.05 - SPREADING_WAIT * unit_of("s", item)])
+class Covered(NotYetRaised):
+    """With an outcome of its own."""
 
     def outcome(self, item, seen):
         return {"share": 0.4, "covered": 0.6}
@@ -125,19 +121,6 @@ def test_seeds_repeat_and_differ():
     assert len({info["object"] for _, info in a + c}) == 3
 
 
-def test_objects_may_be_given_themselves():
-    mine = replace(POLYESTER, name="mine", length=0.25, diameter=0.01)
-    env = make("RopeCasting", objects=["rope-cotton", mine])
-    seen = [env.reset(seed=s, options={"goal": (0.3, 0.1)}) for s in range(8)]
-    assert {info["object"] for _, info in seen} == {"rope-cotton", "mine"}
-    for observation, info in seen:
-        sizes = [0.25, 0.01] if info["object"] == "mine" else [0.3, 0.016]
-        assert observation["sizes"] == pytest.approx(sizes)
-    env.reset(options={"object": mine, "goal": (0.3, 0.1)})
-    direct = RealWorld(robot=False, timestep=1e-3).carry_out(RopeCasting(), [mine], [[0.2]])[0]
-    assert env.step([0.2])[4]["reached"] == pytest.approx([direct.values[n] for n in ("x", "z")])
-
-
 def test_drawn_goals_keep_to_the_risk_s_limit(monkeypatch):
     """Most releases fall out of the plane; the first that does not makes the goal."""
     drawn = []
@@ -167,16 +150,14 @@ def test_objects_for_which_no_goal_is_found_are_refused():
     assert env.reset(options={"object": weak, "goal": 0.4})[1] == {"object": "weak"}
 
 
-def test_a_task_without_goals_shows_none():
+def test_what_is_observed():
     observation, _ = make("ClothSpreading").reset(options={"object": "cloth-rubber"})
     assert set(observation) == {"sizes"}
     assert observation["sizes"] == pytest.approx([0.3, 1e-3])
     for goal in (0.4, (0.3, 0.1)):
         with pytest.raises(ParameterError, match="reset: there is no option 'goal' here"):
             make("ClothSpreading").reset(options={"goal": goal})
-
-
-def test_parameters_are_seen_only_if_asked_for():
+    # parameters are seen only if asked for
     blind, _ = make("RopeReaching").reset(seed=0)
     assert set(blind) == {"goal", "sizes"}
     env = make("RopeReaching", parameters=True)
@@ -213,7 +194,7 @@ def test_reaching_is_the_trial_and_its_goal():
 
 
 def test_spreading_rewards_the_share_that_lies_spread():
-    env = envs.TaskEnv(NotYetRaised(), objects=["cloth-cotton"], robot=False)
+    env = envs.TaskEnv(Covered(), objects=["cloth-cotton"], robot=False)
     env.reset(seed=0)
     observation, reward, terminated, _, info = env.step([0.1])
     assert reward == info["share"] == 0.4 and info["covered"] == 0.6

@@ -36,21 +36,29 @@ def written(tmp_path, entries):
     return str(path)
 
 
-def test_a_rope(tmp_path):
+def test_objects_of_files(tmp_path):
     item = find_object(written(tmp_path, ROPE))
     assert isinstance(item, RealRope) and item.name == "mine"
     assert item.mass == pytest.approx(0.03)
     density = 0.03 / (math.pi / 4.0 * 0.012**2 * 0.28)
     expected = Material(E=1.2e6, nu=0.35, density=density, damping=0.004)
     assert item.material == expected and item.friction == 0.3
-
-
-def test_a_cloth(tmp_path):
+    # a cloth
     item = find_object(written(tmp_path, CLOTH))
     assert isinstance(item, RealCloth)
     assert item.material == Material(E=6e5, nu=0.3, density=400.0, damping=0.01)
     assert (item.side, item.friction, item.colour) == (0.2, 0.5, (40, 70, 150))
     assert item.mass == pytest.approx(0.2**2 * 0.0005 * 400.0)
+    # a material of the catalogue
+    entries = {"kind": '"rope"', "length": "0.5", "material": '"nylon-rope"'}
+    known = catalogue.get("nylon-rope")
+    item = find_object(written(tmp_path, entries))
+    assert isinstance(item, RealRope)
+    assert item.material == known.material() and item.diameter == known.across.typical
+    assert item.friction == known.friction.typical
+    item = find_object(written(tmp_path, entries | {"mass": "0.03", "nu": "0.3"}))
+    assert item.mass == pytest.approx(0.03) and item.material.nu == 0.3
+    assert item.material.E == known.E.typical
 
 
 @pytest.mark.parametrize(
@@ -81,15 +89,3 @@ def test_what_is_missing_or_impossible_is_named(tmp_path, change, says):
     with pytest.raises(ParameterError, match=says) as error:
         find_object(written(tmp_path, entries))
     assert "\n" not in str(error.value)
-
-
-def test_a_material_of_the_catalogue(tmp_path):
-    entries = {"kind": '"rope"', "length": "0.5", "material": '"nylon-rope"'}
-    known = catalogue.get("nylon-rope")
-    item = find_object(written(tmp_path, entries))
-    assert isinstance(item, RealRope)
-    assert item.material == known.material() and item.diameter == known.across.typical
-    assert item.friction == known.friction.typical
-    item = find_object(written(tmp_path, entries | {"mass": "0.03", "nu": "0.3"}))
-    assert item.mass == pytest.approx(0.03) and item.material.nu == 0.3
-    assert item.material.E == known.E.typical

@@ -7,8 +7,6 @@ from typing import cast
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs the extra reality")
-
 from gendom.errors import GendomError, ParameterError
 from gendom.perception import PerceptionSettings, perceive, read_cameras
 from gendom.reading import read_json
@@ -104,13 +102,26 @@ def test_what_is_recorded_is_where_it_truly_is(clean):
     # Half a finger's breadth from the rope's end, which lies 0.32 m in front of the base.
     assert path[0] == pytest.approx([0.3325, 0.0, ROPE.diameter / 2.0], abs=1e-3)
     assert path[-1] - path[0] == pytest.approx([0.0, 0.0, 0.04], abs=1e-3)
+    # what is held is described
+    meta = read_cameras(clean).meta
+    assert meta["object"]["kind"] == "rope" and meta["object"]["grasp"] == "end"
+    assert meta["object"]["length"] == ROPE.length
+    assert meta["object"]["grasp_inset"] == FINGER_WIDTH / 2.0
+    # the rope bends from half an edge before the last vertex that is held
+    edge = 0.3 / 17
+    held = FINGER_WIDTH / 2.0 + meta["object"]["grasp_radius"]
+    assert (held / edge - 0.5) % 1.0 < 1e-9 and abs(held - FINGER_WIDTH) < edge / 2.0 + 1e-9
+    assert meta["object"]["mass"] == pytest.approx(ROPE.mass)
+    # A recording does not give away what is to be estimated.
+    given = (clean / "object.toml").read_text().lower()
+    assert not any(word in given for word in ("young", "poisson", "density", "polyester"))
 
 
 @pytest.mark.parametrize("end", ["swing", pytest.param("drop", marks=pytest.mark.slow)])
 def test_a_lift_that_ends_in_motion_is_perceived_to_its_end(rendering, tmp_path, end):
     """Cameras are synchronised, so that a falling rope is seen once, not twice."""
     folder = tmp_path / end
-    recorded(folder, rate=8.0, end=end)
+    recorded(folder, end=end)
     warnings = []
     recording = perceived(folder, warnings)
     assert warnings == [] and not recording.quasi_static
@@ -131,22 +142,7 @@ def test_a_lift_that_ends_in_motion_is_perceived_to_its_end(rendering, tmp_path,
         assert len(off) > 300 and np.median(off) < 4e-3 and np.quantile(off, 0.95) < 0.012
 
 
-def test_what_is_held_is_described(clean):
-    meta = read_cameras(clean).meta
-    assert meta["object"]["kind"] == "rope" and meta["object"]["grasp"] == "end"
-    assert meta["object"]["length"] == ROPE.length
-    assert meta["object"]["grasp_inset"] == FINGER_WIDTH / 2.0
-    # the rope bends from half an edge before the last vertex that is held
-    edge = 0.3 / 17
-    held = FINGER_WIDTH / 2.0 + meta["object"]["grasp_radius"]
-    assert (held / edge - 0.5) % 1.0 < 1e-9 and abs(held - FINGER_WIDTH) < edge / 2.0 + 1e-9
-    assert meta["object"]["mass"] == pytest.approx(ROPE.mass)
-    # A recording does not give away what is to be estimated.
-    given = (clean / "object.toml").read_text().lower()
-    assert not any(word in given for word in ("young", "poisson", "density", "polyester"))
-
-
-def test_noise_and_errors_leave_all_frames_perceivable(noisy):
+def test_a_noisy_recording_is_perceived_without_its_truth_and_repeats(noisy, clean, tmp_path):
     """Twenty milliseconds between the cameras are just what matching tolerates."""
     warnings = []
     recording = perceived(noisy, warnings)
@@ -158,10 +154,7 @@ def test_noise_and_errors_leave_all_frames_perceivable(noisy):
         off = np.abs(distance_to_rope(recording.frame(k).astype(float), vertices[k]))
         assert np.median(off) < 6e-3
     assert not [w for w in warnings if w.severity == "error"]
-
-
-def test_the_faults_are_there(clean, noisy):
-    """The believed poses differ from the true ones, and clocks by 20 ms; the truth is kept."""
+    # the faults are there
     said = read_json(noisy / "truth" / "truth.json")
     assert said["noisy"] and not read_json(clean / "truth" / "truth.json")["noisy"]
     assert (said["E"], said["errors"]["clock_offset"]) == (ROPE.material.E, 0.02)
@@ -172,16 +165,7 @@ def test_the_faults_are_there(clean, noisy):
             assert (off > 1e-4) == moved
     first, second = (next(iter(s)).time for s in read_cameras(noisy).sources)
     assert abs(second - first) == pytest.approx(0.02)
-
-
-def test_a_seed_repeats_a_recording(noisy, tmp_path):
-    recorded(tmp_path / "again")
-    again = tmp_path / "again"
-    for pattern in ("cameras/*/*/*.png", "cameras/*/*.*", "*.csv", "*.toml"):
-        assert files(again, pattern) == files(noisy, pattern)
-
-
-def test_perception_never_reads_the_truth(noisy, tmp_path):
+    # perception never reads the truth
     blind = tmp_path / "blind"
     shutil.copytree(noisy, blind, ignore=shutil.ignore_patterns("truth"))
     assert (noisy / "truth").is_dir() and not (blind / "truth").exists()
@@ -189,6 +173,11 @@ def test_perception_never_reads_the_truth(noisy, tmp_path):
     assert seen.num_frames == unaided.num_frames
     np.testing.assert_array_equal(seen.points, unaided.points)
     np.testing.assert_array_equal(seen.gripper_position, unaided.gripper_position)
+    # a seed repeats a recording
+    recorded(tmp_path / "again")
+    again = tmp_path / "again"
+    for pattern in ("cameras/*/*/*.png", "cameras/*/*.*", "*.csv", "*.toml"):
+        assert files(again, pattern) == files(noisy, pattern)
 
 
 def test_an_interrupted_recording_can_be_perceived(rendering, tmp_path):

@@ -6,9 +6,6 @@ from typing import cast
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs the extra reality")
-
-
 from gendom.reality import OBJECTS, Layout, RealCloth, Reality
 from gendom.reality.model import load_mujoco
 from gendom.reality.objects import SHEET_NU
@@ -77,11 +74,3 @@ def test_mujoco_applies_these_forces(hinges):
     force = data.qfrc_spring.reshape(-1, 3)[:, 2]
     expected = -stiffness(hinges) @ w
     assert np.abs(force - expected).max() < 1e-3 * np.abs(expected).max()
-
-
-@pytest.mark.parametrize(("damping", "step", "own"), [(0.012, 0.004, 0.008), (0.002, 0.004, 0.0)])
-def test_its_damping_leaves_room_for_that_of_the_steps(damping, step, own):
-    """Implicit steps damp like a damping as long as they are."""
-    small = replace(CLOTH, vertices=5, material=replace(CLOTH.material, damping=damping))
-    model = Reality(small, Layout(origin=(0.0, 0.0, 0.5)), timestep=step).model
-    assert model.flex_damping[0] == pytest.approx(own)

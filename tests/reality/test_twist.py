@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("mujoco", reason="needs the extra reality")
-
 from gendom.reality import OBJECTS, Layout, Reality, RealRope
-from gendom.reality.twist import Twist, torsion_rigidity, transported, twist, twist_gradient
+from gendom.reality.twist import Twist, torsion_rigidity
 
 COTTON = cast(RealRope, OBJECTS["rope-cotton"])
 
@@ -23,35 +21,6 @@ def crooked(n=9, seed=0):
 
 def across(edge):
     return np.cross(edge, [0.3, -0.5, 1.0])
-
-
-# ---- the angle -----------------------------------------------------------------------------------
-
-
-def test_the_gradient_matches_central_differences():
-    """Directors at the ends turn with their edges, without twist."""
-    x = crooked()
-    edges = np.diff(x, axis=0)
-    first = across(edges[0])
-    last = Rotation.from_rotvec(0.4 * edges[-1] / np.linalg.norm(edges[-1])).apply(
-        transported(edges, first)
-    )
-
-    def angle(vertices):
-        e = np.diff(vertices, axis=0)
-        carried = [
-            transported(np.stack([old, new]), u)
-            for old, new, u in ((edges[0], e[0], first), (edges[-1], e[-1], last))
-        ]
-        return twist(e, *carried)
-
-    assert angle(x) == pytest.approx(0.4)
-    h, found = 1e-6, np.zeros_like(x)
-    for i in np.ndindex(x.shape):
-        step = np.zeros_like(x)
-        step[i] = h
-        found[i] = (angle(x + step) - angle(x - step)) / (2.0 * h)
-    np.testing.assert_allclose(twist_gradient(edges), found, atol=1e-6)
 
 
 # ---- the load ------------------------------------------------------------------------------------
@@ -74,10 +43,7 @@ def test_a_straight_rod_s_moment_is_that_of_torsion():
             rate = -stiffness * COTTON.material.damping * 0.5 / 1e-3
             assert moving[0] - still[0] == pytest.approx(rate)
         np.testing.assert_allclose(forces, 0.0, atol=1e-12)
-
-
-def test_forces_neither_push_nor_turn_the_whole():
-    """All forces sum to none; their moment balances those of both clamps."""
+    # forces neither push nor turn the whole
     x = crooked(COTTON.vertices)
     rod = Twist(COTTON, x, first=1, last=COTTON.vertices - 3, rotation=np.eye(3))
     edges = np.diff(x, axis=0)

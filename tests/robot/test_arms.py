@@ -206,9 +206,7 @@ def test_the_fr3_stands_as_franka_s_urdf_says():
     hand[:3, :3] = Rotation.from_euler("z", -np.pi / 4).as_matrix()
     hand[2, 3] = 0.107 + 0.1034
     np.testing.assert_allclose(tcp_pose(FR3, q), T @ hand, atol=1e-12)
-
-
-def test_the_fr3_carries_out_the_tasks():
+    # the fr3 carries out the tasks
     assert find_arm("fr3") is FR3
     table = Surroundings(table_height=0.0, clearance=0.02, self_clearance=0.01)
     assert CollisionChecker(FR3, table).at(FR3.home) is None

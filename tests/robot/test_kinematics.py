@@ -34,8 +34,12 @@ def pose(position, quat=DOWN):
     return T
 
 
-def test_modified_and_standard_parameters_agree():
-    """UFACTORY publishes both tables; the flange must not depend on which one is used."""
+def test_poses_are_those_that_ufactory_publishes():
+    poses = link_poses(XARM7, XARM7.home)
+    np.testing.assert_allclose(poses[-1, :3, :3], pose((0, 0, 0))[:3, :3], atol=1e-12)
+    np.testing.assert_allclose(poses[-1, :3, 3] - poses[-2, :3, 3], [0, 0, -0.172], atol=1e-12)
+    assert np.all(XARM7.home > XARM7.q_min) and np.all(XARM7.home < XARM7.q_max)
+    # modified and standard parameters agree
     half = np.pi / 2
     d = [0.267, 0.0, 0.293, 0.0, 0.3425, 0.0, 0.097]
     a = [0.0, 0.0, 0.0525, 0.0775, 0.0, 0.076, 0.0]
@@ -51,13 +55,6 @@ def test_modified_and_standard_parameters_agree():
         np.testing.assert_allclose(link_poses(XARM7, q)[7], T, atol=1e-12)
 
 
-def test_home_points_down_172_mm_beyond_the_flange_within_limits():
-    poses = link_poses(XARM7, XARM7.home)
-    np.testing.assert_allclose(poses[-1, :3, :3], pose((0, 0, 0))[:3, :3], atol=1e-12)
-    np.testing.assert_allclose(poses[-1, :3, 3] - poses[-2, :3, 3], [0, 0, -0.172], atol=1e-12)
-    assert np.all(XARM7.home > XARM7.q_min) and np.all(XARM7.home < XARM7.q_max)
-
-
 def test_jacobian_matches_central_differences():
     """The error falls as h^2: 1e-6 and below at h = 1e-3."""
     q, h = random_q(50), 1e-3
@@ -66,9 +63,7 @@ def test_jacobian_matches_central_differences():
     for j, unit in enumerate(np.eye(7)):
         ahead, behind = tcp_pose(XARM7, q + h * unit), tcp_pose(XARM7, q - h * unit)
         np.testing.assert_allclose(J[..., j], pose_error(ahead, behind) / (2 * h), atol=1e-6)
-
-
-def test_pose_error_near_half_a_turn():
+    # pose error near half a turn
     for angle in (1e-14, 1e-6, 1.0, np.pi - 1e-2, np.pi - 1e-5, np.pi - 1e-9):
         axis = np.array([0.6, 0.0, -0.8])
         T = pose((0.1, 0.2, 0.3), Rotation.from_rotvec(angle * axis).as_quat())
@@ -77,7 +72,7 @@ def test_pose_error_near_half_a_turn():
         )
 
 
-def test_inverse_kinematics_comes_back_near_given_angles():
+def test_inverse_kinematics_keeps_limits_and_leans_towards_what_is_near():
     """The null space leans towards what is given, so a configuration finds itself."""
     for q in random_q(4, seed=1):
         T = tcp_pose(XARM7, q)
@@ -88,6 +83,22 @@ def test_inverse_kinematics_comes_back_near_given_angles():
         for near in (q, turned):
             found = inverse_kinematics(XARM7, T, near=near)
             np.testing.assert_allclose(found, near, atol=1e-4)
+    # redundancy leans towards home
+    every = solutions(XARM7, pose((0.4, 0.2, 0.2)))
+    away = [np.linalg.norm(q - XARM7.home) for q in every]
+    assert len(every) > 2 and away == sorted(away)
+    q = every[0]
+    J = jacobian(XARM7, q)
+    left = (np.eye(7) - np.linalg.pinv(J) @ J) @ (XARM7.home - q)
+    assert np.abs(left).max() < 1e-4
+    # limits are kept where they bind
+    q_min, q_max = XARM7.q_min.copy(), XARM7.q_max.copy()
+    q_min[3], q_max[3] = 0.8, 1.0
+    arm = replace(XARM7, q_min=q_min, q_max=q_max)
+    T = tcp_pose(arm, [0.3, -0.2, 0.4, 0.99, 0.2, 1.1, 0.0])
+    for q in solutions(arm, T):
+        assert np.all(q >= arm.q_min) and np.all(q <= arm.q_max)
+        assert np.abs(pose_error(T, tcp_pose(arm, q))).max() < 1e-6
 
 
 @pytest.mark.parametrize("turns", [-1, 1])
@@ -101,28 +112,6 @@ def test_whole_turns_go_to_the_nearest(turns, offset):
     near[6] += offset
     (found,) = kinematics._unwound(arm, q[None], rest)
     np.testing.assert_allclose(found, near if abs(q[6]) > np.pi else q, atol=1e-12)
-
-
-def test_redundancy_leans_towards_home():
-    """The way to home has no part left in the null space of the Jacobian."""
-    every = solutions(XARM7, pose((0.4, 0.2, 0.2)))
-    away = [np.linalg.norm(q - XARM7.home) for q in every]
-    assert len(every) > 2 and away == sorted(away)
-    q = every[0]
-    J = jacobian(XARM7, q)
-    left = (np.eye(7) - np.linalg.pinv(J) @ J) @ (XARM7.home - q)
-    assert np.abs(left).max() < 1e-4
-
-
-def test_limits_are_kept_where_they_bind():
-    """With joint 4 confined, solutions use its ends and stay inside."""
-    q_min, q_max = XARM7.q_min.copy(), XARM7.q_max.copy()
-    q_min[3], q_max[3] = 0.8, 1.0
-    arm = replace(XARM7, q_min=q_min, q_max=q_max)
-    T = tcp_pose(arm, [0.3, -0.2, 0.4, 0.99, 0.2, 1.1, 0.0])
-    for q in solutions(arm, T):
-        assert np.all(q >= arm.q_min) and np.all(q <= arm.q_max)
-        assert np.abs(pose_error(T, tcp_pose(arm, q))).max() < 1e-6
 
 
 @pytest.mark.parametrize("position", [(1.2, 0.0, 0.3), (0.5, 0.0, 1.5), (0.0, -0.9, 0.3)])

@@ -88,9 +88,7 @@ def test_tool_follows_the_path_within_limits(path, motion):
     ends = [path.position_at(t + h, motion.blend) for h in (-1e-6, 1e-6)]
     np.testing.assert_allclose(velocity[:, :3], (ends[1] - ends[0]) / 2e-6, atol=2e-4)
     np.testing.assert_allclose(velocity[:, 3:], 0.0, atol=5e-4)
-
-
-def test_blend_is_about_the_shortest_or_the_path_s_own(path, motion):
+    # blend is about the shortest or the path's own
     assert follow(XARM7, replace(path, blend=0.9 * motion.blend)).slowed_by > 1.0
     longer = follow(XARM7, replace(path, blend=0.3))
     assert longer.blend == 0.3 and longer.slowed_by == 1.0

@@ -23,6 +23,14 @@ def test_lift_is_vertical_at_constant_speed_once_the_gripper_is_closed():
     assert motion.closed_at(0.0) is True
     np.testing.assert_allclose(motion.speed_at(0.0), 0.0, atol=1e-3)
     assert motion.deviation is not None and motion.deviation.at_equal_times < 1e-3
+    # a drop opens the gripper at rest
+    path = lift([0.4, 0.0, 0.0], height=0.2, speed=0.1, wait=0.5, end="drop", after=0.7)
+    closes, opens = path.events
+    assert (closes.time, closes.closed) == (0.0, True)
+    assert (opens.time, opens.closed) == (pytest.approx(3.0), False)
+    assert path.end == pytest.approx(3.7)
+    motion = follow(XARM7, path)
+    np.testing.assert_allclose(motion.speed_at([2.9, 3.0, 3.5]), 0.0, atol=1e-3)
 
 
 @pytest.mark.parametrize("height", [0.12, 0.375])
@@ -48,16 +56,6 @@ def test_the_arm_stops_a_swing_as_hard_as_it_can(height):
     stopping = (t > t[np.argmax(speed)]) & (t < motion.end)
     use = np.abs(motion.acceleration_at(t[stopping])) / XARM7.max_acceleration
     assert 0.8 < use.max() < 1.01
-
-
-def test_a_drop_opens_the_gripper_at_rest():
-    path = lift([0.4, 0.0, 0.0], height=0.2, speed=0.1, wait=0.5, end="drop", after=0.7)
-    closes, opens = path.events
-    assert (closes.time, closes.closed) == (0.0, True)
-    assert (opens.time, opens.closed) == (pytest.approx(3.0), False)
-    assert path.end == pytest.approx(3.7)
-    motion = follow(XARM7, path)
-    np.testing.assert_allclose(motion.speed_at([2.9, 3.0, 3.5]), 0.0, atol=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -38,10 +38,7 @@ def test_a_blend_is_the_convolution_with_its_kernel(path):
     for t in (0.43, 0.5, 0.7, 1.03, 1.97, 2.2):
         mean = np.trapezoid(kernel[:, None] * path.position_at(t - blend * s), s, axis=0)
         np.testing.assert_allclose(path.position_at(t, blend), mean, atol=1e-7)
-
-
-def test_deviation_at_a_corner_is_as_stated():
-    """(3 / 32) |dv| blend at equal times; a right-angled corner is cut in space too."""
+    # deviation at a corner is as stated
     corner = np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.3, 0]])
     path = TcpPath(time=np.arange(3.0), position=corner, quat_xyzw=np.array(DOWN))
     found = path.deviation(0.1)
@@ -60,9 +57,7 @@ def test_turns_pass_through_their_knots(turning):
     blended = turning.pose_at(np.linspace(-0.2, 2.2, 100), 0.2)[:, :3, :3]
     np.testing.assert_allclose(blended[-1], TURNS[3].as_matrix(), atol=1e-12)
     np.testing.assert_allclose(blended @ np.swapaxes(blended, 1, 2), [np.eye(3)] * 100, atol=1e-12)
-
-
-def test_pointing_gives_the_axes_asked_for():
+    # pointing gives the axes asked for
     R = Rotation.from_quat(pointing([0, 0, -2], [0, 1, 5])).as_matrix()
     np.testing.assert_allclose(R[:, 2], [0, 0, -1], atol=1e-12)
     np.testing.assert_allclose(R[:, 1], [0, 1, 0], atol=1e-12)
@@ -109,18 +104,6 @@ def test_straight_between_its_samples_a_path_runs_as_it_does(path, blend):
         acceleration = 1.5 / blend * (corners.max() if blend < 0.5 else corners.sum())
         assert 0.0 < missed[-1] <= acceleration * (blend / number) ** 2 / 8.0
     assert missed[1] < 0.1 * missed[0]
-
-
-def test_when_a_path_first_moves(path, turning):
-    """When its wait is over, or half a blend before; turning is moving."""
-    assert path.moves == 0.5
-    assert replace(path, blend=0.3).moves == pytest.approx(0.35)
-    before, after = replace(path, blend=0.3).position_at([0.35, 0.36], 0.3)
-    np.testing.assert_array_equal(before, KNOTS[0])
-    assert np.linalg.norm(after - KNOTS[0]) > 1e-6
-    still = np.tile(KNOTS[:1], (4, 1))
-    assert replace(path, position=still, blend=0.1).moves == math.inf
-    assert replace(turning, position=still).moves == 0.5
 
 
 @pytest.mark.parametrize("turns", [False, True])

@@ -186,15 +186,23 @@ def test_bodies_that_no_memory_holds():
     assert message.endswith("a larger dx")
     sheet = partial(cloth, width=0.2, height=0.2, thickness=0.002, dx=0.02)
     assert refused(sheet, points=(10**4, 10**4)).endswith("fewer points")
-
-
-def test_grippers_without_a_knot_or_that_open_first():
+    # grippers without a knot or that open first
     assert "time [K > 0]" in refused(Gripper, time=[], position=np.zeros((0, 3)), radius=0.01)
     still = partial(Gripper.still, (0, 0, 0), radius=0.01)
     assert "hold_until must not lie before hold_from, got 0.5 before 1.0 s" in refused(
         still, hold_from=1.0, hold_until=0.5
     )
     still(hold_from=1.0, hold_until=1.0)  # never closes
+    # bodies that are not thin
+    short = rope(diameter=0.3, length=0.2)
+    assert "a diameter of 0.3 m and a length of 0.2 m are not those of a rod" in refused(
+        Simulator, body=short, materials=[MATERIAL]
+    )
+    block = cloth(width=0.3, height=0.2, thickness=0.25, dx=0.05)
+    assert "a thickness of 0.25 m and a side of 0.2 m are not those of a shell" in refused(
+        Simulator, body=block, materials=[MATERIAL]
+    )
+    Simulator(block, [Material(E=1e4)], solver=Solver(engine="mpm"))
 
 
 @pytest.mark.parametrize(
@@ -206,19 +214,6 @@ def test_materials_without_a_time_step(body):
         r"world 1 \(E 1e\+30 Pa.*substep would be .*e-1[67] s, the shortest is", message
     )
     assert "substep" in refused(flat_simulator, body=body, materials=[MATERIAL], substep=1e-30)
-
-
-def test_bodies_that_are_not_thin():
-    """They are blocks for the MPM."""
-    short = rope(diameter=0.3, length=0.2)
-    assert "a diameter of 0.3 m and a length of 0.2 m are not those of a rod" in refused(
-        Simulator, body=short, materials=[MATERIAL]
-    )
-    block = cloth(width=0.3, height=0.2, thickness=0.25, dx=0.05)
-    assert "a thickness of 0.25 m and a side of 0.2 m are not those of a shell" in refused(
-        Simulator, body=block, materials=[MATERIAL]
-    )
-    Simulator(block, [Material(E=1e4)], solver=Solver(engine="mpm"))
 
 
 def test_passes_of_rollouts():
@@ -237,9 +232,7 @@ def test_grippers_that_miss_say_by_how_much():
     at = r"world 1 .*it is at \[0.0, 0.0, 0.5\] m, its radius 0.02 m, the nearest point 0.5 m away"
     with pytest.raises(SimulationError, match=at):
         s.run([1e-3])
-
-
-def test_objects_in_the_table_name_the_world():
+    # objects in the table name the world
     x = np.repeat(ROPE.moved((0.0, 0.0, 0.1)).points[None], 3, axis=0)
     x[1, :, 2] = -0.2
     s = partial(Simulator, ROPE, [MATERIAL] * 3, table=Table(height=0.0))

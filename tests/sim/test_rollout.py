@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import warp as wp
 from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
@@ -226,8 +225,6 @@ def test_a_recording_may_run_out_of_layouts(monkeypatch):
 @KINDS
 @pytest.mark.parametrize("memory", [0.0, 1e9])
 def test_cuda_gives_the_derivatives_of_the_cpu(options, memory):
-    if not wp.is_cuda_available():
-        pytest.skip("no CUDA device on this machine")
     options = {"worlds": 2, **options}
     check_derivatives(rollout(**options), rollout(memory, device="cuda", **options))
 

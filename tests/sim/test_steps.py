@@ -44,16 +44,6 @@ def test_a_led_gripper_moves_the_body_as_a_known_path_does(body, radius):
         np.testing.assert_allclose(led.positions(), run[k - 1], atol=1e-12)
 
 
-def test_steps_without_targets_go_on_along_the_paths():
-    path = Gripper(time=[0.0, 0.1], position=[END, above(0.03)], radius=0.01)
-    run = simulator(path).run([0.02, 0.05])
-    stepped = simulator(path)
-    stepped.step(0.02)
-    stepped.step(0.03)
-    np.testing.assert_allclose(stepped.positions(), run[-1], atol=1e-12)
-    assert stepped.time == pytest.approx(0.05)
-
-
 def test_the_force_at_a_gripper_is_the_weight_that_hangs():
     upright = Rotation.from_euler("y", 90, degrees=True).apply(ROPE.points - END) + END
     body, damped = ROPE, Material(E=5e5, nu=0.3, density=800.0, damping=0.02)
@@ -89,10 +79,7 @@ def test_what_is_let_go_flies_on_with_the_hand():
         thrown.step(0.002, Targets(position=[above(0.002 * k)]))
     thrown.step(0.002, Targets(position=[above(0.02)], closed=[False]))
     assert thrown.velocities()[0, 0, 2] > 0.8
-
-
-def test_a_gripper_that_stood_lets_go_at_rest():
-    """Whatever speed it came with, moving and turning."""
+    # a gripper that stood lets go at rest
     stood, turned = simulator(still()), Rotation.from_rotvec([0.0, 0.2, 0.0]).as_quat()
     there = Targets(position=[above(0.01)], quat_xyzw=[turned])
     stood.step(0.01, there)

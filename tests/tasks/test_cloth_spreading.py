@@ -38,17 +38,13 @@ def test_steps_are_the_paper_s():
             assert steps[i - 1] == pytest.approx(1.0 - (4.5 - 0.5 * i) * A)
         for i in range(9, 17):
             assert steps[i - 1] == pytest.approx(1.0 + (0.5 * i - 4.0) * A)
-
-
-def test_beyond_the_paper_s_largest_no_step_goes_up_and_the_height_stays():
+    # beyond the paper's largest no step goes up and the height stays
     steps = step_shares(0.6)
     assert steps.min() == 0.0 and steps.sum() == pytest.approx(1.0)
     assert np.all(np.diff(steps) >= 0.0)
     with pytest.raises(ParameterError, match=r"A is -0\.1"):
         step_shares(-0.1)
-
-
-def test_the_height_is_0_16_m_for_the_paper_s_cloths():
+    # the height is 0 16 m for the paper's cloths
     position = TASK.tool_path(TASK.item, np.array([0.2])).position
     assert np.ptp(position[:, 2]) == pytest.approx(0.16)
     # beside the centre, as a hand errs: 3 mm and 1.3 mm

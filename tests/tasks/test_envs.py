@@ -86,7 +86,12 @@ def test_gymnasium_finds_nothing_amiss(monkeypatch):
     check_env(StepsEnv("rope-casting"), skip_render_check=True)
 
 
-def test_steps_before_a_reset_and_after_the_end_are_refused(monkeypatch):
+def test_there_is_no_such_task(monkeypatch):
+    with pytest.raises(ParameterError, match="rope-reaching"):
+        StepsVectorEnv("rope-knotting")
+    with pytest.raises(ParameterError, match="num_envs"):
+        StepsVectorEnv("rope-casting", 0)
+    # steps before a reset and after the end are refused
     monkeypatch.setattr("gendom.tasks.envs.BANK", 2)
     one = gymnasium.make(f"{MODULE}gendom/RopeCastingSteps-v0").unwrapped
     with pytest.raises(ParameterError, match="call reset first"):
@@ -99,10 +104,3 @@ def test_steps_before_a_reset_and_after_the_end_are_refused(monkeypatch):
         _, _, over, _, _ = one.step(np.zeros(2))
     with pytest.raises(ParameterError, match="the episode is over"):
         one.step(np.zeros(2))
-
-
-def test_there_is_no_such_task():
-    with pytest.raises(ParameterError, match="rope-reaching"):
-        StepsVectorEnv("rope-knotting")
-    with pytest.raises(ParameterError, match="num_envs"):
-        StepsVectorEnv("rope-casting", 0)

@@ -35,9 +35,7 @@ def test_the_hand_keeps_speed_and_acceleration():
     assert np.abs(x[t <= 0.0]).max() < 1e-12 and x[t > 0.01][0] > 0.0
     assert v.max() == pytest.approx(0.46 * math.sqrt(9.81 * 0.3), rel=1e-4)
     assert np.abs(np.gradient(v, t)).max() == pytest.approx(0.8 * 9.81, rel=1e-2)
-
-
-def test_the_arm_does_it_as_it_is_asked():
+    # the arm does it as it is asked
     for action in TASK.limits(ROPE)[0]:
         path = TASK.tool_path(ROPE, np.array([action])).moved(TASK.T_world_task(ROPE))
         motion = follow(XARM7, path)
@@ -52,9 +50,7 @@ def test_a_highest_point_behind_the_hand_does_not_count_unless_asked_for():
     assert (first["x"], first["z"], first["backswing_higher"]) == (0.4, 0.1, 1.0)
     whole = RopeCasting(whole_motion=True).outcome(ROPE, seen(x, z, hand))
     assert (whole["x"], whole["z"]) == (0.0, 0.15)
-
-
-def test_what_is_reached_while_the_hand_still_moves_does_not_count():
+    # what is reached while the hand still moves does not count
     hand = np.array([0.0, 0.1, 0.2, 0.2, 0.2])
     x = np.array([0.0, 0.2, 0.25, 0.3, 0.1])
     z = np.array([0.0, 0.3, 0.1, 0.2, 0.0])

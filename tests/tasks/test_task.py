@@ -130,12 +130,10 @@ def test_ranges_and_objects_are_checked():
 # ---- registry ------------------------------------------------------------------------------------
 
 
-def test_unknown_tasks_are_refused_with_those_that_there_are():
+def test_unknown_tasks_are_refused_with_those_that_there_are(monkeypatch):
     with pytest.raises(ParameterError, match="choose rope-reaching, rope-casting"):
         find_task("knitting")
-
-
-def test_a_name_is_given_once(monkeypatch):
+    # a name is given once
     monkeypatch.setattr(tasks, "_registered", dict(tasks._registered))
 
     class Other(RopeReaching):
@@ -159,26 +157,13 @@ def test_names_in_files_are_never_code(code_file, tmp_path):
         with pytest.raises(ParameterError, match="there is no task"):
             read(str(code_file))
     assert not (tmp_path / "trace").exists()
-
-
-def test_a_file_is_code_where_a_person_names_it(code_file, tmp_path):
+    # a file is code where a person names it
     with pytest.raises(ParameterError, match="defines 0 tasks"):
         load_task(str(code_file))
     assert (tmp_path / "trace").exists()
 
 
 # ---- our simulator -------------------------------------------------------------------------------
-
-
-def test_one_that_fails_does_not_stop_the_others():
-    task = RopeReaching()
-    weak = replace(task.item, material=Material(E=500.0, density=1000.0))  # its weight stretches it
-    actions = task.sample_actions(task.item, np.random.default_rng(0), 3)
-    outcomes = Simulation().carry_out(task, [task.item, weak, task.item], actions)
-    assert [o.fault is None for o in outcomes] == [True, False, True]
-    assert outcomes[1].values == {} and " s" in (outcomes[1].fault or "")
-    alone = Simulation().carry_out(task, [task.item], actions[2:])[0]
-    assert alone.values == outcomes[2].values
 
 
 def test_objects_of_several_sizes_are_carried_out_in_their_order():
@@ -192,6 +177,21 @@ def test_objects_of_several_sizes_are_carried_out_in_their_order():
         alone = world.carry_out(task, [item], actions[k : k + 1])[0]
         assert alone.values["x"] / size_of(item) == pytest.approx(reached[k], rel=1e-9)
     assert reached[0] > reached[2] + 0.05
+    # one that fails does not stop the others
+    task = RopeReaching()
+    weak = replace(task.item, material=Material(E=500.0, density=1000.0))  # its weight stretches it
+    actions = task.sample_actions(task.item, np.random.default_rng(0), 3)
+    outcomes = Simulation().carry_out(task, [task.item, weak, task.item], actions)
+    assert [o.fault is None for o in outcomes] == [True, False, True]
+    assert outcomes[1].values == {} and " s" in (outcomes[1].fault or "")
+    alone = Simulation().carry_out(task, [task.item], actions[2:])[0]
+    assert alone.values == outcomes[2].values
+    # numbers that do not agree are refused
+    task = RopeReaching()
+    with pytest.raises(ParameterError, match="for 1 objects"):
+        Simulation().carry_out(task, [task.item], [[0.1, 0.1], [0.1, 0.1]])
+    with pytest.raises(ParameterError, match="out of limits"):
+        Simulation().carry_out(task, [task.item], [[0.0, 0.0]])
 
 
 def test_kept_shapes_begin_with_the_move():
@@ -206,14 +206,6 @@ def test_kept_shapes_begin_with_the_move():
     np.testing.assert_allclose(seen.tip[held], seen.hand[held], atol=1e-6)
     plain = Simulation().carry_out(task, [task.item], actions, keep=True)[0].seen
     assert plain is not None and plain.points.shape[1] == 1
-
-
-def test_numbers_that_do_not_agree_are_refused():
-    task = RopeReaching()
-    with pytest.raises(ParameterError, match="for 1 objects"):
-        Simulation().carry_out(task, [task.item], [[0.1, 0.1], [0.1, 0.1]])
-    with pytest.raises(ParameterError, match="out of limits"):
-        Simulation().carry_out(task, [task.item], [[0.0, 0.0]])
 
 
 def test_memory_that_does_not_suffice_means_smaller_batches(monkeypatch, caplog):

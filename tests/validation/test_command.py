@@ -33,9 +33,7 @@ def test_list(capsys):
     assert main(["--list", "--json", "--engine", "thin", "--only", "energy", "rod-twist"]) == 0
     (entry,) = json.loads(capsys.readouterr().out)["cases"]
     assert entry == {"name": "rod-twist", "title": "a twisted rope", "engine": "thin"}
-
-
-def test_cases_are_chosen_by_name_in_the_suites_order():
+    # cases are chosen by name in the suites order
     assert [case.name for case in choose(["energy", "free-flight"])] == ["free-flight", "energy"]
     assert [case.name for case in choose([])] == list(CASES)
     with pytest.raises(ParameterError, match="case 'bending'; did you mean"):

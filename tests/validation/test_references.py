@@ -25,31 +25,20 @@ from validation.references import (
 from validation.specimens import block, end, sections, stations
 
 
-def test_sags_of_light_and_of_heavy_rods():
+def test_elasticas_have_known_limits():
     """Gamma / 8 of a beam; a rod that is mere weight but for its clamp reaches out to
     sqrt(2 / Gamma), as E I theta'^2 / 2 = w L (1 + sin theta) there."""
     assert sag([0.01])[0] == pytest.approx(0.01 / 8.0, rel=1e-4)
     assert 1.0 / sag([3000.0])[0] == pytest.approx(math.sqrt(2.0 / 3000.0), rel=0.05)
-
-
-def test_strip_on_its_edge_falls_over_as_in_the_book():
-    """12.85 sqrt(E I G J) / L^3; a clamp that keeps a section from warping shortens it by
-    sqrt(E C / (G J)), and the load goes with the length to the power of -3."""
+    # strip on its edge falls over as in the book
     free = lateral_load()
     assert free == pytest.approx(12.85, rel=1e-3)
     assert lateral_load(1e-4) / free == pytest.approx((1.0 - 0.01) ** -3, rel=2e-3)
-
-
-def test_curl_without_weight_stays_in_its_plane():
-    """Free of stress, it has least energy."""
+    # curl without weight stays in its plane
     for curvature in (1.0, 4.0, 6.0):
         shape = hung([0.0], curvature=curvature)[0]
         assert leaves_plane(shape, 0.0, curvature, 0.7) > 0.0
-
-
-def test_tip_of_a_column_that_hardly_bends():
-    """H / V = q a in Euler's mode a (sin(q s) - q cos(q s) + q (1 - s)), tan(q) = q, which is let
-    down by the half of its squared slope."""
+    # tip of a column that hardly bends
     q = brentq(lambda q: math.tan(q) - q, 4.4, 4.6)
     assert isinstance(q, float)
     s = np.linspace(0.0, 1.0, 2001)
@@ -111,6 +100,14 @@ def test_swing_reads_frequency_and_decay_and_refuses_noise():
     assert swing(t, y, 5.5) == pytest.approx((5.0, 0.4), rel=1e-6)
     with pytest.raises(SimulationError, match="no single"):
         swing(t, np.random.default_rng(0).normal(size=90), 5.0)
+    # errors of rows
+    share = relative("a", "m", -2.0, -2.1, 0.05, "s")
+    assert share.error == pytest.approx(0.05) and share.relative
+    assert not relative("a", "m", 2.0, 2.2, 0.05, "s").passed
+    own = absolute("a", "m", 0.0, -0.3, 0.3, "s")
+    assert own.error == 0.3 and own.passed and not own.relative
+    with pytest.raises(SimulationError, match="a: measured nan"):
+        absolute("a", "m", 0.0, math.nan, 0.3, "s")
 
 
 @pytest.mark.parametrize(
@@ -145,14 +142,3 @@ def test_mechanics_of_a_block():
     x = body.x * (1.0 + strain * np.array([1.0, -0.3, -0.3]))
     m = mechanics(bench.simulate(body, [material], gravity=(0, 0, 0), positions=x))
     assert m.elastic == pytest.approx(1.0e4 * strain**2 / 2.0 * volume, rel=0.02)
-
-
-def test_errors_of_rows():
-    """Relative errors are shares of the expected value, others have its unit; NaN is refused."""
-    share = relative("a", "m", -2.0, -2.1, 0.05, "s")
-    assert share.error == pytest.approx(0.05) and share.relative
-    assert not relative("a", "m", 2.0, 2.2, 0.05, "s").passed
-    own = absolute("a", "m", 0.0, -0.3, 0.3, "s")
-    assert own.error == 0.3 and own.passed and not own.relative
-    with pytest.raises(SimulationError, match="a: measured nan"):
-        absolute("a", "m", 0.0, math.nan, 0.3, "s")

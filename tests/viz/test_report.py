@@ -126,9 +126,7 @@ def test_what_is_not_usable_has_reasons_and_no_beliefs():
     words = Page(render_report(only(refused=["no frames with <points>"]))).words
     assert "Not usable." in words and "no frames with <points>" in words
     assert "The estimate" not in words
-
-
-def test_goals_in_the_plane_and_a_worse_policy_that_is_not_praised():
+    # goals in the plane and a worse policy that is not praised
     plane = [outcome([0.3, 0.2 + z], [0.33, 0.24 + z], [0.31, 0.2 + z]) for z in (0.0, 0.1)]
     page = Page(render_report(only(action=action(*plane))))
     assert page.words.count("50.0 mm") == 5  # of each goal, in the mean, in words, at the top

@@ -123,9 +123,7 @@ def test_layers_go_and_come_back_and_clouds_fade(browser, report):
         act(browser, "#motion input.fade", f"value = {fade}")
         pictures.append(drawn(browser, "motion"))
     assert len(set(pictures)) == 3
-
-
-def test_dragging_turns_the_view(browser, report):
+    # dragging turns the view
     browser.open(report, width=800)
     before = drawn(browser, "lift")
     browser.evaluate("document.querySelector('#lift canvas').scrollIntoView({behavior: 'instant'})")

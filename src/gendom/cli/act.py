@@ -78,9 +78,12 @@ class Command(KnownObject):
     """Use the shipped policy that does not see the object's parameters."""
     polish: bool = False
     """Improve the action through the simulator, for objects drawn from the estimate and with what
-    earlier executions have shown (gendom adapt)."""
-    seconds: float = 10.0
-    """Time limit of --polish [s]."""
+    earlier executions have shown (gendom adapt). Without it that is done where it takes a few
+    seconds: ropes in the engine thin."""
+    no_polish: bool = False
+    """Take the policy's action as it is."""
+    seconds: float = 5.0
+    """Time limit of polishing [s]."""
     engine: Engine = "thin"
     no_prediction: bool = False
     """Do not simulate the predicted result."""
@@ -112,9 +115,11 @@ class Command(KnownObject):
         action = policy.act(self.goal, item, likely=others, force=self.force)
         values, polished, wrong, notes = np.array(action.values), None, None, []
         world = Simulation(engine=self.engine)
-        if self.polish:
+        known = held.value("E_over_rho") is not None
+        simulated = not self.no_prediction and known
+        quick = task.kind == "rope" and self.engine == "thin" and simulated
+        if self.polish or (quick and not self.no_polish and not self.no_parameters):
             values, polished, wrong = self._polished(task, held, values, world)
-        simulated = not self.no_prediction and held.value("E_over_rho") is not None
         if simulated and not self.force:
             values, notes = steady(task, item, action.goal, values, wrong, world, self.seed)
         for note in notes:
@@ -150,6 +155,9 @@ class Command(KnownObject):
             result["polished"] = polished
         if simulated:
             result["predicted"] = predict(task, item, values, others, self.seed, world)
+            for note in excluded(action.goal, result["predicted"], result["units"]):
+                result["warnings"].append(note)
+                _log.warning("%s", note)
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
         write_result(self.out, result, json=self.json)
         return 0
@@ -220,6 +228,23 @@ class Command(KnownObject):
         about = {"expected": found.expected, "before": found.before,
                  "rollouts": found.rollouts, "seconds": found.seconds}  # fmt: skip
         return found.action, about, discrepancy
+
+
+def excluded(
+    goal: Mapping[str, float], predicted: Mapping[str, Any], units: Mapping[str, str]
+) -> list[str]:
+    """What to say of goals that the predicted interval does not hold."""
+    notes = []
+    for name, wanted in goal.items():
+        ends = predicted.get("interval_90", {}).get(name)
+        if ends and not ends[0] <= wanted <= ends[1]:
+            unit = units.get(name, "")
+            notes.append(
+                f"the goal {name} {wanted:g} {unit} lies outside of what is predicted, 90 % in "
+                f"{ends[0]:.4g} to {ends[1]:.4g}: the object may not reach it; choose a goal "
+                f"nearer to {predicted['reached'][name]:.4g}"
+            )
+    return notes
 
 
 def placed(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 import tyro
 
 from gendom.arguments import require
+from gendom.plugins import plugin_names
 from gendom.progress import bar
 
 if TYPE_CHECKING:
@@ -67,11 +68,26 @@ def refuse_bag_flags(source: Path, settings: RosSettings, **others: Any) -> None
     require(not given, what, where=where, fix="leave it out")
 
 
-TASKS_HELP = (
-    "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|cloth-dragging|FILE.py"
-)
+def _tasks() -> list[str]:
+    from gendom.tasks import task_names
 
-METHODS_HELP = "gauss-newton|adam|differential-evolution"
+    return task_names()
+
+
+OUR_TASKS = [
+    "rope-reaching",
+    "rope-casting",
+    "rope-casting-at-speed",
+    "cloth-spreading",
+    "cloth-dragging",
+]
+
+TASKS_HELP = "|".join([*(_tasks() if plugin_names("tasks") else OUR_TASKS), "FILE.py"])
+"""Other packages' tasks cost their import."""
+
+METHODS_HELP = "|".join(
+    ["gauss-newton", "adam", "differential-evolution", *plugin_names("methods")]
+)
 
 
 def _name(metavar: str, known: Callable[[str], str]) -> Any:

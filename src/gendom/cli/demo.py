@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import logging
 import time
 from collections.abc import Iterator, Sequence
@@ -26,9 +27,10 @@ from gendom.cli.estimate import (
 from gendom.cli.outputs import check_places
 from gendom.cli.parsing import TYPED
 from gendom.datasets import Recording
-from gendom.errors import GendomError, ParameterError, printable
+from gendom.errors import DeviceError, GendomError, ParameterError, printable
 from gendom.estimation import EstimateSettings, FittedEstimate, SceneSettings, estimate
 from gendom.files import to_json, write_json
+from gendom.installation import how_to_install
 from gendom.materials import Item
 from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
@@ -77,6 +79,11 @@ SUMMARY = (
     "input and so needs no training on this one. "
     "This page shows how well the simulated lift matches the recorded one, how sure the estimate "
     "is, and what the policy's action reached."
+)
+
+OURS = (
+    " MuJoCo is not installed here, so the actions below are carried out in our own simulator, "
+    "with the rope's true values in place of the estimated ones."
 )
 
 CAMERAS_NOTE = (
@@ -140,6 +147,13 @@ class Command:
         check_places((self.out, ""))
         open_device(self.device)
         seconds: dict[str, float] = {}
+        if lacking := _lacking():
+            what = f"MuJoCo is not installed; {how_to_install('reality')} brings it"
+            require(not self.live, what, where="--live", fix="or leave it out", error=DeviceError)
+            how = (
+                "the second reality (docs/reality.md): actions are carried out in our own simulator"
+            )
+            _log.warning("%s, %s, with the rope's true values", what, how)
         rope, policies, goals = self._rope_and_goals()
         recording, views = self._recording(rope, seconds)
         print(f"a recorded lift: {recording.num_frames} frames of {recording.source}\n", flush=True)
@@ -162,8 +176,10 @@ class Command:
             "A simulated arm moves the rope, and two simulated depth cameras see it."
         )
         if found.usable:
-            action = self._act(rope, policies, goals, found, clouds, seconds)
-            scene += " The actions below are carried out in the same scene."
+            action, apart = self._act(rope, policies, goals, found, clouds, seconds)
+            print(f"  ({apart})\n")
+            scene += OURS if lacking else " The actions below are carried out in the same scene."
+            scene += f" {apart}"
         for reason in found.verdict.reasons:
             _log.error("not usable: %s", reason)
         acts = ", and an action that reaches its goal" if action else ""
@@ -247,15 +263,16 @@ class Command:
         found: FittedEstimate,
         clouds: CloudSequence,
         seconds: dict[str, float],
-    ) -> ActionSummary:
-        """Let the arm act for each goal, say what it reached, and write it."""
+    ) -> tuple[ActionSummary, str]:
+        """Let the arm act for each goal, say what it reached, and write it; and how far that may be
+        trusted."""
 
         task = policies[0].task()
         with _timed(seconds, "act and carry out"):
             belief = believed(found, task)
-            outcomes, trial, seen = carry_out(rope, policies, goals, belief, self.seed)
+            outcomes, last = carry_out(rope, policies, goals, belief, self.seed)
         with _timed(seconds, "predict the motion"):
-            motion = predicted(task, outcomes[-1], trial, seen, belief.item, self.device)
+            motion, apart = predicted(task, outcomes, last, belief.item, self.device)
         for outcome in outcomes:
             ours, *_ = outcome.runs.values()
             named = zip(task.actions, ours.action, strict=True)
@@ -270,20 +287,22 @@ class Command:
             write_json(self.out / "actions.json", actions)
         if self.json:
             print(to_json({"estimate": found.record, **actions, "seconds": seconds}))
-        print()
-        return ActionSummary(
+        said = "What is reached and what the simulator says of the same action differ by "
+        said += f"{1e3 * apart:.1f} mm in the median: smaller differences say little."
+        summary = ActionSummary(
             outcomes=outcomes,
             motion=motion,
             goal_name=", ".join(f"{q.name} {q.meaning}" for q in task.goals),
             action_names=[f"{q.name.replace('_', ' ')} [{q.unit}]" for q in task.actions],
         )
+        return summary, said
 
 
 def carry_out(
     rope: RealRope, policies: Sequence[Policy], goals: np.ndarray, belief: Estimate, seed: int
-) -> tuple[list[ReachOutcome], TrialRun, Observed]:
-    """What each of `VARIANTS` reached for each goal, done by the arm; and the last motion of the
-    policy with parameters.
+) -> tuple[list[ReachOutcome], Executed]:
+    """What each of `VARIANTS` reached for each goal, and the last motion of the policy with
+    parameters.
 
     Besides the policies' actions one is polished through the simulator for what is believed of
     the rope, and once more for what is known after that execution.
@@ -301,27 +320,52 @@ def carry_out(
             return polish(task, goal, items, start, discrepancy=discrepancy).action
 
         ours, without = (np.array(p.act(goal, belief.item).values) for p in policies)
-        first, trial, seen = _execute(rope, task, ours)
-        runs = [first, _execute(rope, task, without)[0]]
+        first = execute(rope, task, ours)
+        runs = [first.run, execute(rope, task, without).run]
         action = polished(ours, belief)
-        runs.append(_execute(rope, task, action)[0])
+        runs.append(execute(rope, task, action).run)
         learnt = adapt(task, belief, [Execution(action=action, reached=runs[-1].reached)])
         action = polished(action, learnt.belief, learnt.discrepancy)
-        runs.append(_execute(rope, task, action)[0])
+        runs.append(execute(rope, task, action).run)
         named = dict(zip(VARIANTS.values(), runs, strict=True))
         outcomes.append(ReachOutcome(goal=goal, runs=named))
-    return outcomes, trial, seen
+    return outcomes, first
 
 
-def _execute(
-    rope: RealRope, task: Task, action: np.ndarray
-) -> tuple[PolicyRun, TrialRun, Observed]:
-    """One action, done by the arm."""
-    trial = RealWorld().begin(task, rope, action)
-    seen = observe(task, trial, MOTION_RATE * _FINER)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Executed:
+    """One action that was carried out."""
+
+    run: PolicyRun
+    seen: Observed
+    trial: TrialRun | None
+    """The arm's in the MuJoCo scene; None: in our simulator."""
+
+
+def _lacking() -> bool:
+    """Whether there is no MuJoCo, so that actions are carried out in our simulator."""
+    return importlib.util.find_spec("mujoco") is None
+
+
+def execute(rope: RealRope, task: Task, action: np.ndarray) -> Executed:
+    """One action, done by the arm in the MuJoCo scene, or without MuJoCo in our simulator with the
+    rope as it truly is."""
+    if _lacking():
+        trial, seen = None, _simulated(task, rope, action)
+    else:
+        trial = RealWorld().begin(task, rope, action)
+        seen = observe(task, trial, MOTION_RATE * _FINER)
     values = task.outcome(rope, seen)
     reached = np.array([values[q.name] for q in task.goals])
-    return PolicyRun(action=action, reached=reached), trial, seen
+    return Executed(run=PolicyRun(action=action, reached=reached), seen=seen, trial=trial)
+
+
+def _simulated(task: Task, item: Item, action: np.ndarray, device: str = "cpu") -> Observed:
+    world = Simulation(device=device, everything=True)
+    outcome = world.carry_out(task, [item], [action], keep=True)[0]
+    if outcome.seen is None:
+        raise GendomError(outcome.fault or "the simulation failed", where="demo")
+    return outcome.seen
 
 
 def _filled(vertices: np.ndarray, points: int = 150) -> np.ndarray:
@@ -332,41 +376,47 @@ def _filled(vertices: np.ndarray, points: int = 150) -> np.ndarray:
 
 
 def predicted(
-    task: Task, last: ReachOutcome, trial: TrialRun, seen: Observed, known: Item, device: str
-) -> CloudSequence:
-    """A motion as the arm did it, in the task's frame, and beside it what our simulator makes of
-    the same action.
+    task: Task, outcomes: Sequence[ReachOutcome], last: Executed, known: Item, device: str
+) -> tuple[CloudSequence, float]:
+    """The last motion as it was carried out, in the task's frame, and beside it what our simulator
+    makes of the same action; and how far apart both place what is reached, in the median [m].
 
     Args:
         task: What was done.
-        last: The goal, and the action.
-        trial: The motion.
-        seen: What was seen of it.
+        outcomes: Goals and actions.
+        last: The motion of the last one's policy with parameters.
         known: The object as it is estimated.
         device: That simulates.
     """
-    world = Simulation(device=device, everything=True)
-    outcome = world.carry_out(task, [known], [last.runs[WITH].action], keep=True)[0]
-    if outcome.seen is None:
-        raise GendomError(outcome.fault or "the simulation failed", where="demo")
-    late = outcome.seen.times
-    frames = np.arange(0, len(seen.times), _FINER)
-    frames = frames[(seen.times[frames] >= late[0]) & (seen.times[frames] <= late[-1])]
-    nearest = [int(np.argmin(np.abs(late - seen.times[k]))) for k in frames]
-    T = task.T_world_task(trial.trial.item)
-    clock = trial.closes + frames / (MOTION_RATE * _FINER)
-    arm, radius = arm_poses(trial, clock, T) or (None, None)
-    return CloudSequence(
+    runs = [outcome.runs[WITH] for outcome in outcomes]
+    models = [_simulated(task, known, run.action, device) for run in runs]
+    apart = []
+    for run, model in zip(runs, models, strict=True):
+        values = task.outcome(known, model)
+        apart.append(np.linalg.norm(run.reached - [values[q.name] for q in task.goals]))
+    model, seen = models[-1], last.seen
+    shown = np.arange(seen.times[0], seen.times[-1], 1.0 / MOTION_RATE)
+    frames = np.unique(np.searchsorted(seen.times, shown - 1e-9))
+    late = (seen.times[frames] >= model.times[0]) & (seen.times[frames] <= model.times[-1])
+    frames = frames[late]
+    nearest = [int(np.argmin(np.abs(model.times - seen.times[k]))) for k in frames]
+    T = task.T_world_task(known if last.trial is None else last.trial.trial.item)
+    arm = radius = None
+    if last.trial is not None:
+        clock = last.trial.closes + seen.times[frames] - seen.times[0]
+        arm, radius = arm_poses(last.trial, clock, T) or (None, None)
+    clouds = CloudSequence(
         recorded=[_filled(x) for x in seen.points[frames]],
-        simulated=[_filled(outcome.seen.points[k]) for k in nearest],
+        simulated=[_filled(model.points[k]) for k in nearest],
         times=seen.times[frames] - seen.times[frames[0]],
         table_height=-float(T[2, 3]),
         gripper=seen.hand[frames],
         labels=("carried out", "predicted"),
         arm=arm,
         arm_radius=radius,
-        goal=goal_mark(last.goal, seen),
+        goal=goal_mark(outcomes[-1].goal, seen),
     )
+    return clouds, float(np.median(apart))
 
 
 def _given_goals(numbers: Sequence[float], policy: Policy, rope: RealRope) -> np.ndarray:

@@ -69,9 +69,13 @@ class KnownObject:
         found = found.with_known(given)
         columns = [n for n in KINDS[task.kind].sizes if n != "side" or "width" not in found.known]
         # not every recording determines damping and friction
-        columns += [PARAMETERS[name].column for name in needs if name not in HIDDEN]
+        # nor Poisson's ratio, which hardly shows in what slender and thin things do
+        columns += [PARAMETERS[n].column for n in needs if n not in (*HIDDEN, "nu")]
         missing = [name for name in columns if found.value(name) is None]
-        asked = ("--E and --density" if name == "E_over_rho" else f"--{name}" for name in missing)
+        both = [n for n in ("E", "density") if found.value(n) is None] or ["E", "density"]
+        every = [n for name in missing for n in (both if name == "E_over_rho" else [name])]
+        asked = (f"--{name} [{'kg/m^3' if name == 'density' else 'Pa' if name == 'E' else 'm'}]"
+                 for name in every)  # fmt: skip
         require(
             not missing,
             "the object is not fully described",

@@ -51,11 +51,11 @@ def _row(material: catalogue.Listed) -> dict:
 def _list(chosen: Sequence[catalogue.Listed]) -> str:
     """One line each."""
 
-    def ends(of: catalogue.Range, form: str) -> str:
-        return f"{of.typical:{form}} ({of.low:{form}} to {of.high:{form}})"
+    def ends(of: catalogue.Range, form: str) -> list[str]:
+        return [f"{x:{form}}" for x in (of.typical, of.low, of.high)]
 
-    rows = [(m.name, m.kind, ends(m.E, ".2g"), ends(m.density, ".0f")) for m in chosen]
-    head = ("", "kind", "E in bending [Pa]", "density [kg/m^3]")
+    rows = [(m.name, m.kind, *ends(m.E, ".1e"), *ends(m.density, ".0f")) for m in chosen]
+    head = ("", "kind", "E in bending [Pa]", "from", "to", "density [kg/m^3]", "from", "to")
     return columns(head, rows) + "\ngendom materials NAME prints all numbers and their sources."
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,22 @@ class _Lines(io.TextIOBase):
         self._to = to
 
     def write(self, text: str) -> int:
-        self._to.write("\n".join(map(printable, text.split("\n"))))
+        with self._survived():
+            self._to.write("\n".join(map(printable, text.split("\n"))))
         return len(text)
 
     def flush(self) -> None:
-        self._to.flush()
+        with self._survived():
+            self._to.flush()
+
+    @contextmanager
+    def _survived(self) -> Iterator[None]:
+        """A reader that has gone, such as `head`, does not stop the work: files are written."""
+        try:
+            yield
+        except BrokenPipeError:
+            with suppress(OSError, ValueError):  # all further text goes nowhere
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self._to.fileno())
 
 
 @contextmanager

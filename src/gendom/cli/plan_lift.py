@@ -154,9 +154,13 @@ def plan_text(plan: LiftPlan) -> str:
     for fault in dict.fromkeys(fault for row in plan.rows for fault in row.faults):
         count = sum(fault in row.faults for row in plan.rows)
         lines.append(f"{count} of {len(plan.rows)} motions: {fault}")
-    best = plan.chosen
-    lines.append(
-        f"best for {' and '.join(plan.settings.aims)}: {best.motion}, whose intervals are narrower "
-        f"than the plain hold's by a factor of {plan.gain(best):.2f} (geometric mean)"
-    )
+    best, aims = plan.chosen, " and ".join(plan.settings.aims)
+    gain = f"{plan.gain(best):.2f}"
+    if float(gain) > 1.0:
+        lines.append(
+            f"best for {aims}: {best.motion}, whose intervals are narrower than the plain hold's "
+            f"by a factor of {gain} (geometric mean)"
+        )
+    else:
+        lines.append(f"for {aims} none of these motions shows more than the plain hold")
     return "\n".join(lines)

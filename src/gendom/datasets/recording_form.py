@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.arguments import fits, require, short_repr
-from gendom.errors import RecordingError, one_line
+from gendom.errors import RecordingError, did_you_mean, one_line
 from gendom.files import to_json
 from gendom.materials import KINDS
 from gendom.shown import Shown
@@ -39,6 +39,9 @@ ARRAYS = {
     "camera_positions": (np.float64, ("K", 3)),
 }
 STORED_ARRAYS = tuple(name for name in ARRAYS if name != "camera_positions")
+_OF_OBJECT = ("natural_curvature", "outline")
+_BESIDE_OBJECT = ("robot", "static", "ordered_markers")
+"""Other keys of `meta` that are read."""
 _OPTIONAL_ARRAYS = ("gripper_axis", "gripper_closed", "seen_by", "camera_positions")
 _KINDS_OF = {"f": "iuf", "i": "iu", "u": "iu", "b": "b"}  # that are converted to each kind
 
@@ -412,6 +415,7 @@ def parse_meta(meta: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
         sizes = {n: take(table, n, None, _NUMBER, "a number, or null", "object.") for n in SIZES}
         usual = "corner" if kind == "cloth" else "end"
         grasp = take(table, "grasp", usual, (str,), f"one of {GRASPS}", "object.")
+        faults += _misspelt(table, ("kind", *SIZES, "grasp", *_OF_OBJECT), "object.")
         values["object"] = ObjectDescription(kind=kind, grasp=grasp, extra=table, **sizes)
     for key, default, kinds, want in (
         ("table_height", None, _NUMBER, "metres, or null for no table"),
@@ -422,6 +426,7 @@ def parse_meta(meta: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
         ("cameras_calibrated", True, (bool,), "true or false"),
     ):
         values[key] = take(rest, key, default, kinds, want)
+    faults += _misspelt(rest, (*values, "camera_positions", *_BESIDE_OBJECT))
     cameras = rest.pop("camera_positions", None)
     if cameras is not None:
         try:
@@ -433,6 +438,13 @@ def parse_meta(meta: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
             faults.append(Fault(what, "camera_positions", "give [K, 3] in metres"))
             cameras = None
     return {**values, "camera_positions": cameras, "extra": rest}, faults
+
+
+def _misspelt(rest: Mapping[str, Any], known: Sequence[str], at: str = "") -> Iterator[Fault]:
+    """Faults of keys that nothing reads and that look like ones that are read."""
+    for key in rest:
+        if key not in known and (advice := did_you_mean(key, known, cutoff=0.8)):
+            yield Fault("is read by nothing", f"{at}{key}", advice)
 
 
 _NUMBER = (int, float, type(None))  # that may be unknown

@@ -12,7 +12,12 @@ from threadpoolctl import threadpool_limits
 from gendom.arguments import check_list
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
-from gendom.estimation.intervals import IntervalCalibration, posterior_of, tip_suspected
+from gendom.estimation.intervals import (
+    IntervalCalibration,
+    posterior_of,
+    tip_suspected,
+    told_apart,
+)
 from gendom.estimation.methods import find_method
 from gendom.estimation.methods.gauss_newton import gauss_newton, refined
 from gendom.estimation.methods.nearest import nearest
@@ -77,6 +82,7 @@ def estimate(
         times.append(clock.perf_counter())
         calibration = calibration or IntervalCalibration.of(problem.scene.kind, settings.frames)
         shift, suspicion = tip_suspected(problem, found)
+        said = (*suspicion, *told_apart(problem, found))
         posterior = posterior_of(problem, found, calibration, np.abs(shift))
         alone = _alone(problem, found, posterior, calibration)
         times.append(clock.perf_counter())
@@ -87,7 +93,7 @@ def estimate(
             posterior = replace(posterior, covariance=np.diag(posterior.prior.sd**2))
         stages = zip(("scene", "search", "intervals"), np.diff(times), strict=True)
         seconds = {name: float(t) for name, t in stages}
-        return result_of(problem, found, posterior, alone, verdict, seconds, suspicion)
+        return result_of(problem, found, posterior, alone, verdict, seconds, said)
 
 
 def _searched(problem: Problem, search: Callable[[Problem], Found]) -> tuple[Problem, Found]:
@@ -98,7 +104,7 @@ def _searched(problem: Problem, search: Callable[[Problem], Found]) -> tuple[Pro
         problem.settings = replace(problem.settings, starts=1, max_iterations=2)
     found = search(problem)
     while problem.settings.method == "gauss-newton" and not (found.interrupted or refused):
-        finer = problem.finer(found.best.vector)
+        finer = problem.finer(found.best.vector).beside(found)
         if finer is problem:
             return problem, _searched_widely(problem, found)
         problem, found = finer, refined(finer, found)

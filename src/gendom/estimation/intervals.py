@@ -107,6 +107,8 @@ def posterior_of(
             # other searches minimise something else, or end before the likelihood is greatest
             added = np.hypot(added, np.abs(np.linalg.solve(hessian, gradient)))
     covariance = with_fingers(problem, found, covariance)
+    for other in found.others:
+        added = np.maximum(added, np.abs(other - found.best.vector))
     # what moves otherwise than any simulated object gets no intervals
     if not any(displaced(p, n) for p, n in zip(problem.parts, found.noise, strict=True)):
         added = np.hypot(added, discrepancy(problem, found, covariance, calibration))
@@ -189,6 +191,15 @@ def with_fingers(problem: Problem, found: Found, covariance: Array) -> Array:
             moved = np.clip(moved, -prior.sd, prior.sd)
             covariance = covariance + np.outer(moved, moved)
     return covariance
+
+
+def told_apart(problem: Problem, found: Found) -> tuple[str, ...]:
+    """What to say where starts have ended apart."""
+    ends = [problem.theta(v) for v in (found.best.vector, *found.others)]
+    bends = [problem.scene.bending_length(t.E_over_rho, t.thickness) for t in ends]
+    texts = ", ".join(f"{b:.4g}" for b in bends)
+    what = f"starts end apart and fit about as well, with bending lengths of {texts} m"
+    return (f"{what}: the intervals hold all of them",) if found.others else ()
 
 
 def tip_suspected(problem: Problem, found: Found) -> tuple[Array, tuple[str, ...]]:

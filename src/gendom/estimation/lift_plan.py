@@ -33,7 +33,8 @@ from gendom.estimation import (
 from gendom.estimation.methods.search import estimated_noise
 from gendom.estimation.problem import Start
 from gendom.materials import KINDS, Item, Material, Rope, catalogue, size_of, thickness_of
-from gendom.materials.posterior import half_width
+from gendom.materials.posterior import Prior, half_width
+from gendom.materials.unknowns import Theta
 from gendom.observation import visible
 from gendom.reality import Trial, arm_motion, as_real, end_of, lift, lift_cameras
 from gendom.robot import LIFT_ENDS, XARM7, JointMotion, LiftMotion, predefined_lift
@@ -322,15 +323,10 @@ def forecast(
     prior, base = scene.prior()
     believed = {name: float(scene.prior((unknown,))[0].sd[0]) for name, unknown in SHOWN.items()}
     rng = np.random.default_rng([*seed, 1])
-    # drawn by name, so that other lifts of this object are drawn alike
-    drawn = dict(zip(UNKNOWNS, rng.random(len(UNKNOWNS)), strict=True))
-    ends = (prior.low - prior.mean) / prior.sd, (prior.high - prior.mean) / prior.sd
-    shares = [drawn[name] for name in prior.names]
-    truth = truncnorm.ppf(shares, *ends, loc=prior.mean, scale=prior.sd)
-    x = replay(scene, [prior.theta(truth, base)], keep_going=True)[:, 0]
-    if not np.isfinite(x).all():
+    truth = drawn(prior, rng)
+    (shown,) = imagined(scene, [prior.theta(truth, base)], settings.noise.sensor, rng)
+    if shown is None:
         return believed, None
-    shown = _showing(lying, scene.frames, _seen(scene, x, settings.noise.sensor, rng))
     problem = Problem([replace(scene, recording=shown)], settings)
     comparison = problem.compare([truth])[0]
     if comparison is None:
@@ -345,6 +341,29 @@ def forecast(
         name: posterior.sd(unknown) if unknown in prior.names else believed[name]
         for name, unknown in SHOWN.items()
     }
+
+
+def drawn(prior: Prior, rng: np.random.Generator) -> Array:
+    """[P] transformed values drawn from a prior; by name, so that other lifts of an object are
+    drawn alike."""
+    shares = dict(zip(UNKNOWNS, rng.random(len(UNKNOWNS)), strict=True))
+    ends = (prior.low - prior.mean) / prior.sd, (prior.high - prior.mean) / prior.sd
+    own = [shares[name] for name in prior.names]
+    return truncnorm.ppf(own, *ends, loc=prior.mean, scale=prior.sd)
+
+
+def imagined(
+    scene: LiftScene, thetas: Sequence[Theta], noise: float, rng: np.random.Generator
+) -> list[Recording | None]:
+    """Recordings of a scene's lift of objects with these parameters, by cameras with some noise
+    [m]; None where one could not be simulated. Only frames that are compared show points."""
+    found: list[Recording | None] = []
+    for x, theta in zip(
+        np.swapaxes(replay(scene, thetas, keep_going=True), 0, 1), thetas, strict=True
+    ):
+        clouds = _seen(scene, x, theta, noise, rng) if np.isfinite(x).all() else None
+        found.append(clouds and _showing(scene.recording, scene.frames, clouds))
+    return found
 
 
 def recorded_lift(trial: Trial, arm: JointMotion, frame_rate: float) -> Recording:
@@ -389,10 +408,12 @@ def _showing(lying: Recording, frames: Sequence[int], clouds: Sequence[Array]) -
     return replace(lying, points=np.concatenate(every), offsets=np.cumsum([0, *map(len, every)]))
 
 
-def _seen(scene: LiftScene, x: Array, noise: float, rng: np.random.Generator) -> list[Array]:
+def _seen(
+    scene: LiftScene, x: Array, theta: Theta, noise: float, rng: np.random.Generator
+) -> list[Array]:
     """T clouds of an object at [T, N, 3] [m] that the scene's cameras see with some noise [m]."""
     most, clouds = CLOUD_POINTS[scene.kind], []
-    for skin in scene.body.surface(x):
+    for skin in scene.body_of(theta).surface(x):
         if scene.kind == "rope":
             skin = skin[visible(skin, camera_positions=scene.recording.camera_positions)]
         skin = skin[rng.choice(len(skin), size=min(most, len(skin)), replace=False)]

@@ -15,16 +15,26 @@ expectation and maximisation (Dempster et al. 1977).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
-from gendom.estimation.replay import Shape, held_reach, lattice, middle, taken
+from gendom.estimation.markers import Offsets, aside, beside_axis, material_frames, spread
+from gendom.estimation.replay import (
+    Shape,
+    columns,
+    held_reach,
+    lattice,
+    middle,
+    with_ones,
+)
 from gendom.estimation.scene import LiftScene
 from gendom.observation import visible
 
@@ -38,6 +48,10 @@ THIN, SKIN_OF_THIN = 0.008, 1e-5
 """Diameter of a thin rope, and `NoiseModel.skin` of it [m]. Depth is mixed at most of its pixels,
 which widens it along the views: a larger skin beside the cloud would fit better than the true one
 (10 mm outside a rope of 6 mm, with an E 27 % too small)."""
+
+SHARED = 16.0
+"""`NoiseModel.patch` of markers in motion, the first guess: what moves otherwise than the model
+does so for some tenths of a second, along a quarter of the cable."""
 
 PLACE_SCALE, TIME_SCALE = 0.3, 0.1
 """Correlation length of displacements along the object, in its size, and their correlation time, as
@@ -62,7 +76,7 @@ class NoiseModel:
     sensor: float = 0.002
     """Noise of independent points [m]; the first guess."""
     model: float = 0.002
-    """The simulated object's smooth displacement [m]; the first guess."""
+    """The simulated object's smooth displacement [m]; the first guess. 0: there is none."""
     least_sensor: float = 5e-4
     """Lower bound of the sensor noise [m]."""
     least_model: float = 3e-4
@@ -73,8 +87,10 @@ class NoiseModel:
     """Likewise [rad]."""
     skin: float = 0.002
     """Of the distance of points from the true skin [m]: hairs, edges of pixels."""
+    beside: float = 0.01
+    """Of markers from the axis of a cable [m]: balls of 1 to 2 cm on its sheath."""
     patch: float = 4.0
-    """Points of a thinned cloud that share their noise."""
+    """Points of a thinned cloud, or coordinates of markers, that share their noise."""
     cloud_points: int = 160
     """Points of a frame that are compared, at most; four times as many of a cloth."""
     rounds: int = 3
@@ -87,8 +103,10 @@ class NoiseModel:
             noise = replace(noise, skin=SKIN_OF_THIN)
         if scene.registration is not None:
             return noise.with_unknown_cameras()
-        # a motion capture measures hands and markers in one frame
-        return replace(noise, shift=1e-4, turn=1e-4) if scene.captured else noise
+        if scene.captured:
+            # hands and markers are measured in one frame
+            return replace(noise, shift=1e-4, turn=1e-4, patch=SHARED)
+        return replace(noise, patch=1.0) if scene.ordered else noise
 
     def with_unknown_cameras(self) -> NoiseModel:
         """With the wide prior of cameras whose poses are unknown."""
@@ -100,9 +118,10 @@ class NoiseModel:
         sd = [self.shift] * 3 + [self.turn] * 3 + [self.skin]
         return np.array(sd) ** -2.0
 
-    def precision(self, smooth: int) -> Array:
-        """[S + 7] of displacement, motion and skin before anything is seen."""
-        return np.concatenate([np.full(smooth, self.model**-2), self.fixed])
+    def precision(self, smooth: int, beside: int) -> Array:
+        """[S + B + 7] of displacement, markers, motion and skin before anything is seen."""
+        displaced = np.full(smooth, self.model**-2) if smooth else []
+        return np.concatenate([displaced, np.full(beside, self.beside**-2), self.fixed])
 
 
 class Observation:
@@ -143,7 +162,9 @@ class Observation:
         away = np.linalg.norm(x[:, None] - scene.held, axis=2).min(axis=1)
         self.in_view = away > 2.0 * held_reach(scene) + scene.body.thickness
         self.markers = None
-        if scene.ordered:
+        if scene.places is not None:
+            self.markers = scene.markers
+        elif scene.ordered:
             rest = middle(scene, scene.initial)
             first = scene.recording.frame(scene.begins).astype(float)
             index, weight, _ = self.shape.nearest(rest[None], first[None])
@@ -153,7 +174,11 @@ class Observation:
         at = np.linspace(0.0, 1.0, len(sizes))
         # with one shape alone, displacements and parameters have the same effect
         self.in_time = np.zeros((len(at), 1)) if scene.static else _modes(at, TIME_SCALE)
+        if scene.captured:
+            self.in_time = np.zeros((len(at), 0))
         a, b = lattice(scene)
+        self.beside = beside_axis(scene) if scene.beside else np.zeros((0, 0))
+        """[m, B / 3] offsets of a cable's markers from its axis."""
         scale = PLACE_SCALE * scene.size
         if len(b) == 1:
             self.in_place = _modes(a, scale)
@@ -175,9 +200,9 @@ class Observation:
             row[: len(cloud)] = own[:: -(-len(own) // len(cloud))]
         return found
 
-    def rows(self, shape: Array, r: float) -> Rows:
+    def rows(self, shape: Array, r: float, in_sight: Callable[[int], Array]) -> Rows:
         """The places on shapes [T, n, 3] of half thickness r [m] that points correspond to, and
-        which parts of the shapes have no points near."""
+        which parts of the shapes have no points near, of those that are in sight in a frame."""
         if self.markers is not None:
             return self._marker_rows(shape)
         T = len(shape)
@@ -196,21 +221,15 @@ class Observation:
             rho = np.where(inside, np.abs(high) - r, rho)
         own, share = self.shape.samples
         c = np.einsum("mk,tmka->tma", share, shape[:, own])
-        near, gap = np.zeros(c.shape), np.zeros(c.shape[:2])
-        for t in range(T):
-            gap[t], which = self.trees[t].query(c[t])
-            near[t] = self.clouds[t][which]
+        near = np.take_along_axis(self.points, self._nearest(c)[..., None], axis=1)
+        gap = np.linalg.norm(near - c, axis=2)
         out = gap - r - self.gaps[:, None]
         bare = (out > 0.0) & self.in_view
         if self.scene.floor is not None:
             bare &= c[..., 2] > self.scene.floor
         # what the object hides of itself needs no points
-        cameras = self.scene.recording.camera_positions
-        for t in np.flatnonzero(bare.any(axis=1)):
-            if self.shape.rope:
-                bare[t] &= visible(c[t], camera_positions=cameras)
-            elif cameras is not None:
-                bare[t] &= self.shape.open_to(cameras, shape[t], c[t])
+        for t in np.flatnonzero(bare.any(axis=1)).tolist():
+            bare[t] &= in_sight(t)
         stands_for = np.minimum(self.counts.sum(axis=1) / len(own), 1.0)[:, None]
         every = np.broadcast_to(own, (T, *own.shape)), np.broadcast_to(share, (T, *share.shape))
         return Rows(
@@ -222,6 +241,25 @@ class Observation:
             counts=np.concatenate([self.counts, bare * stands_for], axis=1),
             on_skin=True,
         )
+
+    def in_sight(self, shape: Array) -> NDArray[np.bool_]:
+        """[m] which samples of a shape [n, 3] a camera sees."""
+        own, share = self.shape.samples
+        c, cameras = (
+            np.einsum("mk,mka->ma", share, shape[own]),
+            self.scene.recording.camera_positions,
+        )
+        if self.shape.rope:
+            return visible(c, camera_positions=cameras)
+        return np.ones(len(c), bool) if cameras is None else self.shape.open_to(cameras, shape, c)
+
+    def _nearest(self, places: Array) -> NDArray[np.intp]:
+        """[T, m] the clouds' points that are nearest to places [T, m, 3]."""
+        if not self.shape.rope:
+            return np.stack([t.query(x)[1] for t, x in zip(self.trees, places, strict=True)])
+        # few: squared distances by products of matrices
+        far = with_ones(places) @ columns(-2.0 * self.points, (self.points**2).sum(axis=2))
+        return far.argmin(axis=2)
 
     def _marker_rows(self, shape: Array) -> Rows:
         """All three coordinates of a marker count: markers are few and accurate."""
@@ -235,7 +273,7 @@ class Observation:
             index=np.broadcast_to(index, (T, *index.shape)),
             weight=np.broadcast_to(weight, (T, *weight.shape)),
             point=np.repeat(self.points, 3, axis=1),
-            counts=np.repeat(self.counts, 3, axis=1) * self.noise.patch,
+            counts=np.repeat(self.counts, 3, axis=1),
             on_skin=False,
         )
 
@@ -262,11 +300,24 @@ class Rows:
     def parameter_derivatives(self, J: Array, widens: Array) -> Array:
         """[T, m, P] by how much residuals fall with parameters that change shapes by J
         [T, n, 3, P] and half their thickness by ``widens`` [P]."""
-        found = np.zeros((*self.rho.shape, J.shape[3]))
-        for p in range(J.shape[3]):
-            moved = taken(J[..., p], self.index)
-            found[..., p] = np.einsum("tmk,tmka,tma->tm", self.weight, moved, self.normal)
-        return found + widens if self.on_skin else found
+        _, n, _, P = J.shape
+        along = self.weight[..., None] * self.normal[:, :, None]
+        found = self._sparse(along, 3 * n) @ J.reshape(-1, P)
+        return found.reshape(*self.rho.shape, P) + (widens if self.on_skin else 0.0)
+
+    def displacing(self, modes: Array) -> Array:
+        """[T, m, 3 Q] likewise with the displacements of each frame by modes [n, Q] in place."""
+        (T, m), (n, Q) = self.rho.shape, modes.shape
+        psi = self._sparse(self.weight[..., None], n) @ np.tile(modes, (T, 1))
+        return (psi.reshape(T, m, Q, 1) * self.normal[:, :, None]).reshape(*self.rho.shape, 3 * Q)
+
+    def _sparse(self, values: Array, size: int) -> csr_array:
+        """[T m, T size] of values [T, m, k, c] at the components c of a frame's points."""
+        T, m, k, c = values.shape
+        frame = size * np.arange(T)[:, None, None, None]
+        column = frame + c * self.index[..., None] + np.arange(c)
+        begins = k * c * np.arange(T * m + 1)
+        return csr_array((values.ravel(), column.ravel(), begins), shape=(T * m, T * size))
 
     def fixed(self, centre: Array) -> Array:
         """[T, m, 7] likewise with a shift, a turn about a centre [3] [m], and the skin."""
@@ -279,27 +330,33 @@ class Comparison:
 
     Args:
         observation: The clouds.
-        here: [T, n, 3] the shape [m].
+        axis: [T, n, 3] the shape, of a cable with markers beside it the axis [m].
         J: [T, n, 3, P] how it changes with the transformed parameters [m]; None: P is 0.
         radius: Half its thickness [m]; None: as stated.
         widens: [P] how that changes with the transformed parameters [m].
+        offsets: [m, 3] by which markers are beside it [m], where that was found before.
     """
 
     def __init__(
         self,
         observation: Observation,
-        here: Array,
+        axis: Array,
         J: Array | None = None,
         radius: float | None = None,
         widens: Array | None = None,
+        offsets: Offsets = (),
     ):
         self.observation = observation
-        self.here = here
-        self.J = np.zeros((*here.shape, 0)) if J is None else J
+        self.axis = axis
+        self.offsets = np.array(offsets)
+        self.J = np.zeros((*axis.shape, 0)) if J is None else J
         self.radius = observation.shape.radius if radius is None else radius
         self.widens = np.zeros(0) if widens is None else widens
         self._last: Fit | None = None
+        self._near: Linearised | None = None
+        self._registered: NoiseModel | None = None
         self._first = np.zeros(0)
+        self._in_sight = cache(lambda t: observation.in_sight(axis[t]))
 
     def warm_start(self, other: Comparison) -> None:
         """Start the registration from the result of a comparison nearby."""
@@ -318,14 +375,26 @@ class Comparison:
         J = self.observation.shape.taken_from(other.observation.shape, other.J)
         size = float(step @ (weight * step))
         if size > 0.0:
-            missing = self.here - other.here - J @ step
+            missing = self.axis - other.axis - J @ step
             J = J + missing[..., None] * (weight * step / size)
         self.J, self.widens, self._last = J, other.widens, None
 
     @cached_property
+    def frames(self) -> Array:
+        """[T, n, 3, 3] of a cable's cross-sections."""
+        return material_frames(self.observation.scene, self.axis[:, None])[:, 0]
+
+    @cached_property
     def rows(self) -> Rows:
-        """Of the shape as it is."""
-        return self.observation.rows(self.here, self.radius)
+        """Of the shape as it is, of a cable the line through its markers."""
+        shape = self.axis
+        if len(self.offsets):
+            shape = shape + aside(self.observation.scene, self.frames, self.offsets)
+        return self._rows(shape)
+
+    def _rows(self, shape: Array) -> Rows:
+        """Of a shape near it, which hides the same of itself."""
+        return self.observation.rows(shape, self.radius, self._in_sight)
 
     def rms_by_frame(self) -> list[float]:
         """Distance of each frame's points from the skin [m]."""
@@ -369,87 +438,162 @@ class Comparison:
         their priors, and what is left of the gradient by parameters where those follow."""
         if self._last is not None and self._last.noise == noise:
             return self._last
-        S = self.observation.in_time.shape[1] * 3 * self.observation.in_place.shape[1]
-        precision, R = noise.precision(S), S + 7
-        a = self._first if len(self._first) else np.zeros(R)
-        if self._last is not None:
-            a = self._last.a
-        for _ in range(noise.rounds):
-            N, _, _ = self._sums(a, noise, self.J[..., :0])
-            downhill = N[:R, -1] - precision * a
-            factor = cho_factor(N[:R, :R] + np.diag(precision), lower=True)
-            step = cho_solve(factor, downhill)
-            a = a + step
-            if step @ downhill < REGISTERED:
+        S, B = self.smooth if noise.model > 0.0 else 0, 3 * self.observation.beside.shape[1]
+        precision, weight = noise.precision(S, B), 1.0 / (noise.patch * noise.sensor**2)
+        R, at = len(precision), self._near
+        if at is None or len(at.a) != R:
+            at = self._linearised(self._first if len(self._first) == R else np.zeros(R))
+        # with other derivatives alone it stays where it is
+        for left in reversed(range(1 if self._registered == noise else noise.rounds + 1)):
+            slope = weight * at.products[:R, -1]
+            M = weight * at.products[:R, :R] + np.diag(precision)
+            factor = cho_factor(M, lower=True)
+            step = cho_solve(factor, slope - precision * at.a)
+            gain = float(step @ (slope - precision * at.a))
+            if left == 0 or gain < REGISTERED:
                 break
-        N, loss, count = self._sums(a, noise, self.J)
-        M, slope, cross = N[:R, :R] + np.diag(precision), N[:R, -1], N[:R, R:-1]
-        factor = cho_factor(M, lower=True)
+            at = self._linearised(at.a + step)
+        self._near, self._registered, own = at, noise, self._by_parameters(at)
+        cross, P = weight * own[:R], own.shape[1]
         self._last = Fit(
             noise=noise,
-            value=loss + float(precision @ a**2),
+            # a small step is not taken, but counts
+            value=weight * at.loss + float(precision @ at.a**2) - gain * (gain < REGISTERED),
             # residuals fall as the object moves along its normals
-            gradient=cross.T @ cho_solve(factor, slope - precision * a) - N[R:-1, -1],
-            hessian=N[R:-1, R:-1] - cross.T @ cho_solve(factor, cross),
-            a=a,
+            gradient=cross.T @ step - weight * own[R],
+            hessian=weight * own[R + 1 :] - cross.T @ cho_solve(factor, cross).reshape(R, P),
+            a=at.a,
+            smooth=S,
             M=M,
             slope=slope,
-            loss=loss * noise.sensor**2,
-            count=count,
+            loss=at.loss / noise.patch,
+            count=at.count / noise.patch,
         )
         return self._last
+
+    def correlated_noise(self, noise: NoiseModel) -> NoiseModel:
+        """Noise of markers in motion: how large their residuals are, and how many share theirs by
+        their correlation in time and along the cable."""
+        rows = self._rows(self.registered(noise))
+        e = rows.rho.reshape(len(rows.rho), -1, 3)
+        e = e - e.mean(axis=0)  # what stays is a marker's place
+        sensor = max(float(np.sqrt(np.mean(e**2))), noise.least_sensor)
+        shared = _shared(e) * _shared(np.swapaxes(e, 0, 1))
+        return replace(noise, sensor=sensor, model=noise.least_model, patch=shared)
+
+    def registered(self, noise: NoiseModel) -> Array:
+        """[T, n, 3] the shape as clouds show it, displaced and moved [m]."""
+        return self._displaced(self.fit(noise).a)
 
     def outside(self, noise: NoiseModel) -> float:
         """Median distance of points from the skin of the registered object, 0 of markers [m]."""
         o = self.observation
         if o.markers is not None:
             return 0.0
-        rho = o.rows(self._displaced(self.fit(noise).a), self.radius).rho
+        rho = self._rows(self.registered(noise)).rho
         return float(np.median(rho[:, : o.counts.shape[1]][o.counts > 0.0]))
 
+    @property
+    def smooth(self) -> int:
+        """S, numbers of the displacement."""
+        return self.observation.in_time.shape[1] * 3 * self.observation.in_place.shape[1]
+
+    def _smooth_of(self, a: Array) -> int:
+        """Those of the displacement in ``a``, which may have none: S or 0."""
+        return len(a) - 7 - 3 * self.observation.beside.shape[1]
+
+    def beside(self, a: Array) -> Array:
+        """[m, 3] by which a cable's markers are beside the axis, of ``a`` [S + B + 7] [m]."""
+        own = self.observation.beside
+        return own @ a[self._smooth_of(a) : -7].reshape(own.shape[1], 3)
+
     def _displaced(self, a: Array) -> Array:
-        """[T, n, 3] the shape with displacement and rigid motion of ``a`` [S + 7] [m]."""
+        """[T, n, 3] the shape displaced, offset and moved by ``a`` [S + B + 7] [m]."""
+        o, shape, S = self.observation, self.axis, self._smooth_of(a)
+        if S:
+            U, B = o.in_time, o.in_place
+            smooth = (U @ a[:S].reshape(U.shape[1], -1)).reshape(len(U), -1, 3)
+            shape = shape + np.einsum("nq,tqa->tna", B, smooth)
+        if o.scene.beside:
+            shape = shape + aside(o.scene, self.frames, self.beside(a))
+        return self._moved(shape, a)
+
+    def _by_offsets(self, rows: Rows) -> Array:
+        """[T, m, B] by how much residuals fall with the markers' offsets."""
         o = self.observation
-        U, B = o.in_time, o.in_place
-        smooth = (U @ a[:-7].reshape(U.shape[1], -1)).reshape(len(U), -1, 3)
-        return self._moved(self.here + np.einsum("nq,tqa->tna", B, smooth), a)
+        if not o.scene.beside:
+            return np.zeros((*rows.rho.shape, 0))
+        along = np.einsum("tmk,tmkq->tmkq", rows.weight, (spread(o.scene) @ o.beside)[rows.index])
+        frames = self.frames[np.arange(len(rows.rho))[:, None, None], rows.index]
+        found = np.einsum("tmkq,tmkab,tma->tmqb", along, frames, rows.normal, optimize=True)
+        return found.reshape(*rows.rho.shape, -1)
 
     def _moved(self, shape: Array, a: Array) -> Array:
-        """A shape [..., 3] with the rigid motion of ``a`` [S + 7] [m]."""
+        """A shape [..., 3] with the rigid motion of ``a`` [S + B + 7] [m]."""
         return shape - a[-7:-4] - np.cross(a[-4:-1], shape - self.observation.centre)
 
     def as_seen(self, shape: Array, noise: NoiseModel) -> Array:
         """A shape [..., 3] moved as the cameras' estimated rigid motion shows it [m]."""
         return self._moved(shape, self.fit(noise).a)
 
-    def _sums(self, a: Array, noise: NoiseModel, J: Array) -> tuple[Array, float, float]:
-        """Normal equations of the shape displaced by ``a`` [S + 7]; J [T, n, 3, P] as that of the
-        comparison.
-
-        Returns:
-            [S + 7 + P + 1, S + 7 + P + 1] products of residuals' derivatives by registration and by
-            parameters, and of residuals, weighted by how likely they are; the smoothed sum of
-            squared residuals, in their variance; and how many independent points there are.
-        """
-        o, U, B = self.observation, self.observation.in_time, self.observation.in_place
-        rows = o.rows(self._displaced(a), self.radius)
+    def _linearised(self, a: Array) -> Linearised:
+        """Residuals about the shape displaced by ``a`` [S + B + 7], of points that are paired
+        anew."""
+        o, S = self.observation, self._smooth_of(a)
+        U = o.in_time if S else o.in_time[:, :0]
+        moved = a.any() or len(self.offsets)
+        rows = self._rows(self._displaced(a)) if moved else self.rows
         rho = rows.rho - a[-1]
         root = np.sqrt(1.0 + (rho / HUBER) ** 2)
-        share = rows.counts / noise.patch / noise.sensor**2
-        w = (share / root)[..., None]
-        # by the displacement of each frame, which all frames' coefficients make up
-        psi = np.einsum("tmk,tmkq->tmq", rows.weight, B[rows.index])
-        G = (psi[..., :, None] * rows.normal[..., None, :]).reshape(*rho.shape, -1)
-        # by rigid motion, skin and parameters; and what is left
-        by_parameters = rows.parameter_derivatives(J, self.widens[: J.shape[3]])
-        D = np.concatenate([rows.fixed(o.centre), by_parameters, rho[..., None]], axis=2)
-        Gt, S = np.swapaxes(G, 1, 2), len(a) - 7
-        cross = np.einsum("tr,tqd->rqd", U, Gt @ (w * D), optimize=True).reshape(S, -1)
-        smooth = np.einsum("tr,ts,tqp->rqsp", U, U, Gt @ (w * G), optimize=True).reshape(S, S)
-        rest = np.einsum("tmi,tmj->ij", D, w * D, optimize=True)
-        loss = float((share * 2.0 * HUBER**2 * (root - 1.0)).sum())
-        count = float(rows.counts.sum() / noise.patch)
-        return np.block([[smooth, cross], [cross.T, rest]]), loss, count
+        # by the displacement of each frame, which all frames' coefficients make up; by offsets,
+        # rigid motion and skin; and what is left
+        G, w = rows.displacing(o.in_place[:, : None if S else 0]), (rows.counts / root)[..., None]
+        own = [self._by_offsets(rows), rows.fixed(o.centre), rho[..., None]]
+        D = np.concatenate(own, axis=2)
+        Gt, Dt = np.swapaxes(w * G, 1, 2), np.swapaxes(w * D, 1, 2)
+        cross = np.einsum("tr,tqd->rqd", U, Gt @ D, optimize=True).reshape(S, D.shape[2])
+        square = np.einsum("tr,ts,tqp->rqsp", U, U, Gt @ G, optimize=True).reshape(S, S)
+        return Linearised(
+            a=a,
+            rows=rows,
+            Gt=Gt,
+            Dt=Dt,
+            products=np.block([[square, cross], [cross.T, (Dt @ D).sum(axis=0)]]),
+            loss=float((rows.counts * 2.0 * HUBER**2 * (root - 1.0)).sum()),
+            count=float(rows.counts.sum()),
+        )
+
+    def _by_parameters(self, at: Linearised) -> Array:
+        """[S + B + 7 + 1 + P, P] products of residuals' derivatives by parameters with those by
+        registration, with residuals, and with each other."""
+        P, S = self.J.shape[3], self._smooth_of(at.a)
+        if P == 0:
+            return np.zeros((len(at.a) + 1, 0))
+        by, U = at.rows.parameter_derivatives(self.J, self.widens), self.observation.in_time
+        smooth = np.einsum("tr,tqd->rqd", U[:, : None if S else 0], at.Gt @ by, optimize=True)
+        fixed, w = (at.Dt @ by).sum(axis=0), at.Dt[:, -2, :, None]  # the skin's derivative is 1
+        return np.concatenate(
+            [smooth.reshape(S, P), fixed, (np.swapaxes(w * by, 1, 2) @ by).sum(axis=0)]
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Linearised:
+    """Residuals about a registration; weighted by how likely they are, not by their variance."""
+
+    a: Array
+    """[S + B + 7] the registration."""
+    rows: Rows
+    Gt: Array
+    """[T, 3 Q, m] weighted derivatives by each frame's displacement."""
+    Dt: Array
+    """[T, B + 8, m] by offsets, rigid motion and skin, and residuals, likewise."""
+    products: Array
+    """[S + B + 8, S + B + 8] of derivatives by registration, and of residuals [m^2]."""
+    loss: float
+    """Smoothed sum of squares [m^2]."""
+    count: float
+    """Points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -483,11 +627,14 @@ class Fit:
     hessian: Array
     """[P, P] half its curvature, with the nuisance parameters marginalised."""
     a: Array
-    """[S + 7] displacement's coefficients [m], rigid motion [m, rad], skin [m]."""
+    """[S + B + 7] displacement's coefficients [m], markers beside the axis [m], rigid motion
+    [m, rad], skin [m]."""
+    smooth: int
+    """S."""
     M: Array
-    """Precision of that."""
+    """Precision of ``a``."""
     slope: Array
-    """[S + 7] how residuals' squares, in their variance, fall with it."""
+    """[S + B + 7] how residuals' squares, in their variance, fall with it."""
     loss: float
     """Sum of squares that is left [m^2]."""
     count: float
@@ -501,18 +648,19 @@ class Fit:
     def updated_noise(self, rounds: int) -> NoiseModel:
         """Noise of higher likelihood, by rounds of expectation and maximisation with fixed
         correspondences."""
-        noise, S = self.noise, len(self.a) - 7
+        noise, S, B = self.noise, self.smooth, len(self.a) - self.smooth - 7
         # of the residuals alone, in m^2
-        D = (self.M - np.diag(noise.precision(S))) * noise.sensor**2
+        D = (self.M - np.diag(noise.precision(S, B))) * noise.sensor**2
         slope = self.slope * noise.sensor**2
         for _ in range(rounds):
-            spread = np.linalg.inv(D / noise.sensor**2 + np.diag(noise.precision(S)))
+            prior = noise.precision(S, B)
+            spread = np.linalg.inv(D / noise.sensor**2 + np.diag(prior))
             a = spread @ (slope + D @ self.a) / noise.sensor**2
             off = a - self.a
             loss = max(self.loss - float((2.0 * slope - D @ off) @ off), 0.0)
             own = np.diag(spread)
             of_model = float(a[:S] @ a[:S] + own[:S].sum()) / S
-            used = S - float(own[:S].sum()) / noise.model**2 + 7.0 - float(own[S:] @ noise.fixed)
+            used = len(a) - float(own @ prior)
             of_sensor = loss / max(self.count - used, 0.1 * self.count)
             noise = replace(
                 noise,
@@ -520,6 +668,19 @@ class Fit:
                 sensor=max(math.sqrt(of_sensor), noise.least_sensor),
             )
         return noise
+
+
+def _shared(e: Array) -> float:
+    """How many successive ones of residuals [T, ...] count as one: one, and twice their
+    correlations up to the first that is not positive (Geyer 1992, "Practical Markov chain Monte
+    Carlo")."""
+    total, least = 1.0, float(np.mean(e**2)) + 1e-30
+    for lag in range(1, len(e)):
+        correlation = float(np.mean(e[lag:] * e[:-lag])) / least
+        if correlation <= 0.0:
+            break
+        total += 2.0 * correlation
+    return total
 
 
 def _modes(at: Array, scale: float, least: float = LEAST_MODE) -> Array:

@@ -57,6 +57,8 @@ class Placed:
     """[N, 3] particles, or points of a rod or shell [m]."""
     velocities: Array | None = None
     """[N, 3] likewise [m/s]; None: at rest."""
+    places: Array | None = None
+    """[m] of markers along a rope, in its edges, as they are recorded."""
     held: Array
     """[G, 3] points of the object that the grippers hold [m]."""
     inwards: Array
@@ -139,17 +141,19 @@ def _place_between(
     require(settings.engine == "thin", what, where="engine", fix="engine 'thin'")
     length, diameter = _sizes_of_rope(recording, notes)
     grip = recording.gripper_position[frames[0]].astype(float)
-    s, line, speeds = _line_between(recording, grip, frames, length, diameter)
+    s, line, speeds, backwards = _line_between(recording, grip, frames, length, diameter)
     body = rope(diameter=diameter, length=length, points=settings.points)
     u = np.linspace(0.0, length, len(body.points))
-    near = MARKER if recording.extra.get("ordered_markers", False) else max(MARKER, 0.5 * diameter)
-    x = _as_long(CubicSpline(s, line)(u), s / u[1], line, u[1], near)
+    ordered = recording.extra.get("ordered_markers", False)
+    near = MARKER if ordered else max(MARKER, 0.5 * diameter)
+    x = rod_near(length, line, s / u[1], len(u), near)
     ends = np.stack([x[1] - x[0], x[-2] - x[-1]])
     notes.append("held at both ends: straight by nature, as far as is known")
     return Placed(
         body=body,
         initial=x,
         velocities=None if speeds is None else CubicSpline(s, speeds)(u),
+        places=(s[::-1] if backwards else s) / u[1] if ordered else None,
         held=grip,
         inwards=ends / np.linalg.norm(ends, axis=1, keepdims=True),
     )
@@ -182,14 +186,15 @@ def lost_time(recording: Recording) -> Array:
     return late
 
 
-def _as_long(x: Array, places: Array, shown: Array, edge: float, near: float) -> Array:
-    """Points of a rod [n, 3] whose edges are so long, and which pass near points [K, 3], about so
-    near, at these places along it [K] [edges].
+def rod_near(length: float, shown: Array, places: Array, n: int, near: float = MARKER) -> Array:
+    """Points of a rod [n, 3] with edges of one length, which pass near points [K, 3], about so near
+    [m], at these places along it [K] [edges].
 
     Splines between markers have edges that are up to a quarter too long or too short: a shock as
     the motion begins. Gauss-Newton steps for edges, points, and a smooth line, in this order.
     """
-    n = len(x)
+    edge, order = length / (n - 1), np.argsort(places)
+    x = CubicSpline(places[order], shown[order])(np.arange(n))
     own = np.clip(places.astype(int), 0, n - 2)
     at = np.zeros((len(places), n))
     at[np.arange(len(places)), own] = 1.0 - (places - own)
@@ -212,9 +217,9 @@ def _as_long(x: Array, places: Array, shown: Array, edge: float, near: float) ->
 
 def _line_between(
     recording: Recording, grip: Array, frames: tuple[int, ...], length: float, diameter: float
-) -> tuple[Array, Array, Array | None]:
+) -> tuple[Array, Array, Array | None, bool]:
     """Places along a rope [K] [m] from one end to the other, where the first frame shows them
-    [K, 3] [m], and how fast markers are there [K, 3] [m/s]."""
+    [K, 3] [m], how fast markers are there [K, 3] [m/s], and whether they are recorded backwards."""
     cloud, speeds = recording.frame(frames[0]).astype(float), None
     if recording.extra.get("ordered_markers", False):
         first = [t for t in frames[:5] if len(recording.frame(t)) == len(cloud)]
@@ -230,7 +235,8 @@ def _line_between(
         line = grip[0] + lying_line(cloud - grip[0], length / diameter)[::8]
         cloud = np.concatenate([grip[:1], line[1:-1], grip[1:]])
         gaps = np.diff(arc_length(cloud))
-    if np.linalg.norm(cloud[0] - grip[0]) > np.linalg.norm(cloud[-1] - grip[0]):
+    backwards = bool(np.linalg.norm(cloud[0] - grip[0]) > np.linalg.norm(cloud[-1] - grip[0]))
+    if backwards:
         cloud, gaps = cloud[::-1], gaps[::-1]
         speeds = None if speeds is None else speeds[::-1]
     s = np.concatenate([[0.0], np.cumsum(gaps)])
@@ -242,7 +248,7 @@ def _line_between(
         fix="give the length between the grippers, and points in metres",
         error=RecordingError,
     )
-    return s * (length / s[-1]), cloud, speeds
+    return s * (length / s[-1]), cloud, speeds, backwards
 
 
 def _line_from(

@@ -16,9 +16,15 @@ from numpy.typing import NDArray
 from gendom.arguments import require
 from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons, NoiseModel, Observation
-from gendom.estimation.replay import middle, replay
+from gendom.estimation.replay import Shape, middle, replay_axis
 from gendom.estimation.scene import LiftScene
-from gendom.estimation.scene_settings import COARSE_POINTS, SceneSettings
+from gendom.estimation.scene_settings import (
+    COARSE_FRAMES,
+    COARSE_POINTS,
+    COARSE_STRETCH,
+    STRETCH,
+    SceneSettings,
+)
 from gendom.materials.posterior import Prior, joint_prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 
@@ -28,6 +34,10 @@ SIZES_OF_OBJECT = (
     "length", "diameter", "diameter_sd", "width", "height", "thickness", "thickness_sd", "mass",
 )  # fmt: skip
 """Fields of an object's description that all of its recordings share."""
+
+PLACED, MOST_PLACED = 5e-4, 3
+"""Change of markers' places beside an axis that does not count, root mean square [m], and how often
+they are looked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,6 +139,8 @@ class Found:
     noise: tuple[NoiseModel, ...]
     """Of each recording; its comparison is evaluated with it."""
     interrupted: bool = False
+    others: tuple[Array, ...] = ()
+    """[P] where other starts have ended that are about as likely as the best one."""
     covariance: Array | None = None
     """[P, P] transformed, of methods that state their own; None: that of the likelihood."""
     seconds: dict[str, float] = field(default_factory=dict)
@@ -154,19 +166,30 @@ class Part:
         return Observation(self.scene, self.noise)
 
     @cached_property
+    def coarser(self) -> LiftScene:
+        """The scene with fewer simulated points, unless settings fix their number."""
+        scene, rope = self.scene, self.scene.kind == "rope"
+        along = len(scene.initial) if rope else max(scene.body.shape)
+        fixed = not scene.thin or scene.settings.points is not None or len(scene.held) > 1
+        few, stretch = fixed or along <= COARSE_POINTS, STRETCH if rope else COARSE_STRETCH
+        return scene if few else scene.simulated_with(COARSE_POINTS, stretch)
+
+    @cached_property
     def coarse(self) -> Part:
-        """The coarse problem, for the first stage of a search: of a rope only frames without fast
-        motion, where there are enough (fast motion depends on the earlier motion, too); of a cloth
-        fewer simulated and recorded points."""
-        scene = self.scene
-        if scene.kind == "cloth" and scene.thin and scene.settings.points is None:
-            coarse, own = scene.simulated_with(COARSE_POINTS), self.noise
+        """The coarse problem, for the first stage of a search: fewer simulated and recorded points
+        and frames; of a rope, where there are enough, only those without fast motion, which depends
+        on the earlier motion, too."""
+        scene, noise = self.coarser, self.noise
+        frames, thinned = scene.frames, scene is not self.scene
+        if scene.kind == "rope":
+            frames, thinned = scene.calm if len(scene.calm) >= 6 else frames, not scene.captured
+        elif thinned:
             # fewer points of equal total weight
-            noise = replace(own, cloud_points=own.cloud_points // 4, patch=own.patch / 4)
-            return replace(self, scene=coarse, noise=noise)
-        if len(scene.calm) == len(scene.frames) or len(scene.calm) < 6:
-            return self
-        return replace(self, scene=replace(scene, frames=scene.calm))
+            noise = replace(noise, cloud_points=noise.cloud_points // 4, patch=noise.patch / 4)
+        every = -(-len(frames) // COARSE_FRAMES) if thinned else 1
+        scene = replace(scene, frames=frames[::every])
+        same = scene.frames == self.scene.frames and scene.body is self.scene.body
+        return self if same else replace(self, scene=scene, noise=noise)
 
 
 class Problem:
@@ -211,6 +234,8 @@ class Problem:
             for k, (scene, (prior, base)) in enumerate(zip(scenes, believed, strict=True))
         )
         self._on_progress = on_progress
+        self.placed = 0
+        """How often markers were found beside the axis."""
 
     @property
     def scene(self) -> LiftScene:
@@ -247,6 +272,22 @@ class Problem:
         if all(s is p.scene for p, s in both):
             return self
         return self._with([replace(p, scene=s) for p, s in both])
+
+    def beside(self, found: Found) -> Problem:
+        """The same with the markers of a cable as far beside its axis as was found, in the mean of
+        its recordings; itself where they are already."""
+        compared = found.best.comparison
+        assert compared is not None
+        own = zip(compared.parts, found.noise, strict=True)
+        seen = [c.beside(c.fit(noise).a) for c, noise in own if c.observation.scene.beside]
+        if not seen:
+            return self
+        mean = np.mean(seen, axis=0)
+        before = np.asarray(self.parts[0].base.offsets or np.zeros_like(mean))
+        if np.sqrt(np.mean((mean - before) ** 2)) < PLACED or self.placed == MOST_PLACED:
+            return self
+        parts = [replace(p, base=p.base.with_offsets(mean)) for p in self.parts]
+        return self._with(parts, placed=self.placed + 1)
 
     def with_unknown(self, name: str) -> Problem:
         """The same of one recording with one more unknown, the last one."""
@@ -287,10 +328,10 @@ class Problem:
             self._on_progress(told)
 
     def positions(self, vectors: Sequence[Array], recording: int = 0) -> Array:
-        """[T, W, N, 3] positions in a recording at transformed parameters, NaN where a world
-        diverges [m]."""
+        """[T, W, N, 3] positions in a recording at transformed parameters, of a cable its axis, NaN
+        where a world diverges [m]."""
         thetas = [self.theta(v, recording) for v in vectors]
-        return replay(self.parts[recording].scene, thetas, keep_going=True)
+        return replay_axis(self.parts[recording].scene, thetas, keep_going=True)
 
     def compare(
         self,
@@ -298,6 +339,7 @@ class Problem:
         *,
         derivatives: bool = True,
         free: Sequence[int] | None = None,
+        sketched: bool = False,
     ) -> list[Comparisons | None]:
         """Comparisons at transformed parameters, None where a world diverges, from one batch for
         each recording.
@@ -306,6 +348,8 @@ class Problem:
             vectors: [P] each.
             derivatives: Whether they know how shapes change with parameters.
             free: Indices of the free parameters (default: all); derivatives by the others are 0.
+            sketched: Whether those of cloths are taken with few points, too, as those of ropes are:
+                of 21 and 47 they differ by 1 to 2 % in E and how it is held.
         """
         prior, columns = self.prior, []
         steps = [np.where(v + prior.step > prior.high, -prior.step, prior.step) for v in vectors]
@@ -316,28 +360,47 @@ class Problem:
             which = part.shown[moved]
             along = self._along(which)
             back = np.linalg.inv(along[np.ix_(which, which)])
-            worlds = []
-            for v, h in zip(vectors, steps, strict=True):
-                worlds += [v, *(v + along[k] * h[k] for k in which)]
-            m = middle(part.scene, self.positions(worlds, recording))
-            thickness = np.array([self.theta(v, recording).thickness for v in worlds])
-            radius = part.observation.shape.radius * thickness
+            worlds = [
+                [v, *(v + along[k] * h[k] for k in which)]
+                for v, h in zip(vectors, steps, strict=True)
+            ]
+            few = part.coarser if sketched or part.scene.kind == "rope" else part.scene
+            shapes, changes = self._shapes(worlds, recording, few if derivatives else part.scene)
             found: list[Comparison | None] = []
-            for n, h in enumerate(steps):
-                own = slice(n * (1 + len(which)), (n + 1) * (1 + len(which)))
-                here, r = m[:, own][:, 0], radius[own]
-                if not np.isfinite(m[:, own]).all():
+            for own, here, change, h in zip(worlds, shapes, changes, steps, strict=True):
+                if not (np.isfinite(here).all() and np.isfinite(change).all()):
                     found.append(None)
                     continue
+                times = np.array([self.theta(v, recording).thickness for v in own])
+                r = part.observation.shape.radius * times
                 # parameters that are not free do not change the shape
                 widens = np.zeros(len(part.shown) if derivatives else 0)
                 J = np.zeros((*here.shape, len(widens)))
-                change = np.moveaxis(m[:, own][:, 1:] - here[:, None], 1, -1)
                 J[..., moved] = change / h[which] @ back.T
                 widens[moved] = back @ ((r[1:] - r[0]) / h[which])
-                found.append(Comparison(part.observation, here, J, float(r[0]), widens))
+                found.append(
+                    Comparison(part.observation, here, J, float(r[0]), widens, part.base.offsets)
+                )
             columns.append(found)
         return [self.joined(row) for row in zip(*columns, strict=True)]
+
+    def _shapes(
+        self, worlds: Sequence[Sequence[Array]], recording: int, few: LiftScene
+    ) -> tuple[list[Array], list[Array]]:
+        """Of a recording the shapes [T, n, 3] at the first of each row of places, and by how much
+        they change from there to the others [T, n, 3, k] [m], in a scene that may be coarser; NaN
+        where a world diverges."""
+        part = self.parts[recording]
+        thetas = [self.theta(v, recording) for row in worlds for v in row]
+        m = middle(few, replay_axis(few, thetas, keep_going=True))
+        rows = np.split(m, np.cumsum([len(row) for row in worlds])[:-1], axis=1)
+        shapes = [own[:, 0] for own in rows]
+        changes = [np.moveaxis(own[:, 1:] - own[:, :1], 1, -1) for own in rows]
+        if few is part.scene:
+            return shapes, changes
+        m = middle(part.scene, self.positions([row[0] for row in worlds], recording))
+        to, of = part.observation.shape, Shape(few)
+        return list(np.swapaxes(m, 0, 1)), [to.taken_from(of, change) for change in changes]
 
     def joined(self, parts: Sequence[Comparison | None]) -> Comparisons | None:
         """The joint comparison of all recordings; None where one could not be simulated."""

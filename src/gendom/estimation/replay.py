@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation, Slerp
 
+from gendom.estimation.markers import aside, axis_beside, material_frames
 from gendom.estimation.scene import STATIC_SETTLING, LiftScene
 from gendom.estimation.scene_settings import COARSE_POINTS
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
@@ -28,12 +29,6 @@ Array = NDArray[np.floating]
 
 HEM = 0.01
 """Breadth of a cloth's border that may be hemmed [m]."""
-
-STRETCH = 0.002
-"""A cloth's own weight lengthens it by this at most, hanging by a side: the simulated stiffness in
-its plane is limited to that. This allows longer time steps: two to four times for cloths that bend
-over 25 to 45 mm and are 0.5 to 1 mm thick. A rope whose diameter is not stated is lengthened by no
-more: a soft one of the diameter that is assumed would stretch by 4 %."""
 
 RAMP_SPEED, CLAMPING = 0.1, 0.1
 """Speed at which the gripper takes the object from rest to its first recorded position [m/s], and
@@ -90,6 +85,8 @@ class WorldInputs:
     def of(cls, scene: LiftScene, theta: Theta) -> WorldInputs:
         """Of a scene with these parameters."""
         inputs = cls(scene=scene, positions=scene.initial)
+        if scene.beside:
+            inputs.positions = axis_beside(scene, theta.offsets, theta.length_ratio)
         for name, unknown in UNKNOWNS.items():
             if unknown.on_replay is not None:
                 unknown.on_replay(inputs, theta[name])
@@ -197,7 +194,7 @@ class WorldInputs:
         scene, described, more = self.scene, self.scene.recording.object, {}
         E = self.E_over_rho * scene.density
         hangs = described.length or max(described.width or 0.0, described.height or 0.0)
-        along = scene.density * STANDARD_GRAVITY * hangs / (2.0 * STRETCH)
+        along = scene.density * STANDARD_GRAVITY * hangs / (2.0 * scene.stretch)
         if scene.kind == "cloth" and scene.thin:
             warp = math.sqrt(self.warp_over_weft)
             more = {"membrane": min(E, along), "warp": warp, "weft": 1.0 / warp}
@@ -275,6 +272,7 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
         stiffness=_stacked([w.stiffness for w in worlds], len(scene.initial)),
         mass=_stacked([w.mass for w in worlds], len(scene.initial)),
         natural_curvature=[w.natural_curvature for w in worlds] if scene.curved else 1.0,
+        stretch=[theta.length_ratio for theta in thetas] if scene.beside else 1.0,
         positions=np.stack([w.positions for w in worlds]),
         start_time=begin,
         physics=Physics(
@@ -301,7 +299,8 @@ def replay(
     keep_going: bool = False,
     on_frame: Callable[[int], None] | None = None,
 ) -> Array:
-    """[T, W, N, 3] particles, or points of a rod or shell, at the frames of a scene [m].
+    """[T, W, N, 3] particles, or points of a rod or shell, at the frames of a scene [m]; of a cable
+    with markers beside its axis the line through these.
 
     Args:
         scene: What was recorded.
@@ -312,6 +311,22 @@ def replay(
     Raises:
         SimulationError: A world diverges, and `keep_going` is not set.
     """
+    x = replay_axis(scene, thetas, keep_going=keep_going, on_frame=on_frame)
+    for w, offsets in enumerate(theta.offsets for theta in thetas):
+        if scene.beside and offsets and np.isfinite(x[:, w]).all():
+            frames = material_frames(scene, x[:, w : w + 1])
+            x[:, w] += aside(scene, frames[:, 0], np.asarray(offsets))
+    return x
+
+
+def replay_axis(
+    scene: LiftScene,
+    thetas: Sequence[Theta],
+    *,
+    keep_going: bool = False,
+    on_frame: Callable[[int], None] | None = None,
+) -> Array:
+    """As `replay`, of a cable its axis."""
     simulator, times = simulator_of(scene, thetas)
     x = simulator.run(times, keep_going=keep_going, on_frame=on_frame).astype(float)
     # a thicker object lies higher: its table is raised and its grippers are lowered
@@ -432,13 +447,13 @@ class Shape:
         shares, and the feet [T, m, 3]."""
         if self.rope:
             a, d = x[:, :-1], np.diff(x, axis=1)
-            long = np.maximum((d**2).sum(axis=2), 1e-18)
-            # |p - a - u d|^2 with u the foot's share of each edge, by products of matrices
-            along = points @ np.swapaxes(d, 1, 2) - (a * d).sum(axis=2)[:, None]
-            far = (points**2).sum(axis=2)[..., None] - 2.0 * points @ np.swapaxes(a, 1, 2)
-            far += (a**2).sum(axis=2)[:, None]
-            u = np.clip(along / long[:, None], 0.0, 1.0)
-            k = (far - 2.0 * u * along + u**2 * long[:, None]).argmin(axis=2)
+            long = np.maximum((d**2).sum(axis=2), 1e-18)[:, None]
+            # |p - a - u d|^2 - |p|^2 with u the foot's share of each edge, by products of matrices
+            p = with_ones(points)
+            along = p @ columns(d, -(a * d).sum(axis=2))
+            far = p @ columns(-2.0 * a, (a**2).sum(axis=2))
+            u = np.clip(along / long, 0.0, 1.0)
+            k = (far - u * (2.0 * along - u * long)).argmin(axis=2)
             share = np.take_along_axis(u, k[..., None], axis=2)
             foot = np.take_along_axis(a, k[..., None], axis=1)
             foot = foot + share * np.take_along_axis(d, k[..., None], axis=1)
@@ -469,6 +484,16 @@ class Shape:
         across = q[..., 2, :] - q[..., 0, :] + q[..., 3, :] - q[..., 1, :]
         n = np.cross(along, across)
         return n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-18)
+
+
+def with_ones(x: Array) -> Array:
+    """[T, m, 4] vectors [T, m, 3] with 1 as a last component."""
+    return np.concatenate([x, np.ones((*x.shape[:2], 1))], axis=2)
+
+
+def columns(of: Array, last: Array) -> Array:
+    """[T, 4, n] of vectors [T, n, 3] and a last component [T, n]."""
+    return np.swapaxes(np.concatenate([of, last[..., None]], axis=2), 1, 2)
 
 
 def taken(J: Array, index: NDArray[np.intp]) -> Array:

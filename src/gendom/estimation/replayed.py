@@ -96,7 +96,7 @@ def _found_anew(
     `LiftScene.registration`."""
     prior, base = scene.prior()
     material = {n: getattr(theta, n) for n, u in UNKNOWNS.items() if u.material}
-    known = base.with_values(material)
+    known = base.with_values(material).with_offsets(theta.offsets)
     own = tuple(n for n in prior.names if not UNKNOWNS[n].material)
     if not own:
         return known, (), None

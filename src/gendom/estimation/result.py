@@ -52,7 +52,7 @@ class RecordingFit:
             "rms": comparison.rms,
             "rms_by_frame": comparison.rms_by_frame(),
             "rms_registered": fit.rms,
-            "noise": {"sensor": noise.sensor, "model": noise.model},
+            "noise": {"sensor": noise.sensor, "model": noise.model, "patch": noise.patch},
             "calibration": {
                 "shift": fit.a[-7:-4].tolist(),
                 "turn": fit.a[-4:-1].tolist(),

@@ -32,6 +32,7 @@ from gendom.estimation.scene_settings import (
     MOST_SHELL_POINTS,
     SHELL_ERROR,
     SHELL_SPACING,
+    STRETCH,
     SceneSettings,
 )
 from gendom.materials import STANDARD_GRAVITY, catalogue
@@ -87,6 +88,7 @@ class LiftScene(Placed):
     """`Recording.begins_with`, before any registration."""
     digest: str = ""
     """`Recording.digest`, likewise."""
+    stretch: float = STRETCH
     registration: Array | None = None
     """[4, 4] by which the recording's clouds were moved [m]; None: the stated camera poses are
     taken."""
@@ -199,6 +201,19 @@ class LiftScene(Placed):
         return self.ordered and not self.static
 
     @property
+    def beside(self) -> bool:
+        """Whether markers move between two hands: they may be beside the axis."""
+        return self.captured and len(self.held) > 1
+
+    @cached_property
+    def markers(self) -> tuple[NDArray[np.intp], Array]:
+        """[m, 2] points of a rope around markers between two hands, and their shares."""
+        assert self.places is not None
+        index = np.clip(self.places.astype(int), 0, len(self.initial) - 2)
+        share = self.places - index
+        return np.stack([index, index + 1], axis=1), np.stack([1.0 - share, share], axis=1)
+
+    @property
     def by_corner(self) -> bool:
         """Whether it is a cloth held by a corner."""
         return self.kind == "cloth" and self.recording.object.grasp == "corner"
@@ -262,12 +277,12 @@ class LiftScene(Placed):
         notes = (n for n in self.notes if not n.startswith(FINER))
         return replace(self.simulated_with(points), notes=(*notes, f"{FINER} {points} points"))
 
-    def simulated_with(self, points: int) -> LiftScene:
+    def simulated_with(self, points: int, stretch: float = STRETCH) -> LiftScene:
         """The same with so many points; their number stays open in the settings, so that it can
         grow once more."""
         settings = replace(self.settings, points=points)
         placed = place(self.recording, settings, with_points(self.recording), [])
-        return replace(self, **vars(placed))
+        return replace(self, **vars(placed), stretch=stretch)
 
     def mesh_error(self, theta: Theta) -> float:
         """Standard deviation of ln(E) by the distance of a cloth's points."""
@@ -429,7 +444,7 @@ class LiftScene(Placed):
             (not self.quasi_static, ("damping",)),
             # markers are seen by what sees the hands that hold them
             (not self.static and not self.ordered, ("delay",)),
-            (swinging, CLAMPS),
+            (swinging, ("length_ratio", *CLAMPS)),
             (drag, ("air_drag",)),
             (not two and rope and self.thin, ("grip_turn",)),
             (not rope, ("warp_over_weft",)),

@@ -26,9 +26,11 @@ from gendom.estimation.likelihood import HUBER, Comparison, NoiseModel
 from gendom.estimation.placing import LINE_PLACES, early_points, lying_rectangle, with_points
 from gendom.estimation.priors import thickness_stated
 from gendom.estimation.problem import Found, Part, Problem
+from gendom.estimation.replay import taken
 from gendom.materials.estimate import Verdict
 from gendom.materials.posterior import Posterior
 from gendom.materials.unknowns import UNKNOWNS, Theta
+from gendom.observation import breadth_across
 from gendom.sim.lines import along_line
 
 Array = NDArray[np.floating]
@@ -46,6 +48,10 @@ ropes by one gripper it is 0.010 at most, 0.007 of a real rope; ropes that slip 
 have 0.021 and more, with an E that is four and more times too small. Of real cables in fast motion
 between two grippers it is 0.010 to 0.016. Twice a sheet's E moves it by as much in a lift (2 to 5
 mm of a diagonal of 0.42 m): a larger displacement hides the effect of E."""
+
+BROADER, BLURRED = 1.3, 0.001
+"""Most by which a rope's breadth differs from its thickness, and by which cameras may widen it
+besides [m]."""
 
 
 def beyond(findings: Findings) -> list[str]:
@@ -145,13 +151,7 @@ def _of_fit(part: Part, comparison: Comparison, noise: NoiseModel, theta: Theta)
     )
     yield max(np.abs(shift).max() / most, np.abs(turn).max() / (NUISANCE * noise.turn)), 1.0, said
     if thickness_stated(scene.recording.object):
-        thick, outside = scene.body.thickness, comparison.outside(noise)
-        side = "outside" if outside > 0.0 else "inside"
-        said = (
-            f"points lie {1e3 * abs(outside):.1f} mm {side} an object {1e3 * thick:.3g} mm thick: "
-            "is its thickness right?"
-        )
-        yield abs(outside), max(0.0025, 0.3 * thick), said
+        yield from _of_thickness(comparison, noise)
     rows, own = comparison.rows, observation.counts.shape[1]
     away = np.abs(rows.rho[:, :own])[observation.counts > 0.0]
     # over 60 good lifts of ropes the root mean square is 4.3 mm at most; poor cameras have 12 mm
@@ -172,6 +172,33 @@ def _of_fit(part: Part, comparison: Comparison, noise: NoiseModel, theta: Theta)
     yield from _at_rest(part, theta)
     said = f"the object moves {1e3 * noise.model:.0f} mm otherwise than any simulated one"
     yield displaced(part, noise), 0.0, said
+
+
+def _of_thickness(comparison: Comparison, noise: NoiseModel) -> Findings:
+    """A thickness that is not that of the object: by the breadth of a rope, where it is seen."""
+    thick, seen = 2.0 * comparison.radius, _seen_breadth(comparison, noise)
+    outside = comparison.outside(noise)
+    side = "outside" if outside > 0.0 else "inside"
+    said = f"points lie {1e3 * abs(outside):.1f} mm {side} an object {1e3 * thick:.3g} mm thick"
+    found, most = abs(outside), max(0.0025, 0.3 * thick)
+    if seen is not None:
+        said = f"cameras see {1e3 * seen:.1f} mm across an object {1e3 * thick:.3g} mm thick"
+        found, most = _out_of(seen, thick / BROADER, BROADER * thick + BLURRED), 1.0
+    yield found, most, f"{said}: is its thickness right?"
+
+
+def _seen_breadth(comparison: Comparison, noise: NoiseModel) -> float | None:
+    """Of a rope across its cameras' views [m]; None where that is not known."""
+    o, cameras = comparison.observation, comparison.observation.scene.recording.camera_positions
+    if cameras is None or o.markers is not None or not o.shape.rope:
+        return None
+    line = comparison.registered(noise)
+    index, _, feet = o.shape.nearest(line, o.points)
+    ends = taken(line, index)
+    # beyond its ends it is no cylinder
+    own = (index[..., 0] > 2) & (index[..., 1] < line.shape[1] - 3) & (o.counts > 0.0)
+    along = (ends[:, :, 1] - ends[:, :, 0])[own]
+    return breadth_across(o.points[own], feet[own], along, cameras, noise.sensor)
 
 
 def _blamed_on_cameras(reasons: list[str], part: Part, comparison: Comparison) -> list[str]:

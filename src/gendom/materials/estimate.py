@@ -395,6 +395,7 @@ class Estimate(Shown):
         entries: dict[str, Any] = {**self.about, "format": FORMAT}
         if self.posterior.bases:
             entries["theta"] = dict(self.theta)
+            entries["marker_offsets"] = list(self.theta.offsets) or None
         record = {
             **entries,
             **values,

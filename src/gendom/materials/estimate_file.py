@@ -68,6 +68,7 @@ class Stored:
     object: dict[str, str | float | None] | None = None
     posterior: dict[str, Any] | None = None
     theta: dict[str, float] | None = None
+    marker_offsets: list[tuple[float, float, float]] | None = None
     intervals: dict[str, float | tuple[float, float]] | None = None
     density_sd: float | None = None
     simulation: Simulated | None = None
@@ -217,6 +218,7 @@ def fields_of(
     if not isinstance(level, float) or not 0.0 < level < 1.0:
         raise ParameterError(f"level is {level}", where="intervals", fix="estimate again")
     base = Theta(**stored.theta) if stored.theta else None
+    base = base and base.with_offsets(stored.marker_offsets or ())
     # files of earlier versions are of one recording
     own = [{}] if stored.recordings is None else [r.theta for r in stored.recordings]
     bases = [base.with_values(theta) for theta in own] if base else []
@@ -251,8 +253,9 @@ def _stated(known: dict[str, float], posterior: Posterior, kind: str) -> dict[st
 
 
 _OWN = (
-    "format", "theta", "E", "bending_length", "bending_stiffness", "density", "density_assumed",
-    "density_sd", "verdict", "intervals", "bounds", "identifiable", "posterior", "object", CHECKSUM,
+    "format", "theta", "marker_offsets", "E", "bending_length", "bending_stiffness", "density",
+    "density_assumed", "density_sd", "verdict", "intervals", "bounds", "identifiable", "posterior",
+    "object", CHECKSUM,
 )  # fmt: skip
 """Entries of the file that `Estimate.record` computes, beside values of unknowns."""
 

@@ -7,10 +7,14 @@ viewers and policies go by the registry.
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gendom.arguments import check_number, require
 from gendom.plugins import plugins
@@ -109,7 +113,7 @@ def _clamp(end: int, across: int) -> Unknown:
     return Unknown(
         f"{which}_clamp_{axis}", f"{which} clamp, {axis}", "rad",
         f"turn of the clamp at the {which} end from its stated axis, about the hand's {axis} axis",
-        low=-1.0, high=1.0, mean=0.0, sd=0.3, step=0.01, widest=0.1, kinds=("rope",),
+        low=-1.0, high=1.0, mean=0.0, sd=0.15, step=0.01, widest=0.1, kinds=("rope",),
         material=True, form=".3f", on_replay=_turns(end, across),
     )  # fmt: skip
 
@@ -202,6 +206,12 @@ UNKNOWNS: dict[str, Unknown] = {
             log=True, low=0.1, high=10.0, mean=2.0, sd=0.7, step=0.1, widest=0.7, default=1.0,
             kinds=("rope",), material=True, above=0.0, form=".2f", on_replay=_sets("air_drag"),
         ),
+        # a line through markers in zigzag is longer, one through few is shorter
+        Unknown(
+            "length_ratio", "length / stated", "1", "length of a cable over the stated one",
+            log=True, low=0.9, high=1.1, mean=1.0, sd=0.02, step=0.002, widest=0.02,
+            kinds=("rope",), material=True, above=0.0,
+        ),
         *(_clamp(end, across) for end in (0, 1) for across in (0, 1)),
         # a rope is clamped as it comes: half a turn more or less
         Unknown(
@@ -282,6 +292,8 @@ class Theta(Mapping[str, float]):
     """
 
     _values: dict[str, float]
+    offsets: tuple[tuple[float, ...], ...] = ()
+    """Where each marker of a cable is in the frame of its cross-section [m]; empty: on the axis."""
 
     def __init__(self, **values: float):
         if unknown := values.keys() - UNKNOWNS.keys():
@@ -308,16 +320,21 @@ class Theta(Mapping[str, float]):
         return len(UNKNOWNS)
 
     def __hash__(self) -> int:
-        return hash(tuple(self.items()))
+        return hash((*self.items(), self.offsets))
 
     def __repr__(self) -> str:
         return f"Theta({', '.join(f'{n}={v:g}' for n, v in self.items())})"
 
     def with_values(self, values: Mapping[str, float]) -> Theta:
         """The same with other values, by name."""
-        return Theta(**{**self._values, **values})
+        return Theta(**{**self._values, **values}).with_offsets(self.offsets)
+
+    def with_offsets(self, offsets: Sequence[Sequence[float]] | NDArray[np.floating]) -> Theta:
+        """The same of a cable with markers so far beside its axis [m, 3] [m]."""
+        other = copy.copy(self)
+        object.__setattr__(other, "offsets", tuple(tuple(map(float, row)) for row in offsets))
+        return other
 
 
 # last, so that their modules can import this one
-for _added in plugins("unknowns").values():
-    register(_added)
+plugins("unknowns", register)

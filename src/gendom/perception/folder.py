@@ -224,7 +224,11 @@ def read_cameras(
 
 def _open_camera(folder: Path, on_warning: Callable[[Fault], None]) -> FrameSource:
     """A camera's folder of any kind: one of ours, or of an entry point ``gendom.cameras``."""
-    readers: list[CameraReader] = [PngCamera, RealSenseRecording, *plugins("cameras").values()]
+    readers: list[CameraReader] = [
+        PngCamera,
+        RealSenseRecording,
+        *plugins("cameras", lambda reader: reader.find).values(),
+    ]
     found = [(reader, path) for reader in readers if (path := reader.find(folder)) is not None]
     what = f"holds {' and '.join(path.name for _, path in found)}"
     expect(len(found) <= 1, what, where=str(folder), fix="leave one of them in the camera's folder")

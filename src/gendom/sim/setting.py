@@ -125,6 +125,7 @@ class Setting(Physics):
     stiffness: ArrayLike
     mass: ArrayLike
     natural_curvature: ArrayLike
+    stretch: ArrayLike
     positions: ArrayLike
     start_time: float
     dtype: str

@@ -59,6 +59,7 @@ class Simulator(Shown):
         mass: Mass of each point of a rod or shell over that of its material, likewise [-].
         natural_curvature: Share of a rod's bending and twist in ``body`` that is free of stress,
             one number or [W] [-]; 0: it is straight by nature.
+        stretch: Length of a rod's edges over that in ``body``, one number or [W] [-].
         positions: [N, 3] or [W, N, 3] initial positions of particles (default: ``body.x``) or
             points (default: ``body.points``) [m].
         start_time: Time of the initial state [s].
@@ -82,6 +83,7 @@ class Simulator(Shown):
         stiffness: ArrayLike = 1.0,
         mass: ArrayLike = 1.0,
         natural_curvature: ArrayLike = 1.0,
+        stretch: ArrayLike = 1.0,
         positions: ArrayLike | None = None,
         start_time: float = 0.0,
     ):
@@ -102,6 +104,7 @@ class Simulator(Shown):
         check_numbers("stiffness", stiffness, (), (N,), ("W", N), above=0.0)
         check_numbers("mass", mass, (), (N,), ("W", N), above=0.0)
         check_numbers("natural_curvature", natural_curvature, (), ("W",))
+        check_numbers("stretch", stretch, (), ("W",), above=0.0)
         membrane = any(m.membrane is not None for m in materials)
         curved = bool(np.any(np.asarray(natural_curvature) != 1.0))
         rod, shell = thin and body.kind == "rope", thin and body.kind == "cloth"
@@ -138,6 +141,7 @@ class Simulator(Shown):
             stiffness=stiffness,
             mass=mass,
             natural_curvature=natural_curvature,
+            stretch=stretch,
             positions=x,
             start_time=start_time,
             dtype=self.dtype,

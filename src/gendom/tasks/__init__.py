@@ -10,7 +10,6 @@ import importlib.util
 import logging
 import sys
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,18 +49,15 @@ for _task in (RopeReaching, RopeCasting, RopeCastingAtSpeed, ClothSpreading, Clo
     register(_task)
 
 
-@cache
-def _register_plugins() -> None:
-    for name, task in plugins("tasks").items():
-        if isinstance(task, type) and issubclass(task, Task):
-            register(task)
-        else:
-            _log.warning("gendom.tasks %r is left out: it is no subclass of Task", name)
+def _register_plugin(task: Any) -> None:
+    what = "it is no subclass of Task"
+    require(isinstance(task, type) and issubclass(task, Task), what)
+    register(task)
 
 
 def task_names() -> list[str]:
     """Names of all tasks, those of other packages included."""
-    _register_plugins()
+    plugins("tasks", _register_plugin)
     return list(_registered)
 
 

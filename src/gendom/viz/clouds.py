@@ -55,6 +55,8 @@ class CloudSequence:
     """z of the table [m]; None: no table."""
     chamfer: np.ndarray | None = None
     """[T] Chamfer distance of the two clouds [m]."""
+    rms: np.ndarray | None = None
+    """[T] distance of the recorded cloud from the simulated surface, root mean square [m]."""
     labels: tuple[str, str] = ("recorded", "simulated")
     """What legends call the two clouds."""
     arm: np.ndarray | None = None
@@ -84,6 +86,7 @@ class CloudSequence:
             "gripper": ((T, "G", 3), (T, 3)),
             "table_height": ((),),
             "chamfer": ((T,),),
+            "rms": ((T,),),
             "arm": ((T, "C", 2, 3),),
             "goal": (("n", 3),),
         }
@@ -104,6 +107,12 @@ class CloudSequence:
     def num_frames(self) -> int:
         """T."""
         return len(self.times)
+
+    @property
+    def distance(self) -> tuple[str, np.ndarray] | None:
+        """How far both clouds are apart: what it is, and [T] [m]; the fit's if it is known."""
+        known = {"rms": self.rms, "Chamfer": self.chamfer}
+        return next(((name, of) for name, of in known.items() if of is not None), None)
 
     def spread(self, max_frames: int) -> list[int]:
         """Indices of at most `max_frames` frames, evenly spaced, with the first and the last."""

@@ -16,6 +16,7 @@ from gendom.arrays import Array
 # From Okabe and Ito's palette, told apart with every common form of colour blindness.
 RECORDED_COLOR = "#0072B2"
 SIMULATED_COLOR = "#E69F00"
+OBSTACLE_COLOR = "#8C96A0"
 
 DEPTH_COLORS = ("#fde725", "#5ec962", "#21918c", "#3b528b", "#440154")
 """From near to far: five of the colours of matplotlib's viridis."""

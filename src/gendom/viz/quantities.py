@@ -58,9 +58,9 @@ def quantity_text(key: str, value: float) -> str:
     return with_minus(f"{factor * value:.{3 if key == 'damping' else 4}g} {unit}".rstrip())
 
 
-def interval_text(key: str, interval: tuple[float, float]) -> str:
-    """Both ends in one unit."""
-    factor, unit = unit_of(key, interval[1])
+def interval_text(key: str, interval: tuple[float, float], value: float) -> str:
+    """Both ends in the unit of a value."""
+    factor, unit = unit_of(key, value)
     low, high = factor * interval[0], factor * interval[1]
     decimals = 3
     if not is_ratio(key):

@@ -5,7 +5,6 @@ function; its name is that of the entry point.
 """
 
 from collections.abc import Callable
-from functools import cache
 
 from gendom.errors import ParameterError, did_you_mean
 from gendom.estimation.methods.adam import adam
@@ -21,20 +20,14 @@ METHODS: dict[str, Callable[[Problem], Found]] = {
 }
 
 
-@cache
-def _register_plugins() -> None:
-    for name, method in plugins("methods").items():
-        METHODS.setdefault(name, method)
-
-
 def find_method(name: str) -> Callable[[Problem], Found]:
     """The method of a name, those of other packages included.
 
     Raises:
         ParameterError: There is none of that name.
     """
-    _register_plugins()
-    if name not in METHODS:
-        fix = did_you_mean(name, METHODS) or f"choose from {', '.join(METHODS)}"
+    known = {**plugins("methods"), **METHODS}
+    if name not in known:
+        fix = did_you_mean(name, known) or f"choose from {', '.join(known)}"
         raise ParameterError(f"there is no method {name!r}", fix=fix)
-    return METHODS[name]
+    return known[name]

@@ -7,9 +7,7 @@ cloth with several dampings and once by the object's own unknowns alone: the set
 changes in jumps, and those unknowns do not cause any. In the coarse stage only the most influential
 unknowns are free, clouds are not registered, and frames with fast motion are left out where enough
 others are left. In the fine stage, about the best start's result, everything is free, the model's
-displacement is registered, and noise and displacement are estimated in turns with steps. Of a
-motion capture displacement is left out until the end: it would take the place of how clamps hold
-and of the air.
+displacement is registered, and noise and displacement are estimated in turns with steps.
 """
 
 from __future__ import annotations
@@ -43,6 +41,12 @@ DAMPING, DAMPING_RATIO = (1e-3, 1e3), 30.0
 """Levenberg's and Marquardt's: the least, and that at which a start is given up; ratio of two side
 by side."""
 
+TRIED = 4
+"""Leaps that are simulated as finely as the problem asks for: the nearest ones of a coarse try."""
+
+UNLIKELY = 9.0
+"""Fall of -2 log likelihood, that of three deviations, beyond which another end does not count."""
+
 PER_BATCH = 2
 """Iterations for each of `EstimateSettings.max_iterations`: few compute derivatives."""
 
@@ -52,7 +56,8 @@ class GaussNewtonSettings:
     """What differs between searches; defaults are those of ropes; `of` has those of cloths."""
 
     leading: tuple[str, ...] = (
-        "E_over_rho", "damping", "grip_turn", "tip_mass", "air_drag", *CLAMPS,
+        "E_over_rho", "damping", "grip_turn", "tip_mass", "air_drag",
+        "length_ratio", *CLAMPS,
     )  # fmt: skip
     """Unknowns that are free in the coarse stage, so that the others do not absorb their effect.
     None: all."""
@@ -97,9 +102,7 @@ def gauss_newton(
     """
     began, settings = time.perf_counter(), settings or GaussNewtonSettings.of(problem.scene.kind)
     stated = problem.first_noise()
-    first = problem.coarse.first_noise(
-        sensor=COARSE_NOISE, model=problem.settings.noise.least_model, rounds=1
-    )
+    first = problem.coarse.first_noise(sensor=COARSE_NOISE, model=0.0, rounds=1)
     noise, most = first, PER_BATCH * problem.settings.max_iterations
     names = problem.prior.names
     free = [k for k, name in enumerate(names) if name in settings.leading] or None
@@ -107,7 +110,7 @@ def gauss_newton(
     for start in starts:
         start.stage = "coarse"
     times = [began, time.perf_counter()]
-    interrupted, iteration, late = False, 0, 0
+    interrupted, iteration, late, best, others = False, 0, 0, None, ()
     try:
         while iteration < max(1, round(COARSE_SHARE * most)):
             going = [s for s in starts if not s.done]
@@ -125,20 +128,18 @@ def gauss_newton(
         if best is None:
             raise problem.nothing_runs()
         times.append(time.perf_counter())
-        noise, best.damping = stated, DAMPING[0]
-        if free is not None or problem.coarse is not problem:
-            _compare_all(problem, best, settings)
-        best.stage = "fine"
-        noise = _fine_stage(problem, best, noise, settings, iteration, most)
+        rivals = _apart(problem.coarse, best, starts, noise, 3.0)
+        noise = _fine_stage(problem, best, stated, settings, iteration, most)
+        ends = [(s, _fine_stage(problem, s, stated, settings, iteration, most)) for s in rivals]
+        best, noise, others = _likeliest(problem, [(best, noise), *ends])
     except KeyboardInterrupt:
-        interrupted = True
-        best = best_of(starts)
+        interrupted, best = True, best or best_of(starts)
         if best is None:
             raise
         if best.stage == "coarse":
             _compare_all(problem, best, settings)
         assert best.comparison is not None
-        noise = estimated_noise(best.comparison, noise)
+        noise = estimated_noise(best.comparison, stated if noise is first else noise)
     times.append(time.perf_counter())
     parts = zip(("scan", "coarse", "fine"), np.diff(times), strict=False)
     return Found(
@@ -146,6 +147,7 @@ def gauss_newton(
         starts=starts,
         noise=noise,
         interrupted=interrupted,
+        others=others,
         seconds={name: float(t) for name, t in parts},
     )
 
@@ -158,8 +160,7 @@ def refined(problem: Problem, found: Found) -> Found:
     """
     settings = GaussNewtonSettings.of(problem.scene.kind)
     best, noise = found.best, found.noise
-    _compare_all(problem, best, settings)
-    best.damping = DAMPING[0]
+    best.stage = "coarse"
     most = PER_BATCH * problem.settings.max_iterations
     most = max(1, round((1.0 - COARSE_SHARE) * most))
     try:
@@ -178,16 +179,12 @@ def _fine_stage(
     most: int,
 ) -> tuple[NoiseModel, ...]:
     """Steps of a start by all unknowns, in turns with estimates of the noise. Returns the noise."""
+    if best.stage == "coarse":
+        _compare_all(problem, best, settings)
     while iteration < most:
         iteration += 1
         assert best.comparison is not None
-        if problem.captured:
-            noise = tuple(
-                replace(n, sensor=max(c.rms, n.least_sensor), model=n.least_model)
-                for n, c in zip(noise, best.comparison.parts, strict=True)
-            )
-        else:
-            noise = estimated_noise(best.comparison, noise)
+        noise = estimated_noise(best.comparison, noise)
         best.value = problem.value(best.vector, best.comparison, noise)
         best.done = False
         _step(problem, [best], noise, settings.gain[1], settings)
@@ -198,6 +195,39 @@ def _fine_stage(
         _renew(problem, [best], noise, None)
     assert best.comparison is not None
     return estimated_noise(best.comparison, noise)
+
+
+def _apart(
+    problem: Problem,
+    best: Start,
+    starts: Sequence[Start],
+    noise: Sequence[NoiseModel],
+    least: float,
+) -> list[Start]:
+    """Starts that have ended so many deviations or more from the best one, and from each other, in
+    an unknown of the object, and are not much less likely."""
+    own = [UNKNOWNS[name].material for name in problem.prior.names]
+    hessian, found = problem.gradient_and_hessian(best, noise)[1], [best]
+    sd = np.sqrt(np.diag(np.linalg.inv(hessian)))
+    for s in starts:
+        near = s.comparison is not None and s.done and s.value - best.value < UNLIKELY
+        off = [(np.abs(s.vector - other.vector) / sd)[own].max(initial=0.0) for other in found]
+        if near and min(off) > least:
+            found.append(s)
+    return found[1:]
+
+
+def _likeliest(
+    problem: Problem, ends: Sequence[tuple[Start, tuple[NoiseModel, ...]]]
+) -> tuple[Start, tuple[NoiseModel, ...], tuple[Array, ...]]:
+    """Of starts' ends the most likely one, its noise, and places [P] of others that are apart."""
+    if len(ends) > 1:
+        for s, _ in ends:
+            assert s.comparison is not None
+            s.value = problem.value(s.vector, s.comparison, ends[0][1])
+    best, noise = min(ends, key=lambda end: end[0].value)
+    others = _apart(problem, best, [s for s, _ in ends], noise, 1.0) if len(ends) > 1 else []
+    return best, noise, tuple(s.vector for s in others)
 
 
 def _jump(
@@ -221,6 +251,10 @@ def _jump(
     ]
     former = start.comparison
     assert former is not None
+    # those that are nearest with few points
+    coarse = problem.coarse.compare(places, derivatives=False)
+    rms = [np.inf if c is None else c.rms for c in coarse]
+    places = [places[k] for k in np.argsort(rms, kind="stable")[:TRIED]]
     compared = problem.compare(places, derivatives=False)
     values = problem.values(places, compared, noise, former)
     best = int(np.argmin(values))
@@ -235,19 +269,12 @@ def _jump(
 
 
 def _compare_all(problem: Problem, start: Start, settings: GaussNewtonSettings) -> None:
-    """Compare a start of the coarse problem in the full one, by all unknowns; derivatives are taken
-    over from the same frames and free unknowns."""
-    former, start.exact, start.renew = start.comparison, True, False
-    inherited = former is not None and not settings.leading
-    if former is not None and inherited:
-        own = zip(problem.parts, former.parts, strict=True)
-        inherited = all(p.scene.frames == c.observation.scene.frames for p, c in own)
-    start.comparison = problem.compare([start.vector], derivatives=not inherited)[0]
+    """Compare a start of the coarse problem in the full one, by all unknowns."""
+    start.exact, start.renew, start.stage = not settings.rugged, False, "fine"
+    start.damping = DAMPING[0]
+    start.comparison = problem.compare([start.vector], sketched=True)[0]
     if start.comparison is None:
         raise problem.nothing_runs()
-    if former is not None and inherited:
-        problem.inherit_derivatives(start.comparison, former, *np.zeros((2, len(start.vector))))
-        start.exact = False
 
 
 def _step(

@@ -94,9 +94,13 @@ def estimated_noise(
     comparison: Comparisons, noise: Sequence[NoiseModel], rounds: int = 6
 ) -> tuple[NoiseModel, ...]:
     """Maximum likelihood noise of each recording: two registrations, each with this many rounds of
-    expectation and maximisation."""
+    expectation and maximisation; of markers in motion `Comparison.correlated_noise`."""
     found = list(noise)
     for k, part in enumerate(comparison.parts):
         for _ in range(2):
-            found[k] = part.fit(found[k]).updated_noise(rounds)
+            captured = part.observation.scene.captured
+            one = found[k]
+            found[k] = (
+                part.correlated_noise(one) if captured else part.fit(one).updated_noise(rounds)
+            )
     return tuple(found)

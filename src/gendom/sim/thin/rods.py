@@ -203,6 +203,7 @@ class Rods(ThinEngine):
         rest = np.repeat(self.rows(self.model.rest)[None], self.num_worlds, axis=0)
         share = spread(self.setting.natural_curvature, (self.num_worlds,), "natural_curvature")
         rest[:, 4:] *= share[:, None, None]
+        rest[:, :1] /= spread(self.setting.stretch, (self.num_worlds,), "stretch")[:, None, None]
         model.rest = self.array(rest)
         model.stiffness = self.array(self.rows(self.model.stiffness))
         model.inertia = self.array(self.rows(inertia))

@@ -5,8 +5,10 @@ from __future__ import annotations
 import base64
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date
+
+import numpy as np
 
 from gendom.files import atomic_path
 from gendom.installation import version
@@ -56,12 +58,14 @@ class ReportContent:
         if self.cameras is not None:
             made["What the cameras saw"] = _cameras(self.cameras, self.cameras_note)
         if self.lift is not None:
-            rms = () if found is None else found.record["rms_by_frame"]
+            lift, rms = self.lift, () if found is None else found.record["rms_by_frame"]
+            if len(rms) == lift.num_frames:
+                lift = replace(lift, rms=np.array(rms))
             made["The lift, recorded and simulated"] = "\n".join(
                 [
                     f"<p>{escaped(self.lift_note)}</p>" if self.lift_note else "",
-                    motion.viewer(self.lift, name="lift", subject="Recorded and simulated lift"),
-                    motion.residuals(self.lift, rms),
+                    motion.viewer(lift, name="lift", subject="Recorded and simulated lift"),
+                    motion.residuals(lift),
                 ]
             )
         if found is not None:
@@ -156,7 +160,7 @@ def _parameter_cards(found: Estimate) -> list[tuple[str, str]]:
         elif ends is None:
             cards.append((value, name))
         else:
-            said = f"{estimated.level_text(found)} interval {interval_text(key, ends)}"
+            said = f"{estimated.level_text(found)} interval {interval_text(key, ends, record[key])}"
             cards.append((value, f"{name}; {said}"))
     if record["density_assumed"]:
         value, name = cards[0]

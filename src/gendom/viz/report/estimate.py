@@ -36,10 +36,6 @@ _DISTANCES = {
     "rms": "distance of recorded points from the simulated surface, root mean square",
     "chamfer_mean": "Chamfer distance, all frames",
     "chamfer_last": "Chamfer distance, last frame",
-    "chamfer_mean_surface": "Chamfer distance, seen surface, all frames",
-    "chamfer_last_surface": "Chamfer distance, seen surface, last frame",
-    "chamfer_mean_registered": "Chamfer distance with the cameras' motion, all frames",
-    "chamfer_last_registered": "Chamfer distance with the cameras' motion, last frame",
 }
 
 
@@ -102,7 +98,7 @@ def parameters(found: Estimate, truth: Truth) -> str:
             continue
         row = [title_of(key), quantity_text(key, value)]
         if found.usable:
-            row.append(DASH if ends is None else interval_text(key, ends))
+            row.append(DASH if ends is None else interval_text(key, ends, value))
         if truth:
             known = None if true is None else quantity_text(key, true)
             row += [known or DASH, DASH if true is None else difference_text(key, value, true)]

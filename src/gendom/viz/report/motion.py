@@ -97,7 +97,7 @@ def encode_scene(sequence: CloudSequence) -> str:
             ("recorded", sequence.recorded, keep, dot),
         )
     ]
-    side, grippers, chamfer = sequence.projection(), sequence.gripper, sequence.chamfer
+    side, grippers, known = sequence.projection(), sequence.gripper, sequence.distance
     arm = None
     if sequence.arm is not None and sequence.arm_radius is not None:
         ends = (1e3 * sequence.arm[chosen]).round().astype(int)
@@ -111,7 +111,7 @@ def encode_scene(sequence: CloudSequence) -> str:
         "times": sequence.times[chosen].round(5).tolist(),
         "frames": [t + 1 for t in chosen],
         "of": sequence.num_frames,
-        "chamfer": None if chamfer is None else chamfer[chosen].tolist(),
+        "distance": None if known is None else [known[0], known[1][chosen].tolist()],
         "table": sequence.table_height,
         "view": {"turn": side.turn, "tilt": side.tilt},
         "grippers": [] if grippers is None else grippers[chosen].round(5).tolist(),
@@ -129,11 +129,11 @@ def _thinned(points: np.ndarray, most: int) -> list[int]:
     return (1e4 * points[chosen]).round().astype(int).ravel().tolist()
 
 
-def residuals(clouds: CloudSequence, rms_by_frame: Sequence[float]) -> str:
+def residuals(clouds: CloudSequence) -> str:
     """HTML: distances of both clouds over time, as far as they are known for these frames."""
     charts = {
         "Points to simulated surface [mm]": (
-            rms_by_frame,
+            clouds.rms,
             "Distance of recorded points from the simulated surface, root mean square in each "
             "frame that was compared.",
         ),
@@ -146,9 +146,9 @@ def residuals(clouds: CloudSequence, rms_by_frame: Sequence[float]) -> str:
     }
     figures = []
     for title, (distance, said) in charts.items():
-        if distance is None or not len(distance) == clouds.num_frames > 1:
+        if distance is None or clouds.num_frames == 1:
             continue
-        times, shown = clouds.times, 1e3 * np.asarray(distance, dtype=float)
+        times, shown = clouds.times, 1e3 * distance
         plot = Plot(
             x=Axis(low=float(times[0]), high=float(times[-1]), label="time [s]"),
             y=Axis(low=0.0, high=1.15 * max(float(shown.max()), 1e-6)),

@@ -124,10 +124,10 @@
       const t = Number(this.slider.value);
       const { scene } = this;
       this.paint(t);
-      const chamfer = scene.chamfer === null ? ""
-        : ` · Chamfer ${(1000 * scene.chamfer[t]).toFixed(1)} mm`;
+      const distance = scene.distance === null ? ""
+        : ` · ${scene.distance[0]} ${(1000 * scene.distance[1][t]).toFixed(1)} mm`;
       this.clock.textContent =
-        `${scene.times[t].toFixed(2)} s · frame ${scene.frames[t]} of ${scene.of}${chamfer}`;
+        `${scene.times[t].toFixed(2)} s · frame ${scene.frames[t]} of ${scene.of}${distance}`;
       this.slider.setAttribute("aria-valuetext", this.clock.textContent);
     }
 

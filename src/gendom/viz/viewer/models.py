@@ -91,7 +91,7 @@ class RecordingModel(ViewerModel):
         recording = self.scene.recording
         counts = np.diff(recording.offsets)[frames]
         # small, or a dense cloud would hide the object
-        dot = scene.size * (0.006 if np.median(counts) < 400 else 0.003)
+        dot = scene.size * (0.003 if np.median(counts) < 400 else 0.002)
         points = recording.frames(frames)
         recorded = Layer(name="recorded", color=RECORDED_COLOR, points=points, radius=dot)
         axis = None if recording.gripper_axis is None else recording.gripper_axis[frames]

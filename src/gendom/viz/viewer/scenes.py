@@ -12,10 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arguments import require
-from gendom.sim import Body
+from gendom.sim import Body, Obstacle
 from gendom.tasks.cloth_spreading import lattice_triangles
-from gendom.viz.palette import INK, SIMULATED_COLOR
+from gendom.viz.palette import INK, OBSTACLE_COLOR, SIMULATED_COLOR, nice_step
 from gendom.viz.quantities import SHOWN_UNITS, with_minus
+
+FIELD_OF_VIEW = math.radians(35.0)
+"""The camera's, upwards."""
+
+_TURN, _TILT = math.radians(25.0), math.radians(18.0)
+"""From where the camera looks, around and down."""
+
+_SQUARES = 10
+"""Squares of the table's grid along the longer side of what is shown."""
 
 RING = 8
 """Points of a rod's skin around its centre line, see `gendom.sim.Body.surface`."""
@@ -43,10 +52,16 @@ class Layer:
     of what rests. The number of dots may change."""
     faces: NDArray[np.integer] = field(default_factory=lambda: NO_FACES)
     """[F, 3] triangles of a surface."""
+    closed: bool = False
+    """Whether a surface is one around a solid, its triangles counter-clockwise from outside."""
     radius: float = 0.0
     """Of dots and lines [m]."""
     opacity: float = 1.0
-    """Of a surface."""
+    """Of a surface, and of dots in pictures."""
+
+    def at(self, frame: int) -> Array:
+        """Its points in a frame of the scene [m]."""
+        return np.asarray(self.points[frame if len(self.points) > 1 else 0])
 
     @property
     def kind(self) -> str:
@@ -144,11 +159,20 @@ class SliderParameter:
         low, high, _ = self.range
         within = (1, 2, 5) if high - low < 2.0 else (1,)
         values = [m * 10.0**k for k in range(math.floor(low), math.ceil(high) + 1) for m in within]
-        return tuple((math.log10(v), f"{v:g}") for v in values if low <= math.log10(v) <= high)
+        shown = [v for v in values if low <= math.log10(v) <= high]
+        # short texts, or those of a wide range would collide
+        units = [(1e6, "M"), (1e3, "k"), (0.0, "")]
+        texts = [next(f"{v / (a or 1.0):g}{u}" for a, u in units if v >= 9.0 * a) for v in shown]
+        return tuple((math.log10(v), text) for v, text in zip(shown, texts, strict=True))
+
+    @property
+    def shown(self) -> tuple[float, str]:
+        """What its value is multiplied by, and the unit, to be read."""
+        return SHOWN_UNITS.get(self.unit, (1.0, self.unit))
 
     def text(self, value: float) -> str:
         """Its label, and a value with its unit."""
-        factor, unit = SHOWN_UNITS.get(self.unit, (1.0, self.unit))
+        factor, unit = self.shown
         return f"{self.label} " + with_minus(f"{factor * value:.3g} {unit}".rstrip())
 
 
@@ -197,17 +221,17 @@ def object_layer(
         lattice: A cloth's rows and points in a row; None: a rope.
         opacity: Below 1 where something else is to be seen through it.
     """
-    faces, radius = NO_FACES, 0.5 * body.thickness
+    faces, closed, radius = NO_FACES, False, 0.5 * body.thickness
     if lattice is not None:
         faces = lattice_triangles(*lattice)
     elif points.shape[1] == len(body.points):
         points = body.surface(points)
-        faces = tube_faces(points.shape[1] // RING, RING)
+        faces, closed = tube_faces(points.shape[1] // RING, RING), True
     else:  # the sections of particles
         points = np.stack([points[:, :-1], points[:, 1:]], axis=-2)
     return Layer(
-        name=name, color=SIMULATED_COLOR, points=list(points), faces=faces, radius=radius,
-        opacity=opacity,
+        name=name, color=SIMULATED_COLOR, points=list(points), faces=faces, closed=closed,
+        radius=radius, opacity=opacity,
     )  # fmt: skip
 
 
@@ -241,3 +265,71 @@ def tube_faces(rings: int, sides: int) -> NDArray[np.integer]:
     faces = [np.stack([a, c, b], axis=-1), np.stack([a, d, c], axis=-1)]
     ends = [at[0][fan][:, ::-1], at[-1][fan]]
     return np.concatenate([f.reshape(-1, 3) for f in (*faces, *ends)])
+
+
+def square_size(scene: ViewerScene) -> float:
+    """Side of the squares of a scene's table [m]."""
+    low, high = scene.box
+    return nice_step(float((high - low)[:2].max()) / _SQUARES)
+
+
+def camera_of(scene: ViewerScene) -> tuple[Array, Array]:
+    """Where the camera stands and what it looks at, [3] each [m]: at the broad side of what is
+    shown, from a little above, so that a window as wide as high shows all."""
+    low, high = scene.box
+    middle, (x, y, _) = 0.5 * (low + high), high - low
+    turn = (-0.5 * math.pi if x >= y else 0.0) + _TURN
+    towards = np.array([math.cos(turn), math.sin(turn), 0.0])
+    direction = math.cos(_TILT) * towards + math.sin(_TILT) * np.array([0.0, 0.0, 1.0])
+    radius = 0.5 * float(np.linalg.norm(high - low)) + 1e-3
+    away = 1.05 * radius / math.sin(0.5 * FIELD_OF_VIEW)
+    return middle + away * direction, middle
+
+
+def table_ends(scene: ViewerScene) -> tuple[Array, Array]:
+    """Corners [2] of a scene's table with least and with most x and y, on its grid [m]."""
+    step = square_size(scene)
+    low = np.floor(scene.box[0, :2] / step - 2.0) * step
+    return low, np.ceil(scene.box[1, :2] / step + 2.0) * step
+
+
+def tiles_of(scene: ViewerScene) -> Array:
+    """[S, 4, 3] corners of the squares of a scene's table, none without a table [m]."""
+    if scene.table_height is None:
+        return np.empty((0, 4, 3))
+    step, (low, high) = square_size(scene), table_ends(scene)
+    x, y = (np.arange(low[a], high[a] - 0.5 * step, step) for a in (0, 1))
+    at = np.stack(np.meshgrid(x, y))
+    corner = np.stack([*at.reshape(2, -1), np.full(at[0].size, scene.table_height)], axis=1)
+    return corner[:, None] + step * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+
+
+def obstacle_layer(name: str, obstacle: Obstacle, times: Array) -> Layer:
+    """A rigid obstacle at times [T] [s]: a cube of small squares, pressed onto its surface."""
+    half, reach = obstacle.core
+    turn = np.tan(np.linspace(0.0, 0.25 * math.pi, 5))[1:]
+    lines = []
+    for h in half.tolist():
+        inner = np.linspace(-h, h, 5) if h > 0.0 else np.zeros(1)
+        outer = h + reach * turn if reach > 0.0 else np.zeros(0)
+        lines.append(np.concatenate([-outer[::-1], inner, outer]))
+    points, faces, count = [], [], 0
+    for axis in range(3):
+        u, v = lines[axis - 2], lines[axis - 1]
+        for side in (-1.0, 1.0):
+            face = np.empty((len(u), len(v), 3))
+            face[..., axis] = side * (half[axis] + reach)
+            face[..., axis - 2], face[..., axis - 1] = np.meshgrid(u, v, indexing="ij")
+            points.append(face.reshape(-1, 3))
+            turned = lattice_triangles(len(u), len(v))[:, :: -int(side)]
+            faces.append(count + turned)
+            count += len(u) * len(v)
+    x = np.concatenate(points)
+    core = np.clip(x, -half, half)
+    away = x - core
+    x = core + reach * away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+    moves = len(np.atleast_1d(obstacle.time)) > 1
+    poses = [obstacle.pose_at(float(t)) for t in (times if moves else times[:1])]
+    shown = [centre + turned.apply(x) for centre, turned in poses]
+    skin = {"faces": np.concatenate(faces), "closed": True}
+    return Layer(name=name, color=OBSTACLE_COLOR, points=shown, **skin)

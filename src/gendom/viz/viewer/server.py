@@ -10,10 +10,9 @@ import contextlib
 import html
 import io
 import logging
-import math
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from http import HTTPStatus
 from typing import Any
@@ -31,10 +30,19 @@ from gendom.viz.palette import (
     SIMULATED_COLOR,
     TABLE_FILL,
     TABLE_LINE,
-    nice_step,
     rgb,
 )
-from gendom.viz.viewer.scenes import Array, Layer, SliderParameter, ViewerModel, ViewerScene
+from gendom.viz.viewer.scenes import (
+    FIELD_OF_VIEW,
+    Array,
+    Layer,
+    SliderParameter,
+    ViewerModel,
+    ViewerScene,
+    camera_of,
+    square_size,
+    table_ends,
+)
 
 HOST = "127.0.0.1"
 
@@ -50,15 +58,6 @@ that the object follows a slider that is dragged."""
 
 _RATE = 25.0
 """Frames that are played in a second, at most."""
-
-_FIELD_OF_VIEW = math.radians(35.0)
-"""The camera's, upwards."""
-
-_TURN, _TILT = math.radians(25.0), math.radians(18.0)
-"""From where the camera looks, around and down."""
-
-_SQUARES = 10
-"""Squares of the table's grid along the longer side of what is shown."""
 
 CHAMFER = "Chamfer distance [mm]"
 
@@ -165,9 +164,7 @@ class Painter:
         if z is None or self._table:
             return
         self._table = True
-        step = square_size(scene)
-        low = np.floor(scene.box[0, :2] / step - 2.0) * step
-        high = np.ceil(scene.box[1, :2] / step + 2.0) * step
+        step, (low, high) = square_size(scene), table_ends(scene)
         (width, depth), (x, y) = (high - low).tolist(), (0.5 * (low + high)).tolist()
         self._canvas.add_grid(
             "/table",
@@ -181,25 +178,6 @@ class Painter:
             plane_opacity=0.7,
             position=(x, y, z),
         )
-
-
-def square_size(scene: ViewerScene) -> float:
-    """Side of the squares of a scene's table [m]."""
-    low, high = scene.box
-    return nice_step(float((high - low)[:2].max()) / _SQUARES)
-
-
-def camera_of(scene: ViewerScene) -> tuple[Array, Array]:
-    """Where the camera stands and what it looks at, [3] each [m]: at the broad side of what is
-    shown, from a little above, so that a window as wide as high shows all."""
-    low, high = scene.box
-    middle, (x, y, _) = 0.5 * (low + high), high - low
-    turn = (-0.5 * math.pi if x >= y else 0.0) + _TURN
-    towards = np.array([math.cos(turn), math.sin(turn), 0.0])
-    direction = math.cos(_TILT) * towards + math.sin(_TILT) * np.array([0.0, 0.0, 1.0])
-    radius = 0.5 * float(np.linalg.norm(high - low)) + 1e-3
-    away = 1.05 * radius / math.sin(0.5 * _FIELD_OF_VIEW)
-    return middle + away * direction, middle
 
 
 class Viewer:
@@ -225,7 +203,7 @@ class Viewer:
         self._closed = threading.Event()
         self._server = _Server(port, label=model.title)
         self._painter = Painter(self._server.scene)
-        self._server.initial_camera.fov = _FIELD_OF_VIEW
+        self._server.initial_camera.fov = FIELD_OF_VIEW
         self._camera_set = False
         self._build()
         self._pool = ThreadPoolExecutor(1, "simulation")
@@ -264,7 +242,7 @@ class Viewer:
                 slider = self._sliders[name]
                 slider.min, slider.max, slider.step = p.range
                 slider.value = p.start
-                slider.label = p.text(p.value)
+                self._label(p, p.value)
             self._setting = False
         self._ask()
 
@@ -314,6 +292,7 @@ class Viewer:
             self._chart: viser.GuiUplotHandle | None = None
             self._chart_folder = gui.add_folder(None, visible=False)
         self._sliders: dict[str, viser.GuiSliderHandle] = {}
+        self._boxes: dict[str, Any] = {}
         groups = dict.fromkeys(p.group for p in self._parameters.values())
         for group in groups:
             with gui.add_folder(group, expand_by_default=group == next(iter(groups))):
@@ -329,17 +308,41 @@ class Viewer:
             *p.range,
             p.start,
             marks=p.marks,
-            hint=f"{p.meaning}{'; the number is its logarithm to base 10' if p.log else ''}",
+            hint=p.meaning,
         )
 
         def moved(_: Any) -> None:
             if self._setting:
                 return
-            slider.label = self._parameters[p.name].text(self._value(p.name))
+            self._label(self._parameters[p.name], self._value(p.name))
             self._ask()
 
         slider.on_update(moved)
+        if p.log:
+            self._add_box(p, slider)
         return slider
+
+    def _add_box(self, p: SliderParameter, slider: viser.GuiSliderHandle) -> None:
+        """A box with a logarithmic parameter's value, in place of its slider's own."""
+        gui, (factor, unit) = self._server.gui, p.shown
+        gui.add_html(f'<style>[id="{slider._impl.uuid}"] + div {{display: none}}</style>')
+        box = gui.add_number(f"= [{unit}]" if unit else "=", float(f"{factor * p.value:.4g}"))
+
+        def typed(_: Any) -> None:
+            if not self._setting and box.value > 0.0:
+                low, high, _step = self._parameters[p.name].range
+                slider.value = min(max(p.position(box.value / factor), low), high)
+
+        box.on_update(typed)
+        self._boxes[p.name] = box
+
+    def _label(self, p: SliderParameter, value: float) -> None:
+        """Write a parameter's value to its label and box."""
+        self._sliders[p.name].label = p.text(value)
+        if p.name in self._boxes:
+            was, self._setting = self._setting, True
+            self._boxes[p.name].value = float(f"{p.shown[0] * value:.4g}")
+            self._setting = was
 
     def _value(self, name: str) -> float:
         return self._parameters[name].at(self._sliders[name].value)
@@ -434,11 +437,7 @@ class Viewer:
             rows, layers = (), ()
             if self._scene is not None:
                 rows, layers = self._rows(self._scene), self._scene.layers
-            legend = " ".join(
-                f'<span style="white-space:nowrap"><span style="color:{layer.color}">●</span> '
-                f"{html.escape(layer.name)}</span>"
-                for layer in layers
-            )
+            legend = legend_of(layers)
             table = "".join(
                 f'<tr><td style="color:{_SOFT};padding-right:0.8em;vertical-align:top">'
                 f"{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
@@ -498,6 +497,15 @@ class Viewer:
                 self._time.value = scene.frame_at(clock)
 
 
+def legend_of(layers: Sequence[Layer]) -> str:
+    """HTML: colours and names of layers."""
+    return " ".join(
+        f'<span style="white-space:nowrap"><span style="color:{layer.color}">●</span> '
+        f"{html.escape(layer.name)}</span>"
+        for layer in layers
+    )
+
+
 def encode_html(model: ViewerModel, case: int = 0) -> str:
     """A page that plays a case's most complete scene by itself, with viser's own player.
 
@@ -510,7 +518,7 @@ def encode_html(model: ViewerModel, case: int = 0) -> str:
     try:
         painter = Painter(server.scene)
         where, at = camera_of(scene)
-        server.initial_camera.fov = _FIELD_OF_VIEW
+        server.initial_camera.fov = FIELD_OF_VIEW
         server.initial_camera.position, server.initial_camera.look_at = where, at
         painter.paint(scene, 0)
         recorder = server.get_scene_serializer()
@@ -518,7 +526,9 @@ def encode_html(model: ViewerModel, case: int = 0) -> str:
             recorder.insert_sleep(float(scene.times[frame] - scene.times[frame - 1]))
             painter.paint(scene, frame)
         recorder.insert_sleep(1.0)  # time to look at the end
-        return recorder.as_html()
+        style = "position:fixed;left:1em;top:1em;z-index:9;font:0.8em sans-serif"
+        legend = f'<div style="{style}">{legend_of(scene.layers)}</div></body>'
+        return legend.join(recorder.as_html().rsplit("</body>", 1))
     finally:
         with _silent():
             server.stop()

@@ -1,0 +1,145 @@
+"""Simulation-based calibration of the default posterior: are truths drawn from the prior anywhere
+in it equally often?
+
+Each lift is our simulator's, of an object that is drawn, like how it is held and how the cameras
+are off, from the priors that estimates have; its clouds have noise of 2 mm. The rank of a truth is
+the share of the posterior below it. Uniform ranks (Talts et al. 2018, "Validating Bayesian
+inference algorithms with simulation-based calibration") are tested by chi-square over the bars
+that the picture shows, and by the largest distance of their empirical distribution from the
+diagonal (Kolmogorov and Smirnov), beside the 95 % band of both. The reality is the simulator's:
+`coverage` says the same of another one.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from experiments.coverage import LEVEL, Covered, covered, reasons_of, shown_of
+from experiments.lifts import Lifts, estimate_settings
+from experiments.runs import Result, Runs, Table
+from gendom.datasets import Recording
+from gendom.errors import GendomError, RobotError
+from gendom.estimation import LiftScene, estimate
+from gendom.estimation.intervals import IntervalCalibration
+from gendom.estimation.lift_plan import ObjectClass, drawn, imagined, recorded_lift
+from gendom.estimation.likelihood import NoiseModel
+from gendom.reality import arm_motion, as_real, lift, lift_cameras
+from gendom.robot import predefined_lift
+from gendom.robot.motions import LIFT_FRAME_RATE
+
+SIZES = {"rope": ((0.2, 0.5), (0.008, 0.02)), "cloth": ((0.2, 0.36), (0.0004, 0.0012))}
+"""Of ropes' lengths and diameters, of cloths' sides and thicknesses [m]."""
+
+NAMES = ("E_over_rho", "nu", "damping", "friction", "thickness", "grip_height", "grip_along",
+         "grip_turn", "warp_over_weft", "delay")  # fmt: skip
+
+
+def run(runs: Runs, flags: argparse.Namespace) -> Result:
+    """A row for each unknown: error, coverage and the tests of its ranks."""
+    lifts = Lifts.of(flags)
+    seeds = range(flags.seed, flags.seed + flags.lifts)
+    which = "-raw" if flags.calibrate else ""
+    work = partial(_row, runs, lifts, which)
+    rows = list(runs.each(work, seeds, "imagining"))
+    table = covered(rows, LEVEL, NAMES)
+    tests = {c.name: uniformity(c) for c in table}
+    return Result(
+        name=f"sbc-{lifts.name}{which}",
+        figures={
+            "lifts": len(rows),
+            "unknowns": {c.name: {**asdict(c), **tests[c.name]} for c in table},
+            "rows": rows,
+        },
+        shown=[*shown_of(rows, table), tests_of(table, tests)],
+        notes=reasons_of(rows),
+    )
+
+
+def uniformity(c: Covered) -> dict[str, float]:
+    """How probable ranks as uneven as these are where posteriors are right, by chi-square and by
+    Kolmogorov and Smirnov, and the latter's distance and 95 % band."""
+    ks = stats.kstest(c.ranks, "uniform")
+    return {
+        "chi_square_p": float(stats.chisquare(c.counts).pvalue),
+        "ecdf_p": float(ks.pvalue),
+        "ecdf_distance": float(ks.statistic),
+        "ecdf_band": float(stats.kstwo.ppf(0.95, len(c.ranks))),
+    }
+
+
+def tests_of(table: Sequence[Covered], tests: dict[str, dict[str, float]]) -> Table:
+    """The table of `uniformity`."""
+    texts = {
+        c.name: (
+            f"{c.lifts}",
+            f"{tests[c.name]['chi_square_p']:.3f}",
+            f"{tests[c.name]['ecdf_p']:.3f}",
+            f"{tests[c.name]['ecdf_distance']:.3f}",
+            f"{tests[c.name]['ecdf_band']:.3f}",
+        )
+        for c in table
+    }
+    head = ("lifts", "p, chi-square", "p, distribution", "its distance", "95 % below")
+    return Table(title="Are ranks uniform?", head=head, rows=texts)
+
+
+def _row(runs: Runs, lifts: Lifts, which: str, seed: int) -> dict[str, Any]:
+    return runs.kept(f"sbc-{lifts.name}-{seed:04d}{which}", partial(_estimated, lifts, which, seed))
+
+
+def _estimated(lifts: Lifts, which: str, seed: int) -> dict[str, Any]:
+    row: dict[str, Any] = {"seed": seed, "truth": dict.fromkeys(NAMES, 0.0)}
+    try:
+        recording, row["truth"] = imagined_lift(lifts, seed)
+        calibration = IntervalCalibration() if which else None
+        found = estimate(recording, estimate_settings(seed), calibration=calibration)
+    except GendomError as error:
+        return {**row, "fault": str(error)}
+    return {
+        **row,
+        "verdict": asdict(found.verdict),
+        "posterior": found.posterior.to_dict(),
+        "seconds": found.record["seconds"],
+    }
+
+
+def imagined_lift(lifts: Lifts, seed: int) -> tuple[Recording, dict[str, float]]:
+    """A lift of a drawn object, and the truth by names of `gendom.estimation.UNKNOWNS`.
+
+    Raises:
+        GendomError: The arm cannot carry it out, or it cannot be simulated.
+    """
+    rng = np.random.default_rng([90, seed])
+    size, thickness = SIZES[lifts.kind]
+    item = ObjectClass(kind=lifts.kind, size=size, thickness=thickness).at(*rng.random(3))
+    motion = predefined_lift(lifts.kind, lifts.end)
+    trial = lift(as_real(item), motion)
+    arm = arm_motion(trial, lift_cameras(trial.item))
+    if isinstance(arm, RobotError):
+        raise arm
+    settings = estimate_settings(seed)
+    scene = LiftScene.of(recorded_lift(trial, arm, LIFT_FRAME_RATE[motion.end]), settings.scene)
+    prior, base = scene.prior(also=("thickness",))
+    theta = prior.theta(drawn(prior, rng), base)
+    (recording,) = imagined(scene, [theta], settings.noise.sensor, rng)
+    if recording is None:
+        raise GendomError("it could not be simulated", where=f"seed {seed}")
+    return misplaced(recording, settings.noise, rng), dict(theta.items())
+
+
+def misplaced(recording: Recording, noise: NoiseModel, rng: np.random.Generator) -> Recording:
+    """The recording of cameras whose calibration is off, by a draw from its prior."""
+    points: NDArray[Any] = recording.points.astype(float)
+    turn = Rotation.from_rotvec(noise.turn * rng.standard_normal(3))
+    centre = points.mean(axis=0)
+    moved = turn.apply(points - centre) + centre + noise.shift * rng.standard_normal(3)
+    return replace(recording, points=moved.astype(recording.points.dtype))
