@@ -197,6 +197,22 @@ def numbers_of_obstacles(every: Sequence[Sequence[Obstacle]], time: float) -> Ar
     return np.reshape([rows[id(some)] for some in every], (len(every), len(every[0]), 23))
 
 
+def check_thick(some: Sequence[Obstacle], radius: float, spacing: float) -> None:
+    """Check that no obstacle fits between a body's points, ``spacing`` apart, at ``radius`` [m].
+
+    Raises:
+        ParameterError: If one does.
+    """
+    for o, of in enumerate(some):
+        require(
+            of.inner_radius + radius >= spacing,
+            f"obstacle {o} ({of.kind}) fits between the body's points, which are "
+            f"{1e3 * spacing:.3g} mm apart",
+            where=f"it is {2e3 * of.inner_radius:.3g} mm thick",
+            fix="a thicker obstacle, or a body of more points",
+        )
+
+
 def check_clear(
     body: Body,
     x: Array,

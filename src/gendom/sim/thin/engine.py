@@ -15,7 +15,7 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import ParameterError, SimulationError
 from gendom.sim.device import load_kernels
-from gendom.sim.obstacles import CENTRE, numbers_of_obstacles, paths_of_obstacles
+from gendom.sim.obstacles import CENTRE, check_thick, numbers_of_obstacles, paths_of_obstacles
 from gendom.sim.paths import CommandedPaths, HostPaths, Pose, paths_on
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
@@ -40,7 +40,8 @@ class Run:
     def __init__(self, engine: "ThinEngine", frames: Frames, plan: Schedule, kept: wp.array | None):
         W, vec3, nan = engine.num_worlds, engine.types.vec3, np.nan
         shape, device = (len(frames.times), W, len(frames.particles)), engine.setting.device
-        self.frames, self.plan, self.on_device = frames, plan, engine.plan_on_device(plan)
+        self.frames, self.plan = frames, plan
+        self.on_device = plan.on_device(engine.types.ThinPlan(), device)
         self.pieces = engine.zeros((W, 2), wp.int32)
         self.stopped = wp.full(W, -1, dtype=wp.int32, device=device)
         self.stopped_at = engine.zeros(W, wp.float64)
@@ -100,6 +101,8 @@ class ThinEngine(ABC):
         self.types = make_types(self.real)
         self.kernels = make_kernels(self.real, self.kind)
         self.threads = self.threads_on_cuda if s.device.is_cuda else 1
+        self.block = self.threads if self.threads > 1 else 256
+        """Threads of a CUDA block."""
         self.per_mass = 1.0 / self.model.mass
         self.origin = np.array([0.0, 0.0, s.table.height if s.table is not None else 0.0])
         self.stacked = dict(s.grippers.arrays)
@@ -544,12 +547,7 @@ class ThinEngine(ABC):
     def load(self, *names: str) -> None:
         """Compile kernels, or load them from Warp's cache, before threads call them."""
         for name in names:
-            load_kernels(getattr(self.kernels, name).module, self.setting.device, self._block)
-
-    @property
-    def _block(self) -> int:
-        """Number of threads in a CUDA block."""
-        return self.threads if self.threads > 1 else 256
+            load_kernels(getattr(self.kernels, name).module, self.setting.device, self.block)
 
     def launch(
         self, kernel: Any, group: slice, inputs: list[Any], *, record_cmd: bool = False
@@ -561,34 +559,16 @@ class ThinEngine(ABC):
             dim=(group.stop - group.start) * self.threads,
             inputs=[group.start, self.threads, *inputs],
             device=self.setting.device,
-            block_dim=self._block,
+            block_dim=self.block,
             record_cmd=record_cmd,
         )
-
-    def plan_on_device(self, plan: Schedule) -> Any:
-        """Convert a schedule to the kernels' struct; on the CPU it shares the memory."""
-        made, device = self.types.ThinPlan(), self.setting.device
-        for name in ("begins", "done", "steps", "dt", "before", "frame"):
-            kind = wp.int32 if name in ("done", "steps", "frame") else wp.float64
-            values = np.ascontiguousarray(getattr(plan, name))
-            setattr(made, name, wp.array(values, dtype=kind, device=device, copy=device.is_cuda))
-        return made
 
     def _obstacles(self, radius: float) -> tuple[wp.array, Any]:
         """Numbers and paths of obstacles for the kernels' model of a body of this radius [m]."""
         every = self.setting.obstacles
-        for o, of in enumerate(every[0]):
-            require(
-                of.inner_radius + radius >= self.spacing,
-                f"obstacle {o} ({of.kind}) fits between the body's points, which are "
-                f"{1e3 * self.spacing:.3g} mm apart",
-                where=f"it is {2e3 * of.inner_radius:.3g} mm thick",
-                fix="a thicker obstacle, or a body of more points",
-            )
-        numbers, paths = (
-            numbers_of_obstacles(every, self.setting.start_time),
-            paths_of_obstacles(every),
-        )
+        check_thick(every[0], radius, self.spacing)
+        numbers = numbers_of_obstacles(every, self.setting.start_time)
+        paths = paths_of_obstacles(every)
         numbers[..., CENTRE] -= self.origin
         paths["position"] = paths["position"] - self.origin
         return self.array(numbers), paths_on(self.setting.device, paths, self.real)
@@ -597,7 +577,7 @@ class ThinEngine(ABC):
         s, W, n = self.setting, self.num_worlds, self.num_points
         friction = s.table.friction if s.table is not None else 0.0
         model = self.types.ThinModel()
-        model.points = n
+        model.points, model.radius = n, s.body.thickness / 2.0
         model.slot = self.array(self.slots, wp.int32)
         model.scratch = self.zeros((W, self.scratch_rows, self.row_length))
         model.damping = self.array([material.damping for material in s.materials])
@@ -605,7 +585,6 @@ class ThinEngine(ABC):
         model.friction = self.array(spread(friction, (W,), "friction"))
         model.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), self.types.vec3)
         model.table = int(s.table is not None)
-        model.radius = s.body.thickness / 2.0
         model.obstacles, model.obstacle_paths = self._obstacles(model.radius)
         model.holds = self.array(self.holds, wp.int32)
         model.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))

@@ -87,6 +87,13 @@ class Schedule:
         """Length of each world's last step, [W] [s]."""
         return np.where(self.steps[:, -1] > 0, self.dt[:, -1], self.before[:, -1])
 
+    def on_device(self, made: Any, device: Any) -> Any:
+        """Fill the kernels' struct; on the CPU it shares the memory."""
+        for name in ("begins", "done", "steps", "dt", "before", "frame"):
+            values = np.ascontiguousarray(getattr(self, name))
+            setattr(made, name, wp.array(values, device=device, copy=device.is_cuda))
+        return made
+
     def until(self, worlds: slice, at: NDArray[np.int64]) -> NDArray[np.int64]:
         """Next pieces after ``at`` [k] that begin with a gripper event, or the end, [k]."""
         index, count = np.arange(self.due.shape[1]), self.count[worlds]

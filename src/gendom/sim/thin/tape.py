@@ -58,7 +58,7 @@ class ThinTape:
         e = self.engine
         W, n, G = e.num_worlds, e.num_points, e.closed.shape[1]
         self.frames_bar = e.array(bar, e.types.vec3)
-        self.plan_on_device = e.plan_on_device(self.plan)
+        self.plan_on_device = self.plan.on_device(e.types.ThinPlan(), e.setting.device)
         self.host = HostPaths(e.stacked)
         self.model_rows = types.MODEL_ROWS + e.device_model.obstacles.shape[1]
         self.model_bar = np.zeros((W, self.model_rows, n))
