@@ -14,16 +14,20 @@ scene = gs.Scene(
     sim_options=gs.options.SimOptions(dt=dt, gravity=(0.0, 0.0, -9.80665)),
     rigid_options=gs.options.RigidOptions(enable_self_collision=False),
     pbd_options=gs.options.PBDOptions(
-        max_stretch_solver_iterations=20,
-        max_bending_solver_iterations=20,
+        max_stretch_solver_iterations=6,
+        max_bending_solver_iterations=3,
         particle_size=0.2 * float(about.get("spacing", 0.01)),
+        hash_grid_cell_size=0.05,
+        lower_bound=(-2.0, -2.0, 0.0),
+        upper_bound=(2.0, 2.0, 2.0),
     ),
     show_viewer=False,
 )
 scene.add_entity(gs.morphs.Plane(), material=gs.materials.Rigid(friction=max(friction, 0.01)))
 if rope:
     body = scene.add_entity(
-        gs.morphs.MJCF(file=str(here / "rope.xml"), pos=(0.0, 0.0, 0.0)),
+        # its default armature of 0.1 kg m^2 would make a rope of such segments stand like a stick
+        gs.morphs.MJCF(file=str(here / "rope.xml"), default_armature=None),
         material=gs.materials.Rigid(friction=max(friction, 0.01)),
     )
 else:
