@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -109,6 +110,42 @@ def test_newtons_twin_holds_what_its_script_reads(tmp_path):
     assert whole == pytest.approx(m.density * np.pi * d**2 / 4.0 * 0.3)
 
 
+def genesis_lift(tmp_path, words):
+    """The twin's arrays; its script must compile and read nothing else."""
+    folder = written(tmp_path, *words, "--to", "genesis")
+    arrays, script = dict(np.load(folder / "lift.npz")), (folder / "lift.py").read_text()
+    compile(script, "lift.py", "exec")
+    sheet = {"held", "mass_per_area", "stretch_compliance", "bending_compliance"}
+    read = set(re.findall(r'about\["(\w+)"', script))
+    assert read - (sheet if arrays["kind"] == "rope" else set()) <= set(arrays)
+    return folder, arrays
+
+
+def test_genesis_chain_is_as_heavy_and_as_stiff_as_the_rope(tmp_path):
+    folder, arrays = genesis_lift(tmp_path, COTTON)
+    chain = ElementTree.parse(folder / "rope.xml")
+    m, d = catalogue.get("cotton-rope").material(), catalogue.get("cotton-rope").across.typical
+    weights = [float(of.attrib["mass"]) for of in chain.iter("inertial")]
+    assert len(weights) == len(arrays["rest"]) == 20
+    assert sum(weights) == pytest.approx(m.density * np.pi * d**2 / 4.0 * 0.3)
+    hinges = [j.attrib for j in chain.iter("joint") if j.attrib["type"] == "hinge"]
+    bends = [float(of["stiffness"]) for of in hinges]
+    np.testing.assert_allclose(bends, m.E * np.pi * d**4 / 64.0 / 0.015)
+    assert len(hinges) == 2 * (20 - int(np.sum(arrays["rest"][:, 0] < 0.025)))
+
+
+def test_genesis_sheet_is_flat_and_held_by_its_corner(tmp_path):
+    name = next(n for n, m in catalogue.materials().items() if m.kind == "cloth")
+    folder, arrays = genesis_lift(tmp_path, [name, "--side", "0.2"])
+    rows = (folder / "sheet.obj").read_text().splitlines()
+    x = np.array([row.split()[1:] for row in rows if row.startswith("v")], dtype=float)
+    np.testing.assert_allclose(x, arrays["rest"], atol=1e-12)
+    faces = np.array([row.split()[1:] for row in rows if row.startswith("f")], dtype=int) - 1
+    a, b, c = (x[faces[:, k]] for k in range(3))
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(0.04)
+    assert np.linalg.norm(x[arrays["held"], :2], axis=1).max() <= 0.025 + 1e-9
+
+
 def test_draws_are_variants_for_randomisation(tmp_path, estimate):
     path = estimate(OBJECTS["rope-cotton"], 0.2)
     folder = written(tmp_path, path, "--to", "usd", "--draws", "3", "--seed", "5")
@@ -139,6 +176,6 @@ def test_a_twin_is_never_overwritten_and_has_a_known_target(tmp_path, capsys):
     assert cli.main(words) == 2
     assert "holds a twin already; name another folder" in capsys.readouterr().err
     assert (folder / "object.usda").read_bytes() == before
-    with pytest.raises(GendomError, match="no target 'sdf'; choose mjcf, newton, usd"):
+    with pytest.raises(GendomError, match="no target 'sdf'; choose mjcf, newton, genesis, usd"):
         write_twin(OBJECTS["rope-cotton"], "sdf", tmp_path / "other", about={})
     assert not (tmp_path / "other").exists()

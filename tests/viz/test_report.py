@@ -116,6 +116,19 @@ def decode(address):
     return match[1]
 
 
+def test_distances_over_time_are_drawn():
+    """The fit's, where the clouds are those of the frames that were compared."""
+    clouds = CloudSequence(**lift(frames=4))
+    for rms, first, other in (
+        ([0.001] * 4, "Points", "Chamfer"),
+        ([0.001] * 3, "Chamfer", "Points"),
+    ):
+        page = render_report(only(lift=clouds, estimate=estimate(rms_by_frame=rms)))
+        titles = re.findall(r'<figcaption class="title">(\w+)', page)
+        assert first in titles and other not in titles
+        assert ("rms" if first == "Points" else "Chamfer") in page.split("lift-scene", 2)[2]
+
+
 def test_what_is_not_usable_has_reasons_and_no_beliefs():
     found = estimate(reasons=["the gripper rests", "the clouds are <noise>"], mass=0.03)
     words = Page(render_report(only(estimate=found))).words

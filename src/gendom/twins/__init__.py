@@ -19,7 +19,7 @@ from gendom.files import atomic_path, write_json
 from gendom.materials import Item, to_columns
 from gendom.twins.lift import Lift
 
-TARGETS = ("mjcf", "newton", "usd")
+TARGETS = ("mjcf", "newton", "genesis", "usd")
 """Forms of twins, one module each."""
 
 TWIN_FORMAT = "gendom-twin/1"

@@ -70,10 +70,11 @@ def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
     places = np.column_stack(
         [flat @ [[half, -half], [half, half]], np.full(len(flat), lift.height)]
     )
-    return {}, places, common | _sheet(item, places, triangles, lift.hold)
+    return {}, places, common | sheet_of(item, places, triangles, lift.hold)
 
 
-def _sheet(item: Cloth, places: Array, triangles: Any, hold: float) -> dict[str, Any]:
+def sheet_of(item: Cloth, places: Array, triangles: Any, hold: float) -> dict[str, Any]:
+    """A sheet of triangles, and how stiff it is in its plane and at its hinges."""
     m, h = item.material, item.side / (SIDE - 1)
     D = m.E * item.thickness**3 / (12.0 * (1.0 - m.nu**2))
     weight = m.density * item.thickness * STANDARD_GRAVITY * item.side
@@ -84,6 +85,7 @@ def _sheet(item: Cloth, places: Array, triangles: Any, hold: float) -> dict[str,
         "held": np.flatnonzero(np.linalg.norm(places[:, :2], axis=1) <= hold + 1e-9),
         "radius": item.thickness / 2.0,
         "mass_per_area": m.density * item.thickness,
+        "stretch": stretch,
         "mu": stretch / (2.0 * (1.0 + m.nu)),
         "lam": stretch * m.nu / (1.0 - m.nu**2),
         "side_hinge": 4.0 * D / (3.0 * h),

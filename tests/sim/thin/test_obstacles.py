@@ -25,6 +25,7 @@ from gendom.sim import (
     cloth,
     rope,
 )
+from sim.thin import test_contact_derivatives as folded
 from sim.thin.shared import check_derivatives, check_worlds, scene
 
 ROPE = rope(diameter=0.012, length=0.24, start=(-0.12, 0, 0.1), direction=(1, 0.1, 0), points=17)
@@ -32,6 +33,7 @@ CLOTH = cloth(
     width=0.12, height=0.1, thickness=0.004, dx=0.02, corner=(-0.06, -0.05, 0.1), points=(9, 8)
 )
 TIMES = [0.01, 0.02, 0.03]
+BODIES = pytest.mark.parametrize("body", [ROPE, CLOTH], ids=["rope", "cloth"])
 
 
 def around(body, friction=(0.2, 0.4, 0.3)):
@@ -62,7 +64,6 @@ def given(body, seed=0):
         "damping": 0.003,
         "friction": 0.3,
         "obstacle_friction": np.array([0.2, 0.4, 0.3]),
-        "self_friction": 0.3,
         "gravity": np.array([0.3, 0.2, -30.0]),
         "velocity_damping": 2.0,
         "air_density": 40.0,
@@ -95,21 +96,26 @@ def assert_meets(s, obstacles, times):
 LENGTHS = ("positions", "gripper_positions", "gripper_radius", "thickness")
 
 
-@pytest.mark.parametrize(
-    ("body", "self_contact"), [(ROPE, False), (CLOTH, True)], ids=["rope", "cloth"]
-)
-def test_every_derivative_is_that_of_central_differences(body, self_contact):
+@BODIES
+def test_every_derivative_is_that_of_central_differences(body):
     p = given(body)
-    made = partial(simulator, body, self_contact=self_contact)
+    made = partial(simulator, body)
     assert_meets(made([p]), around(body), np.linspace(0.001, 0.03, 30))
-    names = [n for n in p if self_contact or n != "self_friction"]
-    steps = {
-        n: (None, 2e-8 if n in LENGTHS else 1e-5 * max(np.abs(p[n]).max(), 1e-2)) for n in names
-    }
+    steps = {n: (None, 2e-8 if n in LENGTHS else 1e-5 * max(np.abs(p[n]).max(), 1e-2)) for n in p}
     check_derivatives(made, p, steps, TIMES, 2e-6)
 
 
-@pytest.mark.parametrize("body", [ROPE, CLOTH], ids=["rope", "cloth"])
+@pytest.mark.parametrize("body", [folded.ROPE, folded.CLOTH], ids=["rope", "cloth"])
+def test_derivatives_where_contact_with_itself_presses_on_an_obstacle(body):
+    p = folded.given(body, 0.2)
+    low = p["positions"][:, 2].min() - body.thickness / 2.0
+    middle = p["positions"][:, :2].mean(axis=0)
+    ball = Sphere(radius=0.2, position=[*(middle + 0.003), low - 0.2002], friction=0.3)
+    names = ("positions", "E", "thickness", "velocities")
+    folded.check(body, p, names, obstacles=[ball])
+
+
+@BODIES
 def test_worlds_of_a_batch_do_not_see_each_other(body):
     worlds = [
         given(body, seed) | {"obstacle_friction": 0.1 * np.ones(3) * seed} for seed in range(3)

@@ -421,7 +421,7 @@ class ThinEngine(ABC):
             f"the body is stretched or compressed by more than {100 * STRETCH:.0f} % in the "
             f"mean, or somewhere by more than {100 * LOCAL_STRETCH:.0f} %",
             where=f"substep {plan.dt[w, s]:.3g} s",
-            fix="slower grippers or velocities, or a smaller substep",
+            fix="slower grippers, obstacles or velocities, or a smaller substep",
         )  # fmt: skip
 
     # ---- grippers --------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import numpy as np
 from gendom.viz.charts import Axis, Plot
 from gendom.viz.clouds import CloudSequence
 from gendom.viz.quantities import length_text, numbers_text
-from gendom.viz.report.markup import escaped, side_by_side, table
+from gendom.viz.report.markup import escaped, table
 
 WITH, WITHOUT = "with the estimate", "without parameters"
 """Names of the runs that are compared first: of one network, with the estimate's parameters and
@@ -131,33 +131,31 @@ def _thinned(points: np.ndarray, most: int) -> list[int]:
 
 def residuals(clouds: CloudSequence) -> str:
     """HTML: distances of both clouds over time, as far as they are known for these frames."""
-    charts = {
-        "Points to simulated surface [mm]": (
-            clouds.rms,
+    if clouds.distance is None or clouds.num_frames == 1:
+        return ""
+    name, distance = clouds.distance
+    title, said = {
+        "rms": (
+            "Points to simulated surface [mm]",
             "Distance of recorded points from the simulated surface, root mean square in each "
             "frame that was compared.",
         ),
-        "Chamfer distance of both clouds [mm]": (
-            clouds.chamfer,
+        "Chamfer": (
+            "Chamfer distance of both clouds [mm]",
             "Mean distance from each recorded point to the nearest simulated one, plus the mean "
             "distance the other way round. Cameras see one side of the object only, so it is not "
             "zero even for a perfect fit.",
         ),
-    }
-    figures = []
-    for title, (distance, said) in charts.items():
-        if distance is None or clouds.num_frames == 1:
-            continue
-        times, shown = clouds.times, 1e3 * distance
-        plot = Plot(
-            x=Axis(low=float(times[0]), high=float(times[-1]), label="time [s]"),
-            y=Axis(low=0.0, high=1.15 * max(float(shown.max()), 1e-6)),
-        )
-        plot.area(times, shown, "recorded")
-        plot.line(times, shown, "recorded")
-        plot.level(float(shown.mean()), "soft", f"mean {shown.mean():.1f} mm")
-        figures.append(plot.figure(title, said))
-    return side_by_side(figures)
+    }[name]
+    times, shown = clouds.times, 1e3 * distance
+    plot = Plot(
+        x=Axis(low=float(times[0]), high=float(times[-1]), label="time [s]"),
+        y=Axis(low=0.0, high=1.15 * max(float(shown.max()), 1e-6)),
+    )
+    plot.area(times, shown, "recorded")
+    plot.line(times, shown, "recorded")
+    plot.level(float(shown.mean()), "soft", f"mean {shown.mean():.1f} mm")
+    return plot.figure(title, said)
 
 
 # ---- what actions reached ------------------------------------------------------------------------

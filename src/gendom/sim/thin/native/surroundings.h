@@ -2,6 +2,13 @@
 
 namespace gendom {
 
+// What is rare stays out of the loops over all points on the CPU, which it would slow down.
+#if defined(__CUDA_ARCH__)
+#define OUT_OF_LINE CUDA_CALLABLE inline
+#else
+#define OUT_OF_LINE CUDA_CALLABLE __attribute__((noinline))
+#endif
+
 // Rows that every state and the derivatives by it begin with, and derivatives by every model; each obstacle's
 // friction has one more.
 enum { X = 0, V = 3, X_BAR = 0, V_BAR = 3 };
@@ -27,6 +34,15 @@ template <typename T> CUDA_CALLABLE inline T dot(const upwards<T>&, const vec<T>
 template <typename T> CUDA_CALLABLE inline vec<T> operator*(const T& s, const upwards<T>&) {
     typedef typename number_of<T>::type real;
     return {T(real(0)), T(real(0)), s};
+}
+
+// What is left of a vector without its part along a direction.
+template <typename T> CUDA_CALLABLE inline vec<T> level(const vec<T>& a, const T&, const upwards<T>&) {
+    typedef typename number_of<T>::type real;
+    return {a.x, a.y, T(real(0))};
+}
+template <typename T> CUDA_CALLABLE inline vec<T> level(const vec<T>& a, const T& along, const vec<T>& n) {
+    return a - along * n;
 }
 
 // The table is all that is below height 0.
@@ -100,7 +116,7 @@ template <typename T, typename Place> struct touch {
         rel = v - at.moving();
         push = larger(T(real(0)), (radius - at.distance) / h - dot(at.n, v));
         along = dot(at.n, rel);
-        vt = rel - along * at.n;
+        vt = level(rel, along, at.n);
         speed = larger(root(dot(vt, vt)), T(real(1e-12)));
         slides = larger(T(real(0)), T(real(1)) - mu * push / speed);
     }
@@ -115,7 +131,7 @@ template <typename T, typename Place> struct touch {
         const T slides_bar = moves * dot(vt, v_bar), per_speed = slides_bar / speed;
         const T push_bar = touches * (dot(at.n, v_bar) - mu * per_speed);
         const vec<T> vt_bar = (slides - one) * v_bar + (mu * push / (speed * speed) * per_speed) * vt;
-        const vec<T> rel_bar = vt_bar - dot(at.n, vt_bar) * at.n;
+        const vec<T> rel_bar = level(vt_bar, dot(at.n, vt_bar), at.n);
         const vec<T> n_bar = push * v_bar - push_bar * v - along * vt_bar - dot(at.n, vt_bar) * rel;
         x_bar = x_bar - (push_bar / h) * at.n + at.bent(n_bar) - at.turned(rel_bar);
         v_bar = v_bar - push_bar * at.n + rel_bar;
@@ -141,54 +157,64 @@ template <typename T> struct surroundings {
     CUDA_CALLABLE inline touch<T, near_obstacle<T>> touched(int o, const vec<T>& x, const vec<T>& v) const {
         return {near_obstacle<T>(of(o), x), v, h, T(of(o)[MU]), radius};
     }
-    // The first `o` of them alone.
-    CUDA_CALLABLE inline vec<T> stopped_by(int o, const vec<T>& x, vec<T> v) const {
+    // Velocities that the first `o` obstacles leave.
+    OUT_OF_LINE void stopped_by(int o, const vec<T>& x, vec<T>& v) const {
         for (int k = 0; k < o; ++k) v = touched(k, x, v).velocity();
-        return v;
     }
     CUDA_CALLABLE inline vec<T> stopped(const vec<T>& x, const vec<T>& free) const {
-        const vec<T> v = stopped_by(count, x, free);
+        vec<T> v = free;
+        if (count) stopped_by(count, x, v);
         return table ? touch<T, over_table<T>>(over_table<T>(x), v, h, mu, radius).velocity() : v;
     }
-    // Transpose: derivatives by x are added, those by v replaced.
+    // Transposes: derivatives by x are added, those by v replaced.
     CUDA_CALLABLE inline void stopped_adjoint(const rows_of<real>& by, int i, const vec<T>& x,
                                               const vec<T>& free, vec<T>& x_bar, vec<T>& v_bar) const {
-        T mu_bar, radius_bar;
+        vec<T> v = free;
+        if (count) stopped_by(count, x, v);
         if (table) {
-            const vec<T> v = stopped_by(count, x, free);
+            T mu_bar, radius_bar;
             const touch<T, over_table<T>> on(over_table<T>(x), v, h, mu, radius);
             on.adjoint(v, h, mu, x_bar, v_bar, mu_bar, radius_bar);
             by.add(FRICTION_BAR, i, mu_bar), by.add(RADIUS_BAR, i, radius_bar);
         }
+        if (count) stopped_by_adjoint(by, i, x, free, x_bar, v_bar);
+    }
+    OUT_OF_LINE void stopped_by_adjoint(const rows_of<real>& by, int i, const vec<T>& x,
+                                        const vec<T>& free, vec<T>& x_bar, vec<T>& v_bar) const {
+        T mu_bar, radius_bar;
         for (int o = count - 1; o >= 0; --o) {
-            const vec<T> v = stopped_by(o, x, free);
+            vec<T> v = free;
+            stopped_by(o, x, v);
             touched(o, x, v).adjoint(v, h, T(of(o)[MU]), x_bar, v_bar, mu_bar, radius_bar);
             by.add(FRICTIONS_BAR + o, i, mu_bar), by.add(RADIUS_BAR, i, radius_bar);
         }
     }
     // A place inside of the first `o` obstacles, brought back to their surface one after the other.
-    CUDA_CALLABLE inline vec<T> out_of(int o, vec<T> x) const {
+    OUT_OF_LINE void out_of(int o, vec<T>& x) const {
         for (int k = 0; k < o; ++k) {
             const near_obstacle<T> at(of(k), x);
             x = x + larger(T(real(0)), radius - at.distance) * at.n;
         }
-        return x;
     }
     CUDA_CALLABLE inline vec<T> brought_back(const vec<T>& x) const {
-        const vec<T> out = out_of(count, x);
+        vec<T> out = x;
+        if (count) out_of(count, out);
         return {out.x, out.y, table ? larger(out.z, radius) : out.z};
     }
     // Transpose: derivatives by x in place; returns that by the radius.
     CUDA_CALLABLE inline T brought_back_adjoint(const vec<T>& x, vec<T>& x_bar) const {
         const T zero = T(real(0));
         T back = zero;
+        vec<T> out = x;
+        if (count) out_of(count, out);
         if (table) {
-            const T inside = is_above(radius, out_of(count, x).z);
-            back = inside * x_bar.z;
+            back = is_above(radius, out.z) * x_bar.z;
             x_bar.z = x_bar.z - back;
         }
         for (int o = count - 1; o >= 0; --o) {
-            const near_obstacle<T> at(of(o), out_of(o, x));
+            out = x;
+            out_of(o, out);
+            const near_obstacle<T> at(of(o), out);
             const T depth = larger(zero, radius - at.distance), outwards = is_above(depth, zero) * dot(at.n, x_bar);
             back += outwards;
             x_bar = x_bar - outwards * at.n + depth * at.bent(x_bar);

@@ -1,0 +1,103 @@
+"""Twins for Genesis 1.4: a rope as a chain of rigid segments, a cloth by its position-based solver.
+
+It has no rods, and its shells by finite elements need CUDA. Two hinges between segments have the
+stiffness EI / l of the rope between their middles; there is no torsion. A sheet has springs for
+edges: those of a square lattice that is halved by diagonals stretch like a plate of nu = 1/3 if
+their stiffness is 3/8 E h along sides and twice that along diagonals; E h is softened as for the
+others. Genesis divides the compliance of a hinge by the squared sine of its angle, so that its
+moment goes with the cube of that: it is that of the plate at one angle, of a cloth that bends over
+its bending length.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from gendom.materials import STANDARD_GRAVITY, Item, Rope
+from gendom.reality.objects import grid
+from gendom.twins.lift import Array, Lift
+from gendom.twins.newton import sheet_of
+
+SCRIPT = "genesis_lift.py"
+
+SEGMENTS, SIDE = 20, 31
+"""Segments of a rope, and points along a cloth's side."""
+
+STEP = {"rope": 1e-3, "cloth": 2e-3}
+"""[s]."""
+
+
+def edge(item: Item) -> float | None:
+    """Length of a rope's segments [m]."""
+    return item.length / SEGMENTS if isinstance(item, Rope) else None
+
+
+def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
+    """Text files by name, the places [M, 3] that are compared, at rest [m]: the middles of a rope's
+    segments or a cloth's vertices, and arrays for the script."""
+    item = lift.item
+    common = {"kind": item.kind, "friction": item.friction, "step": STEP[item.kind]}
+    if isinstance(item, Rope):
+        places = np.zeros((SEGMENTS, 3))
+        places[:, 0] = (np.arange(SEGMENTS) + 0.5) * item.length / SEGMENTS
+        places[:, 2] = lift.height
+        return {"rope.xml": _chain(item, lift)}, places, common
+    flat, triangles = grid(SIDE, SIDE, item.side / (SIDE - 1))
+    half = math.sqrt(0.5)
+    height = np.full(len(flat), lift.height)
+    places = np.column_stack([flat @ [[half, -half], [half, half]], height])
+    return _sheet(item, places, triangles, lift.hold, common)
+
+
+def _chain(item: Rope, lift: Lift) -> str:
+    """MJCF of a rope's segments, of which the hand carries the first ones."""
+    m, l, r = item.material, item.length / SEGMENTS, item.diameter / 2.0
+    held, mass = round(lift.hold / l + 0.5), m.density * math.pi * r**2 * l
+    bends = m.E * math.pi * r**4 / (4.0 * l)
+    spring = f'stiffness="{bends!r}" damping="{m.damping * bends!r}" armature="0"'
+    turns = f"{mass * (r**2 / 4.0 + l**2 / 12.0)!r}"
+    inner = ""
+    for k in reversed(range(SEGMENTS)):
+        joints = ""
+        if k == 0:
+            axes = ("1 0 0", "0 1 0", "0 0 1")
+            joints = "".join(f'<joint type="slide" axis="{axis}" armature="0"/>' for axis in axes)
+        elif k >= held:
+            joints = "".join(
+                f'<joint type="hinge" axis="{axis}" {spring}/>' for axis in ("0 1 0", "0 0 1")
+            )
+        place = f"0 0 {lift.height!r}" if k == 0 else f"{l!r} 0 0"
+        inertia = f"{0.5 * mass * r**2!r} {turns} {turns}"
+        inner = (
+            f'<body name="s{k}" pos="{place}">{joints}<inertial pos="{l / 2.0!r} 0 0"'
+            f' mass="{mass!r}" diaginertia="{inertia}"/><geom type="capsule" size="{r!r}"'
+            f' fromto="0 0 0 {l!r} 0 0" friction="{item.friction} 0.005 0.0001"/>{inner}</body>\n'
+        )
+    return f'<mujoco model="rope"><worldbody>\n{inner}</worldbody></mujoco>\n'
+
+
+def _sheet(
+    item: Any, places: Array, triangles: Any, hold: float, common: dict[str, Any]
+) -> tuple[dict[str, str], Array, dict[str, Any]]:
+    """A sheet's mesh, and what its springs are."""
+    sheet = sheet_of(item, places, triangles, hold)
+    m, h = item.material, sheet["spacing"]
+    D = m.E * item.thickness**3 / (12.0 * (1.0 - m.nu**2))
+    angle = h / (D / (m.density * item.thickness * STANDARD_GRAVITY)) ** (1.0 / 3.0)
+    points = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in places.tolist())
+    faces = "".join(f"f {a} {b} {c}\n" for a, b, c in (np.asarray(triangles) + 1).tolist())
+    return (
+        {"sheet.obj": points + faces},
+        places,
+        common
+        | {
+            "held": sheet["held"],
+            "mass_per_area": sheet["mass_per_area"],
+            "stretch_compliance": 8.0 / (3.0 * sheet["stretch"]),
+            "bending_compliance": angle**2 / sheet["side_hinge"],
+            "spacing": h,
+        },
+    )
