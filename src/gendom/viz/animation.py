@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from gendom.files import atomic_path
 from gendom.viz.clouds import CloudSequence
 from gendom.viz.palette import (
+    GOAL_COLOR,
     INK,
     RECORDED_COLOR,
     RECORDED_OPACITY,
@@ -53,7 +54,10 @@ def write_gif(path: str | os.PathLike, clouds: CloudSequence) -> None:
     """
     painter = FramePainter(clouds)
     images = [painter.draw(t) for t in clouds.spread(FRAMES)]
-    colors = images[0].quantize(_COLORS, Image.Quantize.MAXCOVERAGE)
+    # Of some frames, since a colour may be hidden in the first one.
+    some = [images[k] for k in np.linspace(0, len(images) - 1, 4).astype(int)]
+    sheet = Image.fromarray(np.concatenate([np.asarray(image) for image in some]))
+    colors = sheet.quantize(_COLORS, Image.Quantize.MAXCOVERAGE)
     images = [image.quantize(palette=colors, dither=Image.Dither.NONE) for image in images]
     buffer = io.BytesIO()
     # Left in place, a frame stores only the rectangle that changes.
@@ -116,6 +120,12 @@ class FramePainter:
         # Smaller dots in a dense cloud, through which the simulated one remains visible.
         radius = min(max(2.4 * math.sqrt(500.0 / max(len(recorded), 1)), 0.7), 2.4)
         self._dots(image, recorded, radius, RECORDED_COLOR, RECORDED_OPACITY)
+        if sequence.goal is not None:
+            places = self._pixels(sequence.goal)
+            pen.line([*places, *places[-1:]], GOAL_COLOR, 2 * _SMOOTH)
+            for x, y in places[-1:]:
+                r = 6 * _SMOOTH
+                pen.ellipse((x - r, y - r, x + r, y + r), outline=GOAL_COLOR, width=2 * _SMOOTH)
         for position in grippers:  # a cross with a white rim
             (x, y), r = self._pixels(position[None])[0], 6 * _SMOOTH
             for width, color in ((5 * _SMOOTH, "white"), (2 * _SMOOTH, INK)):

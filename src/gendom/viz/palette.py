@@ -15,6 +15,7 @@ from gendom.arguments import require
 # From Okabe and Ito's palette, told apart with every common form of colour blindness.
 RECORDED_COLOR = "#0072B2"
 SIMULATED_COLOR = "#E69F00"
+GOAL_COLOR = "#009E73"
 
 DEPTH_COLORS = ("#fde725", "#5ec962", "#21918c", "#3b528b", "#440154")
 """From near to far: five of the colours of matplotlib's viridis."""
