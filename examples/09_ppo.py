@@ -8,6 +8,8 @@ of what the rope's tip reached from the goal, in lengths of the rope. Each world
 and goal; the policy sees both. PPO (Schulman et al., 2017) in plain PyTorch, to be taken apart.
 """
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import torch
@@ -17,21 +19,23 @@ from torch import nn
 CLIP, EPOCHS, BATCHES, LAMBDA, ENTROPY = 0.2, 6, 4, 0.97, 1e-3
 
 
+def network(sees: int, gives: int) -> nn.Sequential:
+    """Two hidden layers."""
+    inner = (nn.Linear(sees, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh())
+    return nn.Sequential(*inner, nn.Linear(64, gives))
+
+
 class Agent(nn.Module):
     """Gaussian actions, whose deviation does not depend on what is seen, and a value."""
 
     def __init__(self, sees: int, acts: int):
         super().__init__()
-        self.mean, self.value = (
-            nn.Sequential(
-                nn.Linear(sees, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, n)
-            )
-            for n in (acts, 1)
-        )
+        self.mean, self.value = network(sees, acts), network(sees, 1)
         self.log_sd = nn.Parameter(torch.full((acts,), -0.5))
+        last: Any = self.mean[-1]
         with torch.no_grad():
-            self.mean[-1].weight *= 0.01
-            self.mean[-1].bias[-1] = 0.5  # hold on at first
+            last.weight *= 0.01
+            last.bias[-1] = 0.5  # hold on at first
 
     def acts(self, seen: torch.Tensor) -> torch.distributions.Normal:
         """Its actions, after what is seen."""
@@ -111,7 +115,8 @@ def main(iterations: int = 60, worlds: int = 128, seed: int = 0) -> list[float]:
     name = "gendom.environments:gendom/RopeReachingSteps-v0"
     envs = gymnasium.make_vec(name, num_envs=worlds, parameters=True)
     envs.reset(seed=seed)
-    sees, acts = (s.shape[0] for s in (envs.single_observation_space, envs.single_action_space))
+    sees = int(np.prod(envs.single_observation_space.shape or ()))
+    acts = int(np.prod(envs.single_action_space.shape or ()))
     agent, scale, curve = Agent(sees, acts), Scale(sees), []
     optimiser = torch.optim.Adam(agent.parameters(), lr=1e-3)
     for k in range(iterations):

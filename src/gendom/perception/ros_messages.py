@@ -39,7 +39,8 @@ def _of_matrix(columns: Any) -> tuple[Any, Any]:
     """Place and orientation of 16 numbers, column after column."""
     T = np.reshape(columns, (4, 4)).T
     turn = Rotation.from_matrix(T[:3, :3]).as_quat()
-    return tuple(SimpleNamespace(**dict(zip("xyzw", x, strict=False))) for x in (T[:3, 3], turn))
+    place, turned = (dict(zip("xyzw", x, strict=False)) for x in (T[:3, 3], turn))
+    return SimpleNamespace(**place), SimpleNamespace(**turned)
 
 
 def camera_of(info: Any, *, rectified: bool, name: str, depth_unit: float) -> Camera:
@@ -112,7 +113,7 @@ def points_of(message: Any, where: str) -> tuple[NDArray[np.float64], NDArray[np
         raise RecordingError(f"a cloud has no {error}", where=where, fix="record x, y, z") from None
     columns = [_column(message, fields[a], k, where) for a, k in zip("xyz", kinds, strict=True)]
     cloud = np.stack(columns, axis=-1).astype(np.float64)
-    return cloud, np.isfinite(cloud).all(axis=-1)
+    return cloud, np.asarray(np.isfinite(cloud).all(axis=-1))
 
 
 def colours_of(message: Any, where: str) -> NDArray[np.uint8] | None:
