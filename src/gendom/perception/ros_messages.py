@@ -50,7 +50,7 @@ def camera_of(info: Any, *, rectified: bool, name: str, depth_unit: float) -> Ca
         for field in ("k", "d", "p")
     )
     K, D = K.reshape(3, 3), tuple(map(float, D))
-    if rectified:
+    if rectified and P.any():  # some simulations leave it 0
         K, D = P.reshape(3, 4)[:, :3], ()
     size = {"width": int(info.width), "height": int(info.height), "depth_unit": depth_unit}
     distortion = D if any(D) else ()
