@@ -5,6 +5,7 @@
 #   make check   ruff and pyright                           make docs      the site, in docs/_build
 #   make figures every stated number, from its command     make mutants   whether tests find small changes to the code
 #   make clean   remove .venv, caches, demo/, docs/_build
+#   make lerobot  data sets and integrations/ in LeRobot's own loaders (PYTHON: 3.12; torch is large)
 #   make test-lowest   the fast tests with the oldest versions that pyproject.toml allows
 #
 # PYTHON chooses the interpreter (3.11 or newer): make demo PYTHON=python3.12
@@ -31,7 +32,7 @@ else ifeq ($(shell $(BIN)/python -c "print(1)" 2>/dev/null),)
 .PHONY: $(PLACE)
 endif
 
-.PHONY: demo test test-lowest check validate bench figures mutants docs clean
+.PHONY: demo test test-lowest lerobot check validate bench figures mutants docs clean
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
 
@@ -48,6 +49,12 @@ test-lowest:
 	@.venv-lowest/bin/python -m pip --disable-pip-version-check install -qq -c constraints-lowest.txt \
 	  -e '.[data,reality,camera,viz,ros]' pytest pytest-xdist matplotlib
 	@.venv-lowest/bin/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile $(ARGS)
+
+lerobot:
+	@echo "installing LeRobot 0.6.1 in .venv-lerobot (2 to 10 minutes)"
+	@$(PYTHON) -m venv .venv-lerobot
+	@.venv-lerobot/bin/python -m pip --disable-pip-version-check install -qq -e '.[data,reality]' 'lerobot[dataset]==0.6.1' pytest
+	@.venv-lerobot/bin/python -m pytest tests/test_integrations.py tests/datasets/test_lerobot.py $(ARGS)
 
 check: $(FULL)
 	@$(BIN)/ruff check
@@ -73,7 +80,7 @@ docs: $(FULL)
 	@echo "docs/_build/index.html"
 
 clean:
-	rm -rf $(VENV) .venv-lowest build dist demo docs/_build .pytest_cache .ruff_cache
+	rm -rf $(VENV) .venv-lowest .venv-lerobot build dist demo docs/_build .pytest_cache .ruff_cache
 	find src tests validation -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(PLACE):

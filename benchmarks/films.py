@@ -1,7 +1,7 @@
-"""Films of thin bodies that meet themselves: a cloth let down, dropped and pulled apart, and a rope
-that falls into a loop.
+"""Films: a soft and a stiff object that a shipped policy brings to one goal, in our simulator; a
+cloth let down, dropped and pulled apart; and a rope that falls into a loop.
 
-    python benchmarks/films.py docs/images       # thin-cloth.gif, thin-rope.gif
+    python benchmarks/films.py docs/images       # rope-reaching.gif and so on, thin-cloth.gif, ...
 """
 
 import argparse
@@ -14,12 +14,35 @@ import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
 from numpy.typing import NDArray
 
-from gendom.materials import Material
+from gendom.materials import Cloth, Item, Material, Rope
+from gendom.policies import Policy
 from gendom.sim import Gripper, Physics, Simulator, Table, cloth, rope
+from gendom.tasks import Observed
+from gendom.tasks.world import Simulation
+from gendom.viz import CloudSequence, write_gif
+from gendom.viz.sources import goal_mark
 
 FABRIC = Material(E=4.0e5, nu=0.3, density=400.0, damping=0.01)
 SIZE = 0.3
 FRAMES_A_SECOND = 20
+
+
+def _rope(E: float) -> Rope:
+    material = Material(E=E, nu=0.35, density=900.0, damping=0.004)
+    return Rope(length=0.3, diameter=0.016, material=material)
+
+
+def _cloth(E: float) -> Cloth:
+    material = Material(E=E, nu=0.3, density=400.0, damping=0.004)
+    return Cloth(side=0.2, thickness=0.001, material=material, friction=0.4)
+
+
+TASKS = (
+    ("rope-reaching", _rope(7e5), _rope(3e6)),
+    ("rope-casting", _rope(7e5), _rope(3e6)),
+    ("cloth-spreading", _cloth(5e5), _cloth(1.4e6)),
+)
+"""Names, a soft and a stiff object."""
 
 
 def main() -> None:
@@ -29,9 +52,50 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)
+    for name, soft, stiff in TASKS:
+        write_gif(out / f"{name}.gif", one_goal(name, soft, stiff))
     sheet, shape = crumpled()
     film(out / "thin-cloth.gif", sheet, lambda axes, x: draw_sheet(axes, x.reshape(*shape, 3)))
     film(out / "thin-rope.gif", coiled(), draw_rope)
+
+
+def one_goal(name: str, soft: Item, stiff: Item) -> CloudSequence:
+    """The motions of two objects, each by the policy's action for it; the goal is one that both
+    reach, between what each can."""
+    policy = Policy.pretrained(name)
+    task, items = policy.task(), (soft, stiff)
+    ends = [policy.goal_range(item) for item in items] if task.goals else []
+    goal = np.mean([np.max([e[:, 0] for e in ends], 0), np.min([e[:, 1] for e in ends], 0)], 0) \
+        if task.goals else np.zeros(0)  # fmt: skip
+    actions = [np.array(policy.act(goal, item, force=True).values) for item in items]
+    world = Simulation(everything=True)
+    soft_seen, stiff_seen = (
+        world.carry_out(task, [item], [action], keep=True)[0].seen
+        for item, action in zip(items, actions, strict=True)
+    )
+    assert soft_seen is not None and stiff_seen is not None
+    begins = max(soft_seen.times[0], stiff_seen.times[0])
+    ends_at = min(soft_seen.times[-1], stiff_seen.times[-1])
+    times = np.arange(begins, ends_at, 1.0 / FRAMES_A_SECOND)
+
+    def at(seen: Observed) -> list[NDArray[np.floating]]:
+        nearest = [int(np.argmin(np.abs(seen.times - t))) for t in times]
+        return [finer(seen.points[k]) for k in nearest]
+
+    return CloudSequence(
+        recorded=at(stiff_seen), simulated=at(soft_seen), times=times - times[0],
+        labels=("stiff", "soft"), oblique=not task.goals,
+        table_height=-float(task.T_world_task(soft)[2, 3]),
+        goal=goal_mark(goal, soft_seen) if task.goals else None,
+    )  # fmt: skip
+
+
+def finer(points: NDArray[np.floating], count: int = 200) -> NDArray[np.floating]:
+    """Points [V, 3] along a line, or of a lattice as they are."""
+    if len(points) > count:
+        return points
+    at = np.linspace(0.0, len(points) - 1.0, count)
+    return np.stack([np.interp(at, np.arange(len(points)), x) for x in points.T], axis=1)
 
 
 def crumpled() -> tuple[NDArray[np.floating], tuple[int, ...]]:

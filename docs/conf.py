@@ -59,6 +59,25 @@ PACKAGES = (
 )
 """Packages with a page in docs/api: what their `__all__` names is public."""
 
+CALLED_FIRST = {
+    "gendom.datasets": "Recording ObjectDescription Fault generate",
+    "gendom.estimation": "estimate replay EstimateSettings SceneSettings Estimate FittedEstimate",
+    "gendom.materials": "Material Rope Cloth",
+    "gendom.perception": "perceive read_cameras read_ros_bag read_ros_cameras calibrate Camera",
+    "gendom.policies": "Policy polish adapt evaluate train",
+    "gendom.reality": "find_object record Reality RealWorld RealRope RealCloth",
+    "gendom.robot": "find_arm Arm TcpPath plan",
+    "gendom.sim": "Simulator rope cloth Gripper Table Physics Solver Targets",
+    "gendom.tasks": "RopeReaching RopeCasting ClothSpreading Task Simulation",
+    "gendom.viz": "write_report write_gif show",
+}
+"""What programs call of a package; its page begins with it."""
+
+for _package, _names in CALLED_FIRST.items():
+    _module = import_module(_package)
+    _first = [name for name in _names.split() if name in _module.__all__]
+    _module.__all__ = [*_first, *(name for name in _module.__all__ if name not in _first)]
+
 nitpick_ignore_regex = [("py:.*", r"(?!gendom\.).*")]  # types of other packages
 
 

@@ -21,6 +21,7 @@ SCRIPTS = {
     "06_gymnasium_loop": (set(), ("mujoco", "gymnasium")),
     "07_your_own_object": ({"rope.toml"}, ("mujoco",)),
     "08_train_a_policy": ({"casts", "casting.onnx"}, ("torch", "onnx")),
+    "09_ppo": (set(), ("torch", "gymnasium")),
 }
 """Example -> what it writes into --out, and packages of extras that it needs."""
 
@@ -61,6 +62,7 @@ def test_example_runs(name, tmp_path, monkeypatch):
     words = [sys.executable, str(EXAMPLES / f"{name}.py")]
     words += ["--out", "made"] if written else []
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))  # the tested code
+    words += ["--iterations", "2", "--worlds", "8"] if name == "09_ppo" else []
     run = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert run.returncode == 0, run.stderr
     assert run.stdout

@@ -227,7 +227,7 @@ def test_a_camera_toml_names_the_file(world, tmp_path, form):
     write_camera(file, camera)
     file.write_text(file.read_text().partition("T_world_camera")[0] + stated)
     (tmp_path / "calibration.txt").write_text(text)
-    np.testing.assert_allclose(read_camera(file).T_world_camera, world_camera, atol=1e-7)
+    np.testing.assert_allclose(read_camera(file).calibrated(), world_camera, atol=1e-7)
     in_hand = calibration(form, camera, "left_optical_frame", "tool0")
     for change, said in (
         (

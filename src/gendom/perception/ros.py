@@ -240,7 +240,8 @@ class _Scene:
         self.world = self.world or seen_in
         if self.track is None:
             return self.frames.between(self.world, self.name, times)[:, None, :3, 3]
-        frame = self.track.frame or self.world
+        bases = [name for name in self.frames.tracks if name.endswith("link0")]  # of a Franka
+        frame = self.track.frame or next(iter(bases), self.world)
         T = self.frames.between(self.world, frame, times) @ self.track.at(times)
         return T[:, None, :3, 3]
 

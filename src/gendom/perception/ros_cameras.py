@@ -85,7 +85,8 @@ def colour_topic(bag: RosBag, depth: str) -> str | None:
             continue
         same = (a == b for a, b in zip(parts, folders, strict=False))
         shared = sum(takewhile(bool, same))
-        if shared > 1:  # beside the empty part in front of the first /
+        # The empty part in front of the first / is alone shared by /depth/... and /rgb/...
+        if shared > (not folders[1].startswith("depth")):
             found.append((-shared, "rect" not in name, kind == PACKED, name))
     return min(found)[-1] if found else None
 

@@ -40,7 +40,8 @@ def _of_matrix(columns: Any) -> tuple[Any, Any]:
     """Place and orientation of 16 numbers, column after column."""
     T = np.reshape(columns, (4, 4)).T
     turn = Rotation.from_matrix(T[:3, :3]).as_quat()
-    return tuple(SimpleNamespace(**dict(zip("xyzw", x, strict=False))) for x in (T[:3, 3], turn))
+    place, turned = (dict(zip("xyzw", x, strict=False)) for x in (T[:3, 3], turn))
+    return SimpleNamespace(**place), SimpleNamespace(**turned)
 
 
 def camera_of(info: Any, *, rectified: bool, name: str, depth_unit: float) -> Camera:
@@ -50,7 +51,7 @@ def camera_of(info: Any, *, rectified: bool, name: str, depth_unit: float) -> Ca
         for field in ("k", "d", "p")
     )
     K, D = K.reshape(3, 3), tuple(map(float, D))
-    if rectified:
+    if rectified and P.any():  # some simulations leave it 0
         K, D = P.reshape(3, 4)[:, :3], ()
     size = {"width": int(info.width), "height": int(info.height), "depth_unit": depth_unit}
     distortion = D if any(D) else ()
@@ -113,7 +114,7 @@ def points_of(message: Any, where: str) -> tuple[Array, NDArray[np.bool_]]:
         raise RecordingError(f"a cloud has no {error}", where=where, fix="record x, y, z") from None
     columns = [_column(message, fields[a], k, where) for a, k in zip("xyz", kinds, strict=True)]
     cloud = np.stack(columns, axis=-1).astype(np.float64)
-    return cloud, np.isfinite(cloud).all(axis=-1)
+    return cloud, np.asarray(np.isfinite(cloud).all(axis=-1))
 
 
 def colours_of(message: Any, where: str) -> NDArray[np.uint8] | None:

@@ -27,7 +27,15 @@ from gendom.viz.palette import (
     TABLE_LINE,
     rgb,
 )
-from gendom.viz.viewer.scenes import Array, Layer, ViewerScene, camera_of, gripper_layer, tiles_of
+from gendom.viz.viewer.scenes import (
+    Array,
+    Layer,
+    ViewerScene,
+    camera_of,
+    goal_layer,
+    gripper_layer,
+    tiles_of,
+)
 
 SIZE = (640, 480)
 """Of a picture [pixels]."""
@@ -190,6 +198,8 @@ def clouds_scene(clouds: CloudSequence, frames: Sequence[int]) -> ViewerScene:
         most = max(len(cloud) for cloud in points)
         radius = dot * size * min(math.sqrt(500.0 / max(most, 1)), 1.0)
         layers.append(Layer(name=name, color=color, points=points, radius=radius, opacity=opacity))
+    if clouds.goal is not None:
+        layers.append(goal_layer(clouds.goal, size))
     if clouds.gripper is not None:
         layers.append(gripper_layer(clouds.gripper[list(frames)], 0.5 * size))
     return ViewerScene(

@@ -30,14 +30,13 @@ from gendom.viz.viewer.scenes import (
     SliderParameter,
     ViewerModel,
     ViewerScene,
+    goal_layer,
     gripper_layer,
     object_layer,
 )
 
 FRAMES = 160
 """Most frames shown of a demonstration."""
-
-GOAL_COLOR = "#009E73"
 
 
 class RecordingModel(ViewerModel):
@@ -276,9 +275,5 @@ class DatasetModel(ViewerModel):
         ]
         goal = self._goal(case)
         if goal is not None:
-            mark, size = goal_mark(goal, seen), size_of(item)
-            # an upright line, or a dot: a line that ends where it begins is not drawn
-            thick, points = (0.006, mark[None]) if len(mark) == 2 else (0.008, mark)
-            radius = thick * size
-            layers.append(Layer(name="goal", color=GOAL_COLOR, points=[points], radius=radius))
+            layers.append(goal_layer(goal_mark(goal, seen), size_of(item)))
         return tuple(layers)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gendom.arguments import require
 from gendom.sim import Body, Obstacle
 from gendom.tasks.cloth_spreading import lattice_triangles
-from gendom.viz.palette import INK, OBSTACLE_COLOR, SIMULATED_COLOR, nice_step
+from gendom.viz.palette import GOAL_COLOR, INK, OBSTACLE_COLOR, SIMULATED_COLOR, nice_step
 from gendom.viz.quantities import SHOWN_UNITS, with_minus
 
 FIELD_OF_VIEW = math.radians(35.0)
@@ -233,6 +233,13 @@ def object_layer(
         name=name, color=SIMULATED_COLOR, points=list(points), faces=faces, closed=closed,
         radius=radius, opacity=opacity,
     )  # fmt: skip
+
+
+def goal_layer(mark: Array, size: float) -> Layer:
+    """A goal [n, 3] [m] of a scene of some size [m]: an upright line, or a dot, since a line that
+    ends where it begins is not drawn."""
+    thick, points = (0.006, mark[None]) if len(mark) == 2 else (0.008, mark)
+    return Layer(name="goal", color=GOAL_COLOR, points=[points], radius=thick * size)
 
 
 def gripper_layer(position: Array, size: float, axis: Array | None = None) -> Layer:
