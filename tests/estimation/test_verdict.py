@@ -178,7 +178,7 @@ def test_what_is_assumed_counts_in_intervals(lifted, settings):
 
 def test_a_cloth_of_another_size_is_refused(cloth_lift):
     """It lies flat before it is lifted, so that its sides are seen."""
-    seen = cloth_lift.seen(points=1500)
+    seen = cloth_lift.seen(frames=6, points=1500)
     described = replace(seen.object, width=0.23, height=0.23)
     settings = EstimateSettings(starts=1, max_iterations=2, scene=cloth_lift.settings)
     found = estimate(replace(seen, object=described), settings)

@@ -62,9 +62,9 @@ def test_what_is_too_heavy_slides_as_under_dry_friction(share):
 def test_a_cloth_slides_out_of_the_fingers():
     world = hanging(CLOTH, 0.5)
     assert 0.0 < fallen(world, 0.05) < 0.5 * STANDARD_GRAVITY * 0.05**2
-    world.step_to(0.4)
+    world.step_to(0.2)
     assert len(world.held) == 0
-    # free fall from then on
+    # free fall from then on, until it meets the table at 0.37 s
     speed = -world.data.qvel[world._dofs][:, 2].mean()
     world.step_to(world.time + 0.02)
     faster = -world.data.qvel[world._dofs][:, 2].mean()

@@ -128,7 +128,7 @@ BY = ("density", "self_friction", "velocities", "positions")
     [
         ("rope-slides", False),
         ("rope-sticks", True),
-        ("cloth-slides", True),
+        ("cloth-slides", False),
         ("cloth-sticks", False),
     ],
 )
