@@ -55,6 +55,24 @@ NAMES = (
 )
 
 
+MOTIONS = (
+    (0.4566, -0.0909, 0.0792, 0.2775, 1.9859, -0.509, 0.205, 1.1728, 1.7367,
+     0.4068, 0.1247, 0.0544, 2.7198, 2.3997, 0.073, 3.8081),
+    (0.1505, 0.7483, 0.2706, 0.0472, 2.1686, 1.0096, -0.1664, 0.0167, 2.1928,
+     -0.703, 0.5305, 0.0167, 2.6314, 0.5207, -0.2534, 1.9887),
+    (0.4136, -0.6819, 0.014, 0.418, 2.0706, -0.7454, -0.0196, 1.2765, 1.0,
+     0.413, 0.0748, 0.0, 2.5672, 2.6, 0.4068, 4.0),
+    (0.4496, 0.3206, 0.1298, 0.2414, 2.1412, -0.5392, 0.0668, 1.2188, 2.0157,
+     0.1683, 0.3156, 0.0901, 2.5807, 2.4854, 0.084, 3.6868),
+    (0.1106, 0.359, 0.3042, 0.2259, 2.0804, 1.1688, -0.2382, 0.054, 2.0807,
+     -0.5114, 0.6012, 0.0335, 2.5586, 0.241, -0.2269, 1.685),
+    (0.47, -0.0427, -0.2188, 1.45, 2.585, -0.0177, -0.2742, 0.8298, 1.8316,
+     1.4825, -0.1914, 0.2911, 2.8758, 2.6, -0.0937, 2.4714),
+)  # fmt: skip
+"""Numbers of actions, by `NAMES`, that spread many cloths [sides], [sqrt(L / g)]: found by CMA-ES
+for cloths of unlike stiffness, friction, air, hold and lattice (experiments/dragging.py)."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ClothDragging(ClothSpreading):
     """A cloth is raised by its centre, its corner or a place between, hangs, and is led along a few
@@ -79,7 +97,7 @@ class ClothDragging(ClothSpreading):
         # bending lengths of 0.05 to 0.17 sides
         default_factory=lambda: {**RANGES, "E_over_rho": (105.0, 4300.0)}
     )
-    candidates: ClassVar[tuple[tuple[float, ...], ...]] = ()
+    candidates: ClassVar[tuple[tuple[float, ...], ...]] = MOTIONS
 
     def limits(self, item: Item) -> Array:
         return np.array([BOX[n[0]] for n in NAMES]) * self.action_units(item)[:, None]
