@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.materials import Item, dimensionless_parameters
-from gendom.tasks.cloth_dragging import HELD, ClothDragging
+from gendom.tasks.cloth_dragging import ClothDragging
+from gendom.tasks.cloth_spreading import OFF_CENTRE
 from gendom.tasks.task import World
 from gendom.tasks.world import Simulation
 
@@ -31,7 +32,7 @@ Array = NDArray[np.float64]
 FAMILIES = ((0.05, 0.064), (0.064, 0.082), (0.082, 0.11), (0.11, 0.17))
 """Bending lengths [sides]."""
 
-START = (0.5, 0.0, 1.25, 1.7, 1.0, 0.0, 0.8, 1.7, 1.45, 0.0, 0.02, 1.6, 1.9, 0.0, 1.6)
+START = (0.47, 0.5, 0.0, 1.25, 1.7, 1.0, 0.0, 0.8, 1.7, 1.45, 0.0, 0.02, 1.6, 1.9, 0.0, 1.6)
 """Laid down along the diagonal, and dragged on."""
 
 SIGMA = 0.15
@@ -154,7 +155,7 @@ def search(
             cells_across=float(rng.choice(LATTICES)),
             air_density=float(rng.choice(AIR)),
         )
-        held = tuple(np.array(HELD) + rng.uniform(-0.01, 0.01, 2))
+        held = tuple(np.array(OFF_CENTRE) + rng.uniform(-0.01, 0.01, 2))
         own = replace(task, off_centre=held)
         asked = [run.ask() for run in runs]
         items, actions = [], []

@@ -37,7 +37,7 @@ NUMBERS = {
     "RopeCasting": {"action": 1, "goal": 2},
     "RopeCastingAtSpeed": {"action": 2, "goal": 2},
     "ClothSpreading": {"action": 1},
-    "ClothDragging": {"action": 15},
+    "ClothDragging": {"action": 16},
 }
 """How many numbers an action and a goal have."""
 

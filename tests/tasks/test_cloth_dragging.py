@@ -8,7 +8,7 @@ import pytest
 from gendom.errors import ParameterError
 from gendom.materials import STANDARD_GRAVITY, unit_of
 from gendom.tasks import ClothDragging
-from gendom.tasks.cloth_dragging import MAX_ACCELERATION, MAX_SPEED, NAMES, TOP
+from gendom.tasks.cloth_dragging import CLEAR, MAX_ACCELERATION, MAX_SPEED, NAMES
 
 TASK = ClothDragging()
 
@@ -19,7 +19,7 @@ def test_every_motion_keeps_the_tool_s_limits(side):
     low, high = TASK.limits(item).T
     rng = np.random.default_rng(0)
     hasty = low + (high - low) * rng.random((20, len(NAMES)))
-    hasty[:, [n[0] == "t" for n in NAMES]] = low[0 if NAMES[0][0] == "t" else 3]
+    hasty[:, [n[0] == "t" for n in NAMES]] = low[NAMES.index("t1")]
     for action in (TASK.nearest(item, a) for a in hasty):
         path = TASK.tool_path(item, action)
         t = np.arange(0.0, path.end, 1e-3)
@@ -30,12 +30,15 @@ def test_every_motion_keeps_the_tool_s_limits(side):
         assert path.end == pytest.approx(TASK.times(item)[-1])
 
 
-def test_the_tool_rises_by_the_corner_goes_away_from_the_cloth_and_ends_on_the_table():
+@pytest.mark.parametrize(("hold", "at"), [(0.0, [0.515, 0.5065]), (0.47, [0.045, 0.0365])])
+def test_the_tool_raises_all_of_it_goes_away_from_the_cloth_and_ends_on_the_table(hold, at):
     action = np.zeros(len(NAMES)) + 0.3 * TASK.action_units(TASK.item)
+    action[0] = hold * TASK.item.side
     action[[n[0] == "t" for n in NAMES]] = 2.5 * unit_of("s", TASK.item)
     position = TASK.tool_path(TASK.item, action).position / TASK.item.side
-    assert position[0] == pytest.approx([0.03, 0.03, 0.01])
-    assert position[2] - position[0] == pytest.approx([0.0, 0.0, TOP])
+    assert position[0] == pytest.approx([*at, 0.01])
+    hangs = np.hypot(0.5 + hold, 0.5 + hold)
+    assert position[2] - position[0] == pytest.approx([0.0, 0.0, hangs + CLEAR])
     assert position[-1, 2] == position[0, 2]
     # x away along the diagonal, y to the left of that
     x, y = (0.3 * np.array(d) / np.sqrt(2.0) for d in ([-1.0, -1.0], [1.0, -1.0]))

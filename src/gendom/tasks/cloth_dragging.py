@@ -1,8 +1,8 @@
-"""Cloth dragging: a cloth that hangs from its corner is laid down and dragged to and fro, until it
+"""Cloth dragging: a cloth that hangs from one hand is laid down and dragged to and fro, until it
 lies spread.
 
-One hand can spread cloths that are too limp for `cloth_spreading`: what hangs from a corner is
-folded along the diagonal only, and friction opens it while the hand pulls.
+One hand can spread cloths that are too limp for `cloth_spreading`: friction opens them while the
+hand pulls.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from gendom.tasks.task import Array, Quantity
 WAYPOINTS = 4
 """After the top; the last one lies on the table."""
 
-TOP, RISE_SPEED = 1.45, 0.5
-"""How far a cloth is raised [sides], so that all of it hangs, and how fast [sqrt(g L)]."""
+CLEAR, RISE_SPEED = 0.08, 0.5
+"""How far above the table a cloth hangs once it is raised [sides], and how fast it is raised
+[sqrt(g L)]."""
 
 SETTLE, REST_AT_END = 3.0, 3.0
 """Still at the top, and at the end [sqrt(L / g)]."""
@@ -31,51 +32,72 @@ SETTLE, REST_AT_END = 3.0, 3.0
 LONGEST = 12.0
 """Time from the top to the last waypoint, at most [sqrt(L / g)]."""
 
-MAX_SPEED, MAX_ACCELERATION, BLEND = 0.71, 0.8, 1.0
-"""Of the tool [sqrt(g L)], [g], and the time in which it turns a corner [sqrt(L / g)]: 1 m/s with a
-cloth of 0.2 m. A path that asks for more takes longer."""
+MAX_SPEED, MAX_ACCELERATION = 0.71, 0.8
+"""Of the tool [sqrt(g L)], [g]: 1 m/s with a cloth of 0.2 m. What asks for more takes longer."""
 
-BOX = {"x": (-1.0, 2.6), "y": (-0.9, 0.9), "z": (0.0, TOP), "t": (BLEND, 4.0)}
-"""Limits of each number of a waypoint [sides], [sqrt(L / g)]."""
+BLEND = (1.0, 2.0)
+"""Time in which the tool turns a corner: the sharper it is the longer [sqrt(L / g)]."""
+
+BOX = {"h": (0.0, 0.47), "x": (-1.6, 2.6), "y": (-1.0, 1.0), "z": (0.0, 1.45), "t": (BLEND[0], 4.0)}
+"""Limits of each number of an action [sides], [sqrt(L / g)]."""
 
 MEANING = {
+    "hold": "from the centre towards the first corner, along each side, where it is held",
     "x": "along the diagonal, away from the cloth",
     "y": "to the left of that",
     "z": "height above the table",
     "t": "time from the one before",
 }
 
-NAMES = tuple(f"{n}{k}" for k in range(1, WAYPOINTS + 1) for n in "xyzt" if f"{n}{k}" != "z4")
+NAMES = (
+    "hold",
+    *(f"{n}{k}" for k in range(1, WAYPOINTS + 1) for n in "xyzt" if f"{n}{k}" != f"z{WAYPOINTS}"),
+)
 
-HELD = (-0.47, -0.47)
-"""Where a cloth is held, from its centre, along its sides [sides]: 6 mm beside the corner of one of
-0.2 m."""
+
+MOTIONS = (
+    (0.4566, -0.0909, 0.0792, 0.2775, 1.9859, -0.509, 0.205, 1.1728, 1.7367,
+     0.4068, 0.1247, 0.0544, 2.7198, 2.3997, 0.073, 3.8081),
+    (0.1505, 0.7483, 0.2706, 0.0472, 2.1686, 1.0096, -0.1664, 0.0167, 2.1928,
+     -0.703, 0.5305, 0.0167, 2.6314, 0.5207, -0.2534, 1.9887),
+    (0.4136, -0.6819, 0.014, 0.418, 2.0706, -0.7454, -0.0196, 1.2765, 1.0,
+     0.413, 0.0748, 0.0, 2.5672, 2.6, 0.4068, 4.0),
+    (0.4496, 0.3206, 0.1298, 0.2414, 2.1412, -0.5392, 0.0668, 1.2188, 2.0157,
+     0.1683, 0.3156, 0.0901, 2.5807, 2.4854, 0.084, 3.6868),
+    (0.1106, 0.359, 0.3042, 0.2259, 2.0804, 1.1688, -0.2382, 0.054, 2.0807,
+     -0.5114, 0.6012, 0.0335, 2.5586, 0.241, -0.2269, 1.685),
+    (0.47, -0.0427, -0.2188, 1.45, 2.585, -0.0177, -0.2742, 0.8298, 1.8316,
+     1.4825, -0.1914, 0.2911, 2.8758, 2.6, -0.0937, 2.4714),
+)  # fmt: skip
+"""Numbers of actions, by `NAMES`, that spread many cloths [sides], [sqrt(L / g)]: found by CMA-ES
+for cloths of unlike stiffness, friction, air, hold and lattice (experiments/dragging.py)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClothDragging(ClothSpreading):
-    """A cloth is raised by its corner, hangs, and the hand goes along a few waypoints.
+    """A cloth is raised by its centre, its corner or a place between, hangs, and is led along a few
+    waypoints.
 
     The task's frame: the cloth's first corner lies at the origin, its sides along x and y, the
     table is z = 0.
 
-    Action: `WAYPOINTS` places of the tool from where it rose, x along the cloth's diagonal and away
-    from it, y to its left, z above the table (the last one is on it) [m], and the time t from the
-    one before [s]. Outcomes, risk and error are those of `ClothSpreading`.
+    Action: where the cloth is held [m]; `WAYPOINTS` places of the tool from where it rose, x along
+    the cloth's diagonal and away from it, y to its left, z above the table (the last one is on it)
+    [m], and the time t from the one before [s]. Outcomes, risk and error are those of
+    `ClothSpreading`.
     """
 
     name: ClassVar[str] = "cloth-dragging"
     actions: ClassVar[tuple[Quantity, ...]] = tuple(
-        Quantity(name=n, unit="s" if n[0] == "t" else "m", meaning=MEANING[n[0]]) for n in NAMES
+        Quantity(name=n, unit="s" if n[0] == "t" else "m", meaning=MEANING[n.rstrip("1234")])
+        for n in NAMES
     )
 
     ranges: Mapping[str, tuple[float, float]] = field(
         # bending lengths of 0.05 to 0.17 sides
         default_factory=lambda: {**RANGES, "E_over_rho": (105.0, 4300.0)}
     )
-    candidates: ClassVar[tuple[tuple[float, ...], ...]] = ()
-
-    off_centre: tuple[float, float] = HELD
+    candidates: ClassVar[tuple[tuple[float, ...], ...]] = MOTIONS
 
     def limits(self, item: Item) -> Array:
         return np.array([BOX[n[0]] for n in NAMES]) * self.action_units(item)[:, None]
@@ -88,45 +110,47 @@ class ClothDragging(ClothSpreading):
 
     def tool_path(self, item: Item, action: Array) -> TcpPath:
         side, second = size_of(item), unit_of("s", item)
-        place, duration = self._waypoints(item, action)
+        place, duration, blend = self._waypoints(item, action)
         # rounded off, the tool moves half a blend earlier: at 0
-        rises = 0.5 * BLEND
-        raised = rises + TOP / RISE_SPEED
+        rises = 0.5 * blend
+        raised = rises + place[0, 2] / RISE_SPEED
         begins = raised + SETTLE
         time = np.r_[-WAIT, rises, raised, begins, begins + np.cumsum(duration), self.end]
         lowest = place[-1, 2]
         place = np.vstack([[0.0, 0.0, lowest], [0.0, 0.0, lowest], place[:1], place, place[-1:]])
-        away = np.array(self.off_centre) / math.hypot(*self.off_centre)
-        axes = np.array([[*away, 0.0], [-away[1], away[0], 0.0], [0.0, 0.0, 1.0]])
-        start = np.array([0.5 + self.off_centre[0], 0.5 + self.off_centre[1], 0.0])
+        c = math.sqrt(0.5)
+        axes = np.array([[-c, -c, 0.0], [c, -c, 0.0], [0.0, 0.0, 1.0]])
+        held = 0.5 + np.array(self.off_centre) - action[0] / side
+        start = np.array([*np.maximum(held, 0.5 - BOX["h"][1]), 0.0])
         return TcpPath(
             time=second * time,
             position=side * (start + place @ axes),
             quat_xyzw=np.array(DOWN),
             events=(GripperEvent(time=-WAIT * second, closed=True),),
-            blend=BLEND * second,
+            blend=blend * second,
         )
 
-    def _waypoints(self, item: Item, action: Array) -> tuple[Array, Array]:
+    def _waypoints(self, item: Item, action: Array) -> tuple[Array, Array, float]:
         """[1 + WAYPOINTS, 3] the top and the waypoints, along the diagonal, to its left and above
-        the table [sides], and [WAYPOINTS] times between them, no shorter than the tool's limits
-        allow [sqrt(L / g)]."""
+        the table [sides]; [WAYPOINTS] times between them, no shorter than the tool's limits
+        allow, and the blend [sqrt(L / g)]."""
         value = dict(zip(NAMES, np.asarray(action) / self.action_units(item), strict=True))
         low = max(0.5 * thickness_of(item), MIN_HEIGHT) / size_of(item)
         last = range(1, WAYPOINTS + 1)
         rows = [[value[f"x{k}"], value[f"y{k}"], low + value.get(f"z{k}", 0.0)] for k in last]
-        place = np.vstack([[0.0, 0.0, low + TOP], rows])
-        duration = np.array([max(value[f"t{k}"], BLEND) for k in last])
-        speed = np.zeros((WAYPOINTS + 2, 3))
-        speed[1:-1] = np.diff(place, axis=0) / duration[:, None]
-        fastest = float(np.linalg.norm(speed, axis=1).max()) / MAX_SPEED
-        turn = float(np.linalg.norm(np.diff(speed, axis=0), axis=1).max())
-        hardest = 1.5 * turn / (MAX_ACCELERATION * BLEND)
-        return place, duration * max(1.0, fastest, hardest)
+        top = low + math.sqrt(2.0) * (0.5 + value["hold"]) + CLEAR
+        place = np.vstack([[0.0, 0.0, top], rows])
+        duration = np.array([max(value[f"t{k}"], BLEND[0]) for k in last])
+        needed = 1.5 / MAX_ACCELERATION * _sharpest(place, duration)[1]
+        blend = float(np.clip(needed, *BLEND))
+        duration = np.maximum(duration, blend)
+        speed, turn = _sharpest(place, duration)
+        hardest = 1.5 * turn / (MAX_ACCELERATION * blend)
+        return place, duration * max(1.0, speed / MAX_SPEED, hardest), blend
 
     @property
     def end(self) -> float:
-        return BLEND + TOP / RISE_SPEED + SETTLE + LONGEST + REST_AT_END
+        return BLEND[1] + 1.5 / RISE_SPEED + SETTLE + LONGEST + REST_AT_END
 
     def T_world_task(self, item: Item) -> Array:
         # the diagonal runs along the base's y
@@ -135,3 +159,11 @@ class ClothDragging(ClothSpreading):
         T[:2, :2] = [[c, -c], [c, c]]
         T[:3, 3] = [0.45, 0.7 * size_of(item), 0.0]
         return T
+
+
+def _sharpest(place: Array, duration: Array) -> tuple[float, float]:
+    """The largest speed between places [K + 1, n], and the largest change of velocity at one."""
+    speed = np.zeros((len(place) + 1, place.shape[1]))
+    speed[1:-1] = np.diff(place, axis=0) / duration[:, None]
+    turns = np.linalg.norm(np.diff(speed, axis=0), axis=1)
+    return float(np.linalg.norm(speed, axis=1).max()), float(turns.max())

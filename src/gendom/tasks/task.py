@@ -195,8 +195,8 @@ class Task(ABC):
     watches: ClassVar[str] = "tip"
     """What it observes: ``tip`` or ``all`` points."""
     candidates: ClassVar[tuple[tuple[float, ...], ...]] = ()
-    """[K][A] actions among which policies of a task without goals choose, those that ask least of
-    the robot first [units of similarity]; demonstrations are drawn from them."""
+    """[K][A] actions among which policies of a task without goals choose, those to be preferred
+    first [units of similarity]; demonstrations are drawn from them."""
     cost: ClassVar[float] = 1.0
     """About how long a demonstration takes, in those of rope reaching: long ones are written to a
     data set in smaller parts."""
