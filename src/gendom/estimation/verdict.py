@@ -49,7 +49,7 @@ have 0.021 and more, with an E that is four and more times too small. Of real ca
 between two grippers it is 0.010 to 0.016. Twice a sheet's E moves it by as much in a lift (2 to 5
 mm of a diagonal of 0.42 m): a larger displacement hides the effect of E."""
 
-BROADER, BLURRED, NARROWER, LOST = 1.25, 0.001, 1.15, 0.002
+BROADER, BLURRED, NARROWER, LOST = 1.25, 0.0013, 1.15, 0.002
 """How much more and less of a rope than its thickness cameras show across their views, as factors
 and lengths [m]: points that are drawn evenly from its skin lie at 0.92 of half its thickness where
 pixels lie at 0.75, and pixels at edges have no depth or that of the background."""
