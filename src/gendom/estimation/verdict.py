@@ -204,10 +204,11 @@ def _seen_breadth(comparison: Comparison, noise: NoiseModel) -> float | None:
 
 
 def _blamed_on_cameras(reasons: list[str], part: Part, comparison: Comparison) -> list[str]:
-    """Reasons, with that cameras disagree, where they do, in place of a wrong thickness."""
+    """Reasons, with that cameras disagree, where they do, in place of a wrong thickness; a fit that
+    is farther from the clouds than that does not tell."""
     perceived = part.scene.recording.cameras_apart
     far, first, last = comparison.cameras_apart() if reasons else (0.0, 0, 0)
-    if far > 2.0 * part.noise.shift:
+    if far > max(2.0 * part.noise.shift, comparison.rms):
         said = (
             f"in frames {first} to {last} two cameras place the object {1e3 * far:.0f} mm apart: "
             "do their poses, or clocks, drift?"
