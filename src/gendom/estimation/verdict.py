@@ -155,13 +155,6 @@ def _of_fit(part: Part, comparison: Comparison, noise: NoiseModel, theta: Theta)
         yield from _of_thickness(comparison, noise)
     rows, own = comparison.rows, observation.counts.shape[1]
     away = np.abs(rows.rho[:, :own])[observation.counts > 0.0]
-    # over 60 good lifts of ropes the root mean square is 4.3 mm at most; poor cameras have 12 mm
-    mean, most = float(away.mean()), max(0.035 * scene.size, 0.012)
-    said = (
-        f"points lie {1e3 * mean:.0f} mm from the best fit in the mean, where {1e3 * most:.0f} mm "
-        "are usual at most"
-    )
-    yield mean, most, said
     stray = float((away > 4.0 * HUBER).mean())
     yield stray, 0.25, f"{stray:.0%} of all points do not belong to the object"
     if observation.markers is None:
