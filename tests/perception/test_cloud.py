@@ -37,6 +37,22 @@ def test_pixels_half_behind_the_object_are_dropped(world, monkeypatch):
     assert far[0] > 50 and far[1] == 0
 
 
+def test_a_rope_no_broader_than_pixels_keeps_what_has_depth(world):
+    """Of whose pixels most are lost, all being at edges, where its diameter is known."""
+    camera = world.make_camera()
+    rope = world.lifted_rope(radius=0.0015)
+    pictures, rng = world.Scene([rope]).pictures(camera), np.random.default_rng(0)
+    red, kept = ObjectColour.near(lab(world.RED)), []
+    seen = np.where(rng.random(pictures.depth.shape) < 0.6, 0, pictures.depth).astype(np.uint16)
+    for breadth in (np.inf, 0.003):
+        points, counts = CameraView(camera, settings(), breadth).segment(
+            Pictures(seen, pictures.colour), red
+        )
+        assert (rope.distance(points) < 0.01).all()
+        kept.append(counts[4] / counts[3])
+    assert kept[0] < 0.5 and kept[1] > 0.8
+
+
 def test_scattered_points_are_outliers(world):
     rng = np.random.default_rng(0)
     rope = np.linspace([-0.2, 0, 0.1], [0.2, 0, 0.1], 500) + rng.normal(0, 1e-3, (500, 3))

@@ -22,14 +22,21 @@ STRAY, FEWEST = 0.02, 200
 
 
 def breadth_across(
-    points: Array, feet: Array, tangent: Array, cameras: Array, noise: float, rounds: int = 20
+    points: Array,
+    feet: Array,
+    tangent: Array,
+    cameras: Array,
+    noise: float,
+    *,
+    seen_by: NDArray[np.integer] | int = -1,
+    rounds: int = 20,
 ) -> float | None:
     """Breadth of the strip that cameras see of a rope [m]; None where too few points show it.
 
     Pixels lie evenly across it, so that three quarters of them lie within three quarters of half
     its breadth. A point lies in one camera's strip, and before the rope's middle as seen from
     there. Which camera saw it is a latent variable of a mixture (McLachlan and Peel 2000, "Finite
-    mixture models"), since points of several cameras are fused; each camera's points may be off by
+    mixture models") where points of several cameras are fused; each camera's points may be off by
     a rigid motion.
 
     Args:
@@ -38,12 +45,14 @@ def breadth_across(
         tangent: [m, 3] along it.
         cameras: [C, 3] places of the cameras [m].
         noise: Standard deviation of depth [m].
+        seen_by: [m] the one camera that saw each point, -1 where it is not known.
         rounds: Of expectation and maximisation.
     """
     near = np.linalg.norm(points - feet, axis=1) < STRAY
     if near.sum() < FEWEST:
         return None
     points, feet, tangent = points[near], feet[near], tangent[near]
+    camera = np.broadcast_to(seen_by, near.shape)[near]
     tangent = tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
     off = points - feet
     view = feet - cameras[:, None]
@@ -51,7 +60,8 @@ def breadth_across(
     across = np.cross(view, tangent)
     steep = np.linalg.norm(across, axis=2)
     across = across / np.maximum(steep, 1e-9)[..., None]
-    seen = steep > 0.3  # along its length a rope shows no breadth
+    seen = (camera < 0) | (camera == np.arange(len(cameras))[:, None])
+    seen &= steep > 0.3  # along its length a rope shows no breadth
     to = np.stack([across, np.cross(tangent, across)])  # sideways, and away from the camera
     by = np.concatenate([to, np.cross(points - points.mean(axis=0), to)], axis=3)
     off = np.einsum("ma,dcma->dcm", points - feet, to)

@@ -7,6 +7,7 @@ of 16-bit integers, and only the remaining pixels are converted to points.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -39,6 +40,13 @@ OUTLIER_RADIUS = 0.015
 MIN_SUPPORT = 3
 """So many of a pixel's eight neighbours must belong to the object at about the same depth: removes
 mixed pixels at edges, and isolated ones."""
+
+NARROW = 4.0
+"""Pixels across an object from which on a pixel's neighbours lie beside it; of one half as broad
+they may be two pixels away, as there are fewer of them."""
+
+SPARSE = 0.006
+"""Breadth from which on points of an object lie densely: three pixels at a metre [m]."""
 
 _TABLE_SIGMAS = 3.0  # depths within so many standard deviations of the table's are on the table
 _TABLE_CLEARANCE = 0.002  # [m]; so are points nearer to it than this, for any noise
@@ -200,14 +208,20 @@ def fit_table(
 class CameraView:
     """A camera's pixels in the workspace of settings, which is given.
 
+    Args:
+        camera: That sees the object.
+        settings: Of segmentation.
+        breadth: Of the object where it is narrow, a rope's diameter [m].
+
     Raises:
         RecordingError: The camera is not calibrated.
     """
 
-    def __init__(self, camera: Camera, settings: PerceptionSettings):
+    def __init__(self, camera: Camera, settings: PerceptionSettings, breadth: float = np.inf):
         assert settings.workspace is not None
         self.camera = camera
         self.settings = settings
+        self.breadth = breadth
         self.table: TablePlane | None = None
         T = camera.calibrated()
         directions = camera.rays() @ T[:3, :3].T
@@ -363,19 +377,25 @@ class CameraView:
         """Those of the flat pixel numbers that have enough neighbours among them."""
         if len(pixels) == 0:
             return pixels
-        width = self.camera.width
-        # A picture of the object alone, with room for the neighbours of its corners.
-        alone = np.zeros(len(raw) + 2 * (width + 1), np.int32)
-        at = pixels + (width + 1)
         own = raw[pixels].astype(np.int32)
-        alone[at] = own
         z = own * np.float32(self.camera.depth_unit)
+        width, focal = self.camera.width, self.camera.K[0, 0]
+        # Of so narrow an object all pixels are at edges, and most have no depth.
+        across = max(self.breadth * focal / float(np.median(z)), 1.0)
+        reach = math.ceil(min(max(NARROW / across, 1.0), 4.0))
+        # A picture of the object alone, with room for the neighbours of its corners.
+        room = reach * (width + 1)
+        alone = np.zeros(len(raw) + 2 * room, np.int32)
+        at = pixels + room
+        alone[at] = own
         noise = _STEREO_NOISE if self.table is None else self.table.noise
-        apart = 4.0 * noise * z**2 + _MAX_DEPTH_SLOPE / self.camera.K[0, 0] * z
+        apart = 4.0 * noise * z**2 + reach * _MAX_DEPTH_SLOPE / focal * z
         apart = (apart / self.camera.depth_unit).astype(np.int32) + 1
         support = np.zeros(len(pixels), np.int8)
-        for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
-            support += np.abs(alone[at + step] - own) <= apart
+        for step in np.ndindex(2 * reach + 1, 2 * reach + 1):
+            if step != (reach, reach):
+                offset = (step[0] - reach) * width + step[1] - reach
+                support += np.abs(alone[at + offset] - own) <= apart
         return pixels[support >= MIN_SUPPORT]
 
 
@@ -426,9 +446,11 @@ def fuse(
     clouds: Sequence[npt.NDArray[np.float32]],
     settings: PerceptionSettings,
     held: Held | None = None,
+    breadth: float = np.inf,
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8], int]:
     """One cloud of several cameras' clouds [n_k, 3] [m]: one point a voxel, without outliers, and
-    of what grippers hold, where it is given, only what hangs together with them.
+    of what grippers hold, where it is given, only what hangs together with them. Points of objects
+    that are no broader than some pixels [m] are few, and lie farther apart.
 
     Returns:
         Points [n, 3] [m], `seen_by` [n] (bit k: camera k), and how many voxels there were.
@@ -444,7 +466,7 @@ def fuse(
         points, bits = _voxel_means(points, bits, settings.voxel)
     voxels = len(points)
     if voxels and settings.min_cluster > 1:
-        label = _clusters(points, OUTLIER_RADIUS)
+        label = _clusters(points, OUTLIER_RADIUS * min(max(SPARSE / breadth, 1.0), 2.0))
         keep = np.bincount(label)[label] >= settings.min_cluster
         points, bits = points[keep], bits[keep]
     if held is not None and len(points):
@@ -472,7 +494,7 @@ def perceive_frame(
     """
     parts = [view.segment(p, colour, capsules) for view, p in zip(views, pictures, strict=True)]
     clouds = [points for points, _ in parts]
-    points, seen_by, voxels = fuse(clouds, views[0].settings, held)
+    points, seen_by, voxels = fuse(clouds, views[0].settings, held, views[0].breadth)
     counts = np.sum([counts for _, counts in parts], axis=0).tolist()
     return FusedCloud(points, seen_by, np.array([*counts, voxels, len(points)]), clouds)
 

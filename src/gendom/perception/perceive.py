@@ -124,7 +124,8 @@ class _Perception:
         if settings.workspace is None:
             settings = replace(settings, workspace=_within_reach(recorded, size, height))
         self.settings = settings
-        self.views = [CameraView(source.camera, settings) for source in recorded.sources]
+        across = self.object.diameter or math.inf
+        self.views = [CameraView(source.camera, settings, across) for source in recorded.sources]
         self.colour: ObjectColour | None = None
         self.clouds: list[FusedCloud] = []
         self.times: list[float] = []
@@ -275,7 +276,8 @@ class _Perception:
                 continue
             rise, tilt = height - view.table.height(x, y), math.acos(min(view.table.normal[2], 1.0))
             T = view.table.levelled(x, y, height)
-            level = CameraView(view.camera.at(T @ view.camera.calibrated()), self.settings)
+            moved = view.camera.at(T @ view.camera.calibrated())
+            level = CameraView(moved, self.settings, view.breadth)
             level.find_table(seen.depth, height)
             if level.table is None:
                 continue
