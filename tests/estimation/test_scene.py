@@ -137,6 +137,22 @@ def test_a_smooth_line_is_followed_by_its_arc_length(kind):
     assert arc_length(found)[-1] == pytest.approx(LENGTH * 388 / 400, abs=0.012)
 
 
+@pytest.mark.parametrize("slenderness", [14.0, 16.0, 30.0])
+def test_one_cloud_of_a_straight_rope_does_not_wind(slenderness):
+    """Nor of a thick one, of which two cameras see a side each; an arc is still seen."""
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        side = np.where(rng.random(320) < 0.5, 0.5, -0.5) * LENGTH / slenderness
+        across = side * np.clip(0.85 + 0.3 * rng.standard_normal(320), -0.3, 1.6)
+        points = np.stack([rng.uniform(0.0, LENGTH, 320), across], axis=1)
+        points += 0.002 * rng.standard_normal(points.shape)
+        for arc in (0.0, 0.6):
+            bent = points + [0.0, 1.0] * (0.5 * arc / LENGTH * points[:, :1] ** 2)
+            steps = np.diff(lying_line(bent, slenderness), axis=0)
+            turns = np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))
+            assert np.abs(turns).sum() == pytest.approx(arc, abs=0.3)
+
+
 def lying_along(rope_lift, line):
     """The shared lift of a rope that lies along a line [k, 2]."""
     diameter = rope_lift.object.diameter

@@ -349,11 +349,11 @@ class Comparison:
         with both shapes (Broyden 1965).
 
         Args:
-            other: Of the same frames; of a shape with as many points if there is a step.
+            other: Of the same frames and points.
             step: [P] from there to here, transformed.
             weight: [P] of the parameters' squared changes in that smallest change.
         """
-        J = self.observation.shape.taken_from(other.observation.shape, other.J)
+        J = other.J
         size = float(step @ (weight * step))
         if size > 0.0:
             missing = self.here - other.here - J @ step
@@ -418,11 +418,10 @@ class Comparison:
             at = self._linearised(self._first if len(self._first) == R else np.zeros(R))
         # with other derivatives alone it stays where it is
         for left in reversed(range(1 if self._registered == noise else noise.rounds + 1)):
-            slope = weight * at.products[:R, -1]
-            M = weight * at.products[:R, :R] + np.diag(precision)
-            factor = cho_factor(M, lower=True)
-            step = cho_solve(factor, slope - precision * at.a)
-            gain = float(step @ (slope - precision * at.a))
+            factor = cho_factor(weight * at.curvature + np.diag(precision), lower=True)
+            downhill = weight * at.slope - precision * at.a
+            step = cho_solve(factor, downhill)
+            gain = float(step @ downhill)
             if left == 0 or gain < REGISTERED:
                 break
             at = self._linearised(at.a + step)
@@ -435,11 +434,7 @@ class Comparison:
             # residuals fall as the object moves along its normals
             gradient=cross.T @ step - weight * own[R],
             hessian=weight * own[R + 1 :] - cross.T @ cho_solve(factor, cross).reshape(R, P),
-            a=at.a,
-            M=M,
-            slope=slope,
-            loss=at.loss,
-            count=at.count,
+            at=at,
         )
         return self._last
 
@@ -525,6 +520,16 @@ class Linearised:
     count: float
     """Independent points."""
 
+    @property
+    def curvature(self) -> Array:
+        """[S + 7, S + 7] of residuals' squares by the registration."""
+        return self.products[:-1, :-1]
+
+    @property
+    def slope(self) -> Array:
+        """[S + 7] how they fall with it."""
+        return self.products[:-1, -1]
+
 
 @dataclass(frozen=True, eq=False)
 class Comparisons:
@@ -556,38 +561,33 @@ class Fit:
     """[P] half its slope."""
     hessian: Array
     """[P, P] half its curvature, with the nuisance parameters marginalised."""
-    a: Array
-    """[S + 7] displacement's coefficients [m], rigid motion [m, rad], skin [m]."""
-    M: Array
-    """Precision of that."""
-    slope: Array
-    """[S + 7] how residuals' squares, in their variance, fall with it."""
-    loss: float
-    """Sum of squares that is left [m^2]."""
-    count: float
-    """Independent points."""
+    at: Linearised
+    """Where it is registered."""
+
+    @property
+    def a(self) -> Array:
+        """[S + 7] displacement's coefficients [m], rigid motion [m, rad], skin [m]."""
+        return self.at.a
 
     @property
     def rms(self) -> float:
         """Distance of points from the registered skin [m]."""
-        return math.sqrt(self.loss / max(self.count, 1e-9))
+        return math.sqrt(self.at.loss / max(self.at.count, 1e-9))
 
     def updated_noise(self, rounds: int) -> NoiseModel:
         """Noise of higher likelihood, by rounds of expectation and maximisation with fixed
         correspondences."""
-        noise, S = self.noise, len(self.a) - 7
-        # of the residuals alone, in m^2
-        D = (self.M - np.diag(noise.precision(S))) * noise.sensor**2
-        slope = self.slope * noise.sensor**2
+        noise, at, S = self.noise, self.at, len(self.a) - 7
+        D, slope = at.curvature, at.slope  # of the residuals alone, in m^2
         for _ in range(rounds):
             spread = np.linalg.inv(D / noise.sensor**2 + np.diag(noise.precision(S)))
             a = spread @ (slope + D @ self.a) / noise.sensor**2
             off = a - self.a
-            loss = max(self.loss - float((2.0 * slope - D @ off) @ off), 0.0)
+            loss = max(at.loss - float((2.0 * slope - D @ off) @ off), 0.0)
             own = np.diag(spread)
             of_model = float(a[:S] @ a[:S] + own[:S].sum()) / S
             used = S - float(own[:S].sum()) / noise.model**2 + 7.0 - float(own[S:] @ noise.fixed)
-            of_sensor = loss / max(self.count - used, 0.1 * self.count)
+            of_sensor = loss / max(at.count - used, 0.1 * at.count)
             noise = replace(
                 noise,
                 model=max(math.sqrt(of_model), noise.least_model),
