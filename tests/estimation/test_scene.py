@@ -155,7 +155,7 @@ def test_one_cloud_of_a_straight_rope_does_not_wind(slenderness):
 
 @pytest.mark.parametrize(("speed", "turns"), [(0.05, 0.0), (0.2, 0.0), (0.2, 0.1)])
 def test_frames_far_apart_show_when_the_gripper_starts_and_stops(rope_lift, speed, turns):
-    """At a steady speed, from rest to rest or past a corner, by few frames; dense ones as always."""
+    """At a steady speed, from rest to rest or past a corner; dense ones show it themselves."""
     time, rise = np.arange(0.0, 4.01, 0.5), 2.0 * speed
     dense = np.arange(0.0, 4.01, 0.05)
 
@@ -164,7 +164,7 @@ def test_frames_far_apart_show_when_the_gripper_starts_and_stops(rope_lift, spee
         return np.stack([np.clip((t - 1.77) * turns, 0.0, 1.0), 0.0 * t, z], axis=1)[:, None]
 
     for t, most in ((time, 0.035 * speed), (dense, 0.012 * speed)):
-        moved = [0.3, 0.0, rope_lift.lowest] + path(t)
+        moved = path(t) + np.array([0.3, 0.0, rope_lift.lowest])
         lift = replace(rope_lift.at_rest(len(t)), time=t, gripper_position=moved)
         own, x = LiftScene.of(lift, rope_lift.settings).path(0)
         assert np.abs(x - moved[0] - path(own)[:, 0]).max() < most

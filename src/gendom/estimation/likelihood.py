@@ -349,11 +349,11 @@ class Comparison:
         with both shapes (Broyden 1965).
 
         Args:
-            other: Of the same frames and points.
+            other: Of the same frames; of a shape with as many points if there is a step.
             step: [P] from there to here, transformed.
             weight: [P] of the parameters' squared changes in that smallest change.
         """
-        J = other.J
+        J = self.observation.shape.taken_from(other.observation.shape, other.J)
         size = float(step @ (weight * step))
         if size > 0.0:
             missing = self.here - other.here - J @ step
