@@ -26,14 +26,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
-from gendom.estimation.replay import (
-    Shape,
-    columns,
-    held_reach,
-    lattice,
-    middle,
-    with_ones,
-)
+from gendom.estimation.replay import Shape, held_reach, lattice, middle, nearest_of
 from gendom.estimation.scene import LiftScene
 from gendom.observation import visible
 
@@ -239,11 +232,9 @@ class Observation:
 
     def _nearest(self, places: Array) -> NDArray[np.intp]:
         """[T, m] the clouds' points that are nearest to places [T, m, 3]."""
-        if not self.shape.rope:
-            return np.stack([t.query(x)[1] for t, x in zip(self.trees, places, strict=True)])
-        # few: squared distances by products of matrices
-        far = with_ones(places) @ columns(-2.0 * self.points, (self.points**2).sum(axis=2))
-        return far.argmin(axis=2)
+        if self.shape.rope:
+            return nearest_of(self.points, places)
+        return np.stack([t.query(x)[1] for t, x in zip(self.trees, places, strict=True)])
 
     def _marker_rows(self, shape: Array) -> Rows:
         """All three coordinates of a marker count: markers are few and accurate."""

@@ -163,11 +163,12 @@ class Part:
 
     @cached_property
     def coarser(self) -> LiftScene:
-        """The scene with fewer simulated points, unless settings fix their number."""
+        """The scene with fewer simulated points, unless settings fix their number or few are
+        saved."""
         scene, rope = self.scene, self.scene.kind == "rope"
         along = len(scene.initial) if rope else max(scene.body.shape)
         fixed = not scene.thin or scene.settings.points is not None or len(scene.held) > 1
-        few, stretch = fixed or along <= COARSE_POINTS, STRETCH if rope else COARSE_STRETCH
+        few, stretch = fixed or along < 1.3 * COARSE_POINTS, STRETCH if rope else COARSE_STRETCH
         return scene if few else scene.simulated_with(COARSE_POINTS, stretch)
 
     @cached_property
