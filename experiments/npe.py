@@ -195,7 +195,7 @@ class Mixture(nn.Module):
         return torch.distributions.MixtureSameFamily(which, normal)
 
 
-def trained(X: Array, Y: Array, device: str) -> tuple[Mixture, Array, Array]:
+def trained(X: Array, Y: Array, device: str, passes: int = 600) -> tuple[Mixture, Array, Array]:
     """The network, and the mean and deviation of the targets; it stops where lifts that it does not
     learn from, a tenth, are no longer predicted better."""
     mean, sd = Y.mean(axis=0), Y.std(axis=0)
@@ -204,7 +204,7 @@ def trained(X: Array, Y: Array, device: str) -> tuple[Mixture, Array, Array]:
     network = Mixture(Y.shape[1]).to(device)
     adam = torch.optim.AdamW(network.parameters(), lr=1e-3, weight_decay=1e-4)
     best, kept, patience = math.inf, network.state_dict(), 30
-    for _ in range(600):
+    for _ in range(passes):
         order = held + torch.randperm(len(x) - held, device=device)
         network.train()
         for rows in order.split(64):

@@ -136,6 +136,39 @@ def test_a_smooth_line_is_followed_by_its_arc_length(kind):
     assert arc_length(found)[-1] == pytest.approx(LENGTH * 388 / 400, abs=0.012)
 
 
+@pytest.mark.parametrize("slenderness", [14.0, 16.0, 30.0])
+def test_one_cloud_of_a_straight_rope_does_not_wind(slenderness):
+    """Nor of a thick one, of which two cameras see a side each; an arc is still seen."""
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        side = np.where(rng.random(320) < 0.5, 0.5, -0.5) * LENGTH / slenderness
+        across = side * np.clip(0.85 + 0.3 * rng.standard_normal(320), -0.3, 1.6)
+        points = np.stack([rng.uniform(0.0, LENGTH, 320), across], axis=1)
+        points += 0.002 * rng.standard_normal(points.shape)
+        for arc in (0.0, 0.6):
+            bent = points + [0.0, 1.0] * (0.5 * arc / LENGTH * points[:, :1] ** 2)
+            steps = np.diff(lying_line(bent, slenderness), axis=0)
+            turns = np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))
+            assert np.abs(turns).sum() == pytest.approx(arc, abs=0.3)
+
+
+@pytest.mark.parametrize(("speed", "turns"), [(0.05, 0.0), (0.2, 0.0), (0.2, 0.1)])
+def test_frames_far_apart_show_when_the_gripper_starts_and_stops(rope_lift, speed, turns):
+    """At a steady speed, from rest to rest or past a corner; dense ones show it themselves."""
+    time, rise = np.arange(0.0, 4.01, 0.5), 2.0 * speed
+    dense = np.arange(0.0, 4.01, 0.05)
+
+    def path(t):
+        z = np.clip((t - 0.83) * speed, 0.0, rise)
+        return np.stack([np.clip((t - 1.77) * turns, 0.0, 1.0), 0.0 * t, z], axis=1)[:, None]
+
+    for t, most in ((time, 0.035 * speed), (dense, 0.012 * speed)):
+        moved = path(t) + np.array([0.3, 0.0, rope_lift.lowest])
+        lift = replace(rope_lift.at_rest(len(t)), time=t, gripper_position=moved)
+        own, x = LiftScene.of(lift, rope_lift.settings).path(0)
+        assert np.abs(x - moved[0] - path(own)[:, 0]).max() < most
+
+
 def lying_along(rope_lift, line):
     """The shared lift of a rope that lies along a line [k, 2]."""
     diameter = rope_lift.object.diameter

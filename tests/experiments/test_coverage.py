@@ -90,6 +90,21 @@ def test_calibrating_writes_ranks_factors_and_a_picture(tmp_path, capsys):
     assert (tmp_path / "coverage-rope-swing-raw.png").stat().st_size > 1000
 
 
+def test_what_is_calibrated_is_not_the_stated_thickness():
+    """E / density is as uncertain as a thickness of 5 %; what the lift shows is a length."""
+    rows, rng = rows_of(400, stated=2.0), np.random.default_rng(1)
+    for row in rows:
+        row["posterior"]["names"] = ["E_over_rho", "thickness"]
+        found = 0.1 * math.exp(0.02 * rng.standard_normal())
+        row["truth"]["bending_length"], row["values"] = 0.1, {"bending_length": found}
+        half = 1.645 * 0.01
+        ends = [found * math.exp(-half), found * math.exp(half)]
+        row["intervals"] = {"bending_length": ends}
+    (known,) = covered(rows, 0.9, ("E_over_rho",))
+    assert known.factor == pytest.approx(2.0, rel=0.1) and known.covered < 0.7
+    assert known.added == pytest.approx(3.0 * 0.02 * math.sqrt(0.75), rel=0.2)
+
+
 def user_row(seed, *, truth, stated):
     """A lift whose E is estimated to be 1e6 within a factor of `stated`."""
     (row,) = rows_of(1)

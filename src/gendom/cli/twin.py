@@ -31,7 +31,8 @@ class Command:
     source: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SOURCE")]
     """estimate.json, or a material."""
     to: Literal["mjcf", "newton", "genesis", "usd"]
-    """mjcf: MuJoCo 4; newton: Newton 1.8; genesis: Genesis 1.4; usd: moving geometry with the parameters."""
+    """mjcf: MuJoCo 4; newton: Newton 1.8; genesis: Genesis 1.4; usd: moving geometry with the
+    parameters."""
     out: Path
     """DIR to write; with --draws DIR/000, DIR/001 and so on."""
     draws: int = 0

@@ -27,14 +27,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 from gendom.estimation.markers import Offsets, aside, beside_axis, material_frames, spread
-from gendom.estimation.replay import (
-    Shape,
-    columns,
-    held_reach,
-    lattice,
-    middle,
-    with_ones,
-)
+from gendom.estimation.replay import Shape, held_reach, lattice, middle, nearest_of
 from gendom.estimation.scene import LiftScene
 from gendom.observation import visible
 
@@ -255,11 +248,9 @@ class Observation:
 
     def _nearest(self, places: Array) -> NDArray[np.intp]:
         """[T, m] the clouds' points that are nearest to places [T, m, 3]."""
-        if not self.shape.rope:
-            return np.stack([t.query(x)[1] for t, x in zip(self.trees, places, strict=True)])
-        # few: squared distances by products of matrices
-        far = with_ones(places) @ columns(-2.0 * self.points, (self.points**2).sum(axis=2))
-        return far.argmin(axis=2)
+        if self.shape.rope:
+            return nearest_of(self.points, places)
+        return np.stack([t.query(x)[1] for t, x in zip(self.trees, places, strict=True)])
 
     def _marker_rows(self, shape: Array) -> Rows:
         """All three coordinates of a marker count: markers are few and accurate."""
@@ -445,11 +436,10 @@ class Comparison:
             at = self._linearised(self._first if len(self._first) == R else np.zeros(R))
         # with other derivatives alone it stays where it is
         for left in reversed(range(1 if self._registered == noise else noise.rounds + 1)):
-            slope = weight * at.products[:R, -1]
-            M = weight * at.products[:R, :R] + np.diag(precision)
-            factor = cho_factor(M, lower=True)
-            step = cho_solve(factor, slope - precision * at.a)
-            gain = float(step @ (slope - precision * at.a))
+            factor = cho_factor(weight * at.curvature + np.diag(precision), lower=True)
+            downhill = weight * at.slope - precision * at.a
+            step = cho_solve(factor, downhill)
+            gain = float(step @ downhill)
             if left == 0 or gain < REGISTERED:
                 break
             at = self._linearised(at.a + step)
@@ -462,12 +452,8 @@ class Comparison:
             # residuals fall as the object moves along its normals
             gradient=cross.T @ step - weight * own[R],
             hessian=weight * own[R + 1 :] - cross.T @ cho_solve(factor, cross).reshape(R, P),
-            a=at.a,
+            at=at,
             smooth=S,
-            M=M,
-            slope=slope,
-            loss=at.loss / noise.patch,
-            count=at.count / noise.patch,
         )
         return self._last
 
@@ -595,6 +581,16 @@ class Linearised:
     count: float
     """Points."""
 
+    @property
+    def curvature(self) -> Array:
+        """[S + B + 7] squared, of residuals' squares by the registration."""
+        return self.products[:-1, :-1]
+
+    @property
+    def slope(self) -> Array:
+        """[S + B + 7] how they fall with it."""
+        return self.products[:-1, -1]
+
 
 @dataclass(frozen=True, eq=False)
 class Comparisons:
@@ -626,42 +622,39 @@ class Fit:
     """[P] half its slope."""
     hessian: Array
     """[P, P] half its curvature, with the nuisance parameters marginalised."""
-    a: Array
-    """[S + B + 7] displacement's coefficients [m], markers beside the axis [m], rigid motion
-    [m, rad], skin [m]."""
+    at: Linearised
+    """Where it is registered."""
     smooth: int
     """S."""
-    M: Array
-    """Precision of ``a``."""
-    slope: Array
-    """[S + B + 7] how residuals' squares, in their variance, fall with it."""
-    loss: float
-    """Sum of squares that is left [m^2]."""
-    count: float
-    """Independent points."""
+
+    @property
+    def a(self) -> Array:
+        """[S + B + 7] displacement's coefficients [m], markers beside the axis [m], rigid motion
+        [m, rad], skin [m]."""
+        return self.at.a
 
     @property
     def rms(self) -> float:
         """Distance of points from the registered skin [m]."""
-        return math.sqrt(self.loss / max(self.count, 1e-9))
+        return math.sqrt(self.at.loss / max(self.at.count, 1e-9))
 
     def updated_noise(self, rounds: int) -> NoiseModel:
         """Noise of higher likelihood, by rounds of expectation and maximisation with fixed
         correspondences."""
-        noise, S, B = self.noise, self.smooth, len(self.a) - self.smooth - 7
+        noise, at, S, B = self.noise, self.at, self.smooth, len(self.a) - self.smooth - 7
         # of the residuals alone, in m^2
-        D = (self.M - np.diag(noise.precision(S, B))) * noise.sensor**2
-        slope = self.slope * noise.sensor**2
+        D, slope = at.curvature / noise.patch, at.slope / noise.patch
+        total, count = at.loss / noise.patch, at.count / noise.patch
         for _ in range(rounds):
             prior = noise.precision(S, B)
             spread = np.linalg.inv(D / noise.sensor**2 + np.diag(prior))
             a = spread @ (slope + D @ self.a) / noise.sensor**2
             off = a - self.a
-            loss = max(self.loss - float((2.0 * slope - D @ off) @ off), 0.0)
+            loss = max(total - float((2.0 * slope - D @ off) @ off), 0.0)
             own = np.diag(spread)
             of_model = float(a[:S] @ a[:S] + own[:S].sum()) / S
             used = len(a) - float(own @ prior)
-            of_sensor = loss / max(self.count - used, 0.1 * self.count)
+            of_sensor = loss / max(count - used, 0.1 * count)
             noise = replace(
                 noise,
                 model=max(math.sqrt(of_model), noise.least_model),

@@ -291,8 +291,9 @@ def lying_line(points: Array, slenderness: float) -> Array:
 
     Points are ordered by shortest paths from the far end; steps cost their fourth power, so that
     paths follow the cloud. A principal curve (Hastie and Stuetzle 1989) goes through them, a
-    penalised spline of its arc length, as smooth as the information criterion of Akaike wants it.
-    That of thick ropes has few independent points: cameras that are off show their sides apart.
+    penalised spline of its arc length, as smooth as the information criterion of Schwarz (1978)
+    wants it, and no less than Akaike's: with that, one cloud of a straight rope winds by several
+    radians. Thick ropes have few independent points: cameras that are off show their sides apart.
 
     Args:
         points: Seen from the gripper.
@@ -313,7 +314,8 @@ def lying_line(points: Array, slenderness: float) -> Array:
     count = min(len(points) / 4.0, 8.0 * slenderness)
     found = [_principal_curve(points, share, SMOOTHING[0], order=2)]
     found += [_principal_curve(points, share, stiff) for stiff in SMOOTHING]
-    return min(found, key=lambda f: 2.0 * count * math.log(f[1]) + 2.0 * f[2])[0]
+    each = max(2.0, math.log(count))
+    return min(found, key=lambda f: 2.0 * count * math.log(f[1]) + each * f[2])[0]
 
 
 def _principal_curve(

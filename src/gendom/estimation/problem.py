@@ -167,27 +167,27 @@ class Part:
 
     @cached_property
     def coarser(self) -> LiftScene:
-        """The scene with fewer simulated points, unless settings fix their number."""
+        """The scene with fewer simulated points, unless settings fix their number or few are
+        saved."""
         scene, rope = self.scene, self.scene.kind == "rope"
         along = len(scene.initial) if rope else max(scene.body.shape)
         fixed = not scene.thin or scene.settings.points is not None or len(scene.held) > 1
-        few, stretch = fixed or along <= COARSE_POINTS, STRETCH if rope else COARSE_STRETCH
+        few, stretch = fixed or along < 1.3 * COARSE_POINTS, STRETCH if rope else COARSE_STRETCH
         return scene if few else scene.simulated_with(COARSE_POINTS, stretch)
 
     @cached_property
     def coarse(self) -> Part:
-        """The coarse problem, for the first stage of a search: fewer simulated and recorded points
-        and frames; of a rope, where there are enough, only those without fast motion, which depends
-        on the earlier motion, too."""
+        """The coarse problem, for the first stage of a search: fewer simulated points; of a
+        cloth also fewer recorded ones, of a rope fewer frames, where there are enough only those
+        without fast motion, which depends on the earlier motion, too."""
         scene, noise = self.coarser, self.noise
-        frames, thinned = scene.frames, scene is not self.scene
         if scene.kind == "rope":
-            frames, thinned = scene.calm if len(scene.calm) >= 6 else frames, not scene.captured
-        elif thinned:
+            frames = scene.calm if len(scene.calm) >= 6 else scene.frames
+            every = 1 if scene.captured else -(-len(frames) // COARSE_FRAMES)
+            scene = replace(scene, frames=frames[::every])
+        elif scene is not self.scene:
             # fewer points of equal total weight
             noise = replace(noise, cloud_points=noise.cloud_points // 4, patch=noise.patch / 4)
-        every = -(-len(frames) // COARSE_FRAMES) if thinned else 1
-        scene = replace(scene, frames=frames[::every])
         same = scene.frames == self.scene.frames and scene.body is self.scene.body
         return self if same else replace(self, scene=scene, noise=noise)
 

@@ -449,9 +449,9 @@ class Shape:
             a, d = x[:, :-1], np.diff(x, axis=1)
             long = np.maximum((d**2).sum(axis=2), 1e-18)[:, None]
             # |p - a - u d|^2 - |p|^2 with u the foot's share of each edge, by products of matrices
-            p = with_ones(points)
-            along = p @ columns(d, -(a * d).sum(axis=2))
-            far = p @ columns(-2.0 * a, (a**2).sum(axis=2))
+            p = _with_ones(points)
+            along = p @ _columns(d, -(a * d).sum(axis=2))
+            far = p @ _columns(-2.0 * a, (a**2).sum(axis=2))
             u = np.clip(along / long, 0.0, 1.0)
             k = (far - u * (2.0 * along - u * long)).argmin(axis=2)
             share = np.take_along_axis(u, k[..., None], axis=2)
@@ -486,12 +486,18 @@ class Shape:
         return n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-18)
 
 
-def with_ones(x: Array) -> Array:
+def nearest_of(points: Array, places: Array) -> NDArray[np.intp]:
+    """[T, m] which of few points [T, k, 3] are nearest to places [T, m, 3]."""
+    far = _with_ones(places) @ _columns(-2.0 * points, (points**2).sum(axis=2))
+    return far.argmin(axis=2)
+
+
+def _with_ones(x: Array) -> Array:
     """[T, m, 4] vectors [T, m, 3] with 1 as a last component."""
     return np.concatenate([x, np.ones((*x.shape[:2], 1))], axis=2)
 
 
-def columns(of: Array, last: Array) -> Array:
+def _columns(of: Array, last: Array) -> Array:
     """[T, 4, n] of vectors [T, n, 3] and a last component [T, n]."""
     return np.swapaxes(np.concatenate([of, last[..., None]], axis=2), 1, 2)
 

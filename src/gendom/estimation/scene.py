@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
+from scipy.ndimage import uniform_filter1d
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
@@ -54,6 +55,10 @@ QUASI_STATIC_SPEED, QUASI_STATIC_DAMPING = 0.05, 1.0
 """Gripper speed at which quasi-static recordings are replayed [m/s]: faster, a rope that leaves the
 table swings, by 20 mm at 0.12 m/s. And the rate of decay then [1/s]: the drag is 0.5 % of gravity.
 """
+
+PATH_STEP, SPARSE, RAMP = 0.005, 0.2, 0.1
+"""Time between a path's places [s]; between frames from which on they do not show how a gripper
+starts and stops [s]; and that in which it then does [s]."""
 
 SLOW, AFTER_FAST = 0.15, 1.5
 """Speed of a gripper below which frames are alike [m/s], and time for which an object moves on
@@ -336,8 +341,12 @@ class LiftScene(Placed):
         x = self.recording.gripper_position[first:, g].astype(float)
         if self.quasi_static or len(t) < 3:
             return t, x
-        fine = np.linspace(t[0], t[-1], max(2, round(float(t[-1] - t[0]) / 0.005)))
-        return fine, PchipInterpolator(t, x, axis=0)(fine)
+        fine = np.linspace(t[0], t[-1], max(2, round(float(t[-1] - t[0]) / PATH_STEP)))
+        if np.median(np.diff(t)) < SPARSE:
+            return fine, PchipInterpolator(t, x, axis=0)(fine)
+        knots, x = with_corners(t, x)
+        x = np.stack([np.interp(fine, knots, own) for own in x.T], axis=1)
+        return fine, uniform_filter1d(x, round(RAMP / PATH_STEP), axis=0, mode="nearest")
 
     @cached_property
     def turns(self) -> list[tuple[Array, Rotation] | None]:
@@ -452,6 +461,31 @@ class LiftScene(Placed):
             (self.curved and natural is None, ("natural_curvature",)),
         )
         return tuple(name for holds, names in rows if holds for name in names)
+
+
+def with_corners(t: Array, x: Array) -> tuple[Array, Array]:
+    """Times [K] [s] and places [K, 3] [m] of a path with its corners between frames.
+
+    Where it goes straight and as fast before and after an interval as in the intervals beside it,
+    it turns, starts or stops where these lines meet. It is at rest before the first frame, and
+    where it slows down in the last interval, after that.
+    """
+    v = np.diff(x, axis=0) / np.diff(t)[:, None]
+    times, places = list(t), list(x)
+    for k in range(len(v)):
+        before = v[k - 1] if k else np.zeros(3)
+        after = v[k + 1] if k + 1 < len(v) else np.zeros(3)
+        faster, step = before - after, t[k + 1] - t[k]
+        if float(faster @ faster) == 0.0:
+            continue
+        # before * u = v[k] * step + after * (u - step), as nearly as it holds
+        u = float((v[k] - after) @ faster / (faster @ faster)) * step
+        off = np.linalg.norm((v[k] - after) * step - faster * u)
+        if 0.0 < u < step and off < 0.02 * np.linalg.norm(v, axis=1).max() * step:
+            times.append(t[k] + u)
+            places.append(x[k] + before * u)
+    order = np.argsort(times)
+    return np.array(times)[order], np.array(places)[order]
 
 
 def _turn_between(a: Array, b: Array) -> Rotation:

@@ -13,7 +13,7 @@ from gendom.estimation.likelihood import Comparisons
 from gendom.estimation.methods.adam import DensityLoss, _Descent, adam
 from gendom.estimation.methods.differential_evolution import differential_evolution
 from gendom.estimation.methods.gauss_newton import gauss_newton
-from gendom.estimation.methods.nearest import adapted, distance, nearest
+from gendom.estimation.methods.nearest import distance, nearest
 from gendom.estimation.methods.search import finished
 from gendom.estimation.problem import Problem, Start
 
@@ -113,24 +113,6 @@ def test_gradients_by_how_it_is_held_are_differences(short_lift):
 
 
 estimation = importlib.import_module("gendom.estimation.estimate")
-
-
-def test_evolution_follows_a_narrow_valley_and_passes_by_what_cannot_be_simulated():
-    """An ellipsoid with axes of 1 to 1000 that no unknown lies along; a place on the border."""
-    rng = np.random.default_rng(1)
-    axes, least = np.linalg.qr(rng.standard_normal((6, 6)))[0], rng.standard_normal(6)
-
-    def value(tried):
-        along = (tried - least) @ axes * np.logspace(0.0, 3.0, 6)
-        return (along**2).sum(axis=1) + 0.1 * (1.0 - np.cos(along)).sum(axis=1)
-
-    def bordered(tried):
-        return np.where(tried[:, 0] > 0.0, (tried**2).sum(axis=1), np.inf)
-
-    found = adapted(value, np.ones(6), population=18, generations=200, rng=rng)
-    assert value(found[None])[0] < 1e-3
-    found = adapted(bordered, np.ones(3), population=12, generations=60, rng=rng)
-    assert np.linalg.norm(found) < 0.1
 
 
 def test_the_nearest_replay_comes_near(cloth_lift):

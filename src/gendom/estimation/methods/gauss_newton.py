@@ -270,9 +270,15 @@ def _jump(
 
 def _compare_all(problem: Problem, start: Start, settings: GaussNewtonSettings) -> None:
     """Compare a start of the coarse problem in the full one, by all unknowns."""
-    start.exact, start.renew, start.stage = not settings.rugged, False, "fine"
-    start.damping = DAMPING[0]
-    start.comparison = problem.compare([start.vector], sketched=True)[0]
+    former, start.damping, start.stage = start.comparison, DAMPING[0], "fine"
+    start.exact, start.renew = not settings.rugged, False
+    (start.comparison,) = problem.compare([start.vector], sketched=True)
+    if start.comparison is None and former is not None and not settings.leading:
+        # where a neighbour cannot be simulated, the old derivatives stay
+        (start.comparison,) = problem.compare([start.vector], derivatives=False)
+        if start.comparison is not None:
+            none = np.zeros(len(start.vector))
+            problem.inherit_derivatives(start.comparison, former, none, none)
     if start.comparison is None:
         raise problem.nothing_runs()
 

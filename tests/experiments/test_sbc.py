@@ -1,0 +1,70 @@
+"""Ranks of drawn truths, and the neural posterior beside the estimator's."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from experiments.__main__ import main
+from experiments.lifts import Lifts
+from experiments.sbc import imagined_lift, uniformity
+
+
+@pytest.mark.parametrize(
+    ("sd", "bias", "right"), [(1.0, 0.0, True), (2.0, 0.0, False), (1.0, 0.6, False)]
+)
+def test_tests_of_ranks_tell_wrong_posteriors(sd, bias, right):
+    """Errors of a deviation and a bias, in those that posteriors state."""
+    ranks = norm.cdf(bias + sd * np.random.default_rng(0).standard_normal(200))
+    counts = np.histogram(ranks, 20, range=(0.0, 1.0))[0]
+    tests = uniformity(SimpleNamespace(ranks=ranks, counts=counts))  # type: ignore
+    assert (min(tests["chi_square_p"], tests["ecdf_p"]) > 0.01) == right
+    assert (tests["ecdf_distance"] < tests["ecdf_band"]) == right
+
+
+def test_imagined_lifts_repeat_and_are_not_alike():
+    """Clouds of the rope, within the cameras' errors, in the frames that are compared."""
+    (a, truth), (b, again), (_, other) = (imagined_lift(Lifts(), seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(a.points, b.points)
+    assert truth == again and truth["E_over_rho"] != other["E_over_rho"]
+    first = a.frame(int(np.argmax(a.frame_valid)))
+    length, d = a.object.length, a.object.diameter
+    assert length is not None and d is not None
+    assert np.ptp(first[:, 0]) == pytest.approx(length, abs=0.02)
+    assert np.ptp(first[:, 2]) < 1.5 * d + 0.02
+
+
+def test_a_network_learns_where_a_rope_is():
+    """The posterior of how high points lie is as wide as what hides it."""
+    torch = pytest.importorskip("torch")
+    from experiments.npe import FRAMES, answered, trained
+
+    rng, hidden = np.random.default_rng(0), 0.3
+    truth = rng.standard_normal((400, 2))
+    X = 0.1 * rng.standard_normal((400, FRAMES, 2, 4))
+    X[..., 2] += (truth[:, :1] + hidden * rng.standard_normal((400, 1)))[:, :, None]
+    network = trained(X[:300], truth[:300], "cpu", passes=15)
+    draws = answered(network, X[300:], "cpu", seed=0)
+    assert draws.shape == (100, 2000, 2) and torch.is_tensor(network[0].head[0].weight)
+    off = draws.mean(axis=1) - truth[300:]
+    assert off[:, 0].std() < 1.5 * hidden and 0.6 < off[:, 1].std() < 1.3
+    low, high = np.quantile(draws, (0.05, 0.95), axis=1)
+    inside = ((low < truth[300:]) & (truth[300:] < high)).mean(axis=0)
+    assert (inside > 0.75).all() and (inside < 0.99).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("table", ["sbc", "npe"])
+def test_the_command_makes_the_table(table, tmp_path, capsys, monkeypatch):
+    if table == "npe":
+        pytest.importorskip("torch")
+        from experiments import npe
+
+        monkeypatch.setitem(npe.SIMULATIONS, "small", 32)
+    out = tmp_path / table
+    assert main([table, "--lifts", "2", "--jobs", "1", "--seed", "3", "--out", str(out)]) == 0
+    assert "covered" in capsys.readouterr().out
+    made = json.loads(next(out.glob(f"{table}*[!0-9].json")).read_text())
+    assert made["lifts"] == 2
