@@ -39,14 +39,20 @@ def material_frames(scene: LiftScene, x: Array, frames: Sequence[int] | None = N
     """
     at_first = _twist_free(scene, scene.initial[None, None], [scene.begins])[1]
     q, twist = _twist_free(scene, x, scene.frames if frames is None else frames)
-    # hands lie along the world's axes, about: so alike in all recordings of a rig
-    aligned = 0.5 * math.pi * np.round(at_first / (0.5 * math.pi))
+    aligned = at_first - first_twist(scene, scene.initial)
     twist = np.unwrap(np.concatenate([np.broadcast_to(at_first, twist[:1].shape), twist]), axis=0)
     half = 0.5 * (twist[1:] - aligned)[..., None] * (np.arange(q.shape[2]) + 0.5) / q.shape[2]
     turn = np.stack([0.0 * half, 0.0 * half, np.sin(half), np.cos(half)], axis=-1)
     q = rotation.product(q, turn)
     q = np.concatenate([q[:, :, :1], q[:, :, 1:] + q[:, :, :-1], q[:, :, -1:]], axis=2)
     return Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(*x.shape, 3)
+
+
+def first_twist(scene: LiftScene, x: Array) -> float:
+    """Twist of a rod [n, 3] in the first frame that would have none between hands along the world's
+    axes, as they lie about: alike in all recordings of a rig [rad]."""
+    twist = float(_twist_free(scene, x[None, None], [scene.begins])[1].item())
+    return twist - 0.5 * math.pi * round(twist / (0.5 * math.pi))
 
 
 def _twist_free(scene: LiftScene, x: Array, frames: Sequence[int]) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation, Slerp
 
-from gendom.estimation.markers import aside, axis_beside, material_frames
+from gendom.estimation.markers import aside, axis_beside, first_twist, material_frames
 from gendom.estimation.scene import STATIC_SETTLING, LiftScene
 from gendom.estimation.scene_settings import COARSE_POINTS
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
@@ -96,6 +96,8 @@ class WorldInputs:
         for name, unknown in UNKNOWNS.items():
             if unknown.on_replay is not None:
                 unknown.on_replay(inputs, theta[name])
+        if scene.beside:
+            inputs.clamps[1, 2] += first_twist(scene, inputs.positions)
         return inputs
 
     # ---- what unknowns do ------------------------------------------------------------------------
