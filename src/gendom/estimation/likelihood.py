@@ -434,9 +434,12 @@ class Comparison:
         rows = o.rows(self._displaced(self.fit(noise).a), self.radius)
         e = rows.rho.reshape(len(rows.rho), -1, 3)
         e = e - e.mean(axis=0)  # what stays is a marker's place
-        sensor = max(float(np.sqrt(np.mean(e**2))), noise.least_sensor)
-        shared = _shared(e) * _shared(np.swapaxes(e, 0, 1))
-        return replace(noise, sensor=sensor, model=noise.least_model, patch=shared)
+        square = float(np.mean(e**2))
+        sensor = max(math.sqrt(square), noise.least_sensor)
+        # what is added to a smaller residual is independent
+        shared = _shared(e) * _shared(np.swapaxes(e, 0, 1)) - 1.0
+        patch = 1.0 + shared * square / sensor**2
+        return replace(noise, sensor=sensor, model=noise.least_model, patch=patch)
 
     def outside(self, noise: NoiseModel) -> float:
         """Median distance of points from the skin of the registered object, 0 of markers [m]."""
@@ -493,25 +496,44 @@ class Comparison:
             parameters, and of residuals, weighted by how likely they are; the smoothed sum of
             squared residuals, in their variance; and how many independent points there are.
         """
-        o, U, B = self.observation, self.observation.in_time, self.observation.in_place
-        rows = o.rows(self._displaced(a), self.radius)
-        rho = rows.rho - a[-1]
-        root = np.sqrt(1.0 + (rho / HUBER) ** 2)
-        share = rows.counts / noise.patch / noise.sensor**2
+        U, B, S = self.observation.in_time, self.observation.in_place, self.smooth
+        rows = self.observation.rows(self._displaced(a), self.radius)
+        D, share, root = self._derivatives(rows, a, noise, J)
         w = (share / root)[..., None]
         # by the displacement of each frame, which all frames' coefficients make up
         psi = np.einsum("tmk,tmkq->tmq", rows.weight, B[rows.index])
-        G = (psi[..., :, None] * rows.normal[..., None, :]).reshape(*rho.shape, -1)
-        # by offsets, rigid motion, skin and parameters; and what is left
-        by_parameters = rows.parameter_derivatives(J, self.widens[: J.shape[3]])
-        own = [self._by_offsets(rows), rows.fixed(o.centre), by_parameters, rho[..., None]]
-        D, Gt, S = np.concatenate(own, axis=2), np.swapaxes(G, 1, 2), self.smooth
+        G = (psi[..., :, None] * rows.normal[..., None, :]).reshape(*root.shape, -1)
+        Gt = np.swapaxes(G, 1, 2)
         cross = np.einsum("tr,tqd->rqd", U, Gt @ (w * D), optimize=True).reshape(S, D.shape[2])
         smooth = np.einsum("tr,ts,tqp->rqsp", U, U, Gt @ (w * G), optimize=True).reshape(S, S)
         rest = np.einsum("tmi,tmj->ij", D, w * D, optimize=True)
         loss = float((share * 2.0 * HUBER**2 * (root - 1.0)).sum())
         count = float(rows.counts.sum() / noise.patch)
         return np.block([[smooth, cross], [cross.T, rest]]), loss, count
+
+    def _derivatives(
+        self, rows: Rows, a: Array, noise: NoiseModel, J: Array
+    ) -> tuple[Array, Array, Array]:
+        """[T, m, B + 7 + P + 1] derivatives of residuals by offsets, rigid motion, skin and
+        parameters, and what is left; [T, m] their weights and how many times less those count that
+        are far off."""
+        rho = rows.rho - a[-1]
+        by_parameters = rows.parameter_derivatives(J, self.widens[: J.shape[3]])
+        by_fixed = rows.fixed(self.observation.centre)
+        own = [self._by_offsets(rows), by_fixed, by_parameters, rho[..., None]]
+        share = rows.counts / noise.patch / noise.sensor**2
+        return np.concatenate(own, axis=2), share, np.sqrt(1.0 + (rho / HUBER) ** 2)
+
+    def pulls(self, noise: NoiseModel) -> Array:
+        """[T, P] half the gradient of each frame by the parameters, where the registration of
+        markers in motion follows."""
+        fit = self.fit(noise)
+        rows = self.observation.rows(self._displaced(fit.a), self.radius)
+        D, share, root = self._derivatives(rows, fit.a, noise, self.J)
+        w, R = (share / root)[..., None], len(fit.a)
+        own = (D[..., :-1] * w * D[..., -1:]).sum(axis=1)
+        cross = np.einsum("tmi,tmj->ij", D[..., :R], w * D[..., R:-1])
+        return own[:, R:] - own[:, :R] @ np.linalg.solve(fit.M, cross)
 
 
 @dataclass(frozen=True, eq=False)

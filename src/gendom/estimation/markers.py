@@ -25,6 +25,9 @@ from gendom.estimation.placing import rod_near
 from gendom.estimation.scene import LiftScene
 from gendom.sim.thin import rotation
 
+SMOOTH = 2
+"""Half waves along a cable that are not those of markers."""
+
 Array = NDArray[np.floating]
 Offsets = tuple[tuple[float, ...], ...]
 
@@ -93,11 +96,15 @@ def spread(scene: LiftScene) -> Array:
 
 @functools.lru_cache(maxsize=64)
 def beside_axis(scene: LiftScene) -> Array:
-    """[m, m - 2] offsets of m markers, orthonormal, with which both hands are on the axis."""
+    """[m, k] offsets of m markers, orthonormal, with which both hands are on the axis, and which do
+    not bend it to one side: a twist or a bend by nature does so, and is alike all along it."""
     fine = np.linspace(0.0, 1.0, 16 * len(scene.initial))
     own = np.linspace(0.0, 1.0, len(scene.initial))
     x, along = (interp1d(own, v, axis=0)(fine) for v in (scene.initial, spread(scene)))
-    return null_space(along[cdist(scene.held, x).argmin(axis=1)])
+    at_hands = along[cdist(scene.held, x).argmin(axis=1)]
+    s = np.linspace(0.0, math.pi, len(own))
+    long = [np.sin(k * s) @ spread(scene) for k in range(1, SMOOTH + 1)]
+    return null_space(np.stack([*at_hands, *long]))
 
 
 def aside(scene: LiftScene, frames: Array, offsets: Array) -> Array:

@@ -113,7 +113,7 @@ def _clamp(end: int, across: int) -> Unknown:
     return Unknown(
         f"{which}_clamp_{axis}", f"{which} clamp, {axis}", "rad",
         f"turn of the clamp at the {which} end from its stated axis, about the hand's {axis} axis",
-        low=-1.0, high=1.0, mean=0.0, sd=0.15, step=0.01, widest=0.1, kinds=("rope",),
+        low=-1.0, high=1.0, mean=0.0, sd=0.3, step=0.01, widest=0.1, kinds=("rope",),
         material=True, form=".3f", on_replay=_turns(end, across),
     )  # fmt: skip
 
