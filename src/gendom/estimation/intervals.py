@@ -108,11 +108,11 @@ def posterior_of(
     covariance = found.covariance
     if covariance is None:
         gradient, hessian = problem.gradient_and_hessian(found.best, found.noise)
-        covariance = np.linalg.inv(hessian)
+        covariance = with_episodes(problem, found, np.linalg.inv(hessian))
         if problem.settings.method != "gauss-newton" or found.interrupted:
             # other searches minimise something else, or end before the likelihood is greatest
             added = np.hypot(added, np.abs(np.linalg.solve(hessian, gradient)))
-    covariance = with_fingers(problem, found, with_episodes(problem, found, covariance))
+    covariance = with_fingers(problem, found, covariance)
     # what moves otherwise than any simulated object gets no intervals
     if not any(displaced(p, n) for p, n in zip(problem.parts, found.noise, strict=True)):
         added = np.hypot(added, discrepancy(problem, found, covariance, calibration))

@@ -437,8 +437,8 @@ class Comparison:
         square = float(np.mean(e**2))
         sensor = max(math.sqrt(square), noise.least_sensor)
         # what is added to a smaller residual is independent
-        shared = _shared(e) * _shared(np.swapaxes(e, 0, 1)) - 1.0
-        patch = 1.0 + shared * square / sensor**2
+        more = shared(e) * shared(np.swapaxes(e, 0, 1)) - 1.0
+        patch = 1.0 + more * square / sensor**2
         return replace(noise, sensor=sensor, model=noise.least_model, patch=patch)
 
     def outside(self, noise: NoiseModel) -> float:
@@ -610,7 +610,7 @@ class Fit:
         return noise
 
 
-def _shared(e: Array) -> float:
+def shared(e: Array) -> float:
     """How many successive ones of residuals [T, ...] count as one: one, and twice their
     correlations up to the first that is not positive (Geyer 1992, "Practical Markov chain Monte
     Carlo")."""

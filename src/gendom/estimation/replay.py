@@ -327,7 +327,7 @@ def replay(
     Raises:
         SimulationError: A world diverges, and `keep_going` is not set.
     """
-    thetas = [_with_twist_shown(scene, theta) for theta in thetas]
+    thetas = [with_twist_shown(scene, theta) for theta in thetas]
     x = replay_axis(scene, thetas, keep_going=keep_going, on_frame=on_frame)
     return x + _beside(scene, x, thetas)
 
@@ -342,7 +342,7 @@ def _beside(scene: LiftScene, x: Array, thetas: Sequence[Theta]) -> Array:
     return found
 
 
-def _with_twist_shown(scene: LiftScene, theta: Theta) -> Theta:
+def with_twist_shown(scene: LiftScene, theta: Theta) -> Theta:
     """Parameters of an instrumented cable with the twist with which this recording begins.
 
     How hands are turned about a cable is not recorded. But a twist pushes a bent cable aside at
