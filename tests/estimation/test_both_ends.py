@@ -10,9 +10,11 @@ import pytest
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
 from gendom.estimation import EstimateSettings, LiftScene, SceneSettings, estimate, replay
-from gendom.estimation.likelihood import Observation
+from gendom.estimation.likelihood import Observation, shared
+from gendom.estimation.markers import aside, axis_beside, material_frames
 from gendom.estimation.placing import lost_time
 from gendom.estimation.problem import Problem
+from gendom.estimation.replay import replay_axis, with_twist_shown
 
 
 def markers(scene, x):
@@ -52,6 +54,43 @@ def test_a_cable_in_fast_motion_comes_back(cable):
     assert ends is not None and ends[0] < 4.0 < ends[1]
     for name, value in clamps.items():
         assert found.theta[name] == pytest.approx(value, abs=0.1 if "twist" in name else 0.02)
+
+
+def test_markers_are_beside_the_axis(cable):
+    """Cross-sections turn with both hands, and the axis lies where offsets say."""
+    scene = LiftScene.of(cable.head(60))
+    offsets = 0.005 * np.random.default_rng(1).normal(size=(12, 3))
+    offsets[[0, 1, -2, -1]] = 0.0
+    axis = axis_beside(scene, tuple(map(tuple, offsets)), 1.0)
+    frames = material_frames(scene, axis[None, None], [scene.begins])[0, 0]
+    assert frames @ np.swapaxes(frames, 1, 2) == pytest.approx(np.tile(np.eye(3), (49, 1, 1)))
+    along = np.gradient(axis, axis=0)[1:-1]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    assert (np.einsum("na,na->n", along, frames[1:-1, :, 2]) > 0.99).all()
+    shown = markers(scene, (axis + aside(scene, frames, offsets))[None])[0]
+    assert np.linalg.norm(shown - cable.frame(0), axis=1).mean() < 2.5e-3
+    assert np.linalg.norm(markers(scene, axis[None])[0] - cable.frame(0), axis=1).mean() > 3e-3
+    with pytest.raises(ParameterError, match="the cable has 11 markers, the recording shows 12"):
+        aside(scene, frames, offsets[1:])
+
+
+@pytest.mark.parametrize("twist", [-1.5, 1.0])
+def test_twist_is_read_from_the_first_motion(cable, twist):
+    """However hands are turned about an instrumented cable, it begins to the right side."""
+    scene = LiftScene.of(cable.head(20))
+    known = scene.prior()[1].with_values({"E_over_rho": 7000.0}).with_offsets(np.zeros((12, 3)))
+    truth = known.with_values({"clamp_twist": twist})
+    seen = markers(scene, replay_axis(scene, [truth])[:, 0]).astype(np.float32)
+    other = LiftScene.of(replace(scene.recording, points=seen.reshape(-1, 3)))
+    assert with_twist_shown(other, known).clamp_twist == pytest.approx(twist, abs=0.35)
+    assert with_twist_shown(other, known.with_offsets(())) == known  # of a cable unseen before
+
+
+def test_residuals_that_last_count_once():
+    rng = np.random.default_rng(0)
+    white = rng.normal(size=(400, 12, 3))
+    assert shared(white) == pytest.approx(1.0, abs=0.2)
+    assert shared(np.repeat(white, 8, axis=0)) == pytest.approx(8.0, rel=0.2)
 
 
 def without(recording, lost):

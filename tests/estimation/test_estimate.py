@@ -32,7 +32,7 @@ KEYS = {
     "recordings", "rms", "rms_by_frame", "rms_registered", "seconds", "seed", "sha256",
     "simulation", "stage_seconds", "E_over_rho", "starts", "stiffness_slope", "theta", "thickness",
     "tip_mass", "verdict", "E", "air_drag", "clamp_twist", "first_clamp_x", "first_clamp_y",
-    "last_clamp_x", "last_clamp_y", "warp_over_weft", "hem_stiffness", "hem_mass",
+    "last_clamp_x", "last_clamp_y", "length_ratio", "warp_over_weft", "hem_stiffness", "hem_mass",
 }  # fmt: skip
 
 

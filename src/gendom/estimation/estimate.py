@@ -80,7 +80,8 @@ def estimate(
         times.append(clock.perf_counter())
         problem, found = _searched(problem, search)
         times.append(clock.perf_counter())
-        calibration = calibration or IntervalCalibration.of(problem.scene.kind, settings.frames)
+        shown = "cable" if problem.scene.beside else problem.scene.kind
+        calibration = calibration or IntervalCalibration.of(shown, settings.frames)
         shift, suspicion = tip_suspected(problem, found)
         said = (*suspicion, *told_apart(problem, found))
         posterior = posterior_of(problem, found, calibration, np.abs(shift))

@@ -38,6 +38,9 @@ SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, IDENTIFIABLE)
 """Of the prior's deviation: changes that are simulated, both ways. Beyond the last the recording
 does not determine a parameter."""
 
+EPISODES = 10
+"""Parts of a motion capture that pull parameters independently of each other."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class IntervalCalibration:
@@ -52,7 +55,8 @@ class IntervalCalibration:
     @classmethod
     @functools.cache
     def of(cls, kind: str, frames: str = "all") -> IntervalCalibration:
-        """The shipped one of ropes or cloths, of all frames or, of ropes, of the last one alone."""
+        """The shipped one of ropes, cables or cloths, of all frames or, of ropes, of the last one
+        alone."""
         place = resources.files("gendom") / "assets" / "calibration.json"
         every = json.loads(place.read_text(encoding="utf-8"))
         read = every.get(f"{kind}-{frames}", every[kind])
@@ -102,7 +106,7 @@ def posterior_of(
     covariance = found.covariance
     if covariance is None:
         gradient, hessian = problem.gradient_and_hessian(found.best, found.noise)
-        covariance = np.linalg.inv(hessian)
+        covariance = with_episodes(problem, found, np.linalg.inv(hessian))
         if problem.settings.method != "gauss-newton" or found.interrupted:
             # other searches minimise something else, or end before the likelihood is greatest
             added = np.hypot(added, np.abs(np.linalg.solve(hessian, gradient)))
@@ -179,6 +183,25 @@ def _moved(problem: Problem, vector: Array, recording: int, p: int, changes: Arr
     x = middle(scene, problem.positions(worlds, recording))
     off = np.sqrt(np.mean((x[:, 1:] - x[:, :1]) ** 2, axis=(0, 2, 3))).reshape(2, -1)
     return np.where(inside & np.isfinite(off), off, np.inf).min(axis=0)
+
+
+def with_episodes(problem: Problem, found: Found, covariance: Array) -> Array:
+    """[P, P] covariance, no smaller than what parts of markers' motion say of each other.
+
+    A cable that swings as no simulated one does pulls parameters one way for some tenths of a
+    second, then another way. How strong these pulls are is seen, without a model of their cause
+    (Huber 1967, "The behavior of maximum likelihood estimates under nonstandard conditions").
+    """
+    total, compared = np.zeros(covariance.shape), found.best.comparison
+    assert compared is not None
+    for part, own, noise in zip(problem.parts, compared.parts, found.noise, strict=True):
+        if part.scene.captured:
+            parts = np.array_split(own.pulls(noise), EPISODES)
+            sums = np.stack([pulls.sum(axis=0) for pulls in parts])
+            total[np.ix_(part.shown, part.shown)] += sums.T @ sums
+    times = np.diag(covariance @ total @ covariance) / np.diag(covariance)
+    share = np.sqrt(np.maximum(times, 1.0))
+    return covariance * share[:, None] * share
 
 
 def with_fingers(problem: Problem, found: Found, covariance: Array) -> Array:

@@ -463,9 +463,25 @@ class Comparison:
         rows = self._rows(self.registered(noise))
         e = rows.rho.reshape(len(rows.rho), -1, 3)
         e = e - e.mean(axis=0)  # what stays is a marker's place
-        sensor = max(float(np.sqrt(np.mean(e**2))), noise.least_sensor)
-        shared = _shared(e) * _shared(np.swapaxes(e, 0, 1))
-        return replace(noise, sensor=sensor, model=noise.least_model, patch=shared)
+        square = float(np.mean(e**2))
+        sensor = max(math.sqrt(square), noise.least_sensor)
+        # what is added to a smaller residual is independent
+        more = shared(e) * shared(np.swapaxes(e, 0, 1)) - 1.0
+        patch = 1.0 + more * square / sensor**2
+        return replace(noise, sensor=sensor, model=noise.least_model, patch=patch)
+
+    def pulls(self, noise: NoiseModel) -> Array:
+        """[T, P] half the gradient of each frame by the parameters, where the registration of
+        markers in motion follows."""
+        fit = self.fit(noise)
+        at, R, weight = fit.at, len(fit.a), 1.0 / (noise.patch * noise.sensor**2)
+        by = at.rows.parameter_derivatives(self.J, self.widens)
+        rho = (at.rows.rho - fit.a[-1])[..., None]
+        own = np.einsum("tm,tmp->tp", at.Dt[:, -1], by)
+        registered = (at.Dt[:, :R] @ rho)[..., 0]
+        M = weight * at.curvature + np.diag(noise.precision(fit.smooth, R - 7 - fit.smooth))
+        cross = weight * (at.Dt[:, :R] @ by).sum(axis=0)
+        return weight * (own - registered @ np.linalg.solve(M, cross))
 
     def registered(self, noise: NoiseModel) -> Array:
         """[T, n, 3] the shape as clouds show it, displaced and moved [m]."""
@@ -663,7 +679,7 @@ class Fit:
         return noise
 
 
-def _shared(e: Array) -> float:
+def shared(e: Array) -> float:
     """How many successive ones of residuals [T, ...] count as one: one, and twice their
     correlations up to the first that is not positive (Geyer 1992, "Practical Markov chain Monte
     Carlo")."""

@@ -25,6 +25,9 @@ from gendom.estimation.placing import rod_near
 from gendom.estimation.scene import LiftScene
 from gendom.sim.thin import rotation
 
+SMOOTH = 2
+"""Half waves along a cable that are not those of markers."""
+
 Array = NDArray[np.floating]
 Offsets = tuple[tuple[float, ...], ...]
 
@@ -39,14 +42,20 @@ def material_frames(scene: LiftScene, x: Array, frames: Sequence[int] | None = N
     """
     at_first = _twist_free(scene, scene.initial[None, None], [scene.begins])[1]
     q, twist = _twist_free(scene, x, scene.frames if frames is None else frames)
-    # hands lie along the world's axes, about: so alike in all recordings of a rig
-    aligned = 0.5 * math.pi * np.round(at_first / (0.5 * math.pi))
+    aligned = at_first - first_twist(scene, scene.initial)
     twist = np.unwrap(np.concatenate([np.broadcast_to(at_first, twist[:1].shape), twist]), axis=0)
     half = 0.5 * (twist[1:] - aligned)[..., None] * (np.arange(q.shape[2]) + 0.5) / q.shape[2]
     turn = np.stack([0.0 * half, 0.0 * half, np.sin(half), np.cos(half)], axis=-1)
     q = rotation.product(q, turn)
     q = np.concatenate([q[:, :, :1], q[:, :, 1:] + q[:, :, :-1], q[:, :, -1:]], axis=2)
     return Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(*x.shape, 3)
+
+
+def first_twist(scene: LiftScene, x: Array) -> float:
+    """Twist of a rod [n, 3] in the first frame that would have none between hands along the world's
+    axes, as they lie about: alike in all recordings of a rig [rad]."""
+    twist = float(_twist_free(scene, x[None, None], [scene.begins])[1].item())
+    return twist - 0.5 * math.pi * round(twist / (0.5 * math.pi))
 
 
 def _twist_free(scene: LiftScene, x: Array, frames: Sequence[int]) -> tuple[Array, Array]:
@@ -87,11 +96,15 @@ def spread(scene: LiftScene) -> Array:
 
 @functools.lru_cache(maxsize=64)
 def beside_axis(scene: LiftScene) -> Array:
-    """[m, m - 2] offsets of m markers, orthonormal, with which both hands are on the axis."""
+    """[m, k] offsets of m markers, orthonormal, with which both hands are on the axis, and which do
+    not bend it to one side: a twist or a bend by nature does so, and is alike all along it."""
     fine = np.linspace(0.0, 1.0, 16 * len(scene.initial))
     own = np.linspace(0.0, 1.0, len(scene.initial))
     x, along = (interp1d(own, v, axis=0)(fine) for v in (scene.initial, spread(scene)))
-    return null_space(along[cdist(scene.held, x).argmin(axis=1)])
+    at_hands = along[cdist(scene.held, x).argmin(axis=1)]
+    s = np.linspace(0.0, math.pi, len(own))
+    long = [np.sin(k * s) @ spread(scene) for k in range(1, SMOOTH + 1)]
+    return null_space(np.stack([*at_hands, *long]))
 
 
 def aside(scene: LiftScene, frames: Array, offsets: Array) -> Array:

@@ -59,6 +59,8 @@ class Placed:
     """[N, 3] likewise [m/s]; None: at rest."""
     places: Array | None = None
     """[m] of markers along a rope, in its edges, as they are recorded."""
+    shown_length: float | None = None
+    """Of the line that a rope between two hands follows in the first frame [m]."""
     held: Array
     """[G, 3] points of the object that the grippers hold [m]."""
     inwards: Array
@@ -142,6 +144,7 @@ def _place_between(
     length, diameter = _sizes_of_rope(recording, notes)
     grip = recording.gripper_position[frames[0]].astype(float)
     s, line, speeds, backwards = _line_between(recording, grip, frames, length, diameter)
+    shown, s = float(s[-1]), s * (length / s[-1])
     body = rope(diameter=diameter, length=length, points=settings.points)
     u = np.linspace(0.0, length, len(body.points))
     ordered = recording.extra.get("ordered_markers", False)
@@ -154,6 +157,7 @@ def _place_between(
         initial=x,
         velocities=None if speeds is None else CubicSpline(s, speeds)(u),
         places=(s[::-1] if backwards else s) / u[1] if ordered else None,
+        shown_length=shown,
         held=grip,
         inwards=ends / np.linalg.norm(ends, axis=1, keepdims=True),
     )
@@ -248,7 +252,11 @@ def _line_between(
         fix="give the length between the grippers, and points in metres",
         error=RecordingError,
     )
-    return s * (length / s[-1]), cloud, speeds, backwards
+    for _ in range(3):  # chords of a bend are shorter than what is between the markers
+        fine = np.linspace(s[:-1], s[1:], 17, axis=1)
+        steps = np.diff(CubicSpline(s, cloud)(fine), axis=1)
+        s = np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=2).sum(axis=1)))
+    return s, cloud, speeds, backwards
 
 
 def _line_from(

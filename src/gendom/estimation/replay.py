@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import mul
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation, Slerp
 
-from gendom.estimation.markers import aside, axis_beside, material_frames
+from gendom.estimation.markers import aside, axis_beside, first_twist, material_frames
 from gendom.estimation.scene import STATIC_SETTLING, LiftScene
 from gendom.estimation.scene_settings import COARSE_POINTS
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
@@ -30,9 +30,14 @@ Array = NDArray[np.floating]
 HEM = 0.01
 """Breadth of a cloth's border that may be hemmed [m]."""
 
-RAMP_SPEED, CLAMPING = 0.1, 0.1
+RAMP_SPEED, CLAMPING, CLAMPING_SHOWN = 0.1, 0.1, 0.02
 """Speed at which the gripper takes the object from rest to its first recorded position [m/s], and
-time in which clamps turn from where markers show them to how they hold the rope [s]."""
+time in which clamps turn from where markers show them to how they hold the rope [s]: of cables with
+known offsets of their markers, the first frame shows how they hold it."""
+
+TWIST_SHOWN, TWIST_SD, TWIST_NOISE = 0.1, 1.0, 2e-4
+"""Time in which the twist of a cable is looked for [s], how far hands may be turned about it in
+another recording [rad], and how exact markers and their first motion are [m]."""
 
 FEET = 48
 """Places along the longer side of a cloth that points may belong to, about."""
@@ -80,6 +85,8 @@ class WorldInputs:
     clamps: Array = field(default_factory=lambda: np.zeros((2, 3)))
     """Turn of the clamps at a rope's first and last end from what is recorded [rad]: across the
     rope, in two directions, and about it."""
+    clamping: float = CLAMPING
+    """Time in which they turn so [s]."""
 
     @classmethod
     def of(cls, scene: LiftScene, theta: Theta) -> WorldInputs:
@@ -87,9 +94,12 @@ class WorldInputs:
         inputs = cls(scene=scene, positions=scene.initial)
         if scene.beside:
             inputs.positions = axis_beside(scene, theta.offsets, theta.length_ratio)
+            inputs.clamping = CLAMPING_SHOWN if theta.offsets else CLAMPING
         for name, unknown in UNKNOWNS.items():
             if unknown.on_replay is not None:
                 unknown.on_replay(inputs, theta[name])
+        if scene.beside:
+            inputs.clamps[1, 2] += first_twist(scene, inputs.positions)
         return inputs
 
     # ---- what unknowns do ------------------------------------------------------------------------
@@ -242,7 +252,7 @@ class WorldInputs:
             found.append(Rotation.from_rotvec(angle[:, None] * axis))
         if len(scene.held) > 1 and self.clamps[g].any():
             # the first frame shows how markers lie, not how the rope leaves the clamp
-            begun = np.clip((knots - knots[0]) / CLAMPING, 0.0, 1.0)
+            begun = np.clip((knots - knots[0]) / self.clamping, 0.0, 1.0)
             turn = scene.clamp_frame(g) @ self.clamps[g]
             found.append(Rotation.from_rotvec(begun[:, None] * turn))
         return reduce(mul, found).as_quat() if found else None
@@ -311,12 +321,47 @@ def replay(
     Raises:
         SimulationError: A world diverges, and `keep_going` is not set.
     """
+    thetas = [with_twist_shown(scene, theta) for theta in thetas]
     x = replay_axis(scene, thetas, keep_going=keep_going, on_frame=on_frame)
+    return x + _beside(scene, x, thetas)
+
+
+def _beside(scene: LiftScene, x: Array, thetas: Sequence[Theta]) -> Array:
+    """[T, W, n, 3] by how much lines through markers are beside axes [T, W, n, 3] [m]."""
+    found = np.zeros(x.shape)
     for w, offsets in enumerate(theta.offsets for theta in thetas):
         if scene.beside and offsets and np.isfinite(x[:, w]).all():
             frames = material_frames(scene, x[:, w : w + 1])
-            x[:, w] += aside(scene, frames[:, 0], np.asarray(offsets))
-    return x
+            found[:, w] = aside(scene, frames[:, 0], np.asarray(offsets))
+    return found
+
+
+def with_twist_shown(scene: LiftScene, theta: Theta) -> Theta:
+    """Parameters of an instrumented cable with the twist with which this recording begins.
+
+    How hands are turned about a cable is not recorded. But a twist pushes a bent cable aside at
+    once: of several, that counts with which the first tenth of a second is nearest.
+    """
+    recording, begins = scene.recording, scene.begins
+    shown = recording.time <= recording.time[begins] + TWIST_SHOWN
+    early = tuple(t for t in np.flatnonzero(shown & recording.frame_valid) if t >= begins)
+    if not (scene.beside and theta.offsets and len(early) > 4):
+        return theta
+    scene = replace(scene, frames=early)
+    changes = TWIST_SD * np.linspace(-2.5, 2.5, 11)
+    twists = theta.clamp_twist + changes
+    every = [theta.with_values({"clamp_twist": float(twist)}) for twist in twists]
+    x = replay_axis(scene, every, keep_going=True)
+    index, weight = scene.markers
+    at = np.einsum("mk,twmka->twma", weight, (x + _beside(scene, x, every))[:, :, index])
+    off = at - np.stack([recording.frame(t) for t in early])[:, None]
+    mean = np.nan_to_num(((off - off[:1]) ** 2).mean(axis=(0, 2, 3)), nan=np.inf)
+    # as many errors are independent as there are markers
+    value = len(index) * mean / max(mean.min(), TWIST_NOISE**2) + (changes / TWIST_SD) ** 2
+    k = int(np.clip(value.argmin(), 1, len(value) - 2))
+    bend, slope, _ = np.polyfit(changes[k - 1 : k + 2] - changes[k], value[k - 1 : k + 2], 2)
+    found = twists[k] - (0.5 * slope / bend if bend > 0.0 else 0.0)
+    return theta.with_values({"clamp_twist": float(np.clip(found, twists[0], twists[-1]))})
 
 
 def replay_axis(

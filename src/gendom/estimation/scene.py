@@ -427,6 +427,8 @@ class LiftScene(Placed):
         changes["E_over_rho"] = {"low": low, "high": high, "mean": mean, "sd": sd}
         if self.kind == "cloth":
             changes["E_over_rho"]["step"] = 0.06
+        if self.beside and self.shown_length is not None:
+            changes["length_ratio"] = {"mean": self.shown_length / self.size}
         if self.settings.material is not None:
             listed = catalogue.get(self.settings.material)
             of_material = material_prior(listed, self.kind, (low, high))

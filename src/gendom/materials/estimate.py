@@ -395,7 +395,8 @@ class Estimate(Shown):
         entries: dict[str, Any] = {**self.about, "format": FORMAT}
         if self.posterior.bases:
             entries["theta"] = dict(self.theta)
-            entries["marker_offsets"] = list(self.theta.offsets) or None
+            if self.theta.offsets:
+                entries["marker_offsets"] = list(self.theta.offsets)
         record = {
             **entries,
             **values,

@@ -113,7 +113,7 @@ def _clamp(end: int, across: int) -> Unknown:
     return Unknown(
         f"{which}_clamp_{axis}", f"{which} clamp, {axis}", "rad",
         f"turn of the clamp at the {which} end from its stated axis, about the hand's {axis} axis",
-        low=-1.0, high=1.0, mean=0.0, sd=0.15, step=0.01, widest=0.1, kinds=("rope",),
+        low=-1.0, high=1.0, mean=0.0, sd=0.3, step=0.01, widest=0.1, kinds=("rope",),
         material=True, form=".3f", on_replay=_turns(end, across),
     )  # fmt: skip
 
@@ -210,7 +210,7 @@ UNKNOWNS: dict[str, Unknown] = {
         Unknown(
             "length_ratio", "length / stated", "1", "length of a cable over the stated one",
             log=True, low=0.9, high=1.1, mean=1.0, sd=0.02, step=0.002, widest=0.02,
-            kinds=("rope",), material=True, above=0.0,
+            kinds=("rope",), default=1.0, material=True, above=0.0,
         ),
         *(_clamp(end, across) for end in (0, 1) for across in (0, 1)),
         # a rope is clamped as it comes: half a turn more or less

@@ -102,7 +102,10 @@ def gauss_newton(
     """
     began, settings = time.perf_counter(), settings or GaussNewtonSettings.of(problem.scene.kind)
     stated = problem.first_noise()
-    first = problem.coarse.first_noise(sensor=COARSE_NOISE, model=0.0, rounds=1)
+    least = problem.settings.noise.least_model
+    first = problem.coarse.first_noise(sensor=COARSE_NOISE, model=0.0, beside=least, rounds=1)
+    if problem.captured:
+        first = tuple(replace(noise, patch=1.0) for noise in first)
     noise, most = first, PER_BATCH * problem.settings.max_iterations
     names = problem.prior.names
     free = [k for k, name in enumerate(names) if name in settings.leading] or None
