@@ -43,7 +43,7 @@ def test_ranks_of_right_posteriors_stay_in_the_band(seed):
     ("wrong", "piles"),
     [
         ({"stated": 0.35}, (0, -1)),
-        ({"stated": 3.0}, (3, 4)),
+        ({"stated": 3.0}, (9, 10)),
         ({"bias": 0.06}, (0,)),
         ({"bias": -0.06}, (-1,)),
     ],

@@ -4,7 +4,7 @@ import json
 import threading
 import time
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ class Cameraman(threading.Thread):
             self.shown += 1
 
 
-class Arm(Any):
+class Arm:
     """Of a robot what recordings need; it follows every motion exactly, in real time."""
 
     arm = XARM7
@@ -89,8 +89,8 @@ def record(sdk, tmp_path, motion):
         man.start()
         try:
             slow = motion.stretched(seconds)
-            arm = robot or Arm()
-            found = record_motion(arm, cameras, slow, tmp_path / "lift", description=OBJECT)
+            arm = cast(Any, robot or Arm())
+            found = record_motion(cast(Any, arm), cameras, slow, tmp_path / "lift", description=OBJECT)
         except BaseException as error:
             return tmp_path / "lift", error
         finally:
@@ -133,11 +133,11 @@ def test_a_motion_is_recorded_as_perception_reads_it(record, motion, tmp_path):
     again.connect()
     assert isinstance(again, DepthCamera)
     still = JointMotion(time=np.array([0.0, 0.1]), q=np.stack([XARM7.home] * 2))
-    found = record_motion(Arm(), [again], still, tmp_path / "again", description=OBJECT)
+    found = record_motion(cast(Any, Arm()), [again], still, tmp_path / "again", description=OBJECT)
     (old, _), (new,) = (read_cameras(f).sources for f in (folder, tmp_path / "again"))
     assert found["left"].pictures == len(list(old)) == len(list(new))
     with pytest.raises(GendomError, match="holds a recording already"):
-        record_motion(Arm(), [], still, folder, description=OBJECT)
+        record_motion(cast(Any, Arm()), [], still, folder, description=OBJECT)
 
 
 def test_pictures_that_never_came_are_counted(record):
@@ -165,7 +165,7 @@ def _unplugged(cameras):
     ids=["frozen", "silent", "unplugged"],
 )
 def test_a_camera_that_fails_stops_the_robot(record, how, words):
-    arm = Arm()
+    arm = cast(Any, Arm())
     began = time.monotonic()
     folder, error = record(arm, seconds=60.0, **how)
     assert isinstance(error, DeviceError) and f"camera {words}" in str(error)
@@ -185,7 +185,7 @@ def test_a_disk_that_fills_stops_the_robot_and_a_full_one_is_told_before(
     rooms = [left]
     usage = lambda _: SimpleNamespace(free=rooms[-1])  # noqa: E731
     monkeypatch.setattr("gendom.files.shutil.disk_usage", usage)
-    arm = Arm()
+    arm = cast(Any, Arm())
     if seconds > 1.0:
         threading.Timer(0.6, rooms.append, [1e8]).start()
     folder, error = record(arm, seconds=seconds)
