@@ -88,6 +88,26 @@ def ros(version):
     return write
 
 
+def cropped(path):
+    """Clouds of the object alone, which gendom import takes as they are."""
+    ros = pytest.importorskip("ros_messages")
+    rows, recording = [ros_tf(0.0)], demo()
+    for t in range(0, recording.num_frames, 8):
+        time, at = float(recording.time[t]), recording.gripper_position[t, 0]
+        rows.append(("/tf", ros.tf(time, "base", "tool0", at)))
+        points = recording.frame(t).astype(float) * [1.0, -1.0, -1.0] + [0.0, 0.0, 1.0]
+        rows.append(("/points", ros.cloud(time, "eye_optical_frame", points)))
+    ros.write_bag(path, rows, "ROS1")
+    toml = '[object]\nkind = "rope"\nlength = 0.3\ndiameter = 0.016\n'
+    (path.parent / "object.toml").write_text("table_height = 0.0\n" + toml)
+
+
+def ros_tf(time):
+    ros = pytest.importorskip("ros_messages")
+    down = Rotation.from_euler("x", 180.0, degrees=True)
+    return ("/tf_static", ros.tf(time, "base", "eye_optical_frame", (0.0, 0.0, 1.0), down))
+
+
 KINDS = {  # name: how it is made, what it is called, whether the next command is run
     "lift.npz": (lambda p: demo().write(p), "a recording", False),
     "clouds": (lambda p: clouds(p, demo()), "a recording", False),
@@ -95,6 +115,7 @@ KINDS = {  # name: how it is made, what it is called, whether the next command i
     "pictures": (depth, "depth pictures of cameras", True),
     "old.bag": (ros("ROS1"), "a bag of ROS 1", True),
     "new": (ros("MCAP"), "a bag of ROS 2", True),
+    "cropped.bag": (cropped, "a bag of ROS 1", True),
     "board": (board, "pictures of a board", False),
     "estimate.json": (estimate, "an estimate of a rope", True),
     "rope-casting.onnx": (lambda p: shutil.copy(ASSETS / p.name, p), "a policy", False),
@@ -118,6 +139,7 @@ def test_what_lies_there_and_the_next_command(tmp_path, capsys, monkeypatch, nam
         if run:
             assert cli.main([command, *words]) == 0, capsys.readouterr().err
     assert found["next"] or name == "camera.toml"
+    assert name != "cropped.bag" or "gendom import" in found["next"][0]["command"]
     assert cli.main(["check", name]) == 0
     assert "can be used" in capsys.readouterr().out
 

@@ -5,6 +5,7 @@ import io
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gendom import cli
@@ -16,6 +17,7 @@ from gendom.robot import XARM7, arm_shape
 pytest.importorskip("rosbags", reason="needs rosbags: the extra ros")
 
 from ros_messages import START, header, made, tf, write_bag
+from ros_messages import cloud as ros_cloud
 
 OBJECT = 'table_height = 0.0\n[object]\nkind = "rope"\nlength = 0.4\ndiameter = 0.01\n'
 FRAMES = 4
@@ -259,15 +261,40 @@ def test_joint_states_tell_the_robots_shape(world, tmp_path):
     np.testing.assert_allclose(here.start, there.start[0], atol=1e-9)
 
 
+def test_a_cloud_that_was_cropped_beside_the_axis(world, tmp_path):
+    """The camera that is made of it has its axis in the picture, and the points at their places."""
+    camera = world.make_camera()
+    points = np.stack(np.meshgrid(np.linspace(0.2, 0.4, 80), np.linspace(0.3, 0.4, 40)), -1)
+    points = np.concatenate([points.reshape(-1, 2), np.full((3200, 1), 0.8)], axis=1)
+    seen = [("/tf", tf(t, "base", "tool", (0.0, 0.0, 0.1 + t))) for t in (0.0, 1.0)]
+    seen += [placed("base", "eye_optical_frame", camera.T_world_camera)]
+    seen += [("/eye/points", ros_cloud(0.5, "eye_optical_frame", points))]
+    path = write_bag(tmp_path / "lift.bag", seen, "ROS1")
+    (tmp_path / "object.toml").write_text(OBJECT)
+    recorded = read_ros_cameras(path, tmp_path / "object.toml", RosSettings(gripper="tool"))
+    (source,) = recorded.sources
+    depth = next(iter(source)).read().depth.ravel()
+    found = source.camera.rays()[depth > 0] * (depth[depth > 0, None] * source.camera.depth_unit)
+    assert len(found) > 2000 and KDTree(points).query(found)[0].max() < 0.005
+
+
 def test_what_perceive_cannot_use(world, tmp_path, capsys):
     """A camera in the hand, and clouds that are in the world's frame already."""
     rows, _, _ = rows_of(world, "organised")
     (tmp_path / "object.toml").write_text(OBJECT)
     moving = [("/tf", tf(t / 30.0, "base", "tool", (0.0, 0.0, 0.2 + 0.1 * t))) for t in range(4)]
     turned = [r for r in rows if r[0] not in ("/tf", "/tf_static")]
+    sparse = np.random.default_rng(0).uniform((0.0, 0.0, 0.7), (0.3, 0.3, 0.8), (120, 3))
+    rows = [placed("base", "far_optical_frame", np.eye(4))]
+    thin = ("/far/points", ros_cloud(0.05, "far_optical_frame", sparse))
     hand = [placed("tool", f"{n}_optical_frame", np.eye(4)) for n in ("left", "right")]
     for name, of, said in (
         ("hand", [*turned, *moving, *hand], "_optical_frame moves in base by 300.0 mm"),
+        (
+            "thin",
+            [*rows, *moving, thin],
+            "frame far_optical_frame are thinned, or not",
+        ),
         ("lost", turned, "TF does not say where right_optical_frame is"),
     ):
         path = write_bag(tmp_path / f"{name}.bag", of, "ROS1")

@@ -172,6 +172,11 @@ def _bag_cameras(place: Path, held: Path, gripper: str, found: Finding) -> None:
                 place, held if held.exists() else some, RosSettings(gripper=gripper)
             )
             _cameras_seen(recorded, found)
+            stated = recorded.meta["object"] if held.exists() else {}
+            size = stated.get("length") or stated.get("width") or 0.0
+            points = np.concatenate([np.zeros((0, 3)), *found.clouds])
+            if len(points) and np.ptp(points, axis=0).max() < 1.5 * size:
+                command = "import"  # nothing else is in view
         except RecordingError as error:
             if error.fix is None or "gendom import" not in error.fix:
                 raise
@@ -205,7 +210,8 @@ def _cameras_seen(recorded: Any, found: Finding) -> None:
     found.gripper, found.table = recorded.robot.position[:, 0], values["table_height"]
     for source in recorded.sources:
         camera, name = source.camera, source.camera.name
-        found.faults += odd_intrinsics(camera)
+        if getattr(source, "stated", True):
+            found.faults += odd_intrinsics(camera)
         size, f = f"{camera.width} x {camera.height}", camera.K[0, 0]
         found.rows[name] = f"{size}, f {f:.0f} pixels"
         try:

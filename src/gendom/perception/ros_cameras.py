@@ -34,6 +34,7 @@ DEPTH_UNIT = 1e-4
 _FORWARD = rigid([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], [0.0, 0.0, 0.0])
 """From a camera's axes to those of ROS's bodies: x forward, y left, z up (REP 103)."""
 _WIDEST = 2.0  # tangent of the angle from the axis that a camera sees at most
+_COARSEST = 150.0  # [pixels]; focal length of a camera with so few points that they are thinned
 _AROUND = 0.1  # of the width of the first cloud's view, that later ones may exceed it by
 _HIDDEN = ("depth", "infra", "ir", "stereo", "mask", "label")  # in names of pictures without colour
 
@@ -159,6 +160,8 @@ class RosCloudCamera:
     frame_id: str
     T_frame_camera: Array
     """[4, 4] from the camera's axes to those of the clouds [m]."""
+    stated: bool = True
+    """Whether a CameraInfo states the intrinsics; else they are made up."""
 
     @classmethod
     def of(cls, bag: RosBag, topic: str, name: str, world: str) -> RosCloudCamera:
@@ -182,8 +185,9 @@ class RosCloudCamera:
             all_ahead = len(ahead) > 0.99 * len(points) and np.abs(slopes).max() < _WIDEST
             if all_ahead and frame != world:
                 camera = _around(slopes, name)
-                return cls(bag, topic, camera, frame, T)
-        what = f"clouds of frame {frame} are not seen from its origin, as a camera's are"
+                if camera.K[0, 0] > _COARSEST:
+                    return cls(bag, topic, camera, frame, T, stated=False)
+        what = f"clouds of frame {frame} are thinned, or not seen from its origin as a camera's are"
         fix = "gendom import takes them as they are; crop table and robot by --workspace"
         raise RecordingError(what, where=where, fix=fix)
 
@@ -230,6 +234,7 @@ def _around(slopes: Array, name: str) -> Camera:
     low, high = slopes.min(axis=0), slopes.max(axis=0)
     low, high = low - _AROUND * (high - low), high + _AROUND * (high - low)
     f = float(np.sqrt(len(slopes) / max(np.prod(high - low), 1e-6)))
+    low, high = np.minimum(low, -1.0 / f), np.maximum(high, 1.0 / f)  # the axis is in the picture
     f = min(f, float(np.sqrt(0.9 * MOST_PIXELS / max(np.prod(high - low), 1e-6))))
     width, height = (int(n) + 1 for n in f * (high - low))
     K = np.array([[f, 0.0, -f * low[0]], [0.0, f, -f * low[1]], [0.0, 0.0, 1.0]])
