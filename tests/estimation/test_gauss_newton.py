@@ -2,12 +2,14 @@
 
 import importlib
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from gendom.estimation import EstimateSettings, LiftScene, Problem, estimate
-from gendom.estimation.methods.gauss_newton import gauss_newton, refined
+from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton, refined
+from gendom.materials.posterior import prior_of
 
 steps = importlib.import_module("gendom.estimation.methods.gauss_newton")
 
@@ -68,6 +70,21 @@ def test_what_was_found_is_searched_once_more_in_a_finer_problem(rope_lift, prob
     sd = np.sqrt(np.diag(np.linalg.inv(problem.gradient_and_hessian(found.best, found.noise)[1])))
     off = np.abs(again.best.vector - found.best.vector) / sd
     assert off.max() < 0.2 < (np.abs(before - found.best.vector) / sd).max()
+
+
+def test_a_step_that_meets_a_bound_goes_along_it():
+    """Rather than where only both unknowns together would have been better."""
+    prior = prior_of(("E_over_rho", "grip_turn"), {"E_over_rho": {"sd": 3.0}})
+    at = np.array([6.5, 0.002])  # the turn is not negative
+    H, gradient = np.array([[100.0, 990.0], [990.0, 1e4]]), np.array([20.0, 300.0])
+    alone = SimpleNamespace(prior=prior, gradient_and_hessian=lambda start, noise: (gradient, H))
+    start = steps.Start(initial=at, vector=at, damping=0.0)
+    settings = GaussNewtonSettings()
+    ((place, gain, _),), _ = steps._propose(alone, start, (), settings, None)  # type: ignore
+    turned = -0.002
+    expected = -(gradient[0] + H[0, 1] * turned) / H[0, 0]
+    assert place - at == pytest.approx([expected, turned])
+    assert gain > 0.0  # the step of both, cut off, would have lost
 
 
 def test_a_cloth_of_known_material_is_placed(cloth_lift):

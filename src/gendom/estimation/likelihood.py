@@ -193,7 +193,7 @@ class Observation:
             row[: len(cloud)] = own[:: -(-len(own) // len(cloud))]
         return found
 
-    def rows(self, shape: Array, r: float, in_sight: Callable[[int], Array]) -> Rows:
+    def rows(self, shape: Array, r: float, in_sight: Callable[[int], NDArray[np.bool_]]) -> Rows:
         """The places on shapes [T, n, 3] of half thickness r [m] that points correspond to, and
         which parts of the shapes have no points near, of those that are in sight in a frame."""
         if self.markers is not None:
@@ -568,7 +568,7 @@ class Comparison:
     def _by_parameters(self, at: Linearised) -> Array:
         """[S + B + 7 + 1 + P, P] products of residuals' derivatives by parameters with those by
         registration, with residuals, and with each other."""
-        P, S = self.J.shape[3], self._smooth_of(at.a)
+        P, S = self.J.shape[-1], self._smooth_of(at.a)
         if P == 0:
             return np.zeros((len(at.a) + 1, 0))
         by, U = at.rows.parameter_derivatives(self.J, self.widens), self.observation.in_time

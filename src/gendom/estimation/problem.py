@@ -386,7 +386,7 @@ class Problem:
 
     def _shapes(
         self, worlds: Sequence[Sequence[Array]], recording: int, few: LiftScene
-    ) -> tuple[list[Array], list[Array]]:
+    ) -> tuple[Sequence[Array], Sequence[Array]]:
         """Of a recording the shapes [T, n, 3] at the first of each row of places, and by how much
         they change from there to the others [T, n, 3, k] [m], in a scene that may be coarser; NaN
         where a world diverges."""

@@ -375,11 +375,18 @@ def _propose(
         tries.append((free, DAMPING_RATIO * start.damping, 1.0))
     proposals = []
     for which, damping, times in tries:
-        step = np.zeros(len(free))
-        if which.any():
+        step, at_bound = np.zeros(len(free)), np.zeros(len(free), dtype=bool)
+        while which.any():
+            pull = gradient + H[:, at_bound] @ step[at_bound]
             Hf = H[np.ix_(which, which)]
             damped = Hf + damping * np.diag(np.diag(Hf))
-            step[which] = -times * np.linalg.solve(damped, gradient[which])
+            step[which] = -times * np.linalg.solve(damped, pull[which])
+            # what would leave the range goes to its end, and the others follow that
+            out = which & (prior.clipped(start.vector + step) != start.vector + step)
+            if not out.any():
+                break
+            step = np.where(out, prior.clipped(start.vector + step) - start.vector, step)
+            which, at_bound = which & ~out, at_bound | out
         step *= min(1.0, float(np.min(prior.widest / np.maximum(np.abs(step), 1e-300))))
         vector = prior.clipped(start.vector + step)
         step = vector - start.vector
