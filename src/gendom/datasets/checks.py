@@ -48,7 +48,7 @@ _SPEEDS = (  # units of time given by mistake, in a second, and what brings seco
     ("minutes", 1 / 60.0, "multiply by 60"),
     ("microseconds", 1e6, "divide by 1e6"),
 )
-_MISPLACED = 0.25  # of the clouds: in right order none of 33 lifts has one, in wrong order 60 %
+_MISPLACED = 0.1  # of the clouds: in right order none of 50 lifts has one, shuffled half of them
 _MAX_BELOW, _MAX_AWAY = 5.0, 50.0  # [m] that a table lies from the object, that a camera stands
 _LENGTHS = {"centimetres": 100.0, "millimetres": 1000.0}  # units given by mistake, in a metre
 
