@@ -19,6 +19,7 @@ from gendom.estimation import (
 )
 from gendom.estimation.placing import lying_line, lying_rectangle
 from gendom.estimation.scene_settings import SHELL_ERROR
+from gendom.materials.parameters import E_over_rho_of
 from gendom.sim.lines import arc_length
 
 
@@ -173,6 +174,17 @@ def lying_along(rope_lift, line):
     """The shared lift of a rope that lies along a line [k, 2]."""
     diameter = rope_lift.object.diameter
     return replace(rope_lift, lying=np.pad(line, ((0, 0), (0, 1)), constant_values=diameter))
+
+
+def test_a_stiff_rope_that_is_curved_by_nature_is_found(rope_lift):
+    """A search from half of its curvature ends where the rope springs open."""
+    length, diameter = rope_lift.object.length, rope_lift.object.diameter
+    stiff = Theta(E_over_rho=E_over_rho_of(0.5 * length, diameter / 4.0, 9.81))
+    lift = lying_along(replace(rope_lift, truth=stiff, rise=0.2), line_of("S", length))
+    seen = lift.seen(points=300, natural_curvature=1.0)
+    found = estimate(seen, EstimateSettings(starts=1, scene=rope_lift.settings))
+    assert found.usable, found.verdict.reasons
+    assert found.theta.E_over_rho == pytest.approx(stiff.E_over_rho, rel=0.1)
 
 
 @pytest.mark.parametrize("share", [0.0, pytest.param(1.0, marks=pytest.mark.slow)])

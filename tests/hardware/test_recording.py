@@ -90,7 +90,7 @@ def record(sdk, tmp_path, motion):
         try:
             slow = motion.stretched(seconds)
             arm = cast(Any, robot or Arm())
-            found = record_motion(cast(Any, arm), cameras, slow, tmp_path / "lift", description=OBJECT)
+            found = record_motion(arm, cameras, slow, tmp_path / "lift", description=OBJECT)
         except BaseException as error:
             return tmp_path / "lift", error
         finally:

@@ -40,11 +40,11 @@ def test_pixels_half_behind_the_object_are_dropped(world, monkeypatch):
 def test_a_rope_no_broader_than_pixels_keeps_what_has_depth(world):
     """Of whose pixels most are lost, all being at edges, where its diameter is known."""
     camera = world.make_camera()
-    rope = world.lifted_rope(radius=0.0015)
+    rope = world.lifted_rope(radius=0.001)
     pictures, rng = world.Scene([rope]).pictures(camera), np.random.default_rng(0)
     red, kept = ObjectColour.near(lab(world.RED)), []
     seen = np.where(rng.random(pictures.depth.shape) < 0.6, 0, pictures.depth).astype(np.uint16)
-    for breadth in (np.inf, 0.003):
+    for breadth in (np.inf, 0.002):
         points, counts = CameraView(camera, settings(), breadth).segment(
             Pictures(seen, pictures.colour), red
         )

@@ -395,6 +395,8 @@ class LiftScene(Placed):
         With commanded gripper positions, a level corner at the stated point and a hanging corner at
         fingertips below it give similar clouds, and a search from one does not reach the other.
         """
+        if "natural_curvature" in self._shown:  # stiff ropes lie as they are curved by nature
+            return [{"natural_curvature": share} for share in (0.3, 1.0)]
         if not self.by_corner or self.recording.gripper_axis is not None:
             return [{}]  # an axis gives the direction of the corner
         hanging = {"grip_tilt": 1.4}

@@ -49,10 +49,12 @@ have 0.021 and more, with an E that is four and more times too small. Of real ca
 between two grippers it is 0.010 to 0.016. Twice a sheet's E moves it by as much in a lift (2 to 5
 mm of a diagonal of 0.42 m): a larger displacement hides the effect of E."""
 
-BROADER, BLURRED, NARROWER, LOST = 1.25, 0.0013, 1.15, 0.002
+BROADER, BLURRED, NARROWER, LOST = 1.25, (0.0013, 0.0005), 1.15, 0.002
 """How much more and less of a rope than its thickness cameras show across their views, as factors
 and lengths [m]: points that are drawn evenly from its skin lie at 0.92 of half its thickness where
-pixels lie at 0.75, and pixels at edges have no depth or that of the background."""
+pixels lie at 0.75, and pixels at edges have no depth or that of the background. Strips of cameras
+are broader where it is not known which one saw a point. Of 31 good lifts of the MuJoCo scene, that
+is known, they have 0.70 to 1.06 of the thickness."""
 
 
 def beyond(findings: Findings) -> list[str]:
@@ -176,8 +178,9 @@ def _of_thickness(comparison: Comparison, noise: NoiseModel) -> Findings:
     said = f"points lie {1e3 * abs(outside):.1f} mm {side} an object {1e3 * thick:.3g} mm thick"
     found, most = abs(outside), max(0.0025, 0.3 * thick)
     if seen is not None:
+        blurred = BLURRED[bool((comparison.observation.camera >= 0).any())]
         said = f"cameras see {1e3 * seen:.1f} mm across an object {1e3 * thick:.3g} mm thick"
-        found, most = _out_of(seen, thick / NARROWER - LOST, BROADER * thick + BLURRED), 1.0
+        found, most = _out_of(seen, thick / NARROWER - LOST, BROADER * thick + blurred), 1.0
     yield found, most, f"{said}: is its thickness right?"
 
 

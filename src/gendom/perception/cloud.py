@@ -7,7 +7,6 @@ of 16-bit integers, and only the remaining pixels are converted to points.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -382,7 +381,7 @@ class CameraView:
         width, focal = self.camera.width, self.camera.K[0, 0]
         # Of so narrow an object all pixels are at edges, and most have no depth.
         across = max(self.breadth * focal / float(np.median(z)), 1.0)
-        reach = math.ceil(min(max(NARROW / across, 1.0), 4.0))
+        reach = max(round(NARROW / across), 1)
         # A picture of the object alone, with room for the neighbours of its corners.
         room = reach * (width + 1)
         alone = np.zeros(len(raw) + 2 * room, np.int32)
