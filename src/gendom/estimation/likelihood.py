@@ -437,9 +437,10 @@ class Comparison:
         square = float(np.mean(e**2))
         sensor = max(math.sqrt(square), noise.least_sensor)
         # what is added to a smaller residual is independent
-        more = shared(e) * shared(np.swapaxes(e, 0, 1)) - 1.0
-        patch = 1.0 + more * square / sensor**2
-        return replace(noise, sensor=sensor, model=noise.least_model, patch=patch)
+        patch = 1.0 + (shared(e) * shared(np.swapaxes(e, 0, 1)) - 1.0) * square / sensor**2
+        # what lasts is no noise: so much is not explained
+        model = max(math.sqrt(max(square - noise.least_sensor**2, 0.0)), noise.least_model)
+        return replace(noise, sensor=sensor, model=model, patch=patch)
 
     def outside(self, noise: NoiseModel) -> float:
         """Median distance of points from the skin of the registered object, 0 of markers [m]."""
