@@ -242,7 +242,8 @@ class Observation:
     def _marker_rows(self, shape: Array) -> Rows:
         """All three coordinates of a marker count: markers are few and accurate."""
         assert self.markers is not None
-        index, weight = (np.repeat(x, 3, axis=0) for x in self.markers)
+        index = np.repeat(self.markers[0], 3, axis=0)
+        weight = np.repeat(self.markers[1], 3, axis=0)
         T, rows = len(shape), len(index)
         c = np.einsum("mk,tmka->tma", self.markers[1], shape[:, self.markers[0]])
         return Rows(
