@@ -28,6 +28,7 @@ import numpy as np
 from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.estimation.methods.gauss_newton import gauss_newton
+from gendom.estimation.priors import INSTRUMENTED
 from gendom.estimation.problem import Found, Part, Problem
 from gendom.estimation.replay import middle
 from gendom.estimation.verdict import displaced
@@ -131,7 +132,7 @@ def discrepancy(
     prior = problem.prior
     sd = np.full(len(prior.names), math.inf)
     wanted = np.sqrt(np.diag(covariance)) < IDENTIFIABLE * prior.sd
-    wanted &= [UNKNOWNS[name].material for name in prior.names]
+    wanted &= [UNKNOWNS[name].material and name not in INSTRUMENTED for name in prior.names]
     for k, part in enumerate(problem.parts):
         excess = _unexplained(found, part, k, calibration)
         for p in part.shown:

@@ -255,7 +255,8 @@ class Observation:
     def _marker_rows(self, shape: Array) -> Rows:
         """All three coordinates of a marker count: markers are few and accurate."""
         assert self.markers is not None
-        index, weight = (np.repeat(x, 3, axis=0) for x in self.markers)
+        index = np.repeat(self.markers[0], 3, axis=0)
+        weight = np.repeat(self.markers[1], 3, axis=0)
         T, rows = len(shape), len(index)
         c = np.einsum("mk,tmka->tma", self.markers[1], shape[:, self.markers[0]])
         return Rows(
@@ -466,9 +467,10 @@ class Comparison:
         square = float(np.mean(e**2))
         sensor = max(math.sqrt(square), noise.least_sensor)
         # what is added to a smaller residual is independent
-        more = shared(e) * shared(np.swapaxes(e, 0, 1)) - 1.0
-        patch = 1.0 + more * square / sensor**2
-        return replace(noise, sensor=sensor, model=noise.least_model, patch=patch)
+        patch = 1.0 + (shared(e) * shared(np.swapaxes(e, 0, 1)) - 1.0) * square / sensor**2
+        # what lasts is no noise: so much is not explained
+        model = max(math.sqrt(max(square - noise.least_sensor**2, 0.0)), noise.least_model)
+        return replace(noise, sensor=sensor, model=model, patch=patch)
 
     def pulls(self, noise: NoiseModel) -> Array:
         """[T, P] half the gradient of each frame by the parameters, where the registration of

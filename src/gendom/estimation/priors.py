@@ -45,6 +45,9 @@ those of the nearest frame, or its numbers."""
 CLAMPS = ("first_clamp_x", "first_clamp_y", "last_clamp_x", "last_clamp_y", "clamp_twist")
 """How two hands hold a rope, where markers beside it show its ends."""
 
+INSTRUMENTED = (*CLAMPS, "length_ratio", "air_drag")
+"""What is found of a cable beside its material."""
+
 
 def stated_priors(recording: Recording) -> dict[str, dict[str, float]]:
     """What a recording says of its own unknowns and of the thickness, as changes to the priors of

@@ -344,7 +344,7 @@ def with_twist_shown(scene: LiftScene, theta: Theta) -> Theta:
     """
     recording, begins = scene.recording, scene.begins
     shown = recording.time <= recording.time[begins] + TWIST_SHOWN
-    early = tuple(t for t in np.flatnonzero(shown & recording.frame_valid) if t >= begins)
+    early = tuple(int(t) for t in np.flatnonzero(shown & recording.frame_valid) if t >= begins)
     if not (scene.beside and theta.offsets and len(early) > 4):
         return theta
     scene = replace(scene, frames=early)

@@ -457,7 +457,7 @@ class LiftScene(Placed):
             (not self.quasi_static, ("damping",)),
             # markers are seen by what sees the hands that hold them
             (not self.static and not self.ordered, ("delay",)),
-            (swinging, ("length_ratio", *CLAMPS)),
+            (swinging, (*CLAMPS, "length_ratio")),
             (drag, ("air_drag",)),
             (not two and rope and self.thin, ("grip_turn",)),
             (not rope, ("warp_over_weft",)),

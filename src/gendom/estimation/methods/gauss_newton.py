@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from gendom.estimation.likelihood import NoiseModel
 from gendom.estimation.methods.search import best_of, estimated_noise, first_starts
-from gendom.estimation.priors import CLAMPS
+from gendom.estimation.priors import INSTRUMENTED
 from gendom.estimation.problem import Found, Problem, Start
 from gendom.materials.unknowns import UNKNOWNS
 
@@ -56,8 +56,7 @@ class GaussNewtonSettings:
     """What differs between searches; defaults are those of ropes; `of` has those of cloths."""
 
     leading: tuple[str, ...] = (
-        "E_over_rho", "damping", "grip_turn", "tip_mass", "air_drag",
-        "length_ratio", *CLAMPS,
+        "E_over_rho", "damping", "grip_turn", "tip_mass", *INSTRUMENTED,
     )  # fmt: skip
     """Unknowns that are free in the coarse stage, so that the others do not absorb their effect.
     None: all."""
