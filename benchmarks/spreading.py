@@ -59,7 +59,7 @@ def main() -> None:
         )
         stiffness = np.array([a["bending_ratio"] for a in alike])
         quarter = np.searchsorted(np.quantile(stiffness, [0.25, 0.5, 0.75]), stiffness)
-        done = share >= SPREAD
+        done = np.greater_equal(share, SPREAD)
         own = np.abs(known[None] - chosen[:, None]).sum(axis=2).argmin(axis=1)
         blindly = np.abs(known - blind / task.action_units(prior[0])).sum(axis=1).argmin()
         best = [done[quarter == k].mean(axis=0).argmax() for k in range(4)]

@@ -301,7 +301,6 @@ FIGURES = (
     TIMED("gradient", "python benchmarks/gradient.py", gradient),
     dataset("reaching", "rope-reaching --size 40000 --device cuda", "cuda"),
     dataset("casting", "rope-casting --size 20000 --device cuda", "cuda"),
-    dataset("spreading", "cloth-spreading --size 800 --device cuda", "cuda"),
     dataset("cpu", "rope-reaching --size 4000"),
     PEERS("compare", "make -C benchmarks compare", peers, json=False),
 )  # fmt: skip

@@ -104,6 +104,7 @@ def policy_text(row: dict[str, Any]) -> str:
                 f"the 95th percentile of {acted['cases']} new cases"
             )
         if "enough_share" in acted:
-            lines.append(f"  is enough      in {100.0 * acted['enough_share']:.3g} % of them")
+            share, cases = 100.0 * acted["enough_share"], acted["cases"]
+            lines.append(f"  is enough      in {share:.3g} % of {cases} new cases")
         lines.append(f"  misses by      {said}")
     return "\n".join([*lines, *(f"  {command}" for command in row["made_by"])])
