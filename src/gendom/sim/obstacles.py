@@ -115,7 +115,7 @@ class Capsule(Obstacle):
         ends = check_numbers("ends of a capsule", np.stack([np.asarray(a), np.asarray(b)]), (2, 3))
         along, length = ends[1] - ends[0], float(np.linalg.norm(ends[1] - ends[0]))
         require(length > 0.0, "a capsule's ends are the same place", fix="a Sphere")
-        turned, _ = Rotation.align_vectors([along / length], [[0.0, 0.0, 1.0]])
+        turned = Rotation.align_vectors([along / length], [[0.0, 0.0, 1.0]])[0]
         middle, q = ends.mean(axis=0), turned.as_quat()[None]
         return cls(position=middle, quat_xyzw=q, radius=radius, length=length, **more)
 
