@@ -6,6 +6,7 @@ from scipy.spatial import KDTree
 
 from gendom.reality import OBJECTS, Layout
 from gendom.reality.model import compiled, rest_shape, row, scene_xml
+from gendom.reality.objects import RealCloth
 from gendom.sim import Physics, Simulator, Sphere, Table, cloth
 
 mujoco = pytest.importorskip("mujoco")
@@ -40,6 +41,7 @@ def in_mujoco(item, layout, centre):
 def test_a_cloth_on_a_sphere_lies_as_in_mujoco(name):
     """Not over its middle: there it may buckle to any side. Slippery, it comes off the sphere."""
     item = OBJECTS[name]
+    assert isinstance(item, RealCloth)
     corner = (-item.side / 2.0 - 0.03, -item.side / 2.0 - 0.01, HEIGHT)
     layout = Layout(origin=corner)
     centre = (0.0, 0.0, HEIGHT - RADIUS - item.radius - 0.002)

@@ -64,7 +64,8 @@ def _chain(item: Rope, lift: Lift) -> str:
         joints = ""
         if k == 0:
             axes = ("1 0 0", "0 1 0", "0 0 1")
-            joints = "".join(f'<joint type="slide" axis="{axis}" armature="0"/>' for axis in axes)
+            # so heavy that the rope hangs from it: set places alone would let all fall together
+            joints = "".join(f'<joint type="slide" axis="{axis}" armature="1e3"/>' for axis in axes)
         elif k >= held:
             joints = "".join(
                 f'<joint type="hinge" axis="{axis}" {spring}/>' for axis in ("0 1 0", "0 0 1")

@@ -205,6 +205,8 @@ def _encode_mesh(scene: ViewerScene, form: str) -> bytes:
     """Surfaces of a scene's last frame; a glTF turned such that y is up."""
     try:
         import trimesh
+        from trimesh.visual import TextureVisuals
+        from trimesh.visual.material import PBRMaterial
     except ModuleNotFoundError:
         fix = how_to_install("viz")
         raise DeviceError("meshes need trimesh", where=form, fix=fix) from None
@@ -212,14 +214,14 @@ def _encode_mesh(scene: ViewerScene, form: str) -> bytes:
     for layer in scene.layers:
         if layer.kind == "surface":
             mesh = trimesh.Trimesh(layer.at(scene.num_frames - 1), layer.faces, process=False)
-            material = trimesh.visual.material.PBRMaterial(
+            material = PBRMaterial(
                 name=layer.name, baseColorFactor=[*rgb(layer.color), 255], doubleSided=True,
                 metallicFactor=0.0, roughnessFactor=0.8,
             )  # fmt: skip
-            mesh.visual = trimesh.visual.TextureVisuals(material=material)
+            mesh.visual = TextureVisuals(material=material)
             made.add_geometry(mesh, node_name=layer.name, geom_name=layer.name)
     require(len(made.geometry), "particles have no faces", where=form, fix="save a .gif or .mp4")
     if form == ".glb":
         made.apply_transform([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-    found = made.export(file_type=form[1:])
-    return found.encode() if isinstance(found, str) else bytes(found)
+    found: Any = made.export(file_type=form[1:])
+    return found.encode() if isinstance(found, str) else found

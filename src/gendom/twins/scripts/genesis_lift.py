@@ -26,7 +26,7 @@ scene = gs.Scene(
 scene.add_entity(gs.morphs.Plane(), material=gs.materials.Rigid(friction=max(friction, 0.01)))
 if rope:
     body = scene.add_entity(
-        # its default armature of 0.1 kg m^2 would make a rope of such segments stand like a stick
+        # its default of 0.1 kg m^2 is far more than a segment has
         gs.morphs.MJCF(file=str(here / "rope.xml"), default_armature=None),
         material=gs.materials.Rigid(friction=max(friction, 0.01)),
     )
