@@ -41,6 +41,8 @@ class Demonstrations:
     """[N] each of `PARAMETERS` [-], see `dimensionless_parameters`."""
     risk: Array | None = None
     """[N] the task's `risk`, if it has one [units of similarity]."""
+    failed: int = 0
+    """How many more of the set could not be simulated."""
     where: str | None = None
     """The folder they were read from."""
 
@@ -115,6 +117,7 @@ class Demonstrations:
             action=alike(actions, [q.unit for q in task.actions]),
             parameters=dimensionless_columns(kind, {name: column[name] for name in objects}),
             risk=alike(tuple(risk), [task.risk.unit])[:, 0] if task.risk else None,
+            failed=len(table) - len(size),
             where=where,
         )
 

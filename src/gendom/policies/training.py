@@ -86,7 +86,7 @@ def train(
     training = training or Training()
     began = time.monotonic()
     path = Path(path)
-    given = len(demonstrations)
+    given = len(demonstrations) + demonstrations.failed
     if not demonstrations.goal_names and training.method != "chance":
         demonstrations = _within_risk(demonstrations)  # a failed action reaches no other goal
     sees = _seen(demonstrations, training)
