@@ -45,10 +45,10 @@ def test_examples_use_public_names():
                 assert module.count(".") <= 1, f"{path.name}: {module}"
                 public = importlib.import_module(module).__all__
                 assert {name.name for name in node.names} <= set(public), f"{path.name}: {module}"
-    # examples are short and say what they show
+    # examples are short and say what they show; one holds a whole algorithm
     for path in EXAMPLES.glob("*.py"):
-        text = path.read_text(encoding="utf-8")
-        assert len(text.splitlines()) <= 75 and text.startswith('"""'), path.name
+        text, most = path.read_text(encoding="utf-8"), 140 if path.stem == "09_ppo" else 75
+        assert len(text.splitlines()) <= most and text.startswith('"""'), path.name
         assert path.stem not in SCRIPTS or " s" in text.split('"""')[1], path.name  # its run time
 
 

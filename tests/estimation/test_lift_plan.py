@@ -153,12 +153,12 @@ def test_sizes_are_drawn_within_their_ranges():
 def test_the_command_writes_what_record_reads(tmp_path, capsys):
     out = tmp_path / "plan"
     words = ["--ends", "drop", "--rises", "0.4", "--speeds", "0.1", "--draws", "1"]
-    assert main(["plan-lift", *FIXED, *words, "--for", "friction", "--out", str(out)]) == 0
+    assert main(["plan-lift", *FIXED, *words, "--for", "damping", "--out", str(out)]) == 0
     told = capsys.readouterr().out
-    assert "drop, 0.4 lengths at 0.1 m/s" in told and "best for friction" in told
+    assert "drop, 0.4 lengths at 0.1 m/s" in told and "best for damping" in told
     plan = json.loads((out / "plan.json").read_text())
     chosen = plan["rows"][plan["chosen"]]
-    hold, only = (row["sd"][0]["friction"] for row in plan["rows"])
+    hold, only = (row["sd"][0]["damping"] for row in plan["rows"])
     assert chosen["gain"] == pytest.approx(hold / only) and f"{chosen['gain']:.2f}" in told
     assert vars(LiftMotion.read(out / "motion.json")) == chosen["lift"]
     path = json.loads((out / "motion.json").read_text())["trajectory"]

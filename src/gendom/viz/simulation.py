@@ -76,7 +76,7 @@ class Motion(ViewerModel):
         for o, of in enumerate(setting.obstacles[world]):
             layers.append(obstacle_layer(f"{of.kind.lower()} {o}", of, t))
         hands = list(setting.grippers[world])
-        if hands and simulator.engine.led is None:
+        if hands and simulator.engine.commanded is None:
             held = np.stack([hand.position_at(t) for hand in hands], axis=1)
             layers.append(gripper_layer(held, float(np.ptp(x[0], axis=0).max())))
         table = None if setting.table is None else setting.table.height
