@@ -251,7 +251,7 @@ def gradients(kind: str, **settings: Any) -> Figures:
     times = [0.01, 0.02, 0.03] if kind == "particles" else [0.01, 0.03, 0.05, 0.06]
     own: Any
     try:
-        own = grouped(**({"dtype": "float64"} | settings))
+        own = grouped(**{"dtype": "float64", **settings})  # type: ignore[arg-type]
     except ImportError:  # 0.1.0
         own = {"options": settings}
     x = simulate(body, times, grippers=[hand], table=table, **own, **given)

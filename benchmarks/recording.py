@@ -15,6 +15,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -81,7 +82,9 @@ def main() -> None:
     still = JointMotion(time=np.array([0.0, seconds]), q=np.stack([XARM7.home] * 2))
     with tempfile.TemporaryDirectory() as folder:
         before = os.times()
-        found = record_motion(Arm(), cameras, still, Path(folder) / "lift", description="")
+        found = record_motion(
+            cast(Any, Arm()), cameras, still, Path(folder) / "lift", description=""
+        )
         after = os.times()
         files = sum(p.stat().st_size for p in Path(folder).rglob("*.db3"))
     over.set()

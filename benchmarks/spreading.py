@@ -74,7 +74,7 @@ def main() -> None:
             by = [spread[quarter == q].mean() for q in range(4)]
             figures = [spread.mean(), *by, *(first[quarter == q].mean() for q in range(4))]
             rows.setdefault(name, []).append(figures)
-        any_of = done.any(axis=1)
+        any_of = np.asarray(done.any(axis=1))
         by = [any_of[quarter == q].mean() for q in range(4)]
         rows.setdefault("any", []).append([any_of.mean(), *by, *[np.nan] * 4])
         head = f"seeds {given.seeds[: len(rows['policy'])]}, {given.count} cloths each"

@@ -5,6 +5,7 @@ import shlex
 import shutil
 from importlib import import_module, resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -91,7 +92,8 @@ def ros(version):
 def cropped(path):
     """Clouds of the object alone, which gendom import takes as they are."""
     ros = pytest.importorskip("ros_messages")
-    rows, recording = [ros_tf(0.0)], demo()
+    rows: list[tuple[str, Any]] = [ros_tf(0.0)]
+    recording = demo()
     for t in range(0, recording.num_frames, 8):
         time, at = float(recording.time[t]), recording.gripper_position[t, 0]
         rows.append(("/tf", ros.tf(time, "base", "tool0", at)))

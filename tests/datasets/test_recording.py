@@ -354,7 +354,7 @@ def test_another_axis_that_points_up_is_named(up, height):
             -1,
         )
 
-    lift = Recording.read(resources.files("gendom") / "assets/demo-rope-lift.npz")
+    lift = Recording.read(str(resources.files("gendom") / "assets/demo-rope-lift.npz"))
     of = {n: turned(getattr(lift, n)) for n in ("points", "gripper_position")}
     faults = replace(lift, **of, gripper_axis=None, table_height=height).validate()
     found = [fault for fault in faults if "rises along" in fault.what]

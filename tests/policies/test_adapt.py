@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -210,9 +211,9 @@ def test_what_was_enough_says_which_objects_are_likely():
     tried = [
         Execution(action=np.array([A]), reached=np.array([s])) for A, s in ((0.4, 0.8), (0.3, 0.5))
     ]
-    friction = np.array([i.friction for i in weighed(drawn, tried, Knows(), 0)])
+    friction = np.array([i.friction for i in weighed(drawn, tried, cast(Any, Knows()), 0)])
     assert np.mean((friction > 0.3) & (friction < 0.4)) > 0.75
-    assert weighed(drawn, [], Knows(), 0) == drawn
+    assert weighed(drawn, [], cast(Any, Knows()), 0) == drawn
     # they are kept as they are, for the policy
     belief = believed(Estimate.of(task.item), task)
     assert adapt(task, belief, tried, world=Throws()).belief is belief

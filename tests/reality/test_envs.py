@@ -95,7 +95,7 @@ def test_every_number_has_a_unit(name):
     shapes = {key: len(space.low) for key, space in spaces.items()}
     assert shapes == {**NUMBERS[name], "sizes": 2, "parameters": 5}
     units = env.metadata["units"]
-    low, high = np.moveaxis([env.task.limits(item) for item in env.objects], 2, 0)
+    low, high = np.moveaxis(np.array([env.task.limits(item) for item in env.objects]), 2, 0)
     ends = [low.min(axis=0), high.max(axis=0)]
     np.testing.assert_array_equal([env.action_space.low, env.action_space.high], ends)
     assert {key: len(units[key]) for key in shapes} == shapes

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.materials import STANDARD_GRAVITY, unit_of
+from gendom.materials import STANDARD_GRAVITY, size_of, unit_of
 from gendom.tasks import ClothDragging
 from gendom.tasks.cloth_dragging import CLEAR, MAX_ACCELERATION, MAX_SPEED, NAMES
 
@@ -23,7 +23,7 @@ def test_every_motion_keeps_the_tool_s_limits(side):
     for action in (TASK.nearest(item, a) for a in hasty):
         path = TASK.tool_path(item, action)
         t = np.arange(0.0, path.end, 1e-3)
-        v = np.diff(path.position_at(t, path.blend), axis=0) / 1e-3
+        v = np.diff(path.position_at(t, path.blend or 0.0), axis=0) / 1e-3
         a = np.diff(v, axis=0) / 1e-3
         assert np.linalg.norm(v, axis=1).max() <= 1.001 * MAX_SPEED * unit_of("m/s", item)
         assert np.linalg.norm(a, axis=1).max() <= 1.01 * MAX_ACCELERATION * STANDARD_GRAVITY
@@ -33,9 +33,9 @@ def test_every_motion_keeps_the_tool_s_limits(side):
 @pytest.mark.parametrize(("hold", "at"), [(0.0, [0.515, 0.5065]), (0.47, [0.045, 0.0365])])
 def test_the_tool_raises_all_of_it_goes_away_from_the_cloth_and_ends_on_the_table(hold, at):
     action = np.zeros(len(NAMES)) + 0.3 * TASK.action_units(TASK.item)
-    action[0] = hold * TASK.item.side
+    action[0] = hold * size_of(TASK.item)
     action[[n[0] == "t" for n in NAMES]] = 2.5 * unit_of("s", TASK.item)
-    position = TASK.tool_path(TASK.item, action).position / TASK.item.side
+    position = TASK.tool_path(TASK.item, action).position / size_of(TASK.item)
     assert position[0] == pytest.approx([*at, 0.01])
     hangs = np.hypot(0.5 + hold, 0.5 + hold)
     assert position[2] - position[0] == pytest.approx([0.0, 0.0, hangs + CLEAR])

@@ -361,8 +361,11 @@ def imagined(
     for x, theta in zip(
         np.swapaxes(replay(scene, thetas, keep_going=True), 0, 1), thetas, strict=True
     ):
-        clouds = _seen(scene, x, theta, noise, rng) if np.isfinite(x).all() else None
-        found.append(clouds and _showing(scene.recording, scene.frames, clouds))
+        if not np.isfinite(x).all():
+            found.append(None)
+            continue
+        clouds = _seen(scene, x, theta, noise, rng)
+        found.append(_showing(scene.recording, scene.frames, clouds))
     return found
 
 

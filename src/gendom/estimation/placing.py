@@ -207,12 +207,12 @@ def rod_near(length: float, shown: Array, places: Array, n: int, near: float = M
     linear = np.concatenate([at / near, bend / (TURN * edge)])
     for _ in range(6):
         step = np.diff(x, axis=0)
-        length = np.linalg.norm(step, axis=1)
+        size = np.linalg.norm(step, axis=1)
         rows = np.zeros((n - 1, n, 3))
         e = np.arange(n - 1)
-        rows[e, e + 1], rows[e, e] = step / length[:, None], -step / length[:, None]
+        rows[e, e + 1], rows[e, e] = step / size[:, None], -step / size[:, None]
         wanted = np.concatenate([shown / near, np.zeros((n - 2, 3))])
-        off = [(edge - length) / (STRAIN * edge), *(wanted - linear @ x).T]
+        off = [(edge - size) / (STRAIN * edge), *(wanted - linear @ x).T]
         J = np.concatenate([rows.reshape(n - 1, -1) / (STRAIN * edge),
                             *(np.kron(linear, axis) for axis in np.eye(3))])  # fmt: skip
         x = x + np.linalg.lstsq(J, np.concatenate(off), rcond=None)[0].reshape(n, 3)
