@@ -55,7 +55,7 @@ def board(folder):
     rows = []
     for k, T in enumerate(poses):
         Image.new("L", (640, 480)).save(folder / f"{k}.png")
-        q = Rotation.from_matrix(T[:3, :3]).as_quat()
+        q = Rotation.from_matrix(np.array(T[:3, :3])).as_quat()
         rows.append(",".join([f"{k}.png", *map(str, (*T[:3, 3], *q))]))
     (folder / "poses.csv").write_text("\n".join(["picture,x,y,z,qx,qy,qz,qw", *rows]) + "\n")
 

@@ -26,7 +26,10 @@ OFFSET = np.array([0.015, 0.0, 0.0])
 
 
 def placed(parent, child, T):
-    return ("/tf_static", tf(0.0, parent, child, T[:3, 3], Rotation.from_matrix(T[:3, :3])))
+    return (
+        "/tf_static",
+        tf(0.0, parent, child, T[:3, 3], Rotation.from_matrix(np.array(T[:3, :3]))),
+    )
 
 
 def info(camera, frame):
@@ -194,7 +197,7 @@ MOVEIT2 = """Node(
 def calibration(form, camera, child, parent="base"):
     T = camera.T_world_camera
     names = ("x", "y", "z", "qx", "qy", "qz", "qw")
-    numbers = [*T[:3, 3], *Rotation.from_matrix(T[:3, :3]).as_quat()]
+    numbers = [*T[:3, 3], *Rotation.from_matrix(np.array(T[:3, :3])).as_quat()]
     return form.format(
         child=child, parent=parent, **{n: f"{x:.9f}" for n, x in zip(names, numbers, strict=True)}
     )

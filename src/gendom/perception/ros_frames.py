@@ -39,7 +39,7 @@ class Track:
 
     def set(self, frame: str, T: Array) -> None:
         """A place for all times, [4, 4] in a frame [m]."""
-        turn = Rotation.from_matrix(T[:3, :3]).as_quat()
+        turn = Rotation.from_matrix(np.array(T[:3, :3])).as_quat()
         self.frame, self.times, self._poses = frame, [0.0], [[*T[:3, 3], *turn]]
 
     @cached_property

@@ -38,7 +38,7 @@ _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 
 def _of_matrix(columns: Any) -> tuple[Any, Any]:
     """Place and orientation of 16 numbers, column after column."""
-    T = np.reshape(columns, (4, 4)).T
+    T = np.array(columns, dtype=float).reshape(4, 4).T
     turn = Rotation.from_matrix(T[:3, :3]).as_quat()
     place, turned = (dict(zip("xyzw", x, strict=False)) for x in (T[:3, 3], turn))
     return SimpleNamespace(**place), SimpleNamespace(**turned)
