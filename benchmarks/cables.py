@@ -15,7 +15,7 @@ import numpy as np
 
 from gendom.datasets import Recording
 from gendom.estimation import EstimateSettings, LiftScene, SceneSettings, estimate, replay
-from gendom.estimation.likelihood import Observation
+from gendom.estimation.observed import Observation
 from gendom.materials.unknowns import Theta
 
 

@@ -31,7 +31,7 @@ from gendom.errors import GendomError, RobotError
 from gendom.estimation import LiftScene, estimate
 from gendom.estimation.intervals import IntervalCalibration
 from gendom.estimation.lift_plan import ObjectClass, drawn, imagined, recorded_lift
-from gendom.estimation.likelihood import NoiseModel
+from gendom.estimation.observed import NoiseModel
 from gendom.reality import arm_motion, as_real, lift, lift_cameras
 from gendom.robot import predefined_lift
 from gendom.robot.motions import LIFT_FRAME_RATE

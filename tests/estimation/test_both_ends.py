@@ -10,8 +10,9 @@ import pytest
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
 from gendom.estimation import EstimateSettings, LiftScene, SceneSettings, estimate, replay
-from gendom.estimation.likelihood import Observation, shared
+from gendom.estimation.likelihood import shared
 from gendom.estimation.markers import aside, axis_beside, material_frames
+from gendom.estimation.observed import Observation
 from gendom.estimation.placing import lost_time
 from gendom.estimation.problem import Problem
 from gendom.estimation.replay import replay_axis, with_twist_shown

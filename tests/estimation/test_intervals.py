@@ -12,7 +12,8 @@ import pytest
 from gendom.datasets import Recording
 from gendom.estimation import EstimateSettings, IntervalCalibration, Theta, estimate, intervals
 from gendom.estimation.intervals import discrepancy, posterior_of
-from gendom.estimation.likelihood import Comparisons, NoiseModel
+from gendom.estimation.likelihood import Comparisons
+from gendom.estimation.observed import NoiseModel
 from gendom.estimation.problem import Found, Start
 from gendom.materials.estimate import Estimate
 from gendom.materials.objects import ASSUMED

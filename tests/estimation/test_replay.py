@@ -9,7 +9,7 @@ import pytest
 
 from gendom.datasets import Recording
 from gendom.estimation import EstimateSettings, LiftScene, SceneSettings, Theta, estimate, replay
-from gendom.estimation.likelihood import NoiseModel, Observation
+from gendom.estimation.observed import NoiseModel, Observation
 from gendom.estimation.replay import HEM, WorldInputs, held_reach, lattice, middle
 
 

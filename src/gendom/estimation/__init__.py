@@ -2,8 +2,8 @@
 
 from gendom.estimation.estimate import estimate
 from gendom.estimation.intervals import IntervalCalibration
-from gendom.estimation.likelihood import NoiseModel, Observation
 from gendom.estimation.methods import METHODS, find_method
+from gendom.estimation.observed import NoiseModel, Observation
 from gendom.estimation.problem import EstimateSettings, Problem, Progress
 from gendom.estimation.replay import replay
 from gendom.estimation.result import FittedEstimate, chamfers

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.errors import SimulationError
-from gendom.estimation.likelihood import Comparison, Comparisons, NoiseModel, Observation
+from gendom.estimation.likelihood import Comparison, Comparisons
+from gendom.estimation.observed import NoiseModel, Observation
 from gendom.estimation.replay import Shape, middle, replay_axis
 from gendom.estimation.scene import LiftScene
 from gendom.estimation.scene_settings import (

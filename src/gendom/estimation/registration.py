@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
-from gendom.estimation.likelihood import Comparison, NoiseModel
+from gendom.estimation.likelihood import Comparison
 from gendom.estimation.methods.gauss_newton import gauss_newton
+from gendom.estimation.observed import NoiseModel
 from gendom.estimation.placing import with_points
 from gendom.estimation.problem import EstimateSettings, Problem
 from gendom.estimation.scene import LiftScene

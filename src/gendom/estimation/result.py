@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arrays import Array
-from gendom.estimation.likelihood import Comparison, NoiseModel
+from gendom.estimation.likelihood import Comparison
+from gendom.estimation.observed import NoiseModel
 from gendom.estimation.problem import Found, Problem
 from gendom.estimation.replay import replay
 from gendom.estimation.scene import LiftScene

@@ -22,7 +22,8 @@ from gendom.datasets.checks import (
     numbered,
     usual_speed,
 )
-from gendom.estimation.likelihood import HUBER, Comparison, NoiseModel
+from gendom.estimation.likelihood import HUBER, Comparison
+from gendom.estimation.observed import NoiseModel
 from gendom.estimation.placing import LINE_PLACES, early_points, lying_rectangle, with_points
 from gendom.estimation.priors import thickness_stated
 from gendom.estimation.problem import Found, Part, Problem

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.estimation.likelihood import NoiseModel
 from gendom.estimation.methods.search import best_of, estimated_noise, first_starts
+from gendom.estimation.observed import NoiseModel
 from gendom.estimation.priors import INSTRUMENTED
 from gendom.estimation.problem import Found, Problem, Start
 from gendom.materials.unknowns import UNKNOWNS

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.estimation.likelihood import Comparisons, NoiseModel
+from gendom.estimation.likelihood import Comparisons
+from gendom.estimation.observed import NoiseModel
 from gendom.estimation.problem import Found, Problem, Start
 
 Array = NDArray[np.floating]
