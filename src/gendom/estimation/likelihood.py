@@ -20,13 +20,11 @@ from functools import cache, cached_property
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from gendom.arrays import Array
 from gendom.estimation.markers import Offsets, aside, material_frames, spread
 from gendom.estimation.observed import NoiseModel, Observation, Rows
-
-Array = NDArray[np.floating]
 
 HUBER = 0.006
 """Distance beyond which a point's pull grows no further [m]: Huber's loss, smoothed."""

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
+from gendom.arrays import Array
 from gendom.estimation.markers import beside_axis
 from gendom.estimation.replay import Shape, held_reach, lattice, middle, nearest_of
 from gendom.estimation.scene import LiftScene
 from gendom.observation import visible
-
-Array = NDArray[np.floating]
 
 UNKNOWN_SHIFT, UNKNOWN_TURN = 0.05, 0.1
 """`NoiseModel.shift` and `turn` of cameras with unknown poses [m], [rad], after a coarse
