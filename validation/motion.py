@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.materials import Material
 from gendom.sim import AIR_DENSITY, CFL, GRAVITY, Gripper, Table, cloth, rope
-from gendom.sim.thin.shells import Shells
+from gendom.sim.thin.shells import ShellModel
 from validation.bench import Bench, Row, case, vanishing
 from validation.readings import energies, mechanics
 from validation.specimens import across, block, particle_rope
@@ -158,7 +158,7 @@ def swings(bench: Bench, kind: str) -> Iterator[Row]:
         body, time = cloth(width=0.2, height=0.1, thickness=0.002, dx=0.02, points=(15, 8)), 20.0
         material, hand = Material(E=1e5, density=500.0), Gripper.still((-100, 0, 0), radius=100.01)
         pull = -G[2] * np.array([math.sin(math.pi / 3.0), 0.0, -math.cos(math.pi / 3.0)])
-        cfl = Shells.undamped_cfl
+        cfl = ShellModel.undamped_cfl
         steps = {
             "a swinging sheet, half the substep": (1e-3, {"cfl": 0.5 * cfl}),
             "a swinging sheet, the default substep": (2e-3, {"cfl": cfl}),

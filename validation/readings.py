@@ -11,9 +11,10 @@ from scipy.optimize import least_squares
 from gendom.errors import SimulationError
 from gendom.sim import Simulator
 from gendom.sim.mpm.boundary import FOLLOWS, grip_constants
-from gendom.sim.thin.rods import Q, Rods, joint_strains
+from gendom.sim.thin.engine import ThinEngine
+from gendom.sim.thin.rods import joint_strains
 from gendom.sim.thin.rotation import conjugate, turned
-from gendom.sim.thin.shells import Shells
+from gendom.sim.thin.types import Q, SPIN
 
 # ---- momenta and energies ------------------------------------------------------------------------
 
@@ -34,19 +35,19 @@ def mechanics(s: Simulator) -> Mechanics:
     """Momenta and energies of world 0, of particles, a rod or a shell."""
     x, v = s.positions()[0].astype(float), s.velocities()[0].astype(float)
     e = s.engine
-    if isinstance(e, Rods | Shells):
+    if isinstance(e, ThinEngine):
         m = e.model.mass[0]
     else:
         m = np.full(len(x), s.materials[0].density * s.body.volume)
     centre = m @ x / m.sum()
     L = np.cross(x - centre, m[:, None] * v).sum(axis=0)
     kinetic = 0.5 * float(m @ np.sum(v**2, axis=1))
-    if isinstance(e, Rods):
-        J, spin = e.model.inertia[0, :-1], e.component(slice(10, 13))[0][:-1]
+    if isinstance(e, ThinEngine) and e.model.directed:
+        J, spin = e.model.inertia[0, :-1], e.component(SPIN)[0][:-1]
         L = L + J @ spin
         kinetic += 0.5 * float(np.sum(J[:, None] * spin**2))
         elastic = rod_energy(s)
-    elif isinstance(e, Shells):
+    elif isinstance(e, ThinEngine):
         elastic = membrane_energy(s) + bending_energy(s)
     else:
         # A particle carries the moment B = C dx^2 / 4 of its affine velocity and its energy.
@@ -99,7 +100,7 @@ def spring_energy(s: Simulator) -> float:
 def rod_energy(s: Simulator) -> float:
     """Elastic energy of a rod, world 0 [J]."""
     e = s.engine
-    assert isinstance(e, Rods)
+    assert isinstance(e, ThinEngine)
     x, q = s.positions()[0].astype(float), e.component(Q)[0][:-1]
     k, rest = e.model.stiffness[0], e.model.rest
     strain = turned(conjugate(q), np.diff(x, axis=0)) * rest[0, :-1, None] - rest[1:4, :-1].T
@@ -112,7 +113,7 @@ def rod_energy(s: Simulator) -> float:
 def membrane_energy(s: Simulator) -> float:
     """Of a shell, world 0 [J], from the lattice's edges as ``native/shell.h`` says."""
     e = s.engine
-    assert isinstance(e, Shells)
+    assert isinstance(e, ThinEngine)
     ny, nx = e.model.shape
     x = e.model.on_lattice(s.positions()[:1].astype(float))[0]
     lx, ly = e.model.spacing
@@ -131,7 +132,7 @@ def membrane_energy(s: Simulator) -> float:
 def bending_energy(s: Simulator) -> float:
     """Of a shell, world 0 [J]."""
     e = s.engine
-    assert isinstance(e, Shells)
+    assert isinstance(e, ThinEngine)
     x = e.model.on_lattice(s.positions()[:1].astype(float))[0]
     k = e.model.on_lattice(e.model.stiffness[0])
     xx, yy = np.zeros_like(x), np.zeros_like(x)
@@ -155,7 +156,7 @@ def energies(
         high.append(-m.mass * float(m.centre @ np.asarray(pull)))
         total.append(m.kinetic + m.elastic + high[-1])
         # before the first substep nothing is held yet
-        if t > 0.0 and not isinstance(s.engine, Rods | Shells):
+        if t > 0.0 and not isinstance(s.engine, ThinEngine):
             total[-1] += spring_energy(s)
     return np.array(total), np.array(high)
 

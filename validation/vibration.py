@@ -12,7 +12,7 @@ from scipy.special import j0, jn_zeros
 
 from gendom.materials import Material
 from gendom.sim import GRAVITY, Gripper, cloth, rope
-from gendom.sim.thin.shells import Shells
+from gendom.sim.thin.engine import ThinEngine
 from validation.bench import WEIGHTLESS, Bench, Row, absolute, case, relative, vanishing
 from validation.readings import swing
 from validation.references import (
@@ -165,7 +165,7 @@ def discs(bench: Bench) -> Iterator[Row]:
             continue
         body = cloth(outline=[circle(R)], thickness=h, dx=0.02, points=(points, points))
         s = bench.simulate(body, [material], gravity=WEIGHTLESS)
-        assert isinstance(s.engine, Shells)
+        assert isinstance(s.engine, ThinEngine)
         saddle = (body.points[:, 0] ** 2 - body.points[:, 1] ** 2) / R**2
         s.set_velocities(np.outer(0.01 * h * omega * saddle, (0.0, 0.0, 1.0)))
         t = np.linspace(0.2, 2.2, 61) * 2.0 * math.pi / omega

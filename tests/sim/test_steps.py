@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.sim import Gripper, Simulator, Solver, Table, Targets, cloth, rope
-from gendom.sim.thin import ThinEngine
+from gendom.sim.thin.engine import ThinEngine
 
 ROPE = rope(length=0.2, diameter=0.012)
 CLOTH = cloth(width=0.1, height=0.1, thickness=1e-3, dx=0.02, points=(9, 9))

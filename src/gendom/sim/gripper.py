@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from gendom.arguments import check_number, check_numbers, require
+from gendom.arguments import check_list, check_number, check_numbers, require
 from gendom.arrays import Array
 from gendom.errors import ParameterError
 
@@ -159,6 +159,24 @@ def turns_of(q: Array) -> Array:
     return (after * before.inv()).as_rotvec().reshape(*q.shape[:-2], -1, 3)
 
 
+def of_worlds(name: str, given: Any, kind: type, worlds: int) -> list[Sequence[Any]]:
+    """What each of W worlds has, given a sequence that all share, or one for each world.
+
+    Raises:
+        ParameterError: If they are not of the kind, or worlds have not the same number of them.
+    """
+    shared = not isinstance(given, Sequence) or any(isinstance(one, kind) for one in given)
+    if shared or not given:
+        check_list(name, given, kind)
+        return [given] * worlds
+    for w, some in enumerate(given):
+        check_list(f"{name}[{w}]", some, kind)
+    require(len(given) >= worlds, f"no {name} given for world {len(given)} of the batch")
+    count = {len(some) for some in given[:worlds]}
+    require(len(count) == 1, f"every world needs the same number of {name}, got {sorted(count)}")
+    return list(given[:worlds])
+
+
 class Grippers(Sequence[Sequence[Gripper]]):
     """The G grippers of each of W worlds, as arrays; an element is the sequence of one world.
 
@@ -194,15 +212,17 @@ class Grippers(Sequence[Sequence[Gripper]]):
             self.arrays["turn"][turning, :-1] = turns_of(self.arrays["orientation"][turning])
 
     @classmethod
-    def of(cls, every: Sequence[Sequence[Gripper]], *, knots: int = 2) -> "Grippers":
-        """Stack W sequences of G grippers, with at least so many knots."""
+    def of(cls, every: Sequence[Sequence[Path]], *, knots: int = 2) -> "Grippers":
+        """Stack W sequences of G grippers, with at least so many knots; other paths hold nothing,
+        and count as of radius 1."""
         W, G = len(every), len(every[0])
         K = max([knots] + [len(np.asarray(g.time)) for grippers in every for g in grippers])
         out = {
             "time": np.zeros((W, G, K)),
             "position": np.zeros((W, G, K, 3)),
             "orientation": np.tile([0.0, 0.0, 0.0, 1.0], (W, G, K, 1)),
-            **{name: np.zeros((W, G)) for name in ("turns", "hold_from", "hold_until", "radius")},
+            **{name: np.zeros((W, G)) for name in ("turns", "hold_from", "hold_until")},
+            "radius": np.ones((W, G)),
         }
         for w, g in np.ndindex(W, G):
             gripper = every[w][g]
@@ -214,8 +234,9 @@ class Grippers(Sequence[Sequence[Gripper]]):
                 q = q / np.linalg.norm(q, axis=1, keepdims=True)
                 out["orientation"][w, g] = np.pad(q, (more, (0, 0)), "edge")
                 out["turns"][w, g] = 1
-            for name in ("hold_from", "hold_until", "radius"):
-                out[name][w, g] = getattr(gripper, name)
+            if isinstance(gripper, Gripper):
+                for name in ("hold_from", "hold_until", "radius"):
+                    out[name][w, g] = getattr(gripper, name)
         return cls(out)
 
     def __len__(self) -> int:

@@ -8,13 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
-from gendom.arguments import check_list, check_number, check_numbers, require
+from gendom.arguments import check_number, check_numbers, require
 from gendom.arrays import Array
 from gendom.sim.bodies import Body
-from gendom.sim.gripper import Gripper, Grippers, Path
-
-CENTRE = slice(14, 17)
-"""Of an obstacle, among its numbers for kernels."""
+from gendom.sim.gripper import Path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,47 +151,14 @@ class Cuboid(Obstacle):
         return float(np.min(self.size)) / 2.0
 
 
-def obstacles_of_worlds(
-    given: Sequence[Obstacle] | Sequence[Sequence[Obstacle]], worlds: int
-) -> list[Sequence[Obstacle]]:
-    """The obstacles of each world, given those of all worlds or of each.
-
-    Raises:
-        ParameterError: If they are none, or worlds have not the same number of them.
-    """
-    if not (isinstance(given, Sequence) and given and isinstance(given[0], Sequence)):
-        check_list("obstacles", given, Obstacle)
-        return [given] * worlds  # pyright: ignore[reportReturnType]
-    for w, some in enumerate(given):
-        check_list(f"obstacles[{w}]", some, Obstacle)
-    count = {len(some) for some in given}  # pyright: ignore[reportArgumentType]
-    fits = len(given) == worlds and len(count) == 1
-    require(fits, f"each of {worlds} worlds needs the same number of obstacles",
-            where=f"obstacles of {len(given)} worlds, {sorted(count)} in each")  # fmt: skip
-    return list(given)  # pyright: ignore[reportReturnType]
-
-
-def paths_of_obstacles(every: Sequence[Sequence[Obstacle]]) -> dict[str, Array]:
-    """Paths of the obstacles of worlds: arrays of ``Grippers`` that hold nothing."""
-
-    def path(of: Obstacle) -> Gripper:
-        return Gripper(time=of.time, position=of.position, quat_xyzw=of.quat_xyzw, radius=1.0)
-
-    paths = {id(some): [path(of) for of in some] for some in every}
-    return Grippers.of([paths[id(some)] for some in every]).arrays
-
-
-def numbers_of_obstacles(every: Sequence[Sequence[Obstacle]], time: float) -> Array:
-    """[W, O, 23] what the thin engine's kernels know of obstacles, with their poses at a time [s],
-    see ``native/surroundings.h``."""
-
-    def row(of: Obstacle) -> Array:
-        (half, reach), (centre, turned) = of.core, of.pose_at(time)
-        axes = turned.as_matrix().T.ravel()
-        return np.concatenate([half, [reach, of.friction], axes, centre, np.zeros(6)])
-
-    rows = {id(some): [row(of) for of in some] for some in every}
-    return np.reshape([rows[id(some)] for some in every], (len(every), len(every[0]), 23))
+def numbers_of_obstacles(every: Sequence[Sequence[Obstacle]]) -> Array:
+    """[W, O, 23] what the thin engine's kernels know of obstacles, see ``native/surroundings.h``;
+    they set the poses themselves."""
+    rows = [[[*of.core[0], of.core[1], of.friction] for of in some] for some in every]
+    sizes = np.reshape(
+        np.array(rows, dtype=float), (len(every), len(every[0]), -1 if rows[0] else 5)
+    )
+    return np.pad(sizes, ((0, 0), (0, 0), (0, 18)))
 
 
 def check_thick(some: Sequence[Obstacle], radius: float, spacing: float) -> None:

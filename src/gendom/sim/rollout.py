@@ -7,7 +7,7 @@ from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.sim.gradients import Gradients
 from gendom.sim.simulator import Simulator
-from gendom.sim.thin import ThinEngine
+from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.tape import ThinTape
 
 MEMORY = {"cpu": 64 << 20, "cuda": 8 << 30}

@@ -23,12 +23,12 @@ from gendom.materials.parameters import WEAVE
 from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
-from gendom.sim.gripper import Gripper, Grippers, Targets
+from gendom.sim.gripper import Gripper, Grippers, Targets, of_worlds
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.mpm.model import Worlds
-from gendom.sim.obstacles import Obstacle, Table, check_clear, obstacles_of_worlds
+from gendom.sim.obstacles import Obstacle, Table, check_clear
 from gendom.sim.setting import Frames, Physics, Setting, Solver
-from gendom.sim.thin import THIN_ENGINES, ThinEngine
+from gendom.sim.thin.engine import ThinEngine
 
 START_INSIDE = 0.1
 """Greatest initial depth of a body in a table or obstacle [cells, or diameters of a rod]; contact
@@ -95,7 +95,12 @@ class Simulator(Shown):
         require(materials, "a simulation needs at least one material (one a world)")
         check_number("start_time", start_time)
         engine, W = engine_of(body, solver), len(materials)
-        thin, every = engine == "thin", obstacles_of_worlds(obstacles, W)
+        thin, every = engine == "thin", of_worlds("obstacles", obstacles, Obstacle, W)
+        if isinstance(grippers, Grippers):
+            require(len(grippers) >= W, f"no grippers given for world {len(grippers)} of the batch")
+            hands = grippers[:W]
+        else:
+            hands = Grippers.of(of_worlds("grippers", grippers, Gripper, W))
         rest = body.points if thin else body.x
         N = len(rest)
         require(
@@ -134,7 +139,7 @@ class Simulator(Shown):
         setting = Setting(
             body=body,
             materials=self.materials,
-            grippers=_grippers_of_worlds(grippers, W),
+            grippers=hands,
             table=table,
             obstacles=every,
             **vars(physics),
@@ -148,7 +153,7 @@ class Simulator(Shown):
             device=self.device,
             threads=solver.threads or cores(),
         )
-        kind = THIN_ENGINES[body.kind] if thin else MpmEngine
+        kind = ThinEngine if thin else MpmEngine
         with making:
             self.engine = kind(setting, substep=solver.substep, cfl=solver.cfl)
 
@@ -159,7 +164,7 @@ class Simulator(Shown):
         super().__setattr__(name, value)
 
     def _shown(self) -> tuple[str, list[tuple[str, str]]]:
-        kind = type(self.engine).__name__
+        kind = self.engine.model.kind if isinstance(self.engine, ThinEngine) else "mpm"
         worlds = f"{self.num_worlds} world{'s' * (self.num_worlds != 1)}"
         return f"Simulator ({self.body.kind}, {worlds})", [
             ("engine", f"{kind}, {self.dtype}, {self.device}"),
@@ -335,22 +340,3 @@ class Simulator(Shown):
 def engine_of(body: Body, solver: Solver) -> str:
     """The engine of a body's simulation: the solver's, or the body's usual one."""
     return solver.engine or ("thin" if body.kind in ("rope", "cloth") else "mpm")
-
-
-def _grippers_of_worlds(every: Any, worlds: int) -> Grippers:
-    """The grippers of each world, given those of all worlds or of each, or as arrays."""
-    if not isinstance(every, Grippers):
-        own = isinstance(every, Sequence) and not any(isinstance(g, Gripper) for g in every)
-        if own and every:
-            for w, some in enumerate(every):
-                check_list(f"grippers[{w}]", some, Gripper)
-        else:
-            check_list("grippers", every, Gripper)
-            every = [every] * worlds
-    fewer = f"no grippers given for world {len(every)} of the batch"
-    require(len(every) >= worlds, fewer)
-    if isinstance(every, Grippers):
-        return every[:worlds]
-    count = {len(g) for g in every[:worlds]}
-    require(len(count) == 1, f"every world needs the same number of grippers, got {count}")
-    return Grippers.of(every[:worlds])

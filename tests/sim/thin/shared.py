@@ -9,7 +9,7 @@ import pytest
 from gendom.materials import Material
 from gendom.materials.parameters import OF_THIN
 from gendom.sim import Rollout, Simulator, Table
-from gendom.sim.thin.shells import Shells
+from gendom.sim.thin.engine import ThinEngine
 from validation.bench import flat_simulator
 
 SIZES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
@@ -116,5 +116,5 @@ def check_worlds(run, count):
 def model_of(body):
     """The shell model of a cloth."""
     engine = Simulator(body, [Material()]).engine
-    assert isinstance(engine, Shells)
+    assert isinstance(engine, ThinEngine)
     return engine.model

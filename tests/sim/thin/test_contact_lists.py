@@ -102,7 +102,7 @@ def by_search(s, x):
         start, way = np.tile(x[p], (len(rest), 1)), np.tile(x[q] - x[p], (len(rest), 1))
         near = edge_distance(start, way, x[rest[:, 0]], x[rest[:, 1]] - x[rest[:, 0]]) < far
         pairs |= {frozenset({frozenset({p, q}), frozenset(o)}) for o in rest[near].tolist()}
-    reach = far + 2.0 * s.engine.spacing
+    reach = far + 2.0 * s.engine.model.widest
     for p in points:
         close = (np.linalg.norm(x[T] - x[p], axis=2).min(axis=1) < reach) & ~(T == p).any(axis=1)
         close[close] = triangle_distance(x[p], x[T[close]]) < far
@@ -134,7 +134,7 @@ def test_listed_are_all_pairs_that_are_near(scene, device):
     expected = by_search(s, x)
     rod = s.engine.device_model.pitch == 0
     # neighbours along the body are left out unless they fold; other tests are for those
-    sure = {p for p in expected if apart(p, s) >= (s.engine.apart if rod else 3)}
+    sure = {p for p in expected if apart(p, s) >= (s.engine.model.apart if rod else 3)}
     assert len(sure) > 20
     assert sure <= pairs
     assert pairs <= expected

@@ -9,7 +9,7 @@ import pytest
 from gendom.errors import ParameterError
 from gendom.materials import Material
 from gendom.sim import Gripper, Physics, Simulator, Solver, cloth, rope
-from gendom.sim.thin.shells import Shells
+from gendom.sim.thin.engine import ThinEngine
 from validation.readings import bending_energy, membrane_energy
 
 MATERIAL = Material(E=1.0e6, nu=0.0)
@@ -37,7 +37,7 @@ def rolled(material=MATERIAL, axis=0, **options):
     u, x = body.points[:, axis] / R, body.points.copy()
     x[:, axis], x[:, 2] = R * np.sin(u), R * (1.0 - np.cos(u))
     s = Simulator(body, [material], positions=x, **options)
-    assert isinstance(s.engine, Shells)
+    assert isinstance(s.engine, ThinEngine)
     longest = s.engine.model.longest_step()
     return membrane_energy(s), bending_energy(s), longest
 
@@ -82,7 +82,7 @@ def test_a_sharp_bend_about_the_diagonal_is_no_shear(diagonal):
     )
     bending = bending_energy(s)
     assert membrane_energy(s) < 1e-6 * bending
-    assert isinstance(s.engine, Shells)
+    assert isinstance(s.engine, ThinEngine)
     mass, most = s.engine.model.mass[0], 0.0
     for t in np.linspace(0.002, 0.06, 30):
         s.run([t])
@@ -98,7 +98,7 @@ def test_points_bend_and_weigh_as_those_of_a_hem():
     assert hemmed[1] == pytest.approx(3.0 * plain[1])
     body, factors = cloth(**SIZES, points=(15, 12)), np.linspace(0.8, 2.0, points)
     light, heavy = (Simulator(body, [MATERIAL], mass=m).engine for m in (1.0, factors))
-    assert isinstance(light, Shells) and isinstance(heavy, Shells)
+    assert isinstance(light, ThinEngine) and isinstance(heavy, ThinEngine)
     np.testing.assert_allclose(heavy.model.mass / light.model.mass, factors[None])
 
 

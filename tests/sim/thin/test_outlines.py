@@ -13,7 +13,7 @@ from gendom.materials import Material
 from gendom.sim import Gripper, Physics, Simulator, Table, cloth
 from gendom.sim.outlines import Outline
 from gendom.sim.thin.contact import check_cloth
-from gendom.sim.thin.shells import Shells
+from gendom.sim.thin.engine import ThinEngine
 from sim.thin.shared import model_of
 from validation.bench import flat_simulator
 from validation.readings import bending_energy, membrane_energy
@@ -36,8 +36,8 @@ def part_of(body):
     return body.cut
 
 
-def engine_of(s) -> Shells:
-    assert isinstance(s.engine, Shells)
+def engine_of(s) -> ThinEngine:
+    assert isinstance(s.engine, ThinEngine)
     return s.engine
 
 

@@ -9,6 +9,7 @@ import pytest
 from gendom.materials import Material
 from gendom.sim import Gripper, Simulator, Solver, cloth, rope
 from gendom.sim.thin import rods
+from gendom.sim.thin.engine import ThinEngine
 from validation.bench import flat_simulator
 
 BODY = rope(diameter=0.004, length=0.31, start=(-0.01, 0, 0), points=32)
@@ -21,13 +22,13 @@ def simulator(worlds=8, **settings):
 
 def test_borders_stay_stiff_when_two_groups_close_at_once(monkeypatch):
     """The first group's thread is stopped between reading and writing until the other is done."""
-    whole, doubled = rods.Rods.stiffen, rods.slower
+    whole, doubled = ThinEngine.stiffen, rods.slower
     order: list[int] = []
     other_done = threading.Event()
 
-    def stiffen(self, body, worlds):
+    def stiffen(self, worlds):
         order.append(threading.get_ident())
-        whole(self, body, worlds)
+        whole(self, worlds)
         if threading.get_ident() != order[0]:
             other_done.set()
 
@@ -41,7 +42,7 @@ def test_borders_stay_stiff_when_two_groups_close_at_once(monkeypatch):
     groups = []
     engine.each_group(groups.append)
     assert len(groups) == 2
-    monkeypatch.setattr(rods.Rods, "stiffen", stiffen)
+    monkeypatch.setattr(ThinEngine, "stiffen", stiffen)
     monkeypatch.setattr(rods, "slower", slower)
     s.run([1e-5])
     assert other_done.is_set()

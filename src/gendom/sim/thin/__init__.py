@@ -1,8 +1,1 @@
-"""Engines for thin bodies: ropes as rods, cloths as shells."""
-
-from gendom.sim.thin.engine import ThinEngine
-from gendom.sim.thin.rods import Rods
-from gendom.sim.thin.shells import Shells
-
-THIN_ENGINES: dict[str, type[ThinEngine]] = {"rope": Rods, "cloth": Shells}
-"""By kind of body."""
+"""Engine for thin bodies: ropes as rods, cloths as shells."""

@@ -13,7 +13,6 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.sim.setting import Setting, spread
-from gendom.sim.thin.shell_model import ShellModel
 
 MARGIN_OF_LISTS = 0.3
 """Margin of the list of pairs that may come into contact [spacings]."""
@@ -39,14 +38,11 @@ NEIGHBOURS = 2
 """Columns and rows between a point and a cell of a cloth that are not layers."""
 
 
-def contact_arrays(setting: Setting, n: int, spacing: float, rows: Any) -> dict[str, Any]:
+def contact_arrays(setting: Setting, n: int, spacing: float) -> dict[str, Any]:
     """What the kernels' model of n points, at most ``spacing`` [m] apart, needs for contact, by
-    name: numbers, and arrays by dtype. ``rows`` arranges values [..., n] in rows [..., P]."""
+    name: numbers, and arrays [..., n] or of integers."""
     on = int(setting.self_contact)
     W, thickness = len(setting.materials), setting.body.thickness
-    # where nothing is near: the first step lists pairs
-    nowhere = rows(np.broadcast_to(1e6 * (1.0 + np.arange(n)), (W * on, 3, n)))
-    P = nowhere.shape[-1]
     pairs = (W * on, PAIRS * n)
     return {
         "contact": on,
@@ -54,13 +50,12 @@ def contact_arrays(setting: Setting, n: int, spacing: float, rows: Any) -> dict[
         "contact_margin": MARGIN_OF_LISTS * spacing,
         "contact_most_turns": MOST_TURNS,
         "self_friction": spread(setting.self_friction, (W,), "self_friction"),
-        "push": np.zeros((W * on, 10, P)),
-        "listed": nowhere,
-        "boxes": np.zeros((W * on, 6, P)),
-        "near": np.zeros((*pairs, 2), np.int32),
-        "near_count": np.zeros((W * on, 2), np.int32),
-        "close": np.zeros((*pairs, 2), np.int32),
-        "close_count": np.zeros((W * on, 2), np.int32),
+        "push": np.zeros((W * on, 10, n)),
+        # where nothing is near: the first step lists pairs
+        "listed": np.broadcast_to(1e6 * (1.0 + np.arange(n)), (W * on, 3, n)),
+        "boxes": np.zeros((W * on, 6, n)),
+        **{name: np.zeros((*pairs, 2), np.int32) for name in ("near", "close")},
+        **{f"{name}_count": np.zeros((W * on, 2), np.int32) for name in ("near", "close")},
         "touching": np.zeros(pairs, np.int32),
         "touching_count": np.zeros(W * on, np.int32),
     }
@@ -81,8 +76,9 @@ def check_rope(x: Array, diameter: float, apart: int) -> None:
     )
 
 
-def check_cloth(x: Array, model: ShellModel) -> None:
-    """Check that a cloth of points [n, 3] [m] does not cross itself, nor lie in itself."""
+def check_cloth(x: Array, model: Any) -> None:
+    """Check that a cloth of points [n, 3] [m], a ``ShellModel``, does not cross itself, nor lie in
+    itself."""
     edges, triangles = edges_and_triangles(model)
     middles, centres = x[edges].mean(axis=1), x[triangles].mean(axis=1)
     reach = np.linalg.norm(x[edges] - middles[:, None], axis=2).max()
@@ -121,7 +117,7 @@ def check_cloth(x: Array, model: ShellModel) -> None:
         )
 
 
-def edges_and_triangles(model: ShellModel) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def edges_and_triangles(model: Any) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Points of a cloth's edges [E, 2], with one diagonal of each cell, and triangles [F, 3]."""
     g, cells = model.lines[0].index, model.on_lattice(model.exists)[2, :-1, :-1] > 0.0
     a, b, c, d = (

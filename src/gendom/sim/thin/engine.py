@@ -1,11 +1,10 @@
-"""Base class of the thin engines of ``Simulator``: W worlds, their grippers and their runs."""
+"""Engine of ``Simulator`` for rods and shells: W worlds, their grippers and their runs."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -15,17 +14,17 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import ParameterError, SimulationError
 from gendom.sim.device import load_kernels
-from gendom.sim.obstacles import CENTRE, check_thick, numbers_of_obstacles, paths_of_obstacles
+from gendom.sim.gripper import Grippers
+from gendom.sim.obstacles import check_thick, numbers_of_obstacles
 from gendom.sim.paths import CommandedPaths, HostPaths, Pose, paths_on
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
 from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, between, close, pairs_of, released
-from gendom.sim.thin.run import Event, Round, Schedule, put, put_worlds
+from gendom.sim.thin.rods import RodModel
+from gendom.sim.thin.run import Event, Round, Schedule, put
+from gendom.sim.thin.shells import ShellModel
 from gendom.sim.thin.step import make_kernels
-from gendom.sim.thin.types import SPIN, Q, V, X, make_types
-
-CFL = 0.8
-"""Default share of the longest stable step of small vibrations, of damped bodies and rods."""
+from gendom.sim.thin.types import CFL, SPIN, Q, V, X, make_types
 
 SHORTEST_SUBSTEP = 1e-9
 """Below, the steps of two seconds outnumber their counter of 32 bits [s]."""
@@ -52,58 +51,34 @@ class Run:
         """By the first world of a group."""
 
 
-class ThinEngine(ABC):
-    """W thin bodies of one shape.
+class ThinEngine:
+    """W rods or shells of one shape.
 
     Raises:
         ParameterError: If arguments do not fit together.
     """
 
-    kind: ClassVar[str]
-    """Name of the kind of body in the kernels."""
-    directed: ClassVar[bool]
-    """Whether edges have directions of their own."""
-    state_rows: ClassVar[int]
-    state_bars: ClassVar[int]
-    scratch_rows: ClassVar[int]
-    scratch_bars: ClassVar[int]
-    """Numbers of components of states, of derivatives by states, and of their scratch arrays."""
-    threads_on_cuda: ClassVar[int]
-    """Of a world."""
-    undamped_cfl: ClassVar[float] = CFL
-    """As ``CFL``, of worlds without damping."""
-    woven: ClassVar[tuple[str, ...]] = ()
-    """Parameters of threads."""
-
-    model: Any
-    """``RodModel`` or ``ShellModel``."""
-    spacing: float
-    """Largest distance between neighbouring points [m]."""
-    slots: NDArray[np.int64]
-    """[n] positions of points in a row."""
-    row_length: int
-    per_turn: Array
-    """[W, n] inverse moments of inertia of edges [1/(kg m^2)]; 0 where they have no directions."""
-
     def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
         W, n, G = len(setting.materials), len(setting.body.points), len(setting.grippers[0])
         self.num_worlds, self.num_points = W, n
         self.air_density = spread(setting.air_density, (W,), "air_density")
-        self.prepare(setting)
-        damped = np.array([m.damping > 0.0 for m in setting.materials])
-        share = cfl or np.where(damped, CFL, self.undamped_cfl)
-        limits = substep or share * self.model.longest_step()
+        self.model = m = (RodModel if setting.body.kind == "rope" else ShellModel)(setting)
+        damped = np.array([material.damping > 0.0 for material in setting.materials])
+        share = cfl or np.where(damped, CFL, m.undamped_cfl)
+        limits = substep or share * m.longest_step()
         self.setting = s = replace(setting, substep=np.broadcast_to(limits, W))
         s.check_substep(
             SHORTEST_SUBSTEP, fix="a softer or denser material, fewer points, or a longer substep"
         )
         self.real = wp.float32 if s.dtype == "float32" else wp.float64
         self.types = make_types(self.real)
-        self.kernels = make_kernels(self.real, self.kind)
-        self.threads = self.threads_on_cuda if s.device.is_cuda else 1
+        self.kernels = make_kernels(self.real, m.kind)
+        self.threads = m.threads_on_cuda if s.device.is_cuda else 1
+        """Of a world."""
         self.block = self.threads if self.threads > 1 else 256
         """Threads of a CUDA block."""
-        self.per_mass = 1.0 / self.model.mass
+        self.per_mass = 1.0 / m.mass
+        self.slots, self.row_length = m.slots, m.row_length
         self.origin = np.array([0.0, 0.0, s.table.height if s.table is not None else 0.0])
         self.stacked = dict(s.grippers.arrays)
         self.stacked["position"] = self.stacked["position"] - self.origin
@@ -112,9 +87,9 @@ class ThinEngine(ABC):
         self.closed = np.zeros((W, G), dtype=int)
         """[W, G] 0: not yet closed, 1: closed, 2: opened."""
         self.holds = np.zeros((W, G, n), dtype=np.int32)
-        self.stiffer = np.ones((W, G, len(self.model.lines), n))
+        self.stiffer = np.ones((W, G, len(m.lines), n))
         self.device_model = self._device_model()
-        self.state = self.zeros((W, self.state_rows, self.row_length))
+        self.state = self.zeros((W, m.state_rows, self.row_length))
         self.now = np.full(W, s.start_time)
         """[W] time of the state [s]."""
         self.failures: dict[int, SimulationError] = {}
@@ -124,57 +99,16 @@ class ThinEngine(ABC):
         self.last_dt = np.zeros(W)
         """[W] length of the last step [s]; 0 where velocities are those at the current time."""
         x = spread(np.asarray(s.positions, dtype=float) - self.origin, (W, n, 3), "positions")
-        self.state.assign(self.first_state(x))
-        if s.self_contact:
-            # identical initial positions are checked once
-            for one in x[: 1 if x.strides[0] == 0 else W]:
-                self.check_apart(one)
+        # identical initial positions are looked at once
+        self.state.assign(self._first_state(x, x[:1] if x.strides[0] == 0 else x))
         self.load("begin", "advance")
         self.launch(self.kernels.begin, slice(0, W), [self.device_model, self.state])
 
-    # ---- defined by each kind of body ------------------------------------------------------------
-
-    @abstractmethod
-    def prepare(self, setting: Setting) -> None:
-        """Make the model; refuse a setting that this engine cannot simulate."""
-
-    @abstractmethod
-    def fill(self, model: Any) -> None:
-        """Set shape, stiffness and inertia of the kernels' model."""
-
-    @abstractmethod
-    def check_apart(self, x: Array) -> None:
-        """Refuse points [n, 3] at which the body intersects itself."""
-
-    @abstractmethod
-    def held(self, x: Array, centre: Array, radius: Array, taken: Array) -> NDArray[np.int32]:
-        """``Grip.holds`` of spheres with centres [k, 3] and radii [k] that close on points
-        [k, n, 3], of which others hold what is ``taken`` [k, n]."""
-
-    @abstractmethod
-    def stiffen(self, model: Any, worlds: NDArray[np.int64]) -> None:
-        """Copy the stiffness at the borders of grippers to the kernels' model."""
-
-    @abstractmethod
-    def unstiffened(self, group: slice, stiffer: Array, found: Array) -> Array:
-        """Convert derivatives ``found`` by the stiffness with borders to those by the stiffness
-        without borders, in place; return the derivatives by ``stiffer`` [k, M, n]."""
-
-    def by_start(self, x: Array, v: Array, bar: Array) -> tuple[Array, Array]:
-        """Derivatives by initial positions and velocities [W, n, 3], given those by the first state
-        [W, n, .]."""
-        return bar[..., X].copy(), bar[..., V].copy()
-
-    def spins_of(self, x: Array, v: Array) -> Array | None:
-        """Spins [W, n - 1, 3] of edges whose points have velocities v, if edges have any."""
-        return None
-
-    def first_state(self, x: Array) -> Array:
-        """State [W, ., P] at rest, with points [W, n, 3]."""
-        alike = x[:1] if x.strides[0] == 0 else x
+    def _first_state(self, x: Array, different: Array) -> Array:
+        """State [W, ., P] at rest, with points [W, n, 3], of which some or one are different."""
         for lines in self.model.lines:
-            step = np.linalg.norm(np.diff(lines.of(alike), axis=1), axis=2)
-            stretch = (step / lines.length - 1.0).reshape(len(alike), *lines.exist.shape)
+            step = np.linalg.norm(np.diff(lines.of(different), axis=1), axis=2)
+            stretch = (step / lines.length - 1.0).reshape(len(different), *lines.exist.shape)
             w, l, k = np.unravel_index((np.abs(stretch) * lines.exist).argmax(), stretch.shape)
             if lines.exist[l, k] and abs(stretch[w, l, k]) > STRETCH:
                 kind, most = self.setting.body.kind, 100 * stretch[w, l, k]
@@ -183,15 +117,21 @@ class ThinEngine(ABC):
                     where=f"world {w}, points {lines.index[l, k]} and {lines.index[l, k + 1]}",
                     fix="positions must keep the distances of neighbours in body.points",
                 )
+        if self.setting.self_contact:
+            for one in different:
+                self.model.check_apart(one)
         state = np.zeros(self.state.shape)
         state[:, X, self.slots] = np.swapaxes(x, 1, 2)
+        if isinstance(self.model, RodModel):
+            state[:, Q.stop - 1] = 1.0
+            state[:, Q, self.slots[:-1]] = np.swapaxes(self.model.directions(different), 1, 2)
         return state
 
     @property
     def parameters(self) -> tuple[str, ...]:
         """Parameters of the model."""
-        own = any(m.membrane is not None for m in self.setting.materials)
-        return ("E", "nu", "density", "thickness", *(["membrane"] if own else []), *self.woven)
+        own = ("membrane",) * any(m.membrane is not None for m in self.setting.materials)
+        return ("E", "nu", "density", "thickness", *own, *self.model.woven)
 
     # ---- state -----------------------------------------------------------------------------------
 
@@ -226,14 +166,14 @@ class ThinEngine(ABC):
         """Set points' velocities [W, n, 3] [m/s]; edges of rods rotate with them, not twisting."""
         require(
             not np.any(np.asarray(affine)),
-            f"{self.kind}s have no affine velocities",
+            f"{self.model.kind}s have no affine velocities",
             fix="engine='mpm'",
         )
         v = spread(v, (self.num_worlds, self.num_points, 3), "velocities")
         rows = self.state.numpy()
         rows[:, V, self.slots] = np.swapaxes(v, 1, 2)
-        spins = self.spins_of(self.component(X), v)
-        if spins is not None:
+        if isinstance(self.model, RodModel):
+            spins = self.model.spins(self.component(X), v)
             rows[:, SPIN, self.slots[:-1]] = np.swapaxes(spins, 1, 2)
         self.state.assign(rows)
         self.last_dt[:] = 0.0
@@ -447,9 +387,9 @@ class ThinEngine(ABC):
         # worlds that begin alike hold alike
         first = slice(0, 1 if all((values == values[:1]).all() for values in given) else None)
         x, of = self.pick(X, state[first]), Pose(*(values[first] for values in vars(pose).values()))
-        q = self.pick(Q, state[first])[:, :-1] if self.directed else None
+        q = self.pick(Q, state[first])[:, :-1] if self.model.directed else None
         taken = np.bitwise_or.reduce(holds[first], axis=1)
-        held = self.held(x, of.centre, radius[first], taken)
+        held = self.model.held(x, of.centre, radius[first], taken)
         grip = close(x, q, of, radius[first], held, self.model.lines)
         if len(x) < len(worlds):
             grip = grip.repeated(len(worlds))
@@ -468,7 +408,7 @@ class ThinEngine(ABC):
         self.holds[worlds, g] = grip.holds
         self.stiffer[worlds, g] = grip.stiffer
         rows = worlds * self.closed.shape[1] + g
-        put_worlds(self.device_model.place, rows, self.rows(grip.place))
+        put(self.device_model.place, rows, self.rows(grip.place))
         self.hold(worlds)
         return Event(g, True, worlds, now, pose, grip, self.pick(X, state))
 
@@ -479,9 +419,9 @@ class ThinEngine(ABC):
         grip = Grip(self.holds[worlds, g].copy(), np.empty(0), self.stiffer[worlds, g].copy(), [])
         v, spin = released(x, pose, grip.holds)
         rows[:, V] += self.rows(np.swapaxes(v, 1, 2))
-        if self.directed:
+        if self.model.directed:
             rows[:, SPIN] += self.rows(np.swapaxes(spin, 1, 2))
-        put_worlds(self.state, worlds, rows)
+        put(self.state, worlds, rows)
         self.closed[worlds, g] = 2
         self.holds[worlds, g] = 0
         self.stiffer[worlds, g] = 1.0
@@ -505,19 +445,26 @@ class ThinEngine(ABC):
     def hold(self, worlds: NDArray[np.int64]) -> None:
         """Copy the held points of worlds [k] to the kernels' model."""
         model = self.device_model
-        put_worlds(model.holds, worlds, self.holds[worlds])
+        put(model.holds, worlds, self.holds[worlds])
         if self.closed.shape[1] > 1:
             ends, most = between(self.holds[worlds], self.model.flat, self.slots)
-            put_worlds(model.ends, worlds, ends)
-            put_worlds(model.farthest, worlds, most**2)
-        self.stiffen(model, worlds)
+            put(model.ends, worlds, ends)
+            put(model.farthest, worlds, most**2)
+        self.stiffen(worlds)
         if self.setting.self_contact:
-            put_worlds(model.loose, worlds, self._loose(worlds))
+            put(model.loose, worlds, self.rows(self._loose(worlds)))
+
+    def stiffen(self, worlds: NDArray[np.int64]) -> None:
+        """Copy the stiffness at the borders of grippers to the kernels' model."""
+        m, inertia = self.model, self.device_model.inertia.numpy()[worlds]
+        rows = np.array(m.border_rows)[:, None]
+        inertia[:, rows, self.slots] = m.at_borders(worlds, self.stiffer[worlds].prod(axis=1))
+        put(self.device_model.inertia, worlds, inertia)
 
     def _loose(self, worlds: NDArray[np.int64]) -> Array:
-        """Inverse masses of points of worlds [k], 0 for held ones, [k, 1, P] [1/kg]."""
+        """Inverse masses of points of worlds [k], 0 for held ones, [k, 1, n] [1/kg]."""
         free = 1.0 - np.any(self.holds[worlds] & 1, axis=1)
-        return self.rows(self.per_mass[worlds] * free)[:, None]
+        return (self.per_mass[worlds] * free)[:, None]
 
     def gripper_forces(self) -> Array:
         """Forces of the body on grippers, [W, G, 3] [N]: momentum that held points would gain in a
@@ -563,37 +510,35 @@ class ThinEngine(ABC):
             record_cmd=record_cmd,
         )
 
-    def _obstacles(self, radius: float) -> tuple[wp.array, Any]:
-        """Numbers and paths of obstacles for the kernels' model of a body of this radius [m]."""
-        every = self.setting.obstacles
-        check_thick(every[0], radius, self.spacing)
-        numbers = numbers_of_obstacles(every, self.setting.start_time)
-        paths = paths_of_obstacles(every)
-        numbers[..., CENTRE] -= self.origin
-        paths["position"] = paths["position"] - self.origin
-        return self.array(numbers), paths_on(self.setting.device, paths, self.real)
-
     def _device_model(self) -> Any:
-        s, W, n = self.setting, self.num_worlds, self.num_points
+        s, W, n, m = self.setting, self.num_worlds, self.num_points, self.model
         friction = s.table.friction if s.table is not None else 0.0
-        model = self.types.ThinModel()
-        model.points, model.radius = n, s.body.thickness / 2.0
-        model.slot = self.array(self.slots, wp.int32)
-        model.scratch = self.zeros((W, self.scratch_rows, self.row_length))
-        model.damping = self.array([material.damping for material in s.materials])
-        model.velocity_damping = self.array(spread(s.velocity_damping, (W,), "velocity_damping"))
-        model.friction = self.array(spread(friction, (W,), "friction"))
-        model.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), self.types.vec3)
-        model.table = int(s.table is not None)
-        model.obstacles, model.obstacle_paths = self._obstacles(model.radius)
-        model.holds = self.array(self.holds, wp.int32)
-        model.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
-        ends, most = between(self.holds, self.model.flat, self.slots)
-        model.ends, model.farthest = self.array(ends, wp.int32), self.array(most)
-        self.fill(model)
-        for name, value in contact_arrays(s, n, self.spacing, self.rows).items():
-            if isinstance(value, np.ndarray):
-                value = self.array(value, wp.int32 if value.dtype == np.int32 else None)
-            setattr(model, name, value)
-        model.loose = self.array(self._loose(np.arange(W * int(s.self_contact))))
-        return model
+        made = self.types.ThinModel()
+        made.points, made.radius, made.table = n, s.body.thickness / 2.0, int(s.table is not None)
+        made.slot = self.array(self.slots, wp.int32)
+        made.scratch = self.zeros((W, m.scratch_rows, self.row_length))
+        made.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
+        made.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), self.types.vec3)
+        check_thick(s.obstacles[0], made.radius, m.widest)
+        made.obstacles = self.array(numbers_of_obstacles(s.obstacles))
+        paths = dict(Grippers.of(s.obstacles).arrays)
+        paths["position"] = paths["position"] - self.origin
+        made.obstacle_paths = paths_on(s.device, paths, self.real)
+        ends, most = between(self.holds, m.flat, self.slots)
+        given = {
+            "damping": np.array([material.damping for material in s.materials]),
+            "velocity_damping": spread(s.velocity_damping, (W,), "velocity_damping"),
+            "friction": spread(friction, (W,), "friction"),
+            "holds": self.holds, "ends": ends,
+            "loose": self._loose(np.arange(W * int(s.self_contact))),
+            **m.arrays(s, self.air_density), **contact_arrays(s, n, m.widest),
+        }  # fmt: skip
+        made.farthest = self.array(most)
+        for name, value in given.items():
+            if not isinstance(value, np.ndarray):
+                setattr(made, name, value)
+            elif value.dtype == np.int32:
+                setattr(made, name, self.array(value, wp.int32))
+            else:  # of points, or of worlds
+                setattr(made, name, self.array(self.rows(value) if value.ndim > 1 else value))
+        return made

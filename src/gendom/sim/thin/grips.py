@@ -20,8 +20,6 @@ from scipy.spatial.distance import cdist
 from gendom.arrays import Array
 from gendom.sim.paths import Pose
 from gendom.sim.thin import rotation
-from gendom.sim.thin.contact import triangle_distance
-from gendom.sim.thin.shell_model import ShellModel
 from gendom.sim.thin.types import Lines
 
 STRETCH = 0.2
@@ -71,51 +69,7 @@ class Grip:
         return Grip(many(self.holds), many(self.place), many(self.stiffer), cuts)
 
 
-# ---- what is held --------------------------------------------------------------------------------
-
-
-def held_of_rod(x: Array, centre: Array, radius: Array, taken: Array) -> NDArray[np.int32]:
-    """``Grip.holds`` of rods with points x [W, n, 3]: edges whose midpoints lie in the sphere. If
-    there are none but the sphere cuts the centre line, the edge nearest to its centre. Not those
-    that are ``taken`` [W, n] by other grippers."""
-    step = np.diff(x, axis=1)
-    from_first = centre[:, None] - x[:, :-1]
-    middle = np.linalg.norm(from_first - 0.5 * step, axis=2)
-    inside = middle < radius[:, None]
-    t = np.sum(from_first * step, axis=2) / np.sum(step**2, axis=2)
-    nearest = np.linalg.norm(from_first - np.clip(t, 0.0, 1.0)[:, :, None] * step, axis=2)
-    edge = nearest.argmin(axis=1)
-    touched = (nearest.min(axis=1) < radius) & ~inside.any(axis=1)
-    inside[np.flatnonzero(touched), edge[touched]] = True
-    inside &= (taken[:, :-1] & 2) == 0
-    holds = np.zeros(taken.shape, dtype=np.int32)
-    holds[:, :-1] |= np.where(inside, 3, 0).astype(np.int32)
-    holds[:, 1:] |= inside
-    return holds
-
-
-def held_of_shell(
-    x: Array, centre: Array, radius: Array, taken: Array, model: ShellModel
-) -> NDArray[np.int32]:
-    """As ``held_of_rod``: points inside the sphere, and ends of edges whose midpoints are. If
-    there are none but the sphere touches the sheet, the nearest point. Of a point beyond the
-    sheet's outline the nearest place of cloth counts."""
-    skin = x if model.cut is None else model.cut.on_skin(x)
-    distance = np.linalg.norm(skin - centre[:, None], axis=2)
-    held = distance < radius[:, None]
-    for lines in model.lines:
-        at, many = lines.of(skin, np.inf), len(lines.index)
-        out = 0.5 * (at[:, :-1] + at[:, 1:]) - np.repeat(centre, many, axis=0)[:, None]
-        near = np.linalg.norm(out, axis=2) < np.repeat(radius, many)[:, None]
-        held |= lines.points(np.pad(near, ((0, 0), (0, 1))) | np.pad(near, ((0, 0), (1, 0))))
-    least = distance.min(axis=1)
-    touched = (least < np.maximum(radius, 0.75 * max(model.spacing))) & ~held.any(axis=1)
-    if model.cut is not None:
-        for w in np.flatnonzero(touched):
-            sheet = skin[w][model.cut.triangles]
-            touched[w] = triangle_distance(centre[w], sheet).min() < radius[w]
-    held[np.flatnonzero(touched), distance.argmin(axis=1)[touched]] = True
-    return (held & ((taken & 1) == 0)).astype(np.int32)
+# ---- closing -------------------------------------------------------------------------------------
 
 
 def close(

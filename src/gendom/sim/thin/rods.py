@@ -1,4 +1,4 @@
-"""Ropes as rods: their model, and the engine of ``Simulator``.
+"""Ropes as rods: what the engine, ``ThinEngine``, knows of them.
 
 Edge e = 0 .. n - 2 lies between points e and e + 1; joint i lies at point i, between edges i - 1
 and i. Rows of edges and joints have n numbers like rows of points; unused entries are 0.
@@ -7,7 +7,7 @@ and i. Rows of edges and joints have n numbers like rows of points; unused entri
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,21 +15,19 @@ from numpy.typing import NDArray
 from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.materials import Material
-from gendom.sim.lines import arc_length
 from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin import rotation
 from gendom.sim.thin.contact import check_rope
-from gendom.sim.thin.engine import ThinEngine
-from gendom.sim.thin.grips import held_of_rod
-from gendom.sim.thin.run import put_worlds
 from gendom.sim.thin.types import (
+    CFL,
     MARGIN,
     PER_TURN,
     SPIN_BAR,
     TURN_BAR,
     Lines,
     ParameterDerivatives,
-    Q,
+    V,
+    X,
     by_modulus,
 )
 
@@ -38,7 +36,19 @@ SHORTEST = 0.02
 
 
 class RodModel:
-    """The elements of W rods of one shape."""
+    """The elements of W rods of one shape.
+
+    Raises:
+        ParameterError: If the body is no rod.
+    """
+
+    kind: ClassVar = "rod"
+    directed: ClassVar = True
+    state_rows, state_bars, scratch_rows, scratch_bars = 19, 18, 12, 18
+    threads_on_cuda: ClassVar = 32
+    undamped_cfl: ClassVar = CFL
+    woven: ClassVar[tuple[str, ...]] = ()
+    border_rows: ClassVar = [1, 3]
 
     def __init__(self, setting: Setting):
         points, diameter, materials = setting.body.points, setting.body.thickness, setting.materials
@@ -46,6 +56,16 @@ class RodModel:
         self.materials, self.diameter = materials, diameter
         self.length = length = np.linalg.norm(step, axis=1)
         """[n - 1] lengths of edges at rest [m]."""
+        require(
+            diameter <= length.sum(),
+            f"a diameter of {diameter:g} m and a length of {length.sum():g} m are not those of a "
+            "rod",
+            fix="give metres, or engine='mpm'",
+        )
+        self.widest = float(length.max())
+        self.apart = 2 + int(np.ceil(diameter / length.min()))
+        """Smallest number of points along the rod between parts that can be in self-contact."""
+        self.slots, self.row_length = MARGIN + np.arange(n), MARGIN + -(-n // 8) * 8 + MARGIN
         self.rest_q = rotation.transported(rotation.first_frame(step[0]), step)
         """[n - 1, 4] directions at rest, without twist."""
         self.rest = np.zeros((7, n))
@@ -65,6 +85,8 @@ class RodModel:
         self.inertia = np.zeros((W, n))
         """[W, n] moment of inertia of edges [kg m^2]."""
         self.inertia[:, :-1] = density * length * (bending + area * length**2 / 12.0)
+        self.per_turn = np.zeros((W, n))
+        self.per_turn[:, :-1] = 1.0 / self.inertia[:, :-1]
         share = spread(setting.stiffness, (W, n), "stiffness")
         self.shares = np.zeros((W, 6, n))
         """[W, 6, n] each element's ratio of E to its material's E; for joints over their length."""
@@ -76,6 +98,20 @@ class RodModel:
         twist over length [N m]."""
         self.drag = 0.5 * DRAG["rope"] * diameter * self.tributary
         """[n] drag of points over the density of the air."""
+
+    def arrays(self, setting: Setting, air: Array) -> dict[str, Any]:
+        """What the kernels' model has of rods, in air of densities [W]."""
+        W, n = self.mass.shape
+        drag = air[:, None] * self.drag
+        rest = np.repeat(self.rest[None], W, axis=0)
+        share = spread(setting.natural_curvature, (W,), "natural_curvature")
+        rest[:, 4:] *= share[:, None, None]
+        rest[:, :1] /= spread(setting.stretch, (W,), "stretch")[:, None, None]
+        return {
+            "pitch": 0, "first": 0, "end": n, "contact_apart": self.apart,
+            "rest": rest, "stiffness": self.stiffness,
+            "inertia": np.stack([1.0 / self.mass, self.per_turn, drag, np.ones_like(drag)], axis=1),
+        }  # fmt: skip
 
     @cached_property
     def lines(self) -> list[Lines]:
@@ -140,6 +176,80 @@ class RodModel:
         damped = np.array([m.damping > 0.0 for m in self.materials])
         return 2.0 / np.sqrt(np.where(damped, 2.0, 1.0) * fastest)
 
+    # ---- states ----------------------------------------------------------------------------------
+
+    def directions(self, x: Array) -> Array:
+        """[W, n - 1, 4] of edges of points x [W, n, 3], with the twist of the rest shape."""
+        return rotation.transported(
+            np.broadcast_to(self.rest_q[0], (len(x), 4)), np.diff(x, axis=1)
+        )
+
+    def spins(self, x: Array, v: Array) -> Array:
+        """[W, n - 1, 3] of edges that rotate with their points, not twisting."""
+        d, dv = np.diff(x, axis=1), np.diff(v, axis=1)
+        return np.cross(d, dv) / np.sum(d**2, axis=2, keepdims=True)
+
+    def by_start(self, x: Array, v: Array, bar: Array) -> tuple[Array, Array]:
+        """Derivatives by initial positions and velocities [W, n, 3], given those by the first state
+        [W, n, .]."""
+        x_bar, v_bar = bar[..., X].copy(), bar[..., V].copy()
+        q_bar, spin_bar = bar[:, :-1, TURN_BAR], bar[:, :-1, SPIN_BAR]
+        d, dv, spin = np.diff(x, axis=1), np.diff(v, axis=1), self.spins(x, v)
+        square = np.sum(d**2, axis=2, keepdims=True)
+        _to_ends(v_bar, np.cross(spin_bar, d) / square)
+        turned = np.cross(dv, spin_bar) - 2.0 * np.sum(spin * spin_bar, 2, keepdims=True) * d
+        _to_ends(x_bar, turned / square)
+        first = np.broadcast_to(self.rest_q[0], (len(x_bar), 4))
+        _to_ends(x_bar, rotation.transported_adjoint(first, d, q_bar))
+        return x_bar, v_bar
+
+    def check_apart(self, x: Array) -> None:
+        """Refuse points [n, 3] at which the rod intersects itself."""
+        check_rope(x, self.diameter, self.apart)
+
+    # ---- grippers --------------------------------------------------------------------------------
+
+    def held(self, x: Array, centre: Array, radius: Array, taken: Array) -> NDArray[np.int32]:
+        """``Grip.holds`` of spheres with centres [k, 3] and radii [k] that close on points
+        [k, n, 3]: edges whose midpoints lie in the sphere. If there are none but the sphere cuts
+        the centre line, the edge nearest to its centre. Not those that others have ``taken``
+        [k, n]."""
+        step = np.diff(x, axis=1)
+        from_first = centre[:, None] - x[:, :-1]
+        middle = np.linalg.norm(from_first - 0.5 * step, axis=2)
+        inside = middle < radius[:, None]
+        t = np.sum(from_first * step, axis=2) / np.sum(step**2, axis=2)
+        nearest = np.linalg.norm(from_first - np.clip(t, 0.0, 1.0)[:, :, None] * step, axis=2)
+        touched = (nearest.min(axis=1) < radius) & ~inside.any(axis=1)
+        inside[np.flatnonzero(touched), nearest.argmin(axis=1)[touched]] = True
+        inside &= (taken[:, :-1] & 2) == 0
+        holds = np.zeros(taken.shape, dtype=np.int32)
+        holds[:, :-1] |= np.where(inside, 3, 0).astype(np.int32)
+        holds[:, 1:] |= inside
+        return holds
+
+    def at_borders(self, worlds: Any, stiffer: Array) -> Array:
+        """Rows ``border_rows`` [k, 2, n] of the inertia of worlds [k] whose joints at grippers'
+        borders are ``stiffer`` [k, 1, n]."""
+        one = stiffer[:, 0]
+        return np.stack([self.per_turn[worlds] / slower(one), one], axis=1)
+
+    def unstiffened(self, group: slice, stiffer: Array, found: Array) -> Array:
+        """Convert derivatives ``found`` by the stiffness with borders to those by the stiffness
+        without borders, in place; return the derivatives by ``stiffer`` [k, M, n]."""
+        one = stiffer[:, 0]
+        bar = np.sum(found[:, 3:6] * self.stiffness[group, 3:], axis=1)
+        found[:, 3:6] *= stiffer
+        # edges beside stiffer joints have more inertia, according to the stiffer joint
+        slow = slower(one)
+        by_slow = -found[:, PER_TURN] * self.per_turn[group] / slow**2
+        found[:, PER_TURN] /= slow
+        at = (one == slow) & (slow > 1.0)
+        bar += np.where(at, by_slow, 0.0)
+        after = (one[:, 1:] == slow[:, :-1]) & (slow[:, :-1] > 1.0) & ~at[:, :-1]
+        bar[:, 1:] += np.where(after, by_slow[:, :-1], 0.0)
+        return bar[:, None]
+
 
 def joint_strains(q: Array) -> Array:
     """Bending and twist [..., n - 2, 3] [rad] between directions [..., n - 1, 4], see rod.h."""
@@ -168,98 +278,6 @@ def _moduli(diameter: float, materials: Sequence[Material]) -> tuple[Array, Arra
     values = [shear, shear, along * A, E * I, E * I, E * per * (2.0 * I)]
     by_nu = [by_shear, by_shear, none, none, none, E * slope * (2.0 * I)]
     return np.stack(values, axis=1), np.stack(by_nu, axis=1)
-
-
-class Rods(ThinEngine):
-    """W rods of one shape."""
-
-    kind, directed = "rod", True
-    state_rows, state_bars, scratch_rows, scratch_bars = 19, 18, 12, 18
-    threads_on_cuda = 32
-    apart: int
-    """Smallest number of points along the rod between parts that can be in self-contact."""
-
-    def prepare(self, setting: Setting) -> None:
-        body = setting.body
-        length, diameter = arc_length(body.points)[-1], body.thickness
-        require(
-            diameter <= length,
-            f"a diameter of {diameter:g} m and a length of {length:g} m are not those of a rod",
-            fix="give metres, or engine='mpm'",
-        )
-        self.model = m = RodModel(setting)
-        self.per_turn = np.zeros_like(m.inertia)
-        self.per_turn[:, :-1] = 1.0 / m.inertia[:, :-1]
-        self.spacing = float(m.length.max())
-        self.apart = 2 + int(np.ceil(diameter / m.length.min()))
-        n = len(body.points)
-        self.slots, self.row_length = MARGIN + np.arange(n), MARGIN + -(-n // 8) * 8 + MARGIN
-
-    def fill(self, model: Any) -> None:
-        drag = self.air_density[:, None] * self.model.drag
-        inertia = np.stack([self.per_mass, self.per_turn, drag, np.ones_like(drag)], axis=1)
-        model.contact_apart = self.apart
-        model.pitch, model.first, model.end = 0, 0, self.num_points
-        rest = np.repeat(self.rows(self.model.rest)[None], self.num_worlds, axis=0)
-        share = spread(self.setting.natural_curvature, (self.num_worlds,), "natural_curvature")
-        rest[:, 4:] *= share[:, None, None]
-        rest[:, :1] /= spread(self.setting.stretch, (self.num_worlds,), "stretch")[:, None, None]
-        model.rest = self.array(rest)
-        model.stiffness = self.array(self.rows(self.model.stiffness))
-        model.inertia = self.array(self.rows(inertia))
-
-    def first_state(self, x: Array) -> Array:
-        """With directions that have the twist of the rest shape."""
-        state = super().first_state(x)
-        step = np.diff(x[:1] if x.strides[0] == 0 else x, axis=1)  # alike in all worlds: once
-        q = rotation.transported(np.broadcast_to(self.model.rest_q[0], (len(step), 4)), step)
-        state[:, Q.stop - 1] = 1.0
-        state[:, Q, self.slots[:-1]] = np.swapaxes(q, 1, 2)
-        return state
-
-    def spins_of(self, x: Array, v: Array) -> Array:
-        d, dv = np.diff(x, axis=1), np.diff(v, axis=1)
-        return np.cross(d, dv) / np.sum(d**2, axis=2, keepdims=True)
-
-    def check_apart(self, x: Array) -> None:
-        check_rope(x, self.setting.body.thickness, self.apart)
-
-    def held(self, x: Array, centre: Array, radius: Array, taken: Array) -> NDArray[np.int32]:
-        return held_of_rod(x, centre, radius, taken)
-
-    def stiffen(self, model: Any, worlds: NDArray[np.int64]) -> None:
-        stiffer = self.stiffer[worlds, :, 0].prod(axis=1)
-        inertia = model.inertia.numpy()[worlds]
-        inertia[:, 1, self.slots] = self.per_turn[worlds] / slower(stiffer)
-        inertia[:, 3, self.slots] = stiffer
-        put_worlds(model.inertia, worlds, inertia)
-
-    def unstiffened(self, group: slice, stiffer: Array, found: Array) -> Array:
-        one = stiffer[:, 0]
-        bar = np.sum(found[:, 3:6] * self.model.stiffness[group, 3:], axis=1)
-        found[:, 3:6] *= stiffer
-        # edges beside stiffer joints have more inertia, according to the stiffer joint
-        slow = slower(one)
-        by_slow = -found[:, PER_TURN] * self.per_turn[group] / slow**2
-        found[:, PER_TURN] /= slow
-        at = (one == slow) & (slow > 1.0)
-        bar += np.where(at, by_slow, 0.0)
-        after = (one[:, 1:] == slow[:, :-1]) & (slow[:, :-1] > 1.0) & ~at[:, :-1]
-        bar[:, 1:] += np.where(after, by_slow[:, :-1], 0.0)
-        return bar[:, None]
-
-    def by_start(self, x: Array, v: Array, bar: Array) -> tuple[Array, Array]:
-        x_bar, v_bar = super().by_start(x, v, bar)
-        q_bar, spin_bar = bar[:, :-1, TURN_BAR], bar[:, :-1, SPIN_BAR]
-        # initial spins are those of edges that rotate with their points
-        d, dv, spin = np.diff(x, axis=1), np.diff(v, axis=1), self.spins_of(x, v)
-        square = np.sum(d**2, axis=2, keepdims=True)
-        _to_ends(v_bar, np.cross(spin_bar, d) / square)
-        turned = np.cross(dv, spin_bar) - 2.0 * np.sum(spin * spin_bar, 2, keepdims=True) * d
-        _to_ends(x_bar, turned / square)
-        first = np.broadcast_to(self.model.rest_q[0], (len(x_bar), 4))
-        _to_ends(x_bar, rotation.transported_adjoint(first, d, q_bar))
-        return x_bar, v_bar
 
 
 def slower(stiffer: Array) -> Array:

@@ -52,8 +52,14 @@ class Schedule:
     def __init__(
         self, frames: Frames, switches: Array, substep: Array, most_steps: int | None, before: Array
     ):
-        blocks = _blocks(frames, switches, substep, most_steps)
-        W, S = len(substep), max(of["steps"].shape[1] for _, of in blocks)
+        W, within = len(substep), (switches > frames.began) & (switches < frames.times[-1])
+        # worlds that have the same pieces, with different numbers of steps
+        alike, which = np.unique(np.where(within, switches, np.inf), axis=0, return_inverse=True)
+        blocks = []
+        for k, row in enumerate(alike):
+            worlds = np.flatnonzero(which.reshape(-1) == k)
+            blocks.append((worlds, _pieces(frames, row, substep[worlds], most_steps)))
+        S = max(of["steps"].shape[1] for _, of in blocks)
         self.begins = np.zeros((W, S))
         """Start times of the intervals that contain the pieces [s]."""
         self.done = np.zeros((W, S), dtype=np.int32)
@@ -101,85 +107,53 @@ class Schedule:
         return np.where(later.any(axis=1), later.argmax(axis=1), count)
 
 
-def _blocks(
-    frames: Frames, switches: Array, substep: Array, most_steps: int | None
-) -> list[tuple[Array, dict[str, Array]]]:
-    """Worlds that have the same pieces, with different numbers of steps, and those."""
-    within = (switches > frames.began) & (switches < frames.times[-1])
-    alike, which = np.unique(np.where(within, switches, np.inf), axis=0, return_inverse=True)
-    blocks = []
-    for k, row in enumerate(alike):
-        inside = row[np.isfinite(row)]
-        times = np.concatenate([[frames.began], frames.times, inside])
-        frame = np.concatenate([[-1], np.arange(len(frames.times)), np.full(len(inside), -1)])
-        order = np.lexsort((frame, times))
-        times, frame = times[order], frame[order]
-        due = np.isin(times, row)
-        worlds = np.flatnonzero(which.reshape(-1) == k)
-        if most_steps is None:
-            blocks.append((worlds, _pieces(times, frame, due, substep[worlds])))
-        else:
-            for w in worlds[:, None]:
-                blocks.append((w, _short(_pieces(times, frame, due, substep[w]), most_steps)))
-    return blocks
-
-
 def _pieces(
-    times: Array, frame: NDArray[np.integer], due: NDArray[np.bool_], substep: Array
+    frames: Frames, switches: Array, substep: Array, most_steps: int | None
 ) -> dict[str, Array]:
-    """Pieces [k, S] between times, of equal steps no longer than substeps [k]."""
+    """Pieces [k, S] between frames and the times [M] at which grippers switch (infinite: never), of
+    equal steps no longer than substeps [k]."""
+    inside = switches[np.isfinite(switches)]
+    times = np.concatenate([[frames.began], frames.times, inside])
+    frame = np.concatenate([[-1], np.arange(len(frames.times)), np.full(len(inside), -1)])
+    order = np.lexsort((frame, times))
+    times, frame = times[order], frame[order]
     span = np.diff(times)
     n = np.ceil(span / substep[:, None] - 1e-9)
     n = np.where(span > 0.0, np.maximum(1, n), 0).astype(int)
     dt = np.where(n > 0, span / np.maximum(n, 1), 1.0)
-    return {
-        "begins": times[:-1],
-        "done": np.zeros_like(n),
-        "steps": n,
-        "dt": dt,
-        "frame": frame[1:],
-        "due": due[1:],
-    }
-
-
-def _short(pieces: dict[str, Array], most_steps: int) -> dict[str, Array]:
-    """Split one world's pieces into pieces of at most ``most_steps`` steps."""
-    n, dt = pieces["steps"][0], pieces["dt"][0]
-    parts = np.maximum(1, -(-n // most_steps))
-    of = np.repeat(np.arange(len(n)), parts)
+    # an interval of many steps is several pieces
+    most = max(1, int(n.max())) if most_steps is None else most_steps
+    parts = np.maximum(1, -(-n.max(axis=0) // most))
+    of = np.repeat(np.arange(len(parts)), parts)
     part = np.arange(len(of)) - np.repeat(np.cumsum(parts) - parts, parts)
-    last = part == parts[of] - 1
+    last, done = part == parts[of] - 1, np.minimum(part * most, n[:, of])
     return {
-        "begins": pieces["begins"][of],
-        "done": part * most_steps,
-        "steps": np.where(last, n[of] - part * most_steps, most_steps)[None],
-        "dt": dt[of],
-        "frame": np.where(last, pieces["frame"][of], -1),
-        "due": last & pieces["due"][of],
+        "begins": times[:-1][of],
+        "done": done,
+        "steps": np.minimum(n[:, of] - done, most),
+        "dt": dt[:, of],
+        "frame": np.where(last, frame[1:][of], -1),
+        "due": last & np.isin(times, switches)[1:][of],
     }
 
 
-def put_worlds(array: wp.array, worlds: NDArray[np.int64], values: Array) -> None:
-    """Set rows [k] of an array on its device without writing to other rows.
+def put(array: wp.array, rows: slice | NDArray[np.int64], values: Array) -> None:
+    """Set rows of an array on its device without writing to others.
 
     On the CPU, groups of worlds run in separate threads, whose concurrent writes to other rows
     must not be overwritten. On CUDA there is only one group.
     """
     if wp.get_device(array.device).is_cpu:
-        array.numpy()[worlds] = values  # the array's own memory
-        return
-    if np.array_equal(worlds, np.arange(len(array))):
-        array.assign(np.ascontiguousarray(values))
-        return
-    rows = array.numpy()
-    rows[worlds] = values
-    array.assign(rows)
-
-
-def put(array: wp.array, rows: slice, values: Array) -> None:
-    """Set rows of an array on its device."""
-    if wp.get_device(array.device).is_cpu:
-        array.numpy()[rows] = values
-    elif rows.stop > rows.start and values.size:
-        sent = wp.array(np.ascontiguousarray(values), dtype=array.dtype, device="cpu")
-        wp.copy(array, sent, dest_offset=rows.start * (array.size // len(array)), count=sent.size)
+        array.numpy()[rows] = values  # the array's own memory
+    elif isinstance(rows, slice):
+        if rows.stop > rows.start and values.size:
+            sent = wp.array(np.ascontiguousarray(values), dtype=array.dtype, device="cpu")
+            wp.copy(
+                array, sent, dest_offset=rows.start * (array.size // len(array)), count=sent.size
+            )
+    else:
+        every = np.asarray(values)
+        if not np.array_equal(rows, np.arange(len(array))):
+            every = array.numpy()
+            every[rows] = values
+        array.assign(np.ascontiguousarray(every))

@@ -1,6 +1,8 @@
-"""Shell engine of ``Simulator``."""
+"""Cloths as shells: what the engine, ``ThinEngine``, knows of them."""
 
-from typing import Any
+import math
+from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,72 +10,343 @@ from numpy.typing import NDArray
 from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.materials.parameters import WEAVE
-from gendom.sim.setting import Setting
-from gendom.sim.thin.contact import check_cloth
-from gendom.sim.thin.engine import ThinEngine
-from gendom.sim.thin.grips import held_of_shell
-from gendom.sim.thin.run import put_worlds
-from gendom.sim.thin.shell_model import MOST_COUPLED, ShellModel
-from gendom.sim.thin.types import MARGIN
+from gendom.sim.outlines import Cut
+from gendom.sim.setting import DRAG, Setting, spread
+from gendom.sim.thin.contact import check_cloth, triangle_distance
+from gendom.sim.thin.types import MARGIN, Lines, ParameterDerivatives, V, X, by_modulus
+
+SHORTEST = 0.125
+"""Smallest length represented by a joint at a gripper's border, over its usual length: no added
+inertia compensates for the stiffness."""
+
+MOST_COUPLED = 1.5
+"""Largest area that couples both curvatures of a point, over the geometric mean of the areas that
+they have alone. The energy is positive for nu down to -1 / 1.5."""
 
 
-class Shells(ThinEngine):
-    """W shells of one shape."""
+class ShellModel:
+    """The elements of W shells of one shape; rows of numbers are those of ``native/shell.h``.
 
-    kind, directed = "shell", False
+    Raises:
+        ParameterError: If the body is no shell, or its points are too near for self-contact.
+    """
+
+    kind: ClassVar = "shell"
+    directed: ClassVar = False
     state_rows, state_bars, scratch_rows, scratch_bars = 14, 14, 24, 33
-    threads_on_cuda = 256
-    undamped_cfl = 0.4
+    threads_on_cuda: ClassVar = 256
+    undamped_cfl: ClassVar = 0.4
     """Nonlinear vibrations gain energy in longer steps, see ``benchmarks/swing.py``."""
-    woven = WEAVE
+    woven: ClassVar[tuple[str, ...]] = WEAVE
+    border_rows: ClassVar = [2, 3]
+    per_turn = np.zeros(())
 
-    def prepare(self, setting: Setting) -> None:
-        thickness, least = setting.body.thickness, -1.0 / MOST_COUPLED
+    def __init__(self, setting: Setting):
+        body, materials = setting.body, setting.materials
+        (ny, nx), h, part = body.shape, body.thickness, body.cut
+        self.materials, self.thickness, self.cut = materials, h, part
+        self.shape: tuple[int, int] = (ny, nx)
+        """Number of rows, and of points in a row, of the whole lattice."""
+        cell, area = np.zeros((ny, nx)), np.zeros((ny, nx))
+        if part is None:
+            at = np.arange(ny * nx)
+            grid = body.points.reshape(ny, nx, 3)
+            lx, ly = (float(np.linalg.norm(of - grid[0, 0])) for of in (grid[0, 1], grid[1, 0]))
+            cell[:-1, :-1] = 1.0
+            area[...] = 0.25 * lx * ly * _to_corners(cell[:-1, :-1])
+        else:
+            at, (lx, ly), cell[:-1, :-1] = part.at, part.spacing, part.cells
+            area.flat[at] = part.area
+        self.at = at
+        """[n] index of each point in the lattice, row by row."""
+        self.spacing = (lx, ly)
+        """Distance between points along rows and along columns [m]."""
+        self.widest = max(lx, ly)
+        self._check(setting)
+        self.pitch = -(-(nx + 1) // 8) * 8
+        slots = MARGIN + self.pitch * (1 + np.arange(ny))[:, None] + np.arange(nx)
+        self.slots, self.row_length = slots.reshape(-1)[at], MARGIN + (ny + 2) * self.pitch + MARGIN
+        there = (cell > 0.0).astype(float)
+        after, below = there.copy(), there.copy()
+        after[1:] = np.maximum(after[1:], there[:-1])
+        below[:, 1:] = np.maximum(below[:, 1:], there[:, :-1])
+        self.exists = np.stack([after, below, there]).reshape(3, -1)[:, at]
+        """[3, n] whether a point has an edge to the next one, to the one below, and a cell."""
+        inner_x, inner_y = np.zeros((ny, nx)), np.zeros((ny, nx))
+        inner_x[:, 1:] = after[:, 1:] * after[:, :-1]
+        inner_y[1:] = below[1:] * below[:-1]
+        if part is None:
+            bent = [area * inner_x, area * inner_y, area * inner_x * inner_y]
+            alone = [inner_x * (1.0 - inner_y), inner_y * (1.0 - inner_x)]
+        else:
+            bent, alone = _bent(part, inner_x, inner_y)
+        self.alone = np.stack(alone).reshape(2, -1)[:, at]
+        """[2, n] whether transverse curvature is free, along rows and along columns."""
+        quarter = 0.25 * lx * ly * cell
+        xx, yy, xy = bent[0] / lx**4, bent[1] / ly**4, bent[2] / (lx * ly) ** 2
+        bending = [xx, yy, xy, 2.0 * lx * ly * cell / (lx * ly) ** 2]
+        shares = np.stack([quarter, quarter, quarter, 16.0 * quarter, *bending])
+        self.shares = shares.reshape(8, -1)[:, at]
+        """[8, n] geometric factors of the moduli in each stiffness: areas over spacings."""
+        self.faster = (1.0, 1.0) if part is None else _faster(part, area, bending)
+        """Largest factors on the squared frequencies of membrane and bending by light points at an
+        outline."""
+        W, n, area = len(materials), len(at), area.reshape(-1)[at]
+        density = np.array([[m.density] for m in materials])
+        self.mass = density * h * area * spread(setting.mass, (W, n), "mass")
+        """[W, n] mass of points [kg]."""
+        self.drag = 0.5 * DRAG["cloth"] * area
+        """[n] drag of points over the density of the air."""
+        self.varies = np.ones((W, 8, 1))
+        """[W, 8, 1] whether a stiffness varies with E at each point; a membrane's own does not."""
+        self.varies[[m.membrane is not None for m in materials], :4] = 0.0
+        share = spread(setting.stiffness, (W, n), "stiffness")[:, None]
+        self.local = 1.0 + self.varies * (share - 1.0)
+        """[W, 8, n] stiffness over that of the material."""
+
+    def _check(self, setting: Setting) -> None:
+        h, (lx, ly), (ny, nx) = self.thickness, self.spacing, self.shape
+        least, side = -1.0 / MOST_COUPLED, min((nx - 1) * lx, (ny - 1) * ly)
+        auxetic = self.cut is not None and any(m.nu < least for m in self.materials)
+        require(not auxetic, f"cloths with an outline have a nu of at least {least:.2f}")
         require(
-            setting.body.cut is None or all(m.nu >= least for m in setting.materials),
-            f"cloths with an outline have a nu of at least {least:.2f}",
-        )
-        self.model = m = ShellModel(setting)
-        (ny, nx), spacing = m.shape, min(m.spacing)
-        side = min((nx - 1) * m.spacing[0], (ny - 1) * m.spacing[1])
-        require(
-            thickness <= side,
-            f"a thickness of {thickness:g} m and a side of {side:g} m are not those of a shell",
+            h <= side,
+            f"a thickness of {h:g} m and a side of {side:g} m are not those of a shell",
             fix="give metres, or engine='mpm'",
         )
         require(
-            not setting.self_contact or thickness <= 0.5 * spacing,
-            f"a cloth {1e3 * thickness:.3g} mm thick whose points are {1e3 * spacing:.3g} mm apart "
+            not setting.self_contact or h <= 0.5 * min(lx, ly),
+            f"a cloth {1e3 * h:.3g} mm thick whose points are {1e3 * min(lx, ly):.3g} mm apart "
             "cannot be folded",
             fix="fewer points",
         )
-        self.per_turn, self.spacing = np.zeros(()), max(m.spacing)
-        self.pitch = -(-(nx + 1) // 8) * 8
-        slots = MARGIN + self.pitch * (1 + np.arange(ny))[:, None] + np.arange(nx)
-        self.slots = slots.reshape(-1)[m.at]
-        self.row_length = MARGIN + (ny + 2) * self.pitch + MARGIN
 
-    def fill(self, model: Any) -> None:
-        m, drag = self.model, self.air_density[:, None] * self.model.drag
-        inertia = np.stack([self.per_mass, drag, np.ones_like(drag), np.ones_like(drag)], axis=1)
-        model.pitch, model.first, model.end = self.pitch, self.pitch, self.pitch * (m.shape[0] + 1)
-        model.per_x, model.per_y = 1.0 / m.spacing[0], 1.0 / m.spacing[1]
-        model.rest = self.array(self.rows(m.exists)[None])
-        model.stiffness = self.array(self.rows(m.stiffness))
-        model.inertia = self.array(self.rows(inertia))
+    def arrays(self, setting: Setting, air: Array) -> dict[str, Any]:
+        """What the kernels' model has of shells, in air of densities [W]."""
+        drag = air[:, None] * self.drag
+        one = np.ones_like(drag)
+        return {
+            "pitch": self.pitch, "first": self.pitch, "end": self.pitch * (self.shape[0] + 1),
+            "per_x": 1.0 / self.spacing[0], "per_y": 1.0 / self.spacing[1],
+            "rest": self.exists[None], "stiffness": self.stiffness,
+            "inertia": np.stack([1.0 / self.mass, drag, one, one], axis=1),
+        }  # fmt: skip
+
+    @property
+    def modulus(self) -> Array:
+        """[W, 8, n] stiffness of points that have their material's."""
+        return self._factors()[0] * self._scales() * self.shares
+
+    @cached_property
+    def stiffness(self) -> Array:
+        """[W, 8, n]."""
+        return self.modulus * self.local
+
+    @cached_property
+    def lines(self) -> list[Lines]:
+        """Rows and columns."""
+        number = self.on_lattice(np.arange(len(self.at))[None], fill=-1)[0]
+        has = self.on_lattice(self.exists) > 0.0
+        (rows, columns), (lx, ly) = number.shape, self.spacing
+        return [
+            Lines(number, np.full(columns - 1, lx), has[0][:, :-1], SHORTEST),
+            Lines(number.T, np.full(rows - 1, ly), has[1].T[:, :-1], SHORTEST),
+        ]
+
+    @property
+    def flat(self) -> Array | None:
+        """[n, 2] places in the plane [m]; None: there are holes and notches between them."""
+        if self.cut is not None:
+            return None
+        return np.stack(np.unravel_index(self.at, self.shape)[::-1], axis=1) * self.spacing
+
+    def on_lattice(self, values: Array, fill: float = 0.0) -> Array:
+        """Values of points [W, n, ...] on the whole lattice, [W, rows, columns, ...]."""
+        (ny, nx), more = self.shape, values.shape[2:]
+        whole = np.full((len(values), ny * nx, *more), fill, dtype=values.dtype)
+        whole[:, self.at] = values
+        return whole.reshape(len(values), ny, nx, *more)
+
+    def derivatives(self, name: str) -> ParameterDerivatives:
+        """Derivatives by ``E``, ``nu``, ``density``, ``thickness``, ``membrane`` or one of
+        ``WEAVE``."""
+        if name == "density":
+            return ParameterDerivatives(mass=1.0 / np.array([[m.density] for m in self.materials]))
+        if name == "nu":
+            scale = self._scales() * self.shares * self.local
+            return ParameterDerivatives(stiffness=self._factors()[1] * scale)
+        if name == "thickness":
+            per = np.repeat([1.0, 3.0], 4)[:, None] / self.thickness
+            return ParameterDerivatives(self.stiffness * per, 1.0 / self.thickness, thickness=1.0)
+        if name in WEAVE:
+            per = np.array([[1.0 / getattr(m, name)] for m in self.materials]) * _powers(name)
+        else:
+            per = np.repeat(by_modulus(name, self.materials), 4, axis=1)
+        return ParameterDerivatives(stiffness=self.stiffness * per[:, :, None])
+
+    def share_bar(self, stiffness_bar: Array) -> Array:
+        """Derivatives by E at each point over its material's [W, n], given those by ``stiffness``
+        [W, 8, n]."""
+        return np.sum(stiffness_bar * self.modulus * self.varies, axis=1)
+
+    def _factors(self) -> tuple[Array, Array]:
+        """Stiffness [W, 8, n] over E h (membrane) or E h^3 / 12 (bending), without the factors
+        ``shares``, and its derivative with respect to nu. Plane stress; where transverse curvature
+        is free, the modulus is that of a beam."""
+        nu = np.array([m.nu for m in self.materials])
+        plane, plane_nu = 1.0 / (1.0 - nu**2), 2.0 * nu / (1.0 - nu**2) ** 2
+        both, both_nu = nu * plane, plane + nu * plane_nu
+        shear, shear_nu = 0.5 / (1.0 + nu), -0.5 / (1.0 + nu) ** 2
+        twist, twist_nu = 2.0 * shear, 2.0 * shear_nu  # D (1 - nu) = E h^3 / 12 / (1 + nu)
+        values = [plane, plane, both, shear, plane, plane, both, twist]
+        by_nu = [plane_nu, plane_nu, both_nu, shear_nu, plane_nu, plane_nu, both_nu, twist_nu]
+        free = np.zeros(self.shares.shape, dtype=bool)
+        free[4:6] = self.alone > 0.0
+        return (
+            np.where(free, 1.0, np.stack(values, axis=1)[:, :, None]),
+            np.where(free, 0.0, np.stack(by_nu, axis=1)[:, :, None]),
+        )
+
+    def _scales(self) -> Array:
+        """Scales [W, 8, 1] of the stiffness: E h with the in-plane modulus, and E h^3 / 12, each
+        times what threads make of it."""
+        h = self.thickness
+        rows = [4 * [m.in_plane * h] + 4 * [m.E * h**3 / 12.0] for m in self.materials]
+        woven = [
+            math.prod(getattr(m, name) ** np.array(_powers(name)) for name in WEAVE)
+            for m in self.materials
+        ]
+        return (np.array(rows) * woven)[:, :, None]
+
+    def longest_step(self) -> Array:
+        """Longest stable step [W] [s], 2 / omega of the fastest small vibration in or out of plane.
+
+        Source: von Neumann's analysis of the elements in ``native/shell.h``.
+        """
+        lx, ly = self.spacing
+        k2 = 4.0 / lx**2 + 4.0 / ly**2
+        E, in_plane, nu, density, damping = np.array(
+            [[m.E, m.in_plane, m.nu, m.density, m.damping] for m in self.materials]
+        ).T
+        sheared = np.array([max(1.0, m.shear) for m in self.materials])
+        bent = np.array([max(m.warp, m.weft) for m in self.materials])
+        in_plane, E = in_plane * self.local[:, 0].max(axis=1), E * self.local[:, 4].max(axis=1)
+        # joints at a gripper's border can be eight times as stiff
+        across = 8.0 * self.faster[1] * self.thickness**2 / 12.0 * k2**2
+        along = self.faster[0] * k2
+        fastest = np.maximum(in_plane * sheared * along, E * bent * across)
+        fastest = fastest / (1.0 - nu**2) / density
+        return 2.0 / np.sqrt(np.where(damping > 0.0, 2.0, 1.0) * fastest)
+
+    def by_start(self, x: Array, v: Array, bar: Array) -> tuple[Array, Array]:
+        """As of ``RodModel``, as the methods below."""
+        return bar[..., X].copy(), bar[..., V].copy()
 
     def check_apart(self, x: Array) -> None:
-        check_cloth(x, self.model)
+        check_cloth(x, self)
 
     def held(self, x: Array, centre: Array, radius: Array, taken: Array) -> NDArray[np.int32]:
-        return held_of_shell(x, centre, radius, taken, self.model)
+        """Points inside the sphere, and ends of edges whose midpoints are. If there are none but
+        the sphere touches the sheet, the nearest point. Of a point beyond the sheet's outline the
+        nearest place of cloth counts."""
+        skin = x if self.cut is None else self.cut.on_skin(x)
+        distance = np.linalg.norm(skin - centre[:, None], axis=2)
+        held = distance < radius[:, None]
+        for lines in self.lines:
+            at, many = lines.of(skin, np.inf), len(lines.index)
+            out = 0.5 * (at[:, :-1] + at[:, 1:]) - np.repeat(centre, many, axis=0)[:, None]
+            near = np.linalg.norm(out, axis=2) < np.repeat(radius, many)[:, None]
+            held |= lines.points(np.pad(near, ((0, 0), (0, 1))) | np.pad(near, ((0, 0), (1, 0))))
+        least = distance.min(axis=1)
+        touched = (least < np.maximum(radius, 0.75 * self.widest)) & ~held.any(axis=1)
+        if self.cut is not None:
+            for w in np.flatnonzero(touched):
+                sheet = skin[w][self.cut.triangles]
+                touched[w] = triangle_distance(centre[w], sheet).min() < radius[w]
+        held[np.flatnonzero(touched), distance.argmin(axis=1)[touched]] = True
+        return (held & ((taken & 1) == 0)).astype(np.int32)
 
-    def stiffen(self, model: Any, worlds: NDArray[np.int64]) -> None:
-        inertia = model.inertia.numpy()[worlds]
-        inertia[:, 2:4, self.slots] = self.stiffer[worlds].prod(axis=1)
-        put_worlds(model.inertia, worlds, inertia)
+    def at_borders(self, worlds: Any, stiffer: Array) -> Array:
+        return stiffer
 
     def unstiffened(self, group: slice, stiffer: Array, found: Array) -> Array:
-        bar = found[:, 4:6] * self.model.stiffness[group, 4:6]
+        bar = found[:, 4:6] * self.stiffness[group, 4:6]
         found[:, 4:6] *= stiffer
         return bar
+
+
+def _powers(name: str) -> list[float]:
+    """Powers of one of ``WEAVE`` in the stiffness, [8]."""
+    if name == "shear":
+        return [0.0, 0.0, 0.0, 1.0] + 4 * [0.0]
+    return 4 * [0.0] + [float(name == "warp"), float(name == "weft"), 0.5, 0.5]
+
+
+def _to_corners(cells: Array) -> Array:
+    """Sums [rows, columns] at points of values [rows - 1, columns - 1] of the cells around them."""
+    return _corner_sums(np.broadcast_to(cells, (2, 2, *cells.shape)))
+
+
+def _corner_sums(corners: Array) -> Array:
+    """Sums [rows, columns] at points of values [2, 2, rows - 1, columns - 1] at cells' corners."""
+    rows, columns = corners.shape[2:]
+    total = np.zeros((rows + 1, columns + 1))
+    for j, i in np.ndindex(2, 2):
+        total[j : rows + j, i : columns + i] += corners[j, i]
+    return total
+
+
+def _corners(values: Array) -> Array:
+    """Values [rows, columns] of points at the corners of cells, [2, 2, rows - 1, columns - 1]."""
+    return np.stack(
+        [
+            np.stack([values[:-1, :-1], values[:-1, 1:]]),
+            np.stack([values[1:, :-1], values[1:, 1:]]),
+        ]
+    )
+
+
+def _bent(cut: Cut, inner_x: Array, inner_y: Array) -> tuple[list[Array], list[Array]]:
+    """Areas [rows, columns] that bend with x_xx and x_yy of each point, and with both, and where
+    the transverse curvature is free, see ``ShellModel.alone``.
+
+    A cell's area goes to those of its corners that have the difference: points at the outline
+    have not. A sheet of constant curvature then has the energy of a plate in all directions.
+    """
+    lx, ly = cut.spacing
+    both = inner_x * inner_y
+    areas = []
+    for has in (inner_x, inner_y, both):
+        part = cut.corners * _corners(has)
+        some = part.sum(axis=(0, 1))
+        part = part * np.where(some > 0.0, cut.cells / np.where(some > 0.0, some, 1.0), 0.0)
+        areas.append(lx * ly * _corner_sums(part))
+    areas[2] = np.minimum(areas[2], MOST_COUPLED * np.sqrt(areas[0] * areas[1]))
+    # in parts one cell wide no cell has a point with both
+    coupled = _to_corners((_corners(both) * (cut.cells > 0.0)).max(axis=(0, 1))) > 0.0
+    return areas, [inner_x * ~coupled, inner_y * ~coupled]
+
+
+def _faster(cut: Cut, area: Array, bent: list[Array]) -> tuple[float, float]:
+    """``ShellModel.faster``: sums of absolute values in rows of stiffness over mass (Gershgorin).
+
+    Args:
+        cut: The lattice's part.
+        area: [rows, columns] of points [m^2].
+        bent: ``ShellModel.shares`` of bending, [rows, columns] each.
+    """
+    lx, ly = cut.spacing
+
+    def spread(values: Array, axis: int) -> Array:
+        beside = np.pad(values, 1)
+        before, after = (np.roll(beside, k, axis)[1:-1, 1:-1] for k in (1, -1))
+        return 4.0 * (before + 2.0 * values + after)
+
+    twist = 4.0 * _to_corners(bent[3][:-1, :-1])
+    coupled = np.maximum(spread(bent[2], 0) + spread(bent[2], 1), twist)
+    rows = spread(bent[0], 1) + spread(bent[1], 0) + coupled
+    there = area > 0.0
+    usual = (4.0 / lx**2 + 4.0 / ly**2) ** 2
+    quarters = 0.25 * lx * ly * _to_corners(cut.cells)
+    lighter = float((quarters[there] / area[there]).max())
+    return max(1.0, lighter), max(1.0, float((rows[there] / area[there]).max()) / usual)

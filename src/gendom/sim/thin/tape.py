@@ -43,7 +43,7 @@ class ThinTape:
         steps = math.ceil((times[-1] - began) / e.setting.substep.min()) + 1
         self.most = max(2, math.ceil(math.sqrt(steps)))
         pieces = e.schedule(frames, self.most).steps.shape[1]
-        self.rows = e.state_rows + LISTED * e.device_model.contact
+        self.rows = e.model.state_rows + LISTED * e.device_model.contact
         self.kept = e.zeros((pieces * W, self.rows, e.row_length))
         self.plan = e.run(
             frames,
@@ -79,9 +79,9 @@ class ThinTape:
         e, k = self.engine, self.engine.types
         W, G, P = e.num_worlds, e.closed.shape[1], e.row_length
         adjoint = k.ModelAdjoint()
-        adjoint.state = e.zeros((W, e.state_bars, P))
+        adjoint.state = e.zeros((W, e.model.state_bars, P))
         adjoint.model = e.zeros((W, self.model_rows, P))
-        adjoint.scratch = e.zeros((W, e.scratch_bars, P))
+        adjoint.scratch = e.zeros((W, e.model.scratch_bars, P))
         adjoint.place = e.zeros((W * G, 6, P))
         adjoint.centre = e.zeros((W, G), k.vec3)
         adjoint.turn = e.zeros((W, G), k.vec3)
@@ -141,7 +141,7 @@ class ThinTape:
         put(self.adjoint.model, group, np.zeros((len(found), self.model_rows, e.row_length)))
         own = e.stiffer[group]
         stiffer = own.prod(axis=1)
-        by_stiffer = e.unstiffened(group, stiffer, found)
+        by_stiffer = e.model.unstiffened(group, stiffer, found)
         self.model_bar[group] += found
         closed = np.asarray(e.holds[group].any(axis=2))[:, :, None, None]
         self.stiffer_bar[group] += np.where(closed, (by_stiffer * stiffer)[:, None] / own, 0.0)
@@ -167,24 +167,24 @@ class ThinTape:
             pose_bar.centre += by_centre
             self.radius_bar[w, g] += by_radius
             take(types.X, part(types.X) + x_bar + by_x)
-            if e.directed:
+            if e.model.directed:
                 take(types.TURN_BAR, part(types.TURN_BAR) + q_bar)
         else:
             holds = event.grip.holds
             point, edge = (np.asarray(holds & what)[..., None] > 0 for what in (1, 2))
             v_bar = part(types.V)
-            spin_bar = part(types.SPIN_BAR) if e.directed else np.zeros_like(v_bar)
+            spin_bar = part(types.SPIN_BAR) if e.model.directed else np.zeros_like(v_bar)
             x_bar, pose_bar = released_adjoint(event.x, event.pose, holds, v_bar, spin_bar)
             take(types.X, part(types.X) + x_bar)
             take(types.V, np.where(point, 0.0, v_bar))
-            if e.directed:
+            if e.model.directed:
                 take(types.SPIN_BAR, np.where(edge, 0.0, spin_bar))
         self.host.pose_adjoint(g, w, event.time, pose_bar)
         put(self.adjoint.state, group, state)
 
     def _reverse_begin(self, group: slice) -> None:
         e = self.engine
-        nothing = np.zeros((group.stop - group.start, e.scratch_bars, e.row_length))
+        nothing = np.zeros((group.stop - group.start, e.model.scratch_bars, e.row_length))
         put(self.adjoint.scratch, group, nothing)
         e.launch(e.kernels.begin_adjoint, group, [e.device_model, self.first, self.adjoint])
 
@@ -194,7 +194,7 @@ class ThinTape:
         e, m = self.engine, self.model_bar
         first = self.adjoint.state.numpy()[..., e.slots].astype(float)
         x, v = e.component(types.X, self.first), e.component(types.V, self.first)
-        x_bar, v_bar = e.by_start(x, v, np.swapaxes(first, 1, 2))
+        x_bar, v_bar = e.model.by_start(x, v, np.swapaxes(first, 1, 2))
         found = Gradients(
             stiffness=e.model.share_bar(m[:, : e.device_model.stiffness.shape[1]]),
             damping=m[:, types.DAMPING].sum(axis=1),
@@ -232,4 +232,4 @@ class ThinTape:
         found = np.sum(m[:, :R] * by.stiffness, axis=1)
         found -= m[:, types.PER_MASS] * e.per_mass * by.mass
         found += m[:, types.DRAG] * drag * by.drag + touching * by.thickness
-        return np.sum(found - m[:, types.PER_TURN] * e.per_turn * by.inertia, axis=1)
+        return np.sum(found - m[:, types.PER_TURN] * e.model.per_turn * by.inertia, axis=1)
