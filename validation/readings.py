@@ -14,7 +14,7 @@ from gendom.sim.mpm.boundary import FOLLOWS, grip_constants
 from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.rods import joint_strains
 from gendom.sim.thin.rotation import conjugate, turned
-from gendom.sim.thin.types import Q, SPIN
+from gendom.sim.thin.types import SPIN, Q
 
 # ---- momenta and energies ------------------------------------------------------------------------
 
@@ -52,7 +52,7 @@ def mechanics(s: Simulator) -> Mechanics:
     else:
         # A particle carries the moment B = C dx^2 / 4 of its affine velocity and its energy.
         # Source: Jiang et al. (2015), "The affine particle-in-cell method", section 5.
-        C = s.affine_velocities()[0].astype(float)
+        C = e.state.C.numpy()[0].astype(float)
         B = C.sum(axis=0) * s.body.dx**2 / 4.0
         L = L + m[0] * np.array([B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]])
         kinetic += 0.5 * m[0] * s.body.dx**2 / 4.0 * float(np.sum(C**2))
@@ -67,7 +67,7 @@ def particle_energy(s: Simulator) -> float:
     2008, chapter 6), whose Kirchhoff stress is the simulator's neo-Hookean law.
     """
     mu, lam = s.materials[0].lame_of(s.body.lateral_constraint)
-    F = s.deformation_gradients()[0].astype(float)
+    F = s.engine.deformation_at(s.positions()[0])
     log_J = np.log(np.linalg.det(F))
     stretch = np.einsum("nij,nij->n", F, F) - 3.0
     psi = mu / 2.0 * stretch - mu * log_J + lam / 2.0 * log_J**2
@@ -79,17 +79,17 @@ def spring_energy(s: Simulator) -> float:
 
     With weight f they pull with k = f / (1 - f) b m / dt^2, b as in ``gendom.sim.mpm.boundary``.
     """
-    grips, material = s.worlds.grips, s.materials[0]
+    grips, material = s.engine.grips, s.materials[0]
     mu, lam = material.lame_of(s.body.lateral_constraint)
-    dt = float(s.worlds.clock.dt.numpy()[0])
+    dt = float(s.engine.clock.dt.numpy()[0])
     _, stiff = grip_constants(s.body)
     b = min(stiff * dt**2 * (lam + 2.0 * mu) / material.density / s.body.dx**2, FOLLOWS)
-    x = s.worlds.state.x.numpy()[0].astype(float)
+    x = s.engine.state.x.numpy()[0].astype(float)
     total = 0.0
-    for g, gripper in enumerate(s.worlds.setting.grippers[0]):
+    for g, gripper in enumerate(s.engine.setting.grippers[0]):
         n = int(grips.count.numpy()[0, g])
         f = grips.weight.numpy()[0, g, :n].astype(float)
-        centre = np.asarray(gripper.position)[0] - s.worlds.origin
+        centre = np.asarray(gripper.position)[0] - s.engine.origin
         away = x[grips.particle.numpy()[0, g, :n]] - centre - grips.place.numpy()[0, g, :n]
         part = f < 1.0
         stiffness = f[part] / (1.0 - f[part]) * b / dt**2

@@ -63,7 +63,7 @@ def test_motion_below_the_last_bit_is_not_lost():
     drift = np.array([1e-5, -1e-5, 2e-5])
     s.set_velocities(drift)
     x = s.run([0.5])
-    assert s.worlds.clock.age.numpy()[0] > 100
+    assert s.engine.clock.age.numpy()[0] > 100
     moved = x[0, 0].mean(axis=0, dtype=float) - body.x.mean(axis=0)
     np.testing.assert_allclose(moved, 0.5 * drift, rtol=0.02)
 
@@ -90,7 +90,7 @@ def test_launches_and_recordings_may_end_anywhere(monkeypatch):
     s, alone = together(scene()), scene()
     whole = s.run(times)
     assert np.abs(whole - alone.run(times)).max() < 1e-12
-    assert len(set(s.worlds.clock.age.numpy())) == 3 and np.ptp(whole[-1], axis=0).max() > 1e-3
+    assert len(set(s.engine.clock.age.numpy())) == 3 and np.ptp(whole[-1], axis=0).max() > 1e-3
     monkeypatch.setattr(runner, "SUBSTEPS_A_SLICE", 5)
     monkeypatch.setattr(runner, "SLICES", 2)
     monkeypatch.setattr(runner, "RECORDED", 5 * whole[0].nbytes)
@@ -106,13 +106,13 @@ def test_the_grid_grows():
 
     def tipping():
         s = simulator(body, [SOFT], gravity=(0, 0, 0))
-        s.worlds.room = (8, 8, 400)
+        s.engine.room = (8, 8, 400)
         s.set_velocities(np.cross([3.0, 4.0, 0.0], body.x))
         return s
 
     s = together(tipping())
     x = s.run([0.15, 0.3])
-    assert s.worlds.room[0] > 20 and s.worlds.room[2] > 400
+    assert s.engine.room[0] > 20 and s.engine.room[2] > 400
     assert np.abs(x - tipping().run([0.15, 0.3])).max() < 1e-12
 
 

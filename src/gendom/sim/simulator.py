@@ -25,7 +25,6 @@ from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
 from gendom.sim.gripper import Gripper, Grippers, Targets, of_worlds
 from gendom.sim.mpm.engine import MpmEngine
-from gendom.sim.mpm.model import Worlds
 from gendom.sim.obstacles import Obstacle, Table, check_clear
 from gendom.sim.setting import Frames, Physics, Setting, Solver
 from gendom.sim.thin.engine import ThinEngine
@@ -193,17 +192,6 @@ class Simulator(Shown):
         """[W] longest substep of each world [s]."""
         return self.engine.setting.substep
 
-    @property
-    def worlds(self) -> Worlds:
-        """Arrays of the MPM engine.
-
-        Raises:
-            ParameterError: If the engine is not the MPM.
-        """
-        if not isinstance(self.engine, MpmEngine):
-            raise ParameterError("only the MPM has particles with C and F", fix="engine='mpm'")
-        return self.engine.worlds
-
     def positions(self) -> Array:
         """Current positions of particles or points, [W, N, 3] [m]."""
         return self.engine.positions()
@@ -215,17 +203,6 @@ class Simulator(Shown):
         shells have the speed at which their gripper has come here.
         """
         return self.engine.velocities()
-
-    def affine_velocities(self) -> Array:
-        """Current affine velocities C of APIC, [W, N, 3, 3] [1/s].
-
-        C is the velocity gradient of a body that moves rigidly or stretches evenly.
-        """
-        return np.array(self.worlds.state.C.numpy())
-
-    def deformation_gradients(self) -> Array:
-        """Current deformation gradients F, [W, N, 3, 3] [-]."""
-        return self.worlds.deformation_at(self.worlds.state.x.numpy()).astype(self.dtype)
 
     def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None:
         """Set velocities of particles or points.

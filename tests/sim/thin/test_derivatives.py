@@ -222,8 +222,6 @@ def test_bad_input_is_named(body):
 
     with pytest.raises(ParameterError, match="begins stretched by"):
         make(positions=1.5 * body.points)
-    with pytest.raises(ParameterError, match="only the MPM has particles"):
-        Simulator(body, [Material()], solver=Solver(engine="thin")).deformation_gradients()
 
 
 @pytest.mark.gpu

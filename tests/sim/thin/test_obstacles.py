@@ -227,7 +227,7 @@ UNFIT: Any = (BALL, [Table(height=0.0)])
         (lambda: Sphere(radius=0.1, position=[0, 0, 0], friction=-1.0), "Sphere friction"),
         (lambda: Simulator(LINE, [Material()], obstacles=UNFIT[0]), "obstacles must be a list"),
         (lambda: Simulator(LINE, [Material()], obstacles=UNFIT[1]), r"obstacles\[0\]"),
-        (lambda: Simulator(LINE, [Material()] * 2, obstacles=[[BALL]]), "no obstacles given for world 1"),
+        (lambda: Simulator(LINE, [Material()] * 2, obstacles=[[BALL]]), "for world 1 of"),
         (
             lambda: Simulator(LINE, [Material()], obstacles=[replace(BALL, radius=0.1)]),
             r"55 mm inside the obstacle 0 \(Sphere\)",

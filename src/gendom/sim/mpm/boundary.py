@@ -34,7 +34,6 @@ from typing import Any
 import warp as wp
 
 from gendom.sim.bodies import Body
-from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.particles import Variant, make_moving, make_taped
 from gendom.sim.mpm.types import Namespace, make_types
 from gendom.sim.paths import make_paths
@@ -72,7 +71,7 @@ def make_boundary(variant: Variant) -> Namespace:
     """Build what acts on particles and its transposes, for one way to store them.
 
     Returns:
-        Namespace with ``contact`` (of a section's mean position and velocity), ``near_table``,
+        Namespace with ``contact`` (of a section's mean position and velocity), ``is_near_table``,
         ``spring``, ``follow`` (a held particle) and ``grasp`` (grippers that open
         and close); ``wide`` (to float64); and ``contact_adjoint``, ``follow_adjoint``,
         ``turned_adjoint`` and ``driven_adjoint`` (of a held particle) and ``grasp_adjoint``.
@@ -85,7 +84,6 @@ def make_boundary(variant: Variant) -> Namespace:
     Records, fields, taped = types.Records, make_moving(variant), make_taped(variant)
     place = fields.place
     paths_of = make_paths(real)
-    hold_on = make_grips(real).hold_on
     section_centre = _section_centre(types, fields.x_of)
     taped_section_centre = _section_centre(types, taped.x_of)
 
@@ -113,9 +111,9 @@ def make_boundary(variant: Variant) -> Namespace:
         return change
 
     @wp.func
-    def near_table(x: vec3, model: Model):
-        """Whether a particle's section may touch the table before the grid is rebuilt."""
-        return model.table == 1 and x[2] < real(2.0) * (model.contact_radius + model.dx)
+    def is_near_table(x: vec3, model: Model):
+        """Whether the section of a particle at x may touch the table."""
+        return x[2] < real(2.0) * (model.contact_radius + model.dx)
 
     @wp.func
     def spring(now: Substep, modulus: real, model: Model):
@@ -173,6 +171,14 @@ def make_boundary(variant: Variant) -> Namespace:
         grips.count[now.w, g] = count
         grips.since[now.w, g] = now.age
         return count
+
+    @wp.func
+    def hold_on(w: int, g: int, share: real, grips: Grips):
+        """Let gripper g hold its particles again (share 1) or not (0)."""
+        for n in range(grips.count[w, g]):
+            p = grips.particle[w, g, n]
+            grips.free[w, p] = real(1.0) - share * grips.weight[w, g, n]
+            grips.held_by[w, p] = g * grips.held_by.shape[1] + n
 
     @wp.func
     def grasp(
@@ -322,38 +328,9 @@ def make_boundary(variant: Variant) -> Namespace:
                 hold_on(now.w, g, real(0.0), grips)
 
     return Namespace(
-        contact, near_table, spring, follow, grasp,
+        contact, is_near_table, spring, follow, grasp,
         wide, contact_adjoint, follow_adjoint, turned_adjoint, driven_adjoint, grasp_adjoint,
     )  # fmt: skip
-
-
-@functools.cache
-def make_grips(real: Any) -> Namespace:
-    """Build ``hold_on`` and the kernel ``hold_as_at``, which set what grippers hold."""
-    Grips = make_types(real).Grips
-
-    @wp.func
-    def hold_on(w: int, g: int, share: real, grips: Grips):
-        """Let gripper g hold its particles again (share 1) or not (0)."""
-        for n in range(grips.count[w, g]):
-            p = grips.particle[w, g, n]
-            grips.free[w, p] = real(1.0) - share * grips.weight[w, g, n]
-            grips.held_by[w, p] = g * grips.held_by.shape[1] + n
-
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
-    def hold_as_at(order: wp.array(dtype=wp.int32), ages: wp.array(dtype=wp.int32), grips: Grips):
-        """Hold in each world what was held before its substep ``age`` began."""
-        w = order[wp.tid()]
-        age = ages[w]
-        for g in range(grips.since.shape[1]):
-            hold_on(w, g, real(0.0), grips)
-        for g in range(grips.since.shape[1]):
-            since = grips.since[w, g]
-            until = grips.until[w, g]
-            if since >= 0 and since < age and (until < 0 or until >= age):
-                hold_on(w, g, real(1.0), grips)
-
-    return Namespace(hold_on, hold_as_at=hold_as_at)
 
 
 def _section_centre(types: Namespace, x_of: Any) -> Any:

@@ -170,7 +170,6 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
             return
         now = beginning.begin(w, thread, threads, state.x.shape[1], dt, model)
         now.age = clock.age[w]
-        now.near_table = clock.near_table[w]
         now.holding = grips.held[w]
         # of grid and layout; in place unless all are kept
         now.slot = own
@@ -209,11 +208,6 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
                         status = OK
                         far += travel
                         travel = real(0.0)
-                        near = int(0)
-                        for i in range(thread, now.N, threads):
-                            if boundary.near_table(fields.x(particles, w, i), model):
-                                near = 1
-                        now.near_table = block.any(near)
                         if sort(now, far, model, grid, particles, tape) == 1:
                             far = real(0.0)
                             now.holding = list_gripped(now, particles, model, grips)
@@ -277,7 +271,6 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
             clock.step[w] = step
             clock.age[w] = now.age
             clock.travel[w] = travel
-            clock.near_table[w] = now.near_table
             clock.status[w] = status
 
     return advance

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from gendom.arrays import Array
 from gendom.sim.device import load_kernels
 from gendom.sim.mpm.block import ROOM_ALONE, ROOMS_OF_TWO
-from gendom.sim.mpm.boundary import make_grips
 from gendom.sim.mpm.kernels import make_advance
 from gendom.sim.mpm.model import Worlds
 from gendom.sim.mpm.particles import Variant
@@ -53,9 +52,6 @@ RECORDED = 1 << 30
 REBUILD = 1e30
 """Distance travelled [m] after which every world rebuilds its grid."""
 
-ANY_THREADS = 256
-"""Threads of a block of kernels that do little."""
-
 ALL = 1 << 30
 
 
@@ -82,7 +78,6 @@ class Program:
             self.particles.near = worlds.array(np.broadcast_to(near, (W, 6, N)), wp.int32)
         self.unsorted = worlds.zeros(W, worlds.real)
         self.load(make_advance(self.variant, taped=False))
-        self.load(make_grips(worlds.real).hold_as_at, ANY_THREADS)
 
     def _shared_room(self) -> int:
         """Shared memory of a block in which its particles fit [bytes]; 0 if they do not."""
@@ -108,11 +103,9 @@ class Program:
             **more,
         )
 
-    def load(self, kernel: Any, threads: int | None = None) -> None:
+    def load(self, kernel: Any) -> None:
         """Compile a kernel, or load it from Warp's cache, before threads call it."""
-        block = self.variant.threads if threads is None else threads
-        device = self.worlds.device
-        load_kernels(kernel.module, device, block if device.is_cuda else 1)
+        load_kernels(kernel.module, self.worlds.device, self.variant.threads)
 
     def groups(self) -> list["Group"]:
         """The groups of worlds, the slowest first."""
@@ -280,24 +273,17 @@ class Group:
             return False
         return bool((ok & (frame <= last)).any())
 
-    def hold_as_at(self, age: wp.array) -> None:
-        """Hold in each world what was held before substep ``age`` [W] of all."""
-        s = self.worlds
-        if s.grips.count.shape[1]:
-            kernel, inputs = make_grips(s.real).hold_as_at, [self.order, age, s.grips]
-            wp.launch(kernel, len(self.own), inputs, device=s.device, block_dim=ANY_THREADS)
-
 
 def for_groups(
-    groups: list[Group], count: int, work: Callable[[Group], None],
-    report: Callable[[], None] = lambda: None, stop: Event | None = None,
+    groups: list[Group], work: Callable[[Group], None], report: Callable[[], None] = lambda: None,
+    stop: Event | None = None,
 ) -> None:  # fmt: skip
-    """Do the work for every group, ``count`` at once; the first failure is raised. Several groups
-    are reported on now and then; what that raises sets ``stop``."""
+    """Do the work for every group, in threads; the first failure is raised. Several groups are
+    reported on now and then; what that raises sets ``stop``."""
     if len(groups) == 1:
         work(groups[0])
         return
-    with ThreadPoolExecutor(max_workers=count) as pool:
+    with ThreadPoolExecutor(groups[0].worlds.setting.threads) as pool:
         jobs = [pool.submit(work, group) for group in groups]
         try:
             while wait(jobs, timeout=0.05).not_done:
@@ -311,7 +297,7 @@ def for_groups(
         job.result()
 
 
-def run(program: Program, frames: Frames, threads: int) -> None:
+def run(program: Program, frames: Frames) -> None:
     """Simulate all worlds to all times.
 
     Raises:
@@ -327,7 +313,7 @@ def run(program: Program, frames: Frames, threads: int) -> None:
         x = wp.empty((len(times), s.num_worlds, len(frames.particles)), dtype=s.types.vec3,
                      device=s.device)  # fmt: skip
         plan = program.plan(now, times, frames.particles, x)
-        _run_groups(program, groups, plan, frames, first, threads)
+        _run_groups(program, groups, plan, frames, first)
         frames.x[first : first + together] = x.numpy()
         frame = s.clock.frame.numpy()
         for w in s.failures:
@@ -339,7 +325,7 @@ def run(program: Program, frames: Frames, threads: int) -> None:
 
 
 def _run_groups(
-    program: Program, groups: list[Group], plan: Plan, frames: Frames, first: int, threads: int
+    program: Program, groups: list[Group], plan: Plan, frames: Frames, first: int
 ) -> None:
     s = program.worlds
     done, stop, alone = 0, Event(), len(groups) == 1
@@ -359,4 +345,4 @@ def _run_groups(
             report=report if alone else lambda: None,
         )  # fmt: skip
 
-    for_groups(groups, threads, work, report, stop)
+    for_groups(groups, work, report, stop)

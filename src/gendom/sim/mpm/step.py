@@ -86,7 +86,7 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
         share = real(1.0) / real(size)
         for s in range(now.thread, now.N // size, now.threads):
             first = fields.x_of(particles, now.w, s * size)
-            if boundary.near_table(first, model):
+            if boundary.is_near_table(first, model):
                 x = vec3()
                 q = vec3()
                 for p in range(s * size, (s + 1) * size):
@@ -198,7 +198,7 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
         if keeps == 1:
             record_momenta(now, particles, tape)
             block.sync()
-        if now.near_table == 1:
+        if model.table == 1:
             touch(now, model, particles)
             block.sync()
         p2g(now, grips, particles, grid)

@@ -36,11 +36,10 @@ class Tape:
     Args:
         program: What worlds run; they have not run before.
         memory: Bound on what is recorded [bytes]; at least one segment is.
-        threads: Groups that are run at once.
     """
 
-    def __init__(self, program: Program, memory: float, threads: int):
-        self.program, self.memory, self.threads = program, memory, threads
+    def __init__(self, program: Program, memory: float):
+        self.program, self.memory = program, memory
         self.groups = program.groups()
         self.segments: list[list[Segment]] = [[] for _ in self.groups]
         self._cuda = program.worlds.device.is_cuda
@@ -70,7 +69,7 @@ class Tape:
                     segments.append(self._run_segment(group, f, keeps=keeps))
             group.end()
 
-        for_groups(self.groups, self.threads, one_group)
+        for_groups(self.groups, one_group)
         return x.numpy() + s.origin.astype(s.numpy_type)
 
     def _run_segment(self, group: Group, f: int, *, keeps: bool) -> "Segment":
@@ -145,7 +144,7 @@ class Tape:
                 sums.add_positions(group.own, positions_bar[frame][group.own])
             group.end()
 
-        for_groups(self.groups, self.threads, one_group)
+        for_groups(self.groups, one_group)
         return sums.gradients()
 
     def _reverse(
@@ -169,31 +168,30 @@ class Tape:
 
 
 class Snapshot:
-    """State and clock of a group of worlds."""
+    """State and clock of a group of worlds, and what grippers hold."""
 
     def __init__(self, group: Group):
-        s = group.worlds
-        self._state: dict[str, Any] = {}
-        for name in (*s.carried, "low"):
-            array = getattr(s.state, name)
-            if s.device.is_cuda:
-                self._state[name] = wp.clone(array)
-            elif array.size:
-                self._state[name] = array.numpy()[group.own]
+        arrays, on_cuda = self._arrays(group), group.worlds.device.is_cuda
+        self._kept = [wp.clone(a) if on_cuda else a.numpy()[group.own] for a in arrays]
         self.step, self.age, self.frame = map(group.read, ("step", "age", "frame"))
 
     def restore(self, group: Group) -> None:
         """Set the worlds back; their grids are rebuilt first."""
-        s = group.worlds
-        for name, values in self._state.items():
+        for array, values in zip(self._arrays(group), self._kept, strict=True):
             if isinstance(values, wp.array):
-                wp.copy(getattr(s.state, name), values)
+                wp.copy(array, values)
             else:
-                getattr(s.state, name).numpy()[group.own] = values
+                array.numpy()[group.own] = values
         clock = {"step": self.step, "age": self.age, "frame": self.frame}
         for name, values in {**clock, "status": 0, "travel": REBUILD}.items():
             group.set_clock(name, values)
-        group.hold_as_at(s.clock.age)
+
+    @staticmethod
+    def _arrays(group: Group) -> list[wp.array]:
+        s = group.worlds
+        holds = [s.grips.free, s.grips.held_by] if s.grips.count.shape[1] else []
+        state = [getattr(s.state, name) for name in (*s.carried, "low")]
+        return [array for array in (*state, *holds) if array.size]
 
 
 @dataclass

@@ -74,7 +74,6 @@ def make_types(real: Any) -> Namespace:
         layout: int  # of the grid
         slot: int  # row of the grid's momentum, and of the tape
         row: int  # row of the grid's velocity
-        near_table: int  # whether the table may be touched
         grip_row: int  # of the grippers' poses
         holding: int  # particles that grippers hold
 
@@ -156,7 +155,6 @@ def make_types(real: Any) -> Namespace:
         step: wp.array(dtype=wp.int32)  # [W] substeps done
         age: wp.array(dtype=wp.int32)  # [W] substeps done in all
         travel: wp.array(dtype=real)  # [W] distance since the grid was rebuilt [m]
-        near_table: wp.array(dtype=wp.int32)  # [W] whether the table may be touched before then
         status: wp.array(dtype=wp.int32)  # [W]
         failed_particle: wp.array(dtype=wp.int32)  # [W] or gripper
         frame: wp.array(dtype=wp.int32)  # [W] of a ``FramePlan``
