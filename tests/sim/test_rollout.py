@@ -133,7 +133,8 @@ def test_repeated_substeps_give_the_recorded_ones_derivatives_to_the_bit(dtype):
         assert np.array_equal(getattr(a, name), getattr(b, name)), name
 
 
-def test_a_path_shorter_than_others_keeps_its_derivatives_at_its_own_knots():
+@pytest.mark.parametrize("engine", ["mpm", "thin"])
+def test_a_path_shorter_than_others_keeps_its_derivatives_at_its_own_knots(engine):
     body = rope(diameter=0.014, length=0.05, start=(0.0, 0.0, 0.1), cells_across=2.0)
     short = Gripper(time=[0.0, 0.005], position=[[0.0, 0, 0.1], [0.0, 0, 0.101]], radius=0.01)
     long = Gripper(time=[0.0, 0.01, 0.02, 0.03], position=[[0.05, 0, 0.1]] * 4, radius=0.005)
@@ -141,7 +142,7 @@ def test_a_path_shorter_than_others_keeps_its_derivatives_at_its_own_knots():
         body,
         [Material(E=2e5, nu=0.3, density=1000.0)],
         grippers=[short, long],
-        solver=Solver(engine="mpm", dtype="float64"),
+        solver=Solver(engine=engine, dtype="float64"),
     )
     rollout = Rollout(simulator)
     x = rollout.forward([0.02])

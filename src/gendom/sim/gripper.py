@@ -239,6 +239,16 @@ class Grippers(Sequence[Sequence[Gripper]]):
                     out[name][w, g] = getattr(gripper, name)
         return cls(out)
 
+    def at_own_knots(self, by_knot: Array) -> Array:
+        """Derivatives [W, G, K, 3], of which those by repeats of a path's last knot are added to
+        those by the first of them."""
+        time = self.arrays["time"]
+        w, g, k = np.indices(time.shape)
+        last = np.count_nonzero(np.diff(time), axis=2)[..., None]
+        found = np.zeros(by_knot.shape)
+        np.add.at(found, (w, g, np.minimum(k, last)), by_knot)
+        return found
+
     def __len__(self) -> int:
         return len(self.arrays["time"])
 

@@ -25,6 +25,7 @@ import warp as wp
 from gendom.arrays import Array
 from gendom.sim.device import load_kernels
 from gendom.sim.gripper import turns_of
+from gendom.sim.native import functions_of
 
 
 @functools.cache
@@ -52,32 +53,18 @@ def paths_on(device: Any, arrays: Mapping[str, Array], real: Any) -> Any:
 
     On the CPU it shares their memory where types fit.
     """
-    paths = make_path_type(real)()
-    kinds = {
-        "time": wp.float64, "position": wp.vec3d, "orientation": wp.quatd, "turn": wp.vec3d,
-        "turns": wp.int32, "hold_from": wp.float64, "hold_until": wp.float64, "radius": real,
-    }  # fmt: skip
-    for name, kind in kinds.items():
-        values = np.ascontiguousarray(arrays[name])
-        shared = wp.get_device(device).is_cpu and values.dtype == wp.dtype_to_numpy(_scalar(kind))
+    paths, on_cpu = make_path_type(real)(), wp.get_device(device).is_cpu
+    for name, of in make_path_type(real).vars.items():
+        values, kind = np.ascontiguousarray(arrays[name]), of.type.dtype
+        number = wp.dtype_to_numpy(getattr(kind, "_wp_scalar_type_", kind))
+        shared = on_cpu and values.dtype == number
         setattr(paths, name, wp.array(values, dtype=kind, device=device, copy=not shared))
     return paths
 
 
-def _scalar(kind: Any) -> Any:
-    """Type of the numbers of a scalar or vector type."""
-    return getattr(kind, "_wp_scalar_type_", kind)
-
-
 @functools.cache
 def make_paths(real: Any) -> SimpleNamespace:
-    """Build the functions that evaluate gripper paths, for one scalar type.
-
-    Returns:
-        Namespace with ``is_closed``, ``placed`` and ``pose`` (of a gripper at a given time, with a
-        quaternion or a matrix), ``pose_adjoint`` (their transpose with respect to the path's
-        positions and orientations), and their parts.
-    """
+    """Build the functions that evaluate gripper paths, for one scalar type."""
     vec3, mat33 = wp.types.vector(3, real), wp.types.matrix((3, 3), real)
     Paths = make_path_type(real)
 
@@ -126,10 +113,7 @@ def make_paths(real: Any) -> SimpleNamespace:
 
     @wp.func
     def placed(w: int, g: int, t: wp.float64, paths: Paths):
-        """Centre [m] and orientation of a gripper at time t [s], and the index of the last knot.
-
-        Between two knots the gripper moves on a straight line and turns at constant rates.
-        """
+        """Centre [m] and orientation of a gripper at time t [s], and the index of the last knot."""
         knot, u = knot_before(w, g, t, paths)
         a = paths.position[w, g, knot]
         centre = a + u * (paths.position[w, g, knot + 1] - a)
@@ -142,10 +126,7 @@ def make_paths(real: Any) -> SimpleNamespace:
     def pose(w: int, g: int, t: wp.float64, paths: Paths):
         """As ``placed``, with the orientation as a matrix."""
         centre, q, knot = placed(w, g, t, paths)
-        R = wp.identity(n=3, dtype=wp.float64)
-        if paths.turns[w, g] == 1:
-            R = wp.quat_to_matrix(q)
-        return centre, R, knot
+        return centre, wp.quat_to_matrix(q), knot
 
     @wp.func
     def left_jacobian(turn: wp.vec3d, sign: wp.float64):
@@ -167,11 +148,8 @@ def make_paths(real: Any) -> SimpleNamespace:
         w: int, g: int, knot: int, u: wp.float64, R_bar: wp.vec3d, by_turn: wp.vec3d,
         paths: Paths, turn_bars: wp.array3d(dtype=wp.vec3d)
     ):  # fmt: skip
-        """Add derivatives with respect to the knots' rotations.
-
-        They are computed from the derivatives with respect to the rotation at the share u of a
-        segment (``R_bar``) and to the segment's rotation vector (``by_turn``).
-        """
+        """Add derivatives by the knots' rotations, given those by the rotation at the share u of a
+        segment (``R_bar``) and by the segment's rotation vector (``by_turn``)."""
         turn = paths.turn[w, g, knot]
         gone = wp.quat_to_matrix(rotation(u * turn))
         turn_bar = by_turn + u * (wp.transpose(left_jacobian(u * turn, wp.float64(1.0))) * R_bar)
@@ -206,16 +184,7 @@ def make_paths(real: Any) -> SimpleNamespace:
             share = wp.max(until - wp.max(t, paths.time[w, g, k]), wp.float64(0.0)) / span
         return share
 
-    return SimpleNamespace(
-        is_closed=is_closed,
-        placed=placed,
-        pose=pose,
-        pose_adjoint=pose_adjoint,
-        turn_adjoint=turn_adjoint,
-        share_of=share_of,
-        narrow=narrow,
-        narrow_matrix=narrow_matrix,
-    )
+    return functions_of(locals())
 
 
 @dataclass
@@ -385,4 +354,4 @@ def _host_kernels() -> SimpleNamespace:
 
     for kernel in (pose, pose_adjoint):
         load_kernels(kernel.module, "cpu")
-    return SimpleNamespace(pose=pose, pose_adjoint=pose_adjoint)
+    return functions_of(locals())

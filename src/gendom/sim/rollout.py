@@ -1,5 +1,7 @@
 """Derivatives of whole simulations, by reverse mode with recorded or recomputed substeps."""
 
+from dataclasses import replace
+
 from numpy.typing import ArrayLike
 
 from gendom.arguments import check_number, check_numbers, check_type
@@ -81,4 +83,9 @@ class Rollout:
         s = self.simulator
         W, N = s.num_worlds, s.num_points
         bar = check_numbers("positions_bar", positions_bar, (len(self._times), W, N, 3))
-        return self._tape.backward(bar)
+        found, hands = self._tape.backward(bar), s.engine.setting.grippers
+        return replace(
+            found,
+            gripper_positions=hands.at_own_knots(found.gripper_positions),
+            gripper_rotations=hands.at_own_knots(found.gripper_rotations),
+        )

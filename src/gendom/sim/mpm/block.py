@@ -5,11 +5,12 @@ A kernel that gives each world a block reads the same on both devices: its loops
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.types import Namespace
+from gendom.sim.native import functions_of
 
 ROOMS_OF_TWO = (96_000, 114_000)
 """Shared memory for the particles of one of two blocks on a multiprocessor [bytes]; the smaller
@@ -25,15 +26,11 @@ def bounds(threads: int) -> tuple[int, int]:
 
 
 @functools.cache
-def make_block(real: Any) -> Namespace:
+def make_block(real: Any) -> SimpleNamespace:
     """Build the functions for one scalar type; all threads of a block must call them.
 
-    Returns:
-        Namespace with ``resident_at``, the address of a byte of a block's memory for particles;
-        ``sync``, after which every thread sees what the others have written; ``any``, whether a
-        thread's value is not 0, and ``largest``, the largest of all threads' values (no NaN), which
-        synchronise too (before ``largest`` is called again, another ``sync`` is needed);
-        ``sum_before``, the sum of the values of the threads before this one; and ``add_by_warp``.
+    ``any``, whether a thread's value is not 0, and ``largest`` synchronise as ``sync`` does, see
+    ``native/block.h``.
     """
 
     @wp.func_native("return gendom::resident_at(byte);")
@@ -54,7 +51,7 @@ def make_block(real: Any) -> Namespace:
     @wp.func_native("return gendom::sum_before(value);")
     def sum_before(value: int) -> int: ...
 
-    return Namespace(resident_at, sync, largest, sum_before, add_by_warp, any=block_any)
+    return SimpleNamespace(**vars(functions_of(locals())), any=block_any)
 
 
 @wp.func_native("gendom::put_near(near, w, i, p, lattice, place, row);")

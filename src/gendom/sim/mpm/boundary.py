@@ -29,13 +29,15 @@ Shapes: W worlds, N particles, G grippers, K path knots.
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from gendom.sim.bodies import Body
 from gendom.sim.mpm.particles import Variant, make_moving, make_taped
-from gendom.sim.mpm.types import Namespace, make_types
+from gendom.sim.mpm.types import make_types
+from gendom.sim.native import functions_of
 from gendom.sim.paths import make_paths
 
 SPRING = 0.1
@@ -67,15 +69,8 @@ def grip_constants(body: Body) -> tuple[float, float]:
 
 
 @functools.cache
-def make_boundary(variant: Variant) -> Namespace:
-    """Build what acts on particles and its transposes, for one way to store them.
-
-    Returns:
-        Namespace with ``contact`` (of a section's mean position and velocity), ``is_near_table``,
-        ``spring``, ``follow`` (a held particle) and ``grasp`` (grippers that open
-        and close); ``wide`` (to float64); and ``contact_adjoint``, ``follow_adjoint``,
-        ``turned_adjoint`` and ``driven_adjoint`` (of a held particle) and ``grasp_adjoint``.
-    """
+def make_boundary(variant: Variant) -> SimpleNamespace:
+    """Build what acts on particles and its transposes, for one way to store them."""
     real = variant.real
     types = make_types(real)
     vec3, mat33 = types.vec3, types.mat33
@@ -327,13 +322,10 @@ def make_boundary(variant: Variant) -> Namespace:
                 attach_adjoint(now, g, t, model, paths, grips, tape, adjoint, by)
                 hold_on(now.w, g, real(0.0), grips)
 
-    return Namespace(
-        contact, is_near_table, spring, follow, grasp,
-        wide, contact_adjoint, follow_adjoint, turned_adjoint, driven_adjoint, grasp_adjoint,
-    )  # fmt: skip
+    return functions_of(locals())
 
 
-def _section_centre(types: Namespace, x_of: Any) -> Any:
+def _section_centre(types: SimpleNamespace, x_of: Any) -> Any:
     real, vec3, Model, Records = types.real, types.vec3, types.Model, types.Records
 
     @wp.func

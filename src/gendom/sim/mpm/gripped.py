@@ -8,6 +8,7 @@ Shapes: W worlds, N particles, G grippers.
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
@@ -15,7 +16,8 @@ import warp as wp
 from gendom.sim.mpm.block import make_block
 from gendom.sim.mpm.boundary import FOLLOWS, make_boundary
 from gendom.sim.mpm.particles import LAM, MASS, MU, Variant, make_moving, make_taped
-from gendom.sim.mpm.types import Namespace, make_types
+from gendom.sim.mpm.types import make_types
+from gendom.sim.native import functions_of
 from gendom.sim.paths import make_paths
 
 AHEAD = 32
@@ -23,7 +25,7 @@ AHEAD = 32
 
 
 @functools.cache
-def make_gripped(variant: Variant) -> Namespace:
+def make_gripped(variant: Variant) -> SimpleNamespace:
     """Build ``list_gripped``, ``drive``, and ``firm_adjoint`` and ``partial_adjoint`` of particles
     held firmly and in part.
 
@@ -136,81 +138,73 @@ def make_gripped(variant: Variant) -> Namespace:
                     total += rows_of(centre_bar, V_bar, spin_bar, R_bar)
             add_to_pose(now.grip_row, g, total, by)
 
-    return Namespace(list_gripped, drive, firm_adjoint, partial_adjoint)
+    return functions_of(locals())
 
 
 @functools.cache
-def make_poses(real: Any) -> Namespace:
-    """Build ``pose_gripper``, ``pose_ahead`` (many substeps, by the threads of a block) and their
-    transposes ``pose_gripper_adjoint`` and ``close_poses``, for one scalar type."""
+def make_poses(real: Any) -> SimpleNamespace:
+    """Build ``pose_ahead`` (grippers in many substeps, by the threads of a block) and its transpose
+    ``close_poses``, for one scalar type."""
     types = make_types(real)
     Paths, Grips, Substep = types.Paths, types.Grips, types.Substep
     ConditionsAdjoint = types.ConditionsAdjoint
     paths_of = make_paths(real)
 
     @wp.func
-    def pose_gripper(
-        row: int, w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, grips: Grips
-    ):
-        """Gripper g of world w in the substep from t to t + dt [s]."""
-        grips.closed[row, g] = int(paths_of.is_closed(w, g, t, paths))
-        here, _R, knot = paths_of.pose(w, g, t, paths)
-        there, R, end = paths_of.pose(w, g, t + dt, paths)
-        grips.centre[row, g] = paths_of.narrow(there)
-        grips.orientation[row, g] = paths_of.narrow_matrix(R)
-        grips.velocity[row, g] = paths_of.narrow((there - here) / dt)
-        # each segment contributes a rotation for its part of the substep
-        turned = wp.vec3d()
-        if paths.turns[w, g] == 1:
-            for k in range(knot, end + 1):
-                turned += paths_of.share_of(w, g, k, t, dt, paths) * paths.turn[w, g, k]
-        grips.spin[row, g] = paths_of.narrow(turned / dt)
-
-    @wp.func
-    def pose_gripper_adjoint(
-        row: int, w: int, g: int, t: wp.float64, dt: wp.float64, paths: Paths, by: ConditionsAdjoint
-    ):
-        """Transpose of ``pose_gripper``; resets the row's sums."""
-        moved = by.velocity[row, g] / dt
-        _here, _R, knot = paths_of.pose(w, g, t, paths)
-        _there, _R_end, end = paths_of.pose(w, g, t + dt, paths)
-        paths_of.pose_adjoint(w, g, t, -moved, wp.vec3d(), paths, by.position, by.turn)
-        paths_of.pose_adjoint(
-            w, g, t + dt, by.centre[row, g] + moved, by.rotation[row, g], paths, by.position,
-            by.turn,
-        )  # fmt: skip
-        if paths.turns[w, g] == 1:
-            for k in range(knot, end + 1):
-                by_turn = (paths_of.share_of(w, g, k, t, dt, paths) / dt) * by.spin[row, g]
-                paths_of.turn_adjoint(w, g, k, wp.float64(0.0), wp.vec3d(), by_turn, paths, by.turn)
-        by.centre[row, g] = wp.vec3d()
-        by.rotation[row, g] = wp.vec3d()
-        by.velocity[row, g] = wp.vec3d()
-        by.spin[row, g] = wp.vec3d()
-
-    @wp.func
     def pose_ahead(
-        now: Substep, first: int, count: int, t: wp.float64, dt: wp.float64, paths: Paths,
+        now: Substep, first: int, count: int, t0: wp.float64, dt: wp.float64, paths: Paths,
         grips: Grips,
     ):  # fmt: skip
-        """Poses in ``count`` substeps from ``first`` on, side by side; substep 0 begins at t."""
+        """Poses in ``count`` substeps from ``first`` on, side by side; substep 0 begins at t0."""
+        w = now.w
         grippers = grips.closed.shape[1]
         for n in range(now.thread, count * grippers, now.threads):
-            ahead = n // grippers
-            at = t + wp.float64(first + ahead) * dt
-            pose_gripper(now.w * AHEAD + ahead, now.w, n % grippers, at, dt, paths, grips)
+            row = w * AHEAD + n // grippers
+            g = n % grippers
+            t = t0 + wp.float64(first + n // grippers) * dt
+            grips.closed[row, g] = int(paths_of.is_closed(w, g, t, paths))
+            here, _R, knot = paths_of.pose(w, g, t, paths)
+            there, R, end = paths_of.pose(w, g, t + dt, paths)
+            grips.centre[row, g] = paths_of.narrow(there)
+            grips.orientation[row, g] = paths_of.narrow_matrix(R)
+            grips.velocity[row, g] = paths_of.narrow((there - here) / dt)
+            # each segment contributes a rotation for its part of the substep
+            turned = wp.vec3d()
+            if paths.turns[w, g] == 1:
+                for k in range(knot, end + 1):
+                    turned += paths_of.share_of(w, g, k, t, dt, paths) * paths.turn[w, g, k]
+            grips.spin[row, g] = paths_of.narrow(turned / dt)
 
     @wp.func
     def close_poses(
-        now: Substep, first: int, count: int, t: wp.float64, dt: wp.float64, paths: Paths,
+        now: Substep, first: int, count: int, t0: wp.float64, dt: wp.float64, paths: Paths,
         grips: Grips, by: ConditionsAdjoint,
     ):  # fmt: skip
-        """Transpose of ``pose_ahead``."""
+        """Transpose of ``pose_ahead``; resets the rows' sums."""
+        w = now.w
         grippers = grips.closed.shape[1]
         for n in range(now.thread, count * grippers, now.threads):
-            row = now.w * AHEAD + n // grippers
-            if grips.closed[row, n % grippers] == 1:
-                at = t + wp.float64(first + n // grippers) * dt
-                pose_gripper_adjoint(row, now.w, n % grippers, at, dt, paths, by)
+            row = w * AHEAD + n // grippers
+            g = n % grippers
+            t = t0 + wp.float64(first + n // grippers) * dt
+            if grips.closed[row, g] == 1:
+                moved = by.velocity[row, g] / dt
+                _here, _R, knot = paths_of.pose(w, g, t, paths)
+                _there, _R_end, end = paths_of.pose(w, g, t + dt, paths)
+                paths_of.pose_adjoint(w, g, t, -moved, wp.vec3d(), paths, by.position, by.turn)
+                paths_of.pose_adjoint(
+                    w, g, t + dt, by.centre[row, g] + moved, by.rotation[row, g], paths,
+                    by.position, by.turn,
+                )  # fmt: skip
+                if paths.turns[w, g] == 1:
+                    for k in range(knot, end + 1):
+                        by_turn = (paths_of.share_of(w, g, k, t, dt, paths) / dt) * by.spin[row, g]
+                        paths_of.turn_adjoint(
+                            w, g, k, wp.float64(0.0), wp.vec3d(), by_turn, paths, by.turn
+                        )
+                by.centre[row, g] = wp.vec3d()
+                by.rotation[row, g] = wp.vec3d()
+                by.velocity[row, g] = wp.vec3d()
+                by.spin[row, g] = wp.vec3d()
 
-    return Namespace(pose_gripper, pose_gripper_adjoint, pose_ahead, close_poses)
+    return functions_of(locals())

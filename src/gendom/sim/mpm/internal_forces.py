@@ -29,20 +29,22 @@ Shapes: W worlds, N particles.
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from gendom.sim.mpm.block import make_block
 from gendom.sim.mpm.particles import Variant
-from gendom.sim.mpm.types import Namespace, make_types
+from gendom.sim.mpm.types import make_types
+from gendom.sim.native import functions_of
 
 FILLS = 1.0e-30
 """Share of the branch with which Z is filled and nothing else happens."""
 
 
 @functools.cache
-def make_maxwell_branch(real: Any) -> Namespace:
+def make_maxwell_branch(real: Any) -> SimpleNamespace:
     """Build ``branch`` (a and g of a substep) and its transpose, for one scalar type."""
 
     @wp.func
@@ -75,18 +77,15 @@ def make_maxwell_branch(real: Any) -> Namespace:
                 bar = share_bar * real(0.5) * (real(1.0) + wp.exp(real(-1.0))) / dt
         return bar
 
-    return Namespace(branch, branch_adjoint)
+    return functions_of(locals())
 
 
 @functools.cache
-def make_internal_forces(variant: Variant) -> Namespace:
+def make_internal_forces(variant: Variant) -> SimpleNamespace:
     """Build the forces of a variant.
 
-    Returns:
-        Namespace with ``forces``, which sets the impulses of particles on their neighbours, adds
-        the air's to velocities and moves Z on; its transpose ``forces_adjoint``; and ``pulled``,
-        the impulse of a substep on a particle by its neighbours, or, but for its sign, the
-        derivative by x through all differences between neighbours.
+    ``pulled`` is the impulse of a substep on a particle by its neighbours, or, but for its sign,
+    the derivative by x through all differences between neighbours.
     """
     real = variant.real
     types = make_types(real)
@@ -116,7 +115,8 @@ def make_internal_forces(variant: Variant) -> Namespace:
 
     @wp.func
     def forces(now: Substep, model: Model, clock: Clock, particles: Records):
-        """Return whether a particle is inverted, which the clock names."""
+        """Set the impulses of particles on their neighbours, add the air's to velocities and move Z
+        on. Return whether a particle is inverted, which the clock names."""
         failed = set_forces(
             now.w, now.thread, now.threads, now.h, now.keep, now.share, model, particles
         )
@@ -137,4 +137,4 @@ def make_internal_forces(variant: Variant) -> Namespace:
             wp.atomic_add(by.branch_share, now.w, sums[0])
             wp.atomic_add(by.branch_factor, now.w, sums[1])
 
-    return Namespace(forces, forces_adjoint, pulled=pulled)
+    return functions_of(locals())

@@ -7,6 +7,7 @@ Shapes: W worlds, N particles, G grippers, S recorded substeps, L layouts of the
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
@@ -34,7 +35,8 @@ from gendom.sim.mpm.step import (
     make_substep_adjoint,
 )
 from gendom.sim.mpm.transfer import make_bspline
-from gendom.sim.mpm.types import Namespace, make_types
+from gendom.sim.mpm.types import make_types
+from gendom.sim.native import functions_of
 
 SUMS = 4
 """Sums of derivatives by a particle's parameters, see ``particles``."""
@@ -406,7 +408,7 @@ def make_reverse(variant: Variant) -> Any:
 
 
 @functools.cache
-def _make_beginning(real: Any) -> Namespace:
+def _make_beginning(real: Any) -> SimpleNamespace:
     """Build ``begin``, what substeps of one length have in common, and ``close_rates``."""
     types = make_types(real)
     Substep = types.Substep
@@ -442,4 +444,4 @@ def _make_beginning(real: Any) -> Namespace:
         by.branch_factor[w] = wp.float64(0.0)
         by.branch_share[w] = wp.float64(0.0)
 
-    return Namespace(begin, close_rates)
+    return functions_of(locals())

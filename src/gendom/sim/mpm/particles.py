@@ -12,13 +12,15 @@ Shapes: W worlds, N particles, L layouts of the grid, M nodes.
 
 import functools
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 from gendom.sim.mpm.block import make_block, put_near
 from gendom.sim.mpm.transfer import make_transfer
-from gendom.sim.mpm.types import Namespace, make_types
+from gendom.sim.mpm.types import make_types
+from gendom.sim.native import functions_of
 
 ORDERLY = 1.0
 """Largest distance [cells] that a particle may travel before the records are sorted again."""
@@ -68,7 +70,7 @@ class Variant:
 
 
 @functools.cache
-def make_moving(variant: Variant) -> Namespace:
+def make_moving(variant: Variant) -> SimpleNamespace:
     """Particles while they move, or derivatives by them: ``x``, ``v``, ``C``, ``q``, ``low``,
     ``put_x`` and so on of the i-th record of a row, ``get_Z`` and ``put_Z`` of its filtered stress,
     ``particle``, which it is of; ``place`` of particle p, and its ``x_of``."""
@@ -81,7 +83,7 @@ def make_moving(variant: Variant) -> Namespace:
 
 
 @functools.cache
-def make_taped(variant: Variant) -> Namespace:
+def make_taped(variant: Variant) -> SimpleNamespace:
     """The same of particles on a tape; row n * W + w is substep n of world w."""
 
     @wp.func
@@ -91,7 +93,7 @@ def make_taped(variant: Variant) -> Namespace:
     return _access(variant.real, order_of, TAPED_STRESS, resident=False)
 
 
-def _access(real: Any, order_of: Any, stress: int, *, resident: bool) -> Namespace:
+def _access(real: Any, order_of: Any, stress: int, *, resident: bool) -> SimpleNamespace:
     """Access to records whose filtered stress begins at component ``stress``; ``resident``: in the
     shared memory of a CUDA block, all that its kernel sets aside."""
     types = make_types(real)
@@ -138,11 +140,11 @@ def _access(real: Any, order_of: Any, stress: int, *, resident: bool) -> Namespa
     def x_of(s: Records, row: int, p: int):
         return x(s, row, s.place[order_of(s, row), p])
 
-    return Namespace(get_Z, put_Z, particle, place, x_of, get=get, put=put, **found)
+    return functions_of({**locals(), **found})
 
 
 @functools.cache
-def make_loading(variant: Variant) -> Namespace:
+def make_loading(variant: Variant) -> SimpleNamespace:
     """Build ``load`` and ``unload`` between a ``State`` (or its adjoint) and what is stored."""
     fields, types = make_moving(variant), make_types(variant.real)
     Records, State = types.Records, types.State
@@ -168,7 +170,7 @@ def make_loading(variant: Variant) -> Namespace:
             for c in range(6):
                 state.Z[w, c, p] = fields.get_Z(stored, w, c, i)
 
-    return Namespace(load, unload)
+    return functions_of(locals())
 
 
 @functools.cache

@@ -328,20 +328,10 @@ class Sums:
             gravity=np.array(by.gravity.numpy()),
             positions=np.array(self.state.x.numpy()),
             velocities=np.array(self.state.v.numpy()),
-            gripper_positions=self._by_knots(by.position),
-            gripper_rotations=self._by_knots(by.turn),
+            gripper_positions=np.array(by.position.numpy()),
+            gripper_rotations=np.array(by.turn.numpy()),
             gripper_radius=np.array(by.radius.numpy()),
         )
-
-    def _by_knots(self, of: Any) -> Array:
-        """[W, G, K, 3] with the derivatives by repeats of a last knot at the first of them."""
-        by_knot = np.array(of.numpy())
-        for w, grippers in enumerate(self.program.worlds.setting.grippers):
-            for g, gripper in enumerate(grippers):
-                last = len(np.asarray(gripper.time)) - 1
-                by_knot[w, g, last] += by_knot[w, g, last + 1 :].sum(axis=0)
-                by_knot[w, g, last + 1 :] = 0.0
-        return by_knot
 
     def check(self, group: Group, segment: Segment, recording: TapedStates, plan: Plan) -> None:
         """Raise the error of a derivative by a state that is not finite."""

@@ -14,25 +14,24 @@ Shapes: W worlds, N particles, L layouts of the grid (see ``grid``), M grid node
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
-from gendom.sim.mpm.types import Namespace, make_types
+from gendom.sim.mpm.types import make_types
+from gendom.sim.native import functions_of
 
 
 @functools.cache
-def make_bspline(real: Any, *, windowed: bool) -> Namespace:
+def make_bspline(real: Any, *, windowed: bool) -> SimpleNamespace:
     """The sums over 27 nodes of ``native/bspline.h`` for one scalar type.
 
     All take a grid's array, its row and its layout (see ``grid``), the particle's lowest node
     (column i and j of the layout, level), and the particle's place f above that node in cells.
 
-    Returns:
-        Namespace with ``sums``, the matrix of coefficients; ``scatter``, ``gather`` and
-        ``gather_with_slope``; ``window``, what ``scatter`` holds back on CUDA, and ``flush``, which
-        gives it to the grid; ``clear``, ``normalise`` and ``normalise_adjoint`` of all nodes; and
-        ``row_at``, the address of a row.
+    ``scatter`` holds a ``window`` back on CUDA, which ``flush`` gives to the grid; ``sums`` is the
+    matrix of coefficients, ``row_at`` the address of a row.
     """
     types = make_types(real)
     vec3, vec4 = types.vec3, types.vec4
@@ -86,21 +85,12 @@ def make_bspline(real: Any, *, windowed: bool) -> Namespace:
         count: int, keep: real,
     ) -> wp.float64: ...  # fmt: skip
 
-    return Namespace(
-        scatter, flush, gather, gather_with_slope, row_at, clear, normalise, normalise_adjoint,
-        sums=sums, window=window_type,
-    )  # fmt: skip
+    return SimpleNamespace(**vars(functions_of(locals())), sums=sums, window=window_type)
 
 
 @functools.cache
-def make_transfer(real: Any) -> Namespace:
-    """Build the transfers for one scalar type.
-
-    Returns:
-        Namespace with ``locate``, ``given_by`` (what a particle gives to the grid),
-        ``p2g_adjoint``, ``g2p``, ``taken_by`` (what its derivatives give to the grid's) and
-        ``g2p_adjoint``.
-    """
+def make_transfer(real: Any) -> SimpleNamespace:
+    """Build the transfers for one scalar type."""
     types = make_types(real)
     Substep, Grid = types.Substep, types.Grid
     vec3, mat33 = types.vec3, types.mat33
@@ -180,4 +170,4 @@ def make_transfer(real: Any) -> Namespace:
         v = vec3(R[0, 0], R[0, 1], R[0, 2])
         return now.inv_dx * (place_of(R) - (real(4.0) * now.inv_dx) * (wp.transpose(C_bar) * v))
 
-    return Namespace(locate, given_by, p2g_adjoint, g2p, taken_by, g2p_adjoint)
+    return functions_of(locals())

@@ -13,15 +13,8 @@ import warp as wp
 from gendom.sim.paths import make_path_type
 
 
-class Namespace(SimpleNamespace):
-    """Warp functions and kernels under their own names, and others by keyword."""
-
-    def __init__(self, *functions: Any, **others: Any):
-        super().__init__(**{one.func.__name__: one for one in functions}, **others)
-
-
 @functools.cache
-def make_types(real: Any) -> Namespace:
+def make_types(real: Any) -> SimpleNamespace:
     """The types for ``wp.float32`` or ``wp.float64``: vectors, matrices, and the structs below.
 
     ``compensates`` says whether positions keep what rounding leaves out.
@@ -196,7 +189,7 @@ def make_types(real: Any) -> Namespace:
         failed_slot: wp.array(dtype=wp.int32)  # [W] recorded substep
         failed_particle: wp.array(dtype=wp.int32)  # [W]
 
-    return Namespace(
+    return SimpleNamespace(
         real=real, vec3=vec3, vec4=vec4, mat33=mat33, compensates=real == wp.float32,
         Model=Model, Substep=Substep, Grid=Grid, Paths=make_path_type(real), Grips=Grips,
         State=State, Records=Records, Clock=Clock, FramePlan=FramePlan,

@@ -4,10 +4,18 @@ One text for both kinds of device; what differs stands side by side in each head
 call it by ``wp.func_native`` with one line; types are template arguments.
 """
 
+from collections.abc import Mapping
 from importlib.resources import files
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
+
+
+def functions_of(names: Mapping[str, Any]) -> SimpleNamespace:
+    """Warp's functions and kernels among ``locals()``, under their own names."""
+    kinds = (wp.Function, wp.Kernel)
+    return SimpleNamespace(**{n: of for n, of in names.items() if isinstance(of, kinds)})
 
 
 def module_options(package: str, *headers: str) -> dict[str, Any]:

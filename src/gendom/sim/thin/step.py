@@ -18,6 +18,7 @@ from typing import Any
 
 import warp as wp
 
+from gendom.sim.native import functions_of
 from gendom.sim.paths import make_path_type, make_paths
 from gendom.sim.thin.contact import LISTED
 from gendom.sim.thin.native import MODULE_OPTIONS, make_native
@@ -147,12 +148,7 @@ def make_steps(real: Any, kind: str) -> tuple[Any, Any]:
 
 @functools.cache
 def make_kernels(real: Any, kind: str) -> SimpleNamespace:
-    """Build the kernels for one scalar type and one kind of body.
-
-    Returns:
-        Namespace with ``begin`` (lagged strains from the first state), ``advance`` (pieces of equal
-        steps), their transposes ``begin_adjoint`` and ``reverse``, and ``let_go``.
-    """
+    """Build the kernels for one scalar type and one kind of body."""
     types, native = make_types(real), make_native(real, kind)
     step, step_adjoint = make_steps(real, kind)
     ThinModel, ModelAdjoint = types.ThinModel, types.ModelAdjoint
@@ -174,6 +170,7 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def begin(first: int, threads: int, model: ThinModel, state: rows):
+        """Set lagged strains from a first state."""
         w = first + wp.tid() // threads
         native.forces(model, w, state, w, w, real(1.0e30))
 
@@ -330,6 +327,4 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
                 kick_of(plan, w, p, k),
             )  # fmt: skip
 
-    return SimpleNamespace(
-        begin=begin, begin_adjoint=begin_adjoint, advance=advance, let_go=let_go, reverse=reverse
-    )
+    return functions_of(locals())

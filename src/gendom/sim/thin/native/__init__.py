@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from gendom.sim.native import module_options
+from gendom.sim.native import functions_of, module_options
 from gendom.sim.thin.types import make_types
 
 MODULE_OPTIONS = module_options(
@@ -81,6 +81,4 @@ def make_native(real: Any, kind: str) -> SimpleNamespace:
         c: int, dt: real,
     ): ...  # fmt: skip
 
-    return SimpleNamespace(
-        **{name: f for name, f in locals().items() if isinstance(f, wp.Function)}
-    )
+    return functions_of(locals())
