@@ -43,119 +43,85 @@ def refused(make, **given):
 
 # ---- one argument is wrong -----------------------------------------------------------------------
 
-POINTS = [RAGGED, (0.0, 1.0), (nan, 0.0, 0.0), (0.0, inf, 0.0), None]
 PATH = {"time": [0.0, 1.0], "position": [[0, 0, 0], [0, 0, 1]], "radius": 0.01}
-CORNERS = [[0, 0, 0], [nan, 0, 0]]
 ARRAYS = {**Grippers.of([[HAND]]).arrays, "hold_from": np.zeros((1, 1))}
 
 
-def grippers(**arrays):
-    return Grippers(arrays)
-
-
-def made(kind, **given):
+def made(kind="thin", **given):
     return flat_simulator(**{"body": ROPE, "materials": [MATERIAL], "engine": kind, **given})
 
 
-def run(**given):
-    made("thin", grippers=[HAND]).run(**given)
+def of_made(method, kind="thin"):
+    return lambda **given: getattr(made(kind, grippers=[HAND]), method)(**given)
 
 
-def set_velocities(engine, **given):
-    made(engine).set_velocities(**given)
-
-
-def rollout(**given):
-    return Rollout(**{"simulator": made("thin"), **given})
+def each(values, names):
+    return {name: values for name in names.split()}
 
 
 SIMULATORS = {
-    "body": [3, None],
-    "materials": [MATERIAL, 3, [3], "soft"],
-    "grippers": [HAND, 3, [3], [[3]], [HAND, 3], "two"],
-    "table": [3, 0.0],
-    "self_contact": ["yes", 1],
-    "self_friction": ["rough", RAGGED, np.ones((2, 2))],
-    "gravity": ["down", RAGGED, np.ones((3, 7)), (0.0, -9.81), (0.0, 0.0, nan)],
-    "velocity_damping": ["some", RAGGED, -1.0, [1.0, 2.0]],
-    "air_density": ["thin", RAGGED, -1.0],
-    "stiffness": ["stiff", RAGGED],
-    "mass": ["heavy", RAGGED, 0.0],
-    "positions": ["there", RAGGED, np.zeros((5, 3)), np.zeros((31, 2)), np.full((31, 3), nan)],
-    "start_time": ["now", [0.0, 1.0], nan],
-    "substep": ["short", [1e-4], -1e-3, 0.0],
-    "cfl": ["half", [0.5], 0.0],
-    "threads": ["all", 1.5, nan, 0],
-    "device": [3],
-    "dtype": ["float16"],
-    "engine": ["fem"],
+    **each([3, None], "body"),
+    "materials": [MATERIAL, [3]],
+    "grippers": [HAND, [3], [[3]], [HAND, 3], "two"],
+    **each([3], "table device self_contact"),
+    "gravity": [RAGGED, (0.0, -9.81), (0.0, 0.0, nan)],
+    **each([RAGGED, -1.0], "velocity_damping air_density self_friction stiffness mass"),
+    "positions": [RAGGED, np.zeros((5, 3)), np.full((31, 3), nan)],
+    "start_time": [[0.0, 1.0], nan],
+    **each([[1e-4], 0.0], "substep cfl"),
+    "threads": [1.5, 0],
+    **each(["float16"], "dtype engine"),
 }
-VELOCITIES = {
-    "v": ["fast", RAGGED, (nan, 0.0, 0.0), np.zeros((7, 3))],
-    "affine": ["spin", RAGGED, nan],
-}
+VELOCITIES = {"v": [(nan, 0.0, 0.0), np.zeros((7, 3))], "affine": ["spin", nan]}
 WRONG = [
     (rope, {"diameter": 0.01, "length": 0.3}, {
-        "diameter": ["thick", [0.01, 0.02], None, 0.0],
-        "length": ["long", RAGGED, -0.1, nan],
-        "cells_across": ["two", [2.0], 0.0, 0.3, 20.0],
-        "points": ["many", 25.5, nan, [25, 25], 10**9],
-        "start": ["here", *POINTS, ("0", "0", "0")],
-        "direction": ["up", *POINTS, (0, 0, 0)],
-        "centre_line": ["curved", RAGGED, [0.0, 1.0], CORNERS, [[0, 0, 0], [1, 0]], [[0, 0, 0]],
-                        [[0, 0], [1, 0]], [[0, 0, 0]] * 2 + [[1, 0, 0]]],
+        **each([[0.01, 0.02], 0.0], "diameter length cells_across"),
+        "cells_across": [0.3, 20.0],
+        "points": [25.5, [25, 25], 10**9],
+        **each([(0.0, 1.0), (nan, 0.0, 0.0), None], "start direction"),
+        "direction": [(0, 0, 0)],
+        "centre_line": [RAGGED, [[0, 0, 0], [nan, 0, 0]], [[0, 0, 0]], [[0, 0], [1, 0]],
+                        [[0, 0, 0]] * 2 + [[1, 0, 0]]],
     }),
     (rope, {"diameter": 0.01}, {"length": [...]}),
     (cloth, {"width": 0.2, "height": 0.2, "thickness": 0.002, "dx": 0.02}, {
-        "width": ["wide", RAGGED, 0.0],
-        "height": ["high", RAGGED],
-        "thickness": ["thick", RAGGED, inf],
-        "dx": ["fine", [0.01], 0.0],
-        "points": ["many", 8, (8, 8, 8), (8.5, 8), ("8", "8"), (8, 1), (1, 5)],
-        "corner": ["here", RAGGED, 3.0, (0.0, nan, 0.0)],
-        "yaw": ["left", inf, nan, [0.0]],
+        **each([RAGGED, 0.0, inf], "width height thickness dx"),
+        "points": [8, (8, 8, 8), (8.5, 8), (8, 1), (1, 5)],
+        "corner": [3.0, (0.0, nan, 0.0)],
+        "yaw": [inf, [0.0]],
     }),
-    (Material, {}, {
-        **{name: ["much", [1.0, 2.0]] for name in ("E", "nu", "density", "damping")},
-        **{name: ["stiff", RAGGED, 0.0] for name in OF_THIN},
-    }),
-    (ROPE.moved, {}, {"offset": ["left", (0.0, 1.0), (nan, 0.0, 0.0)]}),
+    (Material, {}, each([[1.0, 2.0]], " ".join(("E", "nu", "density", "damping", *OF_THIN)))),
+    (ROPE.moved, {}, {"offset": [(0.0, 1.0), (nan, 0.0, 0.0)]}),
     (Gripper, PATH, {
-        "time": ["now", RAGGED, [0.0, nan], [0.0, 0.0], [0.0, -1.0]],
-        "position": ["here", RAGGED, [[0.0, 0.0, nan]] * 2, [[0.0, 0.0]] * 2, [[0, 0, 0]] * 3],
-        "quat_xyzw": ["turned", RAGGED, [[0.0, 0.0, 0.0, nan]] * 2, [[0.0, 0.0, 0.0, 1.0]],
-                      np.zeros((2, 4))],
-        "radius": ["wide", [0.01, 0.02], inf, 0.0, nan],
-        "hold_from": ["soon", [0.0, 1.0], nan],
-        "hold_until": ["late", [0.0, 1.0], nan],
+        "time": [RAGGED, [0.0, nan], [0.0, 0.0]],
+        "position": [[[0.0, 0.0, nan]] * 2, [[0.0, 0.0]] * 2, [[0, 0, 0]] * 3],
+        "quat_xyzw": [[[0.0, 0.0, 0.0, nan]] * 2, [[0.0, 0.0, 0.0, 1.0]], np.zeros((2, 4))],
+        "radius": [[0.01, 0.02], inf, 0.0],
+        **each([[0.0, 1.0], nan], "hold_from hold_until"),
     }),
-    (Gripper.still, {"radius": 0.01}, {"position": ["here", RAGGED]}),
-    (grippers, ARRAYS, {
+    (lambda **arrays: Grippers(arrays), ARRAYS, {
         "time": [np.zeros(2), np.array([[[0.0, -1.0]]])],
         "position": [np.zeros((1, 1, 3, 3)), np.full((1, 1, 2, 3), nan)],
         "orientation": [np.full((1, 1, 2, 4), nan)],
-        "radius": [np.full((1, 1), inf), np.ones((2, 1)), None, np.zeros((1, 1))],
+        "radius": [np.ones((2, 1)), None, np.zeros((1, 1))],
         "hold_from": [np.full((1, 1), nan)],
         "hold_until": [np.full((1, 1), -1.0)],
     }),
-    (grippers, ARRAYS, {name: [...] for name in NEEDED}),
-    (Table, {"height": 0.0}, {
-        "height": ["low", RAGGED, [0.0, 1.0], nan],
-        "friction": ["rough", RAGGED, np.ones((2, 2)), -0.3, [0.1, nan]],
-    }),
-    (partial(made, "thin"), {}, SIMULATORS),
+    (lambda **arrays: Grippers(arrays), ARRAYS, {name: [...] for name in NEEDED}),
+    (Table, {"height": 0.0}, {"height": [[0.0, 1.0], nan], "friction": [RAGGED, -0.3]}),
+    (made, {}, SIMULATORS),
     (partial(made, "mpm"), {}, SIMULATORS),
-    (run, {"times": [1e-4]}, {
-        "times": ["soon", RAGGED, None, np.zeros((1, 1)), [], [0.2, 0.1], [-0.1], [0.1, nan]],
-        "particles": ["tip", [0.5, 1.5], [-1], 3, [True, False], [10**6]],
-        "on_frame": [3],
-        "keep_going": ["yes"],
+    (of_made("run"), {"times": [1e-4]}, {
+        "times": [RAGGED, None, np.zeros((1, 1)), [], [0.2, 0.1], [-0.1], [0.1, nan]],
+        "particles": [[0.5, 1.5], [-1], 3, [10**6]],
+        **each([3], "on_frame keep_going"),
     }),
-    (partial(set_velocities, "thin"), {"v": (0.0, 0.0, 0.0)}, VELOCITIES),
-    (partial(set_velocities, "mpm"), {"v": (0.0, 0.0, 0.0)}, VELOCITIES),
-    (rollout, {}, {"simulator": [3], "memory": ["all", -1.0, nan]}),
+    (of_made("set_velocities"), {"v": (0.0, 0.0, 0.0)}, VELOCITIES),
+    (of_made("set_velocities", "mpm"), {"v": (0.0, 0.0, 0.0)}, VELOCITIES),
+    (lambda **given: Rollout(**{"simulator": made(), **given}), {},
+     {"simulator": [3], "memory": [-1.0, nan]}),
     (open_device, {}, {"name": [3]}),
-    (ROPE.surface, {}, {"x": ["here", RAGGED, np.zeros((5, 3)), np.zeros(3)]}),
+    (ROPE.surface, {}, {"x": [RAGGED, np.zeros((5, 3)), np.zeros(3)]}),
 ]  # fmt: skip
 """What is made, of which arguments, and wrong ones in place of each; `...`: it is left out."""
 
@@ -193,6 +159,12 @@ def test_bodies_that_no_memory_holds():
         still, hold_from=1.0, hold_until=0.5
     )
     still(hold_from=1.0, hold_until=1.0)  # never closes
+    # no worlds, or grippers of fewer or of another number
+    two = partial(Simulator, body=ROPE, materials=[MATERIAL] * 2)
+    assert "at least one material" in refused(Simulator, body=ROPE, materials=[])
+    assert "grippers given for world 1" in refused(two, grippers=[[HAND]])
+    assert "same number of grippers, got [0, 1]" in refused(two, grippers=[[HAND], []])
+    assert "friction" in refused(two, table=Table(height=-0.005, friction=np.ones(3)))
     # bodies that are not thin
     short = rope(diameter=0.3, length=0.2)
     assert "a diameter of 0.3 m and a length of 0.2 m are not those of a rod" in refused(
@@ -214,15 +186,6 @@ def test_materials_without_a_time_step(body):
         r"world 1 \(E 1e\+30 Pa.*substep would be .*e-1[67] s, the shortest is", message
     )
     assert "substep" in refused(flat_simulator, body=body, materials=[MATERIAL], substep=1e-30)
-
-
-def test_passes_of_rollouts():
-    rollout = Rollout(Simulator(ROPE, [MATERIAL]))
-    assert "times" in refused(rollout.forward, times="soon")
-    rollout.forward([1e-4])
-    assert "positions_bar" in refused(rollout.backward, positions_bar="steep")
-    bar = np.full((1, 1, len(ROPE.points), 3), nan)
-    assert "positions_bar must be finite" in refused(rollout.backward, positions_bar=bar)
 
 
 def test_grippers_that_miss_say_by_how_much():

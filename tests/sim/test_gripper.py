@@ -8,12 +8,8 @@ from gendom.sim import Gripper, Grippers
 
 def path(**changes):
     """Arguments of a gripper with three knots."""
-    arguments = {
-        "time": [0.0, 1.0, 3.0],
-        "position": [[0.0, 0.0, 0.0], [1.0, 0.0, 2.0], [1.0, 4.0, 0.0]],
-        "radius": 0.01,
-    }
-    return {**arguments, **changes}
+    places = [[0.0, 0.0, 0.0], [1.0, 0.0, 2.0], [1.0, 4.0, 0.0]]
+    return {"time": [0.0, 1.0, 3.0], "position": places, "radius": 0.01, **changes}
 
 
 def test_positions_between_and_beyond_knots():

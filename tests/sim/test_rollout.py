@@ -169,14 +169,14 @@ def test_misuse_is_refused():
     with pytest.raises(ParameterError, match="forward before backward"):
         rollout.backward(np.zeros((1, 1, 1, 3)))
     x = rollout.forward([0.001])
-    with pytest.raises(ParameterError, match="make another"):
-        rollout.forward([0.002])
-    with pytest.raises(ParameterError, match="must be"):
-        rollout.backward(x[..., :2])
-    used = scene()
-    used.run([0.001])
-    with pytest.raises(ParameterError, match="has not been run"):
-        Rollout(used)
+    for call, words in (
+        (lambda: rollout.forward([0.002]), "make another"),
+        (lambda: rollout.backward(x[..., :2]), "positions_bar must be"),
+        (lambda: rollout.backward(np.full(x.shape, np.nan)), "positions_bar must be finite"),
+        (lambda: Rollout(rollout.simulator), "has not been run"),
+    ):
+        with pytest.raises(ParameterError, match=words):
+            call()
 
 
 def rollout(memory=1e9, *, together=False, **options):

@@ -1,11 +1,13 @@
-"""All worlds at once, as a GPU runs them, against each by itself."""
+"""Promises of the MPM: all worlds at once, as a GPU runs them, are each by itself; runs go on where
+others ended; failures name their world. Mechanics are the validation's."""
 
 import numpy as np
 import pytest
+import warp as wp
 
-from gendom.errors import ParameterError
+from gendom.errors import DeviceError, ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Gripper, Table, cloth, rope
+from gendom.sim import Gripper, Table, cloth, list_devices, rope, stable_substep
 from gendom.sim.mpm import runner
 from validation.bench import flat_simulator
 
@@ -54,6 +56,32 @@ def scene(**options):
         gravity=[(0, 0, -9.81), (1, 0, -9.81), (0, 2, -5), (0, 2, -5)],
         **options,
     )
+
+
+def test_two_runs_equal_one():
+    """To the bit; no time passes where none does, and chosen particles are those of all."""
+    one, two = scene(), scene()
+    frames = one.run([0.05, 0.09])
+    np.testing.assert_array_equal(frames[:1], two.run([0.05]))
+    assert two.time == 0.05
+    np.testing.assert_array_equal(frames[1:], two.run([0.09]))
+    np.testing.assert_array_equal(one.velocities(), two.velocities())
+    np.testing.assert_array_equal(two.run([0.09], particles=[7, 3]), frames[1:, :, [7, 3]])
+
+
+def test_far_from_the_origin_nothing_changes():
+    """Started whole cells away, on a table as far up, the answer only moves along."""
+    body = cloth(width=0.04, height=0.04, thickness=0.04, dx=0.01, corner=(0.003, 0.001, 0.045))
+    swing = np.cross([2.0, 3.0, 5.0], body.x - body.x.mean(axis=0))
+
+    def run(shift):
+        s = simulator(body.moved(shift), [SOFT], table=Table(height=float(shift[2])))
+        s.set_velocities(swing)
+        return s.run([0.1, 0.3]) - shift
+
+    here, away = run(np.zeros(3)), run(0.01 * np.array([-1000, 1000, -1000]))
+    assert np.abs(away - here).max() < 1e-11
+    assert np.abs(here[1] - here[0]).max() > 1e-3
 
 
 def test_motion_below_the_last_bit_is_not_lost():
@@ -160,3 +188,41 @@ def test_the_failed_substep_is_not_counted(what):
     assert np.abs(x - expected).max() < 1e-12
     if what == "closed on nothing":
         assert time == pytest.approx(0.006)
+
+
+@pytest.mark.parametrize(
+    ("E", "substep", "what"),
+    [(1.0e6, 1e-3, "velocities grew"), (1.0e5, 1.5e-3, "turned inside out")],
+)
+def test_divergence_names_its_world(E, substep, what):
+    """The error says which world failed, how, when and with what, and which particle if one."""
+    body = rope(diameter=0.02, length=0.12, start=(0, 0, 0.05), cells_across=1.5)
+    grip = Gripper(time=[0, 0.3], position=[(0, 0, 0.05), (0, 0, 0.15)], radius=0.02)
+    worlds = [SOFT, Material(E=E, nu=0.4, density=1000.0)]
+    s = simulator(body, worlds, grippers=[grip], substep=substep, air_density=0.0)
+    with pytest.raises(SimulationError, match=rf"world 1 at 0\.\d+ s .*nu 0\.4.*{what}") as e:
+        s.run(np.linspace(0.01, 0.2, 20))
+    assert e.value.world == 1 and e.value.time is not None and 0.0 < e.value.time < 0.2
+    assert e.value.parameters == {"E": E, "nu": 0.4, "density": 1000.0}
+    inside_out = what.startswith("turned")
+    assert e.value.particle in (range(body.num_particles) if inside_out else [None])
+
+
+def test_substep_is_a_share_of_the_courant_limit():
+    """cfl * dx / sqrt((lam + 2 mu) / density), for every world; a given substep overrides it."""
+    stiff = Material(E=9.0e4, nu=0.0, density=900.0)  # 10 m/s
+    assert stable_substep(stiff, 0.02, cfl=0.3) == pytest.approx(0.3 * 0.02 / 10.0)
+    body = cloth(width=0.04, height=0.04, thickness=0.04, dx=0.01)
+    found = simulator(body, [stiff, SOFT], cfl=0.2).substep
+    assert found == pytest.approx([0.2 * 0.01 / 10.0, 0.2 * 0.01 / SOFT.wave_speed])
+    assert simulator(body, [stiff], substep=1e-5).substep == pytest.approx([1e-5])
+
+
+def test_devices():
+    """One, names with commas between them, or all GPUs; an error says what to use instead."""
+    with pytest.raises(DeviceError, match=r"'cuda:77'.*--device cpu"):
+        simulator(rope(diameter=0.02, length=0.06), [SOFT], device="cuda:77")
+    assert list_devices("cpu, cpu") == ["cpu", "cpu"]
+    for names in ("cpu,cuda:77", *(["all"] if not wp.is_cuda_available() else [])):
+        with pytest.raises(DeviceError, match="--device cpu"):
+            list_devices(names)

@@ -103,16 +103,15 @@ def simulate(
             f"the MPM has no derivative by {', '.join(only_thin)}",
             fix='solver=Solver(engine="thin")',
         )
-    tensors = {n: _tensor(n, given[n]) for n in shapes if n in given}
+    tensors = {}
+    for n in shapes:
+        if n in given:
+            a = given[n] if isinstance(given[n], Tensor) else check_numbers(n, given[n], finite=False)
+            tensors[n] = torch.as_tensor(a, dtype=torch.float64)
     own = {"mass": mass, "natural_curvature": natural_curvature, "start_time": start_time}
     scene = (body, times, grippers, table, obstacles, physics, solver, own, memory)
     spread = _spread(tensors, shapes, len(materials))
     return _Simulation.apply(scene, materials, list(tensors), *spread)  # pyright: ignore[reportReturnType]
-
-
-def _tensor(name: str, value: Any) -> Tensor:
-    given = value if isinstance(value, Tensor) else check_numbers(name, value, finite=False)
-    return torch.as_tensor(given, dtype=torch.float64)
 
 
 def _spread(

@@ -95,14 +95,11 @@ class Outline:
 
         Source: even-odd rule (Haines 1994, "Point in polygon strategies").
         """
-        a, b, _ = self._edges()
-        inside = np.zeros(len(points), dtype=bool)
-        for some in np.array_split(np.arange(len(points)), 1 + len(points) * len(a) // 10**6):
-            x, y = points[some, :1], points[some, 1:]
-            spans = (a[:, 1] > y) != (b[:, 1] > y)
-            rise = np.where(b[:, 1] == a[:, 1], 1.0, b[:, 1] - a[:, 1])
-            left = x < a[:, 0] + (y - a[:, 1]) / rise * (b[:, 0] - a[:, 0])
-            inside[some] = np.count_nonzero(spans & left, axis=1) % 2 == 1
+        (x, y), inside = points.T, np.zeros(len(points), dtype=bool)
+        for a, b in zip(*self._edges()[:2], strict=True):
+            if a[1] != b[1]:
+                left = x < a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
+                inside ^= ((a[1] > y) != (b[1] > y)) & left
         return inside
 
     def nearest(self, points: Array) -> Array:
@@ -150,33 +147,26 @@ class Outline:
 
     def _check_crossings(self) -> None:
         a, b, of = self._edges()
-        size = float(np.ptp(a, axis=0).max())
-        at = np.arange(len(a))
-        after = np.concatenate(
-            [np.roll(np.flatnonzero(of == k), -1) for k in range(len(self.loops))]
-        )
-        pairs: list[tuple[int, int]] = []
+        size, lower, upper = float(np.ptp(a, axis=0).max()), np.minimum(a, b), np.maximum(a, b)
+        after = np.concatenate([np.roll(np.flatnonzero(of == k), -1) for k in np.unique(of)])
 
         def side(p: Array, q: Array, x: Array) -> Array:
             value = cross(q - p, x - p)
             return np.where(np.abs(value) <= ROUNDING**2 * size**2, 0.0, np.sign(value))
 
-        lower, upper = np.minimum(a, b), np.maximum(a, b)
-        for some in np.array_split(at, 1 + len(at) ** 2 // 10**6):
-            i = some[:, None]
-            p, q = a[i], b[i]
+        for i, (p, q) in enumerate(zip(a, b, strict=True)):
             meet = side(p, q, a) * side(p, q, b) <= 0.0
             meet &= side(a, b, p) * side(a, b, q) <= 0.0
-            meet &= np.all((lower[i] <= upper) & (lower <= upper[i]), axis=2)
-            meet &= (i < at) & (after[i] != at) & (i != after)
-            pairs += [(int(some[k]), int(j)) for k, j in np.argwhere(meet)[:1]]
-        for i, j in pairs[:1]:
-            own = of[i] == of[j]
-            raise ParameterError(
-                "crosses or touches " + ("itself" if own else _name(int(of[j]))),
-                where=f"{_name(int(of[i]))}, near ({a[i, 0]:.4g}, {a[i, 1]:.4g}) m",
-                fix="give polygons whose edges meet at their common points only",
-            )
+            meet &= np.all((lower[i] <= upper) & (lower <= upper[i]), axis=1)
+            meet &= (i < np.arange(len(a))) & (after[i] != np.arange(len(a))) & (i != after)
+            if meet.any():
+                j = int(meet.argmax())
+                other = "itself" if of[i] == of[j] else _name(int(of[j]))
+                raise ParameterError(
+                    f"crosses or touches {other}",
+                    where=f"{_name(int(of[i]))}, near ({p[0]:.4g}, {p[1]:.4g}) m",
+                    fix="give polygons whose edges meet at their common points only",
+                )
 
     def _check_holes(self) -> None:
         for k, hole in enumerate(self.loops[1:], start=1):
