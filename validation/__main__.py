@@ -1,7 +1,5 @@
 """``python -m validation``: measure the simulator against mechanics with known solutions."""
 
-from __future__ import annotations
-
 import argparse
 import logging
 import sys
@@ -9,6 +7,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict
 
+from gendom.cli.outputs import columns
 from gendom.errors import GendomError
 from gendom.files import to_json
 from gendom.sim import open_device
@@ -60,20 +59,14 @@ def _run(flags: argparse.Namespace) -> int:
         log.info("%s %s in %.1f s", one.name, verdict, result.seconds)
     passed, seconds = all(result.passed for result in results), time.monotonic() - began
     if flags.json:
-        entries = [
-            {
-                "name": result.case.name, "title": result.case.title, "passed": result.passed,
-                "failure": result.failure, "seconds": result.seconds,
-                "checks": [
-                    {**asdict(row), "error": row.error, "passed": row.passed}
-                    for row in result.rows
-                ],
-            }
-            for result in results
-        ]  # fmt: skip
-        print(
-            to_json({"settings": settings, "passed": passed, "seconds": seconds, "cases": entries})
-        )
+        entries = []
+        for one in results:
+            rows = [{**asdict(row), "error": row.error, "passed": row.passed} for row in one.rows]
+            head = {"name": one.case.name, "title": one.case.title, "passed": one.passed}
+            more = {"failure": one.failure, "seconds": one.seconds, "checks": rows}
+            entries.append(head | more)
+        whole = {"settings": settings, "passed": passed, "seconds": seconds, "cases": entries}
+        print(to_json(whole))
     else:
         print(_text(results))
         print(f"took {seconds:.3g} s")
@@ -81,27 +74,19 @@ def _run(flags: argparse.Namespace) -> int:
 
 
 def _text(results: Sequence[Result]) -> str:
-    """A table for people: one line a row, and where the expected values come from."""
-    head = ("quantity", "expected", "measured", "error", "allowed", "")
-    rows = [row for result in results for row in result.rows]
-    widths = [max(map(len, column)) for column in zip(head, *map(_cells, rows), strict=True)]
-
-    def line(cells: Sequence[str]) -> str:
-        first = cells[0].ljust(widths[0])
-        rest = [cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True)]
-        return "  " + "  ".join([first, *rest]).rstrip()
-
-    lines = []
+    """Tables for people: one line a row, and where the expected values come from."""
+    head, lines = ("quantity", "expected", "measured", "error", "allowed", ""), []
     for result in results:
-        lines += [f"{result.case.name}: {result.case.title}", line(head)]
-        lines += [line(_cells(row)) for row in result.rows]
+        lines.append(f"{result.case.name}: {result.case.title}")
+        table = columns(head, map(_cells, result.rows)).splitlines()
+        lines += [f"  {line.rstrip()}" for line in table]
         if result.failure is not None:
             lines.append(f"  FAILED: {result.failure}")
         sources = dict.fromkeys(row.source for row in result.rows)
         lines += [f"  source: {source}" for source in sources] + [""]
-    short = sum(not row.passed for row in rows)
+    rows = [row for result in results for row in result.rows]
     stopped = sum(result.failure is not None for result in results)
-    tail = f"{len(rows) - short} of {len(rows)} checks within what is allowed"
+    tail = f"{sum(row.passed for row in rows)} of {len(rows)} checks within what is allowed"
     if stopped:
         tail += f"; {stopped} case{'s' * (stopped > 1)} stopped"
     return "\n".join([*lines, tail])

@@ -1,7 +1,5 @@
 """What all cases share: how a simulator is made, rows of results, and the register of cases."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -9,9 +7,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gendom.arguments import check_choice
+from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.materials import Material
 from gendom.sim import Body, Physics, Simulator, Solver
@@ -53,7 +52,7 @@ class Bench:
     def settle(
         self, body: Body, materials: Sequence[Material], omega: ArrayLike,
         *, periods: float = 16.0, **options: Any,
-    ) -> NDArray[np.floating]:  # fmt: skip
+    ) -> Array:  # fmt: skip
         """[W, N, 3] where a body comes to rest whose slowest mode is damped critically [m].
 
         Args:
@@ -113,11 +112,9 @@ def absolute(
     return Row(quantity, unit, float(expected), float(measured), allowed, source)
 
 
-def relative(
-    quantity: str, unit: str, expected: float, measured: float, allowed: float, source: str
-) -> Row:
-    """A row whose error is a share of an expected value that is not zero."""
-    return replace(absolute(quantity, unit, expected, measured, allowed, source), relative=True)
+def relative(*given: Any) -> Row:
+    """A row whose error is a share of an expected value that is not zero; as ``absolute``."""
+    return replace(absolute(*given), relative=True)
 
 
 def over_theory(quantity: str, ratio: float, allowed: float, source: str) -> Row:
@@ -130,7 +127,7 @@ def vanishing(quantity: str, measured: float, allowed: float, source: str, unit:
     return absolute(quantity, unit, 0.0, measured, allowed, source)
 
 
-def worst(ratios: NDArray[np.floating], theory: float = 1.0) -> float:
+def worst(ratios: Array, theory: float = 1.0) -> float:
     """The value that is farthest from theory."""
     return float(ratios[np.abs(ratios - theory).argmax()])
 

@@ -1,16 +1,15 @@
 """Ropes and strips that bend under their own weight."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import quad
 
+from gendom.arrays import Array
 from gendom.materials import Material
 from gendom.sim import GRAVITY, Gripper, Simulator, cloth, rope
 from validation import specimens
@@ -165,7 +164,7 @@ def grip(bench: Bench) -> Iterator[Row]:
 def _held_sags(
     bench: Bench, cells: float, worlds: int, times: list[float], material: Material = MATERIAL,
     *, plane: bool = False,
-) -> NDArray[np.floating]:  # fmt: skip
+) -> Array:  # fmt: skip
     """[T, W] how far tips hang below a sphere or a plane that holds all but ``LENGTH`` [m].
 
     Each world is shifted at random against the grid.
@@ -271,9 +270,7 @@ def sags_over_decades(bench: Bench, of: str, points: int, most: float) -> Iterat
     yield over_theory(name, worst(sags(bench, of, loads, points) / sag(loads)), 0.03, source)
 
 
-def sags(
-    bench: Bench, of: str, loads: ArrayLike, points: int, *, periods: float = 14.0
-) -> NDArray[np.float64]:
+def sags(bench: Bench, of: str, loads: ArrayLike, points: int, *, periods: float = 14.0) -> Array:
     """[W] as ``sag``, of ``rods`` or ``strips`` at rest under weights [W]; ``periods`` as of
     ``Bench.settle``."""
     k, Gamma = SPAN / 400.0, np.asarray(loads, dtype=float)

@@ -5,16 +5,15 @@ older. Weights are in the units of ``validation.elastica``. A critical load is r
 others: its mode's rate of growth, squared, is 0 there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from gendom.arrays import Array
 from gendom.materials import Material
 from gendom.sim import Gripper, Table, rope
 from validation.bench import WEIGHTLESS, Bench, Row, case, over_theory, relative, worst
@@ -155,7 +154,7 @@ def tips_slip(bench: Bench) -> Iterator[Row]:
         yield over_theory(name, found, 0.03, source)
 
 
-def slips(bench: Bench, load: float, friction: ArrayLike) -> NDArray[np.float64]:
+def slips(bench: Bench, load: float, friction: ArrayLike) -> Array:
     """[W] how far upright ropes are let down when their tips slip, over L, for friction [W]; 0.33
     where they have not."""
     mu = np.asarray(friction, dtype=float)

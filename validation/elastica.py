@@ -4,18 +4,17 @@ Lengths are in units of L, a weight in units of E I / L^3: Gamma = rho g A L^3 /
 the plane of x and z, angles count from x upwards, and gravity points down.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import cumulative_trapezoid, solve_bvp, solve_ivp
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 
+from gendom.arrays import Array
 from gendom.errors import SimulationError
 
 WARPING = 1.0 / 48.0
@@ -66,7 +65,7 @@ def hung(
     return shapes
 
 
-def sag(loads: ArrayLike) -> NDArray[np.float64]:
+def sag(loads: ArrayLike) -> Array:
     """[K] how far tips of level rods hang down over how far they reach out, at Gamma [K]."""
     wanted = np.atleast_1d(np.asarray(loads, dtype=float))
     path = np.unique(np.concatenate([np.geomspace(0.1, wanted.max(), 30), wanted]))
@@ -91,7 +90,7 @@ def leaves_plane(shape: Any, load: float, curvature: float, torsion: float) -> f
         torsion: Stiffness in torsion over that of bending.
     """
 
-    def slopes(s: float, y: NDArray[np.floating]) -> NDArray[np.floating]:
+    def slopes(s: float, y: Array) -> Array:
         theta, slope = shape(s)[:2]
         N, k, M = load * (1.0 - s), -slope, curvature - slope
         A = [
@@ -154,7 +153,7 @@ def lateral_load(warping: float = 0.0, parts: int = 400) -> float:
     return float(eigh(work[1:, 1:], stiffness[1:, 1:], eigvals_only=True)[-1] ** -0.5)
 
 
-def tip_friction(load: float, lowered: ArrayLike) -> NDArray[np.float64]:
+def tip_friction(load: float, lowered: ArrayLike) -> Array:
     """[K] H / V at the tip of a rod clamped upright above a table that its tip touches.
 
     It is lowered by ``lowered`` [K] (over L, increasing) and buckles while its tip stands still:

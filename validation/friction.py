@@ -1,16 +1,15 @@
 """Air, the table and obstacles: terminal speeds, rest, slopes, a rope over a bar, and layers that
 slide on each other."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
+from gendom.arrays import Array
 from gendom.materials import Material
 from gendom.sim import (
     AIR_DENSITY,
@@ -23,7 +22,7 @@ from gendom.sim import (
     cloth,
     rope,
 )
-from validation.bench import WEIGHTLESS, Bench, Row, absolute, case, relative, vanishing
+from validation.bench import WEIGHTLESS, Bench, Row, case, relative, vanishing
 from validation.readings import mechanics
 from validation.specimens import across, block, clamp_beyond
 
@@ -113,7 +112,7 @@ def sticking(bench: Bench) -> Iterator[Row]:
         yield from _slopes(bench, kind)
 
 
-def _flat(kind: str) -> tuple[Body, NDArray[np.floating], Material]:
+def _flat(kind: str) -> tuple[Body, Array, Material]:
     """A body that lies on the table, the slopes that it is put on over atan(mu), and what it is
     made of."""
     steps, side = np.array([0.95, 1.1]), 0.04
@@ -154,7 +153,7 @@ def _slopes(bench: Bench, kind: str) -> Iterator[Row]:
             yield relative(name, "m/s^2", _slides(mu, share), gained[w] / time, 0.05, SLIDES)
 
 
-def _tilted(mu: float, shares: NDArray[np.floating]) -> NDArray[np.floating]:
+def _tilted(mu: float, shares: Array) -> Array:
     """[W, 3] gravity on slopes of these shares of the angle of friction [m/s^2]."""
     angle = shares * math.atan(mu)
     return G * np.stack([np.sin(angle), 0.0 * angle, -np.cos(angle)], axis=1)
@@ -225,9 +224,7 @@ def capstan(bench: Bench) -> Iterator[Row]:
             yield relative(name, "-", math.exp(mu * angle), found, 0.01, formula)
 
 
-def _around(
-    angle: float, radius: float, s: NDArray[np.floating]
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _around(angle: float, radius: float, s: Array) -> tuple[Array, Array]:
     """[n, 3] places so far along a line that goes up to a circle and around it by an angle, as long
     before as beyond it; and its directions at both ends [2, 3]."""
     before = (s[-1] - angle * radius) * 0.7
@@ -288,11 +285,11 @@ def layers(bench: Bench, kind: str) -> Iterator[Row]:
     yield relative(slides, "m/s^2", _slides(mu, shares[1]), found[3], 0.05, SLIDES)
 
 
-def _hairpin(gap: float) -> NDArray[np.float64]:
+def _hairpin(gap: float) -> Array:
     """[n, 2] x and z of a line that goes straight along x, turns, and comes back so far above."""
     s = (np.arange(FOLD) + 0.5) / FOLD
 
-    def turn(bulge: float) -> NDArray[np.float64]:
+    def turn(bulge: float) -> Array:
         return math.pi * s - bulge * np.sin(2.0 * math.pi * s)
 
     bulge = brentq(lambda b: SPACING * float(np.sin(turn(b)).sum()) - gap, 0.0, 2.0)
@@ -300,51 +297,3 @@ def _hairpin(gap: float) -> NDArray[np.float64]:
     angle = np.concatenate([np.zeros(STRAIGHT), turn(bulge), np.full(STRAIGHT, math.pi)])
     steps = SPACING * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-
-
-# ---- sheets of particles that do not touch -------------------------------------------------------
-
-
-@case("layers", "sheets that slide without touching", "mpm")
-def sliding_sheets(bench: Bench) -> Iterator[Row]:
-    """Two sheets in free space, one above the other, for 0.1 s; without gravity and air.
-
-    A gap is the distance of the nearest particles of both. Nothing touches, so all speed ought to
-    be left. Below three cells nothing of the sliding is: the pair turns as one body, and those rows
-    say so. From two cells on that depends on the phase of the grid: here the sheets share as many
-    nodes as they can.
-    """
-    dx, speed = 0.01, 0.02
-    sheet = cloth(width=0.08, height=0.08, thickness=0.001, dx=dx, corner=(0.0013, 0.0007, 0.0021))
-    half, places, lattice = sheet.num_particles, sheet.material_coordinates, sheet.lattice
-    for gap in (0.5, 1.0, 2.0, 3.0):
-        distance = gap * dx + float(np.ptp(sheet.x[:, 2]))
-        up = [0.0, 0.0, distance]
-        body = replace(
-            sheet,
-            x=np.concatenate([sheet.x, sheet.x + up]),
-            material_coordinates=np.concatenate([places, places + up]),
-            lattice=np.concatenate([lattice, lattice + half]),
-        )
-        s = bench.simulate(body, [Material(E=1.0e5, nu=0.3)], gravity=WEIGHTLESS)
-        v = np.zeros_like(body.x)
-        v[:half, 0], v[half:, 0] = -speed / 2.0, speed / 2.0
-        s.set_velocities(v)
-        s.run([0.1])
-        u = s.velocities()[0, :, 0].astype(float)
-        left = (u[half:].mean() - u[:half].mean()) / speed
-        name = f"share of the speed left after 0.1 s at a gap of {gap:g} cell{'s' * (gap != 1)}"
-        if gap >= 3.0:
-            free = "Newton's first law; shape functions of particles 3 cells apart share no node"
-            yield absolute(name, "-", 1.0, left, bench.round_off(1e-6, 1e-5), free)
-        else:
-            # Of each unit of mass V d / 4 of angular momentum stays; the last term of its moment
-            # of inertia is that of affine velocities.
-            square = distance**2 / 4.0
-            turning = square / (float(np.var(sheet.x[:, 0])) + square + dx**2 / 2.0)
-            stuck = (
-                "bodies that share nodes of the grid share their velocity (APIC has one velocity a "
-                "node) and end as one rigid body: angular momentum, affine velocities included "
-                "(Jiang et al. 2015)"
-            )
-            yield absolute(f"{name} (for information)", "-", turning, left, 0.005, stuck)

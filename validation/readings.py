@@ -1,13 +1,12 @@
 """What is read off a motion: momenta, energies, frequencies and rates of growth."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
+from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.sim import Simulator
 from gendom.sim.mpm.boundary import FOLLOWS, grip_constants
@@ -24,9 +23,9 @@ class Mechanics(NamedTuple):
     L about the centre [kg m^2/s], kinetic and elastic energy [J]."""
 
     mass: float
-    centre: NDArray[np.float64]
-    P: NDArray[np.float64]
-    L: NDArray[np.float64]
+    centre: Array
+    P: Array
+    L: Array
     kinetic: float
     elastic: float
 
@@ -144,9 +143,7 @@ def bending_energy(s: Simulator) -> float:
     return 0.5 * float(total)
 
 
-def energies(
-    s: Simulator, times: ArrayLike, pull: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def energies(s: Simulator, times: ArrayLike, pull: ArrayLike) -> tuple[Array, Array]:
     """[T] energy of world 0 and its gravitational part, at ``times`` under gravity ``pull`` [J]."""
     total, high = [], []
     for t in np.asarray(times, dtype=float):
@@ -164,7 +161,7 @@ def energies(
 # ---- frequencies and rates -----------------------------------------------------------------------
 
 
-def swing(t: NDArray[np.floating], y: NDArray[np.floating], omega: float) -> tuple[float, float]:
+def swing(t: Array, y: Array, omega: float) -> tuple[float, float]:
     """Angular frequency [rad/s] and decay rate [1/s] of a damped oscillation, by least squares.
 
     y = exp(-gamma t) (a cos omega t + b sin omega t) + c; a, b and c are eliminated.
@@ -177,7 +174,7 @@ def swing(t: NDArray[np.floating], y: NDArray[np.floating], omega: float) -> tup
         SimulationError: If the fit explains less than 99 % of the readings' variance.
     """
 
-    def misfit(p: NDArray[np.floating]) -> NDArray[np.floating]:
+    def misfit(p: Array) -> Array:
         decay = np.exp(-p[1] * omega * t)
         basis = np.stack(
             [decay * np.cos(p[0] * omega * t), decay * np.sin(p[0] * omega * t), np.ones_like(t)], 1
@@ -190,9 +187,7 @@ def swing(t: NDArray[np.floating], y: NDArray[np.floating], omega: float) -> tup
     return float(found.x[0]) * omega, float(found.x[1]) * omega
 
 
-def critical_share(
-    shares: NDArray[np.floating], t: NDArray[np.floating], y: NDArray[np.floating], damping: float
-) -> float:
+def critical_share(shares: Array, t: Array, y: Array, damping: float) -> float:
     """Share of a critical load at which a mode neither grows nor decays, the nearest to 1.
 
     All velocities decay at one rate c: of y ~ exp(r t) the squared rate without damping is

@@ -3,15 +3,13 @@
 Arguments named alike: a ``material``; k, a section's radius of gyration [m]; L, a length [m].
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 from numpy.polynomial import Legendre, legendre
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
+from gendom.arrays import Array
 from gendom.materials import Material
 
 ROOT = 1.8751040687
@@ -59,7 +57,7 @@ def _shear_modulus(material: Material) -> float:
     return 6.0 * (1.0 + nu) / (7.0 + 6.0 * nu) * material.E / (2.0 * (1.0 + nu))
 
 
-def first_mode(x: NDArray[np.floating], L: float) -> tuple[NDArray[np.floating], ...]:
+def first_mode(x: Array, L: float) -> tuple[Array, ...]:
     """Deflection of a cantilever's first mode, 1 at the tip, and its first two derivatives."""
     b = ROOT / L
     s = b * np.clip(x, 0.0, None)

@@ -1,12 +1,11 @@
 """Bodies and clamps that several cases share."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gendom.arrays import Array
 from gendom.sim import Body, Gripper, cloth, rope
 
 
@@ -27,7 +26,7 @@ def clamp_beyond(
     return Gripper.still(centre, radius=radius)
 
 
-def down(gravity: ArrayLike) -> NDArray[np.floating]:
+def down(gravity: ArrayLike) -> Array:
     """[W, 3] downwards, of sizes [W] [m/s^2]."""
     return np.outer(np.asarray(gravity, dtype=float), (0.0, 0.0, -1.0))
 
@@ -80,7 +79,7 @@ def clamped_strip(
     return body, clamp_beyond(-np.eye(3)[axis])
 
 
-def circle(radius: float, sides: int = 256) -> NDArray[np.float64]:
+def circle(radius: float, sides: int = 256) -> Array:
     """[sides, 2] a regular polygon with a circle's area [m]."""
     angle = 2.0 * math.pi * np.arange(sides) / sides
     area = 0.5 * sides * math.sin(2.0 * math.pi / sides)
@@ -117,19 +116,19 @@ def particle_rope(length: float, diameter: float, cells: float) -> tuple[Body, G
     return body, clamp_beyond(reach=diameter)
 
 
-def stations(body: Body) -> NDArray[np.floating]:
+def stations(body: Body) -> Array:
     """[S] distances of the cross sections from the body's first end [m]."""
     return np.unique(body.material_coordinates[:, 0])
 
 
-def sections(values: NDArray[np.floating], body: Body) -> NDArray[np.floating]:
+def sections(values: Array, body: Body) -> Array:
     """Means [..., S, 3] over the cross sections of particle values [..., N, 3]."""
     x = np.asarray(values, dtype=float)
     # all bodies list their particles section by section
     return x.reshape(*x.shape[:-2], len(stations(body)), -1, 3).mean(axis=-2)
 
 
-def end(values: NDArray[np.floating], body: Body) -> NDArray[np.floating]:
+def end(values: Array, body: Body) -> Array:
     """[..., 3] where the axis ends: half a section's distance beyond the last section."""
     last = sections(values, body)[..., -2:, :]
     return 1.5 * last[..., 1, :] - 0.5 * last[..., 0, :]

@@ -1,7 +1,5 @@
 """Random worlds at the default substep, and at longer ones."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Bars and sheets that are stretched, vibrate along or are bent two ways: moduli of a material."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -9,9 +7,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gendom.arrays import Array
 from gendom.materials import Material
 from gendom.sim import Gripper, cloth
 from validation.bench import WEIGHTLESS, Bench, Row, absolute, case, over_theory, relative
@@ -76,7 +74,7 @@ def order(bench: Bench) -> Iterator[Row]:
     if bench.quick:
         counts, shares = counts[:-1], shares[:-1]
 
-    def exponent(sizes: NDArray[np.floating], errors: list[Any]) -> float:
+    def exponent(sizes: Array, errors: list[Any]) -> float:
         logs = [math.log(math.sqrt(np.mean(e**2))) for e in errors]
         return float(np.polyfit(np.log(sizes), logs, 1)[0])
 
@@ -99,9 +97,7 @@ def order(bench: Bench) -> Iterator[Row]:
     yield absolute(name, "-", -1.0, found, 0.2, smoothing)
 
 
-def _wave(
-    bench: Bench, cells: int, share: float
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _wave(bench: Bench, cells: int, share: float) -> tuple[Array, Array]:
     """Displacement of each section, simulated and analytic, in units of the amplitude [S]."""
     L, material = 0.1, Material(E=1.0e5, nu=0.0, density=1000.0)
     dx, c = L / cells, math.sqrt(material.E_over_rho)
@@ -141,11 +137,13 @@ def stretched(bench: Bench) -> Iterator[Row]:
 
 @case("shell-plates", "strips and squares that bend two ways", "thin")
 def plates(bench: Bench) -> Iterator[Row]:
-    """Strips bent by turned ends, and squares that sag under their weight between four corners.
+    """Strips bent by turned ends, and squares that sag under their weight between four corners."""
+    yield from _bent_strips(bench)
+    yield from _squares(bench)
 
-    A strip is ten times as long as wide and bent to an arc; read is how it curves across in its
-    middle. A square sags by 1 % of its thickness.
-    """
+
+def _bent_strips(bench: Bench) -> Iterator[Row]:
+    """Ten times as long as wide and bent to an arc; read is how they curve across in the middle."""
     L, width, points, R, back = 0.4, 0.04, (41, 9), 10.0, 0.02
     body = cloth(
         width=L + 2.0 * back, height=width, thickness=THICKNESS, dx=0.02, points=points,
@@ -181,6 +179,9 @@ def plates(bench: Bench) -> Iterator[Row]:
         )
         yield relative(name, "-", m.nu, ratio, 0.02, source)
 
+
+def _squares(bench: Bench) -> Iterator[Row]:
+    """They sag by 1 % of their thickness."""
     a, sag, material = 0.2, 0.01 * THICKNESS, replace(MATERIAL, nu=0.3)
     D = material.E * THICKNESS**3 / (12.0 * (1.0 - material.nu**2))
     areal = material.density * THICKNESS

@@ -1,7 +1,5 @@
 """Ropes, strips and discs that vibrate, and what damps them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -48,37 +46,13 @@ def ring_down(bench: Bench, kind: str) -> Iterator[Row]:
         material, L = Material(E=4.0e6, nu=0.3, density=1000.0), 0.1
         omega = round_frequency(material, L / 40.0, L)
 
-    def rung(cells: float, times: tuple[float, ...]) -> list[tuple[float, float]]:
-        """Angular frequency and decay rate of each, after half a period, when the branch of the
-        material has forgotten the start."""
-        if kind == "strip":
-            body, hand = clamped_strip(L, 0.02, 0.002, (49, 3), back=L)
-        elif kind:
-            body = rope(diameter=L / 10.0, length=2.0 * L, start=(-L, 0, 0), points=33)
-            hand = Gripper.still((-L, 0, 0), radius=L)
-        else:
-            body, hand = particle_rope(L, L / 10.0, cells)
-        worlds = [replace(material, damping=tau) for tau in times]
-        s = bench.simulate(body, worlds, grippers=[hand], gravity=WEIGHTLESS)
-        speed, t = 0.01 * L * omega, np.linspace(0.5, 2.5, 81) * 2.0 * math.pi / omega
-        if kind:
-            s.set_velocities(np.outer(speed * first_mode(body.points[:, 0], L)[0], (0, 0, 1)))
-            tips = s.run(t)[:, :, -1, 2]
-        else:
-            z, (y, slope, bend) = body.x[:, 2], first_mode(body.x[:, 0], L)
-            v = np.stack([-speed * slope * z, 0.0 * z, speed * y], axis=1)
-            C = np.zeros((len(z), 3, 3))
-            C[:, 2, 0], C[:, 0, 2], C[:, 0, 0] = speed * slope, -speed * slope, -speed * bend * z
-            s.set_velocities(v, C)
-            tips = end(s.run(t), body)[..., 2]
-        return [swing(t, tip, omega) for tip in tips.T]
-
     source = (
         "s^2 + omega0^2 (1 + s tau / (1 + s tau)) = 0, the standard linear solid's complex modulus "
         "in a beam's first mode; for omega0 tau << 1 the decay rate is omega0^2 tau / 2 (Flugge "
         "1975, Viscoelasticity; Simo and Hughes 1998, chapter 10)"
     )
-    found = rung(cells, (0.0, *times) if kind else times)
+    body = (bench, kind, material, L, omega)
+    found = _rung(*body, cells, (0.0, *times) if kind else times)
     if kind:
         frequency, rate = found.pop(0)
         own, why = 2e3 * rate / frequency**2, "a leapfrog has no damping"
@@ -90,7 +64,7 @@ def ring_down(bench: Bench, kind: str) -> Iterator[Row]:
         hertz = (expected / (2.0 * math.pi), frequency / (2.0 * math.pi))
         yield relative(f"frequency, {size}", "Hz", *hertz, 0.02, source)
     for cells in () if kind else (1.5,) if bench.quick else OWN_RANGE:
-        ((frequency, rate),) = rung(cells, (0.0,))
+        ((frequency, rate),) = _rung(*body, cells, (0.0,))
         least, most = OWN_RANGE[cells]
         name = f"the grid's own damping, {across(cells)} (for information)"
         own, middle, half = 2e3 * rate / frequency**2, (least + most) / 2.0, (most - least) / 2.0
@@ -99,6 +73,35 @@ def ring_down(bench: Bench, kind: str) -> Iterator[Row]:
             "viscosity would; the range was measured on grids of several phases"
         )
         yield absolute(name, "ms", middle, own, half, why)
+
+
+def _rung(
+    bench: Bench, kind: str, material: Material, L: float, omega: float, cells: float,
+    times: tuple[float, ...],
+) -> list[tuple[float, float]]:  # fmt: skip
+    """Angular frequency and decay rate of each, after half a period, when the branch of the
+    material has forgotten the start."""
+    if kind == "strip":
+        body, hand = clamped_strip(L, 0.02, 0.002, (49, 3), back=L)
+    elif kind:
+        body = rope(diameter=L / 10.0, length=2.0 * L, start=(-L, 0, 0), points=33)
+        hand = Gripper.still((-L, 0, 0), radius=L)
+    else:
+        body, hand = particle_rope(L, L / 10.0, cells)
+    worlds = [replace(material, damping=tau) for tau in times]
+    s = bench.simulate(body, worlds, grippers=[hand], gravity=WEIGHTLESS)
+    speed, t = 0.01 * L * omega, np.linspace(0.5, 2.5, 81) * 2.0 * math.pi / omega
+    if kind:
+        s.set_velocities(np.outer(speed * first_mode(body.points[:, 0], L)[0], (0, 0, 1)))
+        tips = s.run(t)[:, :, -1, 2]
+    else:
+        z, (y, slope, bend) = body.x[:, 2], first_mode(body.x[:, 0], L)
+        v = np.stack([-speed * slope * z, 0.0 * z, speed * y], axis=1)
+        C = np.zeros((len(z), 3, 3))
+        C[:, 2, 0], C[:, 0, 2], C[:, 0, 0] = speed * slope, -speed * slope, -speed * bend * z
+        s.set_velocities(v, C)
+        tips = end(s.run(t), body)[..., 2]
+    return [swing(t, tip, omega) for tip in tips.T]
 
 
 @case("hanging-chain", "a soft rope's swing", "mpm")

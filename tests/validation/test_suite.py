@@ -29,7 +29,7 @@ def test_quick_suite(name):
     assert failing(name, QUICK) == set()
 
 
-@pytest.mark.parametrize("name", ["objectivity", "tension", "batch"])
+@pytest.mark.parametrize("name", ["objectivity", "tension"])
 def test_quick_suite_in_single_precision(name):
     """The bounds for float32 hold too."""
     assert failing(name, replace(QUICK, dtype="float32")) == set()
@@ -79,18 +79,13 @@ def stiffer_in_single(bench, materials, options):
     return (stiffer if bench.dtype == "float32" else made(lambda _: {}))(bench, materials, options)
 
 
-def crowded(_, materials, options):
-    """Worlds of a batch fall differently from single ones."""
-    return materials, options | {"gravity": (0.0, 0.0, -9.81 - 1e-9 * len(materials))}
-
-
 stiffer = made(lambda m: {"E": 1.25 * m.E})
 more_lateral = made(lambda m: {"nu": m.nu + 0.05})
 softer_in_torsion = made(lambda m: {"nu": (1.0 + m.nu) / 0.9 - 1.0})  # G by a tenth, E the same
 undamped = made(lambda m: {"damping": 0.0})
 heavier = given(lambda o: {"gravity": 1.1 * np.asarray(o.get("gravity", GRAVITY))})
 always_down = given(lambda _: {"gravity": GRAVITY})
-damped, braked = (given(lambda _, c=c: {"velocity_damping": c}) for c in (0.5, 10.0))
+damped = given(lambda _: {"velocity_damping": 0.5})
 without_air = given(lambda _: {"air_density": 0.0})
 rubbing_more, rubbing_less = (
     given(lambda o, f=f: {"self_friction": f * np.asarray(o["self_friction"])}) for f in (1.2, 0.8)
@@ -113,11 +108,9 @@ on_a_high_table = given(lambda o: {"table": replace(o["table"], height=0.002 + o
             ("terminal-speed", without_air, "a sheet's terminal speed"),
             ("resting", on_a_high_table,
                 "height of a rope's axis", "height of the middle of a cloth"),
-            ("layers", braked, "share of the speed left after 0.1 s at a gap of 2 cells"),
             ("tension", more_lateral, "nu read back, 2 cells across"),
             ("rod-table", rougher, "acceleration of a rope at 1.1"),
             ("order", given(odd), "exponent of dt in what halved substeps change"),
-            ("batch", crowded, "largest difference of a batch of 5 from single worlds"),
             ("precision", stiffer_in_single, "largest difference of float32 from float64"),
             ("shell-cantilever", heavier, "sag of strips over theory"),
             ("rod-ring", softer_in_torsion, "critical twist of a ring"),

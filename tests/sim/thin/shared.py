@@ -18,6 +18,27 @@ OF_MATERIAL = ("E", "nu", "density", "damping", *OF_THIN)
 OF_WORLD = ("gravity", "velocity_damping", "air_density", "self_friction", "stiffness", "positions")
 
 
+def given(body, seed=0, noise=3e-4, **own):
+    """Everything that a scene of a body depends on but for grippers."""
+    rng = np.random.default_rng(seed)
+    n = len(body.points)
+    return {
+        "thickness": body.thickness,
+        "E": 1e5 if body.kind == "cloth" else 1e6,
+        "nu": 0.3,
+        "density": 900.0,
+        "damping": 0.003,
+        "friction": 0.3,
+        "gravity": np.array([0.3, 0.2, -30.0]),
+        "velocity_damping": 2.0,
+        "air_density": 40.0,
+        "stiffness": 1.0 + 0.2 * rng.normal(size=n) ** 2,
+        "positions": body.points + noise * rng.normal(size=(n, 3)),
+        "velocities": 0.2 * rng.normal(size=(n, 3)),
+        **own,
+    }
+
+
 def scene(body, worlds, hands, height, **options):
     """A simulator of worlds that depend on dictionaries each: all with the first one's thickness,
     grippers ``hands(world)`` and a table at a height."""

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from gendom.sim import Gripper, Rollout, cloth, rope
+from sim.thin import shared
 from sim.thin.shared import check_derivatives, check_worlds, scene
 
 TIMES = [0.01, 0.02, 0.025, 0.03]
@@ -48,34 +49,17 @@ CLOTH, FOLDED = folded_cloth(0.23, 0.0)
 def given(body, self_friction, seed=0, points=None, noise=2e-4):
     """Everything that a scene depends on; the first gripper stays and lets go while
     the second pushes down."""
-    rng = np.random.default_rng(seed)
-    n, sheet = len(body.points), body.kind == "cloth"
-    if points is None:
-        points = FOLDED if sheet else body.points
-    x = points + noise * rng.normal(size=(n, 3))
+    sheet = body.kind == "cloth"
+    p = shared.given(body, seed, noise, self_friction=self_friction)
+    if sheet:
+        p["positions"] = p["positions"] - body.points + (FOLDED if points is None else points)
+    x = p["positions"]
+    p["velocities"] *= noise / 8e-4
+    p["velocities"][:, 2] -= 0.6 * (x[:, 2] > x[:, 2].mean())
     low, high = (x[0], x[11]) if sheet else (x[0], x[-1])
     down, on = np.array([[0.004, 0.006, -0.009], [0.006, 0.01, -0.01]])
-    velocities = 250.0 * noise * rng.normal(size=(n, 3))
-    velocities[:, 2] -= 0.6 * (x[:, 2] > x[:, 2].mean())
-    return {
-        "thickness": body.thickness,
-        "E": 1e5 if sheet else 1e6,
-        "nu": 0.3,
-        "density": 900.0,
-        "damping": 0.003,
-        "friction": 0.3,
-        "self_friction": self_friction,
-        "gravity": np.array([0.3, 0.2, -30.0]),
-        "velocity_damping": 2.0,
-        "air_density": 40.0,
-        "stiffness": 1.0 + 0.2 * rng.normal(size=n) ** 2,
-        "positions": x,
-        "velocities": velocities,
-        "gripper_positions": np.array(
-            [[low, low + 0.1 * down, low], [high, high + down, high + on]]
-        ),
-        "gripper_radius": np.array([0.021, 0.017]),
-    }
+    paths = [[low, low + 0.1 * down, low], [high, high + down, high + on]]
+    return p | {"gripper_positions": np.array(paths), "gripper_radius": np.array([0.021, 0.017])}
 
 
 def simulator(body, worlds, **options):

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.sim import Gripper, Physics, Rollout, Simulator, Solver, cloth, rope
+from sim.thin import shared
 from sim.thin.shared import check_derivatives, check_worlds, scene
 
 TIMES = [0.01, 0.03, 0.05, 0.06]
@@ -35,37 +36,20 @@ BODIES = pytest.mark.parametrize(
 
 def given(body, seed=0):
     """Everything that a scene depends on; two grippers, the second one closes later and turns."""
-    rng = np.random.default_rng(seed)
     n, sheet = len(body.points), body.kind == "cloth"
     wave = np.linspace(0, 6, n) if not sheet else 40 * body.points[:, 0] + 20 * body.points[:, 1]
-    bump = np.outer(0.006 * np.sin(wave), (0.0, 0.3, 1.0))
     first, last, up = body.points[0], body.points[-1], np.array([0.003, 0.01, 0.015])
-    own: dict[str, Any] = {"thickness": body.thickness}
-    if sheet:
-        own |= {"warp": 1.1, "weft": 0.9, "shear": 0.8}
+    own: dict[str, Any] = {"warp": 1.1, "weft": 0.9, "shear": 0.8} if sheet else {}
     if body.cut is not None or body is CURVED:
         own["membrane"] = 1.5e5
-    return own | {
-        "E": 2e5 if sheet else 1e6,
-        "nu": 0.3,
-        "density": 900.0,
-        "damping": 0.003,
-        "friction": 0.3,
-        "gravity": np.array([0.3, 0.2, -30.0]),
-        "velocity_damping": 2.0,
-        "air_density": 40.0,
-        "stiffness": 1.0 + 0.2 * rng.normal(size=n) ** 2,
-        "positions": body.points + bump + 3e-4 * rng.normal(size=(n, 3)),
-        "velocities": 0.2 * rng.normal(size=(n, 3)),
-        "gripper_positions": np.array(
-            [
-                [first, first + up, first + 2 * up],
-                [last, last + up, last - 2 * up[::-1]],
-            ]
-        ),
-        "gripper_rotations": np.zeros((3, 3)),
-        "gripper_radius": np.array([0.031, 0.035] if sheet else [0.021, 0.025]),
-    }
+    paths = [[first, first + up, first + 2 * up], [last, last + up, last - 2 * up[::-1]]]
+    p = shared.given(
+        body, seed, **own, gripper_positions=np.array(paths), gripper_rotations=np.zeros((3, 3)),
+        gripper_radius=np.array([0.031, 0.035] if sheet else [0.021, 0.025]),
+    )  # fmt: skip
+    p["E"] *= 2.0 if sheet else 1.0
+    p["positions"] = p["positions"] + np.outer(0.006 * np.sin(wave), (0.0, 0.3, 1.0))
+    return p
 
 
 def table_height(body):

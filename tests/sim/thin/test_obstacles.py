@@ -26,6 +26,7 @@ from gendom.sim import (
     cloth,
     rope,
 )
+from sim.thin import shared
 from sim.thin import test_contact_derivatives as folded
 from sim.thin.shared import check_derivatives, check_worlds, scene
 
@@ -54,26 +55,13 @@ def around(body, friction=(0.2, 0.4, 0.3)):
 
 
 def given(body, seed=0):
-    rng = np.random.default_rng(seed)
-    n, sheet = len(body.points), body.kind == "cloth"
     end = body.points[0]
-    return {
-        "thickness": body.thickness,
-        "E": 1e5 if sheet else 1e6,
-        "nu": 0.3,
-        "density": 900.0,
-        "damping": 0.003,
-        "friction": 0.3,
-        "obstacle_friction": np.array([0.2, 0.4, 0.3]),
-        "gravity": np.array([0.3, 0.2, -30.0]),
-        "velocity_damping": 2.0,
-        "air_density": 40.0,
-        "stiffness": 1.0 + 0.2 * rng.normal(size=n) ** 2,
-        "positions": body.points + 3e-4 * rng.normal(size=(n, 3)),
-        "velocities": 0.2 * rng.normal(size=(n, 3)) - [0, 0, 0.7],
-        "gripper_positions": np.array([[end, end + np.array([0.004, 0.006, 0.01])]]),
-        "gripper_radius": np.array([0.02]),
-    }
+    p = shared.given(
+        body, seed, obstacle_friction=np.array([0.2, 0.4, 0.3]), gripper_radius=np.array([0.02]),
+        gripper_positions=np.array([[end, end + np.array([0.004, 0.006, 0.01])]]),
+    )  # fmt: skip
+    p["velocities"] -= [0, 0, 0.7]
+    return p
 
 
 def simulator(body, worlds, **options):
