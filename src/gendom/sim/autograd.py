@@ -103,21 +103,21 @@ def simulate(
             f"the MPM has no derivative by {', '.join(only_thin)}",
             fix='solver=Solver(engine="thin")',
         )
-    tensors = {}
-    for n in shapes:
-        if n in given:
-            a = given[n] if isinstance(given[n], Tensor) else check_numbers(n, given[n], finite=False)
-            tensors[n] = torch.as_tensor(a, dtype=torch.float64)
     own = {"mass": mass, "natural_curvature": natural_curvature, "start_time": start_time}
     scene = (body, times, grippers, table, obstacles, physics, solver, own, memory)
-    spread = _spread(tensors, shapes, len(materials))
-    return _Simulation.apply(scene, materials, list(tensors), *spread)  # pyright: ignore[reportReturnType]
+    names, tensors = _spread(given, shapes, len(materials))
+    return _Simulation.apply(scene, materials, names, *tensors)  # pyright: ignore[reportReturnType]
 
 
 def _spread(
-    tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]], worlds: int
-) -> list[Tensor]:
-    """Expand the tensors to one leading axis of worlds; torch sums the derivatives over it."""
+    given: dict[str, Any], shapes: dict[str, tuple[int, ...]], worlds: int
+) -> tuple[list[str], list[Tensor]]:
+    """Names of what is given, and tensors that are expanded to one leading axis of worlds; torch
+    sums the derivatives over it."""
+    tensors = {}
+    for n in [n for n in shapes if n in given]:
+        a = given[n] if isinstance(given[n], Tensor) else check_numbers(n, given[n], finite=False)
+        tensors[n] = torch.as_tensor(a, dtype=torch.float64)
     extra = {n: t.dim() - len(shapes[n]) for n, t in tensors.items()}
     wrong = [n for n, e in extra.items() if e not in ((0,) if n == "thickness" else (0, 1))]
     if wrong:
@@ -132,7 +132,7 @@ def _spread(
             spread.append(t.expand(shape))
         except RuntimeError:
             raise ParameterError(f"{n} has shape {tuple(t.shape)}, expected {shape}") from None
-    return spread
+    return list(tensors), spread
 
 
 class _Simulation(torch.autograd.Function):

@@ -265,3 +265,12 @@ class Grippers(Sequence[Sequence[Gripper]]):
                 Gripper(time=t[knots], position=part["position"][g, knots], quat_xyzw=q, **own)
             )
         return made
+
+
+def hands_of_worlds(given: Any, worlds: int) -> Grippers:
+    """The grippers of each world, given those of all worlds or of each, or as arrays; errors as of
+    ``of_worlds``."""
+    if not isinstance(given, Grippers):
+        return Grippers.of(of_worlds("grippers", given, Gripper, worlds))
+    require(len(given) >= worlds, f"no grippers given for world {len(given)} of the batch")
+    return given[:worlds]

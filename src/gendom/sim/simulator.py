@@ -23,7 +23,7 @@ from gendom.materials.parameters import WEAVE
 from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
-from gendom.sim.gripper import Gripper, Grippers, Targets, of_worlds
+from gendom.sim.gripper import Gripper, Targets, hands_of_worlds, of_worlds
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.obstacles import Obstacle, Table, check_clear
 from gendom.sim.setting import Frames, Physics, Setting, Solver
@@ -93,42 +93,16 @@ class Simulator(Shown):
         check_type("solver", solver, Solver)
         require(materials, "a simulation needs at least one material (one a world)")
         check_number("start_time", start_time)
-        engine, W = engine_of(body, solver), len(materials)
-        thin, every = engine == "thin", of_worlds("obstacles", obstacles, Obstacle, W)
-        if isinstance(grippers, Grippers):
-            require(len(grippers) >= W, f"no grippers given for world {len(grippers)} of the batch")
-            hands = grippers[:W]
-        else:
-            hands = Grippers.of(of_worlds("grippers", grippers, Gripper, W))
+        thin, W = engine_of(body, solver) == "thin", len(materials)
+        every, hands = of_worlds("obstacles", obstacles, Obstacle, W), hands_of_worlds(grippers, W)
         rest = body.points if thin else body.x
-        N = len(rest)
-        require(
-            N, "the outline is narrower than the particles", fix="a smaller dx, or engine='thin'"
-        )
-        check_numbers("stiffness", stiffness, (), (N,), ("W", N), above=0.0)
-        check_numbers("mass", mass, (), (N,), ("W", N), above=0.0)
-        check_numbers("natural_curvature", natural_curvature, (), ("W",))
-        check_numbers("stretch", stretch, (), ("W",), above=0.0)
-        membrane = any(m.membrane is not None for m in materials)
-        curved = bool(np.any(np.asarray(natural_curvature) != 1.0))
-        rod, shell = thin and body.kind == "rope", thin and body.kind == "cloth"
-        for given, allowed, where, only in (
-            (membrane, thin, "materials", "rods and shells have a modulus of their own along them"),
-            (any(m.has_threads for m in materials), shell, "materials",
-             f"shells have threads ({', '.join(WEAVE)})"),
-            (bool(np.any(np.asarray(mass) != 1.0)), thin, "mass",
-             "rods and shells have points of other masses"),
-            (curved, rod, "natural_curvature", "rods may begin with stress"),
-            (any(every), thin, "obstacles", "rods and shells meet obstacles"),
-        ):  # fmt: skip
-            what = f"only {only}, not a {body.kind} of the {engine} engine"
-            fix = "leave that out, or take engine='thin'"
-            require(allowed or not given, what, where=where, fix=fix)
+        own = {"stiffness": stiffness, "mass": mass, "natural_curvature": natural_curvature,
+               "stretch": stretch}  # fmt: skip
+        _check_fits(body, len(rest), thin, materials, any(map(len, every)), own)
         x = rest if positions is None else positions
-        x = check_numbers("positions", x, (N, 3), ("W", N, 3))
-        unit = body.thickness if thin else body.dx
-        section = 1 if thin else body.section
-        centres = x.reshape(*x.shape[:-2], N // section, section, 3).mean(axis=-2)
+        x = check_numbers("positions", x, rest.shape, ("W", *rest.shape))
+        section, unit = (1, body.thickness) if thin else (body.section, body.dx)
+        centres = x.reshape(*x.shape[:-2], -1, section, 3).mean(axis=-2)
         check_clear(body, centres, START_INSIDE * unit, table, every, start_time)
         self.body = body
         self.materials = tuple(materials)
@@ -136,22 +110,10 @@ class Simulator(Shown):
         self.dtype = solver.dtype or ("float64" if thin else "float32")
         self.device = open_device(solver.device)
         setting = Setting(
-            body=body,
-            materials=self.materials,
-            grippers=hands,
-            table=table,
-            obstacles=every,
-            **vars(physics),
-            stiffness=stiffness,
-            mass=mass,
-            natural_curvature=natural_curvature,
-            stretch=stretch,
-            positions=x,
-            start_time=start_time,
-            dtype=self.dtype,
-            device=self.device,
-            threads=solver.threads or cores(),
-        )
+            body=body, materials=self.materials, grippers=hands, table=table, obstacles=every,
+            positions=x, start_time=start_time, dtype=self.dtype, device=self.device,
+            threads=solver.threads or cores(), **vars(physics), **own,
+        )  # fmt: skip
         kind = ThinEngine if thin else MpmEngine
         with making:
             self.engine = kind(setting, substep=solver.substep, cfl=solver.cfl)
@@ -317,3 +279,32 @@ class Simulator(Shown):
 def engine_of(body: Body, solver: Solver) -> str:
     """The engine of a body's simulation: the solver's, or the body's usual one."""
     return solver.engine or ("thin" if body.kind in ("rope", "cloth") else "mpm")
+
+
+def _check_fits(
+    body: Body, N: int, thin: bool, materials: Sequence[Material], meets: bool,
+    own: dict[str, ArrayLike],
+) -> None:  # fmt: skip
+    """Check what points, edges and worlds have of their ``own``, and that a body of N points has
+    what only some bodies may have."""
+    narrow = "the outline is narrower than the particles"
+    require(N, narrow, fix="a smaller dx, or engine='thin'")
+    for name in ("stiffness", "mass"):
+        check_numbers(name, own[name], (), (N,), ("W", N), above=0.0)
+    check_numbers("natural_curvature", own["natural_curvature"], (), ("W",))
+    check_numbers("stretch", own["stretch"], (), ("W",), above=0.0)
+    rod, shell = thin and body.kind == "rope", thin and body.kind == "cloth"
+    membrane = any(m.membrane is not None for m in materials)
+    threads = any(m.has_threads for m in materials)
+    for where, given, allowed, only in (
+        ("materials", membrane, thin, "rods and shells have a modulus of their own along them"),
+        ("materials", threads, shell, f"shells have threads ({', '.join(WEAVE)})"),
+        ("mass", None, thin, "rods and shells have points of other masses"),
+        ("natural_curvature", None, rod, "rods may begin with stress"),
+        ("stretch", None, rod, "rods may be longer than at rest"),
+        ("obstacles", meets, thin, "rods and shells meet obstacles"),
+    ):
+        given = bool(np.any(np.asarray(own[where]) != 1.0)) if given is None else given
+        what = f"only {only}, not a {body.kind} of the {'thin' if thin else 'mpm'} engine"
+        fix = "leave that out, or take engine='thin'"
+        require(allowed or not given, what, where=where, fix=fix)

@@ -20,8 +20,8 @@ OF_WORLD = ("gravity", "velocity_damping", "air_density", "self_friction", "stif
 
 def given(body, seed=0, noise=3e-4, **own):
     """Everything that a scene of a body depends on but for grippers."""
-    rng = np.random.default_rng(seed)
-    n = len(body.points)
+    rng, n = np.random.default_rng(seed), len(body.points)
+    x, v = body.points + noise * rng.normal(size=(n, 3)), 0.2 * rng.normal(size=(n, 3))
     return {
         "thickness": body.thickness,
         "E": 1e5 if body.kind == "cloth" else 1e6,
@@ -33,8 +33,8 @@ def given(body, seed=0, noise=3e-4, **own):
         "velocity_damping": 2.0,
         "air_density": 40.0,
         "stiffness": 1.0 + 0.2 * rng.normal(size=n) ** 2,
-        "positions": body.points + noise * rng.normal(size=(n, 3)),
-        "velocities": 0.2 * rng.normal(size=(n, 3)),
+        "positions": x,
+        "velocities": v,
         **own,
     }
 

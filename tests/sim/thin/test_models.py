@@ -126,6 +126,7 @@ def test_a_rod_takes_on_its_share_of_the_curvature():
         ("rope", "thin", {"warp": 0.5}, "materials: only shells have threads"),
         ("rope", "mpm", {"mass": 2.0}, "mass: only rods and shells have points"),
         ("cloth", "thin", {"natural_curvature": 0.0}, "natural_curvature: only rods may begin"),
+        ("cloth", "thin", {"stretch": 1.01}, "stretch: only rods may be longer"),
     ],
 )
 def test_what_others_have_is_refused(kind, engine, changes, message):
