@@ -152,16 +152,11 @@ def test_a_path_shorter_than_others_keeps_its_derivatives_at_its_own_knots(engin
     assert np.abs(g[0, 0, 1]).max() > 0.1
 
 
-def test_derivatives_that_overflow_name_particle_time_and_cause():
-    simulator = scene(dtype="float32")
-    rollout = Rollout(simulator)
+def test_derivatives_that_overflow_are_an_error():
+    rollout = Rollout(scene(dtype="float32"))
     x = rollout.forward([0.03])
-    with pytest.raises(SimulationError, match="derivative by the state of particle") as caught:
-        rollout.backward(np.full(x.shape, 1e30))
-    assert caught.value.particle is not None
-    assert caught.value.world == 0
-    assert caught.value.time is not None
-    assert 0.0 <= caught.value.time <= 0.03
+    with pytest.raises(SimulationError, match=r"world 0 at 0.03.*derivative by \w+ is not finite"):
+        rollout.backward(np.full(x.shape, 1e38))
 
 
 def test_misuse_is_refused():

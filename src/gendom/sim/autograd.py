@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from gendom.arguments import check_list, check_numbers, check_type
+from gendom.arguments import check_list, check_numbers, check_type, require
 from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.materials import Material
@@ -28,15 +28,25 @@ _OF_PHYSICS = ("velocity_damping", "air_density", "self_friction", "gravity")
 _OF_SIMULATOR = ("stiffness", "positions")
 
 
-def _shapes(N: int, grippers: Sequence[Gripper], obstacles: int) -> dict[str, tuple[int, ...]]:
-    """Inputs that may be tensors, and their shapes in one world."""
+def _shapes(
+    body: Body, solver: Solver, grippers: Sequence[Gripper], obstacles: int, given: set[str]
+) -> dict[str, tuple[int, ...]]:
+    """Inputs that may be tensors, and their shapes in one world; refuses others that are given."""
+    thin = engine_of(body, solver) == "thin"
+    N = len(body.points) if thin else body.num_particles
     path = (len(grippers), max((len(np.asarray(g.time)) for g in grippers), default=0), 3)
     scalars = ("velocity_damping", "air_density", "friction", "self_friction", "thickness")
-    return dict.fromkeys((*_OF_MATERIAL, *scalars), ()) | {
+    shapes = dict.fromkeys((*_OF_MATERIAL, *scalars), ()) | {
         "gravity": (3,), "obstacle_friction": (obstacles,),
         "stiffness": (N,), "positions": (N, 3), "velocities": (N, 3),
         "gripper_positions": path, "gripper_rotations": path, "gripper_radius": path[:1],
     }  # fmt: skip
+    unknown, names = sorted(given - set(shapes)), ", ".join(shapes)
+    require(not unknown, f"simulate takes {names}; unknown: {unknown}")
+    only_thin = sorted({"thickness", "obstacle_friction", *OF_THIN} & given)
+    what = f"the MPM has no derivative by {', '.join(only_thin)}"
+    require(thin or not only_thin, what, fix='solver=Solver(engine="thin")')
+    return shapes
 
 
 def simulate(
@@ -93,16 +103,7 @@ def simulate(
     check_list("materials", materials, Material)
     check_list("grippers", grippers, Gripper)
     check_list("obstacles", obstacles, Obstacle)
-    thin = engine_of(body, solver) == "thin"
-    shapes = _shapes(len(body.points) if thin else body.num_particles, grippers, len(obstacles))
-    if unknown := sorted(set(given) - set(shapes)):
-        raise ParameterError(f"simulate takes {', '.join(shapes)}; unknown: {unknown}")
-    only_thin = sorted({"thickness", "obstacle_friction", *OF_THIN} & set(given))
-    if only_thin and not thin:
-        raise ParameterError(
-            f"the MPM has no derivative by {', '.join(only_thin)}",
-            fix='solver=Solver(engine="thin")',
-        )
+    shapes = _shapes(body, solver, grippers, len(obstacles), set(given))
     own = {"mass": mass, "natural_curvature": natural_curvature, "start_time": start_time}
     scene = (body, times, grippers, table, obstacles, physics, solver, own, memory)
     names, tensors = _spread(given, shapes, len(materials))

@@ -184,8 +184,7 @@ def rope(
 ) -> Body:
     """Make a rope, straight or along a centre line.
 
-    Bending is within 2 % and twisting within 5 % of a round rope at every resolution, see
-    ``round_section``.
+    Bending is within 2 % and twisting within 5 % of a round rope, see ``round_section``.
 
     Args:
         diameter: Diameter [m].
@@ -206,10 +205,8 @@ def rope(
     """
     check_number("diameter", diameter, above=0.0)
     check_number("cells_across", cells_across, above=0.0)
-    (least, most), fix = (
-        CELLS_ACROSS,
-        "1.5 is the default of estimates; more cost their fourth power",
-    )
+    least, most = CELLS_ACROSS
+    fix = "1.5 is the default of estimates; more cost their fourth power"
     what = f"cells_across must lie between {least:g} and {most:g}, got {cells_across:g}"
     require(least <= cells_across <= most, what, fix=fix)
     line = _line_of(centre_line, start, direction, length)
@@ -317,67 +314,87 @@ def cloth(
             outline crosses itself, has no area or other sizes, or parts of it are too narrow for
             the points.
     """
-    shape_of, lower = None, np.zeros(2)
-    if outline is not None:
-        shape_of = Outline.of(outline)
-        lower, upper = shape_of.box
-        box = (upper - lower).tolist()
-        for name, given, size in zip(("width", "height"), (width, height), box, strict=True):
-            what = f"{name} is {given} m, and the outline's is {size:g} m"
-            allowed = given is None or abs(given - size) <= 1e-6 * size
-            require(allowed, what, fix=f"leave {name} out")
-        width, height = box
-    if width is None or height is None:
-        raise ParameterError("a cloth needs its width and height [m], or an outline")
-    for name, size in (("width", width), ("height", height), ("thickness", thickness), ("dx", dx)):
+    shape_of, lower, sizes = _sheet_sizes(width, height, outline)
+    for name, size in zip(
+        ("width", "height", "thickness", "dx"), (*sizes, thickness, dx), strict=True
+    ):
         check_number(name, size, above=0.0)
     check_number("yaw", yaw)
     origin = check_numbers("corner", corner, (3,))
     if points is None:
-        spacing = max(width, height) / (POINTS - 1)
-        points = (max(2, 1 + round(width / spacing)), max(2, 1 + round(height / spacing)))
+        spacing = max(sizes) / (POINTS - 1)
+        points = (max(2, 1 + round(sizes[0] / spacing)), max(2, 1 + round(sizes[1] / spacing)))
     nx, ny = check_integers("points", points, (2,), least=2).tolist()
-    points = (nx, ny)
     _check_many(nx * ny, "fewer points")
-    counts = [max(2.0, size / (dx / 2.0)) for size in (width, height, thickness)]
-    _check_many(math.prod(counts), "a larger dx")
-    shape = [round(count) for count in counts]
-    local = _sheet_particles(shape, (width, height, thickness))
-    along, across = (
-        np.linspace(0.0, size, n) for size, n in zip((width, height), points, strict=True)
-    )
-    middle = np.stack([*np.meshgrid(along, across), np.zeros(points[::-1])], axis=-1).reshape(-1, 3)
-    cells, area, part = np.argwhere(np.ones(shape)), width * height, None
-    if shape_of is not None:
-        part, area = Cut(shape_of, points), shape_of.area
-        local[:, :2] += lower
-        middle[:, :2] += lower
-        inside = np.flatnonzero(shape_of.contains(local[:, :2]))
-        while len(inside):
-            own = np.arange(len(inside))[:, None, None]
-            lonely = (_neighbours(cells[inside]) == own).all(axis=2).any(axis=1)
-            if not lonely.any():
-                break
-            inside = inside[~lonely]
-        local, cells, middle = local[inside], cells[inside], middle[part.at]
-    thick = thickness > dx
+    body = _sheet(shape_of, lower, (*sizes, thickness), dx, (nx, ny))
     c, s = math.cos(yaw), math.sin(yaw)
     to_world = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]])
-    x = origin + local @ to_world
+    return replace(body, x=origin + body.x @ to_world, points=origin + body.points @ to_world)
+
+
+def _sheet(
+    outline: Outline | None, lower: Array, sizes: tuple[float, float, float], dx: float,
+    points: tuple[int, int],
+) -> Body:  # fmt: skip
+    """A cloth as of ``cloth`` in its own frame, from the lower corner of its box on."""
+    width, height, thickness = sizes
+    counts = [max(2.0, size / (dx / 2.0)) for size in sizes]
+    _check_many(math.prod(counts), "a larger dx")
+    shape, area, part = [round(count) for count in counts], width * height, None
+    local, cells = _sheet_particles(shape, sizes), np.argwhere(np.ones(shape))
+    axes = (np.linspace(0.0, size, n) for size, n in zip(sizes, points, strict=False))
+    middle = np.stack([*np.meshgrid(*axes), np.zeros(points[::-1])], axis=-1).reshape(-1, 3)
+    local[:, :2] += lower
+    middle[:, :2] += lower
+    if outline is not None:
+        part, area = Cut(outline, points), outline.area
+        inside = _with_neighbours(np.flatnonzero(outline.contains(local[:, :2])), cells)
+        local, cells, middle = local[inside], cells[inside], middle[part.at]
+    thick = thickness > dx
     return Body(
         kind="cloth",
-        x=x,
+        x=local,
         material_coordinates=local,
         lattice=_neighbours(cells),
-        volume=area * thickness / max(1, len(x)),
+        volume=area * thickness / max(1, len(local)),
         dx=dx,
         thickness=thickness,
         section=1 if thick else shape[2],
         contact_radius=thickness / shape[2] / 2.0 if thick else thickness / 2.0,
-        points=origin + middle @ to_world,
+        points=middle,
         shape=points[::-1],
         cut=part,
     )
+
+
+def _sheet_sizes(
+    width: float | None, height: float | None, outline: Any
+) -> tuple[Outline | None, Array, tuple[float, float]]:
+    """The outline of a cloth if it has one, the lower corner of its box, and its sizes [m]."""
+    if outline is None:
+        if width is None or height is None:
+            raise ParameterError("a cloth needs its width and height [m], or an outline")
+        return None, np.zeros(2), (width, height)
+    shape_of = Outline.of(outline)
+    lower, upper = shape_of.box
+    for name, given, size in zip(("width", "height"), (width, height), upper - lower, strict=True):
+        what = f"{name} is {given} m, and the outline's is {size:g} m"
+        allowed = given is None or abs(given - size) <= 1e-6 * size
+        require(allowed, what, fix=f"leave {name} out")
+    return shape_of, lower, tuple((upper - lower).tolist())
+
+
+def _with_neighbours(
+    inside: NDArray[np.integer], cells: NDArray[np.integer]
+) -> NDArray[np.integer]:
+    """Those of the particles ``inside`` that have a neighbour of theirs along each axis."""
+    while len(inside):
+        own = np.arange(len(inside))[:, None, None]
+        lonely = (_neighbours(cells[inside]) == own).all(axis=2).any(axis=1)
+        if not lonely.any():
+            break
+        inside = inside[~lonely]
+    return inside
 
 
 def _sheet_particles(shape: list[int], sizes: tuple[float, float, float]) -> Array:

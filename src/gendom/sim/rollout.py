@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from gendom.arguments import check_number, check_numbers, check_type
@@ -75,8 +76,7 @@ class Rollout:
         Raises:
             ParameterError: If shapes do not fit, a number is not finite or ``forward`` was not
                 called.
-            SimulationError: If a derivative is not finite; the error names particle, time and
-                cause.
+            SimulationError: If a derivative is not finite; the error names world and input.
         """
         if self._times is None:
             raise ParameterError("call forward before backward")
@@ -84,6 +84,15 @@ class Rollout:
         W, N = s.num_worlds, s.num_points
         bar = check_numbers("positions_bar", positions_bar, (len(self._times), W, N, 3))
         found, hands = self._tape.backward(bar), s.engine.setting.grippers
+        for name, values in vars(found).items():
+            if values is not None and not np.isfinite(values).all():
+                raise s.engine.setting.error(
+                    int(np.argwhere(~np.isfinite(values))[0][0]),
+                    s.time,
+                    f"the derivative by {name} is not finite",
+                    where=s.dtype,
+                    fix="use float64, a shorter rollout, or more damping",
+                )
         return replace(
             found,
             gripper_positions=hands.at_own_knots(found.gripper_positions),

@@ -141,7 +141,6 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         threads: int,  # of a block
         shared: int,  # worlds that share grid and tape: all, or 1
         most: int,  # substeps at the most
-        pause: wp.float64,  # [s] no substep begins from here on
         frames: int,  # of the plan to go through
         plan: FramePlan,
         clock: Clock,
@@ -168,8 +167,6 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         dt = frame_substep(frame, w, plan)
         step = int(clock.step[w])
         t = plan.time[frame] + wp.float64(step) * dt
-        if t >= pause:
-            return
         now = beginning.begin(w, thread, threads, state.x.shape[1], dt, model)
         now.age = clock.age[w]
         now.holding = grips.held[w]
@@ -195,7 +192,7 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         grid = velocities_at(world_grid, velocity_at)
         load_all(now, afresh, model, state, particles)
         block.sync()
-        while frame < frames and left > 0 and status == OK and t < pause:
+        while frame < frames and left > 0 and status == OK:
             if step < steps and travel >= real(MARGIN) * now.dx:
                 if keeps == 1:
                     if made >= grid.count.shape[0]:
@@ -370,7 +367,7 @@ def make_reverse(variant: Variant) -> Any:
         now.holding = list_gripped(now, adjoint, model, grips)
         posed = int(now.gone + 1)  # the substep from which on poses are known, and how many of them
         count = int(0)
-        while now.gone >= 0 and by.status[w] == OK:
+        while now.gone >= 0:
             now.slot = now.gone * shared + own
             now.age = clock.age[w] + now.gone
             earlier = tape.layout_of[now.slot]

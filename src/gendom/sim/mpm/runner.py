@@ -6,7 +6,7 @@ group, with a block of threads for each world.
 
 # pyright: basic
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from threading import Event
@@ -41,7 +41,7 @@ NARROW = 128
 """Threads of one of two blocks that share one; more leave too few registers for each."""
 
 SUBSTEPS_A_SLICE = 128
-"""Of a world of median speed in one launch."""
+"""Of a world in one launch."""
 
 SLICES = 16
 """Launches on CUDA between two looks at how the worlds do."""
@@ -51,8 +51,6 @@ RECORDED = 1 << 30
 
 REBUILD = 1e30
 """Distance travelled [m] after which every world rebuilds its grid."""
-
-ALL = 1 << 30
 
 
 class Program:
@@ -177,7 +175,6 @@ class Group:
         if program.crowded and self.worlds.device.is_cuda:
             # two halves take turns: one fills the multiprocessors that the other leaves idle
             self._streams = [wp.Stream(self.worlds.device) for _ in range(2)]
-        self._span = SUBSTEPS_A_SLICE * float(np.median(self.worlds.substep[own]))
 
     def begin(self) -> None:
         """Make a grid, which the worlds will build first."""
@@ -206,48 +203,38 @@ class Group:
     ) -> None:  # fmt: skip
         """Take the worlds through all frames, or until one fails that is not to be left behind."""
         self.begin()
-        slices = SLICES if self.worlds.device.is_cuda else 1
-        now, more = plan.time[0], True
+        more, launches = True, SLICES if self.worlds.device.is_cuda else 1
         while more and not stopped():
-            pauses = now + self._span * np.arange(1, slices + 1)
-            now = pauses[-1]
-            # the last of all is without bound
-            ends = int((pauses < plan.time[-1]).sum())
-            self.advance(plan, pauses=[*pauses[:ends], *([np.inf] if ends < slices else [])])
+            self.advance(plan, SUBSTEPS_A_SLICE, len(plan.steps), launches)
             more = self.look(plan, keep_going=keep_going)
             report()
         self.end()
 
-    def advance(
-        self, plan: Plan, *, pauses: Sequence[float] = (np.inf,), most: int = ALL,
-        frames: int | None = None,
-    ) -> None:  # fmt: skip
-        """Take the worlds further, launch by launch: by ``most`` substeps at most, none from the
-        launch's pause [s] on, through the first ``frames`` of the plan (default: all)."""
-        frames = len(plan.steps) if frames is None else frames
+    def advance(self, plan: Plan, most: int, frames: int, launches: int = 1) -> None:
+        """Take the worlds further, by ``most`` substeps at most in each launch, through the first
+        ``frames`` of the plan."""
         several = len(self._streams) > 1
         if several:
             wp.synchronize_device(self.worlds.device)
-        for pause in pauses:
+        for _ in range(launches):
             for n, stream in enumerate(self._streams):
                 order: Any = self.order[n :: len(self._streams)] if several else self.order
-                self._launch(plan, order, most, pause, frames, self.grid, None, stream)
+                self._launch(plan, order, most, frames, self.grid, None, stream)
         if several:
             wp.synchronize_device(self.worlds.device)
 
     def record(self, plan: Plan, recording: Any, *, most: int, frames: int) -> None:
         """Take the worlds further and keep everything that the reverse needs."""
         grid, tape = recording.grid, recording.tape
-        self._launch(plan, self.order, most, np.inf, frames, grid, tape, None)
+        self._launch(plan, self.order, most, frames, grid, tape, None)
 
     def _launch(
-        self, plan: Plan, order: Any, most: int, pause: float, frames: int, grid: Any, tape: Any,
-        stream: Any,
-    ) -> None:  # fmt: skip
+        self, plan: Plan, order: Any, most: int, frames: int, grid: Any, tape: Any, stream: Any
+    ) -> None:
         s, program = self.worlds, self.program
         kernel = make_advance(program.variant, taped=tape is not None)
         program.launch(kernel, order, [
-            self.shared, most, pause, frames, plan.arrays, s.clock, program.unsorted, s.model,
+            self.shared, most, frames, plan.arrays, s.clock, program.unsorted, s.model,
             s.paths, s.grips, s.state, grid, program.particles,
             s.types.Records() if tape is None else tape,
         ], stream=stream)  # fmt: skip

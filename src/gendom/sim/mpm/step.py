@@ -30,9 +30,7 @@ OK = 0
 GRID_FULL = 1
 INVERTED = 2
 DIVERGED = 3
-NOT_FINITE = 4
-"""Status of a world whose derivatives overflowed."""
-NOTHING_HELD = 5
+NOTHING_HELD = 4
 """Status of a world in which a gripper closed on nothing."""
 
 
@@ -229,7 +227,6 @@ def make_substep_adjoint(variant: Variant) -> Any:
     window_type = bspline.window
     boundary, gripped = make_boundary(variant), make_gripped(variant)
     block, branch = make_block(real), make_maxwell_branch(real).branch
-    largest = 1.0e37 if real == wp.float32 else 1.0e300
 
     @wp.func
     def section_motion(now: Substep, s: int, model: Model, tape: Records):
@@ -307,11 +304,6 @@ def make_substep_adjoint(variant: Variant) -> Any:
             fields.put_v(adjoint, now.w, i, u_bar)
             fields.put_C(adjoint, now.w, i, C_bar)
             sums[now.w, MASS, i] = sums[now.w, MASS, i] + mass_bar
-            # the first one found is named; a NaN is not below anything
-            size = wp.length_sq(x_bar) + wp.length_sq(u_bar)
-            if not (size < real(largest)) and wp.atomic_max(by.status, now.w, NOT_FINITE) == OK:
-                by.failed_particle[now.w] = fields.particle(adjoint, now.w, i)
-                by.failed_slot[now.w] = now.gone
 
     @wp.func
     def touch_adjoint(

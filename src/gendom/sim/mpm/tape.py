@@ -15,13 +15,12 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.arrays import Array
-from gendom.errors import SimulationError
 from gendom.sim.gradients import Gradients
 from gendom.sim.mpm.kernels import SUMS, make_advance, make_reverse
 from gendom.sim.mpm.model import Worlds
 from gendom.sim.mpm.particles import DRAG, LAM, MASS, MU
 from gendom.sim.mpm.runner import REBUILD, Group, Plan, Program, for_groups
-from gendom.sim.mpm.step import GRID_FULL, NOT_FINITE
+from gendom.sim.mpm.step import GRID_FULL
 
 SHORTEST, LONGEST, LONGEST_ON_CPU = 8, 256, 64
 """Bounds on the substeps of a segment."""
@@ -84,7 +83,7 @@ class Tape:
                 more = False
             else:
                 done = int((group.read("age") - segment.start.age).max())
-                group.advance(plan, most=self._segment_substeps() - done, frames=f + 1)
+                group.advance(plan, self._segment_substeps() - done, f + 1)
                 more = bool((group.read("status") == GRID_FULL).any())
             if not group.look(plan, keep_going=False) and s.failures:
                 raise s.failures[min(s.failures)]
@@ -122,11 +121,7 @@ class Tape:
             group.begin()
 
     def backward(self, positions_bar: Array) -> Gradients:
-        """Derivatives by all inputs, given those [T, W, N, 3] by the positions of ``forward``.
-
-        Raises:
-            SimulationError: If a derivative is not finite.
-        """
+        """Derivatives by all inputs, given those [T, W, N, 3] by the positions of ``forward``."""
         sums = Sums(self.program)
 
         def one_group(group: Group) -> None:
@@ -163,7 +158,6 @@ class Tape:
             recording.grid, recording.tape, sums.adjoint, sums.state, sums.conditions,
         ])  # fmt: skip
         segment.recording = None
-        sums.check(group, segment, recording, self._plan)
         return spare
 
 
@@ -281,7 +275,7 @@ class Sums:
         self.adjoint = program.records(sums=(W, SUMS, N))
         by_world = (
             "friction", "velocity_damping", "damping", "gravity", "damping_factor",
-            "branch_factor", "branch_share", "status", "failed_slot", "failed_particle",
+            "branch_factor", "branch_share",
         )  # fmt: skip
         self.conditions = s.allocate(
             types.ConditionsAdjoint,
@@ -331,37 +325,4 @@ class Sums:
             gripper_positions=np.array(by.position.numpy()),
             gripper_rotations=np.array(by.turn.numpy()),
             gripper_radius=np.array(by.radius.numpy()),
-        )
-
-    def check(self, group: Group, segment: Segment, recording: TapedStates, plan: Plan) -> None:
-        """Raise the error of a derivative by a state that is not finite."""
-        status = self.conditions.status.numpy()
-        for n, w in enumerate(group.own):
-            if status[w] == NOT_FINITE:
-                raise self._overflow(group, n, segment, recording, plan)
-
-    def _overflow(
-        self, group: Group, n: int, segment: Segment, recording: TapedStates, plan: Plan
-    ) -> SimulationError:
-        s, w = self.program.worlds, int(group.own[n])
-        slot = int(self.conditions.failed_slot.numpy()[w])
-        particle = int(self.conditions.failed_particle.numpy()[w])
-        row = slot * group.shared + group.layouts[n]
-        place = recording.tape.place.numpy()[recording.tape.layout_of.numpy()[row]]
-        record: Any = recording.tape.of[int(row)]
-        x = record.numpy()[:3, place].T
-        J = float(np.linalg.det(s.deformation_at(x)[particle].astype(float)))
-        cause = (
-            f"its volume is {J:.2g} of that at rest, where the stress law is singular"
-            if J < 0.1
-            else f"derivatives grew beyond {s.setting.dtype} over the substeps after it"
-        )
-        done = int(segment.start.step[n]) + slot
-        return s.setting.error(
-            w,
-            float(plan.time[segment.frame]) + done * float(segment.substep(plan)[n]),
-            f"the derivative by the state of particle {particle} is not finite: {cause}",
-            where=f"substep {int(segment.start.age[n]) + slot}",
-            fix="use float64, a shorter rollout, or more damping",
-            particle=particle,
         )

@@ -184,10 +184,6 @@ def make_types(real: Any) -> SimpleNamespace:
         branch_factor: wp.array(dtype=wp.float64)  # [W] share of Z that stays
         branch_share: wp.array(dtype=wp.float64)  # [W] g, see ``internal_forces``
         touched: wp.array2d(dtype=vec3)  # [W, sections] scratch: velocity changed by the table
-        # where a derivative overflowed
-        status: wp.array(dtype=wp.int32)  # [W]
-        failed_slot: wp.array(dtype=wp.int32)  # [W] recorded substep
-        failed_particle: wp.array(dtype=wp.int32)  # [W]
 
     return SimpleNamespace(
         real=real, vec3=vec3, vec4=vec4, mat33=mat33, compensates=real == wp.float32,

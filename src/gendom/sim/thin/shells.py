@@ -57,11 +57,9 @@ class ShellModel:
         else:
             at, (lx, ly), cell[:-1, :-1] = part.at, part.spacing, part.cells
             area.flat[at] = part.area
-        self.at = at
-        """[n] index of each point in the lattice, row by row."""
-        self.spacing = (lx, ly)
-        """Distance between points along rows and along columns [m]."""
-        self.widest = max(lx, ly)
+        self.at, self.spacing, self.widest = at, (lx, ly), max(lx, ly)
+        """[n] index of each point in the lattice, row by row; distance between points along rows
+        and along columns, and the larger one [m]."""
         self._check(setting)
         self.pitch = -(-(nx + 1) // 8) * 8
         slots = MARGIN + self.pitch * (1 + np.arange(ny))[:, None] + np.arange(nx)
