@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Gripper, Physics, Rollout, Simulator, Solver, Table, cloth, rope
+from gendom.sim import Gripper, Rollout, Simulator, Solver, Table, cloth, rope
 from gendom.sim.mpm import tape as mpm_tape
 from gendom.sim.mpm.engine import MpmEngine
+from validation.bench import flat_simulator
 
 TIMES = [0.015, 0.03]
 STEPS = {
@@ -26,15 +27,8 @@ TURN = Rotation.from_rotvec([(0.0, 0.0, 0.0), (0.1, 0.3, 0.2), (0.2, -0.1, 0.5)]
 
 
 def scene(
-    *,
-    sheet=False,
-    damped=0.0,
-    dtype="float64",
-    device="cpu",
-    worlds=1,
-    rubs=True,
-    **by,
-):
+    *, sheet=False, damped=0.0, dtype="float64", device="cpu", worlds=1, rubs=True, **by
+):  # fmt: skip
     """A rope or cloth that slides on its table while a gripper lifts and turns its end, which it
     lets go of; ``by`` moves what goes in."""
     d = {**dict.fromkeys(STEPS, 0.0), **by}
@@ -42,36 +36,22 @@ def scene(
     if sheet:
         body = cloth(width=0.08, height=0.05, thickness=0.004, dx=0.01, corner=(0, -0.02, 0.0025))
     path = np.array([[0.0, 0.0, 0.0072], [0.005, 0.002, 0.02], [0.012, 0.004, 0.03]])
+    turned = Rotation.from_rotvec(d["gripper_rotations"] + np.zeros((3, 3))) * TURN
     gripper = Gripper(
-        time=[0.0, 0.02, 0.04],
-        position=path + d["gripper_positions"],
-        quat_xyzw=(
-            Rotation.from_rotvec(d["gripper_rotations"] + np.zeros((3, 3))) * TURN
-        ).as_quat(),
-        radius=0.0132 + d["gripper_radius"],
-        hold_from=0.003,
-        hold_until=0.026,
-    )
+        time=[0.0, 0.02, 0.04], position=path + d["gripper_positions"], quat_xyzw=turned.as_quat(),
+        radius=0.0132 + d["gripper_radius"], hold_from=0.003, hold_until=0.026,
+    )  # fmt: skip
     material = Material(
-        E=2.0e5 * (1.0 + d["E"]),
-        nu=0.3 + d["nu"],
-        density=1000.0 * (1.0 + d["density"]),
+        E=2.0e5 * (1.0 + d["E"]), nu=0.3 + d["nu"], density=1000.0 * (1.0 + d["density"]),
         damping=damped + d["damping"],
-    )
-    simulator = Simulator(
-        body,
-        [material] * worlds,
-        grippers=[gripper],
+    )  # fmt: skip
+    simulator = flat_simulator(
+        body, [material] * worlds, grippers=[gripper], stiffness=1.0 + d["stiffness"],
         table=Table(height=0.0, friction=0.3 + d["friction"]) if rubs else None,
-        stiffness=1.0 + d["stiffness"],
-        positions=body.x + d["positions"],
-        physics=Physics(
-            velocity_damping=2.0 + d["velocity_damping"],
-            air_density=30.0 + d["air_density"],
-            gravity=np.array([0.5, 0.2, -9.81]) + d["gravity"],
-        ),
-        solver=Solver(engine="mpm", substep=2.0e-4, dtype=dtype, device=device, threads=1),
-    )
+        positions=body.x + d["positions"], velocity_damping=2.0 + d["velocity_damping"],
+        air_density=30.0 + d["air_density"], gravity=np.array([0.5, 0.2, -9.81]) + d["gravity"],
+        engine="mpm", substep=2.0e-4, dtype=dtype, device=device, threads=1,
+    )  # fmt: skip
     simulator.set_velocities(np.array([0.3, 0.1, 0.0]) + d["velocities"])
     return simulator
 
@@ -83,12 +63,7 @@ def weights(shape):
 
 @pytest.mark.parametrize(
     "options",
-    [
-        {},
-        {"damped": 3e-3},
-        {"damped": 1e-4},
-        {"sheet": True, "damped": 3e-3},
-    ],
+    [{}, {"damped": 1e-4}, {"sheet": True, "damped": 3e-3}],
     ids=lambda options: " ".join(options) or "elastic",
 )
 def test_derivatives_by_everything_equal_central_differences(options):
@@ -138,13 +113,9 @@ def test_a_path_shorter_than_others_keeps_its_derivatives_at_its_own_knots(engin
     body = rope(diameter=0.014, length=0.05, start=(0.0, 0.0, 0.1), cells_across=2.0)
     short = Gripper(time=[0.0, 0.005], position=[[0.0, 0, 0.1], [0.0, 0, 0.101]], radius=0.01)
     long = Gripper(time=[0.0, 0.01, 0.02, 0.03], position=[[0.05, 0, 0.1]] * 4, radius=0.005)
-    simulator = Simulator(
-        body,
-        [Material(E=2e5, nu=0.3, density=1000.0)],
-        grippers=[short, long],
-        solver=Solver(engine=engine, dtype="float64"),
-    )
-    rollout = Rollout(simulator)
+    made = [Material(E=2e5, nu=0.3, density=1000.0)]
+    solver = Solver(engine=engine, dtype="float64")
+    rollout = Rollout(Simulator(body, made, grippers=[short, long], solver=solver))
     x = rollout.forward([0.02])
     g = rollout.backward(np.ones_like(x)).gripper_positions
     assert g.shape == (1, 2, 4, 3)

@@ -118,10 +118,11 @@ def test_targets_that_do_not_fit_are_refused(targets, message):
 
 def test_what_a_step_does_not_take_is_refused():
     made = simulator(still())
-    with pytest.raises(ParameterError, match="dt"):
-        made.step(0.0)
-    with pytest.raises(ParameterError, match="no grippers that can be set"):
-        made.grippers = [still()]
     particles = Simulator(ROPE, [SOFT], grippers=[still()], solver=Solver(engine="mpm"))
-    with pytest.raises(ParameterError, match="MPM has no steps"):
-        particles.step(0.01)
+    for call, words in (
+        (lambda: made.step(0.0), "dt"),
+        (lambda: setattr(made, "grippers", [still()]), "no grippers that can be set"),
+        (lambda: particles.step(0.01), "MPM has no steps"),
+    ):
+        with pytest.raises(ParameterError, match=words):
+            call()

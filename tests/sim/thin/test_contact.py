@@ -59,6 +59,13 @@ def test_contact_keeps_momentum():
     np.testing.assert_allclose(mass @ s.velocities()[0], before, rtol=0, atol=1e-12)
 
 
+def simulated(body, E, hands, **options):
+    return flat_simulator(
+        body, [Material(E=E, density=400.0, damping=0.01)], engine="thin", grippers=hands,
+        table=Table(height=0.0, friction=0.4), self_contact=True, **options,
+    )  # fmt: skip
+
+
 def dropped(n, E=1e5, seed=0, **options):
     """A cloth that hangs by its middle, is let down to the table, and dropped: the body, and its
     points [T, n n, 3]. A seed changes where it begins by rounding."""
@@ -72,29 +79,8 @@ def dropped(n, E=1e5, seed=0, **options):
         time=[0, 0.4, 0.9], position=[top, top, top * [1, 1, 0.1]], radius=0.012, hold_until=0.95
     )
     noise = 1e-12 * np.random.default_rng(seed).normal(size=body.points.shape)
-    s = flat_simulator(
-        body, [Material(E=E, density=400.0, damping=0.01)], engine="thin", grippers=[let_down],
-        table=Table(height=0.0, friction=0.4), self_contact=True,
-        positions=body.points + (seed > 0) * noise, **options,
-    )  # fmt: skip
+    s = simulated(body, E, [let_down], positions=body.points + (seed > 0) * noise, **options)
     return body, s.run(np.linspace(0.02, 1.5, 75))[:, 0]
-
-
-def crumpled(n, **options):
-    """The same cloth, which is then pulled apart by two corners: [T, n n, 3], and the body."""
-    body, heap = dropped(n, **options)
-    size = 0.011 * (n - 1)
-    corners = heap[-1][[0, -1]]
-    up, apart = np.array([0, 0, 1.2 * size]), np.array([[-0.48, -0.48, 0], [0.48, 0.48, 0]]) * size
-    pulled = flat_simulator(
-        body, [Material(E=1e5, density=400.0, damping=0.01)], engine="thin",
-        grippers=[
-            Gripper(time=[0, 1.0, 2.0], position=[at, at + up, to + up], radius=0.0004)
-            for at, to in zip(corners, apart, strict=True)
-        ],
-        table=Table(height=0.0, friction=0.4), self_contact=True, positions=heap[-1], **options,
-    )  # fmt: skip
-    return np.concatenate([heap, pulled.run(np.linspace(0.02, 2.2, 110))[:, 0]]), body
 
 
 def nearest_edges(x, shape):
@@ -122,29 +108,33 @@ def test_a_limp_cloth_never_crosses(seed):
         check_cloth(f, model_of(body))
 
 
-def check_crumpled(**options):
-    x, body = crumpled(16, **options)
-    model = model_of(body)
-    for f in x:
+@pytest.mark.parametrize(
+    "device",
+    [pytest.param("cpu", marks=pytest.mark.slow), pytest.param("cuda", marks=pytest.mark.gpu)],
+)
+def test_a_crumpled_cloth_never_crosses_and_can_be_pulled_apart(device):
+    """By two corners."""
+    body, heap = dropped(16, device=device)
+    size, corners, model = 0.011 * 15, heap[-1][[0, -1]], model_of(body)
+    up, apart = np.array([0, 0, 1.2 * size]), np.array([[-0.48, -0.48, 0], [0.48, 0.48, 0]]) * size
+    hands = [
+        Gripper(time=[0, 1.0, 2.0], position=[at, at + up, to + up], radius=0.0004)
+        for at, to in zip(corners, apart, strict=True)
+    ]
+    x = simulated(body, 1e5, hands, positions=heap[-1], device=device).run(
+        np.linspace(0.02, 2.2, 110)
+    )[:, 0]
+    for f in (*heap, *x):
         check_cloth(f, model)
-    return x
-
-
-@pytest.mark.slow
-def test_a_crumpled_cloth_never_crosses_and_can_be_pulled_apart():
-    x = check_crumpled()
-    heap, end = x[74], x[-1]
     # 0.65 to 0.90, as it is rounded
-    assert np.ptp(heap, axis=0)[:2].prod() < 0.95 * (0.011 * 15) ** 2
-    assert np.linalg.norm(end[-1] - end[0]) > 0.94 * 0.011 * 15 * np.sqrt(2.0)
-
-
-@pytest.mark.gpu
-def test_cuda_keeps_a_cloth_from_crossing():
-    check_crumpled(device="cuda")
+    assert np.ptp(heap[74], axis=0)[:2].prod() < 0.95 * size**2
+    assert np.linalg.norm(x[-1, -1] - x[-1, 0]) > 0.94 * size * np.sqrt(2.0)
 
 
 def test_a_body_that_begins_in_itself_is_an_error():
+    thick = cloth(width=0.1, height=0.1, thickness=0.008, dx=0.02, points=(10, 10))
+    with pytest.raises(ParameterError, match="cannot be folded"):
+        Simulator(thick, [Material()], physics=Physics(self_contact=True))
     line = rope(diameter=0.01, length=0.3, points=31)
     turn = np.linspace(0.0, 2.2 * np.pi, 31)
     ring = 0.3 / (2.2 * np.pi) * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
@@ -169,11 +159,3 @@ def test_a_body_that_begins_in_itself_is_an_error():
     folded[over, 2] -= 0.08 * (folded[over, 1] - 0.024)
     with pytest.raises(ParameterError, match="the cloth begins crossing itself"):
         Simulator(sheet, [Material()], positions=folded, physics=Physics(self_contact=True))
-
-
-def test_what_cannot_be_is_said():
-    thick = cloth(width=0.1, height=0.1, thickness=0.008, dx=0.02, points=(10, 10))
-    with pytest.raises(ParameterError, match="cannot be folded"):
-        Simulator(
-            thick, [Material()], physics=Physics(self_contact=True), solver=Solver(engine="thin")
-        )

@@ -85,26 +85,21 @@ def test_the_skin_ends_at_the_outline():
 
 
 @OUTLINES
-@pytest.mark.parametrize("degrees", [0.0, 30.0, 45.0])
-def test_a_rolled_sheet_has_the_energy_of_a_plate(outline, degrees):
-    R, body, a = 0.5, cloth(outline=outline, points=(25, 25), **SHEET), math.radians(degrees)
-    turn = np.array([[math.cos(a), math.sin(a)], [-math.sin(a), math.cos(a)]])
-    along, across = turn @ body.points[:, :2].T
-    flat = np.stack([R * np.sin(along / R), across], axis=1) @ turn
-    x = np.column_stack([flat, R * (1.0 - np.cos(along / R))])
-    s = Simulator(body, [MATERIAL], positions=x)
-    D = MATERIAL.E * 0.002**3 / (12.0 * (1.0 - MATERIAL.nu**2))
-    expected = 0.5 * D * part_of(body).outline.area / R**2
-    assert bending_energy(s) == pytest.approx(expected, rel=0.01)
-
-
-@OUTLINES
-def test_a_stretched_sheet_has_the_energy_of_a_membrane(outline):
-    body, strain = cloth(outline=outline, points=(25, 25), **SHEET), 1e-4
+def test_a_sheet_has_the_energies_of_a_plate_and_a_membrane(outline):
+    """Rolled about three directions, and stretched."""
+    R, body, strain = 0.5, cloth(outline=outline, points=(25, 25), **SHEET), 1e-4
+    area, E = part_of(body).outline.area, MATERIAL.E
+    for a in np.radians([0.0, 30.0, 45.0]):
+        turn = np.array([[math.cos(a), math.sin(a)], [-math.sin(a), math.cos(a)]])
+        along, across = turn @ body.points[:, :2].T
+        flat = np.stack([R * np.sin(along / R), across], axis=1) @ turn
+        x = np.column_stack([flat, R * (1.0 - np.cos(along / R))])
+        D = E * 0.002**3 / (12.0 * (1.0 - MATERIAL.nu**2))
+        found = bending_energy(Simulator(body, [MATERIAL], positions=x))
+        assert found == pytest.approx(0.5 * D * area / R**2, rel=0.01)
     x = body.points * [1.0 + strain, 1.0 - 0.3 * strain, 1.0]
     found = membrane_energy(Simulator(body, [MATERIAL], positions=x))
-    area = part_of(body).outline.area
-    assert found == pytest.approx(0.5 * MATERIAL.E * strain**2 * area * 0.002, rel=1e-3)
+    assert found == pytest.approx(0.5 * E * strain**2 * area * 0.002, rel=1e-3)
 
 
 def fastest_squared(body):
@@ -197,7 +192,6 @@ SMALL = 0.2 * np.array(SQUARE) + 0.08
     [
         (BOW, r"outline, near \(0, 0.1\) m: crosses or touches itself"),
         ([(0, 0), (0.2, 0), (0.1, 0), (0.1, 0.2)], "crosses or touches itself"),
-        ([(0, 0), (0.2, 0), (0.3, 0), (0.2, 0), (0.2, 0.2)], "crosses or touches itself"),
         ([(0, 0), (0.2, 0), (0.2, 0)], "outline: has 2 different points; give at least three"),
         ([(0, 0), (0.1, 0), (0.2, 0)], "outline: has no area"),
         ([(0, 0), (0.2, 0), (0.1, math.nan)], "holds numbers that are not finite"),
@@ -205,7 +199,6 @@ SMALL = 0.2 * np.array(SQUARE) + 0.08
         ([SQUARE, SMALL + 0.1], "outline, near .* crosses or touches hole 1"),
         ([SQUARE, SMALL, 0.5 * SMALL + 0.05], "hole 2: is inside of hole 1"),
         ([SQUARE, SMALL, SMALL + 0.01], "hole 1, near .* crosses or touches hole 2"),
-        (SHIRT[0], "outline must be a polygon"),
         ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], "outline must be a polygon"),
     ],
 )
@@ -228,10 +221,7 @@ def test_what_the_lattice_cannot_resolve_is_named():
         cloth(outline=legs, points=(15, 20), **SHEET)
     body = cloth(outline=legs, points=(34, 46), **SHEET)
     assert not np.any((np.abs(body.points[:, 0] - 0.11) < 0.004) & (body.points[:, 1] < 0.19))
+    with pytest.raises(ParameterError, match=r"nu of at least -0.67"):
+        Simulator(body, [Material(nu=-0.8)])
     # corners and small holes are no narrow parts
     cloth(outline=[[(0, 0), (0.3, 0), (0.15, 0.2)], circle(0.005) + np.array([0.15, 0.1])], **SHEET)
-
-
-def test_a_sheet_too_auxetic_is_refused():
-    with pytest.raises(ParameterError, match=r"nu of at least -0.67"):
-        Simulator(cloth(outline=RING, **SHEET), [Material(nu=-0.8)])
