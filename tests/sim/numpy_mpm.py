@@ -44,24 +44,18 @@ FOLLOWS = 0.5
 class State:
     """Particles at one moment."""
 
-    x: Array
-    """[N, 3] positions [m]."""
-    v: Array
-    """[N, 3] velocities [m/s]."""
-    C: Array
-    """[N, 3, 3] affine velocities [1/s]."""
-    Z: Array
-    """[N, 3, 3] second Piola-Kirchhoff stress, low-pass filtered [Pa]."""
+    x: Array  # [N, 3] [m]
+    v: Array  # [N, 3] [m/s]
+    C: Array  # [N, 3, 3] affine velocities [1/s]
+    Z: Array  # [N, 3, 3] second Piola-Kirchhoff stress, low-pass filtered [Pa]
 
 
 @dataclass
 class Grip:
     """What a gripper took hold of when it closed."""
 
-    weight: Array
-    """[N] share in which it carries each particle [-]."""
-    place: Array
-    """[N, 3] where it holds each particle, in its own frame [m]."""
+    weight: Array  # [N] share in which it carries each particle
+    place: Array  # [N, 3] where it holds each particle, in its own frame [m]
 
 
 class NumpyMPM:
@@ -78,16 +72,10 @@ class NumpyMPM:
     """
 
     def __init__(
-        self,
-        body: Body,
-        material: Material,
-        *,
-        grippers: Sequence[Gripper] = (),
-        table: Table | None = None,
-        gravity: ArrayLike = GRAVITY,
-        velocity_damping: float = 0.0,
+        self, body: Body, material: Material, *, grippers: Sequence[Gripper] = (),
+        table: Table | None = None, gravity: ArrayLike = GRAVITY, velocity_damping: float = 0.0,
         air_density: float = 0.0,
-    ):
+    ):  # fmt: skip
         self.body, self.material = body, material
         self.grippers, self.table = grippers, table
         self.gravity = np.asarray(gravity, dtype=float)

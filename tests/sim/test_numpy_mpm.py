@@ -48,15 +48,9 @@ def test_every_runner_does_what_the_twin_does(device, sheet, damping):
     body, scene = settings(sheet, 0.25)
     made = Material(E=2.0e5, nu=0.3, density=900.0, damping=damping)
     s = flat_simulator(
-        body,
-        [made],
-        engine="mpm",
-        substep=SUBSTEP,
-        dtype="float64",
-        threads=1,
-        device=device,
+        body, [made], engine="mpm", substep=SUBSTEP, dtype="float64", threads=1, device=device,
         **scene,
-    )
+    )  # fmt: skip
     twin = NumpyMPM(body, made, **scene)
     v = np.array([0.6, 0.1, -0.2])
     s.set_velocities(v)

@@ -31,15 +31,7 @@ def scene(**options):
     body = rope(diameter=0.02, length=0.12, start=(0.0, 0.0, 0.01), cells_across=1.5)
     turn = [(0, 0, 0, 1), (0, 0, 0.2, 1), (0, 0, 0.4, 1)]
     path = [(0.0, 0.0, 0.01), (0.0, 0.01, 0.05), (0.02, 0.0, 0.11)]
-    lifting = Gripper(
-        time=[0.0, 0.1, 0.3], position=path, quat_xyzw=turn, radius=0.02, hold_until=0.2
-    )
-    dragging = Gripper(
-        time=[0.0, 0.3],
-        position=[(0.115, 0, 0.01), (0.11, 0.02, 0.06)],
-        radius=0.02,
-        hold_from=0.03,
-    )
+    ends = [(0.115, 0, 0.01), (0.11, 0.02, 0.06)]
     materials = [
         SOFT,
         Material(E=5.0e4, nu=0.2, density=1200.0, damping=0.003),
@@ -47,15 +39,14 @@ def scene(**options):
         Material(E=1.0e4, nu=0.4, density=900.0, damping=1e-5),
     ]
     return simulator(
-        body,
-        materials,
-        grippers=[lifting, dragging],
+        body, materials, velocity_damping=[2.0, 1.0, 0.0, 0.0], air_density=[1.2, 20.0, 0.0, 1.2],
+        grippers=[
+            Gripper(time=[0, 0.1, 0.3], position=path, quat_xyzw=turn, radius=0.02, hold_until=0.2),
+            Gripper(time=[0.0, 0.3], position=ends, radius=0.02, hold_from=0.03),
+        ],
         table=Table(height=0.0, friction=[0.2, 0.5, 0.9, 0.3]),
-        velocity_damping=[2.0, 1.0, 0.0, 0.0],
-        air_density=[1.2, 20.0, 0.0, 1.2],
-        gravity=[(0, 0, -9.81), (1, 0, -9.81), (0, 2, -5), (0, 2, -5)],
-        **options,
-    )
+        gravity=[(0, 0, -9.81), (1, 0, -9.81), (0, 2, -5), (0, 2, -5)], **options,
+    )  # fmt: skip
 
 
 def test_two_runs_equal_one():

@@ -11,20 +11,21 @@ from gendom.sim.thin.contact import edge_distance, edges_and_triangles, triangle
 from gendom.sim.thin.types import MARGIN
 
 SOFT = Material(E=1e5, density=400.0, damping=0.01)
-TABLE = Table(height=0.0, friction=0.4)
+
+
+def settled(body, material, device, until, grippers=()):
+    s = Simulator(
+        body, [material], grippers=grippers, table=Table(height=0.0, friction=0.4),
+        physics=Physics(self_contact=True), solver=Solver(device=device),
+    )  # fmt: skip
+    s.run([until])
+    return s
 
 
 def coil(device):
     """A rope that has fallen on itself."""
-    body = rope(
-        diameter=0.01, length=0.8, start=(0, 0, 0.82), direction=(0.02, 0.01, -1), points=81
-    )
-    limp = replace(SOFT, E=2e4)
-    s = Simulator(
-        body, [limp], table=TABLE, physics=Physics(self_contact=True), solver=Solver(device=device)
-    )
-    s.run([0.45])
-    return s
+    falls = {"start": (0, 0, 0.82), "direction": (0.02, 0.01, -1), "points": 81}
+    return settled(rope(diameter=0.01, length=0.8, **falls), replace(SOFT, E=2e4), device, 0.45)
 
 
 def heap(device, **outline):
@@ -36,23 +37,12 @@ def heap(device, **outline):
     )  # fmt: skip
     top = np.array([-0.06, 0.002, 0.8 * size])
     hand = Gripper(time=[0, 0.4, 0.9], position=[top, top, top * [1, 1, 0.1]], radius=0.012)
-    s = Simulator(
-        body,
-        [SOFT],
-        grippers=[hand],
-        table=TABLE,
-        physics=Physics(self_contact=True),
-        solver=Solver(device=device),
-    )
-    s.run([1.0])
-    return s
+    return settled(body, SOFT, device, 1.0, [hand])
 
 
 def heap_with_hole(device):
-    size = 0.165
-    square = [(0, 0), (size, 0), (size, size), (0, size)]
-    hole = [(0.055, 0.055), (0.11, 0.055), (0.11, 0.11), (0.055, 0.11)]
-    return heap(device, outline=[square, hole])
+    square = [(0, 0), (0.165, 0), (0.165, 0.165), (0, 0.165)]
+    return heap(device, outline=[square, np.array(square) / 3.0 + 0.055])
 
 
 def listed(s):

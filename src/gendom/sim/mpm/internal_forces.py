@@ -92,7 +92,7 @@ def make_internal_forces(variant: Variant) -> SimpleNamespace:
     vec3, Model, Clock, Substep = types.vec3, types.Model, types.Clock, types.Substep
     Records, ConditionsAdjoint = types.Records, types.ConditionsAdjoint
     block = make_block(real)
-    call = f"<{int(variant.room > 0)}>(w, thread, threads, "
+    call = f"<{int(variant.room > 0)}, {int(variant.sorts)}>(w, thread, threads, "
 
     @wp.func_native(f"return gendom::forces_of_records{call}dt, keep, share, model, particles);")
     def set_forces(

@@ -188,8 +188,9 @@ template <bool in_shared, typename real> struct components {
     }
 };
 
-// The records of a world from the i-th on as they move, or their derivatives while a tape is reversed.
-template <bool in_shared, bool reversed, typename T, typename real, typename Model, typename Records>
+// The records of a world from the i-th on as they move, or their derivatives while a tape is reversed;
+// `sorted`: in another order than particles.
+template <bool in_shared, bool sorted, bool reversed, typename T, typename real, typename Model, typename Records>
 struct record {
     const Model& model;
     const Records& stored;
@@ -202,6 +203,11 @@ struct record {
         : model(model), stored(stored), w(w), i(i), own{stored.of, w}, state{states, row} {}
     // Of the model, whose numbers are in the order of particles.
     GENDOM_INLINE T of_particles(const wp::array_t<real>& numbers, int row) const {
+        if constexpr (!sorted) {
+            T found;
+            __builtin_memcpy(&found, &wp::index(numbers, row, i), sizeof(T));
+            return found;
+        }
         return by_lane<T>([&](int l) { return wp::index(numbers, row, wp::index(stored.order, w, i + l)); });
     }
     GENDOM_INLINE rest_frame<T> frame() const {
@@ -324,25 +330,25 @@ GENDOM_INLINE void over_records(int thread, int threads, int N, Job job) {
     if constexpr (width > 1)
         for (; i < N; ++i) job(real(), i);
 }
-template <bool in_shared, typename real, typename Model, typename Records>
+template <bool in_shared, bool sorted, typename real, typename Model, typename Records>
 GENDOM_INLINE int forces_of_records(int w, int thread, int threads, real dt, real keep, real share,
                                     const Model& model, const Records& records) {
     int failed = -1;
     over_records<real>(thread, threads, records.of.shape[2], [&](auto lanes, int i) {
-        const record<in_shared, false, decltype(lanes), real, Model, Records> at(model, records, w, i,
-                                                                                 records.of, w);
+        typedef record<in_shared, sorted, false, decltype(lanes), real, Model, Records> one;
+        const one at(model, records, w, i, records.of, w);
         failed = wp::max(failed, at.forces(dt, keep, share));
     });
     return failed;
 }
-template <bool in_shared, typename real, typename Model, typename Records>
+template <bool in_shared, bool sorted, typename real, typename Model, typename Records>
 GENDOM_INLINE wp::vec2d adjoint_of_records(int w, int thread, int threads, int row, real dt, real keep,
                                            real share, const Model& model, const Records& tape,
                                            const Records& adjoint) {
     wp::vec2d by_damped;
     over_records<real>(thread, threads, adjoint.of.shape[2], [&](auto lanes, int i) {
-        const record<in_shared, true, decltype(lanes), real, Model, Records> at(model, adjoint, w, i,
-                                                                                tape.of, row);
+        typedef record<in_shared, sorted, true, decltype(lanes), real, Model, Records> one;
+        const one at(model, adjoint, w, i, tape.of, row);
         at.forces_adjoint(dt, keep, share, by_damped);
     });
     return by_damped;
