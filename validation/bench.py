@@ -53,13 +53,8 @@ class Bench:
         self, body: Body, materials: Sequence[Material], omega: ArrayLike,
         *, periods: float = 16.0, **options: Any,
     ) -> Array:  # fmt: skip
-        """[W, N, 3] where a body comes to rest whose slowest mode is damped critically [m].
-
-        Args:
-            body, materials, options: As of ``flat_simulator``.
-            omega: Angular frequency of that mode, one or [W] [rad/s].
-            periods: Time of the run, in units of 1 / omega.
-        """
+        """[W, N, 3] where a body comes to rest in ``periods`` / omega; its slowest mode, of angular
+        frequency ``omega`` [rad/s], one or [W], is damped critically [m]."""
         damping = 2.0 * np.asarray(omega, dtype=float)
         s = self.simulate(body, materials, velocity_damping=damping, **options)
         return s.run([periods / np.min(omega)])[0].astype(float)

@@ -25,16 +25,11 @@ def hung(
     loads: ArrayLike, *, curvature: float = 0.0, angle: float = 0.0, first: Any = None,
     tol: float = 1e-6,
 ) -> list[Any]:  # fmt: skip
-    """Plane rods, clamped at ``angle``, under weights that are raised from one to the next.
+    """Plane rods, clamped at ``angle`` [rad], under weights Gamma [K], raised bit by bit from
+    0, or from that of the shape ``first``.
 
-    theta'' = load (1 - s) cos theta, theta(0) = angle, theta'(1) = curvature. Source: Wang (1986),
-    "A critical review of the heavy elastica".
-
-    Args:
-        loads: [K] Gamma, each so near to the one before that its shape can be found from it.
-        curvature, angle: Curvature that is free of stress [1 / L]; [rad].
-        first: A shape near the first load's, if that is not near 0.
-        tol: Of the collocation.
+    theta'' = load (1 - s) cos theta, theta(0) = angle, theta'(1) = curvature (free of stress)
+    [1 / L]. Source: Wang (1986), "A critical review of the heavy elastica".
 
     Returns:
         [K] functions from arc lengths [S] in [0, 1] to theta, theta', x and z [4, S].
@@ -85,9 +80,7 @@ def leaves_plane(shape: Any, load: float, curvature: float, torsion: float) -> f
 
     with m = 0 at the tip and phi = 0 at the clamp. Source: Kirchhoff's equations, linearised.
 
-    Args:
-        shape, load, curvature: The rod, Gamma and its curvature, as of ``hung``.
-        torsion: Stiffness in torsion over that of bending.
+    ``torsion`` is its stiffness in torsion over that of bending; the others are as of ``hung``.
     """
 
     def slopes(s: float, y: Array) -> Array:
@@ -136,9 +129,7 @@ def lateral_load(warping: float = 0.0, parts: int = 400) -> float:
     by finite differences; stiff in its plane. Source: Timoshenko and Gere, Theory of Elastic
     Stability, 6.3; of warping: Vlasov (1961), Thin-walled elastic beams.
 
-    Args:
-        warping: E C / (G J L^2) of a section that may not warp at the clamp; 0 if it may.
-        parts: Of the length.
+    ``warping`` is E C / (G J L^2) of a section that may not warp at the clamp; 0 if it may.
     """
     h = 1.0 / parts
     first = np.diff(np.eye(parts + 1), axis=0) / h

@@ -162,13 +162,10 @@ def energies(s: Simulator, times: ArrayLike, pull: ArrayLike) -> tuple[Array, Ar
 
 
 def swing(t: Array, y: Array, omega: float) -> tuple[float, float]:
-    """Angular frequency [rad/s] and decay rate [1/s] of a damped oscillation, by least squares.
+    """Angular frequency [rad/s] and decay rate [1/s] of a damped oscillation y [T] at times [s], by
+    least squares from ``omega`` [rad/s] on; a tenth off the answer does no harm.
 
     y = exp(-gamma t) (a cos omega t + b sin omega t) + c; a, b and c are eliminated.
-
-    Args:
-        t, y: [T] times [s] and readings.
-        omega: Where the search starts [rad/s]; a tenth off the answer does no harm.
 
     Raises:
         SimulationError: If the fit explains less than 99 % of the readings' variance.
@@ -188,16 +185,11 @@ def swing(t: Array, y: Array, omega: float) -> tuple[float, float]:
 
 
 def critical_share(shares: Array, t: Array, y: Array, damping: float) -> float:
-    """Share of a critical load at which a mode neither grows nor decays, the nearest to 1.
+    """Share of a critical load at which a mode of sizes y [T, W] neither grows nor decays, the one
+    nearest to 1, from loads ``shares`` [W] over the critical one.
 
-    All velocities decay at one rate c: of y ~ exp(r t) the squared rate without damping is
-    r (r + c). It is 0 on a parabola through those of ``shares``.
-
-    Args:
-        shares: [W] loads over the critical one.
-        t: [T] times [s].
-        y: [T, W] sizes of the mode; any unit.
-        damping: c [1/s].
+    All velocities decay at one rate c, ``damping`` [1/s]: of y ~ exp(r t) the squared rate without
+    is r (r + c). It is 0 on a parabola through those of ``shares``.
 
     Raises:
         SimulationError: If there is no such share.

@@ -81,13 +81,7 @@ def lowest_frequency(specific: float, k: float, L: float, g: float, *, terms: in
 
     Rayleigh's quotient of bending and tension over mass, minimised over (1 - s / L)^2 times
     Legendre polynomials of s, the rest length from the lower end. The tension's share is divided
-    by the local stretch 1 + g s / specific.
-
-    Args:
-        specific: E / density [m^2/s^2].
-        k, L: The rest length is L.
-        g: Gravity [m/s^2].
-        terms: Number of polynomials.
+    by the local stretch 1 + g s / specific, with E / density ``specific`` [m^2/s^2].
     """
     y, weight = legendre.leggauss(4 * terms)
     s, weight = (y + 1.0) * L / 2.0, weight * L / 2.0

@@ -7,19 +7,15 @@ from numpy.typing import ArrayLike
 
 from gendom.arrays import Array
 from gendom.sim import Body, Gripper, cloth, rope
+from gendom.sim.bodies import neighbours
 
 
 def clamp_beyond(
     outwards: ArrayLike = (-1.0, 0.0, 0.0), reach: float = 0.1, *, point: ArrayLike = (0, 0, 0)
 ) -> Gripper:
-    """A gripper that holds all material beyond a plane: a sphere so wide that it looks flat.
-
-    The free length of a rod or strip begins at the plane, whatever the phase of the grid.
-
-    Args:
-        outwards: [3] unit vector into the held side.
-        reach: Largest distance of material from the axis [m].
-        point: [3] a point of the plane, on the object's axis [m].
+    """A gripper that holds all material beyond a plane through a ``point`` [3] of the axis [m], on
+    the side of a unit vector [3]: a sphere so wide that it looks flat as far as material reaches
+    [m]. The free length of a rod or strip begins there, whatever the phase of the grid.
     """
     radius = 1000.0 * reach
     centre = np.asarray(point, dtype=float) + radius * np.asarray(outwards, dtype=float)
@@ -39,13 +35,8 @@ def across(cells: float) -> str:
 def clamped_rope(
     length: float, diameter: float, points: int, *, curvature: float = 0.0, angle: float = 0.0
 ) -> tuple[Body, Gripper]:
-    """A rope whose first edge is held, at ``angle``, and whose rest begins at 0.
-
-    Args:
-        length, diameter: Of what is free [m].
-        points: Of the whole rope.
-        curvature, angle: Curvature that is free of stress, upwards [1 / length]; [rad].
-    """
+    """A rope of so many points whose first edge is held, at ``angle`` [rad], and whose rest, of a
+    length [m], begins at 0; its curvature upwards [1 / length] is free of stress."""
     back = length / (points - 2)
     ds = length / 4000.0
     theta = angle + curvature * (np.arange(4000) + 0.5) / 4000.0
@@ -60,14 +51,8 @@ def clamped_strip(
     length: float, width: float, thickness: float, points: tuple[int, int],
     *, axis: int = 0, back: float | None = None,
 ) -> tuple[Body, Gripper]:  # fmt: skip
-    """A level cloth that is free from 0 along an axis on; a plane holds the rest.
-
-    Args:
-        length, width, thickness: Of what is free [m].
-        points: Along and across.
-        axis: 0 or 1.
-        back: Length of what is held (default: the distance of two points) [m].
-    """
+    """A level cloth that is free from 0 along axis 0 or 1 on; a plane holds the rest, which is as
+    long as two points are apart or ``back`` [m]. Points are along and across."""
     back = length / (points[0] - 2) if back is None else back
     size, corner = (length + back, width), (-back, -0.5 * width)
     if axis == 1:
@@ -93,17 +78,10 @@ def block(size: ArrayLike, dx: float, *, centre: ArrayLike = (0.0, 0.0, 0.0)) ->
     count = np.maximum(2, np.round(edges / (dx / 2.0))).astype(int)
     cells = np.argwhere(np.ones(count, dtype=bool))
     local = (cells + 0.5) * (edges / count)
-    number = np.arange(len(cells)).reshape(count)
-    lattice = np.empty((len(cells), 3, 2), dtype=np.int32)
-    for axis in range(3):
-        for side, step in enumerate((-1, 1)):
-            beside = cells.copy()
-            beside[:, axis] = np.clip(beside[:, axis] + step, 0, count[axis] - 1)
-            lattice[:, axis, side] = number[tuple(beside.T)]
     return Body(
-        kind="block", x=local - edges / 2.0 + np.asarray(centre, dtype=float),
-        material_coordinates=local, lattice=lattice, volume=float(np.prod(edges)) / len(cells),
-        dx=dx, thickness=float(edges[2]), section=1, contact_radius=0.0,
+        kind="block", x=local - edges / 2.0 + np.asarray(centre, dtype=float), dx=dx, section=1,
+        material_coordinates=local, lattice=neighbours(cells), contact_radius=0.0,
+        volume=float(np.prod(edges)) / len(cells), thickness=float(edges[2]),
     )  # fmt: skip
 
 

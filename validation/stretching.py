@@ -13,7 +13,6 @@ from gendom.arrays import Array
 from gendom.materials import Material
 from gendom.sim import Gripper, cloth
 from validation.bench import WEIGHTLESS, Bench, Row, absolute, case, over_theory, relative
-from validation.readings import membrane_energy
 from validation.specimens import across, block, clamp_beyond, sections, stations
 
 THICKNESS = 0.002
@@ -116,23 +115,6 @@ def _wave(bench: Bench, cells: int, share: float) -> tuple[Array, Array]:
 
 
 # ---- sheets --------------------------------------------------------------------------------------
-
-
-@case("shell-stretched", "stretched and sheared sheets", "thin")
-def stretched(bench: Bench) -> Iterator[Row]:
-    """Sheets in a plane deformation: uniaxial, both ways, and sheared."""
-    nu, strain, source = 0.3, 1e-4, "plane stress (Hooke; Timoshenko, Theory of Elasticity)"
-    body = cloth(width=0.2, height=0.15, thickness=THICKNESS, dx=0.02, points=(12, 9))
-    twice = MATERIAL.E * strain**2 * 0.2 * 0.15 * THICKNESS
-    for name, gradient, share in (
-        ("uniaxial", [[strain, 0], [0, -nu * strain]], 1.0),
-        ("biaxial", [[strain, 0], [0, strain]], 2.0 / (1.0 - nu)),
-        ("sheared", [[0, strain], [0, 0]], 0.5 / (1.0 + nu)),
-    ):
-        x = body.points.copy()
-        x[:, :2] += body.points[:, :2] @ np.transpose(gradient)
-        s = bench.simulate(body, [replace(MATERIAL, nu=nu)], positions=x)
-        yield relative(f"{name} energy", "J", 0.5 * share * twice, membrane_energy(s), 2e-3, source)
 
 
 @case("shell-plates", "strips and squares that bend two ways", "thin")

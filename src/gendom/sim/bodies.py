@@ -222,7 +222,7 @@ def rope(
         kind="rope",
         x=x,
         material_coordinates=coordinates,
-        lattice=_neighbours(cells),
+        lattice=neighbours(cells),
         volume=math.pi / 4.0 * diameter**2 * total / len(x),
         dx=dx,
         thickness=diameter,
@@ -355,7 +355,7 @@ def _sheet(
         kind="cloth",
         x=local,
         material_coordinates=local,
-        lattice=_neighbours(cells),
+        lattice=neighbours(cells),
         volume=area * thickness / max(1, len(local)),
         dx=dx,
         thickness=thickness,
@@ -390,7 +390,7 @@ def _with_neighbours(
     """Those of the particles ``inside`` that have a neighbour of theirs along each axis."""
     while len(inside):
         own = np.arange(len(inside))[:, None, None]
-        lonely = (_neighbours(cells[inside]) == own).all(axis=2).any(axis=1)
+        lonely = (neighbours(cells[inside]) == own).all(axis=2).any(axis=1)
         if not lonely.any():
             break
         inside = inside[~lonely]
@@ -427,7 +427,7 @@ def _check_many(count: float, fix: str) -> None:
     require(count <= MOST, would, fix=fix)
 
 
-def _neighbours(cells: NDArray[np.integer]) -> NDArray[np.int32]:
+def neighbours(cells: NDArray[np.integer]) -> NDArray[np.int32]:
     """[N, 3, 2] indices of each particle's neighbours, from lattice cells [N, 3]."""
     number = np.full(cells.max(axis=0, initial=0) + 3, -1)
     number[tuple((cells + 1).T)] = np.arange(len(cells))
