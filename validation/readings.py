@@ -1,6 +1,6 @@
 """What is read off a motion: momenta, energies, frequencies and rates of growth."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,20 +33,20 @@ class Mechanics(NamedTuple):
 def mechanics(s: Simulator) -> Mechanics:
     """Momenta and energies of world 0, of particles, a rod or a shell."""
     x, v = s.positions()[0].astype(float), s.velocities()[0].astype(float)
-    e = s.engine
-    if isinstance(e, ThinEngine):
+    e: Any = s.engine
+    if isinstance(s.engine, ThinEngine):
         m = e.model.mass[0]
     else:
         m = np.full(len(x), s.materials[0].density * s.body.volume)
     centre = m @ x / m.sum()
     L = np.cross(x - centre, m[:, None] * v).sum(axis=0)
     kinetic = 0.5 * float(m @ np.sum(v**2, axis=1))
-    if isinstance(e, ThinEngine) and e.model.directed:
+    if isinstance(s.engine, ThinEngine) and e.model.directed:
         J, spin = e.model.inertia[0, :-1], e.component(SPIN)[0][:-1]
         L = L + J @ spin
         kinetic += 0.5 * float(np.sum(J[:, None] * spin**2))
         elastic = rod_energy(s)
-    elif isinstance(e, ThinEngine):
+    elif isinstance(s.engine, ThinEngine):
         elastic = membrane_energy(s) + bending_energy(s)
     else:
         # A particle carries the moment B = C dx^2 / 4 of its affine velocity and its energy.
@@ -66,7 +66,8 @@ def particle_energy(s: Simulator) -> float:
     2008, chapter 6), whose Kirchhoff stress is the simulator's neo-Hookean law.
     """
     mu, lam = s.materials[0].lame_of(s.body.lateral_constraint)
-    F = s.engine.deformation_at(s.positions()[0])
+    engine: Any = s.engine
+    F = engine.deformation_at(s.positions()[0])
     log_J = np.log(np.linalg.det(F))
     stretch = np.einsum("nij,nij->n", F, F) - 3.0
     psi = mu / 2.0 * stretch - mu * log_J + lam / 2.0 * log_J**2
@@ -78,17 +79,18 @@ def spring_energy(s: Simulator) -> float:
 
     With weight f they pull with k = f / (1 - f) b m / dt^2, b as in ``gendom.sim.mpm.boundary``.
     """
-    grips, material = s.engine.grips, s.materials[0]
+    e: Any = s.engine
+    grips, material = e.grips, s.materials[0]
     mu, lam = material.lame_of(s.body.lateral_constraint)
-    dt = float(s.engine.clock.dt.numpy()[0])
+    dt = float(e.clock.dt.numpy()[0])
     _, stiff = grip_constants(s.body)
     b = min(stiff * dt**2 * (lam + 2.0 * mu) / material.density / s.body.dx**2, FOLLOWS)
-    x = s.engine.state.x.numpy()[0].astype(float)
+    x = e.state.x.numpy()[0].astype(float)
     total = 0.0
-    for g, gripper in enumerate(s.engine.setting.grippers[0]):
+    for g, gripper in enumerate(e.setting.grippers[0]):
         n = int(grips.count.numpy()[0, g])
         f = grips.weight.numpy()[0, g, :n].astype(float)
-        centre = np.asarray(gripper.position)[0] - s.engine.origin
+        centre = np.asarray(gripper.position)[0] - e.origin
         away = x[grips.particle.numpy()[0, g, :n]] - centre - grips.place.numpy()[0, g, :n]
         part = f < 1.0
         stiffness = f[part] / (1.0 - f[part]) * b / dt**2
@@ -98,8 +100,7 @@ def spring_energy(s: Simulator) -> float:
 
 def rod_energy(s: Simulator) -> float:
     """Elastic energy of a rod, world 0 [J]."""
-    e = s.engine
-    assert isinstance(e, ThinEngine)
+    e: Any = s.engine
     x, q = s.positions()[0].astype(float), e.component(Q)[0][:-1]
     k, rest = e.model.stiffness[0], e.model.rest
     strain = turned(conjugate(q), np.diff(x, axis=0)) * rest[0, :-1, None] - rest[1:4, :-1].T
@@ -111,8 +112,7 @@ def rod_energy(s: Simulator) -> float:
 
 def membrane_energy(s: Simulator) -> float:
     """Of a shell, world 0 [J], from the lattice's edges as ``native/shell.h`` says."""
-    e = s.engine
-    assert isinstance(e, ThinEngine)
+    e: Any = s.engine
     ny, nx = e.model.shape
     x = e.model.on_lattice(s.positions()[:1].astype(float))[0]
     lx, ly = e.model.spacing
@@ -130,8 +130,7 @@ def membrane_energy(s: Simulator) -> float:
 
 def bending_energy(s: Simulator) -> float:
     """Of a shell, world 0 [J]."""
-    e = s.engine
-    assert isinstance(e, ThinEngine)
+    e: Any = s.engine
     x = e.model.on_lattice(s.positions()[:1].astype(float))[0]
     k = e.model.on_lattice(e.model.stiffness[0])
     xx, yy = np.zeros_like(x), np.zeros_like(x)

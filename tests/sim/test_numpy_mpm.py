@@ -1,5 +1,7 @@
 """Every runner against a twin of the substep in NumPy, which is written to be read."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -51,6 +53,7 @@ def test_every_runner_does_what_the_twin_does(device, sheet, damping):
         body, [made], engine="mpm", substep=SUBSTEP, dtype="float64", threads=1, device=device,
         **scene,
     )  # fmt: skip
+    engine: Any = s.engine
     twin = NumpyMPM(body, made, **scene)
     v = np.array([0.6, 0.1, -0.2])
     s.set_velocities(v)
@@ -58,6 +61,6 @@ def test_every_runner_does_what_the_twin_does(device, sheet, damping):
     x, expected = s.run(TIMES)[:, 0], twin.run(TIMES, SUBSTEP)
     assert np.abs(x - expected).max() < 1e-12
     assert np.abs(s.velocities()[0] - twin.state.v).max() < 1e-9
-    assert np.abs(s.engine.state.C.numpy()[0] - twin.state.C).max() < 1e-6
+    assert np.abs(engine.state.C.numpy()[0] - twin.state.C).max() < 1e-6
     # the scene has it all: a body that was lifted, touched, rubbed and let go
     assert np.ptp(expected[-1, :, 2]) > np.ptp(body.x[:, 2]) + 1e-4

@@ -1,6 +1,8 @@
 """Promises of the MPM: all worlds at once, as a GPU runs them, are each by itself; runs go on where
 others ended; failures name their world. Mechanics are the validation's."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import warp as wp
@@ -14,7 +16,7 @@ from validation.bench import flat_simulator
 SOFT = Material(E=2.0e4, nu=0.3, density=1000.0)
 
 
-def simulator(body, materials, **options):
+def simulator(body, materials, **options) -> Any:
     return flat_simulator(
         body, materials, **{"engine": "mpm", "dtype": "float64", "threads": 1, **options}
     )

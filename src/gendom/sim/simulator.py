@@ -96,8 +96,8 @@ class Simulator(Shown):
         thin, W = engine_of(body, solver) == "thin", len(materials)
         every, hands = of_worlds("obstacles", obstacles, Obstacle, W), hands_of_worlds(grippers, W)
         rest = body.points if thin else body.x
-        own = {"stiffness": stiffness, "mass": mass, "natural_curvature": natural_curvature,
-               "stretch": stretch}  # fmt: skip
+        own: Any = {"stiffness": stiffness, "mass": mass, "natural_curvature": natural_curvature,
+                    "stretch": stretch}  # fmt: skip
         _check_fits(body, len(rest), thin, materials, any(map(len, every)), own)
         x = rest if positions is None else positions
         x = check_numbers("positions", x, rest.shape, ("W", *rest.shape))

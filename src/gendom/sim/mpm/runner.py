@@ -7,9 +7,9 @@ group, with a block of threads for each world.
 # pyright: basic
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from threading import Event
+from threading import Event, Lock
 from typing import Any
 
 import numpy as np
@@ -262,26 +262,22 @@ class Group:
 
 
 def for_groups(
-    groups: list[Group], work: Callable[[Group], None], report: Callable[[], None] = lambda: None,
-    stop: Event | None = None,
-) -> None:  # fmt: skip
-    """Do the work for every group, in threads; the first failure is raised. Several groups are
-    reported on now and then; what that raises sets ``stop``."""
+    groups: list[Group], work: Callable[[Group], None], stop: Event | None = None
+) -> None:
+    """Do the work for every group, in threads; what one of them raises is raised, and sets
+    ``stop``."""
     if len(groups) == 1:
         work(groups[0])
         return
     with ThreadPoolExecutor(groups[0].worlds.setting.threads) as pool:
         jobs = [pool.submit(work, group) for group in groups]
         try:
-            while wait(jobs, timeout=0.05).not_done:
-                report()
+            for job in jobs:
+                job.result()
         except BaseException:
             if stop is not None:
                 stop.set()
             raise
-    report()
-    for job in jobs:
-        job.result()
 
 
 def run(program: Program, frames: Frames) -> None:
@@ -314,22 +310,19 @@ def run(program: Program, frames: Frames) -> None:
 def _run_groups(
     program: Program, groups: list[Group], plan: Plan, frames: Frames, first: int
 ) -> None:
-    s = program.worlds
-    done, stop, alone = 0, Event(), len(groups) == 1
+    s, done, stop, alone = program.worlds, 0, Event(), Lock()
 
     def report() -> None:
         nonlocal done
-        frame = s.clock.frame.numpy()
-        going = [w for w in range(s.num_worlds) if w not in s.failures]
-        least = int(frame[going].min()) if going else len(plan.steps)
-        if frames.on_frame is not None and least > done:
-            done = least
-            frames.on_frame(first + least)
+        with alone:
+            frame = s.clock.frame.numpy()
+            going = [w for w in range(s.num_worlds) if w not in s.failures]
+            least = int(frame[going].min()) if going else len(plan.steps)
+            if frames.on_frame is not None and least > done:
+                done = least
+                frames.on_frame(first + least)
 
     def work(group: Group) -> None:
-        group.run(
-            plan, keep_going=frames.keep_going, stopped=stop.is_set,
-            report=report if alone else lambda: None,
-        )  # fmt: skip
+        group.run(plan, keep_going=frames.keep_going, stopped=stop.is_set, report=report)
 
-    for_groups(groups, work, report, stop)
+    for_groups(groups, work, stop)
