@@ -16,7 +16,6 @@ from gendom.sim import (
     Capsule,
     Cuboid,
     Gripper,
-    Rollout,
     Simulator,
     Solver,
     Sphere,
@@ -26,7 +25,7 @@ from gendom.sim import (
 )
 from sim.thin import shared
 from sim.thin import test_contact_derivatives as folded
-from sim.thin.shared import check_derivatives, check_worlds, scene
+from sim.thin.shared import check_derivatives, scene
 
 ROPE = rope(diameter=0.012, length=0.24, start=(-0.12, 0, 0.1), direction=(1, 0.1, 0), points=17)
 CLOTH = cloth(
@@ -100,21 +99,6 @@ def test_derivatives_where_contact_with_itself_presses_on_an_obstacle(body):
     ball = Sphere(radius=0.2, position=[*(middle + 0.003), low - 0.2002], friction=0.3)
     names = ("positions", "E", "thickness", "velocities")
     folded.check(body, p, names, obstacles=[ball])
-
-
-@BODIES
-def test_worlds_of_a_batch_do_not_see_each_other(body):
-    worlds = [
-        given(body, seed) | {"obstacle_friction": 0.1 * np.ones(3) * seed} for seed in range(3)
-    ]
-    weights = np.random.default_rng(1).normal(size=(len(TIMES), 1, len(body.points), 3))
-
-    def run(chosen):
-        rollout = Rollout(simulator(body, [worlds[k] for k in chosen], threads=2))
-        x = rollout.forward(TIMES)
-        return x, rollout.backward(np.broadcast_to(weights, x.shape))
-
-    check_worlds(run, 3)
 
 
 SHAPES = {

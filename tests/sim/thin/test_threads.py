@@ -51,12 +51,9 @@ def test_borders_stay_stiff_when_two_groups_close_at_once(monkeypatch):
     np.testing.assert_array_equal(given, np.tile(given[0], (8, 1)))
 
 
-@pytest.mark.parametrize("kind", ["rope", "cloth"])
-def test_opening_grippers_of_one_group_leave_the_others_where_they_are(monkeypatch, kind):
+def test_opening_grippers_of_one_group_leave_the_others_where_they_are():
     """Half of the worlds let go while the other half move on."""
-    body = BODY
-    if kind == "cloth":
-        body = cloth(width=0.3, height=0.1, thickness=0.001, dx=0.02, points=(16, 6))
+    body = cloth(width=0.3, height=0.1, thickness=0.001, dx=0.02, points=(16, 6))
     path = [(0.0, 0.0, 0.0), (0.0, 0.0, 0.05)]
     early, late = (
         [Gripper(time=[0.0, 0.1], position=path, radius=0.02, hold_until=until)]
