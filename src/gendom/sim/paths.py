@@ -2,8 +2,8 @@
 
 Between two knots a gripper moves on a straight line and turns about one axis, at constant rates.
 All is in float64, because a gripper's movement in one substep can be below the resolution of
-float32 far from the origin. Functions for kernels (``make_paths``) serve both engines; the host
-evaluates paths by launching them (``HostPaths``).
+float32 far from the origin. Functions for kernels (``make_paths``) serve both engines;
+``HostPaths`` does the same on the host, where grippers of rods and shells close and open.
 
 Shapes: W worlds, G grippers, K path knots.
 """
@@ -21,11 +21,12 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from scipy.spatial.transform import Rotation
 
 from gendom.arrays import Array
-from gendom.sim.device import load_kernels
 from gendom.sim.gripper import turns_of
 from gendom.sim.native import functions_of
+from gendom.sim.thin import rotation
 
 
 @functools.cache
@@ -211,30 +212,68 @@ class HostPaths:
 
     def __init__(self, arrays: Mapping[str, Array]):
         self.arrays = arrays
-        self._paths = paths_on("cpu", arrays, wp.float64)
-        self._kernels = _host_kernels()
         self.position_bar = np.zeros(arrays["position"].shape)
         """[W, G, K, 3] derivatives by the knots' positions."""
         self.turn_bar = np.zeros(arrays["position"].shape)
         """[W, G, K, 3] derivatives by rotations of the knots, in world axes."""
 
     def pose(self, g: int, w: Array, t: Array) -> Pose:
-        """Pose of gripper g of worlds w [k] at times t [k] [s]."""
-        made = Pose(*(np.empty((len(w), n)) for n in (3, 4, 3, 3)))
-        kinds = (wp.vec3d, wp.quatd, wp.vec3d, wp.vec3d)
-        out = [_view(a, kind) for a, kind in zip(vars(made).values(), kinds, strict=True)]
-        self._launch("pose", g, w, t, out)
-        return made
+        """Pose of gripper g of worlds w [k], each once, at times t [k] [s]."""
+        path, (knot, share), (last, rate) = self.arrays, self._at(g, w, t), self._before(g, w, t)
+        p, turn, turns = path["position"], path["turn"], path["turns"][w, g, None]
+        a = p[w, g, knot]
+        q = rotation.product(_exp(share * turn[w, g, knot]), path["orientation"][w, g, knot])
+        return Pose(
+            centre=a + share * (p[w, g, knot + 1] - a),
+            q=np.where(turns == 1, q, [0.0, 0.0, 0.0, 1.0]),
+            velocity=rate * (p[w, g, last + 1] - p[w, g, last]),
+            spin=turns * rate * turn[w, g, last],
+        )
 
     def pose_adjoint(self, g: int, w: Array, t: Array, adjoint: Pose) -> None:
         """Transpose of ``pose``: adds to the derivatives by the knots."""
-        adjoints = (*vars(adjoint).values(), self.position_bar, self.turn_bar)
-        self._launch("pose_adjoint", g, w, t, [_view(a, wp.vec3d) for a in adjoints])
+        (knot, share), (last, rate) = self._at(g, w, t), self._before(g, w, t)
+        self.position_bar[w, g, knot] += (1.0 - share) * adjoint.centre
+        self.position_bar[w, g, knot + 1] += share * adjoint.centre
+        self.position_bar[w, g, last] -= rate * adjoint.velocity
+        self.position_bar[w, g, last + 1] += rate * adjoint.velocity
+        self._turn_adjoint(g, w, knot, share, adjoint.q, 0.0)
+        self._turn_adjoint(g, w, last, 0.0, 0.0 * adjoint.q, rate * adjoint.spin)
 
-    def _launch(self, name: str, g: int, w: Array, t: Array, more: list[Any]) -> None:
-        worlds, times = _view(w, wp.int32), _view(t, wp.float64)
-        inputs = [g, worlds, times, self._paths, *more]
-        wp.launch(getattr(self._kernels, name), dim=len(w), inputs=inputs, device="cpu")
+    def _turn_adjoint(
+        self, g: int, w: Array, knot: Array, share: Any, R_bar: Array, by_turn: Any
+    ) -> None:
+        """As ``turn_adjoint`` of ``make_paths``."""
+        turn, jacobian = self.arrays["turn"][w, g, knot], rotation.left_jacobian
+        R_bar, turns = R_bar[..., None], self.arrays["turns"][w, g, None]
+        bar = np.swapaxes(jacobian(share * turn), 1, 2) @ R_bar
+        bar = (by_turn + share * bar[..., 0])[..., None]
+        after, before = (np.swapaxes(jacobian(sign * turn), 1, 2) for sign in (1.0, -1.0))
+        gone = rotation.turned(rotation.conjugate(_exp(share * turn)), R_bar[..., 0])
+        self.turn_bar[w, g, knot] += turns * (gone - np.linalg.solve(before, bar)[..., 0])
+        self.turn_bar[w, g, knot + 1] += turns * np.linalg.solve(after, bar)[..., 0]
+
+    def _at(self, g: int, w: Array, t: Array) -> tuple[Array, Array]:
+        """Knots [k] that begin the segments of times t, and their elapsed shares [k, 1]."""
+        time = self.arrays["time"][w, g]
+        knot, i = np.count_nonzero(time[:, 1:-1] <= t[:, None], axis=1), np.arange(len(t))
+        span = time[i, knot + 1] - time[i, knot]
+        share = (t - time[i, knot]) / np.where(span > 0.0, span, 1.0)
+        return knot, np.where(span > 0.0, np.clip(share, 0.0, 1.0), 0.0)[:, None]
+
+    def _before(self, g: int, w: Array, t: Array) -> tuple[Array, Array]:
+        """Knots [k] that begin the segments just before times t, and 1 / the segments' durations
+        [k, 1] [1/s], 0 outside of the path."""
+        time = self.arrays["time"][w, g]
+        knot, i = np.count_nonzero(time[:, 1:-1] < t[:, None], axis=1), np.arange(len(t))
+        begin, end = time[i, knot], time[i, knot + 1]
+        within = (begin < t) & (t <= end)
+        return knot, np.where(within, 1.0 / np.where(within, end - begin, 1.0), 0.0)[:, None]
+
+
+def _exp(turn: Array) -> Array:
+    """Quaternions [k, 4] of rotation vectors [k, 3]."""
+    return Rotation.from_rotvec(turn).as_quat()
 
 
 class CommandedPaths:
@@ -287,71 +326,3 @@ class CommandedPaths:
         path["hold_from"][...] = np.where(closed, -np.inf, np.inf)
         path["hold_until"][...] = np.where(closed, np.inf, -np.inf)
         self._arrive = until
-
-
-def _view(values: Array, kind: Any) -> Any:
-    """Values [k, ...] as an array of the host; shares the memory where type and order fit."""
-    scalar = np.int32 if kind == wp.int32 else np.float64
-    return wp.array(
-        np.ascontiguousarray(values, dtype=scalar), dtype=kind, device="cpu", copy=False
-    )
-
-
-@functools.cache
-def _host_kernels() -> SimpleNamespace:
-    """Kernels that evaluate and transpose paths of many worlds, loaded."""
-    of, Paths = make_paths(wp.float64), make_path_type(wp.float64)
-
-    @wp.func
-    def rate_before(w: int, g: int, t: wp.float64, paths: Paths):
-        """Knot that begins the segment on which the gripper is just before time t, and 1 / the
-        segment's duration [1/s], 0 outside of the path."""
-        knot = int(0)
-        for k in range(1, paths.time.shape[2] - 1):
-            if paths.time[w, g, k] < t:
-                knot = k
-        begin, end = paths.time[w, g, knot], paths.time[w, g, knot + 1]
-        rate = wp.float64(0.0)
-        if begin < t and t <= end:
-            rate = wp.float64(1.0) / (end - begin)
-        return knot, rate
-
-    @wp.kernel(module="unique")
-    def pose(
-        g: int, worlds: wp.array(dtype=wp.int32), times: wp.array(dtype=wp.float64), paths: Paths,
-        centre: wp.array(dtype=wp.vec3d), q: wp.array(dtype=wp.quatd),
-        velocity: wp.array(dtype=wp.vec3d), spin: wp.array(dtype=wp.vec3d)
-    ):  # fmt: skip
-        i = wp.tid()
-        w, t = worlds[i], times[i]
-        here, turned, _knot = of.placed(w, g, t, paths)
-        centre[i] = here
-        q[i] = turned
-        k, rate = rate_before(w, g, t, paths)
-        velocity[i] = rate * (paths.position[w, g, k + 1] - paths.position[w, g, k])
-        spin[i] = wp.vec3d()
-        if paths.turns[w, g] == 1:
-            spin[i] = rate * paths.turn[w, g, k]
-
-    @wp.kernel(module="unique")
-    def pose_adjoint(
-        g: int, worlds: wp.array(dtype=wp.int32), times: wp.array(dtype=wp.float64), paths: Paths,
-        centre_bar: wp.array(dtype=wp.vec3d), q_bar: wp.array(dtype=wp.vec3d),
-        velocity_bar: wp.array(dtype=wp.vec3d), spin_bar: wp.array(dtype=wp.vec3d),
-        position_bars: wp.array3d(dtype=wp.vec3d), turn_bars: wp.array3d(dtype=wp.vec3d)
-    ):  # fmt: skip
-        i = wp.tid()
-        w, t = worlds[i], times[i]
-        of.pose_adjoint(w, g, t, centre_bar[i], q_bar[i], paths, position_bars, turn_bars)
-        k, rate = rate_before(w, g, t, paths)
-        moved = rate * velocity_bar[i]
-        wp.atomic_add(position_bars, w, g, k, -moved)
-        wp.atomic_add(position_bars, w, g, k + 1, moved)
-        if paths.turns[w, g] == 1:
-            of.turn_adjoint(
-                w, g, k, wp.float64(0.0), wp.vec3d(), rate * spin_bar[i], paths, turn_bars
-            )
-
-    for kernel in (pose, pose_adjoint):
-        load_kernels(kernel.module, "cpu")
-    return functions_of(locals())
