@@ -161,13 +161,15 @@ def numbers_of_obstacles(every: Sequence[Sequence[Obstacle]]) -> Array:
     return np.pad(sizes, ((0, 0), (0, 0), (0, 18)))
 
 
-def check_thick(some: Sequence[Obstacle], radius: float, spacing: float) -> None:
-    """Check that no obstacle fits between a body's points, ``spacing`` apart, at ``radius`` [m].
+def check_thick(every: Sequence[Sequence[Obstacle]], radius: float, spacing: float) -> None:
+    """Check that no world's obstacle fits between a body's points, ``spacing`` apart, at ``radius``
+    [m].
 
     Raises:
         ParameterError: If one does.
     """
-    for o, of in enumerate(some):
+    different = {id(some): some for some in every}.values()  # often all worlds have the same
+    for o, of in [pair for some in different for pair in enumerate(some)]:
         require(
             of.inner_radius + radius >= spacing,
             f"obstacle {o} ({of.kind}) fits between the body's points, which are "

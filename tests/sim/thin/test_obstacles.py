@@ -167,6 +167,7 @@ def test_cuda_meets_obstacles_as_the_cpu_does():
 
 LINE = rope(diameter=0.01, length=0.2, start=(-0.1, 0.0, 0.1), points=21)
 BALL = Sphere(radius=0.03, position=[0.0, 0.0, 0.05])
+SMALL = replace(BALL, radius=0.004)
 UNFIT: Any = (BALL, [Table(height=0.0)])
 
 
@@ -186,7 +187,7 @@ UNFIT: Any = (BALL, [Table(height=0.0)])
             r"55 mm inside the obstacle 0 \(Sphere\)",
         ),
         (
-            lambda: Simulator(LINE, [Material()], obstacles=[replace(BALL, radius=0.004)]),
+            lambda: Simulator(LINE, [Material()] * 2, obstacles=[[BALL], [SMALL]]),
             "fits between the body's points, which are 10 mm apart",
         ),
         (

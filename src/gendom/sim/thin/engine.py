@@ -519,7 +519,7 @@ class ThinEngine:
         made.scratch = self.zeros((W, m.scratch_rows, self.row_length))
         made.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
         made.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), self.types.vec3)
-        check_thick(s.obstacles[0], made.radius, m.widest)
+        check_thick(s.obstacles, made.radius, m.widest)
         made.obstacles = self.array(numbers_of_obstacles(s.obstacles))
         paths = dict(Grippers.of(s.obstacles).arrays)
         paths["position"] = paths["position"] - self.origin
