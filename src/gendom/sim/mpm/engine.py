@@ -30,6 +30,9 @@ class MpmEngine(Worlds):
         ParameterError: If arguments do not fit together.
     """
 
+    commanded = None
+    """Paths of grippers that somebody controls: none."""
+
     def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
         N, W = setting.body.num_particles, len(setting.materials)
         require(

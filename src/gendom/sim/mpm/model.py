@@ -42,7 +42,7 @@ class Worlds:
         self.origin = np.array([0.0, 0.0, s.table.height if s.table is not None else 0.0])
         x = spread(np.asarray(s.positions, dtype=float) - self.origin, (W, N, 3), "positions")
         self.room = room_for(x, s.body.dx)
-        self.model = self._model()
+        self.device_model = self._model()
         stacked = s.grippers.arrays
         position = stacked["position"] - self.origin
         self.paths = paths_on(s.device, {**stacked, "position": position}, self.real)
@@ -109,13 +109,6 @@ class Worlds:
         state = self.allocate(State, **shapes)
         state.low = self.low
         return state
-
-    def deformation_at(self, x: Array) -> Array:
-        """[..., N, 3, 3] deformation gradients F of particles at [..., N, 3] [-]."""
-        body = self.setting.body
-        x = x.astype(float)
-        first, second = body.lattice[:, :, 0], body.lattice[:, :, 1]
-        return np.swapaxes(x[..., second, :] - x[..., first, :], -1, -2) @ body.rest_frames
 
     def make_grid(self, worlds: int, layouts: int, rows: int, make: Any = wp.zeros) -> Any:
         """A grid with the room that worlds are known to need: so many layouts, and so many rows of

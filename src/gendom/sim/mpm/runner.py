@@ -234,7 +234,7 @@ class Group:
         s, program = self.worlds, self.program
         kernel = make_advance(program.variant, taped=tape is not None)
         program.launch(kernel, order, [
-            self.shared, most, frames, plan.arrays, s.clock, program.unsorted, s.model,
+            self.shared, most, frames, plan.arrays, s.clock, program.unsorted, s.device_model,
             s.paths, s.grips, s.state, grid, program.particles,
             s.types.Records() if tape is None else tape,
         ], stream=stream)  # fmt: skip

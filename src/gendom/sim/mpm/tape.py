@@ -154,7 +154,7 @@ class Tape:
             recording = spare = self._record(group, segment, segment.substeps, spare)
         recording.grid.velocity_bar = wp.empty_like(recording.grid.velocity)
         program.launch(make_reverse(program.variant), group.order, [
-            group.shared, *segment.arrays(s, self._plan), s.model, s.paths, s.grips,
+            group.shared, *segment.arrays(s, self._plan), s.device_model, s.paths, s.grips,
             recording.grid, recording.tape, sums.adjoint, sums.state, sums.conditions,
         ])  # fmt: skip
         segment.recording = None
