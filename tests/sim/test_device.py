@@ -52,17 +52,16 @@ def nowhere(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", ["HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH"])
 def test_kernels_go_where_they_can_be_written(nowhere, monkeypatch, caplog, name):
+    with monkeypatch.context() as m:
+        m.setattr(os.path, "expanduser", lambda path: path)  # without a home: no folder "~"
+        assert str(device._kernel_cache()).startswith(str(nowhere))
+    caplog.clear()
     monkeypatch.setenv("HOME", str(nowhere))
     assert device._kernel_cache() is None and not caplog.records
     monkeypatch.setenv(name, "/dev/null/home")
     kept = device._kernel_cache()
     assert kept is not None and os.path.dirname(kept) == str(nowhere)
     assert [kept in record.getMessage() for record in caplog.records] == [True]
-
-
-def test_no_folder_is_called_tilde(nowhere, monkeypatch):
-    monkeypatch.setattr(os.path, "expanduser", lambda path: path)  # as without a home
-    assert str(device._kernel_cache()).startswith(str(nowhere))
 
 
 @pytest.mark.parametrize("kind", ["open", "link", "file"])

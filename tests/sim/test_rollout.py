@@ -167,17 +167,15 @@ def test_a_long_rollout_stays_within_its_memory():
     assert all(segment.recording is None for segment in kept)
 
 
-KINDS = pytest.mark.parametrize(
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
+@pytest.mark.parametrize(
     "options", [{}, {"sheet": True, "damped": 3e-3}], ids=lambda o: " ".join(o) or "elastic"
 )
-
-
-@KINDS
 @pytest.mark.parametrize("memory", [0.0, 1e9])
-def test_blocks_give_the_derivatives_of_rows(options, memory):
+def test_all_worlds_at_once_have_the_derivatives_of_each(options, memory, device):
     """What a GPU does, which runs on the CPU too, against the CPU's own way."""
     options = {"worlds": 2, **options}
-    check_derivatives(rollout(**options), rollout(memory, together=True, **options))
+    check_derivatives(rollout(**options), rollout(memory, together=True, device=device, **options))
 
 
 def test_a_recording_may_run_out_of_layouts(monkeypatch):
@@ -186,14 +184,6 @@ def test_a_recording_may_run_out_of_layouts(monkeypatch):
     together = rollout(worlds=2, together=True)
     check_derivatives(rollout(worlds=2), together)
     assert max(map(len, segments_of(together))) > len(TIMES)
-
-
-@pytest.mark.gpu
-@KINDS
-@pytest.mark.parametrize("memory", [0.0, 1e9])
-def test_cuda_gives_the_derivatives_of_the_cpu(options, memory):
-    options = {"worlds": 2, **options}
-    check_derivatives(rollout(**options), rollout(memory, device="cuda", **options))
 
 
 def check_derivatives(*rollouts):

@@ -341,7 +341,11 @@ def _sheet(
     counts = [max(2.0, size / (dx / 2.0)) for size in sizes]
     _check_many(math.prod(counts), "a larger dx")
     shape, area, part = [round(count) for count in counts], width * height, None
-    local, cells = _sheet_particles(shape, sizes), np.argwhere(np.ones(shape))
+    ticks = [(np.arange(n) + 0.5) * (size / n) for n, size in zip(shape, sizes, strict=True)]
+    ticks[2] -= thickness / 2.0
+    ticks[2] *= thickness / math.sqrt(12.0 * np.mean(ticks[2] ** 2))
+    local = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+    cells = np.argwhere(np.ones(shape))
     axes = (np.linspace(0.0, size, n) for size, n in zip(sizes, points, strict=False))
     middle = np.stack([*np.meshgrid(*axes), np.zeros(points[::-1])], axis=-1).reshape(-1, 3)
     local[:, :2] += lower
@@ -395,14 +399,6 @@ def _with_neighbours(
             break
         inside = inside[~lonely]
     return inside
-
-
-def _sheet_particles(shape: list[int], sizes: tuple[float, float, float]) -> Array:
-    """[N, 3] particles of a rectangle from its corner on, in its own frame; see ``cloth``."""
-    ticks = [(np.arange(n) + 0.5) * (size / n) for n, size in zip(shape, sizes, strict=True)]
-    ticks[2] -= sizes[2] / 2.0
-    ticks[2] *= sizes[2] / math.sqrt(12.0 * np.mean(ticks[2] ** 2))
-    return np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def round_section(across: int, diameter: float) -> tuple[Array, NDArray[np.integer]]:
