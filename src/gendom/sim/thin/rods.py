@@ -43,12 +43,19 @@ class RodModel:
     """
 
     kind: ClassVar = "rod"
+    """Name in the kernels."""
     directed: ClassVar = True
+    """Whether edges have directions of their own."""
     state_rows, state_bars, scratch_rows, scratch_bars = 19, 18, 12, 18
+    """Numbers of components of states, of derivatives by states, and of their scratch arrays."""
     threads_on_cuda: ClassVar = 32
+    """Of a world."""
     undamped_cfl: ClassVar = CFL
+    """As ``CFL``, of worlds without damping."""
     woven: ClassVar[tuple[str, ...]] = ()
+    """Parameters of threads."""
     border_rows: ClassVar = [1, 3]
+    """Of the inertia, which change where joints are stiffer at grippers' borders."""
 
     def __init__(self, setting: Setting):
         points, diameter, materials = setting.body.points, setting.body.thickness, setting.materials
@@ -63,9 +70,11 @@ class RodModel:
             fix="give metres, or engine='mpm'",
         )
         self.widest = float(length.max())
+        """Largest distance between neighbouring points [m]."""
         self.apart = 2 + int(np.ceil(diameter / length.min()))
         """Smallest number of points along the rod between parts that can be in self-contact."""
         self.slots, self.row_length = MARGIN + np.arange(n), MARGIN + -(-n // 8) * 8 + MARGIN
+        """[n] positions of points in a row, and how long that is."""
         self.rest_q = rotation.transported(rotation.first_frame(step[0]), step)
         """[n - 1, 4] directions at rest, without twist."""
         self.rest = np.zeros((7, n))
@@ -86,6 +95,7 @@ class RodModel:
         """[W, n] moment of inertia of edges [kg m^2]."""
         self.inertia[:, :-1] = density * length * (bending + area * length**2 / 12.0)
         self.per_turn = np.zeros((W, n))
+        """[W, n] inverse moments of inertia of edges [1/(kg m^2)]; 0 where there are none."""
         self.per_turn[:, :-1] = 1.0 / self.inertia[:, :-1]
         share = spread(setting.stiffness, (W, n), "stiffness")
         self.shares = np.zeros((W, 6, n))
