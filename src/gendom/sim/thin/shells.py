@@ -25,8 +25,9 @@ they have alone. The energy is positive for nu down to -1 / 1.5."""
 
 
 class ShellModel:
-    """The elements of W shells of one shape; rows of numbers are those of ``native/shell.h``. What is
-    not said here is as of ``RodModel``.
+    """The elements of W shells of one shape; rows of numbers are those of ``native/shell.h``.
+
+    What is not said here is as of ``RodModel``.
 
     Raises:
         ParameterError: If the body is no shell, or its points are too near for self-contact.
