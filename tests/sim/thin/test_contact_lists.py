@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from gendom.materials import Material
+from gendom.robot.collision import segments_apart
 from gendom.sim import Gripper, Physics, Simulator, Solver, Table, cloth, rope
-from gendom.sim.thin.contact import edge_distance, edges_and_triangles, triangle_distance
+from gendom.sim.thin.contact import edges_and_triangles, triangle_distance
 from gendom.sim.thin.types import MARGIN
 
 SOFT = Material(E=1e5, density=400.0, damping=0.01)
@@ -89,8 +90,7 @@ def by_search(s, x):
         rest = rest[~np.isin(rest, (p, q)).any(axis=1)]
         if not len(rest):
             continue
-        start, way = np.tile(x[p], (len(rest), 1)), np.tile(x[q] - x[p], (len(rest), 1))
-        near = edge_distance(start, way, x[rest[:, 0]], x[rest[:, 1]] - x[rest[:, 0]]) < far
+        near = segments_apart(x[p], x[q], x[rest[:, 0]], x[rest[:, 1]]) < far
         pairs |= {frozenset({frozenset({p, q}), frozenset(o)}) for o in rest[near].tolist()}
     reach = far + 2.0 * s.engine.model.widest
     for p in points:

@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import ParameterError
+from gendom.robot.collision import segments_apart
 from gendom.sim.setting import Setting, spread
 
 MARGIN_OF_LISTS = 0.3
@@ -64,9 +65,9 @@ def contact_arrays(setting: Setting, n: int, spacing: float) -> dict[str, Any]:
 def check_rope(x: Array, diameter: float, apart: int) -> None:
     """Check that edges of a rope [n, 3] [m] do not overlap if they are ``apart`` points apart."""
     i, j = np.triu_indices(len(x) - 1, apart)
-    distance = edge_distance(x[i], x[i + 1] - x[i], x[j], x[j + 1] - x[j])
     if not len(i):
         return
+    distance = segments_apart(x[i], x[i + 1], x[j], x[j + 1])
     k = int(distance.argmin())
     require(
         distance[k] >= LEAST_BETWEEN_EDGES * diameter,
@@ -158,20 +159,3 @@ def triangle_distance(x: Array, corners: Array) -> Array:
     foot = np.clip(share, 0.0, 1.0)[..., None] * step
     sides = np.linalg.norm(from_corner - foot, axis=2).min(axis=1)
     return np.where(above, np.minimum(level, sides), sides)
-
-
-def edge_distance(p: Array, u: Array, q: Array, v: Array) -> Array:
-    """Smallest distances [k] between edges from points p along u and from q along v [k, 3].
-
-    Source: Ericson (2005), "Real-Time Collision Detection", section 5.1.9.
-    """
-    r = p - q
-    uu, vv, uv = np.sum(u * u, axis=1), np.sum(v * v, axis=1), np.sum(u * v, axis=1)
-    ur, vr = np.sum(u * r, axis=1), np.sum(v * r, axis=1)
-    square = uu * vv - uv**2
-    level = square <= 1e-12 * uu * vv
-    f = np.clip((uv * vr - ur * vv) / np.where(level, 1.0, square), 0.0, 1.0)
-    g = (uv * np.where(level, 0.0, f) + vr) / vv
-    f = np.where(g < 0.0, -ur / uu, np.where(g > 1.0, (uv - ur) / uu, np.where(level, 0.0, f)))
-    f, g = np.clip(f, 0.0, 1.0)[:, None], np.clip(g, 0.0, 1.0)[:, None]
-    return np.linalg.norm(r + f * u - g * v, axis=1)
