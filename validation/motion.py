@@ -178,15 +178,8 @@ def swings(bench: Bench, kind: str) -> Iterator[Row]:
 
 
 @case("precision", "single and double precision", "mpm", "", ", over the lift", 0.1, 1e-5)
-@case(
-    "rod-precision",
-    "single and double precision",
-    "thin",
-    "rope",
-    ", over a lift by 0.3 m",
-    0.3,
-    1e-3,
-)
+@case("rod-precision", "single and double precision", "thin",
+      "rope", ", over a lift by 0.3 m", 0.3, 1e-3)  # fmt: skip
 @case("shell-precision", "single and double precision", "thin",
       "cloth", " over the size", 0.2, 1e-4)  # fmt: skip
 def precision(bench: Bench, kind: str, over: str, size: float, allowed: float) -> Iterator[Row]:
