@@ -59,6 +59,12 @@ class Path:
                 raise ParameterError(f"{what} quat_xyzw must not be zero")
             object.__setattr__(self, "quat_xyzw", q)
 
+    def position_at(self, time: ArrayLike) -> Array:
+        """Centre at given times [s], [..., 3] [m]."""
+        t, knots = check_numbers("time", time), np.asarray(self.time, dtype=float)
+        p = np.asarray(self.position, dtype=float)
+        return np.stack([np.interp(t, knots, p[:, a]) for a in range(3)], axis=-1)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Gripper(Path):
@@ -93,12 +99,6 @@ class Gripper(Path):
     def still(cls, position: ArrayLike, *, radius: float, **hold: Any) -> "Gripper":
         """Return a gripper that stays at ``position`` [3] [m]; errors as of ``Gripper``."""
         return cls(position=position, radius=radius, **hold)
-
-    def position_at(self, time: ArrayLike) -> Array:
-        """Centre at given times [s], [..., 3] [m]."""
-        t, knots = check_numbers("time", time), np.asarray(self.time, dtype=float)
-        p = np.asarray(self.position, dtype=float)
-        return np.stack([np.interp(t, knots, p[:, a]) for a in range(3)], axis=-1)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -67,8 +67,7 @@ class Obstacle(Path):
 
     def pose_at(self, time: float) -> tuple[Array, Rotation]:
         """Centre [3] [m] and orientation at a time [s]."""
-        t, p = np.asarray(self.time), np.asarray(self.position)
-        centre = np.array([np.interp(time, t, p[:, a]) for a in range(3)])
+        t, centre = np.asarray(self.time), self.position_at(time)
         if self.quat_xyzw is None:
             return centre, Rotation.identity()
         turned = Rotation.from_quat(self.quat_xyzw)

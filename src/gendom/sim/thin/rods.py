@@ -11,10 +11,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.materials import Material
+from gendom.sim.lines import fixed_frame
 from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin import rotation
 from gendom.sim.thin.contact import check_rope
@@ -75,7 +77,8 @@ class RodModel:
         """Smallest number of points along the rod between parts that can be in self-contact."""
         self.slots, self.row_length = MARGIN + np.arange(n), MARGIN + -(-n // 8) * 8 + MARGIN
         """[n] positions of points in a row, and how long that is."""
-        self.rest_q = rotation.transported(rotation.first_frame(step[0]), step)
+        first = Rotation.from_matrix(fixed_frame(step[0]).T).as_quat()
+        self.rest_q = rotation.transported(first, step)
         """[n - 1, 4] directions at rest, without twist."""
         self.rest = np.zeros((7, n))
         """[7, n] 1 / length, and the stress-free strains of edges and joints."""

@@ -1,24 +1,15 @@
 """Unit quaternions (scalar last) for the directions of a rod, and twist-free frames."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gendom.arrays import Array
 
 
 def product(a: Array, b: Array) -> Array:
     """Product a b [..., 4]: the rotation b followed by a."""
-    a0, a1, a2, a3 = np.moveaxis(a, -1, 0)
-    b0, b1, b2, b3 = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            a3 * b0 + b3 * a0 + a1 * b2 - a2 * b1,
-            a3 * b1 + b3 * a1 + a2 * b0 - a0 * b2,
-            a3 * b2 + b3 * a2 + a0 * b1 - a1 * b0,
-            a3 * b3 - a0 * b0 - a1 * b1 - a2 * b2,
-        ],
-        axis=-1,
-    )
+    (u, s), (v, t) = ((q[..., :3], q[..., 3:]) for q in (a, b))
+    along = s * t - np.sum(u * v, axis=-1, keepdims=True)
+    return np.concatenate([s * v + t * u + np.cross(u, v), along], axis=-1)
 
 
 def conjugate(q: Array) -> Array:
@@ -48,18 +39,6 @@ def shortest(a: Array, b: Array) -> Array:
         axis = np.cross(a, np.eye(3)[np.argmin(np.abs(a), axis=-1)])
         q[opposite] = np.concatenate([axis, np.zeros_like(axis[..., :1])], axis=-1)[opposite]
     return q / np.linalg.norm(q, axis=-1, keepdims=True)
-
-
-def first_frame(direction: Array) -> Array:
-    """Frame [4] whose third axis has the given direction [3] and whose first is horizontal."""
-    z = direction / np.linalg.norm(direction)
-    up = np.array([0.0, 0.0, 1.0])
-    if abs(z @ up) > 1.0 - 1e-9:
-        return shortest(up, z)
-    x = np.cross(up, z)
-    x /= np.linalg.norm(x)
-    R = np.stack([x, np.cross(z, x), z], axis=1)
-    return Rotation.from_matrix(R).as_quat(canonical=True)
 
 
 def transported(first: Array, step: Array) -> Array:
