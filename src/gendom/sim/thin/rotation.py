@@ -7,9 +7,17 @@ from gendom.arrays import Array
 
 def product(a: Array, b: Array) -> Array:
     """Product a b [..., 4]: the rotation b followed by a."""
-    (u, s), (v, t) = ((q[..., :3], q[..., 3:]) for q in (a, b))
-    along = s * t - np.sum(u * v, axis=-1, keepdims=True)
-    return np.concatenate([s * v + t * u + np.cross(u, v), along], axis=-1)
+    a0, a1, a2, a3 = np.moveaxis(a, -1, 0)
+    b0, b1, b2, b3 = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            a3 * b0 + b3 * a0 + a1 * b2 - a2 * b1,
+            a3 * b1 + b3 * a1 + a2 * b0 - a0 * b2,
+            a3 * b2 + b3 * a2 + a0 * b1 - a1 * b0,
+            a3 * b3 - a0 * b0 - a1 * b1 - a2 * b2,
+        ],
+        axis=-1,
+    )
 
 
 def conjugate(q: Array) -> Array:
