@@ -208,8 +208,8 @@ class WorldInputs:
         if scene.kind == "cloth" and scene.thin:
             warp = math.sqrt(self.warp_over_weft)
             more = {"membrane": min(E, along), "warp": warp, "weft": 1.0 / warp}
-        elif scene.thin and described.diameter is None and E < along:
-            more = {"membrane": along}  # a real one is as thin as that
+        elif scene.thin and E < along:
+            more = {"membrane": along}  # fibres, which slide past each other in bending
         return Material(E=E, nu=self.nu, density=scene.density, damping=self.damping, **more)
 
     def gripper(self, g: int) -> Gripper:
