@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import truncnorm
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.checks import MAX_DENSITY
 from gendom.errors import RobotError
@@ -39,8 +39,6 @@ from gendom.observation import visible
 from gendom.reality import Trial, arm_motion, as_real, end_of, lift, lift_cameras
 from gendom.robot import LIFT_ENDS, XARM7, JointMotion, LiftMotion, predefined_lift
 from gendom.robot.motions import FREE_RISE, LIFT_FRAME_RATE, RISE
-
-Array = NDArray[np.floating]
 
 SHOWN = {"E": "E_over_rho", "damping": "damping", "friction": "friction"}
 """Parameters whose information is compared: names of `UNKNOWNS`. Density is known, or only E /

@@ -14,13 +14,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import interp1d
 from scipy.linalg import null_space
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation, Slerp
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.estimation.placing import rod_near
 from gendom.estimation.scene import LiftScene
 from gendom.sim.thin import rotation
@@ -28,7 +28,6 @@ from gendom.sim.thin import rotation
 SMOOTH = 2
 """Half waves along a cable that are not those of markers."""
 
-Array = NDArray[np.floating]
 Offsets = tuple[tuple[float, ...], ...]
 
 

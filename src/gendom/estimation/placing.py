@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, CubicSpline
 from scipy.optimize import minimize_scalar
 from scipy.sparse.csgraph import shortest_path
@@ -15,14 +14,13 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.scene_settings import SHELL_POINTS, SceneSettings
 from gendom.materials import KINDS
 from gendom.sim import Body, cloth, rope
 from gendom.sim.lines import along_line, arc_length
-
-Array = NDArray[np.floating]
 
 LINE_PLACES = 200
 """Along the line of a rope at rest."""

@@ -11,9 +11,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons
 from gendom.estimation.observed import NoiseModel, Observation
@@ -28,8 +28,6 @@ from gendom.estimation.scene_settings import (
 )
 from gendom.materials.posterior import Prior, joint_prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
-
-Array = NDArray[np.floating]
 
 SIZES_OF_OBJECT = (
     "length", "diameter", "diameter_sd", "width", "height", "thickness", "thickness_sd", "mass",
@@ -155,7 +153,7 @@ class Part:
     scene: LiftScene
     base: Theta
     """Values of everything that is not estimated."""
-    shown: NDArray[np.intp]
+    shown: Array
     """[P_k] the problem's unknowns that this recording depends on."""
     noise: NoiseModel
     """First guess."""
@@ -417,7 +415,7 @@ class Problem:
         for part, mine, theirs in zip(self.parts, near.parts, other.parts, strict=True):
             mine.inherit_derivatives(theirs, step[part.shown], weight[part.shown])
 
-    def _along(self, moved: NDArray[np.intp]) -> Array:
+    def _along(self, moved: Array) -> Array:
         """[P, P] the direction in which each unknown's step goes, where these are moved."""
         along, own = np.eye(len(self.prior.names)), [self.prior.names[k] for k in moved]
         for k, u in zip(moved, (UNKNOWNS[name] for name in own), strict=True):

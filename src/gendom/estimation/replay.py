@@ -10,10 +10,10 @@ from operator import mul
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation, Slerp
 
+from gendom.arrays import Array
 from gendom.estimation.markers import aside, axis_beside, first_twist, material_frames
 from gendom.estimation.scene import STATIC_SETTLING, LiftScene
 from gendom.estimation.scene_settings import COARSE_POINTS
@@ -25,7 +25,6 @@ from gendom.sim import Gripper, Physics, Solver, Table
 if TYPE_CHECKING:
     from gendom.sim import Simulator
 
-Array = NDArray[np.floating]
 
 HEM = 0.01
 """Breadth of a cloth's border that may be hemmed [m]."""
@@ -487,7 +486,7 @@ class Shape:
         rows = values.reshape(T, Kb.shape[1], Ka.shape[1], -1)
         return np.einsum("ij,kl,tjlp->tikp", Kb, Ka, rows, optimize=True).reshape(T, -1, *rest)
 
-    def nearest(self, x: Array, points: Array) -> tuple[NDArray[np.intp], Array, Array]:
+    def nearest(self, x: Array, points: Array) -> tuple[Array, Array, Array]:
         """Middle points around the feet of points [T, m, 3] on shapes [T, n, 3], [T, m, k], their
         shares, and the feet [T, m, 3]."""
         if self.rope:
@@ -511,7 +510,7 @@ class Shape:
         foot = np.take_along_axis(places, near[..., None], axis=1)
         return index[near], weight[near], foot
 
-    def open_to(self, cameras: Array, x: Array, places: Array) -> NDArray[np.bool_]:
+    def open_to(self, cameras: Array, x: Array, places: Array) -> Array:
         """[m] which samples of a sheet [n, 3], at these places [m, 3], a camera sees."""
         index, weight = self.fine
         return visible_on_sheet(
@@ -522,7 +521,7 @@ class Shape:
             camera_positions=cameras,
         )
 
-    def normals(self, x: Array, index: NDArray[np.intp]) -> Array:
+    def normals(self, x: Array, index: Array) -> Array:
         """[T, m, 3] unit normals of sheets' [T, n, 3] cells with corners [T, m, 4]."""
         q = taken(x, index)
         along = q[..., 1, :] - q[..., 0, :] + q[..., 3, :] - q[..., 2, :]
@@ -531,7 +530,7 @@ class Shape:
         return n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-18)
 
 
-def nearest_of(points: Array, places: Array) -> NDArray[np.intp]:
+def nearest_of(points: Array, places: Array) -> Array:
     """[T, m] which of few points [T, k, 3] are nearest to places [T, m, 3]."""
     far = _with_ones(places) @ _columns(-2.0 * points, (points**2).sum(axis=2))
     return far.argmin(axis=2)
@@ -547,7 +546,7 @@ def _columns(of: Array, last: Array) -> Array:
     return np.swapaxes(np.concatenate([of, last[..., None]], axis=2), 1, 2)
 
 
-def taken(J: Array, index: NDArray[np.intp]) -> Array:
+def taken(J: Array, index: Array) -> Array:
     """[T, m, k, 3] of [T, n, 3] at indices [T, m, k]."""
     return np.take_along_axis(J[:, :, None], index.reshape(len(index), -1, 1, 1), axis=1).reshape(
         *index.shape, 3

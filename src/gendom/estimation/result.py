@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gendom.arrays import Array
 from gendom.estimation.likelihood import Comparison
@@ -111,7 +110,7 @@ def chamfers(scene: LiftScene, x: Array, theta: Theta) -> tuple[Array, Array]:
     return np.array(whole), np.array(surface)
 
 
-def _inside(scene: LiftScene, points: Array) -> NDArray[np.bool_]:
+def _inside(scene: LiftScene, points: Array) -> Array:
     if scene.floor is None:
         return np.ones(len(points), dtype=bool)
     above = points[:, 2] > scene.floor

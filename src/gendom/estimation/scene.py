@@ -11,13 +11,13 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.placing import Placed, lost_time, place, with_points
@@ -41,8 +41,6 @@ from gendom.materials.parameters import E_over_rho_of, bending_length
 from gendom.materials.posterior import Prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.sim import Body
-
-Array = NDArray[np.floating]
 
 FINER = "limp: simulated along its longer side with"
 """Note of a cloth that gets more points than others."""
@@ -211,7 +209,7 @@ class LiftScene(Placed):
         return self.captured and len(self.held) > 1
 
     @cached_property
-    def markers(self) -> tuple[NDArray[np.intp], Array]:
+    def markers(self) -> tuple[Array, Array]:
         """[m, 2] points of a rope around markers between two hands, and their shares."""
         assert self.places is not None
         index = np.clip(self.places.astype(int), 0, len(self.initial) - 2)

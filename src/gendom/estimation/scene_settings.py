@@ -28,8 +28,8 @@ STRETCH = 0.002
 """A cloth's own weight lengthens it by this at most, hanging by a side: the simulated stiffness in
 its plane is limited to that. This allows longer time steps: two to four times for cloths that bend
 over 25 to 45 mm and are 0.5 to 1 mm thick. Ropes are lengthened by no more, either: fibres resist
-stretch more than bending, in which they slide past each other. One of an E as bending shows it would
-stretch by up to 4 %, its tail would follow less over the table, and friction would come out half."""
+stretch more than bending, in which they slide past each other. A soft rope with one E for both
+stretches by up to 4 %; its tail follows less over the table, and friction comes out half."""
 
 COARSE_POINTS, COARSE_FRAMES, COARSE_STRETCH = 21, 18, 0.01
 """Where a search begins: points of a rod, or along the longer side of a shell, frames that are

@@ -9,10 +9,10 @@ from itertools import combinations
 
 import numpy as np
 from numpy.linalg import norm
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
+from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.datasets.checks import (
     FEWEST_FRAMES,
@@ -33,8 +33,6 @@ from gendom.materials.posterior import Posterior
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.observation import breadth_across
 from gendom.sim.lines import along_line
-
-Array = NDArray[np.floating]
 
 Findings = Iterator[tuple[float, float, str]]
 """Measured, the most that is usable, and what to say of more."""
