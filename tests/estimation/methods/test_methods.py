@@ -11,9 +11,12 @@ from experiments.sim2sim import paper_E, truth_of
 from gendom.estimation import EstimateSettings, LiftScene, estimate
 from gendom.estimation.likelihood import Comparisons
 from gendom.estimation.methods.adam import DensityLoss, _Descent, adam
-from gendom.estimation.methods.differential_evolution import differential_evolution
+from gendom.estimation.methods.differential_evolution import (
+    differential_evolution,
+    distance,
+    nearest,
+)
 from gendom.estimation.methods.gauss_newton import gauss_newton
-from gendom.estimation.methods.nearest import distance, nearest
 from gendom.estimation.methods.search import finished
 from gendom.estimation.problem import Problem, Start
 
