@@ -30,7 +30,7 @@ from gendom.errors import SimulationError
 from gendom.estimation.methods.gauss_newton import gauss_newton
 from gendom.estimation.priors import INSTRUMENTED
 from gendom.estimation.problem import Found, Part, Problem
-from gendom.estimation.replay import middle
+from gendom.estimation.replay import middle, replay_axis
 from gendom.estimation.verdict import displaced
 from gendom.materials.posterior import IDENTIFIABLE, Posterior, Prior
 from gendom.materials.unknowns import UNKNOWNS, Theta
@@ -175,13 +175,15 @@ def _change(problem: Problem, vector: Array, recording: int, p: int, by: float) 
 def _moved(problem: Problem, vector: Array, recording: int, p: int, changes: Array) -> Array:
     """[k] how far shapes move with changes [k] of unknown p in the direction that moves them less
     [m]. A world that diverges or lies beyond the range of the search says nothing."""
-    prior, scene = problem.prior, problem.parts[recording].scene
+    prior, part = problem.prior, problem.parts[recording]
+    scene = part.coarser if part.scene.kind == "rope" else part.scene
     ends = vector[p] + np.array([[-1.0], [1.0]]) * changes
     inside = (ends >= prior.low[p]) & (ends <= prior.high[p])
     worlds = [vector]
     for end in np.clip(ends, prior.low[p], prior.high[p]).ravel():
         worlds.append(np.where(np.arange(len(vector)) == p, end, vector))
-    x = middle(scene, problem.positions(worlds, recording))
+    thetas = [problem.theta(world, recording) for world in worlds]
+    x = middle(scene, replay_axis(scene, thetas, keep_going=True))
     off = np.sqrt(np.mean((x[:, 1:] - x[:, :1]) ** 2, axis=(0, 2, 3))).reshape(2, -1)
     return np.where(inside & np.isfinite(off), off, np.inf).min(axis=0)
 

@@ -213,7 +213,7 @@ def rod_near(length: float, shown: Array, places: Array, n: int, near: float = M
         off = [(edge - size) / (STRAIN * edge), *(wanted - linear @ x).T]
         J = np.concatenate([rows.reshape(n - 1, -1) / (STRAIN * edge),
                             *(np.kron(linear, axis) for axis in np.eye(3))])  # fmt: skip
-        x = x + np.linalg.lstsq(J, np.concatenate(off), rcond=None)[0].reshape(n, 3)
+        x = x + np.linalg.solve(J.T @ J, J.T @ np.concatenate(off)).reshape(n, 3)
     return x
 
 

@@ -170,7 +170,7 @@ class Part:
         saved."""
         scene, rope = self.scene, self.scene.kind == "rope"
         along = len(scene.initial) if rope else max(scene.body.shape)
-        fixed = not scene.thin or scene.settings.points is not None or len(scene.held) > 1
+        fixed = not scene.thin or scene.settings.points is not None
         few, stretch = fixed or along < 1.3 * COARSE_POINTS, STRETCH if rope else COARSE_STRETCH
         return scene if few else scene.simulated_with(COARSE_POINTS, stretch)
 

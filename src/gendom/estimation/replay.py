@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from gendom.arrays import Array
-from gendom.estimation.markers import aside, axis_beside, first_twist, material_frames
+from gendom.estimation.markers import aside, axis_beside, material_frames
 from gendom.estimation.scene import STATIC_SETTLING, LiftScene
 from gendom.estimation.scene_settings import COARSE_POINTS
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
@@ -90,15 +90,14 @@ class WorldInputs:
     @classmethod
     def of(cls, scene: LiftScene, theta: Theta) -> WorldInputs:
         """Of a scene with these parameters."""
-        inputs = cls(scene=scene, positions=scene.initial)
+        inputs, twist = cls(scene=scene, positions=scene.initial), 0.0
         if scene.beside:
-            inputs.positions = axis_beside(scene, theta.offsets, theta.length_ratio)
+            inputs.positions, twist = axis_beside(scene, theta.offsets, theta.length_ratio)
             inputs.clamping = CLAMPING_SHOWN if theta.offsets else CLAMPING
         for name, unknown in UNKNOWNS.items():
             if unknown.on_replay is not None:
                 unknown.on_replay(inputs, theta[name])
-        if scene.beside:
-            inputs.clamps[1, 2] += first_twist(scene, inputs.positions)
+        inputs.clamps[1, 2] += twist
         return inputs
 
     # ---- what unknowns do ------------------------------------------------------------------------
@@ -215,7 +214,7 @@ class WorldInputs:
         """The recorded path, moved onto the held point, with slack and a ramp from rest."""
         scene, held = self.scene, self.scene.held[g]
         delay = self.delay / scene.clock
-        knots, path = scene.path(g)
+        knots, path, turned = scene.paths[g]
         knots, at = knots + delay, path.copy()
         if len(scene.held) == 1:
             at[:, :2] += held[:2] - at[0, :2]
@@ -227,22 +226,22 @@ class WorldInputs:
             # the first recorded position is reached before the first frame, not in a jump
             begin = knots[0] - away / RAMP_SPEED - 1e-3
             knots, at = np.append(begin, knots), np.concatenate([held[None], at])
+            turned = None if turned is None else Rotation.concatenate([turned[0], turned])
         reach = held_reach(scene, self.reach)
         return Gripper(
             time=knots,
             position=at,
-            quat_xyzw=self._turned(g, knots, at, reach),
+            quat_xyzw=self._turned(g, knots, at, reach, turned),
             radius=reach,
             **_closed(scene, g, delay),
         )
 
-    def _turned(self, g: int, knots: Array, at: Array, reach: float) -> Array | None:
+    def _turned(
+        self, g: int, knots: Array, at: Array, reach: float, recorded: Rotation | None
+    ) -> Array | None:
         """[K, 4] how a gripper turns, or None: as its recorded axis does; and a pinched corner does
         not stay level beside it, it hangs once the gripper has risen by its reach."""
-        scene, found = self.scene, []
-        if (turns := scene.turns[g]) is not None:
-            t = turns[0] + self.delay / scene.clock
-            found.append(Slerp(t, turns[1])(np.clip(knots, t[0], t[-1])))
+        scene, found = self.scene, [] if recorded is None else [recorded]
         if scene.by_corner:
             rise = at[:, 2] - scene.held[g, 2]
             inwards = Rotation.from_euler("z", self.yaw).apply(scene.inwards[g])
