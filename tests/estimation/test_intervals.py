@@ -120,9 +120,9 @@ class Given:
         scene = SimpleNamespace(
             size=0.5, held=[None] * self.held, static=self.static, thin=True, kind="rope"
         )
-        self.parts = [SimpleNamespace(scene=scene, shown=np.array(self.shown))]
+        self.parts = [SimpleNamespace(scene=scene, coarser=scene, shown=np.array(self.shown))]
 
-    def positions(self, worlds, recording):
+    def positions(self, worlds, recording, scene):
         x = np.zeros((1, len(worlds), 1, 3))
         x[0, :, 0] = np.array([[self.x(w[0])] * 3 for w in worlds])
         return x

@@ -30,7 +30,7 @@ from gendom.errors import SimulationError
 from gendom.estimation.methods.gauss_newton import gauss_newton
 from gendom.estimation.priors import INSTRUMENTED
 from gendom.estimation.problem import Found, Part, Problem
-from gendom.estimation.replay import middle, replay_axis
+from gendom.estimation.replay import middle
 from gendom.estimation.verdict import displaced
 from gendom.materials.posterior import IDENTIFIABLE, Posterior, Prior
 from gendom.materials.unknowns import UNKNOWNS, Theta
@@ -182,8 +182,7 @@ def _moved(problem: Problem, vector: Array, recording: int, p: int, changes: Arr
     worlds = [vector]
     for end in np.clip(ends, prior.low[p], prior.high[p]).ravel():
         worlds.append(np.where(np.arange(len(vector)) == p, end, vector))
-    thetas = [problem.theta(world, recording) for world in worlds]
-    x = middle(scene, replay_axis(scene, thetas, keep_going=True))
+    x = middle(scene, problem.positions(worlds, recording, scene))
     off = np.sqrt(np.mean((x[:, 1:] - x[:, :1]) ** 2, axis=(0, 2, 3))).reshape(2, -1)
     return np.where(inside & np.isfinite(off), off, np.inf).min(axis=0)
 

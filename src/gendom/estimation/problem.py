@@ -326,11 +326,13 @@ class Problem:
             told = Progress(stage=stage, iteration=iteration, most=most, best=theta, rms=rms)
             self._on_progress(told)
 
-    def positions(self, vectors: Sequence[Array], recording: int = 0) -> Array:
-        """[T, W, N, 3] positions in a recording at transformed parameters, of a cable its axis, NaN
-        where a world diverges [m]."""
+    def positions(
+        self, vectors: Sequence[Array], recording: int = 0, scene: LiftScene | None = None
+    ) -> Array:
+        """[T, W, N, 3] positions in a recording, or a coarser scene of it, at transformed
+        parameters, of a cable its axis, NaN where a world diverges [m]."""
         thetas = [self.theta(v, recording) for v in vectors]
-        return replay_axis(self.parts[recording].scene, thetas, keep_going=True)
+        return replay_axis(scene or self.parts[recording].scene, thetas, keep_going=True)
 
     def compare(
         self,
@@ -390,8 +392,7 @@ class Problem:
         they change from there to the others [T, n, 3, k] [m], in a scene that may be coarser; NaN
         where a world diverges."""
         part = self.parts[recording]
-        thetas = [self.theta(v, recording) for row in worlds for v in row]
-        m = middle(few, replay_axis(few, thetas, keep_going=True))
+        m = middle(few, self.positions([v for row in worlds for v in row], recording, few))
         rows = np.split(m, np.cumsum([len(row) for row in worlds])[:-1], axis=1)
         shapes = [own[:, 0] for own in rows]
         changes = [np.moveaxis(own[:, 1:] - own[:, :1], 1, -1) for own in rows]
