@@ -24,12 +24,13 @@ SHELL_ERROR = 1.5
 Nearest to lifts of five of MuJoCo's cloths, 33 points less than half a bending length apart had E
 by 0.01 to 0.13 (0.08 in the mean) larger than 49."""
 
-STRETCH = 0.002
-"""A cloth's own weight lengthens it by this at most, hanging by a side: the simulated stiffness in
-its plane is limited to that. This allows longer time steps: two to four times for cloths that bend
-over 25 to 45 mm and are 0.5 to 1 mm thick. Ropes are lengthened by no more, either: fibres resist
-stretch more than bending, in which they slide past each other. A soft rope with one E for both
-stretches by up to 4 %; its tail follows less over the table, and friction comes out half."""
+STRETCH, ROPE_STRETCH = 0.002, 0.0005
+"""An object's own weight lengthens it by this at most, hanging by a side or an end: the simulated
+stiffness along it is limited to that. For a cloth this allows longer time steps: two to four times
+where it bends over 25 to 45 mm and is 0.5 to 1 mm thick. Fibres of a rope resist stretch more than
+bending, in which they slide past each other: with one E for both soft ropes stretch by up to 4 %,
+their tails follow less over the table, and friction comes out half. The second is that of ropes
+with one gripper where shapes are compared, the first where a search begins and of differences."""
 
 COARSE_POINTS, COARSE_FRAMES, COARSE_STRETCH = 21, 18, 0.01
 """Where a search begins: points of a rod, or along the longer side of a shell, frames that are
