@@ -158,16 +158,13 @@ def _unexplained(
 def _change(problem: Problem, vector: Array, recording: int, p: int, by: float) -> float:
     """The change of unknown p beyond which every larger one, up or down, moves the shape by more
     than this, root mean square of a coordinate [m]; at most the prior's deviation."""
-    sd = float(problem.prior.sd[p])
-    changes = sd * np.array(SHARES)
-    (last,) = _moved(problem, vector, recording, p, changes[-1:])
-    if last < by:
-        return sd
-    moved = np.append(_moved(problem, vector, recording, p, changes[:-1]), last)
-    within = np.flatnonzero(moved < by)
-    if len(within) == 0:
-        return float(changes[0] * by / moved[0])
-    n = int(within[-1])
+    changes = float(problem.prior.sd[p]) * np.array(SHARES)
+    moved = _moved(problem, vector, recording, p, changes)
+    n = int(np.flatnonzero(np.append(True, moved < by))[-1])
+    if n == len(changes):
+        return float(problem.prior.sd[p])
+    # linear between changes that were simulated, and from none on
+    moved, changes = np.append(0.0, moved), np.append(0.0, changes)
     share = (by - moved[n]) / (moved[n + 1] - moved[n])
     return float(changes[n] + share * (changes[n + 1] - changes[n]))
 
