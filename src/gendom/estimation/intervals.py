@@ -45,8 +45,8 @@ EPISODES = 10
 
 @dataclass(frozen=True, kw_only=True)
 class IntervalCalibration:
-    """Calibration of intervals for one kind of object: factors of standard deviations, and what is
-    added to them in squares."""
+    """Calibration of intervals for one kind of object: factors of the likelihood's standard
+    deviations, and what is added to them in squares."""
 
     factor: Mapping[str, float] = field(default_factory=dict)
     added: Mapping[str, float] = field(default_factory=dict)
@@ -71,11 +71,11 @@ class IntervalCalibration:
         bases: Sequence[Theta],
         added: Array | float = 0.0,
     ) -> Posterior:
-        """A likelihood's Gaussian with calibrated deviations, and further ones [P] added in
-        squares; they are at most those of the prior.
+        """The Gaussian of likelihood times prior with calibrated deviations, and further ones [P]
+        added in squares; they are at most those of the prior.
 
-        What is added to an unknown's deviation is an error of the likelihood alone: the less it
-        says, the nearer to the prior's mean the posterior's is.
+        Both the factor and what is added are errors of the likelihood alone: the less it says, the
+        nearer to the prior's mean the posterior's is.
         """
         own = np.sqrt(np.diag(covariance))
         factor, more = (
@@ -83,11 +83,11 @@ class IntervalCalibration:
             for by, usual in ((self.factor, 1.0), (self.added, 0.0))
         )
         wide = prior.sd**2
-        both = np.minimum((factor * own) ** 2, (1.0 - 1e-9) * wide)
-        alone = both * wide / (wide - both)  # the likelihood's variance without the prior
-        weight = (wide + alone) / (wide + alone + more**2)
-        mean = prior.mean + weight * (mean - prior.mean)
-        sd = np.hypot(np.sqrt(weight * both * (1.0 + more**2 / alone)), added)
+        inside = np.minimum(own**2, (1.0 - 1e-9) * wide)
+        alone = inside * wide / (wide - inside)  # the likelihood's variance without the prior
+        worse = factor**2 * alone + more**2
+        mean = prior.mean + (wide + alone) / (wide + worse) * (mean - prior.mean)
+        sd = np.hypot(np.sqrt(wide * worse / (wide + worse)), added)
         share = np.minimum(sd, np.maximum(prior.sd, own)) / own
         return Posterior(
             prior=prior,
