@@ -21,8 +21,7 @@ registration."""
 
 THIN, SKIN_OF_THIN = 0.008, 1e-5
 """Diameter of a thin rope, and `NoiseModel.skin` of it [m]. Depth is mixed at most of its pixels,
-which widens it along the views: a larger skin beside the cloud would fit better than the true one
-(10 mm outside a rope of 6 mm, with an E 27 % too small)."""
+which widens it along the views: a larger skin would fit better than the true one."""
 
 SHARED = 16.0
 """`NoiseModel.patch` of markers in motion, the first guess: what moves otherwise than the model
@@ -34,8 +33,7 @@ a share of the compared frames."""
 
 LEAST_MODE, LEAST_MODE_OF_SIDE, LEAST_SQUARE = 0.01, 0.05, 0.02
 """Modes of displacements that count have at least this share of the largest one's variance, of
-ropes and in time, and of cloths along each side; and of cloths this mean square for a variance of
-1: smaller ones are a tenth of the displacement and cost time."""
+ropes and in time, and of cloths along each side; and of cloths this mean square for one of 1."""
 
 
 @dataclass(frozen=True, kw_only=True)

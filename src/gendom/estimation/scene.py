@@ -51,8 +51,7 @@ to rest [s]; its slowest swing then has e^-9 left."""
 
 QUASI_STATIC_SPEED, QUASI_STATIC_DAMPING = 0.05, 1.0
 """Gripper speed at which quasi-static recordings are replayed [m/s]: faster, a rope that leaves the
-table swings, by 20 mm at 0.12 m/s. And the rate of decay then [1/s]: the drag is 0.5 % of gravity.
-"""
+table swings. And the rate of decay then [1/s]: the drag is 0.5 % of gravity."""
 
 PATH_STEP, SPARSE, RAMP = 0.005, 0.2, 0.1
 """Time between a path's places [s]; between frames from which on they do not show how a gripper

@@ -10,19 +10,16 @@ from gendom.sim import ENGINES, check_numbers
 from gendom.sim.bodies import CELLS_ACROSS
 
 SHELL_POINTS = 33
-"""Along the longer side of a cloth. In lifts by a corner, cloths of which the bending length is
-0.09 and 0.16 of a side move like ones of 81 points if E is 0.87 and 1.01 times theirs; with 26
-points, which take half the time, 1.46 and 1.12 times."""
+"""Along the longer side of a cloth. Cloths that bend over 0.09 and 0.16 of a side then move like
+ones of 81 points if E is 0.87 and 1.01 times theirs."""
 
 SHELL_SPACING, MOST_SHELL_POINTS = 1.0 / 3.0, 49
-"""Limp cloths are then estimated again with points this many bending lengths apart, up to the
-largest number below, where that is at least a tenth more. A cloth that bends over 0.056 of a side
-moved like MuJoCo's with 45 points, with 33 if its E was 1.5 times as large."""
+"""Limp cloths are then estimated again with points this many bending lengths apart, up to so many,
+where that is at least a tenth more."""
 
 SHELL_ERROR = 1.5
-"""Error of ln(E) by the distance of a cloth's points, in bending lengths and to the third power.
-Nearest to lifts of five of MuJoCo's cloths, 33 points less than half a bending length apart had E
-by 0.01 to 0.13 (0.08 in the mean) larger than 49."""
+"""Error of ln(E) by the distance of a cloth's points, in bending lengths and to the third power
+(docs/notes/cloths.md)."""
 
 STRETCH, ROPE_STRETCH = 0.002, 0.0005
 """An object's own weight lengthens it by this at most, hanging by a side or an end: the simulated
