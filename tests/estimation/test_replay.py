@@ -145,6 +145,7 @@ def recording():
     return Recording.read(str(files("gendom") / "assets" / "demo-rope-lift.npz"))
 
 
+@pytest.mark.slow
 def test_both_engines_lift_a_rope_alike(recording):
     x, scenes = [], []
     for engine in ("thin", "mpm"):
