@@ -46,41 +46,24 @@ ROPE_REACH, CLOTH_REACH = 0.75, 0.02
 [diameters], by fingertips 1.5 diameters wide, and a cloth [m], by two fingertips."""
 
 
-@dataclass(kw_only=True)
+@dataclass
 class WorldInputs:
-    """Inputs of one simulated world. They begin as what the recording states, and each unknown's
-    `Unknown.on_replay` changes them to a value of it, in the order of the registry."""
+    """Inputs of one simulated world: parameters that are taken as they are, and what begins as the
+    recording states it and is changed by each unknown's `Unknown.on_replay`, in the order of the
+    registry."""
 
     scene: LiftScene
+    theta: Theta
     positions: Array
     """[N, 3] in the beginning [m]."""
-    E_over_rho: float = 1.0
+    E_over_rho: float
     """Of a body as thick as stated [m^2/s^2]."""
-    nu: float = 0.3
-    damping: float = 0.0
-    """As `Material.damping` [s]."""
-    friction: float = 0.0
-    """On the table."""
     stiffness: Array | None = None
     """[N] factors of E along the object; None: 1."""
     mass: Array | None = None
     """[N] factors of the mass of points; None: 1."""
-    natural_curvature: float = 1.0
-    """Share of a lying rope's curvature that it has by nature."""
-    delay: float = 0.0
-    """How late clouds show the motion of the grippers, recorded time [s]."""
     raised: float = 0.0
     """How much higher than stated one gripper holds the object [m]."""
-    reach: float = 0.0
-    """How much farther than stated a gripper holds a cloth fast [m]."""
-    tilt: float = 0.0
-    """How far a held corner turns as it is lifted [rad]."""
-    yaw: float = 0.0
-    """Turn of the lying cloth [rad]."""
-    warp_over_weft: float = 1.0
-    """Bending stiffness along a cloth's first side over that along its second one."""
-    air_drag: float = 1.0
-    """Of the object's mass, over that of what is stated or assumed."""
     clamps: Array = field(default_factory=lambda: np.zeros((2, 3)))
     """Turn of the clamps at a rope's first and last end from what is recorded [rad]: across the
     rope, in two directions, and about it."""
@@ -90,7 +73,7 @@ class WorldInputs:
     @classmethod
     def of(cls, scene: LiftScene, theta: Theta) -> WorldInputs:
         """Of a scene with these parameters."""
-        inputs, twist = cls(scene=scene, positions=scene.initial), 0.0
+        inputs, twist = cls(scene, theta, scene.initial, theta.E_over_rho), 0.0
         if scene.beside:
             inputs.positions, twist = axis_beside(scene, theta.offsets, theta.length_ratio)
             inputs.clamping = CLAMPING_SHOWN if theta.offsets else CLAMPING
@@ -161,7 +144,6 @@ class WorldInputs:
 
     def turn(self, yaw: float) -> None:
         """Turn the lying cloth about the held point [rad]."""
-        self.yaw = yaw
         if yaw and len(self.scene.held) == 1:
             turn, held = Rotation.from_euler("z", yaw).as_matrix(), self.scene.held[0]
             self.positions = held + (self.positions - held) @ turn.T
@@ -204,16 +186,17 @@ class WorldInputs:
         hangs = described.length or max(described.width or 0.0, described.height or 0.0)
         along = scene.density * STANDARD_GRAVITY * hangs / (2.0 * scene.stretch)
         if scene.kind == "cloth" and scene.thin:
-            warp = math.sqrt(self.warp_over_weft)
+            warp = math.sqrt(self.theta.warp_over_weft)
             more = {"membrane": min(E, along), "warp": warp, "weft": 1.0 / warp}
         elif scene.thin and E < along:
             more = {"membrane": along}  # fibres, which slide past each other in bending
-        return Material(E=E, nu=self.nu, density=scene.density, damping=self.damping, **more)
+        nu, damping = self.theta.nu, self.theta.damping
+        return Material(E=E, nu=nu, density=scene.density, damping=damping, **more)
 
     def gripper(self, g: int) -> Gripper:
         """The recorded path, moved onto the held point, with slack and a ramp from rest."""
         scene, held = self.scene, self.scene.held[g]
-        delay = self.delay / scene.clock
+        delay = self.theta.delay / scene.clock
         knots, path, turned = scene.paths[g]
         knots, at = knots + delay, path.copy()
         if len(scene.held) == 1:
@@ -227,7 +210,7 @@ class WorldInputs:
             begin = knots[0] - away / RAMP_SPEED - 1e-3
             knots, at = np.append(begin, knots), np.concatenate([held[None], at])
             turned = None if turned is None else Rotation.concatenate([turned[0], turned])
-        reach = held_reach(scene, self.reach)
+        reach = held_reach(scene, self.theta.grip_reach)
         return Gripper(
             time=knots,
             position=at,
@@ -244,9 +227,9 @@ class WorldInputs:
         scene, found = self.scene, [] if recorded is None else [recorded]
         if scene.by_corner:
             rise = at[:, 2] - scene.held[g, 2]
-            inwards = Rotation.from_euler("z", self.yaw).apply(scene.inwards[g])
+            inwards = Rotation.from_euler("z", self.theta.yaw).apply(scene.inwards[g])
             axis = np.cross(inwards, [0.0, 0.0, -1.0])
-            angle = self.tilt * np.clip(rise / (2.0 * reach), 0.0, 1.0)
+            angle = self.theta.grip_tilt * np.clip(rise / (2.0 * reach), 0.0, 1.0)
             found.append(Rotation.from_rotvec(angle[:, None] * axis))
         if len(scene.held) > 1 and self.clamps[g].any():
             # the first frame shows how markers lie, not how the rope leaves the clamp
@@ -271,7 +254,7 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
     begin = min(begin, float(times[0])) - (STATIC_SETTLING if scene.static else 0.0)
     table, height = None, scene.recording.table_height
     if height is not None:
-        table = Table(height=height, friction=[w.friction for w in worlds])
+        table = Table(height=height, friction=[theta.friction for theta in thetas])
     simulator = Simulator(
         scene.body,
         [w.material for w in worlds],
@@ -279,13 +262,13 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
         table=table,
         stiffness=_stacked([w.stiffness for w in worlds], len(scene.initial)),
         mass=_stacked([w.mass for w in worlds], len(scene.initial)),
-        natural_curvature=[w.natural_curvature for w in worlds] if scene.curved else 1.0,
+        natural_curvature=[t.natural_curvature for t in thetas] if scene.curved else 1.0,
         stretch=[theta.length_ratio for theta in thetas] if scene.beside else 1.0,
         positions=np.stack([w.positions for w in worlds]),
         start_time=begin,
         physics=Physics(
             velocity_damping=scene.velocity_damping,
-            air_density=[AIR_DENSITY * w.air_drag for w in worlds],
+            air_density=[AIR_DENSITY * theta.air_drag for theta in thetas],
         ),
         solver=Solver(
             engine=scene.settings.engine,
