@@ -351,7 +351,10 @@ class LiftScene(Placed):
         """How a gripper has turned since the first frame at simulated times [K], None: not. As its
         recorded axis does, without turning about it."""
         slerp = self._turns[g]
-        return None if slerp is None else slerp(np.clip(times, slerp.times[0], slerp.times[-1]))
+        if slerp is None:
+            return None
+        first, last = np.asarray(slerp.times)[[0, -1]]
+        return slerp(np.clip(times, first, last))
 
     @cached_property
     def _turns(self) -> list[Slerp | None]:
