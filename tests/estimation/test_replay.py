@@ -36,10 +36,10 @@ def test_a_delay_shows_the_motion_late(rope_lift):
 
 
 def test_a_soft_rope_keeps_its_length(rope_lift):
-    """Its fibres do, however little it resists bending; where a search begins it may stretch."""
+    """Its fibres do, however little it resists bending: to what its weight may lengthen it by."""
     limp = E_over_rho_of(0.15 * rope_lift.object.length, rope_lift.object.diameter / 4.0, 9.81)
     scene = LiftScene.of(rope_lift.at_rest(6), rope_lift.settings)
-    for stretch, most in ((scene.stretch, 7e-4), (0.1, 0.03)):
+    for stretch, most in ((scene.stretch, 2.5e-3), (0.1, 0.03)):
         thetas = [rope_lift.truth.with_values({"E_over_rho": limp})]
         hung = replay(replace(scene, stretch=stretch), thetas)[-1, 0]
         longer = arc_length(hung)[-1] / rope_lift.object.length - 1.0

@@ -167,15 +167,12 @@ class Part:
     @cached_property
     def coarser(self) -> LiftScene:
         """The scene with fewer simulated points, unless settings fix their number or few are
-        saved; a rope of it may stretch more."""
+        saved."""
         scene, rope = self.scene, self.scene.kind == "rope"
         along = len(scene.initial) if rope else max(scene.body.shape)
-        stretch = STRETCH if rope else COARSE_STRETCH
-        if not scene.thin or scene.settings.points is not None:
-            return scene
-        if along >= 1.3 * COARSE_POINTS:
-            return scene.simulated_with(COARSE_POINTS, stretch)
-        return replace(scene, stretch=STRETCH) if rope and scene.stretch < STRETCH else scene
+        fixed = not scene.thin or scene.settings.points is not None
+        few, stretch = fixed or along < 1.3 * COARSE_POINTS, STRETCH if rope else COARSE_STRETCH
+        return scene if few else scene.simulated_with(COARSE_POINTS, stretch)
 
     @cached_property
     def coarse(self) -> Part:
@@ -186,12 +183,11 @@ class Part:
         if scene.kind == "rope":
             frames = scene.calm if len(scene.calm) >= 6 else scene.frames
             every = 1 if scene.captured else -(-len(frames) // COARSE_FRAMES)
-            scene = replace(scene, frames=frames if every == 1 else frames[::every])
+            scene = replace(scene, frames=frames[::every])
         elif scene is not self.scene:
             # fewer points of equal total weight
             noise = replace(noise, cloud_points=noise.cloud_points // 4, patch=noise.patch / 4)
-        own, alike = self.scene, ("frames", "body", "stretch")
-        same = all(getattr(scene, name) is getattr(own, name) for name in alike)
+        same = scene.frames == self.scene.frames and scene.body is self.scene.body
         return self if same else replace(self, scene=scene, noise=noise)
 
 

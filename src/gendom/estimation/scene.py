@@ -30,7 +30,6 @@ from gendom.estimation.priors import (
 )
 from gendom.estimation.scene_settings import (
     MOST_SHELL_POINTS,
-    ROPE_STRETCH,
     SHELL_ERROR,
     SHELL_SPACING,
     STRETCH,
@@ -153,9 +152,6 @@ class LiftScene(Placed):
             calm=_lifted(recording, calm) if fast else calm,
             clock=clock,
             density=_density(recording, placed.body, settings, notes),
-            stretch=STRETCH
-            if len(placed.held) > 1 or placed.body.kind == "cloth"
-            else ROPE_STRETCH,
             begins_with=begins_with,
             digest=digest,
             registration=registration,

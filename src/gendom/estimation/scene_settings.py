@@ -21,13 +21,12 @@ SHELL_ERROR = 1.5
 """Error of ln(E) by the distance of a cloth's points, in bending lengths and to the third power
 (docs/notes/cloths.md)."""
 
-STRETCH, ROPE_STRETCH = 0.002, 0.0005
+STRETCH = 0.002
 """An object's own weight lengthens it by this at most, hanging by a side or an end: the simulated
 stiffness along it is limited to that. For a cloth this allows longer time steps: two to four times
-where it bends over 25 to 45 mm and is 0.5 to 1 mm thick. Fibres of a rope resist stretch more than
-bending, in which they slide past each other: with one E for both soft ropes stretch by up to 4 %,
-their tails follow less over the table, and friction comes out half. The second is that of ropes
-with one gripper where shapes are compared, the first where a search begins and of differences."""
+where it bends over 25 to 45 mm and is 0.5 to 1 mm thick. A rope gets at least that stiffness: its
+fibres resist stretch more than bending, in which they slide past each other. With one E for both
+soft ropes stretch by up to 4 %, and their tails follow less over the table."""
 
 COARSE_POINTS, COARSE_FRAMES, COARSE_STRETCH = 21, 18, 0.01
 """Where a search begins: points of a rod, or along the longer side of a shell, frames that are
