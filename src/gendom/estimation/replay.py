@@ -393,19 +393,15 @@ def _stacked(factors: Sequence[Array | None], points: int) -> Array | float:
 
 def _closed(scene: LiftScene, g: int, delay: float) -> dict[str, Any]:
     """When a gripper closes and opens, halfway between frames."""
-    closed = scene.recording.gripper_closed
+    closed, first = scene.recording.gripper_closed, scene.begins
     if closed is None:
         return {}
-    first = scene.begins
     states, time = closed[first:, g], scene.sim_time(scene.recording.time[first:]) + delay
-    found = {}
-    starts = int(np.argmax(states))
-    if starts > 0:
-        found["hold_from"] = float(time[starts - 1 : starts + 1].mean())
+    between, starts = 0.5 * (time[1:] + time[:-1]), int(np.argmax(states))
+    found = {"hold_from": float(between[starts - 1])} if starts else {}
     opens = np.flatnonzero(~states[starts:])
     if len(opens):
-        k = starts + int(opens[0])
-        found["hold_until"] = float(time[k - 1 : k + 1].mean())
+        found["hold_until"] = float(between[starts + int(opens[0]) - 1])
     return found
 
 

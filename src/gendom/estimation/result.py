@@ -194,13 +194,8 @@ def _search(problem: Problem, found: Found, seconds: Mapping[str, float]) -> dic
             ended = {"loss": s.comparison.rms, "converged": bool(s.done)}
             starts.append({"initial": initial, "final": final, "bending_length": bends, **ended})
     history = [
-        {
-            "stage": stage or settings.method,
-            "start": n,
-            "iteration": i,
-            **_named(problem, v),
-            "loss": r,
-        }
+        {"stage": stage or settings.method, "start": n, "iteration": i, "loss": r}
+        | _named(problem, v)
         for n, s in enumerate(found.starts)
         for i, v, r, stage in s.history
     ]
