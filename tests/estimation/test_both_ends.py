@@ -62,7 +62,7 @@ def test_markers_are_beside_the_axis(cable):
     scene = LiftScene.of(cable.head(60))
     offsets = 0.005 * np.random.default_rng(1).normal(size=(12, 3))
     offsets[[0, 1, -2, -1]] = 0.0
-    axis = axis_beside(scene, tuple(map(tuple, offsets)), 1.0)
+    axis, _ = axis_beside(scene, tuple(map(tuple, offsets)), 1.0)
     frames = material_frames(scene, axis[None, None], [scene.begins])[0, 0]
     assert frames @ np.swapaxes(frames, 1, 2) == pytest.approx(np.tile(np.eye(3), (49, 1, 1)))
     along = np.gradient(axis, axis=0)[1:-1]

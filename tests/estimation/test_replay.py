@@ -11,6 +11,8 @@ from gendom.datasets import Recording
 from gendom.estimation import EstimateSettings, LiftScene, SceneSettings, Theta, estimate, replay
 from gendom.estimation.observed import NoiseModel, Observation
 from gendom.estimation.replay import HEM, WorldInputs, held_reach, lattice, middle
+from gendom.materials.parameters import E_over_rho_of
+from gendom.sim.lines import arc_length
 
 
 def test_grip_height_raises_the_object(rope_lift):
@@ -31,6 +33,17 @@ def test_a_delay_shows_the_motion_late(rope_lift):
     top = x[..., 2].max(axis=2)
     assert top[5:, 1] == pytest.approx(top[4:-1, 0], abs=1e-3)
     assert (top[8:14, 0] - top[8:14, 1]).min() > 0.005
+
+
+def test_a_soft_rope_keeps_its_length(rope_lift):
+    """Its fibres do, however little it resists bending: to what its weight may lengthen it by."""
+    limp = E_over_rho_of(0.15 * rope_lift.object.length, rope_lift.object.diameter / 4.0, 9.81)
+    scene = LiftScene.of(rope_lift.at_rest(6), rope_lift.settings)
+    for stretch, most in ((scene.stretch, 2.5e-3), (0.1, 0.03)):
+        thetas = [rope_lift.truth.with_values({"E_over_rho": limp})]
+        hung = replay(replace(scene, stretch=stretch), thetas)[-1, 0]
+        longer = arc_length(hung)[-1] / rope_lift.object.length - 1.0
+        assert 0.1 * most < longer < most
 
 
 def test_worlds_of_one_call_are_as_each_alone(cloth_lift):
@@ -132,6 +145,7 @@ def recording():
     return Recording.read(str(files("gendom") / "assets" / "demo-rope-lift.npz"))
 
 
+@pytest.mark.slow
 def test_both_engines_lift_a_rope_alike(recording):
     x, scenes = [], []
     for engine in ("thin", "mpm"):

@@ -166,7 +166,7 @@ def test_frames_far_apart_show_when_the_gripper_starts_and_stops(rope_lift, spee
     for t, most in ((time, 0.035 * speed), (dense, 0.012 * speed)):
         moved = path(t) + np.array([0.3, 0.0, rope_lift.lowest])
         lift = replace(rope_lift.at_rest(len(t)), time=t, gripper_position=moved)
-        own, x = LiftScene.of(lift, rope_lift.settings).path(0)
+        own, x = LiftScene.of(lift, rope_lift.settings).paths[0][:2]
         assert np.abs(x - moved[0] - path(own)[:, 0]).max() < most
 
 

@@ -170,6 +170,7 @@ def test_what_is_assumed_counts_in_intervals(lifted, settings):
         low, high = one.record["intervals"][key]
         return np.log(high / low)
 
+    assert without.record["density_assumed"] and "the mass is unknown" in repr(without)
     assert width(without, "E") > 2.0 > 10.0 * width(found, "E")
     assert width(without, "bending_length") < 1.5 * width(found, "bending_length")
     low, high = without.record["intervals"]["E_over_rho"]

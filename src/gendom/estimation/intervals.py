@@ -45,8 +45,8 @@ EPISODES = 10
 
 @dataclass(frozen=True, kw_only=True)
 class IntervalCalibration:
-    """Calibration of intervals for one kind of object: factors of standard deviations, and what is
-    added to them in squares."""
+    """Calibration of intervals for one kind of object: factors of the likelihood's standard
+    deviations, and what is added to them in squares."""
 
     factor: Mapping[str, float] = field(default_factory=dict)
     added: Mapping[str, float] = field(default_factory=dict)
@@ -71,11 +71,11 @@ class IntervalCalibration:
         bases: Sequence[Theta],
         added: Array | float = 0.0,
     ) -> Posterior:
-        """A likelihood's Gaussian with calibrated deviations, and further ones [P] added in
-        squares; they are at most those of the prior.
+        """The Gaussian of likelihood times prior with calibrated deviations, and further ones [P]
+        added in squares; they are at most those of the prior.
 
-        What is added to an unknown's deviation is an error of the likelihood alone: the less it
-        says, the nearer to the prior's mean the posterior's is.
+        Both the factor and what is added are errors of the likelihood alone: the less it says, the
+        nearer to the prior's mean the posterior's is.
         """
         own = np.sqrt(np.diag(covariance))
         factor, more = (
@@ -83,11 +83,11 @@ class IntervalCalibration:
             for by, usual in ((self.factor, 1.0), (self.added, 0.0))
         )
         wide = prior.sd**2
-        both = np.minimum((factor * own) ** 2, (1.0 - 1e-9) * wide)
-        alone = both * wide / (wide - both)  # the likelihood's variance without the prior
-        weight = (wide + alone) / (wide + alone + more**2)
-        mean = prior.mean + weight * (mean - prior.mean)
-        sd = np.hypot(np.sqrt(weight * both * (1.0 + more**2 / alone)), added)
+        inside = np.minimum(own**2, (1.0 - 1e-9) * wide)
+        alone = inside * wide / (wide - inside)  # the likelihood's variance without the prior
+        worse = factor**2 * alone + more**2
+        mean = prior.mean + (wide + alone) / (wide + worse) * (mean - prior.mean)
+        sd = np.hypot(np.sqrt(wide * worse / (wide + worse)), added)
         share = np.minimum(sd, np.maximum(prior.sd, own)) / own
         return Posterior(
             prior=prior,
@@ -158,16 +158,13 @@ def _unexplained(
 def _change(problem: Problem, vector: Array, recording: int, p: int, by: float) -> float:
     """The change of unknown p beyond which every larger one, up or down, moves the shape by more
     than this, root mean square of a coordinate [m]; at most the prior's deviation."""
-    sd = float(problem.prior.sd[p])
-    changes = sd * np.array(SHARES)
-    (last,) = _moved(problem, vector, recording, p, changes[-1:])
-    if last < by:
-        return sd
-    moved = np.append(_moved(problem, vector, recording, p, changes[:-1]), last)
-    within = np.flatnonzero(moved < by)
-    if len(within) == 0:
-        return float(changes[0] * by / moved[0])
-    n = int(within[-1])
+    changes = float(problem.prior.sd[p]) * np.array(SHARES)
+    moved = _moved(problem, vector, recording, p, changes)
+    n = int(np.flatnonzero(np.append(True, moved < by))[-1])
+    if n == len(changes):
+        return float(problem.prior.sd[p])
+    # linear between changes that were simulated, and from none on
+    moved, changes = np.append(0.0, moved), np.append(0.0, changes)
     share = (by - moved[n]) / (moved[n + 1] - moved[n])
     return float(changes[n] + share * (changes[n + 1] - changes[n]))
 
@@ -175,13 +172,14 @@ def _change(problem: Problem, vector: Array, recording: int, p: int, by: float) 
 def _moved(problem: Problem, vector: Array, recording: int, p: int, changes: Array) -> Array:
     """[k] how far shapes move with changes [k] of unknown p in the direction that moves them less
     [m]. A world that diverges or lies beyond the range of the search says nothing."""
-    prior, scene = problem.prior, problem.parts[recording].scene
+    prior, part = problem.prior, problem.parts[recording]
+    scene = part.coarser if part.scene.kind == "rope" else part.scene
     ends = vector[p] + np.array([[-1.0], [1.0]]) * changes
     inside = (ends >= prior.low[p]) & (ends <= prior.high[p])
     worlds = [vector]
     for end in np.clip(ends, prior.low[p], prior.high[p]).ravel():
         worlds.append(np.where(np.arange(len(vector)) == p, end, vector))
-    x = middle(scene, problem.positions(worlds, recording))
+    x = middle(scene, problem.positions(worlds, recording, scene))
     off = np.sqrt(np.mean((x[:, 1:] - x[:, :1]) ** 2, axis=(0, 2, 3))).reshape(2, -1)
     return np.where(inside & np.isfinite(off), off, np.inf).min(axis=0)
 

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import truncnorm
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.checks import MAX_DENSITY
-from gendom.errors import RobotError
+from gendom.errors import RobotError, SimulationError
 from gendom.estimation import (
     UNKNOWNS,
     EstimateSettings,
@@ -39,8 +39,6 @@ from gendom.observation import visible
 from gendom.reality import Trial, arm_motion, as_real, end_of, lift, lift_cameras
 from gendom.robot import LIFT_ENDS, XARM7, JointMotion, LiftMotion, predefined_lift
 from gendom.robot.motions import FREE_RISE, LIFT_FRAME_RATE, RISE
-
-Array = NDArray[np.floating]
 
 SHOWN = {"E": "E_over_rho", "damping": "damping", "friction": "friction"}
 """Parameters whose information is compared: names of `UNKNOWNS`. Density is known, or only E /
@@ -181,10 +179,13 @@ class MotionForecast:
     motion: LiftMotion
     sd: tuple[Mapping[str, float] | None, ...]
     """[D] deviations of the posterior by keys of `SHOWN`, transformed; None: no information."""
-    carried_out: int
-    """Number of objects that the arm can lift in this way."""
-    faults: tuple[str, ...]
-    """Why other objects give no information, without repetitions."""
+    faults: tuple[str, ...] = ()
+    """Why objects give none, without repetitions."""
+
+    @property
+    def carried_out(self) -> int:
+        """Number of objects that give information."""
+        return sum(sd is not None for sd in self.sd)
 
     def half_width(self, name: str, level: float) -> float:
         """Of the expected interval, in transformed units; NaN without information."""
@@ -205,7 +206,7 @@ class LiftPlan:
 
     def score(self, row: MotionForecast) -> float:
         """Mean logarithm of the ratio of prior to posterior deviation, over objects and the
-        parameters aimed at; 0 for a motion that cannot be carried out."""
+        parameters aimed at; 0 for an object that gives no information."""
         gains = [
             0.0 if sd is None else math.log(self.prior_sd[name] / sd[name])
             for sd in row.sd
@@ -228,25 +229,20 @@ class LiftPlan:
     def to_dict(self) -> dict[str, Any]:
         """For JSON; half widths of ln E, ln damping and friction."""
         widths = [{n: r.half_width(n, self.settings.level) for n in SHOWN} for r in self.rows]
-        return {
-            "format": "gendom-lift-plan/1",
-            "objects": self.objects,
-            "settings": self.settings,
-            "prior_sd": self.prior_sd,
-            "chosen": self.rows.index(self.chosen),
-            "rows": [
-                {
-                    "lift": vars(row.motion),
-                    "half_width": {n: w if math.isfinite(w) else None for n, w in width.items()},
-                    "sd": row.sd,
-                    "carried_out": row.carried_out,
-                    "gain": self.gain(row),
-                    "rolls": rolls(row.motion),
-                    "faults": row.faults,
-                }
-                for row, width in zip(self.rows, widths, strict=True)
-            ],
-        }
+        rows = [
+            {
+                "lift": vars(row.motion),
+                "half_width": {n: w if math.isfinite(w) else None for n, w in width.items()},
+                "carried_out": row.carried_out,
+                "gain": self.gain(row),
+                "rolls": rolls(row.motion),
+                "sd": row.sd,
+                "faults": row.faults,
+            }
+            for row, width in zip(self.rows, widths, strict=True)
+        ]
+        chosen = self.rows.index(self.chosen)
+        return {"format": "gendom-lift-plan/1", **vars(self), "chosen": chosen, "rows": rows}
 
 
 def plan_lift(
@@ -264,39 +260,26 @@ def plan_lift(
 
     Raises:
         ParameterError: The material is of another kind, or there is no object of it so large.
-        RobotError: The arm can carry out none of the motions with any object.
+        RobotError: No motion of any object can be carried out and simulated.
     """
     settings = settings or LiftPlanSettings()
-    motions = settings.motions(objects.kind)
+    motions, rows, prior_sd = settings.motions(objects.kind), [], {}
     shares = (np.random.default_rng([settings.seed, n]).random(3) for n in range(settings.draws))
     drawn = [objects.at(*three) for three in shares]
-    rows, prior_sd, arms = [], {}, {}
     for motion in motions:
         found: list[Mapping[str, float] | None] = []
         faults: dict[str, None] = {}
-        carried_out = 0
         for n, item in enumerate(drawn):
             trial, sd = lift(as_real(item), motion), None
-            sizes = motion, size_of(item), thickness_of(item)
             try:
-                if sizes not in arms:
-                    arms[sizes] = arm_motion(trial, lift_cameras(trial.item))
-                if isinstance(arms[sizes], RobotError):
-                    raise arms[sizes]
-                lying = recorded_lift(trial, arms[sizes], LIFT_FRAME_RATE[motion.end])
-                carried_out += 1
+                arm = arm_motion(trial, lift_cameras(trial.item))
+                lying = recorded_lift(trial, arm, LIFT_FRAME_RATE[motion.end])
                 prior_sd, sd = forecast(lying, objects.material, [settings.seed, n])
-                if sd is None:
-                    faults[f"a drawn {objects.kind} could not be simulated"] = None
-            except RobotError as error:
-                arms[sizes] = error
+            except (RobotError, SimulationError) as error:
                 faults[str(error)] = None
             found.append(sd)
             on_done(len(rows) * len(drawn) + n + 1, len(motions) * len(drawn))
-        row = MotionForecast(
-            motion=motion, sd=tuple(found), carried_out=carried_out, faults=tuple(faults)
-        )
-        rows.append(row)
+        rows.append(MotionForecast(motion=motion, sd=tuple(found), faults=tuple(faults)))
     require(
         any(row.carried_out for row in rows),
         f"no object can be lifted by any of {len(rows)} motions: {next(iter(rows[0].faults), '')}",
@@ -309,13 +292,16 @@ def plan_lift(
 
 def forecast(
     lying: Recording, material: str | None, seed: Sequence[int]
-) -> tuple[dict[str, float], dict[str, float] | None]:
+) -> tuple[dict[str, float], dict[str, float]]:
     """Expected posterior of an estimate from one lift (as `recorded_lift` has it) of an object
     drawn from the prior; the same seed gives like objects for other lifts.
 
     Returns:
         Standard deviations before and after by keys of `SHOWN`, transformed, and calibrated as the
-        estimator's; None in place of the latter where the drawn object cannot be simulated.
+        estimator's.
+
+    Raises:
+        SimulationError: The drawn object cannot be simulated.
     """
     coarse = 15 if lying.object.kind == "cloth" else None
     settings = EstimateSettings(scene=SceneSettings(material=material, points=coarse, threads=1))
@@ -325,12 +311,10 @@ def forecast(
     rng = np.random.default_rng([*seed, 1])
     truth = drawn(prior, rng)
     (shown,) = imagined(scene, [prior.theta(truth, base)], settings.noise.sensor, rng)
-    if shown is None:
-        return believed, None
-    problem = Problem([replace(scene, recording=shown)], settings)
-    comparison = problem.compare([truth])[0]
+    problem = Problem([scene if shown is None else replace(scene, recording=shown)], settings)
+    comparison = None if shown is None else problem.compare([truth])[0]
     if comparison is None:
-        return believed, None
+        raise SimulationError(f"a drawn {lying.object.kind} could not be simulated")
     start = Start(initial=truth, vector=truth, comparison=comparison)
     noise = estimated_noise(comparison, problem.first_noise())
     covariance = np.linalg.inv(problem.gradient_and_hessian(start, noise)[1])
@@ -358,14 +342,13 @@ def imagined(
     """Recordings of a scene's lift of objects with these parameters, by cameras with some noise
     [m]; None where one could not be simulated. Only frames that are compared show points."""
     found: list[Recording | None] = []
-    for x, theta in zip(
-        np.swapaxes(replay(scene, thetas, keep_going=True), 0, 1), thetas, strict=True
-    ):
-        if not np.isfinite(x).all():
-            found.append(None)
-            continue
-        clouds = _seen(scene, x, theta, noise, rng)
-        found.append(_showing(scene.recording, scene.frames, clouds))
+    every = np.swapaxes(replay(scene, thetas, keep_going=True), 0, 1)
+    for x, theta in zip(every, thetas, strict=True):
+        shown = None
+        if np.isfinite(x).all():
+            clouds = _seen(scene, x, theta, noise, rng)
+            shown = _showing(scene.recording, scene.frames, clouds)
+        found.append(shown)
     return found
 
 

@@ -14,13 +14,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import interp1d
 from scipy.linalg import null_space
 from scipy.spatial.distance import cdist
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.estimation.placing import rod_near
 from gendom.estimation.scene import LiftScene
 from gendom.sim.thin import rotation
@@ -28,7 +28,6 @@ from gendom.sim.thin import rotation
 SMOOTH = 2
 """Half waves along a cable that are not those of markers."""
 
-Array = NDArray[np.floating]
 Offsets = tuple[tuple[float, ...], ...]
 
 
@@ -62,8 +61,7 @@ def _twist_free(scene: LiftScene, x: Array, frames: Sequence[int]) -> tuple[Arra
     """[T, W, n - 1, 4] frames of edges from the first hand's on, and by how much the second hand's
     is turned about the last one [T, W] [rad]."""
     step, shape = np.diff(x, axis=2), (*x.shape[:2], 4)
-    times = scene.sim_time(scene.recording.time[list(frames)])
-    first, last = (np.broadcast_to(_hand(scene, g, times)[:, None], shape) for g in (0, 1))
+    first, last = (np.broadcast_to(q[:, None], shape) for q in _hands(scene, tuple(frames)))
     q = rotation.transported(first, step)
     third = np.broadcast_to([0.0, 0.0, 1.0], (*x.shape[:2], 3))
     onto = rotation.shortest(rotation.turned(last, third), step[:, :, -1])
@@ -71,13 +69,17 @@ def _twist_free(scene: LiftScene, x: Array, frames: Sequence[int]) -> tuple[Arra
     return q, 2.0 * np.arctan2(off[..., 2], off[..., 3])
 
 
-def _hand(scene: LiftScene, g: int, times: Array) -> Array:
-    """[T, 4] directions of a hand."""
-    axes = scene.clamp_frame(g)
-    own = Rotation.from_matrix(axes * [1.0, np.sign(np.linalg.det(axes)), 1.0])
-    if (turns := scene.turns[g]) is None:
-        return np.tile(own.as_quat(), (len(times), 1))
-    return (Slerp(*turns)(np.clip(times, turns[0][0], turns[0][-1])) * own).as_quat()
+@functools.lru_cache(maxsize=64)
+def _hands(scene: LiftScene, frames: tuple[int, ...]) -> list[Array]:
+    """[T, 4] directions of both hands."""
+    found, times = [], scene.sim_time(scene.recording.time[list(frames)])
+    for g in (0, 1):
+        axes = scene.clamp_frame(g)
+        own = Rotation.from_matrix(axes * [1.0, np.sign(np.linalg.det(axes)), 1.0])
+        turned = scene.turned(g, times)
+        every = Rotation.identity(len(times)) if turned is None else turned
+        found.append((every * own).as_quat())
+    return found
 
 
 @functools.lru_cache(maxsize=64)
@@ -116,18 +118,16 @@ def aside(scene: LiftScene, frames: Array, offsets: Array) -> Array:
 
 
 @functools.lru_cache(maxsize=64)
-def axis_beside(scene: LiftScene, offsets: Offsets, longer: float) -> Array:
+def axis_beside(scene: LiftScene, offsets: Offsets, longer: float) -> tuple[Array, float]:
     """[n, 3] the axis in the first frame, which is so many times as long as stated and of which
-    markers are beside [m]."""
+    markers are beside [m], and its `first_twist`."""
     index, weight = scene.markers
     shown, x = scene.recording.frame(scene.begins).astype(float), scene.initial
-    if not offsets and longer == 1.0:
-        return x
     moved = np.zeros_like(shown)
-    for _ in range(2 if offsets else 1):  # frames are those of the axis
+    for _ in range(2 if offsets else int(longer != 1.0)):  # frames are those of the axis
         if offsets:
             frames = material_frames(scene, x[None, None], [scene.begins])[0, 0]
             by = aside(scene, frames, np.asarray(offsets))
             moved = np.einsum("mk,mka->ma", weight, by[index])
         x = rod_near(longer * scene.size, shown - moved, (index * weight).sum(axis=1), len(x))
-    return x
+    return x, first_twist(scene, x)

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
@@ -22,8 +21,7 @@ registration."""
 
 THIN, SKIN_OF_THIN = 0.008, 1e-5
 """Diameter of a thin rope, and `NoiseModel.skin` of it [m]. Depth is mixed at most of its pixels,
-which widens it along the views: a larger skin beside the cloud would fit better than the true one
-(10 mm outside a rope of 6 mm, with an E 27 % too small)."""
+which widens it along the views: a larger skin would fit better than the true one."""
 
 SHARED = 16.0
 """`NoiseModel.patch` of markers in motion, the first guess: what moves otherwise than the model
@@ -35,8 +33,7 @@ a share of the compared frames."""
 
 LEAST_MODE, LEAST_MODE_OF_SIDE, LEAST_SQUARE = 0.01, 0.05, 0.02
 """Modes of displacements that count have at least this share of the largest one's variance, of
-ropes and in time, and of cloths along each side; and of cloths this mean square for a variance of
-1: smaller ones are a tenth of the displacement and cost time."""
+ropes and in time, and of cloths along each side; and of cloths this mean square for one of 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +154,7 @@ class Observation:
         both = both.reshape(len(a) * len(b), -1)
         self.in_place = both[:, (both**2).mean(axis=0) > LEAST_SQUARE]
 
-    def _cameras(self) -> NDArray[np.intp]:
+    def _cameras(self) -> Array:
         """[T, m] the one camera that saw each point, -1 where several did or none is known."""
         found = np.full((len(self.clouds), max(map(len, self.clouds))), -1)
         recording = self.scene.recording
@@ -170,7 +167,7 @@ class Observation:
             row[: len(cloud)] = own[:: -(-len(own) // len(cloud))]
         return found
 
-    def rows(self, shape: Array, r: float, in_sight: Callable[[int], NDArray[np.bool_]]) -> Rows:
+    def rows(self, shape: Array, r: float, in_sight: Callable[[int], Array]) -> Rows:
         """The places on shapes [T, n, 3] of half thickness r [m] that points correspond to, and
         which parts of the shapes have no points near, of those that are in sight in a frame."""
         if self.markers is not None:
@@ -212,7 +209,7 @@ class Observation:
             on_skin=True,
         )
 
-    def in_sight(self, shape: Array) -> NDArray[np.bool_]:
+    def in_sight(self, shape: Array) -> Array:
         """[m] which samples of a shape [n, 3] a camera sees."""
         own, share = self.shape.samples
         c, cameras = (
@@ -223,7 +220,7 @@ class Observation:
             return visible(c, camera_positions=cameras)
         return np.ones(len(c), bool) if cameras is None else self.shape.open_to(cameras, shape, c)
 
-    def _nearest(self, places: Array) -> NDArray[np.intp]:
+    def _nearest(self, places: Array) -> Array:
         """[T, m] the clouds' points that are nearest to places [T, m, 3]."""
         if self.shape.rope:
             return nearest_of(self.points, places)
@@ -255,7 +252,7 @@ class Rows:
     """[T, m] [m]."""
     normal: Array
     """[T, m, 3] directions in which the object moves to reduce them."""
-    index: NDArray[np.intp]
+    index: Array
     """[T, m, k] points of the middle around the foot."""
     weight: Array
     """[T, m, k] their shares."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, CubicSpline
 from scipy.optimize import minimize_scalar
 from scipy.sparse.csgraph import shortest_path
@@ -15,6 +14,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.scene_settings import SHELL_POINTS, SceneSettings
@@ -22,15 +22,12 @@ from gendom.materials import KINDS
 from gendom.sim import Body, cloth, rope
 from gendom.sim.lines import along_line, arc_length
 
-Array = NDArray[np.floating]
-
 LINE_PLACES = 200
 """Along the line of a rope at rest."""
 
 THICK, THIN = 50.0, 200.0
 """Length over the diameter that is assumed of a rope in motion; and at rest, where points of the
-centre line alone are compared. A thicker rod that bends alike is stretched by its own weight, a
-thinner one takes longer: a wire of 1.5 m that bends over 88 mm by 41 mm with 50, by 2 mm with 200.
+centre line alone are compared. Thicker rods that bend alike stretch more, thinner ones take longer.
 """
 
 SMOOTHING = 1e3, 1e1, 1.0, 1e-1, 1e-2, 1e-3
@@ -215,7 +212,7 @@ def rod_near(length: float, shown: Array, places: Array, n: int, near: float = M
         off = [(edge - size) / (STRAIN * edge), *(wanted - linear @ x).T]
         J = np.concatenate([rows.reshape(n - 1, -1) / (STRAIN * edge),
                             *(np.kron(linear, axis) for axis in np.eye(3))])  # fmt: skip
-        x = x + np.linalg.lstsq(J, np.concatenate(off), rcond=None)[0].reshape(n, 3)
+        x = x + np.linalg.solve(J.T @ J, J.T @ np.concatenate(off)).reshape(n, 3)
     return x
 
 

@@ -11,9 +11,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons
 from gendom.estimation.observed import NoiseModel, Observation
@@ -28,8 +28,6 @@ from gendom.estimation.scene_settings import (
 )
 from gendom.materials.posterior import Prior, joint_prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
-
-Array = NDArray[np.floating]
 
 SIZES_OF_OBJECT = (
     "length", "diameter", "diameter_sd", "width", "height", "thickness", "thickness_sd", "mass",
@@ -155,7 +153,7 @@ class Part:
     scene: LiftScene
     base: Theta
     """Values of everything that is not estimated."""
-    shown: NDArray[np.intp]
+    shown: Array
     """[P_k] the problem's unknowns that this recording depends on."""
     noise: NoiseModel
     """First guess."""
@@ -172,7 +170,7 @@ class Part:
         saved."""
         scene, rope = self.scene, self.scene.kind == "rope"
         along = len(scene.initial) if rope else max(scene.body.shape)
-        fixed = not scene.thin or scene.settings.points is not None or len(scene.held) > 1
+        fixed = not scene.thin or scene.settings.points is not None
         few, stretch = fixed or along < 1.3 * COARSE_POINTS, STRETCH if rope else COARSE_STRETCH
         return scene if few else scene.simulated_with(COARSE_POINTS, stretch)
 
@@ -328,11 +326,13 @@ class Problem:
             told = Progress(stage=stage, iteration=iteration, most=most, best=theta, rms=rms)
             self._on_progress(told)
 
-    def positions(self, vectors: Sequence[Array], recording: int = 0) -> Array:
-        """[T, W, N, 3] positions in a recording at transformed parameters, of a cable its axis, NaN
-        where a world diverges [m]."""
+    def positions(
+        self, vectors: Sequence[Array], recording: int = 0, scene: LiftScene | None = None
+    ) -> Array:
+        """[T, W, N, 3] positions in a recording, or a coarser scene of it, at transformed
+        parameters, of a cable its axis, NaN where a world diverges [m]."""
         thetas = [self.theta(v, recording) for v in vectors]
-        return replay_axis(self.parts[recording].scene, thetas, keep_going=True)
+        return replay_axis(scene or self.parts[recording].scene, thetas, keep_going=True)
 
     def compare(
         self,
@@ -392,8 +392,7 @@ class Problem:
         they change from there to the others [T, n, 3, k] [m], in a scene that may be coarser; NaN
         where a world diverges."""
         part = self.parts[recording]
-        thetas = [self.theta(v, recording) for row in worlds for v in row]
-        m = middle(few, replay_axis(few, thetas, keep_going=True))
+        m = middle(few, self.positions([v for row in worlds for v in row], recording, few))
         rows = np.split(m, np.cumsum([len(row) for row in worlds])[:-1], axis=1)
         shapes = [own[:, 0] for own in rows]
         changes = [np.moveaxis(own[:, 1:] - own[:, :1], 1, -1) for own in rows]
@@ -417,7 +416,7 @@ class Problem:
         for part, mine, theirs in zip(self.parts, near.parts, other.parts, strict=True):
             mine.inherit_derivatives(theirs, step[part.shown], weight[part.shown])
 
-    def _along(self, moved: NDArray[np.intp]) -> Array:
+    def _along(self, moved: Array) -> Array:
         """[P, P] the direction in which each unknown's step goes, where these are moved."""
         along, own = np.eye(len(self.prior.names)), [self.prior.names[k] for k in moved]
         for k, u in zip(moved, (UNKNOWNS[name] for name in own), strict=True):

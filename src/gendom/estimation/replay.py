@@ -10,11 +10,11 @@ from operator import mul
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
-from gendom.estimation.markers import aside, axis_beside, first_twist, material_frames
+from gendom.arrays import Array
+from gendom.estimation.markers import aside, axis_beside, material_frames
 from gendom.estimation.scene import STATIC_SETTLING, LiftScene
 from gendom.estimation.scene_settings import COARSE_POINTS
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
@@ -25,7 +25,6 @@ from gendom.sim import Gripper, Physics, Solver, Table
 if TYPE_CHECKING:
     from gendom.sim import Simulator
 
-Array = NDArray[np.floating]
 
 HEM = 0.01
 """Breadth of a cloth's border that may be hemmed [m]."""
@@ -47,41 +46,24 @@ ROPE_REACH, CLOTH_REACH = 0.75, 0.02
 [diameters], by fingertips 1.5 diameters wide, and a cloth [m], by two fingertips."""
 
 
-@dataclass(kw_only=True)
+@dataclass
 class WorldInputs:
-    """Inputs of one simulated world. They begin as what the recording states, and each unknown's
-    `Unknown.on_replay` changes them to a value of it, in the order of the registry."""
+    """Inputs of one simulated world: parameters that are taken as they are, and what begins as the
+    recording states it and is changed by each unknown's `Unknown.on_replay`, in the order of the
+    registry."""
 
     scene: LiftScene
+    theta: Theta
     positions: Array
     """[N, 3] in the beginning [m]."""
-    E_over_rho: float = 1.0
+    E_over_rho: float
     """Of a body as thick as stated [m^2/s^2]."""
-    nu: float = 0.3
-    damping: float = 0.0
-    """As `Material.damping` [s]."""
-    friction: float = 0.0
-    """On the table."""
     stiffness: Array | None = None
     """[N] factors of E along the object; None: 1."""
     mass: Array | None = None
     """[N] factors of the mass of points; None: 1."""
-    natural_curvature: float = 1.0
-    """Share of a lying rope's curvature that it has by nature."""
-    delay: float = 0.0
-    """How late clouds show the motion of the grippers, recorded time [s]."""
     raised: float = 0.0
     """How much higher than stated one gripper holds the object [m]."""
-    reach: float = 0.0
-    """How much farther than stated a gripper holds a cloth fast [m]."""
-    tilt: float = 0.0
-    """How far a held corner turns as it is lifted [rad]."""
-    yaw: float = 0.0
-    """Turn of the lying cloth [rad]."""
-    warp_over_weft: float = 1.0
-    """Bending stiffness along a cloth's first side over that along its second one."""
-    air_drag: float = 1.0
-    """Of the object's mass, over that of what is stated or assumed."""
     clamps: Array = field(default_factory=lambda: np.zeros((2, 3)))
     """Turn of the clamps at a rope's first and last end from what is recorded [rad]: across the
     rope, in two directions, and about it."""
@@ -91,15 +73,14 @@ class WorldInputs:
     @classmethod
     def of(cls, scene: LiftScene, theta: Theta) -> WorldInputs:
         """Of a scene with these parameters."""
-        inputs = cls(scene=scene, positions=scene.initial)
+        inputs, twist = cls(scene, theta, scene.initial, theta.E_over_rho), 0.0
         if scene.beside:
-            inputs.positions = axis_beside(scene, theta.offsets, theta.length_ratio)
+            inputs.positions, twist = axis_beside(scene, theta.offsets, theta.length_ratio)
             inputs.clamping = CLAMPING_SHOWN if theta.offsets else CLAMPING
         for name, unknown in UNKNOWNS.items():
             if unknown.on_replay is not None:
                 unknown.on_replay(inputs, theta[name])
-        if scene.beside:
-            inputs.clamps[1, 2] += first_twist(scene, inputs.positions)
+        inputs.clamps[1, 2] += twist
         return inputs
 
     # ---- what unknowns do ------------------------------------------------------------------------
@@ -163,7 +144,6 @@ class WorldInputs:
 
     def turn(self, yaw: float) -> None:
         """Turn the lying cloth about the held point [rad]."""
-        self.yaw = yaw
         if yaw and len(self.scene.held) == 1:
             turn, held = Rotation.from_euler("z", yaw).as_matrix(), self.scene.held[0]
             self.positions = held + (self.positions - held) @ turn.T
@@ -206,17 +186,18 @@ class WorldInputs:
         hangs = described.length or max(described.width or 0.0, described.height or 0.0)
         along = scene.density * STANDARD_GRAVITY * hangs / (2.0 * scene.stretch)
         if scene.kind == "cloth" and scene.thin:
-            warp = math.sqrt(self.warp_over_weft)
+            warp = math.sqrt(self.theta.warp_over_weft)
             more = {"membrane": min(E, along), "warp": warp, "weft": 1.0 / warp}
-        elif scene.thin and described.diameter is None and E < along:
-            more = {"membrane": along}  # a real one is as thin as that
-        return Material(E=E, nu=self.nu, density=scene.density, damping=self.damping, **more)
+        elif scene.thin and E < along:
+            more = {"membrane": along}  # fibres, which slide past each other in bending
+        nu, damping = self.theta.nu, self.theta.damping
+        return Material(E=E, nu=nu, density=scene.density, damping=damping, **more)
 
     def gripper(self, g: int) -> Gripper:
         """The recorded path, moved onto the held point, with slack and a ramp from rest."""
         scene, held = self.scene, self.scene.held[g]
-        delay = self.delay / scene.clock
-        knots, path = scene.path(g)
+        delay = self.theta.delay / scene.clock
+        knots, path, turned = scene.paths[g]
         knots, at = knots + delay, path.copy()
         if len(scene.held) == 1:
             at[:, :2] += held[:2] - at[0, :2]
@@ -228,27 +209,27 @@ class WorldInputs:
             # the first recorded position is reached before the first frame, not in a jump
             begin = knots[0] - away / RAMP_SPEED - 1e-3
             knots, at = np.append(begin, knots), np.concatenate([held[None], at])
-        reach = held_reach(scene, self.reach)
+            turned = None if turned is None else Rotation.concatenate([turned[0], turned])
+        reach = held_reach(scene, self.theta.grip_reach)
         return Gripper(
             time=knots,
             position=at,
-            quat_xyzw=self._turned(g, knots, at, reach),
+            quat_xyzw=self._turned(g, knots, at, reach, turned),
             radius=reach,
             **_closed(scene, g, delay),
         )
 
-    def _turned(self, g: int, knots: Array, at: Array, reach: float) -> Array | None:
+    def _turned(
+        self, g: int, knots: Array, at: Array, reach: float, recorded: Rotation | None
+    ) -> Array | None:
         """[K, 4] how a gripper turns, or None: as its recorded axis does; and a pinched corner does
         not stay level beside it, it hangs once the gripper has risen by its reach."""
-        scene, found = self.scene, []
-        if (turns := scene.turns[g]) is not None:
-            t = turns[0] + self.delay / scene.clock
-            found.append(Slerp(t, turns[1])(np.clip(knots, t[0], t[-1])))
+        scene, found = self.scene, [] if recorded is None else [recorded]
         if scene.by_corner:
             rise = at[:, 2] - scene.held[g, 2]
-            inwards = Rotation.from_euler("z", self.yaw).apply(scene.inwards[g])
+            inwards = Rotation.from_euler("z", self.theta.yaw).apply(scene.inwards[g])
             axis = np.cross(inwards, [0.0, 0.0, -1.0])
-            angle = self.tilt * np.clip(rise / (2.0 * reach), 0.0, 1.0)
+            angle = self.theta.grip_tilt * np.clip(rise / (2.0 * reach), 0.0, 1.0)
             found.append(Rotation.from_rotvec(angle[:, None] * axis))
         if len(scene.held) > 1 and self.clamps[g].any():
             # the first frame shows how markers lie, not how the rope leaves the clamp
@@ -273,7 +254,7 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
     begin = min(begin, float(times[0])) - (STATIC_SETTLING if scene.static else 0.0)
     table, height = None, scene.recording.table_height
     if height is not None:
-        table = Table(height=height, friction=[w.friction for w in worlds])
+        table = Table(height=height, friction=[theta.friction for theta in thetas])
     simulator = Simulator(
         scene.body,
         [w.material for w in worlds],
@@ -281,13 +262,13 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
         table=table,
         stiffness=_stacked([w.stiffness for w in worlds], len(scene.initial)),
         mass=_stacked([w.mass for w in worlds], len(scene.initial)),
-        natural_curvature=[w.natural_curvature for w in worlds] if scene.curved else 1.0,
+        natural_curvature=[t.natural_curvature for t in thetas] if scene.curved else 1.0,
         stretch=[theta.length_ratio for theta in thetas] if scene.beside else 1.0,
         positions=np.stack([w.positions for w in worlds]),
         start_time=begin,
         physics=Physics(
             velocity_damping=scene.velocity_damping,
-            air_density=[AIR_DENSITY * w.air_drag for w in worlds],
+            air_density=[AIR_DENSITY * theta.air_drag for theta in thetas],
         ),
         solver=Solver(
             engine=scene.settings.engine,
@@ -412,19 +393,15 @@ def _stacked(factors: Sequence[Array | None], points: int) -> Array | float:
 
 def _closed(scene: LiftScene, g: int, delay: float) -> dict[str, Any]:
     """When a gripper closes and opens, halfway between frames."""
-    closed = scene.recording.gripper_closed
+    closed, first = scene.recording.gripper_closed, scene.begins
     if closed is None:
         return {}
-    first = scene.begins
     states, time = closed[first:, g], scene.sim_time(scene.recording.time[first:]) + delay
-    found = {}
-    starts = int(np.argmax(states))
-    if starts > 0:
-        found["hold_from"] = float(time[starts - 1 : starts + 1].mean())
+    between, starts = 0.5 * (time[1:] + time[:-1]), int(np.argmax(states))
+    found = {"hold_from": float(between[starts - 1])} if starts else {}
     opens = np.flatnonzero(~states[starts:])
     if len(opens):
-        k = starts + int(opens[0])
-        found["hold_until"] = float(time[k - 1 : k + 1].mean())
+        found["hold_until"] = float(between[starts + int(opens[0]) - 1])
     return found
 
 
@@ -487,7 +464,7 @@ class Shape:
         rows = values.reshape(T, Kb.shape[1], Ka.shape[1], -1)
         return np.einsum("ij,kl,tjlp->tikp", Kb, Ka, rows, optimize=True).reshape(T, -1, *rest)
 
-    def nearest(self, x: Array, points: Array) -> tuple[NDArray[np.intp], Array, Array]:
+    def nearest(self, x: Array, points: Array) -> tuple[Array, Array, Array]:
         """Middle points around the feet of points [T, m, 3] on shapes [T, n, 3], [T, m, k], their
         shares, and the feet [T, m, 3]."""
         if self.rope:
@@ -511,7 +488,7 @@ class Shape:
         foot = np.take_along_axis(places, near[..., None], axis=1)
         return index[near], weight[near], foot
 
-    def open_to(self, cameras: Array, x: Array, places: Array) -> NDArray[np.bool_]:
+    def open_to(self, cameras: Array, x: Array, places: Array) -> Array:
         """[m] which samples of a sheet [n, 3], at these places [m, 3], a camera sees."""
         index, weight = self.fine
         return visible_on_sheet(
@@ -522,7 +499,7 @@ class Shape:
             camera_positions=cameras,
         )
 
-    def normals(self, x: Array, index: NDArray[np.intp]) -> Array:
+    def normals(self, x: Array, index: Array) -> Array:
         """[T, m, 3] unit normals of sheets' [T, n, 3] cells with corners [T, m, 4]."""
         q = taken(x, index)
         along = q[..., 1, :] - q[..., 0, :] + q[..., 3, :] - q[..., 2, :]
@@ -531,7 +508,7 @@ class Shape:
         return n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-18)
 
 
-def nearest_of(points: Array, places: Array) -> NDArray[np.intp]:
+def nearest_of(points: Array, places: Array) -> Array:
     """[T, m] which of few points [T, k, 3] are nearest to places [T, m, 3]."""
     far = _with_ones(places) @ _columns(-2.0 * points, (points**2).sum(axis=2))
     return far.argmin(axis=2)
@@ -547,7 +524,7 @@ def _columns(of: Array, last: Array) -> Array:
     return np.swapaxes(np.concatenate([of, last[..., None]], axis=2), 1, 2)
 
 
-def taken(J: Array, index: NDArray[np.intp]) -> Array:
+def taken(J: Array, index: Array) -> Array:
     """[T, m, k, 3] of [T, n, 3] at indices [T, m, k]."""
     return np.take_along_axis(J[:, :, None], index.reshape(len(index), -1, 1, 1), axis=1).reshape(
         *index.shape, 3

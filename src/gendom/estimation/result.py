@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gendom.arrays import Array
 from gendom.estimation.likelihood import Comparison
@@ -41,7 +40,10 @@ class RecordingFit:
     def record(self, comparison: Comparison, noise: NoiseModel) -> dict[str, Any]:
         """The file's entries for this recording."""
         scene, fit = self.scene, comparison.fit(noise)
-        registered, _ = chamfers(scene, comparison.as_seen(self.positions, noise), self.theta)
+        registered = comparison.as_seen(self.positions, noise)
+        if scene.thin:
+            registered = scene.body_of(self.theta).surface(registered)
+        registered = _chamfer(scene, registered)
         return {
             "theta": {n: v for n, v in self.theta.items() if not UNKNOWNS[n].material},
             "chamfer_last": float(self.chamfer[-1]),
@@ -98,20 +100,22 @@ def chamfers(scene: LiftScene, x: Array, theta: Theta) -> tuple[Array, Array]:
         x: [T, N, 3] positions at its frames [m].
         theta: Parameters; the thickness is used.
     """
-    whole, surface = [], []
-    cameras = scene.recording.camera_positions
-    for t, here in zip(scene.frames, x, strict=True):
-        cloud = scene.recording.frame(t).astype(float)
-        skin = scene.body_of(theta).surface(here)
-        every = skin if scene.thin else here
-        whole.append(chamfer(cloud, every, of_b=_inside(scene, every)))
-        if scene.kind == "rope" or cameras is not None:
-            skin = skin[visible(skin, camera_positions=cameras)]
-        surface.append(chamfer(cloud, skin, of_b=_inside(scene, skin)))
-    return np.array(whole), np.array(surface)
+    skins, cameras = scene.body_of(theta).surface(x), scene.recording.camera_positions
+    if scene.kind == "rope" or cameras is not None:
+        seen = [skin[visible(skin, camera_positions=cameras)] for skin in skins]
+    else:
+        seen = list(skins)
+    return _chamfer(scene, skins if scene.thin else x), _chamfer(scene, seen)
 
 
-def _inside(scene: LiftScene, points: Array) -> NDArray[np.bool_]:
+def _chamfer(scene: LiftScene, every: Sequence[Array] | Array) -> Array:
+    """[T] the distance of a scene's clouds from points of the object in each frame [m]."""
+    clouds = (scene.recording.frame(t).astype(float) for t in scene.frames)
+    pairs = zip(clouds, every, strict=True)
+    return np.array([chamfer(cloud, own, of_b=_inside(scene, own)) for cloud, own in pairs])
+
+
+def _inside(scene: LiftScene, points: Array) -> Array:
     if scene.floor is None:
         return np.ones(len(points), dtype=bool)
     above = points[:, 2] > scene.floor
@@ -190,13 +194,8 @@ def _search(problem: Problem, found: Found, seconds: Mapping[str, float]) -> dic
             ended = {"loss": s.comparison.rms, "converged": bool(s.done)}
             starts.append({"initial": initial, "final": final, "bending_length": bends, **ended})
     history = [
-        {
-            "stage": stage or settings.method,
-            "start": n,
-            "iteration": i,
-            **_named(problem, v),
-            "loss": r,
-        }
+        {"stage": stage or settings.method, "start": n, "iteration": i, "loss": r}
+        | _named(problem, v)
         for n, s in enumerate(found.starts)
         for i, v, r, stage in s.history
     ]

@@ -8,16 +8,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.placing import Placed, lost_time, place, with_points
@@ -42,8 +41,6 @@ from gendom.materials.posterior import Prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.sim import Body
 
-Array = NDArray[np.floating]
-
 FINER = "limp: simulated along its longer side with"
 """Note of a cloth that gets more points than others."""
 
@@ -53,8 +50,7 @@ to rest [s]; its slowest swing then has e^-9 left."""
 
 QUASI_STATIC_SPEED, QUASI_STATIC_DAMPING = 0.05, 1.0
 """Gripper speed at which quasi-static recordings are replayed [m/s]: faster, a rope that leaves the
-table swings, by 20 mm at 0.12 m/s. And the rate of decay then [1/s]: the drag is 0.5 % of gravity.
-"""
+table swings. And the rate of decay then [1/s]: the drag is 0.5 % of gravity."""
 
 PATH_STEP, SPARSE, RAMP = 0.005, 0.2, 0.1
 """Time between a path's places [s]; between frames from which on they do not show how a gripper
@@ -211,7 +207,7 @@ class LiftScene(Placed):
         return self.captured and len(self.held) > 1
 
     @cached_property
-    def markers(self) -> tuple[NDArray[np.intp], Array]:
+    def markers(self) -> tuple[Array, Array]:
         """[m, 2] points of a rope around markers between two hands, and their shares."""
         assert self.places is not None
         index = np.clip(self.places.astype(int), 0, len(self.initial) - 2)
@@ -333,37 +329,41 @@ class LiftScene(Placed):
         """[T] time that is missing in the recorded times by each frame [s]."""
         return lost_time(self.recording)
 
-    def path(self, g: int) -> tuple[Array, Array]:
-        """Simulated times [K] [s] and stated positions [K, 3] [m] of a gripper from the first
-        frame on, between frames of fast motion without corners."""
+    @cached_property
+    def paths(self) -> list[tuple[Array, Array, Rotation | None]]:
+        """For each gripper from the first frame on simulated times [K] [s], its stated positions
+        [K, 3] [m], between frames of fast motion without corners, and how it has turned since."""
         first = self.begins
-        t = self.sim_time(self.recording.time[first:])
-        x = self.recording.gripper_position[first:, g].astype(float)
-        if self.quasi_static or len(t) < 3:
-            return t, x
-        fine = np.linspace(t[0], t[-1], max(2, round(float(t[-1] - t[0]) / PATH_STEP)))
-        if np.median(np.diff(t)) < SPARSE:
-            return fine, PchipInterpolator(t, x, axis=0)(fine)
-        knots, x = with_corners(t, x)
-        x = np.stack([np.interp(fine, knots, own) for own in x.T], axis=1)
-        return fine, uniform_filter1d(x, round(RAMP / PATH_STEP), axis=0, mode="nearest")
+        t, found = self.sim_time(self.recording.time[first:]), []
+        for g in range(len(self.held)):
+            own, x = t, self.recording.gripper_position[first:, g].astype(float)
+            if not (self.quasi_static or len(t) < 3):
+                own = np.linspace(t[0], t[-1], max(2, round(float(t[-1] - t[0]) / PATH_STEP)))
+                x = _between(t, x, own)
+            found.append((own, x, self.turned(g, own)))
+        return found
+
+    def turned(self, g: int, times: Array) -> Rotation | None:
+        """How a gripper has turned since the first frame at simulated times [K], None: not. As its
+        recorded axis does, without turning about it."""
+        slerp = self._turns[g]
+        if slerp is None:
+            return None
+        first, last = np.asarray(slerp.times)[[0, -1]]
+        return slerp(np.clip(times, first, last))
 
     @cached_property
-    def turns(self) -> list[tuple[Array, Rotation] | None]:
-        """How each gripper has turned since the first frame at simulated times, or None: not.
-
-        As its recorded axis does, without turning about it.
-        """
+    def _turns(self) -> list[Slerp | None]:
         axes, first, found = self.recording.gripper_axis, self.begins, []
         for g in range(len(self.held)):
             if axes is None or np.ptp(axes[first:, g], axis=0).max() < 1e-3:
                 found.append(None)
                 continue
-            turned = [Rotation.identity()]
-            for a, b in pairwise(axes[first:, g].astype(float)):
-                turned.append(_turn_between(a, b) * turned[-1])
+            along, turned = axes[first:, g].astype(float), [np.eye(3)]
+            for step in _turn_between(along[:-1], along[1:]).as_matrix():
+                turned.append(step @ turned[-1])
             times = self.sim_time(self.recording.time[first:])
-            found.append((times, Rotation.concatenate(turned)))
+            found.append(Slerp(times, Rotation.from_matrix(turned)))
         return found
 
     @cached_property
@@ -467,6 +467,15 @@ class LiftScene(Placed):
         return tuple(name for holds, names in rows if holds for name in names)
 
 
+def _between(t: Array, x: Array, fine: Array) -> Array:
+    """[K, 3] a path at times [K], that is at places [T, 3] at times [T]."""
+    if np.median(np.diff(t)) < SPARSE:
+        return PchipInterpolator(t, x, axis=0)(fine)
+    knots, x = with_corners(t, x)
+    x = np.stack([np.interp(fine, knots, own) for own in x.T], axis=1)
+    return uniform_filter1d(x, round(RAMP / PATH_STEP), axis=0, mode="nearest")
+
+
 def with_corners(t: Array, x: Array) -> tuple[Array, Array]:
     """Times [K] [s] and places [K, 3] [m] of a path with its corners between frames.
 
@@ -493,10 +502,11 @@ def with_corners(t: Array, x: Array) -> tuple[Array, Array]:
 
 
 def _turn_between(a: Array, b: Array) -> Rotation:
-    """The smallest turn from one direction [3] to another."""
+    """The smallest turns from directions [..., 3] to others."""
     normal = np.cross(a, b)
-    size = float(np.linalg.norm(normal))
-    return Rotation.from_rotvec(normal * (math.atan2(size, float(a @ b)) / max(size, 1e-12)))
+    size = np.linalg.norm(normal, axis=-1, keepdims=True)
+    angle = np.arctan2(size, (a * b).sum(axis=-1, keepdims=True))
+    return Rotation.from_rotvec(normal * angle / np.maximum(size, 1e-12))
 
 
 # ---- material ----------------------------------------------------------------------------------

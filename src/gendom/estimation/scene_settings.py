@@ -10,25 +10,23 @@ from gendom.sim import ENGINES, check_numbers
 from gendom.sim.bodies import CELLS_ACROSS
 
 SHELL_POINTS = 33
-"""Along the longer side of a cloth. In lifts by a corner, cloths of which the bending length is
-0.09 and 0.16 of a side move like ones of 81 points if E is 0.87 and 1.01 times theirs; with 26
-points, which take half the time, 1.46 and 1.12 times."""
+"""Along the longer side of a cloth. Cloths that bend over 0.09 and 0.16 of a side then move like
+ones of 81 points if E is 0.87 and 1.01 times theirs."""
 
 SHELL_SPACING, MOST_SHELL_POINTS = 1.0 / 3.0, 49
-"""Limp cloths are then estimated again with points this many bending lengths apart, up to the
-largest number below, where that is at least a tenth more. A cloth that bends over 0.056 of a side
-moved like MuJoCo's with 45 points, with 33 if its E was 1.5 times as large."""
+"""Limp cloths are then estimated again with points this many bending lengths apart, up to so many,
+where that is at least a tenth more."""
 
 SHELL_ERROR = 1.5
-"""Error of ln(E) by the distance of a cloth's points, in bending lengths and to the third power.
-Nearest to lifts of five of MuJoCo's cloths, 33 points less than half a bending length apart had E
-by 0.01 to 0.13 (0.08 in the mean) larger than 49."""
+"""Error of ln(E) by the distance of a cloth's points, in bending lengths and to the third power
+(docs/notes/cloths.md)."""
 
 STRETCH = 0.002
-"""A cloth's own weight lengthens it by this at most, hanging by a side: the simulated stiffness in
-its plane is limited to that. This allows longer time steps: two to four times for cloths that bend
-over 25 to 45 mm and are 0.5 to 1 mm thick. A rope whose diameter is not stated is lengthened by no
-more: a soft one of the diameter that is assumed would stretch by 4 %."""
+"""An object's own weight lengthens it by this at most, hanging by a side or an end: the simulated
+stiffness along it is limited to that. For a cloth this allows longer time steps: two to four times
+where it bends over 25 to 45 mm and is 0.5 to 1 mm thick. A rope gets at least that stiffness: its
+fibres resist stretch more than bending, in which they slide past each other. With one E for both
+soft ropes stretch by up to 4 %, and their tails follow less over the table."""
 
 COARSE_POINTS, COARSE_FRAMES, COARSE_STRETCH = 21, 18, 0.01
 """Where a search begins: points of a rod, or along the longer side of a shell, frames that are

@@ -9,10 +9,10 @@ from itertools import combinations
 
 import numpy as np
 from numpy.linalg import norm
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
+from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.datasets.checks import (
     FEWEST_FRAMES,
@@ -34,8 +34,6 @@ from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.observation import breadth_across
 from gendom.sim.lines import along_line
 
-Array = NDArray[np.floating]
-
 Findings = Iterator[tuple[float, float, str]]
 """Measured, the most that is usable, and what to say of more."""
 
@@ -45,17 +43,13 @@ recordings of one object from each other."""
 
 DISPLACED, DISPLACED_BY_TWO, DISPLACED_CLOTH = 0.015, 0.06, 0.01
 """Largest smooth displacement between model and clouds, in the object's size. Over 60 good lifts of
-ropes by one gripper it is 0.010 at most, 0.007 of a real rope; ropes that slip through the fingers
-have 0.021 and more, with an E that is four and more times too small. Of real cables in fast motion
-between two grippers it is 0.010 to 0.016. Twice a sheet's E moves it by as much in a lift (2 to 5
-mm of a diagonal of 0.42 m): a larger displacement hides the effect of E."""
+ropes it is 0.010 at most; ropes that slip through the fingers have 0.021 and more. Of real cables
+in fast motion it is 0.010 to 0.016. Twice a sheet's E moves it by as much in a lift."""
 
 BROADER, BLURRED, NARROWER, LOST = 1.25, (0.0013, 0.0005), 1.15, 0.002
 """How much more and less of a rope than its thickness cameras show across their views, as factors
-and lengths [m]: points that are drawn evenly from its skin lie at 0.92 of half its thickness where
-pixels lie at 0.75, and pixels at edges have no depth or that of the background. Strips of cameras
-are broader where it is not known which one saw a point. Of 31 good lifts of the MuJoCo scene, that
-is known, they have 0.70 to 1.06 of the thickness."""
+and lengths [m]; more where it is not known which camera saw a point. Pixels at edges have no depth
+or that of the background: 31 good lifts of the MuJoCo scene have 0.70 to 1.06 of the thickness."""
 
 
 def beyond(findings: Findings) -> list[str]:

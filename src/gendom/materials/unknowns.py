@@ -65,7 +65,8 @@ class Unknown:
     """The object (`Rope`, `Cloth`) with a value of it: makes a material's unknown count for tasks.
     """
     on_replay: Callable[[Any, float], None] | None = None
-    """Changes the inputs of a simulated world (`estimation.replay.WorldInputs`) to a value."""
+    """Changes the inputs of a simulated world (`estimation.replay.WorldInputs`) to a value; None:
+    the simulator takes it as it is."""
 
     @property
     def title(self) -> str:
@@ -97,11 +98,6 @@ def _with(name: str) -> Callable[[Any, float], Any]:
     return lambda item, value: replace(item, material=replace(item.material, **{name: value}))
 
 
-def _sets(name: str) -> Callable[[Any, float], None]:
-    """How a simulated world takes a value as one of its inputs."""
-    return lambda world, value: setattr(world, name, value)
-
-
 def _turns(end: int, about: int) -> Callable[[Any, float], None]:
     """How a clamp takes its turn about an axis of the hand."""
     return lambda world, value: world.clamps.__setitem__((end, about), value)
@@ -125,20 +121,20 @@ UNKNOWNS: dict[str, Unknown] = {
         Unknown(
             "E_over_rho", "E / density", "m^2/s^2", "Young's modulus over density",
             log=True, low=1e-2, high=1e9, mean=1e3, sd=4.0, step=0.02, widest=1.0, material=True,
-            label="E / density", on_replay=_sets("E_over_rho"),
+            label="E / density",
             on_object=lambda item, value: _with("E")(item, value * item.material.density),
         ),
         Unknown(
             "nu", "nu", "1", "Poisson's ratio",
             low=0.05, high=0.45, mean=0.3, sd=0.06, step=0.02, widest=0.1, material=True,
-            label="Poisson's ratio", form=".3f", on_object=_with("nu"), on_replay=_sets("nu"),
+            label="Poisson's ratio", form=".3f", on_object=_with("nu"),
         ),
         # log-uniform 0.5 to 50 ms has this mean and deviation
         Unknown(
             "damping", "damping", "s", "viscous over elastic stress",
             log=True, low=3e-4, high=0.2, mean=0.005, sd=1.33, step=0.1, widest=1.0,
             material=True, least=0.0, form=".2g",
-            on_object=_with("damping"), on_replay=_sets("damping"),
+            on_object=_with("damping"),
         ),
         # uniform 0.05 to 1 has this deviation
         Unknown(
@@ -146,7 +142,6 @@ UNKNOWNS: dict[str, Unknown] = {
             low=0.02, high=1.5, mean=0.5, sd=0.27, step=0.03, widest=0.2, material=True,
             least=0.0, form=".2f",
             on_object=lambda item, value: replace(item, friction=value),
-            on_replay=_sets("friction"),
         ),
         Unknown(
             "stiffness_slope", "d ln(E) / d(s / L)", "1", "how E varies along a rope",
@@ -159,7 +154,7 @@ UNKNOWNS: dict[str, Unknown] = {
             "natural_curvature", "natural curvature", "1",
             "share of a lying rope's curvature that it has by nature",
             low=0.0, high=1.0, mean=0.5, sd=0.5, step=0.05, widest=0.5, kinds=("rope",),
-            default=1.0, least=0.0, form=".2f", on_replay=_sets("natural_curvature"),
+            default=1.0, least=0.0, form=".2f",
         ),
         # of woven cloths one side is up to twice as stiff
         Unknown(
@@ -167,7 +162,6 @@ UNKNOWNS: dict[str, Unknown] = {
             "bending stiffness along a cloth's first side over that along its second one",
             log=True, low=0.1, high=10.0, mean=1.0, sd=0.5, step=0.06, widest=0.5,
             kinds=("cloth",), material=True, above=0.0, label="warp / weft", form=".2f",
-            on_replay=_sets("warp_over_weft"),
         ),
         # cloth folded over once or twice, and sewn
         Unknown(
@@ -204,7 +198,7 @@ UNKNOWNS: dict[str, Unknown] = {
             "air_drag", "air drag / assumed", "1",
             "drag of the air over mass, over that of the assumed diameter and density",
             log=True, low=0.1, high=10.0, mean=2.0, sd=0.7, step=0.1, widest=0.7, default=1.0,
-            kinds=("rope",), material=True, above=0.0, form=".2f", on_replay=_sets("air_drag"),
+            kinds=("rope",), material=True, above=0.0, form=".2f",
         ),
         # a line through markers in zigzag is longer, one through few is shorter
         Unknown(
@@ -222,7 +216,6 @@ UNKNOWNS: dict[str, Unknown] = {
         Unknown(
             "delay", "delay", "s", "how late clouds show the stated motion of the gripper",
             low=-0.5, high=0.5, mean=0.0, sd=0.02, step=0.005, widest=0.05,
-            on_replay=_sets("delay"),
         ),
         Unknown(
             "grip_height", "grip height", "m", "how much higher than stated the object is held",
@@ -245,13 +238,12 @@ UNKNOWNS: dict[str, Unknown] = {
             "grip_tilt", "grip tilt", "rad",
             "how far the held corner turns from level, or its recorded axis, as it is lifted",
             low=-0.3, high=2.2, mean=0.8, sd=0.6, step=0.05, widest=0.4, kinds=("cloth",),
-            default=0.0, on_replay=_sets("tilt"),
+            default=0.0,
         ),
         Unknown(
             "grip_reach", "grip reach", "m",
             "how much farther from the held point than stated the cloth moves with the gripper",
             low=-0.05, high=0.05, mean=0.0, sd=0.004, step=2e-3, widest=0.01, kinds=("cloth",),
-            on_replay=_sets("reach"),
         ),
         Unknown(
             "yaw", "yaw", "rad", "turn of the lying cloth from the first guess on",

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating]
+from gendom.arrays import Array
 
 EDGE = 6e-4
 """By how much the edge of a camera's picture may be off: a third of a pixel of 2 mm [m]."""
@@ -28,7 +27,7 @@ def breadth_across(
     cameras: Array,
     noise: float,
     *,
-    seen_by: NDArray[np.integer] | int = -1,
+    seen_by: Array | int = -1,
     rounds: int = 20,
 ) -> float | None:
     """Breadth of the strip that cameras see of a rope [m]; None where too few points show it.

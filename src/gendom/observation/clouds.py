@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from gendom.arguments import require
@@ -20,7 +20,7 @@ _PIXEL_SPACINGS = 1.5
 _MAX_SIGHT_ANGLE = 75.0  # to a sheet's normal, beyond which depth cameras measure nothing [degrees]
 
 
-def chamfer(a: ArrayLike, b: ArrayLike, *, of_b: NDArray[np.bool_] | None = None) -> float:
+def chamfer(a: ArrayLike, b: ArrayLike, *, of_b: Array | None = None) -> float:
     """Mean distance from A to its nearest in B plus mean distance from B to its nearest in A [m].
 
     This is the definition that the GenDOM authors' figures follow: distances, not their squares,
@@ -124,7 +124,7 @@ class DensityGrid:
             found[..., axis] = np.einsum("lnijk,lni,lnj,lnk->ln", gathered, x, y, z, optimize=True)
         return (found / (n * self.cell)).reshape(p.shape)
 
-    def _stencil(self, p: Array) -> tuple[NDArray[np.int64], Array, Array]:
+    def _stencil(self, p: Array) -> tuple[Array, Array, Array]:
         """Nodes [L, n, 3, 3, 3] around points [L, n, 3], the weights [L, n, 3 axes, 3] whose
         products they take, and their derivatives by the position in cells."""
         q = (p - self.origin) / self.cell
@@ -142,7 +142,7 @@ class DensityGrid:
         return index, np.where(on, w, 0.0), np.where(on, dw, 0.0)
 
 
-def visible(points: ArrayLike, *, camera_positions: ArrayLike | None = None) -> NDArray[np.bool_]:
+def visible(points: ArrayLike, *, camera_positions: ArrayLike | None = None) -> Array:
     """Mark the points that no others hide, from any of the cameras.
 
     Hidden point removal: points are mirrored in a sphere around the viewpoint, and those on the
@@ -184,7 +184,7 @@ def visible_on_sheet(
     *,
     spacing: float,
     camera_positions: ArrayLike | None = None,
-) -> NDArray[np.bool_]:
+) -> Array:
     """Mark the points on a sheet that a camera sees.
 
     They are seen no more aslant than by 75 degrees, and no nearer part of the sheet lies in

@@ -11,9 +11,12 @@ from experiments.sim2sim import paper_E, truth_of
 from gendom.estimation import EstimateSettings, LiftScene, estimate
 from gendom.estimation.likelihood import Comparisons
 from gendom.estimation.methods.adam import DensityLoss, _Descent, adam
-from gendom.estimation.methods.differential_evolution import differential_evolution
+from gendom.estimation.methods.differential_evolution import (
+    differential_evolution,
+    distance,
+    nearest,
+)
 from gendom.estimation.methods.gauss_newton import gauss_newton
-from gendom.estimation.methods.nearest import distance, nearest
 from gendom.estimation.methods.search import finished
 from gendom.estimation.problem import Problem, Start
 
@@ -122,7 +125,7 @@ def test_the_nearest_replay_comes_near(cloth_lift):
     scene = replace(LiftScene.of(seen, cloth_lift.settings), frames=(3, 5, 7), calm=(3, 5, 7))
     problem = Problem([scene], EstimateSettings(starts=1, scene=cloth_lift.settings))
     began = problem.compare([problem.prior.mean], derivatives=False)[0]
-    found = nearest(problem, generations=8).best
+    found = nearest(problem, generations=5).best
     assert began is not None and found.comparison is not None
     assert found.value < 0.5 * distance(began.parts[0])
     assert (np.abs(found.vector - problem.prior.mean) <= 3.0 * problem.prior.sd + 1e-12).all()
@@ -131,7 +134,7 @@ def test_the_nearest_replay_comes_near(cloth_lift):
 
 def drifting(cloth_lift, by):
     """A recording of a cloth that leaves its gripper, by so much in the end [m]."""
-    seen = cloth_lift.seen(frames=8)
+    seen = cloth_lift.seen(frames=5)
     away = np.linspace(0.0, by, seen.num_frames)[:, None] * [0.0, 1.0, 0.0]
     clouds = [seen.frame(k).astype(float) + away[k] for k in range(seen.num_frames)]
     return cloth_lift.recording(clouds)

@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.arrays import Array
@@ -93,7 +92,7 @@ class _Descent:
     """[P] where it is."""
     gradient: Array = field(default_factory=lambda: np.zeros(0))
     """[P] of the loss there."""
-    seen: list[NDArray[np.bool_]] | None = None
+    seen: list[Array] | None = None
     """T masks of the skin's points that cameras see."""
     mean: Array | float = 0.0
     square: Array | float = 0.0
@@ -136,7 +135,7 @@ class DensityLoss:
         m = middle(self.part.scene, x)
         return np.einsum("mk,tmka->tma", weight, m[:, index])
 
-    def seen(self, points: Array) -> list[NDArray[np.bool_]]:
+    def seen(self, points: Array) -> list[Array]:
         """T masks [M] of the points [T, M, 3] that a recording would show."""
         scene = self.part.scene
         masks = [np.ones(points.shape[1], dtype=bool) for _ in points]
@@ -150,13 +149,11 @@ class DensityLoss:
                 mask &= p[:, 2] > scene.floor
         return masks
 
-    def value(self, x: Array, seen: Sequence[NDArray[np.bool_]]) -> float:
+    def value(self, x: Array, seen: Sequence[Array]) -> float:
         """Loss at positions [T, N, 3]; 2 at most."""
         return self._compare(self.shown(x), seen)[0]
 
-    def value_and_gradient(
-        self, x: Array, seen: Sequence[NDArray[np.bool_]]
-    ) -> tuple[float, Array]:
+    def value_and_gradient(self, x: Array, seen: Sequence[Array]) -> tuple[float, Array]:
         """That, and its derivative by the positions [T, N, 3] [1/m]."""
         value, bar = self._compare(self.shown(x), seen, derivative=True)
         if self.part.observation.markers is None:
@@ -171,7 +168,7 @@ class DensityLoss:
         return value, np.repeat(of_middle, count, axis=1) / count
 
     def _compare(
-        self, shown: Array, seen: Sequence[NDArray[np.bool_]], *, derivative: bool = False
+        self, shown: Array, seen: Sequence[Array], *, derivative: bool = False
     ) -> tuple[float, Array]:
         """Loss of points [T, M, 3], and its derivative by them if wanted."""
         T, M = shown.shape[:2]

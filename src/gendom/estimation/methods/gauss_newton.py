@@ -18,15 +18,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.estimation.methods.search import best_of, estimated_noise, first_starts
 from gendom.estimation.observed import NoiseModel
 from gendom.estimation.priors import INSTRUMENTED
 from gendom.estimation.problem import Found, Problem, Start
 from gendom.materials.unknowns import UNKNOWNS
-
-Array = NDArray[np.floating]
 
 SCANNED = 12
 """Moduli of the scan that precedes the search, over the whole range."""

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gendom.arrays import Array
 from gendom.estimation.likelihood import Comparisons
 from gendom.estimation.observed import NoiseModel
 from gendom.estimation.problem import Found, Problem, Start
-
-Array = NDArray[np.floating]
 
 
 def first_starts(problem: Problem, scanned: int, initial: Sequence[Array] = ()) -> list[Start]:
