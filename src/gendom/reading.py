@@ -18,6 +18,7 @@ import os
 import stat
 import tomllib
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
@@ -118,7 +119,7 @@ def check_unpacked(
 
 def inside(
     folder: str | os.PathLike, name: str, *, where: str, error: type[GendomError] = RecordingError
-) -> Path:
+) -> str:
     """The path of a file that another file names, relative to its folder, with / or, as Windows
     writes them, backslashes.
 
@@ -127,9 +128,10 @@ def inside(
     """
     parts = name.replace("\\", "/").split("/")
     stays = parts[0] and parts[0][1:2] != ":" and ".." not in parts and "\0" not in name
-    fix = "name files below that folder"
-    require(stays, f"{name!r} is not in {folder}", where=where, fix=fix, error=error)
-    return Path(folder, *parts)
+    if not stays:
+        what = f"{name!r} is not in {folder}"
+        raise error(what, where=where, fix="name files below that folder")
+    return os.path.join(folder, *parts)
 
 
 def decoded(data: bytes, errors: str = "strict") -> str:
@@ -339,16 +341,19 @@ def read_number_table(
     if on_cut is not None and not whole and len(lines) > 1 and cut:
         on_cut(number)
         del lines[-1]
+    with suppress(ValueError):  # a cell that is no number, or rows of several lengths
+        table = np.array([row for _, row in lines], dtype=np.float64)
+        if table.shape[1] == len(names):
+            return names, table, [number for number, _ in lines]
     for number, row in lines:
         what, where = f"{len(row)} values under {len(names)} column names", f"{path}, line {number}"
         fix = "give one value a column"
         require(len(row) == len(names), what, where=where, fix=fix, error=error)
-        for name, text in zip(names, row, strict=True):
-            if not _is_number(text):
-                where, fix = f"{where}, column {name}", "give seconds and metres"
-                raise error(f"{text[:60]!r} is no number", where=where, fix=fix)
-    table = np.array([row for _, row in lines], dtype=np.float64)
-    return names, table, [number for number, _ in lines]
+        wrong = next((k for k, text in enumerate(row) if not _is_number(text)), None)
+        if wrong is not None:
+            where, fix = f"{where}, column {names[wrong]}", "give seconds and metres"
+            raise error(f"{row[wrong][:60]!r} is no number", where=where, fix=fix)
+    raise error("is no table of numbers", where=str(path), fix="give seconds and metres")
 
 
 def _is_number(text: str) -> bool:

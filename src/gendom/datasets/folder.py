@@ -138,13 +138,20 @@ def check_named(names: list[str], time: np.ndarray, *, where: str) -> None:
     Raises:
         RecordingError: They are not.
     """
+
+    def most_have(pattern: re.Pattern[str]) -> bool:
+        return 2 * sum(pattern.search(name) is not None for name in names) > len(names)
+
+    since_1970 = most_have(_SINCE_1970)
+    if not (since_1970 or most_have(_THOUSANDTHS)):
+        return
     as_times, evenly = _misfit(_numbers_of(_DECIMAL, names), time)
-    for pattern, off in ((_SINCE_1970, as_times), (_THOUSANDTHS, min(as_times, evenly))):
-        if sum(map(bool, map(pattern.search, names))) > len(names) / 2 and np.isfinite(off):
-            what = f"times in names, as {names[0]!r}, are up to {off:.3g} s from "
-            fix = "give each frame the time of its row, or name them 0000, 0001, ..."
-            right = off <= float(np.median(np.diff(time)))
-            _wanted(right, f"{what}those of the frames", where, fix)
+    _, counted = _misfit(_numbers_of(_PARTS, names), time)
+    off = as_times if since_1970 else min(as_times, evenly, counted)
+    if np.isfinite(off) and off > float(np.median(np.diff(time))):
+        what = f"times in names, as {names[0]!r}, are up to {off:.3g} s from those of the frames"
+        fix = "give each frame the time of its row, or name them 0000, 0001, ..."
+        raise RecordingError(what, where=where, fix=fix)
 
 
 def _name_key(pattern: re.Pattern[str], name: str) -> list[tuple[int, Decimal, str]]:

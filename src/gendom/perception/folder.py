@@ -21,6 +21,7 @@ missing frame does not affect others.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -127,7 +128,7 @@ class PngCamera:
 
     def __iter__(self) -> Iterator[Frame]:
         for time, *files in self._rows:
-            yield Frame(time, str(files[0]), lambda files=files: self._read(*files))
+            yield Frame(time, files[0], lambda files=files: self._read(*map(Path, files)))
 
     def _read(self, path: Path, colour: Path | None = None) -> Pictures:
         picture = read_png(path)
@@ -237,25 +238,26 @@ def _open_camera(folder: Path, on_warning: Callable[[Fault], None]) -> FrameSour
 
 
 def _read_frames(path: Path, on_warning: Callable[[Fault], None]) -> list[tuple[Any, ...]]:
-    """Rows (time [s], depth file[, colour file]) of frames.csv."""
+    """Rows (time [s], path of the depth[, of the colour]) of frames.csv."""
     lines = read_rows(path, header=_HEADER, damaged=True)
     header, rows, bad = lines[0][1], [], []
     right = {"time", "depth"} <= set(header) <= {"time", "depth", "colour"}
     what = f"has the header {','.join(header)!r}"
     expect(right, what, where=str(path), fix=f"write {_HEADER}")
+    at, depth = header.index("time"), header.index("depth")
+    colour = header.index("colour") if "colour" in header else depth
+    folder = os.fspath(path.parent)
     for number, line in lines[1:]:
-        entry = dict(zip(header, line, strict=False))
         try:
-            time = float(entry["time"])
-            whole = len(line) == len(header) and np.isfinite(time) and entry["depth"]
-            if not whole or (rows and time <= rows[-1][0]):
-                raise ValueError
-        except (ValueError, KeyError):
+            time, whole = float(line[at]), len(line) == len(header) and line[depth]
+        except (ValueError, IndexError):
+            time, whole = math.nan, False
+        if not whole or not math.isfinite(time) or (rows and time <= rows[-1][0]):
             bad.append(number)
             continue
-        named = [entry["depth"], *filter(None, [entry.get("colour")])]
+        named = [line[depth], line[colour]] if colour != depth and line[colour] else [line[depth]]
         where = f"{path}, line {number}"
-        rows.append((time, *(inside(path.parent, name, where=where) for name in named)))
+        rows.append((time, *(inside(folder, name, where=where) for name in named)))
     fix = f"write one row a frame under {_HEADER}"
     expect(rows, "holds no usable row", where=str(path), fix=fix)
     if bad:
@@ -263,5 +265,5 @@ def _read_frames(path: Path, on_warning: Callable[[Fault], None]) -> list[tuple[
         what += f"first in line {bad[0]}; they are left out"
         on_warning(Fault(what, str(path), "record again if too much is missing", "warning"))
     times = np.array([row[0] for row in rows])
-    check_named([row[1].stem for row in rows], times, where=str(path))
+    check_named([os.path.splitext(os.path.basename(r[1]))[0] for r in rows], times, where=str(path))
     return rows

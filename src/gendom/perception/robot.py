@@ -195,21 +195,26 @@ def read_capsules(path: str | os.PathLike) -> CapsulePath:
     tracks: dict[str, list[list[float]]] = {}
     for number, row in lines[1:]:
         where = f"{path}, line {number}"
-        try:
-            values = [float(text) for i, text in enumerate(row) if i != 1]
-        except ValueError:
-            values = []
-        right = (
-            len(row) == len(_COLUMNS) and all(map(math.isfinite, values)) and values[-1:] > [0.0]
-        )
-        fix = "give seconds, a name, two ends and a radius above 0 in metres"
-        expect(right, f"is no capsule: {','.join(row)[:60]!r}", where=where, fix=fix)
+        values = _capsule(row)
+        if values is None:
+            fix = "give seconds, a name, two ends and a radius above 0 in metres"
+            raise RecordingError(f"is no capsule: {row}", where=where, fix=fix)
         track = tracks.setdefault(row[1], [])
-        what, fix = f"more than {_MOST_CAPSULES} names", "give the shape fewer capsules"
-        expect(len(tracks) <= _MOST_CAPSULES, what, where=where, fix=fix)
-        last = track[-1][0] if track else -math.inf
-        what = f"time of capsule {row[1]!r} goes from {last:g} to {values[0]:g} s"
-        expect(values[0] > last, what, where=where, fix="sort the rows")
+        if track and values[0] <= track[-1][0]:
+            what = f"time of capsule {row[1]!r} goes from {track[-1][0]:g} to {values[0]:g} s"
+            raise RecordingError(what, where=where, fix="sort the rows")
         track.append(values)
+    what, fix = f"has more than {_MOST_CAPSULES} names", "give the shape fewer capsules"
+    expect(len(tracks) <= _MOST_CAPSULES, what, where=str(path), fix=fix)
     arrays = {name: np.array(track) for name, track in tracks.items()}
     return CapsulePath({name: (a[:, 0], a[:, 1:]) for name, a in arrays.items()})
+
+
+def _capsule(row: list[str]) -> list[float] | None:
+    """Numbers of a row of capsules.csv; None: it holds others."""
+    try:
+        values = [float(text) for k, text in enumerate(row) if k != 1]
+    except ValueError:
+        return None
+    right = len(row) == len(_COLUMNS) and all(map(math.isfinite, values)) and values[-1] > 0.0
+    return values if right else None
