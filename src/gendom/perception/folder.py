@@ -4,7 +4,6 @@
       object.toml            what is held, as in a folder of PLY clouds
       gripper.csv            the robot's path: time,x,y,z[,ax,ay,az][,closed], at times of its own
       joints.csv             optional: the robot's joint angles, see `gendom.robot`
-      capsules.csv           optional: shape of the robot, or of what else is in the way
       cameras/NAME/
         camera.toml          see `gendom.perception.camera_file`
         frames.csv           time,depth[,colour]: seconds, and files relative to this folder

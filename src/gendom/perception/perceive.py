@@ -12,22 +12,24 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from gendom.arguments import require, time_text
+from gendom.arguments import time_text
 from gendom.datasets import Fault, Recording
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
 from gendom.perception.camera import Camera, expect
 from gendom.perception.cloud import (
+    MIN_CLUSTER,
     MIN_DEPTH_PIXELS,
     OUTLIER_RADIUS,
     STAGES,
+    VOXEL,
     CameraView,
     FusedCloud,
     Held,
     PerceptionSettings,
     perceive_frame,
 )
-from gendom.perception.colour import ObjectColour, lab, picked_colour
+from gendom.perception.colour import ObjectColour, lab
 from gendom.perception.folder import CameraRecording
 from gendom.perception.frames import Frame, MatchedFrames, Pictures, read_png
 from gendom.perception.quality import (
@@ -79,7 +81,6 @@ def perceive(
     settings: PerceptionSettings | None = None,
     *,
     on_warning: Callable[[Fault], None] = lambda _: None,
-    on_frame: Callable[[float, FusedCloud], None] = lambda _time, _cloud: None,
 ) -> Perceived:
     """Turn depth pictures into the object's clouds.
 
@@ -91,14 +92,13 @@ def perceive(
         settings: By default the workspace follows from the grippers' path, and all that stands
             above the table is the object.
         on_warning: Called with every fault that does not prevent use.
-        on_frame: Called with time [s] and cloud of each frame.
 
     Raises:
         RecordingError: No frames match, depth misses the workspace, cameras disagree by more
             than 2 cm, no object is in view, or the recording that came of it is not valid.
         ParameterError: A setting is out of its range.
     """
-    return _Perception(recorded, settings or PerceptionSettings(), on_warning, on_frame).run()
+    return _Perception(recorded, settings or PerceptionSettings(), on_warning).run()
 
 
 class _Perception:
@@ -107,9 +107,8 @@ class _Perception:
         recorded: CameraRecording,
         settings: PerceptionSettings,
         on_warning: Callable[[Fault], None],
-        on_frame: Callable[[float, FusedCloud], None],
     ):
-        self.recorded, self.on_warning, self.on_frame = recorded, on_warning, on_frame
+        self.recorded, self.on_warning = recorded, on_warning
         where = f"{recorded.where}/object.toml"
         self.values, faults = parse_meta(recorded.meta)
         if faults:
@@ -165,7 +164,6 @@ class _Perception:
                 capsules=capsules,
                 held=held if closed is None or closed.all() else None,
             )
-            self.on_frame(time, cloud)
             if (times := times_own_area(cloud.points, self.object)) > self.most:
                 self.crowded.append(times)
                 continue
@@ -247,9 +245,7 @@ class _Perception:
         x, y, _ = np.reshape(np.array(self.settings.workspace), (2, 3)).mean(axis=0)
         for view, seen in zip(self.views, pictures, strict=True):
             view.find_table(seen.depth, expected)
-            if view.table is None:
-                view.check_unit(seen.depth, expected)
-            else:
+            if view.table is not None:
                 heights[view.camera.name] = view.table.height(x, y)
         known = dict(heights) if expected is None else {"object.toml": expected, **heights}
         apart = max(known.values()) - min(known.values()) if heights else 0.0
@@ -290,26 +286,18 @@ class _Perception:
                 self._warn(what, f"camera {view.camera.name!r}", fix)
 
     def _find_colour(self, pictures: list[Pictures]) -> ObjectColour | None:
-        chosen, k = self.settings, 0
-        if chosen.masks is None and chosen.colour is None and chosen.pick is None:
+        chosen = self.settings
+        if chosen.masks is None and chosen.colour is None:
             return None
-        if chosen.pick is not None:
-            name, fix = chosen.pick[0], f"have {', '.join(self.names)}"
-            require(name in self.names, f"there is no camera {name!r}", fix=fix)
-            k = self.names.index(name)
-        coloured = []
         for name, seen in zip(self.names, pictures, strict=True):
-            fix = "leave out --colour and --pick, or record colour"
-            self._require(
-                seen.colour is not None, "has no colour pictures", fix, f"camera {name!r}"
-            )
-            coloured.append(seen.colour)
-        if chosen.pick is not None:
-            reference = picked_colour(coloured[k], *chosen.pick[1:])
-        else:
-            reference = lab(chosen.colour or (255, 255, 255))  # of masks white is the object
-        tolerance, weight = chosen.colour_tolerance, chosen.lightness_weight
-        return ObjectColour.near(reference, tolerance=tolerance, lightness_weight=weight)
+            fix = "leave out --colour, or record colour"
+            what, where = "has no colour pictures", f"camera {name!r}"
+            self._require(seen.colour is not None, what, fix, where)
+        return ObjectColour.near(
+            lab(chosen.colour or (255, 255, 255)),  # of masks white is the object
+            tolerance=chosen.colour_tolerance,
+            lightness_weight=chosen.lightness_weight,
+        )
 
     def _compare(self, cloud: FusedCloud) -> None:
         """Raise an error if cameras disagree about the position of the object.
@@ -322,7 +310,7 @@ class _Perception:
         done = self.comparable >= _AGREEMENT_FRAMES and self.object.kind != "rope"
         if done or len(cloud.parts) < 2 or len(cloud.points) == 0:
             return
-        tree, near = KDTree(cloud.points), max(OUTLIER_RADIUS, self.settings.voxel)
+        tree, near = KDTree(cloud.points), OUTLIER_RADIUS
         clouds = [part[tree.query(part)[0] < near] for part in cloud.parts]
         if any(len(own) < least for own, least in zip(clouds, self.fewest, strict=True)):
             return
@@ -350,7 +338,7 @@ class _Perception:
         what = f"cameras {', '.join(self.names)} place the object {1e3 * apart:.0f} mm apart "
         what += f"({x:.0f}, {y:.0f}, {z:.0f} mm)"
         fix = "calibrate them again (gendom calibrate), take the robot out of view "
-        fix += "(--colour, joints.csv, capsules.csv), or use one by --cameras"
+        fix += "(--colour, joints.csv), or use one by --cameras"
         self._require(apart <= MAX_DISAGREEMENT, what, fix)
 
     def _tell_left_out(self, matched: MatchedFrames) -> None:
@@ -419,12 +407,16 @@ class _Perception:
         positions, axes = zip(*self.grippers, strict=True)
         closed = [self.recorded.robot.closed_at(time) for time in self.times]
         values = dict(self.values)
-        settings, box = self.settings, self.settings.workspace
+        box = self.settings.workspace
         assert box is not None
-        kept = {"voxel": settings.voxel, "min_cluster": settings.min_cluster}
         history = {  # docs/perception.md
             "cameras": self.names,
-            "settings": {"low": box[:3], "high": box[3:], **kept},
+            "settings": {
+                "low": box[:3],
+                "high": box[3:],
+                "voxel": VOXEL,
+                "min_cluster": MIN_CLUSTER,
+            },
             "colour_lab": None if self.colour is None else self.colour.reference,
             "cameras_apart": self.apart,
             "levelled": self.levelled,
@@ -468,7 +460,7 @@ _REMEDIES = {
     "table": "everything is as low as the table: choose the object by --colour, or --no-table",
     "colour": "nothing has that colour: choose another, or raise --colour-tolerance",
     "support": "only single pixels are left: check the colour",
-    "robot": "the robot's shape covers everything: check joints.csv and capsules.csv",
+    "robot": "the robot's shape covers everything: check joints.csv",
     "voxels": "check the settings",
-    "outliers": "only scattered points are left: check the colour, or lower --min-cluster",
+    "outliers": "only scattered points are left: check the colour",
 }
