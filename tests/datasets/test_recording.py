@@ -202,7 +202,7 @@ ORDER = "sort the frames and drop repeated ones; each must be later than the one
         ("gripper_axis", lambda a: a[:3], "gripper_axis: has shape [3, 1, 3]; give [T, G, 3],"),
         ("gripper", lambda a: a[:, :0], "gripper_position: has no gripper; give at least one"),
         ("gripper_axis", lambda a: np.zeros((5, 2, 3)), "gripper_axis: has shape [5, 2, 3]; give"),
-        ("gripper_closed", lambda a: np.ones((5, 2), bool), "gripper_closed: has shape [5, 2]; give [T,"),
+        ("gripper_closed", lambda a: np.ones((5, 2), bool), "gripper_closed: has shape [5, 2]"),
         ("gripper_closed", lambda a: np.ones((5, 1)), "gripper_closed: has the type float64"),
         ("gripper_closed", lambda a: np.zeros((5, 1), bool), "gripper_closed, gripper 0: is"),
         ("points", nan_at(slice(42, 44), 1), "points, frame 2: 2 of 22 points are not finite"),
