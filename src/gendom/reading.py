@@ -43,8 +43,14 @@ LARGEST_CSV, LARGEST_JSON, LARGEST_TOML = 1 << 23, 1 << 23, 1 << 16
 MOST_ROWS = 1 << 15
 """Of a CSV file: half a minute at 1 kHz, 18 minutes at 30 Hz."""
 
+MOST_COLUMNS = 1 << 8
+"""Of a CSV file."""
+
 MOST_PIXELS = 1 << 24
-"""Of a picture: four times those of the largest depth cameras."""
+"""Of a picture."""
+
+MOST_DEPTHS = 1 << 22
+"""Of a depth picture: twice those of large depth cameras."""
 
 DEEPEST = 64
 """How deep lists and tables may be nested."""
@@ -304,6 +310,8 @@ def read_rows(
         raise error(f"is not CSV ({fault})", where=str(path), fix="save it as CSV") from None
     if not lines:
         raise error("is empty", where=str(path), fix=f"write the header {header}")
+    what, few = f"has {len(lines[0][1])} columns", len(lines[0][1]) <= MOST_COLUMNS
+    require(few, what, where=str(path), fix=f"write the header {header}", error=error)
     return lines
 
 

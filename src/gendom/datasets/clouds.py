@@ -30,7 +30,7 @@ LARGEST_TEXT, MOST_NUMBERS = 1 << 25, 3 << 20
 LONGEST = 1100
 """Of a number as text: exact doubles have up to 1,080 characters."""
 _MOST = 1 << 16  # numbers in one field of a point
-_LARGEST_PACKED = 1 << 24  # [bytes]; decompressing many short pieces takes seconds
+_LARGEST_PACKED = 1 << 23  # [bytes]; decompressing many short pieces takes a second
 
 _BLOCK = re.compile(rb"[\0-\xff]{1,4096}\S*")
 _ODD_NANS = re.compile(rb"[-+]?(?:nan\(\w*\)|1\.#(?:ind|qnan|snan)\w*)", re.IGNORECASE)

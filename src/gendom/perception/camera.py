@@ -16,7 +16,7 @@ import numpy.typing as npt
 from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import RecordingError
-from gendom.reading import MOST_PIXELS
+from gendom.reading import MOST_DEPTHS, MOST_PIXELS
 
 MAX_DISTANCE = 20.0
 """What is farther from the robot's base than this [m] was given in millimetres."""
@@ -102,12 +102,18 @@ class Camera:
         assert T is not None
         return T
 
-    def rays(self) -> Array:
-        """[height * width, 3] directions of the pixels, row after row, in the camera's axes.
+    def rays(self, rows: slice = slice(None)) -> Array:
+        """[n, 3] directions of the pixels of some rows, row after row, in the camera's axes.
 
         Their z is 1: a pixel of depth z is at z times its ray. Distortion is taken out.
+
+        Raises:
+            RecordingError: The camera has more pixels than pictures of depth have.
         """
-        v, u = np.mgrid[: self.height, : self.width].astype(np.float64)
+        what, many = f"{self.width} x {self.height} pixels", self.width * self.height > MOST_DEPTHS
+        fix = f"record depth of {MOST_DEPTHS} pixels at most"
+        expect(not many, what, where=self.name, fix=fix)
+        v, u = np.mgrid[: self.height, : self.width][:, rows].astype(np.float64)
         pixels = np.stack([u.ravel(), v.ravel()], axis=1)
         if any(self.distortion):
             import cv2
@@ -122,7 +128,7 @@ class Camera:
             K = self.K
             y = (pixels[:, 1] - K[1, 2]) / K[1, 1]
             xy = np.stack([(pixels[:, 0] - K[0, 2] - K[0, 1] * y) / K[0, 0], y], axis=1)
-        return np.concatenate([xy, np.ones((len(xy), 1))], axis=1).astype(np.float64)
+        return np.column_stack([xy, np.ones(len(xy))])
 
     def at(self, T_world_camera: npt.ArrayLike) -> Camera:
         """The same camera at another pose, [4, 4] [m]."""

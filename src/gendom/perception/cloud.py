@@ -63,6 +63,7 @@ _STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table s
 _MAX_DEPTH_SLOPE = 5.0  # pixels' widths by which a surface's depth changes a pixel, at most
 _COMMON_UNITS = (1.0, 1e-2, 1e-3, 5e-4, 2.5e-4, 2e-4, 1.25e-4, 1e-4, 1e-5, 1e-6)  # [m] a count
 _TABLE_SHARE = 0.2  # of the downward pixels must lie on a table that decides the unit
+_AT_ONCE = 1 << 18  # pixels
 _MAX_CAMERAS = 8  # bits of a point's `seen_by`
 # Of the table's plane:
 _SEARCH_RANGE = 0.06  # [m]; how far from the expected height the table is looked for
@@ -214,12 +215,16 @@ class CameraView:
         self.settings = settings
         self.breadth = breadth
         self.table: TablePlane | None = None
-        T = camera.calibrated()
-        directions = camera.rays() @ T[:3, :3].T
+        T, pixels = camera.calibrated(), camera.width * camera.height
         self._position = camera.position.astype(np.float32)
-        self._directions = np.ascontiguousarray(directions.T, dtype=np.float32)  # [3, H W]
-        box = np.reshape(settings.workspace, (2, 3))
-        near, far = _box_depths(camera.position, directions, *box)
+        self._directions = np.empty((3, pixels), np.float32)
+        near, far = np.empty((2, pixels))
+        box, step = np.reshape(settings.workspace, (2, 3)), max(_AT_ONCE // camera.width, 1)
+        for first in range(0, camera.height, step):  # all at once would take a gigabyte
+            directions = camera.rays(slice(first, first + step)) @ T[:3, :3].T
+            own = slice(first * camera.width, (first + step) * camera.width)
+            self._directions[:, own] = directions.T
+            near[own], far[own] = _box_depths(camera.position, directions, *box)
         self._depths = near.astype(np.float32), far.astype(np.float32)
         self._near, self._far = self._counts(near, np.ceil), self._counts(far, np.floor)
         self._far[~(near <= far)] = 0  # the ray misses the workspace
