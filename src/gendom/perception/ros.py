@@ -61,6 +61,9 @@ from gendom.robot import Arm, JointStates, find_arm
 
 Box = tuple[float, float, float, float, float, float]
 
+_LIKELY = ("tcp", "fingertip", "grasp", "tool", "gripper", "hand", "ee", "flange")
+"""In names of the point between the fingertips, the likeliest first."""
+
 _MOST_SHIFT, _MOST_TURN = 0.002, np.radians(0.2)  # [m], [rad]; beyond, a camera moves
 
 
@@ -199,6 +202,56 @@ def read_ros_cameras(
     return CameraRecording(placed, path_of, scene.meta, capsules, where)
 
 
+@dataclass(frozen=True)
+class BagContent:
+    """What a bag holds."""
+
+    topics: dict[str, tuple[str, int]]
+    """Type, without its package, and number of messages of each topic."""
+    cameras: list[str]
+    """Topics of clouds, or else of depth."""
+    grippers: list[str]
+    """Frames of TF that move, and topics of poses, the likeliest first."""
+    of_realsense: bool
+    """Whether the SDK of RealSense cameras recorded it."""
+
+
+def bag_content(path: str | os.PathLike) -> BagContent:
+    """Look into a bag.
+
+    Raises:
+        RecordingError: It cannot be read.
+        ModuleNotFoundError: There is no rosbags.
+    """
+    bag = RosBag(path)
+    tree = _tree(bag)
+    moving = [f for f in tree.tracks if len(tree.times(f)) > 1 and "optical" not in f]
+    poses = [name for name, kind in bag.topics.items() if kind in POSES and bag.counts[name]]
+
+    def likeliness(name: str) -> tuple[int, int, str]:
+        known = [k for k, word in enumerate(_LIKELY) if word in name.lower()]
+        depth = 0 if name.startswith("/") else len(tree.lineage(name))
+        return (min(known, default=len(_LIKELY)), -depth, name)
+
+    cameras = next(filter(None, (topics_of(bag, k) for k in (IMAGE, PACKED, CLOUD))), [])
+    topics = {n: (k.rpartition("/")[2], bag.counts[n]) for n, k in sorted(bag.topics.items())}
+    return BagContent(topics, cameras, sorted([*moving, *poses], key=likeliness), is_sdk(bag))
+
+
+def is_sdk(bag: RosBag) -> bool:
+    """Whether the SDK of RealSense cameras recorded a bag."""
+    return any(name.startswith("/device_0/") for name in bag.topics)
+
+
+def _tree(bag: RosBag) -> FrameTree:
+    """All that a bag says of frames."""
+    tree = FrameTree(bag.where)
+    for name, message in bag.messages(*(n for n, kind in bag.topics.items() if kind in TF)):
+        for stated in message.transforms:
+            tree.add(stated, still=name.endswith("tf_static"))
+    return tree
+
+
 class _Scene:
     """A bag's tree of frames, the gripper's track in it and the object."""
 
@@ -209,13 +262,8 @@ class _Scene:
         if faults:
             raise RecordingError(where=str(object_file), faults=faults)
         self.bag, self.track, self.name = RosBag(path), None, settings.gripper
-        where, topics = self.bag.where, self.bag.topics
         self.values["source"] = self.values["source"] or f"ROS bag {Path(path).name}"
-        self.frames = FrameTree(where)
-        of_tf = [name for name, kind in topics.items() if kind in TF]
-        for name, message in self.bag.messages(*of_tf):
-            for stated in message.transforms:
-                self.frames.add(stated, still=name.endswith("tf_static"))
+        self.frames = _tree(self.bag)
         for file in settings.poses:
             for pose in read_poses(file):
                 self.frames.attach(pose)
@@ -278,10 +326,9 @@ def _chosen(scene: _Scene, wanted: Sequence[str], kinds: tuple[str, ...]) -> lis
         _check_type(bag, topic, (CLOUD, IMAGE, PACKED))
     if wanted:
         return list(wanted)
-    is_realsense = any(name.startswith("/device_0/") for name in bag.topics)
     what = "is a recording of the RealSense SDK, of depth pictures"
     fix = "put it into DIR/cameras/NAME and run gendom perceive DIR"
-    expect(not is_realsense, what, where=bag.where, fix=fix)
+    expect(not is_sdk(bag), what, where=bag.where, fix=fix)
     found: list[str] = next(filter(None, (topics_of(bag, kind) for kind in kinds)), [])
     fix = f"record a {CLOUD}, or depth and its CameraInfo"
     expect(found, "has no topic of clouds or depth", where=bag.where, fix=fix)
