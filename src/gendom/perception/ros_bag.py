@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import sqlite3
 import weakref
 from collections.abc import Iterator
 from contextlib import closing
@@ -15,8 +17,15 @@ from gendom.errors import RecordingError
 from gendom.perception.camera import expect
 from gendom.perception.frames import Frame
 from gendom.perception.ros_frames import stamp
-from gendom.perception.rosbag import ANY_SIZE, ZSTD, decompressed, open_database
-from gendom.reading import check_unpacked, file_size, read_bytes
+from gendom.reading import MOST_UNPACKED, check_unpacked, file_size, read_bytes
+
+ANY_SIZE = 1 << 62
+"""Of files that are read message by message [bytes]."""
+LARGEST_MESSAGE = 1 << 27
+"""Also when it is decompressed [bytes]."""
+
+_SQLITE, _ZSTD = b"SQLite format 3\0", b"\x28\xb5\x2f\xfd"
+_COMPUTED = re.compile(r"\bvirtual\b|\bas\b\s*\(", re.IGNORECASE)
 
 _LARGEST_METADATA, _MOST_MARKS = 1 << 17, 6000  # [bytes], lines and parts: YAML is read slowly
 _ROS1 = b"#ROSBAG V2.0\n"
@@ -82,6 +91,52 @@ class RosBag:
             yield Frame(stamp(message.header), where, lambda m=message: m)
 
 
+def open_database(path: Path) -> sqlite3.Connection:
+    """A bag's database for reading; RecordingError: it is missing, or no database of plain tables:
+    what views, virtual tables and computed columns yield may have no end."""
+    where = str(path)
+    file_size(path, RecordingError, most=ANY_SIZE)
+    with open(path, "rb") as file:
+        fix = "record it with the RealSense SDK or ROS 2, or copy it"
+        expect(file.read(16) == _SQLITE, "is no .db3 recording", where=where, fix=fix)
+    # Immutable: no journal is looked for and no lock taken, so any folder will do. The schema
+    # counts as writable so that SQLite reads files shorter than their header says.
+    address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
+    database = sqlite3.connect(address, uri=True, check_same_thread=False)
+    database.execute("PRAGMA writable_schema = ON")
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_MESSAGE)
+    try:
+        made = database.execute("SELECT type, name, sql FROM sqlite_master LIMIT 1000").fetchall()
+    except sqlite3.DatabaseError as error:
+        database.close()
+        what = f"has no table of topics ({error})"
+        raise RecordingError(what, where=where, fix="copy it again") from None
+    for kind, name, sql in made:
+        plain = kind in ("table", "index") and not _COMPUTED.search(str(sql or ""))
+        what = f"has {str(name)[:40]!r}, which is no plain table"
+        expect(plain, what, where=where, fix="copy it again")
+    return database
+
+
+def decompressed(data: bytes, codec: str = "zstd") -> bytes:
+    """Decompress data by zstd, if they are so compressed, or by another codec of pyarrow;
+    ValueError: they are damaged, or unpack to more than `LARGEST_MESSAGE`, or than 16 MB and
+    `MOST_UNPACKED` times their size."""
+    if codec == "zstd" and not data.startswith(_ZSTD):
+        return data
+    import pyarrow  # late: few recordings need it
+
+    most = min(LARGEST_MESSAGE, max(1 << 24, MOST_UNPACKED * len(data)))
+    try:
+        with pyarrow.CompressedInputStream(pyarrow.BufferReader(data), codec) as stream:
+            found = stream.read(most + 1)
+    except (OSError, pyarrow.ArrowException) as error:
+        raise ValueError(str(error)) from None
+    if len(found) > most:
+        raise ValueError(f"unpacks to more than {most} bytes")
+    return found
+
+
 def _check_file(path: Path) -> None:
     """Refuse a bag's file that is no regular file or plain database, or in which something is
     damaged or unpacks to too much."""
@@ -93,7 +148,7 @@ def _check_file(path: Path) -> None:
     elif path.suffix == ".db3":
         with closing(open_database(path)) as database:
             packed = "SELECT data FROM messages WHERE substr(data, 1, 4) = ?"
-            for (data,) in database.execute(packed, (ZSTD,)):
+            for (data,) in database.execute(packed, (_ZSTD,)):
                 decompressed(data)
     elif check := {".bag": _check_bag, ".mcap": _check_chunks, ".zstd": _check_stream}.get(
         path.suffix
