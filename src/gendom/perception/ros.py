@@ -26,14 +26,14 @@ from typing import Any
 
 import numpy as np
 
-from gendom.arrays import Array
+from gendom.arrays import Array, placed
 from gendom.datasets import Fault, Recording
 from gendom.datasets.folder import read_object
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
 from gendom.perception.camera import expect
 from gendom.perception.folder import CameraRecording, RobotPath
-from gendom.perception.frames import MatchedFrames
+from gendom.perception.frames import Frame, MatchedFrames
 from gendom.perception.poses import read_poses
 from gendom.perception.robot import CapsulePath, arm_capsules
 from gendom.perception.ros_bag import RosBag
@@ -41,7 +41,6 @@ from gendom.perception.ros_cameras import (
     DEPTH_UNIT,
     RosCamera,
     RosCloudCamera,
-    check_size,
     colour_topic,
     intrinsics,
     topics_of,
@@ -54,7 +53,6 @@ from gendom.perception.ros_messages import (
     PACKED,
     POSES,
     TF,
-    depth_of,
     points_of,
 )
 from gendom.robot import Arm, JointStates, find_arm
@@ -103,15 +101,11 @@ def read_ros_bag(
         ModuleNotFoundError: There is no rosbags.
     """
     scene = _Scene(path, object_file, settings)
-    chosen = _chosen(scene, settings.points, (CLOUD, IMAGE, PACKED))
-    points_in = {topic: _points_in(scene.bag, topic) for topic in chosen}
+    chosen = _chosen(scene, settings.points, (CLOUD,), f"; gendom perceive {path} takes depth")
     matched = MatchedFrames([scene.bag.frames(topic) for topic in chosen])
     clouds, times, positions, left_out = [], [], [], 0
     for frames in matched:
-        parts = [
-            scene.placed(frame.read(), points_in[t])
-            for t, frame in zip(chosen, frames, strict=True)
-        ]
+        parts = [scene.placed(frame) for frame in frames]
         time = float(np.mean([frame.time for frame in frames]))
         held = scene.gripper(np.array([time]), parts[0][1])[0, 0]
         cloud = np.concatenate([part for part, _ in parts])
@@ -189,9 +183,7 @@ def read_ros_cameras(
     sources = [_camera(scene, name, names[name]) for name in cameras or names]
     frame = sources[0].frame_id
     scene.world = scene.world or frame
-    placed: list[Any] = []
-    for source in sources:
-        placed.append(source.at(_at_rest(scene, source.frame_id)))
+    at_rest: list[Any] = [source.at(_at_rest(scene, source.frame_id)) for source in sources]
     times = scene.times()
     position = scene.gripper(times, frame)
     known = np.isfinite(position).all(axis=(1, 2))
@@ -199,7 +191,7 @@ def read_ros_cameras(
     expect(known.sum() > 1, what, where=f"{where}: {settings.gripper}", fix=fix)
     path_of = RobotPath(times[known], position[known])
     capsules = _capsules(scene, arm)
-    return CameraRecording(placed, path_of, scene.meta, capsules, where)
+    return CameraRecording(at_rest, path_of, scene.meta, capsules, where)
 
 
 @dataclass(frozen=True)
@@ -299,13 +291,15 @@ class _Scene:
             return self.frames.times(self.name, self.world)
         return np.unique(self.track.times)
 
-    def placed(self, message: Any, points_in: Callable[[Any], Array]) -> tuple[Array, str]:
-        """A message's points [n, 3] in the world [m], NaN where its place is unknown, and the frame
+    def placed(self, seen: Frame) -> tuple[Array, str]:
+        """A cloud's points [n, 3] in the world [m], NaN where its place is unknown, and the frame
         it is in."""
+        message: Any = seen.read()
         frame = message.header.frame_id.lstrip("/")
         self.world = self.world or frame
-        (T,) = self.frames.between(self.world, frame, np.array([stamp(message.header)]))
-        return points_in(message) @ T[:3, :3].T + T[:3, 3], frame
+        (T,) = self.frames.between(self.world, frame, np.array([seen.time]))
+        cloud, known = points_of(message, seen.where)
+        return placed(T, cloud[known]), frame
 
 
 def _check_type(bag: RosBag, name: str, kinds: Sequence[str]) -> None:
@@ -318,20 +312,25 @@ def _check_type(bag: RosBag, name: str, kinds: Sequence[str]) -> None:
     expect(bag.topics.get(name) in kinds, what, where=bag.where, fix=fix)
 
 
-def _chosen(scene: _Scene, wanted: Sequence[str], kinds: tuple[str, ...]) -> list[str]:
+def _chosen(
+    scene: _Scene, wanted: Sequence[str], kinds: tuple[str, ...], otherwise: str = ""
+) -> list[str]:
     """The topics that are read: those wanted, or of the first kind that there is all, but for the
-    same pictures once more."""
+    same pictures once more; `otherwise` is what to do where there are none."""
     bag = scene.bag
     for topic in wanted:
-        _check_type(bag, topic, (CLOUD, IMAGE, PACKED))
+        _check_type(bag, topic, kinds)
     if wanted:
         return list(wanted)
     what = "is a recording of the RealSense SDK, of depth pictures"
     fix = "put it into DIR/cameras/NAME and run gendom perceive DIR"
     expect(not is_sdk(bag), what, where=bag.where, fix=fix)
     found: list[str] = next(filter(None, (topics_of(bag, kind) for kind in kinds)), [])
-    fix = f"record a {CLOUD}, or depth and its CameraInfo"
-    expect(found, "has no topic of clouds or depth", where=bag.where, fix=fix)
+    what, fix = (
+        f"has no topic of {' or '.join(kinds)}",
+        "record clouds, or depth and its CameraInfo",
+    )
+    expect(found, what, where=bag.where, fix=f"{fix}{otherwise}")
     by_frame: dict[str, str] = {}
     for topic in found:
         message = bag.first(topic)
@@ -354,29 +353,6 @@ def _named(topics: list[str]) -> dict[str, str]:
         if len(set(names.values())) == len(topics):
             return names
     return {topic: topic.strip("/").replace("/", "_") for topic in topics}
-
-
-def _points_in(bag: RosBag, topic: str) -> Callable[[Any], Array]:
-    """What makes a cloud [n, 3] of a message, in its own frame [m]."""
-    where, kind = f"{bag.where}: {topic}", bag.topics[topic]
-    if kind == CLOUD:
-
-        def points(message: Any) -> Array:
-            cloud, seen = points_of(message, where)
-            return cloud[seen]
-
-        return points
-    camera = intrinsics(bag, topic, topic)
-    rays = camera.rays()
-
-    def points_of_depth(message: Any) -> Array:
-        depth = depth_of(message, kind, where)
-        check_size(depth, camera, where)
-        z = depth.reshape(-1, 1) * (1e-3 if depth.dtype == np.uint16 else 1.0)
-        seen = (np.isfinite(z) & (z > 0.0))[:, 0]
-        return rays[seen] * z[seen]
-
-    return points_of_depth
 
 
 def _camera(scene: _Scene, name: str, topic: str) -> RosCamera | RosCloudCamera:
