@@ -59,6 +59,22 @@ MOST_DOTS = 256
 """In a line of TOML: reading a key of so many parts takes a time that grows with their cube."""
 
 
+def wanted(
+    holds: Any,
+    what: str,
+    where: object = None,
+    fix: str | None = None,
+    error: type[GendomError] = RecordingError,
+) -> None:
+    """Raise an error with this message unless the condition holds.
+
+    Raises:
+        GendomError: As `error`.
+    """
+    if not holds:
+        raise error(what, where=None if where is None else str(where), fix=fix)
+
+
 def file_size(
     path: str | os.PathLike,
     error: type[GendomError] = GendomError,
@@ -135,8 +151,7 @@ def inside(
     parts = name.replace("\\", "/").split("/")
     stays = parts[0] and parts[0][1:2] != ":" and ".." not in parts and "\0" not in name
     if not stays:
-        what = f"{name!r} is not in {folder}"
-        raise error(what, where=where, fix="name files below that folder")
+        raise error(f"{name!r} is not in {folder}", where=where, fix="name files below that folder")
     return os.path.join(folder, *parts)
 
 
@@ -174,8 +189,7 @@ def parse_json(
         what = f"is not JSON ({fault.msg} in line {fault.lineno})"
         raise error(what, where=where, fix="write the file again") from None
     except (ValueError, RecursionError) as fault:  # not UTF-8, NaN, or `_check_tree`
-        what = f"is not JSON ({fault})"
-        raise error(what, where=where, fix="write the file again") from None
+        raise error(f"is not JSON ({fault})", where=where, fix="write the file again") from None
     return value
 
 

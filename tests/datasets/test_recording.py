@@ -455,7 +455,7 @@ def test_files_that_are_no_recordings(lift, tmp_path):
         path.write_bytes(data)
         assert refusal(path)[0].startswith(said)
     for arrays, said in (
-        ({"points": np.zeros((1, 3))}, "meta: is missing; add JSON text with format = 'gendom-rec"),
+        ({"points": np.zeros((1, 3))}, "meta: is missing, or no JSON text; add JSON text with format"),
         ({"meta": np.array("{")}, "meta: is not JSON"),
         ({"meta": np.array("[]")}, "meta: holds a JSON list, not an object"),
         ({"meta": np.array({"format": "gendom-recording/1"}, dtype=object)},
@@ -516,9 +516,9 @@ def test_repeats_are_frames_of_a_rope_that_is_held_at_both_ends(tmp_path):
     [
         (np.zeros((2, 3)), {}, "loops: has shape"),
         (np.full((1, 9, 3), np.nan), {}, "not finite"),
-        (LOOPS, {"kind": "cloth"}, "object.kind"),
+        (LOOPS, {"kind": "cloth"}, "object: kind: invalid enum value 'cloth'"),
         (LOOPS, {"length": -1.0}, "object.length"),
-        (LOOPS, {"mass_per_length": None}, "mass_per_length"),
+        (LOOPS, {"mass_per_length": None}, "object: mass_per_length: expected float"),
     ],
 )
 def test_what_is_no_shape_is_refused(tmp_path, loops, wire, words):

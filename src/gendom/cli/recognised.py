@@ -228,8 +228,7 @@ def _cameras_seen(recorded: Any, found: Finding) -> None:
             fix = f"check depth_unit, {camera.depth_unit:g} m a count"
             found.faults.append(Fault(f"median depth is {away:.3g} m", name, fix, "warning"))
         some = seen[:: max(1, len(seen) // _POINTS)]
-        points = camera.rays()[some] * (raw[some, None] * camera.depth_unit)
-        found.clouds.append(placed(T, points))
+        found.clouds.append(placed(T, camera.rays()[some] * (raw[some, None] * camera.depth_unit)))
     if found.clouds:
         points = np.concatenate(found.clouds)
         found.rows |= _extent(points, found, units=False)
@@ -273,8 +272,7 @@ def _toml(place: Path) -> Finding:
         found = Finding("a cell")
         found.step("gendom", "cell", "check", place, does="Check the cell.")
         return found
-    what = "is no table that is known"
-    fix = "known are camera.toml, cell.toml and object.toml"
+    what, fix = "is no table that is known", "known are camera.toml, cell.toml and object.toml"
     right = isinstance(table.get("object"), dict)
     require(right, what, where=str(place), fix=fix, error=RecordingError)
     said = ", ".join(f"{k} {v}" for k, v in table["object"].items())

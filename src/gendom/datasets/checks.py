@@ -87,8 +87,7 @@ def check(recording: RecordingData) -> list[Fault]:
 def _check_object(described: ObjectDescription) -> Iterator[Fault]:
     for name, known in (("kind", KINDS), ("grasp", GRASPS)):
         if (value := getattr(described, name)) not in known:
-            fix = f"give {' or '.join(map(repr, known))}"
-            yield Fault(f"is {value!r}", f"object.{name}", fix)
+            yield Fault(f"is {value!r}", f"object.{name}", f"give {' or '.join(map(repr, known))}")
     if "outline" in described.extra:
         what = "is not supported: cloths of recordings are rectangles"
         yield Fault(what, "object.outline", "leave it out if the cloth is a rectangle")
@@ -102,8 +101,7 @@ def _check_object(described: ObjectDescription) -> Iterator[Fault]:
             what = f"is missing for a {described.kind}"
             yield Fault(what, f"object.{name}", f"measure it and give {unit}")
         elif value is not None and not _is_length(value):
-            fix = f"give {unit} above 0, or null if unknown"
-            yield Fault(f"is {value}", f"object.{name}", fix)
+            yield Fault(f"is {value}", f"object.{name}", f"give {unit} above 0, or null if unknown")
 
 
 def _is_length(value: float | None) -> bool:
@@ -120,8 +118,7 @@ def _check_numbers(recording: RecordingData) -> Iterator[Fault]:
         what = f"{counts[0]} of {len(recording.frame(int(frames[0])))} points are not finite"
         if len(frames) > 1:
             what += f", and {counts[1:].sum()} in {len(frames) - 1} more"
-        fix = "drop points without depth before writing"
-        yield Fault(what, f"points, frame {frames[0]}", fix)
+        yield Fault(what, f"points, frame {frames[0]}", "drop points without depth before writing")
     for name in ("time", "gripper_position", "gripper_axis", "camera_positions"):
         array = getattr(recording, name)
         if array is None:

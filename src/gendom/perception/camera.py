@@ -7,24 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from gendom.arguments import require
 from gendom.arrays import Array
-from gendom.errors import RecordingError
-from gendom.reading import MOST_DEPTHS, MOST_PIXELS
+from gendom.reading import MOST_DEPTHS, MOST_PIXELS, wanted
 
 MAX_DISTANCE = 20.0
 """What is farther from the robot's base than this [m] was given in millimetres."""
 
 _DISTORTION_LENGTHS = (0, 4, 5, 8)
 
-expect = partial(require, error=RecordingError)
-"""`require` whose error is a `RecordingError`."""
+expect = wanted
+"""Raises a `RecordingError` unless a condition holds: what is wrong, where, and what to do."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,7 +56,7 @@ class Camera:
                 object.__setattr__(self, name, array if array.ndim == 2 else array.tolist())
         object.__setattr__(self, "distortion", tuple(self.distortion))
         for right, key, what, fix in self._checks():
-            expect(right, what, where=f"{self.name}: {key}", fix=fix)
+            expect(right, what, f"{self.name}: {key}", fix)
 
     def _checks(self) -> Iterator[tuple[Any, str, str, str]]:
         """(whether it is right, key, what is wrong if not, fix) of everything."""
@@ -98,7 +95,7 @@ class Camera:
     def calibrated(self) -> Array:
         """`T_world_camera`, [4, 4] [m]; RecordingError: it is not known."""
         T, where = self.T_world_camera, f"{self.name}: T_world_camera"
-        expect(T is not None, "is missing", where=where, fix="measure it with gendom calibrate")
+        expect(T is not None, "is missing", where, "measure it with gendom calibrate")
         assert T is not None
         return T
 
@@ -112,7 +109,7 @@ class Camera:
         """
         what, many = f"{self.width} x {self.height} pixels", self.width * self.height > MOST_DEPTHS
         fix = f"record depth of {MOST_DEPTHS} pixels at most"
-        expect(not many, what, where=self.name, fix=fix)
+        expect(not many, what, self.name, fix)
         v, u = np.mgrid[: self.height, : self.width][:, rows].astype(np.float64)
         pixels = np.stack([u.ravel(), v.ravel()], axis=1)
         if any(self.distortion):
@@ -148,5 +145,5 @@ def _numbers(value: Any, shape: tuple[int | None, ...], where: str) -> np.ndarra
     if shape:
         sizes = "x".join(str(n or "n") for n in shape)
         what, fix = f"is not {sizes} numbers", "give finite numbers in brackets"
-    expect(same and np.isfinite(array).all(), what, where=where, fix=fix)
+    expect(same and np.isfinite(array).all(), what, where, fix)
     return array

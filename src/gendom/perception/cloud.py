@@ -99,8 +99,8 @@ class PerceptionSettings:
     """Largest difference of the time stamps of frames that belong together, in seconds."""
 
     def __post_init__(self):
-        what, both = "colour and masks are both given", self.colour and self.masks
-        require(not both, what, fix="choose one")
+        one, what = not (self.colour and self.masks), "colour and masks are both given"
+        require(one, what, fix="choose one")
         right = all(0 <= c <= 255 for c in self.colour or ())
         require(right, f"colour {self.colour}", fix="give R G B, each 0 to 255")
         box = self.workspace or (0, 0, 0, 1, 1, 1)

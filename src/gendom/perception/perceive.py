@@ -119,7 +119,7 @@ class _Perception:
         size = self.object.size or 0.0
         fix = "give length for a rope, width and height for a cloth, in metres"
         right = math.isfinite(size) and size > 0.0
-        expect(right, "the object's sizes are missing", where=where, fix=fix)
+        expect(right, "the object's sizes are missing", where, fix)
         if settings.workspace is None:
             settings = replace(settings, workspace=_within_reach(recorded, size, height))
         self.settings = settings
@@ -175,7 +175,7 @@ class _Perception:
         return self._result()
 
     def _require(self, holds: Any, what: str, fix: str | None, where: str = "") -> None:
-        expect(holds, what, where=where or self.recorded.where, fix=fix)
+        expect(holds, what, where or self.recorded.where, fix)
 
     def _warn(self, what: str, where: str, fix: str) -> None:
         self.on_warning(Fault(what, where, fix, "warning"))

@@ -102,11 +102,11 @@ class RealSenseRecording:
         where, name = str(self.path), self.path.resolve().parent.name
         depth = self._bag.stream("Depth", name)
         what = "has no depth pictures" if depth is None else "no depth picture can be read"
-        expect(depth and depth.entries, what, where=where, fix="record the depth stream (Z16)")
+        expect(depth and depth.entries, what, where, "record the depth stream (Z16)")
         assert depth is not None
         self._depth = depth.entries
         unit, fix = self._bag.depth_unit(), "record it with the RealSense SDK"
-        expect(unit is not None, "does not say its depth unit", where=where, fix=fix)
+        expect(unit is not None, "does not say its depth unit", where, fix)
         camera = replace(depth.camera, depth_unit=unit)
         beside = self.path.with_name("camera.toml")
         self.camera: Camera = read_camera(beside, recorded=camera) if beside.exists() else camera
@@ -140,7 +140,7 @@ class RealSenseRecording:
         """The recording in a camera's folder; None: there is none, RecordingError: several are."""
         found = sorted(filter(is_recording, folder.iterdir()))
         what = f"holds {len(found)} recordings, {', '.join(p.name for p in found)}"
-        expect(len(found) <= 1, what, where=str(folder), fix="leave one in the camera's folder")
+        expect(len(found) <= 1, what, str(folder), "leave one in the camera's folder")
         return found[0] if found else None
 
     def __iter__(self) -> Iterator[Frame]:
@@ -155,7 +155,7 @@ class RealSenseRecording:
         nearest = int(np.abs(self._colour_times - entry.time).argmin())
         late = float(abs(self._colour_times[nearest] - entry.time))
         what, fix = f"the nearest colour picture is {late:.3g} s away", "record colour at the rate "
-        expect(late <= SYNC_TOLERANCE, what, where=where, fix=f"{fix}of depth")
+        expect(late <= SYNC_TOLERANCE, what, where, f"{fix}of depth")
         place = f"{where}: colour"
         colour = self._picture(self._colour[nearest], self._align.colour, np.uint8, place)
         return self._align(depth, colour)
@@ -166,7 +166,7 @@ class RealSenseRecording:
         what = f"is {picture.shape[1]} x {picture.shape[0]} of {picture.dtype}, the stream "
         what += f"{size[1]} x {size[0]} of {np.dtype(kind)}"
         right = picture.shape[:2] == size and picture.dtype == kind
-        expect(right, what, where=where, fix="copy the file again")
+        expect(right, what, where, "copy the file again")
         return picture
 
 
@@ -184,7 +184,7 @@ def _check_checksum(path: Path) -> None:
     stated = read_bytes(beside, error=RecordingError).split(b" ", 1)[0]
     same = stated.decode("ascii", "replace") == _checksum(path)
     fix = f"copy it again, or delete {beside.name} to use what is left of it"
-    expect(same, "differs from its checksum", where=str(path), fix=fix)
+    expect(same, "differs from its checksum", str(path), fix)
 
 
 def _checksum(path: Path) -> str:
@@ -216,7 +216,7 @@ def _converted(path: Path, folder: Path, on_warning: Callable[[Fault], None]) ->
         reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
         what = f"the RealSense SDK cannot read it ({reason[:120]})"
         fix = "copy it again; rosbag reindex mends one that was cut off"
-        expect(made.exists(), what, where=str(path), fix=fix)
+        expect(made.exists(), what, str(path), fix)
         what = f"is damaged or cut off ({reason[:120]}); what comes before is used"
         fix = "copy it again, or record again if too much is missing"
         on_warning(Fault(what, str(path), fix, "warning"))

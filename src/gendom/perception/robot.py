@@ -144,7 +144,7 @@ def read_shape(
         raise RecordingError(error.what, where=where or error.where, fix=error.fix) from None
     turned = float(np.abs(np.diff(states.q, axis=0)).max(axis=1, initial=0.0).sum())
     what, fix = f"turn by {turned:.4g} rad in all", "give the joints of one lift, in radians"
-    expect(turned < _MOST_TURNS, what, where=str(joints), fix=fix)
+    expect(turned < _MOST_TURNS, what, str(joints), fix)
     sizes = [held.get(size) for size in ("diameter", "thickness")]
     width = next((float(s) for s in sizes if isinstance(s, (int, float))), 0.0)
     first, last = states.time[0], states.time[-1]

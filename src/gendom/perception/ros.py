@@ -122,7 +122,7 @@ def read_ros_bag(
     what = f"none of {left_out} clouds lies in the time in which the gripper's place is known"
     what = what if matched.used else f"no clouds of {topics} are of one time"
     fix = "record /tf, or the gripper's poses, as long as the clouds"
-    expect(clouds, what, where=where, fix=fix)
+    expect(clouds, what, where, fix)
     if left_out:
         what = f"{left_out} of {left_out + len(clouds)} clouds lie outside of the time in which "
         what += "frames are known; they are left out"
@@ -178,8 +178,7 @@ def read_ros_cameras(
     for topic, name in _named(chosen).items():
         names[name] = topic
     for name in cameras:
-        what, fix = f"there is no camera {name!r}", f"have {', '.join(names)}"
-        expect(name in names, what, where=where, fix=fix)
+        expect(name in names, f"there is no camera {name!r}", where, f"have {', '.join(names)}")
     sources = [_camera(scene, name, names[name]) for name in cameras or names]
     frame = sources[0].frame_id
     scene.world = scene.world or frame
@@ -188,7 +187,7 @@ def read_ros_cameras(
     position = scene.gripper(times, frame)
     known = np.isfinite(position).all(axis=(1, 2))
     what, fix = "does not move, or its place is never known", "record /tf, or the gripper's poses"
-    expect(known.sum() > 1, what, where=f"{where}: {settings.gripper}", fix=fix)
+    expect(known.sum() > 1, what, f"{where}: {settings.gripper}", fix)
     path_of = RobotPath(times[known], position[known])
     capsules = _capsules(scene, arm)
     return CameraRecording(at_rest, path_of, scene.meta, capsules, where)
@@ -271,7 +270,7 @@ class _Scene:
         for _, message in self.bag.messages(topic):
             header = getattr(message, "header", None) or message.o_t_ee.header
             track.add(header.frame_id.lstrip("/"), stamp(header), *POSES[kind](message))
-        expect(track.times, "has no message", where=track.where, fix="record it")
+        expect(track.times, "has no message", track.where, "record it")
         return track
 
     def gripper(self, times: Array, seen_in: str) -> Array:
@@ -309,7 +308,7 @@ def _check_type(bag: RosBag, name: str, kinds: Sequence[str]) -> None:
     what = f"{name} is no {wanted}" if name in bag.topics else f"has no topic {name} of {wanted}"
     fix = f"give one of: {others}" if others else "record one"
     what += "" if others else ", nor another one"
-    expect(bag.topics.get(name) in kinds, what, where=bag.where, fix=fix)
+    expect(bag.topics.get(name) in kinds, what, bag.where, fix)
 
 
 def _chosen(
@@ -324,13 +323,13 @@ def _chosen(
         return list(wanted)
     what = "is a recording of the RealSense SDK, of depth pictures"
     fix = "put it into DIR/cameras/NAME and run gendom perceive DIR"
-    expect(not is_sdk(bag), what, where=bag.where, fix=fix)
+    expect(not is_sdk(bag), what, bag.where, fix)
     found: list[str] = next(filter(None, (topics_of(bag, kind) for kind in kinds)), [])
     what, fix = (
         f"has no topic of {' or '.join(kinds)}",
         "record clouds, or depth and its CameraInfo",
     )
-    expect(found, what, where=bag.where, fix=f"{fix}{otherwise}")
+    expect(found, what, bag.where, f"{fix}{otherwise}")
     by_frame: dict[str, str] = {}
     for topic in found:
         message = bag.first(topic)
@@ -338,10 +337,9 @@ def _chosen(
             continue
         frame, other = message.header.frame_id, by_frame.get(message.header.frame_id)
         what = f"has {other} and {topic}, both of frame {frame}"
-        expect(other is None, what, where=bag.where, fix="name one with --points")
+        expect(other is None, what, bag.where, "name one with --points")
         by_frame[frame] = topic
-    what = f"has no message of {', '.join(found)}"
-    expect(by_frame, what, where=bag.where, fix="record them")
+    expect(by_frame, f"has no message of {', '.join(found)}", bag.where, "record them")
     return list(by_frame.values())
 
 
@@ -361,8 +359,7 @@ def _camera(scene: _Scene, name: str, topic: str) -> RosCamera | RosCloudCamera:
     if bag.topics[topic] == CLOUD:
         return RosCloudCamera.of(bag, topic, name, scene.world)
     depth = bag.first(topic)
-    what = "has no message"
-    expect(depth is not None, what, where=f"{bag.where}: {topic}", fix="record it")
+    expect(depth is not None, "has no message", f"{bag.where}: {topic}", "record it")
     is_float = bag.topics[topic] == IMAGE and depth.encoding.lower() == "32fc1"
     camera = intrinsics(bag, topic, name, DEPTH_UNIT if is_float else 1e-3)
     frame, beside = depth.header.frame_id.lstrip("/"), colour_topic(bag, topic)
@@ -380,14 +377,14 @@ def _at_rest(scene: _Scene, frame: str) -> Array:
     some = times[np.unique(np.linspace(0, len(times) - 1, 50).astype(int))]
     T = scene.frames.between(scene.world, frame, some)
     T = T[np.isfinite(T).all(axis=(1, 2))]
-    expect(len(T), f"frame {frame} has no place", where=scene.bag.where, fix="record /tf longer")
+    expect(len(T), f"frame {frame} has no place", scene.bag.where, "record /tf longer")
     shift = np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1).max()
     cosine = 0.5 * (np.einsum("nij,ij->n", T[:, :3, :3], T[0, :3, :3]).min() - 1.0)
     turn = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
     what = f"frame {frame} moves in {scene.world} by {1e3 * shift:.1f} mm and {turn:.2g} rad"
     fix = "name the robot's base with --world; clouds of a moving camera take gendom import"
     right = shift <= _MOST_SHIFT and turn <= _MOST_TURN
-    expect(right, what, where=scene.bag.where, fix=fix)
+    expect(right, what, scene.bag.where, fix)
     return T[0]
 
 

@@ -45,8 +45,7 @@ class RosBag:
 
         self.path, self.where = Path(path), str(path)
         files, store = bag_files(path), get_typestore(Stores.ROS2_HUMBLE)
-        there, fix = bool(files) and self.path.exists(), "check the path"
-        expect(there, "no such bag", where=self.where, fix=fix)
+        expect(bool(files) and self.path.exists(), "no such bag", self.where, "check the path")
         try:
             for file in files if files[0].is_file() else sorted(files[0].iterdir()):
                 _check_file(file)
@@ -98,7 +97,7 @@ def open_database(path: Path) -> sqlite3.Connection:
     file_size(path, RecordingError, most=ANY_SIZE)
     with open(path, "rb") as file:
         fix = "record it with the RealSense SDK or ROS 2, or copy it"
-        expect(file.read(16) == _SQLITE, "is no .db3 recording", where=where, fix=fix)
+        expect(file.read(16) == _SQLITE, "is no .db3 recording", where, fix)
     # Immutable: no journal is looked for and no lock taken, so any folder will do. The schema
     # counts as writable so that SQLite reads files shorter than their header says.
     address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
@@ -114,7 +113,7 @@ def open_database(path: Path) -> sqlite3.Connection:
     for kind, name, sql in made:
         plain = kind in ("table", "index") and not _COMPUTED.search(str(sql or ""))
         what = f"has {str(name)[:40]!r}, which is no plain table"
-        expect(plain, what, where=where, fix="copy it again")
+        expect(plain, what, where, "copy it again")
     return database
 
 
@@ -144,7 +143,7 @@ def _check_file(path: Path) -> None:
         text = read_bytes(path, RecordingError, most=_LARGEST_METADATA)
         marks = sum(map(text.count, (b"\n", b"[", b"{", b",", b"- ", b"? ")))
         what, fix = f"has {marks} lines and parts, at most {_MOST_MARKS} are read", "split the bag"
-        expect(marks <= _MOST_MARKS, what, where=str(path), fix=fix)
+        expect(marks <= _MOST_MARKS, what, str(path), fix)
     elif path.suffix == ".db3":
         with closing(open_database(path)) as database:
             packed = "SELECT data FROM messages WHERE substr(data, 1, 4) = ?"
@@ -161,8 +160,7 @@ def _check_file(path: Path) -> None:
 def _check_bag(file: BinaryIO, size: int) -> None:
     """Unpack each chunk of a bag of ROS 1 (its format 2.0: records of a header and data, both with
     their length in front)."""
-    fix = "give a bag of ROS, or copy it"
-    expect(file.read(len(_ROS1)) == _ROS1, "is no bag", where=file.name, fix=fix)
+    expect(file.read(len(_ROS1)) == _ROS1, "is no bag", file.name, "give a bag of ROS, or copy it")
     at = len(_ROS1)
     while at < size:
         file.seek(at)

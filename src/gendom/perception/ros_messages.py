@@ -69,7 +69,7 @@ def depth_of(message: Any, kind: str, where: str) -> Array:
     depth, said = picture_of(message, kind, where)
     fix = "record 16UC1 or 32FC1, packed ones as 16UC1 PNG"
     right = depth.ndim == 2 and not said.startswith("32FC1;")
-    expect(right, f"is {said[:40]!r}, no depth", where=where, fix=fix)
+    expect(right, f"is {said[:40]!r}, no depth", where, fix)
     return depth
 
 
@@ -77,7 +77,7 @@ def colour_of(message: Any, kind: str, where: str) -> NDArray[np.uint8]:
     """[height, width, 3] sRGB of a message; RecordingError: it is damaged, or no colour."""
     colour, said = picture_of(message, kind, where)
     right = colour.ndim == 3 and colour.dtype == np.uint8
-    expect(right, f"is {said[:40]!r}, no colour", where=where, fix="record rgb8 or bgr8")
+    expect(right, f"is {said[:40]!r}, no colour", where, "record rgb8 or bgr8")
     return colour
 
 
@@ -150,7 +150,7 @@ def _jpeg(data: bytes, where: str) -> Array:
         with Image.open(io.BytesIO(data), formats=["JPEG"]) as picture:
             width, height = picture.size
             what, fix = f"has {width} x {height} pixels", f"give {MOST_PIXELS} at most"
-            expect(width * height <= MOST_PIXELS, what, where=where, fix=fix)
+            expect(width * height <= MOST_PIXELS, what, where, fix)
             return np.asarray(picture.convert("RGB"))
     except (OSError, SyntaxError, UnidentifiedImageError) as error:
         raise ValueError(str(error)[:80]) from None
@@ -189,7 +189,7 @@ def _column(message: Any, field: Any, kind: str, where: str) -> Array:
     last = field.offset + np.dtype(kind).itemsize
     what = f"a cloud has {len(data)} bytes for {shape[0] * shape[1]} points of {step}"
     fits = last <= step and len(data) >= message.height * least
-    expect(fits, what, where=where, fix="record it again")
+    expect(fits, what, where, "record it again")
     if not shape[0] * shape[1]:
         return np.zeros(shape, kind)
     raw = np.ascontiguousarray(data)
