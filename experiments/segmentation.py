@@ -279,17 +279,19 @@ def judged(number: int, folder: Path) -> list[tuple[str, str, str, str]]:
     for chosen in (None, kind.own):
         settings = PerceptionSettings(colour=chosen)
         try:
-            recording = perceive(recorded, settings).recording
+            perceived = perceive(recorded, settings)
         except GendomError as error:
             outcome, said = "refused", str(error)
         else:
+            recording = perceived.recording
             off = [
                 away(found.item, found.vertices[np.searchsorted(found.time, time)], points)
                 for time, points in zip(recording.time, recording.frames(), strict=True)
             ]
             far = float((np.concatenate(off) > FAR).mean())
             outcome = "right" if far <= MOST_FAR else "wrong"
-            said = f"{100 * far:.1f} % of {recording.num_frames} frames"
+            said = f"{100 * far:.1f} % of {recording.num_frames} frames, "
+            said += f"{100 * perceived.seen_share:.0f} % of it seen"
         beside = kind.things or ("nothing" if kind.arm else "the arm")
         rows.append((beside, "height" if chosen is None else "colour", outcome, said))
     return rows

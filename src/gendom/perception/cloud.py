@@ -63,6 +63,7 @@ _STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table s
 _MAX_DEPTH_SLOPE = 5.0  # pixels' widths by which a surface's depth changes a pixel, at most
 _COMMON_UNITS = (1.0, 1e-2, 1e-3, 5e-4, 2.5e-4, 2e-4, 1.25e-4, 1e-4, 1e-5, 1e-6)  # [m] a count
 _TABLE_SHARE = 0.2  # of the downward pixels must lie on a table that decides the unit
+_AROUND, _STRAY = 0.025, 1 / 3  # [m], of the usual number of a rope's points in that distance
 _AT_ONCE = 1 << 18  # pixels
 _MAX_CAMERAS = 8  # bits of a point's `seen_by`
 # Of the table's plane:
@@ -430,7 +431,8 @@ def fuse(
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8], int]:
     """One cloud of several cameras' clouds [n_k, 3] [m]: one point a voxel, without outliers, and
     of what grippers hold, where it is given, only what hangs together with them. Points of objects
-    that are no broader than some pixels [m] are few, and lie farther apart.
+    that are no broader than some pixels [m] are few, and lie farther apart; of ropes, whose breadth
+    is known, those are left out that lie much more sparsely than most, as between rope and table.
 
     Returns:
         Points [n, 3] [m], `seen_by` [n] (bit k: camera k), and how many voxels there were.
@@ -451,6 +453,11 @@ def fuse(
     points, bits = points[keep], bits[keep]
     if held is not None and len(points):
         keep = held.among(points)
+        points, bits = points[keep], bits[keep]
+    if np.isfinite(breadth) and len(points):
+        tree = KDTree(points)
+        near = np.asarray(tree.query_ball_point(points, _AROUND, return_length=True))
+        keep = near >= _STRAY * np.median(near)
         points, bits = points[keep], bits[keep]
     return points, bits, voxels
 
