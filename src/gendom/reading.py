@@ -75,6 +75,15 @@ def wanted(
         raise error(what, where=None if where is None else str(where), fix=fix)
 
 
+def near_name(path: str | os.PathLike) -> str:
+    """A question that names a file of nearly the same name; empty: there is none."""
+    folder, name = os.path.split(path)
+    try:
+        return did_you_mean(name, os.listdir(folder or "."), cutoff=0.85)
+    except OSError:
+        return ""
+
+
 def file_size(
     path: str | os.PathLike,
     error: type[GendomError] = GendomError,
@@ -98,7 +107,7 @@ def file_size(
     try:
         found = os.stat(path)
     except FileNotFoundError:
-        raise error(missing, where=str(path), fix=fix) from None
+        raise error(missing, where=str(path), fix=near_name(path) or fix) from None
     except (OSError, ValueError) as fault:  # ValueError: a zero byte in the name
         what = f"cannot be read ({getattr(fault, 'strerror', fault)})"
         raise error(what, where=str(path), fix="check the path") from None
@@ -324,6 +333,9 @@ def read_rows(
         raise error(f"is not CSV ({fault})", where=str(path), fix="save it as CSV") from None
     if not lines:
         raise error("is empty", where=str(path), fix=f"write the header {header}")
+    odd = next((mark for mark in ";\t" if mark in text.split("\n", 1)[0]), None)
+    fix = "separate values by commas, and write decimals with a point"
+    wanted(odd is None, f"is separated by {odd!r}", path, fix, error)
     what, few = f"has {len(lines[0][1])} columns", len(lines[0][1]) <= MOST_COLUMNS
     require(few, what, where=str(path), fix=f"write the header {header}", error=error)
     return lines

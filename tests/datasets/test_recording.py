@@ -455,7 +455,7 @@ def test_files_that_are_no_recordings(lift, tmp_path):
         path.write_bytes(data)
         assert refusal(path)[0].startswith(said)
     for arrays, said in (
-        ({"points": np.zeros((1, 3))}, "meta: is missing, or no JSON text; add JSON text with format"),
+        ({"points": np.zeros((1, 3))}, "meta: is missing, or no JSON text; gendom.Recording"),
         ({"meta": np.array("{")}, "meta: is not JSON"),
         ({"meta": np.array("[]")}, "meta: holds a JSON list, not an object"),
         ({"meta": np.array({"format": "gendom-recording/1"}, dtype=object)},

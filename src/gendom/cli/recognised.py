@@ -7,20 +7,24 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gendom.arguments import require
-from gendom.arrays import Array, placed
+from gendom.arguments import require, time_text
+from gendom.arrays import Array
 from gendom.cli.summary import summarize, summary_rows
 from gendom.datasets import Fault, Recording
 from gendom.datasets.folder import BAGS, READERS, bag_files
 from gendom.errors import RecordingError
-from gendom.reading import file_size, read_json, read_toml
+from gendom.reading import file_size, near_name, read_json, read_toml
+
+if TYPE_CHECKING:
+    from gendom.perception import CameraRecording
 
 _POINTS = 20_000  # drawn of a picture
 _LARGEST_SCENE, _SMALLEST_SCENE = 20.0, 0.02  # [m]
+_PACKED = (".zip", ".tar", ".gz", ".tgz", ".7z", ".xz", ".bz2", ".zst", ".rar")
 _OBJECT = 'object.toml with: [object] kind = "rope", length = METRES, diameter = METRES'
 
 
@@ -65,6 +69,7 @@ def look(place: Path) -> Finding:
     reader = _FILES.get(place.suffix.lower())
     if reader is None:
         fix = f"give a folder, or one of {', '.join(sorted(_FILES))}"
+        fix = "unpack it" if place.suffix.lower() in _PACKED else fix
         raise RecordingError("is of no kind that is known", where=str(place), fix=fix)
     return reader(place)
 
@@ -93,10 +98,9 @@ def _clouds(place: Path) -> Finding:
         "object.toml": f"{_OBJECT} (or kind = 'cloth', width, height)",
     }
     for name, content in needed.items():
-        if not (place / name).exists():
-            found.lacks("is missing", place / name, f"write {content}")
-        elif not (place / name).is_file():
-            found.lacks("is no file", place / name, f"write {content}")
+        if not (place / name).is_file():
+            fix = near_name(place / name) or f"write {content}"
+            found.lacks("is missing", place / name, fix)
     return found
 
 
@@ -194,49 +198,60 @@ def _depth(place: Path) -> Finding:
     from gendom.perception import read_cameras
 
     found = Finding("depth pictures of cameras")
-    recorded = read_cameras(place, on_warning=found.faults.append)
-    _cameras_seen(recorded, found)
-    words = ("gendom", "perceive", place, "--out", f"{place.resolve().name}.npz")
-    found.step(*words, does="Find the object in the pictures (--colour R G B helps).")
+    _cameras_seen(read_cameras(place, on_warning=found.faults.append), found)
+    if all(fault.severity == "warning" for fault in found.faults):
+        words = ("gendom", "perceive", place, "--out", f"{place.resolve().name}.npz")
+        found.step(*words, does="Find the object in the pictures (--colour R G B helps).")
     return found
 
 
-def _cameras_seen(recorded: Any, found: Finding) -> None:
-    """What cameras see in their first picture that can be read, in the world."""
+def _cameras_seen(recorded: CameraRecording, found: Finding) -> None:
+    """What cameras see in their first picture, in the world, as `gendom perceive` looks at it."""
     from gendom.datasets.recording_form import parse_meta
+    from gendom.perception import CameraView, PerceptionSettings
+    from gendom.perception.perceive import within_reach
     from gendom.perception.quality import odd_intrinsics
 
     values, faults = parse_meta(recorded.meta)
     found.faults += faults
-    found.gripper, found.table = recorded.robot.position[:, 0], values["table_height"]
+    path, table = recorded.robot, values["table_height"]
+    found.gripper, found.table = path.position[:, 0], table
+    box = within_reach(recorded, values["object"].size or 0.5, table)
     for source in recorded.sources:
         camera, name = source.camera, source.camera.name
-        if getattr(source, "stated", True):
-            found.faults += odd_intrinsics(camera)
+        odd = [*odd_intrinsics(camera)] if getattr(source, "stated", True) else []
+        found.faults += odd
         found.rows[name] = f"{camera.width} x {camera.height}, f {camera.K[0, 0]:.0f} pixels"
         try:
-            raw = next(iter(source)).read().depth.ravel()
-            T = camera.calibrated()
+            frame = next(iter(source))
+            depth, view = frame.read().depth, CameraView(camera, PerceptionSettings(workspace=box))
+            raw = depth.ravel()
+            seen = np.flatnonzero(raw)[:: max(1, np.count_nonzero(raw) // _POINTS)]
+            away, share = np.median(raw[seen]) * camera.depth_unit, np.count_nonzero(raw) / raw.size
+            found.rows[name] += f", depth in {100 * share:.0f} % of the first picture, "
+            found.rows[name] += f"median {away:.2f} m"
+            found.clouds.append(view.points(raw, seen))
+            if not odd:  # which would pass for another unit
+                view.check_depth(depth, table)
         except (StopIteration, RecordingError) as error:
-            found.lacks(str(error) or "no picture can be read", name, "record again")
+            fix = getattr(error, "fix", None) or "record again"
+            where = getattr(error, "where", None) or name
+            found.lacks(getattr(error, "what", "holds no picture"), where, fix)
             continue
-        seen = np.flatnonzero(raw)
-        away = float(np.median(raw[seen] if len(seen) else 0)) * camera.depth_unit
-        share = f"{100 * len(seen) / raw.size:.0f} % of the first picture"
-        found.rows[name] += f", depth in {share}, median {away:.2f} m"
-        if not 0.1 < away < 5.0:
-            fix = f"check depth_unit, {camera.depth_unit:g} m a count"
-            found.faults.append(Fault(f"median depth is {away:.3g} m", name, fix, "warning"))
-        some = seen[:: max(1, len(seen) // _POINTS)]
-        found.clouds.append(placed(T, camera.rays()[some] * (raw[some, None] * camera.depth_unit)))
+        if path.at(frame.time) is None:
+            first, last = (time_text(time) for time in path.time[[0, -1]])
+            what = f"its first picture is of {time_text(frame.time)} s, the gripper's path of "
+            found.lacks(f"{what}{first} to {last} s", name, "put all times on one clock")
+        view.find_table(depth, table)
+        if table is not None and view.table is None:
+            what, fix = (
+                f"sees no table at z = {table:g} m",
+                "check T_world_camera (camera to world,",
+            )
+            fault = Fault(what, name, f"{fix} not its inverse) and table_height", "warning")
+            found.faults.append(fault)
     if found.clouds:
-        points = np.concatenate(found.clouds)
-        found.rows |= _extent(points, found, units=False)
-        nearest = np.linalg.norm(points - recorded.robot.position[0, 0], axis=1).min()
-        if nearest > 0.3:
-            what = f"is {nearest:.2f} m from all that cameras see at first"
-            fix = "check that gripper and cameras are in one frame, in metres"
-            found.faults.append(Fault(what, "gripper", fix, "warning"))
+        found.rows |= _extent(np.concatenate(found.clouds), found, units=False)
 
 
 def _board(place: Path) -> Finding:

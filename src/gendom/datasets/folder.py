@@ -91,8 +91,8 @@ def _cloud_files(folder: Path) -> tuple[str, list[Path]]:
             by_suffix.setdefault(suffix, []).append(path)
     if len(by_suffix) > 1:
         by_suffix.pop(".npz", None)
-    what, fix = f"holds no {', '.join(READERS)} file", "put one point cloud a frame there"
-    wanted(by_suffix, what, folder, fix)
+    fix = "put one point cloud a frame there, or depth pictures into cameras/NAME"
+    wanted(by_suffix, f"holds no {', '.join(READERS)} file", folder, fix)
     counts = " and ".join(f"{len(paths)} {suffix}" for suffix, paths in by_suffix.items())
     wanted(len(by_suffix) == 1, f"holds {counts} files", folder, "keep those of one kind")
     ((suffix, files),) = by_suffix.items()

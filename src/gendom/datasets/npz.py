@@ -121,7 +121,7 @@ def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     stored = _from_npz(path, take, write=f"write {FORMAT} with numpy.savez")
     meta, where = stored.pop("meta", np.zeros(0)), f"{path}: meta"
     is_text = meta.size == 1 and meta.dtype.kind in "US" and meta.nbytes <= 4 * LARGEST_JSON
-    fix = f"add JSON text with format = {FORMAT!r}"
+    fix = "gendom.Recording.from_frames(...).write makes a recording (docs/recordings.md)"
     wanted(is_text, "is missing, or no JSON text", where, fix)
     meta = parse_json(meta.item(), where, RecordingError)
     if (form := meta.get("format")) == FORMAT_STATIC:

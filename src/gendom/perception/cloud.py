@@ -62,6 +62,7 @@ _NO_TABLE = np.uint16(65535)  # counts that no depth exceeds
 _STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table shows it
 _MAX_DEPTH_SLOPE = 5.0  # pixels' widths by which a surface's depth changes a pixel, at most
 _COMMON_UNITS = (1.0, 1e-2, 1e-3, 5e-4, 2.5e-4, 2e-4, 1.25e-4, 1e-4, 1e-5, 1e-6)  # [m] a count
+_SEEN = (0.15, 6.0)  # [m]; median depths of pictures
 _TABLE_SHARE = 0.2  # of the downward pixels must lie on a table that decides the unit
 _AROUND, _STRAY = 0.025, 1 / 3  # [m], of the usual number of a rope's points in that distance
 _AT_ONCE = 1 << 18  # pixels
@@ -267,7 +268,7 @@ class CameraView:
             corners = np.reshape(np.array(self.settings.workspace), (2, 3))
             low, high = (", ".join(f"{x:.3g}" for x in corner) for corner in corners)
             what = f"sees nothing of the workspace, ({low}) to ({high}) m; median depth {median}"
-            fix = "check T_world_camera (camera to world) and --workspace"
+            fix = "check T_world_camera (camera to world, not its inverse) and --workspace"
             raise RecordingError(what, where=where, fix=fix)
 
     def _other_unit(self, raw: Array, table_height: float | None) -> float | None:
@@ -278,20 +279,22 @@ class CameraView:
         """
         own, some = self.camera.depth_unit, np.flatnonzero(raw)
         raw, slope = raw[some], -self._directions[2, some]
-        if table_height is not None:
-            down = slope > 0.1
-            below, expected = raw[down] * slope[down], self.camera.position[2] - table_height
+        (near, far), median = (depths[some] for depths in self._depths), np.median(raw)
+        tens = (own * 10.0**k for k in range(-4, 5))
+        usual = [[unit for unit in units if _SEEN[0] < median * unit < _SEEN[1]]
+                 for units in (_COMMON_UNITS, tens)]  # fmt: skip
+        if table_height is not None and usual[0]:
+            below, expected = raw * slope, self.camera.position[2] - table_height
             found = {
                 unit: np.count_nonzero(np.abs(unit * below - expected) < _FIT_RANGE)
-                for unit in (own, *_COMMON_UNITS)
+                for unit in (own, *usual[0])
             }
             best = max(found, key=lambda unit: found[unit])
-            if found[best] > max(_TABLE_SHARE * len(below), 10 * found[own]):
+            if found[best] > max(_TABLE_SHARE * np.count_nonzero(slope > 0.1), 10 * found[own]):
                 return best
-        near, far = (depths[some] for depths in self._depths)
         found = {
-            scale * own: np.count_nonzero((scale * own * raw >= near) & (scale * own * raw <= far))
-            for scale in (1.0, 1e-4, 1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3, 1e4)
+            unit: np.count_nonzero((unit * raw >= near) & (unit * raw <= far))
+            for unit in (own, *usual[1])
         }
         best = max(found, key=lambda unit: found[unit])
         fits = found[best] >= max(10 * found[own], 0.005 * len(some), MIN_DEPTH_PIXELS)

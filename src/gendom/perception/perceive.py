@@ -121,7 +121,7 @@ class _Perception:
         right = math.isfinite(size) and size > 0.0
         expect(right, "the object's sizes are missing", where, fix)
         if settings.workspace is None:
-            settings = replace(settings, workspace=_within_reach(recorded, size, height))
+            settings = replace(settings, workspace=within_reach(recorded, size, height))
         self.settings = settings
         across = self.object.diameter or math.inf
         self.views = [CameraView(source.camera, settings, across) for source in recorded.sources]
@@ -440,7 +440,7 @@ class _Perception:
         )
 
 
-def _within_reach(
+def within_reach(
     recorded: CameraRecording, size: float, table: float | None
 ) -> tuple[float, float, float, float, float, float]:
     """The workspace that an object of a size [m] can reach from the grippers' path, down to below a
