@@ -1,6 +1,7 @@
 """What else is in view: the cloud is right, or it is refused with the reason."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -98,6 +99,14 @@ def test_what_touches_the_object_is_refused(world, own, beside, settings):
             recorded(world, own, GREY if own == RED else own, beside),
             PerceptionSettings(**settings),
         )
+
+
+def test_a_rope_of_too_few_pixels_needs_a_colour(world):
+    """Without one mostly what is behind it would be left."""
+    lift = recorded(world)
+    lift = replace(lift, meta={**META, "object": {**META["object"], "diameter": 0.006}})
+    with pytest.raises(RecordingError, match=r"is 1\.\d pixels across, .*; choose it by --colour"):
+        perceive(lift)
 
 
 def test_frames_with_a_hand_are_left_out(world):

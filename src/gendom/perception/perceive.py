@@ -51,6 +51,7 @@ _MAX_RISE, _MAX_TURN = 0.005, 1.0  # [m], degrees; beyond, a camera ought to be 
 _BELOW_TABLE = 0.05  # [m]; the workspace reaches so far below a known table
 _MARGIN = 0.05  # [m]; and so far beyond what the object can reach
 _BEYOND = 0.03  # [m]; points farther from a gripper than the object is long may be its own
+_FEWEST_ACROSS = 2.0  # pixels that a rope is across; of thinner ones most pixels are lost or mixed
 _BY_ONE = 0.6  # of what all may cover, one camera's points of the object on the table may
 _ALIKE = 0.5  # of its own area, apart from it on the table: the table has the object's colour
 _LOW = 0.01  # [m]; points so near to the table may be the table's
@@ -182,9 +183,13 @@ class _Perception:
 
     def _fewest(self, camera: Camera) -> float:
         """Minimum number of points of a camera's cloud for comparison with others."""
-        away = np.linalg.norm(self.recorded.robot.position.mean(axis=(0, 1)) - camera.position)
-        pixels = camera.K[0, 0] * camera.K[1, 1] / max(float(away), 1e-3) ** 2
+        pixels = camera.K[0, 0] * camera.K[1, 1] / self._away(camera) ** 2
         return max(_AGREEMENT_POINTS, _AGREEMENT_SHARE * own_area(self.object) * pixels)
+
+    def _away(self, camera: Camera) -> float:
+        """How far a camera is from the middle of the gripper's path [m]."""
+        middle = self.recorded.robot.position.mean(axis=(0, 1))
+        return max(float(np.linalg.norm(middle - camera.position)), 1e-3)
 
     def _read(self, frames: tuple[Frame, ...]) -> list[Pictures] | None:
         try:
@@ -226,6 +231,12 @@ class _Perception:
         if not self.settings.no_table:
             self._find_table(pictures)
         self.colour = self._find_colour(pictures)
+        pixels = max(
+            view.breadth * view.camera.K[0, 0] / self._away(view.camera) for view in self.views
+        )
+        what = f"the rope is {pixels:.1f} pixels across, too few to tell it from what is behind it"
+        fix = "choose it by --colour or --masks, or move the cameras nearer"
+        self._require(pixels >= _FEWEST_ACROSS or self.colour is not None, what, fix)
         alike = False
         for view, seen in zip(self.views, pictures, strict=True):
             if self.colour is not None and view.table is not None:
