@@ -62,7 +62,7 @@ def read_ply(path: str | os.PathLike) -> np.ndarray:
             before its vertices or in them.
     """
 
-    def decode(data: bytes) -> np.ndarray:
+    def decode(data: bytes) -> list[np.ndarray]:
         encoding, elements, start = _ply_header(data)
         if encoding == "ascii":
             return _from_text(data, start, elements)
@@ -79,7 +79,7 @@ def read_pcd(path: str | os.PathLike) -> np.ndarray:
         RecordingError: The file is missing, no PCD, cut short, damaged, or without x, y, z.
     """
 
-    def decode(data: bytes) -> np.ndarray:
+    def decode(data: bytes) -> list[np.ndarray]:
         encoding, points, start = _pcd_header(data)
         return _PCD_DECODERS[encoding](data, start, points)
 

@@ -396,5 +396,5 @@ def _column(values: Array) -> pa.Array:
         K = values.shape[1]
         return flat if K == 1 else pa.FixedSizeListArray.from_arrays(flat, K)
     for n in values.shape[:0:-1]:
-        flat = pa.ListArray.from_arrays(pa.array(np.arange(0, len(flat) + 1, n, np.int32)), flat)
+        flat = pa.ListArray.from_arrays(pa.array(np.arange(0, len(flat) + 1, n), pa.int32()), flat)
     return flat
