@@ -64,7 +64,7 @@ _MAX_DEPTH_SLOPE = 5.0  # pixels' widths by which a surface's depth changes a pi
 _COMMON_UNITS = (1.0, 1e-2, 1e-3, 5e-4, 2.5e-4, 2e-4, 1.25e-4, 1e-4, 1e-5, 1e-6)  # [m] a count
 _SEEN = (0.15, 6.0)  # [m]; median depths of pictures
 _TABLE_SHARE = 0.2  # of the downward pixels must lie on a table that decides the unit
-_AROUND, _STRAY = 0.025, 1 / 3  # [m], of the usual number of a rope's points in that distance
+_AROUND, _STRAY = 0.025, 0.4  # [m], of the usual number of a rope's points in that distance
 _AT_ONCE = 1 << 18  # pixels
 _MAX_CAMERAS = 8  # bits of a point's `seen_by`
 # Of the table's plane:
