@@ -1,16 +1,18 @@
-"""What `gendom perceive` makes of scenes that are hard to segment: right, or refused.
+"""What `gendom perceive` makes of scenes that nobody chose: right, refused, or wrong.
 
-Lifts of the MuJoCo test scene, six moments of each, with other tables and with other things in
-view. A row says what share of the points is farther than 20 mm from the true object, in all frames
-and in those that are kept, how many times the object's own area the clouds cover
-(`gendom.perception.quality.times_own_area`), and how many frames are kept, or why none is.
+Lifts of the MuJoCo test scene, six moments of each. Object, its colour, table, light, cameras,
+noise and what else is in view are drawn from the scene's number. Points farther than 20 mm from the
+true object are wrong; right is at most 5 % of them in the frames that are kept.
 
-    python -m experiments.segmentation DIR [--kinds plain hand ...] [--objects rope:0 cloth:3 ...]
+    python -m experiments.segmentation DIR [--first 0] [--scenes 60] [--jobs 1]
 """
 
 from __future__ import annotations
 
 import argparse
+import colorsys
+import multiprocessing
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -23,7 +25,6 @@ from scipy.spatial import KDTree
 
 from benchmarks.reality import FINER, finer
 from experiments.lifts import draw_widely
-from gendom.datasets.recording_form import parse_meta
 from gendom.errors import GendomError
 from gendom.perception import (
     Camera,
@@ -34,7 +35,6 @@ from gendom.perception import (
     RobotPath,
     perceive,
 )
-from gendom.perception.quality import times_own_area
 from gendom.perception.robot import arm_capsules
 from gendom.reality import RealObject, RealRope, TrialRun, lift, lift_cameras
 from gendom.reality.arm import RobotArm
@@ -49,52 +49,56 @@ FAR, MOST_FAR = 0.02, 0.05
 """Points farther than this from the true object [m] are wrong; the largest share of them that is
 right."""
 
-WHITE, RED, BEIGE, GREY = (235, 235, 230), (190, 45, 40), (205, 190, 160), (150, 150, 150)
-SKIN = (215, 165, 135)
+Colour = tuple[int, int, int]
+
+TABLES: tuple[Colour, ...] = (
+    (235, 235, 230), (205, 190, 160), (150, 150, 150), (60, 60, 62), (158, 148, 133),
+    (140, 95, 60), (70, 110, 160), (90, 140, 90),
+)  # fmt: skip
+SKINS: tuple[Colour, ...] = ((240, 205, 180), (215, 165, 135), (165, 115, 85), (95, 65, 50))
+THINGS = ("", "", "hand", "touching", "cable", "own cable", "crossing", "cup", "paper", "checks")
+"""What else is in view, as often as it stands here."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kind:
-    """How a scene differs from a plain lift."""
+class Drawn:
+    """A scene that was drawn."""
 
-    own: tuple[int, int, int] = RED
-    """The object's colour."""
-    table: tuple[int, int, int] = (158, 148, 133)
-    """The table's colour."""
-    things: str = ""
-    """What else is in view, one of `THINGS`."""
-    noise: float = 1.0
-    """Of the cameras' disparity, over a D435i's; 0: exact."""
-    away: float = 1.0
+    item: str
+    own: Colour
+    table: Colour
+    things: str
+    skin: Colour
+    shift: NDArray[np.float64]
+    """[2] of what else is in view, beside its usual place [m]."""
+    light: float
+    """In the usual light."""
+    noise: float
+    """Of the cameras' disparity, over a D435i's."""
+    away: float
     """Distance of the cameras, in the usual one."""
-    cameras: int = 2
-    arm: bool = True
+    arm: bool
     """Whether the arm's joints are known."""
-    good: bool = False
-    """Whether a refusal is wrong."""
 
 
-KINDS = {
-    "plain": Kind(good=True),
-    "noise twice": Kind(good=True, noise=2.0),
-    "no noise": Kind(good=True, noise=0.0),
-    "near cameras": Kind(good=True, away=0.7),
-    "far cameras": Kind(good=True, away=1.5),
-    "one camera": Kind(good=True, cameras=1),
-    "white on white": Kind(own=WHITE, table=WHITE),
-    "white on beige": Kind(own=WHITE, table=BEIGE),
-    "white on grey": Kind(own=WHITE, table=GREY),
-    "checks of its colour": Kind(things="checks"),
-    "hand near": Kind(things="hand"),
-    "white and a hand": Kind(own=WHITE, things="hand"),
-    "hand touches": Kind(things="touching"),
-    "cable beside": Kind(things="cable"),
-    "cable of its colour": Kind(things="own cable"),
-    "cable crosses": Kind(things="crossing"),
-    "cup": Kind(things="cup"),
-    "sheet of paper": Kind(own=WHITE, things="paper"),
-    "arm unknown": Kind(arm=False),
-}
+def draw(number: int) -> Drawn:
+    """The scene of a number."""
+    rng = np.random.default_rng([20_261_126, number])
+    kind = ("rope", "rope", "thin", "cloth")[rng.integers(4)]
+    hue, full = rng.uniform(), rng.uniform(0.55, 0.95) * (rng.uniform() < 0.6)
+    own = colorsys.hsv_to_rgb(hue, full, rng.uniform(0.15 if full == 0.0 else 0.5, 0.95))
+    return Drawn(
+        item=f"{kind}:{rng.integers(100, 1000)}",
+        own=(round(255 * own[0]), round(255 * own[1]), round(255 * own[2])),
+        table=TABLES[rng.integers(len(TABLES))],
+        things=THINGS[rng.integers(len(THINGS))],
+        skin=SKINS[rng.integers(len(SKINS))],
+        shift=rng.uniform(-0.02, 0.03, 2),
+        light=float(rng.uniform(0.5, 1.4)),
+        noise=float(rng.uniform(0.7, 1.5)),
+        away=float(rng.uniform(0.75, 1.3)),
+        arm=bool(rng.uniform() < 0.85),
+    )
 
 
 def capsules(points: Any, radius: float, colour: tuple[int, int, int]) -> str:
@@ -117,15 +121,17 @@ def box(place: Any, size: Any, colour: tuple[int, int, int], form: str = "box") 
     )
 
 
-def things(kind: Kind, x: NDArray[np.float64]) -> str:
+def things(kind: Drawn, x: NDArray[np.float64]) -> str:
     """What else is in view, beside an object that begins with vertices [V, 3] [m]."""
-    (x0, y0, _), (x1, y1, _) = x.min(axis=0), x.max(axis=0)
+    (x0, y0, _), (x1, y1) = x.min(axis=0), x.max(axis=0)[:2] + kind.shift
     own, size = kind.own, float(np.ptp(x[:, 0]))
     far = np.array([x1 + 0.03, 0.0, 0.07])
-    hand = capsules([np.add(far, (0.03, 0.03, 0.0)), np.add(far, (0.1, 0.12, 0.03))], 0.035, SKIN)
+    hand = capsules(
+        [np.add(far, (0.03, 0.03, 0.0)), np.add(far, (0.1, 0.12, 0.03))], 0.035, kind.skin
+    )
     for k in range(4):
         finger = np.add(far, (0.02 * k - 0.02, 0.0, 0.0))
-        hand += capsules([finger, np.add(finger, (-0.03, -0.04, -0.03))], 0.009, SKIN)
+        hand += capsules([finger, np.add(finger, (-0.03, -0.04, -0.03))], 0.009, kind.skin)
     if kind.things == "checks":
         edge, places = 0.025, np.mgrid[-6:7, -5:6].reshape(2, -1).T
         middle = [(x0 + x1) / 2.0, (y0 + y1) / 2.0]
@@ -207,18 +213,20 @@ class Rendered:
             yield Frame(time, f"{self.camera.name} at {time:g} s", lambda seen=seen: seen)
 
 
-def scene(found: Lifted, kind: Kind, seed: int = 0) -> CameraRecording:
-    """What the cameras see of a lift in a scene of a kind."""
+def scene(found: Lifted, kind: Drawn, seed: int = 0) -> CameraRecording:
+    """What the cameras see of a lift in a drawn scene."""
     item = replace(found.item, colour=kind.own)
     cameras = [
-        camera.at(moved_away(camera.calibrated(), kind.away))
-        for camera in lift_cameras(item)[: kind.cameras]
+        camera.at(moved_away(camera.calibrated(), kind.away)) for camera in lift_cameras(item)
     ]
     assert found.run.motion is not None
     arm = Crowded(XARM7, found.run.motion, opening=thickness(item))
     arm.others = things(kind, found.vertices[0])
     world = Reality(item, found.run.trial.layout, robot=arm, cameras=cameras)
     world.model.geom("table").rgba[:3] = np.array(kind.table) / 255.0
+    world.model.light_diffuse[:] *= kind.light
+    world.model.vis.headlight.ambient[:] *= kind.light
+    world.model.vis.headlight.diffuse[:] *= kind.light
     sources, rng = [Rendered(camera) for camera in cameras], np.random.default_rng(seed)
     with world:
         for time, qpos in zip(found.time, found.qpos, strict=True):
@@ -227,7 +235,7 @@ def scene(found: Lifted, kind: Kind, seed: int = 0) -> CameraRecording:
             for k, source in enumerate(sources):
                 seen = observe(
                     *world.render(k), source.camera, rng,
-                    noisy=kind.noise > 0.0, times=kind.noise,
+                    noisy=True, times=kind.noise,
                 )  # fmt: skip
                 source.pictures.append((float(time), seen))
     trial = found.run.trial
@@ -263,67 +271,55 @@ def away(item: RealObject, vertices: NDArray[np.float64], points: Any) -> NDArra
     return np.abs(KDTree(shape).query(points)[0] - item.radius)
 
 
-def measured(found: Lifted, recorded: CameraRecording, kind: Kind, colour: bool) -> dict[str, Any]:
-    """A row of the table."""
-    seen: list[tuple[float, NDArray[np.floating]]] = []
-    warned: list[str] = []
-    row: dict[str, Any] = {"colour": colour, "warned": warned, "said": ""}
-    try:
-        perceived = perceive(
-            recorded,
-            PerceptionSettings(colour=kind.own if colour else None),
-            on_warning=lambda fault: warned.append(str(fault)),
-            on_frame=lambda time, cloud: seen.append((time, cloud.points)),
-        )
-        recording = perceived.recording
-        kept = set(recording.time.tolist())
-        row |= {"share": perceived.seen_share, "apart": perceived.disagreement}
-    except GendomError as error:
-        row["said"], kept = str(error), set()
-    held = parse_meta(recorded.meta)[0]["object"]
-    row |= {"area": [], "far": [], "points": [], "kept": [time in kept for time, _ in seen]}
-    for time, points in seen:
-        off = away(found.item, found.vertices[np.searchsorted(found.time, time)], points)
-        row["area"].append(times_own_area(points, held))
-        row["points"].append(len(points))
-        row["far"].append(int((off > FAR).sum()))
-    return row
+def judged(number: int, folder: Path) -> list[tuple[str, str, str, str]]:
+    """What is in view, how it was looked for, the outcome and what is said of a scene's number."""
+    kind, rows = draw(number), []
+    found = lifted(kind.item, folder)
+    recorded = scene(found, kind, number)
+    for chosen in (None, kind.own):
+        settings = PerceptionSettings(colour=chosen)
+        try:
+            perceived = perceive(recorded, settings)
+        except GendomError as error:
+            outcome, said = "refused", str(error)
+        else:
+            recording = perceived.recording
+            off = [
+                away(found.item, found.vertices[np.searchsorted(found.time, time)], points)
+                for time, points in zip(recording.time, recording.frames(), strict=True)
+            ]
+            far = float((np.concatenate(off) > FAR).mean())
+            outcome = "right" if far <= MOST_FAR else "wrong"
+            said = f"{100 * far:.1f} % of {recording.num_frames} frames, "
+            said += f"{100 * perceived.seen_share:.0f} % of it seen"
+        beside = kind.things or ("nothing" if kind.arm else "the arm")
+        rows.append((beside, "height" if chosen is None else "colour", outcome, said))
+    return rows
 
 
-def right(row: dict[str, Any]) -> bool:
-    """Whether there is a recording of which nearly all points are the object's."""
-    kept = np.array(row["kept"], bool)
-    points, far = (np.array(row[key])[kept].sum() for key in ("points", "far"))
-    return not row["said"] and bool(far <= MOST_FAR * points)
+def _judged(job: tuple[int, Path]) -> tuple[int, list[tuple[str, str, str, str]]]:
+    return job[0], judged(*job)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--kinds", nargs="*", default=list(KINDS))
-    parser.add_argument("--objects", nargs="*", default=["rope:3", "rope:5", "thin:2", "cloth:1"])
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--scenes", type=int, default=60)
+    parser.add_argument("--jobs", type=int, default=1)
     args = parser.parse_args()
     args.folder.mkdir(parents=True, exist_ok=True)
-    for kind in args.kinds:
-        for name in args.objects:
-            found = lifted(name, args.folder)
-            recorded = scene(found, KINDS[kind])
-            for colour in (False, True):
-                row = measured(found, recorded, KINDS[kind], colour)
-                print(shown(f"{kind}, {name}, {'colour' if colour else 'height'}", row), flush=True)
-
-
-def shown(name: str, row: dict[str, Any]) -> str:
-    """A row of the table in words."""
-    points, far = np.array(row["points"]), np.array(row["far"])
-    kept = np.array(row["kept"], bool)
-    said = (
-        row["said"] or f"{kept.sum()} of {len(kept)} frames, {'right' if right(row) else 'WRONG'}"
-    )
-    share = 100.0 * far.sum() / max(points.sum(), 1)
-    own = 100.0 * far[kept].sum() / max(points[kept].sum(), 1)
-    area = float(np.median(row["area"])) if row["area"] else 0.0
-    return f"{name:40}{share:8.1f} %{own:8.1f} %{area:8.2f}  {said}"
+    jobs = [(number, args.folder) for number in range(args.first, args.first + args.scenes)]
+    counts: Counter[tuple[str, str, str]] = Counter()
+    with multiprocessing.get_context("spawn").Pool(args.jobs) as pool:
+        for number, rows in pool.imap_unordered(_judged, jobs):
+            for beside, by, outcome, said in rows:
+                counts[beside, by, outcome] += 1
+                print(f"{number:4} {beside:10} {by:7} {outcome:8} {said}", flush=True)
+    print(f"{'beside':12}{'by':8}{'right':>8}{'refused':>8}{'wrong':>8}")
+    for beside, by in sorted({key[:2] for key in counts}):
+        found = (counts[beside, by, outcome] for outcome in ("right", "refused", "wrong"))
+        print(f"{beside:12}{by:8}" + "".join(f"{n:8}" for n in found))
 
 
 if __name__ == "__main__":

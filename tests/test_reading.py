@@ -84,7 +84,7 @@ def test_only_regular_files_of_some_size_are_read(tmp_path):
 def test_names_that_lead_out_of_a_folder(tmp_path, name):
     with pytest.raises(RecordingError, match=r"^line 3: .* is not in"):
         inside(tmp_path, name, where="line 3")
-    assert inside(tmp_path, r"depth\0.png", where="") == tmp_path / "depth" / "0.png"
+    assert inside(tmp_path, r"depth\0.png", where="") == str(tmp_path / "depth" / "0.png")
 
 
 @pytest.mark.parametrize(("last", "cut"), [("1,-", [3]), ("1", [3]), ("1,2", []), ("1,-\n", None)])

@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 T = TypeVar("T")
 
 _silent = False
 
 
-class Show(Protocol):
-    """Advances a bar."""
-
-    def __call__(self, done: float, total: float | None = None, note: str = "") -> None:
-        """
-        Args:
-            done: How much is done; the first call gives what was done before.
-            total: Of how much, where that is known only now.
-            note: Shown behind the bar.
-        """
-        ...
+Show = Callable[..., None]
+"""Advances a bar: how much is done (at first, what was done before), of how much in all where that
+is known only now, and a note that stands behind the bar: `show(done, total=None, note="")`."""
 
 
 @contextmanager

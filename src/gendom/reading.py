@@ -18,6 +18,7 @@ import os
 import stat
 import tomllib
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
@@ -42,14 +43,45 @@ LARGEST_CSV, LARGEST_JSON, LARGEST_TOML = 1 << 23, 1 << 23, 1 << 16
 MOST_ROWS = 1 << 15
 """Of a CSV file: half a minute at 1 kHz, 18 minutes at 30 Hz."""
 
+MOST_COLUMNS = 1 << 8
+"""Of a CSV file."""
+
 MOST_PIXELS = 1 << 24
-"""Of a picture: four times those of the largest depth cameras."""
+"""Of a picture."""
+
+MOST_DEPTHS = 1 << 22
+"""Of a depth picture: twice those of large depth cameras."""
 
 DEEPEST = 64
 """How deep lists and tables may be nested."""
 
 MOST_DOTS = 256
 """In a line of TOML: reading a key of so many parts takes a time that grows with their cube."""
+
+
+def wanted(
+    holds: Any,
+    what: str,
+    where: object = None,
+    fix: str | None = None,
+    error: type[GendomError] = RecordingError,
+) -> None:
+    """Raise an error with this message unless the condition holds.
+
+    Raises:
+        GendomError: As `error`.
+    """
+    if not holds:
+        raise error(what, where=None if where is None else str(where), fix=fix)
+
+
+def near_name(path: str | os.PathLike) -> str:
+    """A question that names a file of nearly the same name; empty: there is none."""
+    folder, name = os.path.split(path)
+    try:
+        return did_you_mean(name, os.listdir(folder or "."), cutoff=0.85)
+    except OSError:
+        return ""
 
 
 def file_size(
@@ -75,7 +107,7 @@ def file_size(
     try:
         found = os.stat(path)
     except FileNotFoundError:
-        raise error(missing, where=str(path), fix=fix) from None
+        raise error(missing, where=str(path), fix=near_name(path) or fix) from None
     except (OSError, ValueError) as fault:  # ValueError: a zero byte in the name
         what = f"cannot be read ({getattr(fault, 'strerror', fault)})"
         raise error(what, where=str(path), fix="check the path") from None
@@ -118,7 +150,7 @@ def check_unpacked(
 
 def inside(
     folder: str | os.PathLike, name: str, *, where: str, error: type[GendomError] = RecordingError
-) -> Path:
+) -> str:
     """The path of a file that another file names, relative to its folder, with / or, as Windows
     writes them, backslashes.
 
@@ -127,9 +159,9 @@ def inside(
     """
     parts = name.replace("\\", "/").split("/")
     stays = parts[0] and parts[0][1:2] != ":" and ".." not in parts and "\0" not in name
-    fix = "name files below that folder"
-    require(stays, f"{name!r} is not in {folder}", where=where, fix=fix, error=error)
-    return Path(folder, *parts)
+    if not stays:
+        raise error(f"{name!r} is not in {folder}", where=where, fix="name files below that folder")
+    return os.path.join(folder, *parts)
 
 
 def decoded(data: bytes, errors: str = "strict") -> str:
@@ -166,8 +198,7 @@ def parse_json(
         what = f"is not JSON ({fault.msg} in line {fault.lineno})"
         raise error(what, where=where, fix="write the file again") from None
     except (ValueError, RecursionError) as fault:  # not UTF-8, NaN, or `_check_tree`
-        what = f"is not JSON ({fault})"
-        raise error(what, where=where, fix="write the file again") from None
+        raise error(f"is not JSON ({fault})", where=where, fix="write the file again") from None
     return value
 
 
@@ -302,6 +333,11 @@ def read_rows(
         raise error(f"is not CSV ({fault})", where=str(path), fix="save it as CSV") from None
     if not lines:
         raise error("is empty", where=str(path), fix=f"write the header {header}")
+    odd = next((mark for mark in ";\t" if mark in text.split("\n", 1)[0]), None)
+    fix = "separate values by commas, and write decimals with a point"
+    wanted(odd is None, f"is separated by {odd!r}", path, fix, error)
+    what, few = f"has {len(lines[0][1])} columns", len(lines[0][1]) <= MOST_COLUMNS
+    require(few, what, where=str(path), fix=f"write the header {header}", error=error)
     return lines
 
 
@@ -339,16 +375,19 @@ def read_number_table(
     if on_cut is not None and not whole and len(lines) > 1 and cut:
         on_cut(number)
         del lines[-1]
+    with suppress(ValueError):  # a cell that is no number, or rows of several lengths
+        table = np.array([row for _, row in lines], dtype=np.float64)
+        if table.shape[1] == len(names):
+            return names, table, [number for number, _ in lines]
     for number, row in lines:
         what, where = f"{len(row)} values under {len(names)} column names", f"{path}, line {number}"
         fix = "give one value a column"
         require(len(row) == len(names), what, where=where, fix=fix, error=error)
-        for name, text in zip(names, row, strict=True):
-            if not _is_number(text):
-                where, fix = f"{where}, column {name}", "give seconds and metres"
-                raise error(f"{text[:60]!r} is no number", where=where, fix=fix)
-    table = np.array([row for _, row in lines], dtype=np.float64)
-    return names, table, [number for number, _ in lines]
+        wrong = next((k for k, text in enumerate(row) if not _is_number(text)), None)
+        if wrong is not None:
+            where, fix = f"{where}, column {names[wrong]}", "give seconds and metres"
+            raise error(f"{row[wrong][:60]!r} is no number", where=where, fix=fix)
+    raise error("is no table of numbers", where=str(path), fix="give seconds and metres")
 
 
 def _is_number(text: str) -> bool:

@@ -181,6 +181,19 @@ def turned_camera(camera):
     return T @ camera.T_world_camera
 
 
+def inverse(camera):
+    return np.linalg.inv(camera.T_world_camera)
+
+
+def late_path(folder):
+    depth(folder)
+    file = folder / "gripper.csv"
+    head, *rows = file.read_text().split()
+    late = (r.split(",") for r in rows)
+    rows = [",".join([str(1.7e9 + float(time)), *at]) for time, *at in late]
+    file.write_text("\n".join([head, *rows]))
+
+
 def shifted(camera):
     return camera.K + np.array([[0, 0, 110.0], [0, 0, 60.0], [0, 0, 0]])
 
@@ -189,7 +202,9 @@ WRONG = {  # name: how it is made, what is said, exit code
     "lift.npz": (y_up, "the gripper rises along y, and the object hangs below it there; give z", 2),
     "lifted": (lacking, "gripper.csv: is missing; write one row a cloud: time,x,y,z in seconds", 2),
     "turned": (odd_depth("T_world_camera", turned_camera), "the largest plane lies across y", 0),
-    "units": (odd_depth("depth_unit", lambda c: 0.01), "median depth is 8", 0),
+    "units": (odd_depth("depth_unit", lambda c: 0.01), "0.01 m a count; 0.0001 seems right", 2),
+    "inverse": (odd_depth("T_world_camera", inverse), "camera to world, not its inverse", 2),
+    "clocks": (late_path, "picture is of 0 s, the gripper's path of 1700000000 to", 2),
     "crop": (odd_depth("K", shifted), "is that of 539 x 359 pictures, not of 320 x 240", 0),
     "kept": (lambda p: p.mkdir() or (p / "a.bag.active").touch(), "rosbag reindex FILE", 2),
     "empty": (lambda p: p.mkdir(), "holds nothing that is known; docs/data.md and", 2),

@@ -79,8 +79,6 @@ def cameras(folder):
     for k in range(3):
         Image.fromarray(np.full((4, 8), 900, np.uint16)).save(place / "depth" / f"{k}.png")
     table(place / "frames.csv", "time,depth", *(f"{0.1 * k},depth/{k}.png" for k in range(3)))
-    names, hand = "time,capsule,x0,y0,z0,x1,y1,z1,radius", "0.0,hand,0,0,0,0,0,1,0.1"
-    table(folder / "capsules.csv", names, hand)
     joints = (f"{0.1 * k},0,0,0,0.5,0,0,0" for k in range(3))
     table(folder / "joints.csv", "time,q0,q1,q2,q3,q4,q5,q6", *joints)
     gripper(folder)

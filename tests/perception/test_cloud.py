@@ -1,5 +1,7 @@
 """Stages of the way from depth to cloud."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -57,28 +59,24 @@ def test_scattered_points_are_outliers(world):
     rng = np.random.default_rng(0)
     rope = np.linspace([-0.2, 0, 0.1], [0.2, 0, 0.1], 500) + rng.normal(0, 1e-3, (500, 3))
     stray = rng.uniform([-0.3, -0.3, 0.2], [0.3, 0.3, 0.8], (40, 3))
-    points, _, voxels = fuse([np.concatenate([rope, stray]).astype(np.float32)], settings())
+    points, _, voxels = fuse([np.concatenate([rope, stray]).astype(np.float32)])
     assert voxels > len(points) and voxels - len(points) == 40
     assert points[:, 2].max() < 0.11
-    # no voxels keeps all points and empty clouds stay empty
-    p = np.random.default_rng(0).normal(0, 1e-3, (50, 3)).astype(np.float32)
-    points, seen_by, _ = fuse([p[:20], p[20:]], settings(voxel=0.0))
-    np.testing.assert_array_equal(points, p)
-    assert seen_by.tolist() == [1] * 20 + [2] * 30
+    # empty clouds stay empty
     camera = world.make_camera(scale=0.25)
     blind = Pictures(np.zeros((camera.height, camera.width), np.uint16))
     found = perceive_frame([CameraView(camera, settings())], [blind])
     assert found.points.shape == (0, 3) and found.counts.tolist() == [0] * 8
 
 
-@pytest.mark.parametrize("spread", [0.05, 0.5])
-def test_voxels_are_means_and_know_their_cameras(spread):
+@pytest.mark.parametrize("spread", [0.02, 0.25])
+def test_voxels_are_means_and_know_their_cameras(spread, monkeypatch):
     """Of dense and sparse clouds, which take different ways: as a plain loop says."""
+    monkeypatch.setattr(cloud, "MIN_CLUSTER", 1)
     p = np.random.default_rng(1).uniform(-spread, spread, (3000, 3)).astype(np.float32)
-    clouds = [p[:2000], p[2000:]]
-    points, seen_by, voxels = fuse(clouds, settings(min_cluster=1, voxel=0.01))
+    points, seen_by, voxels = fuse([p[:2000], p[2000:]])
     cells = {}
-    for k, (point, cell) in enumerate(zip(p, np.floor(p * (1 / 0.01)).astype(int), strict=True)):
+    for k, (point, cell) in enumerate(zip(p, np.floor(p * (1 / 0.005)).astype(int), strict=True)):
         cells.setdefault(tuple(cell), []).append((point, 1 if k < 2000 else 2))
     rows = [cells[cell] for cell in sorted(cells)]
     assert voxels == len(rows)
@@ -92,14 +90,10 @@ def test_voxels_are_means_and_know_their_cameras(spread):
     [
         ({"workspace": (0.5, -0.4, 0.0, 0.4, 0.4, 0.5)}, "the workspace runs from"),
         ({"workspace": (np.nan, -0.4, 0.0, 0.4, 0.4, 0.5)}, "the workspace runs from"),
-        ({"voxel": -1.0}, "voxel is -1.0; give 0 or more"),
-        ({"voxel": np.nan}, "voxel is nan"),
-        ({"voxel": 5.0}, "voxel is 5 m; give metres: 5 mm are 0.005 m"),
-        ({"min_cluster": 0}, "min_cluster is 0"),
         ({"colour": (1, 2, 300)}, "0 to 255"),
-        ({"colour": (1, 2, 3), "pick": ("left", 1, 1)}, "are both given"),
+        ({"colour": (1, 2, 3), "masks": Path("m")}, "are both given"),
         ({"sync_tolerance": -1.0}, "sync_tolerance is -1"),
-        ({"sync_tolerance": 20.0}, "is 20 s; give seconds: 20 ms are 0"),
+        ({"sync_tolerance": 20.0}, "is 20 s; give seconds"),
     ],
 )
 def test_bad_settings(wrong, said):

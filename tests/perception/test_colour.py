@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.perception.colour import ObjectColour, lab, picked_colour
+from gendom.perception.colour import ObjectColour, lab
 
 
 @pytest.mark.parametrize(
@@ -43,11 +43,3 @@ def test_lightness_tells_greys_apart_when_it_counts():
     assert lenient.match(black)[0]
     with pytest.raises(ParameterError, match="tolerance"):
         ObjectColour.near((50, 0, 0), tolerance=0.0)
-    # a picked pixel
-    image = np.full((60, 80, 3), (150, 150, 145), float)
-    image[10:50, 40:44] = (180, 30, 35)
-    noisy = image + np.random.default_rng(0).normal(0, 4, image.shape)
-    picture = np.clip(noisy, 0, 255).astype(np.uint8)
-    np.testing.assert_allclose(picked_colour(picture, 42, 20), lab((180, 30, 35)), atol=6)
-    with pytest.raises(ParameterError, match=r"pixel \(80, 5\)"):
-        picked_colour(picture, 80, 5)

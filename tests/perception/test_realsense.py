@@ -11,7 +11,7 @@ import pytest
 from gendom.errors import DeviceError, RecordingError
 from gendom.perception import Camera, FrameSource, Pictures, RealSenseRecording, read_cameras
 from gendom.perception.realsense import Alignment, realsense_sdk
-from gendom.perception.rosbag import raw_picture
+from gendom.perception.ros_messages import raw_picture
 from software_camera import recording
 
 RECORDINGS = Path(__file__).with_name("recordings")

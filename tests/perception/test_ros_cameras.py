@@ -83,7 +83,18 @@ def cloud(time, frame, camera, pictures, organised):
     return made("sensor_msgs/PointCloud2", {**values, "data": data})
 
 
+MADE = {}
+
+
 def rows_of(world, form, *, stated=True):
+    """As `_rows_of`, which takes long, in a list that may be changed."""
+    if (form, stated) not in MADE:
+        MADE[form, stated] = _rows_of(world, form, stated)
+    rows, ropes, cameras = MADE[form, stated]
+    return list(rows), ropes, cameras
+
+
+def _rows_of(world, form, stated):
     """A lift of a rope from a table, seen by two cameras; the gripper and they in TF."""
     cameras, rows, ropes = world.pair(0.5), [], []
     if stated:
@@ -290,6 +301,7 @@ def test_what_perceive_cannot_use(world, tmp_path, capsys):
     sparse = np.random.default_rng(0).uniform((0.0, 0.0, 0.7), (0.3, 0.3, 0.8), (120, 3))
     rows = [placed("base", "far_optical_frame", np.eye(4))]
     thin = ("/far/points", ros_cloud(0.05, "far_optical_frame", sparse))
+    bare = [row for row in rows_of(world, "raw")[0] if not row[0].endswith("camera_info")]
     hand = [placed("tool", f"{n}_optical_frame", np.eye(4)) for n in ("left", "right")]
     for name, of, said in (
         ("hand", [*turned, *moving, *hand], "_optical_frame moves in base by 300.0 mm"),
@@ -299,6 +311,7 @@ def test_what_perceive_cannot_use(world, tmp_path, capsys):
             "frame far_optical_frame are thinned, or not",
         ),
         ("lost", turned, "TF does not say where right_optical_frame is"),
+        ("bare", bare, "without a CameraInfo beside them; record camera_info"),
     ):
         path = write_bag(tmp_path / f"{name}.bag", of, "ROS1")
         assert cli.main(["perceive", str(path), "--gripper", "tool"]) == 2

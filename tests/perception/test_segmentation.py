@@ -1,6 +1,7 @@
 """What else is in view: the cloud is right, or it is refused with the reason."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -100,6 +101,14 @@ def test_what_touches_the_object_is_refused(world, own, beside, settings):
         )
 
 
+def test_a_rope_of_too_few_pixels_needs_a_colour(world):
+    """Without one mostly what is behind it would be left."""
+    lift = recorded(world)
+    lift = replace(lift, meta={**META, "object": {**META["object"], "diameter": 0.006}})
+    with pytest.raises(RecordingError, match=r"is 1\.\d pixels across, .*; choose it by --colour"):
+        perceive(lift)
+
+
 def test_frames_with_a_hand_are_left_out(world):
     warned = []
     lift = recorded(world, beside="late hand", frames=3)
@@ -161,13 +170,7 @@ def test_bad_masks(masked, tmp_path, command, spoil, said):
 
 
 @pytest.mark.slow
-def test_rendered_scenes_are_right_or_refused(tmp_path):
+def test_drawn_scenes_are_right_or_refused(tmp_path):
     segmentation = pytest.importorskip("experiments.segmentation")
-    found = segmentation.lifted("rope:3", tmp_path)
-    for name in ("plain", "white on white", "checks of its colour", "hand near", "cable crosses"):
-        kind = segmentation.KINDS[name]
-        scene = segmentation.scene(found, kind)
-        for chosen in (False, True):
-            row = segmentation.measured(found, scene, kind, chosen)
-            assert segmentation.right(row) or row["said"], name
-            assert not (kind.good and row["said"]), name
+    rows = [row for number in range(1000, 1006) for row in segmentation.judged(number, tmp_path)]
+    assert {outcome for _, _, outcome, _ in rows} <= {"right", "refused"}, rows

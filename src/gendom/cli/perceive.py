@@ -17,7 +17,6 @@ from gendom.datasets.folder import bag_files
 from gendom.files import check_file
 from gendom.perception import (
     STAGES,
-    FusedCloud,
     Perceived,
     PerceptionSettings,
     RosSettings,
@@ -50,8 +49,6 @@ class Command:
     perception: PerceptionSettings = field(default_factory=PerceptionSettings)
     bag: RosSettings = field(default_factory=RosSettings)
     object: ObjectFile = None
-    frames: bool = False
-    """Print the counts of every frame."""
     json: Json = False
 
     def run(self) -> int:
@@ -66,26 +63,12 @@ class Command:
             recorded = read_cameras(
                 self.folder, cameras=self.cameras, arm=arm, on_warning=warnings.append
             )
-        show = self.frames and not self.json
-        if show:
-            print(_row("time", STAGES))
-
-        def print_frame(time: float, cloud: FusedCloud) -> None:
-            if show:
-                print(_row(f"{time:.3f}", cloud.counts.tolist()))
-
-        perceived = perceive(
-            recorded, self.perception, on_warning=warnings.append, on_frame=print_frame
-        )
+        perceived = perceive(recorded, self.perception, on_warning=warnings.append)
         summary = _summary(perceived)
         print_result({"out": self.out, **summary}, _text(summary), warnings, json=self.json)
         perceived.recording.write(self.out)
         tell_written(self.out, json=self.json)
         return 0
-
-
-def _row(head: str, cells: Any) -> str:
-    return f"{head:>9}" + "".join(f"{cell:>11}" for cell in cells)
 
 
 def _summary(perceived: Perceived) -> dict[str, Any]:

@@ -7,19 +7,24 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gendom.arrays import Array, placed
+from gendom.arguments import require, time_text
+from gendom.arrays import Array
 from gendom.cli.summary import summarize, summary_rows
 from gendom.datasets import Fault, Recording
 from gendom.datasets.folder import BAGS, READERS, bag_files
 from gendom.errors import RecordingError
-from gendom.reading import file_size, read_json, read_toml
+from gendom.reading import file_size, near_name, read_json, read_toml
+
+if TYPE_CHECKING:
+    from gendom.perception import CameraRecording
 
 _POINTS = 20_000  # drawn of a picture
 _LARGEST_SCENE, _SMALLEST_SCENE = 20.0, 0.02  # [m]
+_PACKED = (".zip", ".tar", ".gz", ".tgz", ".7z", ".xz", ".bz2", ".zst", ".rar")
 _OBJECT = 'object.toml with: [object] kind = "rope", length = METRES, diameter = METRES'
 
 
@@ -64,6 +69,7 @@ def look(place: Path) -> Finding:
     reader = _FILES.get(place.suffix.lower())
     if reader is None:
         fix = f"give a folder, or one of {', '.join(sorted(_FILES))}"
+        fix = "unpack it" if place.suffix.lower() in _PACKED else fix
         raise RecordingError("is of no kind that is known", where=str(place), fix=fix)
     return reader(place)
 
@@ -86,26 +92,30 @@ def _recording(place: Path) -> Finding:
 def _clouds(place: Path) -> Finding:
     """A folder of clouds that lacks what is beside them in a recording."""
     files = sorted(path for path in place.iterdir() if path.suffix.lower() in READERS)
-    found = _cloud(files[0])
-    found.kind = f"a folder of {len(files)} clouds"
+    found = _points_of(files[0], Finding(f"a folder of {len(files)} clouds"))
     needed = {
         "gripper.csv": "one row a cloud: time,x,y,z in seconds and metres",
         "object.toml": f"{_OBJECT} (or kind = 'cloth', width, height)",
     }
     for name, content in needed.items():
-        if not (place / name).exists():
-            found.lacks("is missing", place / name, f"write {content}")
-    found.next = []
+        if not (place / name).is_file():
+            fix = near_name(place / name) or f"write {content}"
+            found.lacks("is missing", place / name, fix)
     return found
 
 
 def _cloud(place: Path) -> Finding:
-    points = READERS[place.suffix.lower()](place)
-    points = points[np.isfinite(points).all(axis=1)]
-    found = Finding("a cloud", clouds=[points])
-    found.rows = {"points": str(len(points)), **_extent(points, found)}
     fix = "put one a frame into a folder, with gripper.csv and object.toml (docs/data.md)"
+    found = _points_of(place, Finding("a cloud"))
     found.lacks("is one cloud, a recording is a lift", place, fix)
+    return found
+
+
+def _points_of(path: Path, found: Finding) -> Finding:
+    """What is found, with a cloud's points."""
+    points = READERS[path.suffix.lower()](path)
+    found.clouds.append(points[np.isfinite(points).all(axis=1)])
+    found.rows = {"points": str(len(points)), **_extent(found.clouds[0], found)}
     return found
 
 
@@ -130,32 +140,32 @@ def _extent(points: Array, found: Finding, *, units: bool = True) -> dict[str, s
 
 
 def _bag(place: Path) -> Finding:
-    from gendom.perception.ros_content import bag_content
+    from gendom.perception.ros import bag_content
 
-    content, files = bag_content(place), bag_files(place)
-    version = 1 if files[0].suffix == ".bag" else 2
-    found = Finding(f"a bag of ROS {version}")
+    content = bag_content(place)
+    found = Finding(f"a bag of ROS {1 if bag_files(place)[0].suffix == '.bag' else 2}")
     found.rows = {n: f"{kind}, {count} messages" for n, (kind, count) in content.topics.items()}
     found.summary = {"topics": content.topics, "grippers": content.grippers}
+    held = (place if place.is_dir() else place.parent) / "object.toml"
     if content.of_realsense:
         found.kind = "a recording of the RealSense SDK"
         fix = "put it into DIR/cameras/NAME beside camera.toml, DIR/object.toml and DIR/gripper.csv"
         found.lacks("is one camera", place, f"{fix}, then gendom perceive DIR (docs/perception.md)")
         return found
-    if not content.cameras:
-        fix = "record PointCloud2, or depth Image and CameraInfo"
-        found.lacks("holds no clouds and no depth", place, fix)
-    if not content.grippers:
-        fix = "record /tf, or the gripper's PoseStamped"
-        found.lacks("does not say where the gripper is", place, fix)
-    if not (content.cameras and content.grippers):
+    for there, what, fix in (
+        (content.cameras, "holds no clouds and no depth", "record PointCloud2, or depth Image and"
+         " CameraInfo"),
+        (content.grippers, "does not say where the gripper is", "record /tf, or the gripper's"
+         " PoseStamped"),
+    ):  # fmt: skip
+        if not there:
+            found.lacks(what, place, fix)
+    if found.faults:
         return found
-    gripper = content.grippers[0]
     found.rows["gripper"] = f"perhaps {', '.join(content.grippers[:4])}"
-    held = (place if place.is_dir() else place.parent) / "object.toml"
     if not held.exists():
         found.lacks("is missing", held, f"write {_OBJECT}; or name another file by --object")
-    _bag_cameras(place, held, gripper, found)
+    _bag_cameras(place, held, content.grippers[0], found)
     return found
 
 
@@ -163,86 +173,85 @@ def _bag_cameras(place: Path, held: Path, gripper: str, found: Finding) -> None:
     """Whether `gendom perceive` or `gendom import` takes a bag, whatever is held."""
     from gendom.perception import RosSettings, read_ros_cameras
 
-    command = "perceive"
+    command, does = "import", "Write a recording of the clouds as they are."
     with tempfile.TemporaryDirectory() as folder:
         some = Path(folder) / "object.toml"
         some.write_text('[object]\nkind = "rope"\nlength = 0.5\n', encoding="utf-8")
+        some = held if held.exists() else some
         try:
-            recorded = read_ros_cameras(
-                place, held if held.exists() else some, RosSettings(gripper=gripper)
-            )
+            recorded = read_ros_cameras(place, some, RosSettings(gripper=gripper))
             _cameras_seen(recorded, found)
             stated = recorded.meta["object"] if held.exists() else {}
             size = stated.get("length") or stated.get("width") or 0.0
             points = np.concatenate([np.zeros((0, 3)), *found.clouds])
-            if len(points) and np.ptp(points, axis=0).max() < 1.5 * size:
-                command = "import"  # nothing else is in view
+            if not len(points) or np.ptp(points, axis=0).max() >= 1.5 * size:  # more is in view
+                command, does = "perceive", "Take table and robot out, and write a recording"
+                does += " (--colour R G B helps)."
         except RecordingError as error:
             if error.fix is None or "gendom import" not in error.fix:
                 raise
-            command = "import"
-    does = {
-        "perceive": "Take table and robot out, and write a recording (--colour R G B helps).",
-        "import": "Write a recording of the clouds as they are.",
-    }
     words = ("gendom", command, place, "--gripper", gripper, "--out", f"{place.stem}.npz")
-    found.step(*words, does=does[command])
+    found.step(*words, does=does)
 
 
 def _depth(place: Path) -> Finding:
     from gendom.perception import read_cameras
 
     found = Finding("depth pictures of cameras")
-    recorded = read_cameras(place, on_warning=found.faults.append)
-    _cameras_seen(recorded, found)
-    words = ("gendom", "perceive", place, "--out", f"{place.resolve().name}.npz")
-    found.step(*words, does="Find the object in the pictures (--colour R G B helps).")
+    _cameras_seen(read_cameras(place, on_warning=found.faults.append), found)
+    if all(fault.severity == "warning" for fault in found.faults):
+        words = ("gendom", "perceive", place, "--out", f"{place.resolve().name}.npz")
+        found.step(*words, does="Find the object in the pictures (--colour R G B helps).")
     return found
 
 
-def _cameras_seen(recorded: Any, found: Finding) -> None:
-    """What cameras see in their first picture that can be read, in the world."""
+def _cameras_seen(recorded: CameraRecording, found: Finding) -> None:
+    """What cameras see in their first picture, in the world, as `gendom perceive` looks at it."""
     from gendom.datasets.recording_form import parse_meta
+    from gendom.perception import CameraView, PerceptionSettings
+    from gendom.perception.perceive import within_reach
     from gendom.perception.quality import odd_intrinsics
 
     values, faults = parse_meta(recorded.meta)
     found.faults += faults
-    found.gripper, found.table = recorded.robot.position[:, 0], values["table_height"]
+    path, table = recorded.robot, values["table_height"]
+    found.gripper, found.table = path.position[:, 0], table
+    box = within_reach(recorded, values["object"].size or 0.5, table)
     for source in recorded.sources:
         camera, name = source.camera, source.camera.name
-        if getattr(source, "stated", True):
-            found.faults += odd_intrinsics(camera)
-        size, f = f"{camera.width} x {camera.height}", camera.K[0, 0]
-        found.rows[name] = f"{size}, f {f:.0f} pixels"
+        odd = [*odd_intrinsics(camera)] if getattr(source, "stated", True) else []
+        found.faults += odd
+        found.rows[name] = f"{camera.width} x {camera.height}, f {camera.K[0, 0]:.0f} pixels"
         try:
             frame = next(iter(source))
-            depth = frame.read().depth
-            camera.calibrated()
+            depth, view = frame.read().depth, CameraView(camera, PerceptionSettings(workspace=box))
+            raw = depth.ravel()
+            seen = np.flatnonzero(raw)[:: max(1, np.count_nonzero(raw) // _POINTS)]
+            away, share = np.median(raw[seen]) * camera.depth_unit, np.count_nonzero(raw) / raw.size
+            found.rows[name] += f", depth in {100 * share:.0f} % of the first picture, "
+            found.rows[name] += f"median {away:.2f} m"
+            found.clouds.append(view.points(raw, seen))
+            if not odd:  # which would pass for another unit
+                view.check_depth(depth, table)
         except (StopIteration, RecordingError) as error:
-            found.lacks(str(error) or "no picture can be read", name, "record again")
+            fix = getattr(error, "fix", None) or "record again"
+            where = getattr(error, "where", None) or name
+            found.lacks(getattr(error, "what", "holds no picture"), where, fix)
             continue
-        raw = depth.ravel()
-        seen = np.flatnonzero(raw)
-        share, away = len(seen) / raw.size, float(np.median(raw[seen] if len(seen) else 0))
-        away *= camera.depth_unit
-        found.rows[name] += (
-            f", depth in {100 * share:.0f} % of the first picture, median {away:.2f} m"
-        )
-        if not 0.1 < away < 5.0:
-            fix = f"check depth_unit, {camera.depth_unit:g} m a count"
-            found.faults.append(Fault(f"median depth is {away:.3g} m", name, fix, "warning"))
-        some = seen[:: max(1, len(seen) // _POINTS)]
-        T = camera.calibrated()
-        points = camera.rays()[some] * (raw[some, None] * camera.depth_unit)
-        found.clouds.append(placed(T, points))
+        if path.at(frame.time) is None:
+            first, last = (time_text(time) for time in path.time[[0, -1]])
+            what = f"its first picture is of {time_text(frame.time)} s, the gripper's path of "
+            found.lacks(f"{what}{first} to {last} s", name, "put all times on one clock")
+        view.find_table(depth, table)
+        if table is not None and view.table is None:
+            what, fix = (
+                f"sees no table at z = {table:g} m",
+                "check T_world_camera (camera to world,",
+            )
+            fault = Fault(what, name, f"{fix} not its inverse) and table_height", "warning")
+            found.faults.append(fault)
     if found.clouds:
-        points = np.concatenate(found.clouds)
-        found.rows |= _extent(points, found, units=False)
-        nearest = np.linalg.norm(points - recorded.robot.position[0, 0], axis=1).min()
-        if nearest > 0.3:
-            what = f"is {nearest:.2f} m from all that cameras see at first"
-            fix = "check that gripper and cameras are in one frame, in metres"
-            found.faults.append(Fault(what, "gripper", fix, "warning"))
+        found.rows |= _extent(np.concatenate(found.clouds), found, units=False)
 
 
 def _board(place: Path) -> Finding:
@@ -252,9 +261,8 @@ def _board(place: Path) -> Finding:
     found = Finding("pictures of a board, for a camera's calibration")
     size = f"{board.squares_x} x {board.squares_y} squares of {1e3 * board.square:g} mm"
     found.rows = {"board": size, "pictures": str(len(poses))}
-    camera = next(
-        (p for p in (place / "camera.toml", *place.glob("*.toml")) if _is_camera(p)), None
-    )
+    files = (place / "camera.toml", *place.glob("*.toml"))
+    camera = next((p for p in files if p.is_file() and "K" in read_toml(p)), None)
     if camera is None:
         fix = "write it with width, height, K and depth_unit of the stream that took the pictures"
         found.lacks("is missing", place / "camera.toml", fix)
@@ -264,10 +272,6 @@ def _board(place: Path) -> Finding:
     return found
 
 
-def _is_camera(path: Path) -> bool:
-    return path.is_file() and "K" in read_toml(path, error=RecordingError)
-
-
 def _toml(place: Path) -> Finding:
     table = read_toml(place, error=RecordingError)
     if "K" in table or "T_world_camera" in table:
@@ -275,22 +279,19 @@ def _toml(place: Path) -> Finding:
         from gendom.perception.quality import odd_intrinsics
 
         camera = read_camera(place)
-        found = Finding("a camera", faults=[*odd_intrinsics(camera)])
-        known = (
-            "no pose yet" if camera.T_world_camera is None else f"at {camera.position.round(3)} m"
-        )
-        found.rows = {"camera": f"{camera.width} x {camera.height}, {known}"}
-        return found
+        T = camera.T_world_camera
+        known = "no pose yet" if T is None else f"at {camera.position.round(3)} m"
+        rows = {"camera": f"{camera.width} x {camera.height}, {known}"}
+        return Finding("a camera", rows, faults=[*odd_intrinsics(camera)])
     if "robot" in table and "address" in table:
         found = Finding("a cell")
         found.step("gendom", "cell", "check", place, does="Check the cell.")
         return found
-    if "object" in table:
-        found = Finding("the description of an object")
-        found.rows = {"object": ", ".join(f"{k} {v}" for k, v in table["object"].items())}
-        return found
-    fix = "known are camera.toml, cell.toml and object.toml"
-    raise RecordingError("is no table that is known", where=str(place), fix=fix)
+    what, fix = "is no table that is known", "known are camera.toml, cell.toml and object.toml"
+    right = isinstance(table.get("object"), dict)
+    require(right, what, where=str(place), fix=fix, error=RecordingError)
+    said = ", ".join(f"{k} {v}" for k, v in table["object"].items())
+    return Finding("the description of an object", {"object": said})
 
 
 def _json(place: Path) -> Finding:
@@ -329,25 +330,26 @@ def _policy(place: Path) -> Finding:
 
 def _demonstrations(place: Path) -> Finding:
     from gendom.datasets.demonstrations import read_description
+    from gendom.tasks import find_task
 
     about = read_description(place)
-    task = about["task"]["name"]
+    task = find_task(about["task"]["name"]).name  # no file that a set names is proposed
     found = Finding(f"demonstrations of {task}", {"size": str(about["size"])}, {"task": task})
-    found.step("gendom", "train", task, "--data", place, does="Train a policy on them.")
+    words = ("gendom", "train", task, "--data", place, "--out", f"{task}.onnx")
+    found.step(*words, does="Train a policy on them.")
     return found
 
 
 def _lerobot(place: Path) -> Finding:
-    if (place / "meta/gendom.json").exists():
-        own = read_json(place / "meta/gendom.json", RecordingError)
-        if str(own.get("format")).startswith("gendom-recording/"):
-            found = _recording(place)
-            found.kind = "a recording as a data set of LeRobot"
-            return found
+    own = place / "meta/gendom.json"
+    form = read_json(own, RecordingError).get("format") if own.exists() else ""
+    if str(form).startswith("gendom-recording/"):
+        found = _recording(place)
+        found.kind = "a recording as a data set of LeRobot"
+        return found
     info = read_json(place / "meta/info.json", RecordingError)
-    found = Finding("a data set of LeRobot")
     names = ("codebase_version", "robot_type", "total_episodes", "total_frames", "fps")
-    found.rows = {name: str(info[name]) for name in names if name in info}
+    found = Finding("a data set of LeRobot", {n: str(info[n]) for n in names if n in info})
     fix = "gendom reads those that gendom export made of a recording"
     found.faults.append(Fault("is not a recording", str(place), fix, "warning"))
     return found

@@ -62,13 +62,13 @@ class Command:
     def run(self) -> int:
         sees = _conditions(self.condition)
         check_file(self.out, ".onnx")
+        demonstrations = self._read(self.data)
+        finetune = None if self.finetune is None else self._read(self.finetune)
         from gendom.policies.training import Training, train
         from gendom.sim.device import open_device
         from gendom.tasks.world import Simulation
 
         open_device(self.device)
-        demonstrations = self._read(self.data)
-        finetune = None if self.finetune is None else self._read(self.finetune)
         method = self.method or ("distal" if demonstrations.goal_names else "chance")
         training = settings_of(Training, self, method=method, conditioned_on=sees)
         policy = train(

@@ -6,7 +6,7 @@ Types and shapes of its arrays are checked in `gendom.datasets.recording_form`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -58,6 +58,7 @@ _UPS = {  # other axes that may point up, and what stands for x, y and z then
 }
 _MISPLACED = 0.1  # of the clouds: in right order none of 50 lifts has one, shuffled half of them
 _MAX_BELOW, _MAX_AWAY = 5.0, 50.0  # [m] that a table lies from the object, that a camera stands
+_OF_GRASP = ("grasp_radius", "grasp_inset")
 _LENGTHS = {"centimetres": 100.0, "millimetres": 1000.0}  # units given by mistake, in a metre
 
 
@@ -84,12 +85,9 @@ def check(recording: RecordingData) -> list[Fault]:
 
 
 def _check_object(described: ObjectDescription) -> Iterator[Fault]:
-    if described.kind not in KINDS:
-        fix = f"give {' or '.join(map(repr, KINDS))}"
-        yield Fault(f"is {described.kind!r}", "object.kind", fix)
-    if described.grasp not in GRASPS:
-        fix = f"give one of {', '.join(map(repr, GRASPS))}"
-        yield Fault(f"is {described.grasp!r}", "object.grasp", fix)
+    for name, known in (("kind", KINDS), ("grasp", GRASPS)):
+        if (value := getattr(described, name)) not in known:
+            yield Fault(f"is {value!r}", f"object.{name}", f"give {' or '.join(map(repr, known))}")
     if "outline" in described.extra:
         what = "is not supported: cloths of recordings are rectangles"
         yield Fault(what, "object.outline", "leave it out if the cloth is a rectangle")
@@ -103,8 +101,7 @@ def _check_object(described: ObjectDescription) -> Iterator[Fault]:
             what = f"is missing for a {described.kind}"
             yield Fault(what, f"object.{name}", f"measure it and give {unit}")
         elif value is not None and not _is_length(value):
-            fix = f"give {unit} above 0, or null if unknown"
-            yield Fault(f"is {value}", f"object.{name}", fix)
+            yield Fault(f"is {value}", f"object.{name}", f"give {unit} above 0, or null if unknown")
 
 
 def _is_length(value: float | None) -> bool:
@@ -121,8 +118,7 @@ def _check_numbers(recording: RecordingData) -> Iterator[Fault]:
         what = f"{counts[0]} of {len(recording.frame(int(frames[0])))} points are not finite"
         if len(frames) > 1:
             what += f", and {counts[1:].sum()} in {len(frames) - 1} more"
-        fix = "drop points without depth before writing"
-        yield Fault(what, f"points, frame {frames[0]}", fix)
+        yield Fault(what, f"points, frame {frames[0]}", "drop points without depth before writing")
     for name in ("time", "gripper_position", "gripper_axis", "camera_positions"):
         array = getattr(recording, name)
         if array is None:
@@ -168,23 +164,12 @@ def _check_frames(recording: RecordingData) -> Iterator[Fault]:
         yield Fault(what, "points", "nothing need be done: they are skipped", "warning")
 
 
-def _likely_units(value: float, low: float, high: float) -> str:
-    """Name the units in which a too large length would lie between two usual ones [m], and the
-    conversion to metres."""
-    units = [u for u, of_metre in _LENGTHS.items() if low <= value / of_metre <= high]
-    return _divide(*(units or _LENGTHS))
-
-
-def _nearest_unit(distance: Callable[[float], float]) -> str:
-    """Name the unit in which something would be nearest to the points, by a function of the number
-    of units in a metre that gives the distance [m], and the conversion to metres."""
-    return _divide(min(_LENGTHS, key=lambda unit: distance(_LENGTHS[unit])))
-
-
-def _divide(*units: str) -> str:
-    """Text with units of length and their conversion to metres."""
+def _units(value: float, low: float, high: float) -> str:
+    """The units in which a too large length would lie between two usual ones [m], and what brings
+    metres."""
+    units = [u for u, of_metre in _LENGTHS.items() if low <= value / of_metre <= high] or _LENGTHS
     factors = " or ".join(f"{_LENGTHS[unit]:g}" for unit in units)
-    return f"{' or '.join(units)}; divide by {factors}"
+    return f"it looks like {' or '.join(units)}; divide by {factors}"
 
 
 def _check_units(recording: RecordingData) -> Iterator[Fault]:
@@ -194,48 +179,40 @@ def _check_units(recording: RecordingData) -> Iterator[Fault]:
         return
     extent = float(np.median([np.ptp(cloud, axis=0).max() for cloud in clouds]))
     longest = float(max(np.linalg.norm(np.ptp(cloud, axis=0)) for cloud in clouds))
-    travel = np.ptp(recording.gripper_position, axis=0).max()
+    travel = float(np.ptp(recording.gripper_position, axis=0).max())
     given, is_rope = recording.object.size, recording.object.kind == "rope"
     size = 0.0 if given is None or not _is_length(given) else given  # others are faults themselves
+    where, both = "object.length" if is_rope else "object.width and object.height", "points"
     if extent > _MAX_EXTENT or (size and extent > 30.0 * size):
         usual = (0.25 * size, 2.0 * size) if 0.0 < size <= _MAX_EXTENT else _USUAL_EXTENT
-        looks = f"they look like {_likely_units(extent, *usual)}"
-        fix = looks if extent > _MAX_EXTENT else "give points and sizes in metres"
-        other = f", the object {size:.4g} m" if size else ""
-        yield Fault(f"a frame spans {extent:.4g} m{other}", "points", fix)
+        fix = "give points and sizes in metres"
+        fix = _units(extent, *usual) if extent > _MAX_EXTENT else fix
+        yield Fault(f"a frame spans {extent:.4g} m, the object {size:.4g} m", both, fix)
     elif size > 30.0 * extent:
         what = f"the object spans {size:.4g} m, a frame {extent:.4g} m"
-        where = "object.length" if is_rope else "object.width and object.height"
-        units = _likely_units(size, 0.5 * extent, 4.0 * extent)
-        yield Fault(what, where, f"they look like {units}")
+        yield Fault(what, where, _units(size, 0.5 * extent, 4.0 * extent))
     elif travel > _MAX_EXTENT:
-        start = recording.frame(int(np.argmax(recording.frame_valid)))[None]
-        held = recording.gripper_position[0, :, None]
-        unit = _nearest_unit(lambda n: float(np.linalg.norm(start - held / n, axis=2).min()))
-        yield Fault(f"moves by {travel:.4g} m", "gripper_position", f"it looks like {unit}")
+        fix = _units(travel, 0.02 * size, 4.0 * max(size, extent))
+        yield Fault(f"moves by {travel:.4g} m", "gripper_position", fix)
     elif recording.num_grippers == 1 and size > 1.6 * longest:
         what = f"the object spans {size:.3g} m, no frame more than {longest:.3g} m"
         fix = f"check its unit (is it {longest:.2g} m?), and that all of it is in view"
-        yield Fault(what, "object.length" if is_rope else "object.width", fix, "warning")
+        yield Fault(what, where, fix, "warning")
     elif size and extent > 1.5 * size:
         what = f"a frame spans {extent:.3g} m, the object only {size:.3g} m"
         fix = "check the sizes, and that robot and table are cropped away"
-        yield Fault(what, "points", fix, "warning")
+        yield Fault(what, both, fix, "warning")
 
 
 def _check_other_units(recording: RecordingData) -> Iterator[Fault]:
     """Values in grams, milliseconds or, beside sizes in metres, in millimetres."""
     held, size = recording.object, recording.object.size
     if size is not None and _is_length(size):
-        thick = [
-            (name, value)
-            for name in ("diameter", "thickness", "grasp_radius", "grasp_inset")
-            if (value := getattr(held, name)) is not None and math.isfinite(value) and value > size
-        ]
-        for name, value in thick:
+        sizes = {n: getattr(held, n) for n in ("diameter", "thickness", *_OF_GRASP)}
+        thick = {n: v for n, v in sizes.items() if v is not None and math.isfinite(v) and v > size}
+        for name, value in thick.items():
             what = f"is {value:.4g} m, the object spans {size:.4g} m"
-            unit = _likely_units(value, 2e-4 * size, 0.2 * size)
-            yield Fault(what, f"object.{name}", f"it looks like {unit}")
+            yield Fault(what, f"object.{name}", _units(value, 2e-4 * size, 0.2 * size))
         if not thick:
             yield from _check_density(held, size)
     step = float(np.median(np.diff(recording.time))) if recording.num_frames > 1 else 0.0
@@ -249,12 +226,11 @@ def _check_other_units(recording: RecordingData) -> Iterator[Fault]:
     height, cameras = recording.table_height, recording.camera_positions
     if height is not None and abs(height - low) > _MAX_BELOW:
         what = f"is {height:.4g} m, the lowest point at {low:.4g} m"
-        unit = _nearest_unit(lambda n: abs(height / n - low))
-        yield Fault(what, "table_height", f"it looks like {unit}")
+        yield Fault(what, "table_height", _units(abs(height), 0.0, 2.0))
     if cameras is not None and len(cameras):
         away = np.linalg.norm(cameras - recording.points.mean(axis=0), axis=1).max()
         if away > _MAX_AWAY:
-            fix = f"it looks like {_likely_units(away, 0.3, 5.0)}"
+            fix = _units(float(away), 0.3, 5.0)
             yield Fault(f"a camera is {away:.4g} m away", "camera_positions", fix)
 
 
@@ -274,10 +250,11 @@ def _check_density(held: ObjectDescription, size: float) -> Iterator[Fault]:
         return
     heavy = density > MAX_DENSITY
     tenfold = (10.0 if heavy else 0.1) ** (1 if cloth else 2)
+    low, high = _USUAL_DENSITY
     fix = "give the mass in kilograms, and sizes in metres"
-    if _USUAL_DENSITY[0] <= density / 1000.0 <= _USUAL_DENSITY[1]:
+    if low <= density / 1000.0 <= high:
         fix = "it looks like grams; divide by 1000"
-    elif stated and _USUAL_DENSITY[0] <= density / tenfold <= _USUAL_DENSITY[1]:
+    elif stated and low <= density / tenfold <= high:
         fix = f"object.{name} looks ten times too {'small' if heavy else 'large'}"
     what = f"is {mass:.4g} kg, a density of {density:.2g} kg/m^3{'' if stated else ' or more'}"
     yield Fault(what, "object.mass", fix, "error" if heavy else "warning")

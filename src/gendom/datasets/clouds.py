@@ -15,7 +15,6 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import chain, islice
-from typing import NamedTuple
 
 import numpy as np
 
@@ -31,7 +30,7 @@ LARGEST_TEXT, MOST_NUMBERS = 1 << 25, 3 << 20
 LONGEST = 1100
 """Of a number as text: exact doubles have up to 1,080 characters."""
 _MOST = 1 << 16  # numbers in one field of a point
-_LARGEST_PACKED = 1 << 24  # [bytes]; decompressing many short pieces takes seconds
+_LARGEST_PACKED = 1 << 23  # [bytes]; decompressing many short pieces takes a second
 
 _BLOCK = re.compile(rb"[\0-\xff]{1,4096}\S*")
 _ODD_NANS = re.compile(rb"[-+]?(?:nan\(\w*\)|1\.#(?:ind|qnan|snan)\w*)", re.IGNORECASE)
@@ -63,7 +62,7 @@ def read_ply(path: str | os.PathLike) -> np.ndarray:
             before its vertices or in them.
     """
 
-    def decode(data: bytes) -> np.ndarray:
+    def decode(data: bytes) -> list[np.ndarray]:
         encoding, elements, start = _ply_header(data)
         if encoding == "ascii":
             return _from_text(data, start, elements)
@@ -80,7 +79,7 @@ def read_pcd(path: str | os.PathLike) -> np.ndarray:
         RecordingError: The file is missing, no PCD, cut short, damaged, or without x, y, z.
     """
 
-    def decode(data: bytes) -> np.ndarray:
+    def decode(data: bytes) -> list[np.ndarray]:
         encoding, points, start = _pcd_header(data)
         return _PCD_DECODERS[encoding](data, start, points)
 
@@ -100,32 +99,25 @@ class _CloudError(Exception):
     """A fault of a file; `_read` adds the file's name."""
 
 
-class _Field(NamedTuple):
-    name: str
-    type: str
-    """NumPy code without the order of bytes."""
-    repeat: int = 1
-    """How many numbers it has."""
-
-    @property
-    def size(self) -> int:
-        """[bytes]."""
-        return int(self.type[1:]) * self.repeat
-
-
 @dataclass
 class _Element:
     """Rows of the same fields."""
 
     name: str
     count: int
-    fields: list[_Field] = field(default_factory=list)
+    fields: list[tuple[str, str, int]] = field(default_factory=list)
+    """Name, NumPy code without the order of bytes, and how many numbers it has."""
     has_list: bool = False
 
-    def places(self, widths: list[int]) -> tuple[list[int], int]:
-        """Where x, y and z begin in fields of some widths, and the sum of these."""
-        starts = np.cumsum([0, *widths]).tolist()
-        return [starts[k] for k in self.xyz], starts[-1]
+    @property
+    def numbers(self) -> list[int]:
+        """How many numbers each field has."""
+        return [repeat for _, _, repeat in self.fields]
+
+    @property
+    def sizes(self) -> list[int]:
+        """The size of each field [bytes]."""
+        return [int(kind[1:]) * repeat for _, kind, repeat in self.fields]
 
     @property
     def xyz(self) -> list[int]:
@@ -134,20 +126,15 @@ class _Element:
         Raises:
             _CloudError: One is not there once, or is no single number.
         """
-        names, found = [own.name for own in self.fields], []
+        names, found = [name for name, _, _ in self.fields], []
         for axis in "xyz":
             letter = axis if axis in names else axis.upper()
             if names.count(letter) != 1:
                 raise _CloudError(f"has {names.count(letter)} fields {axis!r}, not one")
             found.append(names.index(letter))
-        if any(self.fields[k].repeat != 1 for k in found):
+        if any(self.numbers[k] != 1 for k in found):
             raise _CloudError("has more than one number in x, y or z of a point")
         return found
-
-    @property
-    def xyz_type(self) -> np.dtype:
-        """The type that holds all three."""
-        return np.result_type(*(self.fields[k].type for k in self.xyz))
 
 
 # ---- headers -------------------------------------------------------------------------------------
@@ -157,12 +144,10 @@ def _ply_header(data: bytes) -> tuple[str, list[_Element], int]:
     """Encoding, elements up to the vertices, and the offset of the first byte of data."""
     if data[:3].lower() != b"ply" or data[3:4] not in b" \t\r\n":
         raise _CloudError("is not a PLY file (it does not begin with the line 'ply')")
-    if (header := _header_lines(data, "end_header")) is None:
-        raise _CloudError("has no end_header")
-    encoding, elements = None, []
-    for line in header[0][1:-1]:
-        words = [word.lower() for word in line]
-        match words:
+    lines, start = _header_lines(data, "end_header", "has no end_header")
+    encoding, elements = "", []
+    for line in lines[1:-1]:
+        match [word.lower() for word in line]:
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case ["format", encoding, _]:
@@ -170,34 +155,28 @@ def _ply_header(data: bytes) -> tuple[str, list[_Element], int]:
             case ["element", name, count] if count.isdecimal():
                 elements.append(_Element(name, int(count[:18])))
             case ["property", kind, _] if elements and kind in _PLY_TYPES:
-                elements[-1].fields.append(_Field(line[-1], _PLY_TYPES[kind]))
-            case ["property", "list", *kinds, _] if elements and _are_two_types(kinds):
+                elements[-1].fields.append((line[-1], _PLY_TYPES[kind], 1))
+            case ["property", "list", a, b, _] if elements and {a, b} <= _PLY_TYPES.keys():
                 elements[-1].has_list = True
             case _:
                 said = " ".join(line)[:80]
                 raise _CloudError(f"has the header line {said!r}, which is not understood")
     if encoding not in _PLY_ORDERS:
         raise _CloudError(f"has the format {encoding!r}, not one of {', '.join(_PLY_ORDERS)}")
-    place = next((k for k, own in enumerate(elements) if own.name == "vertex"), None)
-    if place is None:
+    names = [own.name for own in elements]
+    if "vertex" not in names:
         raise _CloudError("has no element 'vertex'")
-    elements = elements[: place + 1]
+    elements = elements[: names.index("vertex") + 1]
     if any(own.has_list for own in elements):
         raise _CloudError("has lists before its vertices or in them, which are not read")
-    _check_points(elements[place])
-    return encoding, elements, header[1]
-
-
-def _are_two_types(words: list[str]) -> bool:
-    return len(words) == 2 and all(word in _PLY_TYPES for word in words)
+    return encoding, elements, start
 
 
 def _pcd_header(data: bytes) -> tuple[str, _Element, int]:
     """Encoding, the points, and the offset of the first byte of data."""
-    if (header := _header_lines(data, "data")) is None:
-        raise _CloudError("is not a PCD file, or has no line DATA")
+    lines, start = _header_lines(data, "data", "is not a PCD file, or has no line DATA")
     entries: dict[str, list[str]] = {}
-    for line in header[0]:
+    for line in lines:
         words = " ".join(line).partition("#")[0].split()
         if words and words[0].upper() not in _PCD_KEYS:
             said = " ".join(line)[:60]
@@ -215,35 +194,31 @@ def _pcd_header(data: bytes) -> tuple[str, _Element, int]:
             raise _CloudError(f"has a field of TYPE {kind} and SIZE {size}, which there is not")
         if not 0 < _whole(count, "COUNT") <= _MOST:
             raise _CloudError(f"has fields of {count} numbers a point")
-        points.fields.append(_Field(name, f"{kind.lower()}{size}", int(count)))
+        points.fields.append((name, f"{kind.lower()}{size}", int(count)))
     encoding = " ".join(entries["DATA"]).lower()
     if encoding not in _PCD_DECODERS:
         raise _CloudError(f"has DATA {encoding[:20]}, not one of {', '.join(_PCD_DECODERS)}")
-    _check_points(points)
-    return encoding, points, header[1]
+    return encoding, points, start
 
 
-def _header_lines(data: bytes, last: str) -> tuple[list[list[str]], int] | None:
-    """Words of each line of a header, and the offset of what follows; None: no line begins with the
-    word that the last one does. Lines end in a line feed, after which encoding the text may be in.
-    """
+def _header_lines(data: bytes, last: str, missing: str) -> tuple[list[list[str]], int]:
+    """Words of each line of a header, and the offset of what follows its last line, which begins
+    with a word. Lines end in a line feed, after which encoding the text may be in."""
     lines, at = [], 0
     while (end := data.find(b"\n", at, MAX_HEADER)) >= 0:
         lines.append([word.decode("latin-1") for word in data[at:end].split()])
         at = end + 1
         if lines[-1] and lines[-1][0].lower() == last:
             return lines, at
-    return None
+    raise _CloudError(missing)
 
 
 def _count(entries: dict[str, list[str]]) -> int:
     """Number of points."""
     width, height = (_whole(" ".join(entries.get(k, ["1"])), k) for k in ("WIDTH", "HEIGHT"))
-    if "POINTS" not in entries:
-        if "WIDTH" not in entries:
-            raise _CloudError("does not say how many points it has")
-        return width * height
-    points = _whole(" ".join(entries["POINTS"]), "POINTS")
+    if not {"POINTS", "WIDTH"} & entries.keys():
+        raise _CloudError("does not say how many points it has")
+    points = _whole(" ".join(entries.get("POINTS", [str(width * height)])), "POINTS")
     if "WIDTH" in entries and points != width * height:
         raise _CloudError(f"has POINTS {points}, but WIDTH {width} and HEIGHT {height}")
     return points
@@ -255,23 +230,29 @@ def _whole(word: str, key: str) -> int:
     return int(word)
 
 
-def _check_points(points: _Element) -> None:
-    _ = points.xyz  # refused here, whatever the data
-    if points.count > MOST_POINTS:
-        raise _CloudError(f"announces {points.count} points, at most {MOST_POINTS} are read")
-
-
 # ---- data ----------------------------------------------------------------------------------------
 
 
-def _read(path: str | os.PathLike, kind: str, decode: Callable[[bytes], np.ndarray]) -> np.ndarray:
-    """[n, 3] points of a file, `seen`."""
+def _read(
+    path: str | os.PathLike, kind: str, decode: Callable[[bytes], list[np.ndarray]]
+) -> np.ndarray:
+    """[n, 3] points of a file whose coordinates x, y and z are decoded, `seen`."""
     data = read_bytes(path, RecordingError)
     try:
-        return seen(decode(data))
+        columns = decode(data)
     except _CloudError as fault:
         fix = f"export the point cloud again as {kind}"
         raise RecordingError(str(fault), where=str(path), fix=fix) from None
+    common = np.result_type(*(column.dtype.newbyteorder("=") for column in columns))
+    return seen(np.stack([column.astype(common) for column in columns], axis=1))
+
+
+def _begin(last: _Element) -> list[int]:
+    """`xyz` of points that are not too many."""
+    found = last.xyz
+    if last.count > MOST_POINTS:
+        raise _CloudError(f"announces {last.count} points, at most {MOST_POINTS} are read")
+    return found
 
 
 def _check_length(there: int, needed: int, unit: str) -> None:
@@ -279,10 +260,12 @@ def _check_length(there: int, needed: int, unit: str) -> None:
         raise _CloudError(f"is cut short: {there} {unit} where {needed} are announced")
 
 
-def _from_text(data: bytes, at: int, elements: list[_Element]) -> np.ndarray:
-    """[n, 3] coordinates of the last of some elements, the first of which begins at an offset."""
-    numbers = [own.count * sum(f.repeat for f in own.fields) for own in elements]
-    needed = sum(numbers)
+def _from_text(data: bytes, at: int, elements: list[_Element]) -> list[np.ndarray]:
+    """Coordinates [n] of the last of some elements, the first of which begins at an offset."""
+    last, places = elements[-1], _begin(elements[-1])
+    before = sum(own.count * sum(own.numbers) for own in elements[:-1])
+    width = sum(last.numbers)
+    needed = before + last.count * width
     if len(data) - at > LARGEST_TEXT or needed > MOST_NUMBERS:
         what = f"is text of {len(data) - at} bytes and {needed} numbers, at most {LARGEST_TEXT}"
         raise _CloudError(f"{what} and {MOST_NUMBERS} are read: have it binary")
@@ -292,11 +275,9 @@ def _from_text(data: bytes, at: int, elements: list[_Element]) -> np.ndarray:
     except ValueError as fault:
         raise _CloudError(f"has a coordinate that is no number ({fault})") from None
     _check_length(len(found), needed, "numbers")
-    last = elements[-1]
-    places, width = last.places([own.repeat for own in last.fields])
-    table = found[needed - numbers[-1] :].reshape(last.count, width)
+    table = found[before:].reshape(last.count, width)
     with np.errstate(over="ignore", invalid="ignore"):
-        return table[:, places].astype(last.xyz_type)
+        return [table[:, sum(last.numbers[:k])].astype(last.fields[k][1]) for k in places]
 
 
 def _floats(block: re.Match[bytes]) -> Iterator[float]:
@@ -307,36 +288,33 @@ def _floats(block: re.Match[bytes]) -> Iterator[float]:
     return map(float, (_ODD_NANS.sub(b"nan", block[0]) if odd else block[0]).split())
 
 
-def _from_bytes(data: bytes, at: int, elements: list[_Element], order: str) -> np.ndarray:
-    """[n, 3] coordinates of the last of some elements, the first of which begins at an offset."""
+def _from_bytes(data: bytes, at: int, elements: list[_Element], order: str) -> list[np.ndarray]:
+    """Coordinates [n] of the last of some elements, the first of which begins at an offset."""
     *before, last = elements
-    at += sum(own.count * sum(f.size for f in own.fields) for own in before)
-    places, width = last.places([own.size for own in last.fields])
-    _check_length(len(data), at + last.count * width, "bytes")
-    formats = [order + last.fields[k].type for k in last.xyz]
-    columns = [
-        np.ndarray(last.count, kind, data, at + start, (width,)) if last.count else np.empty(0)
-        for kind, start in zip(formats, places, strict=True)
+    places, sizes = _begin(last), last.sizes
+    at += sum(own.count * sum(own.sizes) for own in before)
+    _check_length(len(data), at + last.count * sum(sizes), "bytes")
+    if last.count == 0:
+        return [np.empty(0, last.fields[k][1]) for k in places]
+    step = (sum(sizes),)
+    return [
+        np.ndarray(last.count, order + last.fields[k][1], data, at + sum(sizes[:k]), step)
+        for k in places
     ]
-    return np.stack([column.astype(last.xyz_type) for column in columns], axis=1)
 
 
-def _from_packed(data: bytes, at: int, points: _Element) -> np.ndarray:
-    """[n, 3] coordinates of points that are stored field after field, compressed."""
+def _from_packed(data: bytes, at: int, points: _Element) -> list[np.ndarray]:
+    """Coordinates [n] of points that are stored field after field, compressed."""
+    places, sizes = _begin(points), points.sizes
     _check_length(len(data), at + 8, "bytes")
     packed, size = struct.unpack_from("<II", data, at)
-    places, width = points.places([own.size for own in points.fields])
-    if size != (needed := points.count * width):
+    if size != (needed := points.count * sum(sizes)):
         raise _CloudError(f"unpacks to {size} bytes where {needed} are announced")
     _check_length(len(data), at + 8 + packed, "bytes")
     if size > LARGEST_FILE or packed > _LARGEST_PACKED:
         raise _CloudError(f"has {packed} bytes that unpack to {size}, too many: use DATA binary")
-    plain = _lzf(data[at + 8 : at + 8 + packed], size)
-    columns = [
-        np.frombuffer(plain, f"<{points.fields[k].type}", points.count, start * points.count)
-        for k, start in zip(points.xyz, places, strict=True)
-    ]
-    return np.stack([column.astype(points.xyz_type) for column in columns], axis=1)
+    plain, n = _lzf(data[at + 8 : at + 8 + packed], size), points.count
+    return [np.frombuffer(plain, f"<{points.fields[k][1]}", n, sum(sizes[:k]) * n) for k in places]
 
 
 def _lzf(data: bytes, size: int) -> bytearray:

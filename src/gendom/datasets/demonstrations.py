@@ -149,8 +149,7 @@ def generate(
         DeviceError: The device is not there.
     """
     kinds = {"cpu" if name.strip() == "cpu" else "cuda" for name in device.split(",")}
-    fix = "give GPUs or the CPU, not both"  # their rounding differs
-    require(len(kinds) == 1, f"is {device!r}", where="device", fix=fix)
+    require(len(kinds) == 1, f"is {device!r}", where="device", fix="give GPUs or the CPU, not both")
     folder, kind = Path(out), kinds.pop()
     if shard_size is None:
         usual = max(1, round(SHARD_SIZE[kind] / source.cost))

@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from gendom.arguments import require
 from gendom.datasets.clouds import read_pcd, read_ply
 from gendom.datasets.npz import read_npz_cloud
 from gendom.datasets.recording_form import joined
 from gendom.errors import RecordingError
-from gendom.reading import read_number_table, read_toml
+from gendom.reading import read_number_table, read_toml, wanted
 
 _PARTS = re.compile(r"(\d+)")
 _DECIMAL = re.compile(r"((?:(?<![^\W_])-)?\d+(?:\.\d+)?(?:e[-+]\d{1,2}(?!\d))?)")
@@ -65,7 +64,7 @@ def read_folder(folder: str | os.PathLike) -> tuple[dict[str, np.ndarray], dict[
     arrays = read_gripper(folder / "gripper.csv")
     rows = len(arrays["time"])
     what = f"{len(files)} {suffix} files but {rows} rows in gripper.csv"
-    _wanted(rows == len(files), what, folder, "give one row a frame")
+    wanted(rows == len(files), what, folder, "give one row a frame")
     names = {path.stem: path for path in files}
     ordered = in_order(list(names), arrays["time"], where=str(folder))
     clouds = [READERS[suffix](names[name]) for name in ordered]
@@ -83,10 +82,6 @@ def bag_files(path: str | os.PathLike) -> list[Path]:
     return next(filter(None, (sorted(path.glob(f"*{suffix}")) for suffix in BAGS)), [])
 
 
-def _wanted(holds: Any, what: str, where: str | Path, fix: str) -> None:
-    require(holds, what, where=str(where), fix=fix, error=RecordingError)
-
-
 def _cloud_files(folder: Path) -> tuple[str, list[Path]]:
     """Suffix of a folder's clouds, and their files in order."""
     by_suffix: dict[str, list[Path]] = {}
@@ -96,10 +91,10 @@ def _cloud_files(folder: Path) -> tuple[str, list[Path]]:
             by_suffix.setdefault(suffix, []).append(path)
     if len(by_suffix) > 1:
         by_suffix.pop(".npz", None)
-    what, fix = f"holds no {', '.join(READERS)} file", "put one point cloud a frame there"
-    _wanted(by_suffix, what, folder, fix)
+    fix = "put one point cloud a frame there, or depth pictures into cameras/NAME"
+    wanted(by_suffix, f"holds no {', '.join(READERS)} file", folder, fix)
     counts = " and ".join(f"{len(paths)} {suffix}" for suffix, paths in by_suffix.items())
-    _wanted(len(by_suffix) == 1, f"holds {counts} files", folder, "keep those of one kind")
+    wanted(len(by_suffix) == 1, f"holds {counts} files", folder, "keep those of one kind")
     ((suffix, files),) = by_suffix.items()
     return suffix, files
 
@@ -123,7 +118,7 @@ def in_order(names: list[str], time: np.ndarray, *, where: str) -> list[str]:
     if decimal != parts:
         what = "names can be put in two orders, and the times of gripper.csv fit neither"
         fix = "name the clouds 0000, 0001, ... in order of time"
-        _wanted(min(as_times, evenly, counted) <= step, what, where, fix)
+        wanted(min(as_times, evenly, counted) <= step, what, where, fix)
         if counted < min(as_times, evenly):
             return parts
     check_named(decimal, time, where=where)
@@ -138,13 +133,20 @@ def check_named(names: list[str], time: np.ndarray, *, where: str) -> None:
     Raises:
         RecordingError: They are not.
     """
+
+    def most_have(pattern: re.Pattern[str]) -> bool:
+        return 2 * sum(pattern.search(name) is not None for name in names) > len(names)
+
+    since_1970 = most_have(_SINCE_1970)
+    if not (since_1970 or most_have(_THOUSANDTHS)):
+        return
     as_times, evenly = _misfit(_numbers_of(_DECIMAL, names), time)
-    for pattern, off in ((_SINCE_1970, as_times), (_THOUSANDTHS, min(as_times, evenly))):
-        if sum(map(bool, map(pattern.search, names))) > len(names) / 2 and np.isfinite(off):
-            what = f"times in names, as {names[0]!r}, are up to {off:.3g} s from "
-            fix = "give each frame the time of its row, or name them 0000, 0001, ..."
-            right = off <= float(np.median(np.diff(time)))
-            _wanted(right, f"{what}those of the frames", where, fix)
+    _, counted = _misfit(_numbers_of(_PARTS, names), time)
+    off = as_times if since_1970 else min(as_times, evenly, counted)
+    if np.isfinite(off) and off > float(np.median(np.diff(time))):
+        what = f"times in names, as {names[0]!r}, are up to {off:.3g} s from those of the frames"
+        fix = "give each frame the time of its row, or name them 0000, 0001, ..."
+        raise RecordingError(what, where=where, fix=fix)
 
 
 def _name_key(pattern: re.Pattern[str], name: str) -> list[tuple[int, Decimal, str]]:
@@ -239,5 +241,5 @@ def _gripper_columns(header: list[str], path: Path) -> tuple[list[int], ...]:
     twice = sorted({name for name in header if header.count(name) > 1})
     fix = "use time,x,y,z[,ax,ay,az][,closed], or time,x0,y0,z0,x1,... for several grippers"
     for names, verb in ((missing, "lacks"), (unknown, "has unknown"), (twice, "repeats")):
-        _wanted(not names, f"the header {verb} {', '.join(map(repr, names))}", path, fix)
+        wanted(not names, f"the header {verb} {', '.join(map(repr, names))}", path, fix)
     return tuple([header.index(name) for name in names] for names in (position, axes, closed))

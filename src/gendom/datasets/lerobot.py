@@ -3,7 +3,7 @@
     meta/info.json                            features with names and units, counts, paths
     meta/stats.json                           statistics of every feature over all frames
     meta/tasks.parquet                        the task's name and its number, 0
-    meta/episodes/chunk-000/file-000.parquet  one row an episode: where its frames are, statistics
+    meta/episodes/chunk-000/file-000.parquet  one row an episode: where its frames are
     meta/gendom.json                          dataset.json of a set, or a recording's `meta`
     data/chunk-000/file-000.parquet           one row a frame
 
@@ -299,7 +299,7 @@ def _write(
     }
     tables = {
         Path("meta/tasks.parquet"): _tasks(task),
-        "meta/episodes" / FILE: _episodes(frames, lengths, task, found, extra or {}),
+        "meta/episodes" / FILE: _episodes(lengths, task, extra or {}),
         "data" / FILE: pa.table({name: _column(values) for name, values in frames.items()}),
     }
     with atomic_folder(out) as root:
@@ -352,12 +352,8 @@ def _statistics(values: Array) -> dict[str, list[Any]]:
     x = values.astype(float)
     found = {"min": x.min(axis=0), "max": x.max(axis=0), "mean": x.mean(axis=0)}
     found |= {"std": x.std(axis=0), "count": np.array([len(x)])}
-    found |= {_quantile(q): np.quantile(x, q, axis=0) for q in QUANTILES}
+    found |= {f"q{100 * q:02.0f}": np.quantile(x, q, axis=0) for q in QUANTILES}
     return {name: value.tolist() for name, value in found.items()}
-
-
-def _quantile(q: float) -> str:
-    return f"q{round(100 * q):02d}"
 
 
 def _tasks(task: str) -> pa.Table:
@@ -375,54 +371,30 @@ def _tasks(task: str) -> pa.Table:
     return table.replace_schema_metadata({"pandas": json.dumps(about)})
 
 
-def _episodes(
-    frames: Mapping[str, Array],
-    lengths: NDArray[np.integer],
-    task: str,
-    whole: Mapping[str, Mapping[str, Any]],
-    extra: Mapping[str, pa.Array],
-) -> pa.Table:
+def _episodes(lengths: NDArray[np.integer], task: str, extra: Mapping[str, pa.Array]) -> pa.Table:
     """Table with one row for each episode."""
     count, ends = len(lengths), np.cumsum(lengths)
     columns: dict[str, Any] = {
         "episode_index": np.arange(count),
-        "tasks": _lists(np.full((count, 1), task)),
+        "tasks": [[task]] * count,
         "length": lengths,
         "dataset_from_index": ends - lengths,
         "dataset_to_index": ends,
     }
     for what in ("data", "meta/episodes"):
-        columns |= {
-            f"{what}/{name}": np.zeros(count, int) for name in ("chunk_index", "file_index")
-        }
-    for feature, values in frames.items():
-        for name, rows in _by_episode(values, count, whole[feature]).items():
-            columns[f"stats/{feature}/{name}"] = _lists(rows)
+        columns |= dict.fromkeys(
+            (f"{what}/chunk_index", f"{what}/file_index"), np.zeros(count, int)
+        )
     return pa.table(columns | dict(extra))
-
-
-def _by_episode(values: Array, count: int, whole: Mapping[str, Any]) -> dict[str, Array]:
-    """Statistics [E, ...] of the only episode, or of many of one frame, which are its values."""
-    if count == 1:
-        return {name: np.array(found)[None] for name, found in whole.items()}
-    x = values.astype(float)
-    found = {name: x for name in ("min", "max", "mean")} | {"std": np.zeros(x.shape)}
-    found |= {"count": np.ones((len(x), 1), np.int64)}
-    return found | {_quantile(q): x for q in QUANTILES}
-
-
-def _lists(values: Array) -> pa.Array:
-    """[N, K, ...] as lists of K, of lists and so on."""
-    if values.ndim == 1:
-        return pa.array(values.tolist()) if values.dtype.kind == "U" else pa.array(values)
-    starts = np.arange(len(values) + 1, dtype=np.int32) * values.shape[1]
-    return pa.ListArray.from_arrays(pa.array(starts), _lists(values.reshape(-1, *values.shape[2:])))
 
 
 def _column(values: Array) -> pa.Array:
     """[N, K] as lists of the fixed length K, or as plain numbers if K is 1; [N, K, L] as lists of
     lists."""
-    if values.ndim > 2:
-        return _lists(values)
-    flat, K = pa.array(values.ravel()), values.shape[1]
-    return flat if K == 1 else pa.FixedSizeListArray.from_arrays(flat, K)
+    flat = pa.array(values.ravel())
+    if values.ndim == 2:
+        K = values.shape[1]
+        return flat if K == 1 else pa.FixedSizeListArray.from_arrays(flat, K)
+    for n in values.shape[:0:-1]:
+        flat = pa.ListArray.from_arrays(pa.array(np.arange(0, len(flat) + 1, n), pa.int32()), flat)
+    return flat

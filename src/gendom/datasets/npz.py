@@ -17,16 +17,16 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO, Literal, TypeVar
 
 import numpy as np
 
-from gendom.arguments import require
 from gendom.datasets.clouds import seen
 from gendom.datasets.recording_form import FORMAT, STORED_ARRAYS
 from gendom.errors import RecordingError
-from gendom.reading import LARGEST_JSON, check_unpacked, file_size, parse_json
+from gendom.reading import LARGEST_JSON, check_unpacked, file_size, parse_json, record_of, wanted
 
 FORMAT_STATIC = "gendom-static/1"
 
@@ -55,8 +55,7 @@ def _from_npz(path: Path, take: Callable[[Any], Taken], *, write: str) -> Taken:
     size = file_size(path, RecordingError, most=LARGEST_ARRAYS)
     try:
         with open(path, "rb") as file:
-            is_zip = file.read(2) == b"PK"
-            require(is_zip, "is no .npz file", where=where, fix=write, error=RecordingError)
+            wanted(file.read(2) == b"PK", "is no .npz file", where, write)
             _check_archive(file, size, where)
             file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
@@ -78,8 +77,7 @@ def _check_archive(file: BinaryIO, size: int, where: str) -> None:
     end = file.read()
     place = end.rfind(b"PK\5\6")
     index = struct.unpack_from("<I", end, place + 12)[0] if place >= 0 else 0
-    what, fix = f"has an index of {index} bytes", "write it with numpy.savez"
-    require(index <= _END, what, where=where, fix=fix, error=RecordingError)
+    wanted(index <= _END, f"has an index of {index} bytes", where, "write it with numpy.savez")
     with zipfile.ZipFile(file) as archive:
         whole = sum(member.file_size for member in archive.infolist())
     check_unpacked(whole, size, where, RecordingError)
@@ -106,8 +104,8 @@ def read_npz_cloud(path: str | os.PathLike) -> np.ndarray:
 
     name, points = _from_npz(Path(path), take, write="write it with numpy.savez")
     right = points.ndim == 2 and points.shape[1] == 3 and points.dtype.kind in "fiu"
-    what, fix = f"{name} is {points.dtype} {list(points.shape)}", "give numbers [n, 3] in metres"
-    require(right, what, where=str(path), fix=fix, error=RecordingError)
+    what = f"{name} is {points.dtype} {list(points.shape)}"
+    wanted(right, what, path, "give numbers [n, 3] in metres")
     return seen(points)
 
 
@@ -118,23 +116,27 @@ def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         wanted = (*STORED_ARRAYS, "loops", "meta")
         return {name: archive[name] for name in wanted if name in archive.files}
 
-    where, single = str(path), path.suffix.lower() in (".ply", ".pcd")
-    fix = "give the folder that holds all frames"
-    require(not single, "is a single cloud", where=where, fix=fix, error=RecordingError)
+    single = path.suffix.lower() in (".ply", ".pcd")
+    wanted(not single, "is a single cloud", path, "give the folder that holds all frames")
     stored = _from_npz(path, take, write=f"write {FORMAT} with numpy.savez")
-    meta, where = stored.pop("meta", None), f"{path}: meta"
-    if meta is None:
-        fix = f"add JSON text with format = {FORMAT!r}"
-        raise RecordingError("is missing", where=where, fix=fix)
+    meta, where = stored.pop("meta", np.zeros(0)), f"{path}: meta"
     is_text = meta.size == 1 and meta.dtype.kind in "US" and meta.nbytes <= 4 * LARGEST_JSON
-    what, fix = f"is not JSON text, but {meta.dtype} {list(meta.shape)}", "write it with json.dumps"
-    require(is_text, what, where=where, fix=fix, error=RecordingError)
+    fix = "gendom.Recording.from_frames(...).write makes a recording (docs/recordings.md)"
+    wanted(is_text, "is missing, or no JSON text", where, fix)
     meta = parse_json(meta.item(), where, RecordingError)
     if (form := meta.get("format")) == FORMAT_STATIC:
         return _recording_of_static(stored, meta, str(path))
-    fix = f"only {FORMAT!r} can be read here"
-    require(form == FORMAT, f"is {form!r}", where=f"{where}.format", fix=fix, error=RecordingError)
+    wanted(form == FORMAT, f"is {form!r}", f"{where}.format", f"only {FORMAT!r} can be read here")
     return stored, meta
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Wire:
+    """The object of a shape at rest."""
+
+    kind: Literal["rope", "wire"]
+    length: float
+    mass_per_length: float
 
 
 def _recording_of_static(
@@ -148,27 +150,22 @@ def _recording_of_static(
     Raises:
         RecordingError: Something is missing or not a number.
     """
-
-    def wanted(holds: bool, what: str, fix: str) -> None:
-        require(holds, what, where=where, fix=fix, error=RecordingError)
-
-    loops = np.asarray(arrays.get("loops", np.zeros(0)))
+    loops, fix = (
+        arrays.get("loops", np.zeros(0)),
+        "give [K, n, 3]: K repeats of n points, 5 or more",
+    )
     right = loops.ndim == 3 and loops.shape[1] >= 5 and loops.shape[2] == 3
-    fix = "give [K, n, 3]: K repeats of n points, 5 at least"
-    wanted(right, f"loops: has shape {list(loops.shape)}", fix)
-    loops = loops.astype(float)
-    finite = bool(np.isfinite(loops).all())
-    wanted(finite, "loops: holds numbers that are not finite", "give metres")
-    described = dict(meta.get("object") or {})
-    kind = described.get("kind")
-    wanted(kind in ("rope", "wire"), f"object.kind: is {kind!r}", "give rope or wire")
-    described["kind"] = "rope"
+    right = right and loops.dtype.kind in "fiu" and np.isfinite(loops).all()
+    what = f"has shape {list(loops.shape)}, or numbers that are not finite"
+    wanted(right, what, f"{where}: loops", fix)
+    of, fix = f"{where}: object", "give kind, length [m] and mass_per_length [kg/m]"
+    wire = record_of(_Wire, meta.get("object"), where=of, fix=fix, error=RecordingError)
     for name in ("length", "mass_per_length"):
-        value = described.get(name)
-        right = isinstance(value, int | float) and 0.0 < value < np.inf
-        wanted(right, f"object.{name}: is {value!r}", "give a number above 0, in SI")
-    described["mass"] = described["length"] * described["mass_per_length"]
-    described["grasp"] = "both ends"
+        value = getattr(wire, name)
+        wanted(0.0 < value < np.inf, f"is {value}", f"{of}.{name}", "give a number above 0, in SI")
+    described = {**meta["object"], "kind": "rope", "grasp": "both ends"}
+    described["mass"] = wire.length * wire.mass_per_length
+    loops = loops.astype(float)
     # the clamped ends are at their mean position over all repeats
     ends = loops[:, [0, -1]].mean(axis=0)
     axes = (loops[:, [1, -2]] - loops[:, [0, -1]]).mean(axis=0)

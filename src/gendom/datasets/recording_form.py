@@ -9,15 +9,16 @@ import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Self
+from typing import Any, Self, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
 
-from gendom.arguments import fits, require, short_repr
-from gendom.errors import RecordingError, did_you_mean, one_line
+from gendom.arguments import fits, require
+from gendom.errors import GendomError, RecordingError, did_you_mean, one_line
 from gendom.files import to_json
 from gendom.materials import KINDS
+from gendom.reading import record_of
 from gendom.shown import Shown
 
 FORMAT = "gendom-recording/1"
@@ -40,6 +41,8 @@ ARRAYS = {
 }
 STORED_ARRAYS = tuple(name for name in ARRAYS if name != "camera_positions")
 _OF_OBJECT = ("natural_curvature", "outline")
+_META = ("table_height", "gripper_source", "quasi_static", "source", "notes")
+_META += ("cameras_calibrated", "camera_positions")
 _BESIDE_OBJECT = ("robot", "static", "ordered_markers")
 """Other keys of `meta` that are read."""
 _OPTIONAL_ARRAYS = ("gripper_axis", "gripper_closed", "seen_by", "camera_positions")
@@ -177,7 +180,7 @@ class RecordingData(Shown):
         found: Any = self.extra
         for key in ("perception", "cameras_apart", "at_worst"):
             found = found.get(key) if isinstance(found, dict) else None
-        return float(found) if found and _is(found, _NUMBER) else 0.0
+        return float(found) if type(found) in (int, float) else 0.0
 
     @property
     def frame_valid(self) -> np.ndarray:
@@ -349,95 +352,66 @@ def convert(arrays: Mapping[str, Any]) -> tuple[dict[str, np.ndarray | None], li
 
 def _length_faults(arrays: Mapping[str, np.ndarray | None]) -> Iterator[Fault]:
     """What does not fit in the lengths of arrays, each of which is valid."""
-    needed = ("points", "offsets", "time", "gripper_position")
-    points, offsets, time, position = (np.asarray(arrays[name]) for name in needed)
-    frames, seen_by, falls = len(time), arrays["seen_by"], np.diff(offsets) < 0
-    if frames == 0:
-        yield Fault("is empty", "time", "give at least one frame")
-        return
-    if len(offsets) != frames + 1:
-        what = f"has {len(offsets)} entries for {frames} frames"
-        yield Fault(what, "offsets", f"give {frames + 1}, one more than time has")
-    elif offsets[0] != 0 or offsets[-1] != len(points):
+    points, offsets, time, position = (
+        np.asarray(arrays[name]) for name in ("points", "offsets", "time", "gripper_position")
+    )
+    sizes = {"S": len(points), "T": len(time), "T + 1": len(time) + 1, "G": position.shape[1]}
+    for letter, name, what in (("T", "time", "frame"), ("G", "gripper_position", "gripper")):
+        if sizes[letter] == 0:
+            yield Fault(f"has no {what}", name, "give at least one")
+    for name, (_, shape) in ARRAYS.items():
+        array = arrays[name]
+        if array is None or name == "camera_positions":
+            continue
+        wanted = [n if isinstance(n, int) else sizes[n] for n in shape]
+        if list(array.shape) != wanted:
+            fix = f"give [{', '.join(map(str, shape))}], which is {wanted} here"
+            yield Fault(f"has shape {list(array.shape)}", name, fix)
+    falls = np.flatnonzero(np.diff(offsets) < 0)
+    if len(offsets) == sizes["T + 1"] and (offsets[0] != 0 or offsets[-1] != len(points)):
         what = f"runs from {offsets[0]} to {offsets[-1]}, but there are {len(points)} points"
         yield Fault(what, "offsets", f"let it run from 0 to {len(points)}")
-    elif falls.any():
-        t = int(np.argmax(falls))
+    elif len(falls):
+        t = int(falls[0])
         what = f"falls from {offsets[t]} to {offsets[t + 1]}"
         yield Fault(what, f"offsets, frame {t}", "let it never decrease")
-    if seen_by is not None and len(seen_by) != len(points):
-        what = f"has {len(seen_by)} entries for {len(points)} points"
-        yield Fault(what, "seen_by", "give one for each point, or leave it out")
-    if len(position) != frames:
-        what = f"has {len(position)} frames, but time has {frames}"
-        yield Fault(what, "gripper_position", "give one position a frame")
-    if position.shape[1] == 0:
-        yield Fault("has no gripper", "gripper_position", "give at least one: [T, 1, 3]")
-    for name, axes, values in (
-        ("gripper_closed", 2, "true or false"),
-        ("gripper_axis", 3, "one unit vector"),
-    ):
-        array = arrays[name]
-        if array is not None and array.shape != position.shape[:axes]:
-            what = f"has shape {list(array.shape)}, but gripper_position {list(position.shape)}"
-            yield Fault(what, name, f"give {values} for each position, or leave it out")
+
+
+_FIXES = {
+    "table_height": "give z of the table in metres, or null where there is none",
+    "gripper_source": "give 'commanded' or 'measured'",
+    "quasi_static": "give true or false",
+    "object": "give kind, sizes in metres and grasp",
+}
 
 
 def missing_keys(meta: Mapping[str, Any]) -> list[Fault]:
     """A fault for each key that the `meta` of a file must have and has not."""
-    fixes = {
-        "table_height": "add z of the table in metres, or null where there is none",
-        "gripper_source": "add 'commanded' or 'measured'",
-        "quasi_static": "add true or false",
-    }
-    return [Fault("is missing", f"meta.{k}", fix) for k, fix in fixes.items() if k not in meta]
+    needed = ("table_height", "gripper_source", "quasi_static")
+    return [Fault("is missing", f"meta.{k}", _FIXES[k]) for k in needed if k not in meta]
 
 
 def parse_meta(meta: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
     """Read the fields of a `Recording` from its meta; return them and faults of type."""
     rest = {key: value for key, value in meta.items() if key != "format"}
-    faults = []
-
-    def take(source: dict, key: str, default: Any, kinds: tuple, want: str, at: str = "") -> Any:
-        value = source.pop(key, default)
-        if _is(value, kinds):
-            return value
-        faults.append(Fault(f"is {short_repr(value, 40)}", f"{at}{key}", f"give {want}"))
-        return default
-
-    values, table = {}, rest.pop("object", None)
-    if not isinstance(table, dict):
-        what = "is missing" if table is None else f"is {short_repr(table, 40)}"
-        faults.append(Fault(what, "object", "give kind, sizes in metres and grasp"))
-    else:
-        table = dict(table)
-        kind = take(table, "kind", None, (str,), " or ".join(map(repr, KINDS)), "object.")
-        sizes = {n: take(table, n, None, _NUMBER, "a number, or null", "object.") for n in SIZES}
-        usual = "corner" if kind == "cloth" else "end"
-        grasp = take(table, "grasp", usual, (str,), f"one of {GRASPS}", "object.")
-        faults += _misspelt(table, ("kind", *SIZES, "grasp", *_OF_OBJECT), "object.")
-        values["object"] = ObjectDescription(kind=kind, grasp=grasp, extra=table, **sizes)
-    for key, default, kinds, want in (
-        ("table_height", None, _NUMBER, "metres, or null for no table"),
-        ("gripper_source", "commanded", (str,), "'commanded' or 'measured'"),
-        ("quasi_static", False, (bool,), "true or false"),
-        ("source", "", (str,), "text"),
-        ("notes", "", (str,), "text"),
-        ("cameras_calibrated", True, (bool,), "true or false"),
-    ):
-        values[key] = take(rest, key, default, kinds, want)
-    faults += _misspelt(rest, (*values, "camera_positions", *_BESIDE_OBJECT))
-    cameras = rest.pop("camera_positions", None)
-    if cameras is not None:
+    values: dict[str, Any] = {key: getattr(RecordingData, key) for key in _META}
+    faults: list[Fault] = []
+    held = rest.setdefault("object", {})
+    if isinstance(held, dict):
+        usual = {"grasp": "corner" if held.get("kind") == "cloth" else "end"}
+        known = ("kind", *SIZES, "grasp")
+        extra = {key: value for key, value in held.items() if key not in known}
+        faults += _misspelt(extra, (*known, *_OF_OBJECT), "object.")
+        rest["object"] = {**usual, **{k: held[k] for k in known if k in held}, "extra": extra}
+    kinds = get_type_hints(RecordingData)
+    for key in ("object", *(key for key in _META if key in rest)):
+        fix = _FIXES.get(key, "docs/recordings.md says what it holds")
         try:
-            cameras = np.array(cameras, dtype=np.float64)
-        except (TypeError, ValueError):
-            cameras = np.empty((0, 0))
-        if cameras.ndim != 2 or cameras.shape[1] != 3:
-            what = "is no list of positions"
-            faults.append(Fault(what, "camera_positions", "give [K, 3] in metres"))
-            cameras = None
-    return {**values, "camera_positions": cameras, "extra": rest}, faults
+            values[key] = record_of(kinds[key], rest.pop(key), where=key, fix=fix)
+        except GendomError as error:
+            faults.append(Fault(error.what, str(error.where).replace(": ", "."), fix))
+    faults += _misspelt(rest, (*_META, *_BESIDE_OBJECT))
+    return {**values, "extra": rest}, faults
 
 
 def _misspelt(rest: Mapping[str, Any], known: Sequence[str], at: str = "") -> Iterator[Fault]:
@@ -445,11 +419,3 @@ def _misspelt(rest: Mapping[str, Any], known: Sequence[str], at: str = "") -> It
     for key in rest:
         if key not in known and (advice := did_you_mean(key, known, cutoff=0.8)):
             yield Fault("is read by nothing", f"{at}{key}", advice)
-
-
-_NUMBER = (int, float, type(None))  # that may be unknown
-
-
-def _is(value: Any, kinds: tuple[type, ...]) -> bool:
-    """Whether a value has one of the types; true and false are no numbers."""
-    return isinstance(value, kinds) and (bool in kinds or not isinstance(value, bool))

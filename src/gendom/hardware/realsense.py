@@ -19,8 +19,7 @@ from gendom.errors import DeviceError
 from gendom.hardware.cell import CellCamera
 from gendom.hardware.contracts import Recorded
 from gendom.perception.camera_file import write_pose
-from gendom.perception.realsense import realsense_sdk, write_checksum
-from gendom.perception.rosbag import Bag
+from gendom.perception.realsense import Bag, realsense_sdk, write_checksum
 
 RECORDING = "recording.db3"
 """Name of the file in a camera's folder."""

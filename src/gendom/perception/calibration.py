@@ -457,6 +457,6 @@ def read_poses(path: Path) -> list[tuple[Path, np.ndarray]]:
         expect(abs(length - 1.0) <= 0.01, what, where=where, fix=fix)
         what, fix = f"is {distance:.4g} m from the robot's base", "give metres, not millimetres"
         expect(distance <= MAX_DISTANCE, what, where=where, fix=fix)
-        picture = inside(path.parent, row[0], where=where)
+        picture = Path(inside(path.parent, row[0], where=where))
         poses.append((picture, rigid(Rotation.from_quat(values[3:]).as_matrix(), values[:3])))
     return poses

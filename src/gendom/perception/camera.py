@@ -7,24 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from gendom.arguments import require
 from gendom.arrays import Array
-from gendom.errors import RecordingError
-from gendom.reading import MOST_PIXELS
+from gendom.reading import MOST_DEPTHS, MOST_PIXELS, wanted
 
 MAX_DISTANCE = 20.0
 """What is farther from the robot's base than this [m] was given in millimetres."""
 
 _DISTORTION_LENGTHS = (0, 4, 5, 8)
 
-expect = partial(require, error=RecordingError)
-"""`require` whose error is a `RecordingError`."""
+expect = wanted
+"""Raises a `RecordingError` unless a condition holds: what is wrong, where, and what to do."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,7 +56,7 @@ class Camera:
                 object.__setattr__(self, name, array if array.ndim == 2 else array.tolist())
         object.__setattr__(self, "distortion", tuple(self.distortion))
         for right, key, what, fix in self._checks():
-            expect(right, what, where=f"{self.name}: {key}", fix=fix)
+            expect(right, what, f"{self.name}: {key}", fix)
 
     def _checks(self) -> Iterator[tuple[Any, str, str, str]]:
         """(whether it is right, key, what is wrong if not, fix) of everything."""
@@ -98,16 +95,22 @@ class Camera:
     def calibrated(self) -> Array:
         """`T_world_camera`, [4, 4] [m]; RecordingError: it is not known."""
         T, where = self.T_world_camera, f"{self.name}: T_world_camera"
-        expect(T is not None, "is missing", where=where, fix="measure it with gendom calibrate")
+        expect(T is not None, "is missing", where, "measure it with gendom calibrate")
         assert T is not None
         return T
 
-    def rays(self) -> Array:
-        """[height * width, 3] directions of the pixels, row after row, in the camera's axes.
+    def rays(self, rows: slice = slice(None)) -> Array:
+        """[n, 3] directions of the pixels of some rows, row after row, in the camera's axes.
 
         Their z is 1: a pixel of depth z is at z times its ray. Distortion is taken out.
+
+        Raises:
+            RecordingError: The camera has more pixels than pictures of depth have.
         """
-        v, u = np.mgrid[: self.height, : self.width].astype(np.float64)
+        what, many = f"{self.width} x {self.height} pixels", self.width * self.height > MOST_DEPTHS
+        fix = f"record depth of {MOST_DEPTHS} pixels at most"
+        expect(not many, what, self.name, fix)
+        v, u = np.mgrid[: self.height, : self.width][:, rows].astype(np.float64)
         pixels = np.stack([u.ravel(), v.ravel()], axis=1)
         if any(self.distortion):
             import cv2
@@ -122,7 +125,7 @@ class Camera:
             K = self.K
             y = (pixels[:, 1] - K[1, 2]) / K[1, 1]
             xy = np.stack([(pixels[:, 0] - K[0, 2] - K[0, 1] * y) / K[0, 0], y], axis=1)
-        return np.concatenate([xy, np.ones((len(xy), 1))], axis=1).astype(np.float64)
+        return np.column_stack([xy, np.ones(len(xy))])
 
     def at(self, T_world_camera: npt.ArrayLike) -> Camera:
         """The same camera at another pose, [4, 4] [m]."""
@@ -142,5 +145,5 @@ def _numbers(value: Any, shape: tuple[int | None, ...], where: str) -> np.ndarra
     if shape:
         sizes = "x".join(str(n or "n") for n in shape)
         what, fix = f"is not {sizes} numbers", "give finite numbers in brackets"
-    expect(same and np.isfinite(array).all(), what, where=where, fix=fix)
+    expect(same and np.isfinite(array).all(), what, where, fix)
     return array

@@ -36,6 +36,12 @@ MIN_DEPTH_PIXELS = 100
 OUTLIER_RADIUS = 0.015
 """Points in the same or in touching cubes of this edge [m] are connected."""
 
+VOXEL = 0.005
+"""Edge of the cubes that give one point each, the mean of theirs [m]."""
+
+MIN_CLUSTER = 10
+"""Connected points fewer than this are dropped."""
+
 MIN_SUPPORT = 3
 """So many of a pixel's eight neighbours must belong to the object at about the same depth: removes
 mixed pixels at edges, and isolated ones."""
@@ -56,8 +62,10 @@ _NO_TABLE = np.uint16(65535)  # counts that no depth exceeds
 _STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table shows it
 _MAX_DEPTH_SLOPE = 5.0  # pixels' widths by which a surface's depth changes a pixel, at most
 _COMMON_UNITS = (1.0, 1e-2, 1e-3, 5e-4, 2.5e-4, 2e-4, 1.25e-4, 1e-4, 1e-5, 1e-6)  # [m] a count
-_MAX_VOXEL = 0.5  # [m]; larger ones were not given in metres
+_SEEN = (0.15, 6.0)  # [m]; median depths of pictures
 _TABLE_SHARE = 0.2  # of the downward pixels must lie on a table that decides the unit
+_AROUND, _STRAY = 0.025, 0.4  # [m], of the usual number of a rope's points in that distance
+_AT_ONCE = 1 << 18  # pixels
 _MAX_CAMERAS = 8  # bits of a point's `seen_by`
 # Of the table's plane:
 _SEARCH_RANGE = 0.06  # [m]; how far from the expected height the table is looked for
@@ -76,8 +84,6 @@ class PerceptionSettings:
     """x0 y0 z0 x1 y1 z1 in metres; by default what the object can reach."""
     colour: tuple[int, int, int] | None = None
     """The object's colour: R G B, 0 to 255."""
-    pick: tuple[str, int, int] | None = None
-    """Or CAMERA U V: a pixel on the object in the first frame."""
     masks: Path | None = None
     """Or DIR of another program's masks: DIR/CAMERA/ has a PNG for each depth picture, of its name
     (of a RealSense recording 000000.png and so on) and size, above 0 where the object is."""
@@ -93,29 +99,18 @@ class PerceptionSettings:
     description says, or where cameras see it in the mean."""
     sync_tolerance: float = SYNC_TOLERANCE
     """Largest difference of the time stamps of frames that belong together, in seconds."""
-    voxel: float = 0.005
-    """Edge in metres of the cubes that give one point each, the mean of theirs; 0 keeps all
-    points."""
-    min_cluster: int = 10
-    """Connected points fewer than this are dropped."""
 
     def __post_init__(self):
-        given = [n for n in ("colour", "pick", "masks") if getattr(self, n) is not None]
-        require(len(given) <= 1, f"{' and '.join(given)} are both given", fix="choose one")
+        one, what = not (self.colour and self.masks), "colour and masks are both given"
+        require(one, what, fix="choose one")
         right = all(0 <= c <= 255 for c in self.colour or ())
         require(right, f"colour {self.colour}", fix="give R G B, each 0 to 255")
         box = self.workspace or (0, 0, 0, 1, 1, 1)
         ordered = np.isfinite(box).all() and all(np.less(box[:3], box[3:]))
         what = f"the workspace runs from {box[:3]} to {box[3:]}"
         require(ordered, what, fix="give x0 y0 z0 x1 y1 z1 in metres, each lower value first")
-        late, voxel, count = self.sync_tolerance, self.voxel, self.min_cluster
-        require(0.0 <= late < np.inf, f"sync_tolerance is {late}", fix="give seconds")
-        fix = f"give seconds: {late:g} ms are {1e-3 * late:g}"
-        require(late <= 1.0, f"sync_tolerance is {late:g} s", fix=fix)
-        require(0.0 <= voxel < np.inf, f"voxel is {voxel}", fix="give 0 or more")
-        fix = f"give metres: {voxel:g} mm are {1e-3 * voxel:g} m"
-        require(voxel <= _MAX_VOXEL, f"voxel is {voxel:g} m", fix=fix)
-        require(count >= 1, f"min_cluster is {count}", fix="give 1 or more")
+        late = self.sync_tolerance
+        require(0.0 <= late <= 1.0, f"sync_tolerance is {late:g} s", fix="give seconds, 1 at most")
 
 
 @dataclass(frozen=True)
@@ -222,12 +217,16 @@ class CameraView:
         self.settings = settings
         self.breadth = breadth
         self.table: TablePlane | None = None
-        T = camera.calibrated()
-        directions = camera.rays() @ T[:3, :3].T
+        T, pixels = camera.calibrated(), camera.width * camera.height
         self._position = camera.position.astype(np.float32)
-        self._directions = np.ascontiguousarray(directions.T, dtype=np.float32)  # [3, H W]
-        box = np.reshape(settings.workspace, (2, 3))
-        near, far = _box_depths(camera.position, directions, *box)
+        self._directions = np.empty((3, pixels), np.float32)
+        near, far = np.empty((2, pixels))
+        box, step = np.reshape(settings.workspace, (2, 3)), max(_AT_ONCE // camera.width, 1)
+        for first in range(0, camera.height, step):  # all at once would take a gigabyte
+            directions = camera.rays(slice(first, first + step)) @ T[:3, :3].T
+            own = slice(first * camera.width, (first + step) * camera.width)
+            self._directions[:, own] = directions.T
+            near[own], far[own] = _box_depths(camera.position, directions, *box)
         self._depths = near.astype(np.float32), far.astype(np.float32)
         self._near, self._far = self._counts(near, np.ceil), self._counts(far, np.floor)
         self._far[~(near <= far)] = 0  # the ray misses the workspace
@@ -255,64 +254,51 @@ class CameraView:
         return ((raw >= self._near) & (raw <= self._far)).reshape(depth.shape)
 
     def check_depth(self, depth: npt.NDArray[np.uint16], table_height: float | None = None) -> None:
-        """Refuse a picture [height, width] whose depth misses the workspace, and name another unit
-        that would fit, by the table's height [m] where it is known."""
-        inside = np.count_nonzero(self.in_workspace(depth))
-        raw, (near, far) = depth.ravel().astype(np.float32), self._depths
-        unit, scales = self.camera.depth_unit, {}
-        for scale in (1e-4, 1e-3, 1e-2, 0.1, 10.0, 100.0, 1e3, 1e4):
-            z = raw * np.float32(scale * unit)
-            scales[scale] = np.count_nonzero((z >= near) & (z <= far) & (raw > 0))
-        best, seen = max(scales, key=lambda s: scales[s]), raw[raw > 0]
-        median = f"{np.median(seen) * unit:.4g} m"
-        if scales[best] >= max(10 * inside, 0.005 * len(seen), 100):
-            what = f"depth of median {median} misses the workspace, but would be in it in another "
-            by_table = self._unit_by_table(depth, table_height)
-            self._refuse_unit(f"{what}unit", by_table or unit * best)
-        if inside < 50:
-            self.check_unit(depth, table_height)
+        """Refuse a picture [height, width] whose depth misses the workspace, or a table at a height
+        [m], and name another unit of depth that would fit."""
+        raw, where = depth.ravel(), f"camera {self.camera.name!r}"
+        median = f"{np.median(raw[raw > 0]) * self.camera.depth_unit:.4g} m"
+        if (unit := self._other_unit(raw.astype(np.float32), table_height)) is not None:
+            what = (
+                f"depth of median {median} would be on the table, or in the workspace, in another"
+            )
+            fix = f"it is {self.camera.depth_unit:g} m a count; {unit:g} seems right"
+            raise RecordingError(f"{what} unit", where=f"{where}: depth_unit", fix=fix)
+        if np.count_nonzero(self.in_workspace(depth)) < 50:
             corners = np.reshape(np.array(self.settings.workspace), (2, 3))
             low, high = (", ".join(f"{x:.3g}" for x in corner) for corner in corners)
             what = f"sees nothing of the workspace, ({low}) to ({high}) m; median depth {median}"
-            fix = "check T_world_camera (camera to world) and --workspace"
-            raise RecordingError(what, where=f"camera {self.camera.name!r}", fix=fix)
+            fix = "check T_world_camera (camera to world, not its inverse) and --workspace"
+            raise RecordingError(what, where=where, fix=fix)
 
-    def _refuse_unit(self, what: str, right: float) -> None:
-        where = f"camera {self.camera.name!r}: depth_unit"
-        fix = f"it is {self.camera.depth_unit:g} m a count; {right:g} seems right"
-        raise RecordingError(what, where=where, fix=fix)
-
-    def check_unit(self, depth: npt.NDArray[np.uint16], table_height: float | None) -> None:
-        """Refuse a picture [height, width] in which a table is at a height [m] only in another
-        depth unit; None: the height is unknown."""
-        right = self._unit_by_table(depth, table_height)
-        if right is not None:
-            what = f"sees no table at z = {table_height:g} m, but would in another unit"
-            self._refuse_unit(what, right)
-
-    def _unit_by_table(
-        self, depth: npt.NDArray[np.uint16], table_height: float | None
-    ) -> float | None:
-        """The common unit [m], other than the camera's, in which a table is at a height [m].
+    def _other_unit(self, raw: Array, table_height: float | None) -> float | None:
+        """The unit [m a count], other than the camera's, in which depth [counts] is on a table at a
+        height [m], or in the workspace; None: it is in its own.
 
         In any unit a table is a plane; only how far below the camera it lies changes.
         """
-        raw, slope = depth.ravel(), -self._directions[2]
-        pixels = np.flatnonzero((raw > 0) & (slope > 0.1))
-        if table_height is None or len(pixels) < MIN_DEPTH_PIXELS:
-            return None
-        below = np.log(slope[pixels] * raw[pixels])  # of counts
-        bins = ((below - below.min()) / 0.02).astype(np.int64)
-        counts = np.convolve(np.bincount(bins), [1, 1, 1], mode="same")
-        peak = int(counts.argmax())
-        expected = float(self.camera.position[2]) - table_height
-        if expected <= 0.0 or counts[peak] < _TABLE_SHARE * len(pixels):
-            return None
-        unit = expected / np.exp(np.median(below[np.abs(bins - peak) <= 1]))
-        nearest = min(_COMMON_UNITS, key=lambda common: abs(np.log(common / unit)))
-        if abs(np.log(nearest / unit)) > 0.04 or nearest == self.camera.depth_unit:
-            return None
-        return nearest
+        own, some = self.camera.depth_unit, np.flatnonzero(raw)
+        raw, slope = raw[some], -self._directions[2, some]
+        (near, far), median = (depths[some] for depths in self._depths), np.median(raw)
+        tens = (own * 10.0**k for k in range(-4, 5))
+        usual = [[unit for unit in units if _SEEN[0] < median * unit < _SEEN[1]]
+                 for units in (_COMMON_UNITS, tens)]  # fmt: skip
+        if table_height is not None and usual[0]:
+            below, expected = raw * slope, self.camera.position[2] - table_height
+            found = {
+                unit: np.count_nonzero(np.abs(unit * below - expected) < _FIT_RANGE)
+                for unit in (own, *usual[0])
+            }
+            best = max(found, key=lambda unit: found[unit])
+            if found[best] > max(_TABLE_SHARE * np.count_nonzero(slope > 0.1), 10 * found[own]):
+                return best
+        found = {
+            unit: np.count_nonzero((unit * raw >= near) & (unit * raw <= far))
+            for unit in (own, *usual[1])
+        }
+        best = max(found, key=lambda unit: found[unit])
+        fits = found[best] >= max(10 * found[own], 0.005 * len(some), MIN_DEPTH_PIXELS)
+        return best if fits else None
 
     def find_table(self, depth: npt.NDArray[np.uint16], expected_height: float | None) -> None:
         """Fit the table, near a height [m] where one is given, in a depth picture [height, width],
@@ -443,13 +429,13 @@ class FusedCloud:
 
 def fuse(
     clouds: Sequence[npt.NDArray[np.float32]],
-    settings: PerceptionSettings,
     held: Held | None = None,
     breadth: float = np.inf,
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8], int]:
     """One cloud of several cameras' clouds [n_k, 3] [m]: one point a voxel, without outliers, and
     of what grippers hold, where it is given, only what hangs together with them. Points of objects
-    that are no broader than some pixels [m] are few, and lie farther apart.
+    that are no broader than some pixels [m] are few, and lie farther apart; of ropes, whose breadth
+    is known, those are left out that lie much more sparsely than most, as between rope and table.
 
     Returns:
         Points [n, 3] [m], `seen_by` [n] (bit k: camera k), and how many voxels there were.
@@ -461,15 +447,20 @@ def fuse(
     require(len(clouds) <= _MAX_CAMERAS, what, fix=fix)
     points = np.concatenate(clouds)
     bits = np.repeat((1 << np.arange(len(clouds))).astype(np.uint8), [len(c) for c in clouds])
-    if settings.voxel > 0.0 and len(points):
-        points, bits = _voxel_means(points, bits, settings.voxel)
+    if not len(points):
+        return points, bits, 0
+    points, bits = _voxel_means(points, bits)
     voxels = len(points)
-    if voxels and settings.min_cluster > 1:
-        label = _clusters(points, OUTLIER_RADIUS * min(max(SPARSE / breadth, 1.0), 2.0))
-        keep = np.bincount(label)[label] >= settings.min_cluster
-        points, bits = points[keep], bits[keep]
+    label = _clusters(points, OUTLIER_RADIUS * min(max(SPARSE / breadth, 1.0), 2.0))
+    keep = np.bincount(label)[label] >= MIN_CLUSTER
+    points, bits = points[keep], bits[keep]
     if held is not None and len(points):
         keep = held.among(points)
+        points, bits = points[keep], bits[keep]
+    if np.isfinite(breadth) and len(points):
+        tree = KDTree(points)
+        near = np.asarray(tree.query_ball_point(points, _AROUND, return_length=True))
+        keep = near >= _STRAY * np.median(near)
         points, bits = points[keep], bits[keep]
     return points, bits, voxels
 
@@ -493,7 +484,7 @@ def perceive_frame(
     """
     parts = [view.segment(p, colour, capsules) for view, p in zip(views, pictures, strict=True)]
     clouds = [points for points, _ in parts]
-    points, seen_by, voxels = fuse(clouds, views[0].settings, held, views[0].breadth)
+    points, seen_by, voxels = fuse(clouds, held, views[0].breadth)
     counts = np.sum([counts for _, counts in parts], axis=0).tolist()
     return FusedCloud(points, seen_by, np.array([*counts, voxels, len(points)]), clouds)
 
@@ -511,10 +502,10 @@ def _box_depths(
 
 
 def _voxel_means(
-    points: npt.NDArray[np.float32], bits: npt.NDArray[np.uint8], voxel: float
+    points: npt.NDArray[np.float32], bits: npt.NDArray[np.uint8]
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8]]:
     """Mean point and united bits of each occupied voxel."""
-    cells, place = unique_cells(points, voxel)
+    cells, place = unique_cells(points, VOXEL)
     n = len(cells)
     count = np.bincount(place, minlength=n)
     means = np.empty((n, 3), np.float32)

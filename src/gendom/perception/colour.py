@@ -98,13 +98,3 @@ class ObjectColour:
         r, g, b = (rgb[:, k] >> drop for k in range(3))
         index = (r.astype(np.int32) << (2 * _BITS)) | (g.astype(np.int32) << _BITS) | b
         return self.table[index]
-
-
-def picked_colour(colour: npt.NDArray[np.uint8], u: int, v: int) -> Array:
-    """L*, a*, b* [3] of a picture [height, width, 3] in sRGB at column u and row v: the median of
-    the 3 x 3 around it; ParameterError: they are not in the picture."""
-    height, width = colour.shape[:2]
-    what = f"pixel ({u}, {v}) is not in a picture of {width} x {height}"
-    require(0 <= u < width and 0 <= v < height, what, fix="give column and row, from 0")
-    patch = colour[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2]
-    return np.median(lab(patch.reshape(-1, 3)), axis=0)

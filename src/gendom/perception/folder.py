@@ -4,7 +4,6 @@
       object.toml            what is held, as in a folder of PLY clouds
       gripper.csv            the robot's path: time,x,y,z[,ax,ay,az][,closed], at times of its own
       joints.csv             optional: the robot's joint angles, see `gendom.robot`
-      capsules.csv           optional: shape of the robot, or of what else is in the way
       cameras/NAME/
         camera.toml          see `gendom.perception.camera_file`
         frames.csv           time,depth[,colour]: seconds, and files relative to this folder
@@ -21,6 +20,7 @@ missing frame does not affect others.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -127,13 +127,13 @@ class PngCamera:
 
     def __iter__(self) -> Iterator[Frame]:
         for time, *files in self._rows:
-            yield Frame(time, str(files[0]), lambda files=files: self._read(*files))
+            yield Frame(time, files[0], lambda files=files: self._read(*map(Path, files)))
 
     def _read(self, path: Path, colour: Path | None = None) -> Pictures:
         picture = read_png(path)
         what = f"is a PNG of mode {picture.mode}, not 16 bit grey"
         fix = "store depth as 16 bit counts of depth_unit"
-        expect(picture.mode.startswith("I"), what, where=str(path), fix=fix)
+        expect(picture.mode.startswith("I"), what, str(path), fix)
         counts = self._sized(np.asarray(picture), path).astype(np.uint16, copy=False)
         if colour is None:
             return Pictures(counts)
@@ -143,7 +143,7 @@ class PngCamera:
         height, width = self.camera.height, self.camera.width
         what = f"is {array.shape[1]} x {array.shape[0]}, camera.toml says {width} x {height}"
         fix = "give the intrinsics of these pictures, colour aligned with depth"
-        expect(array.shape[:2] == (height, width), what, where=str(path), fix=fix)
+        expect(array.shape[:2] == (height, width), what, str(path), fix)
         return array
 
 
@@ -195,19 +195,19 @@ def read_cameras(
     """
     folder = Path(folder)
     place, path = folder / "cameras", folder / "gripper.csv"
-    expect(folder.is_dir(), "no such folder", where=str(folder), fix="check the path")
+    expect(folder.is_dir(), "no such folder", str(folder), "check the path")
     found = sorted(p.name for p in place.iterdir() if p.is_dir()) if place.is_dir() else []
     fix = "give each a folder with camera.toml and frames.csv or a RealSense recording"
-    expect(found, "holds no camera", where=str(place), fix=fix)
+    expect(found, "holds no camera", str(place), fix)
     for name in cameras:
         what, fix = f"there is no camera {name!r}", f"have {', '.join(found)}"
-        expect(name in found, what, where=str(place), fix=fix)
+        expect(name in found, what, str(place), fix)
     meta = read_object(folder / "object.toml")
     arrays = read_gripper(path, on_cut=lambda line: on_warning(cut_off(path, line)))
     time = arrays["time"]
     increases = np.isfinite(time).all() and (np.diff(time) > 0).all()
     fix = "give the robot's path in order of time"
-    expect(increases, "its times do not increase", where=str(path), fix=fix)
+    expect(increases, "its times do not increase", str(path), fix)
     return CameraRecording(
         sources=[_open_camera(place / name, on_warning) for name in cameras or found],
         robot=RobotPath(
@@ -231,37 +231,37 @@ def _open_camera(folder: Path, on_warning: Callable[[Fault], None]) -> FrameSour
     ]
     found = [(reader, path) for reader in readers if (path := reader.find(folder)) is not None]
     what = f"holds {' and '.join(path.name for _, path in found)}"
-    expect(len(found) <= 1, what, where=str(folder), fix="leave one of them in the camera's folder")
+    expect(len(found) <= 1, what, str(folder), "leave one of them in the camera's folder")
     # Of an empty folder PngCamera tells what is missing.
     return (found[0][0] if found else PngCamera)(folder, on_warning=on_warning)
 
 
 def _read_frames(path: Path, on_warning: Callable[[Fault], None]) -> list[tuple[Any, ...]]:
-    """Rows (time [s], depth file[, colour file]) of frames.csv."""
+    """Rows (time [s], path of the depth[, of the colour]) of frames.csv."""
     lines = read_rows(path, header=_HEADER, damaged=True)
     header, rows, bad = lines[0][1], [], []
     right = {"time", "depth"} <= set(header) <= {"time", "depth", "colour"}
     what = f"has the header {','.join(header)!r}"
-    expect(right, what, where=str(path), fix=f"write {_HEADER}")
+    expect(right, what, str(path), f"write {_HEADER}")
+    at, depth = header.index("time"), header.index("depth")
+    colour = header.index("colour") if "colour" in header else depth
+    folder = os.fspath(path.parent)
     for number, line in lines[1:]:
-        entry = dict(zip(header, line, strict=False))
         try:
-            time = float(entry["time"])
-            whole = len(line) == len(header) and np.isfinite(time) and entry["depth"]
-            if not whole or (rows and time <= rows[-1][0]):
-                raise ValueError
-        except (ValueError, KeyError):
+            time, whole = float(line[at]), len(line) == len(header) and line[depth]
+        except (ValueError, IndexError):
+            time, whole = math.nan, False
+        if not whole or not math.isfinite(time) or (rows and time <= rows[-1][0]):
             bad.append(number)
             continue
-        named = [entry["depth"], *filter(None, [entry.get("colour")])]
+        named = [line[depth], line[colour]] if colour != depth and line[colour] else [line[depth]]
         where = f"{path}, line {number}"
-        rows.append((time, *(inside(path.parent, name, where=where) for name in named)))
-    fix = f"write one row a frame under {_HEADER}"
-    expect(rows, "holds no usable row", where=str(path), fix=fix)
+        rows.append((time, *(inside(folder, name, where=where) for name in named)))
+    expect(rows, "holds no usable row", str(path), f"write one row a frame under {_HEADER}")
     if bad:
         what = f"{len(bad)} of {len(lines) - 1} rows are cut short, no numbers or go back in time, "
         what += f"first in line {bad[0]}; they are left out"
         on_warning(Fault(what, str(path), "record again if too much is missing", "warning"))
     times = np.array([row[0] for row in rows])
-    check_named([row[1].stem for row in rows], times, where=str(path))
+    check_named([os.path.splitext(os.path.basename(r[1]))[0] for r in rows], times, where=str(path))
     return rows

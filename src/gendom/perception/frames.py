@@ -142,7 +142,7 @@ def _in_order(source: Iterable[Frame]) -> Iterator[Frame]:
             f"time goes from {time_text(last)} s to {time_text(frame.time)} s",
             "sort the frames",
         )
-        expect(frame.time > last, what, where=frame.where, fix=f"{fix} and drop repeated ones")
+        expect(frame.time > last, what, frame.where, f"{fix} and drop repeated ones")
         yield frame
         last = frame.time
 
@@ -167,7 +167,7 @@ def decode_png(data: bytes, where: str) -> Image.Image:
     if data[12:16] == b"IHDR" and len(data) >= 24:
         width, height = struct.unpack_from(">II", data, 16)
         what, fix = f"has {width} x {height} pixels", f"give pictures of {MOST_PIXELS} at most"
-        expect(width * height <= MOST_PIXELS, what, where=where, fix=fix)
+        expect(width * height <= MOST_PIXELS, what, where, fix)
     try:
         # Decoding alone lets some damage pass as wrong pixels; verifying uses the picture up.
         with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:

@@ -12,22 +12,24 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from gendom.arguments import require, time_text
+from gendom.arguments import time_text
 from gendom.datasets import Fault, Recording
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
 from gendom.perception.camera import Camera, expect
 from gendom.perception.cloud import (
+    MIN_CLUSTER,
     MIN_DEPTH_PIXELS,
     OUTLIER_RADIUS,
     STAGES,
+    VOXEL,
     CameraView,
     FusedCloud,
     Held,
     PerceptionSettings,
     perceive_frame,
 )
-from gendom.perception.colour import ObjectColour, lab, picked_colour
+from gendom.perception.colour import ObjectColour, lab
 from gendom.perception.folder import CameraRecording
 from gendom.perception.frames import Frame, MatchedFrames, Pictures, read_png
 from gendom.perception.quality import (
@@ -49,6 +51,7 @@ _MAX_RISE, _MAX_TURN = 0.005, 1.0  # [m], degrees; beyond, a camera ought to be 
 _BELOW_TABLE = 0.05  # [m]; the workspace reaches so far below a known table
 _MARGIN = 0.05  # [m]; and so far beyond what the object can reach
 _BEYOND = 0.03  # [m]; points farther from a gripper than the object is long may be its own
+_FEWEST_ACROSS = 2.0  # pixels that a rope is across; of thinner ones most pixels are lost or mixed
 _BY_ONE = 0.6  # of what all may cover, one camera's points of the object on the table may
 _ALIKE = 0.5  # of its own area, apart from it on the table: the table has the object's colour
 _LOW = 0.01  # [m]; points so near to the table may be the table's
@@ -79,7 +82,6 @@ def perceive(
     settings: PerceptionSettings | None = None,
     *,
     on_warning: Callable[[Fault], None] = lambda _: None,
-    on_frame: Callable[[float, FusedCloud], None] = lambda _time, _cloud: None,
 ) -> Perceived:
     """Turn depth pictures into the object's clouds.
 
@@ -91,14 +93,13 @@ def perceive(
         settings: By default the workspace follows from the grippers' path, and all that stands
             above the table is the object.
         on_warning: Called with every fault that does not prevent use.
-        on_frame: Called with time [s] and cloud of each frame.
 
     Raises:
         RecordingError: No frames match, depth misses the workspace, cameras disagree by more
             than 2 cm, no object is in view, or the recording that came of it is not valid.
         ParameterError: A setting is out of its range.
     """
-    return _Perception(recorded, settings or PerceptionSettings(), on_warning, on_frame).run()
+    return _Perception(recorded, settings or PerceptionSettings(), on_warning).run()
 
 
 class _Perception:
@@ -107,9 +108,8 @@ class _Perception:
         recorded: CameraRecording,
         settings: PerceptionSettings,
         on_warning: Callable[[Fault], None],
-        on_frame: Callable[[float, FusedCloud], None],
     ):
-        self.recorded, self.on_warning, self.on_frame = recorded, on_warning, on_frame
+        self.recorded, self.on_warning = recorded, on_warning
         where = f"{recorded.where}/object.toml"
         self.values, faults = parse_meta(recorded.meta)
         if faults:
@@ -120,9 +120,9 @@ class _Perception:
         size = self.object.size or 0.0
         fix = "give length for a rope, width and height for a cloth, in metres"
         right = math.isfinite(size) and size > 0.0
-        expect(right, "the object's sizes are missing", where=where, fix=fix)
+        expect(right, "the object's sizes are missing", where, fix)
         if settings.workspace is None:
-            settings = replace(settings, workspace=_within_reach(recorded, size, height))
+            settings = replace(settings, workspace=within_reach(recorded, size, height))
         self.settings = settings
         across = self.object.diameter or math.inf
         self.views = [CameraView(source.camera, settings, across) for source in recorded.sources]
@@ -165,7 +165,6 @@ class _Perception:
                 capsules=capsules,
                 held=held if closed is None or closed.all() else None,
             )
-            self.on_frame(time, cloud)
             if (times := times_own_area(cloud.points, self.object)) > self.most:
                 self.crowded.append(times)
                 continue
@@ -177,16 +176,20 @@ class _Perception:
         return self._result()
 
     def _require(self, holds: Any, what: str, fix: str | None, where: str = "") -> None:
-        expect(holds, what, where=where or self.recorded.where, fix=fix)
+        expect(holds, what, where or self.recorded.where, fix)
 
     def _warn(self, what: str, where: str, fix: str) -> None:
         self.on_warning(Fault(what, where, fix, "warning"))
 
     def _fewest(self, camera: Camera) -> float:
         """Minimum number of points of a camera's cloud for comparison with others."""
-        away = np.linalg.norm(self.recorded.robot.position.mean(axis=(0, 1)) - camera.position)
-        pixels = camera.K[0, 0] * camera.K[1, 1] / max(float(away), 1e-3) ** 2
+        pixels = camera.K[0, 0] * camera.K[1, 1] / self._away(camera) ** 2
         return max(_AGREEMENT_POINTS, _AGREEMENT_SHARE * own_area(self.object) * pixels)
+
+    def _away(self, camera: Camera) -> float:
+        """How far a camera is from the middle of the gripper's path [m]."""
+        middle = self.recorded.robot.position.mean(axis=(0, 1))
+        return max(float(np.linalg.norm(middle - camera.position)), 1e-3)
 
     def _read(self, frames: tuple[Frame, ...]) -> list[Pictures] | None:
         try:
@@ -228,6 +231,12 @@ class _Perception:
         if not self.settings.no_table:
             self._find_table(pictures)
         self.colour = self._find_colour(pictures)
+        pixels = max(
+            view.breadth * view.camera.K[0, 0] / self._away(view.camera) for view in self.views
+        )
+        what = f"the rope is {pixels:.1f} pixels across, too few to tell it from what is behind it"
+        fix = "choose it by --colour or --masks, or move the cameras nearer"
+        self._require(pixels >= _FEWEST_ACROSS or self.colour is not None, what, fix)
         alike = False
         for view, seen in zip(self.views, pictures, strict=True):
             if self.colour is not None and view.table is not None:
@@ -247,9 +256,7 @@ class _Perception:
         x, y, _ = np.reshape(np.array(self.settings.workspace), (2, 3)).mean(axis=0)
         for view, seen in zip(self.views, pictures, strict=True):
             view.find_table(seen.depth, expected)
-            if view.table is None:
-                view.check_unit(seen.depth, expected)
-            else:
+            if view.table is not None:
                 heights[view.camera.name] = view.table.height(x, y)
         known = dict(heights) if expected is None else {"object.toml": expected, **heights}
         apart = max(known.values()) - min(known.values()) if heights else 0.0
@@ -290,26 +297,18 @@ class _Perception:
                 self._warn(what, f"camera {view.camera.name!r}", fix)
 
     def _find_colour(self, pictures: list[Pictures]) -> ObjectColour | None:
-        chosen, k = self.settings, 0
-        if chosen.masks is None and chosen.colour is None and chosen.pick is None:
+        chosen = self.settings
+        if chosen.masks is None and chosen.colour is None:
             return None
-        if chosen.pick is not None:
-            name, fix = chosen.pick[0], f"have {', '.join(self.names)}"
-            require(name in self.names, f"there is no camera {name!r}", fix=fix)
-            k = self.names.index(name)
-        coloured = []
         for name, seen in zip(self.names, pictures, strict=True):
-            fix = "leave out --colour and --pick, or record colour"
-            self._require(
-                seen.colour is not None, "has no colour pictures", fix, f"camera {name!r}"
-            )
-            coloured.append(seen.colour)
-        if chosen.pick is not None:
-            reference = picked_colour(coloured[k], *chosen.pick[1:])
-        else:
-            reference = lab(chosen.colour or (255, 255, 255))  # of masks white is the object
-        tolerance, weight = chosen.colour_tolerance, chosen.lightness_weight
-        return ObjectColour.near(reference, tolerance=tolerance, lightness_weight=weight)
+            fix = "leave out --colour, or record colour"
+            what, where = "has no colour pictures", f"camera {name!r}"
+            self._require(seen.colour is not None, what, fix, where)
+        return ObjectColour.near(
+            lab(chosen.colour or (255, 255, 255)),  # of masks white is the object
+            tolerance=chosen.colour_tolerance,
+            lightness_weight=chosen.lightness_weight,
+        )
 
     def _compare(self, cloud: FusedCloud) -> None:
         """Raise an error if cameras disagree about the position of the object.
@@ -322,7 +321,7 @@ class _Perception:
         done = self.comparable >= _AGREEMENT_FRAMES and self.object.kind != "rope"
         if done or len(cloud.parts) < 2 or len(cloud.points) == 0:
             return
-        tree, near = KDTree(cloud.points), max(OUTLIER_RADIUS, self.settings.voxel)
+        tree, near = KDTree(cloud.points), OUTLIER_RADIUS
         clouds = [part[tree.query(part)[0] < near] for part in cloud.parts]
         if any(len(own) < least for own, least in zip(clouds, self.fewest, strict=True)):
             return
@@ -350,7 +349,7 @@ class _Perception:
         what = f"cameras {', '.join(self.names)} place the object {1e3 * apart:.0f} mm apart "
         what += f"({x:.0f}, {y:.0f}, {z:.0f} mm)"
         fix = "calibrate them again (gendom calibrate), take the robot out of view "
-        fix += "(--colour, joints.csv, capsules.csv), or use one by --cameras"
+        fix += "(--colour, joints.csv), or use one by --cameras"
         self._require(apart <= MAX_DISAGREEMENT, what, fix)
 
     def _tell_left_out(self, matched: MatchedFrames) -> None:
@@ -419,12 +418,16 @@ class _Perception:
         positions, axes = zip(*self.grippers, strict=True)
         closed = [self.recorded.robot.closed_at(time) for time in self.times]
         values = dict(self.values)
-        settings, box = self.settings, self.settings.workspace
+        box = self.settings.workspace
         assert box is not None
-        kept = {"voxel": settings.voxel, "min_cluster": settings.min_cluster}
         history = {  # docs/perception.md
             "cameras": self.names,
-            "settings": {"low": box[:3], "high": box[3:], **kept},
+            "settings": {
+                "low": box[:3],
+                "high": box[3:],
+                "voxel": VOXEL,
+                "min_cluster": MIN_CLUSTER,
+            },
             "colour_lab": None if self.colour is None else self.colour.reference,
             "cameras_apart": self.apart,
             "levelled": self.levelled,
@@ -448,7 +451,7 @@ class _Perception:
         )
 
 
-def _within_reach(
+def within_reach(
     recorded: CameraRecording, size: float, table: float | None
 ) -> tuple[float, float, float, float, float, float]:
     """The workspace that an object of a size [m] can reach from the grippers' path, down to below a
@@ -468,7 +471,7 @@ _REMEDIES = {
     "table": "everything is as low as the table: choose the object by --colour, or --no-table",
     "colour": "nothing has that colour: choose another, or raise --colour-tolerance",
     "support": "only single pixels are left: check the colour",
-    "robot": "the robot's shape covers everything: check joints.csv and capsules.csv",
+    "robot": "the robot's shape covers everything: check joints.csv",
     "voxels": "check the settings",
-    "outliers": "only scattered points are left: check the colour, or lower --min-cluster",
+    "outliers": "only scattered points are left: check the colour",
 }

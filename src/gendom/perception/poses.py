@@ -58,7 +58,7 @@ def read_poses(path: str | os.PathLike) -> list[StatedPose]:
         found = [_published(part, where) for part in _PUBLISHER.findall(text)]
     else:
         found = [_handeye(text, where)]
-    expect(found, "states no pose", where=where, fix=_FIX)
+    expect(found, "states no pose", where, _FIX)
     return found
 
 
@@ -70,15 +70,15 @@ def camera_pose(path: str | os.PathLike) -> Array:
     """
     poses, where = read_poses(path), str(path)
     what = f"states the poses of {', '.join(pose.child for pose in poses)}"
-    expect(len(poses) == 1, what, where=where, fix="leave that of the camera")
+    expect(len(poses) == 1, what, where, "leave that of the camera")
     (pose,) = poses
     what = f"states the pose of {pose.child}, whose axes need not be a camera's (z forward)"
     fix = "calibrate with the frame of the pictures (..._optical_frame), or record a ROS bag with "
     fix += "/tf_static and give the file there by --poses"
-    expect("optical" in pose.child, what, where=where, fix=fix)
+    expect("optical" in pose.child, what, where, fix)
     what = f"states a pose in {pose.parent}: the camera is in the hand"
     in_hand = re.search(r"tool|effector|_ee\b|eef|flange|hand|tcp|gripper|link[678]\b", pose.parent)
-    expect(not in_hand, what, where=where, fix="mount it beside the robot")
+    expect(not in_hand, what, where, "mount it beside the robot")
     return pose.T
 
 
@@ -124,14 +124,14 @@ def _is_number(word: str) -> bool:
 
 def _stated(parent: str, child: str, numbers: list[str], where: str) -> StatedPose:
     """A pose of x, y, z and qx, qy, qz, qw, or yaw, pitch and roll [rad]."""
-    expect(parent and child, "does not say which frame is in which", where=where, fix=_FIX)
-    expect(all(map(_is_number, numbers)), "holds no numbers for a pose", where=where, fix=_FIX)
+    expect(parent and child, "does not say which frame is in which", where, _FIX)
+    expect(all(map(_is_number, numbers)), "holds no numbers for a pose", where, _FIX)
     shift, turn = np.array(numbers[:3], float), np.array(numbers[3:], float)
     right = len(shift) == 3 and (
         len(turn) == 3 or (len(turn) == 4 and abs(np.linalg.norm(turn) - 1.0) < 0.01)
     )
-    expect(right, "states no place and unit quaternion", where=where, fix=_FIX)
+    expect(right, "states no place and unit quaternion", where, _FIX)
     what, near = f"places {child} {np.linalg.norm(shift):.4g} m from {parent}", shift @ shift < 400
-    expect(near, what, where=where, fix="give metres, not millimetres")
+    expect(near, what, where, "give metres, not millimetres")
     R = Rotation.from_quat(turn) if len(turn) == 4 else Rotation.from_euler("ZYX", turn)
     return StatedPose(parent.lstrip("/"), child.lstrip("/"), rigid(R.as_matrix(), shift))

@@ -142,8 +142,7 @@ def odd_intrinsics(camera: Camera) -> Iterator[Fault]:
         what += f"not of {width} x {height}"
         yield Fault(what, f"{camera.name}: K", f"{fix}; crop shifts the centre", "warning")
     elif not _FIELD[0] < field < _FIELD[1]:
-        what = f"it sees {field:.0f} degrees"
-        yield Fault(what, f"{camera.name}: K", fix, "warning")
+        yield Fault(f"it sees {field:.0f} degrees", f"{camera.name}: K", fix, "warning")
     if abs(fx / fy - 1.0) > 0.05:
         what = f"its focal lengths differ, {fx:.1f} and {fy:.1f} pixels"
         yield Fault(what, f"{camera.name}: K", f"{fix}, resized alike in both", "warning")

@@ -10,37 +10,61 @@ Intrinsics, distortion and depth unit are the recording's. Colour is aligned wit
 depth picture's own time stamp [s]: with the SDK's "Global Time", its default, on the clock of the
 computer that recorded, since 1970.
 
-.db3 files are read without the SDK (`gendom.perception.rosbag`). .bag files are converted by it
-first, in a process of its own: the SDK ends the process on some damaged files.
+A .db3 file is a bag of ROS 2 whose topics the SDK documents (doc/record-and-playback.md); it is
+read without the SDK. Those used here are, below /device_0/sensor_N/, and the same for Color_0:
+
+    Depth_0/camera_info         text "width=640;height=480;fx=...;model=...;coeffs=..."
+    Depth_0/tf/ref_K            text "rotation=...;translation=...": from reference K to the stream
+    Depth_0/image/metadata      text "timestamp=...;timestamp_domain=..."
+    Depth_0/image/data...       the picture, of the same bag time as its metadata
+
+SDK 2.58 stored pictures raw and compressed each message by zstd; since 2.59 pictures are PNG, and
+raw compressed by zstd in formats that PNG does not have. Each is read separately on demand: of a
+damaged or truncated file all messages that SQLite can read are used. .bag files are converted by
+the SDK first, in a process of its own: it ends the process on some damaged files.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
+import sqlite3
 import subprocess
 import sys
 import tempfile
 import weakref
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from gendom.arrays import Array, rigid
 from gendom.datasets import Fault
+from gendom.datasets.npz import short
 from gendom.errors import DeviceError, RecordingError
 from gendom.files import atomic_path
 from gendom.installation import how_to_install
 from gendom.perception.camera import Camera, expect
 from gendom.perception.camera_file import read_camera
 from gendom.perception.frames import SYNC_TOLERANCE, Frame, Pictures
-from gendom.perception.rosbag import Bag, Entry
-from gendom.reading import read_bytes
+from gendom.perception.ros_bag import ANY_SIZE, decompressed, open_database
+from gendom.perception.ros_messages import IMAGE, PACKED, picture_of
+from gendom.reading import file_size, read_bytes
 
+_DATA = re.compile(r"(/device_0/sensor_\d+/(Depth|Color)_\d+)/image/data(/compressed(Depth)?)?$")
+_MAX_UNREADABLE_ROWS = 1000  # in sequence, before the rest is given up
+_TEXT = "std_msgs/msg/String"
+
+# Distortion models by the SDK's names. It projects "Inverse Brown Conrady" by OpenCV's formula
+# too, to 0.02 pixels at coefficients of 0.07 (rsutil.h).
+_OPENCV = ("Brown Conrady", "Inverse Brown Conrady")
+_PROJECTED = (*_OPENCV, "Modified Brown Conrady")
 _DEVICE_CLOCK = "Hardware Clock"
 # What hides a point is nearer by this share of its depth, besides the change of depth over two
 # cells of a surface whose slope is this many pixels' widths a pixel.
@@ -78,11 +102,11 @@ class RealSenseRecording:
         where, name = str(self.path), self.path.resolve().parent.name
         depth = self._bag.stream("Depth", name)
         what = "has no depth pictures" if depth is None else "no depth picture can be read"
-        expect(depth and depth.entries, what, where=where, fix="record the depth stream (Z16)")
+        expect(depth and depth.entries, what, where, "record the depth stream (Z16)")
         assert depth is not None
         self._depth = depth.entries
         unit, fix = self._bag.depth_unit(), "record it with the RealSense SDK"
-        expect(unit is not None, "does not say its depth unit", where=where, fix=fix)
+        expect(unit is not None, "does not say its depth unit", where, fix)
         camera = replace(depth.camera, depth_unit=unit)
         beside = self.path.with_name("camera.toml")
         self.camera: Camera = read_camera(beside, recorded=camera) if beside.exists() else camera
@@ -116,7 +140,7 @@ class RealSenseRecording:
         """The recording in a camera's folder; None: there is none, RecordingError: several are."""
         found = sorted(filter(is_recording, folder.iterdir()))
         what = f"holds {len(found)} recordings, {', '.join(p.name for p in found)}"
-        expect(len(found) <= 1, what, where=str(folder), fix="leave one in the camera's folder")
+        expect(len(found) <= 1, what, str(folder), "leave one in the camera's folder")
         return found[0] if found else None
 
     def __iter__(self) -> Iterator[Frame]:
@@ -131,7 +155,7 @@ class RealSenseRecording:
         nearest = int(np.abs(self._colour_times - entry.time).argmin())
         late = float(abs(self._colour_times[nearest] - entry.time))
         what, fix = f"the nearest colour picture is {late:.3g} s away", "record colour at the rate "
-        expect(late <= SYNC_TOLERANCE, what, where=where, fix=f"{fix}of depth")
+        expect(late <= SYNC_TOLERANCE, what, where, f"{fix}of depth")
         place = f"{where}: colour"
         colour = self._picture(self._colour[nearest], self._align.colour, np.uint8, place)
         return self._align(depth, colour)
@@ -142,7 +166,7 @@ class RealSenseRecording:
         what = f"is {picture.shape[1]} x {picture.shape[0]} of {picture.dtype}, the stream "
         what += f"{size[1]} x {size[0]} of {np.dtype(kind)}"
         right = picture.shape[:2] == size and picture.dtype == kind
-        expect(right, what, where=where, fix="copy the file again")
+        expect(right, what, where, "copy the file again")
         return picture
 
 
@@ -160,7 +184,7 @@ def _check_checksum(path: Path) -> None:
     stated = read_bytes(beside, error=RecordingError).split(b" ", 1)[0]
     same = stated.decode("ascii", "replace") == _checksum(path)
     fix = f"copy it again, or delete {beside.name} to use what is left of it"
-    expect(same, "differs from its checksum", where=str(path), fix=fix)
+    expect(same, "differs from its checksum", str(path), fix)
 
 
 def _checksum(path: Path) -> str:
@@ -192,7 +216,7 @@ def _converted(path: Path, folder: Path, on_warning: Callable[[Fault], None]) ->
         reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
         what = f"the RealSense SDK cannot read it ({reason[:120]})"
         fix = "copy it again; rosbag reindex mends one that was cut off"
-        expect(made.exists(), what, where=str(path), fix=fix)
+        expect(made.exists(), what, str(path), fix)
         what = f"is damaged or cut off ({reason[:120]}); what comes before is used"
         fix = "copy it again, or record again if too much is missing"
         on_warning(Fault(what, str(path), fix, "warning"))
@@ -211,6 +235,190 @@ def realsense_sdk() -> Any:
         fix = "install the library it names; on Debian: apt install libusb-1.0-0"
         raise DeviceError(what, fix=fix) from None
     return pyrealsense2
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A picture in the file."""
+
+    row: int
+    """Its message's number."""
+    kind: str
+    """Of the message: `CompressedImage` or `Image`."""
+    time: float
+    """Time stamp [s]."""
+    domain: str
+    """The clock it is of: "Global Time", "System Time" or "Hardware Clock"."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """One stream of pictures."""
+
+    camera: Camera
+    """Size and intrinsics."""
+    T_stream_reference: Array
+    """[4, 4] from the device's axes to the stream's [m]."""
+    entries: list[Entry]
+    """In order of time."""
+
+
+class Bag:
+    """A .db3 recording; `on_warning` is called with what is damaged.
+
+    Raises:
+        RecordingError: It is no recording of the SDK, or nothing in it can be read.
+        ModuleNotFoundError: There is no rosbags.
+    """
+
+    def __init__(self, path: str | Path, *, on_warning: Callable[[Fault], None] = lambda _: None):
+        from rosbags.typesys import Stores, get_typestore
+
+        self._types = get_typestore(Stores.ROS2_HUMBLE)
+        self.path = Path(path)
+        self._on_warning = on_warning
+        self._database, self._most = open_database(self.path), file_size(self.path, most=ANY_SIZE)
+        weakref.finalize(self, self._database.close)
+        try:
+            topics = self._database.execute("SELECT id, name FROM topics").fetchall()
+        except sqlite3.DatabaseError as error:
+            raise self._error(f"has no table of topics ({error})", "copy it again") from None
+        self._topics = {str(name): number for number, name in topics}
+        self._rows = self._index()
+
+    def _error(self, what: str, fix: str) -> RecordingError:
+        return RecordingError(what, where=str(self.path), fix=fix)
+
+    def _index(self) -> dict[int, list[tuple[int, int]]]:
+        """(row, bag time) of all messages by topic; warns of those that cannot be read."""
+        rows: dict[int, list[tuple[int, int]]] = {}
+        last = lost = 0
+        query = "SELECT id, topic_id, timestamp FROM messages "
+        try:
+            for found in self._database.execute(f"{query} ORDER BY id LIMIT ?", (self._most,)):
+                last, topic, time = found
+                rows.setdefault(topic, []).append((last, time))
+            return rows
+        except sqlite3.DatabaseError:
+            row = last
+        # A page on the way is damaged. Others behind it may still be found by number.
+        while (row := row + 1) <= last + _MAX_UNREADABLE_ROWS:
+            with suppress(sqlite3.DatabaseError):
+                if found := self._database.execute(f"{query} WHERE id = ?", (row,)).fetchone():
+                    lost, last = lost + row - last - 1, row
+                    rows.setdefault(found[1], []).append((row, found[2]))
+        middle = f"{lost} messages in the middle and all after number {last}"
+        what = f"is damaged or cut off: {middle if lost else f'all after message {last}'} are lost"
+        fix = "copy it again, or record again if too much is missing"
+        self._on_warning(Fault(what, str(self.path), fix, "warning"))
+        return rows
+
+    def stream(self, kind: str, name: str = "") -> Stream | None:
+        """The first stream of a kind, "Depth" or "Color"; None: there is none.
+
+        Messages call its camera `name`. RecordingError: its geometry is missing, damaged or of a
+        kind that cannot be used.
+        """
+        matches = [m for m in map(_DATA.match, sorted(self._topics)) if m and m[2] == kind]
+        if not matches:
+            return None
+        topic, prefix = matches[0][0], matches[0][1]
+        where = f"{prefix}/camera_info"
+        try:
+            info = self._pairs(self._first(where))
+            width, height = int(info["width"]), int(info["height"])
+            fx, fy, cx, cy = (float(info[key]) for key in ("fx", "fy", "ppx", "ppy"))
+            coefficients = tuple(float(k) for k in info["coeffs"].split(","))
+            model = info["model"]
+        except (KeyError, ValueError) as error:
+            fix = "copy the file again, or record again; depth needs intrinsics"
+            raise self._error(f"{where} is missing or damaged ({error})", fix) from None
+        known = _PROJECTED if kind == "Color" else _OPENCV
+        if not any(coefficients) or model in ("None", ""):
+            coefficients = ()
+        elif model not in known:
+            what = f"{kind} has the distortion {model!r}, which is not known here"
+            raise self._error(what, f"use a camera whose distortion is one of {', '.join(known)}")
+        K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        size = {"width": width, "height": height, "distortion": coefficients}
+        camera = Camera(name=name or kind, K=K, T_world_camera=None, **size)
+        return Stream(camera, self._extrinsics(prefix), list(self._entries(prefix, topic)))
+
+    def _extrinsics(self, prefix: str) -> Array:
+        topic = next((name for name in self._topics if name.startswith(f"{prefix}/tf/")), None)
+        if topic is None:
+            return np.eye(4)
+        try:
+            found = self._pairs(self._first(topic))
+            shift, turn = (
+                np.array(found[name].split(","), float) for name in ("translation", "rotation")
+            )
+            return rigid(turn.reshape(3, 3).T, shift)  # column after column
+        except (KeyError, ValueError) as error:
+            raise self._error(f"{topic} is damaged ({error})", "record again") from None
+
+    def _entries(self, prefix: str, topic: str) -> Iterator[Entry]:
+        """Pictures whose metadata is there and whose time stamps increase."""
+        stamps = {}
+        for row, time in self._rows.get(self._topics.get(f"{prefix}/image/metadata", -1), []):
+            try:
+                values = self._pairs(row)
+                stamps[time] = float(values["timestamp"]) * 1e-3, values["timestamp_domain"]
+            except (KeyError, ValueError):
+                continue
+        last, left_out, kind = -np.inf, 0, PACKED if "/compressed" in topic else IMAGE
+        for row, time in self._rows.get(self._topics[topic], []):
+            stamp, domain = stamps.get(time, (np.nan, ""))
+            if not last < stamp < np.inf:
+                left_out += 1
+                continue
+            last = stamp
+            yield Entry(row, kind, stamp, domain)
+        if left_out:
+            what = f"{left_out} pictures have no time stamp, or one that goes back; "
+            what += "they are left out"
+            fix = "record again if too much is missing"
+            self._on_warning(Fault(what, f"{self.path}: {prefix}", fix, "warning"))
+
+    def depth_unit(self) -> float | None:
+        """The depth sensor's own setting [m a count]; None: unknown."""
+        for name in self._topics:
+            if name.endswith("/option/Depth_Units/value"):
+                with suppress(ValueError):
+                    if (unit := float(self._message(self._first(name), _TEXT).data)) > 0.0:
+                        return unit
+        return None
+
+    def picture(self, entry: Entry, where: str) -> Array:
+        """A decoded picture: [height, width] uint16 or [height, width, 3] uint8, RGB, which
+        messages call `where`; RecordingError: it is damaged or of an unknown format."""
+        try:
+            message = self._message(entry.row, entry.kind)
+        except ValueError as error:
+            raise RecordingError(
+                f"is damaged ({error})", where=where, fix="copy it again"
+            ) from None
+        return picture_of(message, entry.kind, where)[0]
+
+    def _message(self, row: int, kind: str) -> Any:
+        """A message of a type; ValueError: it cannot be read."""
+        try:
+            query = "SELECT data FROM messages WHERE id = ?"
+            (data,) = self._database.execute(query, (row,)).fetchone() or (b"",)
+            return self._types.deserialize_cdr(decompressed(bytes(data)), kind)
+        except Exception as error:  # SQLite's, and whatever decoders make of damaged data
+            raise ValueError(short(error)[:80]) from None
+
+    def _pairs(self, row: int) -> dict[str, str]:
+        """What the text of a message says: "key=value;..."."""
+        text = self._message(row, _TEXT).data
+        return dict(pair.split("=", 1) for pair in text.split(";") if "=" in pair)
+
+    def _first(self, topic: str) -> int:
+        """The number of a topic's first message; ValueError: there is none."""
+        if not (rows := self._rows.get(self._topics.get(topic, -1))):
+            raise ValueError("no message of it is left")
+        return rows[0][0]
 
 
 class Alignment:

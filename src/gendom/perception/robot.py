@@ -1,9 +1,5 @@
 """The robot's own shape as capsules, to take it out of the clouds.
 
-capsules.csv has one row for each capsule and time, in order of time, under
-`time,capsule,x0,y0,z0,x1,y1,z1,radius`: seconds, a name, both ends of the capsule's axis in the
-world [m] and its radius [m]. A capsule that never moves needs one row.
-
 joints.csv has the joints' angles of a robot that `gendom.robot` knows, whose base frame is the
 world; its capsules follow by forward kinematics.
 
@@ -14,10 +10,9 @@ object and a piece below it.
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +24,6 @@ from gendom.datasets import Fault
 from gendom.errors import RecordingError, RobotError
 from gendom.perception.camera import expect
 from gendom.perception.frames import interpolate
-from gendom.reading import read_rows
 from gendom.robot import XARM7, Arm, JointStates, arm_shape, find_arm, read_joints
 
 FINGER_MARGIN = 0.003
@@ -37,9 +31,7 @@ FINGER_MARGIN = 0.003
 
 _MAX_JOINT_STEP = 0.05  # [rad]; between two rows: ends then sag by 0.3 mm at most
 _MOST_TURNS = 2000.0  # [rad]; a robot at full speed needs ten minutes
-_MOST_CAPSULES = 1000
 _MAX_GAP_AT_ENDS = 0.1  # [s]; the joints may begin later and end earlier by so much
-_COLUMNS = ("time", "capsule", "x0", "y0", "z0", "x1", "y1", "z1", "radius")
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,20 +72,21 @@ class Capsules:
 
 @dataclass(frozen=True, eq=False)
 class CapsulePath:
-    """Capsules over time."""
+    """C capsules over time."""
 
-    tracks: dict[str, tuple[Array, Array]]
-    """Name -> times [M] [s] and rows [M, 7]: both ends and the radius [m]."""
-
-    largest_margin: Mapping[str, float] = field(default_factory=dict)
-    """Name -> upper bound on the margin around the capsule [m]; others have no bound."""
+    time: Array
+    """[M] [s]."""
+    ends: Array
+    """[M, C, 6] both ends of each axis [m]."""
+    radius: Array
+    """[C] [m]."""
+    largest_margin: Array
+    """[C] upper bound on the margin around each capsule [m]."""
 
     def at(self, time: float) -> Capsules:
-        """The capsules at a time, ends linear between rows and at rest before and after."""
-        rows = np.array([interpolate(*track, time) for track in self.tracks.values()])
-        rows = rows.reshape(-1, 7)
-        most = np.array([self.largest_margin.get(name, np.inf) for name in self.tracks])
-        return Capsules(rows[:, :3], rows[:, 3:6], rows[:, 6], most)
+        """The capsules at a time, linear between rows and at rest before and after."""
+        ends = interpolate(self.time, self.ends, time)
+        return Capsules(ends[:, :3], ends[:, 3:], self.radius, self.largest_margin)
 
 
 def arm_capsules(arm: Arm, states: JointStates, *, held: float = 0.0) -> CapsulePath:
@@ -112,14 +105,9 @@ def arm_capsules(arm: Arm, states: JointStates, *, held: float = 0.0) -> Capsule
     times = np.interp(np.arange(knots[-1] + 1), knots, time)
     angles = np.stack([np.interp(times, time, joint) for joint in q.T], axis=1)
     shape = arm_shape(arm, angles, np.interp(times, time, opening))
-    tracks, margins = {}, {}
-    for c, name in enumerate(shape.names):
-        radius = np.full((len(times), 1), shape.radius[c])
-        rows = np.concatenate([shape.start[:, c], shape.end[:, c], radius], axis=1)
-        tracks[f"{arm.name} {name}"] = (times, rows)
-        if shape.touches_object[c]:
-            margins[f"{arm.name} {name}"] = FINGER_MARGIN
-    return CapsulePath(tracks, margins)
+    ends = np.concatenate([shape.start, shape.end], axis=2)
+    margins = np.where(shape.touches_object, FINGER_MARGIN, np.inf)
+    return CapsulePath(times, ends, np.asarray(shape.radius), margins)
 
 
 def read_shape(
@@ -130,52 +118,42 @@ def read_shape(
     arm: Arm | None = None,
     on_warning: Callable[[Fault], None] = lambda _: None,
 ) -> CapsulePath | None:
-    """The robot's shape in a folder, from joints.csv, capsules.csv or both; None: from neither.
+    """The robot's shape in a folder, from joints.csv; None: it has none.
 
     Args:
-        folder: It may hold the files.
+        folder: It may hold the file.
         meta: The content of object.toml: `robot` names the arm, by default the xArm 7. Fingers are
             open by the object's diameter or thickness where joints.csv does not say.
         span: First and last time [s] at which the shape is needed; others are told.
         arm: In place of that which the content names.
 
     Raises:
-        RecordingError: A file cannot be read, or the arm is unknown.
+        RecordingError: The file cannot be read, or the arm is unknown.
     """
-    folder = Path(folder)
-    joints, capsules = folder / "joints.csv", folder / "capsules.csv"
-    shape = None
-    if joints.exists():
-        held = meta.get("object")
-        held = held if isinstance(held, dict) else {}
-        try:
-            arm = arm or find_arm(meta.get("robot", held.get("robot", XARM7.name)))
-        except RobotError as error:
-            where = f"{folder / 'object.toml'}: robot"
-            raise RecordingError(error.what, where=where, fix=error.fix) from None
-        try:
-            states = read_joints(joints, arm, on_cut=lambda line: on_warning(cut_off(joints, line)))
-        except RobotError as error:
-            raise RecordingError(error.what, where=error.where, fix=error.fix) from None
-        turned = float(np.abs(np.diff(states.q, axis=0)).max(axis=1, initial=0.0).sum())
-        what, fix = f"turn by {turned:.4g} rad in all", "give the joints of one lift, in radians"
-        expect(turned < _MOST_TURNS, what, where=str(joints), fix=fix)
-        sizes = [held.get(size) for size in ("diameter", "thickness")]
-        width = next((float(s) for s in sizes if isinstance(s, (int, float))), 0.0)
-        shape = arm_capsules(arm, states, held=width)
-        first, last = states.time[0], states.time[-1]
-        if first > span[0] + _MAX_GAP_AT_ENDS or last < span[1] - _MAX_GAP_AT_ENDS:
-            what = f"spans {time_text(first)} to {time_text(last)} s of {time_text(span[0])} to "
-            what += f"{time_text(span[1])} s: "
-            what += "outside, the arm is taken to stand still"
-            fix = "put joints and gripper on one clock, or record both throughout"
-            on_warning(Fault(what, str(joints), fix, "warning"))
-    if capsules.exists():
-        given, bounds = read_capsules(capsules).tracks, {}
-        if shape is not None:  # where names are the same, the file's
-            given, bounds = {**shape.tracks, **given}, shape.largest_margin
-        shape = CapsulePath(given, bounds)
-    return shape
+    joints = Path(folder) / "joints.csv"
+    if not joints.exists():
+        return None
+    held = meta.get("object")
+    held = held if isinstance(held, dict) else {}
+    where: str | None = f"{Path(folder) / 'object.toml'}: robot"
+    try:
+        arm = arm or find_arm(meta.get("robot", held.get("robot", XARM7.name)))
+        where = None
+        states = read_joints(joints, arm, on_cut=lambda line: on_warning(cut_off(joints, line)))
+    except RobotError as error:
+        raise RecordingError(error.what, where=where or error.where, fix=error.fix) from None
+    turned = float(np.abs(np.diff(states.q, axis=0)).max(axis=1, initial=0.0).sum())
+    what, fix = f"turn by {turned:.4g} rad in all", "give the joints of one lift, in radians"
+    expect(turned < _MOST_TURNS, what, str(joints), fix)
+    sizes = [held.get(size) for size in ("diameter", "thickness")]
+    width = next((float(s) for s in sizes if isinstance(s, (int, float))), 0.0)
+    first, last = states.time[0], states.time[-1]
+    if first > span[0] + _MAX_GAP_AT_ENDS or last < span[1] - _MAX_GAP_AT_ENDS:
+        what = f"spans {time_text(first)} to {time_text(last)} s of {time_text(span[0])} to "
+        what += f"{time_text(span[1])} s: outside, the arm is taken to stand still"
+        fix = "put joints and gripper on one clock, or record both throughout"
+        on_warning(Fault(what, str(joints), fix, "warning"))
+    return arm_capsules(arm, states, held=width)
 
 
 def cut_off(path: Path, line: int) -> Fault:
@@ -183,33 +161,3 @@ def cut_off(path: Path, line: int) -> Fault:
     what = "is cut short, as by an interrupted recording; it is left out"
     fix = "record again if too much is missing"
     return Fault(what, f"{path}, line {line}", fix, "warning")
-
-
-def read_capsules(path: str | os.PathLike) -> CapsulePath:
-    """The capsules of a file capsules.csv; see the top of this module. RecordingError: it cannot be
-    read, or a row is malformed or out of order."""
-    lines, where = read_rows(path, header=",".join(_COLUMNS)), str(path)
-    fix = f"write {','.join(_COLUMNS)}, or remove the file"
-    expect(tuple(lines[0][1]) == _COLUMNS, "has another header", where=where, fix=fix)
-    expect(len(lines) > 1, "has no rows under its header", where=where, fix=fix)
-    tracks: dict[str, list[list[float]]] = {}
-    for number, row in lines[1:]:
-        where = f"{path}, line {number}"
-        try:
-            values = [float(text) for i, text in enumerate(row) if i != 1]
-        except ValueError:
-            values = []
-        right = (
-            len(row) == len(_COLUMNS) and all(map(math.isfinite, values)) and values[-1:] > [0.0]
-        )
-        fix = "give seconds, a name, two ends and a radius above 0 in metres"
-        expect(right, f"is no capsule: {','.join(row)[:60]!r}", where=where, fix=fix)
-        track = tracks.setdefault(row[1], [])
-        what, fix = f"more than {_MOST_CAPSULES} names", "give the shape fewer capsules"
-        expect(len(tracks) <= _MOST_CAPSULES, what, where=where, fix=fix)
-        last = track[-1][0] if track else -math.inf
-        what = f"time of capsule {row[1]!r} goes from {last:g} to {values[0]:g} s"
-        expect(values[0] > last, what, where=where, fix="sort the rows")
-        track.append(values)
-    arrays = {name: np.array(track) for name, track in tracks.items()}
-    return CapsulePath({name: (a[:, 0], a[:, 1:]) for name, a in arrays.items()})

@@ -26,14 +26,14 @@ from typing import Any
 
 import numpy as np
 
-from gendom.arrays import Array
+from gendom.arrays import Array, placed
 from gendom.datasets import Fault, Recording
 from gendom.datasets.folder import read_object
 from gendom.datasets.recording_form import parse_meta
 from gendom.errors import RecordingError
 from gendom.perception.camera import expect
 from gendom.perception.folder import CameraRecording, RobotPath
-from gendom.perception.frames import MatchedFrames
+from gendom.perception.frames import Frame, MatchedFrames
 from gendom.perception.poses import read_poses
 from gendom.perception.robot import CapsulePath, arm_capsules
 from gendom.perception.ros_bag import RosBag
@@ -41,7 +41,6 @@ from gendom.perception.ros_cameras import (
     DEPTH_UNIT,
     RosCamera,
     RosCloudCamera,
-    check_size,
     colour_topic,
     intrinsics,
     topics_of,
@@ -54,12 +53,14 @@ from gendom.perception.ros_messages import (
     PACKED,
     POSES,
     TF,
-    depth_of,
     points_of,
 )
 from gendom.robot import Arm, JointStates, find_arm
 
 Box = tuple[float, float, float, float, float, float]
+
+_LIKELY = ("tcp", "fingertip", "grasp", "tool", "gripper", "hand", "ee", "flange")
+"""In names of the point between the fingertips, the likeliest first."""
 
 _MOST_SHIFT, _MOST_TURN = 0.002, np.radians(0.2)  # [m], [rad]; beyond, a camera moves
 
@@ -100,15 +101,11 @@ def read_ros_bag(
         ModuleNotFoundError: There is no rosbags.
     """
     scene = _Scene(path, object_file, settings)
-    chosen = _chosen(scene, settings.points, (CLOUD, IMAGE, PACKED))
-    points_in = {topic: _points_in(scene.bag, topic) for topic in chosen}
+    chosen = _chosen(scene, settings.points, (CLOUD,), f"; gendom perceive {path} takes depth")
     matched = MatchedFrames([scene.bag.frames(topic) for topic in chosen])
     clouds, times, positions, left_out = [], [], [], 0
     for frames in matched:
-        parts = [
-            scene.placed(frame.read(), points_in[t])
-            for t, frame in zip(chosen, frames, strict=True)
-        ]
+        parts = [scene.placed(frame) for frame in frames]
         time = float(np.mean([frame.time for frame in frames]))
         held = scene.gripper(np.array([time]), parts[0][1])[0, 0]
         cloud = np.concatenate([part for part, _ in parts])
@@ -125,7 +122,7 @@ def read_ros_bag(
     what = f"none of {left_out} clouds lies in the time in which the gripper's place is known"
     what = what if matched.used else f"no clouds of {topics} are of one time"
     fix = "record /tf, or the gripper's poses, as long as the clouds"
-    expect(clouds, what, where=where, fix=fix)
+    expect(clouds, what, where, fix)
     if left_out:
         what = f"{left_out} of {left_out + len(clouds)} clouds lie outside of the time in which "
         what += "frames are known; they are left out"
@@ -181,22 +178,69 @@ def read_ros_cameras(
     for topic, name in _named(chosen).items():
         names[name] = topic
     for name in cameras:
-        what, fix = f"there is no camera {name!r}", f"have {', '.join(names)}"
-        expect(name in names, what, where=where, fix=fix)
+        expect(name in names, f"there is no camera {name!r}", where, f"have {', '.join(names)}")
     sources = [_camera(scene, name, names[name]) for name in cameras or names]
     frame = sources[0].frame_id
     scene.world = scene.world or frame
-    placed: list[Any] = []
-    for source in sources:
-        placed.append(source.at(_at_rest(scene, source.frame_id)))
+    at_rest: list[Any] = [source.at(_at_rest(scene, source.frame_id)) for source in sources]
     times = scene.times()
     position = scene.gripper(times, frame)
     known = np.isfinite(position).all(axis=(1, 2))
     what, fix = "does not move, or its place is never known", "record /tf, or the gripper's poses"
-    expect(known.sum() > 1, what, where=f"{where}: {settings.gripper}", fix=fix)
+    expect(known.sum() > 1, what, f"{where}: {settings.gripper}", fix)
     path_of = RobotPath(times[known], position[known])
     capsules = _capsules(scene, arm)
-    return CameraRecording(placed, path_of, scene.meta, capsules, where)
+    return CameraRecording(at_rest, path_of, scene.meta, capsules, where)
+
+
+@dataclass(frozen=True)
+class BagContent:
+    """What a bag holds."""
+
+    topics: dict[str, tuple[str, int]]
+    """Type, without its package, and number of messages of each topic."""
+    cameras: list[str]
+    """Topics of clouds, or else of depth."""
+    grippers: list[str]
+    """Frames of TF that move, and topics of poses, the likeliest first."""
+    of_realsense: bool
+    """Whether the SDK of RealSense cameras recorded it."""
+
+
+def bag_content(path: str | os.PathLike) -> BagContent:
+    """Look into a bag.
+
+    Raises:
+        RecordingError: It cannot be read.
+        ModuleNotFoundError: There is no rosbags.
+    """
+    bag = RosBag(path)
+    tree = _tree(bag)
+    moving = [f for f in tree.tracks if len(tree.times(f)) > 1 and "optical" not in f]
+    poses = [name for name, kind in bag.topics.items() if kind in POSES and bag.counts[name]]
+
+    def likeliness(name: str) -> tuple[int, int, str]:
+        known = [k for k, word in enumerate(_LIKELY) if word in name.lower()]
+        depth = 0 if name.startswith("/") else len(tree.lineage(name))
+        return (min(known, default=len(_LIKELY)), -depth, name)
+
+    cameras = next(filter(None, (topics_of(bag, k) for k in (IMAGE, PACKED, CLOUD))), [])
+    topics = {n: (k.rpartition("/")[2], bag.counts[n]) for n, k in sorted(bag.topics.items())}
+    return BagContent(topics, cameras, sorted([*moving, *poses], key=likeliness), is_sdk(bag))
+
+
+def is_sdk(bag: RosBag) -> bool:
+    """Whether the SDK of RealSense cameras recorded a bag."""
+    return any(name.startswith("/device_0/") for name in bag.topics)
+
+
+def _tree(bag: RosBag) -> FrameTree:
+    """All that a bag says of frames."""
+    tree = FrameTree(bag.where)
+    for name, message in bag.messages(*(n for n, kind in bag.topics.items() if kind in TF)):
+        for stated in message.transforms:
+            tree.add(stated, still=name.endswith("tf_static"))
+    return tree
 
 
 class _Scene:
@@ -209,13 +253,8 @@ class _Scene:
         if faults:
             raise RecordingError(where=str(object_file), faults=faults)
         self.bag, self.track, self.name = RosBag(path), None, settings.gripper
-        where, topics = self.bag.where, self.bag.topics
         self.values["source"] = self.values["source"] or f"ROS bag {Path(path).name}"
-        self.frames = FrameTree(where)
-        of_tf = [name for name, kind in topics.items() if kind in TF]
-        for name, message in self.bag.messages(*of_tf):
-            for stated in message.transforms:
-                self.frames.add(stated, still=name.endswith("tf_static"))
+        self.frames = _tree(self.bag)
         for file in settings.poses:
             for pose in read_poses(file):
                 self.frames.attach(pose)
@@ -231,7 +270,7 @@ class _Scene:
         for _, message in self.bag.messages(topic):
             header = getattr(message, "header", None) or message.o_t_ee.header
             track.add(header.frame_id.lstrip("/"), stamp(header), *POSES[kind](message))
-        expect(track.times, "has no message", where=track.where, fix="record it")
+        expect(track.times, "has no message", track.where, "record it")
         return track
 
     def gripper(self, times: Array, seen_in: str) -> Array:
@@ -251,13 +290,15 @@ class _Scene:
             return self.frames.times(self.name, self.world)
         return np.unique(self.track.times)
 
-    def placed(self, message: Any, points_in: Callable[[Any], Array]) -> tuple[Array, str]:
-        """A message's points [n, 3] in the world [m], NaN where its place is unknown, and the frame
+    def placed(self, seen: Frame) -> tuple[Array, str]:
+        """A cloud's points [n, 3] in the world [m], NaN where its place is unknown, and the frame
         it is in."""
+        message: Any = seen.read()
         frame = message.header.frame_id.lstrip("/")
         self.world = self.world or frame
-        (T,) = self.frames.between(self.world, frame, np.array([stamp(message.header)]))
-        return points_in(message) @ T[:3, :3].T + T[:3, 3], frame
+        (T,) = self.frames.between(self.world, frame, np.array([seen.time]))
+        cloud, known = points_of(message, seen.where)
+        return placed(T, cloud[known]), frame
 
 
 def _check_type(bag: RosBag, name: str, kinds: Sequence[str]) -> None:
@@ -267,24 +308,28 @@ def _check_type(bag: RosBag, name: str, kinds: Sequence[str]) -> None:
     what = f"{name} is no {wanted}" if name in bag.topics else f"has no topic {name} of {wanted}"
     fix = f"give one of: {others}" if others else "record one"
     what += "" if others else ", nor another one"
-    expect(bag.topics.get(name) in kinds, what, where=bag.where, fix=fix)
+    expect(bag.topics.get(name) in kinds, what, bag.where, fix)
 
 
-def _chosen(scene: _Scene, wanted: Sequence[str], kinds: tuple[str, ...]) -> list[str]:
+def _chosen(
+    scene: _Scene, wanted: Sequence[str], kinds: tuple[str, ...], otherwise: str = ""
+) -> list[str]:
     """The topics that are read: those wanted, or of the first kind that there is all, but for the
-    same pictures once more."""
+    same pictures once more; `otherwise` is what to do where there are none."""
     bag = scene.bag
     for topic in wanted:
-        _check_type(bag, topic, (CLOUD, IMAGE, PACKED))
+        _check_type(bag, topic, kinds)
     if wanted:
         return list(wanted)
-    is_realsense = any(name.startswith("/device_0/") for name in bag.topics)
     what = "is a recording of the RealSense SDK, of depth pictures"
     fix = "put it into DIR/cameras/NAME and run gendom perceive DIR"
-    expect(not is_realsense, what, where=bag.where, fix=fix)
+    expect(not is_sdk(bag), what, bag.where, fix)
     found: list[str] = next(filter(None, (topics_of(bag, kind) for kind in kinds)), [])
-    fix = f"record a {CLOUD}, or depth and its CameraInfo"
-    expect(found, "has no topic of clouds or depth", where=bag.where, fix=fix)
+    what, fix = (
+        f"has no topic of {' or '.join(kinds)}",
+        "record clouds, or depth and its CameraInfo",
+    )
+    expect(found, what, bag.where, f"{fix}{otherwise}")
     by_frame: dict[str, str] = {}
     for topic in found:
         message = bag.first(topic)
@@ -292,10 +337,9 @@ def _chosen(scene: _Scene, wanted: Sequence[str], kinds: tuple[str, ...]) -> lis
             continue
         frame, other = message.header.frame_id, by_frame.get(message.header.frame_id)
         what = f"has {other} and {topic}, both of frame {frame}"
-        expect(other is None, what, where=bag.where, fix="name one with --points")
+        expect(other is None, what, bag.where, "name one with --points")
         by_frame[frame] = topic
-    what = f"has no message of {', '.join(found)}"
-    expect(by_frame, what, where=bag.where, fix="record them")
+    expect(by_frame, f"has no message of {', '.join(found)}", bag.where, "record them")
     return list(by_frame.values())
 
 
@@ -309,37 +353,13 @@ def _named(topics: list[str]) -> dict[str, str]:
     return {topic: topic.strip("/").replace("/", "_") for topic in topics}
 
 
-def _points_in(bag: RosBag, topic: str) -> Callable[[Any], Array]:
-    """What makes a cloud [n, 3] of a message, in its own frame [m]."""
-    where, kind = f"{bag.where}: {topic}", bag.topics[topic]
-    if kind == CLOUD:
-
-        def points(message: Any) -> Array:
-            cloud, seen = points_of(message, where)
-            return cloud[seen]
-
-        return points
-    camera = intrinsics(bag, topic, topic)
-    rays = camera.rays()
-
-    def points_of_depth(message: Any) -> Array:
-        depth = depth_of(message, kind, where)
-        check_size(depth, camera, where)
-        z = depth.reshape(-1, 1) * (1e-3 if depth.dtype == np.uint16 else 1.0)
-        seen = (np.isfinite(z) & (z > 0.0))[:, 0]
-        return rays[seen] * z[seen]
-
-    return points_of_depth
-
-
 def _camera(scene: _Scene, name: str, topic: str) -> RosCamera | RosCloudCamera:
     """A topic as a camera, not placed yet."""
     bag = scene.bag
     if bag.topics[topic] == CLOUD:
         return RosCloudCamera.of(bag, topic, name, scene.world)
     depth = bag.first(topic)
-    what = "has no message"
-    expect(depth is not None, what, where=f"{bag.where}: {topic}", fix="record it")
+    expect(depth is not None, "has no message", f"{bag.where}: {topic}", "record it")
     is_float = bag.topics[topic] == IMAGE and depth.encoding.lower() == "32fc1"
     camera = intrinsics(bag, topic, name, DEPTH_UNIT if is_float else 1e-3)
     frame, beside = depth.header.frame_id.lstrip("/"), colour_topic(bag, topic)
@@ -357,14 +377,14 @@ def _at_rest(scene: _Scene, frame: str) -> Array:
     some = times[np.unique(np.linspace(0, len(times) - 1, 50).astype(int))]
     T = scene.frames.between(scene.world, frame, some)
     T = T[np.isfinite(T).all(axis=(1, 2))]
-    expect(len(T), f"frame {frame} has no place", where=scene.bag.where, fix="record /tf longer")
+    expect(len(T), f"frame {frame} has no place", scene.bag.where, "record /tf longer")
     shift = np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1).max()
     cosine = 0.5 * (np.einsum("nij,ij->n", T[:, :3, :3], T[0, :3, :3]).min() - 1.0)
     turn = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
     what = f"frame {frame} moves in {scene.world} by {1e3 * shift:.1f} mm and {turn:.2g} rad"
     fix = "name the robot's base with --world; clouds of a moving camera take gendom import"
     right = shift <= _MOST_SHIFT and turn <= _MOST_TURN
-    expect(right, what, where=scene.bag.where, fix=fix)
+    expect(right, what, scene.bag.where, fix)
     return T[0]
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import sqlite3
 import weakref
 from collections.abc import Iterator
 from contextlib import closing
@@ -15,8 +17,15 @@ from gendom.errors import RecordingError
 from gendom.perception.camera import expect
 from gendom.perception.frames import Frame
 from gendom.perception.ros_frames import stamp
-from gendom.perception.rosbag import ANY_SIZE, ZSTD, decompressed, open_database
-from gendom.reading import check_unpacked, file_size, read_bytes
+from gendom.reading import MOST_UNPACKED, check_unpacked, file_size, read_bytes
+
+ANY_SIZE = 1 << 62
+"""Of files that are read message by message [bytes]."""
+LARGEST_MESSAGE = 1 << 27
+"""Also when it is decompressed [bytes]."""
+
+_SQLITE, _ZSTD = b"SQLite format 3\0", b"\x28\xb5\x2f\xfd"
+_COMPUTED = re.compile(r"\bvirtual\b|\bas\b\s*\(", re.IGNORECASE)
 
 _LARGEST_METADATA, _MOST_MARKS = 1 << 17, 6000  # [bytes], lines and parts: YAML is read slowly
 _ROS1 = b"#ROSBAG V2.0\n"
@@ -36,8 +45,7 @@ class RosBag:
 
         self.path, self.where = Path(path), str(path)
         files, store = bag_files(path), get_typestore(Stores.ROS2_HUMBLE)
-        there, fix = bool(files) and self.path.exists(), "check the path"
-        expect(there, "no such bag", where=self.where, fix=fix)
+        expect(bool(files) and self.path.exists(), "no such bag", self.where, "check the path")
         try:
             for file in files if files[0].is_file() else sorted(files[0].iterdir()):
                 _check_file(file)
@@ -82,6 +90,52 @@ class RosBag:
             yield Frame(stamp(message.header), where, lambda m=message: m)
 
 
+def open_database(path: Path) -> sqlite3.Connection:
+    """A bag's database for reading; RecordingError: it is missing, or no database of plain tables:
+    what views, virtual tables and computed columns yield may have no end."""
+    where = str(path)
+    file_size(path, RecordingError, most=ANY_SIZE)
+    with open(path, "rb") as file:
+        fix = "record it with the RealSense SDK or ROS 2, or copy it"
+        expect(file.read(16) == _SQLITE, "is no .db3 recording", where, fix)
+    # Immutable: no journal is looked for and no lock taken, so any folder will do. The schema
+    # counts as writable so that SQLite reads files shorter than their header says.
+    address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
+    database = sqlite3.connect(address, uri=True, check_same_thread=False)
+    database.execute("PRAGMA writable_schema = ON")
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_MESSAGE)
+    try:
+        made = database.execute("SELECT type, name, sql FROM sqlite_master LIMIT 1000").fetchall()
+    except sqlite3.DatabaseError as error:
+        database.close()
+        what = f"has no table of topics ({error})"
+        raise RecordingError(what, where=where, fix="copy it again") from None
+    for kind, name, sql in made:
+        plain = kind in ("table", "index") and not _COMPUTED.search(str(sql or ""))
+        what = f"has {str(name)[:40]!r}, which is no plain table"
+        expect(plain, what, where, "copy it again")
+    return database
+
+
+def decompressed(data: bytes, codec: str = "zstd") -> bytes:
+    """Decompress data by zstd, if they are so compressed, or by another codec of pyarrow;
+    ValueError: they are damaged, or unpack to more than `LARGEST_MESSAGE`, or than 16 MB and
+    `MOST_UNPACKED` times their size."""
+    if codec == "zstd" and not data.startswith(_ZSTD):
+        return data
+    import pyarrow  # late: few recordings need it
+
+    most = min(LARGEST_MESSAGE, max(1 << 24, MOST_UNPACKED * len(data)))
+    try:
+        with pyarrow.CompressedInputStream(pyarrow.BufferReader(data), codec) as stream:
+            found = stream.read(most + 1)
+    except (OSError, pyarrow.ArrowException) as error:
+        raise ValueError(str(error)) from None
+    if len(found) > most:
+        raise ValueError(f"unpacks to more than {most} bytes")
+    return found
+
+
 def _check_file(path: Path) -> None:
     """Refuse a bag's file that is no regular file or plain database, or in which something is
     damaged or unpacks to too much."""
@@ -89,11 +143,11 @@ def _check_file(path: Path) -> None:
         text = read_bytes(path, RecordingError, most=_LARGEST_METADATA)
         marks = sum(map(text.count, (b"\n", b"[", b"{", b",", b"- ", b"? ")))
         what, fix = f"has {marks} lines and parts, at most {_MOST_MARKS} are read", "split the bag"
-        expect(marks <= _MOST_MARKS, what, where=str(path), fix=fix)
+        expect(marks <= _MOST_MARKS, what, str(path), fix)
     elif path.suffix == ".db3":
         with closing(open_database(path)) as database:
             packed = "SELECT data FROM messages WHERE substr(data, 1, 4) = ?"
-            for (data,) in database.execute(packed, (ZSTD,)):
+            for (data,) in database.execute(packed, (_ZSTD,)):
                 decompressed(data)
     elif check := {".bag": _check_bag, ".mcap": _check_chunks, ".zstd": _check_stream}.get(
         path.suffix
@@ -106,8 +160,7 @@ def _check_file(path: Path) -> None:
 def _check_bag(file: BinaryIO, size: int) -> None:
     """Unpack each chunk of a bag of ROS 1 (its format 2.0: records of a header and data, both with
     their length in front)."""
-    fix = "give a bag of ROS, or copy it"
-    expect(file.read(len(_ROS1)) == _ROS1, "is no bag", where=file.name, fix=fix)
+    expect(file.read(len(_ROS1)) == _ROS1, "is no bag", file.name, "give a bag of ROS, or copy it")
     at = len(_ROS1)
     while at < size:
         file.seek(at)

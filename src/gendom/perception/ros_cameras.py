@@ -56,8 +56,7 @@ def intrinsics(bag: RosBag, topic: str, name: str, depth_unit: float = 1e-3) -> 
     above = ["/".join(folders[:n]) for n in range(len(folders) - 1, 0, -1)]
     named = (f"{folder}/camera_info" for folder in above)
     found = next((n for n in named if bag.topics.get(n) == INFO and bag.counts[n]), None)
-    what = "are pictures without a CameraInfo beside them"
-    expect(found, what, where=where, fix="record camera_info too")
+    expect(found, "are pictures without a CameraInfo beside them", where, "record camera_info too")
     assert found is not None
     info, rectified = bag.first(found), "image_rect" in topic
     try:
@@ -72,7 +71,7 @@ def check_size(picture: Array, camera: Camera, where: str) -> None:
     height, width = picture.shape[:2]
     what = f"is {width} x {height}, its CameraInfo {camera.width} x {camera.height}"
     right, fix = (height, width) == (camera.height, camera.width), "record that of these pictures"
-    expect(right, what, where=where, fix=fix)
+    expect(right, what, where, fix)
 
 
 def colour_topic(bag: RosBag, depth: str) -> str | None:
@@ -142,7 +141,7 @@ class RosCamera:
             return Pictures(depth)
         late = np.inf if colour is None else abs(colour.time - frame.time)
         what, fix = f"the nearest colour picture is {late:.3g} s away", "record colour at the rate "
-        expect(late <= SYNC_TOLERANCE, what, where=where, fix=f"{fix}of depth")
+        expect(late <= SYNC_TOLERANCE, what, where, f"{fix}of depth")
         assert colour is not None
         seen = colour_of(colour.read(), self.bag.topics[self.colour_topic], where)
         check_size(seen, align.colour, f"{where}: colour")
@@ -171,7 +170,7 @@ class RosCloudCamera:
         frame = message.header.frame_id.lstrip("/")
         cloud, seen = points_of(message, where)
         what, fix = "the first cloud is empty", "record it from before the lift"
-        expect(seen.sum() > 100, what, where=where, fix=fix)
+        expect(seen.sum() > 100, what, where, fix)
         for info_topic in (n for n, kind in bag.topics.items() if kind == INFO and bag.counts[n]):
             info = bag.first(info_topic)
             if info.header.frame_id.lstrip("/") == frame:

@@ -32,7 +32,7 @@ class Track:
     def add(self, frame: str, time: float, at: Any, turn: Any) -> None:
         """A place and an orientation of messages, in a frame at a time [s]."""
         what = f"is in {frame} after {self.frame}"
-        expect(self.frame in ("", frame), what, where=self.where, fix="keep one")
+        expect(self.frame in ("", frame), what, self.where, "keep one")
         self.frame = frame
         self.times.append(time)
         self._poses.append([at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w])
@@ -48,7 +48,7 @@ class Track:
         times, back = np.unique(self.times[::-1], return_index=True)
         poses = np.array(self._poses)[::-1][back]
         right = np.isfinite(poses).all() and (np.linalg.norm(poses[:, 3:], axis=1) >= 0.5).all()
-        expect(right, "has a pose that is none", where=self.where, fix="record it again")
+        expect(right, "has a pose that is none", self.where, "record it again")
         return times, poses
 
     @property
@@ -103,7 +103,7 @@ class FrameTree:
         elif top != pose.child:
             below = self.between(top, pose.child, np.zeros(1))
             what, fix = f"{pose.child} moves in {top}", "leave the pose's file out"
-            expect(np.isfinite(below).all(), what, where=self.where, fix=fix)
+            expect(np.isfinite(below).all(), what, self.where, fix)
             T = T @ np.linalg.inv(below[0])
         track.set(pose.parent, T)
         self.tracks[top] = track
@@ -115,7 +115,7 @@ class FrameTree:
         roots = sorted(parents - set(self.tracks))
         what = f"TF has several roots: {', '.join(roots)}"
         fix = "name the frame of the recording with --world, or give the cameras' poses by --poses"
-        expect(len(roots) <= 1, what, where=self.where, fix=fix)
+        expect(len(roots) <= 1, what, self.where, fix)
         return roots[0] if roots else ""
 
     def between(self, to: str, start: str, time: Array) -> Array:
@@ -125,7 +125,7 @@ class FrameTree:
         shared = next((frame for frame in up if frame in down), "")
         what = f"TF does not say where {start} is in {to}"
         fix = f"give frames of one tree; it has {', '.join(sorted(self.tracks)) or 'none'}"
-        expect(shared in down, what, where=self.where, fix=fix)
+        expect(shared in down, what, self.where, fix)
         legs = []
         for way in (up, down):
             T = np.broadcast_to(np.eye(4), (len(time), 4, 4))
@@ -139,8 +139,7 @@ class FrameTree:
         found = [frame.lstrip("/")]
         while found[-1] in self.tracks:
             parent = self.tracks[found[-1]].frame
-            what, new = f"TF has a loop at {parent}", parent not in found
-            expect(new, what, where=self.where, fix="mend it")
+            expect(parent not in found, f"TF has a loop at {parent}", self.where, "mend it")
             found.append(parent)
         return found
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from gendom.arrays import Array
 from gendom.errors import RecordingError
 from gendom.perception.camera import Camera, expect
-from gendom.perception.rosbag import packed_picture, raw_picture
+from gendom.perception.frames import decode_png
+from gendom.perception.ros_bag import decompressed
 from gendom.reading import MOST_PIXELS
 
 CLOUD, IMAGE, PACKED, INFO, JOINTS = (
@@ -32,6 +34,9 @@ POSES = {
     ),
 }
 """Types of topics that tell where a gripper is, and the place and orientation in a message."""
+
+_PNG = b"\x89PNG"
+_ZSTD_FORMAT = re.compile(r"(\w+); zstd; (\d+)x(\d+) step=(\d+)$")
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of PointField
 
@@ -61,23 +66,24 @@ def camera_of(info: Any, *, rectified: bool, name: str, depth_unit: float) -> Ca
 def depth_of(message: Any, kind: str, where: str) -> Array:
     """[height, width] uint16 [mm] or float32 [m] of a message; RecordingError: it is damaged, or no
     depth."""
-    depth, said = _picture(message, kind, where)
+    depth, said = picture_of(message, kind, where)
     fix = "record 16UC1 or 32FC1, packed ones as 16UC1 PNG"
     right = depth.ndim == 2 and not said.startswith("32FC1;")
-    expect(right, f"is {said[:40]!r}, no depth", where=where, fix=fix)
+    expect(right, f"is {said[:40]!r}, no depth", where, fix)
     return depth
 
 
 def colour_of(message: Any, kind: str, where: str) -> NDArray[np.uint8]:
     """[height, width, 3] sRGB of a message; RecordingError: it is damaged, or no colour."""
-    colour, said = _picture(message, kind, where)
+    colour, said = picture_of(message, kind, where)
     right = colour.ndim == 3 and colour.dtype == np.uint8
-    expect(right, f"is {said[:40]!r}, no colour", where=where, fix="record rgb8 or bgr8")
+    expect(right, f"is {said[:40]!r}, no colour", where, "record rgb8 or bgr8")
     return colour
 
 
-def _picture(message: Any, kind: str, where: str) -> tuple[Array, str]:
-    """The picture of a message, and how it says that it is stored."""
+def picture_of(message: Any, kind: str, where: str) -> tuple[Array, str]:
+    """The picture of a message, and how it says that it is stored: [height, width] of depth or
+    [height, width, 3] uint8, RGB; RecordingError: it is damaged or of an unknown format."""
     data = np.asarray(message.data, dtype=np.uint8).tobytes()
     try:
         if kind == PACKED:
@@ -93,12 +99,58 @@ def _picture(message: Any, kind: str, where: str) -> tuple[Array, str]:
         raise RecordingError(f"is damaged ({error})", where=where, fix="copy it") from None
 
 
+def packed_picture(data: bytes, form: str, where: str) -> Array:
+    """The picture of a CompressedImage, whose format is "16UC1; compressedDepth png", "rgb8; png
+    compressed bgr8" or "rgb8; zstd; 64x48 step=192"; ValueError: it is damaged, RecordingError: so
+    is the PNG, or the format is unknown."""
+    if raw := _ZSTD_FORMAT.match(form):
+        width, height, step = (int(raw[k]) for k in (2, 3, 4))
+        return raw_picture(decompressed(data), raw[1], width, height, step, "<", where)
+    # Depth has twelve bytes more in front (compressed_depth_image_transport).
+    picture = decode_png(data[max(data.find(_PNG, 0, 16), 0) :], where)
+    if picture.mode.startswith("I"):
+        return np.asarray(picture).astype(np.uint16, copy=False)
+    return np.asarray(picture.convert("RGB"))
+
+
+def raw_picture(
+    data: bytes, encoding: str, width: int, height: int, step: int, order: str, where: str
+) -> Array:
+    """A picture of raw rows, `step` bytes apart."""
+    if (form := _RAW.get(encoding.lower())) is None:
+        fix = "record colour as RGB8, depth as Z16"
+        raise RecordingError(f"is stored as {encoding}", where=where, fix=fix)
+    size, places = form
+    row = width * size
+    step = row if step in (0, len(data)) else step  # where drivers leave it 0, or give the whole
+    if step < row or len(data) < step * height or not 0 < height * width < 2**28:
+        raise ValueError("fewer pixels than its size says")
+    rows = np.frombuffer(data, np.uint8, step * height).reshape(height, step)[:, :row]
+    if not places:
+        kind = f"{'u' if size == 2 else 'f'}{size}"
+        return np.ascontiguousarray(rows).view(order + kind).astype(kind)
+    return np.ascontiguousarray(rows.reshape(height, width, size)[:, :, places])
+
+
+# Raw formats by the names of ROS or the SDK: bytes a pixel, and which of them are red, green and
+# blue; none: it is depth.
+_RAW: dict[str, tuple[int, list[int]]] = {
+    "mono16": (2, []),
+    "16uc1": (2, []),
+    "32fc1": (4, []),
+    "rgb8": (3, [0, 1, 2]),
+    "bgr8": (3, [2, 1, 0]),
+    "rgba8": (4, [0, 1, 2]),
+    "bgra8": (4, [2, 1, 0]),
+}
+
+
 def _jpeg(data: bytes, where: str) -> Array:
     try:
         with Image.open(io.BytesIO(data), formats=["JPEG"]) as picture:
             width, height = picture.size
             what, fix = f"has {width} x {height} pixels", f"give {MOST_PIXELS} at most"
-            expect(width * height <= MOST_PIXELS, what, where=where, fix=fix)
+            expect(width * height <= MOST_PIXELS, what, where, fix)
             return np.asarray(picture.convert("RGB"))
     except (OSError, SyntaxError, UnidentifiedImageError) as error:
         raise ValueError(str(error)[:80]) from None
@@ -137,7 +189,7 @@ def _column(message: Any, field: Any, kind: str, where: str) -> Array:
     last = field.offset + np.dtype(kind).itemsize
     what = f"a cloud has {len(data)} bytes for {shape[0] * shape[1]} points of {step}"
     fits = last <= step and len(data) >= message.height * least
-    expect(fits, what, where=where, fix="record it again")
+    expect(fits, what, where, "record it again")
     if not shape[0] * shape[1]:
         return np.zeros(shape, kind)
     raw = np.ascontiguousarray(data)
