@@ -76,7 +76,8 @@ class Command:
         fix = "add --move"
         require(self.move or not self.yes, "goes with --move", where="--yes", fix=fix)
         require(self.move or self.record is None, "goes with --move", where="--record", fix=fix)
-        cell, action = Cell.read(self.cell), read_action(self.action)
+        cell = Cell.read(self.cell)
+        action = read_action(self.action, cell.model)
         if killed := last_time(self.cell.parent / "executions"):
             _log.warning("%s", killed)
         if self.action.suffix == ".jsonl":
@@ -92,7 +93,7 @@ class Command:
         if self.record is not None:
             task = find_task(action.task)()
             item = from_columns(task.kind, action.object)
-            record = self.record, described(cell, item, what)
+            record = self.record, described(cell, item, what, task=task.name)
         move(
             cell, action.plan, what, logs=self.cell.parent / "executions", record=record,
             said=read_plan(self.action), yes=self.yes,
@@ -195,20 +196,24 @@ def carry_out(
             camera.disconnect()
 
 
-def described(cell: Cell, item: Item, source: str, *, quasi_static: bool = False) -> str:
+def described(
+    cell: Cell, item: Item, source: str, *, task: str | None = None, quasi_static: bool = False
+) -> str:
     """Content of object.toml for a recording in a cell.
 
     Args:
         cell: Its table and arm.
         item: The object, held by its end or corner.
         source: Of the recording, in words.
+        task: What is done; None: a lift.
         quasi_static: Whether inertia plays no part.
     """
     sizes = {"width": item.side, "height": item.side} if isinstance(item, Cloth) else {}
     sizes |= {name: getattr(item, name) for name in item.sizes if name != "side"}
     table = {} if cell.table_height is None else {"table_height": cell.table_height}
-    about = {**table, "gripper_source": "measured", "robot": cell.arm,
+    about = {**table, "gripper_source": "measured", "robot": cell.model.name,
              "quasi_static": quasi_static, "source": source}  # fmt: skip
+    about |= {} if task is None else {"task": task}
     return object_file(
         about,
         {

@@ -77,7 +77,7 @@ class Command:
                         lambda to: self._lift(cell, known, to), settings=[self.grasp])  # fmt: skip
         colour = known.colour
         seen = steps.do("perceive", "lift.npz", [lift], lambda to: Perceive(
-            folder=lift, out=to, perception=_by(colour)).run())  # fmt: skip
+            folder=lift, out=to, arm=cell.arm, perception=_by(colour)).run())  # fmt: skip
         code = 0
 
         def estimated(to: Path) -> None:
@@ -118,17 +118,17 @@ class Command:
                         settings=[self.goal])  # fmt: skip
 
         def executed(to: Path) -> None:
-            action = read_action(plan)
+            action = read_action(plan, cell.model)
             what = f"execution {k} of {task.name}"
             move(
                 cell, action.plan, what, logs=self.out / "executions", said=read_plan(plan),
                 bring=lambda robot: bring(robot, action, ask=not self.yes),
-                record=(to, described(cell, known, what)), yes=self.yes,
+                record=(to, described(cell, known, what, task=task.name)), yes=self.yes,
             )  # fmt: skip
 
         shown = steps.do(f"execute {k}", f"seen-{k}", [plan], executed, settings=[self.yes])
         found = steps.do(f"observe {k}", f"reached-{k}.json", [shown],
-                         lambda to: _observe(task, known, plan, shown, to))  # fmt: skip
+                         lambda to: _observe(task, known, cell, plan, shown, to))  # fmt: skip
 
         def adapted(to: Path) -> None:
             adapt.Command(
@@ -148,9 +148,9 @@ def _by(colour: tuple[int, int, int]) -> Any:
     return PerceptionSettings(colour=colour)
 
 
-def _observe(task: Task, known: Any, plan: Path, shown: Path, to: Path) -> None:
+def _observe(task: Task, known: Any, cell: Cell, plan: Path, shown: Path, to: Path) -> None:
     """Write what an execution reached, as gendom adapt takes it."""
-    action, recorded = read_action(plan), read_cameras(shown)
+    action, recorded = read_action(plan, cell.model), read_cameras(shown, arm=cell.model)
     seen = perceive(recorded, _by(known.colour), on_warning=lambda fault: _log.info("%s", fault))
     values = reached(task, known, action, seen.recording, float(recorded.robot.time[0]))
     goals = [values[q.name] for q in task.goals]
