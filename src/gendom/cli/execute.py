@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -17,6 +17,7 @@ from gendom.arrays import placed
 from gendom.cli.cell import write_picture
 from gendom.cli.outputs import check_places, tell_written
 from gendom.errors import DeviceError, printable
+from gendom.files import write_json
 from gendom.hardware.cell import Cell, PlannedMotion
 from gendom.hardware.contracts import Robot
 from gendom.hardware.execution import (
@@ -147,14 +148,23 @@ def read_plan(path: Path) -> dict[str, Any]:
     return {key: value for key, value in said.items() if key not in own}
 
 
-def move(cell: Cell, planned: PlannedMotion, what: str, *, yes: bool, **others: Any) -> None:
+def move(
+    cell: Cell,
+    planned: PlannedMotion,
+    what: str,
+    said: Mapping[str, Any],
+    *,
+    yes: bool,
+    **others: Any,
+) -> None:
     """Show a motion, say what it is, ask, and carry it out, with others as of `carry_out`; with
-    ``yes`` nobody is asked, and it moves slowly."""
+    ``yes`` nobody is asked, and it moves slowly. ``said`` is the action's file, whose plan the log
+    has as it is carried out."""
     planned = careful(planned, cell) if yes else planned
     print("\n".join([what, *preview(planned, cell)]))
     if not yes:
         confirm("Is the cell empty and the emergency stop at hand?")
-    carry_out(cell, planned, **others)
+    carry_out(cell, planned, {**said, "plan": planned}, **others)
 
 
 def carry_out(
@@ -171,7 +181,7 @@ def carry_out(
     Args:
         cell: Where.
         planned: The motion, as fast as it is to be.
-        said: What the log begins with.
+        said: What the log begins with, and action.json beside pictures holds.
         logs: Folder of logs.
         bring: Called with the robot where it waits for the object.
         record: Folder for pictures, and the content of its object.toml; None: none are taken.
@@ -185,6 +195,7 @@ def carry_out(
     folder, description = record
 
     def play(robot: Robot, motion: JointMotion) -> None:
+        write_json(folder / "action.json", said)
         record_motion(robot, cameras, motion, folder, description=description)
 
     try:

@@ -128,7 +128,7 @@ class Command:
 
         shown = steps.do(f"execute {k}", f"seen-{k}", [plan], executed, settings=[self.yes])
         found = steps.do(f"observe {k}", f"reached-{k}.json", [shown],
-                         lambda to: _observe(task, known, cell, plan, shown, to))  # fmt: skip
+                         lambda to: _observe(task, known, cell, shown, to))  # fmt: skip
 
         def adapted(to: Path) -> None:
             adapt.Command(
@@ -148,9 +148,10 @@ def _by(colour: tuple[int, int, int]) -> Any:
     return PerceptionSettings(colour=colour)
 
 
-def _observe(task: Task, known: Any, cell: Cell, plan: Path, shown: Path, to: Path) -> None:
+def _observe(task: Task, known: Any, cell: Cell, shown: Path, to: Path) -> None:
     """Write what an execution reached, as gendom adapt takes it."""
-    action, recorded = read_action(plan, cell.model), read_cameras(shown, arm=cell.model)
+    action = read_action(shown / "action.json", cell.model)
+    recorded = read_cameras(shown, arm=cell.model)
     seen = perceive(recorded, _by(known.colour), on_warning=lambda fault: _log.info("%s", fault))
     values = reached(task, known, action, seen.recording, float(recorded.robot.time[0]))
     goals = [values[q.name] for q in task.goals]
