@@ -53,7 +53,8 @@ def test_finished_steps_are_skipped_and_those_of_changed_inputs_are_not(tmp_path
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["cloth-spreading", "--goal", "1"], "cloth-spreading has no goal to learn from"),
+        (["cloth-spreading"], "rope-cotton: is a rope, cloth-spreading takes a cloth"),
+        (["rope-reaching"], "--goal: has 0 numbers; give 1"),
         (["rope-reaching", "--goal", "0.45", "--executions", "0"], "--executions: is 0"),
     ],
 )
@@ -75,6 +76,8 @@ def test_from_lift_to_adapted_second_execution(tmp_path, monkeypatch, capsys):
     found = [read_json(out / f"reached-{k}.json")["executions"][0] for k in (1, 2)]
     misses = [abs(f["reached"][0] - 0.45) for f in found]
     assert max(misses) < 0.015
+    best = read_json(out / "best.json")["action"]
+    assert best == read_json(out / f"action-{1 + int(np.argmin(misses))}.json")["action"]
     estimate = read_json(out / "estimate.json")
     assert estimate["verdict"]["usable"]
     assert np.log(estimate["E_over_rho"] / 962.5) == pytest.approx(0.0, abs=0.2)

@@ -24,7 +24,7 @@ from gendom.reading import read_json
 from gendom.robot import Arm, read_joints, tcp_pose
 
 MAX_OFFSET = 0.02
-"""Of a camera's clock from the robot's [s]; a recording is refused that is off by two deviations more."""
+"""Of a camera's clock from the robot's [s]; two deviations beyond it a recording is refused."""
 
 _FRAMES, _FIRST = 200, 8  # pictures looked at, and those of them that the others are compared with
 _SPAN = 0.02  # [s]; over which the hand's velocity is taken
