@@ -153,51 +153,41 @@ def move(
     planned: PlannedMotion,
     what: str,
     said: Mapping[str, Any],
-    *,
-    yes: bool,
-    **others: Any,
-) -> None:
-    """Show a motion, say what it is, ask, and carry it out, with others as of `carry_out`; with
-    ``yes`` nobody is asked, and it moves slowly. ``said`` is the action's file, whose plan the log
-    has as it is carried out."""
-    planned = careful(planned, cell) if yes else planned
-    print("\n".join([what, *preview(planned, cell)]))
-    if not yes:
-        confirm("Is the cell empty and the emergency stop at hand?")
-    carry_out(cell, planned, {**said, "plan": planned}, **others)
-
-
-def carry_out(
-    cell: Cell,
-    planned: PlannedMotion,
-    said: dict[str, Any],
     logs: Path,
     *,
     bring: Callable[[Any], None],
     record: tuple[Path, str] | None = None,
+    yes: bool,
 ) -> None:
-    """Execute a motion, logged, under the cell's cameras where asked for.
+    """Show a motion, ask, and carry it out, logged, under the cell's cameras where asked for.
 
     Args:
         cell: Where.
-        planned: The motion, as fast as it is to be.
-        said: What the log begins with, and action.json beside pictures holds.
+        planned: The motion.
+        what: What it is called.
+        said: The action's file; the log begins with it, and pictures have it beside them as
+            action.json, with the plan as it is carried out.
         logs: Folder of logs.
         bring: Called with the robot where it waits for the object.
         record: Folder for pictures, and the content of its object.toml; None: none are taken.
+        yes: Nobody is asked, and it moves slowly.
     """
+    planned = careful(planned, cell) if yes else planned
+    said = {**said, "plan": planned}
+    print("\n".join([what, *preview(planned, cell)]))
+    if not yes:
+        confirm("Is the cell empty and the emergency stop at hand?")
     robot, cameras = cell.devices()
     name = datetime.now().strftime("%Y-%m-%dT%H-%M-%S-%f")
     log = ExecutionLog(logs / f"{name}.jsonl", said)
-    if record is None:
-        execute(planned, cell, robot, log, ready=lambda: bring(robot))
-        return
-    folder, description = record
 
     def play(robot: Robot, motion: JointMotion) -> None:
-        write_json(folder / "action.json", said)
-        record_motion(robot, cameras, motion, folder, description=description)
+        if record is None:
+            return robot.play(motion)
+        write_json(record[0] / "action.json", said)
+        record_motion(robot, cameras, motion, record[0], description=record[1])
 
+    cameras = cameras if record else []
     try:
         for camera in cameras:
             camera.connect()

@@ -305,7 +305,7 @@ def execute(
     log: ExecutionLog,
     *,
     ready: Callable[[], None] = lambda: None,
-    play: Callable[[Robot, JointMotion], None] | None = None,
+    play: Callable[[Robot, JointMotion], None] = lambda robot, motion: robot.play(motion),
 ) -> None:
     """Carry out a planned motion: connect, approach, wait for the object, close, play.
 
@@ -318,7 +318,7 @@ def execute(
         log: Of all that happens.
         ready: Called at the motion's first pose with open fingers, for a person to bring the
             object; returns when the fingers may close.
-        play: How the motion is played, e.g. under cameras that record; None: by `Robot.play`.
+        play: How the motion is played, e.g. under cameras that record.
 
     Raises:
         RobotError: The cell does not allow it.
@@ -337,7 +337,7 @@ def execute(
         if motion.events and motion.events[0].closed:  # they are: from the first report on
             first, *rest = motion.events
             motion = replace(motion, events=(replace(first, time=0.0), *rest))
-        (play or (lambda r, m: r.play(m)))(told, motion)
+        play(told, motion)
     except BaseException as error:
         by = f"{type(error).__name__}: {error}"
         by = "Ctrl-C" if isinstance(error, KeyboardInterrupt) else by
