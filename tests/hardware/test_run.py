@@ -101,6 +101,7 @@ def test_a_lift_is_recorded_in_a_cell(tmp_path, monkeypatch, capsys):
     assert cli.main([*words, str(lift), "--yes"]) == 0
     said = read_json(lift / "recording.json")
     assert said["ended"] == "done" and all(c["missing"] == 0 for c in said["cameras"].values())
+    assert all(abs(offset) < 3.0 * sd + 2e-3 for offset, sd in said["clocks"].values())
     (log,) = (tmp_path / "executions").glob("*.jsonl")
     joints = np.loadtxt(lift / "joints.csv", delimiter=",", skiprows=1)
     assert read_log(log).end == "done" and len(joints) == len(read_log(log).time)
