@@ -30,6 +30,10 @@ from gendom.tasks import Task, find_task
 
 _log = logging.getLogger(__name__)
 
+POLISHING = 30.0
+"""Time limit of polishing an action [s]: the arm can wait, and a busy computer is no reason to
+miss."""
+
 UNITS = {True: "[mm]", False: "of the share"}
 """Of misses, by whether a task has goals."""
 
@@ -132,8 +136,8 @@ class Command:
 
         def acted(to: Path) -> None:
             act.Command(
-                task=self.task, goal=self.goal, params=params, cell=self.cell, polish=k > 1, out=to,
-                force=self.force,
+                task=self.task, goal=self.goal, params=params, cell=self.cell, polish=k > 1,
+                seconds=POLISHING, out=to, force=self.force,
             ).run()  # fmt: skip
 
         plan = steps.do(f"act {k}", f"action-{k}.json", [params, self.cell], acted,
