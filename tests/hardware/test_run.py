@@ -63,6 +63,12 @@ def test_what_cannot_be_run(tmp_path, refused, words, line):
     assert line in refused("run", *words, "--cell", cell, "--out", tmp_path / "run")
 
 
+def test_a_lift_that_no_camera_would_see_is_refused(tmp_path, refused):
+    cell = write_cell(tmp_path, cameras=False)
+    line = "has no camera; add two"
+    assert line in refused("record", "--cell", cell, "--yes", "--out", tmp_path / "lift")
+
+
 @pytest.mark.slow
 def test_from_lift_to_adapted_second_execution(tmp_path, monkeypatch, capsys):
     """On simulated devices, with the noise of cameras and the errors of their calibration."""

@@ -189,6 +189,8 @@ def lift_in(
     Raises:
         GendomError: It is refused, or fails; also where a camera's clock is far off the robot's.
     """
+    fix = "add two: a lift is seen by them"
+    require(cell.camera, "has no camera", where=str(cell.path), fix=fix)
     path = lift_path(known, motion, grasp, cell.table_height or 0.0)
     planned = cell.plan(path, opening=thickness_of(known), hangs=size_of(known))
     source = "a lift in a cell"

@@ -79,7 +79,7 @@ def check_clocks(folder: Path, arm: Arm) -> dict[str, tuple[float, float]]:
 def _seen(source: FrameSource, time: Array, tool: Array, arm: Arm) -> list[_Seen]:
     """What one camera shows of a tool with poses [N, 4, 4] at times [N] of the robot's clock."""
     frames = [f for f in source if time[0] + _SPAN <= f.time <= time[-1] - _SPAN]
-    frames = [frames[k] for k in np.unique(np.linspace(0, len(frames) - 1, _FRAMES).astype(int))]
+    frames = frames[:: len(frames) // _FRAMES + 1]
     camera, seen = source.camera, []
     rays = (camera.rays() @ camera.calibrated()[:3, :3].T).reshape(camera.height, camera.width, 3)
     for frame in frames:
