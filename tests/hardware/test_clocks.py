@@ -31,7 +31,7 @@ def recorded(tmp_path_factory):
     for name, side in (("left", -1.0), ("right", 1.0)):
         eye = (0.6, 0.6 * side, 0.45)
         camera = make_camera(name, eye=eye, target=(0.45, 0.0, 0.2), scale=0.4)
-        stated = camera.T_world_camera.copy()
+        stated = camera.calibrated().copy()
         stated[:3, 3] += rng.normal(0.0, 1e-3, 3)
         writer = PngWriter(folder / "cameras" / name, camera.at(stated))
         for k, t in enumerate(np.arange(motion.start, motion.end, 1.0 / 30.0)):

@@ -108,7 +108,7 @@ def cloth_areas(cloud: Array, side: float) -> dict[str, float]:
     flat = np.abs(normal[:, 2]) >= math.cos(FLAT_ANGLE)
     flat &= cloud[:, 2] <= FLAT_HEIGHT * side
     x = np.stack(np.nonzero(filled), axis=1) + 0.5
-    smooth = flat[KDTree(cells + 0.5).query(x)[1]]
+    smooth = flat[np.asarray(KDTree(cells + 0.5).query(x)[1], dtype=int)]
     # half of what lies at the border is beside the cloth
     inside = binary_erosion(filled)[filled]
     area = np.where(inside, 1.0, 0.5) * _CELL**2 / side**2
