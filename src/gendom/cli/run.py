@@ -34,9 +34,6 @@ POLISHING = 30.0
 """Time limit of polishing an action [s]: the arm can wait, and a busy computer is no reason to
 miss."""
 
-UNITS = {True: "[mm]", False: "of the share"}
-"""Of misses, by whether a task has goals."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
@@ -78,11 +75,8 @@ class Command:
         if killed := last_time(self.out / "executions"):
             _log.warning("%s", killed)
         known = known_in(cell, self.object)
-        what, fix = (
-            f"is a {known.kind}, {task.name} takes a {task.kind}",
-            "name another task or object",
-        )
-        require(known.kind == task.kind, what, where=known.name, fix=fix)
+        what = f"is a {known.kind}, {task.name} takes a {task.kind}"
+        require(known.kind == task.kind, what, where=known.name, fix="name another task")
         what, fix = f"has {len(self.goal)} numbers", f"give {len(task.goals)}"
         require(len(self.goal) == len(task.goals), what, where="--goal", fix=fix)
         steps = _Steps(self.out)
@@ -102,25 +96,18 @@ class Command:
         if code == 0 and not read_json(params)["verdict"]["usable"]:
             code = estimate.NOT_USABLE
         if code != 0 and not self.force:
-            _log.error(
-                "nothing is done with an estimate that is not usable; lift again, or --force"
-            )
+            _log.error("nothing is done with an unusable estimate; lift again, or --force")
             return code
         rows, misses = [], []
         for k in range(1, self.executions + 1):
             params, miss, row = self._execution(steps, k, cell, task, known, params)
             misses.append(miss)
-            rows.append(
-                (f"execution {k}", *row, f"{1e3 * miss:.1f}" if task.goals else f"{miss:.3f}")
-            )
-        print(
-            columns(("", "goal", "predicted", "reached", f"miss {UNITS[bool(task.goals)]}"), rows)
-        )
+            said = f"{1e3 * miss:.1f} mm" if task.goals else f"{miss:.3f}"
+            rows.append((f"execution {k}", *row, said))
+        print(columns(("", "goal", "predicted", "reached", "miss"), rows))
         best = int(np.argmin(misses)) + 1
         if best < self.executions:
-            _log.warning(
-                "execution %d missed least: what was learnt from it did not help; it is kept", best
-            )
+            _log.warning("execution %d missed least, and is kept: later ones did not help", best)
         write_json(self.out / "best.json", read_json(self.out / f"action-{best}.json"))
         return 0
 
