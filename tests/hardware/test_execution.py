@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gendom import cli
 from gendom.errors import DeviceError, RobotError
@@ -27,7 +28,8 @@ from gendom.hardware.execution import (
     write_trajectory,
 )
 from gendom.reading import read_json
-from gendom.robot import DOWN, XARM7, Box, GripperEvent, TcpPath
+from gendom.robot import DOWN, XARM7, Box, GripperEvent, TcpPath, lift, tcp_pose
+from robot.test_arms import written
 from simulated_cell import write_cell
 
 
@@ -104,6 +106,27 @@ def test_an_action_is_read_as_it_was_planned(made, tmp_path):
     assert t[0] == 0.0 and t[-1] == pytest.approx(motion.end - motion.start, abs=1e-8)
     slope = (q[2:] - q[:-2]) / (t[2:] - t[:-2])[:, None]
     assert np.abs(slope - v[1:-1]).max() < 0.05 * np.abs(v).max()
+
+
+def test_an_action_of_an_arm_from_a_file_is_read_back_with_its_cell(made, tmp_path, capsys):
+    """The arm's file lies beside the cell's; actions name arms, and no files."""
+    pytest.importorskip("mujoco", reason="needs the extra reality")
+    written(tmp_path, XARM7)
+    (tmp_path / "made.toml").write_text(f"home = {XARM7.home.tolist()}\ntool = 0.17\n")
+    text = write_cell(tmp_path, cameras=False, max_opening="0.08").read_text()
+    (tmp_path / "cell.toml").write_text('arm = "made.urdf"\nself_clearance = 0.0\n' + text)
+    cell = Cell.read(tmp_path / "cell.toml")
+    T = tcp_pose(cell.model, cell.model.home)
+    path = lift(
+        T[:3, 3], height=0.05, speed=0.1, quat_xyzw=Rotation.from_matrix(T[:3, :3]).as_quat()
+    )
+    action = tmp_path / "action.json"
+    write_json(action, {**read_json(made[1]), "plan": cell.plan(path, opening=0.016)})
+    assert read_action(action, cell.model).plan.arm == "made"
+    with pytest.raises(RobotError, match="there is no robot 'made'"):
+        read_action(action)
+    assert cli.main(["execute", str(action), "--cell", str(cell.path)]) == 0
+    assert "this was a dry run" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from gendom.errors import DeviceError
+from gendom.hardware import streaming, xarm7
 from gendom.hardware.franky import FrankaDriver
 from gendom.hardware.streaming import Streamer
-from gendom.robot import joint_move
+from gendom.robot import XARM7, joint_move, tcp_pose
+from gendom.tasks import RopeReaching
 from hardware import xarm_box
 
 pytest.importorskip("franky", reason="pip install franky-control")
@@ -102,6 +105,44 @@ def test_it_brakes_within_its_accelerations(streamer):
     time.sleep(0.5)
     assert streamer.driver.report().q == pytest.approx(first, abs=2e-3)
     assert 0.2 < (first - q)[0] < 0.4
+
+
+def approached(cell, at, path):
+    """How an arm follows a path of the tool over a table, and the way there from joint angles."""
+    cell = replace(cell, table_height=0.0)
+    motion = cell.plan(path, opening=0.016).motion
+    return cell.approach(at, motion.q[0]), motion.shifted(-motion.start)
+
+
+def test_the_same_action_on_both_arms(streamer, monkeypatch):
+    """Rope reaching by the vendors' SDKs on franky-sim and on the loopback xArm, real time there:
+    each tool keeps to the task's path."""
+    pytest.importorskip("xarm", reason="pip install xarm-python-sdk")
+    monkeypatch.setattr(streaming, "BLIND", (0.3, 1.0))
+    monkeypatch.setattr(xarm7, "_QUICK", 1.0)
+    task, ends = RopeReaching(), []
+    action = task.sample_actions(task.item, np.random.default_rng(3), 1)[0]
+    path = task.tool_path(task.item, action).moved(task.T_world_task(task.item))
+
+    def tool(one, way, motion):
+        seen = []
+        play(one, way)
+        play(one, motion, lambda: seen.append(one.report.q))
+        assert one.fault is None
+        line = motion.tcp_at(one.arm, motion.sampled(500.0))[:, :3, 3]
+        points = tcp_pose(one.arm, np.array(seen))[:, :3, 3]
+        assert KDTree(line).query(points)[0].max() < 5e-3
+        return points[-1]
+
+    with xarm_box.Box() as box:
+        here = xarm_box.cell(box.address)
+        moves = approached(here, XARM7.home, path)  # before: reports come to this process
+        driver = xarm_box.Driver(here)
+        driver.connect()
+        ends.append(tool(Streamer(driver, here), *moves))
+        driver.disconnect()
+    ends.append(tool(streamer, *approached(streamer.cell, streamer.report.q, path)))
+    assert ends[0] == pytest.approx(ends[1], abs=3e-3)
 
 
 def test_nobody_there():

@@ -53,13 +53,20 @@ def test_finished_steps_are_skipped_and_those_of_changed_inputs_are_not(tmp_path
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["cloth-spreading", "--goal", "1"], "cloth-spreading has no goal to learn from"),
+        (["cloth-spreading"], "rope-cotton: is a rope, cloth-spreading takes a cloth"),
+        (["rope-reaching"], "--goal: has 0 numbers; give 1"),
         (["rope-reaching", "--goal", "0.45", "--executions", "0"], "--executions: is 0"),
     ],
 )
 def test_what_cannot_be_run(tmp_path, refused, words, line):
     cell = write_cell(tmp_path)
     assert line in refused("run", *words, "--cell", cell, "--out", tmp_path / "run")
+
+
+def test_a_lift_that_no_camera_would_see_is_refused(tmp_path, refused):
+    cell = write_cell(tmp_path, cameras=False)
+    line = "has no camera; add two"
+    assert line in refused("record", "--cell", cell, "--yes", "--out", tmp_path / "lift")
 
 
 @pytest.mark.slow
@@ -75,6 +82,8 @@ def test_from_lift_to_adapted_second_execution(tmp_path, monkeypatch, capsys):
     found = [read_json(out / f"reached-{k}.json")["executions"][0] for k in (1, 2)]
     misses = [abs(f["reached"][0] - 0.45) for f in found]
     assert max(misses) < 0.015
+    best = read_json(out / "best.json")["action"]
+    assert best == read_json(out / f"action-{1 + int(np.argmin(misses))}.json")["action"]
     estimate = read_json(out / "estimate.json")
     assert estimate["verdict"]["usable"]
     assert np.log(estimate["E_over_rho"] / 962.5) == pytest.approx(0.0, abs=0.2)
@@ -98,6 +107,7 @@ def test_a_lift_is_recorded_in_a_cell(tmp_path, monkeypatch, capsys):
     assert cli.main([*words, str(lift), "--yes"]) == 0
     said = read_json(lift / "recording.json")
     assert said["ended"] == "done" and all(c["missing"] == 0 for c in said["cameras"].values())
+    assert all(abs(offset) < 3.0 * sd + 2e-3 for offset, sd in said["clocks"].values())
     (log,) = (tmp_path / "executions").glob("*.jsonl")
     joints = np.loadtxt(lift / "joints.csv", delimiter=",", skiprows=1)
     assert read_log(log).end == "done" and len(joints) == len(read_log(log).time)

@@ -13,9 +13,9 @@ from gendom.robot import (
     JointStates,
     arm_shape,
     follow,
-    inverse_kinematics,
     lift,
     pointing,
+    solutions,
     tcp_pose,
 )
 
@@ -47,7 +47,7 @@ def surface(shape, c, n, rng):
 def q():
     T = tcp_pose(XARM7, XARM7.home)
     T[:3, 3] = PLACE + np.array([0.0, 0.0, 0.25])
-    return inverse_kinematics(XARM7, T)
+    return solutions(XARM7, T)[0]
 
 
 def test_the_arm_goes_and_what_is_near_or_held_stays(q):

@@ -1,5 +1,6 @@
 """Arms of files and their capsules, against published shapes, kinematics and MuJoCo."""
 
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from gendom.robot import (
     arm_shape,
     find_arm,
     follow,
+    jacobian,
     lift,
     link_poses,
     read_arm,
@@ -119,6 +121,21 @@ def test_an_arm_of_a_urdf_turns_as_it_says_and_its_capsules_hold_its_shapes(tmp_
     path = lift(T[:3, 3], height=0.02, speed=0.05, quat_xyzw=turned)
     motion = follow(arm, path)
     assert abs(motion.tcp_at(arm, motion.end)[2, 3] - path.position[-1, 2]) < 1e-5
+
+
+def test_poses_and_jacobians_are_those_of_pinocchio(tmp_path):
+    """`make test` leaves it out, it is large."""
+    pin = pytest.importorskip("pinocchio", reason="pip install pin")
+    model = pin.buildModelFromUrdf(str(written(tmp_path, XARM7)))
+    data, last = model.createData(), model.getFrameId("l7")
+    for q in np.random.default_rng(2).uniform(XARM7.q_min, XARM7.q_max, (100, 7)):
+        pin.framesForwardKinematics(model, data, q)
+        T = data.oMf[last].homogeneous
+        np.testing.assert_allclose(link_poses(XARM7, q)[7], T, atol=1e-9)
+        axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        theirs = pin.computeFrameJacobian(model, data, q, last, axes)
+        flange = replace(XARM7, T_flange_tcp=np.eye(4))
+        np.testing.assert_allclose(jacobian(flange, q), theirs, atol=1e-9)
 
 
 MJCF = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body name="base" pos="1 2 3">

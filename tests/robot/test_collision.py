@@ -96,6 +96,39 @@ def test_capsules_are_as_far_apart_as_mujoco_says():
     assert overlapping > 20
 
 
+@pytest.mark.parametrize("other", ["capsule", "box"])
+def test_distances_are_those_of_coal(other):
+    """The library behind Pinocchio and MoveIt; `make test` leaves it out, it is large."""
+    coal = pytest.importorskip("coal", reason="pip install coal")
+    rng, overlapping = np.random.default_rng(5), 0
+    for _ in range(200):
+        a, b, c, d = rng.uniform(-0.5, 0.5, (4, 3))
+        r, wide = rng.uniform(0.01, 0.1, 2)
+        size, turn = rng.uniform(0.02, 0.6, 3), rng.normal(0.0, 2.0, 3)
+        thing = post("post", c, d, wide) if other == "capsule" else box("box", c, size, turn)
+        theirs = (
+            coal_capsule(coal, c, d, wide)
+            if other == "capsule"
+            else (coal.Box(*size), coal.Transform3s(thing.turn, c))
+        )
+        own, result = coal_capsule(coal, a, b, r), coal.DistanceResult()
+        found = coal.distance(*own, *theirs, coal.DistanceRequest(), result)
+        mine = float(thing.distance(a, b)) - r
+        overlapping += mine < 0.0
+        if other == "box" and mine < 0.0:
+            assert found < 1e-6  # its depth is another: the least way out
+        else:
+            assert mine == pytest.approx(found, abs=1e-5)
+    assert 10 < overlapping < 190
+
+
+def coal_capsule(coal, start, end, radius):
+    """A capsule along z of its own frame, and the pose of that."""
+    turn = Rotation.align_vectors([end - start], [UP])[0].as_matrix()
+    shape = coal.Capsule(radius, float(np.linalg.norm(end - start)))
+    return shape, coal.Transform3s(turn, 0.5 * (start + end))
+
+
 # ---- poses ---------------------------------------------------------------------------------------
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -17,6 +17,7 @@ from gendom.arrays import placed
 from gendom.cli.cell import write_picture
 from gendom.cli.outputs import check_places, tell_written
 from gendom.errors import DeviceError, printable
+from gendom.files import write_json
 from gendom.hardware.cell import Cell, PlannedMotion
 from gendom.hardware.contracts import Robot
 from gendom.hardware.execution import (
@@ -76,7 +77,8 @@ class Command:
         fix = "add --move"
         require(self.move or not self.yes, "goes with --move", where="--yes", fix=fix)
         require(self.move or self.record is None, "goes with --move", where="--record", fix=fix)
-        cell, action = Cell.read(self.cell), read_action(self.action)
+        cell = Cell.read(self.cell)
+        action = read_action(self.action, cell.model)
         if killed := last_time(self.cell.parent / "executions"):
             _log.warning("%s", killed)
         if self.action.suffix == ".jsonl":
@@ -92,7 +94,7 @@ class Command:
         if self.record is not None:
             task = find_task(action.task)()
             item = from_columns(task.kind, action.object)
-            record = self.record, described(cell, item, what)
+            record = self.record, described(cell, item, what, task=task.name)
         move(
             cell, action.plan, what, logs=self.cell.parent / "executions", record=record,
             said=read_plan(self.action), yes=self.yes,
@@ -146,46 +148,46 @@ def read_plan(path: Path) -> dict[str, Any]:
     return {key: value for key, value in said.items() if key not in own}
 
 
-def move(cell: Cell, planned: PlannedMotion, what: str, *, yes: bool, **others: Any) -> None:
-    """Show a motion, say what it is, ask, and carry it out, with others as of `carry_out`; with
-    ``yes`` nobody is asked, and it moves slowly."""
-    planned = careful(planned, cell) if yes else planned
-    print("\n".join([what, *preview(planned, cell)]))
-    if not yes:
-        confirm("Is the cell empty and the emergency stop at hand?")
-    carry_out(cell, planned, **others)
-
-
-def carry_out(
+def move(
     cell: Cell,
     planned: PlannedMotion,
-    said: dict[str, Any],
+    what: str,
+    said: Mapping[str, Any],
     logs: Path,
     *,
     bring: Callable[[Any], None],
     record: tuple[Path, str] | None = None,
+    yes: bool,
 ) -> None:
-    """Execute a motion, logged, under the cell's cameras where asked for.
+    """Show a motion, ask, and carry it out, logged, under the cell's cameras where asked for.
 
     Args:
         cell: Where.
-        planned: The motion, as fast as it is to be.
-        said: What the log begins with.
+        planned: The motion.
+        what: What it is called.
+        said: The action's file; the log begins with it, and pictures have it beside them as
+            action.json, with the plan as it is carried out.
         logs: Folder of logs.
         bring: Called with the robot where it waits for the object.
         record: Folder for pictures, and the content of its object.toml; None: none are taken.
+        yes: Nobody is asked, and it moves slowly.
     """
+    planned = careful(planned, cell) if yes else planned
+    said = {**said, "plan": planned}
+    print("\n".join([what, *preview(planned, cell)]))
+    if not yes:
+        confirm("Is the cell empty and the emergency stop at hand?")
     robot, cameras = cell.devices()
     name = datetime.now().strftime("%Y-%m-%dT%H-%M-%S-%f")
     log = ExecutionLog(logs / f"{name}.jsonl", said)
-    if record is None:
-        execute(planned, cell, robot, log, ready=lambda: bring(robot))
-        return
-    folder, description = record
 
     def play(robot: Robot, motion: JointMotion) -> None:
-        record_motion(robot, cameras, motion, folder, description=description)
+        if record is None:
+            return robot.play(motion)
+        write_json(record[0] / "action.json", said)
+        record_motion(robot, cameras, motion, record[0], description=record[1])
 
+    cameras = cameras if record else []
     try:
         for camera in cameras:
             camera.connect()
@@ -195,20 +197,24 @@ def carry_out(
             camera.disconnect()
 
 
-def described(cell: Cell, item: Item, source: str, *, quasi_static: bool = False) -> str:
+def described(
+    cell: Cell, item: Item, source: str, *, task: str | None = None, quasi_static: bool = False
+) -> str:
     """Content of object.toml for a recording in a cell.
 
     Args:
         cell: Its table and arm.
         item: The object, held by its end or corner.
         source: Of the recording, in words.
+        task: What is done; None: a lift.
         quasi_static: Whether inertia plays no part.
     """
     sizes = {"width": item.side, "height": item.side} if isinstance(item, Cloth) else {}
     sizes |= {name: getattr(item, name) for name in item.sizes if name != "side"}
     table = {} if cell.table_height is None else {"table_height": cell.table_height}
-    about = {**table, "gripper_source": "measured", "robot": cell.arm,
+    about = {**table, "gripper_source": "measured", "robot": cell.model.name,
              "quasi_static": quasi_static, "source": source}  # fmt: skip
+    about |= {} if task is None else {"task": task}
     return object_file(
         about,
         {

@@ -13,6 +13,7 @@ from gendom.cli.execute import bring, described, move
 from gendom.errors import ParameterError
 from gendom.files import check_folder
 from gendom.hardware.cell import Cell
+from gendom.hardware.clocks import check_clocks
 from gendom.materials import Item, size_of, thickness_of
 from gendom.progress import bar
 from gendom.reality import (
@@ -184,7 +185,12 @@ def lift_in(
 
     ``grasp`` is where the fingers take it [m] (None: ahead, on the table); with ``yes`` nobody is
     asked, and it moves slowly; ``logs`` is a folder (None: ``executions`` beside the cell's file).
+
+    Raises:
+        GendomError: It is refused, or fails; also where a camera's clock is far off the robot's.
     """
+    fix = "add two: a lift is seen by them"
+    require(cell.camera, "has no camera", where=str(cell.path), fix=fix)
     path = lift_path(known, motion, grasp, cell.table_height or 0.0)
     planned = cell.plan(path, opening=thickness_of(known), hangs=size_of(known))
     source = "a lift in a cell"
@@ -198,3 +204,5 @@ def lift_in(
         record=(out, described(cell, known, source, quasi_static=motion.quasi_static)),
         yes=yes,
     )
+    for name, (offset, sd) in check_clocks(out, cell.model).items():
+        print(f"clock      camera {name} {1e3 * offset:+.0f} +- {1e3 * sd:.0f} ms off the robot's")

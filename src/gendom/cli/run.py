@@ -30,6 +30,10 @@ from gendom.tasks import Task, find_task
 
 _log = logging.getLogger(__name__)
 
+POLISHING = 30.0
+"""Time limit of polishing an action [s]: the arm can wait, and a busy computer is no reason to
+miss."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
@@ -38,14 +42,15 @@ class Command:
     Steps: lift, perceive, estimate with its verdict, then for each execution act, execute, observe
     and adapt. Each leaves a file or a folder in --out; started again, it skips what is finished and
     goes on, and does again what depends on anything that has changed. Before each motion it asks.
+    The action that missed least is kept as best.json.
 
     For example: gendom run rope-reaching --goal 0.45 --cell cell.toml --object rope.toml --out run
     """
 
     task: TaskName
-    """A task with a goal."""
-    goal: tuple[float, ...]
-    """As gendom act takes it."""
+    """Its name."""
+    goal: tuple[float, ...] = ()
+    """As gendom act takes it; none for cloths."""
     cell: Path
     """cell.toml, see gendom cell."""
     out: Path
@@ -65,19 +70,22 @@ class Command:
     def run(self) -> int:
         check_folder(self.out)
         cell, task = Cell.read(self.cell), find_task(self.task)()
-        require(task.goals, f"{task.name} has no goal to learn from", fix="choose another task")
         fix = "give 1 or more"
         require(self.executions >= 1, f"is {self.executions}", where="--executions", fix=fix)
         if killed := last_time(self.out / "executions"):
             _log.warning("%s", killed)
         known = known_in(cell, self.object)
+        what = f"is a {known.kind}, {task.name} takes a {task.kind}"
+        require(known.kind == task.kind, what, where=known.name, fix="name another task")
+        what, fix = f"has {len(self.goal)} numbers", f"give {len(task.goals)}"
+        require(len(self.goal) == len(task.goals), what, where="--goal", fix=fix)
         steps = _Steps(self.out)
         named = [] if self.object is None else [self.object]
         lift = steps.do("lift", "lift", [self.cell, *named],
                         lambda to: self._lift(cell, known, to), settings=[self.grasp])  # fmt: skip
         colour = known.colour
         seen = steps.do("perceive", "lift.npz", [lift], lambda to: Perceive(
-            folder=lift, out=to, perception=_by(colour)).run())  # fmt: skip
+            folder=lift, out=to, arm=cell.arm, perception=_by(colour)).run())  # fmt: skip
         code = 0
 
         def estimated(to: Path) -> None:
@@ -88,15 +96,19 @@ class Command:
         if code == 0 and not read_json(params)["verdict"]["usable"]:
             code = estimate.NOT_USABLE
         if code != 0 and not self.force:
-            _log.error(
-                "nothing is done with an estimate that is not usable; lift again, or --force"
-            )
+            _log.error("nothing is done with an unusable estimate; lift again, or --force")
             return code
-        rows = []
+        rows, misses = [], []
         for k in range(1, self.executions + 1):
-            params, row = self._execution(steps, k, cell, task, known, params)
-            rows.append((f"execution {k}", *row))
-        print(columns(("", "goal", "predicted", "reached", "miss [mm]"), rows))
+            params, miss, row = self._execution(steps, k, cell, task, known, params)
+            misses.append(miss)
+            said = f"{1e3 * miss:.1f} mm" if task.goals else f"{miss:.3f}"
+            rows.append((f"execution {k}", *row, said))
+        print(columns(("", "goal", "predicted", "reached", "miss"), rows))
+        best = int(np.argmin(misses)) + 1
+        if best < self.executions:
+            _log.warning("execution %d missed least, and is kept: later ones did not help", best)
+        write_json(self.out / "best.json", read_json(self.out / f"action-{best}.json"))
         return 0
 
     def _lift(self, cell: Cell, known: Any, to: Path) -> None:
@@ -105,30 +117,31 @@ class Command:
 
     def _execution(
         self, steps: _Steps, k: int, cell: Cell, task: Task, known: Any, params: Path
-    ) -> tuple[Path, tuple[str, ...]]:
-        """Act, execute, observe, adapt; returns the estimate after it, and a row of the table."""
+    ) -> tuple[Path, float, list[str]]:
+        """Act, execute, observe, adapt; returns the estimate after it, by how much it missed, and a
+        row of the table."""
 
         def acted(to: Path) -> None:
             act.Command(
-                task=self.task, goal=self.goal, params=params, cell=self.cell, polish=k > 1, out=to,
-                force=self.force,
+                task=self.task, goal=self.goal, params=params, cell=self.cell, polish=k > 1,
+                seconds=POLISHING, out=to, force=self.force,
             ).run()  # fmt: skip
 
         plan = steps.do(f"act {k}", f"action-{k}.json", [params, self.cell], acted,
                         settings=[self.goal])  # fmt: skip
 
         def executed(to: Path) -> None:
-            action = read_action(plan)
+            action = read_action(plan, cell.model)
             what = f"execution {k} of {task.name}"
             move(
                 cell, action.plan, what, logs=self.out / "executions", said=read_plan(plan),
                 bring=lambda robot: bring(robot, action, ask=not self.yes),
-                record=(to, described(cell, known, what)), yes=self.yes,
+                record=(to, described(cell, known, what, task=task.name)), yes=self.yes,
             )  # fmt: skip
 
         shown = steps.do(f"execute {k}", f"seen-{k}", [plan], executed, settings=[self.yes])
         found = steps.do(f"observe {k}", f"reached-{k}.json", [shown],
-                         lambda to: _observe(task, known, plan, shown, to))  # fmt: skip
+                         lambda to: _observe(task, known, cell, shown, to))  # fmt: skip
 
         def adapted(to: Path) -> None:
             adapt.Command(
@@ -137,24 +150,28 @@ class Command:
 
         better = steps.do(f"adapt {k}", f"adapted-{k}.json", [params, found], adapted)
         predicted = read_json(plan).get("predicted", {}).get("reached", {})
-        (seen,) = read_json(found)["executions"]
-        said = [[predicted.get(q.name, float("nan")) for q in task.goals], seen["reached"]]
-        miss = float(np.linalg.norm(np.array(seen["reached"]) - np.array(self.goal)))
-        texts = (", ".join(f"{x:.4f}" for x in row) for row in (self.goal, *said))
-        return better, (*texts, f"{1e3 * miss:.1f}")
+        values = read_json(found)["outcome"]
+        miss = task.error(known, np.array(self.goal), values)
+        learnt = [[of.get(name, np.nan) for name in _learnt(task)] for of in (predicted, values)]
+        return better, miss, [", ".join(f"{x:.4f}" for x in row) for row in (self.goal, *learnt)]
+
+
+def _learnt(task: Task) -> list[str]:
+    """Names of what `gendom adapt` learns from."""
+    return [quantity.name for quantity in task.goals or task.outcomes[:1]]
 
 
 def _by(colour: tuple[int, int, int]) -> Any:
     return PerceptionSettings(colour=colour)
 
 
-def _observe(task: Task, known: Any, plan: Path, shown: Path, to: Path) -> None:
+def _observe(task: Task, known: Any, cell: Cell, shown: Path, to: Path) -> None:
     """Write what an execution reached, as gendom adapt takes it."""
-    action, recorded = read_action(plan), read_cameras(shown)
+    action = read_action(shown / "action.json", cell.model)
+    recorded = read_cameras(shown, arm=cell.model)
     seen = perceive(recorded, _by(known.colour), on_warning=lambda fault: _log.info("%s", fault))
     values = reached(task, known, action, seen.recording, float(recorded.robot.time[0]))
-    goals = [values[q.name] for q in task.goals]
-    row = {"action": [*action.action.values()], "reached": goals}
+    row = {"action": [*action.action.values()], "reached": [values[n] for n in _learnt(task)]}
     write_json(to, {"executions": [row], "outcome": values, "goal": action.goal})
     print(f"reached {', '.join(f'{n} {v:.4f}' for n, v in values.items())}")
 

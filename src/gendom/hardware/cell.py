@@ -158,7 +158,7 @@ class Cell:
     workspace: Array
     """[2, 3] lowest and highest corner of a box that the tool point never leaves [m]."""
     arm: str = XARM7.name
-    """As `gendom.robot.find_arm` takes it."""
+    """As `gendom.robot.find_arm` takes it; a file from the cell's file on."""
     speed: SpeedLimits = field(default_factory=SpeedLimits)
     table_height: float | None = None
     """z of the table [m]; None: there is none."""
@@ -188,7 +188,8 @@ class Cell:
             cell = record_of(cls, table, where=where, fix=fix, by_hand=True, error=DeviceError)
         except RobotError as error:  # of a box or a stand
             raise DeviceError(error.what, where=f"{where}: {error.where}", fix=error.fix) from None
-        cell = replace(cell, path=path, camera=tuple(c.placed(path) for c in cell.camera))
+        arm = str(path.parent / cell.arm) if Path(cell.arm).suffix else cell.arm
+        cell = replace(cell, path=path, arm=arm, camera=tuple(c.placed(path) for c in cell.camera))
         cell._check_values()
         return cell
 

@@ -26,7 +26,7 @@ from gendom.files import LEAST_ROOM, free_room, to_json, write_json
 from gendom.hardware.cell import CAREFUL, Cell, PlannedMotion
 from gendom.hardware.contracts import Robot, Tick
 from gendom.reading import parse_json, read_bytes, read_json, record_of
-from gendom.robot import JointMotion, find_arm, tcp_pose
+from gendom.robot import Arm, JointMotion, find_arm, tcp_pose
 
 ACTION_FORMAT = "gendom-action/4"
 LOG_FORMAT = "gendom-execution/1"
@@ -60,8 +60,12 @@ class PlannedAction:
     plan: PlannedMotion
 
 
-def read_action(path: str | os.PathLike) -> PlannedAction:
+def read_action(path: str | os.PathLike, arm: Arm | None = None) -> PlannedAction:
     """The action in a file of ``gendom act --out``, or in the log of its execution.
+
+    Args:
+        path: The file.
+        arm: Its arm where that is none of `find_arm`, as one of a URDF or MJCF file.
 
     Raises:
         GendomError: The file cannot be read.
@@ -78,7 +82,7 @@ def read_action(path: str | os.PathLike) -> PlannedAction:
         read = record_of(PlannedAction, said, where=where, fix=_FIX, error=RobotError)
         square = read.trajectory.T_base_task.shape == (4, 4)
         require(square, "T_base_task is no 4 x 4 matrix", error=RobotError)
-        arm = find_arm(read.plan.arm)
+        arm = arm if arm is not None and arm.name == read.plan.arm else find_arm(read.plan.arm)
         for motion in (read.plan.motion, read.plan.approach):
             motion.check_limits(arm)
     except RobotError as error:
@@ -301,7 +305,7 @@ def execute(
     log: ExecutionLog,
     *,
     ready: Callable[[], None] = lambda: None,
-    play: Callable[[Robot, JointMotion], None] | None = None,
+    play: Callable[[Robot, JointMotion], None] = lambda robot, motion: robot.play(motion),
 ) -> None:
     """Carry out a planned motion: connect, approach, wait for the object, close, play.
 
@@ -314,7 +318,7 @@ def execute(
         log: Of all that happens.
         ready: Called at the motion's first pose with open fingers, for a person to bring the
             object; returns when the fingers may close.
-        play: How the motion is played, e.g. under cameras that record; None: by `Robot.play`.
+        play: How the motion is played, e.g. under cameras that record.
 
     Raises:
         RobotError: The cell does not allow it.
@@ -333,7 +337,7 @@ def execute(
         if motion.events and motion.events[0].closed:  # they are: from the first report on
             first, *rest = motion.events
             motion = replace(motion, events=(replace(first, time=0.0), *rest))
-        (play or (lambda r, m: r.play(m)))(told, motion)
+        play(told, motion)
     except BaseException as error:
         by = f"{type(error).__name__}: {error}"
         by = "Ctrl-C" if isinstance(error, KeyboardInterrupt) else by

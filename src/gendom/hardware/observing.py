@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import binary_closing, binary_erosion
 from scipy.sparse.csgraph import shortest_path
+from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from gendom.arguments import require
@@ -14,25 +18,27 @@ from gendom.errors import RecordingError
 from gendom.hardware.execution import PlannedAction
 from gendom.materials import Item, size_of, thickness_of
 from gendom.tasks import Observed, Task
+from gendom.tasks.cloth_spreading import FLAT_ANGLE, FLAT_HEIGHT
 
 FEWEST = 10
 """Points of a cloud that shows where a rope ends."""
 
 _LEAST_SEEN = 0.8  # of a rope's length between its hold and its tip: less, and the tip is hidden
 _POINTS = 300  # of a cloud, for the paths in it
+_CELL, _PLANE = 0.005, 0.009  # [m]; of areas, and within which a cloth's inclination is taken
 
 
 def reached(
     task: Task, item: Item, action: PlannedAction, recording: Recording, start: float
 ) -> dict[str, float]:
-    """What a rope's tip did, as the task judges it.
+    """What an action reached, as the task judges it: by a rope's tip or a cloth's areas.
 
     The tip is where the cloud ends, along paths of short steps from where the rope is held; a cubic
-    spline leads from frame to frame.
+    spline leads from frame to frame. Areas are those of the last frame (`cloth_areas`).
 
     Args:
-        task: One that watches the tip of a rope.
-        item: The rope.
+        task: One that watches the tip of a rope, or whose outcomes are areas of a cloth.
+        item: The object.
         action: What was done.
         recording: What was seen, from the motion's start on.
         start: The recording's time at that start [s].
@@ -41,44 +47,73 @@ def reached(
         Goals and further outcomes by name, in SI units.
 
     Raises:
-        RecordingError: The task watches more, or the tip is not seen for long enough.
+        RecordingError: The task watches something else, or the tip is not seen for long enough.
     """
-    where = recording.source or "recording"
-
-    def wanted(holds: bool, what: str, fix: str) -> None:
-        require(holds, what, where=where, fix=fix, error=RecordingError)
-
-    fix = "write down what was reached, and give it to gendom adapt"
-    wanted(
-        task.watches == "tip" and item.kind == "rope", f"{task.name} watches more than a tip", fix
+    where, T = recording.source or "recording", np.linalg.inv(action.trajectory.T_base_task)
+    judged = {quantity.name for quantity in (*task.goals, *task.outcomes)}
+    if item.kind == "cloth" and judged <= {"share", "unspread", "covered"}:
+        return cloth_areas(placed(T, recording.frame(recording.num_frames - 1)), size_of(item))
+    what, fix = (
+        f"{task.name} watches something else",
+        "write down what was reached for gendom adapt",
     )
+    seen = task.watches == "tip" and item.kind == "rope"
+    require(seen, what, where=where, fix=fix, error=RecordingError)
     path, motion = task.tool_path(item, np.array([*action.action.values()])), action.plan.motion
     # on the clock of the task's path, which the arm may lag behind
-    lag = motion.events[-1].time - path.events[-1].time
-    time = recording.time - start + motion.start - lag
-    T, scene = np.linalg.inv(action.trajectory.T_base_task), task.scene(item)
-    stand = np.asarray(scene.origin, dtype=float) if scene.stand > 0.0 else None
-    free = size_of(item) - scene.stand
-    tips, seen = [], []
-    for k, t in enumerate(time):
-        cloud = placed(T, recording.frame(k))
-        hold = path.position_at(t, motion.blend) if stand is None else stand
-        tip = rope_tip(cloud, hold, thickness_of(item), _LEAST_SEEN * free)
-        if tip is not None:
-            tips.append(tip)
-            seen.append(t)
+    opens, asked = (
+        next((e.time for e in of.events if not e.closed), np.inf) for of in (motion, path)
+    )
+    lag = opens - asked if np.isfinite(opens) else motion.end - path.end - 0.5 * motion.blend
+    time, scene = recording.time - start + motion.start - lag, task.scene(item)
+    held = time[:, None] * 0.0 + np.asarray(scene.origin, dtype=float)
+    held = held if scene.stand > 0.0 else path.position_at(time, motion.blend)
+    least = _LEAST_SEEN * (size_of(item) - scene.stand)
+    tips = [rope_tip(placed(T, recording.frame(k)), hold, thickness_of(item), least)
+            for k, hold in enumerate(held)]  # fmt: skip
+    shown = np.array([tip is not None for tip in tips])
     times = task.times(item)
-    during = np.array([t for t in seen if times[0] - 0.1 <= t <= times[-1] + 0.1])
+    during = time[shown & (time >= times[0] - 0.1) & (time <= times[-1] + 0.1)]
     long = len(during) > 3 and np.diff(during).max() < 0.12
     fix = "let a camera see the whole way of the tip, at 30 pictures a second"
-    wanted(bool(long), f"the rope's tip is seen in {len(during)} pictures after the release", fix)
-    shown = np.clip(times, seen[0], seen[-1])
-    tip = CubicSpline(seen, np.array(tips))(shown)
-    opens = next((e.time for e in motion.events if not e.closed), np.inf) - lag
+    what = f"the rope's tip is seen in {len(during)} pictures after the release"
+    require(bool(long), what, where=where, fix=fix, error=RecordingError)
+    way = CubicSpline(time[shown], np.array([tip for tip in tips if tip is not None]))
+    tip = way(np.clip(times, *time[shown][[0, -1]]))
     hand = path.position_at(times, motion.blend)
     return task.outcome(
-        item, Observed(times=times, points=tip[:, None], hand=hand, opens=float(opens))
+        item, Observed(times=times, points=tip[:, None], hand=hand, opens=float(opens - lag))
     )
+
+
+def cloth_areas(cloud: Array, side: float) -> dict[str, float]:
+    """What `gendom.tasks.ClothSpreading` measures: the ``share`` of a cloth that lies spread,
+    ``unspread``, the rest of it, and ``covered``, the area of the table under it over its own.
+
+    Args:
+        cloud: [N, 3] of its surface [m]; the table is z = 0.
+        side: Of the cloth [m].
+    """
+    if len(cloud) < FEWEST:
+        return {"share": 0.0, "unspread": 1.0, "covered": 0.0}
+    cells = np.floor(cloud[:, :2] / _CELL).astype(int)
+    cells -= cells.min(axis=0) - 2
+    filled = np.zeros(cells.max(axis=0) + 3, dtype=bool)
+    filled[tuple(cells.T)] = True
+    filled = binary_closing(filled, np.ones((3, 3)))
+    tree = KDTree(cloud)
+    near = [cloud[k] for k in tree.query_ball_point(cloud, _PLANE)]
+    normal = np.array([np.linalg.svd(x - x.mean(axis=0))[2][2] if len(x) > 3 else np.zeros(3)
+                       for x in near])  # fmt: skip
+    flat = np.abs(normal[:, 2]) >= math.cos(FLAT_ANGLE)
+    flat &= cloud[:, 2] <= FLAT_HEIGHT * side
+    x = np.stack(np.nonzero(filled), axis=1) + 0.5
+    smooth = flat[np.asarray(KDTree(cells + 0.5).query(x)[1], dtype=int)]
+    # half of what lies at the border is beside the cloth
+    inside = binary_erosion(filled)[filled]
+    area = np.where(inside, 1.0, 0.5) * _CELL**2 / side**2
+    share, covered = (min(float(area[of].sum()), 1.0) for of in (smooth, smooth | True))
+    return {"share": share, "unspread": 1.0 - share, "covered": covered}
 
 
 def rope_tip(cloud: Array, hold: Array, diameter: float, least: float) -> Array | None:

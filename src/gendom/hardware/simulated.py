@@ -1,7 +1,8 @@
 """The MuJoCo scene (`gendom.reality`) as a robot and depth cameras, through the devices' contracts.
 
 Time is the scene's: a motion of 20 s is over as soon as it is simulated. All devices of one `Cell`
-share one scene; `address` in cell.toml names the object (`gendom.reality.find_object`). What a
+share one scene; `address` in cell.toml names the object (`gendom.reality.find_object`), and with
+another `serial` a camera has other noise and another error of its calibration. What a
 person does, laying the object down or hanging it up, `SimulatedRobot.arrange` does.
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -50,6 +52,11 @@ _robots: WeakKeyDictionary[CellCamera, SimulatedRobot] = WeakKeyDictionary()
 """The robot whose scene a camera looks at."""
 
 
+def _seed(camera: CellCamera) -> int:
+    """Of a camera's errors: its serial number says which camera it is."""
+    return zlib.crc32(camera.serial.encode())
+
+
 class SimulatedRobot:
     """The arm of the MuJoCo scene as a `Robot`, with the scene.
 
@@ -74,7 +81,8 @@ class SimulatedRobot:
             for c in cell.camera
             if c.T_world_camera is not None
         ]
-        self._true = self.errors.believed(self.believed, np.random.default_rng(0))
+        seeds = [_seed(camera) for camera in cell.camera]
+        self._true = self.errors.believed(self.believed, np.random.default_rng([0, *seeds]))
         self._connected = self._moving = False
         self._fault: str | None = None
         self._stopping = threading.Event()
@@ -226,7 +234,7 @@ class SimulatedCamera:
         self._index = [c.name for c in robot.believed].index(self.name)
         self._camera = robot.believed[self._index]
         self.pixels = self._camera.width * self._camera.height
-        self._rng = np.random.default_rng(self._index + 1)
+        self._rng = np.random.default_rng([_seed(cell_camera), self._index + 1])
         self._writer: PngWriter | None = None
         self._written = 0
 

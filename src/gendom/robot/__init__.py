@@ -12,7 +12,6 @@ from gendom.robot.collision import Box, CollisionChecker, Post, Surroundings
 from gendom.robot.description import read_arm
 from gendom.robot.kinematics import (
     arm_shape,
-    inverse_kinematics,
     jacobian,
     link_poses,
     pose_error,
@@ -70,7 +69,6 @@ __all__ = [
     "find_arm",
     "fit_capsules",
     "follow",
-    "inverse_kinematics",
     "jacobian",
     "joint_move",
     "lift",

@@ -25,7 +25,7 @@ squares the error."""
 ANGLE_LENGTH = 0.3  # [m/rad]; a rotation of the tool counts as this movement
 _DAMPING = 0.1  # damping^2 = (this)^2 |error|: zero at the solution, so that the end is Newton's
 _LARGEST_STEP = 0.4  # [rad]; a joint's step in one iteration
-_ITERATIONS, _STARTS = 100, 24
+_ITERATIONS, _STARTS = 100, 23
 _HOMING = 0.5  # share of the distance to the resting pose in one iteration, within the null space
 _SETTLED = 1e-5  # [rad]; the null space's steps end below this
 
@@ -118,50 +118,28 @@ def _rotation_vector(R: Array) -> Array:
     return vector
 
 
-def inverse_kinematics(arm: Arm, T_base_tcp: ArrayLike, *, near: ArrayLike | None = None) -> Array:
-    """Joint angles [J] [rad] within the limits that bring the tool point to a pose, to 0.1 um and
-    1 urad: the first of `solutions`.
+def solutions(arm: Arm, T_base_tcp: ArrayLike) -> list[Array]:
+    """All distinct joint angles [J] [rad] within the limits that are found for a pose, to 0.1 um
+    and 1 urad, those nearest to `arm.home` first.
+
+    Damped least squares from home and random starts (Buss, "Introduction to inverse kinematics with
+    Jacobian transpose, pseudoinverse and damped least squares methods", 2004), the damping
+    vanishing with the error. The arm's redundancy is used to approach home, by steps in the null
+    space of the Jacobian.
 
     Raises:
-        RobotError: As `solutions`.
+        RobotError: The matrix [4, 4] is not a pose, or no start converges to it.
     """
-    return solutions(arm, T_base_tcp, near=near)[0]
-
-
-def solutions(
-    arm: Arm,
-    T_base_tcp: ArrayLike,
-    *,
-    near: ArrayLike | None = None,
-) -> list[Array]:
-    """All distinct joint angles [J] [rad] that are found for a pose, the nearest first.
-
-    Damped least squares from `near`, home and random starts (Buss, "Introduction to inverse
-    kinematics with Jacobian transpose, pseudoinverse and damped least squares methods", 2004), the
-    damping vanishing with the error. The arm's redundancy is used to approach `near` (or home), by
-    steps in the null space of the Jacobian.
-
-    Args:
-        arm: The arm.
-        T_base_tcp: [4, 4] the pose.
-        near: [J] preferred joint angles [rad]; None: `arm.home`.
-
-    Raises:
-        RobotError: The matrix is not a pose, or no start converges to it.
-    """
-    T = _check_pose(T_base_tcp)
-    rest = arm.home if near is None else arm.check_q(np.asarray(near))
-    rest = np.clip(rest, arm.q_min, arm.q_max)
+    T, rest = _check_pose(T_base_tcp), np.clip(arm.home, arm.q_min, arm.q_max)
     # A joint rotated by more than half a turn from home only winds up the arm.
     low = np.maximum(arm.q_min, arm.home - np.pi)
     high = np.minimum(arm.q_max, arm.home + np.pi)
-    random = np.random.default_rng(0).uniform(low, high, (_STARTS - 2, arm.joints))
-    q = np.concatenate([rest[None], arm.home[None], random])
+    random = np.random.default_rng(0).uniform(low, high, (_STARTS - 1, arm.joints))
+    q = np.concatenate([rest[None], random])
     q, error = descend(arm, np.broadcast_to(T, (len(q), 4, 4)), q, rest)
-    size = _size(error)
     good = reached(error)
     if not good.any():
-        k = int(np.argmin(size))
+        k = int(np.argmin(_size(error)))
         x, y, z = link_poses(arm, q[k])[-1, :3, 3]
         what = f"{describe(T)} is out of reach: the nearest found, ({x:.3f}, {y:.3f}, {z:.3f}) m, "
         what += f"is off by {missed(arm, q[k], error[k])}"
