@@ -6,6 +6,7 @@ cloth let down, dropped and pulled apart; and a rope that falls into a loop.
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,9 @@ from gendom.policies import Policy
 from gendom.sim import Gripper, Physics, Simulator, Table, cloth, rope
 from gendom.tasks import Observed
 from gendom.tasks.world import Simulation
-from gendom.viz import CloudSequence, write_gif
-from gendom.viz.sources import goal_mark
+from gendom.viz import Animation, write_film
+from gendom.viz.layers import goal_layer, observed_layer
+from gendom.viz.palette import RECORDED_COLOR
 
 FABRIC = Material(E=4.0e5, nu=0.3, density=400.0, damping=0.01)
 SIZE = 0.3
@@ -53,13 +55,13 @@ def main() -> None:
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)
     for name, soft, stiff in TASKS:
-        write_gif(out / f"{name}.gif", one_goal(name, soft, stiff))
+        write_film(out / f"{name}.gif", one_goal(name, soft, stiff))
     sheet, shape = crumpled()
     film(out / "thin-cloth.gif", sheet, lambda axes, x: draw_sheet(axes, x.reshape(*shape, 3)))
     film(out / "thin-rope.gif", coiled(), draw_rope)
 
 
-def one_goal(name: str, soft: Item, stiff: Item) -> CloudSequence:
+def one_goal(name: str, soft: Item, stiff: Item) -> Animation:
     """The motions of two objects, each by the policy's action for it; the goal is one that both
     reach, between what each can."""
     policy = Policy.pretrained(name)
@@ -78,24 +80,18 @@ def one_goal(name: str, soft: Item, stiff: Item) -> CloudSequence:
     ends_at = min(soft_seen.times[-1], stiff_seen.times[-1])
     times = np.arange(begins, ends_at, 1.0 / FRAMES_A_SECOND)
 
-    def at(seen: Observed) -> list[NDArray[np.floating]]:
+    def at(seen: Observed) -> Observed:
         nearest = [int(np.argmin(np.abs(seen.times - t))) for t in times]
-        return [finer(seen.points[k]) for k in nearest]
+        return replace(seen, points=seen.points[nearest])
 
-    return CloudSequence(
-        recorded=at(stiff_seen), simulated=at(soft_seen), times=times - times[0],
-        labels=("stiff", "soft"), oblique=not task.goals,
-        table_height=-float(task.T_world_task(soft)[2, 3]),
-        goal=goal_mark(goal, soft_seen) if task.goals else None,
-    )  # fmt: skip
-
-
-def finer(points: NDArray[np.floating], count: int = 200) -> NDArray[np.floating]:
-    """Points [V, 3] along a line, or of a lattice as they are."""
-    if len(points) > count:
-        return points
-    at = np.linspace(0.0, len(points) - 1.0, count)
-    return np.stack([np.interp(at, np.arange(len(points)), x) for x in points.T], axis=1)
+    layers = [
+        observed_layer("stiff", stiff, at(stiff_seen), RECORDED_COLOR),
+        observed_layer("soft", soft, at(soft_seen)),
+    ]
+    if task.goals:
+        layers.append(goal_layer(goal, soft_seen, soft))
+    table = -float(task.T_world_task(soft)[2, 3])
+    return Animation(times=times - times[0], layers=tuple(layers), table_height=table)
 
 
 def crumpled() -> tuple[NDArray[np.floating], tuple[int, ...]]:

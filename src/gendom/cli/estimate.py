@@ -154,7 +154,7 @@ class Command:
     ) -> None:
         """Of an estimate, or of why there is none."""
         from gendom.viz import ReportContent, write_report
-        from gendom.viz.sources import clouds_of
+        from gendom.viz.layers import lift_animation
 
         command = shell(TYPED)
         named = ", ".join(path.name for path in self.recordings)
@@ -175,7 +175,9 @@ class Command:
                 summary=REPORT_SUMMARY if found.usable else NOT_USABLE_SUMMARY,
                 command=command,
                 recording_source=_sentences(named, recording.source, recording.notes),
-                lift=clouds_of(first.scene, first.positions, first.theta, first.chamfer),
+                lift=lift_animation(
+                    first.scene, first.positions, first.theta, distance=("Chamfer", first.chamfer)
+                ),
                 lift_note=f"The first of {several}: {first.name}." if several > 1 else "",
                 estimate=found,
                 stage_seconds=found.record["stage_seconds"],

@@ -1,6 +1,6 @@
 """Charts as SVG inside a page: their colours, fonts and dark mode are those of its style sheet.
 
-What is drawn names a class of `report.css` ("recorded", "prior", "start-1"), which has the colour.
+What is drawn names a class of `page.css` ("recorded", "prior", "start-1"), which has the colour.
 """
 
 from __future__ import annotations

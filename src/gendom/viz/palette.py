@@ -18,6 +18,8 @@ RECORDED_COLOR = "#0072B2"
 SIMULATED_COLOR = "#E69F00"
 OBSTACLE_COLOR = "#8C96A0"
 GOAL_COLOR = "#009E73"
+ARM_COLOR = "#B4BBC3"
+GRIPPER_COLOR = "#222222"
 
 DEPTH_COLORS = ("#fde725", "#5ec962", "#21918c", "#3b528b", "#440154")
 """From near to far: five of the colours of matplotlib's viridis."""

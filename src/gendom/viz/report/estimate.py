@@ -13,6 +13,7 @@ import numpy as np
 from gendom.materials.estimate import Estimate
 from gendom.materials.unknowns import UNKNOWNS
 from gendom.viz.charts import Axis, Plot
+from gendom.viz.markup import DASH, escaped, facts_list, folded, side_by_side, table
 from gendom.viz.quantities import (
     difference_text,
     interval_text,
@@ -22,7 +23,6 @@ from gendom.viz.quantities import (
     unit_of,
     with_minus,
 )
-from gendom.viz.report.markup import DASH, escaped, facts_list, folded, side_by_side, table
 
 Truth = Mapping[str, float]
 """True values by the names of an estimate's record, as far as known, in SI units."""
@@ -30,7 +30,7 @@ Truth = Mapping[str, float]
 _DRAWN_SDS = 4.2
 _WHOLE = 5.0  # a prior that is wider than the posterior by more than this is drawn in part
 
-_SERIES = 6  # colours of `report.css` for the starts of a search
+_SERIES = 6  # colours of `page.css` for the starts of a search
 
 _DISTANCES = {
     "rms": "distance of recorded points from the simulated surface, root mean square",
