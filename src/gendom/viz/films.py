@@ -88,8 +88,8 @@ class Stage:
         return image
 
     def _seen(self, x: Array) -> tuple[Array, Array]:
-        """Where places [..., 3] [m] are in the picture that is drawn: [..., 2] y downwards [pixels],
-        and [...] how far away [m]."""
+        """Where places [..., 3] [m] are in what is drawn, y downwards [..., 2] [pixels], and how far
+        away [...] [m]."""
         at = np.asarray(x, dtype=float) @ self._axes.T
         return self._scale * at[..., :2] * [1.0, -1.0] + self._shift, at[..., 2]
 
