@@ -43,13 +43,6 @@ def lift(frames=20, recorded=40, simulated=120, distance=None, more=(), **change
     )
 
 
-HISTORY = [
-    {"start": start, "stage": "", "iteration": k, "E": 1800.0 + 500.0 * 0.5**k,
-     "loss": 0.1 * 0.5**k + 0.001 * start}
-    for start in range(2)
-    for k in range(4)
-]  # fmt: skip
-
 DISTANCES = [f"chamfer_{w}{of}" for w in ("mean", "last") for of in ("", "_surface", "_registered")]
 
 
@@ -76,7 +69,7 @@ def estimate(*, reasons=(), mass=None, **about):
         about={
             **dict.fromkeys(DISTANCES, 0.0082), "rms": 0.00385042488550871, "rms_by_frame": [],
             "method": "gauss-newton", "device": "cpu", "seed": 12345678, "iterations": 8,
-            "seconds": 51.45626372600009, "notes": [], "history": HISTORY, **about,
+            "seconds": 51.45626372600009, "notes": [], **about,
         },
     )  # fmt: skip
 

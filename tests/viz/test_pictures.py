@@ -1,6 +1,5 @@
 """Pictures and films: what is drawn where, and from where it is seen."""
 
-import io
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 from PIL import Image, ImageSequence
 
 from gendom.errors import GendomError
-from gendom.viz import Animation, Layer, encode_camera_views, palette, write_film, write_report
+from gendom.viz import Animation, Layer, write_film, write_report
 from gendom.viz.animation import axes_of
 from gendom.viz.films import Stage
 from gendom.viz.palette import RECORDED_COLOR, SIMULATED_COLOR
@@ -60,19 +59,6 @@ def test_the_view_is_of_the_broad_side(size, turn):
     # from three sides
     image = np.asarray(draw_views([points, points + 0.1], table=0.0))
     assert image.shape == (420, 1260, 3) and near(image, RECORDED_COLOR).any()
-
-
-def test_camera_views_of_one_size_become_a_picture(monkeypatch):
-    """Nearest is yellow, and what was not measured black."""
-    monkeypatch.setattr(palette, "WIDTH", 32)
-    depth = np.repeat([[0.5, 0.0]], 8, axis=0).repeat(8, axis=1)
-    view = np.zeros((8, 16, 3), np.uint8), depth
-    with Image.open(io.BytesIO(encode_camera_views([view, view]))) as image:
-        near, none = (np.array(image.getpixel((x, 4))) for x in (19, 29))
-    np.testing.assert_allclose(near, [253, 231, 37], atol=12)
-    np.testing.assert_allclose(none, 0, atol=12)
-    with pytest.raises(GendomError, match="views: has pictures of 2 sizes"):
-        encode_camera_views([view, (view[0][:4], depth[:4])])
 
 
 @pytest.mark.parametrize(

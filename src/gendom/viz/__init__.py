@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 from gendom.lazy import imported_later
 from gendom.viz.animation import Animation, Layer
 from gendom.viz.films import write_film
-from gendom.viz.palette import encode_camera_views
 from gendom.viz.report.content import ReportContent, write_report
 from gendom.viz.report.motion import ActionSummary, PolicyRun, ReachOutcome
 
@@ -26,7 +25,6 @@ __all__ = [
     "PolicyRun",
     "ReachOutcome",
     "ReportContent",
-    "encode_camera_views",
     "object_layer",
     "save",
     "show",

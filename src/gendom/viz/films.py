@@ -88,7 +88,7 @@ class Stage:
         return image
 
     def _seen(self, x: Array) -> tuple[Array, Array]:
-        """Where places [..., 3] [m] are in what is drawn, y downwards [..., 2] [pixels], and how far
+        """Where places [..., 3] [m] are in the picture, y downwards [..., 2] [pixels], and how far
         away [...] [m]."""
         at = np.asarray(x, dtype=float) @ self._axes.T
         return self._scale * at[..., :2] * [1.0, -1.0] + self._shift, at[..., 2]

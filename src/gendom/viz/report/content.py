@@ -73,7 +73,7 @@ class ReportContent:
             made["The estimate"] = estimated.parameters(found, self.truth)
             if found.usable:
                 made["Prior and posterior"] = estimated.beliefs(found, self.truth)
-            made["The search"] = estimated.search(found, self.truth)
+            made["The fit"] = estimated.search(found)
         if self.action is not None:
             made["The action"] = motion.action(self.action)
         made["How this was made"] = self._provenance()

@@ -13,7 +13,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from http import HTTPStatus
 from typing import Any
@@ -22,7 +22,6 @@ from urllib.parse import urlsplit
 import numpy as np
 import viser
 import websockets.asyncio.server as websocket_server
-from viser import uplot
 
 from gendom.arguments import require
 from gendom.arrays import Array
@@ -30,7 +29,6 @@ from gendom.errors import GendomError, printable
 from gendom.viz.animation import Animation, Layer, axes_of
 from gendom.viz.palette import (
     RECORDED_COLOR,
-    SIMULATED_COLOR,
     TABLE_FILL,
     TABLE_LINE,
     rgb,
@@ -264,8 +262,6 @@ class Viewer:
             self._button = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
             self._button.on_click(lambda _: self.play(not self._playing))
             self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1")
-            self._chart: viser.GuiUplotHandle | None = None
-            self._chart_folder = gui.add_folder(None, visible=False)
         self._sliders: dict[str, viser.GuiSliderHandle] = {}
         self._boxes: dict[str, Any] = {}
         groups = dict.fromkeys(p.group for p in self._parameters.values())
@@ -278,13 +274,8 @@ class Viewer:
             gui.add_button("Reset parameters").on_click(lambda _: self.set_case(self._case))
 
     def _add_slider(self, p: SliderParameter) -> viser.GuiSliderHandle:
-        slider = self._server.gui.add_slider(
-            p.text(p.value),
-            *p.range,
-            p.start,
-            marks=p.marks,
-            hint=p.meaning,
-        )
+        text, gui = p.text(p.value), self._server.gui
+        slider = gui.add_slider(text, *p.range, p.start, hint=p.meaning)
 
         def moved(_: Any) -> None:
             if self._setting:
@@ -370,7 +361,6 @@ class Viewer:
                 middle = self._time.max // 2
                 self._time.value = middle if first else scene.frame_at(time_shown)
                 self._setting = False
-                self._draw_distance(scene)
                 self._paint()
             if first:
                 self._camera_set = True
@@ -385,22 +375,6 @@ class Viewer:
             said = f"{self._status_text}, the rest after" if done else "simulated in"
             self._say(f"{said} {seconds:.2f} s")
 
-    def _draw_distance(self, scene: Animation) -> None:
-        """Draw how far clouds are apart; an earlier chart stays while it is not known."""
-        if scene.distance is None:
-            return
-        name, distance = scene.distance
-        data = scene.times.astype(float), 1e3 * distance.astype(float)
-        if self._chart is not None:
-            self._chart.data = data
-            return
-        label = f"{name} distance [mm]"
-        stroke = uplot.Series(label=label, stroke=SIMULATED_COLOR, width=2)
-        series, scales = (uplot.Series(label="time [s]"), stroke), {"x": uplot.Scale(time=False)}
-        with self._chart_folder:
-            self._chart = self._server.gui.add_uplot(data, series, scales=scales, height=150)
-        self._chart_folder.visible = True
-
     def _say(self, text: str, *, fault: bool = False) -> None:
         self._status_text, self._fault = text, fault
         self._read()
@@ -408,23 +382,17 @@ class Viewer:
     def _read(self) -> None:
         """Write what is to be read."""
         with self._lock:
-            rows, layers = (), ()
-            if self._scene is not None:
-                rows, layers = self._rows(self._scene), self._scene.layers
-            legend = legend_of(layers)
-            table = "".join(
-                f'<tr><td style="color:{_SOFT};padding-right:0.8em;vertical-align:top">'
-                f"{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
-                for name, value in rows
+            scene, lines = self._scene, []
+            if scene is not None:
+                lines += [(layer.color, f"● {layer.name}") for layer in scene.layers]
+                lines += [(_SOFT, f"{name}: {value}") for name, value in self._rows(scene)]
+            lines.append((_BAD if self._fault else _SOFT, self._status_text))
+            lines += [(_SOFT, note) for note in self._model.notes]
+            shown = "".join(
+                f'<div style="color:{color}">{html.escape(text)}</div>' for color, text in lines
             )
-            notes = "".join(f"<div>{html.escape(note)}</div>" for note in self._model.notes)
-            self._readout.content = (
-                '<div style="font-size:0.8em;line-height:1.45;padding:0.3em 0.8em">'
-                f"<div>{legend}</div><table>{table}</table>"
-                f'<div style="color:{_BAD if self._fault else _SOFT}">'
-                f"{html.escape(self._status_text)}</div>"
-                f'<div style="color:{_SOFT}">{notes}</div></div>'
-            )
+            style = "font-size:0.8em;line-height:1.45;padding:0.3em 0.8em"
+            self._readout.content = f'<div style="{style}">{shown}</div>'
 
     def _rows(self, scene: Animation) -> list[tuple[str, str]]:
         t = self._frame_of(scene)
@@ -432,10 +400,9 @@ class Viewer:
         if scene.distance is not None:
             name, mm = scene.distance[0], 1e3 * scene.distance[1]
             rows.append((f"{name} [mm]", f"{mm[t]:.1f} now, {mm.mean():.1f} mean"))
-        rows += scene.facts
-        if scene.table_height is not None:
-            rows.append(("squares of table", f"{1e3 * scene.square:g} mm"))
-        return rows
+        table = scene.table_height is not None
+        squares = [("squares of table", f"{1e3 * scene.square:g} mm")] if table else []
+        return [*rows, *scene.facts, *squares]
 
     # ---- time ------------------------------------------------------------------------------------
 
@@ -467,15 +434,6 @@ class Viewer:
                 clock = float(scene.times[0])
             with self._lock:
                 self._time.value = scene.frame_at(clock)
-
-
-def legend_of(layers: Sequence[Layer]) -> str:
-    """HTML: colours and names of layers."""
-    return " ".join(
-        f'<span style="white-space:nowrap"><span style="color:{layer.color}">●</span> '
-        f"{html.escape(layer.name)}</span>"
-        for layer in layers
-    )
 
 
 def camera_of(shown: Animation) -> tuple[Array, Array]:

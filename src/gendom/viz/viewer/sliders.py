@@ -55,20 +55,6 @@ class SliderParameter:
         return low, high, (high - low) / POSITIONS
 
     @property
-    def marks(self) -> tuple[tuple[float, str], ...] | None:
-        """Positions and texts of round values along a logarithmic slider."""
-        if not self.log:
-            return None
-        low, high, _ = self.range
-        within = (1, 2, 5) if high - low < 2.0 else (1,)
-        values = [m * 10.0**k for k in range(math.floor(low), math.ceil(high) + 1) for m in within]
-        shown = [v for v in values if low <= math.log10(v) <= high]
-        # short texts, or those of a wide range would collide
-        units = [(1e6, "M"), (1e3, "k"), (0.0, "")]
-        texts = [next(f"{v / (a or 1.0):g}{u}" for a, u in units if v >= 9.0 * a) for v in shown]
-        return tuple((math.log10(v), text) for v, text in zip(shown, texts, strict=True))
-
-    @property
     def shown(self) -> tuple[float, str]:
         """What its value is multiplied by, and the unit, to be read."""
         return SHOWN_UNITS.get(self.unit, (1.0, self.unit))
