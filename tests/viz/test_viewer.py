@@ -216,7 +216,7 @@ def test_a_page_plays_by_itself(browser, tmp_path):
 
 def test_the_page_shows_and_obeys(viewer, browser, capfd):
     """It is drawn without errors, asks for nothing from elsewhere, and its sliders act."""
-    browser.open(viewer.url + "/", width=600, height=300)  # drawn in software
+    browser.open(viewer.url + "/", width=600, height=300, scale=0.1)
     text = "document.body.textContent"
     for said in ("a square", "It is flat.", "Chamfer", "recorded", "Reset parameters"):
         until(browser, f"{text}.includes({said!r})")
