@@ -15,21 +15,21 @@ from typing import Any, Literal
 import numpy as np
 
 from gendom.arguments import require
-from gendom.cli.arguments import Device, Json, Seed, iterations_shown
+from gendom.cli.arguments import Device, Seed, iterations_shown
 from gendom.cli.estimate import (
     NAME,
     NOT_USABLE,
     NOT_USABLE_SUMMARY,
     estimate_text,
+    fit_content,
     next_steps,
     shell,
 )
 from gendom.cli.outputs import check_places
-from gendom.cli.parsing import TYPED
 from gendom.datasets import Recording
 from gendom.errors import GendomError, printable
 from gendom.estimation import EstimateSettings, FittedEstimate, SceneSettings, estimate
-from gendom.files import to_json, write_json
+from gendom.files import write_json
 from gendom.installation import how_to_install
 from gendom.materials import Item, to_columns
 from gendom.materials.estimate import Estimate
@@ -48,11 +48,10 @@ from gendom.viz import (
     Animation,
     PolicyRun,
     ReachOutcome,
-    ReportContent,
     write_film,
     write_report,
 )
-from gendom.viz.layers import arm_layer, goal_layer, gripper_layer, lift_animation, observed_layer
+from gendom.viz.layers import arm_layer, goal_layer, gripper_layer, observed_layer
 from gendom.viz.palette import RECORDED_COLOR
 from gendom.viz.report.motion import WITH, WITHOUT
 
@@ -71,17 +70,15 @@ TASKS = ("rope-casting", "rope-reaching")
 
 SUMMARY = (
     "GenDOM watched one lift of each of three ropes, alike but for their stiffness, and found the "
-    "elasticity with which its simulator repeats it. One policy, trained beforehand in simulation "
-    "on many objects, takes this elasticity as an input and so needs no training on them. This "
-    "page shows how well the simulated lift of the first rope matches the recorded one, how sure "
-    "the estimate is, and what the policy's actions reached with each rope, beside the same "
-    "network without parameters."
+    "elasticity with which its simulator repeats it. One policy, trained beforehand in simulation, "
+    "takes this elasticity as an input and so needs no training on these ropes. This page shows "
+    "the lift and the estimate of the first rope, and what the policy's actions reached with each, "
+    "beside the same network without parameters."
 )
 
 SCENE = (
     "Recorded in the MuJoCo test scene (the second reality), which has other equations than the "
-    "simulator that estimates. A simulated arm moves the ropes, and two simulated depth cameras "
-    "see them."
+    "simulator that estimates: an arm moves the ropes, and two noisy depth cameras see them. "
 )
 
 CHOSEN = (
@@ -90,20 +87,17 @@ CHOSEN = (
 )
 
 CAMERAS_NOTE = (
-    "The first rope, halfway up. Depth has the noise of a stereo camera, lost and mixed pixels at "
-    "edges, and an error of calibration. The arm's points are removed by its joint angles."
+    "The first rope, halfway up. Depth has noise, lost and mixed pixels at edges, and an error of "
+    "calibration. The arm's points are removed by its joint angles."
 )
+
+_ASSETS = resources.files("gendom") / "assets"
 
 _log = logging.getLogger(__name__)
 
 
-VARIANTS = {
-    "with_parameters": WITH,
-    "without_parameters": WITHOUT,
-    "polished": "polished in the simulator",
-    "after_one_execution": "after one execution",
-}
-"""What is compared, by its name in actions.json."""
+VARIANTS = (WITH, WITHOUT, "polished in the simulator", "after one execution")
+"""What is compared."""
 
 MOTION_RATE = 30.0
 """Frames a second of the executed motion."""
@@ -138,7 +132,6 @@ class Command:
     """Random starts of the estimates."""
     seed: Seed = 0
     device: Device = "cpu"
-    json: Json = False
 
     def run(self) -> int:
         from gendom.sim import open_device  # Warp, which takes long to import
@@ -161,36 +154,22 @@ class Command:
             with _timed(seconds, "act and carry out"):
                 action, apart = self._act({n: ropes[n] for n in usable}, usable, policies, goal)
         first = every["rope-cotton"]
-        fit = first.fits[0]
-        lift = lift_animation(
-            fit.scene, fit.positions, fit.theta, distance=("Chamfer", fit.chamfer)
-        )
-        with _timed(seconds, "film"):
-            write_film(self.out / "lift.gif", lift)
-        acts = ", and actions that reach their goals" if action else ""
-        carried = (
-            "in our own simulator, with the ropes' true values" if _lacking() else "there, too"
-        )
-        views = resources.files("gendom") / "assets" / f"{LIFTS['rope-cotton']}.jpg"
-        said = [SCENE, *([f"Actions are carried out {carried}. {apart}"] if action else [])]
-        content = ReportContent(
-            title=f"GenDOM: one lift of each of three ropes{acts}",
+        content = fit_content(
+            first,
+            title="GenDOM: one lift of each of three ropes, and what the arm does with them",
             summary=SUMMARY if usable else NOT_USABLE_SUMMARY,
-            command=shell(TYPED),
-            recording_source=" ".join(said),
-            cameras=views.read_bytes(),
+            recording_source=SCENE + apart,
+            cameras=(_ASSETS / f"{LIFTS['rope-cotton']}.jpg").read_bytes(),
             cameras_note=CAMERAS_NOTE,
-            lift=lift,
-            estimate=first,
-            truth={**to_columns(ropes["rope-cotton"])},
+            truth=to_columns(ropes["rope-cotton"]),
             action=action,
             stage_seconds=seconds,
             next_steps=self.next_steps(action.outcomes[0].goal.tolist() if action else None),
         )
+        assert content.lift is not None
+        with _timed(seconds, "film"):
+            write_film(self.out / "lift.gif", content.lift)
         write_report(self.out / "report.html", content)
-        if self.json and action:
-            records = {name: found.record for name, found in every.items()}
-            print(to_json({"estimates": records, **_entries(action), "seconds": seconds}))
         print(f"report: {printable(self.out / 'report.html')}")
         return 0 if len(usable) == len(every) else NOT_USABLE
 
@@ -207,8 +186,7 @@ class Command:
 
     def _estimate(self, name: str, rope: Item) -> FittedEstimate:
         """A rope's estimate, which is printed and written beside its recording."""
-        asset = resources.files("gendom") / "assets" / f"{LIFTS[name]}.npz"
-        with resources.as_file(asset) as path:
+        with resources.as_file(_ASSETS / f"{LIFTS[name]}.npz") as path:
             recording = Recording.read(path)
         print(f"{name}, a recorded lift: {recording.num_frames} frames of {recording.source}")
         scene = SceneSettings(device=self.device)
@@ -263,10 +241,16 @@ class Command:
             goal_name=", ".join(f"{q.name} {q.meaning}" for q in task.goals),
             action_names=[f"{q.name.replace('_', ' ')} [{q.unit}]" for q in task.actions],
         )
-        write_json(self.out / "actions.json", {"task": task.name, **_entries(summary)})
-        said = "What is reached and what the simulator says of the same action differ by "
-        said += f"{1e3 * float(np.median(apart)):.1f} mm in the median: smaller differences say "
-        said += "little, and polishing in the simulator cannot take them away."
+        entries = [_entry(outcome) for outcome in outcomes]
+        actions = {"format": "gendom-demo/3", "task": task.name, "outcomes": entries}
+        write_json(self.out / "actions.json", actions)
+        said = (
+            "Actions are carried out "
+            f"{'in our own simulator, with the true values' if _lacking() else 'there, too'}. "
+            "What is reached and what the simulator says of the same action differ by "
+            f"{1e3 * float(np.median(apart)):.1f} mm in the median: smaller differences say "
+            "little, and polishing in the simulator cannot take them away."
+        )
         print(f"  ({said})\n")
         return summary, said
 
@@ -317,7 +301,7 @@ def carry_out(
     learnt = adapt(task, belief, [known])
     last = polished(third.run.action, learnt.belief, discrepancy=learnt.discrepancy)
     runs = (of.run for of in (ours, without, third, last))
-    named = dict(zip(VARIANTS.values(), runs, strict=True))
+    named = dict(zip(VARIANTS, runs, strict=True))
     return ReachOutcome(item=name, goal=goal, runs=named), (ours, without)
 
 
@@ -385,19 +369,10 @@ def _place(numbers: np.ndarray) -> str:
     return text if len(numbers) == 1 else f"({text})"
 
 
-def _entries(done: ActionSummary) -> dict[str, Any]:
-    """What actions.json holds."""
-    outcomes = [
-        {"rope": of.item, "goal": of.goal.tolist()}
-        | {
-            key: {"action": run.action.tolist(), "reached": run.reached.tolist(),
-                  "error": of.error(name)}
-            for key, name in VARIANTS.items()
-            for run in [of.runs[name]]
-        }
-        for of in done.outcomes
-    ]  # fmt: skip
-    return {"format": "gendom-demo/3", "outcomes": outcomes}
+def _entry(of: ReachOutcome) -> dict[str, Any]:
+    """One rope in actions.json."""
+    runs = {name: {**vars(run), "error": of.error(name)} for name, run in of.runs.items()}
+    return {"rope": of.item, "goal": of.goal, "runs": runs}
 
 
 @contextmanager
