@@ -1,8 +1,9 @@
 """An estimated rope or cloth for other simulators, ready to run there.
 
 A twin is a folder: the scene in the simulator's own form, lift.py, which lifts the object there and
-compares every frame with our simulator, lift.npz with the numbers that it reads, and
-twin.json with the parameters and where they come from. lift.py does not need GenDOM.
+compares every frame with our simulator (with driver.py, which needs NumPy alone), lift.npz with the
+numbers that it reads, and twin.json with the parameters and where they come from. lift.py does not
+need GenDOM.
 """
 
 from __future__ import annotations
@@ -48,8 +49,9 @@ def write_twin(item: Item, target: str, folder: Path, *, about: dict[str, Any]) 
     texts, places, arrays = module.written(lift)
     folder.mkdir(parents=True, exist_ok=True)
     if module.SCRIPT:
-        script = resources.files("gendom.twins") / "scripts" / module.SCRIPT
-        texts["lift.py"] = script.read_text(encoding="utf-8")
+        scripts = resources.files("gendom.twins") / "scripts"
+        for name, script in (("lift.py", module.SCRIPT), ("driver.py", "driver.py")):
+            texts[name] = (scripts / script).read_text(encoding="utf-8")
         time, hand = lift.path
         expected = lift.at(lift.simulated(), places)
         arrays |= {"time": time, "hand": hand, "frames": lift.frames, "rest": places}

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from gendom.arrays import Array
 from gendom.materials import STANDARD_GRAVITY, Item, Rope
-from gendom.reality.objects import grid
-from gendom.twins.lift import Array, Lift
+from gendom.twins.lift import Lift, segment_points, sheet_points
 from gendom.twins.newton import sheet_of
 
 SCRIPT = "genesis_lift.py"
@@ -41,14 +41,8 @@ def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
     item = lift.item
     common = {"kind": item.kind, "friction": item.friction, "step": STEP[item.kind]}
     if isinstance(item, Rope):
-        places = np.zeros((SEGMENTS, 3))
-        places[:, 0] = (np.arange(SEGMENTS) + 0.5) * item.length / SEGMENTS
-        places[:, 2] = lift.height
-        return {"rope.xml": _chain(item, lift)}, places, common
-    flat, triangles = grid(SIDE, SIDE, item.side / (SIDE - 1))
-    half = math.sqrt(0.5)
-    height = np.full(len(flat), lift.height)
-    places = np.column_stack([flat @ [[half, -half], [half, half]], height])
+        return {"rope.xml": _chain(item, lift)}, segment_points(lift, SEGMENTS), common
+    places, triangles = sheet_points(lift, SIDE)
     return _sheet(item, places, triangles, lift.hold, common)
 
 
