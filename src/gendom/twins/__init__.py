@@ -18,7 +18,6 @@ from gendom.arguments import require
 from gendom.errors import GendomError
 from gendom.files import atomic_path, write_json
 from gendom.materials import Item, to_columns
-from gendom.twins.lift import Lift
 
 TARGETS = ("mjcf", "newton", "genesis", "usd")
 """Forms of twins, one module each."""
@@ -45,8 +44,7 @@ def write_twin(item: Item, target: str, folder: Path, *, about: dict[str, Any]) 
     fix = f"choose {', '.join(TARGETS)}"
     require(target in TARGETS, f"there is no target {target!r}", fix=fix, error=GendomError)
     module = import_module(f"gendom.twins.{target}")
-    lift = Lift(item=item, edge=module.edge(item))
-    texts, places, arrays = module.written(lift)
+    lift, texts, places, arrays = module.written(item)
     folder.mkdir(parents=True, exist_ok=True)
     if module.SCRIPT:
         scripts = resources.files("gendom.twins") / "scripts"

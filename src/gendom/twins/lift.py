@@ -46,7 +46,7 @@ class Lift:
         """What lies within this distance of the rope's end, or of the corner, moves with the hand
         [m]. The joint beyond the last segment that is held stands for half a segment on both
         sides."""
-        if self.edge is None:
+        if self.edge is None or not isinstance(self.item, Rope):
             return FINGERS
         return (max(round(FINGERS / self.edge + 0.5), 1) - 0.5) * self.edge
 

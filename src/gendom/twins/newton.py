@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from gendom.arrays import Array
-from gendom.materials import STANDARD_GRAVITY, Cloth, Item, Rope
+from gendom.materials import STANDARD_GRAVITY, Cloth, Item, size_of
 from gendom.reality.model import SHEET_STRETCH
 from gendom.twins.lift import Lift, segment_points, sheet_points
 
@@ -28,20 +28,15 @@ STEP, ITERATIONS = 1e-3, 20
 """Time step [s] and iterations a step of the solver."""
 
 
-def edge(item: Item) -> float | None:
-    """Length of a rope's segments [m]."""
-    return item.length / SEGMENTS if isinstance(item, Rope) else None
-
-
-def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
-    """Text files by name, the places [M, 3] that are compared, at rest [m]: the middles of a rope's
-    segments or a cloth's vertices, and arrays for the script."""
-    item, m = lift.item, lift.item.material
+def written(item: Item) -> tuple[Lift, dict[str, str], Array, dict[str, Any]]:
+    """The lift, text files by name, the places [M, 3] at rest that are compared [m] (middles of a
+    rope's segments or a cloth's vertices), and arrays for the script."""
+    lift, m = Lift(item=item, edge=size_of(item) / SEGMENTS), item.material
     common = {"kind": item.kind, "friction": item.friction, "damping": m.damping}
     common |= {"step": STEP, "iterations": ITERATIONS}
     if isinstance(item, Cloth):
         places, triangles = sheet_points(lift, SIDE)
-        return {}, places, common | sheet_of(item, places, triangles, lift.hold)
+        return lift, {}, places, common | sheet_of(item, places, triangles, lift.hold)
     places, length = segment_points(lift, SEGMENTS), item.length / SEGMENTS
     along = np.linspace(0.0, item.length, SEGMENTS + 1)
     nodes = along[:, None] * [1.0, 0.0, 0.0] + [0.0, 0.0, lift.height]
@@ -55,7 +50,7 @@ def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
         "GJ": m.E / (1.0 + m.nu) * second,
         "EA": m.E * area,
     }
-    return {}, places, common | rod
+    return lift, {}, places, common | rod
 
 
 def sheet_of(item: Cloth, places: Array, triangles: Any, hold: float) -> dict[str, Any]:
