@@ -16,6 +16,7 @@ from gendom.materials import catalogue
 from gendom.materials.estimate import Estimate
 from gendom.reality import OBJECTS
 from gendom.twins import write_twin
+from gendom.twins.lift import Lift
 
 COTTON = ["cotton-rope", "--length", "0.3"]
 
@@ -82,7 +83,7 @@ def test_a_cloth_lifted_in_mujoco_moves_as_ours(tmp_path, estimate, name):
     assert lifted(folder)[0] < 4.0
 
 
-@pytest.mark.parametrize("words", [COTTON, ["--side", "0.08"]], ids=["rope", "cloth"])
+@pytest.mark.parametrize("words", [COTTON, ["--side", "0.2"]], ids=["rope", "cloth"])
 def test_usd_holds_the_lift_and_the_parameters(tmp_path, words):
     if words is not COTTON:
         words = [next(n for n, m in catalogue.materials().items() if m.kind == "cloth"), *words]
@@ -94,7 +95,14 @@ def test_usd_holds_the_lift_and_the_parameters(tmp_path, words):
         np.array(re.findall(r"-?[\d.]+", row), dtype=float).reshape(-1, 3) for _, row in frames
     ]
     assert [int(k) for k, _ in frames] == list(range(len(frames))) and len(frames) > 15
-    assert points[0][:, 2].max() < 0.02 < 0.05 < points[-1][:, 2].max()
+    assert points[0][:, 2].max() < 0.02 < 0.1 < points[-1][:, 2].max()
+
+
+@pytest.fixture
+def still(monkeypatch):
+    """Our simulator's lift is not simulated."""
+    at_rest = lambda lift: np.repeat(lift.body.points[None], len(lift.frames), axis=0)  # noqa: E731
+    monkeypatch.setattr(Lift, "simulated", at_rest)
 
 
 def scripted(tmp_path, words, target):
@@ -109,6 +117,7 @@ def scripted(tmp_path, words, target):
     return folder, arrays
 
 
+@pytest.mark.usefixtures("still")
 def test_newtons_rod_is_as_heavy_and_as_stiff_as_the_rope(tmp_path):
     arrays = scripted(tmp_path, COTTON, "newton")[1]
     m, d = catalogue.get("cotton-rope").material(), catalogue.get("cotton-rope").across.typical
@@ -117,6 +126,7 @@ def test_newtons_rod_is_as_heavy_and_as_stiff_as_the_rope(tmp_path):
     assert whole == pytest.approx(m.density * np.pi * d**2 / 4.0 * 0.3)
 
 
+@pytest.mark.usefixtures("still")
 def test_genesis_chain_is_as_heavy_and_as_stiff_as_the_rope(tmp_path):
     folder, arrays = scripted(tmp_path, COTTON, "genesis")
     chain = ElementTree.parse(folder / "rope.xml")
@@ -130,6 +140,7 @@ def test_genesis_chain_is_as_heavy_and_as_stiff_as_the_rope(tmp_path):
     assert len(hinges) == 2 * (20 - int(np.sum(arrays["rest"][:, 0] < 0.025)))
 
 
+@pytest.mark.usefixtures("still")
 def test_genesis_sheet_is_flat_and_held_by_its_corner(tmp_path):
     name = next(n for n, m in catalogue.materials().items() if m.kind == "cloth")
     folder, arrays = scripted(tmp_path, [name, "--side", "0.2"], "genesis")
