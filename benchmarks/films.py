@@ -1,26 +1,33 @@
 """Films: a soft and a stiff object that a shipped policy brings to one goal, in our simulator; a
-cloth let down, dropped and pulled apart; and a rope that falls into a loop.
+cloth let down, dropped and pulled apart; a rope that falls into a loop; one over a bar, and a cloth
+over a sphere.
 
     python benchmarks/films.py docs/images       # rope-reaching.gif and so on, thin-cloth.gif, ...
 """
 
 import argparse
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.animation import FuncAnimation, PillowWriter
-from numpy.typing import NDArray
 
 from gendom.materials import Cloth, Item, Material, Rope
 from gendom.policies import Policy
-from gendom.sim import Gripper, Physics, Simulator, Table, cloth, rope
+from gendom.sim import (
+    Capsule,
+    Gripper,
+    Physics,
+    Simulator,
+    Sphere,
+    Table,
+    cloth,
+    rope,
+)
 from gendom.tasks import Observed
 from gendom.tasks.world import Simulation
-from gendom.viz import CloudSequence, write_gif
-from gendom.viz.sources import goal_mark
+from gendom.viz import Animation, Layer, object_layer, save, write_film
+from gendom.viz.layers import goal_layer, observed_layer
+from gendom.viz.palette import RECORDED_COLOR
 
 FABRIC = Material(E=4.0e5, nu=0.3, density=400.0, damping=0.01)
 SIZE = 0.3
@@ -41,6 +48,7 @@ TASKS = (
     ("rope-reaching", _rope(7e5), _rope(3e6)),
     ("rope-casting", _rope(7e5), _rope(3e6)),
     ("cloth-spreading", _cloth(5e5), _cloth(1.4e6)),
+    ("cloth-dragging", _cloth(5e5), _cloth(1.4e6)),
 )
 """Names, a soft and a stiff object."""
 
@@ -53,13 +61,13 @@ def main() -> None:
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)
     for name, soft, stiff in TASKS:
-        write_gif(out / f"{name}.gif", one_goal(name, soft, stiff))
-    sheet, shape = crumpled()
-    film(out / "thin-cloth.gif", sheet, lambda axes, x: draw_sheet(axes, x.reshape(*shape, 3)))
-    film(out / "thin-rope.gif", coiled(), draw_rope)
+        write_film(out / f"{name}.gif", one_goal(name, soft, stiff))
+    write_film(out / "thin-cloth.gif", crumpled())
+    write_film(out / "thin-rope.gif", coiled())
+    over_obstacles(out)
 
 
-def one_goal(name: str, soft: Item, stiff: Item) -> CloudSequence:
+def one_goal(name: str, soft: Item, stiff: Item) -> Animation:
     """The motions of two objects, each by the policy's action for it; the goal is one that both
     reach, between what each can."""
     policy = Policy.pretrained(name)
@@ -78,28 +86,22 @@ def one_goal(name: str, soft: Item, stiff: Item) -> CloudSequence:
     ends_at = min(soft_seen.times[-1], stiff_seen.times[-1])
     times = np.arange(begins, ends_at, 1.0 / FRAMES_A_SECOND)
 
-    def at(seen: Observed) -> list[NDArray[np.floating]]:
+    def at(seen: Observed) -> Observed:
         nearest = [int(np.argmin(np.abs(seen.times - t))) for t in times]
-        return [finer(seen.points[k]) for k in nearest]
+        return replace(seen, points=seen.points[nearest])
 
-    return CloudSequence(
-        recorded=at(stiff_seen), simulated=at(soft_seen), times=times - times[0],
-        labels=("stiff", "soft"), oblique=not task.goals,
-        table_height=-float(task.T_world_task(soft)[2, 3]),
-        goal=goal_mark(goal, soft_seen) if task.goals else None,
-    )  # fmt: skip
-
-
-def finer(points: NDArray[np.floating], count: int = 200) -> NDArray[np.floating]:
-    """Points [V, 3] along a line, or of a lattice as they are."""
-    if len(points) > count:
-        return points
-    at = np.linspace(0.0, len(points) - 1.0, count)
-    return np.stack([np.interp(at, np.arange(len(points)), x) for x in points.T], axis=1)
+    layers = [
+        observed_layer("stiff", stiff, at(stiff_seen), RECORDED_COLOR),
+        observed_layer("soft", soft, at(soft_seen)),
+    ]
+    if task.goals:
+        layers.append(goal_layer(goal, soft_seen, soft))
+    table = -float(task.T_world_task(soft)[2, 3])
+    return Animation(times=times - times[0], layers=tuple(layers), table_height=table)
 
 
-def crumpled() -> tuple[NDArray[np.floating], tuple[int, ...]]:
-    """[T, n, 3] points of a cloth, and its rows and columns."""
+def crumpled() -> Animation:
+    """A cloth that is dropped and pulled apart."""
     body = cloth(
         width=SIZE, height=SIZE, thickness=0.001, dx=0.02, corner=(-SIZE / 2, -SIZE / 2, 0.25)
     )
@@ -120,11 +122,12 @@ def crumpled() -> tuple[NDArray[np.floating], tuple[int, ...]]:
         body, [FABRIC], grippers=hands, positions=heap[-1], table=table, physics=physics
     )
     times = np.arange(1, 2.5 * FRAMES_A_SECOND) / FRAMES_A_SECOND
-    return np.concatenate([heap, pulled.run(times)[:, 0]]), body.shape
+    x = np.concatenate([heap, pulled.run(times)[:, 0]])
+    return _alone(object_layer("cloth", body, x))
 
 
-def coiled() -> NDArray[np.floating]:
-    """[T, n, 3] points of a rope that falls on its end."""
+def coiled() -> Animation:
+    """A rope that falls on its end."""
     body = rope(
         diameter=0.008, length=0.5, start=(0, 0, 0.52), direction=(0.02, 0.01, -1), points=81
     )
@@ -134,39 +137,28 @@ def coiled() -> NDArray[np.floating]:
     )
     turn = 12.0 * body.points[:, 2]
     s.set_velocities(0.03 * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1))
-    return s.run(np.arange(1, 1.6 * FRAMES_A_SECOND) / FRAMES_A_SECOND)[:, 0]
+    x = s.run(np.arange(1, 1.6 * FRAMES_A_SECOND) / FRAMES_A_SECOND)[:, 0]
+    return _alone(object_layer("rope", body, x))
 
 
-def draw_sheet(axes: Any, x: NDArray[np.floating]) -> None:
-    axes.plot_surface(*np.moveaxis(x, -1, 0), rstride=1, cstride=1, color="#c8743c", shade=True)
+def _alone(layer: Layer) -> Animation:
+    times = np.arange(len(layer.points)) / FRAMES_A_SECOND
+    return Animation(times=times, layers=(layer,), table_height=0.0)
 
 
-def draw_rope(axes: Any, x: NDArray[np.floating]) -> None:
-    axes.plot(*x.T, color="#2c5f8a", linewidth=5, solid_capstyle="round")
-
-
-def film(path: Path, frames: NDArray[np.floating], draw: Callable[[Any, Any], None]) -> None:
-    """Write an animated GIF of frames [T, n, 3] [m]."""
-    figure = plt.figure(figsize=(3.6, 3.2), dpi=80)
-    axes: Any = figure.add_axes((0, 0, 1, 1), projection="3d")
-    low, high = frames.min(axis=(0, 1)), frames.max(axis=(0, 1))
-    half = 0.5 * float((high - low).max())
-    middle = 0.5 * (low + high)
-
-    def show(k: int) -> None:
-        axes.clear()
-        draw(axes, frames[k])
-        axes.set_xlim(middle[0] - half, middle[0] + half)
-        axes.set_ylim(middle[1] - half, middle[1] + half)
-        axes.set_zlim(0.0, 2.0 * half)
-        axes.set_box_aspect((1, 1, 1), zoom=1.3)
-        axes.set_axis_off()
-        axes.view_init(elev=20, azim=-60)
-
-    FuncAnimation(figure, show, frames=len(frames)).save(  # pyright: ignore[reportArgumentType]
-        path, writer=PillowWriter(fps=FRAMES_A_SECOND)
-    )
-    plt.close(figure)
+def over_obstacles(out: Path) -> None:
+    """A rope that falls over a bar, and a cloth over a sphere."""
+    times, table = np.arange(1, 1.2 * FRAMES_A_SECOND) / FRAMES_A_SECOND, Table(height=0.0)
+    bar = Capsule.between((0, -0.1, 0.2), (0, 0.1, 0.2), radius=0.03, friction=0.4)
+    line = rope(diameter=0.008, length=0.5, start=(-0.3, 0, 0.25))
+    ball = Sphere(radius=0.06, position=(0.0, 0.0, 0.08), friction=0.4)
+    sheet = cloth(width=SIZE, height=SIZE, thickness=0.001, dx=0.02, corner=(-0.15, -0.15, 0.2))
+    for name, body, fabric, obstacle in (
+        ("rope-bar", line, Material(E=1e6, damping=0.01), bar),
+        ("cloth-sphere", sheet, FABRIC, ball),
+    ):
+        s = Simulator(body, [fabric], table=table, obstacles=[obstacle])
+        save(out / f"{name}.gif", s, s.run(times), times)
 
 
 if __name__ == "__main__":

@@ -8,11 +8,14 @@ delete a file in DIR to have it made again.
 """
 
 import argparse
+import io
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.spatial import KDTree
 
 from gendom.datasets import Recording
@@ -21,10 +24,44 @@ from gendom.estimation.replay import middle
 from gendom.files import write_json
 from gendom.reality import OBJECTS, RealObject, RealRope, find_object
 from gendom.reality.recording import record_and_perceive
-from gendom.viz import encode_camera_views
+from gendom.viz.palette import rgb
 
 FINER = 8
 """Points between two vertices, where distances to the true shape are measured."""
+
+
+DEPTH_COLORS = ("#fde725", "#5ec962", "#21918c", "#3b528b", "#440154")
+"""From near to far: five of the colours of matplotlib's viridis."""
+
+DEPTHS = 0.5, 1.3
+"""Of their ends [m]; black is no depth."""
+
+WIDTH = 1280
+"""Of a picture of what all cameras saw [pixels]."""
+
+
+def encode_camera_views(
+    views: Sequence[tuple[NDArray, NDArray]],
+) -> bytes:
+    """One JPEG: a row for each camera, colour on the left and depth on the right.
+
+    Args:
+        views: Colour [height, width, 3] and depth [height, width] [m], 0 where there is none,
+            of each camera; pictures of one size.
+    """
+    scale = np.transpose([rgb(color) for color in DEPTH_COLORS])
+    rows = []
+    for colour, depth in views:
+        share = np.clip((depth - DEPTHS[0]) / np.ptp(DEPTHS), 0.0, 1.0)
+        channels = [np.interp(share, np.linspace(0.0, 1.0, len(c)), c) for c in scale]
+        painted = np.stack(channels, axis=-1).astype(np.uint8)
+        painted[depth <= 0.0] = 0
+        rows.append(np.concatenate([colour, painted], axis=1))
+    whole = Image.fromarray(np.concatenate(rows))
+    size = WIDTH, round(whole.height * WIDTH / whole.width)
+    buffer = io.BytesIO()
+    whole.resize(size, Image.Resampling.LANCZOS).save(buffer, "JPEG", quality=80, optimize=True)
+    return buffer.getvalue()
 
 
 def main() -> None:

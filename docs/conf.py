@@ -69,7 +69,7 @@ CALLED_FIRST = {
     "gendom.robot": "find_arm Arm TcpPath plan",
     "gendom.sim": "Simulator rope cloth Gripper Table Physics Solver Targets",
     "gendom.tasks": "RopeReaching RopeCasting ClothSpreading Task Simulation",
-    "gendom.viz": "write_report write_gif show",
+    "gendom.viz": "write_report write_film show save",
 }
 """What programs call of a package; its page begins with it."""
 

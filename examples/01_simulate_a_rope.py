@@ -13,7 +13,7 @@ import tyro
 
 from gendom import Material, Simulator
 from gendom.sim import Gripper, Table, rope
-from gendom.viz import CloudSequence, write_gif
+from gendom.viz import Animation, object_layer, write_film
 
 
 def main(out: Path | None = None) -> None:
@@ -39,16 +39,9 @@ def main(out: Path | None = None) -> None:
     for material, tip in zip(materials, x[26, :, -1], strict=True):
         print(f"E {material.E:.0e} Pa, held at 0.25 m: the free end is at {tip.round(3)} m")
 
-    write_gif(
-        out / "rope.gif",
-        CloudSequence(
-            recorded=list(body.surface(x[:, 0])),
-            simulated=list(body.surface(x[:, 1])),
-            times=times,
-            table_height=0.0,
-            labels=("soft rope", "stiff rope"),
-        ),
-    )
+    soft = object_layer("soft rope", body, x[:, 0])
+    stiff = object_layer("stiff rope", body, x[:, 1], color="#0072B2")
+    write_film(out / "rope.gif", Animation(times=times, layers=(soft, stiff), table_height=0.0))
     print(f"wrote {out / 'rope.gif'}")
 
 

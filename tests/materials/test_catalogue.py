@@ -6,15 +6,12 @@ import math
 import re
 import tomllib
 from importlib.resources import files
-from pathlib import Path
 
 import pytest
 
 from gendom import cli
 from gendom.errors import ParameterError
 from gendom.materials import KINDS, STANDARD_GRAVITY, Rope, bending_length, catalogue
-
-DOCS = Path(__file__).parents[2] / "docs" / "materials.md"
 
 
 @pytest.fixture
@@ -116,8 +113,3 @@ def test_the_command(capsys):
     assert denim["E"]["unit"] == "Pa" and denim["thickness"]["typical"] == 0.001
     assert cli.main(["materials", "demin"]) == 2
     assert "did you mean 'denim'?" in capsys.readouterr().err
-
-
-def test_the_docs_have_the_same_table(capsys):
-    assert cli.main(["materials", "--markdown"]) == 0
-    assert DOCS.read_text(encoding="utf-8").endswith(capsys.readouterr().out)

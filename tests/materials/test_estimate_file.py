@@ -54,8 +54,8 @@ def test_a_file_of_odd_types_is_refused_in_one_line(found, tmp_path):
     path = tmp_path / "estimate.json"
     document = {**json.loads(json.dumps(found.record)), "simulation": {"material": "cotton-rope"}}
     del document["sha256"]
-    for at in list(places(document))[1:]:
-        for value in ODD:
+    for k, at in enumerate(list(places(document))[1:]):
+        for value in (ODD[k % 5], ODD[(k + 2) % 5]):
             path.write_text(json.dumps(changed(document, at, value)))
             try:
                 read = Estimate.load(path)

@@ -81,9 +81,18 @@ class Browser:
         self._process.terminate()
         self._process.wait(10.0)
 
-    def open(self, page: Path | str, *, width: int, height: int = 900, dark: bool = False) -> None:
-        """Load a file, or an address, in a window of a size [CSS pixels]."""
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    def open(
+        self,
+        page: Path | str,
+        *,
+        width: int,
+        height: int = 900,
+        dark: bool = False,
+        scale: float = 1.0,
+    ) -> None:
+        """Load a file, or an address, in a window of a size [CSS pixels]; what is drawn in software
+        is drawn faster at a smaller scale."""
+        size = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": False}
         self.call("Emulation.setDeviceMetricsOverride", **size)
         features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self.call("Emulation.setEmulatedMedia", features=features)

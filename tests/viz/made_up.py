@@ -10,13 +10,15 @@ from PIL import Image
 
 from gendom.materials.estimate import Estimate, Verdict
 from gendom.materials.posterior import Posterior, prior_of
-from gendom.viz import ActionSummary, CloudSequence, PolicyRun, ReachOutcome, ReportContent
+from gendom.viz import ActionSummary, Animation, Layer, PolicyRun, ReachOutcome, ReportContent
+from gendom.viz.layers import gripper_layer
+from gendom.viz.palette import RECORDED_COLOR, SIMULATED_COLOR
 from gendom.viz.report.motion import WITH, WITHOUT
 
 
-def lift(frames=20, recorded=40, simulated=120, **changes) -> dict[str, Any]:
-    """Arguments of a `CloudSequence` for a rope of 0.25 m, lifted by 5 mm a frame: a thin row of
-    points that one end pulls up from the table."""
+def lift(frames=20, recorded=40, simulated=120, distance=None, more=(), **changes) -> Animation:
+    """Of a rope of 0.25 m, lifted by 5 mm a frame: a thin row of points that one end pulls up from
+    the table."""
     rng = np.random.default_rng(0)
 
     def cloud(t, count):
@@ -26,23 +28,20 @@ def lift(frames=20, recorded=40, simulated=120, **changes) -> dict[str, Any]:
 
     rise = 0.005 * np.arange(frames)
     gripper = np.stack([np.full(frames, 0.3), np.zeros(frames), rise], axis=1)
-    return {
-        "recorded": [cloud(t, recorded) for t in range(frames)],
-        "simulated": [cloud(t, simulated) for t in range(frames)],
-        "times": 0.1 * np.arange(frames),
-        "table_height": -0.006,
-        "gripper": gripper[:, None],
-        "chamfer": np.linspace(0.002, 0.006, frames),
+    dots = {
+        name: Layer(name=name, color=color, radius=0.001,
+                    points=[cloud(t, count) for t in range(frames)])
+        for name, color, count in (("simulated", SIMULATED_COLOR, simulated),
+                                   ("recorded", RECORDED_COLOR, recorded))
+    }  # fmt: skip
+    return Animation(
+        times=0.1 * np.arange(frames),
+        layers=(*dots.values(), gripper_layer(gripper[:, None], 0.25), *more),
+        table_height=-0.006,
+        distance=distance or ("Chamfer", np.linspace(0.002, 0.006, frames)),
         **changes,
-    }
+    )
 
-
-HISTORY = [
-    {"start": start, "stage": "", "iteration": k, "E": 1800.0 + 500.0 * 0.5**k,
-     "loss": 0.1 * 0.5**k + 0.001 * start}
-    for start in range(2)
-    for k in range(4)
-]  # fmt: skip
 
 DISTANCES = [f"chamfer_{w}{of}" for w in ("mean", "last") for of in ("", "_surface", "_registered")]
 
@@ -70,7 +69,7 @@ def estimate(*, reasons=(), mass=None, **about):
         about={
             **dict.fromkeys(DISTANCES, 0.0082), "rms": 0.00385042488550871, "rms_by_frame": [],
             "method": "gauss-newton", "device": "cpu", "seed": 12345678, "iterations": 8,
-            "seconds": 51.45626372600009, "notes": [], "history": HISTORY, **about,
+            "seconds": 51.45626372600009, "notes": [], **about,
         },
     )  # fmt: skip
 
@@ -80,14 +79,15 @@ def run(reached):
 
 
 def outcome(goal, ours, without):
-    return ReachOutcome(goal=np.array(goal), runs={WITH: run(ours), WITHOUT: run(without)})
+    return ReachOutcome(
+        item="a rope", goal=np.array(goal), runs={WITH: run(ours), WITHOUT: run(without)}
+    )
 
 
 def action(*outcomes, **changes):
     """By default three goals; a goal is missed by 4 mm, without parameters by 20 mm."""
     usual = [outcome([g], [g + 0.004], [g - 0.02]) for g in (0.3, 0.35, 0.4)]
-    motion = CloudSequence(**lift(3, chamfer=None))
-    values: dict[str, Any] = {"outcomes": outcomes or usual, "motion": motion}
+    values: dict[str, Any] = {"outcomes": outcomes or usual, "motion": lift(3)}
     values |= {"goal_name": "farthest x of the tip", "action_names": ("x [m]", "z [m]")}
     return ActionSummary(**values | changes)
 
@@ -102,7 +102,7 @@ def content(**changes):
         "command": "gendom demo",
         "recording_source": "Made by a simulator.",
         "cameras": picture.getvalue(),
-        "lift": CloudSequence(**lift()),
+        "lift": lift(),
         "estimate": estimate(),
         "truth": {"E": 1850.0, "nu": 0.35},
         "action": action(),

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gendom.viz import CloudSequence, write_report
-from gendom.viz.report import motion
+from gendom.viz import Layer, player, write_report
+from gendom.viz.player import encode_animation
 from gendom.viz.report.content import render_report
-from gendom.viz.report.motion import encode_scene
 from viz.made_up import action, content, estimate, lift, only, outcome
 
 VOID = {"meta", "img", "input", "br", "link", "hr"}
@@ -73,8 +72,6 @@ def test_whole_report(tmp_path):
         "E / density [m²/s²]",
         "Poisson's ratio",
         "Grip height [mm]",
-        "Distance of the clouds from the fit [mm]",
-        "Young's modulus [kPa]",
     ]
     for text in (
         "Made by a simulator.",
@@ -118,7 +115,7 @@ def decode(address):
 
 def test_distances_over_time_are_drawn():
     """The fit's, where the clouds are those of the frames that were compared."""
-    clouds = CloudSequence(**lift(frames=4))
+    clouds = lift(frames=4)
     for rms, first, other in (
         ([0.001] * 4, "Points", "Chamfer"),
         ([0.001] * 3, "Chamfer", "Points"),
@@ -149,8 +146,8 @@ def test_what_is_not_usable_has_reasons_and_no_beliefs():
 def test_all_text_is_escaped():
     bad = "<script>alert('&')</script>\""
     texts = ("title", "summary", "command", "recording_source", "cameras_note", "lift_note")
-    clouds = CloudSequence(**lift(2), labels=(bad, bad))
-    made = action(goal_name=bad, action_names=(bad, bad), motion=clouds)
+    clouds = lift(2, more=[Layer(name=bad, color="#000000", points=[np.zeros((1, 3))])])
+    made = action(goal_name=bad, action_names=(bad, bad), motion=clouds, motion_note=bad)
     report = content(
         **dict.fromkeys(texts, bad),
         lift=clouds,
@@ -164,24 +161,22 @@ def test_all_text_is_escaped():
     assert Page(source).words.count(bad) >= 20
 
 
-def test_scene_holds_the_points_it_names(monkeypatch):
-    made = lift(frames=5, recorded=40, simulated=50_000)
-    monkeypatch.setattr(motion, "_FRAMES", 3)
-    text = encode_scene(CloudSequence(**made))
-    scene = json.loads(text)
-    simulated, recorded = ([np.reshape(f, (-1, 3)) for f in c["frames"]] for c in scene["clouds"])
-    assert scene["times"] == pytest.approx([0.0, 0.2, 0.4])
-    assert 1e-4 * recorded[1] == pytest.approx(made["recorded"][2], abs=5.1e-5)
-    assert min(map(len, simulated)) > 10_000 and len(text) < 1_000_000
-
-
-def test_scene_holds_arm_and_goal(monkeypatch):
-    arm = np.linspace(0.0, 0.4, 5 * 2 * 2 * 3).reshape(5, 2, 2, 3)
-    goal = np.array([[0.9, 0.0, 0.2]])
-    held = {"arm": arm, "arm_radius": np.array([0.03, 0.05]), "goal": goal}
-    monkeypatch.setattr(motion, "_FRAMES", 2)
-    scene = json.loads(encode_scene(CloudSequence(**lift(frames=5), **held)))
-    assert scene["arm"]["radius"] == [30, 50] and len(scene["arm"]["ends"]) == 2
-    assert np.reshape(scene["arm"]["ends"][1], (2, 2, 3)) == pytest.approx(1e3 * arm[4], abs=0.5)
-    assert scene["goal"] == goal.tolist() and scene["high"][0] == 0.9
-    assert scene["frames"] == [1, 5] and scene["of"] == 5
+def test_a_player_holds_what_it_names(monkeypatch):
+    monkeypatch.setattr(player, "_FRAMES", 3)
+    lines = np.linspace(0.0, 0.9, 2 * 2 * 3).reshape(2, 2, 3)
+    square = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0]])
+    arm = Layer(name="arm", color="#888888", points=[lines], radius=np.array([0.03, 0.05]))
+    sheet = Layer(name="sheet", color="#0000ff", points=[square] * 5, faces=np.array([[0, 1, 2]]))
+    made = lift(frames=5, recorded=40, simulated=50_000, more=[arm, sheet])
+    text = encode_animation(made)
+    found = json.loads(text)
+    simulated, recorded, _, arm, sheet = found["layers"]
+    assert found["times"] == pytest.approx([0.0, 0.2, 0.4])
+    assert found["frames"] == [1, 3, 5] and found["of"] == 5
+    points = np.reshape(recorded["frames"][1], (-1, 3))
+    assert 1e-4 * points == pytest.approx(made.layers[1].at(2), abs=5.1e-5)
+    assert len(simulated["frames"][0]) > 3 * 5_000 and len(text) < 1_000_000
+    assert arm["radius"] == [300, 500] and len(arm["frames"]) == 1
+    assert np.reshape(arm["frames"][0], (2, 2, 3)) == pytest.approx(1e4 * lines, abs=0.5)
+    assert sheet["faces"] == [0, 1, 2] and len(sheet["frames"]) == 3
+    assert np.max(found["box"], axis=0)[2] == 9000

@@ -28,12 +28,6 @@ from gendom.tasks.world import Simulation, grippers
 RUNS = 5
 """Rollouts timed for each row."""
 
-STATE_REALS = 15
-"""Numbers that a particle of an elastic body carries from substep to substep: x, v and C."""
-
-COPIED = 1 << 28
-"""Numbers copied to find a device's memory bandwidth."""
-
 log = logging.getLogger(__name__)
 
 
@@ -110,8 +104,6 @@ class Command:
         substeps = math.ceil(self.seconds / s.substep[0])
         median = statistics.median(forward[1:])
         rate = worlds * body.num_particles * substeps / median
-        moved = rate * 2 * STATE_REALS * np.dtype(dtype).itemsize  # [bytes/s]
-        share = moved / memory_bandwidth(self.device) if s.device.is_cuda else None
         gradient_seconds = statistics.median(both[1:]) if self.gradient else None
         return {
             "device": str(s.device),
@@ -123,44 +115,20 @@ class Command:
             "seconds": median,
             "particle_steps_per_second": rate,
             "substep_us": 1e6 * median / substeps,
-            # of the memory's bandwidth, if every state is read and written once a substep; on the
-            # CPU states stay in cache
-            "roofline_share": share,
             "gradient_seconds": gradient_seconds,  # forward and backward together
             "gradient_cost": gradient_seconds / median if gradient_seconds else None,
         }
 
 
-def memory_bandwidth(device: str) -> float:
-    """Bytes read and written per second by copying a large array [bytes/s]."""
-    import warp as wp
-
-    from gendom.sim import open_device
-
-    where = open_device(device)
-    a, b = (wp.zeros(COPIED, dtype=wp.float32, device=where) for _ in range(2))
-    taken = []
-    for _ in range(6):
-        wp.synchronize_device(where)
-        began = time.perf_counter()
-        wp.copy(b, a)
-        wp.synchronize_device(where)
-        taken.append(time.perf_counter() - began)
-    return 2.0 * a.capacity / statistics.median(taken[1:])
-
-
 def _table(rows: list[dict[str, Any]]) -> str:
     heads = ("device", "dtype", "worlds", "threads", "particles")
-    texts = []
-    for row in rows:
-        cost, share = row["gradient_cost"], row["roofline_share"]
-        texts.append(
-            (
-                *(str(row[name]) for name in heads),
-                f"{row['particle_steps_per_second'] / 1e6:.2f}",
-                f"{row['substep_us']:.1f}",
-                "" if cost is None else f"{cost:.2f} x",
-                "" if share is None else f"{share:.1%}",
-            )
+    texts = [
+        (
+            *(str(row[name]) for name in heads),
+            f"{row['particle_steps_per_second'] / 1e6:.2f}",
+            f"{row['substep_us']:.1f}",
+            "" if row["gradient_cost"] is None else f"{row['gradient_cost']:.2f} x",
         )
-    return columns((*heads, "M steps/s", "us/substep", "gradient", "roofline"), texts)
+        for row in rows
+    ]
+    return columns((*heads, "M steps/s", "us/substep", "gradient"), texts)

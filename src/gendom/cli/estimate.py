@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -30,6 +30,7 @@ from gendom.materials.estimate_file import FORMAT
 
 if TYPE_CHECKING:
     from gendom.estimation import FittedEstimate
+    from gendom.viz import ReportContent
 
 NAME = "estimate.json"
 """Of an estimate's file."""
@@ -154,30 +155,26 @@ class Command:
     ) -> None:
         """Of an estimate, or of why there is none."""
         from gendom.viz import ReportContent, write_report
-        from gendom.viz.sources import clouds_of
 
-        command = shell(TYPED)
-        named = ", ".join(path.name for path in self.recordings)
+        source = [path.name for path in self.recordings]
         if found is None:
             content = ReportContent(
                 title="GenDOM: a recording that cannot be used",
                 summary="Nothing was estimated from this recording, for the reasons above.",
-                command=command,
-                recording_source=_sentences(named),
+                command=shell(TYPED),
+                recording_source=_sentences(", ".join(source)),
                 refused=reasons,
                 next_steps=next_steps(self.recording),
             )
         else:
             first, several = found.fits[0], len(found.fits)
             recording = first.scene.recording
-            content = ReportContent(
+            content = fit_content(
+                found,
                 title=f"GenDOM: the parameters of a {found.kind}",
                 summary=REPORT_SUMMARY if found.usable else NOT_USABLE_SUMMARY,
-                command=command,
-                recording_source=_sentences(named, recording.source, recording.notes),
-                lift=clouds_of(first.scene, first.positions, first.theta, first.chamfer),
+                recording_source=_sentences(", ".join(source), recording.source, recording.notes),
                 lift_note=f"The first of {several}: {first.name}." if several > 1 else "",
-                estimate=found,
                 stage_seconds=found.record["stage_seconds"],
                 next_steps=self._next_steps(found, place),
             )
@@ -195,6 +192,16 @@ class Command:
             else None
         )
         return next_steps(self.recording, self.out / NAME, act)
+
+
+def fit_content(found: FittedEstimate, **more: Any) -> ReportContent:
+    """A report of an estimate: its first recording beside the fit, and further parts."""
+    from gendom.viz import ReportContent
+    from gendom.viz.layers import lift_animation
+
+    fit = found.fits[0]
+    lift = lift_animation(fit.scene, fit.positions, fit.theta, distance=("Chamfer", fit.chamfer))
+    return ReportContent(command=shell(TYPED), lift=lift, estimate=found, **more)
 
 
 def shell(words: Sequence[object]) -> str:

@@ -26,15 +26,11 @@ class Command:
     names: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="NAME")] = ()
     """Materials; by default all, in short."""
     json: Json = False
-    markdown: bool = False
-    """Print a table in Markdown, with every number and a list of sources."""
 
     def run(self) -> int:
         chosen = [catalogue.get(name) for name in self.names or catalogue.materials()]
         if self.json:
             print(to_json({"materials": [_row(m) for m in chosen], "sources": catalogue.sources()}))
-        elif self.markdown:
-            print(_table(chosen))
         elif self.names:
             print("\n\n".join(_whole(m) for m in chosen))
         else:
@@ -69,22 +65,6 @@ def _whole(material: catalogue.Listed) -> str:
         lines.append(f"  {name:<9}  {numbers:<34}  {found.basis}{source}: {found.how}")
         cited |= {found.source: f"  [{found.source}] {_cited(found.source)}"} if source else {}
     return "\n".join([*lines, *cited.values()])
-
-
-def _table(chosen: Sequence[catalogue.Listed]) -> str:
-    """All numbers, each with its source, and the sources."""
-    units = [f"{name} [{unit}]" if unit != "1" else name for name, unit in catalogue.UNITS.items()]
-    heads = ["material", *units, "across [m]"]
-    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
-    cited, bases = {}, {"measured": "", "computed": ", c", "estimate": ", e"}
-    for m in chosen:
-        cells = [f"`{m.name}`: {m.about}"]
-        for _, found in m.ranges().values():
-            mark = f"[{cited.setdefault(found.source, len(cited) + 1)}]" if found.source else ""
-            said = f"{mark}{bases[found.basis]}".removeprefix(", ")
-            cells.append(f"{found.typical:.4g} ({found.low:.4g} to {found.high:.4g}) {said}")
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join([*lines, "", *(f"{n}. {_cited(key)}" for key, n in cited.items())])
 
 
 def _cited(key: str) -> str:

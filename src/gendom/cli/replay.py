@@ -12,7 +12,6 @@ from gendom.cli.outputs import check_places, tell_written, write_result
 from gendom.datasets import Recording
 from gendom.files import to_json
 from gendom.progress import bar
-from gendom.viz.sources import clouds_of
 
 if TYPE_CHECKING:
     pass
@@ -75,9 +74,10 @@ class Command:
         print(to_json(record) if self.json else _text(record))
         write_result(self.out, record, json=self.json)
         if self.gif is not None:
-            from gendom.viz import write_gif
+            from gendom.viz import write_film
+            from gendom.viz.layers import lift_animation
 
-            write_gif(self.gif, clouds_of(scene, x, theta, whole))
+            write_film(self.gif, lift_animation(scene, x, theta, distance=("Chamfer", whole)))
             tell_written(self.gif, json=self.json)
         return 0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +14,10 @@ from gendom.arguments import require
 from gendom.cli.arguments import iterations_shown
 from gendom.cli.outputs import check_places, tell_written
 from gendom.datasets import Recording
-from gendom.errors import printable
 from gendom.files import atomic_path
 
 if TYPE_CHECKING:
-    from gendom.viz.viewer.scenes import ViewerModel
+    from gendom.viz.viewer.sliders import ViewerModel
 
 _log = logging.getLogger(__name__)
 
@@ -50,7 +50,8 @@ class Command:
 
     def run(self) -> int:
         check_places((self.html, ".html"))
-        from gendom.viz.viewer.server import Viewer, encode_html  # viser: missing shows at once
+        if self.html is None:
+            import gendom.viz.viewer.server  # viser: missing shows at once
 
         model = self._model()
         noun, count = model.cases
@@ -61,18 +62,18 @@ class Command:
             fix=f"give 0 to {count - 1}",
         )
         if self.html is not None:
-            page = encode_html(model, self.demonstration)
+            from gendom.viz.player import encode_page
+
+            page = encode_page(model.complete(self.demonstration), model.title)
             with atomic_path(self.html) as temporary:
                 temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
             tell_written(self.html)
             return 0
-        viewer = Viewer(model, case=self.demonstration, port=self.port)
-        try:
+        made = gendom.viz.viewer.server.Viewer(model, case=self.demonstration, port=self.port)
+        with contextlib.closing(made) as viewer:
             if self.port not in (0, viewer.port):
                 _log.warning("port %d is taken", self.port)
-            viewer.serve(f"{printable(model.title)}: {viewer.url} (Ctrl-C ends it)")
-        finally:
-            viewer.close()
+            viewer.serve()
         return 0
 
     def _model(self) -> ViewerModel:

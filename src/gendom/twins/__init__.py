@@ -1,8 +1,9 @@
 """An estimated rope or cloth for other simulators, ready to run there.
 
 A twin is a folder: the scene in the simulator's own form, lift.py, which lifts the object there and
-compares every frame with our simulator, lift.npz with the numbers that it reads, and
-twin.json with the parameters and where they come from. lift.py does not need GenDOM.
+compares every frame with our simulator (with driver.py, which needs NumPy alone), lift.npz with the
+numbers that it reads, and twin.json with the parameters and where they come from. lift.py does not
+need GenDOM.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ from gendom.arguments import require
 from gendom.errors import GendomError
 from gendom.files import atomic_path, write_json
 from gendom.materials import Item, to_columns
-from gendom.twins.lift import Lift
 
 TARGETS = ("mjcf", "newton", "genesis", "usd")
 """Forms of twins, one module each."""
@@ -44,12 +44,12 @@ def write_twin(item: Item, target: str, folder: Path, *, about: dict[str, Any]) 
     fix = f"choose {', '.join(TARGETS)}"
     require(target in TARGETS, f"there is no target {target!r}", fix=fix, error=GendomError)
     module = import_module(f"gendom.twins.{target}")
-    lift = Lift(item=item, edge=module.edge(item))
-    texts, places, arrays = module.written(lift)
+    lift, texts, places, arrays = module.written(item)
     folder.mkdir(parents=True, exist_ok=True)
     if module.SCRIPT:
-        script = resources.files("gendom.twins") / "scripts" / module.SCRIPT
-        texts["lift.py"] = script.read_text(encoding="utf-8")
+        scripts = resources.files("gendom.twins") / "scripts"
+        for name, script in (("lift.py", module.SCRIPT), ("driver.py", "driver.py")):
+            texts[name] = (scripts / script).read_text(encoding="utf-8")
         time, hand = lift.path
         expected = lift.at(lift.simulated(), places)
         arrays |= {"time": time, "hand": hand, "frames": lift.frames, "rest": places}

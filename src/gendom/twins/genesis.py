@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from gendom.materials import STANDARD_GRAVITY, Item, Rope
-from gendom.reality.objects import grid
-from gendom.twins.lift import Array, Lift
+from gendom.arrays import Array
+from gendom.materials import STANDARD_GRAVITY, Item, Rope, size_of
+from gendom.twins.lift import Lift, segment_points, sheet_points
 from gendom.twins.newton import sheet_of
 
 SCRIPT = "genesis_lift.py"
@@ -30,26 +30,16 @@ STEP = {"rope": 1e-3, "cloth": 2e-3}
 """[s]."""
 
 
-def edge(item: Item) -> float | None:
-    """Length of a rope's segments [m]."""
-    return item.length / SEGMENTS if isinstance(item, Rope) else None
-
-
-def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
-    """Text files by name, the places [M, 3] that are compared, at rest [m]: the middles of a rope's
-    segments or a cloth's vertices, and arrays for the script."""
-    item = lift.item
+def written(item: Item) -> tuple[Lift, dict[str, str], Array, dict[str, Any]]:
+    """The lift, text files by name, the places [M, 3] at rest that are compared [m] (middles of a
+    rope's segments or a cloth's vertices), and arrays for the script."""
+    lift = Lift(item=item, edge=size_of(item) / SEGMENTS)
     common = {"kind": item.kind, "friction": item.friction, "step": STEP[item.kind]}
     if isinstance(item, Rope):
-        places = np.zeros((SEGMENTS, 3))
-        places[:, 0] = (np.arange(SEGMENTS) + 0.5) * item.length / SEGMENTS
-        places[:, 2] = lift.height
-        return {"rope.xml": _chain(item, lift)}, places, common
-    flat, triangles = grid(SIDE, SIDE, item.side / (SIDE - 1))
-    half = math.sqrt(0.5)
-    height = np.full(len(flat), lift.height)
-    places = np.column_stack([flat @ [[half, -half], [half, half]], height])
-    return _sheet(item, places, triangles, lift.hold, common)
+        return lift, {"rope.xml": _chain(item, lift)}, segment_points(lift, SEGMENTS), common
+    places, triangles = sheet_points(lift, SIDE)
+    obj, arrays = _sheet(item, places, triangles, lift.hold)
+    return lift, {"sheet.obj": obj}, places, common | arrays
 
 
 def _chain(item: Rope, lift: Lift) -> str:
@@ -80,25 +70,17 @@ def _chain(item: Rope, lift: Lift) -> str:
     return f'<mujoco model="rope"><worldbody>\n{inner}</worldbody></mujoco>\n'
 
 
-def _sheet(
-    item: Any, places: Array, triangles: Any, hold: float, common: dict[str, Any]
-) -> tuple[dict[str, str], Array, dict[str, Any]]:
-    """A sheet's mesh, and what its springs are."""
+def _sheet(item: Any, places: Array, triangles: Any, hold: float) -> tuple[str, dict[str, Any]]:
+    """A sheet's mesh as .obj, and what its springs are."""
     sheet = sheet_of(item, places, triangles, hold)
     m, h = item.material, sheet["spacing"]
     D = m.E * item.thickness**3 / (12.0 * (1.0 - m.nu**2))
     angle = h / (D / (m.density * item.thickness * STANDARD_GRAVITY)) ** (1.0 / 3.0)
     points = "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in places.tolist())
     faces = "".join(f"f {a} {b} {c}\n" for a, b, c in (np.asarray(triangles) + 1).tolist())
-    return (
-        {"sheet.obj": points + faces},
-        places,
-        common
-        | {
-            "held": sheet["held"],
-            "mass_per_area": sheet["mass_per_area"],
-            "stretch_compliance": 8.0 / (3.0 * sheet["stretch"]),
-            "bending_compliance": angle**2 / sheet["side_hinge"],
-            "spacing": h,
-        },
-    )
+    springs = {
+        "stretch_compliance": 8.0 / (3.0 * sheet["stretch"]),
+        "bending_compliance": angle**2 / sheet["side_hinge"],
+    }
+    kept = ("held", "mass_per_area", "spacing")
+    return points + faces, springs | {name: sheet[name] for name in kept}

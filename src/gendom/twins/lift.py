@@ -15,7 +15,8 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator, make_interp_spline
 
 from gendom.arrays import Array
-from gendom.materials import Item, Rope, size_of, thickness_of
+from gendom.materials import Cloth, Item, Rope, size_of, thickness_of
+from gendom.reality.objects import grid
 from gendom.robot import lift, predefined_lift
 from gendom.sim import Body, Gripper, Physics, Table, cloth, rope
 
@@ -45,7 +46,7 @@ class Lift:
         """What lies within this distance of the rope's end, or of the corner, moves with the hand
         [m]. The joint beyond the last segment that is held stands for half a segment on both
         sides."""
-        if self.edge is None:
+        if self.edge is None or not isinstance(self.item, Rope):
             return FINGERS
         return (max(round(FINGERS / self.edge + 0.5), 1) - 0.5) * self.edge
 
@@ -116,3 +117,18 @@ class Lift:
         inside = middle + (places[:, :2] - middle) * (1.0 - 1e-9)
         moved = LinearNDInterpolator(rest[:, :2], np.moveaxis(positions, 1, 0))(inside)
         return np.moveaxis(np.asarray(moved, dtype=np.float64), 0, 1)
+
+
+def sheet_points(lift: Lift, side: int) -> tuple[Array, np.ndarray]:
+    """[V, 3] points of a lying cloth, so many along its side [m], and [F, 3] triangles."""
+    assert isinstance(lift.item, Cloth)
+    flat, triangles = grid(side, side, lift.item.side / (side - 1))
+    half = math.sqrt(0.5)
+    height = np.full(len(flat), lift.height)
+    return np.column_stack([flat @ [[half, -half], [half, half]], height]), triangles
+
+
+def segment_points(lift: Lift, segments: int) -> Array:
+    """[S, 3] middles of a lying rope's segments [m]."""
+    along = (np.arange(segments) + 0.5) * size_of(lift.item) / segments
+    return along[:, None] * [1.0, 0.0, 0.0] + [0.0, 0.0, lift.height]

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from gendom.arrays import Array
-from gendom.materials import STANDARD_GRAVITY, Cloth, Item, Rope
+from gendom.materials import STANDARD_GRAVITY, Cloth, Item, size_of
 from gendom.reality.model import SHEET_STRETCH
-from gendom.reality.objects import grid
-from gendom.twins.lift import Lift
+from gendom.twins.lift import Lift, segment_points, sheet_points
 
 SCRIPT = "newton_lift.py"
 
@@ -29,48 +28,29 @@ STEP, ITERATIONS = 1e-3, 20
 """Time step [s] and iterations a step of the solver."""
 
 
-def edge(item: Item) -> float | None:
-    """Length of a rope's segments [m]."""
-    return item.length / SEGMENTS if isinstance(item, Rope) else None
-
-
-def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
-    """Text files by name, the places [M, 3] that are compared, at rest [m]: the middles of a rope's
-    segments or a cloth's vertices, and arrays for the script."""
-    item, m = lift.item, lift.item.material
-    common = {
-        "kind": item.kind,
-        "friction": item.friction,
-        "damping": m.damping,
-        "step": STEP,
-        "iterations": ITERATIONS,
+def written(item: Item) -> tuple[Lift, dict[str, str], Array, dict[str, Any]]:
+    """The lift, text files by name, the places [M, 3] at rest that are compared [m] (middles of a
+    rope's segments or a cloth's vertices), and arrays for the script."""
+    lift, m = Lift(item=item, edge=size_of(item) / SEGMENTS), item.material
+    common = {"kind": item.kind, "friction": item.friction, "damping": m.damping}
+    common |= {"step": STEP, "iterations": ITERATIONS}
+    if isinstance(item, Cloth):
+        places, triangles = sheet_points(lift, SIDE)
+        return lift, {}, places, common | sheet_of(item, places, triangles, lift.hold)
+    places, length = segment_points(lift, SEGMENTS), item.length / SEGMENTS
+    along = np.linspace(0.0, item.length, SEGMENTS + 1)
+    nodes = along[:, None] * [1.0, 0.0, 0.0] + [0.0, 0.0, lift.height]
+    area, second = math.pi * item.diameter**2 / 4.0, math.pi * item.diameter**4 / 64.0
+    rod = {
+        "nodes": nodes,
+        "held": round(lift.hold / length + 0.5),
+        "radius": item.diameter / 2.0,
+        "mass": m.density * area * length,
+        "EI": m.E * second,
+        "GJ": m.E / (1.0 + m.nu) * second,
+        "EA": m.E * area,
     }
-    if isinstance(item, Rope):
-        nodes = np.zeros((SEGMENTS + 1, 3))
-        nodes[:, 0] = np.linspace(0.0, item.length, SEGMENTS + 1)
-        nodes[:, 2] = lift.height
-        area, second = math.pi * item.diameter**2 / 4.0, math.pi * item.diameter**4 / 64.0
-        length = item.length / SEGMENTS
-        return (
-            {},
-            0.5 * (nodes[1:] + nodes[:-1]),
-            common
-            | {
-                "nodes": nodes,
-                "held": round(lift.hold / length + 0.5),
-                "radius": item.diameter / 2.0,
-                "mass": m.density * area * length,
-                "EI": m.E * second,
-                "GJ": m.E / (1.0 + m.nu) * second,
-                "EA": m.E * area,
-            },
-        )
-    flat, triangles = grid(SIDE, SIDE, item.side / (SIDE - 1))
-    half = math.sqrt(0.5)
-    places = np.column_stack(
-        [flat @ [[half, -half], [half, half]], np.full(len(flat), lift.height)]
-    )
-    return {}, places, common | sheet_of(item, places, triangles, lift.hold)
+    return lift, {}, places, common | rod
 
 
 def sheet_of(item: Cloth, places: Array, triangles: Any, hold: float) -> dict[str, Any]:

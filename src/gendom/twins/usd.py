@@ -17,13 +17,10 @@ from gendom.twins.lift import FRAME_RATE, Lift
 SCRIPT = None
 
 
-def edge(_: Item) -> None:
-    """There are no segments."""
-
-
-def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
-    """Text files by name, and nothing else."""
-    positions, item = lift.simulated(), lift.item
+def written(item: Item) -> tuple[Lift, dict[str, str], Array, dict[str, Any]]:
+    """The lift and text files by name, and nothing else."""
+    lift = Lift(item=item)
+    positions = lift.simulated()
     if isinstance(item, Rope):
         kind = "BasisCurves"
         shape = [
@@ -48,7 +45,7 @@ def written(lift: Lift) -> tuple[dict[str, str], Array, dict[str, Any]]:
     text = _STAGE.format(
         end=len(positions) - 1, rate=f"{FRAME_RATE:g}", kind=kind, shape="\n        ".join(shape)
     )
-    return {"object.usda": text}, positions[0], {}
+    return lift, {"object.usda": text}, positions[0], {}
 
 
 _STAGE = """#usda 1.0

@@ -4,28 +4,30 @@ report."""
 from typing import TYPE_CHECKING
 
 from gendom.lazy import imported_later
-from gendom.viz.clouds import CloudSequence
-from gendom.viz.palette import encode_camera_views
+from gendom.viz.animation import Animation, Layer
+from gendom.viz.films import write_film
 from gendom.viz.report.content import ReportContent, write_report
 from gendom.viz.report.motion import ActionSummary, PolicyRun, ReachOutcome
 
 if TYPE_CHECKING:
+    from gendom.viz.layers import object_layer
     from gendom.viz.simulation import save, show
-    from gendom.viz.stage import write_gif
 
 # these import bodies and tasks
-_LATER = {"save": "simulation", "show": "simulation", "write_gif": "stage"}
-__getattr__ = imported_later(__name__, _LATER)
+__getattr__ = imported_later(
+    __name__, {"object_layer": "layers", "save": "simulation", "show": "simulation"}
+)
 
 __all__ = [
     "ActionSummary",
-    "CloudSequence",
+    "Animation",
+    "Layer",
     "PolicyRun",
     "ReachOutcome",
     "ReportContent",
-    "encode_camera_views",
+    "object_layer",
     "save",
     "show",
-    "write_gif",
+    "write_film",
     "write_report",
 ]

@@ -1,6 +1,6 @@
 """Charts as SVG inside a page: their colours, fonts and dark mode are those of its style sheet.
 
-What is drawn names a class of `report.css` ("recorded", "prior", "start-1"), which has the colour.
+What is drawn names a class of `page.css` ("recorded", "prior", "truth"), which has the colour.
 """
 
 from __future__ import annotations
@@ -31,21 +31,6 @@ class Axis:
     log: bool = False
     marked: bool = True
     """Whether it has numbers and lines of a grid."""
-
-    @classmethod
-    def around(
-        cls, values: npt.ArrayLike, *, margin: float = 0.06, log: bool = False, label: str = ""
-    ) -> Axis:
-        """From the lowest to the highest value, with a margin on both sides."""
-        ends = np.array([np.min(values), np.max(values)], dtype=float)
-        if log:
-            ends = np.log(ends)
-        middle, half = ends.mean(), 0.5 * float(ends[1] - ends[0])
-        half = (1.0 + 2.0 * margin) * max(half, 1e-3 if log else 1e-3 * abs(middle), 1e-9)
-        low, high = (
-            np.exp([middle - half, middle + half]) if log else (middle - half, middle + half)
-        )
-        return cls(low=float(low), high=float(high), log=log, label=label)
 
     def share(self, values: npt.ArrayLike) -> np.ndarray:
         """Where values lie, 0 at the low end and 1 at the high one."""
@@ -89,11 +74,6 @@ class Plot:
         self._drawn.append(f'<path class="{kind} {shape}" d="{self._through(x, y)}"/>')
         if label:
             self.entries.append((kind, label, shape))
-
-    def dots(self, x: npt.ArrayLike, y: npt.ArrayLike, kind: str) -> None:
-        """A dot at each point: the cap of a line without length."""
-        places = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in self._places(x, y))
-        self._drawn.append(f'<path class="{kind} marks" d="{places}"/>')
 
     def area(self, x: npt.ArrayLike, y: npt.ArrayLike, kind: str) -> None:
         """What lies between a line and the lower end."""

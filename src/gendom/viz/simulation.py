@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import html
 import sys
-from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,30 +12,27 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.arguments import check_numbers, check_type, require
+from gendom.datasets import Recording
 from gendom.errors import DeviceError
 from gendom.files import atomic_path
 from gendom.installation import how_to_install
-from gendom.viz.palette import SIMULATED_COLOR, rgb
-from gendom.viz.stage import Stage, write_film
-from gendom.viz.viewer.scenes import (
-    Layer,
-    SliderParameter,
-    ViewerModel,
-    ViewerScene,
-    gripper_layer,
-    object_layer,
-    obstacle_layer,
-)
+from gendom.viz.animation import Animation
+from gendom.viz.films import FRAME_TIME, write_film
+from gendom.viz.layers import gripper_layer, object_layer, obstacle_layer
+from gendom.viz.palette import rgb
+from gendom.viz.player import encode_page
 
 FORMS = (".glb", ".obj", ".gif", ".mp4")
 """Of files that are saved."""
 
-FRAMES, FRAME_TIME = 250, 40
-"""Most frames of a film, and how long one of them is shown at least [ms]."""
 
-
-class Motion(ViewerModel):
-    """A simulator, and where its points were.
+def motion_of(
+    simulator: Any,
+    x: npt.ArrayLike | None = None,
+    times: npt.ArrayLike | None = None,
+    world: int = 0,
+) -> Animation:
+    """A simulator's object with its obstacles, table and grippers, where its points were.
 
     Args:
         simulator: A `gendom.sim.Simulator`.
@@ -47,63 +44,28 @@ class Motion(ViewerModel):
         ParameterError: Shapes do not fit, numbers are not finite, times do not increase or there is
             no such world.
     """
+    from gendom.sim import Simulator  # Warp, which takes long to import
 
-    notes = ()
-    cases = ("scene", 1)
-
-    def __init__(
-        self,
-        simulator: Any,
-        x: npt.ArrayLike | None = None,
-        times: npt.ArrayLike | None = None,
-        world: int = 0,
-    ):
-        from gendom.sim import Simulator  # Warp, which takes long to import
-
-        check_type("simulator", simulator, Simulator)
-        W, n, body = simulator.num_worlds, simulator.num_points, simulator.body
-        require(world in range(W), f"there is no world {world}", fix=f"0 to {W - 1}")
-        if x is None:
-            x, times = simulator.positions()[None], [simulator.time]
-        x = check_numbers("x", x, ("T", n, 3), ("T", W, n, 3))
-        x = x if x.ndim == 3 else x[:, world]
-        every = 1e-3 * FRAME_TIME * np.arange(len(x)) if times is None else times
-        t = np.atleast_1d(check_numbers("times", every))
-        grows = t.shape == (len(x),) and np.all(np.diff(t) > 0.0)
-        require(len(x) and grows, f"must be {len(x)} that increase, one a frame", where="times")
-        self.title, setting = f"a {body.kind}", simulator.engine.setting
-        layers = [_object(simulator, x)]
-        for o, of in enumerate(setting.obstacles[world]):
-            layers.append(obstacle_layer(f"{of.kind.lower()} {o}", of, t))
-        hands = list(setting.grippers[world])
-        if hands and simulator.engine.commanded is None:
-            held = np.stack([hand.position_at(t) for hand in hands], axis=1)
-            layers.append(gripper_layer(held, float(np.ptp(x[0], axis=0).max())))
-        table = None if setting.table is None else setting.table.height
-        self.initial: ViewerScene = ViewerScene(times=t, layers=tuple(layers), table_height=table)
-
-    def parameters(self, case: int) -> tuple[SliderParameter, ...]:
-        """None."""
-        return ()
-
-    def simulate(
-        self, case: int, values: Mapping[str, float], go_on: Callable[[], None]
-    ) -> Iterator[ViewerScene]:
-        """What was simulated before."""
-        yield self.initial
-
-
-def _object(simulator: Any, x: npt.NDArray[np.floating]) -> Layer:
-    """A rod's or shell's skin; of particles dots."""
-    from gendom.sim.thin.contact import edges_and_triangles
-
-    body, model = simulator.body, getattr(simulator.engine, "model", None)
-    if model is not None and body.kind == "rope":
-        return object_layer("rope", body, x, None)
-    made = {"name": body.kind, "color": SIMULATED_COLOR, "points": list(body.surface(x))}
-    if model is None:
-        return Layer(**made, radius=0.25 * body.dx)
-    return Layer(**made, faces=edges_and_triangles(model)[1])
+    check_type("simulator", simulator, Simulator)
+    W, n, body = simulator.num_worlds, simulator.num_points, simulator.body
+    require(world in range(W), f"there is no world {world}", fix=f"0 to {W - 1}")
+    if x is None:
+        x, times = simulator.positions()[None], [simulator.time]
+    x = check_numbers("x", x, ("T", n, 3), ("T", W, n, 3))
+    x = x if x.ndim == 3 else x[:, world]
+    every = 1e-3 * FRAME_TIME * np.arange(len(x)) if times is None else times
+    t, setting = np.atleast_1d(check_numbers("times", every)), simulator.engine.setting
+    grows = t.shape == (len(x),) and np.all(np.diff(t) > 0.0)
+    require(grows, f"must be {len(x)} that increase, one a frame", where="times")
+    layers = [object_layer(body.kind, body, x)]
+    for k, of in enumerate(setting.obstacles[world]):
+        layers.append(obstacle_layer(f"{of.kind.lower()} {k}", of, t))
+    hands = list(setting.grippers[world])
+    if hands and simulator.engine.commanded is None:
+        held = np.stack([hand.position_at(t) for hand in hands], axis=1)
+        layers.append(gripper_layer(held, float(np.ptp(x[0], axis=0).max())))
+    table = None if setting.table is None else setting.table.height
+    return Animation(times=t, layers=tuple(layers), table_height=table)
 
 
 def show(
@@ -120,37 +82,35 @@ def show(
     viewer on this machine, prints its address, and goes on until Ctrl-C.
 
     Args:
-        simulator: As of `Motion`, with what follows; or a `gendom.Recording`, with sliders.
-        x, times, world: As of `Motion`.
+        simulator: As of `motion_of`, with what follows; or a `gendom.Recording`, with sliders.
+        x, times, world: As of `motion_of`.
         port: Of the viewer.
 
     Raises:
-        ParameterError: As of `Motion`.
+        ParameterError: As of `motion_of`.
         RecordingError: A recording shows too little to place its object.
-        DeviceError: viser is not installed.
+        DeviceError: The viewer needs viser, which is not installed.
         GendomError: There is no such port.
     """
-    from gendom.datasets import Recording
+    from gendom.viz.viewer.models import RecordingModel
+    from gendom.viz.viewer.sliders import FixedModel, ViewerModel
 
+    model: ViewerModel
+    if isinstance(simulator, Recording):
+        model = RecordingModel.of(simulator, "a recording")
+    else:
+        title = f"a {getattr(getattr(simulator, 'body', None), 'kind', 'body')}"
+        model = FixedModel(title, motion_of(simulator, x, times, world))
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    if hasattr(shell, "kernel"):
+        return NotebookPage(encode_page(model.complete(), model.title))
     try:
-        from gendom.viz.viewer.server import Viewer, encode_html
+        from gendom.viz.viewer.server import Viewer
     except ModuleNotFoundError:
         fix = how_to_install("viz")
         raise DeviceError("the viewer needs viser", where="show", fix=fix) from None
-    if isinstance(simulator, Recording):
-        from gendom.viz.viewer.models import RecordingModel
-
-        model: ViewerModel = RecordingModel.of(simulator, "a recording")
-    else:
-        model = Motion(simulator, x, times, world)
-    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
-    if hasattr(shell, "kernel"):
-        return NotebookPage(encode_html(model))
-    viewer = Viewer(model, port=port)
-    try:
-        viewer.serve(f"{model.title}: {viewer.url} (Ctrl-C ends it)")
-    finally:
-        viewer.close()
+    with contextlib.closing(Viewer(model, port=port)) as viewer:
+        viewer.serve()
     return None
 
 
@@ -161,7 +121,7 @@ class NotebookPage:
         self.page = page
 
     def _repr_html_(self) -> str:
-        style = "width:100%;height:480px;border:0"
+        style = "width:100%;height:640px;border:0"
         return f'<iframe srcdoc="{html.escape(self.page)}" style="{style}"></iframe>'
 
 
@@ -180,29 +140,25 @@ def save(
     Args:
         path: .glb or .obj: the faces of the skin in the last frame (y is up in the first, z in the
             second); .gif or .mp4: a film in true time, with grippers and table.
-        simulator, x, times, world: As of `Motion`.
+        simulator, x, times, world: As of `motion_of`.
 
     Raises:
-        ParameterError: As of `Motion`, or the file is of another form.
+        ParameterError: As of `motion_of`, or the file is of another form.
         DeviceError: What it needs is not installed: trimesh for meshes, OpenCV for .mp4.
     """
     form, fix = Path(path).suffix.lower(), f"choose {', '.join(FORMS)}"
     require(form in FORMS, f"cannot save {form or 'that'}", where=str(path), fix=fix)
-    scene = Motion(simulator, x, times, world).initial
+    shown = motion_of(simulator, x, times, world)
     if form in (".gif", ".mp4"):
-        lasts = 1e3 * float(scene.times[-1] - scene.times[0])
-        step = max(FRAME_TIME, round(lasts / FRAMES))
-        moments = scene.times[0] + 1e-3 * step * np.arange(int(lasts / step + 0.5) + 1)
-        frames = [scene.frame_at(t + 0.5e-3 * step) for t in moments]
-        write_film(path, Stage(scene), frames, step)
+        write_film(path, shown)
         return
-    data = _encode_mesh(scene, form)
+    data = _encode_mesh(shown, form)
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
 
 
-def _encode_mesh(scene: ViewerScene, form: str) -> bytes:
-    """Surfaces of a scene's last frame; a glTF turned such that y is up."""
+def _encode_mesh(shown: Animation, form: str) -> bytes:
+    """Surfaces of the last frame; a glTF turned such that y is up."""
     try:
         import trimesh
         from trimesh.visual import TextureVisuals
@@ -211,9 +167,9 @@ def _encode_mesh(scene: ViewerScene, form: str) -> bytes:
         fix = how_to_install("viz")
         raise DeviceError("meshes need trimesh", where=form, fix=fix) from None
     made = trimesh.Scene()
-    for layer in scene.layers:
+    for layer in shown.layers:
         if layer.kind == "surface":
-            mesh = trimesh.Trimesh(layer.at(scene.num_frames - 1), layer.faces, process=False)
+            mesh = trimesh.Trimesh(layer.at(shown.num_frames - 1), layer.faces, process=False)
             material = PBRMaterial(
                 name=layer.name, baseColorFactor=[*rgb(layer.color), 255], doubleSided=True,
                 metallicFactor=0.0, roughnessFactor=0.8,

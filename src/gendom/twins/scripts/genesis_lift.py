@@ -4,6 +4,7 @@ from pathlib import Path
 
 import genesis as gs
 import numpy as np
+from driver import lift
 
 here = Path(__file__).parent
 about = {name: value[()] for name, value in np.load(here / "lift.npz").items()}
@@ -75,27 +76,15 @@ else:
     body.fix_particles(held)
 print(f"off at first by {1e3 * np.abs(places() - about['rest']).max():.3f} mm")
 
-hand, times = about["hand"], about["time"]
-shapes, step = [], 0
-for moment in about["frames"]:
-    while (step + 0.5) * dt < moment:
-        step += 1
-        was, now = (
-            np.array([np.interp(k * dt, times, hand[:, a] - hand[0, a]) for a in range(3)])
-            for k in (step - 1, step)
-        )
-        if rope:
-            body.set_dofs_position(was, [0, 1, 2], zero_velocity=False)
-            body.set_dofs_velocity((now - was) / dt, [0, 1, 2])
-        else:
-            body.set_particles_pos(about["rest"][about["held"]] + now, held)
-        scene.step()
-    shapes.append(places())
-    if not np.isfinite(shapes[-1]).all():
-        raise SystemExit(f"it diverges before {moment:.1f} s")
 
-shapes = np.array(shapes)
-np.save(here / "positions.npy", shapes)
-off = np.linalg.norm(shapes - about["gendom"], axis=2)
-worst = 1e3 * off.mean(axis=1).max()
-print(f"{len(off)} frames, mean distance {1e3 * off.mean():.2f} mm, worst frame's {worst:.2f}")
+def advance(was, now):
+    """One step, with the hand in its place."""
+    if rope:
+        body.set_dofs_position(was, [0, 1, 2], zero_velocity=False)
+        body.set_dofs_velocity((now - was) / dt, [0, 1, 2])
+    else:
+        body.set_particles_pos(about["rest"][about["held"]] + now, held)
+    scene.step()
+
+
+lift(about, dt, advance, places)

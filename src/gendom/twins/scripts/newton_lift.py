@@ -6,6 +6,7 @@ from pathlib import Path
 import newton
 import numpy as np
 import warp as wp
+from driver import lift
 
 here = Path(__file__).parent
 about = {name: value[()] for name, value in np.load(here / "lift.npz").items()}
@@ -77,37 +78,32 @@ model.soft_contact_ke = 1e4
 solver = newton.solvers.SolverVBD(
     model, iterations=int(about["iterations"]), particle_enable_self_contact=False
 )
-now, then, control = model.state(), model.state(), model.control()
+states, control, dt = [model.state(), model.state()], model.control(), float(about["step"])
 pipeline = newton.CollisionPipeline(model)
 contacts = pipeline.contacts()
 
 
-def put(state, offset):
-    """Put what the hand holds where the hand is."""
-    array = state.body_q if rope else state.particle_q
-    x = array.numpy()
-    x[held, :3] = start[held, :3] + offset
-    array.assign(x)
+def array(state):
+    """Poses of segments, or places of vertices."""
+    return state.body_q if rope else state.particle_q
 
 
-start = (now.body_q if rope else now.particle_q).numpy().copy()  # on a CPU it is a view
-hand, times, dt = about["hand"], about["time"], float(about["step"])
-shapes, step = [], 0
-for moment in about["frames"]:
-    while (step + 0.5) * dt < moment:
-        step += 1
-        offset = [np.interp(step * dt, times, hand[:, a] - hand[0, a]) for a in range(3)]
-        put(now, offset)
-        put(then, offset)
-        now.clear_forces()
-        pipeline.collide(now, contacts)
-        solver.step(now, then, control, contacts, dt)
-        now, then = then, now
-    x = (now.body_q if rope else now.particle_q).numpy()
-    shapes.append(x[bodies if rope else slice(None), :3].copy())
+def advance(_, offset):
+    """One step, with what the hand holds in its place."""
+    for state in states:
+        x = array(state).numpy()
+        x[held, :3] = start[held, :3] + offset
+        array(state).assign(x)
+    states[0].clear_forces()
+    pipeline.collide(states[0], contacts)
+    solver.step(*states, control, contacts, dt)
+    states.reverse()
 
-shapes = np.array(shapes)
-np.save(here / "positions.npy", shapes)
-off = np.linalg.norm(shapes - about["gendom"], axis=2)
-worst = 1e3 * off.mean(axis=1).max()
-print(f"{len(off)} frames, mean distance {1e3 * off.mean():.2f} mm, worst frame's {worst:.2f}")
+
+def places():
+    """[M, 3] middles of segments, or vertices [m]."""
+    return array(states[0]).numpy()[bodies if rope else slice(None), :3].copy()
+
+
+start = array(states[0]).numpy().copy()  # on a CPU it is a view
+lift(about, dt, advance, places)

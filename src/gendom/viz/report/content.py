@@ -13,11 +13,12 @@ import numpy as np
 from gendom.files import atomic_path
 from gendom.installation import version
 from gendom.materials.estimate import Estimate
-from gendom.viz.clouds import CloudSequence
+from gendom.viz.animation import Animation
+from gendom.viz.markup import escaped, facts_list, render_page, table
+from gendom.viz.player import player
 from gendom.viz.quantities import interval_text, length_text, quantity_text, title_of
 from gendom.viz.report import estimate as estimated
 from gendom.viz.report import motion
-from gendom.viz.report.markup import escaped, facts_list, render_page, table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +36,7 @@ class ReportContent:
     """What all cameras saw at one moment, see `gendom.viz.encode_camera_views`."""
     cameras_note: str = ""
     """Which cameras, where, when."""
-    lift: CloudSequence | None = None
+    lift: Animation | None = None
     lift_note: str = ""
     estimate: Estimate | None = None
     truth: Mapping[str, float] = field(default_factory=dict)
@@ -60,11 +61,11 @@ class ReportContent:
         if self.lift is not None:
             lift, rms = self.lift, () if found is None else found.record["rms_by_frame"]
             if len(rms) == lift.num_frames:
-                lift = replace(lift, rms=np.array(rms))
+                lift = replace(lift, distance=("rms", np.array(rms)))
             made["The lift, recorded and simulated"] = "\n".join(
                 [
                     f"<p>{escaped(self.lift_note)}</p>" if self.lift_note else "",
-                    motion.viewer(lift, name="lift", subject="Recorded and simulated lift"),
+                    player(lift, name="lift", subject="Recorded and simulated lift"),
                     motion.residuals(lift),
                 ]
             )
@@ -72,7 +73,7 @@ class ReportContent:
             made["The estimate"] = estimated.parameters(found, self.truth)
             if found.usable:
                 made["Prior and posterior"] = estimated.beliefs(found, self.truth)
-            made["The search"] = estimated.search(found, self.truth)
+            made["The fit"] = estimated.search(found)
         if self.action is not None:
             made["The action"] = motion.action(self.action)
         made["How this was made"] = self._provenance()

@@ -1,9 +1,8 @@
 """What was estimated: whether it can be used, the parameters, what was known before and after the
-lift, and how the search went."""
+lift, and how well it fits."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from statistics import NormalDist
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 from gendom.materials.estimate import Estimate
 from gendom.materials.unknowns import UNKNOWNS
 from gendom.viz.charts import Axis, Plot
+from gendom.viz.markup import DASH, escaped, facts_list, folded, side_by_side, table
 from gendom.viz.quantities import (
     difference_text,
     interval_text,
@@ -22,15 +22,12 @@ from gendom.viz.quantities import (
     unit_of,
     with_minus,
 )
-from gendom.viz.report.markup import DASH, escaped, facts_list, folded, side_by_side, table
 
 Truth = Mapping[str, float]
 """True values by the names of an estimate's record, as far as known, in SI units."""
 
 _DRAWN_SDS = 4.2
 _WHOLE = 5.0  # a prior that is wider than the posterior by more than this is drawn in part
-
-_SERIES = 6  # colours of `report.css` for the starts of a search
 
 _DISTANCES = {
     "rms": "distance of recorded points from the simulated surface, root mean square",
@@ -215,51 +212,8 @@ def _unknown(found: Estimate, truth: Truth, k: int) -> tuple[str, list[str]]:
 # ---- the search ----------------------------------------------------------------------------------
 
 
-def search(found: Estimate, truth: Truth) -> str:
-    """HTML: distance and E against iteration, and how well it fits."""
-    factor, unit = unit_of("E", found.E)
-    note = (
-        "Root mean square, logarithmic scale. The search makes the fit as probable as it can be, "
-        "noise and priors included, so this distance need not fall in every step. Stages compare "
-        "different points or move different parameters."
-    )
-    figures = [
-        _chart(found, "loss", "Distance of the clouds from the fit [mm]", 1e3, note),
-        _chart(found, "E", f"Young's modulus [{unit}]", factor, true=truth.get("E")),
-    ]
-    return "\n".join([side_by_side([f for f in figures if f]), facts_list(_facts(found))])
-
-
-def _chart(
-    found: Estimate, key: str, title: str, scale: float, note: str = "", true: float | None = None
-) -> str:
-    """A quantity against iteration, a line for each stage of each start."""
-    series: dict[tuple[int, str], list[tuple[float, float]]] = {}
-    for entry in found.record["history"]:
-        value = entry.get(key)
-        if value is not None and 0.0 < value < math.inf:
-            name = entry["start"], str(entry.get("stage", ""))
-            series.setdefault(name, []).append((entry["iteration"], scale * value))
-    if not series:
-        return ""
-    every = np.concatenate(list(series.values()))
-    shown = every[:, 1] if true is None else np.append(every[:, 1], scale * true)
-    x = Axis(low=every[:, 0].min() - 0.5, high=every[:, 0].max() + 0.5, label="iteration")
-    plot = Plot(x=x, y=Axis.around(shown, log=True))
-    last = {start: stage for start, stage in series}  # of each start
-    for (start, stage), points in sorted(series.items(), key=lambda named: named[0][0]):
-        kind, early = f"start-{start % _SERIES + 1}", stage != last[start]
-        at, values = np.transpose(points)
-        label = ", ".join(filter(None, (f"start {start + 1}", stage)))
-        plot.line(at, values, kind, label, "dashed" if early else "line")
-        plot.dots(at, values, kind)
-    if true is not None:
-        plot.level(scale * true, "truth", "true value")
-    return plot.figure(title, note)
-
-
-def _facts(found: Estimate) -> list[tuple[str, str]]:
-    """How well both lifts match, how the search went, and what was held."""
+def search(found: Estimate) -> str:
+    """HTML: how well both lifts match, how the search went, and what was held."""
     record: dict[str, Any] = found.record
     facts = [(name, length_text(record[key])) for key, name in _DISTANCES.items()]
     facts += [(name, str(record[name])) for name in ("method", "device", "seed")]
@@ -271,4 +225,4 @@ def _facts(found: Estimate) -> list[tuple[str, str]]:
         held.pop("thickness")  # a rope's is a share of its diameter
     known = [f"{n} {length_text(v)}" for n, v in held.items() if v is not None]
     known += [] if mass is None else [f"mass {mass:.4g} kg"]
-    return [*facts, ("object", ", ".join([kind, *known]))]
+    return facts_list([*facts, ("object", ", ".join([kind, *known]))])

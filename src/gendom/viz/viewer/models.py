@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,27 +12,15 @@ from numpy.typing import NDArray
 from gendom.datasets import Recording
 from gendom.errors import DatasetError, SimulationError
 from gendom.estimation import UNKNOWNS, LiftScene, Theta, chamfers, replay
-from gendom.estimation.replay import lattice, middle
 from gendom.estimation.replayed import of_all_frames
 from gendom.materials import PARAMETERS, Item, from_columns, size_of, to_columns
 from gendom.reading import record_of
 from gendom.tasks import Observed, Task, rebuild
 from gendom.tasks.world import Simulation
-from gendom.viz.palette import RECORDED_COLOR, SIMULATED_OPACITY
+from gendom.viz.animation import Animation, Layer
+from gendom.viz.layers import goal_layer, gripper_layer, lift_animation, observed_layer
 from gendom.viz.quantities import length_text, quantity_text
-from gendom.viz.sources import goal_mark
-from gendom.viz.viewer.scenes import (
-    ACTION,
-    MATERIAL,
-    SETUP,
-    Layer,
-    SliderParameter,
-    ViewerModel,
-    ViewerScene,
-    goal_layer,
-    gripper_layer,
-    object_layer,
-)
+from gendom.viz.viewer.sliders import ACTION, MATERIAL, SETUP, SliderParameter, ViewerModel
 
 FRAMES = 160
 """Most frames shown of a demonstration."""
@@ -53,7 +40,7 @@ class RecordingModel(ViewerModel):
     def __init__(self, scene: LiftScene, theta: Theta, title: str):
         self.scene, self.theta, self.title = scene, theta, title
         self.notes = scene.notes
-        self.initial = self._shown(())
+        self.initial = lift_animation(scene)
         self._parameters = _parameters(scene, theta)
 
     @classmethod
@@ -73,37 +60,14 @@ class RecordingModel(ViewerModel):
 
     def simulate(
         self, case: int, values: Mapping[str, float], go_on: Callable[[], None]
-    ) -> Iterator[ViewerScene]:
+    ) -> Iterator[Animation]:
         """The simulated object, then with its distance from the clouds."""
         scene, theta = self.scene, self.theta.with_values(values)
         x = replay(scene, [theta], on_frame=lambda _: go_on())[:, 0]
-        columns, rows = lattice(scene)
-        counts = None if scene.kind == "rope" else (len(rows), len(columns))
-        body, points = scene.body_of(theta), middle(scene, x)
-        simulated = object_layer("simulated", body, points, counts, SIMULATED_OPACITY)
         facts = _facts(scene, theta)
-        yield self._shown((simulated,), facts=facts)
-        yield self._shown((simulated,), facts=facts, chamfer=chamfers(scene, x, theta)[0])
-
-    def _shown(self, layers: tuple[Layer, ...], **other: Any) -> ViewerScene:
-        scene, frames = self.scene, list(self.scene.frames)
-        recording = self.scene.recording
-        counts = np.diff(recording.offsets)[frames]
-        # small, or a dense cloud would hide the object
-        dot = scene.size * (0.003 if np.median(counts) < 400 else 0.002)
-        points = recording.frames(frames)
-        recorded = Layer(name="recorded", color=RECORDED_COLOR, points=points, radius=dot)
-        axis = None if recording.gripper_axis is None else recording.gripper_axis[frames]
-        return ViewerScene(
-            times=recording.time[frames],
-            layers=(
-                recorded,
-                *layers,
-                gripper_layer(recording.gripper_position[frames], scene.size, axis),
-            ),
-            table_height=recording.table_height,
-            **other,
-        )
+        yield lift_animation(scene, x, theta, facts=facts)
+        distance = "Chamfer", chamfers(scene, x, theta)[0]
+        yield lift_animation(scene, x, theta, facts=facts, distance=distance)
 
 
 def _parameters(scene: LiftScene, theta: Theta) -> tuple[SliderParameter, ...]:
@@ -120,7 +84,7 @@ def _parameters(scene: LiftScene, theta: Theta) -> tuple[SliderParameter, ...]:
     prior = scene.prior(tuple(names))[0]
     ranges = zip(prior.unknowns, prior.low, prior.high, strict=True)
     return tuple(
-        _parameter(
+        SliderParameter(
             name=u.name,
             label=u.symbol,
             unit=u.unit,
@@ -132,11 +96,6 @@ def _parameters(scene: LiftScene, theta: Theta) -> tuple[SliderParameter, ...]:
         )
         for u, low, high in ranges
     )
-
-
-def _parameter(*, ends: tuple[float, float], value: float, **about: Any) -> SliderParameter:
-    """With room for a value beyond the ends of its usual range."""
-    return SliderParameter(low=min(ends[0], value), high=max(ends[1], value), value=value, **about)
 
 
 def _facts(scene: LiftScene, theta: Theta) -> tuple[tuple[str, str], ...]:
@@ -158,9 +117,6 @@ class DatasetModel(ViewerModel):
         DatasetError: There is none, or it comes from a world that is not our simulator.
         ParameterError: Its task is unknown here.
     """
-
-    initial = None
-    notes = ()
 
     def __init__(self, folder: Path):
         from gendom.datasets.demonstrations import load, read_description
@@ -186,7 +142,7 @@ class DatasetModel(ViewerModel):
         row, ranges = self._rows[case], self.task.ranges
         actions = zip(self.task.actions, self.task.limits(self._item(case)), strict=True)
         made = [
-            _parameter(
+            SliderParameter(
                 name=q.name,
                 label=q.name.replace("_", " "),
                 unit=q.unit,
@@ -198,7 +154,7 @@ class DatasetModel(ViewerModel):
             for q, (low, high) in actions
         ]
         made += [
-            _parameter(
+            SliderParameter(
                 name=p.column,
                 label="E / density" if p.column == "E_over_rho" else p.name,
                 unit=p.unit,
@@ -215,7 +171,7 @@ class DatasetModel(ViewerModel):
 
     def simulate(
         self, case: int, values: Mapping[str, float], go_on: Callable[[], None]
-    ) -> Iterator[ViewerScene]:
+    ) -> Iterator[Animation]:
         """The object under that action."""
         task, item = self.task, self._item(case, values)
         asked = np.array([values[q.name] for q in task.actions])
@@ -228,14 +184,15 @@ class DatasetModel(ViewerModel):
                 f"this object cannot be simulated with this action ({outcome.fault})",
                 fix="move a slider back",
             )
-        seen, count = outcome.seen, len(outcome.seen.times)
-        k = np.linspace(0, count - 1, min(count, FRAMES)).round().astype(int)
+        seen = outcome.seen
+        k = np.unique(seen.times, return_index=True)[1]  # some are there twice
+        k = k[np.linspace(0, len(k) - 1, min(len(k), FRAMES)).round().astype(int)]
         seen = replace(seen, times=seen.times[k], points=seen.points[k], hand=seen.hand[k])
         facts = self._facts(case, item, outcome.values)
         if not np.allclose(action, asked):
             numbers = ", ".join(f"{a:.4g}" for a in action)
             facts.append(("action", f"{numbers}: the nearest that is allowed"))
-        yield ViewerScene(
+        yield Animation(
             times=seen.times - seen.times[0],
             layers=self._layers(case, item, seen),
             table_height=task.scene(item).table,
@@ -267,13 +224,11 @@ class DatasetModel(ViewerModel):
         return facts
 
     def _layers(self, case: int, item: Item, seen: Observed) -> tuple[Layer, ...]:
-        body = self._world.body(self.task, item)[0]
-        lattice = None if item.kind == "rope" else seen.lattice
         layers: list[Layer] = [
-            object_layer("object", body, seen.points, lattice),
+            observed_layer("object", item, seen),
             gripper_layer(seen.hand[:, None], size_of(item)),
         ]
         goal = self._goal(case)
         if goal is not None:
-            layers.append(goal_layer(goal_mark(goal, seen), size_of(item)))
+            layers.append(goal_layer(goal, seen, item))
         return tuple(layers)

@@ -10,9 +10,10 @@ import contextlib
 import html
 import io
 import logging
+import math
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from http import HTTPStatus
 from typing import Any
@@ -21,28 +22,18 @@ from urllib.parse import urlsplit
 import numpy as np
 import viser
 import websockets.asyncio.server as websocket_server
-from viser import uplot
 
 from gendom.arguments import require
-from gendom.errors import GendomError
+from gendom.arrays import Array
+from gendom.errors import GendomError, printable
+from gendom.viz.animation import Animation, Layer, axes_of
 from gendom.viz.palette import (
     RECORDED_COLOR,
-    SIMULATED_COLOR,
     TABLE_FILL,
     TABLE_LINE,
     rgb,
 )
-from gendom.viz.viewer.scenes import (
-    FIELD_OF_VIEW,
-    Array,
-    Layer,
-    SliderParameter,
-    ViewerModel,
-    ViewerScene,
-    camera_of,
-    square_size,
-    table_ends,
-)
+from gendom.viz.viewer.sliders import SliderParameter, ViewerModel
 
 HOST = "127.0.0.1"
 
@@ -59,7 +50,8 @@ that the object follows a slider that is dragged."""
 _RATE = 25.0
 """Frames that are played in a second, at most."""
 
-CHAMFER = "Chamfer distance [mm]"
+FIELD_OF_VIEW = math.radians(35.0)
+"""The camera's, upwards."""
 
 _SOFT, _BAD = "#6e6e6e", "#b00020"
 
@@ -113,71 +105,51 @@ class Painter:
         self._drawn: dict[str, Layer] = {}
         self._table = False
 
-    def paint(self, scene: ViewerScene, frame: int) -> None:
+    def paint(self, scene: Animation, frame: int) -> None:
         """Show a frame of a scene; what another scene had and this one lacks goes."""
-        for name in self._handles.keys() - {layer.name for layer in scene.layers}:
-            self._handles.pop(name).remove()
-            del self._drawn[name]
-        for layer in scene.layers:
-            self._paint(layer, frame if len(layer.points) > 1 else 0)
+        layers = {layer.name: layer for layer in scene.layers}
+        for name, before in list(self._drawn.items()):
+            now = layers.get(name, before)
+            alike = now.kind == before.kind and np.array_equal(now.faces, before.faces)
+            if name not in layers or not alike:
+                self._handles.pop(name).remove()
+                del self._drawn[name]
+        for name, layer in layers.items():
+            points = layer.at(frame).astype(np.float32)
+            if name not in self._handles:
+                self._handles[name] = self._added(layer, points)
+            elif len(layer.points) > 1 or self._drawn[name] is not layer:
+                kind = "vertices" if layer.kind == "surface" else "points"
+                setattr(self._handles[name], kind, points)
+        self._drawn = layers
         self._lay_table(scene)
 
-    def _paint(self, layer: Layer, frame: int) -> None:
-        points, before = np.asarray(layer.points[frame], np.float32), self._drawn.get(layer.name)
-        self._drawn[layer.name] = layer
-        if before is not None:
-            if before.kind == layer.kind and np.array_equal(before.faces, layer.faces):
-                if len(layer.points) > 1 or before is not layer:
-                    field = "vertices" if layer.kind == "surface" else "points"
-                    setattr(self._handles[layer.name], field, points)
-                return
-            self._handles.pop(layer.name).remove()
-        self._handles[layer.name] = self._added(layer, points)
-
     def _added(self, layer: Layer, points: Array) -> Any:
-        name, color = f"/{layer.name}", rgb(layer.color)
+        name, color, width = f"/{layer.name}", rgb(layer.color), 2.0 * float(np.max(layer.radius))
         if layer.kind == "lines":
-            thick = {"thickness": 2.0 * layer.radius, "thickness_units": "world"}
+            thick = {"thickness": width, "thickness_units": "world"}
             return self._canvas.add_line_segments(name, points, color, **thick)
         if layer.kind == "dots":
-            return self._canvas.add_point_cloud(
-                name,
-                points,
-                color,
-                point_size=2.0 * layer.radius,
-                point_shape="circle",
-                point_shading="flat",
-                precision="float32",
-            )
-        return self._canvas.add_mesh_simple(
-            name,
-            points,
-            layer.faces,
-            color=color,
-            opacity=None if layer.opacity == 1.0 else layer.opacity,
-            side="double",
-        )
+            round_ = {"point_shape": "circle", "point_shading": "flat", "precision": "float32"}
+            return self._canvas.add_point_cloud(name, points, color, point_size=width, **round_)
+        opacity = None if layer.opacity == 1.0 else layer.opacity
+        skin = {"color": color, "opacity": opacity, "side": "double"}
+        return self._canvas.add_mesh_simple(name, points, layer.faces, **skin)
 
-    def _lay_table(self, scene: ViewerScene) -> None:
+    def _lay_table(self, scene: Animation) -> None:
         """A table as large as what was shown first, in squares of a round size."""
         z = scene.table_height
         if z is None or self._table:
             return
         self._table = True
-        step, (low, high) = square_size(scene), table_ends(scene)
+        step, (low, high) = scene.square, scene.table_ends
         (width, depth), (x, y) = (high - low).tolist(), (0.5 * (low + high)).tolist()
         self._canvas.add_grid(
-            "/table",
-            width=width,
-            height=depth,
-            cell_size=step,
-            cell_color=(214, 214, 214),
-            section_size=5.0 * step,
-            section_color=TABLE_LINE,
-            plane_color=TABLE_FILL,
-            plane_opacity=0.7,
-            position=(x, y, z),
-        )
+            "/table", width=width, height=depth, position=(x, y, z),
+            cell_size=step, cell_color=(214, 214, 214),
+            section_size=5.0 * step, section_color=TABLE_LINE,
+            plane_color=TABLE_FILL, plane_opacity=0.7,
+        )  # fmt: skip
 
 
 class Viewer:
@@ -250,10 +222,11 @@ class Viewer:
         """Until everything that was asked for is simulated, or for a time [s]; whether it is."""
         return self._last in wait([self._last], timeout).done
 
-    def serve(self, greeting: str) -> None:
-        """Print a line, and go on until Ctrl-C."""
+    def serve(self) -> None:
+        """Print the address, and go on until Ctrl-C."""
         with contextlib.suppress(KeyboardInterrupt):
-            print(greeting, flush=True)
+            title = printable(self._model.title)
+            print(f"{title}: {self.url} (Ctrl-C ends it)", flush=True)
             while not self._closed.wait(3600.0):
                 pass
 
@@ -289,8 +262,6 @@ class Viewer:
             self._button = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
             self._button.on_click(lambda _: self.play(not self._playing))
             self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1")
-            self._chart: viser.GuiUplotHandle | None = None
-            self._chart_folder = gui.add_folder(None, visible=False)
         self._sliders: dict[str, viser.GuiSliderHandle] = {}
         self._boxes: dict[str, Any] = {}
         groups = dict.fromkeys(p.group for p in self._parameters.values())
@@ -303,13 +274,8 @@ class Viewer:
             gui.add_button("Reset parameters").on_click(lambda _: self.set_case(self._case))
 
     def _add_slider(self, p: SliderParameter) -> viser.GuiSliderHandle:
-        slider = self._server.gui.add_slider(
-            p.text(p.value),
-            *p.range,
-            p.start,
-            marks=p.marks,
-            hint=p.meaning,
-        )
+        text, gui = p.text(p.value), self._server.gui
+        slider = gui.add_slider(text, *p.range, p.start, hint=p.meaning)
 
         def moved(_: Any) -> None:
             if self._setting:
@@ -383,7 +349,7 @@ class Viewer:
             _log.exception("cannot simulate")
             self._say(f"internal error: {type(error).__name__}: {error}", fault=True)
 
-    def _take(self, scene: ViewerScene, seconds: float) -> None:
+    def _take(self, scene: Animation, seconds: float) -> None:
         """Show a scene in place of another one, at the same time if it has that."""
         with self._lock:
             before, first = self._scene, not self._camera_set
@@ -395,7 +361,6 @@ class Viewer:
                 middle = self._time.max // 2
                 self._time.value = middle if first else scene.frame_at(time_shown)
                 self._setting = False
-                self._draw_chamfer(scene)
                 self._paint()
             if first:
                 self._camera_set = True
@@ -410,23 +375,6 @@ class Viewer:
             said = f"{self._status_text}, the rest after" if done else "simulated in"
             self._say(f"{said} {seconds:.2f} s")
 
-    def _draw_chamfer(self, scene: ViewerScene) -> None:
-        """Draw a scene's Chamfer distance; an earlier one stays while it has none."""
-        if scene.chamfer is None:
-            return
-        data = scene.times.astype(float), 1e3 * scene.chamfer.astype(float)
-        if self._chart is not None:
-            self._chart.data = data
-            return
-        series = (
-            uplot.Series(label="time [s]"),
-            uplot.Series(label=CHAMFER, stroke=SIMULATED_COLOR, width=2),
-        )
-        scales = {"x": uplot.Scale(time=False)}
-        with self._chart_folder:
-            self._chart = self._server.gui.add_uplot(data, series, scales=scales, height=150)
-        self._chart_folder.visible = True
-
     def _say(self, text: str, *, fault: bool = False) -> None:
         self._status_text, self._fault = text, fault
         self._read()
@@ -434,40 +382,31 @@ class Viewer:
     def _read(self) -> None:
         """Write what is to be read."""
         with self._lock:
-            rows, layers = (), ()
-            if self._scene is not None:
-                rows, layers = self._rows(self._scene), self._scene.layers
-            legend = legend_of(layers)
-            table = "".join(
-                f'<tr><td style="color:{_SOFT};padding-right:0.8em;vertical-align:top">'
-                f"{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
-                for name, value in rows
+            scene, lines = self._scene, []
+            if scene is not None:
+                lines += [(layer.color, f"● {layer.name}") for layer in scene.layers]
+                lines += [(_SOFT, f"{name}: {value}") for name, value in self._rows(scene)]
+            lines.append((_BAD if self._fault else _SOFT, self._status_text))
+            lines += [(_SOFT, note) for note in self._model.notes]
+            shown = "".join(
+                f'<div style="color:{color}">{html.escape(text)}</div>' for color, text in lines
             )
-            notes = "".join(f"<div>{html.escape(note)}</div>" for note in self._model.notes)
-            self._readout.content = (
-                '<div style="font-size:0.8em;line-height:1.45;padding:0.3em 0.8em">'
-                f"<div>{legend}</div><table>{table}</table>"
-                f'<div style="color:{_BAD if self._fault else _SOFT}">'
-                f"{html.escape(self._status_text)}</div>"
-                f'<div style="color:{_SOFT}">{notes}</div></div>'
-            )
+            style = "font-size:0.8em;line-height:1.45;padding:0.3em 0.8em"
+            self._readout.content = f'<div style="{style}">{shown}</div>'
 
-    def _rows(self, scene: ViewerScene) -> list[tuple[str, str]]:
+    def _rows(self, scene: Animation) -> list[tuple[str, str]]:
         t = self._frame_of(scene)
         rows = [("time", f"{scene.times[t]:.2f} s of {scene.times[-1]:.2f} s")]
-        if scene.chamfer is not None:
-            mm = 1e3 * scene.chamfer
-            rows.append((CHAMFER, f"{mm[t]:.1f} now, {mm.mean():.1f} mean"))
-        elif self._chart is not None:
-            rows.append((CHAMFER, "…"))
-        rows += scene.facts
-        if scene.table_height is not None:
-            rows.append(("squares of table", f"{1e3 * square_size(scene):g} mm"))
-        return rows
+        if scene.distance is not None:
+            name, mm = scene.distance[0], 1e3 * scene.distance[1]
+            rows.append((f"{name} [mm]", f"{mm[t]:.1f} now, {mm.mean():.1f} mean"))
+        table = scene.table_height is not None
+        squares = [("squares of table", f"{1e3 * scene.square:g} mm")] if table else []
+        return [*rows, *scene.facts, *squares]
 
     # ---- time ------------------------------------------------------------------------------------
 
-    def _frame_of(self, scene: ViewerScene) -> int:
+    def _frame_of(self, scene: Animation) -> int:
         return min(self._time.value, scene.num_frames - 1)
 
     def _paint(self) -> None:
@@ -497,41 +436,13 @@ class Viewer:
                 self._time.value = scene.frame_at(clock)
 
 
-def legend_of(layers: Sequence[Layer]) -> str:
-    """HTML: colours and names of layers."""
-    return " ".join(
-        f'<span style="white-space:nowrap"><span style="color:{layer.color}">●</span> '
-        f"{html.escape(layer.name)}</span>"
-        for layer in layers
-    )
-
-
-def encode_html(model: ViewerModel, case: int = 0) -> str:
-    """A page that plays a case's most complete scene by itself, with viser's own player.
-
-    Raises:
-        GendomError: It cannot be simulated.
-    """
-    values = {p.name: p.value for p in model.parameters(case)}
-    *_, scene = model.simulate(case, values, lambda: None)
-    server = _Server(0)  # gone when the page is made
-    try:
-        painter = Painter(server.scene)
-        where, at = camera_of(scene)
-        server.initial_camera.fov = FIELD_OF_VIEW
-        server.initial_camera.position, server.initial_camera.look_at = where, at
-        painter.paint(scene, 0)
-        recorder = server.get_scene_serializer()
-        for frame in range(1, scene.num_frames):
-            recorder.insert_sleep(float(scene.times[frame] - scene.times[frame - 1]))
-            painter.paint(scene, frame)
-        recorder.insert_sleep(1.0)  # time to look at the end
-        style = "position:fixed;left:1em;top:1em;z-index:9;font:0.8em sans-serif"
-        legend = f'<div style="{style}">{legend_of(scene.layers)}</div></body>'
-        return legend.join(recorder.as_html().rsplit("</body>", 1))
-    finally:
-        with _silent():
-            server.stop()
+def camera_of(shown: Animation) -> tuple[Array, Array]:
+    """Where the camera stands and what it looks at, [3] each [m], so that a window as wide as high
+    shows all."""
+    low, high = shown.box
+    middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) + 1e-3
+    away = 1.05 * radius / math.sin(0.5 * FIELD_OF_VIEW)
+    return middle - away * axes_of(*shown.view)[2], middle
 
 
 def from_own_page(headers: Any) -> bool:

@@ -1,4 +1,4 @@
-"""The page of a report, and its pieces: escaped text, tables, lists of facts."""
+"""Pages, and their pieces: escaped text, tables, lists of facts."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ def table(
     """A table as HTML.
 
     Args:
-        columns: Titles, and the class of `report.css` of each column's cells.
+        columns: Titles, and the class of `page.css` of each column's cells.
         rows: A text for each column.
         totals: How many of the last rows are sums or means.
-        kind: A class of `report.css`; "stacked" puts a row's cells below each other on a narrow
+        kind: A class of `page.css`; "stacked" puts a row's cells below each other on a narrow
             page.
     """
     head = "".join(f'<th class="{of}">{escaped(title)}</th>' for title, of in columns.items())
@@ -65,19 +65,23 @@ def side_by_side(figures: Sequence[str]) -> str:
     return f'<div class="pair">{"".join(figures)}</div>' if figures else ""
 
 
-def render_page(title: str, opening: str, sections: Mapping[str, str]) -> str:
+def render_page(title: str, opening: str, sections: Mapping[str, str] | None = None) -> str:
     """A whole HTML document, with contents, style and script inside.
 
     Args:
         title: Plain text, for the browser and the heading.
         opening: HTML between the heading and the sections.
-        sections: HTML by plain title, in the order of the page.
+        sections: HTML by plain title, in the order of the page; None: there are no contents.
     """
-    ids = {heading: "-".join(re.findall("[a-z]+", heading.lower())) for heading in sections}
-    links = "".join(f'<li><a href="#{ids[h]}">{escaped(h)}</a></li>' for h in sections)
+    ids = {heading: "-".join(re.findall("[a-z]+", heading.lower())) for heading in sections or ()}
+    links = "".join(f'<li><a href="#{ids[h]}">{escaped(h)}</a></li>' for h in ids)
+    contents = (
+        '<nav class="contents" aria-label="Contents">\n<strong>Contents</strong>\n'
+        f"<ol>{links}</ol>\n</nav>"
+    )
     parts = [
         f'<section id="{ids[h]}"><h2>{escaped(h)}</h2>\n{inner}\n</section>'
-        for h, inner in sections.items()
+        for h, inner in (sections or {}).items()
     ]
     body = "\n".join([f"<h1>{escaped(title)}</h1>", opening, *parts])
     return f"""<!DOCTYPE html>
@@ -90,24 +94,21 @@ def render_page(title: str, opening: str, sections: Mapping[str, str]) -> str:
 style-src 'unsafe-inline'; script-src 'unsafe-inline'">
 <title>{escaped(title)}</title>
 <style>
-{_asset("report.css")}</style>
+{_asset("page.css")}</style>
 </head>
 <body>
 <div class="page">
-<nav class="contents" aria-label="Contents">
-<strong>Contents</strong>
-<ol>{links}</ol>
-</nav>
+{contents if ids else ""}
 <main>
 {body}
 </main>
 </div>
 <script>
-{_asset("viewer.js")}</script>
+{_asset("player.js")}</script>
 </body>
 </html>
 """
 
 
 def _asset(name: str) -> str:
-    return resources.files("gendom.viz.report").joinpath(name).read_text(encoding="utf-8")
+    return resources.files("gendom.viz").joinpath(name).read_text(encoding="utf-8")

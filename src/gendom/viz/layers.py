@@ -1,0 +1,183 @@
+"""Layers of what is shown (clouds, objects, grippers, arms, goals, obstacles), and of a lift."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gendom.arrays import Array, placed
+from gendom.materials import Item, Rope, size_of, thickness_of
+from gendom.tasks.cloth_spreading import lattice_triangles
+from gendom.viz.animation import Animation, Layer
+from gendom.viz.palette import (
+    ARM_COLOR,
+    GOAL_COLOR,
+    GRIPPER_COLOR,
+    OBSTACLE_COLOR,
+    RECORDED_COLOR,
+    RECORDED_OPACITY,
+    SIMULATED_COLOR,
+    SIMULATED_OPACITY,
+)
+
+if TYPE_CHECKING:
+    from gendom.estimation import LiftScene, Theta
+    from gendom.reality.trials import TrialRun
+    from gendom.sim import Body, Obstacle
+    from gendom.tasks import Observed
+
+
+def lift_animation(
+    scene: LiftScene, x: Array | None = None, theta: Theta | None = None, **more: Any
+) -> Animation:
+    """A recorded lift, and what is simulated of it.
+
+    Args:
+        scene: What was recorded.
+        x: [T, N, 3] simulated positions at its frames [m]; None: the recording alone.
+        theta: With which these were simulated.
+        more: Further fields of the animation.
+    """
+    recording, frames = scene.recording, list(scene.frames)
+    clouds = recording.frames(frames)
+    # small, or a dense cloud would hide the object
+    dot = scene.size * (0.003 if np.median([len(cloud) for cloud in clouds]) < 400 else 0.002)
+    layers = [Layer(name="recorded", color=RECORDED_COLOR, points=clouds, radius=dot,
+                    opacity=RECORDED_OPACITY)]  # fmt: skip
+    if x is not None and theta is not None:
+        body = scene.body_of(theta)
+        layers.append(object_layer("simulated", body, x, opacity=SIMULATED_OPACITY))
+    axis = None if recording.gripper_axis is None else recording.gripper_axis[frames]
+    layers.append(gripper_layer(recording.gripper_position[frames], scene.size, axis))
+    return Animation(
+        times=recording.time[frames],
+        layers=tuple(layers),
+        table_height=recording.table_height,
+        **more,
+    )
+
+
+def object_layer(
+    name: str, body: Body, x: Array, *, color: str = SIMULATED_COLOR, opacity: float = 1.0
+) -> Layer:
+    """The skin of a simulated rope or cloth; of particles dots.
+
+    Args:
+        name: Of the layer.
+        body: The object.
+        x: [T, N, 3] its points or particles [m].
+        color: As "#rrggbb".
+        opacity: Below 1 where something else is to be seen through it.
+    """
+    points, n, about = body.surface(x), x.shape[1], {"name": name, "color": color}
+    if n != len(body.points):
+        return Layer(points=points, radius=0.25 * body.dx, opacity=opacity, **about)
+    closed = body.kind == "rope"
+    if closed:  # one ring of the skin for each edge is enough
+        rings = points.reshape(len(x), -1, 8, 3)
+        rings = rings[:, np.linspace(0, rings.shape[1] - 1, n).round().astype(int)]
+        points, faces = rings.reshape(len(x), -1, 3), tube_faces(n, 8)
+    else:
+        faces = lattice_triangles(*body.shape)
+        if body.cut is not None:
+            index = np.full(body.shape, -1)
+            index.flat[body.cut.at] = np.arange(n)
+            faces = index.ravel()[faces[np.tile(body.cut.cells.ravel() > 0.0, 2)]]
+    return Layer(points=points, faces=faces, closed=closed, opacity=opacity, **about)
+
+
+def observed_layer(name: str, item: Item, seen: Observed, color: str = SIMULATED_COLOR) -> Layer:
+    """The skin of what a world observed of an object."""
+    if isinstance(item, Rope):
+        from gendom.sim import rope  # takes long to import
+
+        n = seen.points.shape[1]
+        body = rope(diameter=item.diameter, length=item.length, points=n)
+        return object_layer(name, body, seen.points, color=color)
+    return Layer(name=name, color=color, points=seen.points, faces=lattice_triangles(*seen.lattice))
+
+
+def gripper_layer(position: Array, size: float, axis: Array | None = None) -> Layer:
+    """Grippers as sticks that stand on what they hold, and a bar along the object at the clamp.
+
+    Args:
+        position: [T, G, 3] where they hold it [m].
+        size: Of the object [m].
+        axis: [T, G, 3] unit vectors along the object at the clamps; None: unknown.
+    """
+    up = np.array([0.0, 0.0, 0.15 * size])
+    ends = [np.stack([position, position + up], axis=-2)]
+    if axis is not None:
+        half = 0.04 * size * axis
+        ends.append(np.stack([position - half, position + half], axis=-2))
+    lines = np.concatenate(ends, axis=1)
+    return Layer(name="gripper", color=GRIPPER_COLOR, points=lines, radius=0.012 * size)
+
+
+def arm_layer(run: TrialRun, times: Array, T_world_frame: Array) -> Layer | None:
+    """The arm of a run of the MuJoCo scene at its times [T] [s], in a frame [4, 4]; None where a
+    free hand moves."""
+    from gendom.robot import XARM7, arm_shape
+
+    if run.motion is None:
+        return None
+    shape = arm_shape(XARM7, run.motion.at(times), thickness_of(run.trial.item))
+    ends = placed(np.linalg.inv(T_world_frame), np.stack([shape.start, shape.end], axis=-2))
+    return Layer(name="arm", color=ARM_COLOR, points=ends, radius=shape.radius)
+
+
+def goal_layer(goal: Array, seen: Observed, item: Item) -> Layer:
+    """A goal in its task's frame [m]: a dot at a goal (x, z) beside where the tip hung, or an
+    upright line at a distance x, as high as the rope comes."""
+    if len(goal) == 1:
+        ends = float(seen.points[..., 2].min()), float(seen.points[..., 2].max())
+        thick, mark = 0.006, np.array([[[goal[0], 0.0, z] for z in ends]])
+    else:
+        x, y, z = seen.tip[0]
+        thick, mark = 0.02, np.array([[x + goal[0], y, z + goal[1]]])
+    return Layer(name="goal", color=GOAL_COLOR, points=[mark], radius=thick * size_of(item))
+
+
+def obstacle_layer(name: str, obstacle: Obstacle, times: Array) -> Layer:
+    """A rigid obstacle at times [T] [s]: a cube of small squares, pressed onto its surface."""
+    half, reach = obstacle.core
+    turn = np.tan(np.linspace(0.0, 0.25 * math.pi, 5))[1:]
+    lines = []
+    for h in half.tolist():
+        inner = np.linspace(-h, h, 5) if h > 0.0 else np.zeros(1)
+        outer = h + reach * turn if reach > 0.0 else np.zeros(0)
+        lines.append(np.concatenate([-outer[::-1], inner, outer]))
+    points, faces, count = [], [], 0
+    for axis in range(3):
+        u, v = lines[axis - 2], lines[axis - 1]
+        for side in (-1.0, 1.0):
+            face = np.empty((len(u), len(v), 3))
+            face[..., axis] = side * (half[axis] + reach)
+            face[..., axis - 2], face[..., axis - 1] = np.meshgrid(u, v, indexing="ij")
+            points.append(face.reshape(-1, 3))
+            faces.append(count + lattice_triangles(len(u), len(v))[:, :: -int(side)])
+            count += len(u) * len(v)
+    x = np.concatenate(points)
+    core = np.clip(x, -half, half)
+    away = x - core
+    x = core + reach * away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+    moves = len(np.atleast_1d(obstacle.time)) > 1
+    poses = [obstacle.pose_at(float(t)) for t in (times if moves else times[:1])]
+    shown = [centre + turned.apply(x) for centre, turned in poses]
+    skin = {"faces": np.concatenate(faces), "closed": True}
+    return Layer(name=name, color=OBSTACLE_COLOR, points=shown, **skin)
+
+
+def tube_faces(rings: int, sides: int) -> NDArray[np.integer]:
+    """[F, 3] triangles of a closed tube: rings of vertices one after another, and its two ends.
+
+    They are counter-clockwise from outside where rings are so, seen from the last one.
+    """
+    at = np.arange(rings * sides).reshape(rings, sides)
+    around = lattice_triangles(rings, sides + 1)
+    around = at[around // (sides + 1), around % (sides + 1) % sides]
+    fan = [[0, k, k + 1] for k in range(1, sides - 1)]
+    return np.concatenate([around, at[0][fan][:, ::-1], at[-1][fan]])
