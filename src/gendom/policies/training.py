@@ -30,10 +30,11 @@ from gendom.files import atomic_path
 from gendom.materials import PARAMETERS
 from gendom.policies import methods
 from gendom.policies.demonstrations import SMALLEST, Demonstrations
-from gendom.policies.evaluation import draw_cases, score
+from gendom.policies.evaluation import score
 from gendom.policies.policy import METADATA_KEY, Description, GoalRange, Policy
 from gendom.policies.refining import refine
 from gendom.tasks import find_task, rebuild
+from gendom.tasks.cases import draw_cases
 from gendom.tasks.task import World
 from gendom.tasks.world import Simulation
 
