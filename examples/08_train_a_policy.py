@@ -14,8 +14,8 @@ import tyro
 
 from gendom import Policy, RopeCasting
 from gendom.datasets import generate
-from gendom.policies import Demonstrations, Training, draw_cases, score, train
-from gendom.tasks import Demonstrator
+from gendom.policies import Demonstrations, Training, score, train
+from gendom.tasks import Demonstrator, draw_cases
 
 
 def main(out: Path | None = None, size: int = 400, epochs: int = 60) -> None:

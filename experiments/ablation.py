@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from experiments.runs import Chart, Result, Runs, Table, TrainingJob, polished
 from gendom.policies import Policy
 from gendom.policies.demonstrations import Demonstrations
-from gendom.policies.evaluation import Cases, choose, draw_cases, judge
+from gendom.policies.evaluation import choose, judge
 from gendom.tasks import Task, find_task
+from gendom.tasks.cases import Cases, draw_cases
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.task import ROPE
 from gendom.tasks.world import Simulation

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gendom.policies.learning import (  # explains a missing torch
+from gendom.policies.fitting import (  # explains a missing torch
     export_onnx,
     fit,
 )

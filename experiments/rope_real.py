@@ -32,9 +32,10 @@ from gendom.policies import Policy
 from gendom.policies.adaptation import Execution, adapting
 from gendom.policies.belief import believed
 from gendom.policies.demonstrations import Demonstrations, joined
-from gendom.policies.evaluation import Cases, choose, draw_cases, judge
+from gendom.policies.evaluation import choose, judge
 from gendom.policies.rollouts import side_by_side
 from gendom.tasks import Task, find_task
+from gendom.tasks.cases import Cases, draw_cases
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.task import World
 from gendom.tasks.world import Simulation

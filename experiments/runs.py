@@ -26,7 +26,6 @@ from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
 from gendom.policies.belief import believed
 from gendom.policies.demonstrations import Demonstrations
-from gendom.policies.evaluation import Cases
 from gendom.policies.polishing import polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.progress import bar
@@ -34,6 +33,7 @@ from gendom.reading import read_json
 from gendom.robot import LiftMotion, predefined_lift
 from gendom.robot.motions import LIFT_FRAME_RATE
 from gendom.tasks import Task
+from gendom.tasks.cases import Cases
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.task import World
 from gendom.tasks.world import Simulation

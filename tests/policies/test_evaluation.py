@@ -8,8 +8,9 @@ import pytest
 from gendom.errors import ParameterError, PolicyError, SimulationError
 from gendom.materials import PARAMETERS, dimensionless_parameters, size_of
 from gendom.policies import GoalRange, Policy
-from gendom.policies.evaluation import choose, draw_cases, judge, score
+from gendom.policies.evaluation import choose, judge, score
 from gendom.tasks import RopeReaching
+from gendom.tasks.cases import draw_cases
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
 from policies.conftest import describe

@@ -1,6 +1,5 @@
 """Training, on a toy task whose forward map is known."""
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from gendom.tasks import ClothSpreading, RopeReaching
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
 
-from gendom.policies import fitting, learning  # noqa: E402
 from gendom.policies import training as train_module  # noqa: E402
 from gendom.policies.training import Training, train  # noqa: E402
 
@@ -177,8 +175,8 @@ def needed(E):
 
 
 def test_an_action_that_is_nearly_the_surest_and_asks_least_is_chosen(tmp_path):
-    settings = Training(epochs=60, method="chance")
-    policy = train(tries(3000), tmp_path / "spread.onnx", settings)
+    settings = Training(epochs=25, method="chance")
+    policy = train(tries(2000), tmp_path / "spread.onnx", settings)
     E = np.linspace(0.07, 0.14, 60)
     A = policy.actions(np.empty((60, 0)), {"bending_ratio": E})[:, 0]
     assert set(A) <= set(np.ravel(ClothSpreading.candidates))
@@ -192,7 +190,7 @@ def test_an_action_that_is_nearly_the_surest_and_asks_least_is_chosen(tmp_path):
     assert careful.action["A"] > sure.action["A"] + 0.1
     assert sure.chance == pytest.approx(0.9, abs=0.1)
     assert policy.act((), known[0]) == sure
-    blind = train(tries(3000), tmp_path / "b.onnx", replace(settings, conditioned_on=()))
+    blind = train(tries(2000), tmp_path / "b.onnx", replace(settings, epochs=5, conditioned_on=()))
     assert blind.act((), known[0]).action["A"] >= 0.5
 
 
@@ -207,53 +205,7 @@ def test_failed_training_leaves_the_older_file(tmp_path, monkeypatch):
     with pytest.raises(PolicyError, match="differs from the trained one"):
         train(toy(100), path, Training(epochs=1))
     assert path.read_text() == "older"
-    assert {p.name for p in tmp_path.iterdir()} == {"policy.onnx", "policy.onnx.partial.pt"}
-
-
-def test_interrupted_training_goes_on_to_the_same_policy(tmp_path, monkeypatch):
-    """After the network that was done; a checkpoint of another training is not used."""
-    settings, path = Training(epochs=4, seed=3), tmp_path / "p.onnx"
-    whole = train(toy(200), tmp_path / "whole.onnx", settings)
-    fit, fitted = fitting.fit, []
-
-    def stopped(network, *given, **how):
-        fitted.append(network)
-        if len(fitted) == 2:
-            raise KeyboardInterrupt
-        fit(network, *given, **how)
-
-    monkeypatch.setattr(fitting, "fit", stopped)
-    with pytest.raises(KeyboardInterrupt):
-        train(toy(200), path, settings)
-    kept = tmp_path / "p.onnx.partial.pt"
-    content = kept.read_bytes()
-    resumed = train(toy(200), path, settings)
-    assert len(fitted) == 3 and not kept.exists()
-    kept.write_bytes(content)
-    other = train(toy(200), path, replace(settings, seed=1))
-    assert len(fitted) == 5
-    goals, given = np.linspace(1.25, 1.4, 20), {"bending_ratio": 0.4, "nu": 0.3}
-    assert np.array_equal(resumed.actions(goals, given), whole.actions(goals, given))
-    assert not np.array_equal(other.actions(goals, given), whole.actions(goals, given))
-
-
-@pytest.mark.parametrize(
-    ("damage", "words"),
-    [
-        (lambda kept: kept["made"]["0.weight"].fill_(math.nan), "not finite"),
-        (lambda kept: kept["made"].update({"0.weight": torch.ones(1)}), "size mismatch"),
-        (lambda kept: kept.pop("rng"), "rng"),
-        (lambda kept: kept.update(made=None), "NoneType"),
-    ],
-)
-def test_a_damaged_checkpoint_is_refused_in_one_line(damage, words, tmp_path):
-    network = torch.nn.Sequential(torch.nn.Linear(2, 2))
-    learning.Checkpoint(tmp_path / "p.pt", {}).fitted("policy", network, lambda: None)
-    checkpoint = learning.Checkpoint(tmp_path / "p.pt", {})
-    damage(checkpoint._stages["policy"])
-    with pytest.raises(PolicyError, match=rf"p\.pt: cannot be resumed from.*{words}") as error:
-        checkpoint.fitted("policy", network, lambda: None)
-    assert "\n" not in str(error.value)
+    assert {p.name for p in tmp_path.iterdir()} == {"policy.onnx"}
 
 
 @pytest.mark.parametrize("method", [pytest.param("distal", marks=pytest.mark.slow), "inverse"])

@@ -39,7 +39,9 @@ def fallen(world: Reality, seconds: float) -> float:
     return before - world.vertices()[:, 2].mean()
 
 
-@pytest.mark.parametrize(("item", "share"), [(ROPE, 1.1), (CLOTH, 3.0)])
+@pytest.mark.parametrize(
+    ("item", "share"), [(ROPE, 1.1), pytest.param(CLOTH, 3.0, marks=pytest.mark.slow)]
+)
 def test_what_a_grip_can_hold_stays(item, share):
     """A cloth that is let go flat by its corner pulls more than its weight at first."""
     world = hanging(item, share)

@@ -85,6 +85,7 @@ def test_what_lies_flat_is_spread(x, share, covered):
 # ---- in the simulator ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_hand_that_presses_a_limp_heap_on_the_table_keeps_it_whole(monkeypatch):
     """Between the fingers and the table there is no room for all the layers. Contacts that are
     taken one after the other throw points out."""

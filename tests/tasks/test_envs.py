@@ -6,11 +6,10 @@ import pytest
 pytest.importorskip("gymnasium", reason="needs the extra reality")
 
 import gymnasium
-from gymnasium.utils.env_checker import check_env
 
 from gendom.errors import ParameterError
 from gendom.materials import size_of
-from gendom.tasks.envs import MARKERS, STEPS, StepsEnv, StepsVectorEnv
+from gendom.tasks.envs import MARKERS, STEPS, StepsVectorEnv
 
 W, MODULE = 3, "gendom.environments:"
 
@@ -41,7 +40,7 @@ def test_the_space_has_markers_tool_goal_and_parameters(envs):
     seen, info = envs.reset(seed=0)
     assert seen.shape == (W, 6 * MARKERS + 5 + 1 + 5)
     assert np.array_equal(seen[:, -5:], info["parameters"].astype(np.float32))
-    assert len(np.unique(seen[:, -5])) == W  # each world's own rope
+    assert len(np.unique(seen[:, -5])) > 1  # ropes of their own, drawn from the bank
     assert envs.metadata["autoreset_mode"] == gymnasium.vector.AutoresetMode.NEXT_STEP
 
 
@@ -81,26 +80,15 @@ def test_other_tasks_have_environments_too(task, monkeypatch):
     assert np.all(after[:, 6 * MARKERS] > seen[:, 6 * MARKERS])  # the tool went ahead
 
 
-def test_gymnasium_finds_nothing_amiss(monkeypatch):
-    monkeypatch.setattr("gendom.tasks.envs.BANK", 2)
-    check_env(StepsEnv("rope-casting"), skip_render_check=True)
-
-
 def test_there_is_no_such_task(monkeypatch):
     with pytest.raises(ParameterError, match="rope-reaching"):
         StepsVectorEnv("rope-knotting")
     with pytest.raises(ParameterError, match="num_envs"):
         StepsVectorEnv("rope-casting", 0)
-    # steps before a reset and after the end are refused
     monkeypatch.setattr("gendom.tasks.envs.BANK", 2)
-    one = gymnasium.make(f"{MODULE}gendom/RopeCastingSteps-v0").unwrapped
+    made = StepsVectorEnv("rope-casting", 1)
     with pytest.raises(ParameterError, match="call reset first"):
-        one.step(np.zeros(2))
-    one.reset(seed=0)
+        made.step(np.zeros((1, 2)))
+    made.reset(seed=0)
     with pytest.raises(ParameterError, match="actions"):
-        one.step(np.zeros(3))
-    over = False
-    while not over:
-        _, _, over, _, _ = one.step(np.zeros(2))
-    with pytest.raises(ParameterError, match="the episode is over"):
-        one.step(np.zeros(2))
+        made.step(np.zeros((1, 3)))

@@ -36,12 +36,12 @@ from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
 from gendom.policies.adaptation import Execution, adapt
 from gendom.policies.belief import believed
-from gendom.policies.evaluation import draw_cases
-from gendom.policies.polishing import polish
+from gendom.policies.polishing import Discrepancy, polish
 from gendom.progress import each
 from gendom.reality import RealWorld, find_object, observe
 from gendom.reality.trials import TrialRun
 from gendom.tasks import Observed, Task
+from gendom.tasks.cases import draw_cases
 from gendom.tasks.world import Simulation
 from gendom.viz import (
     ActionSummary,

@@ -11,8 +11,9 @@ from gendom.cli.arguments import Device, Engine, Json, Seed, TaskName, Where
 from gendom.errors import printable
 from gendom.files import to_json
 from gendom.policies import Policy
-from gendom.policies.evaluation import draw_cases, score
+from gendom.policies.evaluation import score
 from gendom.progress import bar
+from gendom.tasks.cases import draw_cases
 from gendom.tasks.world import Simulation
 
 

@@ -22,8 +22,7 @@ class Command:
     """Train a policy on simulated demonstrations. Needs the extra `train`.
 
     The file appears when the policy is trained and has acted in new simulated cases, whose errors
-    are printed; an older one stays until then. If it is interrupted, run it again: it continues
-    after the last network or round that was done.
+    are printed; an older one stays until then.
 
     For example: gendom train rope-casting --data casts --out casting.onnx
     """

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from gendom.policies.adaptation import Adapted, Execution, adapt
     from gendom.policies.belief import believed
     from gendom.policies.demonstrations import Demonstrations
-    from gendom.policies.evaluation import draw_cases, score
+    from gendom.policies.evaluation import score
     from gendom.policies.fitting import Training
     from gendom.policies.polishing import Polished, polish
     from gendom.policies.training import train
@@ -28,7 +28,6 @@ _LATER = {
     "Polished": "polishing",
     "Training": "fitting",
     "adapt": "adaptation",
-    "draw_cases": "evaluation",
     "polish": "polishing",
     "score": "evaluation",
     "train": "training",
@@ -48,7 +47,6 @@ __all__ = [
     "Training",
     "adapt",
     "believed",
-    "draw_cases",
     "polish",
     "score",
     "train",

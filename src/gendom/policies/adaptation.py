@@ -180,14 +180,6 @@ def adapting(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _StoredExecution:
-    """An `Execution` in JSON."""
-
-    action: tuple[float, ...]
-    reached: tuple[float, ...]
-
-
 def executions_from(rows: Sequence[Any], where: str) -> list[Execution]:
     """From JSON; inverse of `Execution.to_dict`.
 
@@ -195,13 +187,10 @@ def executions_from(rows: Sequence[Any], where: str) -> list[Execution]:
         ParameterError: They are none.
     """
     fix = "give an action and what it reached, each a list of numbers"
-    stored = [
-        record_of(
-            _StoredExecution, row, where=f"{where}: executions[{k}]", fix=fix, error=ParameterError
-        )
+    return [
+        record_of(Execution, row, where=f"{where}: executions[{k}]", fix=fix, error=ParameterError)
         for k, row in enumerate(rows)
     ]
-    return [Execution(action=np.array(s.action), reached=np.array(s.reached)) for s in stored]
 
 
 def _check(task: Task, executions: Sequence[Execution], item: Item) -> None:

@@ -1,9 +1,7 @@
 """How well policies reach their goals, measured in a world on equal cases.
 
-A case is an object and a goal that this object can reach: its parameters and an action are
-drawn as for a demonstration and simulated, and its outcome is the goal (hindsight). The policy gets
-the true parameters and chooses an action; it is carried out with the same object, and the task's
-error is the result. Where a task has a risk, outcomes beyond its limit are not taken as goals.
+In a case (`gendom.tasks.cases`) the policy gets the true parameters and chooses an action; it is
+carried out with the same object, and the task's error is the result.
 """
 
 from __future__ import annotations
@@ -17,31 +15,12 @@ from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.arrays import Array
-from gendom.errors import PolicyError, SimulationError
+from gendom.errors import PolicyError
 from gendom.materials import Item, dimensionless_parameters, unit_of
 from gendom.policies.policy import Policy
-from gendom.tasks import Task
+from gendom.tasks.cases import Cases
 from gendom.tasks.task import World
 from gendom.tasks.world import Simulation
-
-_ROUNDS = 100
-"""How often a case whose simulation fails, or that is at risk, is drawn again."""
-
-_STREAM = 1
-"""Part of the seed: makes these draws independent of demonstrations with the same seed."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cases:
-    """W objects, each with a goal that it can reach."""
-
-    task: Task
-    items: tuple[Item, ...]
-    goal: Array
-    """[W, G] in SI units."""
-
-    def __len__(self) -> int:
-        return len(self.items)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,57 +55,6 @@ class Score:
             "error": _figures(self.error[done]),
             "error_over_size": _figures(self.error[done] / self.size[done]),
         }
-
-
-def draw_cases(
-    task: Task,
-    count: int,
-    *,
-    seed: int,
-    simulation: World | None = None,
-    items: Sequence[Item] | None = None,
-) -> Cases:
-    """Draw objects and goals.
-
-    Case i depends on the seed and i alone. A draw whose simulation fails is replaced.
-
-    Args:
-        task: What is done; its `ranges` are those of the objects.
-        count: Number of cases.
-        seed: Seed of all draws, 0 or more.
-        simulation: Where goals are found (default: our simulator).
-        items: Objects to take by turns in place of drawn ones.
-
-    Raises:
-        ParameterError: A number or range is out of bounds.
-        SimulationError: Draws keep failing.
-    """
-    fix = "give 1 case or more and a seed of 0 or more"
-    require(count >= 1 and seed >= 0, f"{count} cases with seed {seed}", fix=fix)
-    simulation = simulation or Simulation()
-    kept: list[Item] = [task.item] * count
-    goal = np.full((count, len(task.goals)), np.nan)
-    waiting = np.arange(count)
-    for attempt in range(_ROUNDS):
-        actions = np.empty((len(waiting), len(task.actions)))
-        for k, i in enumerate(map(int, waiting)):
-            rng = np.random.default_rng([seed, i, attempt, _STREAM])
-            kept[i] = items[i % len(items)] if items else task.draw_item(rng)
-            actions[k] = task.sample_actions(kept[i], rng, 1)[0]
-        if not task.goals:
-            return Cases(task=task, items=tuple(kept), goal=goal)
-        outcomes = simulation.carry_out(task, [kept[i] for i in waiting], actions)
-        again = []
-        for i, outcome in zip(waiting, outcomes, strict=True):
-            if outcome.fault is None and task.within_risk(kept[i], outcome.values):
-                goal[i] = [outcome.values[q.name] for q in task.goals]
-            else:
-                again.append(i)
-        waiting = np.array(again, dtype=int)
-        if not len(waiting):
-            return Cases(task=task, items=tuple(kept), goal=goal)
-    what = f"{len(waiting)} of {count} cases failed {_ROUNDS} times"
-    raise SimulationError(what, fix="choose other ranges")
 
 
 def score(

@@ -1,27 +1,38 @@
-"""What every training method works on: settings, data, columns, network, fits. Needs torch."""
+"""What every training method works on: settings, data, columns, networks, their fits and files.
+Needs torch and onnx."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import PolicyError
-from gendom.policies.learning import Checkpoint, fit  # explains a missing torch
-
-# isort: split
-import torch
-from torch import Tensor, nn
-
-from gendom.arguments import require
+from gendom.installation import how_to_install
 from gendom.materials import PARAMETERS
 from gendom.policies.demonstrations import SMALLEST, Demonstrations, joined
+from gendom.policies.graph import sealed
 from gendom.policies.policy import GOAL, METHODS, Column
 from gendom.progress import bar
 from gendom.tasks import find_task
+
+try:
+    import torch
+except ModuleNotFoundError as missing:
+    raise ModuleNotFoundError(
+        f"training needs torch; install it with: {how_to_install('train')}", name=missing.name
+    ) from missing
+import onnx
+from torch import Tensor, nn
+
+OPSET = 17
 
 ARCHITECTURES: dict[str, tuple[tuple[int, ...], type[nn.Module]]] = {
     "smooth": ((192, 192, 192), nn.SiLU),
@@ -153,7 +164,6 @@ class TrainingProblem:
         training: How.
         finetune: Demonstrations that everything is fitted to once more at the end.
         shown: Whether bars show how fits stand.
-        checkpoint: Where stages that are done are kept.
     """
 
     def __init__(
@@ -164,13 +174,11 @@ class TrainingProblem:
         *,
         finetune: Demonstrations | None = None,
         shown: bool = False,
-        checkpoint: Checkpoint,
     ):
         d = demonstrations
         self.training = training
         self.sees = sees
         self.shown = shown
-        self.checkpoint = checkpoint
         self.goals = [
             standardised(GOAL + name, d.goal[:, k]) for k, name in enumerate(d.goal_names)
         ]
@@ -241,7 +249,7 @@ class TrainingProblem:
         """Fit a network to the demonstrations, and then to those for fine-tuning.
 
         Args:
-            name: For people and for the checkpoint.
+            name: For people.
             network: What is trained.
             loss_of: Loss of some rows.
             only: [N] which rows count, bool; all if it leaves too few.
@@ -273,26 +281,76 @@ class TrainingProblem:
     ) -> None:
         """`fit` to rows [M] of any kind; the loss of those held out is only reported."""
 
-        def fitted() -> None:
-            with bar(name, epochs, "epoch", shown=self.shown) as show:
+        how = self.training
+        with bar(name, epochs, "epoch", shown=self.shown) as show:
 
-                def told(done: int, loss: float, known: float | None) -> None:
-                    aside = "" if known is None else f", held out {known:.2e}"
-                    show(done, note=f"loss {loss:.2e}{aside}")
+            def told(done: int, loss: float, known: float | None) -> None:
+                aside = "" if known is None else f", held out {known:.2e}"
+                show(done, note=f"loss {loss:.2e}{aside}")
 
-                fit(
-                    network,
-                    loss_of,
-                    rows,
-                    epochs=epochs,
-                    batch_size=self.training.batch_size,
-                    learning_rate=learning_rate,
-                    weight_decay=self.training.weight_decay,
-                    held_out=held_out,
-                    on_epoch=told if self.shown else None,
-                )
+            fit(network, loss_of, rows, epochs=epochs, batch_size=how.batch_size,
+                learning_rate=learning_rate, weight_decay=how.weight_decay, held_out=held_out,
+                on_epoch=told if self.shown else None)  # fmt: skip
 
-        self.checkpoint.fitted(name, network, fitted)
+
+def fit(
+    network: nn.Module,
+    loss_of: Callable[[Tensor], Tensor],
+    rows: Tensor,
+    *,
+    epochs: int,
+    batch_size: int,
+    learning_rate: float,
+    weight_decay: float,
+    held_out: Tensor | None = None,
+    on_epoch: Callable[[int, float, float | None], None] | None = None,
+) -> None:
+    """Minimise the mean of `loss_of` over batches of `rows` by AdamW, whose learning rate rises
+    shortly, then falls to zero along a cosine.
+
+    Args:
+        network: What is trained.
+        loss_of: Loss of some rows [B].
+        rows: [N] indices to train on.
+        epochs: Passes over them.
+        batch_size: B, at most.
+        learning_rate: At its peak.
+        weight_decay: AdamW's.
+        held_out: [H] indices whose loss is only reported.
+        on_epoch: Called after each epoch with how many are done, its mean loss and that of what is
+            held out.
+
+    Raises:
+        PolicyError: It diverged.
+    """
+    batch = min(batch_size, len(rows))
+    steps = len(rows) // batch
+    optimizer = torch.optim.AdamW(
+        network.parameters(), lr=learning_rate, weight_decay=weight_decay, fused=True
+    )
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimizer,
+        max_lr=learning_rate,
+        total_steps=epochs * steps + 1,
+        pct_start=0.1,
+        cycle_momentum=False,
+    )
+    for epoch in range(1, epochs + 1):
+        total = 0.0
+        for part in rows[torch.randperm(len(rows))][: steps * batch].split(batch):
+            loss = loss_of(part)
+            optimizer.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+            optimizer.step()
+            schedule.step()
+            total += loss.item() / steps
+        what, fix = f"training diverged in epoch {epoch}", "lower the learning rate"
+        require(np.isfinite(total), what, fix=fix, error=PolicyError)
+        if on_epoch is not None:
+            with torch.no_grad():
+                known = None if held_out is None else float(loss_of(held_out))
+            on_epoch(epoch, total, known)
 
 
 def _split(first: int, count: int) -> tuple[Tensor, Tensor]:
@@ -319,3 +377,54 @@ def huber(error: Tensor, large: float) -> Tensor:
 def rms(error: Tensor) -> float:
     """Root mean square length of rows [B, n]."""
     return float((error**2).sum(dim=1).mean().sqrt())
+
+
+@contextmanager
+def reproducible(seed: int) -> Iterator[None]:
+    """Seeded torch on one thread, which is fastest for small networks; all put back after."""
+    threads = torch.get_num_threads()
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        torch.set_num_threads(1)
+        try:
+            yield
+        finally:
+            torch.set_num_threads(threads)
+
+
+def export_onnx(
+    network: nn.Module,
+    path: Path,
+    *,
+    inputs: Mapping[str, Tensor],
+    outputs: Sequence[str],
+    metadata: Mapping[str, str],
+) -> None:
+    """Write a network, whose first axis is a batch of any size, with its metadata.
+
+    Args:
+        network: Takes the inputs in their order.
+        path: File to write, not atomically.
+        inputs: Examples by name.
+        outputs: Names.
+        metadata: Entries of the file.
+    """
+    with warnings.catch_warnings():
+        # the exporter that torch recommends instead needs a further package
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.onnx.export(
+            network,
+            tuple(inputs.values()),
+            str(path),
+            input_names=list(inputs),
+            output_names=list(outputs),
+            dynamic_axes={name: {0: "batch"} for name in (*inputs, *outputs)},
+            opset_version=OPSET,
+            dynamo=False,
+        )
+    model = onnx.load(str(path))
+    for key, value in metadata.items():
+        entry = model.metadata_props.add()
+        entry.key, entry.value = key, value
+    onnx.checker.check_model(model)
+    path.write_bytes(sealed(model.SerializeToString()))

@@ -99,8 +99,8 @@ class _Point:
         return float(self.r @ self.r)
 
 
-class _Problem:
-    """What is minimised; actions and goals in units of similarity."""
+class Problem:
+    """What is minimised, for K objects; actions and goals in units of similarity."""
 
     def __init__(
         self, task: Task, goal: Array, items: Sequence[Item], discrepancy: Discrepancy | None
@@ -215,7 +215,7 @@ def polishing(
     require(fits, f"is {wanted.tolist()}", where="goal")
     require(seconds > 0.0, f"must be positive, got {seconds}", where="seconds")
     require(items, "no object to polish for", fix="give one or more")
-    problem = _Problem(task, wanted, items, discrepancy)
+    problem = Problem(task, wanted, items, discrepancy)
     first = task.check_action(items[0], start) / problem.units
     rng, deadline = np.random.default_rng(seed), began + seconds
     chosen = yield from _screened(problem, first, rng)
@@ -234,7 +234,7 @@ def polishing(
     )
 
 
-def _screened(problem: _Problem, first: Array, rng: np.random.Generator) -> Asking[list[Array]]:
+def _screened(problem: Problem, first: Array, rng: np.random.Generator) -> Asking[list[Array]]:
     """The start, and the best of drawn or known actions as simulated with a few of the objects."""
     task, item = problem.task, problem.items[0]
     others = [np.array(known) for known in task.candidates]
@@ -252,7 +252,7 @@ def _screened(problem: _Problem, first: Array, rng: np.random.Generator) -> Aski
 
 
 def _varied(
-    problem: _Problem, points: Sequence[_Point], rng: np.random.Generator, deadline: float
+    problem: Problem, points: Sequence[_Point], rng: np.random.Generator, deadline: float
 ) -> Asking[_Point]:
     """The best that variations of the best lead to from some points until a time [s]."""
     best = min(points, key=lambda p: p.cost)
@@ -269,7 +269,7 @@ def _varied(
     return best
 
 
-def _improved(problem: _Problem, points: Sequence[_Point], deadline: float) -> Asking[_Point]:
+def _improved(problem: Problem, points: Sequence[_Point], deadline: float) -> Asking[_Point]:
     """The best that damped Gauss-Newton steps lead to from some points until a time [s]."""
     points = list(points)
     round_seconds = 0.0

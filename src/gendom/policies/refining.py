@@ -84,10 +84,7 @@ def refine(problem: TrainingProblem, task: Task, world: World) -> dict[str, floa
     for k in range(1, training.refine + 1):
         rows = rng.permutation(cases)[: training.refine_cases]
         name = f"round {k} of {training.refine}"
-        new = problem.checkpoint.remembered(
-            f"{name}, acted",
-            lambda rows=rows, name=name: _models(problem, task, world, rows, name),
-        )
+        new = _models(problem, task, world, rows, name)
         usable = new["counts"][:, :G] > 0.0
         what = "no outcome of what the policy does in the simulator can be relied on"
         fix = "train it for more epochs, or check the task's risk"

@@ -5,7 +5,6 @@ From goal and parameters to action, by one of `gendom.policies.methods`.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 from dataclasses import asdict, replace
@@ -14,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from gendom.arrays import Array
-from gendom.policies.learning import (  # explains a missing torch
-    Checkpoint,
+from gendom.policies.fitting import (  # explains a missing torch
+    Training,
+    TrainingProblem,
     export_onnx,
     reproducible,
 )
@@ -30,11 +30,11 @@ from gendom.files import atomic_path
 from gendom.materials import PARAMETERS
 from gendom.policies import methods
 from gendom.policies.demonstrations import SMALLEST, Demonstrations
-from gendom.policies.evaluation import draw_cases, score
-from gendom.policies.fitting import Training, TrainingProblem
+from gendom.policies.evaluation import score
 from gendom.policies.policy import METADATA_KEY, Description, GoalRange, Policy
 from gendom.policies.refining import refine
 from gendom.tasks import find_task, rebuild
+from gendom.tasks.cases import draw_cases
 from gendom.tasks.task import World
 from gendom.tasks.world import Simulation
 
@@ -62,9 +62,7 @@ def train(
     """Train a policy and write it to `path`.
 
     The file appears once the policy is trained and onnxruntime has been seen to agree with torch;
-    until then an older one stays. Equal demonstrations and settings give equal policies. Training
-    that was interrupted continues after the last network or round that was done (they are kept
-    beside the file), to the same policy.
+    until then an older one stays. Equal demonstrations and settings give equal policies.
 
     Args:
         demonstrations: What to learn from.
@@ -94,18 +92,8 @@ def train(
     _check_alike(demonstrations, finetune, training)
     refined_in = world.settings() if training.refine else None
     versions = {"gendom": __version__, "torch": str(torch.__version__)}
-    identity = {
-        **versions,
-        "training": asdict(training),
-        "demonstrations": _digest(demonstrations),
-        "finetune": None if finetune is None else _digest(finetune),
-        "world": refined_in,
-    }
-    checkpoint = Checkpoint(path.with_name(path.name + ".partial.pt"), identity)
     with reproducible(training.seed):
-        problem = TrainingProblem(
-            demonstrations, sees, training, finetune=finetune, shown=progress, checkpoint=checkpoint
-        )
+        problem = TrainingProblem(demonstrations, sees, training, finetune=finetune, shown=progress)
         errors = getattr(methods, training.method)(problem)
         if training.refine:
             errors |= refine(problem, task, world)
@@ -134,9 +122,7 @@ def train(
             candidates=problem.candidates if problem.chooses else (),
             training=figures,
         )
-        policy = _written(problem, description, path, cases, world)
-    checkpoint.clear()
-    return policy
+        return _written(problem, description, path, cases, world)
 
 
 def goal_range(demonstrations: Demonstrations) -> GoalRange:
@@ -195,14 +181,6 @@ def _within_risk(demonstrations: Demonstrations) -> Demonstrations:
         return demonstrations
     within = demonstrations.risk <= risk.limit
     return demonstrations.chosen(within) if within.sum() >= SMALLEST else demonstrations
-
-
-def _digest(demonstrations: Demonstrations) -> str:
-    """Of all numbers that are learnt from."""
-    d = demonstrations
-    risk = [] if d.risk is None else [d.risk]
-    numbers = (d.goal, d.action, *(d.parameters[n] for n in PARAMETERS), *risk)
-    return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in numbers)).hexdigest()
 
 
 def _written(

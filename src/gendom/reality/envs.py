@@ -36,14 +36,14 @@ import numpy.typing as npt
 
 from gendom.arguments import check_numbers, require
 from gendom.arrays import Array
-from gendom.errors import DeviceError, ParameterError, RobotError
+from gendom.errors import DeviceError, ParameterError, RobotError, SimulationError
 from gendom.installation import how_to_install
 from gendom.materials import LARGEST, PARAMETERS, to_columns
 from gendom.reality.object_file import find_object
 from gendom.reality.objects import OBJECTS, RealObject
 from gendom.reality.trials import RealWorld, observe
 from gendom.tasks import Task, find_task
-from gendom.tasks.world import Simulation
+from gendom.tasks.cases import draw_cases
 
 try:
     import gymnasium
@@ -59,10 +59,6 @@ Observation = dict[str, npt.NDArray[np.float32]]
 REFUSED = -100.0
 """Reward of an action that the arm refuses: worse than that of any miss. Observed goals and sizes
 are within 10 m, so no rope's end comes to lie so far from its goal."""
-
-ACTIONS_A_BATCH, MAX_BATCHES = 32, 8
-"""Actions simulated in one batch, and the largest number of batches, to find a goal of a task with
-a risk: a tenth of one rope's releases stay within its limit."""
 
 
 class TaskEnv(gymnasium.Env[Any, Any]):
@@ -142,8 +138,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         super().reset(seed=seed)
         given, rng, spaces = dict(options or {}), self.np_random, self.observation_space.spaces
         drawn = self.objects[int(rng.integers(len(self.objects)))]
-        # a separate random stream: the object and given options do not change later draws
-        actions = np.random.default_rng(int(rng.integers(2**63)))
+        drawn_seed = int(rng.integers(2**63))  # object and options do not change later draws
         item = self._find(given.pop("object", drawn))
         for name in given:
             there, fix = (
@@ -152,7 +147,11 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             )
             require(there, f"there is no option {name!r} here", where="reset", fix=fix)
         if self.task.goals and "goal" not in given:
-            given["goal"] = self._reachable(item, actions)
+            try:
+                given["goal"] = draw_cases(self.task, 1, seed=drawn_seed, items=[item]).goal[0]
+            except SimulationError as error:
+                fix = "give option goal"
+                raise ParameterError(error.what, where="reset", fix=fix) from None
         columns = to_columns(item)
         seen = {
             "sizes": [getattr(item, name) for name in item.sizes],
@@ -216,16 +215,3 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         what, fix = f"{found.name} is none of this task", f"choose {', '.join(mine)}"
         require(found.kind == self.task.kind, what, where="object", fix=fix)
         return found
-
-    def _reachable(self, item: RealObject, rng: np.random.Generator) -> Array:
-        """A goal [G] that one action reaches."""
-        task, fault = self.task, "at risk"
-        batches, count = (1, 1) if task.risk is None else (MAX_BATCHES, ACTIONS_A_BATCH)
-        for _ in range(batches):
-            actions = task.sample_actions(item, rng, count)
-            for outcome in Simulation().carry_out(task, [item] * count, actions):
-                if outcome.fault is None and task.within_risk(item, outcome.values):
-                    return np.array([outcome.values[q.name] for q in task.goals])
-                fault = outcome.fault or fault
-        what = f"no goal can be drawn ({fault})"
-        raise ParameterError(what, where="reset", fix="give option goal")

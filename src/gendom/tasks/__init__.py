@@ -24,6 +24,7 @@ from gendom.tasks.rope_reaching import RopeReaching
 from gendom.tasks.task import Observed, Outcome, Quantity, Risk, Scene, Task, World
 
 if TYPE_CHECKING:
+    from gendom.tasks.cases import draw_cases
     from gendom.tasks.demonstrator import Demonstrator
     from gendom.tasks.world import Simulation
 
@@ -131,7 +132,9 @@ def rebuild(description: Mapping[str, Any]) -> Task:
         raise ParameterError(what, fix="use this version of gendom to make it again") from error
 
 
-__getattr__ = imported_later(__name__, {"Demonstrator": "demonstrator", "Simulation": "world"})
+__getattr__ = imported_later(
+    __name__, {"Demonstrator": "demonstrator", "Simulation": "world", "draw_cases": "cases"}
+)
 
 __all__ = [
     "ClothDragging",
@@ -148,6 +151,7 @@ __all__ = [
     "Simulation",
     "Task",
     "World",
+    "draw_cases",
     "find_task",
     "load_task",
     "rebuild",

@@ -2,6 +2,8 @@
 
     envs = gymnasium.make_vec("gendom.environments:gendom/RopeReachingSteps-v0", num_envs=64)
 
+(one world is ``num_envs=1``).
+
 ``RopeReachingSteps``, ``RopeCastingSteps``, ``RopeCastingAtSpeedSteps``, ``ClothSpreadingSteps``:
 each has the task's scene, time and outcome, in its frame. An episode takes `STEPS` steps; all
 worlds end at once and begin again with the next step (`AutoresetMode.NEXT_STEP`).
@@ -39,6 +41,7 @@ from gendom.materials import PARAMETERS, Item, dimensionless_parameters, size_of
 from gendom.robot.path import TcpPaths
 from gendom.sim import Simulator, Targets
 from gendom.tasks import Task, find_task
+from gendom.tasks.cases import Cases, draw_cases
 from gendom.tasks.world import Simulation, judged, opening
 
 STEPS = 40
@@ -98,7 +101,7 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         batched = gymnasium.vector.utils.batch_space
         self.observation_space = batched(self.single_observation_space, num_envs)
         self.action_space = batched(self.single_action_space, num_envs)
-        self._bank: tuple[list[Item], Array] | None = None
+        self._bank: Cases | None = None
         self._step = STEPS
         self._simulator: Simulator | None = None
 
@@ -149,17 +152,12 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _drawn(self) -> tuple[list[Item], Array]:
         """Objects and goals for W worlds."""
-        rng, task = self.np_random, self.task
+        rng, count = self.np_random, max(BANK, self.num_envs)
         if self._bank is None:
-            rngs = rng.spawn(max(BANK, self.num_envs))
-            items = task.draw_items(rngs)
-            found = self.world.carry_out(task, items, task.draw_actions(items, rngs))
-            good = [k for k, outcome in enumerate(found) if outcome.fault is None]
-            goals = [[found[k].values[q.name] for q in task.goals] for k in good]
-            self._bank = [items[k] for k in good], np.array(goals).reshape(len(good), -1)
-        items, goals = self._bank
-        rows = rng.integers(len(items), size=self.num_envs)
-        return [items[k] for k in rows], goals[rows]
+            seed = int(rng.integers(2**63))
+            self._bank = draw_cases(self.task, count, seed=seed, simulation=self.world)
+        rows = rng.integers(count, size=self.num_envs)
+        return [self._bank.items[k] for k in rows], self._bank.goal[rows]
 
     def _begin(self) -> NDArray[np.float32]:
         self.items, self.goals = self._drawn()
@@ -241,36 +239,3 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
             if values and task.goals:
                 reward[w] = -task.error(item, self.goals[w], values) / size_of(item)
         return reward, reached
-
-
-class StepsEnv(gymnasium.Env[Any, Any]):
-    """One world of a `StepsVectorEnv`, whose arguments it takes."""
-
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
-
-    def __init__(self, task: str | Task, **settings: Any):
-        self.many = StepsVectorEnv(task, 1, **settings)
-        self.observation_space = self.many.single_observation_space
-        self.action_space = self.many.single_action_space
-        self._over = True
-
-    def reset(
-        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """As `StepsVectorEnv.reset`."""
-        super().reset(seed=seed)
-        seen, info = self.many.reset(seed=seed, options=options)
-        self._over = False
-        return seen[0], {name: value[0] for name, value in info.items()}
-
-    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """As `StepsVectorEnv.step`.
-
-        Raises:
-            ParameterError: The episode is over, or as there.
-        """
-        require(not self._over, "the episode is over", where="step", fix="call reset first")
-        seen, reward, done, _, info = self.many.step(np.asarray(action)[None])
-        self._over = bool(done[0])
-        info = {name: value[0] for name, value in info.items()}
-        return seen[0], float(reward[0]), self._over, False, info
