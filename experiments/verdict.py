@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
@@ -22,8 +23,6 @@ from experiments.runs import Result, Runs, Table
 from gendom.datasets import Recording
 from gendom.errors import GendomError
 from gendom.estimation import estimate
-from gendom.files import write_json
-from gendom.reading import read_json
 
 Array = NDArray[np.floating]
 
@@ -241,23 +240,33 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     """Of each lift, by `GOOD` and names of `CORRUPTED`, what an estimate said."""
     lifts = Lifts.of(flags)
     seeds = range(flags.seed, flags.seed + flags.lifts)
-    rows = list(runs.each(partial(_judged, runs, lifts), seeds, "judging"))
+    for _ in runs.each(partial(lifts.recorded, runs), seeds, "lifting"):
+        pass
+    cases = [(seed, case) for seed in seeds for case in (GOOD, *CORRUPTED)]
+    said = zip(cases, runs.each(partial(_judged, runs, lifts), cases, "judging"), strict=True)
+    rows: dict[int, dict[str, dict[str, Any]]] = {seed: {} for seed in seeds}
+    for (seed, case), answer in said:
+        rows[seed][case] = answer
+    wrong = [
+        f"  seed {seed}, {case}: E x {answer['ratios']['E']:.2f}"
+        for seed, row in rows.items()
+        for case, answer in row.items()
+        if answer["usable"] and not answer["right"]
+    ]
+    found = list(rows.values())
     settings = {**asdict(lifts), "lifts": flags.lifts}
     return Result(
         name=f"verdict-{lifts.name}",
-        figures={**settings, "cases": confusion(rows), "rows": rows},
-        shown=[confusion_table(rows)],
+        figures={**settings, "wrong": len(wrong), "cases": confusion(found), "rows": found},
+        shown=[confusion_table(found)],
+        notes=[f"{len(wrong)} of {len(cases)} are usable and wrong", *wrong],
     )
 
 
-def _judged(runs: Runs, lifts: Lifts, seed: int) -> dict[str, dict[str, Any]]:
-    kept = runs.folder / f"verdict-{lifts.name}-{seed:04d}.json"
-    done = read_json(kept) if kept.exists() else {}
-    for case in (GOOD, *CORRUPTED):
-        if case not in done:
-            done[case] = _case(lifts.recorded(runs, seed), case, lifts, seed)
-            write_json(kept, done)
-    return done
+def _judged(runs: Runs, lifts: Lifts, which: tuple[int, str]) -> dict[str, Any]:
+    seed, case = which
+    name = re.sub(r"\W+", "-", f"verdict-{lifts.name}-{seed:04d}-{case}")
+    return runs.kept(name, lambda: _case(lifts.recorded(runs, seed), case, lifts, seed))
 
 
 def _case(recording: Recording, case: str, lifts: Lifts, seed: int) -> dict[str, Any]:
