@@ -104,6 +104,13 @@ def parser() -> argparse.ArgumentParser:
         "(1 mm, thickness 3 %%, mass 1 %%)",
     )
     add(
+        "--given",
+        type=Path,
+        metavar="FOLDER",
+        help="of coverage: recordings NAME.npz of others, with the truth in NAME.json (E, "
+        "bending_length, damping, friction, nu, in SI units, as far as they are known)",
+    )
+    add(
         "--calibrate",
         action="store_true",
         help="of coverage: without calibration, and write the factors of one; of sbc: without",
