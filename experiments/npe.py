@@ -35,7 +35,7 @@ Array = NDArray[np.floating]
 
 ROPE = ObjectClass(kind="rope", size=(0.3, 0.3), thickness=(0.014, 0.014)).at(0.5)
 
-SIMULATIONS = {"small": 256, "full": 16384}
+SIMULATIONS = {"small": 256, "full": 8192}
 """Lifts to learn from."""
 
 BATCH = 32

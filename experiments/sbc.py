@@ -41,7 +41,7 @@ from gendom.robot.motions import LIFT_FRAME_RATE
 SIZES = {"rope": ((0.2, 0.5), (0.008, 0.02)), "cloth": ((0.2, 0.36), (0.0004, 0.0012))}
 """Of ropes' lengths and diameters, of cloths' sides and thicknesses [m]."""
 
-NAMES = ("E_over_rho", "nu", "damping", "friction", "thickness", "grip_height", "grip_along",
+NAMES = ("bending_length", "E_over_rho", "nu", "damping", "friction", "thickness", "grip_height", "grip_along",
          "grip_turn", "warp_over_weft", "delay")  # fmt: skip
 
 
@@ -109,6 +109,8 @@ def _estimated(lifts: Lifts, which: str, seed: int) -> dict[str, Any]:
     return {
         **row,
         "verdict": asdict(found.verdict),
+        "values": {"bending_length": found.record["bending_length"]},
+        "intervals": {"bending_length": (found.record["intervals"] or {}).get("bending_length")},
         "posterior": found.posterior.to_dict(),
         "seconds": found.record["seconds"],
     }
