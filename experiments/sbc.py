@@ -41,8 +41,8 @@ from gendom.robot.motions import LIFT_FRAME_RATE
 SIZES = {"rope": ((0.2, 0.5), (0.008, 0.02)), "cloth": ((0.2, 0.36), (0.0004, 0.0012))}
 """Of ropes' lengths and diameters, of cloths' sides and thicknesses [m]."""
 
-NAMES = ("bending_length", "E_over_rho", "nu", "damping", "friction", "thickness", "grip_height", "grip_along",
-         "grip_turn", "warp_over_weft", "delay")  # fmt: skip
+NAMES = ("bending_length", "E_over_rho", "nu", "damping", "friction", "thickness", "grip_height",
+         "grip_along", "grip_turn", "warp_over_weft", "delay")  # fmt: skip
 
 
 def run(runs: Runs, flags: argparse.Namespace) -> Result:
@@ -150,15 +150,14 @@ def drawn_lifts(
     vectors = [drawn(prior, rng) for _ in range(count)]
     thetas = [prior.theta(v, base) for v in vectors]
     shown = imagined(scene, thetas, settings.noise.sensor, rng)
-    return [
-        (
-            misplaced(r, settings.noise, rng),
-            dict(theta.items()),
-            dict(zip(prior.names, v, strict=True)),
-        )
-        for r, theta, v in zip(shown, thetas, vectors, strict=True)
-        if r is not None
-    ]
+    found = []
+    for recording, theta, v in zip(shown, thetas, vectors, strict=True):
+        if recording is not None:
+            bends = scene.bending_length(theta.E_over_rho, theta.thickness)
+            truth = {**dict(theta.items()), "bending_length": bends}
+            drawn_at = dict(zip(prior.names, v.tolist(), strict=True))
+            found.append((misplaced(recording, settings.noise, rng), truth, drawn_at))
+    return found
 
 
 def misplaced(recording: Recording, noise: NoiseModel, rng: np.random.Generator) -> Recording:
