@@ -108,9 +108,10 @@ def sbc(found: Any) -> dict[str, Any]:
 def npe(found: Any) -> dict[str, Any]:
     """Rows by unknown and by who answers, and what it took."""
     read: dict[str, Any] = {"took": found["took"], "lifts": found["lifts"]}
+    read["simulations"] = found["simulations"]
     for row, own in found["rows"].items():
         name, who = row.split(", ")
-        read.setdefault(name, {})[who] = {**own, "covered": 100.0 * own["covered"]}
+        read.setdefault(name, {})[who] = {n.split()[-1]: value for n, value in own.items()}
     return read
 
 

@@ -47,59 +47,49 @@ FRAMES, POINTS, WIDTH, DRAWS = 12, 96, 128, 2000
 TARGETS = ("E_over_rho", "friction", "damping", "nu")
 """Unknowns whose posterior it states; others are drawn, too."""
 
+COLUMNS = ("median error", "90 % below", "half width", "covered")
+
 
 def run(runs: Runs, flags: argparse.Namespace) -> Result:
     """A row for each unknown of the network's and the estimator's answers."""
-    count, began = SIMULATIONS[flags.scale], time.perf_counter()
+    asked = range(900_000, 900_000 + flags.lifts)
+    ours = [row for row in runs.each(estimated, asked, "estimates") if row]
+    count, times = SIMULATIONS[flags.scale], [time.perf_counter()]
     seeds = range(runs.seed, runs.seed + -(-count // BATCH))
     made = list(runs.each(simulated, seeds, "lifts"))
     X, Y = (np.concatenate([m[k] for m in made]) for k in ("X", "Y"))
-    took = {"simulations": len(X), "simulating": time.perf_counter() - began}
-    asked = range(900_000, 900_000 + flags.lifts)
-    ours = [row for row in runs.each(estimated, asked, "estimates") if row]
-    took["an_estimate"] = float(np.median([row["seconds"] for row in ours]))
-    began = time.perf_counter()
+    times.append(time.perf_counter())
     posterior = trained(X, Y, runs.device, runs.seed)
-    took["learning"], began = time.perf_counter() - began, time.perf_counter()
+    times.append(time.perf_counter())
     draws = answered(posterior, np.stack([row["X"] for row in ours]), runs.device)
-    took["an_answer"] = (time.perf_counter() - began) / len(ours)
+    times.append(time.perf_counter())
+    took = dict(zip(("simulating", "learning", "answers"), np.diff(times).tolist(), strict=True))
+    took["an_estimate"] = float(np.median([row["seconds"] for row in ours]))
     rows = compared(ours, draws)
-    texts = {
-        name: (*(f"{r[k]:.4f}" for k in ("median", "ninety", "half_width")), f"{r['covered']:.0%}")
-        for name, r in rows.items()
-    }
-    head = ("error, median", "90 % below", "half width", "covered")
-    cost = (
-        f"{len(X)} lifts simulated in {took['simulating']:.0f} s, learned in "
-        f"{took['learning']:.0f} s; an answer takes {1e3 * took['an_answer']:.1f} ms, an estimate "
-        f"{took['an_estimate']:.1f} s and no training"
-    )
+    texts = {name: tuple(f"{v:.4f}" for v in row.values()) for name, row in rows.items()}
+    cost = ", ".join(f"{name.replace('_', ' ')} {value:.3g} s" for name, value in took.items())
     return Result(
         name="npe",
-        figures={"rows": rows, "took": took, "lifts": len(ours)},
-        shown=[Table(title=f"{len(ours)} lifts, in transformed units", head=head, rows=texts)],
-        notes=[cost],
+        figures={"rows": rows, "took": took, "simulations": len(X), "lifts": len(ours)},
+        shown=[Table(title=f"{len(ours)} lifts, in transformed units", head=COLUMNS, rows=texts)],
+        notes=[f"{len(X)} lifts to learn from; {cost}"],
     )
 
 
 def compared(ours: list[dict[str, Any]], draws: Array) -> dict[str, dict[str, float]]:
-    """Errors and intervals of estimates, and of draws [N, DRAWS, targets] of the network."""
+    """`COLUMNS` of estimates, and of draws [N, DRAWS, targets] of the network."""
     truth, mean, sd = (np.array([row[k] for row in ours]) for k in ("truth", "mean", "sd"))
-    tails = (1.0 - LEVEL) / 2.0
+    tails, rows = (1.0 - LEVEL) / 2.0, {}
     ends = {
         "estimator": mean + half_width(LEVEL) * sd * np.array([0.0, -1.0, 1.0])[:, None, None],
         "network": np.quantile(draws, (0.5, tails, 1.0 - tails), axis=1),
     }
-    rows = {}
-    for k, name in enumerate(TARGETS):
-        for who, found in ends.items():
-            (middle, low, high), true = found[..., k], truth[:, k]
-            rows[f"{name}, {who}"] = {
-                "median": float(np.median(np.abs(middle - true))),
-                "ninety": float(np.quantile(np.abs(middle - true), 0.9)),
-                "half_width": float(np.median(high - low) / 2.0),
-                "covered": float(np.mean((low <= true) & (true <= high))),
-            }
+    for who, (middle, low, high) in ends.items():
+        off, inside = np.abs(middle - truth), (low <= truth) & (truth <= high)
+        half = np.median(high - low, axis=0) / 2.0
+        found = np.median(off, axis=0), np.quantile(off, 0.9, axis=0), half, inside.mean(axis=0)
+        for name, values in zip(TARGETS, np.transpose(found).tolist(), strict=True):
+            rows[f"{name}, {who}"] = dict(zip(COLUMNS, values, strict=True))
     return rows
 
 
