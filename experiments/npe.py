@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from sbi.inference import NPE
-from sbi.neural_nets import posterior_nn
+from sbi.inference import NPE  # pyright: ignore[reportMissingImports]
+from sbi.neural_nets import posterior_nn  # pyright: ignore[reportMissingImports]
 from torch import nn
 
 from experiments.coverage import LEVEL
@@ -63,7 +63,8 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     times.append(time.perf_counter())
     draws = answered(posterior, np.stack([row["X"] for row in ours]), runs.device)
     times.append(time.perf_counter())
-    took = dict(zip(("simulating", "learning", "answers"), np.diff(times).tolist(), strict=True))
+    names: tuple[str, ...] = ("simulating", "learning", "answers")
+    took = dict(zip(names, np.diff(times).tolist(), strict=True))
     took["an_estimate"] = float(np.median([row["seconds"] for row in ours]))
     rows = compared(ours, draws)
     texts = {name: tuple(f"{v:.4f}" for v in row.values()) for name, row in rows.items()}
@@ -148,7 +149,7 @@ def trained(X: Array, Y: Array, device: str, seed: int) -> Any:
     x, y = (torch.tensor(a, dtype=torch.float32) for a in (X, Y))
     build = posterior_nn("maf", z_score_x="none", embedding_net=Clouds())
     silent = SimpleNamespace(log_metric=lambda *_, **__: None, flush=lambda: None)
-    inference = NPE(None, build, device, tracker=silent, show_progress_bars=False)  # type: ignore
+    inference = NPE(None, build, device, tracker=silent, show_progress_bars=False)
     inference.append_simulations(y, x).train()
     return inference.build_posterior()
 
