@@ -63,9 +63,9 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     times.append(time.perf_counter())
     draws = answered(posterior, np.stack([row["X"] for row in ours]), runs.device)
     times.append(time.perf_counter())
-    names: tuple[str, ...] = ("simulating", "learning", "answers")
-    took = dict(zip(names, np.diff(times).tolist(), strict=True))
-    took["an_estimate"] = float(np.median([row["seconds"] for row in ours]))
+    median = float(np.median([row["seconds"] for row in ours]))
+    names = ("simulating", "learning", "answers", "an_estimate")
+    took = dict(zip(names, [*np.diff(times).tolist(), median], strict=True))
     rows = compared(ours, draws)
     texts = {name: tuple(f"{v:.4f}" for v in row.values()) for name, row in rows.items()}
     cost = ", ".join(f"{name.replace('_', ' ')} {value:.3g} s" for name, value in took.items())
