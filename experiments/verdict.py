@@ -251,16 +251,32 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
         f"  seed {seed}, {case}: E x {answer['ratios']['E']:.2f}"
         for seed, row in rows.items()
         for case, answer in row.items()
-        if answer["usable"] and not answer["right"]
+        if is_wrong(answer)
     ]
     found = list(rows.values())
+    own = [sum(map(is_wrong, row.values())) * is_wrong(row[GOOD]) for row in found]
     settings = {**asdict(lifts), "lifts": flags.lifts}
     return Result(
         name=f"verdict-{lifts.name}",
-        figures={**settings, "wrong": len(wrong), "cases": confusion(found), "rows": found},
+        figures={
+            **settings,
+            "wrong": len(wrong),
+            "wrong_as_recorded": sum(own),
+            "cases": confusion(found),
+            "rows": found,
+        },
         shown=[confusion_table(found)],
-        notes=[f"{len(wrong)} of {len(cases)} are usable and wrong", *wrong],
+        notes=[
+            f"{len(wrong)} of {len(cases)} are usable and wrong, {sum(own)} of them of the "
+            f"{sum(map(bool, own))} lifts whose estimate is wrong as recorded, too",
+            *wrong,
+        ],
     )
+
+
+def is_wrong(answer: dict[str, Any]) -> bool:
+    """Whether an estimate is usable and not right."""
+    return answer["usable"] and not answer["right"]
 
 
 def _judged(runs: Runs, lifts: Lifts, which: tuple[int, str]) -> dict[str, Any]:
@@ -310,11 +326,7 @@ def confusion_table(rows: Sequence[dict[str, dict[str, Any]]]) -> Table:
     """The table of `confusion`, with the worst ratio of E to the truth of those that are wrong."""
     found = {}
     for case, counts in confusion(rows).items():
-        off = [
-            row[case]["ratios"]["E"]
-            for row in rows
-            if row[case]["usable"] and not row[case]["right"]
-        ]
+        off = [row[case]["ratios"]["E"] for row in rows if is_wrong(row[case])]
         worst = max(off, key=lambda ratio: abs(math.log(ratio)), default=None)
         found[case] = (*map(str, counts.values()), "" if worst is None else f"{worst:.2g}")
     return Table(
