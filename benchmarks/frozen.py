@@ -49,13 +49,6 @@ TOLERANCES = {
 }
 """Of each section: by how much a number or list may differ, relative to its largest, and in all."""
 
-RENAMED = {
-    "youngs_modulus": "E",
-    "specific_modulus": "E_over_rho",
-    "poissons_ratio": "nu",
-}
-"""Names of earlier versions, and those that figures go by."""
-
 PASSING = ("seconds", "path", "out", "settings")
 """What files say of a run and not of its result."""
 
@@ -74,16 +67,16 @@ def output(*command: str | Path, codes: tuple[int, ...] = (0,)) -> str:
 
 
 def gendom(*command: str | Path, codes: tuple[int, ...] = (0,)) -> Figures:
-    return renamed(json.loads(output("gendom", *command, "--json", "--quiet", codes=codes)))
+    return lasting(json.loads(output("gendom", *command, "--json", "--quiet", codes=codes)))
 
 
-def renamed(value: Any) -> Any:
-    """The same with the names of today, without what differs from run to run."""
+def lasting(value: Any) -> Any:
+    """The same without what differs from run to run."""
     if isinstance(value, dict):
-        return {RENAMED.get(k, k): renamed(v) for k, v in value.items() if k not in PASSING}
+        return {k: lasting(v) for k, v in value.items() if k not in PASSING}
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return [renamed(v) for v in value] if isinstance(value, list) else value
+    return [lasting(v) for v in value] if isinstance(value, list) else value
 
 
 # ---- estimates -----------------------------------------------------------------------------------
@@ -182,7 +175,7 @@ def dataset(task: str, engine: str, size: int) -> Figures:
         for name, values in table.to_pydict().items():
             columns.setdefault(name, []).extend(values)
     columns["fault"] = [fault is not None for fault in columns["fault"]]
-    return renamed(columns)
+    return lasting(columns)
 
 
 # ---- the simulator: all calls whose form may change ----------------------------------------------
@@ -312,7 +305,7 @@ def sim2sim() -> Figures:
             found = json.loads(output("experiments", *options))
         else:
             found = json.loads(output("gendom", "reproduce", *options))
-    return renamed(found)
+    return lasting(found)
 
 
 def cpu_seconds() -> float:

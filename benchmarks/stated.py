@@ -14,6 +14,8 @@ import numpy as np
 COUNTS = ("lifts", "rows", "passed")
 """Numbers that have to be equal."""
 
+Reader = Callable[[Any], dict[str, Any]]
+
 MACHINE = 1.0
 """Relative tolerance of times and speeds, which machines change: a factor of two."""
 
@@ -25,7 +27,7 @@ class Figure:
     name: str
     command: str
     """As pages show it."""
-    read: Callable[[Any], dict[str, Any]]
+    read: Reader
     """Numbers, also in lists and mappings, from the command's JSON or text."""
     _: KW_ONLY
     json: bool = True
@@ -81,6 +83,42 @@ def coverage(found: Any) -> dict[str, Any]:
             for name, own in found[which].items()
         }
     return read
+
+
+def given(found: Any) -> dict[str, Any]:
+    """Of lifts of others by kind, as `coverage`."""
+    read: dict[str, Any] = {"usable": found["usable"], "lifts": found["lifts"]}
+    for kind in ("rope", "cloth"):
+        read[kind] = {name: percent(own) for name, own in found[kind].items()}
+    return read
+
+
+def percent(own: Any) -> dict[str, float]:
+    names = ("lifts", "median_error", "ninety_error", "covered", "ecdf_p")
+    return {n: own[n] * (1.0 if n == "lifts" else 100.0) for n in names if n in own}
+
+
+def sbc(found: Any) -> dict[str, Any]:
+    """Of unknowns, errors of transformed ones and p of uniform ranks [%]."""
+    own = {name: percent(c) for name, c in found["unknowns"].items()}
+    usable = sum(row.get("verdict", {}).get("usable", False) for row in found["rows"])
+    return {"lifts": found["lifts"], "usable": usable, **own}
+
+
+def npe(found: Any) -> dict[str, Any]:
+    """Rows by unknown and by who answers, and what it took."""
+    read: dict[str, Any] = {"took": found["took"], "lifts": found["lifts"]}
+    read["simulations"] = found["simulations"]
+    for row, own in found["rows"].items():
+        name, who = row.split(", ")
+        read.setdefault(name, {})[who] = {n.split()[-1]: value for n, value in own.items()}
+    return read
+
+
+def verdicts(found: Any) -> dict[str, Any]:
+    cases = list(found["cases"].values())
+    said = {name: sum(c[name] for c in cases) for name in ("refused", "right", "wrong")}
+    return {"lifts": found["lifts"], "cases": sum(said.values()), **said}
 
 
 def rope(found: Any) -> dict[str, Any]:
@@ -230,12 +268,18 @@ def covered(name: str, words: str) -> Figure:
     return Figure(f"coverage-{name}", command, coverage, absolute=1.0, needs=("hours",))
 
 
-def trained(name: str, words: str, read: Callable[[Any], dict[str, Any]]) -> Figure:
+def experiment(name: str, words: str, read: Reader, *needs: str) -> Figure:
+    return Figure(
+        name, f"python -m experiments {words}", read, relative=0.3, needs=(*needs, "hours")
+    )
+
+
+def trained(name: str, words: str, read: Reader) -> Figure:
     command = f"python -m experiments {words} --scale full --device cuda"
     return Figure(name, command, read, relative=0.3, needs=("cuda", "hours"))
 
 
-def validation(name: str, read: Callable[[Any], dict[str, Any]], words: str = "") -> Figure:
+def validation(name: str, read: Reader, words: str = "") -> Figure:
     command = f"python -m validation {words or '--only ' + name}"
     return Figure(name, command, read, relative=0.2, absolute=1e-4)
 
@@ -253,9 +297,16 @@ WIRE = "benchmarks/recordings/wire_white_loop.npz"
 FIGURES = (
     covered("rope", "--lifts 90 --seed 200 --measured"),
     covered("wide", "--wide --lifts 100 --measured"),
-    covered("thin", "--kind thin"),
     covered("cloth", "--kind cloth --lifts 50 --measured"),
-    covered("swing", "--end swing"),
+    Figure(
+        "coverage-given", "python -m experiments coverage --given lifts", given,
+        absolute=1.0, needs=("hours",),
+    ),
+    experiment("sbc", "sbc --lifts 200 --seed 100", sbc),
+    experiment("npe", "npe --scale full --lifts 60 --device cuda", npe, "cuda"),
+    experiment("verdict", "verdict --lifts 3 --seed 2000", verdicts),
+    experiment("verdict-wide", "verdict --wide --lifts 2 --seed 2000", verdicts),
+    experiment("verdict-cloth", "verdict --kind cloth --lifts 1 --seed 2000", verdicts),
     Figure("demo", "gendom demo", demo, relative=0.3, absolute=0.3),
     REAL("rope-red", "gendom estimate rope_red_lift.npz --starts 1 --seed 0", rope),
     REAL(

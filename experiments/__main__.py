@@ -32,8 +32,8 @@ TABLES = {
     "shipped intervals that hold the truth, refused lifts; a lift takes about a minute on a core",
     "sbc": "simulation-based calibration: ranks of truths that are drawn from the priors, in the "
     "posteriors of lifts of our own simulator, with tests of that; four seconds a rope",
-    "npe": "a neural posterior, trained on such lifts of one rope, beside the estimator's on "
-    "others: errors, coverage, seconds and simulations",
+    "npe": "a neural posterior of the library sbi, trained on such lifts of one rope, beside the "
+    "estimator's on others: errors, coverage, seconds and simulations",
     "verdict": "the same lifts, each recording corrupted in 48 ways, and what estimates say: "
     "refused, right or wrong; a lift of a rope takes about five minutes on a core",
     "calibration": "random pictures of a board with one fault each: refused, or true and stated "
@@ -106,6 +106,13 @@ def parser() -> argparse.ArgumentParser:
         "(1 mm, thickness 3 %%, mass 1 %%)",
     )
     add(
+        "--given",
+        type=Path,
+        metavar="FOLDER",
+        help="of coverage: recordings NAME.npz of others, with the truth in NAME.json (E, "
+        "bending_length, damping, friction, nu, in SI units, as far as they are known)",
+    )
+    add(
         "--calibrate",
         action="store_true",
         help="of coverage: without calibration, and write the factors of one; of sbc: without",
@@ -165,8 +172,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     except ModuleNotFoundError as error:
         extra = {"mujoco": "reality", "matplotlib": "docs"}.get(error.name or "", "train")
-        advice = f"install it with: {how_to_install(extra)}"
-        print(f"experiments {flags.table}: needs {error.name}; {advice}", file=sys.stderr)
+        how = "pip install sbi" if error.name == "sbi" else how_to_install(extra)
+        said = f"needs {error.name}; install it with: {how}"
+        print(f"experiments {flags.table}: {said}", file=sys.stderr)
         return 2
     return 0
 

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,23 @@ from scipy.stats import binom, norm
 
 from experiments.lifts import LEVEL, Lifts, estimate_settings, measured, truth_of
 from experiments.runs import Chart, Result, Runs, Table
+from gendom.arguments import require
+from gendom.datasets import Recording
 from gendom.errors import GendomError, ParameterError
 from gendom.estimation import IntervalCalibration, estimate
 from gendom.files import write_json
+from gendom.reading import read_json
 
 REPORTED = ("E", "bending_length", "nu", "damping", "friction")
+TOLD = {
+    "E": ("E",),
+    "bending_length": ("bending_length", "lb", "b"),
+    "damping": ("damping", "tau"),
+    "friction": ("friction", "mu"),
+    "nu": ("nu",),
+}
+"""What files of truths call what is reported."""
+
 CALIBRATED = ("E_over_rho", "nu", "damping", "friction")
 
 BAND = 0.95
@@ -38,6 +51,8 @@ BINS, A_BIN = (4, 20), 5
 
 def run(runs: Runs, flags: argparse.Namespace) -> Result:
     """A row for each lift: what was estimated and what is true."""
+    if flags.given:
+        return _of_others(runs, flags)
     lifts, seeds = Lifts.of(flags), range(flags.seed, flags.seed + flags.lifts)
     if flags.calibrate:
         return _calibrated(runs, lifts, seeds)
@@ -57,6 +72,39 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
         shown=shown_of(rows, table, beside),
         notes=reasons_of(rows),
     )
+
+
+def _of_others(runs: Runs, flags: argparse.Namespace) -> Result:
+    """Recordings that were given, of known objects."""
+    places = sorted(p for p in flags.given.glob("*.npz") if p.with_suffix(".json").exists())
+    require(places, "has no NAME.npz with a NAME.json", where=str(flags.given))
+    rows = list(runs.each(partial(_given, runs, flags.seed), places, "estimating"))
+    by_kind = {row["kind"]: [r for r in rows if r["kind"] == row["kind"]] for row in rows}
+    tables = {kind: covered(own, LEVEL, REPORTED) for kind, own in by_kind.items()}
+    shown = [shown_of(own, tables[kind])[0] for kind, own in by_kind.items()]
+    return Result(
+        name="coverage-given",
+        figures={
+            "lifts": len(rows),
+            "usable": len(_usable(rows)),
+            **{kind: {c.name: asdict(c) for c in table} for kind, table in tables.items()},
+            "rows": rows,
+        },
+        shown=shown,
+        notes=reasons_of(rows),
+    )
+
+
+def _given(runs: Runs, seed: int, place: Path) -> dict[str, Any]:
+    return runs.kept(f"given-{place.stem}", partial(estimated_of, place, seed))
+
+
+def estimated_of(place: Path, seed: int) -> dict[str, Any]:
+    """What is estimated of a recording, beside the truth in the JSON file of its name."""
+    told = read_json(place.with_suffix(".json"))
+    recording = Recording.read(place, on_warning=lambda _: None)
+    truth = {name: told[key] for name, keys in TOLD.items() for key in keys if told.get(key)}
+    return {"seed": place.stem, "truth": truth, **_found(recording, seed)}
 
 
 def _calibrated(runs: Runs, lifts: Lifts, seeds: range) -> Result:
@@ -124,16 +172,25 @@ def _estimated(runs: Runs, lifts: Lifts, which: str, seed: int) -> dict[str, Any
     row: dict[str, Any] = {"seed": seed, "truth": truth_of(lifts.object(seed))}
     try:
         recording = lifts.recorded(runs, seed)
-        if which == "-measured":
-            recording = measured(recording, seed)
-        calibration = IntervalCalibration() if which == "-raw" else None
-        found = estimate(recording, estimate_settings(seed), calibration=calibration)
     except GendomError as error:
         return {**row, "fault": str(error)}
+    if which == "-measured":
+        recording = measured(recording, seed)
+    return row | _found(recording, seed, IntervalCalibration() if which == "-raw" else None)
+
+
+def _found(
+    recording: Recording, seed: int, calibration: IntervalCalibration | None = None
+) -> dict[str, Any]:
+    """What rows say of an estimate."""
+    try:
+        found = estimate(recording, estimate_settings(seed), calibration=calibration)
+    except GendomError as error:
+        return {"fault": str(error), "kind": recording.object.kind}
     return {
-        **row,
+        "kind": recording.object.kind,
         "verdict": asdict(found.verdict),
-        "values": {name: found.record[name] for name in row["truth"]},
+        "values": {name: found.record[name] for name in (*REPORTED, "E_over_rho")},
         "intervals": found.record["intervals"],
         "posterior": found.posterior.to_dict(),
         "rms": found.record["rms"],
@@ -230,11 +287,14 @@ def _error(row: dict[str, Any], name: str, z: float) -> tuple[float, float, bool
     """Error and standard deviation of what was estimated, in transformed units, and whether its
     interval of so many deviations holds the truth; None where it was not estimated."""
     posterior, intervals = row["posterior"], row.get("intervals") or {}
-    if name == "E_over_rho" and "thickness" in posterior["names"] and "bending_length" in intervals:
+    measured_thickness = "thickness" in posterior["names"] and "thickness" not in row["truth"]
+    if name == "E_over_rho" and measured_thickness and "bending_length" in intervals:
         # E / density is as uncertain as the stated thickness; what is calibrated is the rest
         off, sd, held = _error(row, "bending_length", z) or (0.0, 0.0, False)
         return 3.0 * off, 3.0 * sd, held
-    truth, interval = row["truth"][name], intervals.get(name)
+    truth, interval = row["truth"].get(name), intervals.get(name)
+    if truth is None:
+        return None
     if name in posterior["names"]:
         k = posterior["names"].index(name)
         off = posterior["mean"][k] - (math.log(truth) if posterior["log"][k] else truth)

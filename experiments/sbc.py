@@ -26,12 +26,14 @@ from scipy.spatial.transform import Rotation
 from experiments.coverage import LEVEL, Covered, covered, reasons_of, shown_of
 from experiments.lifts import Lifts, estimate_settings
 from experiments.runs import Result, Runs, Table
+from gendom.arguments import require
 from gendom.datasets import Recording
 from gendom.errors import GendomError, RobotError
 from gendom.estimation import LiftScene, estimate
 from gendom.estimation.intervals import IntervalCalibration
 from gendom.estimation.lift_plan import ObjectClass, drawn, imagined, recorded_lift
 from gendom.estimation.observed import NoiseModel
+from gendom.materials import Item
 from gendom.reality import arm_motion, as_real, lift, lift_cameras
 from gendom.robot import predefined_lift
 from gendom.robot.motions import LIFT_FRAME_RATE
@@ -39,8 +41,8 @@ from gendom.robot.motions import LIFT_FRAME_RATE
 SIZES = {"rope": ((0.2, 0.5), (0.008, 0.02)), "cloth": ((0.2, 0.36), (0.0004, 0.0012))}
 """Of ropes' lengths and diameters, of cloths' sides and thicknesses [m]."""
 
-NAMES = ("E_over_rho", "nu", "damping", "friction", "thickness", "grip_height", "grip_along",
-         "grip_turn", "warp_over_weft", "delay")  # fmt: skip
+NAMES = ("bending_length", "E_over_rho", "nu", "damping", "friction", "thickness", "grip_height",
+         "grip_along", "grip_turn", "warp_over_weft", "delay")  # fmt: skip
 
 
 def run(runs: Runs, flags: argparse.Namespace) -> Result:
@@ -107,6 +109,8 @@ def _estimated(lifts: Lifts, which: str, seed: int) -> dict[str, Any]:
     return {
         **row,
         "verdict": asdict(found.verdict),
+        "values": {"bending_length": found.record["bending_length"]},
+        "intervals": {"bending_length": (found.record["intervals"] or {}).get("bending_length")},
         "posterior": found.posterior.to_dict(),
         "seconds": found.record["seconds"],
     }
@@ -121,19 +125,39 @@ def imagined_lift(lifts: Lifts, seed: int) -> tuple[Recording, dict[str, float]]
     rng = np.random.default_rng([90, seed])
     size, thickness = SIZES[lifts.kind]
     item = ObjectClass(kind=lifts.kind, size=size, thickness=thickness).at(*rng.random(3))
-    motion = predefined_lift(lifts.kind, lifts.end)
+    made = drawn_lifts(item, lifts.end, rng, 1)
+    require(made, "it could not be simulated", where=f"seed {seed}")
+    return made[0][:2]
+
+
+def drawn_lifts(
+    item: Item, end: str, rng: np.random.Generator, count: int
+) -> list[tuple[Recording, dict[str, float], dict[str, float]]]:
+    """Lifts of an object whose unknowns are drawn, without those that cannot be simulated; their
+    truths by name, and transformed.
+
+    Raises:
+        RobotError: The arm cannot carry the lift out.
+    """
+    motion = predefined_lift(item.kind, end)
     trial = lift(as_real(item), motion)
     arm = arm_motion(trial, lift_cameras(trial.item))
     if isinstance(arm, RobotError):
         raise arm
-    settings = estimate_settings(seed)
+    settings = estimate_settings(0)
     scene = LiftScene.of(recorded_lift(trial, arm, LIFT_FRAME_RATE[motion.end]), settings.scene)
     prior, base = scene.prior(also=("thickness",))
-    theta = prior.theta(drawn(prior, rng), base)
-    (recording,) = imagined(scene, [theta], settings.noise.sensor, rng)
-    if recording is None:
-        raise GendomError("it could not be simulated", where=f"seed {seed}")
-    return misplaced(recording, settings.noise, rng), dict(theta.items())
+    vectors = [drawn(prior, rng) for _ in range(count)]
+    thetas = [prior.theta(v, base) for v in vectors]
+    shown = imagined(scene, thetas, settings.noise.sensor, rng)
+    found = []
+    for recording, theta, v in zip(shown, thetas, vectors, strict=True):
+        if recording is not None:
+            bends = scene.bending_length(theta.E_over_rho, theta.thickness)
+            truth = {**dict(theta.items()), "bending_length": bends}
+            drawn_at = dict(zip(prior.names, v.tolist(), strict=True))
+            found.append((misplaced(recording, settings.noise, rng), truth, drawn_at))
+    return found
 
 
 def misplaced(recording: Recording, noise: NoiseModel, rng: np.random.Generator) -> Recording:

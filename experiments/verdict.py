@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
@@ -22,8 +23,6 @@ from experiments.runs import Result, Runs, Table
 from gendom.datasets import Recording
 from gendom.errors import GendomError
 from gendom.estimation import estimate
-from gendom.files import write_json
-from gendom.reading import read_json
 
 Array = NDArray[np.floating]
 
@@ -241,23 +240,49 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     """Of each lift, by `GOOD` and names of `CORRUPTED`, what an estimate said."""
     lifts = Lifts.of(flags)
     seeds = range(flags.seed, flags.seed + flags.lifts)
-    rows = list(runs.each(partial(_judged, runs, lifts), seeds, "judging"))
+    for _ in runs.each(partial(lifts.recorded, runs), seeds, "lifting"):
+        pass
+    cases = [(seed, case) for seed in seeds for case in (GOOD, *CORRUPTED)]
+    said = zip(cases, runs.each(partial(_judged, runs, lifts), cases, "judging"), strict=True)
+    rows: dict[int, dict[str, dict[str, Any]]] = {seed: {} for seed in seeds}
+    for (seed, case), answer in said:
+        rows[seed][case] = answer
+    wrong = [
+        f"  seed {seed}, {case}: E x {answer['ratios']['E']:.2f}"
+        for seed, row in rows.items()
+        for case, answer in row.items()
+        if is_wrong(answer)
+    ]
+    found = list(rows.values())
+    own = [sum(map(is_wrong, row.values())) * is_wrong(row[GOOD]) for row in found]
     settings = {**asdict(lifts), "lifts": flags.lifts}
     return Result(
         name=f"verdict-{lifts.name}",
-        figures={**settings, "cases": confusion(rows), "rows": rows},
-        shown=[confusion_table(rows)],
+        figures={
+            **settings,
+            "wrong": len(wrong),
+            "wrong_as_recorded": sum(own),
+            "cases": confusion(found),
+            "rows": found,
+        },
+        shown=[confusion_table(found)],
+        notes=[
+            f"{len(wrong)} of {len(cases)} are usable and wrong, {sum(own)} of them of the "
+            f"{sum(map(bool, own))} lifts whose estimate is wrong as recorded, too",
+            *wrong,
+        ],
     )
 
 
-def _judged(runs: Runs, lifts: Lifts, seed: int) -> dict[str, dict[str, Any]]:
-    kept = runs.folder / f"verdict-{lifts.name}-{seed:04d}.json"
-    done = read_json(kept) if kept.exists() else {}
-    for case in (GOOD, *CORRUPTED):
-        if case not in done:
-            done[case] = _case(lifts.recorded(runs, seed), case, lifts, seed)
-            write_json(kept, done)
-    return done
+def is_wrong(answer: dict[str, Any]) -> bool:
+    """Whether an estimate is usable and not right."""
+    return answer["usable"] and not answer["right"]
+
+
+def _judged(runs: Runs, lifts: Lifts, which: tuple[int, str]) -> dict[str, Any]:
+    seed, case = which
+    name = re.sub(r"\W+", "-", f"verdict-{lifts.name}-{seed:04d}-{case}")
+    return runs.kept(name, lambda: _case(lifts.recorded(runs, seed), case, lifts, seed))
 
 
 def _case(recording: Recording, case: str, lifts: Lifts, seed: int) -> dict[str, Any]:
@@ -301,11 +326,7 @@ def confusion_table(rows: Sequence[dict[str, dict[str, Any]]]) -> Table:
     """The table of `confusion`, with the worst ratio of E to the truth of those that are wrong."""
     found = {}
     for case, counts in confusion(rows).items():
-        off = [
-            row[case]["ratios"]["E"]
-            for row in rows
-            if row[case]["usable"] and not row[case]["right"]
-        ]
+        off = [row[case]["ratios"]["E"] for row in rows if is_wrong(row[case])]
         worst = max(off, key=lambda ratio: abs(math.log(ratio)), default=None)
         found[case] = (*map(str, counts.values()), "" if worst is None else f"{worst:.2g}")
     return Table(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import FIRST_REPORTED, main
-from experiments.coverage import check_unseen, covered, rank_band, shown_of
+from experiments.coverage import check_unseen, covered, estimated_of, rank_band, shown_of
 from experiments.lifts import Lifts
 from gendom.errors import GendomError
 
@@ -141,3 +141,23 @@ def test_lifts_of_the_shipped_calibration_are_refused(tmp_path, capsys):
     check_unseen(Lifts(wide=True), range(40))  # others of the same seeds
     with pytest.raises(GendomError, match="cloths of seeds 0 to 52"):
         check_unseen(Lifts(kind="cloth", end="swing"), range(40, 1000))
+
+
+def test_recordings_of_others_are_read_with_their_truths(rope_lift, tmp_path, capsys):
+    """Names of truths are ours or those of the formulas; what is unknown is left out."""
+    recording = rope_lift.seen()
+    for name, told in (("a", {"E": 1e6, "tau": 0}), ("b", {"lb": 0.1, "mu": 0.4}), ("c", None)):
+        recording.write(tmp_path / f"{name}.npz")
+        if told is not None:
+            (tmp_path / f"{name}.json").write_text(json.dumps(told))
+            row = {"seed": name, "kind": "rope", "fault": "it is not estimated", "truth": {}}
+            (tmp_path / f"given-{name}.json").write_text(json.dumps(row))
+    place, out = tmp_path / "b.npz", ["--out", str(tmp_path), "--jobs", "1"]
+    assert main(["coverage", "--given", str(tmp_path), *out]) == 0
+    assert "seed b: it is not estimated" in capsys.readouterr().out
+    assert json.loads((tmp_path / "coverage-given.json").read_text())["lifts"] == 2
+    row = estimated_of(place, 0)
+    assert row["truth"] == {"bending_length": 0.1, "friction": 0.4}
+    assert row["kind"] == "rope" and ("fault" in row or row["verdict"]["usable"] in (True, False))
+    assert main(["coverage", "--given", str(tmp_path / "none"), *out]) == 2
+    assert "has no NAME.npz with a NAME.json" in capsys.readouterr().err

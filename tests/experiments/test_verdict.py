@@ -1,6 +1,7 @@
 """Recordings that are corrupted, and the table of what was said of them."""
 
 import json
+import re
 
 import pytest
 
@@ -27,16 +28,20 @@ def answers(usable, *, right=False, ratio=1.0):
     return {"usable": True, "right": right, "ratios": ratios}
 
 
-def test_the_table_counts_and_resumes(tmp_path, capsys):
+def test_the_table_counts_and_resumes(rope_lift, tmp_path, capsys):
     """Cases that are kept are not estimated again."""
     for seed in range(3):
         row = {case: answers(False) for case in CORRUPTED}
         row[GOOD] = answers(True, right=True)
         row["mass x 10"] = answers(seed > 0, right=seed > 1, ratio=10.0)
-        (tmp_path / f"verdict-rope-{seed:04d}.json").write_text(json.dumps(row))
+        rope_lift.seen().write(tmp_path / f"rope-{seed:04d}.npz")
+        for case, answer in row.items():
+            name = re.sub(r"\W+", "-", f"verdict-rope-{seed:04d}-{case}")
+            (tmp_path / f"{name}.json").write_text(json.dumps(answer))
     words = ["verdict", "--lifts", "3", "--jobs", "1", "--out", str(tmp_path)]
     assert main(words) == 0
-    assert "E / true E at worst" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "E / true E at worst" in said and "seed 1, mass x 10: E x 10.00" in said
     result = json.loads((tmp_path / "verdict-rope.json").read_text())
     assert result["cases"] == confusion(result["rows"])
     assert result["cases"][GOOD] == {"refused": 0, "right": 3, "wrong": 0}
