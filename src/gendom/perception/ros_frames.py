@@ -47,7 +47,8 @@ class Track:
         """Increasing times [M] [s] and poses [M, 7]; of equal times the last counts."""
         times, back = np.unique(self.times[::-1], return_index=True)
         poses = np.array(self._poses)[::-1][back]
-        right = np.isfinite(poses).all() and (np.linalg.norm(poses[:, 3:], axis=1) >= 0.5).all()
+        lengths = np.linalg.norm(poses[:, 3:], axis=1)
+        right = np.isfinite(poses).all() and ((lengths >= 0.5) & (lengths <= 2.0)).all()
         expect(right, "has a pose that is none", where=self.where, fix="record it again")
         return times, poses
 
