@@ -369,38 +369,63 @@ def damaged(data, rng):
     return bytes(data)
 
 
-@pytest.mark.parametrize("count", [6, pytest.param(70, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("kind", READERS)
-def test_damaged_files_are_read_or_refused(tmp_path, kind, count):
-    """By what reads them, and by `gendom doctor`, given the file and its folder."""
-    make, take = READERS[kind]
+def made(tmp_path, kind):
+    """The folder of a kind, its files, and what its reader finds there."""
     folder = tmp_path / "in"
     folder.mkdir()
+    make, take = READERS[kind]
     make(folder)
-    stated = take(folder)
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return folder, sorted(path for path in folder.rglob("*") if path.is_file()), take(folder)
+
+
+def check(kind, stated, folder, path, content, case):
+    """Read a folder with another content of a file, by what reads it and by `gendom doctor`."""
+    whole, take = path.read_bytes(), READERS[kind][1]
+    path.write_bytes(content)
+    for read, place in ((take, folder), (look, path), (look, folder)):
+        by = "gendom doctor" if read is look else "its reader"
+        began, at = time.process_time(), f"case {case}, {path.name}, {by}"
+        try:
+            found = read(place)
+        except GendomError as error:
+            lines = str(error).splitlines()
+            assert len(lines) <= max(1, len(getattr(error, "faults", ()))), at
+        except Exception as error:
+            raise AssertionError(f"{at}: {error!r}") from error
+        else:
+            same = read is look or kind in EDITED or found == stated
+            assert same, f"{at}: other numbers"
+        assert time.process_time() - began < LONGEST, at
+    path.write_bytes(whole)
+
+
+@pytest.mark.parametrize("count", [5, pytest.param(70, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", READERS)
+def test_damaged_files_are_read_or_refused(tmp_path, kind, count):
+    folder, files, stated = made(tmp_path, kind)
     rng, before = np.random.default_rng(count), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for case in range(count):
         path = files[rng.integers(len(files))]
-        whole = path.read_bytes()
-        path.write_bytes(damaged(whole, rng))
-        for read, place in ((take, folder), (look, path), (look, folder)):
-            began, at = (
-                time.process_time(),
-                f"case {case}, {path.name}, {'look' if read is look else kind}",
-            )
-            try:
-                found = read(place)
-            except GendomError as error:
-                lines = str(error).splitlines()
-                assert len(lines) <= max(1, len(getattr(error, "faults", ()))), at
-            except Exception as error:
-                raise AssertionError(f"{at}: {error!r}") from error
-            else:
-                same = read is look or kind in EDITED or found == stated
-                assert same, f"{at}: other numbers"
-            assert time.process_time() - began < LONGEST, at
-        path.write_bytes(whole)
+        check(kind, stated, folder, path, damaged(path.read_bytes(), rng), case)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < MOST_MEMORY
     assert sorted(path for path in folder.rglob("*") if path.is_file()) == files
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
+FAR, ONE = np.full(3, 1e9, "<f4").tobytes(), np.float64(1.0).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("kind", "old", "new"),
+    [
+        ("ply", POINTS[0].tobytes(), FAR),  # 100 GB of 10 mm
+        ("MCAP clouds", b"float64 y", b"float64 Y"),
+        ("MCAP clouds", bytes(24) + ONE, bytes(24) + np.float64(1e200).tobytes()),
+        ("arm", b"b.stl", b"b" * 300),  # longer than names are
+    ],
+    ids=["far points", "another field", "a turn without length", "a long name"],
+)
+def test_what_was_found_stays_mended(tmp_path, kind, old, new):
+    folder, files, stated = made(tmp_path, kind)
+    path = next(path for path in files if old in path.read_bytes())
+    check(kind, stated, folder, path, path.read_bytes().replace(old, new), old)
