@@ -191,7 +191,8 @@ def at_rest(folder):
 
 
 def estimate(folder):
-    rope = Rope(length=0.4, diameter=0.01, material=Material(E=8e5, nu=0.3, density=800.0))
+    material = Material(E=8e5, nu=0.3, density=800.0, damping=0.005)
+    rope = Rope(length=0.3, diameter=0.016, material=material)
     prior, mean = prior_of(("E_over_rho", "nu")), np.array([np.log(1000.0), 0.3])
     found = Posterior(prior=prior, mean=mean, covariance=np.diag([1e-3, 1e-4]), bases=())
     Estimate.of(rope, found.to_dict()).save(folder / "estimate.json")
