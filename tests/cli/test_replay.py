@@ -93,10 +93,7 @@ def test_what_is_not_usable_is_refused(files, params, tmp_path, capsys):
     ("changes", "words"),
     [
         ({"object": {"kind": "cloth"}}, "the parameters are of a cloth, the recording shows"),
-        ({"object": None}, "cannot be used"),
-        ({"theta": {"colour": 1.0}}, "cannot be used"),
         ({"recordings": []}, "is of no recording, or of an earlier version; run gendom estimate"),
-        ({"recordings": [{"theta": {}}]}, "cannot be used: KeyError 'simulation'"),
         (dict.fromkeys(("theta", "posterior", "intervals")), "is of a version before 0.2"),
     ],
 )

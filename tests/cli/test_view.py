@@ -195,20 +195,6 @@ def test_what_diverges_is_told(casts_model, monkeypatch):
         shown(casts_model)
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        ("CASTS --params PARAMS", "--params: goes with a recording"),
-        ("CASTS --demonstration 3", "there is no such demonstration; give 0 to 2"),
-        ("nowhere.npz --html lift.txt", "does not end in .html"),
-    ],
-)
-def test_flags_that_do_not_fit_are_refused(words, line, casts, params, capsys):
-    words = words.replace("CASTS", str(casts)).replace("PARAMS", str(params))
-    assert cli.main(["view", *words.split()]) == 2
-    assert line in capsys.readouterr().err
-
-
 def test_a_set_of_another_world_is_refused(casts, tmp_path):
     about = read_json(casts / "dataset.json")
     write_json(tmp_path / "dataset.json", about | {"simulation": {"world": "reality"}})
