@@ -38,9 +38,9 @@ def test_interrupted_it_leaves_nothing(tmp_path, capsys):
         "--out",
         str(tmp_path),
     ]
-    assert cli.main([*words, str(tmp_path)]) == 130
+    assert cli.main([*words, str(tmp_path / "set")]) == 130
     assert "interrupted" in capsys.readouterr().err
-    assert not list(tmp_path.glob("*.parquet"))
+    assert not list(tmp_path.rglob("*.parquet"))
 
 
 def test_ranges_can_be_chosen(tmp_path, capsys):
