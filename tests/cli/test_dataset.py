@@ -28,16 +28,7 @@ def test_text_and_json(tmp_path, capsys):
 
 
 def test_interrupted_it_leaves_nothing(tmp_path, capsys):
-    words = [
-        "dataset",
-        "rope-reaching",
-        "--size",
-        "3",
-        "--device",
-        "ctrl-c",
-        "--out",
-        str(tmp_path),
-    ]
+    words = ["dataset", "rope-reaching", "--size", "3", "--device", "ctrl-c", "--out"]
     assert cli.main([*words, str(tmp_path / "set")]) == 130
     assert "interrupted" in capsys.readouterr().err
     assert not list(tmp_path.rglob("*.parquet"))

@@ -45,6 +45,10 @@ OBJECT = 'kind = "rope"\nmaterial = "cotton-rope"\nlength = 0.4\ndiameter = 0.01
 TOML = 'table_height = 0.0\n[object]\nkind = "rope"\nlength = 0.4\nmass = 0.02\n'
 K = np.array([[10.0, 0.0, 4.0], [0.0, 10.0, 2.0], [0.0, 0.0, 1.0]])
 CAMERA = Camera(name="left", width=8, height=4, K=K, T_world_camera=np.eye(4))
+POLICY = Path(str(resources.files("gendom"))) / "assets" / "rope-reaching.onnx"
+DB3 = Path(__file__).parents[1] / "perception" / "recordings" / "sdk-2.59.db3"
+EXECUTED = [{"action": [0.4, 0.1], "reached": [0.02 * k]} for k in range(3)]
+MOTION = {"format": "gendom-motion/1", "lift": predefined_lift("rope")}
 POINTS = np.random.default_rng(0).normal(size=(12, 3)).astype(np.float32) * 0.05
 
 
@@ -198,11 +202,6 @@ def estimate(folder):
     Estimate.of(rope, found.to_dict()).save(folder / "estimate.json")
 
 
-def policy(folder):
-    shipped = resources.files("gendom") / "assets" / "rope-reaching.onnx"
-    (folder / "policy.onnx").write_bytes(shipped.read_bytes())
-
-
 def demonstrations(folder):
     pytest.importorskip("pyarrow", reason="needs the extra data")
     from gendom.datasets import generate
@@ -211,22 +210,18 @@ def demonstrations(folder):
     generate(Throwing(), 40, folder / "set", seed=5, shard_size=16)
 
 
-def executions(folder):
-    rows = [{"action": [0.4, 0.1], "reached": [0.02 * k]} for k in range(3)]
-    write_json(folder / "executions.json", {"executions": rows})
-
-
-def motion(folder):
-    record = {"format": "gendom-motion/1", "lift": predefined_lift("rope")}
-    write_json(folder / "motion.json", record)
-
-
-def texts(**contents):
-    """Files by their names, with _ for the dot."""
+def files(**contents):
+    """Files by their names, with _ for the dot: text, copies of other files, or JSON."""
 
     def make(folder):
         for name, content in contents.items():
-            (folder / name.replace("_", ".")).write_text(content)
+            path = folder / name.replace("_", ".")
+            if isinstance(content, str):
+                path.write_text(content)
+            elif isinstance(content, Path):
+                shutil.copy(content, path)
+            else:
+                write_json(path, content)
 
     return make
 
@@ -272,16 +267,6 @@ def rows_of(folder):
     return repr([read_description(folder), load(folder).to_pydict()])
 
 
-def realsense(folder):
-    shutil.copy(
-        Path(__file__).parents[1] / "perception/recordings/sdk-2.59.db3", folder / "recording.db3"
-    )
-
-
-def read_boards(folder):
-    read_views(folder, CAMERA, on_warning=lambda _: None)
-
-
 def action(folder):
     there = XARM7.home + 0.1
     planned = PlannedMotion(
@@ -316,13 +301,16 @@ READERS = {
     "npz": (lambda f: recording().write(f / "a.npz"), lambda f: numbers(f / "a.npz")),
     "lerobot": (lambda f: export_recording(recording(), f / "out"), lambda f: numbers(f / "out")),
     "estimate": (estimate, estimated),
-    "policy": (policy, lambda f: acted(f / "policy.onnx")),
+    "policy": (
+        files(policy_onnx=POLICY),
+        lambda f: acted(f / "policy.onnx"),
+    ),
     "demonstrations": (demonstrations, lambda f: rows_of(f / "set")),
     "executions": (
-        executions,
+        files(executions_json={"executions": EXECUTED}),
         lambda f: Adapt(task="rope-reaching", executions=f / "executions.json")._new(),
     ),
-    "motion": (motion, lambda f: LiftMotion.read(f / "motion.json")),
+    "motion": (files(motion_json=MOTION), lambda f: LiftMotion.read(f / "motion.json")),
     "ply": (clouds(partial(write_ply, points=POINTS), ".ply"), read),
     "ply as text": (clouds(partial(write_ply, points=POINTS, text=True), ".ply"), read),
     "clouds as npz": (clouds(partial(np.savez, points=POINTS), ".npz"), read),
@@ -332,14 +320,17 @@ READERS = {
     },
     **{" ".join(b): (partial(bag, *b), partial(read_bag, topics=b[-1])) for b in BAGS},
     "cameras": (cameras, lambda f: read_frames(*read_cameras(f).sources)),
-    "realsense": (realsense, lambda f: read_frames(RealSenseRecording(f))),
-    "board": (board, read_boards),
+    "realsense": (
+        files(recording_db3=DB3),
+        lambda f: read_frames(RealSenseRecording(f)),
+    ),
+    "board": (board, lambda f: read_views(f, CAMERA, on_warning=lambda _: None)),
     "npz at rest": (at_rest, lambda f: numbers(f / "a.npz")),
     "arm": (arm, lambda f: read_arm(f / "arm.urdf")),
-    "arm as mjcf": (texts(arm_xml=MJCF, arm_toml=HAND), lambda f: read_arm(f / "arm.xml")),
-    "pose": (texts(a_yaml=HANDEYE), lambda f: read_poses(f / "a.yaml")),
-    "launch": (texts(a_launch=LAUNCH), lambda f: read_poses(f / "a.launch")),
-    "object": (texts(a_toml=OBJECT), lambda f: read_object(f / "a.toml")),
+    "arm as mjcf": (files(arm_xml=MJCF, arm_toml=HAND), lambda f: read_arm(f / "arm.xml")),
+    "pose": (files(a_yaml=HANDEYE), lambda f: read_poses(f / "a.yaml")),
+    "launch": (files(a_launch=LAUNCH), lambda f: read_poses(f / "a.launch")),
+    "object": (files(a_toml=OBJECT), lambda f: read_object(f / "a.toml")),
 }
 
 
