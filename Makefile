@@ -33,6 +33,9 @@ else ifeq ($(shell $(BIN)/python -c "print(1)" 2>/dev/null),)
 endif
 
 .PHONY: demo test test-lowest lerobot check validate bench figures mutants docs clean
+# Commands that tests start would compile the package each time.
+export PYTHONDONTWRITEBYTECODE :=
+
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
 
