@@ -31,6 +31,7 @@ estimate x --frames q | estimate: --frames: is 'q'; choose all, last
 estimate x --method adm | estimate: there is no method 'adm'; did you mean 'adam'?
 
 estimate file.npz | file.npz
+check absent.npz | absent.npz: no such file; check the path
 estimate lift.npz --seed -1 | --seed: is -1
 estimate lift.npz --level 1 | level
 estimate lift.npz --cells-across 0.2 | cells_across
