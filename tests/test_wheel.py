@@ -50,14 +50,11 @@ def installed(wheel, tmp_path_factory):
     @cache
     def make(minor: int) -> Path:
         root, name = tmp_path_factory.mktemp("place"), f"python3.{minor}"
-        known = Path.home().glob(f".pyenv/versions/3.{minor}.*/bin/{name}")
-        own = [sys.executable] if minor == sys.version_info.minor else []
-        for python in (*own, *filter(None, [shutil.which(name)]), *map(str, known)):
-            if not subprocess.run(
-                [python, "-m", "venv", root / "venv"], capture_output=True
-            ).returncode:
-                break
-        else:
+        own = [sys.executable] * (minor == sys.version_info.minor)
+        known = [shutil.which(name), *Path.home().glob(f".pyenv/versions/3.{minor}.*/bin/{name}")]
+        words = ("-m", "venv", str(root / "venv"))
+        tried = (subprocess.run([p, *words], capture_output=True) for p in (*own, *known) if p)
+        if not any(done.returncode == 0 for done in tried):
             pytest.skip(f"there is no {name}")
         pip = [root / "venv/bin/python", "-m", "pip", "--disable-pip-version-check"]
         run(*pip, "install", "--quiet", "-c", REPOSITORY / "constraints.txt", wheel, cwd=root)
