@@ -43,7 +43,7 @@ demo: $(CORE)
 	@$(BIN)/gendom demo $(ARGS)
 
 test: $(FULL)
-	@$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile $(ARGS)
+	@$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist worksteal $(ARGS)
 
 # In an environment of its own. Tests that need torch or Ray skip. What other packages do for us is used by these
 # rooms; the rest is our own arithmetic.
@@ -55,7 +55,7 @@ test-lowest:
 	@$(PYTHON) -m venv --clear .venv-lowest
 	@.venv-lowest/bin/python -m pip --disable-pip-version-check install -qq -c constraints-lowest.txt \
 	  -e '.[data,reality,camera,viz,ros]' pytest pytest-xdist matplotlib
-	@.venv-lowest/bin/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile $(ARGS)
+	@.venv-lowest/bin/python -m pytest --numprocesses auto --maxprocesses 4 --dist worksteal $(ARGS)
 
 lerobot:
 	@echo "installing LeRobot 0.6.1 in .venv-lerobot (2 to 10 minutes)"
