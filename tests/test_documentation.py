@@ -89,6 +89,12 @@ ALL = [block for page in PAGES for block in blocks(page)] if DOCS.is_dir() else 
 INLINE = sorted({code for page in PAGES for code in inline(page)})
 
 
+@cache
+def flags(name: str) -> frozenset[str]:
+    command = import_module(cli.COMMANDS[name][0]).Command
+    return frozenset({"--help", *arguments_of(command)})
+
+
 def gendom_words(command: str) -> list[str]:
     """Its words after the program, without redirections and flags that all commands take."""
     words = shlex.split(command.partition(" > ")[0])[1:]
@@ -103,8 +109,7 @@ def fault_of_gendom(words: list[str], *, whole: bool) -> str | None:
     if name not in cli.COMMANDS:
         return f"there is no command {name!r}"
     command, known = import_module(cli.COMMANDS[name][0]).Command, dict(tasks._registered)
-    flags = {"--help", *arguments_of(command)}
-    if unknown := [w for w in rest if re.match(r"--[a-zA-Z]", w) and w not in flags]:
+    if unknown := [w for w in rest if re.match(r"--[a-zA-Z]", w) and w not in flags(name)]:
         return f"gendom {name} has no {unknown[0]}"
     try:
         if whole and words[0] != "help":
