@@ -80,14 +80,18 @@ FILES = {
     "perceive absent --out": ".npz",
     "calibrate absent --camera absent.toml --out": ".toml",
 }
-CASES = [tuple(line.split(" | ")) for line in REFUSED.splitlines() if line]
-for command, words in FOLDERS.items():
-    CASES.append((f"{command} {words} --out file.npz", "is a file, not a folder"))
-    CASES.append((f"{command} {words} --out file.npz/below", "is a file, not a folder"))
-    CASES.append((f"{command} {words} --out a.json", "is named like a file"))
-for words, ending in FILES.items():
-    CASES.append((f"{words} a.mp4", f"does not end in {ending}, which is what is written"))
-    CASES.append((f"{words} file.npz/a{ending}", "is a file, not a folder"))
+CASES = [line.partition(" | ")[::2] for line in REFUSED.splitlines() if line]
+for command, given in FOLDERS.items():
+    CASES += [
+        (f"{command} {given} --out file.npz", "is a file, not a folder"),
+        (f"{command} {given} --out file.npz/below", "is a file, not a folder"),
+        (f"{command} {given} --out a.json", "is named like a file"),
+    ]
+for given, ending in FILES.items():
+    CASES += [
+        (f"{given} a.mp4", f"does not end in {ending}, which is what is written"),
+        (f"{given} file.npz/a{ending}", "is a file, not a folder"),
+    ]
 
 
 @pytest.fixture(scope="module")

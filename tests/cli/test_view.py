@@ -167,7 +167,7 @@ def test_a_demonstration_is_simulated_as_it_was(casts_model):
     assert len(after.times) <= FRAMES and after.times[0] == 0.0
     assert re.search(r"missed by (0|\d\S*e-\d\d) m", dict(after.facts)["goal"])
     others = ({}, {"E_over_rho": 3.0 * first_values(casts_model)["E_over_rho"]}, {"way": 0.22})
-    tips = [layers(shown(casts_model, **o)[0])["object"].points[-1][-1] for o in others]
+    tips = [layers(shown(casts_model, 0, **o)[0])["object"].points[-1][-1] for o in others]
     assert all(np.linalg.norm(tips[0] - tip) > 0.01 for tip in tips[1:])
     made = {p.name: p for p in casts_model.parameters(0)}
     assert (made["nu"].low, made["nu"].high) == (0.2, 0.4)
