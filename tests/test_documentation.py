@@ -36,15 +36,7 @@ PAGES = sorted([*ROOT.glob("*.md"), *(p for p in DOCS.rglob("*.md") if "_build" 
 TUTORIAL = DOCS / "tutorial.md"
 pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="no docs beside the tests")
 
-NOT_STARTED = {
-    "make": "its targets are checked; they call what is tested here",
-    "pip": "installs",
-    "git": "needs a network",
-    "cd": "of the shell",
-    "source": "of the shell",
-    "ray": "starts servers",
-    "pytest": "the tests themselves; its paths are checked",
-}
+NOT_STARTED = ("make", "pip", "git", "cd", "source", "ray", "pytest")
 """Programs that blocks may call and this test never does."""
 
 
@@ -109,29 +101,21 @@ def gendom_words(command: str) -> list[str]:
     return [w for w in words if w not in ("--debug", "--quiet")]
 
 
-def fault_of_gendom(command: str, *, whole: bool) -> str | None:
+def fault_of_gendom(words: list[str], *, whole: bool) -> str | None:
     """What is wrong with a `gendom` command; `whole`: all that it needs must be there."""
-    words = gendom_words(command)
-    if words in ([], ["--version"], ["--help"]) or words == ["help"]:
+    if words in ([], ["--version"], ["--help"], ["help"], ["help", "COMMAND"]):
         return None
-    if words[0] == "help":
-        words = words[1:] if words[1] == "COMMAND" else [words[1]]
-        return None if words == ["COMMAND"] or words[0] in cli.COMMANDS else "no such command"
-    name, rest = words[0], words[1:]
+    name, *rest = words[1:2] if words[0] == "help" else words
     if name not in cli.COMMANDS:
         return f"there is no command {name!r}"
+    command, known = import_module(cli.COMMANDS[name][0]).Command, dict(tasks._registered)
     if unknown := [w for w in rest if re.match(r"--[a-zA-Z]", w) and w not in flags(name)]:
         return f"gendom {name} has no {unknown[0]}"
-    return f"does not parse: {why}" if whole and (why := parse_error(name, rest)) else None
-
-
-def parse_error(name: str, rest: list[str]) -> str | None:
-    command = import_module(cli.COMMANDS[name][0]).Command
-    known = dict(tasks._registered)
     try:
-        parse(command, name, rest)
+        if whole and words[0] != "help":
+            parse(command, name, rest)
     except SystemExit as stop:
-        return None if stop.code in (0, None) else "see gendom help"
+        return "does not parse" if stop.code else None
     except GendomError as fault:
         return str(fault)
     finally:  # a task in a file is registered when its name is parsed
@@ -140,31 +124,34 @@ def parse_error(name: str, rest: list[str]) -> str | None:
     return None
 
 
+def fault_of_python(words: list[str]) -> str | None:
+    """What is wrong with a script of the repository or a table of experiments, and its flags."""
+    if words[:2] == ["-m", "experiments"]:
+        try:
+            experiments.parser().parse_args(["sim2sim"] if words[2:] == ["TABLE"] else words[2:])
+        except SystemExit:
+            return "does not parse"
+    if words[0] == "-m":
+        return None
+    script = ROOT / words[0]
+    if not script.is_file():
+        return f"there is no {words[0]}"
+    text = script.read_text(encoding="utf-8")
+    for word in (w for w in words[1:] if w.startswith("--")):
+        field = word[2:].replace("-", "_")  # of a class or function, which tyro makes a flag
+        if f'"{word}"' not in text and not re.search(rf"\b{field}: ", text):
+            return f"{script.name} has no {word}"
+    return None
+
+
 def fault_of(command: str, *, whole: bool = True) -> str | None:
     """What is wrong with a command of a page."""
-    words = shlex.split(command)
-    program, rest = words[0].removeprefix(".venv/bin/"), words[1:]
+    program, *rest = shlex.split(command)
+    program = program.removeprefix(".venv/bin/")
     if program == "gendom":
-        return fault_of_gendom(command, whole=whole)
+        return fault_of_gendom(gendom_words(command), whole=whole)
     if program == "python":
-        if rest[:2] == ["-m", "experiments"]:
-            try:
-                experiments.parser().parse_args(["sim2sim"] if rest[2:] == ["TABLE"] else rest[2:])
-            except SystemExit:
-                return "does not parse"
-        if rest[:1] == ["-m"]:
-            return None
-        script = ROOT / rest[0]
-        if not script.is_file():
-            return f"there is no {rest[0]}"
-        text = script.read_text(encoding="utf-8")
-        if "tyro" in text:  # the fields of a class or the arguments of a function are its flags
-            text = text.replace("-", "_")
-        for word in (w for w in rest[1:] if w.startswith("--")):
-            field = word[2:].replace("-", "_")
-            if f'"{word}"' not in text and not re.search(rf"\b{field}: ", text):
-                return f"{rest[0]} has no {word}"
-        return None
+        return fault_of_python(rest)
     if program == "make":
         folder = ROOT / (rest[rest.index("-C") + 1] if "-C" in rest else ".")
         targets = re.findall(r"(?m)^([a-z-]+):", (folder / "Makefile").read_text(encoding="utf-8"))
@@ -188,23 +175,24 @@ def test_commands_in_backticks_are_known(command):
     assert fault_of(command, whole=False) is None
 
 
-def test_wrong_commands_are_found(monkeypatch):
+WRONG = """gendom estmate lift.npz
+gendom estimate lift.npz --start 3
+gendom estimate lift.npz --starts three
+gendom estimate --starts 3
+gendom act rope-throwing
+python examples/10_nothing.py
+python examples/03_estimate.py --into here
+make everything
+pytest tests/test_nothing.py
+python -m experiments ablations
+frobnicate"""
+
+
+@pytest.mark.parametrize("command", WRONG.splitlines())
+def test_wrong_commands_are_found(command, monkeypatch):
     """The tests above are no good if they find nothing."""
     monkeypatch.chdir(ROOT)
-    for wrong in (
-        "gendom estmate lift.npz",
-        "gendom estimate lift.npz --start 3",
-        "gendom estimate lift.npz --starts three",
-        "gendom estimate --starts 3",
-        "gendom act rope-throwing",
-        "python examples/10_nothing.py",
-        "python examples/03_estimate.py --into here",
-        "make everything",
-        "pytest tests/test_nothing.py",
-        "python -m experiments ablations",
-        "frobnicate",
-    ):
-        assert fault_of(wrong) is not None, wrong
+    assert fault_of(command) is not None
 
 
 def run_command(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

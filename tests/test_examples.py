@@ -35,41 +35,47 @@ def contents(folder: Path) -> set[Path]:
 
 
 def test_examples_use_public_names():
-    """Those of gendom or one level below; the one of PyTorch has a module of its own."""
+    """Those of gendom or one level below; the one of PyTorch has a module of its own. They are
+    short and say what they show; one holds a whole algorithm."""
     assert {path.stem for path in EXAMPLES.glob("[0-9]*.py")} == set(SCRIPTS)
     for path in EXAMPLES.glob("*.py"):
-        tree = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        for node in (node for node in tree if isinstance(node, ast.ImportFrom)):
+        text, most = path.read_text(encoding="utf-8"), 140 if path.stem == "09_ppo" else 75
+        assert len(text.splitlines()) <= most and text.startswith('"""'), path.name
+        assert path.stem not in SCRIPTS or " s" in text.split('"""')[1], path.name  # its run time
+        for node in (
+            node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom)
+        ):
             module = str(node.module)
             if module.startswith("gendom") and module not in ("gendom.cli", "gendom.sim.autograd"):
                 assert module.count(".") <= 1, f"{path.name}: {module}"
                 public = importlib.import_module(module).__all__
                 assert {name.name for name in node.names} <= set(public), f"{path.name}: {module}"
-    # examples are short and say what they show; one holds a whole algorithm
-    for path in EXAMPLES.glob("*.py"):
-        text, most = path.read_text(encoding="utf-8"), 140 if path.stem == "09_ppo" else 75
-        assert len(text.splitlines()) <= most and text.startswith('"""'), path.name
-        assert path.stem not in SCRIPTS or " s" in text.split('"""')[1], path.name  # its run time
+
+
+@pytest.fixture
+def alone(tmp_path, monkeypatch):
+    """Where an example runs, with the tested code; it changes nothing beside itself."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
+    monkeypatch.setenv("PYDEVD_DISABLE_FILE_VALIDATION", "1")
+    before = contents(EXAMPLES)
+    yield tmp_path
+    assert contents(EXAMPLES) == before
 
 
 @pytest.mark.slow  # a step of its own in CI
 @pytest.mark.parametrize("name", SCRIPTS)
-def test_example_runs(name, tmp_path, monkeypatch):
+def test_example_runs(name, alone):
     written, packages = SCRIPTS[name]
     for package in packages:
         pytest.importorskip(package)
-    before = contents(EXAMPLES)
     words = [sys.executable, str(EXAMPLES / f"{name}.py")]
     words += ["--out", "made"] if written else []
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))  # the tested code
     words += ["--iterations", "2", "--worlds", "8"] if name == "09_ppo" else []
-    run = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    run = subprocess.run(words, cwd=alone, capture_output=True, text=True, timeout=300)
     assert run.returncode == 0, run.stderr
     assert run.stdout
-    assert contents(EXAMPLES) == before
-    made = tmp_path / "made"
-    assert {p.name for p in made.glob("*")} == written
-    assert {p.name for p in tmp_path.iterdir()} == ({"made"} if written else set())
+    assert {p.name for p in (alone / "made").glob("*")} == written
+    assert {p.name for p in alone.iterdir()} == ({"made"} if written else set())
 
 
 NOTEBOOK_NAMES = [path.name for path in sorted(NOTEBOOKS.glob("*.ipynb"))]
@@ -86,19 +92,12 @@ def test_notebooks_are_kept_without_outputs():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NOTEBOOK_NAMES)
-def test_notebook_runs(name, tmp_path, monkeypatch):
+def test_notebook_runs(name, alone):
     nbformat = pytest.importorskip("nbformat", reason="needs the extra docs")
     nbclient = pytest.importorskip("nbclient", reason="needs the extra docs")
     pytest.importorskip("ipykernel", reason="needs the extra docs")
-    monkeypatch.setenv("PYDEVD_DISABLE_FILE_VALIDATION", "1")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
-    before = contents(NOTEBOOKS)
-    book = nbformat.read(NOTEBOOKS / name, as_version=4)
-    kernel = nbclient.NotebookClient(
-        book, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
-    )
-    kernel.execute()
+    book, place = nbformat.read(NOTEBOOKS / name, as_version=4), {"metadata": {"path": str(alone)}}
+    nbclient.NotebookClient(book, timeout=300, kernel_name="python3", resources=place).execute()
     outputs = [output for cell in book.cells for output in cell.get("outputs", ())]
     assert outputs and all(output.output_type != "error" for output in outputs)
-    assert contents(NOTEBOOKS) == before
-    assert list(tmp_path.iterdir()) == []
+    assert list(alone.iterdir()) == []

@@ -16,21 +16,29 @@ from gendom.reading import read_json
 
 
 def test_success_replaces_and_leaves_nothing_else(tmp_path):
-    path = tmp_path / "new" / "a.txt"
+    path, folder = tmp_path / "new" / "a.txt", tmp_path / "newer" / "set"
     for text in ("one", "two"):
         with atomic_path(path) as temporary:
             assert temporary.parent == path.parent and temporary.suffix == ".txt"
             temporary.write_text(text)
         assert path.read_text() == text
-    assert list(path.parent.iterdir()) == [path]
+    with atomic_folder(folder) as temporary:
+        (temporary / "b.txt").write_text("whole")
+        assert not folder.exists()
+    assert (folder / "b.txt").read_text() == "whole"
+    assert [*path.parent.iterdir(), *folder.parent.iterdir()] == [path, folder]
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, PermissionError])
-def test_failure_keeps_the_old_file(tmp_path, error):
+def test_failure_keeps_the_old_file_and_makes_no_folder(tmp_path, error):
     path = tmp_path / "a.txt"
     path.write_text("old")
     with pytest.raises(error), atomic_path(path) as temporary:
         temporary.write_text("half")
+        raise error
+    with pytest.raises(error), atomic_folder(tmp_path / "set") as temporary:
+        (temporary / "a").mkdir()
+        (temporary / "a" / "b.txt").write_text("half")
         raise error
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
@@ -44,20 +52,6 @@ def test_a_full_disk_is_told_in_one_line(tmp_path, whole, fault):
         raise OSError(fault, os.strerror(fault))
     assert "\n" not in str(error.value)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_is_whole_or_absent(tmp_path):
-    folder = tmp_path / "new" / "set"
-    with pytest.raises(KeyboardInterrupt), atomic_folder(folder) as temporary:
-        (temporary / "a").mkdir()
-        (temporary / "a" / "b.txt").write_text("half")
-        raise KeyboardInterrupt
-    assert list(folder.parent.iterdir()) == []
-    with atomic_folder(folder) as temporary:
-        (temporary / "b.txt").write_text("whole")
-        assert not folder.exists()
-    assert (folder / "b.txt").read_text() == "whole"
-    assert list(folder.parent.iterdir()) == [folder]
 
 
 def test_a_place_that_is_taken_is_left_alone(tmp_path):

@@ -1,4 +1,4 @@
-"""The house: imports run one way and in no circle, functions are short."""
+"""The house: imports run one way and in no circle, functions and files are short."""
 
 import ast
 import graphlib
@@ -28,8 +28,9 @@ FLOORS = (
 BESIDE = {"estimation", "policies"}
 """Rooms of one floor that must not import each other."""
 
-LONG, LONGER, MOST_LONG = 60, 120, 30
-"""Lines of a function that count as long, of none but kernels, and how many may be long."""
+LONG, LONGER, MOST_LONG, LONGEST_FILE = 60, 120, 30, 600
+"""Lines of a function that count as long, of none but kernels, how many may be long, and lines of
+a file."""
 
 
 @cache
@@ -122,3 +123,9 @@ def test_functions_are_short():
         if not builds_kernels(node)
     ]
     assert len(long) <= MOST_LONG and all(lines <= LONGER for lines, _ in long), sorted(long)
+
+
+def test_files_are_short():
+    files = [path for path in SOURCES.rglob("*") if path.suffix in (".py", ".h", ".cu", ".js")]
+    lines = {path.name: path.read_text(encoding="utf-8").count("\n") for path in files}
+    assert {name: n for name, n in lines.items() if n > LONGEST_FILE} == {}

@@ -27,19 +27,11 @@ def test_text_and_json(tmp_path, capsys):
     assert line.startswith("gendom dataset: ") and "seed is 3 there and 4 here" in line
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "line"),
-    [
-        ("rope-reaching --size 3 --device ctrl-c", 130, "interrupted"),
-        ("rope-reaching --size 0", 2, "--size: is 0; give 1 or more"),
-        ("knitting --size 3", 2, "knitting"),
-    ],
-)
-def test_what_cannot_be_done_leaves_nothing(tmp_path, words, code, line, capsys):
-    folder = tmp_path / "set"
-    assert cli.main(["dataset", *words.split(), "--out", str(folder)]) == code
-    assert line in capsys.readouterr().err
-    assert not list(folder.glob("*.parquet"))
+def test_interrupted_it_leaves_nothing(tmp_path, capsys):
+    words = ["dataset", "rope-reaching", "--size", "3", "--device", "ctrl-c", "--out"]
+    assert cli.main([*words, str(tmp_path / "set")]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert not list(tmp_path.rglob("*.parquet"))
 
 
 def test_ranges_can_be_chosen(tmp_path, capsys):

@@ -3,26 +3,26 @@
 import json
 import shlex
 import shutil
+from functools import cache
 from importlib import import_module, resources
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from fuzz import test_readers as tiny
 from gendom import cli
 from gendom.cli.parsing import parse
 from gendom.datasets import Recording
-from gendom.materials import Material, Rope
-from gendom.materials.estimate import Estimate
 from gendom.perception import read_camera, write_camera
 from perception import conftest as world
 from written import write_ply
 
 ASSETS = Path(str(resources.files("gendom"))) / "assets"
 DEMO = ASSETS / "demo-rope-lift.npz"
+OBJECT = '[object]\nkind = "rope"\nlength = 0.3\ndiameter = 0.016\n'
 
 
 def demo(**changes):
@@ -30,41 +30,22 @@ def demo(**changes):
     return recording if not changes else type(recording)(**{**vars(recording), **changes})
 
 
-def clouds(folder, recording, **lacking):
+def clouds(folder):
     folder.mkdir()
+    recording = demo()
     for t in range(recording.num_frames):
         write_ply(folder / f"{t:04d}.ply", recording.frame(t))
-    rows = [
-        ",".join(map(repr, (float(time), *map(float, at))))
-        for time, at in zip(recording.time, recording.gripper_position[:, 0], strict=True)
-    ]
-    (folder / "gripper.csv").write_text("\n".join(["time,x,y,z", *rows]) + "\n")
-    toml = 'table_height = 0.0\n[object]\nkind = "rope"\nlength = 0.3\ndiameter = 0.016\n'
-    (folder / "object.toml").write_text(toml)
-    return folder
+    rows = np.column_stack([recording.time, recording.gripper_position[:, 0]])
+    tiny.table(
+        folder / "gripper.csv", "time,x,y,z", *(",".join(map(repr, r.tolist())) for r in rows)
+    )
+    (folder / "object.toml").write_text("table_height = 0.0\n" + OBJECT)
 
 
 def board(folder):
-    from perception.test_calibration import BOARD, robot_poses
-
     folder.mkdir()
-    write_camera(folder / "camera.toml", world.make_camera())
-    names = ("squares_x", "squares_y", "square", "marker")
-    (folder / "board.toml").write_text("".join(f"{n} = {getattr(BOARD, n)}\n" for n in names))
-    poses, _, _ = robot_poses(world.make_camera(), [[20, 0, 0], [0, 20, 0]])
-    rows = []
-    for k, T in enumerate(poses):
-        Image.new("L", (640, 480)).save(folder / f"{k}.png")
-        q = Rotation.from_matrix(np.array(T[:3, :3])).as_quat()
-        rows.append(",".join([f"{k}.png", *map(str, (*T[:3, 3], *q))]))
-    (folder / "poses.csv").write_text("\n".join(["picture,x,y,z,qx,qy,qz,qw", *rows]) + "\n")
-
-
-def estimate(path):
-    rope = Rope(
-        length=0.3, diameter=0.016, material=Material(E=8e5, nu=0.3, density=800.0, damping=0.005)
-    )
-    Estimate.of(rope).save(path)
+    tiny.board(folder)
+    write_camera(folder / "camera.toml", tiny.CAMERA)
 
 
 def lerobot(folder):
@@ -74,17 +55,29 @@ def lerobot(folder):
     export_recording(demo(), folder)
 
 
+@cache
+def rendered():
+    """Depth pictures of a lift, made once."""
+    place = TemporaryDirectory()
+    world.write_lift(Path(place.name), frames=4)
+    return place
+
+
 def depth(folder):
-    folder.mkdir()
-    world.write_lift(folder, frames=4)
+    shutil.copytree(rendered().name, folder)
+
+
+@cache
+def topics():
+    return import_module("perception.test_ros_cameras").rows_of(world, "raw")[0]
 
 
 def ros(version):
     def write(path):
-        cameras = pytest.importorskip("perception.test_ros_cameras")
-        rows, _, _ = cameras.rows_of(world, "raw")
-        cameras.write_bag(path, rows, version)
-        (path.parent if path.is_file() else path).joinpath("object.toml").write_text(cameras.OBJECT)
+        messages = pytest.importorskip("ros_messages")
+        messages.write_bag(path, topics(), version)
+        held = (path.parent if path.is_file() else path) / "object.toml"
+        held.write_text("table_height = 0.0\n" + OBJECT.replace("0.3", "0.4"))
 
     return write
 
@@ -92,34 +85,27 @@ def ros(version):
 def cropped(path):
     """Clouds of the object alone, which gendom import takes as they are."""
     ros = pytest.importorskip("ros_messages")
-    rows: list[tuple[str, Any]] = [ros_tf(0.0)]
-    recording = demo()
+    down, recording, eye = Rotation.from_euler("x", np.pi), demo(), "eye_optical_frame"
+    rows = [("/tf_static", ros.tf(0.0, "base", eye, (0.0, 0.0, 1.0), down))]
     for t in range(0, recording.num_frames, 8):
         time, at = float(recording.time[t]), recording.gripper_position[t, 0]
         rows.append(("/tf", ros.tf(time, "base", "tool0", at)))
         points = recording.frame(t).astype(float) * [1.0, -1.0, -1.0] + [0.0, 0.0, 1.0]
-        rows.append(("/points", ros.cloud(time, "eye_optical_frame", points)))
+        rows.append(("/points", ros.cloud(time, eye, points)))
     ros.write_bag(path, rows, "ROS1")
-    toml = '[object]\nkind = "rope"\nlength = 0.3\ndiameter = 0.016\n'
-    (path.parent / "object.toml").write_text("table_height = 0.0\n" + toml)
-
-
-def ros_tf(time):
-    ros = pytest.importorskip("ros_messages")
-    down = Rotation.from_euler("x", 180.0, degrees=True)
-    return ("/tf_static", ros.tf(time, "base", "eye_optical_frame", (0.0, 0.0, 1.0), down))
+    (path.parent / "object.toml").write_text("table_height = 0.0\n" + OBJECT)
 
 
 KINDS = {  # name: how it is made, what it is called, whether the next command is run
     "lift.npz": (lambda p: demo().write(p), "a recording", False),
-    "clouds": (lambda p: clouds(p, demo()), "a recording", False),
+    "clouds": (clouds, "a recording", False),
     "lerobot": (lerobot, "a recording as a data set", False),
     "pictures": (depth, "depth pictures of cameras", True),
     "old.bag": (ros("ROS1"), "a bag of ROS 1", True),
-    "new": (ros("MCAP"), "a bag of ROS 2", True),
+    "new": (ros("MCAP"), "a bag of ROS 2", False),
     "cropped.bag": (cropped, "a bag of ROS 1", True),
     "board": (board, "pictures of a board", False),
-    "estimate.json": (estimate, "an estimate of a rope", True),
+    "estimate.json": (lambda p: tiny.estimate(p.parent), "an estimate of a rope", True),
     "rope-casting.onnx": (lambda p: shutil.copy(ASSETS / p.name, p), "a policy", False),
     "camera.toml": (lambda p: write_camera(p, world.make_camera()), "a camera", False),
 }
@@ -173,7 +159,8 @@ def odd_depth(key, value):
 
 
 def lacking(folder):
-    clouds(folder, demo()).joinpath("gripper.csv").unlink()
+    clouds(folder)
+    (folder / "gripper.csv").unlink()
 
 
 def turned_camera(camera):

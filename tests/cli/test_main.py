@@ -47,6 +47,7 @@ def recording(tmp_path):
         [*clouds, np.zeros((0, 3))],
         time=[0.0, 0.5, 1.0, 1.5],
         gripper_position=np.array([[0.4, 0.0, 0.01 * t] for t in range(4)]),
+        gripper_closed=np.array([[True], [True], [False], [False]]),
         object=ObjectDescription(kind="rope", length=0.4, diameter=0.01),
         table_height=-0.01,
     )
@@ -76,41 +77,6 @@ def test_help_and_version(command, capsys):
     assert cli.main(["act", "--size", "7"]) == 7  # flags reach it, and its code comes back
     assert cli.main(["act", "--help"]) == 0
     assert "A number." in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        ("estimte", "there is no command 'estimte'; did you mean 'estimate'?"),
-        ("help estimte", "there is no command 'estimte'; did you mean 'estimate'?"),
-        ("zzz", "there is no command 'zzz'; see gendom --help"),
-        ("--zzz", "there is no flag '--zzz'; see gendom --help"),
-        ("act rope-casting --gaol 1 2", "act: there is no flag '--gaol'; did you mean '--goal'?"),
-        ("estimate x --qqq=3", "estimate: there is no flag '--qqq'; see gendom estimate --help"),
-        ("estimate x -s 3", "estimate: there is no flag '-s'; see gendom estimate --help"),
-        ("check x y -3", "check: 'y -3' is too much; see gendom check --help"),
-        ("check", "check: lacks RECORDING; for example: gendom check lift.npz"),
-        ("export x", "export: lacks --out; for example: gendom export casts --out casts-lerobot"),
-        (
-            "dataset",
-            "dataset: lacks TASK, --size, --out; "
-            "for example: gendom dataset rope-casting --size 1000 --out casts",
-        ),
-        ("estimate x --seed", "estimate: --seed: has no value; give a whole number"),
-        ("estimate x --seed --json", "estimate: --seed: has no value; give a whole number"),
-        ("estimate x --level=q", "estimate: --level: is 'q'; give a number"),
-        ("estimate x --cells_across q", "estimate: --cells-across: is 'q'; give a number"),
-        ("perceive x --colour 1 2", "perceive: --colour: is '1 2'; give 3 whole numbers"),
-        ("act rope-casting --goal a b", "act: --goal: is 'a b'; give numbers"),
-        ("estimate x --frames lst", "estimate: --frames: is 'lst'; did you mean 'last'?"),
-        ("estimate x --frames q", "estimate: --frames: is 'q'; choose all, last"),
-        ("estimate x --method adm", "estimate: there is no method 'adm'; did you mean 'adam'?"),
-    ],
-)
-def test_what_is_not_understood_is_one_line(words, line, capsys):
-    assert cli.main(words.split()) == 2
-    place = "gendom:" if line.startswith("there is no") else "gendom"
-    assert capsys.readouterr() == ("", f"{place} {line}\n")
 
 
 @pytest.mark.parametrize(
@@ -164,25 +130,15 @@ def test_log_goes_to_stderr(command, capsys, quiet):
     assert not logger.handlers and logger.propagate
 
 
-def test_closed_pipe_is_quiet(recording):
-    line = f'"{sys.executable}" -m gendom check "{recording}"; echo $? >&2'
-    result = subprocess.run(
-        ["bash", "-c", f"({line}) | true"], capture_output=True, text=True, check=True
-    )
-    assert result.stderr.strip() in ("0", "141")  # 0: it wrote before the reader was gone
-
-
 def test_a_closed_pipe_does_not_stop_the_work(tmp_path):
     """More text than a pipe holds, to a reader that has gone; the file comes after it."""
-    code = (
-        "import sys; from gendom import cli; from gendom.cli import policies\n"
-        "def run(_):\n"
-        "    for _ in range(20): print('x' * 20_000)\n"
-        f"    open({str(tmp_path / 'out')!r}, 'w').write('done')\n"
-        "    return 0\n"
-        "policies.Command.run = run\n"
-        "sys.exit(cli.main(['policies']))\n"
-    )
+    code = f"""import sys; from gendom import cli; from gendom.cli import policies
+def run(_):
+    for _ in range(20): print('x' * 20_000)
+    open({str(tmp_path / "out")!r}, 'w').write('done')
+    return 0
+policies.Command.run = run
+sys.exit(cli.main(['policies']))"""
     line = f"{sys.executable} -c {shlex.quote(code)}; echo $? >&2"
     told = subprocess.run(["bash", "-c", f"({line}) | true"], capture_output=True, text=True)
     assert told.stderr.strip() == "0" and (tmp_path / "out").read_text() == "done"
@@ -198,7 +154,7 @@ def test_check_prints_a_summary(recording, capsys, tmp_path):
         "  frames    4, 1 of them empty\n"
         "  points    10 to 12 a frame, median 11\n"
         "  time      0 to 1.5 s\n"
-        "  grippers  1 (commanded): path 0.03 m, rise 0.03 m\n"
+        "  grippers  1 (commanded): path 0.03 m, rise 0.03 m, closed in 2 frames\n"
         "  table     at z = -0.01 m\n"
         "  motion    dynamic\n"
         "  warning   points: 1 of 4 frames are empty (3); nothing need be done: they are skipped\n"
@@ -211,18 +167,10 @@ def test_check_prints_a_summary(recording, capsys, tmp_path):
     assert summary["sizes"] == {"length": 0.4, "diameter": 0.01}
     assert summary["points_per_frame"] == {"min": 10, "median": 11.0, "max": 12}
     assert [w["where"] for w in summary["warnings"]] == ["points", "frames"]
-    dropped = recording.with_name("dropped.npz")
-    with np.load(recording) as file:
-        np.savez(dropped, **file, gripper_closed=np.array([[True], [True], [False], [False]]))
-    assert cli.main(["check", str(dropped)]) == 0
-    assert "rise 0.03 m, closed in 2 frames\n" in capsys.readouterr().out
     # check refuses
-    with np.load(recording) as file:
-        arrays = dict(file)
-    arrays["time"][2] = 0.0
-    del arrays["gripper_position"]
     bad = tmp_path / "bad.npz"
-    np.savez(bad, **arrays)
+    with np.load(recording) as file:
+        np.savez(bad, **{n: a for n, a in file.items() if n != "gripper_position"})
     line = f"gendom check: {bad}: gripper_position: is missing; add it: float64 [T, G, 3]\n"
     assert cli.main(["check", str(bad)]) == 2
     assert capsys.readouterr() == ("", line)
@@ -232,5 +180,3 @@ def test_check_prints_a_summary(recording, capsys, tmp_path):
     assert json.loads(out)["faults"] == [
         {"what": "is missing", "where": "gripper_position", "fix": "add it: float64 [T, G, 3]"}
     ]
-    assert cli.main(["check", str(tmp_path / "absent.npz")]) == 2
-    assert capsys.readouterr().err.endswith("absent.npz: no such file; check the path\n")

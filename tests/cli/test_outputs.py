@@ -1,4 +1,4 @@
-"""Places for results: refused before the work, and named after it."""
+"""Names of places, printed."""
 
 import io
 import json
@@ -7,46 +7,6 @@ import sys
 import pytest
 
 from gendom import cli
-
-FOLDERS = {
-    "demo": [],
-    "record": ["--reality", "absent"],
-    "dataset": ["rope-casting", "--size", "4"],
-    "export": ["absent"],
-}
-FILES = {
-    "replay": (["absent.npz", "--params", "absent.json", "--out", "a.json", "--gif"], ".gif"),
-    "act": (["rope-casting", "--policy", "absent.onnx", "--out"], ".json"),
-    "train": (["rope-casting", "--data", "absent", "--out"], ".onnx"),
-    "perceive": (["absent", "--out"], ".npz"),
-    "calibrate": (["absent", "--camera", "absent.toml", "--out"], ".toml"),
-}
-
-
-@pytest.fixture
-def file(tmp_path):
-    path = tmp_path / "file"
-    path.write_text("here")
-    return path
-
-
-@pytest.mark.parametrize("name", [*FOLDERS, *FILES])
-def test_a_place_that_cannot_be_is_refused_before_the_work(name, file, capsys):
-    if name in FOLDERS:
-        words, not_one = [*FOLDERS[name], "--out"], "is a file, not a folder"
-        cases = {file: not_one, file / "below": not_one}
-        cases[file.with_name("a.json")] = "is named like a file"
-    else:
-        words, ending = FILES[name]
-        cases = {
-            file.with_name("a.mp4"): f"does not end in {ending}, which is what is written",
-            file / f"a{ending}": "is a file, not a folder",
-        }
-    for place, text in cases.items():
-        assert cli.main([name, *words, str(place)]) == 2
-        printed = capsys.readouterr()
-        assert printed.out == "" and text in printed.err
-
 
 ODD = "a\x1b[31mb\nc\x9b\u202e\udcff"
 """A name that colours a terminal, fills two lines, turns what follows and is not UTF-8."""

@@ -1,36 +1,37 @@
 """Files of others with random damage: each is read or refused, in bounded time and memory."""
 
+import json
 import resource
 import shutil
 import time
 from functools import partial
-from importlib import resources
+from importlib import import_module, resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from gendom.cli.adapt import Command as Adapt
+from gendom.cli.recognised import look
 from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.lerobot import export_recording
+from gendom.datasets.npz import FORMAT_STATIC
 from gendom.errors import GendomError
 from gendom.files import write_json
 from gendom.hardware.cell import Cell, PlannedMotion
 from gendom.hardware.contracts import Tick
-from gendom.hardware.execution import (
-    ACTION_FORMAT,
-    ExecutionLog,
-    read_action,
-    read_log,
-)
+from gendom.hardware.execution import ACTION_FORMAT, ExecutionLog, read_action, read_log
 from gendom.materials import Material, Rope
 from gendom.materials.estimate import Estimate
 from gendom.materials.posterior import Posterior, prior_of
 from gendom.perception import Camera, RealSenseRecording, read_cameras, write_camera
 from gendom.perception.calibration import read_views
-from gendom.perception.ros import RosSettings, read_ros_bag
+from gendom.perception.poses import read_poses
+from gendom.perception.ros import RosSettings, read_ros_bag, read_ros_cameras
 from gendom.policies import Policy
+from gendom.reality.object_file import read_object
 from gendom.robot import XARM7, joint_move, read_arm
 from gendom.robot.motions import LiftMotion, predefined_lift
 from simulated_cell import write_cell
@@ -40,9 +41,14 @@ LONGEST, MOST_MEMORY = 2.0, 500e3
 """Of a case [s of this process], and of all [KiB more than before]."""
 
 WORDS = [b"\0", b"\n", b"-1", b"nan", b"1e400", b"9" * 400, b"../", b"\xff\xfe", b"[" * 2000, b"\\"]
+OBJECT = 'kind = "rope"\nmaterial = "cotton-rope"\nlength = 0.4\ndiameter = 0.01\nmass = 0.02\n'
 TOML = 'table_height = 0.0\n[object]\nkind = "rope"\nlength = 0.4\nmass = 0.02\n'
 K = np.array([[10.0, 0.0, 4.0], [0.0, 10.0, 2.0], [0.0, 0.0, 1.0]])
 CAMERA = Camera(name="left", width=8, height=4, K=K, T_world_camera=np.eye(4))
+POLICY = Path(str(resources.files("gendom"))) / "assets" / "rope-reaching.onnx"
+DB3 = Path(__file__).parents[1] / "perception" / "recordings" / "sdk-2.59.db3"
+EXECUTED = [{"action": [0.4, 0.1], "reached": [0.02 * k]} for k in range(3)]
+MOTION = {"format": "gendom-motion/1", "lift": predefined_lift("rope")}
 POINTS = np.random.default_rng(0).normal(size=(12, 3)).astype(np.float32) * 0.05
 
 
@@ -101,6 +107,19 @@ def board(folder):
         Image.fromarray(np.full((4, 8), 90, np.uint8)).save(folder / f"{k}.png")
 
 
+HANDEYE = """parameters: {eye_on_hand: false, robot_base_frame: base, tracking_base_frame: eye}
+transformation: {x: 1.0, y: 0.0, z: 0.5, qx: 0.0, qy: 0.0, qz: 0.0, qw: 1.0}
+"""
+LAUNCH = """<launch>
+<node pkg="tf2_ros" exec="static_transform_publisher" args="1 0 0.5 0 0 0 base eye"/>
+<node exec="static_transform_publisher" args="--x 1 --qw 1 --frame-id base --child-frame-id o"/>
+</launch>"""
+LINK = '<body name="l{}" pos="0 0 0.1"><joint axis="0 {} {}" range="-100 90"/><geom size="0.03"/>'
+LINKS = "".join(LINK.format(k, k % 2, 1 - k % 2) for k in range(1, 7))
+MJCF = f"<mujoco><worldbody>{LINKS}{'</body>' * 6}</worldbody></mujoco>"
+HAND = 'flange = "l6"\ntool = 0.2\nhome = [0, 0, 0, 1, 0, 0]\n'
+
+
 def arm(folder):
     """Six joints with meshes, and the .toml beside them."""
     pytest.importorskip("mujoco", reason="needs the extra reality")
@@ -113,35 +132,72 @@ def arm(folder):
         for k in range(1, 7)
     ]
     (folder / "arm.urdf").write_text("\n".join([*rows, "</robot>"]))
-    (folder / "arm.toml").write_text('flange = "l6"\ntool = 0.2\nhome = [0, 0, 0, 1, 0, 0]\n')
+    (folder / "arm.toml").write_text(HAND)
     corners = 0.05 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "<f4")
     faces = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
     rows = [np.zeros(3, "<f4").tobytes() + face.tobytes() + b"\0\0" for face in faces]
     (folder / "b.stl").write_bytes(bytes(80) + np.array([4], "<u4").tobytes() + b"".join(rows))
 
 
-def bag(folder, plugin):
-    """A folder of ROS 2's, or of a file of ROS 1's."""
-    ros = pytest.importorskip("ros_messages", reason="needs rosbags: the extra ros")
-    shutil.rmtree(folder)
-    rows = [("/clouds", ros.cloud(k, "world", POINTS)) for k in range(4)]
-    rows += [("/pose", ros.pose(k, "world", [0.0, 0.0, 0.01 * k])) for k in range(4)]
-    if plugin.startswith("ROS1"):
-        folder.mkdir()
-    ros.write_bag(folder / "x.bag" if plugin.startswith("ROS1") else folder, rows, plugin)
+def bag(plugin, topics, folder):
+    """A folder of ROS 2's or a file of ROS 1's: clouds, or pictures, raw or as PNG and JPEG."""
+    messages: Any = pytest.importorskip("ros_messages", reason="needs rosbags: the extra ros")
+    ros: Any = import_module("perception.test_ros_cameras")
+    frame, depth, colour = "eye_optical", np.full((4, 8), 900, "<u2"), np.full((4, 8, 3), 90, "u1")
+    rows = [ros.placed("world", frame, np.eye(4))]
+    if topics != "clouds":
+        rows += [
+            (f"/eye/{kind}/camera_info", ros.info(CAMERA, frame)) for kind in ("depth", "color")
+        ]
+    for t in range(4):
+        time, at = 0.1 * t, (0.0, 0.0, 0.01 * t)
+        rows += [
+            ("/tf", ros.tf(time, "world", "tool", at)),
+            ("/pose", messages.pose(time, "world", at)),
+        ]
+        if topics == "clouds":
+            rows.append(("/clouds", messages.cloud(time, "world", POINTS)))
+        elif topics == "raw":
+            rows.append(("/eye/depth/image_rect_raw", ros.image(time, frame, depth, "16UC1")))
+            rows.append(("/eye/color/image_raw", ros.image(time, frame, colour, "rgb8")))
+        else:
+            png = ros.packed(time, frame, depth, "16UC1; compressedDepth png")
+            rows.append(("/eye/depth/image_rect_raw/compressedDepth", png))
+            jpeg = ros.packed(time, frame, colour, "rgb8; jpeg compressed bgr8")
+            rows.append(("/eye/color/image_raw/compressed", jpeg))
+    ros.write_bag(folder / ("x.bag" if plugin.startswith("ROS1") else "x"), rows, plugin)
     (folder / "object.toml").write_text(TOML)
 
 
+def read_bag(folder, topics):
+    """Clouds with the topic of poses, or pictures with TF."""
+    (place,), held = folder.glob("x*"), folder / "object.toml"
+    if topics == "clouds":
+        read_ros_bag(place, held, RosSettings(gripper="/pose"))
+    else:
+        read_frames(*read_ros_cameras(place, held, RosSettings(gripper="tool")).sources)
+
+
+def read_frames(*sources):
+    for source in sources:
+        for frame in source:
+            frame.read()
+
+
+def at_rest(folder):
+    """A shape at rest, which becomes a recording."""
+    told = {"kind": "rope", "length": 0.4, "mass_per_length": 0.05, "diameter": 0.01}
+    meta = {"format": FORMAT_STATIC, "object": told}
+    loops = np.linspace([0.0, 0.0, 0.2], [0.3, 0.0, 0.2], 8)[None] + np.zeros((2, 8, 3))
+    np.savez(folder / "a.npz", loops=loops, meta=json.dumps(meta))
+
+
 def estimate(folder):
-    rope = Rope(length=0.4, diameter=0.01, material=Material(E=8e5, nu=0.3, density=800.0))
+    material = Material(E=8e5, nu=0.3, density=800.0, damping=0.005)
+    rope = Rope(length=0.3, diameter=0.016, material=material)
     prior, mean = prior_of(("E_over_rho", "nu")), np.array([np.log(1000.0), 0.3])
     found = Posterior(prior=prior, mean=mean, covariance=np.diag([1e-3, 1e-4]), bases=())
     Estimate.of(rope, found.to_dict()).save(folder / "estimate.json")
-
-
-def policy(folder):
-    shipped = resources.files("gendom") / "assets" / "rope-reaching.onnx"
-    (folder / "policy.onnx").write_bytes(shipped.read_bytes())
 
 
 def demonstrations(folder):
@@ -152,14 +208,20 @@ def demonstrations(folder):
     generate(Throwing(), 40, folder / "set", seed=5, shard_size=16)
 
 
-def executions(folder):
-    rows = [{"action": [0.4, 0.1], "reached": [0.02 * k]} for k in range(3)]
-    write_json(folder / "executions.json", {"executions": rows})
+def files(**contents):
+    """Files by their names, with _ for the dot: text, copies of other files, or JSON."""
 
+    def make(folder):
+        for name, content in contents.items():
+            path = folder / name.replace("_", ".")
+            if isinstance(content, str):
+                path.write_text(content)
+            elif isinstance(content, Path):
+                shutil.copy(content, path)
+            else:
+                write_json(path, content)
 
-def motion(folder):
-    record = {"format": "gendom-motion/1", "lift": predefined_lift("rope")}
-    write_json(folder / "motion.json", record)
+    return make
 
 
 def clouds(write, suffix):
@@ -203,31 +265,6 @@ def rows_of(folder):
     return repr([read_description(folder), load(folder).to_pydict()])
 
 
-def read_bag(folder):
-    read_ros_bag(folder, folder / "object.toml", RosSettings(gripper="/pose"))
-
-
-def read_pictures(folder):
-    for source in read_cameras(folder).sources:
-        for frame in source:
-            frame.read()
-
-
-def realsense(folder):
-    shutil.copy(
-        Path(__file__).parents[1] / "perception/recordings/sdk-2.59.db3", folder / "recording.db3"
-    )
-
-
-def read_realsense(folder):
-    for frame in RealSenseRecording(folder):
-        frame.read()
-
-
-def read_boards(folder):
-    read_views(folder, CAMERA, on_warning=lambda _: None)
-
-
 def action(folder):
     there = XARM7.home + 0.1
     planned = PlannedMotion(
@@ -252,6 +289,9 @@ def log(folder):
     written.end("done")
 
 
+BAGS = [(plugin, "clouds") for plugin in ("MCAP", "ROS1", "ROS1 LZ4", "SQLITE3")]
+BAGS += [("ROS1", "raw"), ("ROS1", "packed")]
+
 READERS = {
     "cell": (write_cell, lambda f: Cell.read(f / "cell.toml").faults()),
     "action": (action, lambda f: read_action(f / "action.json")),
@@ -259,13 +299,16 @@ READERS = {
     "npz": (lambda f: recording().write(f / "a.npz"), lambda f: numbers(f / "a.npz")),
     "lerobot": (lambda f: export_recording(recording(), f / "out"), lambda f: numbers(f / "out")),
     "estimate": (estimate, estimated),
-    "policy": (policy, lambda f: acted(f / "policy.onnx")),
+    "policy": (
+        files(policy_onnx=POLICY),
+        lambda f: acted(f / "policy.onnx"),
+    ),
     "demonstrations": (demonstrations, lambda f: rows_of(f / "set")),
     "executions": (
-        executions,
+        files(executions_json={"executions": EXECUTED}),
         lambda f: Adapt(task="rope-reaching", executions=f / "executions.json")._new(),
     ),
-    "motion": (motion, lambda f: LiftMotion.read(f / "motion.json")),
+    "motion": (files(motion_json=MOTION), lambda f: LiftMotion.read(f / "motion.json")),
     "ply": (clouds(partial(write_ply, points=POINTS), ".ply"), read),
     "ply as text": (clouds(partial(write_ply, points=POINTS, text=True), ".ply"), read),
     "clouds as npz": (clouds(partial(np.savez, points=POINTS), ".npz"), read),
@@ -273,18 +316,24 @@ READERS = {
         f"pcd {e}": (clouds(partial(as_pcd, encoding=e), ".pcd"), read)
         for e in ("ascii", "binary", "binary_compressed")
     },
-    "mcap": (lambda f: bag(f, "MCAP"), read_bag),
-    "ros 1": (lambda f: bag(f, "ROS1"), read_bag),
-    "ros 1 packed": (lambda f: bag(f, "ROS1 LZ4"), read_bag),
-    "db3": (lambda f: bag(f, "SQLITE3"), read_bag),
-    "cameras": (cameras, read_pictures),
-    "realsense": (realsense, read_realsense),
-    "board": (board, read_boards),
+    **{" ".join(b): (partial(bag, *b), partial(read_bag, topics=b[-1])) for b in BAGS},
+    "cameras": (cameras, lambda f: read_frames(*read_cameras(f).sources)),
+    "realsense": (
+        files(recording_db3=DB3),
+        lambda f: read_frames(RealSenseRecording(f)),
+    ),
+    "board": (board, lambda f: read_views(f, CAMERA, on_warning=lambda _: None)),
+    "npz at rest": (at_rest, lambda f: numbers(f / "a.npz")),
     "arm": (arm, lambda f: read_arm(f / "arm.urdf")),
+    "arm as mjcf": (files(arm_xml=MJCF, arm_toml=HAND), lambda f: read_arm(f / "arm.xml")),
+    "pose": (files(a_yaml=HANDEYE), lambda f: read_poses(f / "a.yaml")),
+    "launch": (files(a_launch=LAUNCH), lambda f: read_poses(f / "a.launch")),
+    "object": (files(a_toml=OBJECT), lambda f: read_object(f / "a.toml")),
 }
 
 
-EDITED = ("cell", "action", "log", "executions", "motion", "arm")
+EDITED = {"cell", "action", "log", "executions", "motion", "arm", "arm as mjcf", "pose", "launch"}
+EDITED |= {"object"}
 """Text that people edit: other numbers are read without a word."""
 
 
@@ -310,33 +359,63 @@ def damaged(data, rng):
     return bytes(data)
 
 
-@pytest.mark.parametrize("count", [8, pytest.param(170, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("kind", READERS)
-def test_damaged_files_are_read_or_refused(tmp_path, kind, count):
-    make, take = READERS[kind]
+def made(tmp_path, kind):
+    """The folder of a kind, its files, and what its reader finds there."""
     folder = tmp_path / "in"
     folder.mkdir()
+    make, take = READERS[kind]
     make(folder)
-    stated = take(folder)
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return folder, sorted(path for path in folder.rglob("*") if path.is_file()), take(folder)
+
+
+def check(kind, stated, folder, path, content, case):
+    """Read a folder with another content of a file, by what reads it and by `gendom doctor`."""
+    whole, take = path.read_bytes(), READERS[kind][1]
+    path.write_bytes(content)
+    for read, place in ((take, folder), (look, path), (look, folder)):
+        by = "gendom doctor" if read is look else "its reader"
+        began, at = time.process_time(), f"case {case}, {path.name}, {by}"
+        try:
+            found = read(place)
+        except GendomError as error:
+            lines = str(error).splitlines()
+            assert len(lines) <= max(1, len(getattr(error, "faults", ()))), at
+        except Exception as error:
+            raise AssertionError(f"{at}: {error!r}") from error
+        else:
+            same = read is look or kind in EDITED or found == stated
+            assert same, f"{at}: other numbers"
+        assert time.process_time() - began < LONGEST, at
+    path.write_bytes(whole)
+
+
+@pytest.mark.parametrize("count", [5, pytest.param(70, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", READERS)
+def test_damaged_files_are_read_or_refused(tmp_path, kind, count):
+    folder, files, stated = made(tmp_path, kind)
     rng, before = np.random.default_rng(count), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for case in range(count):
         path = files[rng.integers(len(files))]
-        whole = path.read_bytes()
-        path.write_bytes(damaged(whole, rng))
-        began = time.process_time()
-        try:
-            found = take(folder)
-            assert kind in EDITED or found == stated, f"case {case}, {path.name}: other numbers"
-        except GendomError as error:
-            lines = str(error).splitlines()
-            assert len(lines) <= max(1, len(getattr(error, "faults", ()))), case
-        except AssertionError:
-            raise
-        except Exception as error:
-            raise AssertionError(f"case {case}, {path.name}: {error!r}") from error
-        assert time.process_time() - began < LONGEST, (case, path.name)
-        path.write_bytes(whole)
+        check(kind, stated, folder, path, damaged(path.read_bytes(), rng), case)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < MOST_MEMORY
     assert sorted(path for path in folder.rglob("*") if path.is_file()) == files
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
+FAR, ONE = np.full(3, 1e9, "<f4").tobytes(), np.float64(1.0).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("kind", "old", "new"),
+    [
+        ("ply", POINTS[0].tobytes(), FAR),  # 100 GB of 10 mm
+        ("MCAP clouds", b"float64 y", b"float64 Y"),
+        ("MCAP clouds", bytes(24) + ONE, bytes(24) + np.float64(1e200).tobytes()),
+        ("arm", b"b.stl", b"b" * 300),  # longer than names are
+    ],
+    ids=["far points", "another field", "a turn without length", "a long name"],
+)
+def test_what_was_found_stays_mended(tmp_path, kind, old, new):
+    folder, files, stated = made(tmp_path, kind)
+    path = next(path for path in files if old in path.read_bytes())
+    check(kind, stated, folder, path, path.read_bytes().replace(old, new), old)

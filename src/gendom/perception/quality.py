@@ -153,7 +153,8 @@ def level_axis(points: Array) -> int | None:
     up and there is a table; None: there is no such plane."""
     shares = []
     for x in points.T:
-        counts = np.bincount(((x - x.min()) / 0.01).astype(np.int64))
-        shares.append(np.convolve(counts, [1, 1, 1]).max() / len(x))
+        x = np.sort(x)
+        within = np.searchsorted(x, x + 0.03) - np.arange(len(x))
+        shares.append(within.max(initial=0) / max(len(x), 1))
     best = int(np.argmax(shares))
     return best if len(points) > 300 and shares[best] > _LEVEL else None

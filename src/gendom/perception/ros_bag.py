@@ -29,6 +29,7 @@ _COMPUTED = re.compile(r"\bvirtual\b|\bas\b\s*\(", re.IGNORECASE)
 
 _LARGEST_METADATA, _MOST_MARKS = 1 << 17, 6000  # [bytes], lines and parts: YAML is read slowly
 _ROS1 = b"#ROSBAG V2.0\n"
+_STANDARD = ("geometry_msgs/", "sensor_msgs/", "std_msgs/", "tf2_msgs/")
 
 
 class RosBag:
@@ -56,6 +57,13 @@ class RosBag:
         except Exception as error:
             raise self._fault(error) from error
         weakref.finalize(self, self._reader.close)
+        for kind, (_, fields) in self._reader.typestore.fielddefs.items():
+            if kind.startswith(_STANDARD) and kind in store.fielddefs:
+                spelt = str.lower if kind.endswith("CameraInfo") else str  # K of ROS 1 is k now
+                lacking = {name for name, _ in store.fielddefs[kind][1]}
+                lacking -= {spelt(name) for name, _ in fields}
+                what = f"its definition of {kind} lacks {', '.join(sorted(lacking))}"
+                expect(not lacking, what, where=self.where, fix="give the bag, whole")
         self.topics: dict[str, str] = {c.topic: c.msgtype for c in self._reader.connections}
         self.counts = {n: topic.msgcount for n, topic in self._reader.topics.items()}
 

@@ -159,7 +159,7 @@ def _beside(path: Path, name: str, folder: str) -> Path:
     near = [path.parent / folder / bare, path.parent / bare, path.parent / bare.name]
     for above in list(path.resolve().parents)[:_PACKAGE_LEVELS]:
         near += [above / bare, above.joinpath(*bare.parts[1:])]
-    return next((file for file in near if file.is_file()), near[0])
+    return next((file for file in near if os.path.isfile(file)), near[0])
 
 
 class _Chain:

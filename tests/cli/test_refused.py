@@ -1,0 +1,118 @@
+"""What commands refuse: one line of what, where and what to do, exit code 2, nothing left."""
+
+import shlex
+from dataclasses import replace
+
+import pytest
+
+from gendom import cli
+from simulated_cell import write_cell
+
+REFUSED = """
+estimte | gendom: there is no command 'estimte'; did you mean 'estimate'?
+help estimte | gendom: there is no command 'estimte'; did you mean 'estimate'?
+zzz | gendom: there is no command 'zzz'; see gendom --help
+--zzz | gendom: there is no flag '--zzz'; see gendom --help
+act rope-casting --gaol 1 2 | act: there is no flag '--gaol'; did you mean '--goal'?
+estimate x --qqq=3 | estimate: there is no flag '--qqq'; see gendom estimate --help
+estimate x -s 3 | estimate: there is no flag '-s'; see gendom estimate --help
+check x y -3 | check: 'y -3' is too much; see gendom check --help
+check | check: lacks RECORDING; for example: gendom check lift.npz
+export x | export: lacks --out; for example: gendom export casts --out casts-lerobot
+dataset | lacks TASK, --size, --out; for example: gendom dataset rope-casting --size 1000
+estimate x --seed | estimate: --seed: has no value; give a whole number
+estimate x --seed --json | estimate: --seed: has no value; give a whole number
+estimate x --level=q | estimate: --level: is 'q'; give a number
+estimate x --cells_across q | estimate: --cells-across: is 'q'; give a number
+perceive x --colour 1 2 | perceive: --colour: is '1 2'; give 3 whole numbers
+act rope-casting --goal a b | act: --goal: is 'a b'; give numbers
+estimate x --frames lst | estimate: --frames: is 'lst'; did you mean 'last'?
+estimate x --frames q | estimate: --frames: is 'q'; choose all, last
+estimate x --method adm | estimate: there is no method 'adm'; did you mean 'adam'?
+
+estimate file.npz | file.npz
+check absent.npz | absent.npz: no such file; check the path
+estimate lift.npz --seed -1 | --seed: is -1
+estimate lift.npz --level 1 | level
+estimate lift.npz --cells-across 0.2 | cells_across
+estimate lift.npz --points 2 | points
+estimate lift.npz --points 100000 | --points: is 100000; give 1000 or fewer: 20 to 60 are usual
+estimate lift.npz --engine fem | fem
+estimate lift.npz ./lift.npz | lift.npz: is given twice; name each recording once
+estimate lift.npz longer.npz | longer.npz: length is 0.3, in lift.npz 0.25
+view casts --params estimate.json | --params: goes with a recording
+view casts --demonstration 3 | there is no such demonstration; give 0 to 2
+dataset rope-reaching --size 0 --out set | --size: is 0; give 1 or more
+dataset knitting --size 3 --out set | knitting
+demo --task rope-reaching --goal 5 | x 5 m is what no rope of 0.3 m reaches; choose 0.
+demo --task rope-reaching --goal nan | x nan m
+demo --goal 0.4 | --goal: has 1 numbers; give x, z of each
+demo --goal 0.4 5 | --goal: z 5 m
+record --out new | give either --reality or --cell
+record --reality rope-cotton --cell cell.toml --out new | give either --reality or --cell
+record --cell cell.toml --rise 30 --out new | --rise: is 30 m, and the rope 0.3 m long
+record --cell cell.toml --end swing --rise 0.2 --object no.toml --out new | no.toml
+record --reality rope-cotton --rise 225 --out new | 0.3 m long; give metres: 225 mm are
+record --reality rope-cotton --rise 22 --out new | 0.3 m long; give metres: 22 cm are 0.22
+record --reality rope-cotton --rise nan --out new | --rise: is nan m
+record --reality rope-cotton --rise 0 --out new | --rise: is 0 m
+record --reality rope-cotton --encoder-noise 5 --out new | is 5 radians; give 0 to 0.1: 5 mrad are
+record --reality rope-cotton --frame-rate 0 --out new | --frame-rate: is 0.0; give 90 or less
+record --reality cloth-cotton --rise 150 --out new | --rise: is 150 m, and the cloth 0.3 m wide
+
+view nowhere.npz --html lift.txt | does not end in .html
+estimate lift.npz --out file.npz | is a file, not a folder
+estimate lift.npz --out file.npz/below | is a file, not a folder
+estimate lift.npz --report page.pdf | name a file that ends in .html
+estimate lift.npz --report folder.html | is a folder
+estimate lift.npz --report file.npz/page.html | is a file, not a folder
+"""
+FOLDERS = {
+    "demo": "",
+    "record": "--reality absent",
+    "dataset": "rope-casting --size 4",
+    "export": "absent",
+}
+FILES = {
+    "replay absent.npz --params absent.json --out a.json --gif": ".gif",
+    "act rope-casting --policy absent.onnx --out": ".json",
+    "train rope-casting --data absent --out": ".onnx",
+    "perceive absent --out": ".npz",
+    "calibrate absent --camera absent.toml --out": ".toml",
+}
+CASES = [line.partition(" | ")[::2] for line in REFUSED.splitlines() if line]
+for command, given in FOLDERS.items():
+    CASES += [
+        (f"{command} {given} --out file.npz", "is a file, not a folder"),
+        (f"{command} {given} --out file.npz/below", "is a file, not a folder"),
+        (f"{command} {given} --out a.json", "is named like a file"),
+    ]
+for given, ending in FILES.items():
+    CASES += [
+        (f"{given} a.mp4", f"does not end in {ending}, which is what is written"),
+        (f"{given} file.npz/a{ending}", "is a file, not a folder"),
+    ]
+
+
+@pytest.fixture(scope="module")
+def place(rope_lift, tmp_path_factory):
+    """A folder with what the commands name."""
+    folder, lift = tmp_path_factory.mktemp("refused"), rope_lift.seen()
+    lift.write(folder / "lift.npz")
+    replace(lift, object=replace(lift.object, length=0.3)).write(folder / "longer.npz")
+    (folder / "file.npz").write_bytes(b"nothing")
+    (folder / "folder.html").mkdir()
+    write_cell(folder)
+    words = ["--quiet", "dataset", "rope-casting", "--size", "3", "--out", str(folder / "casts")]
+    assert cli.main(words) == 0
+    return folder
+
+
+@pytest.mark.parametrize(("words", "line"), CASES)
+def test_what_is_refused(words, line, place, refused, monkeypatch):
+    if words.startswith(("record", "demo")):
+        pytest.importorskip("mujoco", reason="needs the extra reality")
+    monkeypatch.chdir(place)
+    before = sorted(place.rglob("*"))
+    assert line in refused(*shlex.split(words))
+    assert sorted(place.rglob("*")) == before
