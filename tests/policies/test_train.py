@@ -15,6 +15,7 @@ from gendom.tasks import ClothSpreading, RopeReaching
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
 
+from gendom.policies import fitting  # noqa: E402
 from gendom.policies import training as train_module  # noqa: E402
 from gendom.policies.training import Training, train  # noqa: E402
 
@@ -276,7 +277,7 @@ def test_steps_rise_shortly_and_then_fall_to_nothing():
         at.append(network.weight.item())
         steps.append(abs(at[-1] - at[-2]))
 
-    learning.fit(
+    fitting.fit(
         network,
         lambda rows: network.weight.sum() + 0.0 * rows.sum(),
         torch.arange(1),

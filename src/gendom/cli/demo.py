@@ -36,7 +36,7 @@ from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
 from gendom.policies.adaptation import Execution, adapt
 from gendom.policies.belief import believed
-from gendom.policies.polishing import Discrepancy, polish
+from gendom.policies.polishing import polish
 from gendom.progress import each
 from gendom.reality import RealWorld, find_object, observe
 from gendom.reality.trials import TrialRun
