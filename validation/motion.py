@@ -149,11 +149,11 @@ def swings(bench: Bench, kind: str) -> Iterator[Row]:
     over the largest change of gravitational energy.
     """
     if kind == "rope":
-        body, time, pull = rope(diameter=0.01, length=0.3, direction=(1, 0, -3), points=33), 40.0, G
+        body, pull = rope(diameter=0.01, length=0.3, direction=(1, 0, -3), points=33), G
         material, hand = Material(E=1.0e6), Gripper.still((0, 0, 0), radius=0.02)
         steps: dict[str, tuple[float, dict[str, float]]] = {"a swinging rope": (1e-3, {})}
     else:
-        body, time = cloth(width=0.2, height=0.1, thickness=0.002, dx=0.02, points=(15, 8)), 20.0
+        body = cloth(width=0.2, height=0.1, thickness=0.002, dx=0.02, points=(15, 8))
         material, hand = Material(E=1e5, density=500.0), Gripper.still((-100, 0, 0), radius=100.01)
         pull = -G[2] * np.array([math.sin(math.pi / 3.0), 0.0, -math.cos(math.pi / 3.0)])
         cfl = ShellModel.undamped_cfl
@@ -161,9 +161,12 @@ def swings(bench: Bench, kind: str) -> Iterator[Row]:
             "a swinging sheet, half the substep": (1e-3, {"cfl": 0.5 * cfl}),
             "a swinging sheet, the default substep": (2e-3, {"cfl": cfl}),
         }
+    time, count = (40.0 if kind == "rope" else 20.0), 400
+    if bench.quick:
+        time, count = time / 4.0, count // 2
     for name, (allowed, options) in steps.items():
         s = bench.simulate(body, [material], grippers=[hand], gravity=pull, **options)
-        total, high = energies(s, np.linspace(0.0, time, 401)[1:], pull)
+        total, high = energies(s, np.linspace(0.0, time, count + 1)[1:], pull)
         means = total.reshape(8, -1).mean(axis=1)
         name = f"growth of the mean energy in {time:g} s, {name}"
         source = (

@@ -24,8 +24,7 @@ def cache(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("damage", ["empty", "flipped"])
-@pytest.mark.parametrize("ending", [".o", ".meta"])
+@pytest.mark.parametrize(("ending", "damage"), [(".o", "flipped"), (".meta", "empty")])
 def test_damaged_kernels_are_made_anew(cache, ending, damage):
     (path,) = cache.rglob(f"*{ending}")
     whole = path.read_bytes()
