@@ -310,6 +310,7 @@ def test_no_pcd(tmp_path):
         ({"anything": np.arange(6).reshape(2, 3)}, np.arange(6.0).reshape(2, 3)),
         ({"points": np.array([*CLOUD, [np.nan] * 3])}, CLOUD),
         ({"points": np.zeros((0, 3))}, np.zeros((0, 3))),
+        ({"points": np.tile(CLOUD, (2, 1, 1))}, np.tile(CLOUD, (2, 1))),
     ],
 )
 def test_clouds_of_numpy(tmp_path, arrays, expected):

@@ -269,3 +269,12 @@ def test_bad_joint_files(tmp_path, text, says):
         read_joints(tmp_path / "joints.csv", XARM7)
     with pytest.raises(RobotError, match="no such file"):
         read_joints(tmp_path / "absent.csv", XARM7)
+
+
+def test_knots_that_lie_too_close_for_their_angles():
+    """Their slopes overflow: one line, no error of SciPy."""
+    q = np.zeros((3, 7))
+    q[1] = 1e308
+    motion = JointMotion(time=np.array([0.0, 1e-10, 1.0]), q=q)
+    with pytest.raises(RobotError, match="turns faster than numbers can say"):
+        _ = motion.spline

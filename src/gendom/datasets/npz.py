@@ -103,6 +103,8 @@ def read_npz_cloud(path: str | os.PathLike) -> np.ndarray:
         return name, archive[name]
 
     name, points = _from_npz(Path(path), take, write="write it with numpy.savez")
+    if points.shape[2:] == (3,):  # organised, pixel by pixel
+        points = points.reshape(-1, 3)
     right = points.ndim == 2 and points.shape[1] == 3 and points.dtype.kind in "fiu"
     what = f"{name} is {points.dtype} {list(points.shape)}"
     wanted(right, what, path, "give numbers [n, 3] in metres")

@@ -96,7 +96,11 @@ class JointMotion:
     @cached_property
     def spline(self) -> CubicSpline:
         """Angles [J] [rad] as a function of time [s], within the knots."""
-        return CubicSpline(self.time, self.q, bc_type="clamped")
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                return CubicSpline(self.time, self.q, bc_type="clamped")
+        except ValueError:  # slopes between knots that overflow
+            raise RobotError("turns faster than numbers can say", fix="make it again") from None
 
     @property
     def start(self) -> float:
