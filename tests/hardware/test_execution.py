@@ -262,6 +262,8 @@ def test_yes_moves_slowly_and_the_log_can_be_looked_at(made, monkeypatch, capsys
     logs = sorted((cell.path.parent / "executions").glob("*.jsonl"))
     slow, usual = read_log(logs[-1]), read_action(path).plan.motion
     assert slow.time[-1] > 1.5 * (usual.end - usual.start)
+    played = read_action(logs[-1]).plan.motion  # what is observed is compared with it
+    assert played.end - played.start == pytest.approx(slow.time[-1], abs=0.02)
     speed = np.abs(np.diff(slow.measured, axis=0)).max(axis=0) / 0.01
     assert np.all(speed <= 0.1001 * XARM7.max_speed)
     capsys.readouterr()

@@ -100,7 +100,7 @@ def cloth_areas(cloud: Array, side: float) -> dict[str, float]:
     cells -= cells.min(axis=0) - 2
     filled = np.zeros(cells.max(axis=0) + 3, dtype=bool)
     filled[tuple(cells.T)] = True
-    filled = binary_closing(filled, np.ones((3, 3)))
+    filled = np.asarray(binary_closing(filled, np.ones((3, 3))), dtype=bool)
     tree = KDTree(cloud)
     near = [cloud[k] for k in tree.query_ball_point(cloud, _PLANE)]
     normal = np.array([np.linalg.svd(x - x.mean(axis=0))[2][2] if len(x) > 3 else np.zeros(3)
@@ -110,7 +110,7 @@ def cloth_areas(cloud: Array, side: float) -> dict[str, float]:
     x = np.stack(np.nonzero(filled), axis=1) + 0.5
     smooth = flat[np.asarray(KDTree(cells + 0.5).query(x)[1], dtype=int)]
     # half of what lies at the border is beside the cloth
-    inside = binary_erosion(filled)[filled]
+    inside = np.asarray(binary_erosion(filled), dtype=bool)[filled]
     area = np.where(inside, 1.0, 0.5) * _CELL**2 / side**2
     share, covered = (min(float(area[of].sum()), 1.0) for of in (smooth, smooth | True))
     return {"share": share, "unspread": 1.0 - share, "covered": covered}
