@@ -301,7 +301,7 @@ def carry_out(
     learnt = adapt(task, belief, [known])
     last = polished(third.run.action, learnt.belief, discrepancy=learnt.discrepancy)
     runs = (of.run for of in (ours, without, third, last))
-    named = dict(zip(VARIANTS, runs, strict=True))
+    named: dict[str, PolicyRun] = dict(zip(VARIANTS, runs, strict=True))
     return ReachOutcome(item=name, goal=goal, runs=named), (ours, without)
 
 
