@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gendom.arguments import require
-from gendom.cli.arguments import Device, Seed, iterations_shown
+from gendom.cli.arguments import Device, Json, Seed, iterations_shown
 from gendom.cli.estimate import (
     NAME,
     NOT_USABLE,
@@ -29,7 +29,7 @@ from gendom.cli.outputs import check_places
 from gendom.datasets import Recording
 from gendom.errors import GendomError, printable
 from gendom.estimation import EstimateSettings, FittedEstimate, SceneSettings, estimate
-from gendom.files import write_json
+from gendom.files import to_json, write_json
 from gendom.installation import how_to_install
 from gendom.materials import Item, to_columns
 from gendom.materials.estimate import Estimate
@@ -132,6 +132,7 @@ class Command:
     """Random starts of the estimates."""
     seed: Seed = 0
     device: Device = "cpu"
+    json: Json = False
 
     def run(self) -> int:
         from gendom.sim import open_device  # Warp, which takes long to import
@@ -244,6 +245,8 @@ class Command:
         entries = [_entry(outcome) for outcome in outcomes]
         actions = {"format": "gendom-demo/3", "task": task.name, "outcomes": entries}
         write_json(self.out / "actions.json", actions)
+        if self.json:
+            print(to_json(actions))
         said = (
             "Actions are carried out "
             f"{'in our own simulator, with the true values' if _lacking() else 'there, too'}. "
@@ -301,7 +304,7 @@ def carry_out(
     learnt = adapt(task, belief, [known])
     last = polished(third.run.action, learnt.belief, discrepancy=learnt.discrepancy)
     runs = (of.run for of in (ours, without, third, last))
-    named = dict(zip(VARIANTS, runs, strict=True))
+    named: dict[str, PolicyRun] = dict(zip(VARIANTS, runs, strict=True))
     return ReachOutcome(item=name, goal=goal, runs=named), (ours, without)
 
 

@@ -72,9 +72,10 @@ def object_layer(
         color: As "#rrggbb".
         opacity: Below 1 where something else is to be seen through it.
     """
-    points, n, about = body.surface(x), x.shape[1], {"name": name, "color": color}
+    points, n = body.surface(x), x.shape[1]
+    about: dict[str, Any] = {"name": name, "color": color, "opacity": opacity}
     if n != len(body.points):
-        return Layer(points=points, radius=0.25 * body.dx, opacity=opacity, **about)
+        return Layer(points=points, radius=0.25 * body.dx, **about)
     closed = body.kind == "rope"
     if closed:  # one ring of the skin for each edge is enough
         rings = points.reshape(len(x), -1, 8, 3)
@@ -86,7 +87,7 @@ def object_layer(
             index = np.full(body.shape, -1)
             index.flat[body.cut.at] = np.arange(n)
             faces = index.ravel()[faces[np.tile(body.cut.cells.ravel() > 0.0, 2)]]
-    return Layer(points=points, faces=faces, closed=closed, opacity=opacity, **about)
+    return Layer(points=points, faces=faces, closed=closed, **about)
 
 
 def observed_layer(name: str, item: Item, seen: Observed, color: str = SIMULATED_COLOR) -> Layer:

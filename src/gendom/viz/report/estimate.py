@@ -20,7 +20,6 @@ from gendom.viz.quantities import (
     quantity_text,
     title_of,
     unit_of,
-    with_minus,
 )
 
 Truth = Mapping[str, float]
@@ -135,11 +134,8 @@ def beliefs(found: Estimate, truth: Truth) -> str:
     """HTML: densities of the material's unknowns, then those of grip and clock, before and after
     the lift."""
     figures: dict[bool, list[str]] = {True: [], False: []}
-    rows = []
     for k, u in enumerate(found.posterior.prior.unknowns):
-        figure, row = _unknown(found, truth, k)
-        figures[u.material].append(figure)
-        rows.append(row)
+        figures[u.material].append(_unknown(found, truth, k))
     parts = [
         '<p class="soft">Grey: what was assumed before the lift (prior). Blue: what is known after '
         "it (posterior). Areas are probabilities; a scale with unequal steps is logarithmic.</p>",
@@ -147,13 +143,11 @@ def beliefs(found: Estimate, truth: Truth) -> str:
     ]
     if figures[False]:
         parts.append(folded("Grip and clock of the recording", side_by_side(figures[False])))
-    numbers = table({"Unknown": "name", "Prior": "number", "Posterior": "number"}, rows)
-    numbers += f'<p class="soft">{level_text(found)} intervals.</p>'
-    return "\n".join([*parts, folded("The same in numbers", numbers)])
+    return "\n".join(parts)
 
 
-def _unknown(found: Estimate, truth: Truth, k: int) -> tuple[str, list[str]]:
-    """Both Gaussians of unknown k as a figure, and both intervals as a table's row.
+def _unknown(found: Estimate, truth: Truth, k: int) -> str:
+    """Both Gaussians of unknown k as a figure.
 
     Densities of parameters on a logarithmic scale are those of the logarithm, so that areas are
     probabilities in either case.
@@ -205,8 +199,7 @@ def _unknown(found: Estimate, truth: Truth, k: int) -> tuple[str, list[str]]:
     note = f"{times:.{0 if times >= 9.5 else 1}f} times as narrow as the prior."
     if times < 1.25:
         note = "As wide as the prior: the lift says next to nothing about it."
-    texts = [" to ".join(f"{x:.3g}" for x in shown(ends(of, sds))) for of in (prior, after)]
-    return plot.figure(title, note), [title, *map(with_minus, texts)]
+    return plot.figure(title, note)
 
 
 # ---- the search ----------------------------------------------------------------------------------

@@ -127,14 +127,18 @@ class Painter:
     def _added(self, layer: Layer, points: Array) -> Any:
         name, color, width = f"/{layer.name}", rgb(layer.color), 2.0 * float(np.max(layer.radius))
         if layer.kind == "lines":
-            thick = {"thickness": width, "thickness_units": "world"}
-            return self._canvas.add_line_segments(name, points, color, **thick)
+            return self._canvas.add_line_segments(
+                name, points, color, thickness=width, thickness_units="world"
+            )
         if layer.kind == "dots":
-            round_ = {"point_shape": "circle", "point_shading": "flat", "precision": "float32"}
-            return self._canvas.add_point_cloud(name, points, color, point_size=width, **round_)
+            return self._canvas.add_point_cloud(
+                name, points, color, point_size=width, precision="float32",
+                point_shape="circle", point_shading="flat",
+            )  # fmt: skip
         opacity = None if layer.opacity == 1.0 else layer.opacity
-        skin = {"color": color, "opacity": opacity, "side": "double"}
-        return self._canvas.add_mesh_simple(name, points, layer.faces, **skin)
+        return self._canvas.add_mesh_simple(
+            name, points, layer.faces, color=color, opacity=opacity, side="double"
+        )
 
     def _lay_table(self, scene: Animation) -> None:
         """A table as large as what was shown first, in squares of a round size."""
