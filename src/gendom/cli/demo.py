@@ -105,9 +105,6 @@ VARIANTS = {
 MOTION_RATE = 30.0
 """Frames a second of the executed motion."""
 
-POLISH_DRAWS = 8
-"""Objects drawn from the estimate to polish an action for."""
-
 _FINER = 4
 """Reached places are looked for this much finer in time than the motion is shown."""
 
@@ -270,7 +267,7 @@ class Command:
         task = policies[0].task()
         with _timed(seconds, "act and carry out"):
             belief = believed(found, task)
-            outcomes, last = carry_out(rope, policies, goals, belief, self.seed)
+            outcomes, last = carry_out(rope, policies, goals, belief)
         with _timed(seconds, "predict the motion"):
             motion, apart = predicted(task, outcomes, last, belief.item, self.device)
         for outcome in outcomes:
@@ -299,7 +296,7 @@ class Command:
 
 
 def carry_out(
-    rope: RealRope, policies: Sequence[Policy], goals: np.ndarray, belief: Estimate, seed: int
+    rope: RealRope, policies: Sequence[Policy], goals: np.ndarray, belief: Estimate
 ) -> tuple[list[ReachOutcome], Executed]:
     """What each of `VARIANTS` reached for each goal, and the last motion of the policy with
     parameters.
@@ -316,8 +313,7 @@ def carry_out(
             discrepancy: Discrepancy | None = None,
             goal: np.ndarray = goal,
         ) -> np.ndarray:
-            items = belief.draws(POLISH_DRAWS, seed)
-            return polish(task, goal, items, start, discrepancy=discrepancy).action
+            return polish(task, goal, [belief.most_likely], start, discrepancy=discrepancy).action
 
         ours, without = (np.array(p.act(goal, belief.item).values) for p in policies)
         first = execute(rope, task, ours)
