@@ -44,7 +44,7 @@ class Discrepancy(Protocol):
 
 
 MAX_ITERATIONS = 6
-"""Steps of each, at most."""
+"""Steps, or rounds of variations, at most."""
 
 VARIATION, VARIATIONS = 0.08, 12
 """Standard deviation of the first variations of an action of a task without goals [of its limits'
@@ -153,14 +153,11 @@ class PolishingProblem:
             _Point(a=a, r=x, J=np.zeros((len(x), len(a)))) for a, x in zip(actions, r, strict=True)
         ]
 
-    def points(self, actions: Sequence[Array]) -> Asking[list[_Point]]:
-        """Actions with residuals and derivatives, all simulated side by side."""
-        ends = stencil(np.array(actions), STEP)
-        allowed = np.array([[self.nearest(a) for a in of] for of in ends])
-        flat = yield from self.residuals(list(allowed.reshape(-1, allowed.shape[-1])))
-        r = np.array(flat).reshape(*allowed.shape[:2], -1)
-        J = central_differences(allowed, r)
-        return [_Point(a=a[0], r=x[0], J=j) for a, x, j in zip(allowed, r, J, strict=True)]
+    def point(self, action: Array) -> Asking[_Point]:
+        """An action with residuals and derivatives, simulated side by side."""
+        allowed = np.array([self.nearest(a) for a in stencil(action, STEP)])
+        r = np.array((yield from self.residuals(list(allowed))))
+        return _Point(a=allowed[0], r=r[0], J=central_differences(allowed, r))
 
 
 def polish(
@@ -213,7 +210,7 @@ def polishing(
     first = task.check_action(items[0], start) / problem.units
     rng, deadline = np.random.default_rng(seed), began + seconds
     if task.goals:
-        points = yield from problem.points([first])
+        points = [(yield from problem.point(first))]
     else:
         points = yield from problem.flat([first, *map(np.array, task.candidates)])
     what = f"no action of {task.name} can be simulated with this {task.kind}"
@@ -257,7 +254,7 @@ def _improved(problem: PolishingProblem, best: _Point, deadline: float) -> Askin
         starts = time.monotonic()
         if best.done or deadline - starts < round_seconds:
             break
-        (new,) = yield from problem.points([best.a + _step(best)])
+        new = yield from problem.point(best.a + _step(best))
         best = _better(best, new)
         round_seconds = time.monotonic() - starts
     return best
