@@ -20,7 +20,7 @@ from gendom.arrays import Array
 from gendom.materials import Item
 from gendom.policies import Policy
 from gendom.policies.evaluation import choose, judge
-from gendom.policies.polishing import Polished, Problem, polishing
+from gendom.policies.polishing import Polished, PolishingProblem, polishing
 from gendom.policies.rollouts import Asking, side_by_side
 from gendom.tasks import Task
 from gendom.tasks.cases import draw_cases
@@ -28,9 +28,6 @@ from gendom.tasks.world import Simulation
 
 GOALS = {"small": 6, "full": 201}
 """Of all ropes together."""
-
-DRAWS = 8
-"""Objects of a rope's posterior that an action is searched for."""
 
 POPULATION, SIGMA = 8, 0.1
 """Actions a generation, and standard deviation of the first [of the limits' width]."""
@@ -41,7 +38,7 @@ def evolved(
 ) -> Asking[Array]:
     """The action [A] whose miss over plausible objects is smallest of those that CMA-ES tries
     with so many rollouts, from a start [A]."""
-    problem = Problem(task, np.atleast_1d(goal), items, None)
+    problem = PolishingProblem(task, np.atleast_1d(goal), items, None)
     low, high = task.limits(items[0]).T / problem.units
     run = Evolution((start / problem.units - low) / (high - low), SIGMA, POPULATION, 0)
     best, cost = start / problem.units, math.inf
@@ -66,7 +63,7 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     cases = draw_cases(task, GOALS[flags.scale], seed=runs.seed, simulation=sim,
                        items=[find_object(name) for name in ROPES])  # fmt: skip
     held = [beliefs[k % len(beliefs)] for k in range(len(cases))]
-    items = [belief.draws(DRAWS, runs.seed) for belief in held]
+    items = [[belief.most_likely] for belief in held]
     start = choose(policy, cases, known=[belief.most_likely for belief in held])
     searches = [polishing(task, g, some, a, seconds=math.inf)
                 for g, some, a in zip(cases.goal, items, start, strict=True)]  # fmt: skip

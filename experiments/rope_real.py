@@ -64,6 +64,9 @@ CANDIDATES = 16
 WITHOUT_LIFT = 3.0 * math.log(0.7 / 0.25) / math.sqrt(12.0)
 """Standard deviation of ln E before a lift: bending lengths of 0.25 to 0.7 sizes."""
 
+WITHOUT_LIFT_DRAWS = 8
+"""Objects that an action is then polished for."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
@@ -84,8 +87,6 @@ class Settings:
     """Of fine-tuning on the second reality's demonstrations."""
     executions: int
     """That are learnt from, one after the other, for each goal."""
-    draws: int = 8
-    """Objects that an action is polished for."""
 
 
 SCALES = {
@@ -325,13 +326,18 @@ class Measured:
         return np.array(row["action"], dtype=float), np.array(row["reached"], dtype=float)
 
     def polished(
-        self, beliefs: Sequence[Estimate], start: Array, discrepancies: Sequence[Any] | None = None
+        self,
+        beliefs: Sequence[Estimate],
+        start: Array,
+        discrepancies: Sequence[Any] | None = None,
+        *,
+        draws: int = 0,
     ) -> Array:
-        """[W, A] actions polished for the posterior of each object."""
+        """[W, A] actions polished for the most likely objects, or for draws of each posterior."""
         task, seed = self.cases.task, self.runs.seed
         return polished(
             self.cases,
-            [belief.draws(self.settings.draws, seed) for belief in beliefs],
+            [b.draws(draws, seed) if draws else [b.most_likely] for b in beliefs],
             np.array([task.nearest(b.item, a) for b, a in zip(beliefs, start, strict=True)]),
             Simulation(device=self.runs.device),
             seed=seed,
@@ -363,7 +369,7 @@ def _measured(
         for known in cases.items
     ]
     blind, _ = done["ours, no parameters"]
-    rows.row("polished, no lift", partial(rows.polished, assumed, blind))
+    rows.row("polished, no lift", partial(rows.polished, assumed, blind, draws=WITHOUT_LIFT_DRAWS))
     ours, reached = done["ours"]
     action, there = rows.row("polished", partial(rows.polished, beliefs, ours))
     seen: list[list[Execution]] = [[] for _ in cases.items]

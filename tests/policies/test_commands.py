@@ -50,11 +50,9 @@ def act(make_policy, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(Policy, "pretrained", lambda task, *, parameters: policies[parameters])
     monkeypatch.setattr("gendom.policies.prediction.UNSTEADY", 0.04)  # the stand-in's move by 0.03
     monkeypatch.setattr("gendom.cli.act.DRAWS", 24)
-    monkeypatch.setattr("gendom.cli.act.POLISHED_FOR", 4)
 
-    def run(*flags, estimate=ESTIMATE, goal="0.35", policys=True):
+    def run(*flags, estimate=ESTIMATE, goal="0.35"):
         words = ["act", "rope-reaching", "--goal", goal, *flags]
-        words += ["--no-polish"] if policys and "--polish" not in flags else []
         if estimate is not None:
             write_json(tmp_path / "estimate.json", estimate)
             words += ["--params", str(tmp_path / "estimate.json")]
@@ -176,9 +174,8 @@ def test_act_predicts_what_will_be_reached(act):
 def test_act_polishes_for_the_estimated_object(act):
     plain = json.loads(act("--json")[1])
     flags = ("--damping", "0.004", "--seconds", "60")
-    polished = json.loads(act("--json", *flags, policys=False)[1])
-    again = json.loads(act("--json", *flags, "--polish")[1])
-    assert polished["action"] == again["action"]
+    polished = json.loads(act("--json", *flags, "--polish")[1])
+    assert "polished" not in plain
     about = polished["polished"]
     assert about["expected"] < 0.5 * about["before"]
     assert polished["action"] != plain["action"]
@@ -191,7 +188,8 @@ def test_act_polishes_for_the_estimated_object(act):
 def test_act_warns_of_a_goal_outside_of_its_own_interval(act):
     """The stand-in's release reaches farther, as it says itself; a polished one does not."""
     for warns in (True, False):
-        _, out, err = act("--json", "--damping", "0.004", "--seconds", "60", policys=warns)
+        polish = () if warns else ("--polish",)
+        _, out, err = act("--json", "--damping", "0.004", "--seconds", "60", *polish)
         said = json.loads(out)
         low, high = said["predicted"]["interval_90"]["x"]
         assert (low <= 0.35 <= high) != warns

@@ -45,9 +45,6 @@ DRAWS = 64
 """Objects drawn from an estimate's posterior to choose an action for, and to say what will be
 reached."""
 
-POLISHED_FOR = 8
-"""Objects drawn to polish an action for."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Command(KnownObject):
@@ -77,11 +74,8 @@ class Command(KnownObject):
     no_parameters: bool = False
     """Use the shipped policy that does not see the object's parameters."""
     polish: bool = False
-    """Improve the action through the simulator, for objects drawn from the estimate and with what
-    earlier executions have shown (gendom adapt). Without it that is done where it takes a few
-    seconds: ropes in the engine thin."""
-    no_polish: bool = False
-    """Take the policy's action as it is."""
+    """Improve the action through the simulator, for the most likely object and with what earlier
+    executions have shown (gendom adapt); before the first one that is no better."""
     seconds: float = 5.0
     """Time limit of polishing [s]."""
     engine: Engine = "thin"
@@ -117,8 +111,7 @@ class Command(KnownObject):
         world = Simulation(engine=self.engine)
         known = held.value("E_over_rho") is not None
         simulated = not self.no_prediction and known
-        quick = task.kind == "rope" and self.engine == "thin" and simulated
-        if self.polish or (quick and not self.no_polish and not self.no_parameters):
+        if self.polish:
             values, polished, wrong = self._polished(task, held, values, world)
         if simulated and not self.force:
             values, notes = steady(task, item, action.goal, values, wrong, world, self.seed)
@@ -220,10 +213,9 @@ class Command(KnownObject):
         discrepancy = None
         if seen := executed(held, task):
             discrepancy = adapt(task, belief, seen, refine=False, world=world).discrepancy
-        items = belief.draws(POLISHED_FOR, self.seed) if belief.names else [belief.item]
         found = polish(
-            task, np.array(self.goal), items, start, seconds=self.seconds, seed=self.seed,
-            discrepancy=discrepancy, world=world,
+            task, np.array(self.goal), [belief.most_likely], start, seconds=self.seconds,
+            seed=self.seed, discrepancy=discrepancy, world=world,
         )  # fmt: skip
         about = {"expected": found.expected, "before": found.before,
                  "rollouts": found.rollouts, "seconds": found.seconds}  # fmt: skip

@@ -102,9 +102,6 @@ VARIANTS = (WITH, WITHOUT, "polished in the simulator", "after one execution")
 MOTION_RATE = 30.0
 """Frames a second of the executed motion."""
 
-POLISH_DRAWS = 8
-"""Objects drawn from the estimate to polish an action for."""
-
 _FINER = 4
 """Reached places are looked for this much finer in time than the motion is shown."""
 

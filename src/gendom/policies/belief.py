@@ -55,17 +55,6 @@ def believed(estimate: Estimate, task: Task, where: str = "estimate") -> Estimat
     return estimate.of_object(uncertain(task, estimate.item))
 
 
-def plausible(belief: Estimate) -> list[Item]:
-    """Objects with the belief's mean and covariance in its P unknowns: 2 P at sqrt(P) deviations
-    along each principal axis (the sigma points of Julier and Uhlmann 1997). As few draws would
-    have another mean, which moves an action that is polished for them."""
-    if not belief.names:
-        return [belief.item]
-    variance, axes = np.linalg.eigh(belief.covariance)
-    steps = axes * np.sqrt(len(variance) * np.maximum(variance, 0.0))
-    return [belief.at(belief.mean + sign * step) for step in steps.T for sign in (1.0, -1.0)]
-
-
 def weighed(
     items: Sequence[Item], executions: Sequence[Execution], policy: Policy, seed: int
 ) -> list[Item]:

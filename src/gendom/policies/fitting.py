@@ -53,6 +53,10 @@ RISK_MARGIN = 0.5
 """How far below its limit a policy keeps the risk that is predicted, in powers of e."""
 
 
+CHANCE_WEIGHT_DECAY = 1.0
+"""Of the method ``chance``, which sees each outcome once: with the usual one it learns the chance
+of single trials, and chooses by it (docs/notes/policies.md)."""
+
 CHANCE = Column(name="chance", mean=0.0, scale=1.0)
 """Output of the method ``chance``."""
 
@@ -289,7 +293,8 @@ class TrainingProblem:
                 show(done, note=f"loss {loss:.2e}{aside}")
 
             fit(network, loss_of, rows, epochs=epochs, batch_size=how.batch_size,
-                learning_rate=learning_rate, weight_decay=how.weight_decay, held_out=held_out,
+                learning_rate=learning_rate, held_out=held_out,
+                weight_decay=CHANCE_WEIGHT_DECAY if self.chooses else how.weight_decay,
                 on_epoch=told if self.shown else None)  # fmt: skip
 
 

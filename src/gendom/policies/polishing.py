@@ -8,7 +8,8 @@ by damped Gauss-Newton steps (Levenberg 1944, Marquardt 1963):
 where f is the simulated result, b the simulator's error as learnt from executions, and s the
 standard deviation of b (`gendom.policies.adaptation`). Actions whose outcome depends little on what
 is uncertain win. An action has one to three numbers, so its derivatives are central differences of
-worlds in one batch.
+worlds in one batch. The search begins at the policy's action and does not leave its neighbourhood:
+elsewhere the simulator may hold a release for good that in reality sways (docs/notes/policies.md).
 
 A task without goals has no such residuals: a share that is enough or not has no derivative. There
 the best of the known actions is varied by chance, ever less, and the best so far is kept.
@@ -42,15 +43,8 @@ class Discrepancy(Protocol):
         ...
 
 
-CANDIDATES, SCREENING_OBJECTS = 48, 2
-"""Actions looked at beside the policy's, drawn from all that the task allows, and the objects that
-these are looked at with."""
-
-POLISHED_ACTIONS = 3
-"""Of these, how many are polished, the policy's among them."""
-
 MAX_ITERATIONS = 6
-"""Steps of each, at most."""
+"""Steps, or rounds of variations, at most."""
 
 VARIATION, VARIATIONS = 0.08, 12
 """Standard deviation of the first variations of an action of a task without goals [of its limits'
@@ -99,7 +93,7 @@ class _Point:
         return float(self.r @ self.r)
 
 
-class Problem:
+class PolishingProblem:
     """What is minimised, for K objects; actions and goals in units of similarity."""
 
     def __init__(
@@ -159,14 +153,11 @@ class Problem:
             _Point(a=a, r=x, J=np.zeros((len(x), len(a)))) for a, x in zip(actions, r, strict=True)
         ]
 
-    def points(self, actions: Sequence[Array]) -> Asking[list[_Point]]:
-        """Actions with residuals and derivatives, all simulated side by side."""
-        ends = stencil(np.array(actions), STEP)
-        allowed = np.array([[self.nearest(a) for a in of] for of in ends])
-        flat = yield from self.residuals(list(allowed.reshape(-1, allowed.shape[-1])))
-        r = np.array(flat).reshape(*allowed.shape[:2], -1)
-        J = central_differences(allowed, r)
-        return [_Point(a=a[0], r=x[0], J=j) for a, x, j in zip(allowed, r, J, strict=True)]
+    def point(self, action: Array) -> Asking[_Point]:
+        """An action with residuals and derivatives, simulated side by side."""
+        allowed = np.array([self.nearest(a) for a in stencil(action, STEP)])
+        r = np.array((yield from self.residuals(list(allowed))))
+        return _Point(a=allowed[0], r=r[0], J=central_differences(allowed, r))
 
 
 def polish(
@@ -202,7 +193,7 @@ def polishing(
         items: K objects of one size: one that is known, or draws of an `Estimate`.
         start: [A] where to begin, such as a policy's action, in SI units.
         seconds: Wall time after which the best so far is taken [s].
-        seed: Of the actions that are looked at beside the start.
+        seed: Of variations.
         discrepancy: What is added to what the simulator says is reached.
 
     Raises:
@@ -215,15 +206,19 @@ def polishing(
     require(fits, f"is {wanted.tolist()}", where="goal")
     require(seconds > 0.0, f"must be positive, got {seconds}", where="seconds")
     require(items, "no object to polish for", fix="give one or more")
-    problem = Problem(task, wanted, items, discrepancy)
+    problem = PolishingProblem(task, wanted, items, discrepancy)
     first = task.check_action(items[0], start) / problem.units
     rng, deadline = np.random.default_rng(seed), began + seconds
-    chosen = yield from _screened(problem, first, rng)
     if task.goals:
-        points = yield from problem.points(chosen)
-        best = yield from _improved(problem, points, deadline)
+        points = [(yield from problem.point(first))]
     else:
-        points = yield from problem.flat(chosen)
+        points = yield from problem.flat([first, *map(np.array, task.candidates)])
+    what = f"no action of {task.name} can be simulated with this {task.kind}"
+    fix = "check the object's numbers"
+    require(min(p.cost for p in points) < np.inf, what, fix=fix, error=SimulationError)
+    if task.goals:
+        best = yield from _improved(problem, points[0], deadline)
+    else:
         best = yield from _varied(problem, points, rng, deadline)
     return Polished(
         action=task.check_action(items[0], best.a * problem.units),
@@ -234,25 +229,8 @@ def polishing(
     )
 
 
-def _screened(problem: Problem, first: Array, rng: np.random.Generator) -> Asking[list[Array]]:
-    """The start, and the best of drawn or known actions as simulated with a few of the objects."""
-    task, item = problem.task, problem.items[0]
-    others = [np.array(known) for known in task.candidates]
-    if not others:
-        others = [*(task.sample_actions(item, rng, CANDIDATES) / problem.units)]
-    tried = [first, *others]
-    r = yield from problem.residuals(tried, problem.items[:SCREENING_OBJECTS])
-    costs = np.array([float(x @ x) for x in r])
-    what = f"no action of {task.name} can be simulated with this {task.kind}"
-    fix = "check the object's numbers"
-    require(np.isfinite(costs).any(), what, fix=fix, error=SimulationError)
-    order = [int(k) for k in np.argsort(costs, kind="stable")[:POLISHED_ACTIONS]]
-    # the start is polished too: the policy may know better than a few draws
-    return [tried[k] for k in [0, *(k for k in order if k)][:POLISHED_ACTIONS]]
-
-
 def _varied(
-    problem: Problem, points: Sequence[_Point], rng: np.random.Generator, deadline: float
+    problem: PolishingProblem, points: Sequence[_Point], rng: np.random.Generator, deadline: float
 ) -> Asking[_Point]:
     """The best that variations of the best lead to from some points until a time [s]."""
     best = min(points, key=lambda p: p.cost)
@@ -269,21 +247,17 @@ def _varied(
     return best
 
 
-def _improved(problem: Problem, points: Sequence[_Point], deadline: float) -> Asking[_Point]:
-    """The best that damped Gauss-Newton steps lead to from some points until a time [s]."""
-    points = list(points)
+def _improved(problem: PolishingProblem, best: _Point, deadline: float) -> Asking[_Point]:
+    """What damped Gauss-Newton steps lead to until a time [s]."""
     round_seconds = 0.0
     for _ in range(MAX_ITERATIONS):
-        going = [k for k, p in enumerate(points) if not p.done]
         starts = time.monotonic()
-        if not going or deadline - starts < round_seconds:
+        if best.done or deadline - starts < round_seconds:
             break
-        steps = [points[k].a + _step(points[k]) for k in going]
-        new = yield from problem.points(steps)
-        for k, found in zip(going, new, strict=True):
-            points[k] = _better(points[k], found)
+        new = yield from problem.point(best.a + _step(best))
+        best = _better(best, new)
         round_seconds = time.monotonic() - starts
-    return min(points, key=lambda p: p.cost)
+    return best
 
 
 def _step(p: _Point) -> Array:
