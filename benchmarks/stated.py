@@ -118,7 +118,9 @@ def npe(found: Any) -> dict[str, Any]:
 def verdicts(found: Any) -> dict[str, Any]:
     cases = list(found["cases"].values())
     said = {name: sum(c[name] for c in cases) for name in ("refused", "right", "wrong")}
-    return {"lifts": found["lifts"], "cases": sum(said.values()), **said}
+    usable = [{c: a["right"] for c, a in row.items() if a["usable"]} for row in found["rows"]]
+    own = [list(row.values()).count(False) for row in usable if row.get("as recorded") is False]
+    return {"lifts": found["lifts"], "cases": sum(said.values()), **said, "own": sum(own)}
 
 
 def rope(found: Any) -> dict[str, Any]:
@@ -310,10 +312,11 @@ FIGURES = (
         "coverage-given", "python -m experiments coverage --given lifts", given,
         absolute=1.0, needs=("hours",),
     ),
-    experiment("sbc", "sbc --lifts 200 --seed 100", sbc),
+    experiment("sbc", "sbc --lifts 24 --seed 100", sbc),
     experiment("npe", "npe --scale full --lifts 60 --device cuda", npe, "cuda"),
     experiment("verdict", "verdict --lifts 3 --seed 2000", verdicts),
     experiment("verdict-wide", "verdict --wide --lifts 2 --seed 2000", verdicts),
+    experiment("verdict-thin", "verdict --kind thin --lifts 1 --seed 2000", verdicts),
     experiment("verdict-cloth", "verdict --kind cloth --lifts 1 --seed 2000", verdicts),
     Figure("demo", "gendom demo", demo, relative=0.3, absolute=0.3),
     REAL("rope-red", "gendom estimate rope_red_lift.npz --starts 1 --seed 0", rope),
