@@ -48,7 +48,7 @@ test: $(FULL)
 # In an environment of its own. Tests that need torch or Ray skip. What other packages do for us is used by these
 # rooms; the rest is our own arithmetic.
 LOWEST := cli datasets extending fuzz hardware perception robot viz sim/test_device.py sim/test_rollout.py \
-  policies/test_policy.py reality/test_envs.py reality/test_recording.py
+  policies/test_policy.py reality/test_envs.py
 test-lowest: ARGS := $(or $(ARGS),$(addprefix tests/,$(LOWEST)) $(wildcard tests/test_*.py))
 test-lowest:
 	@echo "installing the oldest versions in .venv-lowest (1 to 5 minutes)"
