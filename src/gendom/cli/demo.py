@@ -216,7 +216,7 @@ class Command:
         for name in each(tuple(ropes), "the arm acts", "rope"):
             rope, belief = ropes[name], believed(found[name], task)
             aim = self._goal(rope, belief, policies) if goal is None else goal
-            outcome, pair = carry_out(name, rope, policies, aim, belief, self.seed)
+            outcome, pair = carry_out(name, rope, policies, aim, belief)
             model = task.outcome(belief.item, _simulated(task, belief.item, pair[0].run.action))
             known = [model[q.name] for q in task.goals]
             apart.append(np.linalg.norm(pair[0].run.reached - known))
@@ -280,7 +280,6 @@ def carry_out(
     policies: Sequence[Policy],
     goal: np.ndarray,
     belief: Estimate,
-    seed: int,
 ) -> tuple[ReachOutcome, tuple[Executed, Executed]]:
     """What each of `VARIANTS` reached, and the motions with and without parameters.
 
@@ -290,8 +289,8 @@ def carry_out(
     task = policies[0].task()
 
     def polished(start: np.ndarray, belief: Estimate, **known: Any) -> Executed:
-        items = belief.draws(POLISH_DRAWS, seed)
-        return execute(rope, task, polish(task, goal, items, start, **known).action)
+        action = polish(task, goal, [belief.most_likely], start, **known).action
+        return execute(rope, task, action)
 
     ours, without = (
         execute(rope, task, np.array(p.act(goal, belief.item, force=True).values)) for p in policies
