@@ -31,6 +31,7 @@ def register(names: Iterable[str] = BUILT_IN) -> None:
             )
             gymnasium.register(
                 id=f"{title}Steps-v0",
+                entry_point="gendom.tasks.envs:StepsEnv",
                 vector_entry_point="gendom.tasks.envs:StepsVectorEnv",
                 kwargs={"task": name},
                 disable_env_checker=True,

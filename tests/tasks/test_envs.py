@@ -6,10 +6,11 @@ import pytest
 pytest.importorskip("gymnasium", reason="needs the extra reality")
 
 import gymnasium
+from gymnasium.utils.env_checker import check_env
 
 from gendom.errors import ParameterError
 from gendom.materials import size_of
-from gendom.tasks.envs import MARKERS, STEPS, StepsVectorEnv
+from gendom.tasks.envs import MARKERS, STEPS, StepsEnv, StepsVectorEnv
 
 W, MODULE = 3, "gendom.environments:"
 
@@ -80,15 +81,26 @@ def test_other_tasks_have_environments_too(task, monkeypatch):
     assert np.all(after[:, 6 * MARKERS] > seen[:, 6 * MARKERS])  # the tool went ahead
 
 
+def test_gymnasium_finds_nothing_amiss(monkeypatch):
+    monkeypatch.setattr("gendom.tasks.envs.BANK", 2)
+    check_env(StepsEnv("rope-casting"), skip_render_check=True)
+
+
 def test_there_is_no_such_task(monkeypatch):
     with pytest.raises(ParameterError, match="rope-reaching"):
         StepsVectorEnv("rope-knotting")
     with pytest.raises(ParameterError, match="num_envs"):
         StepsVectorEnv("rope-casting", 0)
+    # steps before a reset and after the end are refused
     monkeypatch.setattr("gendom.tasks.envs.BANK", 2)
-    made = StepsVectorEnv("rope-casting", 1)
+    one = gymnasium.make(f"{MODULE}gendom/RopeCastingSteps-v0").unwrapped
     with pytest.raises(ParameterError, match="call reset first"):
-        made.step(np.zeros((1, 2)))
-    made.reset(seed=0)
+        one.step(np.zeros(2))
+    one.reset(seed=0)
     with pytest.raises(ParameterError, match="actions"):
-        made.step(np.zeros((1, 3)))
+        one.step(np.zeros(3))
+    over = False
+    while not over:
+        _, _, over, _, _ = one.step(np.zeros(2))
+    with pytest.raises(ParameterError, match="the episode is over"):
+        one.step(np.zeros(2))
