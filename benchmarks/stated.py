@@ -312,7 +312,7 @@ FIGURES = (
         "coverage-given", "python -m experiments coverage --given lifts", given,
         absolute=1.0, needs=("hours",),
     ),
-    experiment("sbc", "sbc --lifts 24 --seed 100", sbc),
+    experiment("sbc", "sbc --lifts 200 --seed 100", sbc),
     experiment("npe", "npe --scale full --lifts 60 --device cuda", npe, "cuda"),
     experiment("verdict", "verdict --lifts 3 --seed 2000", verdicts),
     experiment("verdict-wide", "verdict --wide --lifts 2 --seed 2000", verdicts),

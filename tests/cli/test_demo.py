@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import tyro
 
-from gendom import cli
 from gendom.cli import demo
 from gendom.cli.demo import Command
 from gendom.materials.estimate import Estimate
@@ -27,23 +26,6 @@ def test_commands_to_try_next_are_commands(command):
         said = shlex.split(words)
         module = import_module(f"gendom.cli.{said[1]}")
         tyro.cli(module.Command, args=said[2:], config=(tyro.conf.FlagCreatePairsOff,))
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        ("--task rope-reaching --goal 5", "x 5 m is what no rope of 0.3 m reaches; choose 0."),
-        ("--task rope-reaching --goal nan", "x nan m"),
-        ("--goal 0.4", "--goal: has 1 numbers; give x, z"),
-        ("--goal 0.4 5", "--goal: z 5 m"),
-    ],
-)
-def test_a_goal_that_no_rope_reaches_is_refused_before_the_work(tmp_path, capsys, words, says):
-    pytest.importorskip("mujoco", reason="needs the extra reality")
-    assert cli.main(["demo", "--out", str(tmp_path / "demo"), *words.split()]) == 2
-    printed = capsys.readouterr()
-    assert printed.out == "" and not (tmp_path / "demo").exists()
-    assert says in printed.err
 
 
 def test_without_mujoco_actions_are_carried_out_in_our_simulator(monkeypatch):

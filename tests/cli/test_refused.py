@@ -46,7 +46,7 @@ dataset rope-reaching --size 0 --out set | --size: is 0; give 1 or more
 dataset knitting --size 3 --out set | knitting
 demo --task rope-reaching --goal 5 | x 5 m is what no rope of 0.3 m reaches; choose 0.
 demo --task rope-reaching --goal nan | x nan m
-demo --goal 0.4 | --goal: has 1 numbers; give x, z of each
+demo --goal 0.4 | --goal: has 1 numbers; give x, z
 demo --goal 0.4 5 | --goal: z 5 m
 record --out new | give either --reality or --cell
 record --reality rope-cotton --cell cell.toml --out new | give either --reality or --cell

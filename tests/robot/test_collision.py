@@ -105,12 +105,11 @@ def test_distances_are_those_of_coal(other):
         a, b, c, d = rng.uniform(-0.5, 0.5, (4, 3))
         r, wide = rng.uniform(0.01, 0.1, 2)
         size, turn = rng.uniform(0.02, 0.6, 3), rng.normal(0.0, 2.0, 3)
-        thing = post("post", c, d, wide) if other == "capsule" else box("box", c, size, turn)
-        theirs = (
-            coal_capsule(coal, c, d, wide)
-            if other == "capsule"
-            else (coal.Box(*size), coal.Transform3s(thing.turn, c))
-        )
+        if other == "capsule":
+            thing, theirs = post("post", c, d, wide), coal_capsule(coal, c, d, wide)
+        else:
+            thing = box("box", c, size, turn)
+            theirs = coal.Box(*size), coal.Transform3s(thing.turn, c)
         own, result = coal_capsule(coal, a, b, r), coal.DistanceResult()
         found = coal.distance(*own, *theirs, coal.DistanceRequest(), result)
         mine = float(thing.distance(a, b)) - r

@@ -10,7 +10,7 @@ from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
 from gendom.sim import Gripper, Simulator, Solver, Table, Targets, cloth, rope
 from gendom.sim.thin.engine import ThinEngine
-from gendom.viz.simulation import Motion
+from gendom.viz.simulation import motion_of
 
 ROPE = rope(length=0.2, diameter=0.012)
 CLOTH = cloth(width=0.1, height=0.1, thickness=1e-3, dx=0.02, points=(9, 9))
@@ -127,4 +127,4 @@ def test_what_a_step_does_not_take_is_refused():
     ):
         with pytest.raises(ParameterError, match=words):
             call()
-    assert len(Motion(particles).initial.layers) == 2  # its gripper is drawn all the same
+    assert len(motion_of(particles).layers) == 2  # its gripper is drawn all the same

@@ -10,6 +10,7 @@ as a calibration's error is, and what grows with the way, as its turn does, are 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -141,7 +142,7 @@ def _shifts(seen: list[_Seen], known: list[_Seen], along: Array) -> Array:
             far = tree.query(points - by * way, distance_upper_bound=_FAR)[0]
             return float(np.mean(np.minimum(far, _FAR) ** 2))
 
-        best = minimize_scalar(apart, bounds=(-_REACH, _REACH), options={"xatol": 2e-5})
+        best: Any = minimize_scalar(apart, bounds=(-_REACH, _REACH), options={"xatol": 2e-5})
         found.append(best.x)
     return np.array(found)
 
