@@ -79,7 +79,8 @@ class Stage:
                 continue
             pen.line(places, color, max(round(width), 1))
             for x, y in places:  # round ends
-                pen.circle((x, y), 0.5 * width, color)
+                r = 0.5 * width
+                pen.ellipse((x - r, y - r, x + r, y + r), color)
         for layer in layers:
             if layer.kind == "dots":
                 self._dots(image, layer, frame)
