@@ -117,7 +117,8 @@ def test_what_is_recorded_is_where_it_truly_is(clean):
     assert not any(word in given for word in ("young", "poisson", "density", "polyester"))
 
 
-@pytest.mark.parametrize("end", ["swing", pytest.param("drop", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("end", ["swing", "drop"])
 def test_a_lift_that_ends_in_motion_is_perceived_to_its_end(rendering, tmp_path, end):
     """Cameras are synchronised, so that a falling rope is seen once, not twice."""
     folder = tmp_path / end
