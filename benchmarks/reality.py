@@ -22,8 +22,19 @@ from gendom.datasets import Recording
 from gendom.estimation import Estimate, EstimateSettings, LiftScene, estimate, replay
 from gendom.estimation.replay import middle
 from gendom.files import write_json
-from gendom.reality import OBJECTS, RealObject, RealRope, find_object
-from gendom.reality.recording import record_and_perceive
+from gendom.perception import PerceptionSettings, perceive, read_cameras
+from gendom.reality import (
+    OBJECTS,
+    RealObject,
+    RealRope,
+    TrialRun,
+    find_object,
+    lift,
+    lift_cameras,
+)
+from gendom.reality import (
+    record as record_trial,
+)
 from gendom.viz.palette import rgb
 
 FINER = 8
@@ -84,7 +95,19 @@ def measure(
 ) -> dict[str, float | str | None]:
     """One object's row."""
     if not (folder / "recording.npz").exists():
-        _, sights = record_and_perceive(item, folder, frame_rate=args.frame_rate, seed=args.seed)
+        run = TrialRun(lift(item), cameras=lift_cameras(item))
+        run.step_to(run.closes)
+        notes = f"The predefined lift of {item.name}, seed {args.seed}."
+        with run.world:
+            record_trial(run, folder, frame_rate=args.frame_rate, seed=args.seed, notes=notes)
+        recorded = read_cameras(folder)
+        seen = perceive(recorded, PerceptionSettings(colour=item.colour))
+        seen.recording.write(folder / "recording.npz")
+        sights = []
+        for source in recorded.sources:  # halfway
+            frames = list(source)
+            pictures = frames[len(frames) // 2].read()
+            sights.append((pictures.colour, pictures.depth * source.camera.depth_unit))
         (folder / "views.jpg").write_bytes(encode_camera_views(sights))
     recording = Recording.read(folder / "recording.npz")
     if (folder / "estimate.json").exists():

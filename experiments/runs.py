@@ -198,16 +198,20 @@ class Runs:
         Raises:
             DeviceError: The second reality cannot be simulated or rendered here.
         """
-        from gendom.reality.recording import record_and_perceive
+        from gendom.perception import PerceptionSettings, perceive, read_cameras
+        from gendom.reality import TrialRun, lift, lift_cameras, record
 
         path = self._path(label, ".npz")
         if not path.exists():
             self.folder.mkdir(parents=True, exist_ok=True)
             rate = LIFT_FRAME_RATE[motion.end]
             with TemporaryDirectory(dir=self.folder) as pictures:
-                recording, _ = record_and_perceive(
-                    item, pictures, frame_rate=rate, seed=self.seed, motion=motion
-                )
+                run = TrialRun(lift(item, motion), cameras=lift_cameras(item))
+                run.step_to(run.closes)
+                with run.world:
+                    record(run, pictures, frame_rate=rate, seed=self.seed)
+                by_colour = PerceptionSettings(colour=item.colour)
+                recording = perceive(read_cameras(pictures), by_colour).recording
             if most is not None:
                 recording = _thinned(recording, most, self.seed)
             recording.write(path)

@@ -56,7 +56,6 @@ record --reality rope-cotton --rise 225 --out new | 0.3 m long; give metres: 225
 record --reality rope-cotton --rise 22 --out new | 0.3 m long; give metres: 22 cm are 0.22
 record --reality rope-cotton --rise nan --out new | --rise: is nan m
 record --reality rope-cotton --rise 0 --out new | --rise: is 0 m
-record --reality rope-cotton --encoder-noise 5 --out new | is 5 radians; give 0 to 0.1: 5 mrad are
 record --reality rope-cotton --frame-rate 0 --out new | --frame-rate: is 0.0; give 90 or less
 record --reality cloth-cotton --rise 150 --out new | --rise: is 150 m, and the cloth 0.3 m wide
 

@@ -60,8 +60,8 @@ LIFTS = {
     "rope-polyester": "demo-rope-polyester",
     "rope-polyethylene": "demo-rope-polyethylene",
 }
-"""The ropes, and their recordings in the package's assets: each made by
-`gendom.reality.recording.record_and_perceive` at 15 frames a second with seed 0."""
+"""The ropes, and their recordings in the package's assets: each of `gendom record` and `perceive`
+at 15 frames a second with seed 0."""
 
 GOALS = 40
 """Goals that are drawn for each rope, of which one is chosen."""

@@ -33,9 +33,6 @@ SPAN = {"rope": "long", "cloth": "wide"}
 MAX_RISE = 2.0
 """In lengths of a rope or sides of a cloth; more was not given in metres."""
 
-MAX_ENCODER_NOISE = 0.1
-"""Far more than any robot's [rad]."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
@@ -77,13 +74,7 @@ class Command:
     """Cameras without noise."""
     no_errors: bool = False
     """A rig without its errors: 2 mm and 0.3 degrees of calibration, 20 ms between the cameras (1
-    ms with --end swing or drop: those are joined by a cable), and the two below."""
-    robot_clock: float = 0.0
-    """Seconds by which the robot's clock is ahead of the first camera's, -0.1 to 0.1."""
-    encoder_noise: float = 0.0
-    """Noise of the robot's measured joint angles in radians."""
-    grip_force: float = math.inf
-    """Newtons that the fingers hold at most: pulled harder, the object slips."""
+    ms with --end swing or drop: those are joined by a cable)."""
     seed: Seed = 0
 
     def run(self) -> int:
@@ -111,21 +102,12 @@ class Command:
         return usual if self.rise is None else replace(usual, rise=self.rise / size_of(item))
 
     def _in_mujoco(self, reality: str) -> int:
-        rate, noise = self.frame_rate, self.encoder_noise
-        fix = "give 90 or less, above 0"
+        rate, fix = self.frame_rate, "give 90 or less, above 0"
         require(0.0 < rate <= 90.0, f"is {rate}", where="--frame-rate", fix=fix)
-        fix = f"give 0 to {MAX_ENCODER_NOISE:g}"
-        if MAX_ENCODER_NOISE < noise < math.inf:
-            fix += f": {noise:g} mrad are {1e-3 * noise:g}"
-        what = f"is {noise:g} radians"
-        require(0.0 <= noise <= MAX_ENCODER_NOISE, what, where="--encoder-noise", fix=fix)
         check_folder(self.out)
         item = find_object(reality)
         self._check_rise(item)
-        trial = lift(item, self._motion(item))
-        trial_run = TrialRun(trial, cameras=lift_cameras(item), grip_force=self.grip_force)
-        usual = RigErrors.synchronised() if trial.quick else RigErrors()
-        errors = replace(usual, robot_clock=self.robot_clock, encoders=self.encoder_noise)
+        trial_run = TrialRun(lift(item, self._motion(item)), cameras=lift_cameras(item))
         trial_run.step_to(trial_run.closes)
         seconds = trial_run.end - trial_run.closes
         notes = f"The predefined lift of {item.name}, seed {self.seed}."
@@ -137,7 +119,7 @@ class Command:
                 seed=self.seed,
                 noisy=not self.no_noise,
                 notes=notes,
-                errors=RigErrors.none() if self.no_errors else errors,
+                errors=RigErrors.none() if self.no_errors else None,
                 on_frame=lambda moment: show(round(moment, 1)),
             )
         r, g, b = item.colour

@@ -14,15 +14,13 @@ mass of the air that is carried along: of a square of side a that moves broadsid
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from scipy.sparse import csr_array
 
-from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.materials import AIR_DENSITY
 from gendom.reality.objects import RealObject, RealRope
+from gendom.reality.twist import cross
 
 SHEET_DRAG = 1.2
 """Drag coefficient of a flat sheet across the flow [-]: a square plate has 1.17 (Hoerner,
@@ -41,15 +39,9 @@ class Air:
     Args:
         item: The object.
         density: Of the air [kg/m^3].
-
-    Raises:
-        ParameterError: The density is negative or not finite.
     """
 
     def __init__(self, item: RealObject, density: float = AIR_DENSITY):
-        fix = f"give kg/m^3: 0 for none, {AIR_DENSITY:g} in a room"
-        good = math.isfinite(density) and density >= 0.0
-        require(good, f"is {density}", where="air_density", fix=fix)
         self.density = density
         """[kg/m^3]."""
         if isinstance(item, RealRope):
@@ -75,7 +67,7 @@ class Air:
         if self._triangles is None:
             return self._on_rope(x, v)
         a, b, c = x[self._triangles.T]
-        n = 0.5 * _cross(b - a, c - a)  # its length is the area
+        n = 0.5 * cross(b - a, c - a)  # its length is the area
         area2 = np.einsum("ij,ij->i", n, n)
         through = np.einsum("ij,ij->i", self._mean @ v, n)  # A (v . n)
         size = -0.5 * self.density * SHEET_DRAG * np.abs(through) * through
@@ -94,9 +86,3 @@ class Air:
         forces[:-1] = half
         forces[1:] += half
         return forces
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """a x b [n, 3], several times as fast as NumPy's."""
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)

@@ -13,9 +13,7 @@ Perception, estimation and control never read `truth`.
 from __future__ import annotations
 
 import json
-import math
 import os
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -24,28 +22,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gendom.arguments import require
 from gendom.arrays import Array
-from gendom.datasets import Recording
 from gendom.errors import GendomError
 from gendom.files import atomic_path, check_folder, write_json
-from gendom.perception import (
-    CameraRecording,
-    PerceptionSettings,
-    PngWriter,
-    perceive,
-    read_cameras,
-)
-from gendom.reality.objects import RealObject
-from gendom.reality.sensor import MAX_CLOCK_OFFSET, RigErrors, observe
-from gendom.reality.trials import TrialRun, lift, lift_cameras
-from gendom.reality.world import Reality
-from gendom.robot import LiftMotion, tcp_pose
+from gendom.perception import PngWriter
+from gendom.reality.sensor import RigErrors, observe
+from gendom.reality.trials import TrialRun
 
-PATH_RATE = 100.0
-"""Sampling rate of the robot's measured path [1/s]."""
+PATH_RATE, PATH_LONGER = 100.0, 0.1
+"""Sampling rate of the robot's measured path [1/s], and how much longer than the pictures it is
+recorded, for cameras whose clocks are ahead [s]."""
 
 
 def record(
@@ -91,59 +79,60 @@ def record(
     require(fresh, what, where=str(folder), fix="name another folder", error=GendomError)
     if errors is None:
         errors = RigErrors.synchronised() if run.trial.quick else RigErrors()
-    # One stream of random numbers for each use: more frames do not change the calibration.
-    rig, *eyes, encoders = [
-        np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2 + len(world.cameras))
-    ]
     # Where nothing can be rendered, before anything is written.
     world.render(0)
     check_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    believed = errors.believed(world.cameras, rig)
-    writers = [PngWriter(folder / "cameras" / c.name, c) for c in believed]
     _write_object(folder / "object.toml", run, notes)
-    truth = []
-
-    def keep(c: int, moment: float, clean: tuple[np.ndarray, np.ndarray]) -> None:
-        pictures = observe(*clean, world.cameras[c], eyes[c], noisy=noisy)
-        writers[c].write(errors.stamp(c, moment), pictures)
-
-    began = world.time
-    frames, samples = _moments(run.end - began, frame_rate)
-    # OpenGL wants one thread; noise and files take one for each camera.
-    with ExitStack() as closed, ThreadPoolExecutor(len(writers)) as pool:
+    began, truth = world.time, []
+    frames = np.arange(int((run.end - began) * frame_rate + 1e-9) + 1) / frame_rate
+    lasts = run.end - began + PATH_LONGER
+    samples = np.arange(int(lasts * PATH_RATE + 1e-9) + 1) / PATH_RATE
+    with ExitStack() as closed:
         said = {"noisy": noisy, "errors": asdict(errors), "seed": seed}
-        closed.callback(_write_truth, folder / "truth", world, said, truth)
-        add = closed.enter_context(_path_files(folder, world, errors, encoders))
+        closed.callback(_write_truth, folder / "truth", run, said, truth)
+        add_sample = closed.enter_context(_path_files(folder, run))
+        take = closed.enter_context(_pictures(folder, run, errors, seed, noisy))
         for moment in np.union1d(frames, samples):
             run.step_to(began + moment)
             if moment in samples:
-                add(moment)
-            if moment not in frames:
-                continue
-            clean = [world.render(c) for c in range(len(writers))]
-            list(pool.map(keep, range(len(writers)), [moment] * len(writers), clean))
-            truth.append((moment, world.vertices()))
-            on_frame(moment)
-
-
-def _moments(seconds: float, frame_rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Times of the pictures and of the robot's path [s].
-
-    The path lasts a little longer than the pictures, because some clocks are ahead.
-    """
-    frames = np.arange(int(seconds * frame_rate + 1e-9) + 1) / frame_rate
-    samples = np.arange(int((seconds + MAX_CLOCK_OFFSET) * PATH_RATE + 1e-9) + 1) / PATH_RATE
-    return frames, samples
+                add_sample(moment)
+            if moment in frames:
+                take(moment)
+                truth.append((moment, world.vertices()))
+                on_frame(moment)
 
 
 @contextmanager
-def _path_files(
-    folder: Path, world: Reality, errors: RigErrors, encoders: np.random.Generator
+def _pictures(
+    folder: Path, run: TrialRun, errors: RigErrors, seed: int, noisy: bool
 ) -> Iterator[Callable[[float], None]]:
+    """Writes what all cameras see now, as of a time [s]."""
+    world, cameras = run.world, run.world.cameras
+    # One stream of random numbers for each use: more frames do not change the calibration.
+    rig, *eyes = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(1 + len(cameras)))
+    believed = errors.believed(cameras, rig)
+    writers = [PngWriter(folder / "cameras" / camera.name, camera) for camera in believed]
+
+    def keep(c: int, moment: float, clean: tuple[np.ndarray, np.ndarray]) -> None:
+        pictures = observe(*clean, cameras[c], eyes[c], noisy=noisy)
+        writers[c].write(errors.stamp(c, moment), pictures)
+
+    # OpenGL wants one thread; noise and files take one for each camera.
+    with ThreadPoolExecutor(len(cameras)) as pool:
+
+        def take(moment: float) -> None:
+            clean = [world.render(c) for c in range(len(cameras))]
+            list(pool.map(keep, range(len(cameras)), [moment] * len(cameras), clean))
+
+        yield take
+
+
+@contextmanager
+def _path_files(folder: Path, run: TrialRun) -> Iterator[Callable[[float], None]]:
     """Adds what is measured of the hand and of the arm's joints at a time [s] to gripper.csv and
     joints.csv; each row is on the disk at once."""
-    robot = world.robot
+    world, robot = run.world, run.world.robot
     heads = {"gripper": "time,x,y,z,ax,ay,az,closed"}
     if robot is not None:
         heads["joints"] = ",".join(["time", *(f"q{k}" for k in range(robot.arm.joints))])
@@ -154,17 +143,13 @@ def _path_files(
             tables[name] = files.enter_context(file)
             file.write(f"{head}\n")
 
-        def row(name: str, *numbers: float) -> None:
-            tables[name].write(",".join(f"{float(x):.6f}" for x in numbers) + "\n")
-
         def add(moment: float) -> None:
-            stamp, hand = moment + errors.robot_clock, world.hand
+            rows = {"gripper": [*world.hand, *world.hand_axis, len(world.held) > 0]}
             if robot is not None:
-                q = robot.measured(world.data)
-                wrong = q + errors.encoders * encoders.standard_normal(len(q))
-                hand = hand + tcp_pose(robot.arm, wrong)[:3, 3] - tcp_pose(robot.arm, q)[:3, 3]
-                row("joints", stamp, *wrong)
-            row("gripper", stamp, *hand, *world.hand_axis, len(world.held) > 0)
+                rows["joints"] = robot.measured(world.data)
+            for name, numbers in rows.items():
+                row = ",".join(f"{float(x):.6f}" for x in (moment, *numbers))
+                tables[name].write(f"{row}\n")
 
         yield add
 
@@ -191,8 +176,10 @@ def object_file(about: Mapping[str, Any], held: Mapping[str, Any]) -> str:
     return "\n\n[object]\n".join(map("\n".join, lines)) + "\n"
 
 
-def _write_truth(folder, world, said, truth) -> None:
-    item = world.item
+def _write_truth(
+    folder: Path, run: TrialRun, said: Mapping[str, Any], truth: list[tuple[float, Array]]
+) -> None:
+    item, world = run.trial.item, run.world
     with atomic_path(folder / "truth.npz") as temporary:
         np.savez_compressed(
             temporary,
@@ -210,61 +197,6 @@ def _write_truth(folder, world, said, truth) -> None:
             "damping": item.material.damping,
             "friction": item.friction,
             "air_density": world.air.density,
-            "grip_force": world.grip_force if math.isfinite(world.grip_force) else None,
             **said,
         },
     )
-
-
-def record_and_perceive(
-    item: RealObject,
-    folder: str | os.PathLike,
-    *,
-    frame_rate: float = 15.0,
-    seed: int = 0,
-    motion: LiftMotion | None = None,
-) -> tuple[Recording, list[tuple[npt.NDArray[np.uint8], Array]]]:
-    """Lift an object under two noisy cameras and perceive it by its colour.
-
-    Args:
-        item: The object.
-        folder: For the pictures; an older recording there is replaced. The recording itself is
-            written to recording.npz inside.
-        frame_rate: [1/s].
-        seed: Of all noise.
-        motion: How it is lifted (default: the predefined lift).
-
-    Returns:
-        The perceived recording, and what each camera saw halfway: colour [height, width, 3] and
-        depth [height, width] [m], 0 where there is none.
-
-    Raises:
-        DeviceError: MuJoCo is not installed, or nothing can be rendered.
-        RobotError: The motion is for another kind, or beyond the arm.
-        GendomError: The folder cannot be written.
-    """
-    folder = Path(folder)
-    run = TrialRun(lift(item, motion), cameras=lift_cameras(item))
-    for part in ("cameras", "truth"):
-        shutil.rmtree(folder / part, ignore_errors=True)
-    run.step_to(run.closes)
-    notes = f"The predefined lift of {item.name}, seed {seed}."
-    with run.world:
-        record(run, folder, frame_rate=frame_rate, seed=seed, notes=notes)
-    recorded = read_cameras(folder)
-    perceived = perceive(recorded, PerceptionSettings(colour=item.colour))
-    perceived.recording.write(folder / "recording.npz")
-    return perceived.recording, _halfway(recorded)
-
-
-def _halfway(
-    recorded: CameraRecording,
-) -> list[tuple[npt.NDArray[np.uint8], Array]]:
-    """Colour and depth [m] of each camera's middle picture."""
-    found = []
-    for source in recorded.sources:
-        frames = list(source)
-        pictures = frames[len(frames) // 2].read()
-        assert pictures.colour is not None
-        found.append((pictures.colour, pictures.depth * source.camera.depth_unit))
-    return found

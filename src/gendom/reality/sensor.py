@@ -62,10 +62,6 @@ z = f B / 126: 0.17 m for 848 x 480; 3 m is the end of the data sheet's ideal ra
 COLOUR_NOISE = 2.0
 """Standard deviation of colour noise, on the scale 0 to 255."""
 
-MAX_CLOCK_OFFSET = 0.1
-"""Largest offset between the robot's clock and the first camera's [s]; the robot's path is recorded
-for this much longer than the pictures."""
-
 Mask = npt.NDArray[np.bool_]
 
 
@@ -76,7 +72,6 @@ def observe(
     rng: np.random.Generator,
     *,
     noisy: bool = True,
-    times: float = 1.0,
 ) -> Pictures:
     """Add the sensor's errors to clean pictures of the camera's size.
 
@@ -90,7 +85,6 @@ def observe(
             because the stereo matching of a D400 works on rectified pictures.
         rng: Random number generator.
         noisy: False for depth that is only rounded to the depth unit, and the colour as it is.
-        times: Noise of the disparity, over `SUBPIXEL`.
 
     Returns:
         Depth in counts of `camera.depth_unit`, colour with noise.
@@ -98,7 +92,7 @@ def observe(
     z = np.asarray(depth, dtype=np.float64)
     if not noisy:
         return Pictures(_counted(np.where(np.isfinite(z), z, 0.0), camera), colour)
-    counts = _counted(_measured(z, camera, rng, times), camera)
+    counts = _counted(_measured(z, camera, rng), camera)
     noise = colour + COLOUR_NOISE * rng.standard_normal(colour.shape)
     return Pictures(counts, np.clip(np.rint(noise), 0.0, 255.0).astype(np.uint8))
 
@@ -109,7 +103,7 @@ def _counted(z: Array, camera: Camera) -> npt.NDArray[np.uint16]:
     return np.where(counts > 65535.0, 0.0, counts).astype(np.uint16)
 
 
-def _measured(z: Array, camera: Camera, rng: np.random.Generator, times: float) -> Array:
+def _measured(z: Array, camera: Camera, rng: np.random.Generator) -> Array:
     """Measured depth [m], 0 where there is none."""
     seen = (z > 0.0) & np.isfinite(z)
     fB = camera.K[0, 0] * BASELINE
@@ -121,7 +115,7 @@ def _measured(z: Array, camera: Camera, rng: np.random.Generator, times: float) 
     seen &= ~lost & ~_in_shadow(clean) & ~_grazed(clean / fB, camera, rng)
     seen &= rng.random(z.shape) >= DROPOUT
     noise = np.fft.rfft2(rng.standard_normal(z.shape)) * _blur(z.shape, CORRELATION)
-    disparity += times * SUBPIXEL * np.fft.irfft2(noise, s=z.shape)
+    disparity += SUBPIXEL * np.fft.irfft2(noise, s=z.shape)
     disparity = np.round(disparity / QUANTISATION) * QUANTISATION
     seen &= disparity > 0.0
     measured = np.divide(fB, disparity, out=np.zeros_like(z), where=seen)
@@ -180,19 +174,11 @@ class RigErrors:
     """RMS angle of the error of its direction [rad]."""
     clock_offset: float = 0.02
     """Offset of the clocks of all other cameras ahead of the first camera's [s]."""
-    robot_clock: float = 0.0
-    """Offset of the robot's clock ahead of the first camera's [s]."""
-    encoders: float = 0.0
-    """Standard deviation of the noise of measured joint angles, for each joint and sample [rad];
-    not used for a hand without a robot."""
 
     def __post_init__(self):
-        for name in ("translation", "rotation", "encoders"):
+        for name in ("translation", "rotation"):
             value = getattr(self, name)
             require(0.0 <= value < math.inf, f"{name} is {value}", fix="give 0 or more")
-        fix = f"give {MAX_CLOCK_OFFSET:g} s or less"
-        within = abs(self.robot_clock) <= MAX_CLOCK_OFFSET
-        require(within, f"robot_clock is {self.robot_clock}", fix=fix)
 
     @classmethod
     def none(cls) -> RigErrors:

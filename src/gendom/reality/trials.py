@@ -101,13 +101,10 @@ class TrialRun:
         trial: What is done.
         robot: True: the xArm 7 does it; False: a free hand.
         cameras: Fixed cameras.
-        air_density: Of the still air [kg/m^3]; 0: none.
-        grip_force: That the fingers hold at most before the object slips [N]; infinite: all.
 
     Raises:
         RobotError: The arm cannot follow the path within its limits, or would touch itself, the
             table or a camera.
-        ParameterError: `air_density` is negative or not finite, or `grip_force` not above 0.
         DeviceError: MuJoCo is not installed.
     """
 
@@ -117,8 +114,6 @@ class TrialRun:
         *,
         robot: bool = True,
         cameras: Sequence[Camera] = (),
-        air_density: float = AIR_DENSITY,
-        grip_force: float = math.inf,
     ):
         self.trial = trial
         self.motion, arm = None, None
@@ -133,8 +128,6 @@ class TrialRun:
             timestep=trial.timestep,
             slow_timestep=trial.slow_timestep,
             tolerance=trial.tolerance,
-            air_density=air_density,
-            grip_force=grip_force,
         )
         if arm is None:
             blend = trial.path.blend or 0.0
@@ -356,7 +349,7 @@ class RealWorld:
     def settings(self) -> dict[str, Any]:
         """As `World.settings`."""
         own = {"robot": self.robot, "air_density": AIR_DENSITY, "timestep": self.timestep}
-        return {"world": "reality", **own, "grip_force": None}  # it holds all
+        return {"world": "reality", **own}
 
     def begin(self, task: Task, item: Item, action: npt.ArrayLike) -> TrialRun:
         """A task about to be carried out.

@@ -46,7 +46,7 @@ def transported(edges: Array, director: npt.ArrayLike) -> Array:
     u = u - (u @ t[0]) * t[0]
     # From edge to edge the least turn: about their binormal b, R = c 1 + [b] + b b^T / (1 + c).
     cosine = np.einsum("ij,ij->i", t[:-1], t[1:])
-    binormal = _cross(t[:-1], t[1:])
+    binormal = cross(t[:-1], t[1:])
     turns = (binormal / (1.0 + cosine)[:, None])[:, :, None] * binormal[:, None, :]
     turns += cosine[:, None, None] * _ONE + (binormal @ _CROSS).reshape(-1, 3, 3)
     while len(turns) > 1:
@@ -69,7 +69,7 @@ def twist(edges: Array, first: npt.ArrayLike, last: npt.ArrayLike) -> float:
     """
     u, end = transported(edges, first), np.asarray(last, dtype=float)
     t = edges[-1] / math.sqrt(edges[-1] @ edges[-1])
-    return math.atan2(float(_cross(u, end) @ t), float(u @ end))
+    return math.atan2(float(cross(u, end) @ t), float(u @ end))
 
 
 def twist_gradient(edges: Array) -> Array:
@@ -83,7 +83,7 @@ def twist_gradient(edges: Array) -> Array:
     length = np.sqrt(np.einsum("ij,ij->i", edges, edges))
     a, b = edges[:-1], edges[1:]
     scale = length[:-1] * length[1:] + np.einsum("ij,ij->i", a, b)
-    half = _cross(a, b) / scale[:, None]
+    half = cross(a, b) / scale[:, None]
     gradient = np.zeros((len(edges) + 1, 3))
     before, after = -half / length[:-1, None], half / length[1:, None]
     gradient[:-2] += before
@@ -92,8 +92,8 @@ def twist_gradient(edges: Array) -> Array:
     return gradient
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """a x b [..., 3], ten times as fast as NumPy's for few vectors."""
+def cross(a: Array, b: Array) -> Array:
+    """a x b [..., 3], several times as fast as NumPy's."""
     return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
 
 

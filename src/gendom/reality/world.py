@@ -1,15 +1,8 @@
-"""The MuJoCo test scene in time: step it, hold the object, release it, render it.
-
-Held vertices slip between the fingers beyond a largest pull. This is isotropic dry friction: a
-vertex is fixed while it pulls by no more than the grip's force, else it slides against that force
-until it has come to rest or has left the fingers. Friction is a damping of the vertices (the force
-over their speed), which MuJoCo's integrator takes implicitly; it stops below `REST_SPEED`.
-"""
+"""The MuJoCo test scene in time: step it, hold the object, release it, render it."""
 
 from __future__ import annotations
 
 import importlib
-import math
 import os
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -21,7 +14,6 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import DeviceError, SimulationError
 from gendom.installation import gl_faults, headless, load_mujoco
-from gendom.materials import AIR_DENSITY
 from gendom.perception.camera import Camera
 from gendom.reality.air import Air
 from gendom.reality.model import Layout, camera_xml, clamped_vertices, compiled, scene_xml
@@ -34,9 +26,6 @@ FINGER_WIDTH = 0.025
 SLOW = 0.25
 """Largest speed of a vertex [m/s] at which `slow_timestep` is taken: in 4 ms layers that meet at it
 come closer by 1 mm, their distance when they touch."""
-
-REST_SPEED = 1e-4
-"""Speed below which a sliding vertex that decelerates is at rest [m/s]."""
 
 GL_PACKAGES = "apt install libegl1 libgl1-mesa-dri, or libosmesa6 with MUJOCO_GL=osmesa"
 """Packages that a Debian machine without a screen needs to render."""
@@ -59,13 +48,10 @@ class Reality:
         timestep: [s]; None for the default of the object's kind.
         slow_timestep: That while no vertex is faster than `SLOW` [s]; None: the same.
         tolerance: Of MuJoCo's solver; None for the default of the object's kind.
-        air_density: Of the still air [kg/m^3], see `gendom.reality.air`; 0: none.
-        grip_force: That the fingers hold at most [N], see the top of this module; infinite: all.
 
     Raises:
         DeviceError: MuJoCo is not installed.
-        ParameterError: The scene cannot be built, `air_density` is negative or not finite, or
-            `grip_force` is not above 0.
+        ParameterError: The scene cannot be built.
     """
 
     def __init__(
@@ -78,14 +64,8 @@ class Reality:
         timestep: float | None = None,
         slow_timestep: float | None = None,
         tolerance: float | None = None,
-        air_density: float = AIR_DENSITY,
-        grip_force: float = math.inf,
     ):
-        fix = "give newtons above 0"
-        require(grip_force > 0.0, f"is {grip_force:g}", where="grip_force", fix=fix)
-        self.grip_force = grip_force
-        """That the fingers hold at most [N]."""
-        self.air = Air(item, air_density)
+        self.air = Air(item)
         self._mujoco = load_mujoco()
         self.item = item
         self.layout = layout
@@ -108,14 +88,10 @@ class Reality:
         self._bodies = np.array(self.model.flex_vertbodyid)
         # Each vertex has three slides along the world's axes.
         self._dofs = self.model.body_dofadr[self._bodies][:, None] + np.arange(3)
-        self._masses, self._sliding, self._slip_speed = item.vertex_masses, np.arange(0), 0.0
         self._ties = np.array([self.model.equality(f"hand_{v}").id for v in vertices])
         self._path: Callable[[float], npt.ArrayLike] | None = None
         self._twist: Twist | None = None
-        self._reach = 0.0
-        self._hand_before = np.zeros(3)
         self._usual_step, self._slow_step = self.model.opt.timestep, slow_timestep
-        self._last_step = self._usual_step
         self._renderer: Any = None
         if robot is not None:
             robot.reset(self.model, self.data)
@@ -138,14 +114,11 @@ class Reality:
         while left > 0:
             self._apply_loads()
             step = self.model.opt.timestep
-            self._hand_before, self._last_step = self.hand, step
             if self.robot is not None:
                 self.robot.control(self.data, self.time + step)
             elif self._path is not None:
                 self.data.mocap_pos[0] = self._path(self.time + step)
             self._mujoco.mj_step(self.model, self.data)
-            if math.isfinite(self.grip_force):
-                self._open_overloaded()
             # only counted anew where the step has changed: half a step must not be rounded twice
             again = self._remaining_steps(time)
             left = left - 1 if self.model.opt.timestep == step else again
@@ -176,8 +149,6 @@ class Reality:
     def _apply_loads(self) -> None:
         """Forces of twist and air on the vertices, and the twist's moment on the hand, for the next
         step."""
-        if self._twist is None and self.air.density == 0.0 and not math.isfinite(self.grip_force):
-            return
         self._mujoco.mj_kinematics(self.model, self.data)
         x = self.data.xpos[self._bodies]
         forces = self.air.forces(x, self.data.qvel[self._dofs])
@@ -186,50 +157,8 @@ class Reality:
             more, moment = self._twist.load(x, rotation, self.model.opt.timestep)
             forces += more
             self.data.xfrc_applied[self._hand, 3:] = moment
-        if len(self._sliding):
-            self._apply_friction(x, forces)
         # As forces on the slides: for wrenches on bodies MuJoCo computes a Jacobian each.
         self.data.qfrc_applied[self._dofs] = forces
-
-    def _apply_friction(self, x: Array, forces: Array) -> None:
-        """Add the fingers' friction to forces [V, 3] [N]; what has left them is free, and what has
-        come to rest between them is held again."""
-        left = np.linalg.norm(x[self._sliding] - self.hand, axis=1) > self._reach
-        sliding = self._sliding[~left]
-        self._let_slide(sliding)
-        if len(sliding) == 0:
-            return
-        dofs, masses = self._dofs[sliding], self._masses[sliding]
-        share = masses / masses.sum()
-        hand = (self.hand - self._hand_before) / self._last_step
-        before = self._slip_speed
-        speed = float(np.linalg.norm(share @ (self.data.qvel[dofs] - hand)))
-        self._slip_speed = speed
-        if speed < REST_SPEED and speed <= before:
-            self._let_slide(sliding[:0])
-            self._hold(sliding, x)
-            return
-        damping = self.grip_force / max(2.0 * speed - before, REST_SPEED) * share[:, None]
-        self.model.dof_damping[dofs] = damping
-        forces[sliding] += damping * hand
-
-    def _let_slide(self, vertices: npt.NDArray[np.intp]) -> None:
-        """Let these slide between the fingers, and no others."""
-        self.model.dof_damping[self._dofs] = 0.0
-        self._sliding = vertices
-
-    def _open_overloaded(self) -> None:
-        """Open the connections where they are pulled by more than the grip holds."""
-        held, data = self._ties[self.data.eq_active[self._ties] > 0], self.data
-        equality = data.efc_type == int(self._mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-        # by how much they were pulled in the last step: three rows each, along the world's axes
-        rows = np.flatnonzero(equality & np.isin(data.efc_id, held))
-        pull = np.linalg.norm(data.efc_force[rows].reshape(-1, 3).sum(axis=0))
-        if len(held) and pull > self.grip_force:
-            self._slip_speed = 0.0
-            self._let_slide(self.held)
-            self.data.eq_active[self._ties] = 0
-            self._untwist()
 
     # ---- the hand --------------------------------------------------------------------------------
 
@@ -254,9 +183,8 @@ class Reality:
 
     @property
     def held(self) -> npt.NDArray[np.intp]:
-        """Vertices that the hand holds, or that slide between its fingers."""
-        held = np.flatnonzero(self.data.eq_active[self._ties])
-        return np.union1d(held, self._sliding)
+        """Vertices that the hand holds."""
+        return np.flatnonzero(self.data.eq_active[self._ties])
 
     def attach(self, reach: float = FINGER_WIDTH / 2.0) -> npt.NDArray[np.intp]:
         """Close the hand: what lies between the fingers keeps its place relative to them.
@@ -287,9 +215,11 @@ class Reality:
         require(len(near) > 0, what, where=where, fix=fix, error=SimulationError)
         if isinstance(self.item, RealRope) and len(near) < 2:
             near = np.sort(np.argsort(distance)[:2])
-        self._reach = max(reach + half, float(distance[near].max())) + 1e-9
-        self._hold(near, x)
         R = self.data.xmat[self._hand].reshape(3, 3)
+        for v in near:
+            self.model.eq_data[self._ties[v], :3] = 0.0
+            self.model.eq_data[self._ties[v], 3:6] = R.T @ (x[v] - self.hand)
+        self.data.eq_active[self._ties[near]] = 1
         stand = clamped_vertices(self.item, self.layout)
         if isinstance(self.item, RealRope) and len(stand) and stand[-1] < near[0]:
             # Held at both ends, it can be twisted.
@@ -300,19 +230,6 @@ class Reality:
         """Open the hand: a free end twists back."""
         self.data.eq_active[self._ties] = 0
         self.data.qfrc_applied[self._dofs] = 0.0
-        self._let_slide(self._sliding[:0])
-        self._untwist()
-
-    def _hold(self, vertices: npt.NDArray[np.intp], x: Array) -> None:
-        """Keep vertices where they are, of all [V, 3], relative to the hand."""
-        R = self.data.xmat[self._hand].reshape(3, 3)
-        for v in vertices:
-            e = self._ties[v]
-            self.model.eq_data[e, :3] = 0.0
-            self.model.eq_data[e, 3:6] = R.T @ (x[v] - self.hand)
-        self.data.eq_active[self._ties[vertices]] = 1
-
-    def _untwist(self) -> None:
         self._twist = None
         self.data.xfrc_applied[:] = 0.0
 
