@@ -12,7 +12,7 @@ PACKAGES = ("gendom", "gendom.datasets", "gendom.policies", "gendom.tasks")
 HEAVY = {
     "gendom.cli": "numpy torch mujoco warp scipy tyro",
     "gendom.viz": "torch warp gendom.estimation gendom.policies gendom.sim gendom.datasets",
-    "gendom.cli.estimate, gendom.cli.replay": "torch warp matplotlib gendom.estimation",
+    "gendom.cli.estimate, gendom.cli.replay": "torch warp matplotlib",
     "gendom.policies, gendom.tasks": "torch onnx onnxruntime warp",
     ", ".join(PACKAGES): "torch pyarrow",
 }

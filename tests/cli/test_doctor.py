@@ -106,7 +106,6 @@ KINDS = {  # name: how it is made, what it is called, whether the next command i
     "cropped.bag": (cropped, "a bag of ROS 1", True),
     "board": (board, "pictures of a board", False),
     "estimate.json": (lambda p: tiny.estimate(p.parent), "an estimate of a rope", True),
-    "rope-casting.onnx": (lambda p: shutil.copy(ASSETS / p.name, p), "a policy", False),
     "camera.toml": (lambda p: write_camera(p, world.make_camera()), "a camera", False),
 }
 

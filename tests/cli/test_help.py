@@ -11,7 +11,7 @@ import pytest
 import tyro
 
 from gendom import cli
-from gendom.cli.parsing import PARSING, described
+from gendom.cli.parsing import PARSING, arguments_of
 
 COMMANDS = sorted(cli.COMMANDS)
 
@@ -31,7 +31,8 @@ def test_every_help_page(name, capsys, monkeypatch):
     (example,) = re.findall(rf"^For example: gendom {name} (.*)$\n\n", page, re.MULTILINE)
     words = shlex.split(example.partition(">")[0])
     command = command_class(name)
-    tyro.cli(described(command), args=words, config=PARSING)
+    arguments_of(command)
+    tyro.cli(command, args=words, config=PARSING)
     lines = [x for x in page.splitlines() if not x.startswith(("usage: ", "For example: "))]
     assert max(map(len, lines)) <= 80
     for leak in ("None", "True", "False", "(default: )"):

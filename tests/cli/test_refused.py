@@ -32,7 +32,7 @@ estimate x --method adm | estimate: there is no method 'adm'; did you mean 'adam
 
 estimate file.npz | file.npz
 check absent.npz | absent.npz: no such file; check the path
-estimate lift.npz --seed -1 | --seed: is -1
+estimate lift.npz --seed -1 | seed must be at least 0, got -1
 estimate lift.npz --level 1 | level
 estimate lift.npz --cells-across 0.2 | cells_across
 estimate lift.npz --points 2 | points
@@ -44,10 +44,6 @@ view casts --params estimate.json | --params: goes with a recording
 view casts --demonstration 3 | there is no such demonstration; give 0 to 2
 dataset rope-reaching --size 0 --out set | --size: is 0; give 1 or more
 dataset knitting --size 3 --out set | knitting
-demo --task rope-reaching --goal 5 | x 5 m is what no rope of 0.3 m reaches; choose 0.
-demo --task rope-reaching --goal nan | x nan m
-demo --goal 0.4 | --goal: has 1 numbers; give x, z
-demo --goal 0.4 5 | --goal: z 5 m
 record --out new | give either --reality or --cell
 record --reality rope-cotton --cell cell.toml --out new | give either --reality or --cell
 record --cell cell.toml --rise 30 --out new | --rise: is 30 m, and the rope 0.3 m long

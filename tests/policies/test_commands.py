@@ -344,7 +344,6 @@ what is said, also where it is forced."""
         ((), "0.35", "describes a cloth", CLOTH),
         ((), "0.35", "is of a version before 0.2", ESTIMATE | {"posterior": None}),
         (("--E", "-1"), "0.35", "must be positive", ESTIMATE),
-        (("--no-parameters", "--policy", "x.onnx"), "0.35", "together with --policy", ESTIMATE),
         (("--policy", "x.onnx"), "0.35", "x.onnx: no such file", ESTIMATE),
         (("--origin", "nan", "0", "0"), "0.35", "three finite numbers", ESTIMATE),
     ],
@@ -406,13 +405,6 @@ def test_policies_that_ship_are_listed(capsys):
     assert {"rope-reaching", "rope-casting", "cloth-spreading"} <= {r["task"] for r in rows}
     for row in rows:
         assert row["acted"]["cases"] > 0 and row["demonstrations"] > 0
-        assert [c.split()[:3] for c in row["made_by"]] == [
-            ["gendom", "dataset", row["task"]],
-            ["gendom", "train", row["task"]],
-        ]
-        for command in row["made_by"]:  # they can be parsed: asked for help, they give it
-            assert cli.main([*command.split()[1:], "--help"]) == 0
-    capsys.readouterr()
     assert cli.main(["policies"]) == 0
     out = capsys.readouterr().out
     assert "no parameters" in out and "misses by" in out and "bending length over size" in out

@@ -29,14 +29,13 @@ from gendom.materials import (
     to_columns,
 )
 from gendom.materials.estimate import Estimate
-from gendom.policies import Policy
+from gendom.policies import Action, Policy
 from gendom.policies.adaptation import adapt
 from gendom.policies.belief import believed, for_task, weighed
 from gendom.policies.polishing import Discrepancy, polish
 from gendom.policies.prediction import predict, steady
 from gendom.robot import TcpPath
 from gendom.tasks import Task
-from gendom.tasks.task import World
 from gendom.tasks.world import Simulation
 
 _log = logging.getLogger(__name__)
@@ -71,8 +70,6 @@ class Command(KnownObject):
     (docs/robot.md)."""
     policy: Path | None = None
     """Policy file; by default the shipped one."""
-    no_parameters: bool = False
-    """Use the shipped policy that does not see the object's parameters."""
     polish: bool = False
     """Improve the action through the simulator, for the most likely object and with what earlier
     executions have shown (gendom adapt); before the first one that is no better."""
@@ -93,7 +90,7 @@ class Command(KnownObject):
 
     def run(self) -> int:
         check_places((self.out, ".json"), (self.joints, ".csv"), (self.trajectory, ".json"))
-        cell = None if self.cell is None else Cell.read(self.cell)
+        cell = replace(BARE, arm=self.arm) if self.cell is None else Cell.read(self.cell)
         policy = self._policy()
         task = policy.task()
         held = self.held(task, needs=policy.description.conditioned_on)
@@ -107,53 +104,41 @@ class Command(KnownObject):
         others = believed(held, task).draws(DRAWS, self.seed) if held.names else []
         others = weighed(others, executed(held, task), policy, self.seed)
         action = policy.act(self.goal, item, likely=others, force=self.force)
-        values, polished, wrong, notes = np.array(action.values), None, None, []
-        world = Simulation(engine=self.engine)
-        known = held.value("E_over_rho") is not None
-        simulated = not self.no_prediction and known
+        warnings, values, world = list(action.warnings), np.array(action.values), self.world
+        simulated = not self.no_prediction and held.value("E_over_rho") is not None
+        polished, wrong = {}, None
         if self.polish:
-            values, polished, wrong = self._polished(task, held, values, world)
+            values, polished, wrong = self._polished(task, held, values)
         if simulated and not self.force:
             values, notes = steady(task, item, action.goal, values, wrong, world, self.seed)
-        for note in notes:
-            _log.warning("%s", note)
-        about, inputs = policy.description, action.network_input
-        named = zip((q.name for q in task.actions), map(float, values), strict=True)
+            warnings += _told(notes)
         T, path = placed(task, item, values, self.origin)
         result = {
             "format": ACTION_FORMAT,
             "task": self.task,
             "goal": action.goal,
-            "action": dict(named),
+            "action": dict(zip((q.name for q in task.actions), map(float, values), strict=True)),
             "units": units_of(task),
             "object": {"kind": item.kind, **to_columns(item)},
             "assumed": held.assumed,
-            "policy": {
-                "path": policy.where,
-                "method": about.method,
-                "conditioned_on": about.conditioned_on,
-                "chance": action.chance,
-                "seed": about.training.get("seed"),
-            },
-            "network_input": inputs,
-            "network_input_meaning": {
-                name: f"{PARAMETERS[name].meaning}, dimensionless" for name in inputs
-            },
-            "warnings": [*action.warnings, *notes],
+            **_origin(policy, action),
+            "warnings": warnings,
             "trajectory": {"T_base_task": T.tolist(), **path.to_dict()},
         }
         hangs = 0.0 if task.scene(item).stand else size_of(item)
-        result |= self._followed(path, thickness_of(item), hangs, result["warnings"], cell)
-        if polished is not None:
-            result["polished"] = polished
+        result |= self._followed(path, thickness_of(item), hangs, warnings, cell) | polished
         if simulated:
-            result["predicted"] = predict(task, item, values, others, self.seed, world)
-            for note in excluded(action.goal, result["predicted"], result["units"]):
-                result["warnings"].append(note)
-                _log.warning("%s", note)
+            predicted = predict(task, item, values, others, self.seed, world)
+            result["predicted"] = predicted
+            warnings += _told(excluded(action.goal, predicted, result["units"]))
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
         write_result(self.out, result, json=self.json)
         return 0
+
+    @property
+    def world(self) -> Simulation:
+        """In which actions are polished and predicted."""
+        return Simulation(engine=self.engine)
 
     def _policy(self) -> Policy:
         """The policy of the flags, for the task.
@@ -162,9 +147,7 @@ class Command(KnownObject):
             GendomError: There is none, or it is for another task.
         """
         if self.policy is None:
-            return Policy.pretrained(self.task, parameters=not self.no_parameters)
-        what, fix = "cannot be given together with --policy", "leave one of them out"
-        require(not self.no_parameters, what, where="--no-parameters", fix=fix)
+            return Policy.pretrained(self.task)
         policy = Policy.read(self.policy)
         own = policy.task().name
         fix = f"use a policy for {self.task}, or give {own} as the task"
@@ -172,7 +155,7 @@ class Command(KnownObject):
         return policy
 
     def _followed(
-        self, path: TcpPath, opening: float, hangs: float, warnings: list[str], cell: Cell | None
+        self, path: TcpPath, opening: float, hangs: float, warnings: list[str], cell: Cell
     ) -> dict[str, Any]:
         """How the arm follows a path, ready for JSON; with --force a warning where it cannot. Files
         of the motion are written.
@@ -181,14 +164,12 @@ class Command(KnownObject):
             RobotError: It cannot.
         """
         try:
-            where = cell or replace(BARE, arm=self.arm)
-            planned = where.plan(path, opening=opening, hangs=hangs)
+            planned = cell.plan(path, opening=opening, hangs=hangs)
         except RobotError as error:
             if not self.force:
                 fix = "choose another --origin, or add --force"
                 raise RobotError(error.what, where=error.where, fix=fix) from None
-            warnings.append(str(error))
-            _log.warning("%s", error)
+            warnings += _told([str(error)])
             return {}
         motion = planned.motion
         if motion.slowed_by > 1.02:
@@ -197,7 +178,7 @@ class Command(KnownObject):
                 "what is predicted is for the task's own pace"
             )
         if self.joints is not None:
-            widest = where.model.gripper.max_opening
+            widest = cell.model.gripper.max_opening
             motion.write_joints(self.joints, opening=(planned.opening, widest))
             tell_written(self.joints, json=self.json)
         if self.trajectory is not None:
@@ -206,20 +187,42 @@ class Command(KnownObject):
         return {"arm": {"name": planned.arm, "slowed_by": motion.slowed_by}, "plan": planned}
 
     def _polished(
-        self, task: Task, held: Estimate, start: np.ndarray, world: World
+        self, task: Task, held: Estimate, start: np.ndarray
     ) -> tuple[np.ndarray, dict[str, Any], Discrepancy | None]:
         """A better action, what is expected of it, ready for JSON, and what executions showed."""
-        belief = believed(held, task)
-        discrepancy = None
+        belief, wrong = believed(held, task), None
         if seen := executed(held, task):
-            discrepancy = adapt(task, belief, seen, refine=False, world=world).discrepancy
+            wrong = adapt(task, belief, seen, refine=False, world=self.world).discrepancy
         found = polish(
             task, np.array(self.goal), [belief.most_likely], start, seconds=self.seconds,
-            seed=self.seed, discrepancy=discrepancy, world=world,
+            seed=self.seed, discrepancy=wrong, world=self.world,
         )  # fmt: skip
-        about = {"expected": found.expected, "before": found.before,
-                 "rollouts": found.rollouts, "seconds": found.seconds}  # fmt: skip
-        return found.action, about, discrepancy
+        names = ("expected", "before", "rollouts", "seconds")
+        return found.action, {"polished": {n: getattr(found, n) for n in names}}, wrong
+
+
+def _told(notes: list[str]) -> list[str]:
+    """Notes, which are logged as warnings."""
+    for note in notes:
+        _log.warning("%s", note)
+    return notes
+
+
+def _origin(policy: Policy, action: Action) -> dict[str, Any]:
+    """Which policy chose an action, and what it saw, ready for JSON."""
+    about, inputs = policy.description, action.network_input
+    meanings = {name: f"{PARAMETERS[name].meaning}, dimensionless" for name in inputs}
+    return {
+        "policy": {
+            "path": policy.where,
+            "method": about.method,
+            "conditioned_on": about.conditioned_on,
+            "chance": action.chance,
+            "seed": about.training.get("seed"),
+        },
+        "network_input": inputs,
+        "network_input_meaning": meanings,
+    }
 
 
 def excluded(

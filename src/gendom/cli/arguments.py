@@ -85,48 +85,25 @@ OUR_TASKS = [
 TASKS_HELP = "|".join([*(_tasks() if plugin_names("tasks") else OUR_TASKS), "FILE.py"])
 """Other packages' tasks cost their import."""
 
-METHODS_HELP = "|".join(
-    ["gauss-newton", "adam", "differential-evolution", *plugin_names("methods")]
-)
 
-
-def _name(metavar: str, known: Callable[[str], str]) -> Any:
-    """How a flag takes one of several names.
-
-    Args:
-        metavar: As the help lists them.
-        known: From a word to the name, with a ``GendomError`` where there is none.
-    """
-    return tyro.constructors.PrimitiveConstructorSpec[Any](
-        nargs=1,
-        metavar=metavar,
-        instance_from_str=lambda words: known(words[0]),
-        is_instance=lambda value: isinstance(value, str),
-        str_from_instance=lambda value: [value],
-    )
-
-
-def _task(word: str) -> str:
+def _task(words: list[str]) -> str:
     from gendom.tasks import load_task
 
-    return load_task(word).name
+    return load_task(words[0]).name
 
 
 TaskName = Annotated[
-    tyro.conf.Positional[str], _name(TASKS_HELP, _task), tyro.conf.arg(help="The task.")
+    tyro.conf.Positional[str],
+    tyro.constructors.PrimitiveConstructorSpec[Any](
+        nargs=1,
+        metavar=TASKS_HELP,
+        instance_from_str=_task,
+        is_instance=lambda value: isinstance(value, str),
+        str_from_instance=lambda value: [value],
+    ),
+    tyro.conf.arg(help="The task."),
 ]
 """The name of a task, those of other packages included, or a Python file that defines one."""
-
-
-def _method(word: str) -> str:
-    from gendom.estimation import find_method
-
-    find_method(word)
-    return word
-
-
-MethodName = Annotated[str, _name(METHODS_HELP, _method)]
-"""The name of a method of estimation, those of other packages included."""
 
 
 def settings_of(kind: type[Settings], command: Any, **others: Any) -> Settings:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Union
 
 import tyro
 
-from gendom.cli.parsing import PARSING, described
+from gendom.cli.parsing import PARSING, arguments_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,14 +27,12 @@ class Command:
     def run(self) -> int:
         from gendom.cli import COMMANDS
 
-        parts = tuple(
-            Annotated[
-                described(import_module(module).Command),
-                tyro.conf.subcommand(name, description=line),
-            ]
-            for name, (module, line) in COMMANDS.items()
-        )
-        commands: Any = Union[parts]  # noqa: UP007
+        parts = []
+        for name, (module, line) in COMMANDS.items():
+            command = import_module(module).Command
+            arguments_of(command)
+            parts.append(Annotated[command, tyro.conf.subcommand(name, description=line)])
+        commands: Any = Union[tuple(parts)]  # noqa: UP007
         words = ["--tyro-write-completion", self.shell, "-"]
         try:
             tyro.cli(commands, prog="gendom", args=words, config=PARSING)

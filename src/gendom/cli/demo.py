@@ -5,16 +5,15 @@ from __future__ import annotations
 import importlib.util
 import logging
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from gendom.arguments import require
 from gendom.cli.arguments import Device, Json, Seed, iterations_shown
 from gendom.cli.estimate import (
     NAME,
@@ -66,8 +65,6 @@ at 15 frames a second with seed 0."""
 GOALS = 40
 """Goals that are drawn for each rope, of which one is chosen."""
 
-TASKS = ("rope-casting", "rope-reaching")
-
 SUMMARY = (
     "GenDOM watched one lift of each of three ropes, alike but for their stiffness, and found the "
     "elasticity with which its simulator repeats it. One policy, trained beforehand in simulation, "
@@ -91,19 +88,15 @@ CAMERAS_NOTE = (
     "calibration. The arm's points are removed by its joint angles."
 )
 
-_ASSETS = resources.files("gendom") / "assets"
-
-_log = logging.getLogger(__name__)
-
-
 VARIANTS = (WITH, WITHOUT, "polished in the simulator", "after one execution")
 """What is compared."""
 
-MOTION_RATE = 30.0
-"""Frames a second of the executed motion."""
+MOTION_RATE, FINER = 30.0, 4
+"""Frames a second of the executed motion, and how much finer reached places are looked for."""
 
-_FINER = 4
-"""Reached places are looked for this much finer in time than the motion is shown."""
+_ASSETS = resources.files("gendom") / "assets"
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,9 +115,6 @@ class Command:
     the other ropes lie in folders of their names."""
     task: Literal["rope-casting", "rope-reaching"] = "rope-casting"
     """What the arm does with the ropes (docs/tasks.md)."""
-    goal: tuple[float, ...] = ()
-    """Goal of the tip in the task's frame [m], for all ropes: casting x and z of its highest point,
-    reaching its farthest x. By default each rope has a goal where its parameters decide."""
     starts: int = 3
     """Random starts of the estimates."""
     seed: Seed = 0
@@ -140,20 +130,19 @@ class Command:
             what = f"MuJoCo is not installed; {how_to_install('reality')} brings it"
             how = "the second reality (docs/reality.md): actions are carried out in our own"
             _log.warning("%s, %s simulator, with the ropes' true values", what, how)
-        policies = tuple(Policy.pretrained(self.task, parameters=sees) for sees in (True, False))
+        policies = [Policy.pretrained(self.task, parameters=sees) for sees in (True, False)]
         ropes = {name: find_object(name) for name in LIFTS}
-        goal = _given_goal(self.goal, policies[0], ropes["rope-cotton"]) if self.goal else None
-        seconds: dict[str, float] = {}
-        with _timed(seconds, "estimate"):
-            every = {name: self._estimate(name, rope) for name, rope in ropes.items()}
+        began = time.perf_counter()
+        every = {name: self._estimate(name, rope) for name, rope in ropes.items()}
+        seconds = {"estimate": time.perf_counter() - began}
         usable = {name: found for name, found in every.items() if found.usable}
         action, apart = None, ""
         if usable:
-            with _timed(seconds, "act and carry out"):
-                action, apart = self._act({n: ropes[n] for n in usable}, usable, policies, goal)
-        first = every["rope-cotton"]
+            began = time.perf_counter()
+            action, apart = self._act({n: ropes[n] for n in usable}, usable, policies)
+            seconds["act and carry out"] = time.perf_counter() - began
         content = fit_content(
-            first,
+            every["rope-cotton"],
             title="GenDOM: one lift of each of three ropes, and what the arm does with them",
             summary=SUMMARY if usable else NOT_USABLE_SUMMARY,
             recording_source=SCENE + apart,
@@ -165,8 +154,9 @@ class Command:
             next_steps=self.next_steps(action.outcomes[0].goal.tolist() if action else None),
         )
         assert content.lift is not None
-        with _timed(seconds, "film"):
-            write_film(self.out / "lift.gif", content.lift)
+        began = time.perf_counter()
+        write_film(self.out / "lift.gif", content.lift)
+        seconds["film"] = time.perf_counter() - began
         write_report(self.out / "report.html", content)
         print(f"report: {printable(self.out / 'report.html')}")
         return 0 if len(usable) == len(every) else NOT_USABLE
@@ -177,7 +167,7 @@ class Command:
         recording, estimate = self.out / "recording.npz", self.out / NAME
         if goal is None:
             return next_steps(recording)
-        (other,) = set(TASKS) - {self.task}
+        other = "rope-reaching" if self.task == "rope-casting" else "rope-casting"
         words = ["gendom", "demo", "--task", other, "--out", f"{self.out}-{other}"]
         again = shell(words), "Run the demo with the other task."
         return [*next_steps(recording, estimate, [self.task, "--goal", *goal]), again]
@@ -208,38 +198,38 @@ class Command:
         ropes: dict[str, Any],
         found: dict[str, FittedEstimate],
         policies: Sequence[Policy],
-        goal: np.ndarray | None,
     ) -> tuple[ActionSummary, str]:
         """Let the arm act with each rope, say what it reached, and write it; and how far that may
         be trusted."""
         task, outcomes, motions, apart = policies[0].task(), [], [], []
         for name in each(tuple(ropes), "the arm acts", "rope"):
             rope, belief = ropes[name], believed(found[name], task)
-            aim = self._goal(rope, belief, policies) if goal is None else goal
-            outcome, pair = carry_out(name, rope, policies, aim, belief)
-            model = task.outcome(belief.item, _simulated(task, belief.item, pair[0].run.action))
+            aim = self._goal(rope, belief, policies)
+            runs = carry_out(rope, policies, aim, belief)
+            ours, without, *_ = runs.values()
+            model = task.outcome(belief.item, _simulated(task, belief.item, ours.action))
             known = [model[q.name] for q in task.goals]
-            apart.append(np.linalg.norm(pair[0].run.reached - known))
-            motions.append(lambda r=rope, p=pair, a=aim: compared(task, r, p, a))
-            outcomes.append(outcome)
+            apart.append(np.linalg.norm(ours.reached - known))
+            motions.append(partial(compared, task, rope, ours, without, aim))
+            outcomes.append(ReachOutcome(item=name, goal=aim, runs=runs))
         for outcome in outcomes:
-            ours, *_ = outcome.runs.values()
-            named = zip(task.actions, ours.action, strict=True)
+            named = zip(task.actions, outcome.runs[WITH].action, strict=True)
             action = ", ".join(f"{q.name} {value:.3f} {q.unit}" for q, value in named)
-            print(f"{outcome.item}, goal {_place(outcome.goal)} m: {action}")
+            place = ", ".join(f"{x:.3f}" for x in outcome.goal)
+            place = place if len(outcome.goal) == 1 else f"({place})"
+            print(f"{outcome.item}, goal {place} m: {action}")
             off = (f"{name} {1e3 * outcome.error(name):.1f} mm" for name in outcome.runs)
             print(f"  off by: {', '.join(off)}")
-        wins = [of.error(WITHOUT) - of.error(WITH) for of in outcomes]
-        best = int(np.argmax(wins))
+        best = int(np.argmax([of.error(WITHOUT) - of.error(WITH) for of in outcomes]))
         summary = ActionSummary(
             outcomes=outcomes,
             motion=motions[best](),
             motion_note=f"{outcomes[best].item}: carried out with the estimate (orange) and "
-            f"without parameters (blue). {'' if self.goal else CHOSEN}",
+            f"without parameters (blue). {CHOSEN}",
             goal_name=", ".join(f"{q.name} {q.meaning}" for q in task.goals),
             action_names=[f"{q.name.replace('_', ' ')} [{q.unit}]" for q in task.actions],
         )
-        entries = [_entry(outcome) for outcome in outcomes]
+        entries = [{"rope": of.item, "goal": of.goal, "runs": of.records()} for of in outcomes]
         actions = {"format": "gendom-demo/3", "task": task.name, "outcomes": entries}
         write_json(self.out / "actions.json", actions)
         if self.json:
@@ -265,23 +255,18 @@ class Command:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Executed:
+class Executed(PolicyRun):
     """One action that was carried out."""
 
-    run: PolicyRun
     seen: Observed
     trial: TrialRun | None
     """The arm's in the MuJoCo scene; None: in our simulator."""
 
 
 def carry_out(
-    name: str,
-    rope: Any,
-    policies: Sequence[Policy],
-    goal: np.ndarray,
-    belief: Estimate,
-) -> tuple[ReachOutcome, tuple[Executed, Executed]]:
-    """What each of `VARIANTS` reached, and the motions with and without parameters.
+    rope: Any, policies: Sequence[Policy], goal: np.ndarray, belief: Estimate
+) -> dict[str, Executed]:
+    """What each of `VARIANTS` reached.
 
     Besides the policies' actions one is polished through the simulator for what is believed of the
     rope, and once more for what is known after that execution.
@@ -295,13 +280,10 @@ def carry_out(
     ours, without = (
         execute(rope, task, np.array(p.act(goal, belief.item, force=True).values)) for p in policies
     )
-    third = polished(ours.run.action, belief)
-    known = Execution(action=third.run.action, reached=third.run.reached)
-    learnt = adapt(task, belief, [known])
-    last = polished(third.run.action, learnt.belief, discrepancy=learnt.discrepancy)
-    runs = (of.run for of in (ours, without, third, last))
-    named: dict[str, PolicyRun] = dict(zip(VARIANTS, runs, strict=True))
-    return ReachOutcome(item=name, goal=goal, runs=named), (ours, without)
+    third = polished(ours.action, belief)
+    learnt = adapt(task, belief, [Execution(action=third.action, reached=third.reached)])
+    last = polished(third.action, learnt.belief, discrepancy=learnt.discrepancy)
+    return dict(zip(VARIANTS, (ours, without, third, last), strict=True))
 
 
 def _lacking() -> bool:
@@ -316,10 +298,10 @@ def execute(rope: Any, task: Task, action: np.ndarray) -> Executed:
         trial, seen = None, _simulated(task, rope, action)
     else:
         trial = RealWorld().begin(task, rope, action)
-        seen = observe(task, trial, MOTION_RATE * _FINER)
+        seen = observe(task, trial, MOTION_RATE * FINER)
     values = task.outcome(rope, seen)
     reached = np.array([values[q.name] for q in task.goals])
-    return Executed(run=PolicyRun(action=action, reached=reached), seen=seen, trial=trial)
+    return Executed(action=action, reached=reached, seen=seen, trial=trial)
 
 
 def _simulated(task: Task, item: Item, action: np.ndarray) -> Observed:
@@ -329,53 +311,23 @@ def _simulated(task: Task, item: Item, action: np.ndarray) -> Observed:
     return outcome.seen
 
 
-def compared(task: Task, rope: Any, pair: tuple[Executed, Executed], goal: np.ndarray) -> Animation:
+def compared(
+    task: Task, rope: Any, ours: Executed, without: Executed, goal: np.ndarray
+) -> Animation:
     """Both motions in the task's frame, one over the other."""
-    lasts = min(float(np.ptp(of.seen.times)) for of in pair)
+    lasts = min(float(np.ptp(of.seen.times)) for of in (ours, without))
     times = np.arange(0.0, lasts, 1.0 / MOTION_RATE)
     shown = []
-    for of in pair:
-        k = np.searchsorted(of.seen.times - of.seen.times[0], times - 1e-9)
-        shown.append(replace(of.seen, points=of.seen.points[k], hand=of.seen.hand[k]))
-    ours, trial, T = shown[0], pair[0].trial, task.T_world_task(rope)
+    for seen in (ours.seen, without.seen):
+        k = np.searchsorted(seen.times - seen.times[0], times - 1e-9)
+        shown.append(replace(seen, points=seen.points[k], hand=seen.hand[k]))
+    trial, T = ours.trial, task.T_world_task(rope)
     layers = [
-        observed_layer(WITH, rope, ours),
+        observed_layer(WITH, rope, shown[0]),
         observed_layer(WITHOUT, rope, shown[1], RECORDED_COLOR),
-        gripper_layer(ours.hand[:, None], rope.length),
-        goal_layer(goal, ours, rope),
+        gripper_layer(shown[0].hand[:, None], rope.length),
+        goal_layer(goal, shown[0], rope),
     ]
     if trial is not None and (arm := arm_layer(trial, trial.closes + times, T)):
         layers.append(arm)
     return Animation(times=times, layers=tuple(layers), table_height=-float(T[2, 3]))
-
-
-def _given_goal(numbers: Sequence[float], policy: Policy, rope: Any) -> np.ndarray:
-    """[G] the goal that was asked for; what no rope of this length reaches is refused before
-    minutes go into the estimate."""
-    names = policy.description.goal_names
-    what, fix = f"has {len(numbers)} numbers", f"give {', '.join(names)}"
-    require(len(numbers) == len(names), what, where="--goal", fix=fix)
-    ends = rope.length * policy.goal_range()
-    for name, value, (low, high) in zip(names, numbers, ends, strict=True):
-        what = f"{name} {value:g} m is what no rope of {rope.length:g} m reaches"
-        fix = f"choose {low:.3f} to {high:.3f} m; softer and stiffer ropes reach part of it"
-        require(low <= value <= high, what, where="--goal", fix=fix)
-    return np.array(numbers)
-
-
-def _place(numbers: np.ndarray) -> str:
-    text = ", ".join(f"{x:.3f}" for x in numbers)
-    return text if len(numbers) == 1 else f"({text})"
-
-
-def _entry(of: ReachOutcome) -> dict[str, Any]:
-    """One rope in actions.json."""
-    runs = {name: {**vars(run), "error": of.error(name)} for name, run in of.runs.items()}
-    return {"rope": of.item, "goal": of.goal, "runs": runs}
-
-
-@contextmanager
-def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
-    began = time.perf_counter()
-    yield
-    seconds[name] = time.perf_counter() - began

@@ -21,8 +21,8 @@ class Command:
     command.
 
     Known are recordings, folders of clouds or of depth pictures, bags of ROS 1 and 2, sets of
-    LeRobot, boards of a calibration, cameras' files, estimates, policies and demonstrations. Exit
-    code 2: it cannot be used; every fault is listed.
+    LeRobot, boards of a calibration, cameras' files, cells, actions and estimates. Exit code 2: it
+    cannot be used; every fault is listed.
 
     For example: gendom doctor lift
     """

@@ -5,32 +5,30 @@ from __future__ import annotations
 import logging
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from gendom.arguments import require
-from gendom.cli.arguments import (
-    Device,
-    Engine,
-    MethodName,
-    Recorded,
-    Seed,
-    iterations_shown,
-    settings_of,
-)
+from gendom.cli.arguments import Recorded, iterations_shown
 from gendom.cli.outputs import check_places, tell_written, write_result
-from gendom.cli.parsing import TYPED
+from gendom.cli.parsing import TYPED, NotFlags
 from gendom.datasets import Recording
 from gendom.errors import RecordingError, SimulationError, printable
+from gendom.estimation import EstimateSettings, find_method
 from gendom.files import to_json
 from gendom.materials.estimate_file import FORMAT
 
 if TYPE_CHECKING:
     from gendom.estimation import FittedEstimate
     from gendom.viz import ReportContent
+
+INTERNAL = (
+    "noise", "max_iterations", "slow_frames", "fast_frames", "dtype", "substep", "threads",
+)  # fmt: skip
+"""Settings that are no flags."""
 
 NAME = "estimate.json"
 """Of an estimate's file."""
@@ -81,59 +79,33 @@ class Command:
     """HTML file: recorded and simulated motion, and the estimate."""
     json: bool = False
     """Print the estimate as JSON."""
-    method: MethodName = "gauss-newton"
-    """Method of the search (docs/estimation.md)."""
-    frames: Literal["all", "last"] = "all"
-    """Frames that are compared."""
-    starts: int = 3
-    """Number of starts of the search: the best of a scan first, then random ones."""
-    seed: Seed = 0
-    level: float = 0.9
-    """Nominal probability of the intervals."""
-    unknowns: tuple[str, ...] = ()
-    """Unknowns to estimate, such as E_over_rho grip_height; by default those that a recording
-    of this kind may determine."""
-    also: tuple[str, ...] = ()
-    """Further ones, such as tip_mass (a knot or a sheath at a rope's end) or thickness."""
-    material: str | None = None
-    """Its material, by a name of gendom materials: narrows the priors."""
-    camera_pose: Literal["stated", "unknown"] | None = None
-    """unknown: the cameras are not calibrated to the robot, and their pose is estimated, too; by
-    default as each recording says (cameras_calibrated, docs/recordings.md)."""
-    engine: Engine = "thin"
-    points: int | None = None
-    """Points of a rod, or along the longer side of a shell; by default the engine's choice."""
-    cells_across: float = 1.5
-    """With mpm: grid cells across a rope's diameter (cloths alike); finer is slower."""
-    device: Device = "cpu"
+    settings: Annotated[EstimateSettings, NotFlags(*INTERNAL)] = field(
+        default_factory=EstimateSettings
+    )
 
     def run(self) -> int:
-        from gendom.estimation import EstimateSettings, SceneSettings, estimate
+        from gendom.estimation import estimate
         from gendom.sim import open_device
 
-        fix = f"give {MOST_POINTS} or fewer: 20 to 60 are usual"
-        few = self.points is None or self.points <= MOST_POINTS
-        require(few, f"is {self.points}", where="--points", fix=fix)
-        scene = settings_of(SceneSettings, self)
-        settings = settings_of(EstimateSettings, self, scene=scene)
-        places = [path.resolve() for path in self.recordings]
-        for k, path in enumerate(self.recordings):  # it would count more than once
+        points, fix = self.settings.scene.points, f"give {MOST_POINTS} or fewer: 20 to 60 are usual"
+        require((points or 0) <= MOST_POINTS, f"is {points}", where="--points", fix=fix)
+        find_method(self.settings.method)
+        lifts = [self.recording, *self.more]
+        places = [path.resolve() for path in lifts]
+        for k, path in enumerate(lifts):  # it would count more than once
             once = places[k] not in places[:k]
             require(once, "is given twice", where=str(path), fix="name each recording once")
         check_places((self.out, ""), (self.report, ".html"))
-        open_device(self.device)
-        recordings = [Recording.read(path) for path in self.recordings]
-        names = tuple(map(str, self.recordings)) if len(recordings) > 1 else ()
-        found, reasons = None, []
+        open_device(self.settings.scene.device)
+        recordings = [Recording.read(path) for path in lifts]
+        names = tuple(map(str, lifts)) if self.more else ()
         try:
             with iterations_shown() as show:
-                found = estimate(recordings, settings, names=names, on_progress=show)
-        except (RecordingError, SimulationError) as error:
-            reasons = str(error).splitlines()
-        if found is None:
-            record = {"format": FORMAT, "verdict": {"usable": False, "reasons": reasons}}
-        else:
+                found = estimate(recordings, self.settings, names=names, on_progress=show)
             record, reasons = found.record, found.verdict.reasons
+        except (RecordingError, SimulationError) as error:
+            found, reasons = None, str(error).splitlines()
+            record = {"format": FORMAT, "verdict": {"usable": False, "reasons": reasons}}
         if self.json:
             print(to_json(record))
         elif found is not None:
@@ -142,56 +114,49 @@ class Command:
             _log.error("not usable: %s", reason)
         write_result(None if self.out is None else self.out / NAME, record, json=self.json)
         if self.report is not None:
-            self._write_report(self.report, found, reasons)
+            from gendom.viz import write_report
+
+            names = ", ".join(path.name for path in lifts)
+            content = _nothing(reasons, names) if found is None else self._content(found, names)
+            write_report(self.report, replace(content, next_steps=self._next_steps(found)))
+            tell_written(self.report, json=self.json)
         return 0 if found is not None and found.usable else NOT_USABLE
 
-    @property
-    def recordings(self) -> tuple[Path, ...]:
-        """All of them."""
-        return self.recording, *self.more
-
-    def _write_report(
-        self, place: Path, found: FittedEstimate | None, reasons: Sequence[str]
-    ) -> None:
-        """Of an estimate, or of why there is none."""
-        from gendom.viz import ReportContent, write_report
-
-        source = [path.name for path in self.recordings]
-        if found is None:
-            content = ReportContent(
-                title="GenDOM: a recording that cannot be used",
-                summary="Nothing was estimated from this recording, for the reasons above.",
-                command=shell(TYPED),
-                recording_source=_sentences(", ".join(source)),
-                refused=reasons,
-                next_steps=next_steps(self.recording),
-            )
-        else:
-            first, several = found.fits[0], len(found.fits)
-            recording = first.scene.recording
-            content = fit_content(
-                found,
-                title=f"GenDOM: the parameters of a {found.kind}",
-                summary=REPORT_SUMMARY if found.usable else NOT_USABLE_SUMMARY,
-                recording_source=_sentences(", ".join(source), recording.source, recording.notes),
-                lift_note=f"The first of {several}: {first.name}." if several > 1 else "",
-                stage_seconds=found.record["stage_seconds"],
-                next_steps=self._next_steps(found, place),
-            )
-        write_report(place, content)
-        tell_written(place, json=self.json)
-
-    def _next_steps(self, found: FittedEstimate, report: Path) -> list[tuple[str, str]]:
-        if self.out is None:
-            words = [*TYPED, "--out", report.parent]
-            purpose = "Write the estimate to a file, which other commands take."
-            return [*next_steps(self.recording), (shell(words), purpose)]
-        act = (
-            [*task_and_goal(found.kind, found.record["object"].get("length")), "--force"]
-            if found.usable
-            else None
+    def _content(self, found: FittedEstimate, names: str) -> ReportContent:
+        first, several = found.fits[0], len(found.fits)
+        recording = first.scene.recording
+        return fit_content(
+            found,
+            title=f"GenDOM: the parameters of a {found.kind}",
+            summary=REPORT_SUMMARY if found.usable else NOT_USABLE_SUMMARY,
+            recording_source=_sentences(names, recording.source, recording.notes),
+            lift_note=f"The first of {several}: {first.name}." if several > 1 else "",
+            stage_seconds=found.record["stage_seconds"],
         )
-        return next_steps(self.recording, self.out / NAME, act)
+
+    def _next_steps(self, found: FittedEstimate | None) -> list[tuple[str, str]]:
+        steps = next_steps(self.recording)
+        if found is None:
+            return steps
+        if self.out is None:
+            assert self.report is not None
+            words = shell([*TYPED, "--out", self.report.parent])
+            return [*steps, (words, "Write the estimate to a file, which other commands take.")]
+        act = [*task_and_goal(found.kind, found.record["object"].get("length")), "--force"]
+        return next_steps(self.recording, self.out / NAME, act if found.usable else None)
+
+
+def _nothing(reasons: Sequence[str], names: str) -> ReportContent:
+    """A report of why there is no estimate."""
+    from gendom.viz import ReportContent
+
+    return ReportContent(
+        title="GenDOM: a recording that cannot be used",
+        summary="Nothing was estimated from this recording, for the reasons above.",
+        command=shell(TYPED),
+        recording_source=_sentences(names),
+        refused=reasons,
+    )
 
 
 def fit_content(found: FittedEstimate, **more: Any) -> ReportContent:
@@ -262,19 +227,18 @@ def estimate_text(found: FittedEstimate) -> str:
             alone, ends = own["alone"]["E_over_rho"], own["alone"]["interval"]
             said = f"E / density {alone:.4g} m^2/s^2, in [{ends[0]:.4g}, {ends[1]:.4g}]"
             rows.append(("by itself", said))
-        of_fit = {n: v for n, v in own.items() if n == "rms" or n.startswith("chamfer_")}
-        mm = {name: f"{1e3 * value:.1f}" for name, value in of_fit.items()}
-        said = f"of the clouds from the best fit {mm['rms']} mm (root mean square)"
-        rows.append(("distance", said))
-        rows.append(
-            (
-                "Chamfer",
-                f"last frame {mm['chamfer_last']} mm, mean {mm['chamfer_mean']} mm; seen surface "
-                f"{mm['chamfer_last_surface']} and {mm['chamfer_mean_surface']} mm; with the "
-                f"cameras' motion {mm['chamfer_last_registered']} and "
-                f"{mm['chamfer_mean_registered']} mm",
-            )
-        )
+
+        def mm(*names: str, of: dict = own) -> str:
+            return " and ".join(f"{1e3 * of[name]:.1f}" for name in names) + " mm"
+
+        rows.append(("distance", f"of the clouds from the best fit {mm('rms')} (root mean square)"))
+        said = f"last frame {mm('chamfer_last')}, mean {mm('chamfer_mean')}"
+        for title, part in (
+            ("seen surface", "surface"),
+            ("with the cameras' motion", "registered"),
+        ):
+            said += f"; {title} {mm(f'chamfer_last_{part}', f'chamfer_mean_{part}')}"
+        rows.append(("Chamfer", said))
     how = f"{record['method']}, {record['iterations']} iterations, {record['seconds']:.1f} s"
     how += f", seed {record['seed']}, {record['device']}"
     rows.append(("search", how + ", interrupted: best so far" * record["interrupted"]))

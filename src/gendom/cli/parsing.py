@@ -8,7 +8,7 @@ import io
 import re
 import shutil
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import redirect_stderr
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
@@ -45,7 +45,6 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
         SystemExit: Help was requested and has been printed.
     """
     TYPED[:] = "gendom", name, *words
-    described(command)
     arguments = arguments_of(command)
     flags = [*(called for called in arguments if called.startswith("--")), *EVERYWHERE]
     for word in takewhile(lambda w: w != "--", words):
@@ -71,36 +70,62 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
     raise _refusal(text, arguments, words, f"see gendom {name} --help", _example(command))
 
 
-class _Argument(NamedTuple):
+class NotFlags:
+    """Names of fields, of settings that a command has, that are no flags; a mark in `Annotated`."""
+
+    def __init__(self, *names: str):
+        self.names = names
+
+
+class Argument(NamedTuple):
+    """One flag, or word without one."""
+
     kind: Any
     help: str
     required: bool
 
 
-def arguments_of(command: type) -> dict[str, _Argument]:
-    """All that a command and its settings take: by the flag, or by what help calls a word
-    without one."""
+@cache
+def arguments_of(command: type, hidden: tuple[str, ...] = ()) -> dict[str, Argument]:
+    """All that a command takes: by the flag, or by what help calls a word without one.
+
+    A field that is a dataclass of settings gives its fields as flags of their own names, but for
+    the hidden ones. The annotations become such that tyro shows help in one line (it keeps line
+    breaks of indented docstrings), without defaults such as None and False.
+    """
     positional = get_args(tyro.conf.Positional[int])[1]
-    hints = get_type_hints(command, include_extras=True)
     help_of, found = _help(command), {}
+    hints = get_type_hints(command, include_extras=True)
     for field in fields(command):
-        kind, *marks = get_args(hints[field.name]) or (hints[field.name],)
+        hint = hints[field.name]
+        kind, *marks = get_args(hint) or (hint,)
+        if field.name in hidden:
+            command.__annotations__[field.name] = tyro.conf.Suppress[hint]
+            continue
+        if isinstance(kind, type) and is_dataclass(kind):
+            names = next((mark.names for mark in marks if isinstance(mark, NotFlags)), hidden)
+            found |= arguments_of(kind, names)
+            command.__annotations__[field.name] = tyro.conf.OmitArgPrefixes[kind]
+            continue
         shared = (getattr(mark, "help", None) for mark in marks)  # of cli.arguments
         told = help_of.get(field.name) or next(filter(None, shared), "")
-        if isinstance(kind, type) and is_dataclass(kind):
-            found |= arguments_of(kind)
-            continue
         called = f"--{field.name.rstrip('_').replace('_', '-')}"  # a flag may be a word of Python's
         if any(mark is positional for mark in marks):
             named = [m.metavar for m in marks if str(getattr(m, "metavar", "") or "").isalpha()]
             called = named[0] if named else field.name.upper()
         required = field.default is MISSING and field.default_factory is MISSING
-        found[called] = _Argument(hints[field.name], told, required)
+        found[called] = Argument(hint, told, required)
+        said = tyro.conf.arg(help=told, help_behavior_hint=_default_told)
+        command.__annotations__[field.name] = Annotated[hint, said]
     return found
 
 
+def _default_told(default: str) -> str:
+    return "" if default in ("None", "False", "''", "") else f"(default: {default})"
+
+
 def _refusal(
-    text: str, arguments: dict[str, _Argument], words: Sequence[str], see: str, example: str
+    text: str, arguments: dict[str, Argument], words: Sequence[str], see: str, example: str
 ) -> ParameterError:
     """What tyro has refused and said in its own words, in one line."""
     if choice := re.search(r"invalid choice '(.*?)' for argument '(.*?)'.*?\((.*?)\)", text):
@@ -110,8 +135,11 @@ def _refusal(
             return ParameterError(f"is {word!r}", where=where, fix=fix)
         return ParameterError(f"does not take {word!r}", fix=fix)
     if bad := re.search("(?:Error parsing|for argument) '?(--[-a-z]+)", text):
-        given = _given(bad[1], words, [*arguments, *EVERYWHERE])
-        what = f"is {' '.join(given)!r}" if given else "has no value"
+        at = next(n for n, word in enumerate(words) if _flag(word) == bad[1])
+        after = words[at].partition("=")[2]
+        others = takewhile(lambda w: _flag(w) not in (*arguments, *EVERYWHERE), words[at + 1 :])
+        given = after or " ".join(others)
+        what = f"is {given!r}" if given else "has no value"
         wanted = _wanted(arguments[bad[1]].kind)
         return ParameterError(what, where=bad[1], fix=f"give {wanted}")
     if extra := re.search("Unrecognized options: (.*?) For full helptext", text):
@@ -130,27 +158,6 @@ def _example(command: type) -> str:
     """The line that every command's help ends with."""
     found = re.search(r"For example: (gendom .*)", command.__doc__ or "")
     return f"for example: {found[1]}" if found else ""
-
-
-@cache
-def described(command: type) -> type:
-    """A command's class with help texts in one line (tyro keeps line breaks of indented
-    docstrings), and without defaults such as None and False.
-
-    A field that is a dataclass of settings gives its fields as flags of their own names.
-    """
-
-    def default_told(default: str) -> str:
-        return "" if default in ("None", "False", "''", "") else f"(default: {default})"
-
-    told = _help(command)
-    for name, kind in get_type_hints(command, include_extras=True).items():
-        if isinstance(kind, type) and is_dataclass(kind):
-            command.__annotations__[name] = tyro.conf.OmitArgPrefixes[described(kind)]
-            continue
-        said = tyro.conf.arg(help=told.get(name), help_behavior_hint=default_told)
-        command.__annotations__[name] = Annotated[kind, said]
-    return command
 
 
 def _help(command: type) -> dict[str, str]:
@@ -189,15 +196,6 @@ def _description(command: type) -> str:
 def _flag(word: str) -> str:
     """A flag as it is defined: without its value, with ``-`` for ``_``."""
     return word.partition("=")[0].replace("_", "-")
-
-
-def _given(called: str, words: Sequence[str], flags: Iterable[str]) -> list[str]:
-    for n, word in enumerate(words):
-        if word.startswith("--") and _flag(word) == called:
-            after = word.partition("=")[2]
-            rest = takewhile(lambda w: _flag(w) not in flags, words[n + 1 :])
-            return [after] if after else list(rest)
-    return []
 
 
 def _wanted(kind: Any) -> str:

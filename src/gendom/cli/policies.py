@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,7 @@ from gendom.policies import Policy
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """List policies: what they see, what they were trained on, how far they miss, and the commands
-    that made them.
+    """List policies: what they see, what they were trained on, and how far they miss.
 
     For example: gendom policies --json
     """
@@ -48,32 +46,7 @@ def described(policy: Policy) -> dict[str, Any]:
         "failed": training.get("failed", 0),
         "training": training,
         "acted": about.training.get("acted"),
-        "made_by": made_by(policy),
     }
-
-
-def made_by(policy: Policy) -> list[str]:
-    """The commands that make such a policy."""
-    about, training = policy.description, policy.description.training
-    if not training.get("demonstrations"):
-        return []
-    task = about.task["name"]
-    size = str(training["demonstrations"])
-    made = shlex.join(["gendom", "dataset", task, "--size", size, "--out", "set"])
-    train = ["gendom", "train", task, "--data", "set", "--out", Path(policy.where).name]
-    train += ["--method", about.method]
-    if not about.conditioned_on:
-        train += ["--condition", "none"]
-    elif training.get("conditioned_on"):
-        train += ["--condition", *about.conditioned_on]
-    flags = ["architecture", "epochs", "seed"]
-    if training.get("refine"):
-        flags += ["refine", "refine_cases"]
-        if (engine := (training.get("refined_in") or {}).get("engine", "thin")) != "thin":
-            train += ["--engine", str(engine)]
-    for flag in flags:
-        train += [f"--{flag.replace('_', '-')}", str(training[flag])]
-    return [made, shlex.join(train)]
 
 
 def policy_text(row: dict[str, Any]) -> str:
@@ -107,4 +80,4 @@ def policy_text(row: dict[str, Any]) -> str:
             share, cases = 100.0 * acted["enough_share"], acted["cases"]
             lines.append(f"  is enough      in {share:.3g} % of {cases} new cases")
         lines.append(f"  misses by      {said}")
-    return "\n".join([*lines, *(f"  {command}" for command in row["made_by"])])
+    return "\n".join(lines)

@@ -315,31 +315,6 @@ def _json(place: Path) -> Finding:
     return found
 
 
-def _policy(place: Path) -> Finding:
-    from gendom.cli.policies import described
-    from gendom.policies import Policy
-
-    policy = Policy.read(place)
-    found = Finding("a policy", summary=described(policy))
-    about, task = policy.description, policy.description.task["name"]
-    found.rows = {"task": task, "sees": ", ".join(about.conditioned_on) or "the goal alone"}
-    words = ("gendom", "evaluate", task, "--policy", place)
-    found.step(*words, does="Measure how well it reaches its goals.")
-    return found
-
-
-def _demonstrations(place: Path) -> Finding:
-    from gendom.datasets.demonstrations import read_description
-    from gendom.tasks import find_task
-
-    about = read_description(place)
-    task = find_task(about["task"]["name"]).name  # no file that a set names is proposed
-    found = Finding(f"demonstrations of {task}", {"size": str(about["size"])}, {"task": task})
-    words = ("gendom", "train", task, "--data", place, "--out", f"{task}.onnx")
-    found.step(*words, does="Train a policy on them.")
-    return found
-
-
 def _lerobot(place: Path) -> Finding:
     own = place / "meta/gendom.json"
     form = read_json(own, RecordingError).get("format") if own.exists() else ""
@@ -387,7 +362,6 @@ _FOLDERS: list[tuple[Callable[[Path], bool], Callable[[Path], Finding]]] = [
     (lambda p: (p / "meta/info.json").is_file(), _lerobot),
     (lambda p: (p / "cameras").is_dir(), _depth),
     (lambda p: (p / "board.toml").is_file() or (p / "poses.csv").is_file(), _board),
-    (lambda p: (p / "dataset.json").is_file(), _demonstrations),
     (lambda p: bool(bag_files(p)) and not (p / "gripper.csv").is_file(), _bag),
     (lambda p: (p / "gripper.csv").is_file() and (p / "object.toml").is_file(), _recording),
     (lambda p: any(f.suffix.lower() in (".ply", ".pcd") for f in p.iterdir()), _clouds),
@@ -398,7 +372,6 @@ _FOLDERS: list[tuple[Callable[[Path], bool], Callable[[Path], Finding]]] = [
 
 _FILES: dict[str, Callable[[Path], Finding]] = {
     ".npz": _recording,
-    ".onnx": _policy,
     ".json": _json,
     ".toml": _toml,
     **dict.fromkeys((".ply", ".pcd"), _cloud),

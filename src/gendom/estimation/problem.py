@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -44,23 +44,25 @@ class EstimateSettings:
     """How parameters are estimated; written into every result."""
 
     method: str = "gauss-newton"
-    """One of `gendom.estimation.METHODS`."""
+    """Method of the search: gauss-newton, adam, differential-evolution or another package's
+    (docs/estimation.md)."""
     starts: int = 3
-    """Number of starts of a search: the best of a scan, and random ones."""
+    """Number of starts of the search: the best of a scan first, then random ones."""
     unknowns: tuple[str, ...] = ()
-    """Names of the `UNKNOWNS` to estimate; by default those that the recording may determine."""
+    """Unknowns to estimate, such as E_over_rho grip_height; by default those that a recording
+    of this kind may determine."""
     also: tuple[str, ...] = ()
-    """Names of further ones."""
-    frames: str = "all"
-    """``all`` or ``last``: the frames that are compared."""
-    camera_pose: str | None = None
-    """``stated``: the cameras' errors are those of a calibration; ``unknown``: their poses are
-    estimated, too. None: as each recording says."""
+    """Further ones, such as tip_mass (a knot or a sheath at a rope's end) or thickness."""
+    frames: Literal["all", "last"] = "all"
+    """Frames that are compared."""
+    camera_pose: Literal["stated", "unknown"] | None = None
+    """unknown: the cameras are not calibrated to the robot, and their pose is estimated, too; by
+    default as each recording says (cameras_calibrated, docs/recordings.md)."""
     max_iterations: int = 25
     """Batches that a search may simulate; of `gauss-newton`, whose trials need no derivatives, half
     of them."""
     seed: int = 0
-    """Of all random draws."""
+    """Seed of all random draws."""
     level: float = 0.9
     """Nominal probability of the intervals."""
     scene: SceneSettings = field(default_factory=SceneSettings)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from gendom.arguments import require
 from gendom.materials import catalogue
@@ -37,16 +38,16 @@ compared, at most, and in place of `STRETCH`."""
 class SceneSettings:
     """How a recording is turned into a simulation; written into every result."""
 
-    engine: str = "thin"
-    """``thin`` (ropes as rods, cloths as shells) or ``mpm``."""
+    engine: Literal["thin", "mpm"] = "thin"
+    """Engine of the simulator. thin: ropes as rods, cloths as shells. mpm: material points, slower.
+    """
     material: str | None = None
-    """What the object is made of, a name of `gendom.materials.catalogue`: priors, and its density
-    where the mass is unknown. None: unknown."""
+    """Its material, by a name of gendom materials: narrows the priors, and gives the density where
+    the mass is unknown."""
     points: int | None = None
-    """Of a rod, or along the longer side of a shell; None: the engine's own for ropes,
-    `SHELL_POINTS` for cloths."""
+    """Points of a rod, or along the longer side of a shell; by default the engine's choice."""
     cells_across: float = 1.5
-    """Grid cells across a rope's diameter; cloths scale with it. Of the MPM."""
+    """With mpm: grid cells across a rope's diameter (cloths alike); finer is slower."""
     slow_frames: int = 36
     """Frames that are compared where the gripper is slow, at most."""
     fast_frames: int = 60
@@ -57,6 +58,7 @@ class SceneSettings:
     """Of all worlds [s]; None: each its own. Then the number of substeps between two frames depends
     on E, and where it changes, positions jump by some 1e-7 m, which shows in exact clouds only."""
     device: str = "cpu"
+    """cpu, cuda or cuda:0 and so on."""
     threads: int | None = None
 
     def __post_init__(self) -> None:

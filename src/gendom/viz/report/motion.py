@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -77,6 +78,13 @@ class ReachOutcome:
     def error(self, name: str) -> float:
         """Distance between the place that a run reached and the goal [m]."""
         return float(np.linalg.norm(self.runs[name].reached - self.goal))
+
+    def records(self) -> dict[str, dict[str, Any]]:
+        """The runs by name, ready for JSON."""
+        return {
+            name: {"action": run.action, "reached": run.reached, "error": self.error(name)}
+            for name, run in self.runs.items()
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
