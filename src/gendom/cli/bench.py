@@ -6,10 +6,11 @@ handling and recording are included; compiling kernels is not.
 
 from __future__ import annotations
 
+import itertools
 import logging
 import math
-import statistics
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -56,55 +57,37 @@ class Command:
     def run(self) -> int:
         positive = min((*self.worlds, *self.threads), default=0) >= 1 and self.seconds > 0.0
         require(positive, "worlds, threads and seconds must be positive", fix="give more")
-        cuda = self.device.startswith("cuda")
+        every = (1,) if self.device.startswith("cuda") else self.threads
         rows = []
-        for dtype in self.dtype:
-            for worlds in self.worlds:
-                for threads in (1,) if cuda else self.threads:
-                    if threads > worlds:
-                        continue
-                    log.info("%s, %d worlds, %d threads ...", dtype, worlds, threads)
-                    rows.append(self._measure(dtype, worlds, threads))
+        for dtype, worlds, threads in itertools.product(self.dtype, self.worlds, every):
+            if threads <= worlds:
+                log.info("%s, %d worlds, %d threads ...", dtype, worlds, threads)
+                rows.append(self._measure(dtype, worlds, threads))
         print(to_json(rows) if self.json else _table(rows))
         return 0
 
     def _measure(self, dtype: str, worlds: int, threads: int) -> dict[str, Any]:
-        """Time rollouts of ropes that are carried to random points. Times are medians."""
+        """Time rollouts of ropes that are carried to random points."""
         from gendom.sim import Rollout, Simulator  # Warp, which takes long to import
 
-        task, world = RopeReaching(), Simulation(engine="mpm", cells_across=2.0)
-        body, _ = world.body(task, task.item)
-        scene = task.scene(task.item)
-        material = Material(E=1.0e6, nu=0.3, density=1000.0)
+        task = RopeReaching()
+        body, _ = Simulation(engine="mpm", cells_across=2.0).body(task, task.item)
         actions = task.sample_actions(task.item, np.random.default_rng(0), worlds)
         paths = TcpPaths([task.tool_path(task.item, a) for a in actions])
-        hands = grippers(scene, paths, 0.0)
+        hands = grippers(task.scene(task.item), paths, 0.0)
+        materials = [Material(E=1.0e6, nu=0.3, density=1000.0)] * worlds
+        solver = Solver(engine="mpm", dtype=dtype, device=self.device, threads=threads)
 
         def simulator() -> Simulator:
-            return Simulator(
-                body,
-                [material] * worlds,
-                grippers=hands,
-                solver=Solver(engine="mpm", dtype=dtype, device=self.device, threads=threads),
-            )
+            return Simulator(body, materials, grippers=hands, solver=solver)
 
-        forward: list[float] = []
-        both: list[float] = []
-        for _ in range(RUNS + 1):
-            s = simulator()
-            began = time.perf_counter()
-            s.run([self.seconds])
-            forward.append(time.perf_counter() - began)
-            if self.gradient:
-                rollout = Rollout(simulator())
-                began = time.perf_counter()
-                x = rollout.forward([self.seconds])
-                rollout.backward(np.ones_like(x))
-                both.append(time.perf_counter() - began)
+        def there_and_back(rollout: Rollout) -> None:
+            rollout.backward(np.ones_like(rollout.forward([self.seconds])))
+
+        s = simulator()
+        median = _median(simulator, lambda s: s.run([self.seconds]))
+        both = _median(lambda: Rollout(simulator()), there_and_back) if self.gradient else None
         substeps = math.ceil(self.seconds / s.substep[0])
-        median = statistics.median(forward[1:])
-        rate = worlds * body.num_particles * substeps / median
-        gradient_seconds = statistics.median(both[1:]) if self.gradient else None
         return {
             "device": str(s.device),
             "dtype": dtype,
@@ -113,11 +96,22 @@ class Command:
             "particles": body.num_particles,
             "substeps": substeps,
             "seconds": median,
-            "particle_steps_per_second": rate,
+            "particle_steps_per_second": worlds * body.num_particles * substeps / median,
             "substep_us": 1e6 * median / substeps,
-            "gradient_seconds": gradient_seconds,  # forward and backward together
-            "gradient_cost": gradient_seconds / median if gradient_seconds else None,
+            "gradient_seconds": both,  # forward and backward together
+            "gradient_cost": both and both / median,
         }
+
+
+def _median(make: Callable[[], Any], work: Callable[[Any], Any]) -> float:
+    """Seconds of a work with what is made for it, after a first one that compiles."""
+    seconds = []
+    for _ in range(RUNS + 1):
+        made = make()
+        began = time.perf_counter()
+        work(made)
+        seconds.append(time.perf_counter() - began)
+    return float(np.median(seconds[1:]))
 
 
 def _table(rows: list[dict[str, Any]]) -> str:
@@ -127,7 +121,7 @@ def _table(rows: list[dict[str, Any]]) -> str:
             *(str(row[name]) for name in heads),
             f"{row['particle_steps_per_second'] / 1e6:.2f}",
             f"{row['substep_us']:.1f}",
-            "" if row["gradient_cost"] is None else f"{row['gradient_cost']:.2f} x",
+            f"{row['gradient_cost']:.2f} x" if row["gradient_cost"] else "",
         )
         for row in rows
     ]

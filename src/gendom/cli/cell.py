@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from PIL import Image
 
 from gendom.cli.arguments import Json
-from gendom.cli.outputs import check_places, print_result, tell_written
+from gendom.cli.outputs import check_places, print_result, write_picture
 from gendom.errors import DeviceError
-from gendom.files import atomic_path
 from gendom.hardware.cell import Cell
 from gendom.hardware.picture import draw_cell
 
@@ -41,8 +39,7 @@ class Command:
         faults = cell.faults()
         wrong = [fault for fault in faults if fault.severity == "error"]
         if self.picture is not None:
-            write_picture(self.picture, draw_cell(cell, cell.model.home[None]))
-            tell_written(self.picture, json=self.json)
+            write_picture(self.picture, draw_cell(cell, cell.model.home[None]), json=self.json)
         if wrong:
             more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
             where = f"{self.file}: {wrong[0].where}"
@@ -66,9 +63,3 @@ class Command:
         text = "\n".join(f"{name:<10} {said}" for name, said in rows)
         print_result(summary, text, [f for f in faults if f not in wrong], json=self.json)
         return 0
-
-
-def write_picture(path: Path, picture: Image.Image) -> None:
-    """Write a PNG, atomically."""
-    with atomic_path(path) as temporary:
-        picture.save(temporary)

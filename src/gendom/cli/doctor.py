@@ -9,10 +9,10 @@ from typing import Annotated
 import tyro
 
 from gendom.cli.arguments import Json
-from gendom.cli.outputs import check_places, fault_entry, print_result, tell_written
+from gendom.cli.outputs import check_places, fault_entry, print_result, write_picture
 from gendom.cli.recognised import look
 from gendom.errors import GendomError, RecordingError, printable
-from gendom.files import atomic_path, to_json
+from gendom.files import to_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,9 +67,7 @@ def examine(place: Path, picture: Path | None = None, *, json: bool) -> int:
         from gendom.viz.views import draw_views
 
         drawn = draw_views(found.clouds, gripper=found.gripper, table=found.table)
-        with atomic_path(picture) as temporary:
-            drawn.save(temporary, "PNG")
-        tell_written(picture, json=json)
+        write_picture(picture, drawn, json=json)
     if errors:
         named = any(fault.where.startswith(str(place)) for fault in errors)
         raise RecordingError(where="" if named else str(place), faults=errors)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -14,8 +14,7 @@ import tyro
 
 from gendom.arguments import require
 from gendom.arrays import placed
-from gendom.cli.cell import write_picture
-from gendom.cli.outputs import check_places, tell_written
+from gendom.cli.outputs import check_places, write_picture
 from gendom.errors import DeviceError, printable
 from gendom.files import write_json
 from gendom.hardware.cell import Cell, PlannedMotion
@@ -33,7 +32,7 @@ from gendom.hardware.execution import (
 from gendom.hardware.picture import draw_cell
 from gendom.hardware.recording import record_motion
 from gendom.hardware.simulated import SimulatedRobot
-from gendom.materials import Cloth, Item, from_columns
+from gendom.materials import Item, from_columns
 from gendom.reading import read_json
 from gendom.reality import as_real, task_trial
 from gendom.reality.recording import object_file
@@ -85,21 +84,13 @@ class Command:
             print(_measured(self.action))
         if self.picture is not None:
             write_picture(self.picture, self._drawn(cell, action))
-            tell_written(self.picture)
         if not self.move:
             print("\n".join(preview(action.plan, cell)))
             print("nothing moved: this was a dry run (--move)")
             return 0
-        record, what = None, "the execution of an action"
-        if self.record is not None:
-            task = find_task(action.task)()
-            item = from_columns(task.kind, action.object)
-            record = self.record, described(cell, item, what, task=task.name)
-        move(
-            cell, action.plan, what, logs=self.cell.parent / "executions", record=record,
-            said=read_plan(self.action), yes=self.yes,
-            bring=lambda robot: bring(robot, action, ask=not self.yes),
-        )  # fmt: skip
+        what, logs = "the execution of an action", self.cell.parent / "executions"
+        record = self.record and (self.record, described(cell, held(action), what, action.task))
+        move(cell, action, what, read_plan(self.action), logs, record=record, yes=self.yes)
         return 0
 
     def _drawn(self, cell: Cell, action: PlannedAction) -> Any:
@@ -148,14 +139,18 @@ def read_plan(path: Path) -> dict[str, Any]:
     return {key: value for key, value in said.items() if key not in own}
 
 
+def held(action: PlannedAction) -> Item:
+    """The object that an action is for."""
+    return from_columns(find_task(action.task)().kind, action.object)
+
+
 def move(
     cell: Cell,
-    planned: PlannedMotion,
+    action: PlannedAction | PlannedMotion,
     what: str,
     said: Mapping[str, Any],
     logs: Path,
     *,
-    bring: Callable[[Any], None],
     record: tuple[Path, str] | None = None,
     yes: bool,
 ) -> None:
@@ -163,15 +158,16 @@ def move(
 
     Args:
         cell: Where.
-        planned: The motion.
+        action: A task's, or the motion of a lift.
         what: What it is called.
         said: The action's file; the log begins with it, and pictures have it beside them as
             action.json, with the plan as it is carried out.
         logs: Folder of logs.
-        bring: Called with the robot where it waits for the object.
         record: Folder for pictures, and the content of its object.toml; None: none are taken.
         yes: Nobody is asked, and it moves slowly.
     """
+    task = action if isinstance(action, PlannedAction) else None
+    planned = action.plan if isinstance(action, PlannedAction) else action
     planned = careful(planned, cell) if yes else planned
     said = {**said, "plan": planned}
     print("\n".join([what, *preview(planned, cell)]))
@@ -191,14 +187,14 @@ def move(
     try:
         for camera in cameras:
             camera.connect()
-        execute(planned, cell, robot, log, ready=lambda: bring(robot), play=play)
+        execute(planned, cell, robot, log, ready=lambda: bring(robot, task, ask=not yes), play=play)
     finally:
         for camera in cameras:
             camera.disconnect()
 
 
 def described(
-    cell: Cell, item: Item, source: str, *, task: str | None = None, quasi_static: bool = False
+    cell: Cell, item: Item, source: str, task: str | None = None, *, quasi_static: bool = False
 ) -> str:
     """Content of object.toml for a recording in a cell.
 
@@ -209,26 +205,17 @@ def described(
         task: What is done; None: a lift.
         quasi_static: Whether inertia plays no part.
     """
-    sizes = {"width": item.side, "height": item.side} if isinstance(item, Cloth) else {}
-    sizes |= {name: getattr(item, name) for name in item.sizes if name != "side"}
-    table = {} if cell.table_height is None else {"table_height": cell.table_height}
-    about = {**table, "gripper_source": "measured", "robot": cell.model.name,
-             "quasi_static": quasi_static, "source": source}  # fmt: skip
+    about = {} if cell.table_height is None else {"table_height": cell.table_height}
+    about |= {"gripper_source": "measured", "robot": cell.model.name}
+    about |= {"quasi_static": quasi_static, "source": source}
     about |= {} if task is None else {"task": task}
-    return object_file(
-        about,
-        {
-            "kind": item.kind,
-            "grasp": "end" if item.kind == "rope" else "corner",
-            "grasp_radius": 0.5 * FINGER_WIDTH,
-            "grasp_inset": 0.5 * FINGER_WIDTH,
-            "mass": item.mass,
-            **{name: float(value) for name, value in sizes.items()},
-        },
-    )
+    half = 0.5 * FINGER_WIDTH
+    grasp = {"grasp": "end" if item.kind == "rope" else "corner"}
+    grasp |= {"grasp_radius": half, "grasp_inset": half}
+    return object_file(about, grasp | as_real(item).description())
 
 
-def bring(robot: Any, action: PlannedAction | None, *, ask: bool = True) -> None:
+def bring(robot: Any, action: PlannedAction | None, *, ask: bool) -> None:
     """Ask a person to bring the object; in simulation it is brought.
 
     Args:
@@ -237,22 +224,17 @@ def bring(robot: Any, action: PlannedAction | None, *, ask: bool = True) -> None
         ask: Whether a person is there; else the object is.
     """
     simulated = isinstance(robot, SimulatedRobot)
+    if not simulated and not ask:
+        return
     if action is None:
         if simulated:
-            robot.arrange()
-        elif ask:
-            confirm("Lay the object down, its end between the fingers, and step back.")
-        return
-    task = find_task(action.task)()
-    item = from_columns(task.kind, action.object)
+            return robot.arrange()
+        return confirm("Lay the object down, its end between the fingers, and step back.")
+    task, item = find_task(action.task)(), held(action)
     if simulated:
         real = robot.item if task.kind == robot.item.kind else as_real(item)
-        robot.arrange(task_trial(task, real, list(action.action.values())))
-    elif ask:
-        scene = task.scene(item)
-        T = action.trajectory.T_base_task
-        at = ", ".join(f"{x:.3f}" for x in placed(T, scene.origin))
-        hung = f"Fix the object's first end in the stand at ({at}) m. " if scene.stand else ""
-        confirm(
-            f"{hung}Put what is to be held between the fingers: they close when you have typed."
-        )
+        return robot.arrange(task_trial(task, real, list(action.action.values())))
+    scene = task.scene(item)
+    at = ", ".join(f"{x:.3f}" for x in placed(action.trajectory.T_base_task, scene.origin))
+    hung = f"Fix the object's first end in the stand at ({at}) m. " if scene.stand else ""
+    confirm(f"{hung}Put what is to be held between the fingers: they close when you have typed.")

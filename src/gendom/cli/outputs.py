@@ -8,11 +8,14 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gendom.datasets import Fault
 from gendom.errors import printable
-from gendom.files import check_file, check_folder, to_json, write_json
+from gendom.files import atomic_path, check_file, check_folder, to_json, write_json
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 
 class _Lines(io.TextIOBase):
@@ -69,6 +72,13 @@ def write_result(path: Path | None, record: Any, *, json: bool) -> None:
     if path is not None:
         write_json(path, record)
         tell_written(path, json=json)
+
+
+def write_picture(path: Path, picture: Image.Image, *, json: bool = False) -> None:
+    """Write a PNG, and name it."""
+    with atomic_path(path) as temporary:
+        picture.save(temporary, "PNG")
+    tell_written(path, json=json)
 
 
 def fault_entry(fault: Fault) -> dict[str, str]:

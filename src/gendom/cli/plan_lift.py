@@ -12,13 +12,7 @@ import tyro
 from gendom.arguments import require
 from gendom.cli.arguments import Json, Seed, settings_of
 from gendom.cli.outputs import check_places, columns, tell_written, write_result
-from gendom.estimation.lift_plan import (
-    LiftPlan,
-    LiftPlanSettings,
-    ObjectClass,
-    plan_lift,
-    rolls,
-)
+from gendom.estimation.lift_plan import LiftPlan, LiftPlanSettings, ObjectClass, plan_lift, rolls
 from gendom.files import to_json
 from gendom.materials import KINDS, thickness_of, to_columns
 from gendom.progress import bar
@@ -83,22 +77,19 @@ class Command:
         return 0
 
     def _objects(self) -> ObjectClass:
-        names = KINDS[self.kind].sizes
-        others = [n for kind in KINDS.values() for n in kind.sizes if n not in names]
-        fix = f"give --{names[0]} and --{names[1]}"
-        for name in others:
+        large, small = KINDS[self.kind].sizes
+        fix = f"give --{large} and --{small}"
+        for name in sorted({n for kind in KINDS.values() for n in kind.sizes} - {large, small}):
             what = f"a {self.kind} has no {name}"
             require(not getattr(self, name), what, where=f"--{name}", fix=fix)
-        ranges = {name: self._range(name) for name in (*names, "mass")}
-        missing = [name for name in names if ranges[name] is None]
+        size, thickness, mass = (self._range(name) for name in (large, small, "mass"))
+        missing = [n for n, ends in ((large, size), (small, thickness)) if ends is None]
         fix = f"give {' and '.join(f'--{name}' for name in missing)} in metres"
         require(not missing, f"lacks the {self.kind}'s {' and '.join(missing)}", fix=fix)
-        size, thickness = (ranges[name] for name in names)
         assert size is not None and thickness is not None
         return ObjectClass(
-            kind=self.kind, size=size, thickness=thickness, mass=ranges["mass"],
-            material=self.material,
-        )  # fmt: skip
+            kind=self.kind, size=size, thickness=thickness, mass=mass, material=self.material
+        )
 
     def _range(self, name: str) -> tuple[float, float] | None:
         given = getattr(self, name)
@@ -111,12 +102,9 @@ class Command:
         middle = plan.objects.at(0.5)
         item = as_real(middle)
         trial = lift(item, plan.chosen.motion)
-        motion = {
-            "format": MOTION_FORMAT,
-            "lift": plan.chosen.motion,
-            "object": {name: to_columns(middle)[name] for name in item.sizes},
-            "trajectory": trial.path.to_dict(),
-        }
+        about = {"object": {name: to_columns(middle)[name] for name in item.sizes}}
+        about |= {"trajectory": trial.path.to_dict()}
+        motion = {"format": MOTION_FORMAT, "lift": plan.chosen.motion, **about}
         write_result(folder / "motion.json", motion, json=self.json)
         arm = arm_motion(trial, lift_cameras(item))
         arm.write_joints(folder / "joints.csv", opening=(thickness_of(item), OPEN))
@@ -125,25 +113,15 @@ class Command:
 
 def plan_text(plan: LiftPlan) -> str:
     """A plan for people."""
-    level, drawn = plan.settings.level, plan.settings.draws
-
-    def percent(half: float) -> str:
-        return f"{100.0 * math.expm1(half):.3g}" if math.isfinite(half) else ""
-
-    rows = []
+    level, drawn, rows = plan.settings.level, plan.settings.draws, []
     for row in plan.rows:
         half = {name: row.half_width(name, level) for name in plan.prior_sd}
-        rows.append(
-            (
-                str(row.motion),
-                percent(half["E"]),
-                percent(half["damping"]),
-                f"{half['friction']:.3f}" if math.isfinite(half["friction"]) else "",
-                f"{row.carried_out} of {drawn}",
-                f"{plan.gain(row):.2f}",
-                "*" if rolls(row.motion) else "",
-            )
-        )
+        widths = [f"{100.0 * math.expm1(half[n]):.3g}" if math.isfinite(half[n]) else ""
+                  for n in ("E", "damping")]  # fmt: skip
+        friction = f"{half['friction']:.3f}" if math.isfinite(half["friction"]) else ""
+        carried, gain = f"{row.carried_out} of {drawn}", f"{plan.gain(row):.2f}"
+        star = "*" if rolls(row.motion) else ""
+        rows.append((str(row.motion), *widths, friction, carried, gain, star))
     head = ("E [%]", "damping [%]", "friction", "carried out", "gain", "")
     lines = [columns((f"Half width of {100.0 * level:g} % intervals", *head), rows)]
     if any(rolls(row.motion) for row in plan.rows):

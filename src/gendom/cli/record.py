@@ -9,7 +9,7 @@ from typing import Literal
 
 from gendom.arguments import require
 from gendom.cli.arguments import Seed
-from gendom.cli.execute import bring, described, move
+from gendom.cli.execute import described, move
 from gendom.errors import ParameterError
 from gendom.files import check_folder
 from gendom.hardware.cell import Cell
@@ -175,16 +175,8 @@ def lift_in(
     require(cell.camera, "has no camera", where=str(cell.path), fix=fix)
     path = lift_path(known, motion, grasp, cell.table_height or 0.0)
     planned = cell.plan(path, opening=thickness_of(known), hangs=size_of(known))
-    source = "a lift in a cell"
-    move(
-        cell,
-        planned,
-        "lift",
-        logs=logs or Path(cell.path or ".").parent / "executions",
-        said={"plan": planned},
-        bring=lambda robot: bring(robot, None, ask=not yes),
-        record=(out, described(cell, known, source, quasi_static=motion.quasi_static)),
-        yes=yes,
-    )
+    about = described(cell, known, "a lift in a cell", quasi_static=motion.quasi_static)
+    logs = logs or Path(cell.path or ".").parent / "executions"
+    move(cell, planned, "lift", {"plan": planned}, logs, record=(out, about), yes=yes)
     for name, (offset, sd) in check_clocks(out, cell.model).items():
         print(f"clock      camera {name} {1e3 * offset:+.0f} +- {1e3 * sd:.0f} ms off the robot's")

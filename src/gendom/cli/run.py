@@ -14,7 +14,7 @@ import numpy as np
 from gendom.arguments import require
 from gendom.cli import act, adapt, estimate
 from gendom.cli.arguments import TaskName
-from gendom.cli.execute import bring, described, move, read_plan
+from gendom.cli.execute import described, move, read_plan
 from gendom.cli.outputs import columns
 from gendom.cli.perceive import Command as Perceive
 from gendom.cli.record import known_in, lift_in
@@ -80,24 +80,17 @@ class Command:
         what, fix = f"has {len(self.goal)} numbers", f"give {len(task.goals)}"
         require(len(self.goal) == len(task.goals), what, where="--goal", fix=fix)
         steps = _Steps(self.out)
-        named = [] if self.object is None else [self.object]
-        lift = steps.do("lift", "lift", [self.cell, *named],
-                        lambda to: self._lift(cell, known, to), settings=[self.grasp])  # fmt: skip
-        colour = known.colour
+        given = [self.cell, *filter(None, [self.object])]
+        lift = steps.do("lift", "lift", given, lambda to: lift_in(
+            cell, known, to, motion=predefined_lift(known.kind), grasp=self.grasp, yes=self.yes,
+            logs=self.out / "executions"), settings=[self.grasp])  # fmt: skip
         seen = steps.do("perceive", "lift.npz", [lift], lambda to: Perceive(
-            folder=lift, out=to, arm=cell.arm, perception=_by(colour)).run())  # fmt: skip
-        code = 0
-
-        def estimated(to: Path) -> None:
-            nonlocal code
-            code = estimate.Command(recording=seen, out=to.parent).run()
-
-        params = steps.do("estimate", "estimate.json", [seen], estimated)
-        if code == 0 and not read_json(params)["verdict"]["usable"]:
-            code = estimate.NOT_USABLE
-        if code != 0 and not self.force:
+            folder=lift, out=to, arm=cell.arm, perception=_by(known.colour)).run())  # fmt: skip
+        params = steps.do("estimate", "estimate.json", [seen], lambda to: estimate.Command(
+            recording=seen, out=to.parent).run())  # fmt: skip
+        if not read_json(params)["verdict"]["usable"] and not self.force:
             _log.error("nothing is done with an unusable estimate; lift again, or --force")
-            return code
+            return estimate.NOT_USABLE
         rows, misses = [], []
         for k in range(1, self.executions + 1):
             params, miss, row = self._execution(steps, k, cell, task, known, params)
@@ -111,44 +104,28 @@ class Command:
         write_json(self.out / "best.json", read_json(self.out / f"action-{best}.json"))
         return 0
 
-    def _lift(self, cell: Cell, known: Any, to: Path) -> None:
-        usual, logs = predefined_lift(known.kind), self.out / "executions"
-        lift_in(cell, known, to, motion=usual, grasp=self.grasp, yes=self.yes, logs=logs)
-
     def _execution(
         self, steps: _Steps, k: int, cell: Cell, task: Task, known: Any, params: Path
     ) -> tuple[Path, float, list[str]]:
         """Act, execute, observe, adapt; returns the estimate after it, by how much it missed, and a
         row of the table."""
-
-        def acted(to: Path) -> None:
-            act.Command(
-                task=self.task, goal=self.goal, params=params, cell=self.cell, polish=k > 1,
-                seconds=POLISHING, out=to, force=self.force,
-            ).run()  # fmt: skip
-
-        plan = steps.do(f"act {k}", f"action-{k}.json", [params, self.cell], acted,
-                        settings=[self.goal])  # fmt: skip
+        plan = steps.do(f"act {k}", f"action-{k}.json", [params, self.cell], lambda to: act.Command(
+            task=self.task, goal=self.goal, params=params, cell=self.cell, polish=k > 1,
+            seconds=POLISHING, out=to, force=self.force).run(), settings=[self.goal])  # fmt: skip
 
         def executed(to: Path) -> None:
             action = read_action(plan, cell.model)
             what = f"execution {k} of {task.name}"
-            move(
-                cell, action.plan, what, logs=self.out / "executions", said=read_plan(plan),
-                bring=lambda robot: bring(robot, action, ask=not self.yes),
-                record=(to, described(cell, known, what, task=task.name)), yes=self.yes,
-            )  # fmt: skip
+            record = to, described(cell, known, what, task.name)
+            logs = self.out / "executions"
+            move(cell, action, what, read_plan(plan), logs, record=record, yes=self.yes)
 
         shown = steps.do(f"execute {k}", f"seen-{k}", [plan], executed, settings=[self.yes])
         found = steps.do(f"observe {k}", f"reached-{k}.json", [shown],
                          lambda to: _observe(task, known, cell, shown, to))  # fmt: skip
-
-        def adapted(to: Path) -> None:
-            adapt.Command(
-                task=self.task, params=params, executions=found, out=to, force=self.force
-            ).run()
-
-        better = steps.do(f"adapt {k}", f"adapted-{k}.json", [params, found], adapted)
+        better = steps.do(f"adapt {k}", f"adapted-{k}.json", [params, found], lambda to: (
+            adapt.Command(task=self.task, params=params, executions=found, out=to,
+                          force=self.force).run()))  # fmt: skip
         predicted = read_json(plan).get("predicted", {}).get("reached", {})
         values = read_json(found)["outcome"]
         miss = task.error(known, np.array(self.goal), values)
@@ -187,12 +164,9 @@ class _Steps:
         self, name: str, makes: str, needs: Sequence[Path], work: Callable[[Path], Any],
         *, settings: Sequence[Any] = (),
     ) -> Path:  # fmt: skip
-        """Do a step, unless it was finished from the same inputs (files, folders and settings); a
-        folder of an earlier try is kept under another name.
-
-        Returns:
-            The path of what it makes, which ``work`` is called with.
-        """
+        """Do a step, unless it was finished from the same inputs (files, folders and settings); the
+        path of what it makes, which ``work`` is called with. A folder of an earlier try is kept
+        under another name."""
         to = self.folder / makes
         inputs = _digest([*(_content(path) for path in needs), to_json(list(settings))])
         if self.done.get(name) == inputs and to.exists():

@@ -74,7 +74,7 @@ class Command:
         found = catalogue.get(self.source)
         kind = KINDS[found.kind]
         large, small = kind.sizes
-        given = [n for n, v in sorted(self._sizes.items()) if v is not None and n not in kind.sizes]
+        given = sorted(n for n, v in self._sizes.items() if v is not None and n not in kind.sizes)
         what = f"is a {found.kind}, which has no {' and no '.join(given)}"
         require(not given, what, where=self.source, fix=f"give --{large} and --{small}")
         sizes = {large: self._sizes[large], small: self._sizes[small] or found.across.typical}
