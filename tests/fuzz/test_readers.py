@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gendom.cli.adapt import Command as Adapt
 from gendom.cli.recognised import look
 from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.lerobot import export_recording
@@ -47,7 +46,6 @@ K = np.array([[10.0, 0.0, 4.0], [0.0, 10.0, 2.0], [0.0, 0.0, 1.0]])
 CAMERA = Camera(name="left", width=8, height=4, K=K, T_world_camera=np.eye(4))
 POLICY = Path(str(resources.files("gendom"))) / "assets" / "rope-reaching.onnx"
 DB3 = Path(__file__).parents[1] / "perception" / "recordings" / "sdk-2.59.db3"
-EXECUTED = [{"action": [0.4, 0.1], "reached": [0.02 * k]} for k in range(3)]
 MOTION = {"format": "gendom-motion/1", "lift": predefined_lift("rope")}
 POINTS = np.random.default_rng(0).normal(size=(12, 3)).astype(np.float32) * 0.05
 
@@ -304,10 +302,6 @@ READERS = {
         lambda f: acted(f / "policy.onnx"),
     ),
     "demonstrations": (demonstrations, lambda f: rows_of(f / "set")),
-    "executions": (
-        files(executions_json={"executions": EXECUTED}),
-        lambda f: Adapt(task="rope-reaching", executions=f / "executions.json")._new(),
-    ),
     "motion": (files(motion_json=MOTION), lambda f: LiftMotion.read(f / "motion.json")),
     "ply": (clouds(partial(write_ply, points=POINTS), ".ply"), read),
     "ply as text": (clouds(partial(write_ply, points=POINTS, text=True), ".ply"), read),
@@ -332,7 +326,7 @@ READERS = {
 }
 
 
-EDITED = {"cell", "action", "log", "executions", "motion", "arm", "arm as mjcf", "pose", "launch"}
+EDITED = {"cell", "action", "log", "motion", "arm", "arm as mjcf", "pose", "launch"}
 EDITED |= {"object"}
 """Text that people edit: other numbers are read without a word."""
 

@@ -85,15 +85,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="escaped")
     debug, quiet = "--debug" in words, "--quiet" in words
     words = [word for word in words if word not in ("--debug", "--quiet")]
-    if words[:1] == ["help"] and len(words) > 1:
-        words = [words[1], "--help"]
     if words in ([], ["-h"], ["--help"], ["help"]):
         print(_usage(), file=sys.stdout if words else sys.stderr)
         return 0 if words else 2
     if words[0] == "--version":
         print(f"gendom {version()}")
         return 0
-    name = words[0]
+    name, *rest = [words[1], "--help"] if words[0] == "help" else words
     if name not in COMMANDS:
         kind = "flag" if name.startswith("-") else "command"
         advice = did_you_mean(name, COMMANDS) or "see gendom --help"
@@ -102,7 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         level = logging.DEBUG if debug else logging.WARNING if quiet else logging.INFO
         with _log_to_stderr(name, level), silence() if quiet else nullcontext():
-            code = _run(name, words[1:])
+            code = _run(name, rest)
             sys.stdout.flush()
             return code
     except BrokenPipeError:
@@ -152,19 +150,14 @@ def _explain(error: BaseException) -> tuple[str, int]:
         return "interrupted", 130
     if isinstance(error, GendomError):
         return str(error), 2
-    if isinstance(error, ModuleNotFoundError):
-        package = (error.name or "").partition(".")[0]
-        if package in _EXTRAS:
-            return f"needs {package}; install it with: {how_to_install(_EXTRAS[package])}", 2
+    package = (getattr(error, "name", None) or "").partition(".")[0]
+    if isinstance(error, ModuleNotFoundError) and package in _EXTRAS:
+        return f"needs {package}; install it with: {how_to_install(_EXTRAS[package])}", 2
     if isinstance(error, OSError):
         place = None if error.filename is None else str(error.filename)
         return one_line(error.strerror or str(error), where=place), 2
-    first = printable((str(error).splitlines() or [""])[0])
-    return (
-        f"internal error: {type(error).__name__}: {first}; "
-        "run it again with --debug and report what it prints",
-        1,
-    )
+    what = f"internal error: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
+    return one_line(what, fix="run it again with --debug and report what it prints"), 1
 
 
 def _escaped(error: UnicodeError) -> tuple[str, int]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +22,6 @@ from gendom.materials import (
     KINDS,
     LARGEST,
     PARAMETERS,
-    Item,
     size_of,
     thickness_of,
     to_columns,
@@ -112,7 +110,13 @@ class Command(KnownObject):
         if simulated and not self.force:
             values, notes = steady(task, item, action.goal, values, wrong, world, self.seed)
             warnings += _told(notes)
-        T, path = placed(task, item, values, self.origin)
+        T = task.T_world_task(item)
+        if self.origin is not None:
+            near = all(abs(x) <= LARGEST for x in self.origin)
+            what, fix = f"is {' '.join(f'{x:g}' for x in self.origin)} m", "give metres, finite"
+            require(near, what, where="--origin", fix=fix)
+            T[:3, 3] = self.origin
+        path = task.tool_path(item, values).moved(T)
         result = {
             "format": ACTION_FORMAT,
             "task": self.task,
@@ -147,7 +151,7 @@ class Command(KnownObject):
             GendomError: There is none, or it is for another task.
         """
         if self.policy is None:
-            return Policy.pretrained(self.task)
+            return Policy.pretrained(self.task, parameters=True)
         policy = Policy.read(self.policy)
         own = policy.task().name
         fix = f"use a policy for {self.task}, or give {own} as the task"
@@ -240,21 +244,6 @@ def excluded(
                 f"nearer to {predicted['reached'][name]:.4g}"
             )
     return notes
-
-
-def placed(
-    task: Task, item: Item, action: np.ndarray, origin: tuple[float, float, float] | None
-) -> tuple[np.ndarray, TcpPath]:
-    """T_base_task [4, 4], by which a task is placed [m], and the tool's path in the robot's base
-    frame."""
-    T = task.T_world_task(item)
-    if origin is not None:
-        finite = all(map(math.isfinite, origin))
-        require(finite, "must be three finite numbers [m]", where="--origin")
-        what = f"is {' '.join(f'{x:g}' for x in origin)} m"
-        require(max(map(abs, origin)) <= LARGEST, what, where="--origin", fix="give metres")
-        T[:3, 3] = origin
-    return T, task.tool_path(item, action).moved(T)
 
 
 def units_of(task: Task) -> dict[str, str]:

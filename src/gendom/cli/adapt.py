@@ -15,9 +15,8 @@ from gendom.files import to_json
 from gendom.materials.estimate import Estimate
 from gendom.materials.estimate_file import LEVEL
 from gendom.materials.unknowns import UNKNOWNS
-from gendom.policies.adaptation import Adapted, Execution, adapt, executions_from
+from gendom.policies.adaptation import Adapted, adapt, executions_from
 from gendom.policies.belief import believed
-from gendom.reading import read_json
 from gendom.tasks import find_task
 from gendom.tasks.world import Simulation
 
@@ -40,8 +39,6 @@ class Command(KnownObject):
     """The executed action, as gendom act printed it [SI]."""
     reached: tuple[float, ...] = ()
     """What it reached, in the form of a goal [SI]; of cloths the share that lies spread."""
-    executions: Path | None = None
-    """JSON file with a list of executions: {"action": [...], "reached": [...]} each."""
     engine: Engine = "thin"
     out: Path | None = None
     """JSON file to write: the updated estimate, with all executions."""
@@ -53,9 +50,10 @@ class Command(KnownObject):
         check_places((self.out, ".json"))
         task = find_task(self.task)()
         held = self.held(task)
-        executions = [*executed(held, task), *self._new()]
-        fix = "give --action and --reached, or --executions"
-        require(executions, "no execution to learn from", fix=fix)
+        for name in ("action", "reached"):
+            require(getattr(self, name), "is missing", where=f"--{name}", fix="give both")
+        new = executions_from([{"action": self.action, "reached": self.reached}], "flags")
+        executions = [*executed(held, task), *new]
         belief = believed(held, task)
         before = held.about.get("before_executions")
         if before is not None:  # all executions are learnt from at once, from where it began
@@ -71,21 +69,6 @@ class Command(KnownObject):
         print(to_json(result) if self.json else _text(belief, adapted))
         write_result(self.out, result, json=self.json)
         return 0
-
-    def _new(self) -> list[Execution]:
-        found = []
-        if self.executions is not None:
-            rows = read_json(self.executions).get("executions")
-            what, where = "holds no list of executions", str(self.executions)
-            fix = 'write {"executions": [{"action": [...], "reached": [...]}]}'
-            require(isinstance(rows, list), what, where=where, fix=fix)
-            found += executions_from(rows or (), where)
-        missing = "--reached" if self.action else "--action"
-        both = bool(self.action) == bool(self.reached)
-        require(both, "is missing", where=missing, fix="give both")
-        if self.action:
-            found += executions_from([{"action": self.action, "reached": self.reached}], "flags")
-        return found
 
 
 def _text(before: Estimate, adapted: Adapted) -> str:

@@ -68,22 +68,13 @@ def refuse_bag_flags(source: Path, settings: RosSettings, **others: Any) -> None
     require(not given, what, where=where, fix="leave it out")
 
 
-def _tasks() -> list[str]:
+def _tasks() -> str:
+    """Names of all tasks; those of other packages cost their import."""
+    if not plugin_names("tasks"):
+        return "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|cloth-dragging"
     from gendom.tasks import task_names
 
-    return task_names()
-
-
-OUR_TASKS = [
-    "rope-reaching",
-    "rope-casting",
-    "rope-casting-at-speed",
-    "cloth-spreading",
-    "cloth-dragging",
-]
-
-TASKS_HELP = "|".join([*(_tasks() if plugin_names("tasks") else OUR_TASKS), "FILE.py"])
-"""Other packages' tasks cost their import."""
+    return "|".join(task_names())
 
 
 def _task(words: list[str]) -> str:
@@ -96,7 +87,7 @@ TaskName = Annotated[
     tyro.conf.Positional[str],
     tyro.constructors.PrimitiveConstructorSpec[Any](
         nargs=1,
-        metavar=TASKS_HELP,
+        metavar=f"{_tasks()}|FILE.py",
         instance_from_str=_task,
         is_instance=lambda value: isinstance(value, str),
         str_from_instance=lambda value: [value],

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gendom.cli.arguments import Device, Json, Seed, iterations_shown
+from gendom.cli.arguments import Seed, iterations_shown
 from gendom.cli.estimate import (
     NAME,
     NOT_USABLE,
@@ -27,8 +27,8 @@ from gendom.cli.estimate import (
 from gendom.cli.outputs import check_places
 from gendom.datasets import Recording
 from gendom.errors import GendomError, printable
-from gendom.estimation import EstimateSettings, FittedEstimate, SceneSettings, estimate
-from gendom.files import to_json, write_json
+from gendom.estimation import EstimateSettings, FittedEstimate, estimate
+from gendom.files import write_json
 from gendom.installation import how_to_install
 from gendom.materials import Item, to_columns
 from gendom.materials.estimate import Estimate
@@ -118,14 +118,9 @@ class Command:
     starts: int = 3
     """Random starts of the estimates."""
     seed: Seed = 0
-    device: Device = "cpu"
-    json: Json = False
 
     def run(self) -> int:
-        from gendom.sim import open_device  # Warp, which takes long to import
-
         check_places((self.out, ""))
-        open_device(self.device)
         if _lacking():
             what = f"MuJoCo is not installed; {how_to_install('reality')} brings it"
             how = "the second reality (docs/reality.md): actions are carried out in our own"
@@ -177,8 +172,7 @@ class Command:
         with resources.as_file(_ASSETS / f"{LIFTS[name]}.npz") as path:
             recording = Recording.read(path)
         print(f"{name}, a recorded lift: {recording.num_frames} frames of {recording.source}")
-        scene = SceneSettings(device=self.device)
-        settings = EstimateSettings(starts=self.starts, seed=self.seed, scene=scene)
+        settings = EstimateSettings(starts=self.starts, seed=self.seed)
         with iterations_shown() as show:
             found = estimate(recording, settings, on_progress=show)
         material, text = rope.material, estimate_text(found)
@@ -232,8 +226,6 @@ class Command:
         entries = [{"rope": of.item, "goal": of.goal, "runs": of.records()} for of in outcomes]
         actions = {"format": "gendom-demo/3", "task": task.name, "outcomes": entries}
         write_json(self.out / "actions.json", actions)
-        if self.json:
-            print(to_json(actions))
         said = (
             "Actions are carried out "
             f"{'in our own simulator, with the true values' if _lacking() else 'there, too'}. "

@@ -40,14 +40,10 @@ class Command(Where):
 
     def run(self) -> int:
         began = time.monotonic()
-        if self.policy:
-            policies = [Policy.read(path) for path in self.policy]
-        else:
-            policies = [
-                Policy.pretrained(self.task, parameters=sees)
-                for sees in (True, False)
-                if sees or Policy.ships(self.task, parameters=sees)
-            ]
+        policies = [Policy.read(path) for path in self.policy]
+        for sees in (True, False) if not policies else ():
+            if sees or Policy.ships(self.task, parameters=sees):
+                policies.append(Policy.pretrained(self.task, parameters=sees))
         simulation = Simulation(engine=self.engine, device=self.device)
         world, items = self.world_and_items(simulation)
         task = policies[0].task()
@@ -59,8 +55,7 @@ class Command(Where):
             about = policy.description
             entry = {"path": policy.where, "method": about.method}
             entry |= {"conditioned_on": about.conditioned_on}
-            entry |= {"training_seed": about.training.get("seed"), **found.summary()}
-            entries.append(entry)
+            entries.append(entry | {"training_seed": about.training.get("seed")} | found.summary())
         flags = ("task", "world", "cases", "seed", "engine", "device")
         result = {
             **{name: getattr(self, name) for name in flags},

@@ -57,13 +57,9 @@ class KnownObject:
         where = None if self.params is None else str(self.params)
         if self.params is not None:
             found = Estimate.load(self.params, kind=task.kind, even_unusable=self.force)
-            require(
-                found.kind == task.kind,
-                f"describes a {found.kind}, the task needs a {task.kind}",
-                where=where,
-                fix=f"give the estimate of a {task.kind}",
-                error=GendomError,
-            )
+            what = f"describes a {found.kind}, the task needs a {task.kind}"
+            fix = f"give the estimate of a {task.kind}"
+            require(found.kind == task.kind, what, where=where, fix=fix, error=GendomError)
         numbers = {f.name for f in fields(KnownObject)} - {"params", "force"}
         given = {n: v for n, v in vars(self).items() if n in numbers and v is not None}
         found = found.with_known(given)
@@ -74,16 +70,12 @@ class KnownObject:
         missing = [name for name in columns if found.value(name) is None]
         both = [n for n in ("E", "density") if found.value(n) is None] or ["E", "density"]
         every = [n for name in missing for n in (both if name == "E_over_rho" else [name])]
-        asked = (f"--{name} [{'kg/m^3' if name == 'density' else 'Pa' if name == 'E' else 'm'}]"
-                 for name in every)  # fmt: skip
-        require(
-            not missing,
-            "the object is not fully described",
-            where=where,
-            fix=f"give {', '.join(dict.fromkeys(asked))}"
-            + (", or --params with an estimate" if self.params is None else ""),
-            error=GendomError,
-        )
+        units = {"density": "kg/m^3", "E": "Pa"}
+        asked = (f"--{name} [{units.get(name, 'm')}]" for name in dict.fromkeys(every))
+        fix = f"give {', '.join(asked)}"
+        fix += ", or --params with an estimate" if self.params is None else ""
+        what = "the object is not fully described"
+        require(not missing, what, where=where, fix=fix, error=GendomError)
         return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,19 +25,16 @@ class _Lines(io.TextIOBase):
         self._to = to
 
     def write(self, text: str) -> int:
-        with self._survived():
-            self._to.write("\n".join(map(printable, text.split("\n"))))
+        self._do(self._to.write, "\n".join(map(printable, text.split("\n"))))
         return len(text)
 
     def flush(self) -> None:
-        with self._survived():
-            self._to.flush()
+        self._do(self._to.flush)
 
-    @contextmanager
-    def _survived(self) -> Iterator[None]:
+    def _do(self, work: Callable[..., Any], *given: str) -> None:
         """A reader that has gone, such as `head`, does not stop the work: files are written."""
         try:
-            yield
+            work(*given)
         except BrokenPipeError:
             with suppress(OSError, ValueError):  # all further text goes nowhere
                 os.dup2(os.open(os.devnull, os.O_WRONLY), self._to.fileno())

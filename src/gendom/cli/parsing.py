@@ -129,7 +129,8 @@ def _refusal(
 ) -> ParameterError:
     """What tyro has refused and said in its own words, in one line."""
     if choice := re.search(r"invalid choice '(.*?)' for argument '(.*?)'.*?\((.*?)\)", text):
-        word, where, choices = choice[1], choice[2], re.findall("'(.*?)'", choice[3])
+        word, where = choice[1], choice[2]
+        choices = re.findall("'((?!None').*?)'", choice[3])
         fix = did_you_mean(word, choices) or f"choose {', '.join(choices)}"
         if where.startswith("--"):
             return ParameterError(f"is {word!r}", where=where, fix=fix)

@@ -56,6 +56,10 @@ class Finding:
         """Add a fault that prevents use."""
         self.faults.append(Fault(what, str(where), fix))
 
+    def doubts(self, what: str, where: object, fix: str) -> None:
+        """Add a warning."""
+        self.faults.append(Fault(what, str(where), fix, "warning"))
+
 
 def look(place: Path) -> Finding:
     """Recognise what lies in a file or folder, and check it.
@@ -135,7 +139,7 @@ def _extent(points: Array, found: Finding, *, units: bool = True) -> dict[str, s
         name = "xyz"[axis]
         what = f"the largest plane lies across {name}, as a table where {name} is up"
         fix = "give a world with z up, or check that this plane is a wall"
-        found.faults.append(Fault(what, "points", fix, "warning"))
+        found.doubts(what, "points", fix)
     return {"extent": " x ".join(f"{x:.3g}" for x in size) + " m"}
 
 
@@ -152,14 +156,12 @@ def _bag(place: Path) -> Finding:
         fix = "put it into DIR/cameras/NAME beside camera.toml, DIR/object.toml and DIR/gripper.csv"
         found.lacks("is one camera", place, f"{fix}, then gendom perceive DIR (docs/perception.md)")
         return found
-    for there, what, fix in (
-        (content.cameras, "holds no clouds and no depth", "record PointCloud2, or depth Image and"
-         " CameraInfo"),
-        (content.grippers, "does not say where the gripper is", "record /tf, or the gripper's"
-         " PoseStamped"),
-    ):  # fmt: skip
-        if not there:
-            found.lacks(what, place, fix)
+    if not content.cameras:
+        fix = "record PointCloud2, or depth Image and CameraInfo"
+        found.lacks("holds no clouds and no depth", place, fix)
+    if not content.grippers:
+        fix = "record /tf, or the gripper's PoseStamped"
+        found.lacks("does not say where the gripper is", place, fix)
     if found.faults:
         return found
     found.rows["gripper"] = f"perhaps {', '.join(content.grippers[:4])}"
@@ -244,12 +246,8 @@ def _cameras_seen(recorded: CameraRecording, found: Finding) -> None:
             found.lacks(f"{what}{first} to {last} s", name, "put all times on one clock")
         view.find_table(depth, table)
         if table is not None and view.table is None:
-            what, fix = (
-                f"sees no table at z = {table:g} m",
-                "check T_world_camera (camera to world,",
-            )
-            fault = Fault(what, name, f"{fix} not its inverse) and table_height", "warning")
-            found.faults.append(fault)
+            fix = "check T_world_camera (camera to world, not its inverse) and table_height"
+            found.doubts(f"sees no table at z = {table:g} m", name, fix)
     if found.clouds:
         found.rows |= _extent(np.concatenate(found.clouds), found, units=False)
 
@@ -326,7 +324,7 @@ def _lerobot(place: Path) -> Finding:
     names = ("codebase_version", "robot_type", "total_episodes", "total_frames", "fps")
     found = Finding("a data set of LeRobot", {n: str(info[n]) for n in names if n in info})
     fix = "gendom reads those that gendom export made of a recording"
-    found.faults.append(Fault("is not a recording", str(place), fix, "warning"))
+    found.doubts("is not a recording", place, fix)
     return found
 
 

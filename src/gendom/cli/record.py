@@ -70,11 +70,9 @@ class Command:
     """A motion.json of gendom plan-lift, in place of --rise and --end."""
     frame_rate: float = 30.0
     """Frames a second."""
-    no_noise: bool = False
-    """Cameras without noise."""
     no_errors: bool = False
-    """A rig without its errors: 2 mm and 0.3 degrees of calibration, 20 ms between the cameras (1
-    ms with --end swing or drop: those are joined by a cable)."""
+    """Cameras without noise, and a rig without errors: 2 mm and 0.3 degrees of calibration, 20 ms
+    between the cameras (1 ms with --end swing or drop: those are joined by a cable)."""
     seed: Seed = 0
 
     def run(self) -> int:
@@ -117,7 +115,7 @@ class Command:
                 self.out,
                 frame_rate=self.frame_rate,
                 seed=self.seed,
-                noisy=not self.no_noise,
+                noisy=not self.no_errors,
                 notes=notes,
                 errors=RigErrors.none() if self.no_errors else None,
                 on_frame=lambda moment: show(round(moment, 1)),

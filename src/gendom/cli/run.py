@@ -124,8 +124,8 @@ class Command:
         found = steps.do(f"observe {k}", f"reached-{k}.json", [shown],
                          lambda to: _observe(task, known, cell, shown, to))  # fmt: skip
         better = steps.do(f"adapt {k}", f"adapted-{k}.json", [params, found], lambda to: (
-            adapt.Command(task=self.task, params=params, executions=found, out=to,
-                          force=self.force).run()))  # fmt: skip
+            adapt.Command(task=self.task, params=params, **read_json(found)["executions"][0],
+                          out=to, force=self.force).run()))  # fmt: skip
         predicted = read_json(plan).get("predicted", {}).get("reached", {})
         values = read_json(found)["outcome"]
         miss = task.error(known, np.array(self.goal), values)
