@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import pytest
 
-from gendom import cli
 from simulated_cell import write_cell
 
 REFUSED = """
@@ -40,8 +39,6 @@ estimate lift.npz --points 100000 | --points: is 100000; give 1000 or fewer: 20 
 estimate lift.npz --engine fem | fem
 estimate lift.npz ./lift.npz | lift.npz: is given twice; name each recording once
 estimate lift.npz longer.npz | longer.npz: length is 0.3, in lift.npz 0.25
-view casts --params estimate.json | --params: goes with a recording
-view casts --demonstration 3 | there is no such demonstration; give 0 to 2
 dataset rope-reaching --size 0 --out set | --size: is 0; give 1 or more
 dataset knitting --size 3 --out set | knitting
 record --out new | give either --reality or --cell
@@ -98,8 +95,6 @@ def place(rope_lift, tmp_path_factory):
     (folder / "file.npz").write_bytes(b"nothing")
     (folder / "folder.html").mkdir()
     write_cell(folder)
-    words = ["--quiet", "dataset", "rope-casting", "--size", "3", "--out", str(folder / "casts")]
-    assert cli.main(words) == 0
     return folder
 
 

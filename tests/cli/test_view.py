@@ -12,14 +12,12 @@ import numpy as np
 import pytest
 
 from gendom import cli
-from gendom.errors import DatasetError, GendomError, SimulationError
+from gendom.errors import GendomError
 from gendom.estimation import LiftScene, SceneSettings, Theta, chamfers, replay
 from gendom.estimation.replayed import find_recording, of_all_frames
 from gendom.files import write_json
 from gendom.reading import read_json
-from gendom.tasks.task import Outcome
-from gendom.tasks.world import Simulation
-from gendom.viz.viewer.models import FRAMES, DatasetModel, RecordingModel
+from gendom.viz.viewer.models import RecordingModel
 from gendom.viz.viewer.sliders import MATERIAL
 from viz.made_up import record_of
 
@@ -28,13 +26,13 @@ def layers(scene):
     return {layer.name: layer for layer in scene.layers}
 
 
-def first_values(model, case=0):
-    return {p.name: p.value for p in model.parameters(case)}
+def first_values(model):
+    return {p.name: p.value for p in model.parameters}
 
 
-def shown(model, case=0, **changes):
-    """All scenes of a case."""
-    return list(model.simulate(case, {**first_values(model, case), **changes}, lambda: None))
+def shown(model, **changes):
+    """All scenes."""
+    return list(model.simulate({**first_values(model), **changes}, lambda: None))
 
 
 @pytest.fixture(scope="module")
@@ -76,16 +74,16 @@ def test_a_recording_is_shown_beside_its_simulation(lift_model, lifted):
 
 def test_parameters_are_those_that_a_recording_is_searched_for(lift_model, rope_lift):
     """Values beyond what is searched have room; without a table there is no friction."""
-    made = {p.name: p for p in lift_model.parameters(0)}
+    made = {p.name: p for p in lift_model.parameters}
     assert made["E_over_rho"].log and made["E_over_rho"].group == MATERIAL
     assert not made["nu"].log and made["nu"].ends == (0.05, 0.45)
     assert made["grip_height"].group != MATERIAL and "yaw" not in made
     assert all(p.ends[0] <= p.value <= p.ends[1] for p in made.values())
     theta = lift_model.theta.with_values({"nu": 0.49})
-    made = {p.name: p for p in RecordingModel(lift_model.scene, theta, "").parameters(0)}
+    made = {p.name: p for p in RecordingModel(lift_model.scene, theta, "").parameters}
     assert made["nu"].range[1] == made["nu"].value == 0.49
     scene = LiftScene.of(rope_lift.at_rest(4, table_height=None), rope_lift.settings)
-    names = {p.name for p in RecordingModel(scene, rope_lift.truth, "").parameters(0)}
+    names = {p.name for p in RecordingModel(scene, rope_lift.truth, "").parameters}
     assert "friction" not in names
 
 
@@ -93,7 +91,7 @@ def test_unknown_objects_particles_and_cloths_are_shown(lifted, cloth_lift):
     """Particles as a chain, a cloth as a lattice."""
     model = RecordingModel.of(lifted, "a lift")
     assert len(model.scene.frames) == lifted.num_frames
-    p = next(p for p in model.parameters(0) if p.name == "E_over_rho")
+    p = next(p for p in model.parameters if p.name == "E_over_rho")
     assert p.value == pytest.approx(np.sqrt(np.prod(p.ends)))
     scene = LiftScene.of(lifted.head(2), SceneSettings(engine="mpm"))
     rope = layers(shown(RecordingModel(scene, Theta(E_over_rho=700.0), ""))[0])["simulated"]
@@ -140,53 +138,6 @@ def test_an_estimate_finds_its_recording(params, lifted, rope_lift, capsys):
     assert cli.main(["view", str(params)]) == 2
     said = capsys.readouterr().err
     assert "neither beside it nor in the folder above; name it: gendom view RECORDING" in said
-
-
-# ---- demonstrations ------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def casts(tmp_path_factory):
-    """Three demonstrations."""
-    folder = tmp_path_factory.mktemp("sets") / "casts"
-    words = ["--quiet", "dataset", "rope-casting", "--size", "3", "--out"]
-    assert cli.main([*words, str(folder)]) == 0
-    return folder
-
-
-@pytest.fixture(scope="module")
-def casts_model(casts):
-    return DatasetModel(casts)
-
-
-def test_a_demonstration_is_simulated_as_it_was(casts_model):
-    """Its own action and parameters reach its own goal; others go elsewhere."""
-    assert casts_model.cases == ("demonstration", 3)
-    (after,) = shown(casts_model, 1)
-    assert list(layers(after)) == ["object", "gripper", "goal"]
-    assert len(after.times) <= FRAMES and after.times[0] == 0.0
-    assert re.search(r"missed by (0|\d\S*e-\d\d) m", dict(after.facts)["goal"])
-    others = ({}, {"E_over_rho": 3.0 * first_values(casts_model)["E_over_rho"]}, {"way": 0.22})
-    tips = [layers(shown(casts_model, 0, **o)[0])["object"].points[-1][-1] for o in others]
-    assert all(np.linalg.norm(tips[0] - tip) > 0.01 for tip in tips[1:])
-    made = {p.name: p for p in casts_model.parameters(0)}
-    assert made["nu"].ends == (0.2, 0.4)
-    assert made["way"].group == "Action" and made["E_over_rho"].log
-    assert all(p.ends[0] <= p.value <= p.ends[1] for p in made.values())
-
-
-def test_what_diverges_is_told(casts_model, monkeypatch):
-    failed = [Outcome(values={}, fault="NaN at 0.1 s")]
-    monkeypatch.setattr(Simulation, "carry_out", lambda *_, **__: failed)
-    with pytest.raises(SimulationError, match=r"NaN at 0.1 s\); move a slider back"):
-        shown(casts_model)
-
-
-def test_a_set_of_another_world_is_refused(casts, tmp_path):
-    about = read_json(casts / "dataset.json")
-    write_json(tmp_path / "dataset.json", about | {"simulation": {"world": "reality"}})
-    with pytest.raises(DatasetError, match="was not made by the simulator"):
-        DatasetModel(tmp_path)
 
 
 # ---- the command ---------------------------------------------------------------------------------

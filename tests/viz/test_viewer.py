@@ -44,29 +44,19 @@ class Square(ViewerModel):
 
     title = "a square"
     notes = ("It is flat.",)
-    cases = ("square", 3)
     initial: Animation = Animation(times=TIMES, layers=(cloud(),), table_height=0.0)
 
     def __init__(self, seconds=0.0):
         self.seconds, self.fault = seconds, None
         self.simulated = []
-        self.asked = []
-
-    def parameters(self, case):
         height = SliderParameter(
-            name="height",
-            label="height",
-            unit="m",
-            meaning="of the square",
-            group=MATERIAL,
-            ends=(0.0, 0.1),
-            value=0.02 * case,
-        )
+            name="height", label="height", unit="m", meaning="of the square", group=MATERIAL,
+            ends=(0.0, 0.1), value=0.0,
+        )  # fmt: skip
         E = replace(height, name="E", label="E", ends=(1.0, 1e4), value=123.0, log=True)
-        return height, E
+        self.parameters = height, E
 
-    def simulate(self, case, values, go_on):
-        self.asked.append(case)
+    def simulate(self, values, go_on):
         if self.fault:
             raise self.fault
         if values["height"] > 0.09:
@@ -91,7 +81,7 @@ def test_scenes_know_their_frames_and_their_box():
     with pytest.raises(GendomError, match="no points at all"):
         _ = Animation(times=TIMES, layers=()).box
     # logarithmic parameters have logarithmic sliders
-    height, E = Square().parameters(1)
+    height, E = Square().parameters
     assert E.position(100.0) == pytest.approx(2.0) and E.at(2.0) == pytest.approx(100.0)
     assert E.range == (0.0, 4.0, 0.02) and E.at(E.start) == 123.0
     assert height.text(0.02) == "height 20 mm" and height.range[:2] == (0.0, 0.1)
@@ -159,15 +149,17 @@ def test_faults_are_told_and_the_next_wish_is_served(viewer, caplog):
     assert viewer._scene.distance[1][0] == pytest.approx(0.05)
 
 
-def test_another_case_has_its_own_parameters(viewer):
+def test_parameters_are_reset(viewer):
     """What nobody moved keeps all its digits."""
-    viewer.set_case(2)
+    move(viewer, "height", 0.04)
     assert viewer.wait(10.0)
     assert viewer._model.simulated[-1] == {"height": 0.04, "E": 123.0}
-    assert viewer._model.asked[-1] == 2
     move(viewer, "E", 1000.0)
     assert viewer.wait(10.0)
     assert viewer._model.simulated[-1]["E"] == pytest.approx(1000.0)
+    viewer.reset()
+    assert viewer.wait(10.0)
+    assert viewer._model.simulated[-1] == {"height": 0.0, "E": 123.0}
 
 
 def test_only_this_machine_reaches_it(viewer, capfd):
@@ -224,10 +216,9 @@ def test_the_page_shows_and_obeys(viewer, browser, capfd):
     assert browser.evaluate("document.documentElement.scrollWidth") <= 600
     viewer._time.value = 0
     for slider, moved in (
-        (1, lambda: viewer._time.value == 1),
-        (2, lambda: viewer._model.simulated[1:]),
+        (0, lambda: viewer._time.value == 1),
+        (1, lambda: viewer._model.simulated[1:]),
     ):
-        # the first slider is that of cases
         thumb = f"document.querySelectorAll('[role=slider]')[{slider}]"
         until(browser, f"{thumb}.getAttribute('aria-valuenow') === '0'")
         browser.evaluate(f"{thumb}.focus()")

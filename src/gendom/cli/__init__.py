@@ -29,7 +29,7 @@ COMMANDS = {
     "demo": ("gendom.cli.demo", "a recorded lift, the estimate, an action and what it reaches"),
     "estimate": ("gendom.cli.estimate", "Young's modulus and Poisson's ratio from a recording"),
     "replay": ("gendom.cli.replay", "simulate a recorded motion and compare it with the clouds"),
-    "view": ("gendom.cli.view", "look at a recording or demonstrations, and simulate them again"),
+    "view": ("gendom.cli.view", "look at a recording, and simulate it again"),
     "act": ("gendom.cli.act", "the action that reaches a goal with a given object"),
     "cell": ("gendom.cli.cell", "check and draw the cell in which a robot acts"),
     "execute": ("gendom.cli.execute", "show what an action would do in a cell, and do it"),

@@ -1,4 +1,4 @@
-"""`gendom view`: an interactive viewer of recordings and demonstrations."""
+"""`gendom view`: an interactive viewer of recordings."""
 
 from __future__ import annotations
 
@@ -24,8 +24,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """Look at a recording or at demonstrations in a browser, and simulate them again as sliders
-    change parameters.
+    """Look at a recording in a browser, and simulate it again as sliders change parameters.
 
     The address is printed; it is reached from this machine alone. Ctrl-C ends it. With --html a
     file is written instead.
@@ -34,13 +33,10 @@ class Command:
     """
 
     shown: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RECORDING")]
-    """A recording, an estimate.json beside its recording or one folder below it, or a folder that
-    gendom dataset wrote."""
+    """A recording, or an estimate.json beside its recording or one folder below it."""
     params: Path | None = None
     """Parameters at first: an estimate.json. By default the middle of the priors of an
     unknown object."""
-    demonstration: int = 0
-    """Number of the demonstration that is shown first."""
     port: int = 8080
     """Of the address; where it is taken one of the next is."""
     html: Path | None = None
@@ -54,22 +50,15 @@ class Command:
             import gendom.viz.viewer.server  # viser: missing shows at once
 
         model = self._model()
-        noun, count = model.cases
-        require(
-            0 <= self.demonstration < count,
-            f"is {self.demonstration}, and there is no such {noun}",
-            where="--demonstration",
-            fix=f"give 0 to {count - 1}",
-        )
         if self.html is not None:
             from gendom.viz.player import encode_page
 
-            page = encode_page(model.complete(self.demonstration), model.title)
+            page = encode_page(model.complete(), model.title)
             with atomic_path(self.html) as temporary:
                 temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
             tell_written(self.html)
             return 0
-        made = gendom.viz.viewer.server.Viewer(model, case=self.demonstration, port=self.port)
+        made = gendom.viz.viewer.server.Viewer(model, port=self.port)
         with contextlib.closing(made) as viewer:
             if self.port not in (0, viewer.port):
                 _log.warning("port %d is taken", self.port)
@@ -78,14 +67,9 @@ class Command:
 
     def _model(self) -> ViewerModel:
         from gendom.materials.estimate_file import read_record
-        from gendom.viz.viewer.models import DatasetModel, RecordingModel
+        from gendom.viz.viewer.models import RecordingModel
 
         shown, params = self.shown, self.params
-        if (shown / "dataset.json").is_file():
-            what, fix = "goes with a recording, not with demonstrations", "leave it out"
-            fix += "; sliders change the parameters"
-            require(params is None, what, where="--params", fix=fix)
-            return DatasetModel(shown)
         if shown.suffix == ".json":
             fix = "give a recording and one estimate"
             require(params is None, "are given twice", where="--params", fix=fix)

@@ -27,12 +27,7 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import GendomError, printable
 from gendom.viz.animation import Animation, Layer, axes_of
-from gendom.viz.palette import (
-    RECORDED_COLOR,
-    TABLE_FILL,
-    TABLE_LINE,
-    rgb,
-)
+from gendom.viz.palette import RECORDED_COLOR, TABLE_FILL, TABLE_LINE, rgb
 from gendom.viz.viewer.sliders import SliderParameter, ViewerModel
 
 HOST = "127.0.0.1"
@@ -161,21 +156,20 @@ class Viewer:
 
     Args:
         model: What is shown.
-        case: That is shown first.
         port: Of its address; 0: any that is free. Where it is taken one of the next is.
 
     Raises:
         GendomError: There is no such port.
     """
 
-    def __init__(self, model: ViewerModel, *, case: int = 0, port: int = 8080):
+    def __init__(self, model: ViewerModel, *, port: int = 8080):
         require(0 <= port < 65536, f"is {port}", where="port", fix="give 0 to 65535")
-        self._model, self._case = model, case
+        self._model = model
         self._lock = threading.RLock()
         self._scene = model.initial
-        self._parameters = {p.name: p for p in model.parameters(case)}
+        self._parameters = {p.name: p for p in model.parameters}
         self._setting = False
-        self._request: tuple[int, dict[str, float]] | None = None
+        self._request: dict[str, float] | None = None
         self._closed = threading.Event()
         self._server = _Server(port, label=model.title)
         self._painter = Painter(self._server.scene)
@@ -208,16 +202,12 @@ class Viewer:
         self._button.label = "Pause" if playing else "Play"
         self._button.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
 
-    def set_case(self, case: int) -> None:
-        """Go to another case."""
+    def reset(self) -> None:
+        """Go back to the first values."""
         with self._lock:
-            self._case = case
             self._setting = True
-            self._parameters = {p.name: p for p in self._model.parameters(case)}
             for name, p in self._parameters.items():
-                slider = self._sliders[name]
-                slider.min, slider.max, slider.step = p.range
-                slider.value = p.start
+                self._sliders[name].value = p.start
                 self._label(p, p.value)
             self._setting = False
         self._ask()
@@ -255,10 +245,6 @@ class Viewer:
         gui.main_panel.dock_right()
         self._status_text, self._fault = "", False
         self._readout = gui.add_html("")
-        noun, count = self._model.cases
-        if count > 1:
-            chosen = gui.add_slider(noun, 0, count - 1, 1, self._case)
-            chosen.on_update(lambda _: self.set_case(chosen.value))
         with gui.add_folder("Time"):
             self._time = gui.add_slider("frame", 0, 1, 1, 0)
             self._time.on_update(lambda _: self._paint())
@@ -275,7 +261,7 @@ class Viewer:
                     if p.group == group:
                         self._sliders[p.name] = self._add_slider(p)
         if self._sliders:
-            gui.add_button("Reset parameters").on_click(lambda _: self.set_case(self._case))
+            gui.add_button("Reset parameters").on_click(lambda _: self.reset())
 
     def _add_slider(self, p: SliderParameter) -> viser.GuiSliderHandle:
         text, gui = p.text(p.value), self._server.gui
@@ -284,7 +270,7 @@ class Viewer:
         def moved(_: Any) -> None:
             if self._setting:
                 return
-            self._label(self._parameters[p.name], self._value(p.name))
+            self._label(p, self._value(p.name))
             self._ask()
 
         slider.on_update(moved)
@@ -300,7 +286,7 @@ class Viewer:
 
         def typed(_: Any) -> None:
             if not self._setting and box.value > 0.0:
-                low, high, _step = self._parameters[p.name].range
+                low, high, _step = p.range
                 slider.value = min(max(p.position(box.value / factor), low), high)
 
         box.on_update(typed)
@@ -322,7 +308,7 @@ class Viewer:
     def _ask(self) -> None:
         """Simulate with the values of the sliders, as soon as possible."""
         with self._lock:
-            self._request = self._case, {name: self._value(name) for name in self._sliders}
+            self._request = {name: self._value(name) for name in self._sliders}
         self._last = self._pool.submit(self._simulate)
 
     def _simulate(self) -> None:
@@ -339,7 +325,7 @@ class Viewer:
 
         self._say("simulating …")
         try:
-            for scene in self._model.simulate(*request, go_on):
+            for scene in self._model.simulate(request, go_on):
                 if self._closed.is_set():
                     return
                 self._take(scene, time.monotonic() - began)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from gendom.viz.animation import Animation
 from gendom.viz.quantities import SHOWN_UNITS, with_minus
 
-MATERIAL, ACTION, SETUP = "Material", "Action", "Grip and clock"
+MATERIAL, SETUP = "Material", "Grip and clock"
 """Groups of parameters."""
 
 POSITIONS = 200
@@ -66,27 +66,22 @@ class SliderParameter:
 
 
 class ViewerModel:
-    """Something to view: some cases, each with parameters of the same names."""
+    """Something to view, with parameters."""
 
     title: str
     notes: tuple[str, ...] = ()
     """Sentences to be read beside it."""
-    cases: tuple[str, int] = ("case", 1)
-    """What its cases are, in the singular, and how many there are."""
     initial: Animation | None = None
     """What is known before anything is simulated."""
-
-    def parameters(self, case: int) -> tuple[SliderParameter, ...]:
-        """What sliders change."""
-        return ()
+    parameters: tuple[SliderParameter, ...] = ()
+    """What sliders change."""
 
     def simulate(
-        self, case: int, values: Mapping[str, float], go_on: Callable[[], None]
+        self, values: Mapping[str, float], go_on: Callable[[], None]
     ) -> Iterator[Animation]:
         """One or more animations, each more complete than the one before.
 
         Args:
-            case: Its number.
             values: Parameters by name.
             go_on: Called now and then; what it raises ends everything.
 
@@ -95,10 +90,9 @@ class ViewerModel:
         """
         raise NotImplementedError
 
-    def complete(self, case: int = 0) -> Animation:
+    def complete(self) -> Animation:
         """The most complete one with the first values; errors as of `simulate`."""
-        values = {p.name: p.value for p in self.parameters(case)}
-        *_, last = self.simulate(case, values, lambda: None)
+        *_, last = self.simulate({p.name: p.value for p in self.parameters}, lambda: None)
         return last
 
 
@@ -109,7 +103,7 @@ class FixedModel(ViewerModel):
         self.title, self.initial = title, shown
 
     def simulate(
-        self, case: int, values: Mapping[str, float], go_on: Callable[[], None]
+        self, values: Mapping[str, float], go_on: Callable[[], None]
     ) -> Iterator[Animation]:
         assert self.initial is not None
         yield self.initial
