@@ -1,4 +1,4 @@
-"""`gendom view`: what is made of recordings, estimates and demonstrations, and its errors."""
+"""`gendom view`: what is made of recordings and estimates, and its errors."""
 
 import re
 import shutil
@@ -17,7 +17,7 @@ from gendom.estimation import LiftScene, SceneSettings, Theta, chamfers, replay
 from gendom.estimation.replayed import find_recording, of_all_frames
 from gendom.files import write_json
 from gendom.reading import read_json
-from gendom.viz.viewer.models import RecordingModel
+from gendom.viz.viewer.models import recording_model, unknown_object
 from gendom.viz.viewer.sliders import MATERIAL
 from viz.made_up import record_of
 
@@ -41,25 +41,29 @@ def lifted(rope_lift):
 
 
 @pytest.fixture(scope="module")
-def lift_model(rope_lift, lifted):
+def scene(rope_lift, lifted):
+    return of_all_frames(LiftScene.of(lifted, rope_lift.settings), lifted)
+
+
+@pytest.fixture(scope="module")
+def lift_model(rope_lift, scene):
     """The rope with its true parameters."""
-    scene = of_all_frames(LiftScene.of(lifted, rope_lift.settings), lifted)
-    return RecordingModel(scene, rope_lift.truth, "a lift")
+    return recording_model(scene, rope_lift.truth, "a lift")
 
 
 # ---- recordings ----------------------------------------------------------------------------------
 
 
-def test_a_recording_is_shown_beside_its_simulation(lift_model, lifted):
-    found, scene, body = layers(lift_model.initial), lift_model.scene, lift_model.scene.body
+def test_a_recording_is_shown_beside_its_simulation(lift_model, lifted, scene, rope_lift):
+    found, body, truth = layers(lift_model.initial), scene.body, rope_lift.truth
     assert list(found) == ["recorded", "gripper"] and lift_model.initial.table_height == 0.0
     np.testing.assert_array_equal(found["recorded"].points[3], lifted.frame(3))
     np.testing.assert_array_equal(lift_model.initial.times, lifted.time)
     before, after = shown(lift_model)
-    x, rope = replay(scene, [lift_model.theta])[:, 0], layers(before)["simulated"]
+    x, rope = replay(scene, [truth])[:, 0], layers(before)["simulated"]
     assert {*body.surface(x)[5].ravel()} >= {*rope.points[5].ravel()}
     assert before.distance is None
-    np.testing.assert_allclose(after.distance[1], chamfers(scene, x, lift_model.theta)[0])
+    np.testing.assert_allclose(after.distance[1], chamfers(scene, x, truth)[0])
     assert dict(after.facts)["bending length"].endswith(" mm")
     # the skin of a rope is closed and faces outwards
     a, b, c = np.moveaxis(rope.points[5][rope.faces], 1, 0)
@@ -72,32 +76,32 @@ def test_a_recording_is_shown_beside_its_simulation(lift_model, lifted):
     assert soft.distance[1].mean() > 1.5 * after.distance[1].mean()
 
 
-def test_parameters_are_those_that_a_recording_is_searched_for(lift_model, rope_lift):
+def test_parameters_are_those_that_a_recording_is_searched_for(lift_model, scene, rope_lift):
     """Values beyond what is searched have room; without a table there is no friction."""
     made = {p.name: p for p in lift_model.parameters}
     assert made["E_over_rho"].log and made["E_over_rho"].group == MATERIAL
     assert not made["nu"].log and made["nu"].ends == (0.05, 0.45)
     assert made["grip_height"].group != MATERIAL and "yaw" not in made
     assert all(p.ends[0] <= p.value <= p.ends[1] for p in made.values())
-    theta = lift_model.theta.with_values({"nu": 0.49})
-    made = {p.name: p for p in RecordingModel(lift_model.scene, theta, "").parameters}
+    theta = rope_lift.truth.with_values({"nu": 0.49})
+    made = {p.name: p for p in recording_model(scene, theta, "").parameters}
     assert made["nu"].range[1] == made["nu"].value == 0.49
     scene = LiftScene.of(rope_lift.at_rest(4, table_height=None), rope_lift.settings)
-    names = {p.name for p in RecordingModel(scene, rope_lift.truth, "").parameters}
+    names = {p.name for p in recording_model(scene, rope_lift.truth, "").parameters}
     assert "friction" not in names
 
 
 def test_unknown_objects_particles_and_cloths_are_shown(lifted, cloth_lift):
     """Particles as a chain, a cloth as a lattice."""
-    model = RecordingModel.of(lifted, "a lift")
-    assert len(model.scene.frames) == lifted.num_frames
-    p = next(p for p in model.parameters if p.name == "E_over_rho")
+    scene, theta = unknown_object(lifted)
+    assert len(scene.frames) == lifted.num_frames
+    p = next(p for p in recording_model(scene, theta, "").parameters if p.name == "E_over_rho")
     assert p.value == pytest.approx(np.sqrt(np.prod(p.ends)))
     scene = LiftScene.of(lifted.head(2), SceneSettings(engine="mpm"))
-    rope = layers(shown(RecordingModel(scene, Theta(E_over_rho=700.0), ""))[0])["simulated"]
+    rope = layers(shown(recording_model(scene, Theta(E_over_rho=700.0), ""))[0])["simulated"]
     assert rope.kind == "dots" and len(rope.points) == 2
     scene = LiftScene.of(cloth_lift.at_rest(4), cloth_lift.settings)
-    model = RecordingModel(scene, cloth_lift.truth, "")
+    model = recording_model(scene, cloth_lift.truth, "")
     rows, columns = scene.body.shape
     assert len(layers(shown(model)[0])["simulated"].faces) == 2 * (rows - 1) * (columns - 1)
     assert "yaw" in first_values(model)

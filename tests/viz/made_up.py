@@ -38,7 +38,7 @@ def lift(frames=20, recorded=40, simulated=120, distance=None, more=(), **change
         times=0.1 * np.arange(frames),
         layers=(*dots.values(), gripper_layer(gripper[:, None], 0.25), *more),
         table_height=-0.006,
-        distance=distance or ("Chamfer", np.linspace(0.002, 0.006, frames)),
+        distance=distance or ("rms", np.linspace(0.002, 0.006, frames)),
         **changes,
     )
 

@@ -68,7 +68,7 @@ def test_whole_report(tmp_path):
     assert len(page.ids) == len(set(page.ids))
     assert [decode(image) for image in page.images] == ["jpeg"] and len(page.scenes) == 2
     assert page.charts == [
-        "Chamfer distance of both clouds [mm]",
+        "Points to simulated surface [mm]",
         "E / density [m²/s²]",
         "Poisson's ratio",
         "Grip height [mm]",
@@ -108,19 +108,6 @@ def decode(address):
         image.load()
         assert image.format == match[1].upper()
     return match[1]
-
-
-def test_distances_over_time_are_drawn():
-    """The fit's, where the clouds are those of the frames that were compared."""
-    clouds = lift(frames=4)
-    for rms, first, other in (
-        ([0.001] * 4, "Points", "Chamfer"),
-        ([0.001] * 3, "Chamfer", "Points"),
-    ):
-        page = render_report(only(lift=clouds, estimate=estimate(rms_by_frame=rms)))
-        titles = re.findall(r'<figcaption class="title">(\w+)', page)
-        assert first in titles and other not in titles
-        assert ("rms" if first == "Points" else "Chamfer") in page.split("lift-scene", 2)[2]
 
 
 def test_what_is_not_usable_has_reasons_and_no_beliefs():

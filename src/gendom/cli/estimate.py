@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import tyro
 
 from gendom.arguments import require
@@ -164,8 +165,9 @@ def fit_content(found: FittedEstimate, **more: Any) -> ReportContent:
     from gendom.viz import ReportContent
     from gendom.viz.layers import lift_animation
 
-    fit = found.fits[0]
-    lift = lift_animation(fit.scene, fit.positions, fit.theta, distance=("Chamfer", fit.chamfer))
+    fit, rms = found.fits[0], np.array(found.record["rms_by_frame"])
+    distance = ("rms", rms) if len(rms) == len(fit.positions) else None  # not of the last alone
+    lift = lift_animation(fit.scene, fit.positions, fit.theta, distance=distance)
     return ReportContent(command=shell(TYPED), lift=lift, estimate=found, **more)
 
 

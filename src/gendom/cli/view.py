@@ -67,7 +67,7 @@ class Command:
 
     def _model(self) -> ViewerModel:
         from gendom.materials.estimate_file import read_record
-        from gendom.viz.viewer.models import RecordingModel
+        from gendom.viz.viewer.models import recording_model, unknown_object
 
         shown, params = self.shown, self.params
         if shown.suffix == ".json":
@@ -79,10 +79,10 @@ class Command:
             shown = find_recording(read_record(params, even_unusable=self.force), params)
         recording = Recording.read(shown)
         if params is None:
-            return RecordingModel.of(recording, shown.name)
+            return recording_model(*unknown_object(recording), shown.name)
         from gendom.estimation.replayed import replay_setup
 
         values = read_record(params, even_unusable=self.force)
         with iterations_shown() as show:
             scene, theta = replay_setup(recording, values, str(params), on_progress=show)
-        return RecordingModel(scene, theta, shown.name)
+        return recording_model(scene, theta, shown.name)

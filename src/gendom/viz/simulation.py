@@ -92,15 +92,14 @@ def show(
         DeviceError: The viewer needs viser, which is not installed.
         GendomError: There is no such port.
     """
-    from gendom.viz.viewer.models import RecordingModel
-    from gendom.viz.viewer.sliders import FixedModel, ViewerModel
+    from gendom.viz.viewer.models import recording_model, unknown_object
+    from gendom.viz.viewer.sliders import ViewerModel
 
-    model: ViewerModel
     if isinstance(simulator, Recording):
-        model = RecordingModel.of(simulator, "a recording")
+        model = recording_model(*unknown_object(simulator), "a recording")
     else:
-        title = f"a {getattr(getattr(simulator, 'body', None), 'kind', 'body')}"
-        model = FixedModel(title, motion_of(simulator, x, times, world))
+        shown = motion_of(simulator, x, times, world)
+        model = ViewerModel(title=f"a {simulator.body.kind}", initial=shown)
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     if hasattr(shell, "kernel"):
         return NotebookPage(encode_page(model.complete(), model.title))

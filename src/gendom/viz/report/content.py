@@ -5,10 +5,8 @@ from __future__ import annotations
 import base64
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import date
-
-import numpy as np
 
 from gendom.files import atomic_path
 from gendom.installation import version
@@ -59,14 +57,11 @@ class ReportContent:
         if self.cameras is not None:
             made["What the cameras saw"] = _cameras(self.cameras, self.cameras_note)
         if self.lift is not None:
-            lift, rms = self.lift, () if found is None else found.record["rms_by_frame"]
-            if len(rms) == lift.num_frames:
-                lift = replace(lift, distance=("rms", np.array(rms)))
             made["The lift, recorded and simulated"] = "\n".join(
                 [
                     f"<p>{escaped(self.lift_note)}</p>" if self.lift_note else "",
-                    player(lift, name="lift", subject="Recorded and simulated lift"),
-                    motion.residuals(lift),
+                    player(self.lift, name="lift", subject="Recorded and simulated lift"),
+                    motion.residuals(self.lift),
                 ]
             )
         if found is not None:

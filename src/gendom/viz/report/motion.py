@@ -18,29 +18,12 @@ WITH, WITHOUT = "with the estimate", "without parameters"
 """Names of the runs that are compared first: of one network, with the estimate's parameters and
 without any."""
 
-_RESIDUALS = {
-    "rms": (
-        "Points to simulated surface [mm]",
-        "Distance of recorded points from the simulated surface, root mean square in each frame "
-        "that was compared.",
-    ),
-    "Chamfer": (
-        "Chamfer distance of both clouds [mm]",
-        "Mean distance from each recorded point to the nearest simulated one, plus the mean "
-        "distance the other way round. Cameras see one side of the object only, so it is not zero "
-        "even for a perfect fit.",
-    ),
-}
-"""Titles and explanations of distances by name."""
-
 
 def residuals(lift: Animation) -> str:
-    """HTML: distances of both clouds over time, as far as they are known for these frames."""
+    """HTML: how far recorded points were from the simulated surface over time, where known."""
     if lift.distance is None or lift.num_frames == 1:
         return ""
-    name, distance = lift.distance
-    title, said = _RESIDUALS[name]
-    times, shown = lift.times, 1e3 * distance
+    times, shown = lift.times, 1e3 * lift.distance[1]
     plot = Plot(
         x=Axis(low=float(times[0]), high=float(times[-1]), label="time [s]"),
         y=Axis(low=0.0, high=1.15 * max(float(shown.max()), 1e-6)),
@@ -48,7 +31,11 @@ def residuals(lift: Animation) -> str:
     plot.area(times, shown, "recorded")
     plot.line(times, shown, "recorded")
     plot.level(float(shown.mean()), "soft", f"mean {shown.mean():.1f} mm")
-    return plot.figure(title, said)
+    return plot.figure(
+        "Points to simulated surface [mm]",
+        "Distance of recorded points from the simulated surface, root mean square in each frame "
+        "that was compared.",
+    )
 
 
 # ---- what actions reached ------------------------------------------------------------------------

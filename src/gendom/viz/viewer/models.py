@@ -13,7 +13,7 @@ from gendom.viz.quantities import length_text, quantity_text
 from gendom.viz.viewer.sliders import MATERIAL, SETUP, SliderParameter, ViewerModel
 
 
-class RecordingModel(ViewerModel):
+def recording_model(scene: LiftScene, theta: Theta, title: str) -> ViewerModel:
     """A recording that is replayed with the parameters of sliders.
 
     Args:
@@ -22,33 +22,33 @@ class RecordingModel(ViewerModel):
         title: One line.
     """
 
-    def __init__(self, scene: LiftScene, theta: Theta, title: str):
-        self.scene, self.theta, self.title = scene, theta, title
-        self.notes = scene.notes
-        self.initial = lift_animation(scene)
-        self.parameters = _parameters(scene, theta)
-
-    @classmethod
-    def of(cls, recording: Recording, title: str) -> RecordingModel:
-        """With the middle of the priors of an unknown object's parameters.
-
-        Raises:
-            RecordingError: The recording shows too little to place the object.
-        """
-        scene = LiftScene.of(recording)
-        theta = scene.prior()[1].with_values(scene.guesses[len(scene.guesses) // 2])
-        return cls(of_all_frames(scene, recording), theta, title)
-
-    def simulate(
-        self, values: Mapping[str, float], go_on: Callable[[], None]
-    ) -> Iterator[Animation]:
+    def simulate(values: Mapping[str, float], go_on: Callable[[], None]) -> Iterator[Animation]:
         """The simulated object, then with its distance from the clouds."""
-        scene, theta = self.scene, self.theta.with_values(values)
-        x = replay(scene, [theta], on_frame=lambda _: go_on())[:, 0]
-        facts = _facts(scene, theta)
-        yield lift_animation(scene, x, theta, facts=facts)
-        distance = "Chamfer", chamfers(scene, x, theta)[0]
-        yield lift_animation(scene, x, theta, facts=facts, distance=distance)
+        given = theta.with_values(values)
+        x = replay(scene, [given], on_frame=lambda _: go_on())[:, 0]
+        facts = _facts(scene, given)
+        yield lift_animation(scene, x, given, facts=facts)
+        distance = "Chamfer", chamfers(scene, x, given)[0]
+        yield lift_animation(scene, x, given, facts=facts, distance=distance)
+
+    return ViewerModel(
+        title=title,
+        notes=scene.notes,
+        initial=lift_animation(scene),
+        parameters=_parameters(scene, theta),
+        simulate=simulate,
+    )
+
+
+def unknown_object(recording: Recording) -> tuple[LiftScene, Theta]:
+    """All of a recording, with the middle of the priors of an unknown object's parameters.
+
+    Raises:
+        RecordingError: The recording shows too little to place the object.
+    """
+    scene = LiftScene.of(recording)
+    theta = scene.prior()[1].with_values(scene.guesses[len(scene.guesses) // 2])
+    return of_all_frames(scene, recording), theta
 
 
 def _parameters(scene: LiftScene, theta: Theta) -> tuple[SliderParameter, ...]:

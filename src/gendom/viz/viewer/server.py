@@ -325,7 +325,7 @@ class Viewer:
 
         self._say("simulating …")
         try:
-            for scene in self._model.simulate(request, go_on):
+            for scene in self._model.animations(request, go_on):
                 if self._closed.is_set():
                     return
                 self._take(scene, time.monotonic() - began)

@@ -65,8 +65,9 @@ class SliderParameter:
         return f"{self.label} " + with_minus(f"{factor * value:.3g} {unit}".rstrip())
 
 
+@dataclass(kw_only=True)
 class ViewerModel:
-    """Something to view, with parameters."""
+    """Something to view."""
 
     title: str
     notes: tuple[str, ...] = ()
@@ -75,35 +76,20 @@ class ViewerModel:
     """What is known before anything is simulated."""
     parameters: tuple[SliderParameter, ...] = ()
     """What sliders change."""
+    simulate: Callable[[Mapping[str, float], Callable[[], None]], Iterator[Animation]] | None = None
+    """From parameters by name to animations, each more complete than the one before; its second
+    argument is called now and then, and what that raises ends everything. It may raise a
+    `GendomError`. None: there is the initial one alone."""
 
-    def simulate(
+    def animations(
         self, values: Mapping[str, float], go_on: Callable[[], None]
     ) -> Iterator[Animation]:
-        """One or more animations, each more complete than the one before.
-
-        Args:
-            values: Parameters by name.
-            go_on: Called now and then; what it raises ends everything.
-
-        Raises:
-            GendomError: It cannot be simulated.
-        """
-        raise NotImplementedError
+        """What `simulate` gives."""
+        if self.simulate is not None:
+            return self.simulate(values, go_on)
+        return iter([self.initial] if self.initial else [])
 
     def complete(self) -> Animation:
         """The most complete one with the first values; errors as of `simulate`."""
-        *_, last = self.simulate({p.name: p.value for p in self.parameters}, lambda: None)
+        *_, last = self.animations({p.name: p.value for p in self.parameters}, lambda: None)
         return last
-
-
-class FixedModel(ViewerModel):
-    """What is known already."""
-
-    def __init__(self, title: str, shown: Animation):
-        self.title, self.initial = title, shown
-
-    def simulate(
-        self, values: Mapping[str, float], go_on: Callable[[], None]
-    ) -> Iterator[Animation]:
-        assert self.initial is not None
-        yield self.initial
