@@ -320,6 +320,6 @@ def compared(
         gripper_layer(shown[0].hand[:, None], rope.length),
         goal_layer(goal, shown[0], rope),
     ]
-    if trial is not None and (arm := arm_layer(trial, trial.closes + times, T)):
-        layers.append(arm)
+    if trial is not None:
+        layers.append(arm_layer(trial, trial.closes + times, T))
     return Animation(times=times, layers=tuple(layers), table_height=-float(T[2, 3]))

@@ -82,14 +82,6 @@ class Plot:
         path = f"{self._through(x, y)}L{last:.1f} {base:.1f}L{first:.1f} {base:.1f}Z"
         self._drawn.append(f'<path class="{kind} area" d="{path}"/>')
 
-    def upright(self, x: float, kind: str, label: str = "") -> None:
-        """A dashed line from top to bottom."""
-        self.line([x, x], [self.y.low, self.y.high], kind, label, "dashed")
-
-    def level(self, y: float, kind: str, label: str) -> None:
-        """A dashed line from left to right."""
-        self.line([self.x.low, self.x.high], [y, y], kind, label, "dashed")
-
     def figure(self, title: str, note: str = "") -> str:
         """HTML: the chart under a heading, with its legend and a note; plain text."""
         parts = [f'<figcaption class="title">{html.escape(title)}</figcaption>']

@@ -118,13 +118,11 @@ def gripper_layer(position: Array, size: float, axis: Array | None = None) -> La
     return Layer(name="gripper", color=GRIPPER_COLOR, points=lines, radius=0.012 * size)
 
 
-def arm_layer(run: TrialRun, times: Array, T_world_frame: Array) -> Layer | None:
-    """The arm of a run of the MuJoCo scene at its times [T] [s], in a frame [4, 4]; None where a
-    free hand moves."""
+def arm_layer(run: TrialRun, times: Array, T_world_frame: Array) -> Layer:
+    """The arm of a run of the MuJoCo scene at its times [T] [s], in a frame [4, 4]."""
     from gendom.robot import XARM7, arm_shape
 
-    if run.motion is None:
-        return None
+    assert run.motion is not None
     shape = arm_shape(XARM7, run.motion.at(times), thickness_of(run.trial.item))
     ends = placed(np.linalg.inv(T_world_frame), np.stack([shape.start, shape.end], axis=-2))
     return Layer(name="arm", color=ARM_COLOR, points=ends, radius=shape.radius)

@@ -194,7 +194,8 @@ def _unknown(found: Estimate, truth: Truth, k: int) -> str:
         plot.line(shown(at), [of.pdf(x) for x in at], kind, kind)
     plot.entries.append(("posterior", f"{level_text(found)} interval", "area"))
     if true is not None:
-        plot.upright(factor * true, "truth", "true value")
+        at = factor * true
+        plot.line([at, at], [0.0, 1.08 * top], "truth", "true value", "dashed")
     times = prior.stdev / after.stdev
     note = f"{times:.{0 if times >= 9.5 else 1}f} times as narrow as the prior."
     if times < 1.25:

@@ -30,7 +30,8 @@ def residuals(lift: Animation) -> str:
     )
     plot.area(times, shown, "recorded")
     plot.line(times, shown, "recorded")
-    plot.level(float(shown.mean()), "soft", f"mean {shown.mean():.1f} mm")
+    mean = float(shown.mean())
+    plot.line(times[[0, -1]], [mean, mean], "soft", f"mean {mean:.1f} mm", "dashed")
     return plot.figure(
         "Points to simulated surface [mm]",
         "Distance of recorded points from the simulated surface, root mean square in each frame "

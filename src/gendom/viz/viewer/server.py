@@ -82,10 +82,6 @@ class _Server(viser.ViserServer):
             fix = "install the version of viser in constraints.txt"
             raise GendomError("cannot be kept from pages of others", where="viser", fix=fix)
 
-    def request_share_url(self, verbose: bool = True) -> str | None:
-        """None: nothing is shared through servers of others."""
-        return None
-
 
 class _DroppedError(Exception):
     """Ends a simulation whose result is not needed any more."""
@@ -173,13 +169,12 @@ class Viewer:
         self._closed = threading.Event()
         self._server = _Server(port, label=model.title)
         self._painter = Painter(self._server.scene)
-        self._server.initial_camera.fov = FIELD_OF_VIEW
-        self._camera_set = False
+        camera = self._server.initial_camera
+        camera.fov, (camera.position, camera.look_at) = FIELD_OF_VIEW, camera_of(self._scene)
         self._build()
+        self._take(self._scene, self._scene.num_frames // 2)
         self._pool = ThreadPoolExecutor(1, "simulation")
         self._last = self._pool.submit(lambda: None)
-        if self._scene is not None:
-            self._take(self._scene, 0.0)
         self._ask()
         self._player = threading.Thread(target=self._play, name="player", daemon=True)
         self._player.start()
@@ -328,7 +323,10 @@ class Viewer:
             for scene in self._model.animations(request, go_on):
                 if self._closed.is_set():
                     return
-                self._take(scene, time.monotonic() - began)
+                self._take(scene, scene.frame_at(self._scene.times[self._frame_of(self._scene)]))
+                done = self._status_text.startswith("simulated")
+                said = f"{self._status_text}, the rest after" if done else "simulated in"
+                self._say(f"{said} {time.monotonic() - began:.2f} s")
                 if self._request is not None:
                     return
         except _DroppedError:
@@ -339,31 +337,16 @@ class Viewer:
             _log.exception("cannot simulate")
             self._say(f"internal error: {type(error).__name__}: {error}", fault=True)
 
-    def _take(self, scene: Animation, seconds: float) -> None:
-        """Show a scene in place of another one, at the same time if it has that."""
+    def _take(self, scene: Animation, frame: int) -> None:
+        """Show a frame of a scene in place of another one."""
         with self._lock:
-            before, first = self._scene, not self._camera_set
-            time_shown = 0.0 if before is None else float(before.times[self._frame_of(before)])
             self._scene = scene
             with self._server.atomic():
                 self._setting = True
                 self._time.max = max(scene.num_frames - 1, 1)
-                middle = self._time.max // 2
-                self._time.value = middle if first else scene.frame_at(time_shown)
+                self._time.value = frame
                 self._setting = False
                 self._paint()
-            if first:
-                self._camera_set = True
-                where, at = camera_of(scene)
-                for camera in (
-                    self._server.initial_camera,
-                    *(client.camera for client in self._server.get_clients().values()),
-                ):
-                    camera.position, camera.look_at = where, at
-        if seconds > 0.0:
-            done = self._status_text.startswith("simulated")
-            said = f"{self._status_text}, the rest after" if done else "simulated in"
-            self._say(f"{said} {seconds:.2f} s")
 
     def _say(self, text: str, *, fault: bool = False) -> None:
         self._status_text, self._fault = text, fault
@@ -372,10 +355,8 @@ class Viewer:
     def _read(self) -> None:
         """Write what is to be read."""
         with self._lock:
-            scene, lines = self._scene, []
-            if scene is not None:
-                lines += [(layer.color, f"● {layer.name}") for layer in scene.layers]
-                lines += [(_SOFT, f"{name}: {value}") for name, value in self._rows(scene)]
+            lines = [(layer.color, f"● {layer.name}") for layer in self._scene.layers]
+            lines += [(_SOFT, f"{name}: {value}") for name, value in self._rows(self._scene)]
             lines.append((_BAD if self._fault else _SOFT, self._status_text))
             lines += [(_SOFT, note) for note in self._model.notes]
             shown = "".join(
@@ -402,11 +383,9 @@ class Viewer:
     def _paint(self) -> None:
         if self._setting:
             return
-        with self._lock:
-            if self._scene is not None:
-                with self._server.atomic():
-                    self._painter.paint(self._scene, self._frame_of(self._scene))
-                    self._read()
+        with self._lock, self._server.atomic():
+            self._painter.paint(self._scene, self._frame_of(self._scene))
+            self._read()
 
     def _play(self) -> None:
         """Move the slider of time while it runs, from the end to the beginning."""
@@ -415,7 +394,7 @@ class Viewer:
             now = time.monotonic()
             passed, last = now - last, now
             scene = self._scene
-            if not self._playing or scene is None:
+            if not self._playing:
                 continue
             if scene.frame_at(clock) != self._frame_of(scene):  # the user moved the slider
                 clock = float(scene.times[self._frame_of(scene)])

@@ -70,10 +70,10 @@ class ViewerModel:
     """Something to view."""
 
     title: str
+    initial: Animation
+    """What is known before anything is simulated."""
     notes: tuple[str, ...] = ()
     """Sentences to be read beside it."""
-    initial: Animation | None = None
-    """What is known before anything is simulated."""
     parameters: tuple[SliderParameter, ...] = ()
     """What sliders change."""
     simulate: Callable[[Mapping[str, float], Callable[[], None]], Iterator[Animation]] | None = None
@@ -87,7 +87,7 @@ class ViewerModel:
         """What `simulate` gives."""
         if self.simulate is not None:
             return self.simulate(values, go_on)
-        return iter([self.initial] if self.initial else [])
+        return iter([self.initial])
 
     def complete(self) -> Animation:
         """The most complete one with the first values; errors as of `simulate`."""
