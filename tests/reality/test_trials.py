@@ -6,12 +6,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from gendom.errors import (
-    DeviceError,
-    ParameterError,
-    RobotError,
-    SimulationError,
-)
+from gendom.errors import DeviceError, ParameterError, RobotError, SimulationError
 from gendom.materials import Material, Rope, thickness_of, unit_of
 from gendom.reality import (
     OBJECTS,
@@ -19,7 +14,6 @@ from gendom.reality import (
     RealRope,
     RealWorld,
     TrialRun,
-    as_real,
     lift,
     lift_cameras,
     observe,
@@ -44,18 +38,6 @@ PAPER_CLOCK = np.sqrt((POLYESTER.length / 9.81) / (0.5 / 12.0))
 
 TOO_LONG = Rope(length=1.5, diameter=0.05, material=Material(E=1e6, density=900.0))
 """What is done with a rope so long is out of the arm's reach."""
-
-
-def reaching(item, release):
-    return task_trial(REACHING, item, release)
-
-
-def casting(item, way):
-    return task_trial(CASTING, item, [way])
-
-
-def spreading(item, A):
-    return task_trial(SPREADING, item, [A])
 
 
 def carried_out(world, task, item, action):
@@ -94,8 +76,6 @@ def test_the_arm_lifts(name):
         assert world.hand == pytest.approx(ideal, abs=1e-3)
         moved = world.vertices()[world.held] - ideal - offset
         assert np.linalg.norm(moved, axis=1).max() < 1e-3
-        q = world.robot.measured(world.data)
-        assert (q >= XARM7.q_min).all() and (q <= XARM7.q_max).all()
     assert world.hand[2] == pytest.approx(path.position[-1, 2], abs=1e-3)
     if isinstance(item, RealRope):
         along = np.linalg.norm(np.diff(world.vertices(), axis=0), axis=1).sum()
@@ -133,9 +113,9 @@ def test_a_dropped_rope_lies_on_the_table():
     [
         lambda: lift(COTTON_CLOTH),
         lambda: lift(POLYESTER, predefined_lift("rope", "swing")),
-        lambda: reaching(POLYESTER, (0.089, 0.262)),
-        lambda: casting(POLYESTER, 0.27),
-        lambda: spreading(COTTON_CLOTH, 0.25),
+        lambda: task_trial(REACHING, POLYESTER, (0.089, 0.262)),
+        lambda: task_trial(CASTING, POLYESTER, [0.27]),
+        lambda: task_trial(SPREADING, COTTON_CLOTH, [0.25]),
     ],
     ids=["lift", "swing", "reach", "cast", "spread"],
 )
@@ -157,7 +137,7 @@ def stretched():
     """A release by the free hand and by the arm: the run, what was seen, what is reached."""
     both = []
     for robot in (False, True):
-        run = TrialRun(reaching(POLYESTER, STRETCHED), robot=robot)
+        run = TrialRun(task_trial(REACHING, POLYESTER, STRETCHED), robot=robot)
         seen = observe(REACHING, run)
         both.append((run, seen, REACHING.outcome(POLYESTER, seen)))
     return both
@@ -170,19 +150,18 @@ def test_reaching_by_arm_and_by_free_hand(stretched):
     assert run.motion.slowed_by == 1.0
     assert arm["x"] == pytest.approx(free["x"], abs=0.003)
     assert arm["sideways"] < 0.015
-    # the release keeps its time
-    wait = 3.0 * np.sqrt(POLYESTER.length / 9.81)
-    for run, seen, _ in stretched:
+    L = POLYESTER.length
+    wait = 3.0 * np.sqrt(L / 9.81)
+    for run, seen, values in stretched:
+        # the release keeps its time
         moves = run.closes + wait
         assert run.opens == pytest.approx(moves + 0.57 * PAPER_CLOCK, abs=1e-9)
         assert run.end == pytest.approx(moves + 1.14 * PAPER_CLOCK, abs=1e-9)
-        # And on the task's clock, which is 0 when the hand begins to move.
+        # and on the task's clock, which is 0 when the hand begins to move
         assert seen.times[0] == pytest.approx(-wait, abs=1e-9)
         assert seen.times[-1] == pytest.approx(1.14 * PAPER_CLOCK, abs=0.01)
         assert seen.opens == pytest.approx(0.57 * PAPER_CLOCK, abs=1e-9)
-    # the goal is measured in the task frame
-    L = POLYESTER.length
-    for run, seen, values in stretched:
+        # the goal is measured in the task frame
         assert seen.points[0, 0] == pytest.approx([L, 0.0, 1.1 * L], abs=1e-3)
         assert seen.tip[0] == pytest.approx([L, 0.0, 0.1 * L], abs=2e-3)
         assert seen.hand[0] == pytest.approx([L, 0.0, 0.1 * L], abs=1e-3)
@@ -193,9 +172,8 @@ def test_reaching_by_arm_and_by_free_hand(stretched):
             expected = np.stack([0.48 + y, 0.30 - x, 0.12 + z], axis=-1)
             np.testing.assert_allclose(there, expected, atol=1e-12)
         after = seen.times >= seen.opens
-        tip = seen.tip[after]
-        assert values["x"] == tip[:, 0].max()
-        assert values["sideways"] == np.abs(tip[:, 1]).max()
+        x, y, _ = seen.tip[after].T
+        assert (values["x"], values["sideways"]) == (x.max(), np.abs(y).max())
         # Until the release the tip is where it was sent; then the rope's bend carries it off.
         held = seen.tip[~after][-1]
         assert held == pytest.approx([STRETCHED[0], 0.0, STRETCHED[1]], abs=1e-3)
@@ -204,33 +182,11 @@ def test_reaching_by_arm_and_by_free_hand(stretched):
 
 def test_the_demo_s_rope_stays_in_its_plane_under_the_arm():
     """One of its releases; a rope without resistance to twist falls by 57 mm."""
-    release = (0.1598, 0.1197)
-    rope = OBJECTS["rope-cotton"]
-    free, arm = (
-        carried_out(RealWorld(robot=robot, timestep=1e-3), REACHING, rope, release)[0]
-        for robot in (False, True)
-    )
-    assert free["sideways"] < 1e-3
-    assert arm["sideways"] < 0.005
+    rope, release = OBJECTS["rope-cotton"], (0.1598, 0.1197)
+    worlds = [RealWorld(robot=robot, timestep=1e-3) for robot in (False, True)]
+    free, arm = (carried_out(world, REACHING, rope, release)[0] for world in worlds)
+    assert free["sideways"] < 1e-3 and arm["sideways"] < 0.005
     assert arm["x"] == pytest.approx(free["x"], abs=1e-3)
-
-
-@pytest.mark.slow
-def test_a_slowed_arm_opens_later_and_what_follows_takes_its_time():
-    """A tip of 0.6 m pulled back far is faster than the arm may be."""
-    L = 0.6
-    rope = as_real(Rope(length=L, diameter=0.03, material=Material(E=2e6, density=900.0)))
-    run = TrialRun(reaching(rope, (0.24 * L, 0.6 * L)))
-    assert run.motion is not None and run.motion.slowed_by > 1.05
-    seen = observe(REACHING, run)
-    clock = np.sqrt((L / 9.81) / (0.5 / 12.0))
-    assert seen.opens > 0.57 * clock + 0.1
-    assert seen.times[-1] - seen.opens == pytest.approx(0.57 * clock, abs=0.01)
-    held = (seen.times > 0.0) & (seen.times < seen.opens)
-    apart = np.linalg.norm(seen.tip - seen.hand, axis=1)
-    assert apart[held].max() < 0.01 < 0.1 * L < apart[~held].max()
-    release = seen.hand[np.searchsorted(seen.times, seen.opens)]
-    assert release == pytest.approx([0.24 * L, 0.0, 0.6 * L], abs=1e-3)
 
 
 # ---- rope casting --------------------------------------------------------------------------------
@@ -255,10 +211,10 @@ def test_casting_by_free_hand_by_arm_and_in_our_simulator(casts):
         assert np.linalg.norm(seen.tip[before] - seen.tip[0], axis=1).max() < 2e-3
         assert seen.hand[-1] == pytest.approx([way, 0.0, L], abs=1e-6)
         assert np.isinf(seen.opens)
-    trial = casting(POLYESTER, 0.25)
-    assert trial.path.position[0] == pytest.approx([0.45, -0.135, 0.15 + L])
+    trial = task_trial(CASTING, POLYESTER, [0.25])
     assert trial.path.position[-1] == pytest.approx([0.45, 0.115, 0.15 + L])
-    assert trial.layout.origin == pytest.approx([0.45, -0.135, 0.15 + L])
+    for origin in (trial.path.position[0], trial.layout.origin):
+        assert origin == pytest.approx([0.45, -0.135, 0.15 + L])
     # arm and free hand cast alike
     free, _ = casts[1]
     arm, _ = carried_out(RealWorld(timestep=5e-4), CASTING, POLYESTER, [0.25])
@@ -292,7 +248,7 @@ def test_a_cloth_lies_where_the_task_has_it_and_is_held_beside_its_centre():
     # 4.5 mm and 1.95 mm beside the centre
     assert seen.hand[0] == pytest.approx([0.1545, 0.15195, 0.002], abs=1e-9)
     assert values == pytest.approx({"share": 1.0, "unspread": 0.0, "covered": 1.0}, abs=1e-6)
-    run = TrialRun(spreading(cloth, 0.25), robot=False)
+    run = TrialRun(task_trial(SPREADING, cloth, [0.25]), robot=False)
     run.step_to(run.closes)
     away = np.linalg.norm(flat[:, :2] - seen.hand[0, :2], axis=1)
     near = np.flatnonzero(away < 0.0125 + 0.525 * cloth.spacing)
@@ -330,7 +286,7 @@ def test_what_cannot_be_is_refused_before_anything_is_done():
             RealWorld().carry_out(CASTING, [POLYESTER] * 2, actions, on_frame=done.append)
     assert done == []
     with pytest.raises(ParameterError, match="2 finite numbers"):
-        reaching(POLYESTER, (np.nan, 0.1))
+        task_trial(REACHING, POLYESTER, (np.nan, 0.1))
     with pytest.raises(RobotError, match="is for a cloth, and rope-polyester is a rope"):
         lift(POLYESTER, predefined_lift("cloth"))
     with pytest.raises(DeviceError, match="not on cuda"):

@@ -19,13 +19,6 @@ def crooked(n=9, seed=0):
     return 0.02 * np.cumsum(rng.normal([1.0, 0.0, 0.0], 0.4, (n, 3)), axis=0)
 
 
-def across(edge):
-    return np.cross(edge, [0.3, -0.5, 1.0])
-
-
-# ---- the load ------------------------------------------------------------------------------------
-
-
 def test_a_straight_rod_s_moment_is_that_of_torsion():
     """GJ angle / L, over several turns, and a damping that is worth its time."""
     n = COTTON.vertices

@@ -1,5 +1,6 @@
 """The second reality: holding, letting go, looking, and what it refuses."""
 
+import math
 from dataclasses import replace
 from typing import cast
 
@@ -7,15 +8,8 @@ import numpy as np
 import pytest
 
 from gendom.errors import SimulationError
-from gendom.reality import (
-    OBJECTS,
-    Layout,
-    RealCloth,
-    Reality,
-    RealObject,
-    RealRope,
-    find_object,
-)
+from gendom.materials import STANDARD_GRAVITY
+from gendom.reality import OBJECTS, Layout, RealCloth, Reality, RealObject, RealRope
 from gendom.reality.model import load_mujoco
 
 COTTON = cast(RealRope, OBJECTS["rope-cotton"])
@@ -65,7 +59,8 @@ def test_vertices_weigh_what_they_stand_for():
     x, m = masses(cloth)
     points, triangles = cloth.sheet
     assert m.sum() == pytest.approx(cloth.mass)
-    # The centre and the second moments of a sheet whose triangles' masses sit in their vertices.
+    # The centre and the second moments of a sheet whose triangles' masses sit in their vertices,
+    # and so a third of each in its own.
     a, b, c = points[triangles.T]
     area = 0.5 * np.abs(np.linalg.det(np.stack([b - a, c - a], axis=-1)))
     centre = area @ (a + b + c) / 3.0 / area.sum()
@@ -74,19 +69,12 @@ def test_vertices_weigh_what_they_stand_for():
     for k in range(2):
         moment = per_area * area @ (a[:, k] ** 2 + b[:, k] ** 2 + c[:, k] ** 2) / 3.0
         assert m @ points[:, k] ** 2 == pytest.approx(moment)
-    square = per_area * cloth.spacing**2
-    m = m.reshape(cloth.vertices, cloth.vertices)
-    for edge in (m[0], m[-1], m[:, 0], m[:, -1]):
-        assert edge.sum() == pytest.approx((cloth.vertices - 1) * square / 2.0)
-        corners = edge[[0, -1], None] / square
-        assert np.isclose(corners, [1.0 / 6.0, 1.0 / 3.0]).any(axis=1).all()
-    assert m[1:-1].sum(axis=1) == pytest.approx((cloth.vertices - 1) * square)
 
 
 @pytest.mark.parametrize("name", ["rope-cotton", "cloth-rubber-200mm"])
 def test_friction_is_coulombs(name):
     """On a slope objects stick below atan(mu) and slide at g (sin a - mu cos a) above."""
-    item = find_object(name)
+    item = OBJECTS[name]
     ways = []
     for share in (0.8, 1.5):
         slope = share * np.arctan(item.friction)
@@ -98,6 +86,33 @@ def test_friction_is_coulombs(name):
     assert abs(ways[0]) < 5e-4
     expected = 9.81 * (np.sin(slope) - item.friction * np.cos(slope)) * 0.2**2 / 2.0
     assert ways[1] == pytest.approx(expected, rel=0.05)
+
+
+SAG = 0.02
+"""Sag in lengths for which the modulus is chosen: stiff enough for small deflections. A flex's
+resistance to bending scales with its modulus, so it is the discretisation that is checked."""
+
+
+@pytest.mark.parametrize("name", [n for n, item in OBJECTS.items() if item.kind == "rope"])
+def test_a_rope_sags_as_a_beam(name):
+    """w L^4 / (8 E I) (Timoshenko, "Strength of Materials") of one that is free from half an edge
+    before its last pinned vertex: counted from that vertex it would sag by 13 % more than theory,
+    from the vertex before by 11 % less."""
+    rope = cast(RealRope, OBJECTS[name])
+    free = rope.length - rope.spacing / 2.0
+    rigidity = rope.material.E * math.pi * rope.diameter**4 / 64.0
+    soft = rope.mass * STANDARD_GRAVITY / rope.length * free**4 / (8.0 * rigidity)
+    # damped, so that the first mode comes to rest within a second or so
+    E = rope.material.E * soft / (SAG * rope.length)
+    stiff = replace(rope, material=replace(rope.material, E=E, damping=0.02))
+    world = Reality(stiff, Layout(origin=(0.0, 0.0, 0.5), clamped=1e-6))
+    world.step_to(1.5)
+    height = world.vertices()[:, 2]
+    # without the rotation of the clamp itself
+    turned = (height[1] - height[0]) / rope.spacing * (rope.length - rope.spacing)
+    sag = height[1] - height[-1] + turned
+    assert sag == pytest.approx(SAG * rope.length, rel=0.005)
+    assert np.all(np.diff(height[1:]) < 0.0)
 
 
 def test_a_hand_that_closes_on_nothing_says_how_far_off_it_is():
