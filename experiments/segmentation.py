@@ -38,6 +38,7 @@ from gendom.perception import (
 from gendom.perception.robot import arm_capsules
 from gendom.reality import RealObject, RealRope, TrialRun, lift, lift_cameras
 from gendom.reality.arm import RobotArm
+from gendom.reality.objects import description
 from gendom.reality.sensor import observe
 from gendom.reality.world import Reality
 from gendom.robot import XARM7, JointStates
@@ -239,7 +240,7 @@ def scene(found: Lifted, kind: Drawn, seed: int = 0) -> CameraRecording:
                 )  # fmt: skip
                 source.pictures.append((float(time), seen))
     trial = found.run.trial
-    described = {**item.description(), "grasp": trial.grasp}
+    described = {**description(item), "grasp": trial.grasp}
     states = JointStates(found.time, found.joints)
     return CameraRecording(
         [*sources],

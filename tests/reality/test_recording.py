@@ -10,7 +10,7 @@ import pytest
 from gendom.errors import GendomError, ParameterError
 from gendom.perception import PerceptionSettings, perceive, read_cameras
 from gendom.reading import read_json
-from gendom.reality import OBJECTS, RealRope, RigErrors, TrialRun, lift, lift_cameras, record
+from gendom.reality import OBJECTS, RealRope, TrialRun, lift, lift_cameras, record
 from gendom.reality.world import FINGER_WIDTH
 from gendom.robot import XARM7, LiftMotion, predefined_lift, tcp_pose
 
@@ -33,9 +33,8 @@ def recorded(folder, *, noise=True, end="hold", cameras=CAMERAS, **kwargs):
     trial = replace(lift(ROPE, motion), timestep=1e-3)
     run = TrialRun(trial, robot=False, cameras=cameras)
     run.step_to(run.closes)
-    errors = None if noise else RigErrors.none()
     with run.world:
-        record(run, folder, frame_rate=RATE, noisy=noise, errors=errors, **kwargs)
+        record(run, folder, frame_rate=RATE, exact=not noise, **kwargs)
     return run
 
 

@@ -35,6 +35,7 @@ from gendom.hardware.simulated import SimulatedRobot
 from gendom.materials import Item, from_columns
 from gendom.reading import read_json
 from gendom.reality import as_real, task_trial
+from gendom.reality.objects import description
 from gendom.reality.recording import object_file
 from gendom.reality.world import FINGER_WIDTH
 from gendom.robot import JointMotion, tcp_pose
@@ -212,7 +213,7 @@ def described(
     half = 0.5 * FINGER_WIDTH
     grasp = {"grasp": "end" if item.kind == "rope" else "corner"}
     grasp |= {"grasp_radius": half, "grasp_inset": half}
-    return object_file(about, grasp | as_real(item).description())
+    return object_file(about, grasp | description(item))
 
 
 def bring(robot: Any, action: PlannedAction | None, *, ask: bool) -> None:

@@ -18,7 +18,6 @@ from gendom.materials import Item, size_of, thickness_of
 from gendom.progress import bar
 from gendom.reality import (
     RealObject,
-    RigErrors,
     TrialRun,
     find_object,
     lift,
@@ -115,9 +114,8 @@ class Command:
                 self.out,
                 frame_rate=self.frame_rate,
                 seed=self.seed,
-                noisy=not self.no_errors,
+                exact=self.no_errors,
                 notes=notes,
-                errors=RigErrors.none() if self.no_errors else None,
                 on_frame=lambda moment: show(round(moment, 1)),
             )
         r, g, b = item.colour

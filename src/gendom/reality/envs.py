@@ -48,11 +48,8 @@ from gendom.tasks.cases import draw_cases
 try:
     import gymnasium
 except ImportError:
-    raise DeviceError(
-        "Gymnasium is not installed",
-        where="gendom.reality.envs",
-        fix=how_to_install("reality"),
-    ) from None
+    where, fix = "gendom.reality.envs", how_to_install("reality")
+    raise DeviceError("Gymnasium is not installed", where=where, fix=fix) from None
 
 Observation = dict[str, npt.NDArray[np.float32]]
 
@@ -141,10 +138,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         drawn_seed = int(rng.integers(2**63))  # object and options do not change later draws
         item = self._find(given.pop("object", drawn))
         for name in given:
-            there, fix = (
-                name in spaces and name != "sizes",
-                "have object, goal and, if seen, parameters",
-            )
+            there, fix = name in {*spaces} - {"sizes"}, "have object, goal and, if seen, parameters"
             require(there, f"there is no option {name!r} here", where="reset", fix=fix)
         if self.task.goals and "goal" not in given:
             try:

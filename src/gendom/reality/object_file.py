@@ -82,9 +82,8 @@ def _numbers(given: Mapping[str, Any], usual: Mapping[str, float], kind: str) ->
     large, small = KINDS[kind].sizes
     known = {large, small, "mass", "density", "E", "nu", *DEFAULTS}
     for name, value in given.items():
-        require(
-            name in known, f"{name} means nothing", fix=f"have material, {', '.join(sorted(known))}"
-        )
+        fix = f"have material, {', '.join(sorted(known))}"
+        require(name in known, f"{name} means nothing", fix=fix)
         good = isinstance(value, int | float) and not isinstance(value, bool)
         require(good and math.isfinite(value), f"{name} is {value!r}", fix="give a number")
     number: dict[str, float] = {**DEFAULTS, **usual, **given}
@@ -101,10 +100,7 @@ def _numbers(given: Mapping[str, Any], usual: Mapping[str, float], kind: str) ->
         require(0.0 < value <= most, f"{name} is {value:g}", fix=f"give {unit}")
     area = math.pi / 4.0 * number[small] ** 2 if kind == "rope" else number[large] * number[small]
     density = number.get("density", number.get("mass", 0.0) / (number[large] * area))
-    what, fix = (
-        f"its density would be {density:.4g} kg/m^3",
-        "check the sizes [m] and the mass [kg]",
-    )
+    what, fix = f"its density would be {density:.4g} kg/m^3", "check sizes [m] and mass [kg]"
     require(1.0 <= density <= DENSEST, what, fix=fix)
     return {**number, "density": density}
 

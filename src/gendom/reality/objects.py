@@ -68,25 +68,24 @@ SHEET_NU = -1.0 / 3.0
 """Poisson's ratio of bending; that of the material counts in a sheet's rigidity and its plane."""
 
 
-def grid(along: int, across: int, spacing: float) -> tuple[Array, npt.NDArray[np.intp]]:
-    """A flat rectangle.
+def grid(side: int, spacing: float) -> tuple[Array, npt.NDArray[np.intp]]:
+    """A flat square of so many vertices along a side.
 
     Args:
-        along: Vertices along its first side.
-        across: Vertices along its second side.
+        side: Vertices along a side.
         spacing: Between neighbours [m].
 
     Returns:
-        Vertices [along * across, 2] [m], those of the second side one after another, and
+        Vertices [side * side, 2] [m], those of the second side one after another, and
         triangles [F, 3].
     """
-    at = np.arange(along * across).reshape(along, across)
+    at = np.arange(side * side).reshape(side, side)
     a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
     even = np.indices(a.shape).sum(axis=0) % 2 == 0
     first = np.stack([a, b, np.where(even, c, d)], axis=-1)
     second = np.stack([np.where(even, a, b), c, d], axis=-1)
     triangles = np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
-    points = spacing * np.indices((along, across)).reshape(2, -1).T.astype(np.float64)
+    points = spacing * np.indices((side, side)).reshape(2, -1).T.astype(np.float64)
     return points, triangles
 
 
@@ -125,11 +124,6 @@ class RealRope(Rope):
         masses[[0, -1]] /= 2.0
         return masses
 
-    def description(self) -> dict[str, Any]:
-        """The object's part of a recording's meta, without the grasp."""
-        sizes = {"length": self.length, "diameter": self.diameter}
-        return {"kind": "rope", **sizes, "mass": self.mass}
-
 
 @dataclass(frozen=True, kw_only=True)
 class RealCloth(Cloth):
@@ -145,7 +139,7 @@ class RealCloth(Cloth):
     @property
     def sheet(self) -> tuple[Array, npt.NDArray[np.intp]]:
         """Vertices [V, 2] of the flat cloth [m] and triangles [F, 3]."""
-        return grid(self.vertices, self.vertices, self.spacing)
+        return grid(self.vertices, self.spacing)
 
     @property
     def spacing(self) -> float:
@@ -171,13 +165,16 @@ class RealCloth(Cloth):
         meeting = np.bincount(triangles.ravel()).astype(np.float64)
         return meeting * (self.mass / (3.0 * len(triangles)))
 
-    def description(self) -> dict[str, Any]:
-        """The object's part of a recording's meta, without the grasp."""
-        sizes = {"width": self.side, "height": self.side, "thickness": self.thickness}
-        return {"kind": "cloth", **sizes, "mass": self.mass}
-
 
 RealObject = RealRope | RealCloth
+
+
+def description(item: Item) -> dict[str, Any]:
+    """An object's part of a recording's meta, without the grasp."""
+    sizes = {name: getattr(item, name) for name in item.sizes}
+    if "side" in sizes:
+        sizes = {"width": sizes["side"], "height": sizes.pop("side"), **sizes}
+    return {"kind": item.kind, **sizes, "mass": item.mass}
 
 
 _ROPES = {

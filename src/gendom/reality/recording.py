@@ -28,6 +28,7 @@ from gendom.arrays import Array
 from gendom.errors import GendomError
 from gendom.files import atomic_path, check_folder, write_json
 from gendom.perception import PngWriter
+from gendom.reality.objects import description
 from gendom.reality.sensor import RigErrors, observe
 from gendom.reality.trials import TrialRun
 
@@ -42,9 +43,8 @@ def record(
     *,
     frame_rate: float = 30.0,
     seed: int = 0,
-    noisy: bool = True,
+    exact: bool = False,
     notes: str = "",
-    errors: RigErrors | None = None,
     on_frame: Callable[[float], None] = lambda _: None,
 ) -> None:
     """Run a trial to its end, and write the measurements of the cameras and the robot.
@@ -58,10 +58,9 @@ def record(
         folder: Output folder, created if missing; must not hold a recording.
         frame_rate: Of the cameras [1/s].
         seed: Of all sensor errors.
-        noisy: Whether the cameras have the errors of a D435i (`gendom.reality.sensor.observe`).
+        exact: Whether cameras and rig have no errors; else those of `gendom.reality.sensor`, of a
+            quick trial with synchronised cameras.
         notes: Free text, stored with the recording.
-        errors: Errors of the rig; by default the usual ones, or for a quick trial those of
-            synchronised cameras.
         on_frame: Called with the recorded time [s] after each frame.
 
     Raises:
@@ -77,8 +76,8 @@ def record(
     require(world.cameras, "there is no camera", where="record", fix="give the trial cameras")
     what, fresh = "holds a recording already", not (folder / "cameras").exists()
     require(fresh, what, where=str(folder), fix="name another folder", error=GendomError)
-    if errors is None:
-        errors = RigErrors.synchronised() if run.trial.quick else RigErrors()
+    errors = RigErrors.synchronised() if run.trial.quick else RigErrors()
+    errors = RigErrors.none() if exact else errors
     # Where nothing can be rendered, before anything is written.
     world.render(0)
     check_folder(folder)
@@ -89,10 +88,10 @@ def record(
     lasts = run.end - began + PATH_LONGER
     samples = np.arange(int(lasts * PATH_RATE + 1e-9) + 1) / PATH_RATE
     with ExitStack() as closed:
-        said = {"noisy": noisy, "errors": asdict(errors), "seed": seed}
+        said = {"noisy": not exact, "errors": asdict(errors), "seed": seed}
         closed.callback(_write_truth, folder / "truth", run, said, truth)
         add_sample = closed.enter_context(_path_files(folder, run))
-        take = closed.enter_context(_pictures(folder, run, errors, seed, noisy))
+        take = closed.enter_context(_pictures(folder, run, errors, seed, not exact))
         for moment in np.union1d(frames, samples):
             run.step_to(began + moment)
             if moment in samples:
@@ -166,7 +165,7 @@ def _write_object(path: Path, run: TrialRun, notes: str) -> None:
     }
     held = {"grasp": trial.grasp, "grasp_radius": trial.reach, "grasp_inset": trial.inset}
     with atomic_path(path) as temporary:
-        text = object_file(about, held | trial.item.description())
+        text = object_file(about, held | description(trial.item))
         temporary.write_text(text, encoding="utf-8")
 
 
@@ -190,7 +189,7 @@ def _write_truth(
         folder / "truth.json",
         {
             "format": "gendom-truth/1",
-            "object": {"name": item.name, **item.description()},
+            "object": {"name": item.name, **description(item)},
             "E": item.material.E,
             "nu": item.material.nu,
             "density": item.material.density,

@@ -72,6 +72,7 @@ def observe(
     rng: np.random.Generator,
     *,
     noisy: bool = True,
+    times: float = 1.0,
 ) -> Pictures:
     """Add the sensor's errors to clean pictures of the camera's size.
 
@@ -84,6 +85,7 @@ def observe(
         camera: Its K scales disparity, its depth_unit the counts. Lens distortion is ignored,
             because the stereo matching of a D400 works on rectified pictures.
         rng: Random number generator.
+        times: Noise of the disparity, over `SUBPIXEL`.
         noisy: False for depth that is only rounded to the depth unit, and the colour as it is.
 
     Returns:
@@ -92,7 +94,7 @@ def observe(
     z = np.asarray(depth, dtype=np.float64)
     if not noisy:
         return Pictures(_counted(np.where(np.isfinite(z), z, 0.0), camera), colour)
-    counts = _counted(_measured(z, camera, rng), camera)
+    counts = _counted(_measured(z, camera, rng, times), camera)
     noise = colour + COLOUR_NOISE * rng.standard_normal(colour.shape)
     return Pictures(counts, np.clip(np.rint(noise), 0.0, 255.0).astype(np.uint8))
 
@@ -103,7 +105,7 @@ def _counted(z: Array, camera: Camera) -> npt.NDArray[np.uint16]:
     return np.where(counts > 65535.0, 0.0, counts).astype(np.uint16)
 
 
-def _measured(z: Array, camera: Camera, rng: np.random.Generator) -> Array:
+def _measured(z: Array, camera: Camera, rng: np.random.Generator, times: float) -> Array:
     """Measured depth [m], 0 where there is none."""
     seen = (z > 0.0) & np.isfinite(z)
     fB = camera.K[0, 0] * BASELINE
@@ -115,7 +117,7 @@ def _measured(z: Array, camera: Camera, rng: np.random.Generator) -> Array:
     seen &= ~lost & ~_in_shadow(clean) & ~_grazed(clean / fB, camera, rng)
     seen &= rng.random(z.shape) >= DROPOUT
     noise = np.fft.rfft2(rng.standard_normal(z.shape)) * _blur(z.shape, CORRELATION)
-    disparity += SUBPIXEL * np.fft.irfft2(noise, s=z.shape)
+    disparity += times * SUBPIXEL * np.fft.irfft2(noise, s=z.shape)
     disparity = np.round(disparity / QUANTISATION) * QUANTISATION
     seen &= disparity > 0.0
     measured = np.divide(fB, disparity, out=np.zeros_like(z), where=seen)
