@@ -49,9 +49,8 @@ def record(
 ) -> None:
     """Run a trial to its end, and write the measurements of the cameras and the robot.
 
-    Time stamps start at 0 at the current time, so step the trial until the hand has closed before
-    calling this. Pictures and the robot's path are written frame by frame: an interrupted recording
-    can be used up to the interruption, even if the program was killed.
+    Time stamps start at 0 now, so step the trial until the hand has closed before. All is written
+    frame by frame: what was interrupted, even killed, can be used up to there.
 
     Args:
         run: The trial, with cameras.
@@ -78,15 +77,13 @@ def record(
     require(fresh, what, where=str(folder), fix="name another folder", error=GendomError)
     errors = RigErrors.synchronised() if run.trial.quick else RigErrors()
     errors = RigErrors.none() if exact else errors
-    # Where nothing can be rendered, before anything is written.
-    world.render(0)
+    world.render(0)  # refuses before anything is written
     check_folder(folder)
     folder.mkdir(parents=True, exist_ok=True)
     _write_object(folder / "object.toml", run, notes)
     began, truth = world.time, []
     frames = np.arange(int((run.end - began) * frame_rate + 1e-9) + 1) / frame_rate
-    lasts = run.end - began + PATH_LONGER
-    samples = np.arange(int(lasts * PATH_RATE + 1e-9) + 1) / PATH_RATE
+    samples = np.arange(int((run.end - began + PATH_LONGER) * PATH_RATE + 1e-9) + 1) / PATH_RATE
     with ExitStack() as closed:
         said = {"noisy": not exact, "errors": asdict(errors), "seed": seed}
         closed.callback(_write_truth, folder / "truth", run, said, truth)
