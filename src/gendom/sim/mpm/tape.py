@@ -273,13 +273,9 @@ class Sums:
         self.state = s.make_state()
         self.state.sums = s.zeros((W, SUMS, N), s.real)
         self.adjoint = program.records(sums=(W, SUMS, N))
-        by_world = (
-            "friction", "velocity_damping", "damping", "gravity", "damping_factor",
-            "branch_factor", "branch_share",
-        )  # fmt: skip
         self.conditions = s.allocate(
             types.ConditionsAdjoint,
-            **dict.fromkeys(by_world, W),
+            **dict.fromkeys(("friction", "velocity_damping", "damping", "gravity"), W),
             **dict.fromkeys(("position", "turn"), (W, G, K)),
             radius=(W, G),
             touched=(W, N // s.setting.body.section),
