@@ -72,7 +72,7 @@ class ThinTape:
                     self._reverse_round(group, round, held)
             self._reverse_begin(group)
 
-        e.each_group(reverse)
+        e.in_threads(reverse, e.groups())
         return self._gradients()
 
     def _zero_adjoint(self) -> Any:
