@@ -77,7 +77,7 @@ class MpmEngine(Engine):
             fix="a larger dx, or device='cpu'",
         )
         self.num_points = N
-        self.stiffness = spread(s.stiffness, (W, N), "stiffness")
+        self.stiffness = spread(s.variation.stiffness, (W, N), "stiffness")
         limits = np.array([stable_substep(m, s.body.dx, cfl=cfl or CFL) for m in s.materials])
         limits = np.full(W, substep) if substep else limits / np.sqrt(self.stiffness.max(axis=1))
         self.setting = replace(s, substep=limits)

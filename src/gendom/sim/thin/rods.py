@@ -89,9 +89,9 @@ class RodModel:
         """[n] length of rod represented by each point [m]."""
         self.tributary[:-1] += 0.5 * length
         self.tributary[1:] += 0.5 * length
-        self.heavier = spread(setting.mass, (W, n), "mass")
+        self.heavier = spread(setting.variation.mass, (W, n), "mass")
         """[W, n] mass of points over that of their material."""
-        share = spread(setting.stiffness, (W, n), "stiffness")
+        share = spread(setting.variation.stiffness, (W, n), "stiffness")
         self.shares = np.zeros((W, 6, n))
         """[W, 6, n] each element's ratio of E to its material's E; for joints over their length."""
         self.shares[:, :3, :-1] = 0.5 * (share[:, :-1] + share[:, 1:])[:, None]
@@ -124,9 +124,9 @@ class RodModel:
         W, n = self.mass.shape
         drag = air[:, None] * self.drag
         rest = np.repeat(self.rest[None], W, axis=0)
-        share = spread(setting.natural_curvature, (W,), "natural_curvature")
+        share = spread(setting.variation.natural_curvature, (W,), "natural_curvature")
         rest[:, 4:] *= share[:, None, None]
-        rest[:, :1] /= spread(setting.stretch, (W,), "stretch")[:, None, None]
+        rest[:, :1] /= spread(setting.variation.stretch, (W,), "stretch")[:, None, None]
         return {
             "pitch": 0, "first": 0, "end": n, "contact_apart": self.apart,
             "rest": rest, "stiffness": self.stiffness,

@@ -94,11 +94,11 @@ class ShellModel:
         W, n = len(materials), len(at)
         self.area = area.reshape(-1)[at]
         """[n] of points [m^2]."""
-        self.heavier = spread(setting.mass, (W, n), "mass")
+        self.heavier = spread(setting.variation.mass, (W, n), "mass")
         self.varies = np.ones((W, 8, 1))
         """[W, 8, 1] whether a stiffness varies with E at each point; a membrane's own does not."""
         self.varies[[m.membrane is not None for m in materials], :4] = 0.0
-        share = spread(setting.stiffness, (W, n), "stiffness")[:, None]
+        share = spread(setting.variation.stiffness, (W, n), "stiffness")[:, None]
         self.local = 1.0 + self.varies * (share - 1.0)
         """[W, 8, n] stiffness over that of the material."""
         own = self.coefficients(parameters_of(h, materials))
