@@ -164,9 +164,6 @@ def swings(bench: Bench, kind: str) -> Iterator[Row]:
         yield vanishing(name, share, bench.round_off(allowed, 1e-2), source)
 
 
-# ---- equal problems ------------------------------------------------------------------------------
-
-
 @case("precision", "single and double precision", "mpm")
 def precision(bench: Bench) -> Iterator[Row]:
     """A lift off the table in float32 and float64.
