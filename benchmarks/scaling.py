@@ -18,7 +18,7 @@ import warp as wp
 from gendom.materials import Material
 from gendom.robot import TcpPaths
 from gendom.sim import Body, Simulator, Solver, Table, cloth
-from gendom.sim.mpm.runner import MOST_PARTICLES
+from gendom.sim.mpm.engine import MOST_PARTICLES
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation, grippers
 

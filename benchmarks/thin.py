@@ -21,7 +21,18 @@ from scipy.spatial.transform import Rotation
 
 from gendom.materials import Material
 from gendom.materials.unknowns import UNKNOWNS
-from gendom.sim import Body, Gripper, Physics, Rollout, Simulator, Solver, Table, cloth, rope
+from gendom.sim import (
+    Body,
+    Gripper,
+    Physics,
+    Rollout,
+    Simulator,
+    Solver,
+    Table,
+    Variation,
+    cloth,
+    rope,
+)
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation
 
@@ -138,7 +149,9 @@ class Lift:
             [self._material(of) for of in worlds],
             grippers=[[self._hand(of)] for of in worlds],
             table=Table(height=0.0, friction=[of["friction"] for of in worlds]),
-            stiffness=np.exp(slope * np.linspace(-0.5, 0.5, len(self.body.points))),
+            variation=Variation(
+                stiffness=np.exp(slope * np.linspace(-0.5, 0.5, len(self.body.points)))
+            ),
             positions=np.stack([self._laid(of) for of in worlds]),
             solver=Solver(engine="thin", device=given.device, dtype=given.dtype, threads=threads),
         )

@@ -13,19 +13,18 @@ from gendom.arguments import check_choice
 from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.materials import Material
-from gendom.sim import Body, Physics, Simulator, Solver
+from gendom.sim import Body, Physics, Simulator, Solver, Variation
 
 WEIGHTLESS = (0.0, 0.0, 0.0)
 
 
 def flat_simulator(body: Body, materials: Sequence[Material], **options: Any) -> Simulator:
-    """A simulator; options are its own and those of ``Physics`` and ``Solver``."""
+    """A simulator; options are its own and those of ``Physics``, ``Solver`` and ``Variation``."""
 
-    def taken(kind: type) -> dict[str, Any]:
-        return {f.name: options.pop(f.name) for f in fields(kind) if f.name in options}
-
-    physics, solver = Physics(**taken(Physics)), Solver(**taken(Solver))
-    return Simulator(body, materials, physics=physics, solver=solver, **options)
+    for name, kind in (("physics", Physics), ("solver", Solver), ("variation", Variation)):
+        taken = {f.name: options.pop(f.name) for f in fields(kind) if f.name in options}
+        options[name] = kind(**taken)
+    return Simulator(body, materials, **options)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.integrate import quad
 
 from gendom.arrays import Array
 from gendom.materials import Material
@@ -234,26 +233,6 @@ def strips_held(bench: Bench) -> Iterator[Row]:
             if which == "least" or len(sags) > 1:
                 which = f"{which} " * (len(sags) > 1)
                 yield over_theory(f"{which}sag over theory, {name}", found, allowed, BEAM)
-
-
-@case("rod-graded", "ropes stiffer or softer at their tip", "thin")
-def rods_graded(bench: Bench) -> Iterator[Row]:
-    """Level ropes that get ten times as stiff, or as soft, from the clamp to the tip."""
-    rates, L, sag = np.array([1.0, -1.0]) * math.log(10.0), 0.2, 1e-3
-    body, hand = clamped_rope(L, L / 100.0, 41)
-    # sags over w L^4 / (E0 I), and loads under which they are 0.5 % of the length
-    theory = [quad(lambda s, a=a: 0.5 * (1 - s) ** 3 * math.exp(-a * s), 0, 1)[0] for a in rates]
-    g = sag / np.array(theory) * unit_gravity(STIFF, L / 400.0, L) / L
-    stiffness = np.exp(np.outer(rates, np.clip(body.points[:, 0] / L, 0.0, None)))
-    options = {"grippers": [hand], "gravity": down(g), "stiffness": stiffness}
-    x = bench.settle(body, [STIFF] * 2, 1.24 * np.sqrt(g / sag), periods=24.0, **options)
-    source = (
-        "integral of w (L - s)^3 / (2 E(s) I) by quadrature (Gere and Timoshenko, Mechanics of "
-        "Materials), E(s) = E0 exp(a s)"
-    )
-    for tip, becomes in zip(-x[:, -1, 2], ("stiff", "soft"), strict=True):
-        name = f"sag over theory of a rope ten times as {becomes} at its tip"
-        yield over_theory(name, tip / sag, 0.01, source)
 
 
 @case("rod-cantilever", "ropes' sags over four decades", "thin", "rods", 65, 1000.0)

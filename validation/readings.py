@@ -9,7 +9,6 @@ from scipy.optimize import least_squares
 from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.sim import Simulator
-from gendom.sim.mpm.boundary import FOLLOWS, grip_constants
 from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.rods import joint_strains
 from gendom.sim.thin.rotation import conjugate, turned
@@ -74,30 +73,6 @@ def particle_energy(s: Simulator) -> float:
     return float(s.body.volume * psi.sum())
 
 
-def spring_energy(s: Simulator) -> float:
-    """Energy of the springs by which still grippers of the MPM's world 0 hold material in part [J].
-
-    With weight f they pull with k = f / (1 - f) b m / dt^2, b as in ``gendom.sim.mpm.boundary``.
-    """
-    e: Any = s.engine
-    grips, material = e.grips, s.materials[0]
-    mu, lam = material.lame_of(s.body.lateral_constraint)
-    dt = float(e.clock.dt.numpy()[0])
-    _, stiff = grip_constants(s.body)
-    b = min(stiff * dt**2 * (lam + 2.0 * mu) / material.density / s.body.dx**2, FOLLOWS)
-    x = e.state.x.numpy()[0].astype(float)
-    total = 0.0
-    for g, gripper in enumerate(e.setting.grippers[0]):
-        n = int(grips.count.numpy()[0, g])
-        f = grips.weight.numpy()[0, g, :n].astype(float)
-        centre = np.asarray(gripper.position)[0] - e.origin
-        away = x[grips.particle.numpy()[0, g, :n]] - centre - grips.place.numpy()[0, g, :n]
-        part = f < 1.0
-        stiffness = f[part] / (1.0 - f[part]) * b / dt**2
-        total += 0.5 * float(np.sum(stiffness * np.sum(away[part] ** 2, axis=1)))
-    return total * material.density * s.body.volume
-
-
 def rod_energy(s: Simulator) -> float:
     """Elastic energy of a rod, world 0 [J]."""
     e: Any = s.engine
@@ -151,9 +126,6 @@ def energies(s: Simulator, times: ArrayLike, pull: ArrayLike) -> tuple[Array, Ar
         m = mechanics(s)
         high.append(-m.mass * float(m.centre @ np.asarray(pull)))
         total.append(m.kinetic + m.elastic + high[-1])
-        # before the first substep nothing is held yet
-        if t > 0.0 and not isinstance(s.engine, ThinEngine):
-            total[-1] += spring_energy(s)
     return np.array(total), np.array(high)
 
 

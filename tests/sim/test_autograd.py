@@ -7,7 +7,7 @@ import pytest
 
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim import Capsule, Gripper, Simulator, Solver, Table, cloth, rope
+from gendom.sim import Capsule, Gripper, Simulator, Solver, Table, Variation, cloth, rope
 
 torch = pytest.importorskip("torch", reason="needs the extra train")
 
@@ -91,7 +91,8 @@ def test_every_input_of_rods_and_shells_gets_its_derivative(kind):
 
 def test_keywords_and_defaults_are_those_of_the_simulator():
     body = rope(diameter=0.004, length=0.1, start=(0, 0, 0.05), points=11)
-    more = {"table": Table(height=0.0), "mass": np.linspace(1.0, 2.0, 11), "start_time": 0.1}
+    more = {"table": Table(height=0.0), "start_time": 0.1,
+            "variation": Variation(mass=np.linspace(1.0, 2.0, 11))}  # fmt: skip
     soft = [Material(E=1e4, damping=0.01), Material(E=1e5)]
     hand = [Gripper.still(body.points[0], radius=0.012)]
     y = Simulator(body, soft, grippers=hand, **more).run([0.2])

@@ -162,8 +162,8 @@ def test_a_long_rollout_stays_within_its_memory():
     x = long.forward([0.4])  # 2,000 substeps
     (kept,) = segments_of(long)
     row = x[0].size // 3 * (15 * 8 + 12)  # x, v, C, and by whom what share is held
-    states: list[Any] = [values for segment in kept for values in segment.start._kept]
-    assert sum(values.nbytes for values in states) == math.ceil(2000 / 64) * row
+    states: list[Any] = [values for segment in kept for values in segment.kept]
+    assert sum(values.numpy().nbytes for values in states) == math.ceil(2000 / 64) * row
     assert all(segment.recording is None for segment in kept)
 
 

@@ -20,7 +20,7 @@ from gendom.estimation.scene_settings import COARSE_POINTS
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.observation import visible_on_sheet
-from gendom.sim import Gripper, Physics, Solver, Table
+from gendom.sim import Gripper, Physics, Solver, Table, Variation
 
 if TYPE_CHECKING:
     from gendom.sim import Simulator
@@ -260,10 +260,12 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
         [w.material for w in worlds],
         grippers=grippers,
         table=table,
-        stiffness=_stacked([w.stiffness for w in worlds], len(scene.initial)),
-        mass=_stacked([w.mass for w in worlds], len(scene.initial)),
-        natural_curvature=[t.natural_curvature for t in thetas] if scene.curved else 1.0,
-        stretch=[theta.length_ratio for theta in thetas] if scene.beside else 1.0,
+        variation=Variation(
+            stiffness=_stacked([w.stiffness for w in worlds], len(scene.initial)),
+            mass=_stacked([w.mass for w in worlds], len(scene.initial)),
+            natural_curvature=[t.natural_curvature for t in thetas] if scene.curved else 1.0,
+            stretch=[theta.length_ratio for theta in thetas] if scene.beside else 1.0,
+        ),
         positions=np.stack([w.positions for w in worlds]),
         start_time=begin,
         physics=Physics(

@@ -9,7 +9,7 @@ from gendom.sim.bodies import Body, cloth, rope
 from gendom.sim.gradients import Gradients
 from gendom.sim.gripper import Gripper, Grippers, Targets
 from gendom.sim.obstacles import Capsule, Cuboid, Obstacle, Sphere, Table
-from gendom.sim.setting import ENGINES, GRAVITY, Physics, Solver
+from gendom.sim.setting import ENGINES, GRAVITY, Physics, Solver, Variation
 
 if TYPE_CHECKING:
     from gendom.sim.device import claimed, list_devices, open_device
@@ -47,6 +47,7 @@ __all__ = [
     "Sphere",
     "Table",
     "Targets",
+    "Variation",
     "check_numbers",
     "claimed",
     "cloth",

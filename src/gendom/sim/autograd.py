@@ -19,13 +19,12 @@ from gendom.sim.bodies import Body
 from gendom.sim.gripper import Gripper
 from gendom.sim.obstacles import Obstacle, Table
 from gendom.sim.rollout import Rollout
-from gendom.sim.setting import Physics, Solver
+from gendom.sim.setting import Physics, Solver, Variation
 from gendom.sim.simulator import Simulator, engine_of
 from gendom.sim.thin.rotation import left_jacobian
 
 _OF_MATERIAL = ("E", "nu", "density", "damping", *OF_THIN)
 _OF_PHYSICS = ("velocity_damping", "air_density", "self_friction", "gravity")
-_OF_SIMULATOR = ("stiffness", "positions")
 
 
 def _shapes(
@@ -59,8 +58,7 @@ def simulate(
     obstacles: Sequence[Obstacle] = (),
     physics: Physics = Physics(),
     solver: Solver = Solver(),
-    mass: ArrayLike = 1.0,
-    natural_curvature: ArrayLike = 1.0,
+    variation: Variation = Variation(),
     start_time: float = 0.0,
     memory: float | None = None,
     **given: Tensor | float,
@@ -79,8 +77,8 @@ def simulate(
         table: Table; ``friction``, if given, replaces its coefficient.
         obstacles: Shared by all worlds; ``obstacle_friction``, if given, replaces their
             coefficients.
-        physics: Inputs of the names of its fields replace them.
-        solver, mass, natural_curvature, start_time: As of ``Simulator``.
+        physics, variation: Inputs of the names of their fields replace them.
+        solver, start_time: As of ``Simulator``.
         memory: Limit on memory for the backward pass [bytes] (default: as ``Rollout``).
         given: ``E`` [Pa], ``nu``, ``density`` [kg/m^3], ``damping`` [s], of shells ``membrane``
             [Pa], ``warp``, ``weft`` and ``shear``, ``velocity_damping`` [1/s], ``air_density``
@@ -104,8 +102,18 @@ def simulate(
     check_list("grippers", grippers, Gripper)
     check_list("obstacles", obstacles, Obstacle)
     shapes = _shapes(body, solver, grippers, len(obstacles), set(given))
-    own = {"mass": mass, "natural_curvature": natural_curvature, "start_time": start_time}
-    scene = (body, times, grippers, table, obstacles, physics, solver, own, memory)
+    scene = (
+        body,
+        times,
+        grippers,
+        table,
+        obstacles,
+        physics,
+        solver,
+        variation,
+        start_time,
+        memory,
+    )
     names, tensors = _spread(given, shapes, len(materials))
     return _Simulation.apply(scene, materials, names, *tensors)  # pyright: ignore[reportReturnType]
 
@@ -141,7 +149,9 @@ class _Simulation(torch.autograd.Function):
     def forward(
         ctx: Any, scene: tuple, materials: Sequence[Material], names: list[str], *tensors: Tensor
     ) -> Tensor:
-        body, times, grippers, table, obstacles, physics, solver, more, memory = scene
+        (
+            body, times, grippers, table, obstacles, physics, solver, variation, start_time, memory
+        ) = scene  # fmt: skip
         v = {n: t.detach().cpu().numpy() for n, t in zip(names, tensors, strict=True)}
         W = max([len(materials), *(len(values) for values in v.values())])
         given = [n for n in _OF_MATERIAL if n in v]
@@ -164,7 +174,8 @@ class _Simulation(torch.autograd.Function):
                 [replace(of, friction=mu) for of, mu in zip(obstacles, rubs[w], strict=True)]
                 for w in range(W)
             ]
-        more = more | {n: v[n] for n in _OF_SIMULATOR if n in v}
+        if "stiffness" in v:
+            variation = replace(variation, stiffness=v["stiffness"])
         simulator = Simulator(
             replace(body, **own),
             materials,
@@ -173,7 +184,9 @@ class _Simulation(torch.autograd.Function):
             obstacles=obstacles,
             physics=replace(physics, **{n: v[n] for n in _OF_PHYSICS if n in v}),
             solver=solver,
-            **more,
+            variation=variation,
+            positions=v.get("positions"),
+            start_time=start_time,
         )
         if "velocities" in v:
             simulator.set_velocities(v["velocities"])

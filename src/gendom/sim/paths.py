@@ -66,20 +66,7 @@ def paths_on(device: Any, arrays: Mapping[str, Array], real: Any) -> Any:
 @functools.cache
 def make_paths(real: Any) -> SimpleNamespace:
     """Build the functions that evaluate gripper paths, for one scalar type."""
-    vec3, mat33 = wp.types.vector(3, real), wp.types.matrix((3, 3), real)
     Paths = make_path_type(real)
-
-    @wp.func
-    def narrow(a: wp.vec3d):
-        return vec3(real(a[0]), real(a[1]), real(a[2]))
-
-    @wp.func
-    def narrow_matrix(A: wp.mat33d):
-        return mat33(
-            real(A[0, 0]), real(A[0, 1]), real(A[0, 2]),
-            real(A[1, 0]), real(A[1, 1]), real(A[1, 2]),
-            real(A[2, 0]), real(A[2, 1]), real(A[2, 2]),
-        )  # fmt: skip
 
     @wp.func
     def is_closed(w: int, g: int, t: wp.float64, paths: Paths):
@@ -124,12 +111,6 @@ def make_paths(real: Any) -> SimpleNamespace:
         return centre, q, knot
 
     @wp.func
-    def pose(w: int, g: int, t: wp.float64, paths: Paths):
-        """As ``placed``, with the orientation as a matrix."""
-        centre, q, knot = placed(w, g, t, paths)
-        return centre, wp.quat_to_matrix(q), knot
-
-    @wp.func
     def left_jacobian(turn: wp.vec3d, sign: wp.float64):
         """Left Jacobian J of exp: exp(turn + d) = exp(J d) exp(turn); right Jacobian for sign -1.
 
@@ -167,7 +148,7 @@ def make_paths(real: Any) -> SimpleNamespace:
         w: int, g: int, t: wp.float64, centre_bar: wp.vec3d, R_bar: wp.vec3d, paths: Paths,
         position_bars: wp.array3d(dtype=wp.vec3d), turn_bars: wp.array3d(dtype=wp.vec3d)
     ):  # fmt: skip
-        """Transpose of ``pose``; ``R_bar`` is with respect to a rotation of R in world axes."""
+        """Transpose of ``placed``; ``R_bar`` is with respect to a rotation of R in world axes."""
         knot, u = knot_before(w, g, t, paths)
         left = wp.float64(1.0) - u
         wp.atomic_add(position_bars, w, g, knot, left * centre_bar)

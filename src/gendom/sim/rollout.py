@@ -9,6 +9,7 @@ from gendom.arguments import check_number, check_numbers, check_type
 from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.sim.gradients import Gradients
+from gendom.sim.mpm.tape import Tape
 from gendom.sim.simulator import Simulator
 from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.tape import ThinTape
@@ -46,7 +47,8 @@ class Rollout:
         if memory is None:
             memory = MEMORY["cuda" if cuda else "cpu"]
         engine = simulator.engine
-        self._tape = ThinTape(engine) if isinstance(engine, ThinEngine) else engine.tape(memory)
+        thin = isinstance(engine, ThinEngine)
+        self._tape = ThinTape(engine) if thin else Tape(engine, memory)
         self._times: Array | None = None
 
     def forward(self, times: ArrayLike) -> Array:

@@ -63,6 +63,34 @@ class Physics:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Variation:
+    """How the bodies of worlds differ from the one that they are made from."""
+
+    stiffness: ArrayLike = 1.0
+    """E of each particle or point over that of its material, [N] or [W, N] [-]; of shells with a
+    membrane's modulus that of bending alone."""
+    mass: ArrayLike = 1.0
+    """Mass of each point of a rod or shell over that of its material, likewise [-]."""
+    natural_curvature: ArrayLike = 1.0
+    """Share of a rod's bending and twist that is free of stress, one number or [W] [-]; 0: it is
+    straight by nature."""
+    stretch: ArrayLike = 1.0
+    """Length of a rod's edges over that in the body, one number or [W] [-]."""
+
+    def check(self, points: int) -> None:
+        """Check shapes and ranges for a body of so many particles or points.
+
+        Raises:
+            ParameterError: If one is wrong.
+        """
+        for name in ("stiffness", "mass"):
+            shapes = (), (points,), ("W", points)
+            check_numbers(name, getattr(self, name), *shapes, above=0.0)
+        check_numbers("natural_curvature", self.natural_curvature, (), ("W",))
+        check_numbers("stretch", self.stretch, (), ("W",), above=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Solver:
     """How a simulation is computed.
 
@@ -122,10 +150,7 @@ class Setting(Physics):
     table: Table | None
     obstacles: Sequence[Sequence[Obstacle]]
     """Of each world."""
-    stiffness: ArrayLike
-    mass: ArrayLike
-    natural_curvature: ArrayLike
-    stretch: ArrayLike
+    variation: Variation
     positions: ArrayLike
     start_time: float
     dtype: str

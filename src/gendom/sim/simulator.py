@@ -26,7 +26,7 @@ from gendom.sim.device import cores, making, open_device
 from gendom.sim.gripper import Gripper, Targets, hands_of_worlds, of_worlds
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.obstacles import Obstacle, Table, check_clear
-from gendom.sim.setting import Frames, Physics, Setting, Solver
+from gendom.sim.setting import Frames, Physics, Setting, Solver, Variation
 from gendom.sim.thin.engine import ThinEngine
 
 START_INSIDE = 0.1
@@ -53,12 +53,7 @@ class Simulator(Shown):
             one sequence for each world.
         physics: Gravity, air, damping and self-contact.
         solver: Engine, steps, precision and device.
-        stiffness: E of each particle or point over E of its material, [N] or [W, N] [-]; of
-            shells with a membrane's modulus that of bending alone.
-        mass: Mass of each point of a rod or shell over that of its material, likewise [-].
-        natural_curvature: Share of a rod's bending and twist in ``body`` that is free of stress,
-            one number or [W] [-]; 0: it is straight by nature.
-        stretch: Length of a rod's edges over that in ``body``, one number or [W] [-].
+        variation: How worlds' bodies differ from ``body``.
         positions: [N, 3] or [W, N, 3] initial positions of particles (default: ``body.x``) or
             points (default: ``body.points``) [m].
         start_time: Time of the initial state [s].
@@ -79,10 +74,7 @@ class Simulator(Shown):
         obstacles: Sequence[Obstacle] | Sequence[Sequence[Obstacle]] = (),
         physics: Physics = Physics(),
         solver: Solver = Solver(),
-        stiffness: ArrayLike = 1.0,
-        mass: ArrayLike = 1.0,
-        natural_curvature: ArrayLike = 1.0,
-        stretch: ArrayLike = 1.0,
+        variation: Variation = Variation(),
         positions: ArrayLike | None = None,
         start_time: float = 0.0,
     ):
@@ -91,14 +83,13 @@ class Simulator(Shown):
         check_type("table", table, Table, optional=True)
         check_type("physics", physics, Physics)
         check_type("solver", solver, Solver)
+        check_type("variation", variation, Variation)
         require(materials, "a simulation needs at least one material (one a world)")
         check_number("start_time", start_time)
         thin, W = engine_of(body, solver) == "thin", len(materials)
         every, hands = of_worlds("obstacles", obstacles, Obstacle, W), hands_of_worlds(grippers, W)
         rest = body.points if thin else body.x
-        own: Any = {"stiffness": stiffness, "mass": mass, "natural_curvature": natural_curvature,
-                    "stretch": stretch}  # fmt: skip
-        _check_fits(body, len(rest), thin, materials, any(map(len, every)), own)
+        _check_fits(body, len(rest), thin, materials, any(map(len, every)), variation)
         x = rest if positions is None else positions
         x = check_numbers("positions", x, rest.shape, ("W", *rest.shape))
         section, unit = (1, body.thickness) if thin else (body.section, body.dx)
@@ -112,7 +103,7 @@ class Simulator(Shown):
         setting = Setting(
             body=body, materials=self.materials, grippers=hands, table=table, obstacles=every,
             positions=x, start_time=start_time, dtype=self.dtype, device=self.device,
-            threads=solver.threads or cores(), **vars(physics), **own,
+            threads=solver.threads or cores(), variation=variation, **vars(physics),
         )  # fmt: skip
         kind = ThinEngine if thin else MpmEngine
         with making:
@@ -283,16 +274,12 @@ def engine_of(body: Body, solver: Solver) -> str:
 
 def _check_fits(
     body: Body, N: int, thin: bool, materials: Sequence[Material], meets: bool,
-    own: dict[str, ArrayLike],
+    variation: Variation,
 ) -> None:  # fmt: skip
-    """Check what points, edges and worlds have of their ``own``, and that a body of N points has
-    what only some bodies may have."""
+    """Check that a body of N particles or points has what only some bodies may have."""
     narrow = "the outline is narrower than the particles"
     require(N, narrow, fix="a smaller dx, or engine='thin'")
-    for name in ("stiffness", "mass"):
-        check_numbers(name, own[name], (), (N,), ("W", N), above=0.0)
-    check_numbers("natural_curvature", own["natural_curvature"], (), ("W",))
-    check_numbers("stretch", own["stretch"], (), ("W",), above=0.0)
+    variation.check(N)
     rod, shell = thin and body.kind == "rope", thin and body.kind == "cloth"
     membrane = any(m.membrane is not None for m in materials)
     threads = any(m.has_threads for m in materials)
@@ -304,7 +291,8 @@ def _check_fits(
         ("stretch", None, rod, "rods may be longer than at rest"),
         ("obstacles", meets, thin, "rods and shells meet obstacles"),
     ):
-        given = bool(np.any(np.asarray(own[where]) != 1.0)) if given is None else given
+        if given is None:
+            given = bool(np.any(np.asarray(getattr(variation, where)) != 1.0))
         what = f"only {only}, not a {body.kind} of the {'thin' if thin else 'mpm'} engine"
         fix = "leave that out, or take engine='thin'"
         require(allowed or not given, what, where=where, fix=fix)

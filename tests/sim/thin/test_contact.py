@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim import Gripper, Physics, Simulator, Solver, Table, cloth, rope
+from gendom.sim import Gripper, Table, cloth, rope
 from gendom.sim.thin.contact import check_cloth
 from sim.thin.shared import model_of
 from validation.bench import flat_simulator
@@ -43,12 +43,8 @@ def test_contact_keeps_momentum():
     turn = np.linspace(-0.85, 0.85, 200) * np.pi
     ring = 0.05 * np.stack([np.sin(turn), 0.0 * turn, np.cos(turn)], axis=1)
     body = rope(diameter=0.01, centre_line=ring, points=31)
-    s = Simulator(
-        body,
-        [Material(E=1e5)],
-        physics=Physics(gravity=(0, 0, 0), air_density=0.0, self_contact=True),
-        solver=Solver(engine="thin"),
-    )
+    space = {"gravity": (0, 0, 0), "air_density": 0.0, "self_contact": True}
+    s = flat_simulator(body, [Material(E=1e5)], **space)
     u = np.linspace(-1.0, 1.0, 31)
     s.set_velocities(np.stack([-1.5 * u**5, 0.1 * u, 0.2 * u**2], axis=1))
     engine: Any = s.engine
@@ -133,29 +129,28 @@ def test_a_crumpled_cloth_never_crosses_and_can_be_pulled_apart(device):
 
 def test_a_body_that_begins_in_itself_is_an_error():
     thick = cloth(width=0.1, height=0.1, thickness=0.008, dx=0.02, points=(10, 10))
-    with pytest.raises(ParameterError, match="cannot be folded"):
-        Simulator(thick, [Material()], physics=Physics(self_contact=True))
     line = rope(diameter=0.01, length=0.3, points=31)
     turn = np.linspace(0.0, 2.2 * np.pi, 31)
     ring = 0.3 / (2.2 * np.pi) * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
-    with pytest.raises(ParameterError, match="the rope begins in itself"):
-        Simulator(line, [Material()], positions=ring, physics=Physics(self_contact=True))
-    Simulator(line, [Material()], positions=ring)
     turns = np.linspace(0.0, 4.0 * np.pi, 600)
     coil = np.stack([0.03 * np.cos(turns), 0.03 * np.sin(turns), 0.007 * turns / 2 / np.pi], axis=1)
     coiled = rope(diameter=0.01, centre_line=coil, points=61)
-    with pytest.raises(ParameterError, match="two parts of it are 7"):
-        Simulator(coiled, [Material()], physics=Physics(self_contact=True))
     sheet = cloth(width=0.1, height=0.1, thickness=0.001, dx=0.02, points=(11, 11))
     folded = sheet.points.copy()
     over = folded[:, 0] > 0.05
     folded[over, 0] = 0.1 - folded[over, 0] + 0.001
     folded[over, 2] = 0.004
-    Simulator(sheet, [Material()], positions=folded, physics=Physics(self_contact=True))
-    nearer = folded.copy()
+    nearer, crossing = folded.copy(), folded.copy()
     nearer[over, 2] = 0.0003
-    with pytest.raises(ParameterError, match="the cloth begins in itself: two layers"):
-        Simulator(sheet, [Material()], positions=nearer, physics=Physics(self_contact=True))
-    folded[over, 2] -= 0.08 * (folded[over, 1] - 0.024)
-    with pytest.raises(ParameterError, match="the cloth begins crossing itself"):
-        Simulator(sheet, [Material()], positions=folded, physics=Physics(self_contact=True))
+    crossing[over, 2] -= 0.08 * (folded[over, 1] - 0.024)
+    flat_simulator(line, [Material()], positions=ring)
+    flat_simulator(sheet, [Material()], positions=folded, self_contact=True)
+    for body, x, said in (
+        (thick, thick.points, "cannot be folded"),
+        (line, ring, "the rope begins in itself"),
+        (coiled, coiled.points, "two parts of it are 7"),
+        (sheet, nearer, "the cloth begins in itself: two layers"),
+        (sheet, crossing, "the cloth begins crossing itself"),
+    ):
+        with pytest.raises(ParameterError, match=said):
+            flat_simulator(body, [Material()], positions=x, self_contact=True)

@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Gripper, Physics, Rollout, Simulator, Solver, cloth, rope
+from gendom.sim import Gripper, Rollout, Simulator, cloth, rope
 from sim.thin import shared
 from sim.thin.shared import check_derivatives, check_worlds, scene
+from validation.bench import flat_simulator
 
 TIMES = [0.01, 0.03, 0.05, 0.06]
 
@@ -106,15 +107,9 @@ def test_a_flat_cloth_resists_shear_from_the_start(damping):
     way = np.random.default_rng(1).normal(size=body.points.shape) * [1.0, 1.0, 0.0]
 
     def run(positions):
-        return Rollout(
-            Simulator(
-                body,
-                [Material(E=2e5, damping=damping)],
-                grippers=[hand],
-                positions=positions,
-                physics=Physics(gravity=(0, 0, 0)),
-            )
-        )
+        made = [Material(E=2e5, damping=damping)]
+        options = {"grippers": [hand], "positions": positions, "gravity": (0, 0, 0)}
+        return Rollout(flat_simulator(body, made, **options))
 
     rollout = run(body.points)
     rollout.forward([0.004])
@@ -150,6 +145,22 @@ def test_worlds_of_a_batch_do_not_see_each_other(body):
     check_worlds(run, 3)
 
 
+def test_opening_grippers_of_one_group_leave_the_others_where_they_are():
+    """Groups run in threads of their own: half of the worlds let go, the other half move on."""
+    body = cloth(width=0.3, height=0.1, thickness=0.001, dx=0.02, points=(16, 6))
+    path = [(0.0, 0.0, 0.0), (0.0, 0.0, 0.05)]
+    early, late = (
+        [Gripper(time=[0.0, 0.1], position=path, radius=0.02, hold_until=until)]
+        for until in (0.02, 0.09)
+    )
+    hands = [early] * 8 + [late] * 8
+    material = [Material(E=2e6, damping=0.004)] * 16
+    together = flat_simulator(body, material, grippers=hands, threads=2).run([0.05, 0.1])
+    for half, hand in ((slice(0, 8), early), (slice(8, 16), late)):
+        alone = flat_simulator(body, material[:8], grippers=[hand] * 8, threads=1)
+        np.testing.assert_array_equal(together[:, half], alone.run([0.05, 0.1]))
+
+
 SHEET = cloth(width=0.2, height=0.2, thickness=0.002, dx=0.02, points=(15, 15))
 
 
@@ -170,7 +181,7 @@ def test_grippers_that_pull_a_body_apart_are_found_at_the_moment(body, far, to, 
     away = Gripper(time=[0, 1, 1.2], position=[far, to, far], radius=0.01)
     others = [replace(away, hold_until=0.05), Gripper.still(far, radius=0.01)]
     hands = [[hold, other] for other in (away, *others)]
-    s = Simulator(body, [Material()] * 3, grippers=hands, physics=Physics(gravity=(0, 0, 0)))
+    s = flat_simulator(body, [Material()] * 3, grippers=hands, gravity=(0, 0, 0))
     x = s.run([0.1, 1.2], keep_going=True)
     assert set(s.failures) == {0}
     error = s.failures[0]
@@ -185,7 +196,7 @@ def test_a_stretch_without_grippers_that_pull_is_found_within_a_frame():
     body = rope(diameter=0.01, length=0.2)
     with pytest.raises(ParameterError, match="begins stretched by"):
         Simulator(body, [Material()], positions=1.5 * body.points)
-    s = Simulator(body, [Material()], physics=Physics(gravity=(0, 0, 0), air_density=0.0))
+    s = flat_simulator(body, [Material()], gravity=(0, 0, 0), air_density=0.0)
     s.set_velocities(np.linspace([-25, 0, 0], [25, 0, 0], len(body.points)))
     with pytest.raises(SimulationError, match="stretched or compressed by more than 20 %") as e:
         s.run([1.0])
@@ -210,12 +221,7 @@ def test_cuda_runs_and_differentiates_as_the_cpu_does(body):
 @BODIES
 def test_free_fall_is_exact(body):
     """A leapfrog has no error in a parabola, whatever its steps and however a run is cut."""
-    s = Simulator(
-        body,
-        [Material()],
-        physics=Physics(air_density=0.0, gravity=(0.0, 0.0, -10.0)),
-        solver=Solver(engine="thin"),
-    )
+    s = flat_simulator(body, [Material()], air_density=0.0, gravity=(0.0, 0.0, -10.0))
     s.set_velocities((0.5, 0.0, 1.0))
     for t in (0.0501, 0.2):
         x = s.run([t])[0, 0]

@@ -8,8 +8,9 @@ import pytest
 
 from gendom.errors import ParameterError
 from gendom.materials import Material
-from gendom.sim import Gripper, Physics, Simulator, Solver, cloth, rope
+from gendom.sim import Gripper, cloth, rope
 from gendom.sim.thin.engine import ThinEngine
+from validation.bench import flat_simulator
 from validation.readings import bending_energy, membrane_energy
 
 MATERIAL = Material(E=1.0e6, nu=0.0)
@@ -24,10 +25,10 @@ def energies(material=MATERIAL, axis=0, **options):
     for gradient in ([[1e-4, 0.0], [0.0, 2e-4]], [[0.0, 1e-4], [0.0, 0.0]]):
         x = body.points.copy()
         x[:, :2] += body.points[:, :2] @ np.transpose(gradient)
-        found.append(membrane_energy(Simulator(body, [material], positions=x, **options)))
+        found.append(membrane_energy(flat_simulator(body, [material], positions=x, **options)))
     u, x = body.points[:, axis] / R, body.points.copy()
     x[:, axis], x[:, 2] = R * np.sin(u), R * (1.0 - np.cos(u))
-    s = Simulator(body, [material], positions=x, **options)
+    s = flat_simulator(body, [material], positions=x, **options)
     assert isinstance(s.engine, ThinEngine)
     return np.array([*found, bending_energy(s), s.engine.model.longest_step()[0]])
 
@@ -66,13 +67,7 @@ def test_a_sharp_bend_about_the_diagonal_is_no_shear(diagonal):
     turn, along = (kink * (i + j), side * (i - j)) if diagonal else (kink * i, spacing * j)
     R = side / (2.0 * np.sin(kink / 2.0))
     x = np.stack([R * np.sin(turn), along, -R * np.cos(turn)], axis=1)
-    s = Simulator(
-        body,
-        [limp],
-        positions=x,
-        physics=Physics(gravity=(0, 0, 0), air_density=0.0),
-        solver=Solver(cfl=0.2),
-    )
+    s = flat_simulator(body, [limp], positions=x, gravity=(0, 0, 0), air_density=0.0, cfl=0.2)
     bending = bending_energy(s)
     assert membrane_energy(s) < 1e-6 * bending
     assert isinstance(s.engine, ThinEngine)
@@ -90,12 +85,12 @@ ROPE = rope(length=0.3, diameter=0.01)
 @pytest.mark.parametrize("body", [ROPE, cloth(**SIZES)], ids=["rope", "cloth"])
 def test_twice_the_mass_is_twice_the_density(body):
     factors = np.linspace(0.8, 2.0, len(body.points))
-    light, heavy = (Simulator(body, [LIGHT], mass=m).engine for m in (1.0, factors))
+    light, heavy = (flat_simulator(body, [LIGHT], mass=m).engine for m in (1.0, factors))
     assert isinstance(light, ThinEngine) and isinstance(heavy, ThinEngine)
     np.testing.assert_allclose(heavy.model.mass / light.model.mass, factors[None])
     held = Gripper.still(body.points[0], radius=0.015)
     x = [
-        Simulator(body, [material], grippers=[held], mass=mass).run([0.1])[0, 0]
+        flat_simulator(body, [material], grippers=[held], mass=mass).run([0.1])[0, 0]
         for material, mass in ((LIGHT, 2.0), (DENSE, 1.0), (LIGHT, 1.0))
     ]
     assert np.abs(x[0] - x[1]).max() < 2e-4
@@ -106,12 +101,10 @@ def test_a_rod_takes_on_its_share_of_the_curvature():
     """In free space an arc of 1 rad straightens to half of that, and wholly."""
     turn = np.linspace(0.0, 1.0, 60)
     arc = 0.2 * np.stack([np.sin(turn), 1.0 - np.cos(turn), 0.0 * turn], axis=1)
-    simulator = Simulator(
-        rope(diameter=0.01, centre_line=arc, points=13),
-        [replace(DENSE, damping=0.02)] * 3,
-        natural_curvature=[1.0, 0.5, 0.0],
-        physics=Physics(gravity=(0.0, 0.0, 0.0), velocity_damping=2.0),
-    )
+    simulator = flat_simulator(
+        rope(diameter=0.01, centre_line=arc, points=13), [replace(DENSE, damping=0.02)] * 3,
+        natural_curvature=[1.0, 0.5, 0.0], gravity=(0.0, 0.0, 0.0), velocity_damping=2.0,
+    )  # fmt: skip
     ahead = np.diff(simulator.run([1.5])[0], axis=1)
     ends = ahead[:, [0, -1]] / np.linalg.norm(ahead[:, [0, -1]], axis=2, keepdims=True)
     turned = np.arccos(np.clip((ends[:, 0] * ends[:, 1]).sum(axis=1), -1.0, 1.0))
@@ -134,4 +127,4 @@ def test_what_others_have_is_refused(kind, engine, changes, message):
     own = {name: changes[name] for name in changes if name in ("membrane", "shear", "warp")}
     others: dict[str, Any] = {name: changes[name] for name in changes if name not in own}
     with pytest.raises(ParameterError, match=message):
-        Simulator(body, [replace(MATERIAL, **own)], solver=Solver(engine=engine), **others)
+        flat_simulator(body, [replace(MATERIAL, **own)], engine=engine, **others)

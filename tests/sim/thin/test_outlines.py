@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.errors import ParameterError, SimulationError
 from gendom.materials import Material
-from gendom.sim import Gripper, Physics, Simulator, Table, cloth
+from gendom.sim import Gripper, Simulator, Table, cloth
 from gendom.sim.outlines import Outline
 from gendom.sim.thin.contact import check_cloth
 from gendom.sim.thin.engine import ThinEngine
@@ -109,8 +109,8 @@ def fastest_squared(body):
     """
     n, far, h = len(body.points), 1e-8, 1e-7
     x = body.points + far * np.eye(3 * n).reshape(-1, n, 3)
-    space = Physics(gravity=(0, 0, 0), air_density=0.0)
-    s = Simulator(body, [MATERIAL] * (3 * n), positions=x, physics=space)
+    space = {"gravity": (0, 0, 0), "air_density": 0.0}
+    s = flat_simulator(body, [MATERIAL] * (3 * n), positions=x, **space)
     s.run([h])
     a = s.velocities() / (0.5 * h)  # the first step begins at rest
     m = np.sqrt(np.repeat(engine_of(s).model.mass[0], 3))

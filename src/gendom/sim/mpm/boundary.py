@@ -142,9 +142,9 @@ def make_boundary(variant: Variant) -> SimpleNamespace:
 
         A particle that another gripper holds is left to it.
         """
-        centre, orientation, _knot = paths_of.pose(now.w, g, t, paths)
-        c = paths_of.narrow(centre)
-        R = paths_of.narrow_matrix(orientation)
+        centre, turned, _knot = paths_of.placed(now.w, g, t, paths)
+        c = vec3(centre)
+        R = mat33(wp.quat_to_matrix(turned))
         spacing = real(0.5) * model.dx
         count = int(0)
         f = real(0.0)
@@ -201,10 +201,6 @@ def make_boundary(variant: Variant) -> SimpleNamespace:
     def add_x(adjoint: Records, w: int, p: int, value: vec3):
         i = place(adjoint, w, p)
         fields.put_x(adjoint, w, i, fields.x(adjoint, w, i) + value)
-
-    @wp.func
-    def wide(a: vec3):
-        return wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
 
     @wp.func
     def contact_adjoint(
@@ -284,9 +280,9 @@ def make_boundary(variant: Variant) -> SimpleNamespace:
         tape: Records, adjoint: Records, by: ConditionsAdjoint,
     ):  # fmt: skip
         """Transpose of ``attach``: to the positions at that moment, and to the gripper's pose."""
-        centre, orientation, _knot = paths_of.pose(now.w, g, t, paths)
-        c = paths_of.narrow(centre)
-        R = paths_of.narrow_matrix(orientation)
+        centre, turned, _knot = paths_of.placed(now.w, g, t, paths)
+        c = vec3(centre)
+        R = mat33(wp.quat_to_matrix(turned))
         spacing = real(0.5) * model.dx
         centre_bar = wp.vec3d()
         R_bar = wp.vec3d()
@@ -294,14 +290,14 @@ def make_boundary(variant: Variant) -> SimpleNamespace:
             p = grips.particle[now.w, g, n]
             back = R * by.place[now.w, g, n]
             add_x(adjoint, now.w, p, back)
-            centre_bar -= wide(back)
-            R_bar -= wide(wp.cross(taped.x_of(tape, now.slot, p) - c, back))
+            centre_bar -= wp.vec3d(back)
+            R_bar -= wp.vec3d(wp.cross(taped.x_of(tape, now.slot, p) - c, back))
             f = grips.weight[now.w, g, n]
             if f < real(1.0):
                 f_bar = by.weight[now.w, g, n] / spacing
                 by.radius[now.w, g] = by.radius[now.w, g] + wp.float64(f_bar)
                 outwards = -f_bar * wp.normalize(taped_section_centre(now.slot, p, model, tape) - c)
-                centre_bar -= wide(outwards)
+                centre_bar -= wp.vec3d(outwards)
                 first = p - p % model.section
                 for q in range(first, first + model.section):
                     add_x(adjoint, now.w, q, outwards / real(model.section))

@@ -39,7 +39,6 @@ def make_gripped(variant: Variant) -> SimpleNamespace:
     particle = fields.particle
     sync, add_by_warp = make_block(real).sync, make_block(real).add_by_warp
     boundary = make_boundary(variant)
-    wide = boundary.wide
     pose_type = wp.types.matrix((4, 3), wp.float64)
 
     @wp.func
@@ -78,7 +77,9 @@ def make_gripped(variant: Variant) -> SimpleNamespace:
     @wp.func
     def rows_of(centre_bar: vec3, V_bar: vec3, spin_bar: vec3, R_bar: vec3):
         """Derivatives by a gripper's pose, a row each."""
-        return wp.matrix_from_rows(wide(centre_bar), wide(V_bar), wide(spin_bar), wide(R_bar))
+        return wp.matrix_from_rows(
+            wp.vec3d(centre_bar), wp.vec3d(V_bar), wp.vec3d(spin_bar), wp.vec3d(R_bar)
+        )
 
     @wp.func
     def add_to_pose(grip_row: int, g: int, total: pose_type, by: ConditionsAdjoint):
@@ -163,17 +164,17 @@ def make_poses(real: Any) -> SimpleNamespace:
             g = n % grippers
             t = t0 + wp.float64(first + n // grippers) * dt
             grips.closed[row, g] = int(paths_of.is_closed(w, g, t, paths))
-            here, _R, knot = paths_of.pose(w, g, t, paths)
-            there, R, end = paths_of.pose(w, g, t + dt, paths)
-            grips.centre[row, g] = paths_of.narrow(there)
-            grips.orientation[row, g] = paths_of.narrow_matrix(R)
-            grips.velocity[row, g] = paths_of.narrow((there - here) / dt)
+            here, _q, knot = paths_of.placed(w, g, t, paths)
+            there, q, end = paths_of.placed(w, g, t + dt, paths)
+            grips.centre[row, g] = types.vec3(there)
+            grips.orientation[row, g] = types.mat33(wp.quat_to_matrix(q))
+            grips.velocity[row, g] = types.vec3((there - here) / dt)
             # each segment contributes a rotation for its part of the substep
             turned = wp.vec3d()
             if paths.turns[w, g] == 1:
                 for k in range(knot, end + 1):
                     turned += paths_of.share_of(w, g, k, t, dt, paths) * paths.turn[w, g, k]
-            grips.spin[row, g] = paths_of.narrow(turned / dt)
+            grips.spin[row, g] = types.vec3(turned / dt)
 
     @wp.func
     def close_poses(
@@ -189,8 +190,8 @@ def make_poses(real: Any) -> SimpleNamespace:
             t = t0 + wp.float64(first + n // grippers) * dt
             if grips.closed[row, g] == 1:
                 moved = by.velocity[row, g] / dt
-                _here, _R, knot = paths_of.pose(w, g, t, paths)
-                _there, _R_end, end = paths_of.pose(w, g, t + dt, paths)
+                _here, _q, knot = paths_of.placed(w, g, t, paths)
+                _there, _q_end, end = paths_of.placed(w, g, t + dt, paths)
                 paths_of.pose_adjoint(w, g, t, -moved, wp.vec3d(), paths, by.position, by.turn)
                 paths_of.pose_adjoint(
                     w, g, t + dt, by.centre[row, g] + moved, by.rotation[row, g], paths,

@@ -91,7 +91,7 @@ def make_internal_forces(variant: Variant) -> SimpleNamespace:
     types = make_types(real)
     vec3, Model, Clock, Substep = types.vec3, types.Model, types.Clock, types.Substep
     Records, ConditionsAdjoint = types.Records, types.ConditionsAdjoint
-    block = make_block(real)
+    block, maxwell = make_block(real), make_maxwell_branch(real)
     call = f"<{int(variant.room > 0)}, {int(variant.sorts)}>(w, thread, threads, "
 
     @wp.func_native(f"return gendom::forces_of_records{call}dt, keep, share, model, particles);")
@@ -117,9 +117,8 @@ def make_internal_forces(variant: Variant) -> SimpleNamespace:
     def forces(now: Substep, model: Model, clock: Clock, particles: Records):
         """Set the impulses of particles on their neighbours, add the air's to velocities and move Z
         on. Return whether a particle is inverted, which the clock names."""
-        failed = set_forces(
-            now.w, now.thread, now.threads, now.h, now.keep, now.share, model, particles
-        )
+        keep, share = maxwell.branch(model.damping[now.w], now.h, now.age)
+        failed = set_forces(now.w, now.thread, now.threads, now.h, keep, share, model, particles)
         if failed >= 0:
             clock.failed_particle[now.w] = failed
         return block.any(int(failed >= 0))
@@ -129,12 +128,15 @@ def make_internal_forces(variant: Variant) -> SimpleNamespace:
         now: Substep, model: Model, tape: Records, adjoint: Records, by: ConditionsAdjoint
     ):
         """Transpose of ``forces``; derivatives by impulses are found in those by v."""
+        damping = model.damping[now.w]
+        keep, share = maxwell.branch(damping, now.h, now.age)
         sums = set_adjoint(
-            now.w, now.thread, now.threads, now.slot, now.h, now.keep, now.share, model, tape,
-            adjoint,
-        )  # fmt: skip
-        if now.share > real(0.0) and now.age > 0:
-            wp.atomic_add(by.branch_share, now.w, sums[0])
-            wp.atomic_add(by.branch_factor, now.w, sums[1])
+            now.w, now.thread, now.threads, now.slot, now.h, keep, share, model, tape, adjoint
+        )
+        if damping > real(0.0):
+            by_damping = maxwell.branch_adjoint(
+                damping, now.h, now.age, real(sums[1]), real(sums[0])
+            )
+            wp.atomic_add(by.damping, now.w, wp.float64(by_damping))
 
     return functions_of(locals())

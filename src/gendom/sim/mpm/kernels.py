@@ -7,7 +7,6 @@ Shapes: W worlds, N particles, G grippers, S recorded substeps, L layouts of the
 """
 
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
@@ -16,7 +15,6 @@ from gendom.sim.mpm.block import bounds, make_block, put_near
 from gendom.sim.mpm.boundary import make_boundary
 from gendom.sim.mpm.grid import MARGIN, make_rebuild
 from gendom.sim.mpm.gripped import AHEAD, make_gripped, make_poses
-from gendom.sim.mpm.internal_forces import make_maxwell_branch
 from gendom.sim.mpm.native import MODULE_OPTIONS
 from gendom.sim.mpm.particles import (
     ORDERLY,
@@ -36,7 +34,6 @@ from gendom.sim.mpm.step import (
 )
 from gendom.sim.mpm.transfer import make_bspline
 from gendom.sim.mpm.types import make_types
-from gendom.sim.native import functions_of
 
 SUMS = 4
 """Sums of derivatives by a particle's parameters, see ``particles``."""
@@ -59,7 +56,7 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
     row_at, rebuild = make_bspline(real, windowed=False).row_at, make_rebuild(variant)
     boundary, sort_records = make_boundary(variant), make_sorting(variant)
     pose_ahead, list_gripped = make_poses(real).pose_ahead, make_gripped(variant).list_gripped
-    substep, beginning = make_substep(variant, taped=taped), _make_beginning(real)
+    substep, begin = make_substep(variant, taped=taped), _make_begin(real)
     block = make_block(real)
     compensates = wp.constant(int(types.compensates))
     keeps, SORTS = wp.constant(int(taped)), wp.constant(variant.sorts)
@@ -167,7 +164,7 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         dt = frame_substep(frame, w, plan)
         step = int(clock.step[w])
         t = plan.time[frame] + wp.float64(step) * dt
-        now = beginning.begin(w, thread, threads, state.x.shape[1], dt, model)
+        now = begin(w, thread, threads, state.x.shape[1], dt, model)
         now.age = clock.age[w]
         now.holding = grips.held[w]
         # of grid and layout; in place unless all are kept
@@ -285,7 +282,7 @@ def make_reverse(variant: Variant) -> Any:
     ConditionsAdjoint = types.ConditionsAdjoint
     Records, reorder = types.Records, make_reordering(variant)
     substep_adjoint, boundary = make_substep_adjoint(variant), make_boundary(variant)
-    poses, beginning = make_poses(real), _make_beginning(real)
+    poses, begin = make_poses(real), _make_begin(real)
     list_gripped, loading = make_gripped(variant).list_gripped, make_loading(variant)
     block = make_block(real)
     IN_SHARED_MEMORY, numbers = wp.constant(variant.room > 0), wp.constant(variant.numbers)
@@ -359,7 +356,7 @@ def make_reverse(variant: Variant) -> Any:
         grippers = grips.closed.shape[1]
         t0 = began[w]
         dt = clock.dt[w]
-        now = beginning.begin(w, thread, threads, grips.free.shape[1], dt, model)
+        now = begin(w, thread, threads, grips.free.shape[1], dt, model)
         now.gone = slots[w] - 1
         now.row = own
         now.layout = tape.layout_of[now.gone * shared + own]
@@ -397,20 +394,16 @@ def make_reverse(variant: Variant) -> Any:
                 now.holding = list_gripped(now, adjoint, model, grips)
             now.gone -= 1
         poses.close_poses(now, posed, count, t0, dt, paths, grips, by)
-        if thread == 0:
-            beginning.close_rates(w, dt, model, by)
         unload_all(now, by_state, adjoint)
 
     return reverse
 
 
 @functools.cache
-def _make_beginning(real: Any) -> SimpleNamespace:
-    """Build ``begin``, what substeps of one length have in common, and ``close_rates``."""
+def _make_begin(real: Any) -> Any:
+    """Build ``begin``, what substeps of one length have in common."""
     types = make_types(real)
-    Substep = types.Substep
-    Model, ConditionsAdjoint = types.Model, types.ConditionsAdjoint
-    branch_adjoint = make_maxwell_branch(real).branch_adjoint
+    Substep, Model = types.Substep, types.Model
 
     @wp.func
     def begin(w: int, thread: int, threads: int, N: int, dt: wp.float64, model: Model):
@@ -427,18 +420,4 @@ def _make_beginning(real: Any) -> SimpleNamespace:
         now.keep_velocity = wp.exp(-model.velocity_damping[w] * now.h)
         return now
 
-    @wp.func
-    def close_rates(w: int, dt: wp.float64, model: Model, by: ConditionsAdjoint):
-        """Add the sums of equally long substeps to derivatives by damping rates; reset them."""
-        h = real(dt)
-        slope = wp.float64(-h * wp.exp(-model.velocity_damping[w] * h))
-        by.velocity_damping[w] = by.velocity_damping[w] + slope * by.damping_factor[w]
-        by_damping = branch_adjoint(
-            model.damping[w], h, 1, real(by.branch_factor[w]), real(by.branch_share[w])
-        )
-        by.damping[w] = by.damping[w] + wp.float64(by_damping)
-        by.damping_factor[w] = wp.float64(0.0)
-        by.branch_factor[w] = wp.float64(0.0)
-        by.branch_share[w] = wp.float64(0.0)
-
-    return functions_of(locals())
+    return begin

@@ -21,7 +21,7 @@ import warp as wp
 from gendom.sim.mpm.block import make_block
 from gendom.sim.mpm.boundary import FOLLOWS, make_boundary
 from gendom.sim.mpm.gripped import make_gripped
-from gendom.sim.mpm.internal_forces import make_internal_forces, make_maxwell_branch
+from gendom.sim.mpm.internal_forces import make_internal_forces
 from gendom.sim.mpm.particles import MASS, Variant, make_moving, make_taped
 from gendom.sim.mpm.transfer import make_bspline, make_transfer
 from gendom.sim.mpm.types import make_types
@@ -52,7 +52,7 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
     window_type = bspline.window
     boundary, gripped = make_boundary(variant), make_gripped(variant)
     Substep, Grid = types.Substep, types.Grid
-    block, branch = make_block(real), make_maxwell_branch(real).branch
+    block = make_block(real)
     compensates = wp.constant(int(types.compensates))
     damped, keeps = wp.constant(int(variant.damped)), wp.constant(int(taped))
 
@@ -187,9 +187,6 @@ def make_substep(variant: Variant, *, taped: bool) -> Any:
             record_state(now, particles, tape)
         if keeps == 1:
             bspline.clear(grid.momentum, now.slot, now.thread, now.threads, nodes)
-        keep, share = branch(model.damping[now.w], now.h, now.age)
-        now.keep = keep
-        now.share = share
         inverted = forces_of.forces(now, model, clock, particles)
         if inverted == 1:
             return INVERTED, real(0.0)
@@ -226,7 +223,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
     bspline, transfer = make_bspline(real, windowed=variant.threads > 1), make_transfer(real)
     window_type = bspline.window
     boundary, gripped = make_boundary(variant), make_gripped(variant)
-    block, branch = make_block(real), make_maxwell_branch(real).branch
+    block = make_block(real)
 
     @wp.func
     def section_motion(now: Substep, s: int, model: Model, tape: Records):
@@ -345,7 +342,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
             sums[now.w, MASS, i] = sums[now.w, MASS, i] + wp.dot(v_bar, speed) / now.mass
             # the air's stands in place of what rounding leaves out
             fields.put_v(adjoint, now.w, i, v_bar + fields.low(adjoint, now.w, i))
-        wp.atomic_add(by.gravity, now.w, boundary.wide(gravity_sum))
+        wp.atomic_add(by.gravity, now.w, wp.vec3d(gravity_sum))
 
     @wp.func
     def substep_adjoint(
@@ -376,7 +373,7 @@ def make_substep_adjoint(variant: Variant) -> Any:
             grid.momentum, now.slot, grid.velocity_bar, now.row, now.thread, now.threads, nodes,
             now.keep_velocity,
         )  # fmt: skip
-        wp.atomic_add(by.damping_factor, now.w, by_keep)
+        wp.atomic_add(by.velocity_damping, now.w, wp.float64(-now.h * now.keep_velocity) * by_keep)
         block.sync()
         p2g_adjoint(now, model, grips, tape, adjoint, grid, by)
         block.sync()
@@ -386,9 +383,6 @@ def make_substep_adjoint(variant: Variant) -> Any:
         if model.table == 1:
             touch_adjoint(now, model, tape, adjoint, by)
             block.sync()
-        keep, share = branch(model.damping[now.w], now.h, now.age)
-        now.keep = keep
-        now.share = share
         forces_of.forces_adjoint(now, model, tape, adjoint, by)
         block.sync()
         momenta_adjoint(now, tape, adjoint, by)

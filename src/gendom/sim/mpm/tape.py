@@ -7,19 +7,16 @@ segment, from which the segment is run again and recorded when it is to be rever
 
 # pyright: basic
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from gendom.arrays import Array
 from gendom.sim.gradients import Gradients
+from gendom.sim.mpm.engine import REBUILD, Group, MpmEngine, Plan
 from gendom.sim.mpm.kernels import SUMS, make_advance, make_reverse
-from gendom.sim.mpm.model import Worlds
 from gendom.sim.mpm.particles import DRAG, LAM, MASS, MU
-from gendom.sim.mpm.runner import REBUILD, Group, Plan, Program, for_groups
 from gendom.sim.mpm.step import GRID_FULL
 
 SHORTEST, LONGEST, LONGEST_ON_CPU = 8, 256, 64
@@ -33,17 +30,18 @@ class Tape:
     """A run that can be differentiated.
 
     Args:
-        program: What worlds run; they have not run before.
+        engine: Its worlds have not run before.
         memory: Bound on what is recorded [bytes]; at least one segment is.
     """
 
-    def __init__(self, program: Program, memory: float):
-        self.program, self.memory = program, memory
-        self.groups = program.groups()
-        self.segments: list[list[Segment]] = [[] for _ in self.groups]
-        self._cuda = program.worlds.device.is_cuda
-        program.load(make_advance(program.variant, taped=True))
-        program.load(make_reverse(program.variant))
+    def __init__(self, engine: MpmEngine, memory: float):
+        self.engine, self.memory = engine, memory
+        self.segments: list[list[Segment]] = []
+        """Of each group of worlds."""
+        self._longest = LONGEST if engine.setting.device.is_cuda else LONGEST_ON_CPU
+        engine.load(make_advance(engine.variant, taped=False))
+        engine.load(make_advance(engine.variant, taped=True))
+        engine.load(make_reverse(engine.variant))
 
     def forward(self, times: Array, began: float) -> Array:
         """[T, W, N, 3] positions at the times, from the time ``began`` [s].
@@ -51,235 +49,192 @@ class Tape:
         Raises:
             SimulationError: If a world diverges.
         """
-        s = self.program.worlds
-        W, N = s.num_worlds, s.num_particles
-        x: Any = wp.empty((len(times), W, N), dtype=s.types.vec3, device=s.device)
-        self._plan = plan = self.program.plan(began, times, np.arange(N), x)
-        row = _row_bytes(self.program, SUBSTEPS_A_LAYOUT)
-        substeps = plan.steps.sum(axis=0)
-        needed = sum(len(g.own) * int(substeps[g.own].max()) * row for g in self.groups)
-        keeps = needed <= self.memory
+        e, groups = self.engine, self.engine.groups()
+        self._plan = plan = e.plan(began, times, np.arange(e.num_points))
+        substeps, row = plan.steps.sum(axis=0), _row_bytes(e, SUBSTEPS_A_LAYOUT)
+        needed = sum(g.count * int(substeps[g.worlds].max()) * row for g in groups)
+        self.segments = [[] for _ in groups]
 
-        def one_group(group: Group) -> None:
-            segments = self.segments[self.groups.index(group)]
+        def go(k: int) -> None:
+            group = groups[k]
             group.begin()
             for f in range(len(times)):
                 while (group.read("frame") <= f).any():
-                    segments.append(self._run_segment(group, f, keeps=keeps))
-            group.end()
+                    segment = Segment(group, f)
+                    self._run(segment, keeps=needed <= self.memory)
+                    self.segments[k].append(segment)
+            del group.grid
 
-        for_groups(self.groups, one_group)
-        return x.numpy() + s.origin.astype(s.numpy_type)
+        e.in_threads(go, range(len(groups)))
+        return plan.arrays.x.numpy() + e.origin.astype(e.setting.dtype)
 
-    def _run_segment(self, group: Group, f: int, *, keeps: bool) -> "Segment":
-        s, plan = self.program.worlds, self._plan
-        segment = Segment(group.own, f, Snapshot(group))
-        left = int((plan.steps[f, group.own] - segment.start.step).max())
+    def _run(self, segment: "Segment", *, keeps: bool) -> None:
+        """Run a segment for the first time."""
+        group, plan, f = segment.group, self._plan, segment.frame
+        left = int((plan.steps[f, group.worlds] - segment.step).max())
         more = True
         while more:
             if keeps and left:
-                substeps = min(LONGEST if self._cuda else LONGEST_ON_CPU, left)
-                segment.recording = self._record(group, segment, substeps, None)
+                segment.recording = self._record(segment, min(self._longest, left), None)
                 more = False
             else:
-                done = int((group.read("age") - segment.start.age).max())
-                group.advance(plan, self._segment_substeps() - done, f + 1)
+                done = int((group.read("age") - segment.age).max())
+                group.advance(plan, self._segment_substeps() - done, f + 1, group.grid)
                 more = bool((group.read("status") == GRID_FULL).any())
-            if not group.look(plan, keep_going=False) and s.failures:
-                raise s.failures[min(s.failures)]
-        segment.set_end(group, plan)
-        return segment
+            group.look(plan, keep_going=False)
+            self.engine.raise_failures(keep_going=False)
+        segment.finish(plan)
 
     def _segment_substeps(self) -> int:
         """Substeps that the memory holds at once."""
-        if not self._cuda:
+        if not self.engine.setting.device.is_cuda:
             return LONGEST_ON_CPU
-        row = self.program.worlds.num_worlds * _row_bytes(self.program, 1)
+        row = self.engine.num_worlds * _row_bytes(self.engine, 1)
         return min(LONGEST, max(SHORTEST, int(self.memory / row)))
 
     def _record(
-        self, group: Group, segment: "Segment", substeps: int, spare: "TapedStates | None"
+        self, segment: "Segment", substeps: int, spare: "TapedStates | None"
     ) -> "TapedStates":
         """Run a segment from its beginning and keep everything that its reverse needs.
 
         Into ``spare`` where that has the room.
         """
-        s, plan = self.program.worlds, self._plan
-        again = spare is not None or segment.end is not None
+        e, group = self.engine, segment.group
+        layouts = substeps if segment.finished else -(-substeps // SUBSTEPS_A_LAYOUT)
         while True:
-            layouts = substeps if again else -(-substeps // SUBSTEPS_A_LAYOUT)
-            if spare is None or spare.room != s.room or spare.substeps < substeps:
+            if spare is None or spare.room != e.room or spare.substeps < substeps:
                 spare = None  # its memory first
-                spare = TapedStates(self.program, group, substeps, layouts)
-            segment.start.restore(group)
-            group.record(plan, spare, most=substeps, frames=segment.frame + 1)
+                spare = TapedStates(group, substeps, layouts)
+            segment.restore()
+            group.advance(self._plan, substeps, segment.frame + 1, spare.grid, spare.tape)
             full = group.read("status") == GRID_FULL
             if not full.any():
                 return spare
             # made where the segment begins, grids may need a little more than they did
-            s.make_room(spare.grid, group.layouts[full])
+            e.make_room(spare.grid, np.flatnonzero(full))
             group.begin()
 
     def backward(self, positions_bar: Array) -> Gradients:
         """Derivatives by all inputs, given those [T, W, N, 3] by the positions of ``forward``."""
-        sums = Sums(self.program)
+        sums = Sums(self.engine)
 
-        def one_group(group: Group) -> None:
+        def go_back(segments: list[Segment]) -> None:
             spare: TapedStates | None = None
+            group = segments[0].group
             group.begin()
-            # frames without substeps have no segments
-            frame = len(positions_bar)
-            for segment in reversed(self.segments[self.groups.index(group)]):
-                while frame > segment.frame:
-                    frame -= 1
-                    sums.add_positions(group.own, positions_bar[frame][group.own])
-                spare = self._reverse(group, segment, sums, spare)
-            while frame > 0:
-                frame -= 1
-                sums.add_positions(group.own, positions_bar[frame][group.own])
-            group.end()
+            for f in reversed(range(len(positions_bar))):
+                sums.add_positions(group, positions_bar[f])
+                for segment in [s for s in reversed(segments) if s.frame == f]:
+                    spare = self._reverse(segment, sums, spare)
+            del group.grid
 
-        for_groups(self.groups, one_group)
+        self.engine.in_threads(go_back, self.segments)
         return sums.gradients()
 
     def _reverse(
-        self, group: Group, segment: "Segment", sums: "Sums", spare: "TapedStates | None"
+        self, segment: "Segment", sums: "Sums", spare: "TapedStates | None"
     ) -> "TapedStates | None":
         """Carry derivatives from the end of a segment to its beginning."""
-        s, program = self.program.worlds, self.program
-        if not segment.substeps:
+        e, substeps = self.engine, int(segment.substeps.max())
+        if not substeps:
             return spare
         recording = segment.recording
         if recording is None:
-            recording = spare = self._record(group, segment, segment.substeps, spare)
+            recording = spare = self._record(segment, substeps, spare)
         recording.grid.velocity_bar = wp.empty_like(recording.grid.velocity)
-        program.launch(make_reverse(program.variant), group.order, [
-            group.shared, *segment.arrays(s, self._plan), s.device_model, s.paths, s.grips,
-            recording.grid, recording.tape, sums.adjoint, sums.state, sums.conditions,
+        segment.group.launch(make_reverse(e.variant), [
+            *segment.arrays(self._plan), e.device_model, e.paths, e.grips, recording.grid,
+            recording.tape, sums.adjoint, sums.state, sums.conditions,
         ])  # fmt: skip
         segment.recording = None
         return spare
 
 
-class Snapshot:
-    """State and clock of a group of worlds, and what grippers hold."""
-
-    def __init__(self, group: Group):
-        arrays, on_cuda = self._arrays(group), group.worlds.device.is_cuda
-        self._kept = [wp.clone(a) if on_cuda else a.numpy()[group.own] for a in arrays]
-        self.step, self.age, self.frame = map(group.read, ("step", "age", "frame"))
-
-    def restore(self, group: Group) -> None:
-        """Set the worlds back; their grids are rebuilt first."""
-        for array, values in zip(self._arrays(group), self._kept, strict=True):
-            if isinstance(values, wp.array):
-                wp.copy(array, values)
-            else:
-                array.numpy()[group.own] = values
-        clock = {"step": self.step, "age": self.age, "frame": self.frame}
-        for name, values in {**clock, "status": 0, "travel": REBUILD}.items():
-            group.set_clock(name, values)
-
-    @staticmethod
-    def _arrays(group: Group) -> list[wp.array]:
-        s = group.worlds
-        holds = [s.grips.free, s.grips.held_by] if s.grips.count.shape[1] else []
-        state = [getattr(s.state, name) for name in (*s.carried, "low")]
-        return [array for array in (*state, *holds) if array.size]
-
-
-@dataclass
 class Segment:
-    """Some substeps of one frame."""
+    """Some substeps of one frame of a group of worlds, which are now at its beginning: their state,
+    their clock and what grippers hold."""
 
-    own: NDArray[np.integer]
-    """[n] the worlds."""
-    frame: int
-    start: Snapshot
-    end: NDArray[np.integer] | None = None
-    """[n] substeps of the frame that are done at the end."""
-    recording: "TapedStates | None" = None
-    """If it is kept from the forward run."""
+    def __init__(self, group: Group, frame: int):
+        self.group, self.frame, self.finished = group, frame, False
+        self.kept = [wp.clone(array) for array in self._arrays()]
+        self.step, self.age, self._frames = map(group.read, ("step", "age", "frame"))
+        self.substeps = np.zeros_like(self.step)
+        """[n] of each world."""
+        self.recording: TapedStates | None = None
+        """If it is kept from the forward run."""
 
-    def set_end(self, group: Group, plan: Plan) -> None:
+    def _arrays(self) -> list[wp.array]:
+        e = self.group.engine
+        holds = [e.grips.free, e.grips.held_by] if e.grips.count.shape[1] else []
+        state = [getattr(e.state, name) for name in (*e.carried, "low")]
+        return [array[self.group.worlds] for array in (*state, *holds) if array.size]
+
+    def restore(self) -> None:
+        """Set the worlds back; their grids are rebuilt first."""
+        for array, values in zip(self._arrays(), self.kept, strict=True):
+            wp.copy(array, values)
+        clock = {"step": self.step, "age": self.age, "frame": self._frames}
+        self.group.set_clock(**clock, status=0, travel=REBUILD)
+
+    def finish(self, plan: Plan) -> None:
         """Keep how far the worlds have come now."""
-        step, frame = group.read("step"), group.read("frame")
-        steps = plan.steps[self.frame, group.own]
-        end = np.where(frame > self.frame, steps, step)
+        through = self.group.read("frame") > self.frame
+        steps = plan.steps[self.frame, self.group.worlds]
+        end = np.where(through, steps, self.group.read("step"))
         # those that were through before have not moved
-        self.end = np.where(self.start.frame > self.frame, self.start.step, end)
+        self.substeps = np.where(self._frames > self.frame, 0, end - self.step)
+        self.finished = True
 
-    @property
-    def substeps(self) -> int:
-        """Of the world that has most."""
-        assert self.end is not None
-        return int((self.end - self.start.step).max())
-
-    def arrays(self, s: Worlds, plan: Plan) -> tuple[Any, Any, Any]:
+    def arrays(self, plan: Plan) -> tuple[Any, Any, Any]:
         """For the kernel: where the worlds begin [s], how many substeps they have, the clock."""
-        assert self.end is not None
-        own, W = self.own, s.num_worlds
-        began, dt, slots, age = np.zeros((4, W))
-        dt[own] = self.substep(plan)
-        began[own] = plan.time[self.frame] + self.start.step * dt[own]
-        slots[own] = self.end - self.start.step
-        age[own] = self.start.age
-        clock = s.types.Clock()
-        clock.dt, clock.age = s.array(dt, wp.float64), s.array(age, wp.int32)
-        return s.array(began, wp.float64), s.array(slots, wp.int32), clock
-
-    def substep(self, plan: Plan) -> Array:
-        """[n] length of the substeps [s]."""
-        steps = np.maximum(plan.steps[self.frame, self.own], 1)
-        return (plan.time[self.frame + 1] - plan.time[self.frame]) / steps
+        e, own, f = self.group.engine, self.group.worlds, self.frame
+        began, dt, substeps, age = np.zeros((4, e.num_worlds))
+        dt[own] = (plan.time[f + 1] - plan.time[f]) / np.maximum(plan.steps[f, own], 1)
+        began[own] = plan.time[f] + self.step * dt[own]
+        substeps[own], age[own] = self.substeps, self.age
+        clock = e.types.Clock()
+        clock.dt, clock.age = e.array(dt, wp.float64), e.array(age, wp.int32)
+        return e.array(began, wp.float64), e.array(substeps, wp.int32), clock
 
 
 class TapedStates:
     """States, grids and layouts of consecutive substeps of a group of worlds."""
 
-    def __init__(self, program: Program, group: Group, substeps: int, layouts: int):
-        s, variant = program.worlds, program.variant
-        self.room, self.substeps = s.room, substeps
-        n, N = group.shared, s.num_particles
+    def __init__(self, group: Group, substeps: int, layouts: int):
+        e, n = group.engine, group.count
+        self.room, self.substeps = e.room, substeps
         # nothing is read before it was written: memory that is never needed is never touched
-        rows = substeps * n
-        self.grid = s.make_grid(n, layouts * n, rows, wp.empty)
-        self.tape = s.allocate(
-            s.types.Records,
+        self.grid = e.make_grid(n, layouts * n, substeps * n, wp.empty)
+        self.tape = e.allocate(
+            e.types.Records,
             wp.empty,
-            of=(rows, variant.taped, N),
-            layout_of=rows,
-            **dict.fromkeys(("order", "place"), (layouts * n, N)),
+            of=(substeps * n, e.variant.taped, e.num_points),
+            layout_of=substeps * n,
+            **dict.fromkeys(("order", "place"), (layouts * n, e.num_points)),
         )
 
 
-def _row_bytes(program: Program, substeps_a_layout: int) -> float:
+def _row_bytes(engine: MpmEngine, substeps_a_layout: int) -> float:
     """Memory that a recorded substep of one world takes [bytes]."""
-    s = program.worlds
-    X, Y, M = s.room
-    N, real = s.num_particles, s.numpy_type.itemsize
+    X, Y, M = engine.room
+    N, real = engine.num_points, np.dtype(engine.setting.dtype).itemsize
     layout = 4 * (3 * X * Y + 2 * N + 7)
-    return real * (program.variant.taped * N + 4 * M) + layout / substeps_a_layout
+    return real * (engine.variant.taped * N + 4 * M) + layout / substeps_a_layout
 
 
 class Sums:
     """Derivatives by state and parameters while they are summed up."""
 
-    def __init__(self, program: Program):
-        self.program = program
-        s = program.worlds
-        types, W, N = s.types, s.num_worlds, s.num_particles
+    def __init__(self, engine: MpmEngine):
+        self.engine = s = engine
+        types, W, N = s.types, s.num_worlds, s.num_points
         G, K = s.paths.time.shape[1:]
         self.state = s.make_state()
-        self.state.sums = s.zeros((W, SUMS, N), s.real)
-        self.adjoint = program.records(sums=(W, SUMS, N))
-        by_world = (
-            "friction", "velocity_damping", "damping", "gravity", "damping_factor",
-            "branch_factor", "branch_share",
-        )  # fmt: skip
+        self.state.sums = s.zeros((W, SUMS, N))
+        self.adjoint = s.records(sums=(W, SUMS, N))
         self.conditions = s.allocate(
             types.ConditionsAdjoint,
-            **dict.fromkeys(by_world, W),
+            **dict.fromkeys(("friction", "velocity_damping", "damping", "gravity"), W),
             **dict.fromkeys(("position", "turn"), (W, G, K)),
             radius=(W, G),
             touched=(W, N // s.setting.body.section),
@@ -287,16 +242,14 @@ class Sums:
             **dict.fromkeys(("centre", "rotation", "velocity", "spin"), s.grips.closed.shape),
         )
 
-    def add_positions(self, own: NDArray[np.integer], bar: Array) -> None:
-        """Add a loss's own derivative by the positions now [n, N, 3] of some worlds [1/m]."""
-        now = self.state.x.numpy()
-        now[own] += bar
-        if self.program.worlds.device.is_cuda:
-            self.state.x.assign(now)
+    def add_positions(self, group: Group, bar: Array) -> None:
+        """Add a loss's own derivative by the positions now [W, N, 3] [1/m], of a group's worlds."""
+        now = self.state.x[group.worlds]
+        now.assign(now.numpy() + bar[group.worlds])
 
     def gradients(self) -> Gradients:
         """What the sums mean for the numbers that a user gave."""
-        s, by = self.program.worlds, self.conditions
+        s, by = self.engine, self.conditions
         materials, body = s.setting.materials, s.setting.body
         E = np.array([m.E for m in materials])[:, None]
         nu = np.array([m.nu for m in materials])[:, None]

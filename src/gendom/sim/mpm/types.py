@@ -62,8 +62,6 @@ def make_types(real: Any) -> SimpleNamespace:
         dx: real
         inv_dx: real
         keep_velocity: real  # share of velocity that damping leaves
-        keep: real  # what the Maxwell branch keeps of Z, see ``internal_forces``
-        share: real  # and its g
         layout: int  # of the grid
         slot: int  # row of the grid's momentum, and of the tape
         row: int  # row of the grid's velocity
@@ -179,10 +177,6 @@ def make_types(real: Any) -> SimpleNamespace:
         rotation: wp.array2d(dtype=wp.vec3d)
         velocity: wp.array2d(dtype=wp.vec3d)
         spin: wp.array2d(dtype=wp.vec3d)
-        # of substeps until they are added to the rates'
-        damping_factor: wp.array(dtype=wp.float64)  # [W] share of velocity that damping leaves
-        branch_factor: wp.array(dtype=wp.float64)  # [W] share of Z that stays
-        branch_share: wp.array(dtype=wp.float64)  # [W] g, see ``internal_forces``
         touched: wp.array2d(dtype=vec3)  # [W, sections] scratch: velocity changed by the table
 
     return SimpleNamespace(

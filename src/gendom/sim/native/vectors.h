@@ -158,6 +158,9 @@ template <typename real> struct rows_of {
 
     CUDA_CALLABLE inline rows_of(const wp::array_t<real>& a, int row)
         : first(&wp::index(a, row, 0, 0) + margin), pitch(a.shape[2]) {}
+    CUDA_CALLABLE inline rows_of(real* first, int pitch) : first(first), pitch(pitch) {}
+
+    CUDA_CALLABLE inline real& at(int c, int i) const { return first[c * pitch + i]; }
 
     template <typename T> CUDA_CALLABLE inline T get(int c, int i) const {
 #if defined(__CUDA_ARCH__)

@@ -1,9 +1,8 @@
 """Engine of ``Simulator`` for rods and shells: W worlds, their grippers and their runs."""
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import ParameterError, SimulationError
 from gendom.sim.device import load_kernels
+from gendom.sim.engine import Engine
 from gendom.sim.gripper import Grippers
 from gendom.sim.obstacles import check_thick, numbers_of_obstacles
 from gendom.sim.paths import CommandedPaths, HostPaths, Pose, paths_on
@@ -47,11 +47,22 @@ class Run:
         self.points = engine.array(frames.particles, wp.int32)
         self.x = wp.full(shape, vec3(nan, nan, nan), dtype=vec3, device=device)
         self.kept, self.every = (engine.state, -1) if kept is None else (kept, W)
-        self.launches: dict[int, Any] = {}
-        """By the first world of a group."""
+        self._launches: dict[int, Any] = {}
+        self._engine = engine
+
+    def launch(self, group: slice) -> None:
+        """Take the steps of a group's pieces."""
+        e, own = self._engine, self._launches
+        if group.start not in own:
+            own[group.start] = e.launch(e.kernels.advance, group, [
+                e.device_model, e.device_paths, self.on_device, self.pieces, 0, 0, e.state,
+                self.kept, self.every, LOCAL_STRETCH**2, STRETCH, self.stopped, self.stopped_at,
+                self.x, self.points,
+            ], record_cmd=True)  # fmt: skip
+        own[group.start].launch()
 
 
-class ThinEngine:
+class ThinEngine(Engine):
     """W rods or shells of one shape.
 
     Raises:
@@ -59,8 +70,9 @@ class ThinEngine:
     """
 
     def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
-        W, n, G = len(setting.materials), len(setting.body.points), len(setting.grippers[0])
-        self.num_worlds, self.num_points = W, n
+        super().__init__(setting)
+        W, n, G = self.num_worlds, len(setting.body.points), len(setting.grippers[0])
+        self.num_points = n
         self.air_density = spread(setting.air_density, (W,), "air_density")
         self.model = m = (RodModel if setting.body.kind == "rope" else ShellModel)(setting)
         damped = np.array([material.damping > 0.0 for material in setting.materials])
@@ -70,7 +82,6 @@ class ThinEngine:
         s.check_substep(
             SHORTEST_SUBSTEP, fix="a softer or denser material, fewer points, or a longer substep"
         )
-        self.real = wp.float32 if s.dtype == "float32" else wp.float64
         self.types = make_types(self.real)
         self.kernels = make_kernels(self.real, m.kind)
         self.threads = m.threads_on_cuda if s.device.is_cuda else 1
@@ -79,9 +90,6 @@ class ThinEngine:
         """Threads of a CUDA block."""
         self.per_mass = 1.0 / m.mass
         self.slots, self.row_length = m.slots, m.row_length
-        self.origin = np.array([0.0, 0.0, s.table.height if s.table is not None else 0.0])
-        self.stacked = dict(s.grippers.arrays)
-        self.stacked["position"] = self.stacked["position"] - self.origin
         self.paths = HostPaths(self.stacked)
         self.device_paths = paths_on(s.device, self.stacked, self.real)
         self.closed = np.zeros((W, G), dtype=int)
@@ -92,13 +100,10 @@ class ThinEngine:
         self.state = self.zeros((W, m.state_rows, self.row_length))
         self.now = np.full(W, s.start_time)
         """[W] time of the state [s]."""
-        self.failures: dict[int, SimulationError] = {}
         self.used = False
-        self.commanded: CommandedPaths | None = None
-        """Paths of grippers after ``command``."""
         self.last_dt = np.zeros(W)
         """[W] length of the last step [s]; 0 where velocities are those at the current time."""
-        x = spread(np.asarray(s.positions, dtype=float) - self.origin, (W, n, 3), "positions")
+        x = self.first_positions(n)
         # identical initial positions are looked at once
         self.state.assign(self._first_state(x, x[:1] if x.strides[0] == 0 else x))
         self.load("begin", "advance")
@@ -181,13 +186,9 @@ class ThinEngine:
     # ---- running ---------------------------------------------------------------------------------
 
     def run(
-        self,
-        frames: Frames,
-        *,
-        after: Callable[[slice, Round], None] | None = None,
-        most_steps: int | None = None,
-        kept: Any = None,
-    ) -> Schedule:
+        self, frames: Frames, *, after: Callable[[slice, Round], None] | None = None,
+        most_steps: int | None = None, kept: Any = None,
+    ) -> Schedule:  # fmt: skip
         """Simulate all worlds to all times.
 
         Args:
@@ -200,11 +201,12 @@ class ThinEngine:
             SimulationError: If a world diverges, unless ``keep_going`` is set.
         """
         run = Run(self, frames, self.schedule(frames, most_steps), kept)
-        self._simulate(run, after)
+        self.in_threads(partial(self._go, run, after), self.groups())
+        self._end(run)
         frames.x[...] = run.x.numpy().reshape(frames.x.shape) + self.origin.astype(frames.x.dtype)
         if frames.on_frame is not None:
             frames.on_frame(len(frames.times))
-        self._raise(keep_going=frames.keep_going)
+        self.raise_failures(keep_going=frames.keep_going)
         return run.plan
 
     def step(self, until: float, *, keep_going: bool) -> None:
@@ -223,8 +225,10 @@ class ThinEngine:
                 getattr(run.on_device, name).assign(getattr(plan, name))
         run.frames = replace(run.frames, times=np.array([until]))
         run.stopped.fill_(-1)
-        self._simulate(run, most=self.num_worlds)  # a step is short: few launches
-        self._raise(keep_going=keep_going)
+        # a step is short: few launches
+        self.in_threads(partial(self._go, run, None), self.groups(self.num_worlds))
+        self._end(run)
+        self.raise_failures(keep_going=keep_going)
 
     @cached_property
     def _stepping(self) -> Run:
@@ -232,24 +236,33 @@ class ThinEngine:
         frames = Frames(0.0, np.ones(1), np.zeros(0, dtype=int), np.empty(0), None, False)
         return Run(self, frames, self.schedule(frames, None), None)
 
-    def _simulate(
-        self, run: Run, after: Callable[[slice, Round], None] | None = None, most: int = GROUP
-    ) -> None:
-        self.used = True
+    def _go(self, run: Run, after: Callable[[slice, Round], None] | None, group: slice) -> None:
+        """Take a group of worlds through a run, from one gripper event to the next."""
+        plan, worlds = run.plan, np.arange(group.start, group.stop)
+        at, count = np.zeros(len(worlds), dtype=int), plan.count[worlds].copy()
+        while (at < count).any():
+            going = at < count
+            now = plan.time(worlds, np.minimum(at, np.maximum(count - 1, 0)))
+            events = self.switch(worlds[going], now[going])
+            until = np.where(going, plan.until(group, at), at)
+            until = np.where(np.isin(worlds, list(self.failures)), at, until)
+            round = Round(events, np.stack([at, until], axis=1).astype(np.int32))
+            put(run.pieces, group, round.pieces)
+            run.launch(group)
+            stopped, stopped_at = run.stopped.numpy()[group], run.stopped_at.numpy()[group]
+            for k in np.flatnonzero(stopped >= 0).tolist():
+                w, s = group.start + k, int(stopped[k])
+                if w not in self.failures:
+                    self.failures[w] = self._failure(w, s, float(stopped_at[k]), plan)
+            if after is not None:
+                after(group, round)
+            count[np.isin(worlds, list(self.failures))] = 0
+            at = until
 
-        def simulate(group: slice) -> None:
-            for round in self._rounds(group, run.plan):
-                self._advance(run, group, round)
-                if after is not None:
-                    after(group, round)
-
-        self.each_group(simulate, most)
-        self.last_dt = run.plan.last_dt()
+    def _end(self, run: Run) -> None:
+        """Keep where a run has come to."""
+        self.used, self.last_dt = True, run.plan.last_dt()
         self.now[:] = run.frames.times[-1]
-
-    def _raise(self, *, keep_going: bool) -> None:
-        if self.failures and not keep_going:
-            raise self.failures[min(self.failures)]
 
     def command(
         self,
@@ -276,65 +289,17 @@ class ThinEngine:
             for name in self.commanded.changing:
                 getattr(self.device_paths, name).assign(self.stacked[name])
 
-    def each_group(self, job: Callable[[slice], None], most: int = GROUP) -> None:
-        """Call ``job`` for each group of worlds, at most so many, that are launched together, in
-        threads."""
+    def groups(self, most: int = GROUP) -> list[slice]:
+        """Groups of worlds, at most so many, that are launched together."""
         W = self.num_worlds
         size = W if self.threads > 1 else max(1, min(most, -(-W // self.setting.threads)))
-        groups = [slice(first, min(first + size, W)) for first in range(0, W, size)]
-        if len(groups) == 1:
-            job(groups[0])
-            return
-        for done in [self._pool.submit(job, group) for group in groups]:
-            done.result()
-
-    @cached_property
-    def _pool(self) -> ThreadPoolExecutor:
-        return ThreadPoolExecutor(max_workers=self.setting.threads)
+        return [slice(first, min(first + size, W)) for first in range(0, W, size)]
 
     def schedule(self, frames: Frames, most_steps: int | None) -> Schedule:
         """Schedule of all worlds up to the last frame."""
         switches = [self.stacked["hold_from"], self.stacked["hold_until"]]
         switches = np.concatenate(switches, axis=1)
         return Schedule(frames, switches, self.setting.substep, most_steps, self.last_dt)
-
-    def _rounds(self, group: slice, plan: Schedule) -> Iterator[Round]:
-        worlds = np.arange(group.start, group.stop)
-        at = np.zeros(len(worlds), dtype=int)
-        count = plan.count[worlds].copy()
-        while (at < count).any():
-            going = at < count
-            now = plan.time(worlds, np.minimum(at, np.maximum(count - 1, 0)))
-            events = self.switch(worlds[going], now[going])
-            until = np.where(going, plan.until(group, at), at)
-            yield Round(events, np.stack([at, until], axis=1).astype(np.int32))
-            failed = [w - group.start for w in list(self.failures) if w in worlds]
-            count[failed] = 0
-            at = until
-
-    def _advance(self, run: Run, group: slice, round: Round) -> None:
-        """Take the steps of a group's round."""
-        pieces = round.pieces.copy()
-        failed = [w - group.start for w in list(self.failures) if group.start <= w < group.stop]
-        pieces[failed, 1] = pieces[failed, 0]
-        put(run.pieces, group, pieces)
-        if group.start not in run.launches:
-            run.launches[group.start] = self.launch(
-                self.kernels.advance,
-                group,
-                [
-                    self.device_model, self.device_paths, run.on_device, run.pieces, 0, 0,
-                    self.state, run.kept, run.every, LOCAL_STRETCH**2, STRETCH, run.stopped,
-                    run.stopped_at, run.x, run.points,
-                ],
-                record_cmd=True,
-            )  # fmt: skip
-        run.launches[group.start].launch()
-        stopped, stopped_at = run.stopped.numpy()[group], run.stopped_at.numpy()[group]
-        for k in np.flatnonzero(stopped >= 0).tolist():
-            w, s = group.start + k, int(stopped[k])
-            if w not in self.failures:
-                self.failures[w] = self._failure(w, s, float(stopped_at[k]), run.plan)
 
     def _failure(self, w: int, s: int, time: float, plan: Schedule) -> SimulationError:
         """Why world w stopped in piece s at a time [s]."""
@@ -473,23 +438,14 @@ class ThinEngine:
         W, dt = self.num_worlds, float(self.setting.substep.min())
         rows = self.zeros((2 * W, *self.state.shape[1:]))
         wp.copy(rows, self.state, count=self.state.size)
-        self.each_group(
-            lambda g: self.launch(self.kernels.let_go, g, [self.device_model, dt, rows])
-        )
+        for group in self.groups(W):
+            self.launch(self.kernels.let_go, group, [self.device_model, dt, rows])
         found = self.pick(V, rows.numpy())
         force = (self.model.mass / dt)[..., None] * (found[W:] - found[:W])
         held = np.where(self.closed == 1, 1, 0)[..., None] * (self.holds & 1)
         return np.einsum("wgn,wnk->wgk", held, force)
 
     # ---- arrays ----------------------------------------------------------------------------------
-
-    def array(self, values: Any, dtype: Any = None) -> wp.array:
-        return wp.array(
-            np.ascontiguousarray(values), dtype=dtype or self.real, device=self.setting.device
-        )
-
-    def zeros(self, shape: Any, dtype: Any = None) -> wp.array:
-        return wp.zeros(shape, dtype=dtype or self.real, device=self.setting.device)
 
     def load(self, *names: str) -> None:
         """Compile kernels, or load them from Warp's cache, before threads call them."""

@@ -5,7 +5,7 @@ and i. Rows of edges and joints have n numbers like rows of points; unused entri
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
 from gendom.arrays import Array
-from gendom.materials import Material
 from gendom.sim.lines import fixed_frame
 from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin import rotation
@@ -26,11 +25,12 @@ from gendom.sim.thin.types import (
     PER_TURN,
     SPIN_BAR,
     TURN_BAR,
+    Coefficients,
     Lines,
-    ParameterDerivatives,
     V,
     X,
-    by_modulus,
+    along,
+    parameters_of,
 )
 
 SHORTEST = 0.02
@@ -89,37 +89,44 @@ class RodModel:
         """[n] length of rod represented by each point [m]."""
         self.tributary[:-1] += 0.5 * length
         self.tributary[1:] += 0.5 * length
-        density = np.array([m.density for m in materials])[:, None]
-        area, bending = _section(diameter)
-        factor = spread(setting.mass, (W, n), "mass")
-        self.mass = density * area * self.tributary * factor
-        """[W, n] mass of points [kg]."""
-        self.inertia = np.zeros((W, n))
-        """[W, n] moment of inertia of edges [kg m^2]."""
-        self.inertia[:, :-1] = density * length * (bending + area * length**2 / 12.0)
-        self.per_turn = np.zeros((W, n))
-        """[W, n] inverse moments of inertia of edges [1/(kg m^2)]; 0 where there are none."""
-        self.per_turn[:, :-1] = 1.0 / self.inertia[:, :-1]
-        share = spread(setting.stiffness, (W, n), "stiffness")
+        self.heavier = spread(setting.variation.mass, (W, n), "mass")
+        """[W, n] mass of points over that of their material."""
+        share = spread(setting.variation.stiffness, (W, n), "stiffness")
         self.shares = np.zeros((W, 6, n))
         """[W, 6, n] each element's ratio of E to its material's E; for joints over their length."""
         self.shares[:, :3, :-1] = 0.5 * (share[:, :-1] + share[:, 1:])[:, None]
         joints = 0.5 * (length[:-1] + length[1:])
         self.shares[:, 3:, 1:-1] = (share[:, 1:-1] / joints)[:, None]
-        self.stiffness = _moduli(diameter, materials)[0][:, :, None] * self.shares
-        """[W, 6, n] stiffness of two shears and stretch [N], and of two bending directions and
-        twist over length [N m]."""
-        self.drag = 0.5 * DRAG["rope"] * diameter * self.tributary
-        """[n] drag of points over the density of the air."""
+        own = self.coefficients(parameters_of(diameter, materials))
+        self.stiffness, self.mass, self.inertia, self.drag = own
+        self.per_turn = np.zeros((W, n))
+        """[W, n] inverse moments of inertia of edges [1/(kg m^2)]; 0 where there are none."""
+        self.per_turn[:, :-1] = 1.0 / self.inertia[:, :-1]
+
+    def coefficients(self, p: Mapping[str, Array]) -> Coefficients:
+        """What follows from parameters [W, 1], which may be complex, see ``parameters_of``.
+
+        Stiffness is that of two shears and stretch [N], and of two bending directions and twist
+        over length [N m].
+        """
+        area, bending = _section(p["thickness"])
+        length = np.append(self.length, 0.0)
+        mass, turning = p["density"] * area, bending + area * length**2 / 12.0
+        return Coefficients(
+            stiffness=_moduli(p)[:, :, None] * self.shares,
+            mass=mass * self.tributary * self.heavier,
+            inertia=p["density"] * length * turning,
+            drag=0.5 * DRAG["rope"] * p["thickness"] * self.tributary,
+        )
 
     def arrays(self, setting: Setting, air: Array) -> dict[str, Any]:
         """What the kernels' model has of rods, in air of densities [W]."""
         W, n = self.mass.shape
         drag = air[:, None] * self.drag
         rest = np.repeat(self.rest[None], W, axis=0)
-        share = spread(setting.natural_curvature, (W,), "natural_curvature")
+        share = spread(setting.variation.natural_curvature, (W,), "natural_curvature")
         rest[:, 4:] *= share[:, None, None]
-        rest[:, :1] /= spread(setting.stretch, (W,), "stretch")[:, None, None]
+        rest[:, :1] /= spread(setting.variation.stretch, (W,), "stretch")[:, None, None]
         return {
             "pitch": 0, "first": 0, "end": n, "contact_apart": self.apart,
             "rest": rest, "stiffness": self.stiffness,
@@ -137,29 +144,10 @@ class RodModel:
         """[n, 1] places along the rod [m]."""
         return np.concatenate([[0.0], np.cumsum(self.length)])[:, None]
 
-    def derivatives(self, name: str) -> ParameterDerivatives:
-        """Derivatives by ``E``, ``nu``, ``density``, ``membrane`` or ``thickness`` (diameter)."""
-        if name == "nu":
-            by_nu = _moduli(self.diameter, self.materials)[1]
-            return ParameterDerivatives(stiffness=by_nu[:, :, None] * self.shares)
-        if name == "density":
-            per_density = 1.0 / np.array([[m.density] for m in self.materials])
-            return ParameterDerivatives(mass=per_density, inertia=per_density)
-        if name == "thickness":  # the section's area grows as d^2, its second moment as d^4
-            d, (area, bending) = self.diameter, _section(self.diameter)
-            flat = area * self.length**2 / 12.0
-            turning = (4.0 * bending + 2.0 * flat) / (bending + flat) / d
-            per = np.repeat([2.0, 4.0], 3)[:, None] / d
-            return ParameterDerivatives(
-                self.stiffness * per, 2.0 / d, np.append(turning, 0.0), 1.0 / d, 1.0
-            )
-        per = np.repeat(by_modulus(name, self.materials), 3, axis=1)
-        return ParameterDerivatives(stiffness=self.stiffness * per[:, :, None])
-
     def share_bar(self, stiffness_bar: Array) -> Array:
         """Derivatives by E at each point over its material's [W, n], given those by ``stiffness``
         [W, 6, n]."""
-        bar = stiffness_bar * _moduli(self.diameter, self.materials)[0][:, :, None]
+        bar = stiffness_bar * _moduli(parameters_of(self.diameter, self.materials))[:, :, None]
         edges, joints = bar[:, :3, :-1].sum(axis=1), bar[:, 3:, 1:-1].sum(axis=1)
         found = np.zeros((len(bar), bar.shape[2]))
         found[:, :-1] += 0.5 * edges
@@ -270,27 +258,23 @@ def joint_strains(q: Array) -> Array:
     return 4.0 * p[..., :3] / (1.0 + p[..., 3:])
 
 
-def _section(diameter: float) -> tuple[float, float]:
+def _section(diameter: Array) -> tuple[Array, Array]:
     """Area of a round section [m^2], and its second moment about an axis in it [m^4]."""
     area = math.pi / 4.0 * diameter**2
     return area, area * diameter**2 / 16.0
 
 
-def _moduli(diameter: float, materials: Sequence[Material]) -> tuple[Array, Array]:
-    """Stiffness [W, 6] for shear, shear, stretch [N], bending, bending, twist [N m^2], and its
-    derivative with respect to nu.
+def _moduli(p: Mapping[str, Array]) -> Array:
+    """Stiffness [W, 6] for shear, shear, stretch [N], bending, bending, twist [N m^2].
 
     Source of the shear coefficient kappa: Cowper (1966), "The shear coefficient in Timoshenko's
     beam theory".
     """
-    E, along, nu = np.array([[m.E, m.in_plane, m.nu] for m in materials]).T
-    per, slope = 0.5 / (1.0 + nu), -0.5 / (1.0 + nu) ** 2
-    kappa, kappa_slope = 6.0 * (1.0 + nu) / (7.0 + 6.0 * nu), 6.0 / (7.0 + 6.0 * nu) ** 2
-    (A, I), none = _section(diameter), np.zeros_like(E)
-    shear, by_shear = (f * along * A for f in (kappa * per, kappa_slope * per + kappa * slope))
-    values = [shear, shear, along * A, E * I, E * I, E * per * (2.0 * I)]
-    by_nu = [by_shear, by_shear, none, none, none, E * slope * (2.0 * I)]
-    return np.stack(values, axis=1), np.stack(by_nu, axis=1)
+    E, nu, (A, I) = p["E"], p["nu"], _section(p["thickness"])
+    per, kappa = 0.5 / (1.0 + nu), 6.0 * (1.0 + nu) / (7.0 + 6.0 * nu)
+    shear, stretch, bending = kappa * per * along(p) * A, along(p) * A, E * I
+    values = [shear, shear, stretch, bending, bending, E * per * (2.0 * I)]
+    return np.concatenate(values, axis=1)
 
 
 def slower(stiffer: Array) -> Array:

@@ -1,6 +1,6 @@
 """Cloths as shells: what the engine, ``ThinEngine``, knows of them."""
 
-import math
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -13,7 +13,7 @@ from gendom.materials.parameters import WEAVE
 from gendom.sim.outlines import Cut
 from gendom.sim.setting import DRAG, Setting, spread
 from gendom.sim.thin.contact import check_cloth, triangle_distance
-from gendom.sim.thin.types import MARGIN, Lines, ParameterDerivatives, V, X, by_modulus
+from gendom.sim.thin.types import MARGIN, Coefficients, Lines, V, X, along, parameters_of
 
 SHORTEST = 0.125
 """Smallest length represented by a joint at a gripper's border, over its usual length: no added
@@ -91,18 +91,23 @@ class ShellModel:
         self.faster = (1.0, 1.0) if part is None else _faster(part, area, bending)
         """Largest factors on the squared frequencies of membrane and bending by light points at an
         outline."""
-        W, n, area = len(materials), len(at), area.reshape(-1)[at]
-        density = np.array([[m.density] for m in materials])
-        self.mass = density * h * area * spread(setting.mass, (W, n), "mass")
-        """[W, n] mass of points [kg]."""
-        self.drag = 0.5 * DRAG["cloth"] * area
-        """[n] drag of points over the density of the air."""
+        W, n = len(materials), len(at)
+        self.area = area.reshape(-1)[at]
+        """[n] of points [m^2]."""
+        self.heavier = spread(setting.variation.mass, (W, n), "mass")
         self.varies = np.ones((W, 8, 1))
         """[W, 8, 1] whether a stiffness varies with E at each point; a membrane's own does not."""
         self.varies[[m.membrane is not None for m in materials], :4] = 0.0
-        share = spread(setting.stiffness, (W, n), "stiffness")[:, None]
+        share = spread(setting.variation.stiffness, (W, n), "stiffness")[:, None]
         self.local = 1.0 + self.varies * (share - 1.0)
         """[W, 8, n] stiffness over that of the material."""
+        own = self.coefficients(parameters_of(h, materials))
+        self.stiffness, self.mass, _, self.drag = own
+
+    def coefficients(self, p: Mapping[str, Array]) -> Coefficients:
+        mass = p["density"] * p["thickness"] * self.area * self.heavier
+        drag = np.tile(0.5 * DRAG["cloth"] * self.area, (len(mass), 1))
+        return Coefficients(self._moduli(p) * self.local, mass, np.zeros(mass.shape), drag)
 
     def _check(self, setting: Setting) -> None:
         h, (lx, ly), (ny, nx) = self.thickness, self.spacing, self.shape
@@ -132,16 +137,6 @@ class ShellModel:
             "inertia": np.stack([1.0 / self.mass, drag, one, one], axis=1),
         }  # fmt: skip
 
-    @property
-    def modulus(self) -> Array:
-        """[W, 8, n] stiffness of points that have their material's."""
-        return self._factors()[0] * self._scales() * self.shares
-
-    @cached_property
-    def stiffness(self) -> Array:
-        """[W, 8, n]."""
-        return self.modulus * self.local
-
     @cached_property
     def lines(self) -> list[Lines]:
         """Rows and columns."""
@@ -167,56 +162,27 @@ class ShellModel:
         whole[:, self.at] = values
         return whole.reshape(len(values), ny, nx, *more)
 
-    def derivatives(self, name: str) -> ParameterDerivatives:
-        """Derivatives by ``E``, ``nu``, ``density``, ``thickness``, ``membrane`` or one of
-        ``WEAVE``."""
-        if name == "density":
-            return ParameterDerivatives(mass=1.0 / np.array([[m.density] for m in self.materials]))
-        if name == "nu":
-            scale = self._scales() * self.shares * self.local
-            return ParameterDerivatives(stiffness=self._factors()[1] * scale)
-        if name == "thickness":
-            per = np.repeat([1.0, 3.0], 4)[:, None] / self.thickness
-            return ParameterDerivatives(self.stiffness * per, 1.0 / self.thickness, thickness=1.0)
-        if name in WEAVE:
-            per = np.array([[1.0 / getattr(m, name)] for m in self.materials]) * _powers(name)
-        else:
-            per = np.repeat(by_modulus(name, self.materials), 4, axis=1)
-        return ParameterDerivatives(stiffness=self.stiffness * per[:, :, None])
-
     def share_bar(self, stiffness_bar: Array) -> Array:
         """Derivatives by E at each point over its material's [W, n], given those by ``stiffness``
         [W, 8, n]."""
-        return np.sum(stiffness_bar * self.modulus * self.varies, axis=1)
+        modulus = self._moduli(parameters_of(self.thickness, self.materials))
+        return np.sum(stiffness_bar * modulus * self.varies, axis=1)
 
-    def _factors(self) -> tuple[Array, Array]:
-        """Stiffness [W, 8, n] over E h (membrane) or E h^3 / 12 (bending), without the factors
-        ``shares``, and its derivative with respect to nu. Plane stress; where transverse curvature
-        is free, the modulus is that of a beam."""
-        nu = np.array([m.nu for m in self.materials])
-        plane, plane_nu = 1.0 / (1.0 - nu**2), 2.0 * nu / (1.0 - nu**2) ** 2
-        both, both_nu = nu * plane, plane + nu * plane_nu
-        shear, shear_nu = 0.5 / (1.0 + nu), -0.5 / (1.0 + nu) ** 2
-        twist, twist_nu = 2.0 * shear, 2.0 * shear_nu  # D (1 - nu) = E h^3 / 12 / (1 + nu)
-        values = [plane, plane, both, shear, plane, plane, both, twist]
-        by_nu = [plane_nu, plane_nu, both_nu, shear_nu, plane_nu, plane_nu, both_nu, twist_nu]
+    def _moduli(self, p: Mapping[str, Array]) -> Array:
+        """[W, 8, n] stiffness of points that have their material's: E h (membrane) and E h^3 / 12
+        (bending) times what Poisson's ratio, threads and ``shares`` make of them. Plane stress;
+        where transverse curvature is free, the modulus is that of a beam."""
+        nu, h, one = p["nu"], p["thickness"], np.ones_like(p["nu"])
+        plane = 1.0 / (1.0 - nu**2)
+        both, shear = nu * plane, 0.5 / (1.0 + nu)
+        twist = 2.0 * shear  # D (1 - nu) = E h^3 / 12 / (1 + nu)
+        factors = np.stack([plane, plane, both, shear, plane, plane, both, twist], axis=1)
         free = np.zeros(self.shares.shape, dtype=bool)
         free[4:6] = self.alone > 0.0
-        return (
-            np.where(free, 1.0, np.stack(values, axis=1)[:, :, None]),
-            np.where(free, 0.0, np.stack(by_nu, axis=1)[:, :, None]),
-        )
-
-    def _scales(self) -> Array:
-        """Scales [W, 8, 1] of the stiffness: E h with the in-plane modulus, and E h^3 / 12, each
-        times what threads make of it."""
-        h = self.thickness
-        rows = [4 * [m.in_plane * h] + 4 * [m.E * h**3 / 12.0] for m in self.materials]
-        woven = [
-            math.prod(getattr(m, name) ** np.array(_powers(name)) for name in WEAVE)
-            for m in self.materials
-        ]
-        return (np.array(rows) * woven)[:, :, None]
+        mean = p["warp"] ** 0.5 * p["weft"] ** 0.5
+        woven = np.stack([one, one, one, p["shear"], p["warp"], p["weft"], mean, mean], axis=1)
+        scale = np.stack(4 * [along(p) * h] + 4 * [p["E"] * h**3 / 12.0], axis=1)
+        return np.where(free, 1.0, factors) * (scale * woven) * self.shares
 
     def longest_step(self) -> Array:
         """Longest stable step [W] [s], 2 / omega of the fastest small vibration in or out of plane.
@@ -273,13 +239,6 @@ class ShellModel:
         bar = found[:, 4:6] * self.stiffness[group, 4:6]
         found[:, 4:6] *= stiffer
         return bar
-
-
-def _powers(name: str) -> list[float]:
-    """Powers of one of ``WEAVE`` in the stiffness, [8]."""
-    if name == "shear":
-        return [0.0, 0.0, 0.0, 1.0] + 4 * [0.0]
-    return 4 * [0.0] + [float(name == "warp"), float(name == "weft"), 0.5, 0.5]
 
 
 def _to_corners(cells: Array) -> Array:

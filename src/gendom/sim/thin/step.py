@@ -36,14 +36,6 @@ def make_steps(real: Any, kind: str) -> tuple[Any, Any]:
     vec3, quat, Paths, rows = types.vec3, types.quat, make_path_type(real), wp.array3d(dtype=real)
 
     @wp.func
-    def narrow(q: wp.quatd):
-        return quat(real(q[0]), real(q[1]), real(q[2]), real(q[3]))
-
-    @wp.func
-    def wide(a: vec3):
-        return wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
-
-    @wp.func
     def place_obstacles(model: ThinModel, w: int, thread: int, t: wp.float64, dt: real):
         """Where obstacles are at time t, and how they came there in a step of dt."""
         if thread == 0:
@@ -72,7 +64,7 @@ def make_steps(real: Any, kind: str) -> tuple[Any, Any]:
         for g in range(model.holds.shape[1]):
             if paths_of.is_closed(w, g, began, paths):
                 centre, q, _knot = paths_of.placed(w, g, t, paths)
-                native.hold(model, w, g, paths_of.narrow(centre), narrow(q), state, row)
+                native.hold(model, w, g, vec3(centre), quat(q), state, row)
                 native.block_sync()
 
     @wp.func
@@ -85,9 +77,9 @@ def make_steps(real: Any, kind: str) -> tuple[Any, Any]:
             g = model.holds.shape[1] - 1 - before
             if thread == 0 and paths_of.is_closed(w, g, began, paths):
                 _centre, q, _knot = paths_of.placed(w, g, t, paths)
-                native.hold_adjoint(model, adjoint, w, g, narrow(q))
+                native.hold_adjoint(model, adjoint, w, g, quat(q))
                 paths_of.pose_adjoint(
-                    w, g, t, wide(adjoint.centre[w, g]), wide(adjoint.turn[w, g]), paths,
+                    w, g, t, wp.vec3d(adjoint.centre[w, g]), wp.vec3d(adjoint.turn[w, g]), paths,
                     adjoint.position, adjoint.path_turn,
                 )  # fmt: skip
         native.block_sync()

@@ -72,7 +72,7 @@ class ThinTape:
                     self._reverse_round(group, round, held)
             self._reverse_begin(group)
 
-        e.each_group(reverse)
+        e.in_threads(reverse, e.groups())
         return self._gradients()
 
     def _zero_adjoint(self) -> Any:
@@ -199,7 +199,7 @@ class ThinTape:
             stiffness=e.model.share_bar(m[:, : e.device_model.stiffness.shape[1]]),
             damping=m[:, types.DAMPING].sum(axis=1),
             velocity_damping=m[:, types.VELOCITY_DAMPING].sum(axis=1),
-            air_density=m[:, types.DRAG] @ e.model.drag,
+            air_density=np.sum(m[:, types.DRAG] * e.model.drag, axis=1),
             friction=m[:, types.FRICTION].sum(axis=1),
             self_friction=m[:, types.SELF_FRICTION].sum(axis=1),
             obstacle_friction=m[:, types.MODEL_ROWS :].sum(axis=2),
@@ -213,12 +213,19 @@ class ThinTape:
         )
 
     def _by_parameter(self, name: str) -> Array:
-        """Derivatives by a parameter of each world's model, [W]."""
-        e, m = self.engine, self.model_bar
-        by, R = e.model.derivatives(name), e.device_model.stiffness.shape[1]
-        drag = e.air_density[:, None] * e.model.drag
-        touching = 0.5 * m[:, types.RADIUS] + m[:, types.DISTANCE]
-        found = np.sum(m[:, :R] * by.stiffness, axis=1)
-        found -= m[:, types.PER_MASS] * e.per_mass * by.mass
-        found += m[:, types.DRAG] * drag * by.drag + touching * by.thickness
-        return np.sum(found - m[:, types.PER_TURN] * e.model.per_turn * by.inertia, axis=1)
+        """Derivatives by a parameter of each world's model, [W], through its coefficients.
+
+        Source of the complex step: Squire and Trapp (1998), "Using complex variables to estimate
+        derivatives of real functions".
+        """
+        e, m, h = self.engine, self.model_bar, 1e-30
+        p = types.parameters_of(e.setting.body.thickness, e.setting.materials)
+        slopes = e.model.coefficients(p | {name: p[name] + 1j * h})
+        stiffness, mass, inertia, drag = (np.imag(values) / h for values in slopes)
+        found = np.sum(m[:, : stiffness.shape[1]] * stiffness, axis=1)
+        found -= m[:, types.PER_MASS] * e.per_mass**2 * mass
+        found -= m[:, types.PER_TURN] * e.model.per_turn**2 * inertia
+        found += m[:, types.DRAG] * e.air_density[:, None] * drag
+        if name == "thickness":  # the body touches at half of it
+            found += 0.5 * m[:, types.RADIUS] + m[:, types.DISTANCE]
+        return np.sum(found, axis=1)

@@ -9,10 +9,10 @@ are named in ``native/rod.h``, ``native/shell.h`` and their adjoints.
 # pyright: reportInvalidTypeForm=false
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from gendom.arrays import Array
 from gendom.materials import Material
+from gendom.materials.parameters import OF_THIN
 from gendom.sim.paths import make_path_type
 
 CFL = 0.8
@@ -48,29 +49,30 @@ MODEL_ROWS = 24
 """Components of derivatives by the model; then come those by each obstacle's friction."""
 
 
-@dataclass(frozen=True)
-class ParameterDerivatives:
-    """Derivatives of a model's numbers by one parameter, of W worlds with n points."""
+class Coefficients(NamedTuple):
+    """Numbers of W bodies of n points that follow from their parameters; without grippers."""
 
-    stiffness: Any = 0.0
-    """[W, R, n] of the stiffness without grippers."""
-    mass: Any = 0.0
-    """Of points' masses, over them, a number or [W, 1]."""
-    inertia: Any = 0.0
-    """Of edges' moments of inertia, over them, a number, [W, 1] or [n]."""
-    drag: float = 0.0
-    """Of the area that is exposed to the air, over it."""
-    thickness: float = 0.0
-    """Of the thickness at which the body touches."""
+    stiffness: Array
+    """[W, R, n]."""
+    mass: Array
+    """[W, n] of points [kg]."""
+    inertia: Array
+    """[W, n] of a rod's edges [kg m^2]; of shells 0."""
+    drag: Array
+    """[W, n] of points over the density of the air."""
 
 
-def by_modulus(name: str, materials: Sequence[Material]) -> Array:
-    """[W, 2] derivatives by ``E`` or ``membrane`` of the logarithms of the moduli along a body and
-    of bending: a modulus of its own along it does not depend on E."""
-    own = [m.membrane for m in materials]
-    if name == "E":
-        return np.array([[k is None, True] for k in own]) / np.array([[m.E] for m in materials])
-    return np.array([[0.0 if k is None else 1.0 / k, 0.0] for k in own])
+def parameters_of(thickness: float, materials: Sequence[Material]) -> dict[str, Array]:
+    """[W, 1] parameters that ``coefficients`` of a model follow from, by name; a ``membrane`` that
+    is not a number is that of E."""
+    names = ("E", "nu", "density", *OF_THIN)
+    found = {n: np.array([[getattr(m, n)] for m in materials], dtype=float) for n in names}
+    return found | {"thickness": np.full((len(materials), 1), thickness)}
+
+
+def along(p: Mapping[str, Array]) -> Array:
+    """[W, 1] Young's modulus along a rod or in a shell's plane [Pa]."""
+    return np.where(np.isnan(p["membrane"]), p["E"], p["membrane"])
 
 
 @dataclass(frozen=True)

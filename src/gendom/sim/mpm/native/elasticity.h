@@ -149,44 +149,23 @@ template <typename T, typename Job> GENDOM_INLINE T by_lane(Job number) {
     return made;
 }
 
-// Components of a row of an array, or of shared memory, for the records from i on.
-template <bool in_shared, typename real> struct components {
-    const wp::array_t<real>& of;
-    const int row;
-
-    GENDOM_INLINE real& at(int c, int i) const { return component<in_shared>(of, row, c, i); }
-    template <typename T> GENDOM_INLINE T get(int c, int i) const {
-#if defined(__CUDA_ARCH__)
-        return at(c, i);
-#else
-        T found;
-        __builtin_memcpy(&found, &at(c, i), sizeof(T));  // lanes begin at any number
-        return found;
-#endif
-    }
-    template <typename T> GENDOM_INLINE void put(int c, int i, const T& a) const {
-#if defined(__CUDA_ARCH__)
-        at(c, i) = a;
-#else
-        __builtin_memcpy(&at(c, i), &a, sizeof(T));
-#endif
-    }
-    template <typename T> GENDOM_INLINE vec<T> get3(int c, int i) const {
-        return {get<T>(c, i), get<T>(c + 1, i), get<T>(c + 2, i)};
-    }
-    template <typename T> GENDOM_INLINE void put3(int c, int i, const vec<T>& a) const {
-        put(c, i, a.x), put(c + 1, i, a.y), put(c + 2, i, a.z);
-    }
-    template <typename T> GENDOM_INLINE symmetric<T> get_symmetric(int c, int i) const {
-        return {get3<T>(c, i), get3<T>(c + 3, i)};
-    }
-    template <typename T> GENDOM_INLINE void put_symmetric(int c, int i, const symmetric<T>& S) const {
-        put3(c, i, S.on), put3(c + 3, i, S.off);
-    }
-    template <typename T> GENDOM_INLINE void put_columns(int c, int i, const matrix<T>& A) const {
-        put3(c, i, A.a), put3(c + 3, i, A.b), put3(c + 6, i, A.c);
-    }
-};
+// Components of a row of an array, or of shared memory.
+template <bool in_shared, typename real>
+GENDOM_INLINE rows_of<real> records_of(const wp::array_t<real>& of, int row) {
+    return {&component<in_shared>(of, row, 0, 0), int(of.shape[2])};
+}
+template <typename T, typename real>
+GENDOM_INLINE symmetric<T> get_symmetric(const rows_of<real>& of, int c, int i) {
+    return {of.template get3<T>(c, i), of.template get3<T>(c + 3, i)};
+}
+template <typename T, typename real>
+GENDOM_INLINE void put_symmetric(const rows_of<real>& of, int c, int i, const symmetric<T>& S) {
+    of.put3(c, i, S.on), of.put3(c + 3, i, S.off);
+}
+template <typename T, typename real>
+GENDOM_INLINE void put_columns(const rows_of<real>& of, int c, int i, const matrix<T>& A) {
+    of.put3(c, i, A.a), of.put3(c + 3, i, A.b), of.put3(c + 6, i, A.c);
+}
 
 // The records of a world from the i-th on as they move, or their derivatives while a tape is reversed;
 // `sorted`: in another order than particles.
@@ -195,12 +174,12 @@ struct record {
     const Model& model;
     const Records& stored;
     const int w, i;
-    const components<in_shared, real> own;
-    const components<in_shared && !reversed, real> state;
+    const rows_of<real> own, state;
 
     GENDOM_INLINE record(const Model& model, const Records& stored, int w, int i,
                          const wp::array_t<real>& states, int row)
-        : model(model), stored(stored), w(w), i(i), own{stored.of, w}, state{states, row} {}
+        : model(model), stored(stored), w(w), i(i), own(records_of<in_shared>(stored.of, w)),
+          state(records_of<in_shared && !reversed>(states, row)) {}
     // Of the model, whose numbers are in the order of particles.
     GENDOM_INLINE T of_particles(const wp::array_t<real>& numbers, int row) const {
         if constexpr (!sorted) {
@@ -223,13 +202,13 @@ struct record {
     }
     GENDOM_INLINE T modulus(const wp::array_t<real>& of, int c) const {
         if constexpr (reversed) return of_particles(of, w);
-        else return components<false, real>{stored.moduli, w}.template get<T>(c, i);
+        else return records_of<false>(stored.moduli, w).template get<T>(c, i);
     }
     // Of neighbours along the lattice's axes, of the components from c on.
-    template <typename Store> GENDOM_INLINE matrix<T> differences(const Store& of, int c) const {
+    GENDOM_INLINE matrix<T> differences(const rows_of<real>& of, int c) const {
         return {along(of, c, 0), along(of, c, 1), along(of, c, 2)};
     }
-    template <typename Store> GENDOM_INLINE vec<T> along(const Store& of, int c, int axis) const {
+    GENDOM_INLINE vec<T> along(const rows_of<real>& of, int c, int axis) const {
         vec<T> d;
         #pragma unroll
         for (unsigned l = 0; l < sizeof(T) / sizeof(real); ++l) {
@@ -241,7 +220,7 @@ struct record {
         return d;
     }
     GENDOM_INLINE symmetric<T> filtered() const {
-        return state.template get_symmetric<T>(reversed ? TAPED_Z : RECORD_Z, i);
+        return get_symmetric<T>(state, reversed ? TAPED_Z : RECORD_Z, i);
     }
 
     // Sets what particles pull their neighbours by, what the air does to them, and Z after a substep of
@@ -262,9 +241,9 @@ struct record {
             P = P - T(impulse * g) * (law.F * Z);
             const T moves = T(real(1) - keep);
             const symmetric<T> later = {Z.on + moves * (S.on - Z.on), Z.off + moves * (S.off - Z.off)};
-            own.put_symmetric(RECORD_Z, i, later);
+            put_symmetric(own, RECORD_Z, i, later);
         }
-        own.put_columns(RECORD_IMPULSES, i, U.unframed(P));
+        put_columns(own, RECORD_IMPULSES, i, U.unframed(P));
         int inverted = -1;
         for (unsigned l = 0; l < sizeof(T) / sizeof(real); ++l)
             if (!(((const real*)&law.J)[l] > real(0))) inverted = wp::index(stored.order, w, i + l);
@@ -285,7 +264,7 @@ struct record {
             F_bar = law.adjoint(P_bar, by_mu, by_lam);
         } else {
             const T moves = T(real(1) - keep);
-            const symmetric<T> Z = filtered(), Z_bar = own.template get_symmetric<T>(RECORD_Z, i);
+            const symmetric<T> Z = filtered(), Z_bar = get_symmetric<T>(own, RECORD_Z, i);
             const symmetric<T> S = law.second_piola(), late = {S.on - Z.on, S.off - Z.off};
             // S = F^-1 P: dS = F^-1 (dP - dF S); off the diagonal a number stands for two
             const symmetric<T> S_bar = {moves * Z_bar.on, T(real(0.5)) * moves * Z_bar.off};
@@ -299,7 +278,7 @@ struct record {
             const vec<T> off = {dot(F.a, P.b) + dot(F.b, P.a), dot(F.a, P.c) + dot(F.c, P.a),
                                 dot(F.b, P.c) + dot(F.c, P.b)};
             const symmetric<T> before = {T(keep) * Z_bar.on - T(g) * on, T(keep) * Z_bar.off - T(g) * off};
-            own.put_symmetric(RECORD_Z, i, before);
+            put_symmetric(own, RECORD_Z, i, before);
         }
         matrix<T> D_bar = U.unframed(F_bar);
         vec<T> v_bar = {zero, zero, zero};
@@ -311,12 +290,12 @@ struct record {
             by_drag = T(-dt) * around.adjoint(T(per_mass) * u_bar, a_bar, b_bar, v_bar);
             D_bar.a = D_bar.a + s0 * a_bar, D_bar.b = D_bar.b + s1 * b_bar;
         }
-        own.put_columns(RECORD_IMPULSES, i, D_bar);
+        put_columns(own, RECORD_IMPULSES, i, D_bar);
         own.put3(RECORD_LOW, i, v_bar);
-        const components<false, real> sums = {stored.sums, w};
-        sums.put(BY_MU, i, sums.template get<T>(BY_MU, i) + by_mu);
-        sums.put(BY_LAM, i, sums.template get<T>(BY_LAM, i) + by_lam);
-        sums.put(BY_DRAG, i, sums.template get<T>(BY_DRAG, i) + by_drag);
+        const rows_of<real> sums = records_of<false>(stored.sums, w);
+        sums.add(BY_MU, i, by_mu);
+        sums.add(BY_LAM, i, by_lam);
+        sums.add(BY_DRAG, i, by_drag);
     }
 };
 
@@ -359,7 +338,7 @@ GENDOM_INLINE wp::vec2d adjoint_of_records(int w, int thread, int threads, int r
 template <bool in_shared, typename real>
 GENDOM_INLINE vec3<real> pulled_record(int w, int i, const wp::array_t<real>& of,
                                        const wp::array_t<int>& near) {
-    const components<in_shared, real> own = {of, w};
+    const rows_of<real> own = records_of<in_shared>(of, w);
     vec<real> total = {real(0), real(0), real(0)};
     #pragma unroll
     for (int axis = 0; axis < 3; ++axis) {
