@@ -64,9 +64,6 @@ CANDIDATES = 16
 WITHOUT_LIFT = 3.0 * math.log(0.7 / 0.25) / math.sqrt(12.0)
 """Standard deviation of ln E before a lift: bending lengths of 0.25 to 0.7 sizes."""
 
-WITHOUT_LIFT_DRAWS = 8
-"""Objects that an action is then polished for."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
@@ -330,14 +327,12 @@ class Measured:
         beliefs: Sequence[Estimate],
         start: Array,
         discrepancies: Sequence[Any] | None = None,
-        *,
-        draws: int = 0,
     ) -> Array:
-        """[W, A] actions polished for the most likely objects, or for draws of each posterior."""
+        """[W, A] polished actions."""
         task, seed = self.cases.task, self.runs.seed
         return polished(
             self.cases,
-            [b.draws(draws, seed) if draws else [b.most_likely] for b in beliefs],
+            beliefs,
             np.array([task.nearest(b.item, a) for b, a in zip(beliefs, start, strict=True)]),
             Simulation(device=self.runs.device),
             seed=seed,
@@ -369,7 +364,7 @@ def _measured(
         for known in cases.items
     ]
     blind, _ = done["ours, no parameters"]
-    rows.row("polished, no lift", partial(rows.polished, assumed, blind, draws=WITHOUT_LIFT_DRAWS))
+    rows.row("polished, no lift", partial(rows.polished, assumed, blind))
     ours, reached = done["ours"]
     action, there = rows.row("polished", partial(rows.polished, beliefs, ours))
     seen: list[list[Execution]] = [[] for _ in cases.items]

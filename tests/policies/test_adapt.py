@@ -100,7 +100,7 @@ def test_what_parameters_cannot_explain_is_expected_again_nearby():
     # and the next action makes up for it
     goal = seen.reached[0] - 0.02 * ROPE.length
     action = polish(
-        TASK, goal, [ROPE], seen.action, world=Throws(), discrepancy=found.discrepancy
+        TASK, goal, Estimate.of(ROPE), seen.action, world=Throws(), discrepancy=found.discrepancy
     ).action
     (outcome,) = Throws(off=0.02).carry_out(TASK, [ROPE], [action])
     assert abs(outcome.values["x"] - goal) < 0.3 * 0.02 * ROPE.length

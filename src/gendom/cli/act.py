@@ -214,7 +214,7 @@ class Command(KnownObject):
         if seen := executed(held, task):
             discrepancy = adapt(task, belief, seen, refine=False, world=world).discrepancy
         found = polish(
-            task, np.array(self.goal), [belief.most_likely], start, seconds=self.seconds,
+            task, np.array(self.goal), belief, start, seconds=self.seconds,
             seed=self.seed, discrepancy=discrepancy, world=world,
         )  # fmt: skip
         about = {"expected": found.expected, "before": found.before,
