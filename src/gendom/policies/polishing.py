@@ -64,7 +64,7 @@ OBJECT_STEP, DEVIATIONS = 0.1, 2.0
 """Of those by an object, and how far from the most likely one it is looked for in the first place
 [standard deviations]."""
 
-SIMULATOR_ERROR = 0.002
+SIMULATOR_ERROR = 0.001
 """What an object reaches beside what is simulated for it: how near a goal counts as much as an
 object one standard deviation off [units of similarity]."""
 
