@@ -306,7 +306,7 @@ def test_act_refuses_what_its_policy_never_saw_unless_forced(act):
     flags = ("--nu", "0.45", "--E", "1e4", "--no-prediction")
     code, out, err = act(*flags, goal="0.9")
     assert (code, out) == (2, "")
-    assert err.count("\n") == 1 and all(text in err for text in said) and "add --force" in err
+    assert err.count("\n") == 1 and all(text in err for text in said) and "--force" in err
     code, out, err = act(*flags, "--force", "--json", goal="0.9")
     result = json.loads(out)
     assert code == 0 and result["goal"] == {"x": 0.9}

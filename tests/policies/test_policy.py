@@ -63,13 +63,15 @@ def test_policy_without_parameters_sees_none_and_has_one_range(make_policy):
 def test_parameters_outside_are_clipped_with_a_warning(make_policy, caplog):
     policy, session = make_policy()
     with caplog.at_level(logging.WARNING, logger="gendom"):
-        action = policy.act(0.35, rope(0.875, nu=0.15))
+        action = policy.act(0.35, rope(0.875, nu=0.15), force=True)
     assert session.fed["bending_ratio"] == pytest.approx(np.array([[0.7]]))
     assert session.fed["nu"] == pytest.approx(np.array([[0.2]]))
     assert action.network_input == pytest.approx({"bending_ratio": 0.7, "nu": 0.2})
     assert "bending length over size) 0.875 is 25 % above" in action.warnings[0]
     assert "25 % below" in action.warnings[1]
     assert tuple(record.message for record in caplog.records) == action.warnings
+    with pytest.raises(PolicyError, match="25 % above .* 25 % below"):
+        policy.act(0.35, rope(0.875, nu=0.15))
     policy.actions([1.4] * 3, {"bending_ratio": [0.1, 0.5, 2.0], "nu": 0.3})
     assert session.fed["bending_ratio"][:, 0] == pytest.approx([0.25, 0.5, 0.7])
 

@@ -15,7 +15,7 @@ from gendom.arguments import require
 from gendom.cli.arguments import Engine, Json, Seed, TaskName
 from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import check_places, tell_written, write_result
-from gendom.errors import PolicyError, RobotError, printable
+from gendom.errors import RobotError, printable
 from gendom.files import to_json
 from gendom.hardware.cell import BARE, Cell
 from gendom.hardware.execution import ACTION_FORMAT, write_trajectory
@@ -98,12 +98,6 @@ class Command(KnownObject):
         task = policy.task()
         held = self.held(task, needs=policy.description.conditioned_on)
         item = for_task(held, task).item
-        if not self.force and (outside := policy.outside(self.goal, item)):
-            raise PolicyError(
-                ", ".join(found.what for found in outside),
-                where=policy.where,
-                fix=f"{', '.join(dict.fromkeys(o.fix for o in outside))}, or add --force",
-            )
         others = believed(held, task).draws(DRAWS, self.seed) if held.names else []
         others = weighed(others, executed(held, task), policy, self.seed)
         action = policy.act(self.goal, item, likely=others, force=self.force)
