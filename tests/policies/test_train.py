@@ -136,12 +136,10 @@ def test_file_is_small_and_says_what_it_is(distal):
     assert path.stat().st_size < 500_000
     assert [p.name for p in path.parent.iterdir()] == [path.name]
     about = Policy.read(path).description
-    assert about == distal.description
-    assert about.task == TASK
+    assert about == distal.description and about.task == TASK
     assert about.conditioned_on == ("bending_ratio", "nu")
-    assert about.training["demonstrations"] == 1200
-    assert about.training["held_out"] == 120
-    assert about.training["seed"] == 0
+    trained = about.training
+    assert (trained["demonstrations"], trained["held_out"], trained["seed"]) == (1200, 120, 0)
     assert about.parameters["nu"] == pytest.approx((0.2, 0.4), abs=0.001)
 
 

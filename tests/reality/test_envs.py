@@ -26,14 +26,12 @@ STRETCHED = np.array([0.15, 0.093])
 ALL = [
     "RopeReaching",
     "RopeCasting",
-    "RopeCastingAtSpeed",
     "ClothSpreading",
     "ClothDragging",
 ]
 NUMBERS = {
     "RopeReaching": {"action": 2, "goal": 1},
     "RopeCasting": {"action": 1, "goal": 2},
-    "RopeCastingAtSpeed": {"action": 2, "goal": 2},
     "ClothSpreading": {"action": 1},
     "ClothDragging": {"action": 16},
 }

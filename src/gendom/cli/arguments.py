@@ -77,7 +77,6 @@ def _tasks() -> list[str]:
 OUR_TASKS = [
     "rope-reaching",
     "rope-casting",
-    "rope-casting-at-speed",
     "cloth-spreading",
     "cloth-dragging",
 ]
