@@ -32,8 +32,8 @@ from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
 from gendom.policies.adaptation import adapt
 from gendom.policies.belief import believed, for_task, weighed
-from gendom.policies.polishing import Discrepancy, polish
-from gendom.policies.prediction import predict, steady
+from gendom.policies.polishing import polish
+from gendom.policies.prediction import doubts, predict
 from gendom.robot import TcpPath
 from gendom.tasks import Task
 from gendom.tasks.task import World
@@ -101,16 +101,12 @@ class Command(KnownObject):
         others = believed(held, task).draws(DRAWS, self.seed) if held.names else []
         others = weighed(others, executed(held, task), policy, self.seed)
         action = policy.act(self.goal, item, likely=others, force=self.force)
-        values, polished, wrong, notes = np.array(action.values), None, None, []
+        values, polished = np.array(action.values), None
         world = Simulation(engine=self.engine)
         known = held.value("E_over_rho") is not None
         simulated = not self.no_prediction and known
         if self.polish:
-            values, polished, wrong = self._polished(task, held, values, world)
-        if simulated and not self.force:
-            values, notes = steady(task, item, action.goal, values, wrong, world, self.seed)
-        for note in notes:
-            _log.warning("%s", note)
+            values, polished = self._polished(task, held, values, world)
         about, inputs = policy.description, action.network_input
         named = zip((q.name for q in task.actions), map(float, values), strict=True)
         T, path = placed(task, item, values, self.origin)
@@ -133,7 +129,7 @@ class Command(KnownObject):
             "network_input_meaning": {
                 name: f"{PARAMETERS[name].meaning}, dimensionless" for name in inputs
             },
-            "warnings": [*action.warnings, *notes],
+            "warnings": list(action.warnings),
             "trajectory": {"T_base_task": T.tolist(), **path.to_dict()},
         }
         hangs = 0.0 if task.scene(item).stand else size_of(item)
@@ -142,7 +138,7 @@ class Command(KnownObject):
             result["polished"] = polished
         if simulated:
             result["predicted"] = predict(task, item, values, others, self.seed, world)
-            for note in excluded(action.goal, result["predicted"], result["units"]):
+            for note in doubts(task, item, action.goal, result["predicted"]):
                 result["warnings"].append(note)
                 _log.warning("%s", note)
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
@@ -201,8 +197,8 @@ class Command(KnownObject):
 
     def _polished(
         self, task: Task, held: Estimate, start: np.ndarray, world: World
-    ) -> tuple[np.ndarray, dict[str, Any], Discrepancy | None]:
-        """A better action, what is expected of it, ready for JSON, and what executions showed."""
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """A better action, and what is expected of it, ready for JSON."""
         belief = believed(held, task)
         discrepancy = None
         if seen := executed(held, task):
@@ -213,24 +209,7 @@ class Command(KnownObject):
         )  # fmt: skip
         about = {"expected": found.expected, "before": found.before,
                  "rollouts": found.rollouts, "seconds": found.seconds}  # fmt: skip
-        return found.action, about, discrepancy
-
-
-def excluded(
-    goal: Mapping[str, float], predicted: Mapping[str, Any], units: Mapping[str, str]
-) -> list[str]:
-    """What to say of goals that the predicted interval does not hold."""
-    notes = []
-    for name, wanted in goal.items():
-        ends = predicted.get("interval_90", {}).get(name)
-        if ends and not ends[0] <= wanted <= ends[1]:
-            unit = units.get(name, "")
-            notes.append(
-                f"the goal {name} {wanted:g} {unit} lies outside of what is predicted, 90 % in "
-                f"{ends[0]:.4g} to {ends[1]:.4g}: the object may not reach it; choose a goal "
-                f"nearer to {predicted['reached'][name]:.4g}"
-            )
-    return notes
+        return found.action, about
 
 
 def placed(

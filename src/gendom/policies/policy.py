@@ -45,7 +45,7 @@ FORMAT, OLDER = "gendom-policy/3", "gendom-policy/2"
 """Of files, as they are written and as they were before the method ``chance``."""
 METADATA_KEY = "gendom-policy"
 METHODS = ("distal", "inverse", "chance")
-MARGIN = 0.01
+MARGIN = 0.003
 """Of the method ``chance``: how much less probable to be enough than the best one an action may be
 that asks less of the robot."""
 GOAL = "goal_"
