@@ -330,7 +330,6 @@ def timed(job: Callable[[], object], runs: int) -> Figures:
 TASKS = {
     "rope-reaching": {"thin": 200, "mpm": 200},
     "rope-casting": {"thin": 200, "mpm": 200},
-    "rope-casting-at-speed": {"thin": 200, "mpm": 200},
     "cloth-spreading": {"thin": 12, "mpm": 4},
 }
 """Rows of each with each engine; one of a cloth is a search over a dozen rollouts."""

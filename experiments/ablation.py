@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.runs import Chart, Result, Runs, Table, TrainingJob, polished
+from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
 from gendom.policies.demonstrations import Demonstrations
 from gendom.policies.evaluation import choose, judge
@@ -208,8 +209,8 @@ class Simulated:
 
     def polished_row(self, cases: Cases, policy: Policy) -> dict[str, Any]:
         """Errors of a policy's actions, polished for the true parameters."""
-        items = [[item] for item in cases.items]
-        action = polished(cases, items, choose(policy, cases), self.world)
+        beliefs = [Estimate.of(item) for item in cases.items]
+        action = polished(cases, beliefs, choose(policy, cases), self.world)
         return self._figures([self._errors(cases, action)])
 
     def _errors(self, cases: Cases, action: Array) -> Array:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from experiments.dragging import Evolution
 from experiments.rope_real import ROPES
 from experiments.runs import Result, Runs, Table
 from gendom.arrays import Array
-from gendom.materials import Item
+from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
 from gendom.policies.evaluation import choose, judge
 from gendom.policies.polishing import Polished, PolishingProblem, polishing
@@ -34,23 +33,22 @@ POPULATION, SIGMA = 8, 0.1
 
 
 def evolved(
-    task: Task, goal: ArrayLike, items: Sequence[Item], start: Array, rollouts: int
+    task: Task, goal: ArrayLike, belief: Estimate, start: Array, rollouts: int
 ) -> Asking[Array]:
-    """The action [A] whose miss over plausible objects is smallest of those that CMA-ES tries
-    with so many rollouts, from a start [A]."""
-    problem = PolishingProblem(task, np.atleast_1d(goal), items, None)
-    low, high = task.limits(items[0]).T / problem.units
-    run = Evolution((start / problem.units - low) / (high - low), SIGMA, POPULATION, 0)
-    best, cost = start / problem.units, math.inf
-    while problem.rollouts + POPULATION * len(items) <= rollouts:
+    """The action [A] that polishing would look for, too, of those that CMA-ES tries with so many
+    rollouts, from a start [A]."""
+    problem = PolishingProblem(task, np.atleast_1d(goal), belief, None)
+    low, width, best, cost = problem.low, problem.high - problem.low, problem.start(start), math.inf
+    run = Evolution((best - low) / width, SIGMA, POPULATION, 0)
+    while problem.rollouts + POPULATION <= rollouts:
         points = run.ask()
-        actions = [problem.nearest(low + (high - low) * p) for p in points]
-        found = yield from problem.residuals(actions)
+        tried = [problem.nearest(low + width * p) for p in points]
+        found = yield from problem.residuals(tried)
         costs = np.array([float(r @ r) for r in found])
         run.tell(points, -costs)
         if costs.min() < cost:
-            best, cost = actions[int(costs.argmin())], float(costs.min())
-    return best * problem.units
+            best, cost = tried[int(costs.argmin())], float(costs.min())
+    return problem.action(best)
 
 
 def run(runs: Runs, flags: argparse.Namespace) -> Result:
@@ -63,13 +61,12 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     cases = draw_cases(task, GOALS[flags.scale], seed=runs.seed, simulation=sim,
                        items=[find_object(name) for name in ROPES])  # fmt: skip
     held = [beliefs[k % len(beliefs)] for k in range(len(cases))]
-    items = [[belief.most_likely] for belief in held]
     start = choose(policy, cases, known=[belief.most_likely for belief in held])
-    searches = [polishing(task, g, some, a, seconds=math.inf)
-                for g, some, a in zip(cases.goal, items, start, strict=True)]  # fmt: skip
+    searches = [polishing(task, g, belief, a, seconds=math.inf)
+                for g, belief, a in zip(cases.goal, held, start, strict=True)]  # fmt: skip
     polished: list[Polished] = side_by_side(task, sim, searches)
-    rivals = [evolved(task, g, some, a, p.rollouts) for g, some, a, p
-              in zip(cases.goal, items, start, polished, strict=True)]  # fmt: skip
+    rivals = [evolved(task, g, belief, a, p.rollouts) for g, belief, a, p
+              in zip(cases.goal, held, start, polished, strict=True)]  # fmt: skip
     acted = {
         "policy": start,
         "polished": np.array([p.action for p in polished]),

@@ -58,14 +58,12 @@ PAPER = {
 IDENTIFIED_FROM = 20
 """Executions that R2S2R finds its parameters from."""
 
-CANDIDATES = 16
-"""Number of candidates for an action that is not sensitive to disturbances."""
+ACTION_NOISE = 0.03
+"""Standard deviation of what real demonstrations differ by from a policy's actions [units of
+similarity]."""
 
 WITHOUT_LIFT = 3.0 * math.log(0.7 / 0.25) / math.sqrt(12.0)
 """Standard deviation of ln E before a lift: bending lengths of 0.25 to 0.7 sizes."""
-
-WITHOUT_LIFT_DRAWS = 8
-"""Objects that an action is then polished for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,33 +150,34 @@ def rope_real(runs: Runs, settings: Settings) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WithinRisk(Demonstrator):
-    """Draws actions whose simulated risk, with the estimated object, is within its limit: outcomes
-    beyond it are not reproducible and no use for training."""
+class Laboratory(Demonstrator):
+    """Demonstrates as one would in a laboratory: goals that the estimated object reaches, and what
+    a policy does for them, with some noise."""
 
     known: Item
     """The object with its estimated parameters."""
+    policy: Policy
     simulation: World = field(default_factory=Simulation)
-    """Where it is simulated."""
+    """Where goals are found."""
 
     def about(self) -> dict[str, Any]:
-        return {**super().about(), "within_risk_of": to_columns(self.known)}
+        return {**super().about(), "goals_of": to_columns(self.known), "noise": ACTION_NOISE}
 
     def draw(self, rngs: Sequence[np.random.Generator]) -> dict[str, NDArray[np.float64]]:
-        rows = [self._drawn(rng) for rng in rngs]
-        return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
-
-    def _drawn(self, rng: np.random.Generator) -> dict[str, NDArray[np.float64]]:
-        """Columns [1] of one demonstration."""
-        drawn = [super(WithinRisk, self).draw([rng]) for _ in range(CANDIDATES)]
-        actions = np.array([[d[q.name][0] for q in self.task.actions] for d in drawn])
-        outcomes = self.simulation.carry_out(self.task, [self.known] * CANDIDATES, actions)
-        within = (
-            d
-            for d, o in zip(drawn, outcomes, strict=True)
-            if o.fault is None and self.task.within_risk(self.known, o.values)
-        )
-        return next(within, drawn[0])
+        drawn, units = super().draw(rngs), self.task.action_units(self.known)
+        for k, rng in enumerate(rngs):
+            seed = int(rng.integers(2**31))
+            case = draw_cases(
+                self.task, 1, seed=seed, items=[self.known], simulation=self.simulation
+            )
+            asked = choose(self.policy, case)[0] + ACTION_NOISE * units * rng.normal(
+                size=len(units)
+            )
+            for q, value in zip(
+                self.task.actions, self.task.nearest(self.known, asked), strict=True
+            ):
+                drawn[q.name][k] = value
+        return drawn
 
 
 def _real(runs: Runs, settings: Settings, task: Task, name: str, known: Item) -> Demonstrations:
@@ -186,9 +185,10 @@ def _real(runs: Runs, settings: Settings, task: Task, name: str, known: Item) ->
     of the true ones."""
     from gendom.reality import RealWorld, find_object
 
-    source = WithinRisk(
-        task=task, world=RealWorld(jobs=runs.jobs), items=(find_object(name),), known=known
-    )
+    source = Laboratory(
+        task=task, world=RealWorld(jobs=runs.jobs), items=(find_object(name),), known=known,
+        policy=Policy.pretrained(task.name),
+    )  # fmt: skip
     kept = runs.demonstrations(f"{task.name}-{name}", source, settings.real, device="cpu")
     alike = dimensionless_parameters(known)
     return replace(kept, parameters={n: np.full(len(kept), alike[n]) for n in PARAMETERS})
@@ -330,14 +330,12 @@ class Measured:
         beliefs: Sequence[Estimate],
         start: Array,
         discrepancies: Sequence[Any] | None = None,
-        *,
-        draws: int = 0,
     ) -> Array:
-        """[W, A] actions polished for the most likely objects, or for draws of each posterior."""
+        """[W, A] polished actions."""
         task, seed = self.cases.task, self.runs.seed
         return polished(
             self.cases,
-            [b.draws(draws, seed) if draws else [b.most_likely] for b in beliefs],
+            beliefs,
             np.array([task.nearest(b.item, a) for b, a in zip(beliefs, start, strict=True)]),
             Simulation(device=self.runs.device),
             seed=seed,
@@ -369,7 +367,7 @@ def _measured(
         for known in cases.items
     ]
     blind, _ = done["ours, no parameters"]
-    rows.row("polished, no lift", partial(rows.polished, assumed, blind, draws=WITHOUT_LIFT_DRAWS))
+    rows.row("polished, no lift", partial(rows.polished, assumed, blind))
     ours, reached = done["ours"]
     action, there = rows.row("polished", partial(rows.polished, beliefs, ours))
     seen: list[list[Execution]] = [[] for _ in cases.items]

@@ -21,7 +21,7 @@ from gendom.datasets.demonstrations import generate
 from gendom.errors import GendomError, PolicyError
 from gendom.files import atomic_path, to_json, write_json
 from gendom.installation import version
-from gendom.materials import Item, to_columns
+from gendom.materials import to_columns
 from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
 from gendom.policies.belief import believed
@@ -300,7 +300,7 @@ def _thinned(recording: Recording, most: int, seed: int) -> Recording:
 
 def polished(
     cases: Cases,
-    items: Sequence[Sequence[Item]],
+    beliefs: Sequence[Estimate],
     start: Array,
     world: World,
     *,
@@ -311,7 +311,7 @@ def polished(
 
     Args:
         cases: Goals.
-        items: [W] the objects that each action is for.
+        beliefs: [W] what is known of each object.
         start: [W, A].
         world: Where they are simulated.
         seed: Of the search.
@@ -321,7 +321,7 @@ def polished(
         polishing(
             cases.task,
             goal,
-            items[w],
+            beliefs[w],
             start[w],
             seconds=math.inf,
             seed=seed,

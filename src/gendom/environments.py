@@ -13,7 +13,6 @@ import gymnasium
 BUILT_IN = (
     "rope-reaching",
     "rope-casting",
-    "rope-casting-at-speed",
     "cloth-spreading",
     "cloth-dragging",
 )

@@ -325,7 +325,6 @@ def fingerprint(columns):
     [
         ("rope-reaching", 2239.07377283, 8.5146878),
         ("rope-casting", 2084.35332454, 14.817006),
-        ("rope-casting-at-speed", 2359.39567636, 13.755709),
         ("cloth-spreading", 1845.84257402, None),
     ],
 )

@@ -100,7 +100,7 @@ def test_what_parameters_cannot_explain_is_expected_again_nearby():
     # and the next action makes up for it
     goal = seen.reached[0] - 0.02 * ROPE.length
     action = polish(
-        TASK, goal, [ROPE], seen.action, world=Throws(), discrepancy=found.discrepancy
+        TASK, goal, Estimate.of(ROPE), seen.action, world=Throws(), discrepancy=found.discrepancy
     ).action
     (outcome,) = Throws(off=0.02).carry_out(TASK, [ROPE], [action])
     assert abs(outcome.values["x"] - goal) < 0.3 * 0.02 * ROPE.length
@@ -163,20 +163,13 @@ def test_belief_takes_the_posterior_and_doubts_the_rest():
     belief = belief_of(ROPE, posterior, known=("nu", "friction", "damping"))
     assert belief.names == ("E_over_rho",) and belief.sd == pytest.approx([0.03])
     # what recordings have each is kept
-    old = {
-        "names": ["E_over_rho", "grip_height", "grip_height"],
-        "recordings": [None, 0, 1],
-        "log": [True, False, False],
-        "mean": [math.log(900.0), 0.001, 0.002],
-        "prior_mean": [5.0, 0.0, 0.0],
-        "prior_sd": [4.0, 0.01, 0.01],
-        "low": [1.0, -0.1, -0.1],
-        "high": [9.0, 0.1, 0.1],
-        "covariance": np.diag([1e-2, 1e-6, 4e-6]).tolist(),
-    }
+    old = {"names": ["E_over_rho", "grip_height", "grip_height"], "recordings": [None, 0, 1],
+           "log": [True, False, False], "mean": [math.log(900.0), 0.001, 0.002],
+           "prior_mean": [5.0, 0.0, 0.0], "prior_sd": [4.0, 0.01, 0.01],
+           "low": [1.0, -0.1, -0.1], "high": [9.0, 0.1, 0.1],
+           "covariance": np.diag([1e-2, 1e-6, 4e-6]).tolist()}  # fmt: skip
     estimate = Estimate.of(ROPE, old)
-    belief = estimate.of_object(["E_over_rho"])
-    found = estimate.updated(belief, {}).posterior.to_dict()
+    found = estimate.updated(estimate.of_object(["E_over_rho"]), {}).posterior.to_dict()
     assert found["names"] == old["names"] and found["recordings"] == old["recordings"]
     assert found["mean"][1:] == [0.001, 0.002]
     assert np.diag(found["covariance"]) == pytest.approx([1e-2, 1e-6, 4e-6])

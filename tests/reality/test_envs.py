@@ -26,7 +26,6 @@ STRETCHED = np.array([0.15, 0.093])
 NUMBERS = {
     "RopeReaching": {"action": 2, "goal": 1},
     "RopeCasting": {"action": 1, "goal": 2},
-    "RopeCastingAtSpeed": {"action": 2, "goal": 2},
     "ClothSpreading": {"action": 1},
     "ClothDragging": {"action": 16},
 }

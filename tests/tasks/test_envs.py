@@ -19,13 +19,10 @@ W, MODULE = 3, "gendom.environments:"
 def envs():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gendom.tasks.envs.BANK", 8)
-        yield from _reaching()
-
-
-def _reaching():
-    made = gymnasium.make_vec(f"{MODULE}gendom/RopeReachingSteps-v0", num_envs=W, parameters=True)
-    made.reset(seed=0)
-    yield made
+        name = f"{MODULE}gendom/RopeReachingSteps-v0"
+        made = gymnasium.make_vec(name, num_envs=W, parameters=True)
+        made.reset(seed=0)
+        yield made
 
 
 def episode(envs, action):
@@ -60,10 +57,7 @@ def test_a_tool_that_goes_back_and_lets_go_swings_the_tip(envs):
     assert np.all(np.ptp(seen[:, :, tip], axis=0)[:, 0] > 0.3)
     assert np.all(np.ptp(rest[:, :, tip], axis=0)[:, 0] < 0.02)
     assert np.array_equal(seen[0], rest[0])  # the same seed begins the same episodes
-
-
-def test_episodes_begin_again_with_the_next_step(envs):
-    episode(envs, lambda k: [0.0, 0.0, 1.0])
+    # and they begin again with the next step
     seen, reward, done, _, _ = envs.step(np.zeros((W, 3)))
     assert not done.any() and not reward.any()
     assert np.all(seen[:, 6 * MARKERS + 4] == 1.0)  # all of the time is left
@@ -81,18 +75,13 @@ def test_other_tasks_have_environments_too(task, monkeypatch):
     assert np.all(after[:, 6 * MARKERS] > seen[:, 6 * MARKERS])  # the tool went ahead
 
 
-def test_gymnasium_finds_nothing_amiss(monkeypatch):
+def test_gymnasium_finds_nothing_amiss_and_bad_steps_are_refused(monkeypatch):
     monkeypatch.setattr("gendom.tasks.envs.BANK", 2)
     check_env(StepsEnv("rope-casting"), skip_render_check=True)
-
-
-def test_there_is_no_such_task(monkeypatch):
     with pytest.raises(ParameterError, match="rope-reaching"):
         StepsVectorEnv("rope-knotting")
     with pytest.raises(ParameterError, match="num_envs"):
         StepsVectorEnv("rope-casting", 0)
-    # steps before a reset and after the end are refused
-    monkeypatch.setattr("gendom.tasks.envs.BANK", 2)
     one = gymnasium.make(f"{MODULE}gendom/RopeCastingSteps-v0").unwrapped
     with pytest.raises(ParameterError, match="call reset first"):
         one.step(np.zeros(2))

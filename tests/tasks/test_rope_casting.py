@@ -7,7 +7,7 @@ import pytest
 
 from gendom.materials import Material, Rope
 from gendom.robot import XARM7, follow
-from gendom.tasks import Observed, RopeCasting, RopeCastingAtSpeed
+from gendom.tasks import Observed, RopeCasting
 from gendom.tasks.world import Simulation
 
 TASK = RopeCasting()
@@ -64,13 +64,3 @@ def test_farther_casts_go_farther_and_stiffness_moves_them():
     assert x[1] > x[0] + 0.05
     assert math.hypot(x[2] - x[1], z[2] - z[1]) > 0.02
     assert all(o.values["sideways"] < 1e-9 for o in outcomes)
-
-
-def test_speed_is_a_second_number():
-    task = RopeCastingAtSpeed()
-    fast = task.limits(ROPE)[1, 1]
-    outcomes = Simulation().carry_out(task, [ROPE] * 2, [[0.2, fast], [0.2, 0.6 * fast]])
-    plain = Simulation().carry_out(TASK, [ROPE], [[0.2]])[0]
-    for name in ("x", "z"):
-        assert outcomes[0].values[name] == pytest.approx(plain.values[name], abs=1e-3)
-    assert outcomes[1].values["z"] < outcomes[0].values["z"] - 0.01

@@ -14,7 +14,7 @@ from gendom.arguments import require
 from gendom.cli.arguments import Engine, Json, Seed, TaskName
 from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import check_places, tell_written, write_result
-from gendom.errors import PolicyError, RobotError, printable
+from gendom.errors import RobotError, printable
 from gendom.files import to_json
 from gendom.hardware.cell import BARE, Cell
 from gendom.hardware.execution import ACTION_FORMAT, write_trajectory
@@ -30,8 +30,8 @@ from gendom.materials.estimate import Estimate
 from gendom.policies import Action, Policy
 from gendom.policies.adaptation import adapt
 from gendom.policies.belief import believed, for_task, weighed
-from gendom.policies.polishing import Discrepancy, polish
-from gendom.policies.prediction import predict, steady
+from gendom.policies.polishing import polish
+from gendom.policies.prediction import doubts, predict
 from gendom.robot import TcpPath
 from gendom.tasks import Task
 from gendom.tasks.world import Simulation
@@ -93,23 +93,14 @@ class Command(KnownObject):
         task = policy.task()
         held = self.held(task, needs=policy.description.conditioned_on)
         item = for_task(held, task).item
-        if not self.force and (outside := policy.outside(self.goal, item)):
-            raise PolicyError(
-                ", ".join(found.what for found in outside),
-                where=policy.where,
-                fix=f"{', '.join(dict.fromkeys(o.fix for o in outside))}, or add --force",
-            )
         others = believed(held, task).draws(DRAWS, self.seed) if held.names else []
         others = weighed(others, executed(held, task), policy, self.seed)
         action = policy.act(self.goal, item, likely=others, force=self.force)
         warnings, values, world = list(action.warnings), np.array(action.values), self.world
         simulated = not self.no_prediction and held.value("E_over_rho") is not None
-        polished, wrong = {}, None
+        polished = {}
         if self.polish:
-            values, polished, wrong = self._polished(task, held, values)
-        if simulated and not self.force:
-            values, notes = steady(task, item, action.goal, values, wrong, world, self.seed)
-            warnings += _told(notes)
+            values, polished = self._polished(task, held, values)
         T = task.T_world_task(item)
         if self.origin is not None:
             near = all(abs(x) <= LARGEST for x in self.origin)
@@ -134,7 +125,7 @@ class Command(KnownObject):
         if simulated:
             predicted = predict(task, item, values, others, self.seed, world)
             result["predicted"] = predicted
-            warnings += _told(excluded(action.goal, predicted, result["units"]))
+            warnings += _told(doubts(task, item, action.goal, predicted, force=self.force))
         print(to_json(result) if self.json else result_text(result, motion=self.out is None))
         write_result(self.out, result, json=self.json)
         return 0
@@ -192,17 +183,17 @@ class Command(KnownObject):
 
     def _polished(
         self, task: Task, held: Estimate, start: np.ndarray
-    ) -> tuple[np.ndarray, dict[str, Any], Discrepancy | None]:
-        """A better action, what is expected of it, ready for JSON, and what executions showed."""
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """A better action, and what is expected of it, ready for JSON."""
         belief, wrong = believed(held, task), None
         if seen := executed(held, task):
             wrong = adapt(task, belief, seen, refine=False, world=self.world).discrepancy
         found = polish(
-            task, np.array(self.goal), [belief.most_likely], start, seconds=self.seconds,
+            task, np.array(self.goal), belief, start, seconds=self.seconds,
             seed=self.seed, discrepancy=wrong, world=self.world,
         )  # fmt: skip
         names = ("expected", "before", "rollouts", "seconds")
-        return found.action, {"polished": {n: getattr(found, n) for n in names}}, wrong
+        return found.action, {"polished": {n: getattr(found, n) for n in names}}
 
 
 def _told(notes: list[str]) -> list[str]:
@@ -227,23 +218,6 @@ def _origin(policy: Policy, action: Action) -> dict[str, Any]:
         "network_input": inputs,
         "network_input_meaning": meanings,
     }
-
-
-def excluded(
-    goal: Mapping[str, float], predicted: Mapping[str, Any], units: Mapping[str, str]
-) -> list[str]:
-    """What to say of goals that the predicted interval does not hold."""
-    notes = []
-    for name, wanted in goal.items():
-        ends = predicted.get("interval_90", {}).get(name)
-        if ends and not ends[0] <= wanted <= ends[1]:
-            unit = units.get(name, "")
-            notes.append(
-                f"the goal {name} {wanted:g} {unit} lies outside of what is predicted, 90 % in "
-                f"{ends[0]:.4g} to {ends[1]:.4g}: the object may not reach it; choose a goal "
-                f"nearer to {predicted['reached'][name]:.4g}"
-            )
-    return notes
 
 
 def units_of(task: Task) -> dict[str, str]:

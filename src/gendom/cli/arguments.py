@@ -71,7 +71,7 @@ def refuse_bag_flags(source: Path, settings: RosSettings, **others: Any) -> None
 def _tasks() -> str:
     """Names of all tasks; those of other packages cost their import."""
     if not plugin_names("tasks"):
-        return "rope-reaching|rope-casting|rope-casting-at-speed|cloth-spreading|cloth-dragging"
+        return "rope-reaching|rope-casting|cloth-spreading|cloth-dragging"
     from gendom.tasks import task_names
 
     return "|".join(task_names())

@@ -266,7 +266,7 @@ def carry_out(
     task = policies[0].task()
 
     def polished(start: np.ndarray, belief: Estimate, **known: Any) -> Executed:
-        action = polish(task, goal, [belief.most_likely], start, **known).action
+        action = polish(task, goal, belief, start, **known).action
         return execute(rope, task, action)
 
     ours, without = (

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from gendom.lazy import imported_later
-from gendom.policies.policy import Action, Column, Description, GoalRange, Outside, Policy
+from gendom.policies.policy import Action, Column, Description, GoalRange, Policy
 
 if TYPE_CHECKING:
     from gendom.policies.adaptation import Adapted, Execution, adapt
@@ -41,7 +41,6 @@ __all__ = [
     "Description",
     "Execution",
     "GoalRange",
-    "Outside",
     "Policy",
     "Polished",
     "Training",

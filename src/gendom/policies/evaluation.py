@@ -7,11 +7,10 @@ carried out with the same object, and the task's error is the result.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gendom.arguments import require
 from gendom.arrays import Array
@@ -33,15 +32,13 @@ class Score:
     """[W] the task's; NaN where it failed."""
     size: Array
     """[W] reference of relative errors: the object's size [m] where goals are lengths, else 1."""
-    outside: NDArray[np.bool_]
-    """[W] whether `Policy.act` would refuse the goal as outside the training range."""
 
     def summary(self) -> dict[str, Any]:
         """Figures ready for JSON: errors in the goal's unit and as shares of the size.
 
         Cases that failed are counted in `failed` and in no other figure; if all failed, the errors
-        are None. Goals outside the policy's range count like all others. `enough_share` is the
-        share of all cases in which a task without goals misses nothing.
+        are None. `enough_share` is the share of all cases in which a task without goals misses
+        nothing.
         """
         done = np.isfinite(self.error)
         enough = (
@@ -51,7 +48,6 @@ class Score:
             **enough,
             "cases": len(self.error),
             "failed": int((~done).sum()),
-            "outside_range": int(self.outside.sum()),
             "error": _figures(self.error[done]),
             "error_over_size": _figures(self.error[done] / self.size[done]),
         }
@@ -75,10 +71,7 @@ def score(
     Raises:
         PolicyError: The policy is for another task.
     """
-    found = judge(cases, choose(policy, cases), world=world, on_frame=on_frame)
-    ends = np.array([policy.goal_range(item) for item in cases.items]).reshape(len(cases), -1, 2)
-    outside = (cases.goal < ends[..., 0]) | (cases.goal > ends[..., 1])
-    return replace(found, outside=outside.any(axis=1))
+    return judge(cases, choose(policy, cases), world=world, on_frame=on_frame)
 
 
 def choose(policy: Policy, cases: Cases, *, known: Sequence[Item] | None = None) -> Array:
@@ -112,7 +105,7 @@ def judge(
     world: World | None = None,
     on_frame: Callable[[int], None] | None = None,
 ) -> Score:
-    """Outcomes of actions [W, A] in all cases; no goal counts as outside a range."""
+    """Outcomes of actions [W, A] in all cases."""
     task = cases.task
     outcomes = (world or Simulation()).carry_out(task, cases.items, action, on_frame=on_frame)
     reached = np.full(cases.goal.shape, np.nan)
@@ -125,7 +118,6 @@ def judge(
         reached=reached,
         error=error,
         size=np.array([unit_of(task.goals[0].unit, i) if task.goals else 1.0 for i in cases.items]),
-        outside=np.zeros(len(cases), dtype=bool),
     )
 
 

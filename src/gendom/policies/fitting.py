@@ -34,6 +34,9 @@ from torch import Tensor, nn
 
 OPSET = 17
 
+Loss = Callable[[Tensor], Tensor]
+"""Of some rows [B]."""
+
 ARCHITECTURES: dict[str, tuple[tuple[int, ...], type[nn.Module]]] = {
     "smooth": ((192, 192, 192), nn.SiLU),
     "paper": ((256, 128, 32), nn.ReLU),
@@ -146,9 +149,12 @@ class PhysicalNetwork(nn.Module):
 
     def forward(self, *columns: Tensor) -> Tensor:
         """[B, outputs] from one [B, 1] tensor for each input."""
+        return self.layers(self.standardised(columns)) * self.output_scale + self.output_mean
+
+    def standardised(self, columns: Sequence[Tensor]) -> Tensor:
+        """[B, inputs] what the layers see."""
         x = [torch.log(c) if log else c for c, log in zip(columns, self._log, strict=True)]
-        z = (torch.cat(x, dim=1) - self.input_mean) / self.input_scale
-        return self.layers(z) * self.output_scale + self.output_mean
+        return (torch.cat(x, dim=1) - self.input_mean) / self.input_scale
 
 
 class ChanceNetwork(PhysicalNetwork):
@@ -180,9 +186,7 @@ class TrainingProblem:
         shown: bool = False,
     ):
         d = demonstrations
-        self.training = training
-        self.sees = sees
-        self.shown = shown
+        self.training, self.sees, self.shown = training, sees, shown
         self.goals = [
             standardised(GOAL + name, d.goal[:, k]) for k, name in enumerate(d.goal_names)
         ]
@@ -198,15 +202,14 @@ class TrainingProblem:
         # a policy that sees nothing still needs an input for its batch
         what, fix = "has neither goals nor parameters to act on", "condition it on a parameter"
         require(self.inputs, what, fix=fix, error=PolicyError)
-        parts = [_split(0, len(d))]
+        self.trained, self.held_out = _split(0, len(d))
+        """Rows of the demonstrations that are trained on first, and rows that nothing is learnt
+        from: of those for fine-tuning, if there are."""
+        self.tuned = self.trained[:0]
+        """Rows of those for fine-tuning."""
         if finetune is not None:
-            parts.append(_split(len(d), len(finetune)))
+            self.tuned, self.held_out = _split(len(d), len(finetune))
             d = joined(d, finetune)
-        self.trained: Tensor = parts[0][0]
-        """Rows of the demonstrations that are trained on first."""
-        self.held_out: Tensor = parts[-1][1]
-        """Rows that nothing is learnt from: of those for fine-tuning, if there are."""
-        self._parts = parts
         self.action = torch.tensor(d.action, dtype=torch.float32)
         self.goal = torch.tensor(d.goal, dtype=torch.float32)
         self.data = {
@@ -214,8 +217,7 @@ class TrainingProblem:
             for name in PARAMETERS
         }
         task = find_task(d.task["name"])
-        self.candidates = task.candidates
-        risk = task.risk
+        self.candidates, risk = task.candidates, task.risk
         self.log_risk = None
         self.highest = math.log(risk.limit) if risk is not None else 0.0
         """Logarithm of the risk's limit."""
@@ -225,10 +227,10 @@ class TrainingProblem:
             logs = np.log(np.maximum(d.risk, RISK_FLOOR))
             self.log_risk = torch.tensor(logs, dtype=torch.float32)[:, None]
             self.within = self.log_risk[:, 0] <= self.highest
-        if self.chooses:
-            self.policy = ChanceNetwork(self.inputs, [CHANCE], training.architecture)
-        else:
-            self.policy = PhysicalNetwork(self.inputs, self.actions, training.architecture)
+        kind, outputs = (
+            (ChanceNetwork, [CHANCE]) if self.chooses else (PhysicalNetwork, self.actions)
+        )
+        self.policy = kind(self.inputs, outputs, training.architecture)
 
     def act(self, rows: Tensor) -> Tensor:
         """[B, A] what the policy does for some demonstrations' goals and objects; of the method
@@ -243,14 +245,9 @@ class TrainingProblem:
         return (beyond**2).mean()
 
     def fit(
-        self,
-        name: str,
-        network: nn.Module,
-        loss_of: Callable[[Tensor], Tensor],
-        *,
-        only: Tensor | None = None,
+        self, name: str, network: nn.Module, loss_of: Loss, *, only: Tensor | None = None
     ) -> None:
-        """Fit a network to the demonstrations, and then to those for fine-tuning.
+        """Fit a network to the demonstrations.
 
         Args:
             name: For people.
@@ -262,100 +259,76 @@ class TrainingProblem:
             PolicyError: It diverged.
         """
         how = self.training
-        stages = [
-            (name, how.epochs, how.learning_rate),
-            (f"{name}, fine-tuned", how.finetune_epochs, FINETUNE_LEARNING_RATE),
-        ]
-        for (stage, epochs, rate), (rows, held_out) in zip(stages, self._parts, strict=False):
-            if only is not None:
-                chosen = rows[only[rows]]
-                rows = chosen if len(chosen) >= SMALLEST else rows
-                held_out = held_out[only[held_out]]
-            self.fit_to(stage, network, loss_of, rows, epochs, rate, held_out)
+        rows = _chosen(self.trained, only)
+        self.descend(name, network, loss_of, rows, how.epochs, how.learning_rate)
 
-    def fit_to(
+    def finetune(
         self,
         name: str,
         network: nn.Module,
-        loss_of: Callable[[Tensor], Tensor],
+        loss_of: Loss,
+        *,
+        only: Tensor | None = None,
+        replay: int = 0,
+    ) -> None:
+        """As `fit` to the demonstrations for fine-tuning, where there are any, each together with
+        `replay` of the first ones."""
+        if not len(self.tuned):
+            return
+        rows, first = _chosen(self.tuned, only), _chosen(self.trained, only)
+        rows = torch.cat([rows, first[: replay * len(rows)]])
+        epochs = self.training.finetune_epochs
+        self.descend(f"{name}, fine-tuned", network, loss_of, rows, epochs, FINETUNE_LEARNING_RATE)
+
+    def descend(
+        self,
+        name: str,
+        network: nn.Module,
+        loss_of: Loss,
         rows: Tensor,
         epochs: int,
         learning_rate: float,
-        held_out: Tensor | None = None,
     ) -> None:
-        """`fit` to rows [M] of any kind; the loss of those held out is only reported."""
+        """Minimise the mean of a loss over batches of rows [M] of any kind by AdamW, whose learning
+        rate rises shortly, then falls to zero along a cosine.
 
+        Raises:
+            PolicyError: It diverged.
+        """
         how = self.training
+        batch = min(how.batch_size, len(rows))
+        steps = len(rows) // batch
+        decay = CHANCE_WEIGHT_DECAY if self.chooses else how.weight_decay
+        optimizer = torch.optim.AdamW(
+            network.parameters(), lr=learning_rate, weight_decay=decay, fused=True
+        )
+        schedule = torch.optim.lr_scheduler.OneCycleLR(
+            optimizer,
+            max_lr=learning_rate,
+            total_steps=epochs * steps + 1,
+            pct_start=0.1,
+            cycle_momentum=False,
+        )
         with bar(name, epochs, "epoch", shown=self.shown) as show:
+            for epoch in range(1, epochs + 1):
+                total = 0.0
+                for part in rows[torch.randperm(len(rows))][: steps * batch].split(batch):
+                    loss = loss_of(part)
+                    optimizer.zero_grad()
+                    loss.backward()
+                    nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+                    optimizer.step()
+                    schedule.step()
+                    total += loss.item() / steps
+                what, fix = f"training diverged in epoch {epoch}", "lower the learning rate"
+                require(np.isfinite(total), what, fix=fix, error=PolicyError)
+                show(epoch, note=f"loss {total:.2e}")
 
-            def told(done: int, loss: float, known: float | None) -> None:
-                aside = "" if known is None else f", held out {known:.2e}"
-                show(done, note=f"loss {loss:.2e}{aside}")
 
-            fit(network, loss_of, rows, epochs=epochs, batch_size=how.batch_size,
-                learning_rate=learning_rate, held_out=held_out,
-                weight_decay=CHANCE_WEIGHT_DECAY if self.chooses else how.weight_decay,
-                on_epoch=told if self.shown else None)  # fmt: skip
-
-
-def fit(
-    network: nn.Module,
-    loss_of: Callable[[Tensor], Tensor],
-    rows: Tensor,
-    *,
-    epochs: int,
-    batch_size: int,
-    learning_rate: float,
-    weight_decay: float,
-    held_out: Tensor | None = None,
-    on_epoch: Callable[[int, float, float | None], None] | None = None,
-) -> None:
-    """Minimise the mean of `loss_of` over batches of `rows` by AdamW, whose learning rate rises
-    shortly, then falls to zero along a cosine.
-
-    Args:
-        network: What is trained.
-        loss_of: Loss of some rows [B].
-        rows: [N] indices to train on.
-        epochs: Passes over them.
-        batch_size: B, at most.
-        learning_rate: At its peak.
-        weight_decay: AdamW's.
-        held_out: [H] indices whose loss is only reported.
-        on_epoch: Called after each epoch with how many are done, its mean loss and that of what is
-            held out.
-
-    Raises:
-        PolicyError: It diverged.
-    """
-    batch = min(batch_size, len(rows))
-    steps = len(rows) // batch
-    optimizer = torch.optim.AdamW(
-        network.parameters(), lr=learning_rate, weight_decay=weight_decay, fused=True
-    )
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer,
-        max_lr=learning_rate,
-        total_steps=epochs * steps + 1,
-        pct_start=0.1,
-        cycle_momentum=False,
-    )
-    for epoch in range(1, epochs + 1):
-        total = 0.0
-        for part in rows[torch.randperm(len(rows))][: steps * batch].split(batch):
-            loss = loss_of(part)
-            optimizer.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-            optimizer.step()
-            schedule.step()
-            total += loss.item() / steps
-        what, fix = f"training diverged in epoch {epoch}", "lower the learning rate"
-        require(np.isfinite(total), what, fix=fix, error=PolicyError)
-        if on_epoch is not None:
-            with torch.no_grad():
-                known = None if held_out is None else float(loss_of(held_out))
-            on_epoch(epoch, total, known)
+def _chosen(rows: Tensor, only: Tensor | None) -> Tensor:
+    """Those rows that count, or all if too few do."""
+    chosen = rows if only is None else rows[only[rows]]
+    return chosen if len(chosen) >= SMALLEST else rows
 
 
 def _split(first: int, count: int) -> tuple[Tensor, Tensor]:
@@ -375,8 +348,8 @@ def standardised(name: str, values: Array, *, log: bool = False) -> Column:
 
 def huber(error: Tensor, large: float) -> Tensor:
     """Huber's (1964) loss, of slope 2 beyond `large`."""
-    size = error.abs()
-    return torch.where(size < large, size**2 / large, 2.0 * size - large)
+    none = torch.zeros_like(error)
+    return 2.0 / large * nn.functional.huber_loss(error, none, reduction="none", delta=large)
 
 
 def rms(error: Tensor) -> float:

@@ -21,7 +21,7 @@ import json
 import logging
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from typing import TYPE_CHECKING, Any
@@ -45,11 +45,14 @@ FORMAT, OLDER = "gendom-policy/3", "gendom-policy/2"
 """Of files, as they are written and as they were before the method ``chance``."""
 METADATA_KEY = "gendom-policy"
 METHODS = ("distal", "inverse", "chance")
-MARGIN = 0.01
+MARGIN = 0.003
 """Of the method ``chance``: how much less probable to be enough than the best one an action may be
 that asks less of the robot."""
 GOAL = "goal_"
 """What inputs for goals begin with."""
+
+ASSETS = resources.files("gendom") / "assets"
+"""Where policies lie that come with the package."""
 
 NOTABLE_MOVE = 0.01
 """An action moved into the task's limits by more than this is worth a warning [units of
@@ -176,34 +179,36 @@ class Description:
         for name in ("conditioned_on", "parameters"):
             value[name] = with_current_names(value.get(name), "network")
         self = record_of(cls, value, where=where, fix=fix, error=PolicyError)
-        inputs = tuple(replace(c, name=_input_name(c.name)) for c in self.inputs)
+        inputs = tuple(replace(c, name=current_name(c.name, "network")) for c in self.inputs)
         self = replace(self, inputs=inputs)
-        place = f"{where}: training"
-        trained = record_of(_Trained, self.training, where=place, fix=fix, error=PolicyError)
-        made = ("seed", "epochs", "architecture") if trained.demonstrations else ()
-        made += ("refine_cases",) if made and trained.refine else ()
-        lacking = [f"training.{n}" for n in made if getattr(trained, n) is None]
+        record_of(_Trained, self.training, where=f"{where}: training", fix=fix, error=PolicyError)
+        for what in self._faults():
+            raise PolicyError(what, where=where, fix=fix)
+        return self
+
+    def _faults(self) -> Iterator[str]:
+        """What acting could not rely on."""
+        made = ("seed", "epochs", "architecture") if self.training.get("demonstrations") else ()
+        made += ("refine_cases",) if made and self.training.get("refine") else ()
+        lacking = [f"training.{n}" for n in made if self.training.get(n) is None]
         lacking += [f"task.{n}" for n in ("name", "item", "ranges") if n not in self.task]
         lacking += [f"parameters.{n}" for n in PARAMETERS if n not in self.parameters]
-        at, low, high = (self.goals.at, self.goals.low, self.goals.high)
-        G = len(self.goal_names)
+        if lacking:
+            yield f"lacks {', '.join(lacking)}"
+        at, G = self.goals.at, len(self.goal_names)
         ascend = len(at) > 0 and at[0] > 0.0 and (np.diff(at) >= 0.0).all()
-        shaped = len(low) == len(high) == len(at) and all(len(row) == G for row in (*low, *high))
-        known = set(self.conditioned_on) <= set(PARAMETERS)
-        ordered = all(low <= high for low, high in self.parameters.values())
-        for holds, what in (
-            (not lacking, f"lacks {', '.join(lacking)}"),
-            (ascend and shaped, f"its goals are no ranges of {G} numbers"),
-            (known, f"is conditioned on {', '.join(self.conditioned_on)}"),
-            (ordered, "has a range of parameters that ends before it begins"),
-            (bool(self.candidates) == (self.method == "chance"), "has no actions to choose among"),
-            (
-                all(len(row) == len(self.outputs) for row in self.candidates),
-                f"its actions to choose among are not of {len(self.outputs)} numbers",
-            ),
-        ):
-            require(holds, what, where=where, fix=fix, error=PolicyError)
-        return self
+        ends = (self.goals.low, self.goals.high)
+        alike = all(len(end) == len(at) and all(len(row) == G for row in end) for end in ends)
+        if not (ascend and alike):
+            yield f"its goals are no ranges of {G} numbers"
+        if not set(self.conditioned_on) <= set(PARAMETERS):
+            yield f"is conditioned on {', '.join(self.conditioned_on)}"
+        if any(low > high for low, high in self.parameters.values()):
+            yield "has a range of parameters that ends before it begins"
+        if bool(self.candidates) != (self.method == "chance"):
+            yield "has no actions to choose among"
+        if any(len(row) != len(self.outputs) for row in self.candidates):
+            yield f"its actions to choose among are not of {len(self.outputs)} numbers"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,23 +230,6 @@ class Action:
     def values(self) -> tuple[float, ...]:
         """Of the action, in SI units."""
         return tuple(self.action.values())
-
-
-@dataclass(frozen=True, kw_only=True)
-class Outside:
-    """A number beyond what a policy was trained on."""
-
-    what: str
-    """One line."""
-    fix: str
-    """What to do about it."""
-    nearest: float
-    """The end of the range, which the policy uses in its place [as the number itself]."""
-    share: float
-    """How far beyond that end, over its value [-]."""
-
-    def __str__(self) -> str:
-        return f"{self.what}; it uses {self.nearest:.4g}"
 
 
 class Policy(Shown):
@@ -300,7 +288,7 @@ class Policy(Shown):
         what = f"is an ONNX file without {METADATA_KEY!r} metadata"
         require(text, what, where=where, fix=fix, error=PolicyError)
         description = Description.from_json(text, where=where)
-        inputs = {_input_name(i.name): i.name for i in session.get_inputs()}
+        inputs = {current_name(i.name, "network"): i.name for i in session.get_inputs()}
         goals = {GOAL + name for name in description.goal_names}
         chosen = {c.name for c in description.outputs if description.candidates}
         described = inputs.keys() == goals | chosen | set(description.conditioned_on)
@@ -316,11 +304,14 @@ class Policy(Shown):
         """
         about = self.description
         middle = {name: sum(about.parameters[name]) / 2.0 for name in about.conditioned_on}
+        fault = ""
         try:
             with np.errstate(over="ignore"):
                 acted = self.actions(about.goals(None).mean(axis=1)[None], middle)
-            fault = "" if acted.shape == (1, len(about.outputs)) else f"of shape {acted.shape}"
-            fault = fault or ("" if np.isfinite(acted).all() else "that are not finite")
+            if acted.shape != (1, len(about.outputs)):
+                fault = f"of shape {acted.shape}"
+            elif not np.isfinite(acted).all():
+                fault = "that are not finite"
         except Exception as error:  # onnxruntime's own exceptions share no public base class
             fault = f"not at all ({type(error).__name__})"
         what = f"its network gives actions {fault}"
@@ -330,7 +321,7 @@ class Policy(Shown):
     @staticmethod
     def ships(task: str, *, parameters: bool = True) -> bool:
         """Whether such a policy comes with the package, see `pretrained`."""
-        return (resources.files("gendom") / "assets" / _asset(task, parameters)).is_file()
+        return (ASSETS / _asset(task, parameters)).is_file()
 
     @classmethod
     def pretrained(cls, task: str = "rope-reaching", *, parameters: bool = True) -> Policy:
@@ -349,19 +340,18 @@ class Policy(Shown):
 
         name = _asset(task, parameters)
         find_task(task)  # a name that no task has is refused as such
-        asset = resources.files("gendom") / "assets" / name
-        with resources.as_file(asset) as path:
-            what = f"no pretrained policy {name!r} comes with this package"
-            fix = f"make demonstrations with gendom dataset {task}, train one with gendom train "
-            fix += f"{task}, and name its file"
-            require(path.is_file(), what, fix=fix, error=PolicyError)
+        what = f"no pretrained policy {name!r} comes with this package"
+        fix = (
+            f"make demonstrations with gendom dataset {task}, train one with gendom train {task}, "
+        )
+        require((ASSETS / name).is_file(), what, fix=f"{fix}and name its file", error=PolicyError)
+        with resources.as_file(ASSETS / name) as path:
             return cls.read(path)
 
     @staticmethod
     def shipped() -> list[Policy]:
         """All policies that come with the package, by file name."""
-        folder = resources.files("gendom") / "assets"
-        with resources.as_file(folder) as found:
+        with resources.as_file(ASSETS) as found:
             return [Policy.read(path) for path in sorted(found.glob("*.onnx"))]
 
     def task(self) -> Task:
@@ -451,17 +441,6 @@ class Policy(Shown):
             E = float(np.clip(dimensionless_parameters(item)["bending_ratio"], low, high))
         return self.description.goals(E) * self.task().goal_units(item)[:, None]
 
-    def outside(self, goal: ArrayLike, item: Item) -> tuple[Outside, ...]:
-        """What of a goal [G] (SI units) and an object the policy was not trained on; parameters
-        that are no farther outside than `RANGE_TOLERANCE` are left out.
-
-        Raises:
-            PolicyError, ParameterError: As `act`, but for goals that are merely out of range.
-        """
-        _, found = self._clipped(self._check_goal(goal, item), item)
-        far = [n for n, o in found.items() if n.startswith(GOAL) or o.share > RANGE_TOLERANCE]
-        return tuple(found[name] for name in far)
-
     def act(
         self, goal: ArrayLike, item: Item, *, likely: Sequence[Item] = (), force: bool = False
     ) -> Action:
@@ -473,25 +452,25 @@ class Policy(Shown):
                 the training range are clipped to it.
             likely: Objects drawn from what is known of it, for which the method ``chance`` chooses
                 (default: the object alone).
-            force: Whether a goal outside of what demonstrations reached with such an object is
-                clipped as well, and not refused.
+            force: Whether goals and parameters that the policy was not trained on are clipped to
+                what it was, and not refused; parameters less than `RANGE_TOLERANCE` outside are
+                always.
 
         Returns:
             The action, with warnings where something was clipped (they are also logged).
 
         Raises:
             PolicyError: The goal is not what the policy's task has, cannot have been given in its
-                unit (even if forced), or lies outside what demonstrations reached with such an
-                object.
+                unit (even if forced), or something lies outside of what was trained, which the
+                message names.
             ParameterError: The object is of another kind.
         """
         task, about = self.task(), self.description
         wanted = self._check_goal(goal, item)
-        used, found = self._clipped(wanted, item)
-        first = next((o for name, o in found.items() if name.startswith(GOAL)), None)
-        if first is not None and not force:
-            raise PolicyError(first.what, where=self.where, fix=first.fix)
-        warnings = [str(outside) for outside in found.values()]
+        used, warnings, beyond = self._clipped(wanted, item)
+        if beyond and not force:
+            fix = f"{', '.join(dict.fromkeys(beyond.values()))}, or force it (--force)"
+            raise PolicyError(", ".join(beyond), where=self.where, fix=fix)
         inputs = {name: used[name] for name in about.conditioned_on}
         aim = np.array([used[GOAL + name] for name in about.goal_names])
         units = task.action_units(item)
@@ -548,14 +527,19 @@ class Policy(Shown):
             require(plausible, what, where=task.name, fix=fix, error=PolicyError)
         return wanted
 
-    def _clipped(self, wanted: Array, item: Item) -> tuple[dict[str, float], dict[str, Outside]]:
-        """Goals and parameters in the range of the demonstrations, by inputs' names, and what of
-        them lies outside: goals that were not reached with such an object, and its parameters."""
-        about, alike = self.description, dimensionless_parameters(item)
-        ranges = self.goal_range(item)
+    def _clipped(
+        self, wanted: Array, item: Item
+    ) -> tuple[dict[str, float], list[str], dict[str, str]]:
+        """Goals and parameters in the range of the demonstrations, by inputs' names; what to say of
+        those that lie outside, and of which one must be forced, each with its fix."""
+        about, alike, ranges = (
+            self.description,
+            dimensionless_parameters(item),
+            self.goal_range(item),
+        )
         goals = zip((GOAL + n for n in about.goal_names), wanted, ranges, strict=True)
         seen = ((n, alike[n], about.parameters[n]) for n in about.conditioned_on)
-        used, found = {}, {}
+        used, said, beyond = {}, [], {}
         for name, value, (low, high) in (*goals, *seen):
             nearest = used[name] = float(min(max(value, low), high))
             if nearest == value:
@@ -570,18 +554,15 @@ class Policy(Shown):
                 what = f"{name} ({PARAMETERS[name].meaning}) {value:.4g} is {100.0 * share:.3g} % "
                 what += f"{side} the range {low:.4g} to {high:.4g} that the policy was trained on"
                 fix = "check the object's numbers"
-            found[name] = Outside(what=what, fix=fix, nearest=nearest, share=share)
-        return used, found
+            said.append(f"{what}; it uses {nearest:.4g}")
+            if name.startswith(GOAL) or share > RANGE_TOLERANCE:
+                beyond[what] = fix
+        return used, said, beyond
 
 
 def _least(chances: Array) -> Array:
     """[...] the first of actions whose chances [..., K] are nearly the best."""
     return np.argmax(chances >= chances.max(axis=-1, keepdims=True) - MARGIN, axis=-1)
-
-
-def _input_name(name: str) -> str:
-    """The present name of a network's input."""
-    return current_name(name, "network")
 
 
 def _asset(task: str, parameters: bool) -> str:

@@ -1,15 +1,21 @@
 """Actions polished through the simulator at acting time.
 
-The miss of an action is simulated for plausible objects, and its mean square over them is reduced
-by damped Gauss-Newton steps (Levenberg 1944, Marquardt 1963):
+The miss of an action, simulated, is reduced by damped Gauss-Newton steps (Levenberg 1944, Marquardt
+1963) from the policy's action on:
 
-    min over a of  sum_k |f(a, object_k) + b(a) - g|^2 / K + sum_k caution(risk_k)^2 / K + s(a)^2,
+    min over a and v of  |f(a, object(v)) + b(a) - g|^2 + caution(risk)^2 + s(a)^2 + (S |v|)^2,
 
-where f is the simulated result, b the simulator's error as learnt from executions, and s the
-standard deviation of b (`gendom.policies.adaptation`). Actions whose outcome depends little on what
-is uncertain win. An action has one to three numbers, so its derivatives are central differences of
-worlds in one batch. The search begins at the policy's action and does not leave its neighbourhood:
-elsewhere the simulator may hold a release for good that in reality sways (docs/notes/policies.md).
+where f is the simulated result, g the goal, b the simulator's error as learnt from executions, s
+the standard deviation of b (`gendom.policies.adaptation`), and v what the object differs by from
+the most likely one, in standard deviations of its estimate. Where a goal has no more numbers than
+an action, v is 0: the most likely object counts. Where it has more, as in casting, few goals can be
+reached with an object, and that this one is asked for tells of the object: it is looked for
+together with the action. For the most likely object alone the nearest that it can reach would be
+taken, which lies beside the goal of the true one (docs/notes/policies.md).
+
+An action has one to three numbers, so derivatives are central differences of worlds in one batch.
+The search does not leave the neighbourhood of the start: elsewhere the simulator may hold a release
+for good that in reality sways.
 
 A task without goals has no such residuals: a share that is enough or not has no derivative. There
 the best of the known actions is varied by chance, ever less, and the best so far is kept.
@@ -29,6 +35,7 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.materials import Item, unit_of
+from gendom.materials.estimate import Estimate
 from gendom.policies.rollouts import Asking, central_differences, side_by_side, stencil
 from gendom.tasks import Task
 from gendom.tasks.task import Outcome, World
@@ -51,7 +58,15 @@ VARIATION, VARIATIONS = 0.08, 12
 width], and how many there are in each of `MAX_ITERATIONS` rounds."""
 
 STEP = 0.002
-"""Of central differences [units of similarity]."""
+"""Of central differences by an action [units of similarity]."""
+
+OBJECT_STEP, DEVIATIONS = 0.1, 2.0
+"""Of those by an object, and how far from the most likely one it is looked for in the first place
+[standard deviations]."""
+
+SIMULATOR_ERROR = 0.001
+"""What an object reaches beside what is simulated for it: how near a goal counts as much as an
+object one standard deviation off [units of similarity]."""
 
 TOLERANCE = 1e-4
 """Root mean square of the miss at which polishing ends [units of similarity]."""
@@ -71,7 +86,7 @@ class Polished:
     action: Array
     """[A] in SI units."""
     expected: float
-    """Root mean square of its miss over the objects [goal's unit]."""
+    """Root of what is minimised [goal's unit]."""
     before: float
     """That of the action polishing began with."""
     rollouts: int
@@ -80,9 +95,9 @@ class Polished:
 
 @dataclass(eq=False)
 class _Point:
-    """An action, its residuals and their derivatives, in units of similarity."""
+    """An action and an object z, residuals and their derivatives, in units of similarity."""
 
-    a: Array
+    z: Array
     r: Array
     J: Array
     damping: float = 1e-3
@@ -94,91 +109,98 @@ class _Point:
 
 
 class PolishingProblem:
-    """What is minimised, for K objects; actions and goals in units of similarity."""
+    """What is minimised over z [A + P]: an action in units of similarity and, where the goal tells
+    of the object, its P unknowns' distance from the most likely ones in standard deviations."""
 
-    def __init__(
-        self, task: Task, goal: Array, items: Sequence[Item], discrepancy: Discrepancy | None
-    ):
-        self.task, self.goal, self.items, self.discrepancy = task, goal, items, discrepancy
-        self.units = task.action_units(items[0])
-        self.goal_units = task.goal_units(items[0])
+    def __init__(self, task: Task, goal: Array, belief: Estimate, discrepancy: Discrepancy | None):
+        self.task, self.goal, self.discrepancy = task, goal, discrepancy
+        self.belief, self.item = belief, belief.most_likely
+        self.units = task.action_units(self.item)
+        self.goal_units = task.goal_units(self.item)
         self.goal_unit = float(self.goal_units[0]) if task.goals else 1.0
+        A, P = len(self.units), len(belief.mean) if len(task.goals) > len(task.actions) else 0
+        self.spread = np.linalg.cholesky(belief.covariance) if P else np.zeros((0, 0))
+        low, high = task.limits(self.item).T / self.units
+        self.low = np.r_[low, np.full(P, -DEVIATIONS)]
+        self.high = np.r_[high, np.full(P, DEVIATIONS)]
+        self.step = np.r_[np.full(A, STEP), np.full(P, OBJECT_STEP)]
         self.rollouts = 0
 
-    def residuals(
-        self, actions: Sequence[Array], items: Sequence[Item] | None = None
-    ) -> Asking[list[Array]]:
-        """Of each action with K objects (default: all): [K (G or 1, and 1 for the risk) + 1 for the
-        discrepancy's deviation], weighted so that their square is the mean over the objects;
-        infinite where a simulation failed."""
-        items = self.items if items is None else items
-        K, each = len(items), [item for _ in actions for item in items]
-        rows = np.repeat(np.array(actions) * self.units, K, axis=0)
-        # objects of one size may differ in what they allow
-        rows = [self.task.nearest(i, a) for i, a in zip(each, rows, strict=True)]
-        outcomes = yield each, rows
-        self.rollouts += len(each)
-        found = []
-        for n, action in enumerate(actions):
-            wrong, deviation = np.zeros(len(self.goal)), 0.0
-            if self.discrepancy is not None:
-                wrong, deviation = self.discrepancy(action * self.units)
-            own = zip(items, outcomes[n * K : (n + 1) * K], strict=True)
-            parts = [self._residual(item, outcome, wrong) for item, outcome in own]
-            parts.append(np.array([np.sqrt(K) * deviation / self.goal_unit]))
-            found.append(np.concatenate(parts) / np.sqrt(K))
-        return found
+    def start(self, action: Array) -> Array:
+        """[A + P] an action [SI] with the most likely object."""
+        return np.r_[action / self.units, np.zeros(len(self.spread))]
 
-    def _residual(self, item: Item, outcome: Outcome, wrong: Array) -> Array:
-        """[G or 1, and 1 for the risk] of one object."""
+    def action(self, z: Array) -> Array:
+        """[A] in SI units."""
+        return z[: len(self.units)] * self.units
+
+    def nearest(self, z: Array) -> Array:
+        """[A + P] with the nearest action that is allowed."""
+        A = len(self.units)
+        return np.r_[self.task.nearest(self.item, self.action(z)) / self.units, z[A:]]
+
+    def residuals(self, points: Sequence[Array]) -> Asking[list[Array]]:
+        """Of each z [G or 1, 1 for the risk, 1 for the discrepancy's deviation, P]; infinite where
+        a simulation failed."""
+        v = [z[len(self.units) :] for z in points]
+        items = [
+            self.belief.at(self.belief.mean + self.spread @ d) if len(d) else self.item for d in v
+        ]
+        # objects of one size may differ in what they allow
+        rows = [self.task.nearest(i, self.action(z)) for i, z in zip(items, points, strict=True)]
+        outcomes = yield items, rows
+        self.rollouts += len(items)
+        made = zip(rows, items, outcomes, v, strict=True)
+        return [np.r_[self._residual(a, item, o), SIMULATOR_ERROR * d] for a, item, o, d in made]
+
+    def _residual(self, action: Array, item: Item, outcome: Outcome) -> Array:
         task, values = self.task, outcome.values
         if outcome.fault is not None:
-            return np.full(max(len(task.goals), 1) + 1, np.inf)
+            return np.full(max(len(task.goals), 1) + 2, np.inf)
+        wrong, deviation = np.zeros(len(self.goal)), 0.0
+        if self.discrepancy is not None:
+            wrong, deviation = self.discrepancy(action)
         miss = np.array([values[q.name] for q in task.goals]) + wrong - self.goal
         miss = miss / self.goal_units if task.goals else task.error(item, self.goal, values)
         caution = 0.0
         if task.risk is not None:
             share = values[task.risk.name] / (task.risk.limit * unit_of(task.risk.unit, item))
             caution = RISK_WEIGHT * max(0.0, share - RISK_MARGIN)
-        return np.append(miss, caution)
+        return np.r_[miss, caution, deviation / self.goal_unit]
 
-    def nearest(self, action: Array) -> Array:
-        """[A] the nearest action that is allowed."""
-        return self.task.nearest(self.items[0], action * self.units) / self.units
-
-    def flat(self, actions: Sequence[Array]) -> Asking[list[_Point]]:
-        """Actions with residuals alone."""
-        r = yield from self.residuals(actions)
+    def flat(self, points: Sequence[Array]) -> Asking[list[_Point]]:
+        """With residuals alone."""
+        r = yield from self.residuals(points)
         return [
-            _Point(a=a, r=x, J=np.zeros((len(x), len(a)))) for a, x in zip(actions, r, strict=True)
+            _Point(z=z, r=x, J=np.zeros((len(x), len(z)))) for z, x in zip(points, r, strict=True)
         ]
 
-    def point(self, action: Array) -> Asking[_Point]:
-        """An action with residuals and derivatives, simulated side by side."""
-        allowed = np.array([self.nearest(a) for a in stencil(action, STEP)])
+    def point(self, z: Array) -> Asking[_Point]:
+        """With residuals and derivatives, simulated side by side."""
+        allowed = np.array([self.nearest(one) for one in stencil(z, self.step)])
         r = np.array((yield from self.residuals(list(allowed))))
-        return _Point(a=allowed[0], r=r[0], J=central_differences(allowed, r))
+        return _Point(z=allowed[0], r=r[0], J=central_differences(allowed, r))
 
 
 def polish(
     task: Task,
     goal: ArrayLike,
-    items: Sequence[Item],
+    belief: Estimate,
     start: ArrayLike,
     *,
     world: World | None = None,
     **how: Any,
 ) -> Polished:
-    """The action whose miss is smallest over plausible objects, found in a world (default: our
-    simulator); other arguments and errors as of `polishing`."""
-    search = polishing(task, goal, items, start, **how)
+    """The action whose miss is smallest in a world (default: our simulator); other arguments and
+    errors as of `polishing`."""
+    search = polishing(task, goal, belief, start, **how)
     return side_by_side(task, world or Simulation(), [search])[0]
 
 
 def polishing(
     task: Task,
     goal: ArrayLike,
-    items: Sequence[Item],
+    belief: Estimate,
     start: ArrayLike,
     *,
     seconds: float = 10.0,
@@ -190,24 +212,23 @@ def polishing(
     Args:
         task: What is done.
         goal: [G] in SI units.
-        items: K objects of one size: one that is known, or draws of an `Estimate`.
+        belief: The object, as `gendom.policies.belief.believed` gives it, or `Estimate.of` one.
         start: [A] where to begin, such as a policy's action, in SI units.
         seconds: Wall time after which the best so far is taken [s].
-        seed: Of variations.
-        discrepancy: What is added to what the simulator says is reached.
+        seed: Of the variations, where a task has no goals.
+        discrepancy: Of the simulator, as learnt from executions.
 
     Raises:
-        ParameterError: Numbers do not agree, or the start is not allowed.
-        SimulationError: No action could be simulated.
+        ParameterError: An argument has the wrong shape, or the start is out of its limits.
+        SimulationError: The start cannot be simulated.
     """
     began = time.monotonic()
     wanted = np.atleast_1d(np.asarray(goal, dtype=float)) if task.goals else np.empty(0)
     fits = wanted.shape == (len(task.goals),) and np.isfinite(wanted).all()
     require(fits, f"is {wanted.tolist()}", where="goal")
     require(seconds > 0.0, f"must be positive, got {seconds}", where="seconds")
-    require(items, "no object to polish for", fix="give one or more")
-    problem = PolishingProblem(task, wanted, items, discrepancy)
-    first = task.check_action(items[0], start) / problem.units
+    problem = PolishingProblem(task, wanted, belief, discrepancy)
+    first = problem.start(task.check_action(problem.item, start))
     rng, deadline = np.random.default_rng(seed), began + seconds
     if task.goals:
         points = [(yield from problem.point(first))]
@@ -221,7 +242,7 @@ def polishing(
     else:
         best = yield from _varied(problem, points, rng, deadline)
     return Polished(
-        action=task.check_action(items[0], best.a * problem.units),
+        action=task.check_action(problem.item, problem.action(best.z)),
         expected=float(np.sqrt(best.cost)) * problem.goal_unit,
         before=float(np.sqrt(points[0].cost)) * problem.goal_unit,
         rollouts=problem.rollouts,
@@ -234,14 +255,14 @@ def _varied(
 ) -> Asking[_Point]:
     """The best that variations of the best lead to from some points until a time [s]."""
     best = min(points, key=lambda p: p.cost)
-    low, high = (problem.task.limits(problem.items[0]) / problem.units[:, None]).T
+    width = problem.high - problem.low
     round_seconds = 0.0
     for k in range(MAX_ITERATIONS):
         starts = time.monotonic()
         if best.cost < TOLERANCE**2 or deadline - starts < round_seconds:
             break
-        away = VARIATION * 0.7**k * (high - low) * rng.normal(size=(VARIATIONS, len(low)))
-        found = yield from problem.flat([problem.nearest(best.a + one) for one in away])
+        away = VARIATION * 0.7**k * width * rng.normal(size=(VARIATIONS, len(width)))
+        found = yield from problem.flat([problem.nearest(best.z + one) for one in away])
         best = min([best, *found], key=lambda p: p.cost)
         round_seconds = time.monotonic() - starts
     return best
@@ -254,7 +275,7 @@ def _improved(problem: PolishingProblem, best: _Point, deadline: float) -> Askin
         starts = time.monotonic()
         if best.done or deadline - starts < round_seconds:
             break
-        new = yield from problem.point(best.a + _step(best))
+        new = yield from problem.point(best.z + _step(best))
         best = _better(best, new)
         round_seconds = time.monotonic() - starts
     return best

@@ -13,7 +13,6 @@ from gendom.arrays import Array
 from gendom.errors import PolicyError
 from gendom.materials import Item, size_of
 from gendom.policies.adaptation import DISCREPANCY
-from gendom.policies.polishing import Discrepancy
 from gendom.robot import TcpPath
 from gendom.tasks import Task
 from gendom.tasks.task import Outcome, World
@@ -24,10 +23,6 @@ LATE = 0.1
 UNSTEADY = 0.025
 """How far a late release may move what is reached [units of similarity]: of the shipped policy's it
 does so by 0.005 in the median, of unstable ones by up to 0.2."""
-
-REPLACEMENTS, NEARBY = 200, 0.03
-"""Actions that are drawn where the wanted one is unsteady, first from all, then around the best
-with a standard deviation [units of similarity]."""
 
 
 def predict(
@@ -75,53 +70,36 @@ def reached_late(task: Task, item: Item, actions: Array, world: World) -> list[O
     return world.carry_out(late, [item] * len(actions), actions)
 
 
-def steady(
+def doubts(
     task: Task,
     item: Item,
     goal: Mapping[str, float],
-    action: Array,
-    wrong: Discrepancy | None,
-    world: World,
-    seed: int,
-) -> tuple[Array, list[str]]:
-    """An action whose release may come late: the wanted one [A], or the best of drawn ones; and
-    what was changed, in words. ``wrong`` is added to what the simulator says is reached.
+    predicted: Mapping[str, Any],
+    *,
+    force: bool,
+) -> list[str]:
+    """What to say of a prediction: goals that its interval does not hold and, with ``force``, a
+    release that hangs on when the hand opens.
 
     Raises:
-        PolicyError: No drawn one that reaches the goal is steady either.
+        PolicyError: It does, without ``force``.
     """
-    if not _releases(task, item, action):
-        return action, []
-    wanted, limit = np.array(list(goal.values())), UNSTEADY * size_of(item)
-    units, rng = task.action_units(item), np.random.default_rng(seed)
-
-    def goal_of(outcome: Outcome) -> Array:  # NaN where it failed
-        return np.array([outcome.values.get(q.name, math.nan) for q in task.goals])
-
-    def judged(tried: Array, most: int) -> list[tuple[float, float, Array]]:
-        """Misses, movements by a late release and actions, of those that miss least."""
-        on_time = world.carry_out(task, [item] * len(tried), tried)
-        shift = [0.0 if wrong is None else wrong(a)[0] for a in tried]
-        miss = [float(np.linalg.norm(goal_of(o) + s - wanted))
-                for o, s in zip(on_time, shift, strict=True)]  # fmt: skip
-        safe = [n for n, o in enumerate(on_time) if o.values and task.within_risk(item, o.values)]
-        best = sorted(safe if most > 1 else range(1), key=lambda n: miss[n])[:most]
-        late = reached_late(task, item, tried[best], world) if best else []
-        moves = [float(np.linalg.norm(goal_of(o) - goal_of(on_time[n])))
-                 for n, o in zip(best, late, strict=True)]  # fmt: skip
-        return [(miss[n], move, tried[n]) for n, move in zip(best, moves, strict=True)]
-
-    ((_, moved, _),) = judged(action[None], 1)
-    if moved <= limit:
-        return action, []
-    what = f"a release {1e3 * LATE:g} ms late moves what is reached by {1e3 * moved:.1f} mm"
-    tried, best = task.sample_actions(item, rng, REPLACEMENTS), (math.inf, math.inf, action)
-    for _ in range(2):
-        found = [j for j in judged(tried, REPLACEMENTS // 8) if j[1] <= limit]
-        best = min([best, *found], key=lambda j: j[0])
-        around = best[2] + NEARBY * units * rng.normal(size=(REPLACEMENTS // 2, len(units)))
-        tried = np.array([task.nearest(item, a) for a in around])
-    if best[0] > moved:
-        fix = "choose another goal, or add --force"
-        raise PolicyError(f"{what}, and no steady one was found", where=task.name, fix=fix)
-    return best[2], [f"{what}: replaced by an action that should miss by {1e3 * best[0]:.1f} mm"]
+    notes = []
+    for quantity in task.goals:
+        name, wanted = quantity.name, goal[quantity.name]
+        ends = predicted.get("interval_90", {}).get(name)
+        if ends and not ends[0] <= wanted <= ends[1]:
+            notes.append(
+                f"the goal {name} {wanted:g} {quantity.unit} lies outside of what is predicted, "
+                f"90 % in {ends[0]:.4g} to {ends[1]:.4g}: the object may not reach it; choose a "
+                f"goal nearer to {predicted['reached'][name]:.4g}"
+            )
+    if late := predicted.get("late_release", {}).get("reached"):
+        on_time, names = predicted["reached"], [q.name for q in task.goals]
+        moved = math.dist([on_time[n] for n in names], [late[n] for n in names])
+        if moved > UNSTEADY * size_of(item):
+            what = f"a release {1e3 * LATE:g} ms late moves what is reached by {1e3 * moved:.1f} mm"
+            if not force:
+                raise PolicyError(what, where=task.name, fix="choose another goal, or add --force")
+            notes.append(what)
+    return notes

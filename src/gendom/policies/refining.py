@@ -120,7 +120,7 @@ def _fit(problem: TrainingProblem, models: dict[str, Tensor], name: str, times: 
     rows = torch.arange(len(models["row"]))
     batch = min(training.batch_size, len(rows))
     epochs = max(1, round(times * training.refine_steps / (len(rows) // batch)))
-    problem.fit_to(name, problem.policy, loss, rows, epochs, LEARNING_RATE)
+    problem.descend(name, problem.policy, loss, rows, epochs, LEARNING_RATE)
 
 
 def _models(

@@ -8,11 +8,12 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from gendom.arrays import Array
 from gendom.policies.fitting import (  # explains a missing torch
     Training,
     TrainingProblem,
@@ -43,6 +44,9 @@ GOAL_BINS = 8
 
 GOAL_QUANTILE = 0.005
 """Share of the demonstrations in a bin that lie beyond each end of its range of goals."""
+
+CHECKED = 1000
+"""Demonstrations, at most, for which onnxruntime is compared with torch."""
 
 AGREEMENT = 1e-5
 """Largest difference allowed between onnxruntime and torch [units of similarity]; ten times that of
@@ -81,64 +85,62 @@ def train(
         PolicyError: The training diverged, the demonstrations do not fit each other or the
             settings, or the exported network disagrees with the trained.
     """
-    training = training or Training()
+    training, world, path = training or Training(), world or Simulation(), Path(path)
     began = time.monotonic()
-    path = Path(path)
     given = len(demonstrations) + demonstrations.failed
     if not demonstrations.goal_names and training.method != "chance":
         demonstrations = _within_risk(demonstrations)  # a failed action reaches no other goal
     sees = _seen(demonstrations, training)
-    task, world = rebuild(demonstrations.task), world or Simulation()
+    task = rebuild(demonstrations.task)
     _check_alike(demonstrations, finetune, training)
-    refined_in = world.settings() if training.refine else None
-    versions = {"gendom": __version__, "torch": str(torch.__version__)}
     with reproducible(training.seed):
         problem = TrainingProblem(demonstrations, sees, training, finetune=finetune, shown=progress)
-        errors = getattr(methods, training.method)(problem)
-        if training.refine:
-            errors |= refine(problem, task, world)
+        refining = partial(refine, problem, task, world) if training.refine else dict
+        errors = getattr(methods, training.method)(problem, refining)
         figures = {
             **asdict(training),
             "demonstrations": given,
             "failed": given - len(demonstrations),
-            "refined_in": refined_in,
+            "refined_in": world.settings() if training.refine else None,
             "finetuned_on": 0 if finetune is None else len(finetune),
             "held_out": len(problem.held_out),
             "errors": errors,
             "seconds": time.monotonic() - began,
-            **versions,
+            "gendom": __version__,
+            "torch": str(torch.__version__),
         }
-        description = Description(
-            task=demonstrations.task,
-            method=training.method,
-            conditioned_on=sees,
-            inputs=tuple(problem.inputs),
-            outputs=tuple(problem.actions),
-            goals=goal_range(_within_risk(demonstrations)),
-            parameters={
-                name: (float(values.min()), float(values.max()))
-                for name, values in demonstrations.parameters.items()
-            },
-            candidates=problem.candidates if problem.chooses else (),
-            training=figures,
-        )
-        return _written(problem, description, path, cases, world)
+        return _written(problem, _described(problem, demonstrations, figures), path, cases, world)
+
+
+def _described(
+    problem: TrainingProblem, demonstrations: Demonstrations, figures: dict[str, Any]
+) -> Description:
+    """What the file says of a trained policy."""
+    every = demonstrations.parameters.items()
+    return Description(
+        task=demonstrations.task,
+        method=problem.training.method,
+        conditioned_on=problem.sees,
+        inputs=tuple(problem.inputs),
+        outputs=tuple(problem.actions),
+        goals=goal_range(_within_risk(demonstrations)),
+        parameters={name: (float(values.min()), float(values.max())) for name, values in every},
+        candidates=problem.candidates if problem.chooses else (),
+        training=figures,
+    )
 
 
 def goal_range(demonstrations: Demonstrations) -> GoalRange:
     """Outer quantiles of the goals in equally filled bins of the parameter E."""
     E = demonstrations.parameters["bending_ratio"]
-    order = np.argsort(E, kind="stable")
-    parts = [part for part in np.array_split(order, GOAL_BINS) if len(part)]
+    parts = np.array_split(np.argsort(E, kind="stable"), GOAL_BINS)
+    parts = [part for part in parts if len(part)]
     outer = (GOAL_QUANTILE, 1.0 - GOAL_QUANTILE)
-    low, high = np.array(
-        [np.quantile(demonstrations.goal[part], outer, axis=0) for part in parts]
-    ).transpose(1, 0, 2)
-    middle = [np.exp(np.mean(np.log(E[part]))) for part in parts]
+    ends = [np.quantile(demonstrations.goal[part], outer, axis=0).tolist() for part in parts]
     return GoalRange(
-        at=tuple(float(s) for s in middle),
-        low=tuple(tuple(map(float, g)) for g in low),
-        high=tuple(tuple(map(float, g)) for g in high),
+        at=tuple(float(np.exp(np.mean(np.log(E[part])))) for part in parts),
+        low=tuple(tuple(low) for low, _ in ends),
+        high=tuple(tuple(high) for _, high in ends),
     )
 
 
@@ -157,20 +159,18 @@ def _seen(demonstrations: Demonstrations, training: Training) -> tuple[str, ...]
 def _check_alike(
     demonstrations: Demonstrations, finetune: Demonstrations | None, training: Training
 ) -> None:
-    """Refuse to refine without goals or fine-tuned policies, and to fine-tune on another task."""
-    name, goals = demonstrations.task["name"], ", ".join(demonstrations.goal_names)
-    if training.refine:
-        what, fix = f"{name} has no goals that a policy could be refined for", "give 0 rounds"
-        require(goals, what, where="refine", fix=fix, error=PolicyError)
-        what, fix = "refining in the simulator would undo the fine-tuning", "choose one of them"
-        require(finetune is None, what, where="refine", fix=fix, error=PolicyError)
+    """Refuse to refine without goals, and to fine-tune on another task."""
+    goals = ", ".join(demonstrations.goal_names)
+    what = f"{demonstrations.task['name']} has no goals that a policy could be refined for"
+    fix, possible = "give 0 rounds", bool(goals) or not training.refine
+    require(possible, what, where="refine", fix=fix, error=PolicyError)
     if finetune is None:
         return
-    own = (name, demonstrations.action_names, demonstrations.goal_names)
-    other = (finetune.task["name"], finetune.action_names, finetune.goal_names)
-    told, mine = (f"{n} ({', '.join((*actions, *goals))})" for n, actions, goals in (other, own))
-    what = f"is of {told}, the demonstrations are of {mine}"
-    fix = "give demonstrations of the same task"
+    own, other = (
+        f"{d.task['name']} ({', '.join((*d.action_names, *d.goal_names))})"
+        for d in (demonstrations, finetune)
+    )
+    what, fix = f"is of {other}, the demonstrations are of {own}", "give those of the same task"
     require(own == other, what, where=finetune.where or "finetune", fix=fix, error=PolicyError)
 
 
@@ -187,9 +187,10 @@ def _written(
     problem: TrainingProblem, description: Description, path: Path, cases: int, world: World
 ) -> Policy:
     """Write the file, once onnxruntime gives the trained network's actions."""
-    rows, seed = problem.held_out, problem.training.seed
+    rows = problem.trained[:CHECKED]
     with torch.no_grad():
         expected = problem.act(rows).numpy()
+    given = {n: problem.data[n][rows, 0].numpy().astype(float) for n in problem.sees}
     with atomic_path(path) as temporary:
 
         def export(about: Description) -> Policy:
@@ -203,24 +204,17 @@ def _written(
             return Policy.read(temporary)
 
         policy = export(description)
-        given: dict[str, Array] = {
-            name: problem.data[name][rows, 0].numpy().astype(float) for name in problem.sees
-        }
-        inside = np.ones(len(rows), dtype=bool)
-        for name, values in given.items():
-            low, high = description.parameters[name]
-            inside &= (values >= low) & (values <= high)
         if problem.chooses:
             found = policy.chances(problem.action[rows].numpy(), given)[:, None]
         else:
             found = policy.actions(problem.goal[rows].numpy(), given)
-        # what lies beyond the training range is clipped
-        worst = float(np.abs(found - expected)[inside].max(initial=0.0))
+        worst = float(np.abs(found - expected).max())
         what = f"the exported network differs from the trained one by {worst:.3g}"
         fix = "report this, with the versions of torch and onnxruntime"
         most = AGREEMENT * (10.0 if problem.chooses else 1.0)
         require(worst < most, what, where=str(path), fix=fix, error=PolicyError)
         if cases:
+            seed = problem.training.seed
             drawn = draw_cases(policy.task(), cases, seed=seed, simulation=world)
             acted = score(policy, drawn, world=world).summary()
             export(replace(description, training={**description.training, "acted": acted}))

@@ -19,7 +19,7 @@ from gendom.lazy import imported_later
 from gendom.plugins import plugins
 from gendom.tasks.cloth_dragging import ClothDragging
 from gendom.tasks.cloth_spreading import ClothSpreading
-from gendom.tasks.rope_casting import RopeCasting, RopeCastingAtSpeed
+from gendom.tasks.rope_casting import RopeCasting
 from gendom.tasks.rope_reaching import RopeReaching
 from gendom.tasks.task import Observed, Outcome, Quantity, Risk, Scene, Task, World
 
@@ -46,7 +46,7 @@ def register(task: type[Task]) -> type[Task]:
     return task
 
 
-for _task in (RopeReaching, RopeCasting, RopeCastingAtSpeed, ClothSpreading, ClothDragging):
+for _task in (RopeReaching, RopeCasting, ClothSpreading, ClothDragging):
     register(_task)
 
 
@@ -145,7 +145,6 @@ __all__ = [
     "Quantity",
     "Risk",
     "RopeCasting",
-    "RopeCastingAtSpeed",
     "RopeReaching",
     "Scene",
     "Simulation",

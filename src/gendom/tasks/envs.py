@@ -2,9 +2,9 @@
 
     envs = gymnasium.make_vec("gendom.environments:gendom/RopeReachingSteps-v0", num_envs=64)
 
-``RopeReachingSteps``, ``RopeCastingSteps``, ``RopeCastingAtSpeedSteps``, ``ClothSpreadingSteps``:
-each has the task's scene, time and outcome, in its frame. An episode takes `STEPS` steps; all
-worlds end at once and begin again with the next step (`AutoresetMode.NEXT_STEP`).
+``RopeReachingSteps``, ``RopeCastingSteps``, ``ClothSpreadingSteps``, ``ClothDraggingSteps``: each
+has the task's scene, time and outcome, in its frame. An episode takes `STEPS` steps; all worlds end
+at once and begin again with the next step (`AutoresetMode.NEXT_STEP`).
 
 Action, each from -1 to 1: speed of the tool along the task's x and z, in `FASTEST`; and of tasks
 that let go, whether the tool holds on (above 0). Once open it stays so. A tool that holds what a

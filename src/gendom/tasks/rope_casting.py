@@ -22,8 +22,8 @@ from gendom.tasks.task import ROPE, ROPE_RANGES, Observed, Quantity, Scene, Task
 MOVE_LENGTH = (0.4, 0.9)
 """How far the hand goes [L]."""
 
-SPEED = (0.25, 0.46)
-"""Slowest and fastest cast [sqrt(g L)]; the fastest is 0.79 m/s for a rope of 0.3 m."""
+SPEED = 0.46
+"""Of the hand [sqrt(g L)]: 0.79 m/s for a rope of 0.3 m."""
 
 ACCELERATION = 0.8
 """Largest acceleration of the hand [g]."""
@@ -86,7 +86,7 @@ class RopeCasting(Task):
 
     item: Item = ROPE
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(ROPE_RANGES))
-    speed: float = SPEED[1]
+    speed: float = SPEED
     """Of the hand [sqrt(g L)]."""
     whole_motion: bool = False
     """Whether the highest point of the whole motion counts, not that of the first swing."""
@@ -98,12 +98,8 @@ class RopeCasting(Task):
         L = size_of(item)
         return Scene(origin=(0.0, 0.0, L), along=(0.0, 0.0, -1.0), grip=GRIP * L)
 
-    def hand_speed(self, item: Item, action: Array) -> float:
-        """[m/s]."""
-        return self.speed * unit_of("m/s", item)
-
     def tool_path(self, item: Item, action: Array) -> TcpPath:
-        second, way, speed = unit_of("s", item), float(action[0]), self.hand_speed(item, action)
+        second, way, speed = unit_of("s", item), float(action[0]), self.speed * unit_of("m/s", item)
         start = size_of(item) * np.array([0.0, 0.0, 1.0])
         end = start + np.array([way, 0.0, 0.0])
         # rounded off, the move begins half a blend earlier: at 0
@@ -123,8 +119,7 @@ class RopeCasting(Task):
     @property
     def _watched(self) -> float:
         """How long the tip is looked at [sqrt(L / g)]."""
-        slowest = min(self.speed, SPEED[0]) if len(self.actions) > 1 else self.speed
-        return MOVE_LENGTH[1] / slowest + (WATCHED_WHOLE if self.whole_motion else WATCHED)
+        return MOVE_LENGTH[1] / self.speed + (WATCHED_WHOLE if self.whole_motion else WATCHED)
 
     def outcome(self, item: Item, seen: Observed) -> dict[str, float]:
         x, z = seen.tip[:, 0], seen.tip[:, 2]
@@ -148,22 +143,3 @@ class RopeCasting(Task):
         # x runs along the base's y, the middle of the longest cast straight ahead
         place = [PLACE[0], -0.5 * MOVE_LENGTH[1] * size_of(item), PLACE[1]]
         return rigid([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], place)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RopeCastingAtSpeed(RopeCasting):
-    """Rope casting with the hand's speed as a second number of the action: most goals between the
-    slowest and the fastest cast can be reached exactly."""
-
-    name: ClassVar[str] = "rope-casting-at-speed"
-    actions: ClassVar[tuple[Quantity, ...]] = (
-        *RopeCasting.actions,
-        Quantity(name="speed", unit="m/s", meaning="of the hand"),
-    )
-
-    def limits(self, item: Item) -> Array:
-        ways = super().limits(item)
-        return np.concatenate([ways, [unit_of("m/s", item) * np.array(SPEED)]])
-
-    def hand_speed(self, item: Item, action: Array) -> float:
-        return float(action[1])
