@@ -63,7 +63,8 @@ ROOMS = {
     "robot": ("robot", "kinematics path motion timing collision",
               "robot/test_kinematics robot/test_path robot/test_motion robot/test_collision"),
     "verdict": ("estimation", "verdict", "estimation/test_verdict"),
-    "likelihood": ("estimation", "likelihood", "estimation/test_likelihood estimation/test_gauss_newton "
+    "likelihood": ("estimation", "likelihood",
+                   "estimation/test_likelihood estimation/test_gauss_newton "
                    "estimation/test_registration estimation/test_estimate"),
 }  # fmt: skip
 """Folder, modules and tests by room."""
