@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -116,7 +117,7 @@ class Command:
         require(few, f"is {self.points}", where="--points", fix=fix)
         scene = settings_of(SceneSettings, self)
         settings = settings_of(EstimateSettings, self, scene=scene)
-        places = [path.resolve() for path in self.recordings]
+        places = [os.path.realpath(path) for path in self.recordings]
         for k, path in enumerate(self.recordings):  # it would count more than once
             once = places[k] not in places[:k]
             require(once, "is given twice", where=str(path), fix="name each recording once")
