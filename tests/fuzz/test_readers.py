@@ -65,17 +65,9 @@ def recording():
 
 
 def as_pcd(path, encoding):
-    head = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
-    head += f"WIDTH 12\nHEIGHT 1\nPOINTS 12\nDATA {encoding}\n"
-    data = POINTS.T.tobytes()
-    packed = b"".join(bytes([31]) + data[k : k + 32] for k in range(0, len(data) - 16, 32))
-    packed += bytes([15]) + data[-16:]
-    data = {
-        "ascii": "\n".join(" ".join(map(repr, map(float, p))) for p in POINTS).encode(),
-        "binary": POINTS.tobytes(),
-        "binary_compressed": np.array([len(packed), len(data)], "<u4").tobytes() + packed,
-    }[encoding]
-    path.write_bytes(head.encode() + data)
+    from datasets import test_clouds as own
+
+    path.write_bytes(own.pcd(encoding, 12) + own.ENCODINGS[encoding](own.rows(POINTS)))
 
 
 def cameras(folder):
