@@ -491,9 +491,9 @@ def test_repeats_are_frames_of_a_rope_that_is_held_at_both_ends(tmp_path):
     np.testing.assert_allclose(recording.frame(1), LOOPS[1], atol=1e-6)
     # clamped where the repeats are in the mean, along their first and last piece
     np.testing.assert_allclose(recording.gripper_position[0, 0], [-0.1895, 0.0, 0.0], atol=1e-9)
-    first = LOOPS[0, 1] - LOOPS[0, 0]
-    along = np.asarray(recording.gripper_axis)[0, 0]
-    np.testing.assert_allclose(along, first / np.linalg.norm(first), atol=1e-9)
+    ends = LOOPS[0, [1, -2]] - LOOPS[0, [0, -1]]
+    along = np.asarray(recording.gripper_axis)[0]
+    np.testing.assert_allclose(along, ends / np.linalg.norm(ends[0]), atol=1e-9)
 
 
 @pytest.mark.parametrize(
