@@ -56,15 +56,21 @@ PRELOADED = (
 """Packages that are imported once."""
 
 ROOMS = {
-    "intervals": ("estimation", "intervals", "estimation/test_intervals"),
+    "intervals": ("estimation", "intervals", "estimation/test_intervals estimation/test_widening "
+                  "estimation/test_held estimation/test_both_ends"),
     "readers": ("datasets", "clouds npz folder ../reading",
-                "datasets/test_clouds datasets/test_folder test_reading"),
-    "policies": ("policies", "policy adaptation graph", "policies/test_policy policies/test_adapt"),
+                "datasets/test_clouds datasets/test_folder datasets/test_recording test_reading"),
+    "policies": ("policies", "policy adaptation graph",
+                 "policies/test_policy policies/test_adapt policies/test_choice "
+                 "policies/test_names_are_data"),
     "robot": ("robot", "kinematics path motion timing collision",
               "robot/test_kinematics robot/test_path robot/test_motion robot/test_collision"),
-    "verdict": ("estimation", "verdict", "estimation/test_verdict"),
-    "likelihood": ("estimation", "likelihood", "estimation/test_gauss_newton "
-                   "estimation/test_registration estimation/test_estimate"),
+    "verdict": ("estimation", "verdict", "estimation/test_verdict estimation/test_several "
+                "estimation/test_both_ends"),
+    "likelihood": ("estimation", "likelihood",
+                   "estimation/test_likelihood estimation/test_gauss_newton "
+                   "estimation/test_registration estimation/test_estimate "
+                   "estimation/test_both_ends"),
 }  # fmt: skip
 """Folder, modules and tests by room."""
 

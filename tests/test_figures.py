@@ -53,8 +53,9 @@ def test_pages_state_what_was_measured(figures, stored):
 
 
 @pytest.fixture
-def counting(figures, monkeypatch, tmp_path):
-    """Make a figure the only one; its command prints how often it has been run."""
+def checked(figures, monkeypatch, tmp_path, capsys):
+    """Check a figure, the only one, whose command prints how often it has been run; gives the exit
+    code and the table."""
     script = tmp_path / "count.py"
     script.write_text(
         "import pathlib, sys\n"
@@ -65,48 +66,36 @@ def counting(figures, monkeypatch, tmp_path):
     monkeypatch.setattr(figures, "PAGES", ())
     figures.STORED.write_text("{}")
 
-    def only(exit=0, read=lambda text: {"runs": float(text)}, **options):
-        command = f"python {script} {exit}"
-        figure = figures.Figure("n", command, read, json=False, **options)
+    def check(*flags, exit=0, read=lambda text: {"runs": float(text)}, **options):
+        figure = figures.Figure("n", f"python {script} {exit}", read, json=False, **options)
         monkeypatch.setattr(figures, "FIGURES", (figure,))
-        return figure
+        code = figures.main(["--out", str(tmp_path / "out"), *flags])
+        return code, capsys.readouterr().out
 
-    return only
+    return check
 
 
-def test_what_was_run_is_kept(figures, counting, tmp_path, capsys):
-    """Until the command or the version changes, and --again is given."""
-    out = ["--out", str(tmp_path / "out")]
-    counting()
-    assert figures.main([*out, "--write"]) == 0
+def test_what_was_run_is_kept(figures, checked, tmp_path):
+    """Until the command or the version changes, and --again is given; what fails is run again."""
+    code, told = checked("--write", exit=3)
+    assert code == 1 and "FAILED: see n.log" in told
+    assert json.loads(figures.STORED.read_text()) == {}
+    path = tmp_path / "out" / "n.json"
+    (tmp_path / "out" / "n" / "runs").unlink()
+    path.unlink()
+    assert checked("--write")[0] == 0
     stored = json.loads(figures.STORED.read_text())["n"]
     assert stored["numbers"] == {"runs": 1.0} and stored["version"] == version()
-    assert figures.main([*out, "--again"]) == 0  # nothing has changed
-    assert json.loads((tmp_path / "out" / "n.json").read_text())["output"] == "1\n"
-    path = tmp_path / "out" / "n.json"
+    assert checked("--again")[0] == 0  # nothing has changed
+    assert json.loads(path.read_text())["output"] == "1\n"
     path.write_text(json.dumps({**json.loads(path.read_text()), "version": "0.0.9"}))
-    capsys.readouterr()
-    assert figures.main(out) == 1
-    assert "OUTDATED: of 0.0.9" in capsys.readouterr().out
-    assert figures.main([*out, "--again"]) == 1  # it was run again, and finds 2 for 1
-    assert "| n | runs | 1 | 2 | 5 % | OFF |" in capsys.readouterr().out
+    code, told = checked()
+    assert code == 1 and "OUTDATED: of 0.0.9" in told
+    code, told = checked("--again")  # it was run again, and finds 2 for 1
+    assert code == 1 and "| n | runs | 1 | 2 | 5 % | OFF |" in told
     assert "OFF" in (tmp_path / "out" / "found.md").read_text()
-
-
-def test_what_fails_is_said_and_run_again(figures, counting, tmp_path, capsys):
-    out = ["--out", str(tmp_path / "out")]
-    counting(exit=3)
-    assert figures.main([*out, "--write"]) == 1
-    assert "FAILED: see n.log" in capsys.readouterr().out
-    assert json.loads(figures.STORED.read_text()) == {}
-    assert figures.main(out) == 1
-    assert (tmp_path / "out" / "n" / "runs").read_text() == "xx"
-    counting(needs=("hours",))
-    assert figures.main(out) == 0
-    assert "not run: needs hours" in capsys.readouterr().out
-    counting(read=lambda text: {"runs": json.loads(text)["runs"]})
-    assert figures.main([*out, "--again"]) == 1
-    assert "cannot be read" in capsys.readouterr().out
+    assert "not run: needs hours" in checked(needs=("hours",))[1]
+    assert "cannot be read" in checked(read=lambda text: {"runs": json.loads(text)["runs"]})[1]
 
 
 def test_tolerances_are_of_the_smaller_number_and_fixed(figures):

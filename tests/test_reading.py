@@ -22,6 +22,7 @@ from gendom.reading import (
         ("a.json", b"[1]", "holds a JSON list, not an object"),
         ("a.json", b'{"a": NaN}', "NaN is not a JSON number"),
         ("a.json", b"\xff\xfe", "is not JSON"),
+        ("a.json", '{"a": 1}'.encode("utf-16-le"), "a zero byte, save it as UTF-8"),
         ("a.json", b"[" * 100_000, r"is not JSON \("),
         ("a.json", b'{"a":' * 100 + b"1" + b"}" * 100, r"is not JSON \(it is nested"),
         ("a.json", b'{"a": ' + b"9" * 401 + b"}", r"is not JSON \(an integer of"),
@@ -62,8 +63,13 @@ def test_only_regular_files_of_some_size_are_read(tmp_path):
         for read in (read_toml, read_json, read_bytes):
             with pytest.raises(GendomError, match=what):
                 read(path)
-    with pytest.raises(GendomError, match="cannot be read"):
-        read_bytes("a\0b")
+    (tmp_path / "link").symlink_to("nothing")
+    for path, what in (
+        ("a\0b", "cannot be read"),
+        (tmp_path / "link", "not there; check the path"),
+    ):
+        with pytest.raises(GendomError, match=what):
+            read_bytes(path)
 
 
 @pytest.mark.parametrize("name", ["/etc/passwd", "../x.png", "a/../../x.png", "C:\\x", "a\0b"])

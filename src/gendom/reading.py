@@ -79,7 +79,8 @@ def near_name(path: str | os.PathLike) -> str:
     """A question that names a file of nearly the same name; empty: there is none."""
     folder, name = os.path.split(path)
     try:
-        return did_you_mean(name, os.listdir(folder or "."), cutoff=0.85)
+        names = [other for other in os.listdir(folder or ".") if other != name]
+        return did_you_mean(name, names, cutoff=0.85)
     except OSError:
         return ""
 
@@ -107,6 +108,7 @@ def file_size(
     try:
         found = os.stat(path)
     except FileNotFoundError:
+        missing = "is a link to a file that is not there" if os.path.islink(path) else missing
         raise error(missing, where=str(path), fix=near_name(path) or fix) from None
     except (OSError, ValueError) as fault:  # ValueError: a zero byte in the name
         what = f"cannot be read ({getattr(fault, 'strerror', fault)})"
@@ -171,6 +173,8 @@ def decoded(data: bytes, errors: str = "strict") -> str:
         UnicodeDecodeError: They are neither, and `errors` is "strict".
     """
     wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    if not wide and errors == "strict" and (at := data.find(0)) >= 0:
+        raise UnicodeDecodeError("utf-8", data, at, at + 1, "a zero byte, save it as UTF-8")
     return data.decode("utf-16" if wide else "utf-8-sig", errors)
 
 

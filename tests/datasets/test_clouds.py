@@ -98,12 +98,11 @@ def test_points_that_were_not_seen_are_left_out(tmp_path, nan):
     assert read_as_ply(tmp_path, data) == [[1, 2, 3]]
 
 
-TYPES = {
-    **{"char": "b", "short": "h", "int": "i", "long": "q", "float": "f", "double": "d"},
-    **{"uchar": "B", "ushort": "H", "uint": "I", "ulong": "Q", "bool": "B"},
-    **{"int8": "b", "int16": "h", "int32": "i", "int64": "q", "float32": "f", "float64": "d"},
-    **{"uint8": "B", "uint16": "H", "uint32": "I", "uint64": "Q"},
-}
+TYPES = dict(zip(["char", "short", "int", "long", "float", "double"], "bhiqfd", strict=True))
+TYPES |= dict(zip(["uchar", "ushort", "uint", "ulong", "bool"], "BHIQB", strict=True))
+TYPES |= {f"int{8 * n}": "bhiq"[k] for k, n in enumerate((1, 2, 4, 8))}
+TYPES |= {f"uint{8 * n}": "BHIQ"[k] for k, n in enumerate((1, 2, 4, 8))}
+TYPES |= {"float32": "f", "float64": "d"}
 
 
 def test_numbers_of_every_type(tmp_path):
@@ -175,11 +174,8 @@ def rows(cloud):
 
 
 def text(table):
-    lines = [
-        " ".join(map(repr, [int(r["rgb"]), *map(float, (r["x"], *r["normal"], r["y"], r["z"]))]))
-        for r in table
-    ]
-    return "\n".join(lines).encode()
+    numbers = ([7, *map(float, (r["x"], *r["normal"], r["y"], r["z"]))] for r in table)
+    return "\n".join(" ".join(map(repr, row)) for row in numbers).encode()
 
 
 def lzf(data, back=8):
@@ -187,9 +183,7 @@ def lzf(data, back=8):
     out, at = bytearray(), 0
     while at < len(data):
         n = 0
-        while (
-            n < 264 and at >= back and data[at + n - back : at + n - back + 1] == data[at + n :][:1]
-        ):
+        while n < 264 and at >= back and data[at + n - back] == (*data[at + n : at + n + 1], -1)[0]:
             n += 1
         if n < 3:
             out += bytes([0, data[at]])
@@ -213,12 +207,9 @@ ENCODINGS = {"ascii": text, "binary": lambda t: t.tobytes(), "binary_compressed"
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_clouds_in_every_encoding(tmp_path, encoding):
     path = tmp_path / "a.pcd"
-    clouds = [
-        np.random.default_rng(0).normal(size=(300, 3)).round(3),
-        np.ones((99, 3)),
-        np.ones((200, 3)),
-    ]
-    clouds += [CLOUD[:0], np.array([CLOUD[0], [np.nan] * 3, CLOUD[2]])]
+    clouds = [np.random.default_rng(0).normal(size=(300, 3)).round(3)]
+    clouds += [np.ones((99, 3)), np.ones((200, 3)), CLOUD[:0]]
+    clouds.append(np.array([CLOUD[0], [np.nan] * 3, CLOUD[2]]))
     for cloud in clouds:
         path.write_bytes(pcd(encoding, len(cloud)) + ENCODINGS[encoding](rows(cloud)))
         found = read_pcd(path)

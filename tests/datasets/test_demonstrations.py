@@ -6,7 +6,7 @@ import os
 import shutil
 import threading
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,17 +16,13 @@ import pytest
 
 from gendom import __version__
 from gendom.datasets import demonstrations
-from gendom.datasets.demonstrations import (
-    generate,
-    generator_of,
-    load,
-    read_description,
-)
+from gendom.datasets.demonstrations import generate, generator_of, load, read_description
 from gendom.errors import DatasetError, GendomError, ParameterError
 from gendom.tasks import RopeReaching, find_task
 from gendom.tasks.demonstrator import Demonstrator
-from gendom.tasks.world import Simulation
 from throwing import Throwing
+
+ROPES = Demonstrator(task=RopeReaching())
 
 
 def make(folder, size=10, *, task=None, seed=5, shard_size: int | None = 4, **options):
@@ -115,27 +111,22 @@ def test_a_missing_or_damaged_shard_is_simulated_again(whole, damage, caplog):
     assert ("shard-00001.parquet" in caplog.text) == (damage is not Path.unlink)
 
 
-@pytest.mark.parametrize("size", [11, 12, 21])
-def test_a_larger_size_extends(tmp_path, whole, size):
-    task = Throwing()
-    extended = make(whole, size, task=task)
-    assert task.count == size - 10
-    assert read_description(whole)["size"] == size
-    assert extended.equals(make(tmp_path / "fresh", size))
-
-
-@pytest.mark.parametrize("size", [3, 8, 9])
-def test_a_smaller_size_ends_an_interrupted_set(tmp_path, size):
-    folder = tmp_path / "set"
-    with pytest.raises(KeyboardInterrupt):
-        make(folder, 40, task=Throwing(stop_at=2))
+@pytest.mark.parametrize(("cut", "size"), [(None, 11), (None, 21), (2, 3), (2, 8), (2, 9)])
+def test_another_size_extends_or_ends_a_set(tmp_path, cut, size):
+    """A larger one any set, a smaller one an interrupted set; it is as one made at once."""
+    folder, there = tmp_path / "set", 10 if cut is None else 4 * cut
+    if cut is None:
+        make(folder)
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            make(folder, 40, task=Throwing(stop_at=cut))
     task = Throwing()
     ended = make(folder, size, task=task)
-    assert task.count == max(0, size - 8) and read_description(folder)["size"] == size
+    assert task.count == max(0, size - there) and read_description(folder)["size"] == size
     assert ended.equals(make(tmp_path / "fresh", size))
-    again = Throwing()
-    assert make(folder, 12, task=again).equals(make(tmp_path / "longer", 12))
-    assert again.count == 12 - max(size, 8)
+    again, larger = Throwing(), max(size, there) + 3
+    assert make(folder, larger, task=again).equals(make(tmp_path / "longer", larger))
+    assert again.count == 3
 
 
 # ---- what is refused -----------------------------------------------------------------------------
@@ -150,10 +141,6 @@ def test_a_smaller_size_ends_an_interrupted_set(tmp_path, size):
         ({"version": "99.0.0"}, f'gendom is "{__version__}" there and "99.0.0" here'),
         ({"device": "cuda:1"}, 'device is "cpu" there and "cuda" here'),
         ({"task": Throwing(gravity=1.6)}, "task.gravity is 9.81 there and 1.6 here"),
-        (
-            {"task": Demonstrator(task=RopeReaching())},
-            'task.name is "throwing" there and "rope-reaching" here',
-        ),
     ],
 )
 def test_another_set_is_refused(whole, change, says, monkeypatch):
@@ -173,17 +160,8 @@ def test_another_set_is_refused(whole, change, says, monkeypatch):
         (ParameterError, "shard_size", {"shard_size": 0}),
         (ParameterError, "seed", {"seed": -1}),
         (ParameterError, "not both", {"device": "cpu,cuda:0"}),
-        (
-            DatasetError,
-            r"1\d{15} demonstrations take about 6\.\de\+07 GB, .* are",
-            {"size": 10**15},
-        ),
         (KeyboardInterrupt, None, {"task": Throwing(stop_at=0)}),
-        (
-            GendomError,
-            "no device",
-            {"device": "cuda:77", "task": Demonstrator(task=RopeReaching())},
-        ),
+        (GendomError, "no device", {"device": "cuda:77", "task": ROPES}),
     ],
 )
 def test_what_fails_at_once_leaves_no_folder(tmp_path, error, says, options):
@@ -234,9 +212,8 @@ def test_a_bad_shard_is_named(whole, spoil, says, monkeypatch):
 
 
 def test_folders_that_hold_no_set(tmp_path, whole):
-    (tmp_path / "file").write_text("")
     (whole / "dataset.json").unlink()
-    for name, says in (("none", "no such"), ("whole", "no dataset"), ("file", "is not a folder")):
+    for name, says in (("none", "no such"), ("whole", "no dataset")):
         with pytest.raises(DatasetError, match=says):
             load(tmp_path / name)
     with pytest.raises(DatasetError, match=r"holds shards but no dataset\.json"):
@@ -255,16 +232,12 @@ def described(**changes):
         ("{", "is not JSON"),
         ('{"format": "gendom-recording/1"}', "has the format 'gendom-recording/1'"),
         ('{"format": "gendom-demonstrations/1"}', "has the format 'gendom-demonstrations/1'"),
-        ('{"format": "gendom-demonstrations/2", "shard_size": 4, "task": {}}', "field size"),
         ('{"format": "gendom-demonstrations/2", "size": 4, "shard_size": 4}', "field task"),
         (described(size=10**13), "has 2500000000000 shards"),
         (described(size=0), "size is 0"),
         (described(size=4.5), "size: expected int, got float"),
-        (described(size=10**400), "not JSON"),
         (described(task={}), "its task has no name"),
         (described(sha256={"a": 3}), "sha256.*expected str"),
-        (described(task="x" + "[" * 10_000), "expected object, got str"),
-        ('{"a":' * 10_000 + "1" + "}" * 10_000, "not JSON"),
     ],
 )
 def test_a_bad_description_is_named(tmp_path, text, says):
@@ -289,27 +262,6 @@ def test_one_writer_at_a_time(tmp_path, whole):
     assert make(tmp_path / "set", task=Busy()).equals(load(whole))
     assert "is being written by another process; wait" in told[0]
     make(tmp_path / "set", 12)  # free again
-
-
-# ---- with a rope ---------------------------------------------------------------------------------
-
-
-def test_rope_reaching_is_reproducible(tmp_path):
-    """Whatever rows are simulated together."""
-    source, folder = Demonstrator(task=RopeReaching()), tmp_path / "parts"
-    whole = generate(source, 5, tmp_path / "whole", seed=1, shard_size=5)
-    assert whole.column_names == [
-        "demonstration", "E", "nu", "density", "E_over_rho",
-        "damping", "friction", "length", "diameter", "release_x", "release_z", "goal_x",
-        "sideways", "ok", "fault",
-    ]  # fmt: skip
-    goals = whole["goal_x"].to_numpy()
-    assert whole["ok"].to_pylist() == [True] * 5 and np.all((goals > 0.25) & (goals < 0.5))
-    generate(source, 2, folder, seed=1, shard_size=5)
-    assert generate(source, 5, folder, seed=1, shard_size=5).equals(whole)
-    other = replace(source, world=Simulation(air_density=0.5))
-    with pytest.raises(DatasetError, match=r"simulation\.air_density is 1\.2 there and 0\.5 here"):
-        generate(other, 5, folder, seed=1, shard_size=5)
 
 
 def fingerprint(columns):
@@ -364,7 +316,6 @@ def test_devices_share_a_set(tmp_path):
     assert shared.equals(alone)
     assert read_description(tmp_path / "two") == read_description(tmp_path / "one")
     # a fault on one device ends the others
-    batch = max(16, 2 * (os.cpu_count() or 1))
     ended = []
 
     @dataclass(frozen=True, kw_only=True)

@@ -40,15 +40,13 @@ def test_folder_equals_the_recording(lift, folder):
     lift.write(folder / "recording.npz")
     assert Recording.read(folder).num_frames == 5
     # keys below the table count too
-    path = folder / "object.toml"
-    path.write_text(
-        '[object]\nkind = "rope"\nlength = 0.4\ntable_height = -0.1\nquasi_static = true'
-    )
+    object_ = '[object]\nkind = "rope"\nlength = 0.4\n'
+    (folder / "object.toml").write_text(f"{object_}table_height = -0.1\nquasi_static = true")
     recording = Recording.read(folder)
     assert recording.table_height == -0.1 and recording.quasi_static
     assert recording.object.extra == {}
     # missing table height is a warning
-    (folder / "object.toml").write_text('[object]\nkind = "rope"\nlength = 0.4\n')
+    (folder / "object.toml").write_text(object_)
     faults = []
     assert Recording.read(folder, on_warning=faults.append).table_height is None
     assert [fault.where for fault in faults] == ["table_height"]
@@ -59,11 +57,7 @@ def as_pcd(path, cloud):
     path.write_bytes(head.encode() + cloud.astype("<f4").tobytes())
 
 
-def as_npz(path, cloud):
-    np.savez(path, points=cloud)
-
-
-@pytest.mark.parametrize(("suffix", "write"), [(".pcd", as_pcd), (".npz", as_npz)])
+@pytest.mark.parametrize(("suffix", "write"), [(".pcd", as_pcd), (".npz", np.savez)])
 def test_clouds_in_other_formats(lift, folder, suffix, write, capsys):
     for t in range(5):
         (folder / f"frame_{8 + t}.ply").unlink()

@@ -63,17 +63,9 @@ def recording():
 
 
 def as_pcd(path, encoding):
-    head = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
-    head += f"WIDTH 12\nHEIGHT 1\nPOINTS 12\nDATA {encoding}\n"
-    data = POINTS.T.tobytes()
-    packed = b"".join(bytes([31]) + data[k : k + 32] for k in range(0, len(data) - 16, 32))
-    packed += bytes([15]) + data[-16:]
-    data = {
-        "ascii": "\n".join(" ".join(map(repr, map(float, p))) for p in POINTS).encode(),
-        "binary": POINTS.tobytes(),
-        "binary_compressed": np.array([len(packed), len(data)], "<u4").tobytes() + packed,
-    }[encoding]
-    path.write_bytes(head.encode() + data)
+    from datasets import test_clouds as own
+
+    path.write_bytes(own.pcd(encoding, 12) + own.ENCODINGS[encoding](own.rows(POINTS)))
 
 
 def cameras(folder):
@@ -406,8 +398,9 @@ FAR, ONE = np.full(3, 1e9, "<f4").tobytes(), np.float64(1.0).tobytes()
         ("MCAP clouds", b"float64 y", b"float64 Y"),
         ("MCAP clouds", bytes(24) + ONE, bytes(24) + np.float64(1e200).tobytes()),
         ("arm", b"b.stl", b"b" * 300),  # longer than names are
+        ("arm", np.float32([0.05, 0, 0]).tobytes(), FAR),  # 1e21 triangles of 15 mm
     ],
-    ids=["far points", "another field", "a turn without length", "a long name"],
+    ids=["far points", "another field", "a turn without length", "a long name", "a far corner"],
 )
 def test_what_was_found_stays_mended(tmp_path, kind, old, new):
     folder, files, stated = made(tmp_path, kind)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -92,7 +93,7 @@ class Command:
         require((points or 0) <= MOST_POINTS, f"is {points}", where="--points", fix=fix)
         find_method(self.settings.method)
         lifts = [self.recording, *self.more]
-        places = [path.resolve() for path in lifts]
+        places = [os.path.realpath(path) for path in lifts]
         for k, path in enumerate(lifts):  # it would count more than once
             once = places[k] not in places[:k]
             require(once, "is given twice", where=str(path), fix="name each recording once")

@@ -39,7 +39,7 @@ _USUAL_EXTENT = (0.1, 2.0)  # [m]; usual lengths of objects that robots handle
 _THICKEST = {"rope": 0.1, "cloth": 0.02}  # of the size, where the thickness is unknown
 _USUAL_DENSITY = (200.0, 3000.0)  # [kg/m^3]
 _SINCE_1970 = 1e9  # [s]; later times are not from a start
-_MAX_STEP = 10.0  # [s] between frames
+_MAX_STEP, _LONGEST_GAP = 10.0, 2.0  # [s] between frames, usually and once
 _TIMES = (  # frames less far apart than so many seconds, their unit, and what brings seconds
     (5e3, "milliseconds", "1000"),
     (5e6, "microseconds", "1e6"),
@@ -275,6 +275,11 @@ def _check_motion(recording: RecordingData) -> Iterator[Fault]:
         fix = f"record a whole lift: {FEWEST_FRAMES} frames at least"
         yield Fault(f"{len(frames)} with points", "frames", fix, "warning")
         return
+    steps = np.diff(recording.time[frames])
+    if steps.max() > max(_LONGEST_GAP, 20.0 * np.median(steps)):
+        t = int(frames[np.argmax(steps)])
+        fix = "cut the recording there, or check the clock: all of that time is simulated"
+        yield Fault(f"{steps.max():.3g} s pass to the next one", f"time, frame {t}", fix, "warning")
     if numbered(recording):
         fix = "give seconds, if times are frame numbers"
         yield Fault("frames are exactly 1 s apart", "time", fix, "warning")

@@ -40,7 +40,7 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.datasets.cluster import on_cluster
 from gendom.errors import DatasetError
-from gendom.files import atomic_path, free_room, write_json
+from gendom.files import atomic_path, write_json
 from gendom.materials.names import current_name
 from gendom.reading import read_bytes, read_json, record_of
 
@@ -59,7 +59,6 @@ _FEWEST_TOGETHER = 1024  # demonstrations that use a GPU well; of several GPUs n
 _PARTS_PER_DEVICE = 8  # of several devices; several parts balance the load between them
 _MAKE_AGAIN = "make it again with this version of gendom dataset"
 _COLUMNS = {"demonstration": pa.int64(), "ok": pa.bool_(), "fault": pa.string()}  # others: float64
-_MEASURED = 6  # about so many values does a task measure in a demonstration
 
 MOST_SHARDS = 100_000
 """Of a set: their names have five digits."""
@@ -143,8 +142,8 @@ def generate(
         As `load`.
 
     Raises:
-        DatasetError: The folder holds a set with other settings, or a larger one that is whole, the
-            disk is too small, or another process writes to it.
+        DatasetError: The folder holds a set with other settings, or a larger one that is whole, or
+            another process writes to it.
         ParameterError: A number is out of range.
         DeviceError: The device is not there.
     """
@@ -159,7 +158,6 @@ def generate(
         require(value >= least, f"is {value}", where=name, fix=f"give {least} or more")
     description = _describe(source, size, seed, kind, shard_size)
     _check_same(folder, description)
-    _check_room(folder, size, len(source.draw([generator_of(seed, 0)])))
     gc.freeze()  # visiting all that was imported would take a quarter of the time
     try:
         with _alone(folder):
@@ -436,14 +434,6 @@ def _check_same(folder: Path, wanted: Mapping[str, Any]) -> None:
     fix = "choose a new folder, or the settings of that set"
     what = f"holds another set: {', '.join(differing)}"
     require(not differing, what, where=where, fix=fix, error=DatasetError)
-
-
-def _check_room(folder: Path, size: int, drawn: int) -> None:
-    """Check that the disk has room for a set with ``drawn`` numbers for each demonstration."""
-    needed, free = 8 * (drawn + _MEASURED) * size, free_room(folder)
-    what = f"{size} demonstrations take about {1e-9 * needed:.3g} GB, {1e-9 * free:.3g} GB are free"
-    fix = "make room, or choose fewer or another place"
-    require(needed <= free, what, where=str(folder), fix=fix, error=DatasetError)
 
 
 def _differences(there: Mapping[str, Any], here: Mapping[str, Any], prefix: str = "") -> list[str]:

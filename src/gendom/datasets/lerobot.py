@@ -211,36 +211,24 @@ def read_lerobot(folder: str | os.PathLike) -> tuple[dict[str, Array], dict[str,
     info, meta = (read_json(folder / name, RecordingError) for name in (INFO, ABOUT))
     if not str(meta.get("format")).startswith("gendom-recording/"):
         raise fault("holds demonstrations, not a recording", "train a policy on them")
-    if info.get("total_episodes") != 1:
-        raise fault(f"has {info.get('total_episodes')} episodes, not one")
     try:
         names = info["features"][STATE]["names"]
         table = _read_table(folder / "data" / FILE)
         counts, state = table[NUM_POINTS].to_numpy(), np.array(table[STATE].to_pylist(), float)
-        time, order = table[TIME].to_numpy(), table["frame_index"].to_numpy()
         flat = table[POINTS].combine_chunks().flatten().flatten().to_numpy(zero_copy_only=False)
         padded = np.asarray(flat, dtype=np.float32).reshape(len(table), -1, 3)
-    except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
+        arrays = {
+            "points": padded[np.arange(padded.shape[1]) < counts[:, None]],
+            "offsets": np.concatenate([[0], np.cumsum(counts)]),
+            "time": table[TIME].to_numpy(),
+        }
+        for what, width in (("position", 3), ("axis", 3), ("closed", 1)):
+            own = [n for n, name in enumerate(names) if f".{what}" in name]
+            if own:
+                values = state[:, own].reshape(len(table), -1, width)
+                arrays[f"gripper_{what}"] = values if width == 3 else values[..., 0] == 1.0
+    except (OSError, LookupError, TypeError, ValueError, pa.ArrowException) as error:
         raise fault(f"is incomplete or damaged ({short(error)})") from None
-    if len(table) != info.get("total_frames") or (order != np.arange(len(table))).any():
-        raise fault(f"has not the {info.get('total_frames')} frames in order that are announced")
-    if state.ndim != 2 or state.shape[1] != len(names):
-        raise fault(f"{STATE} has shape {list(state.shape)} for {len(names)} names")
-    if (counts < 0).any() or (counts > padded.shape[1]).any():
-        raise fault(f"{NUM_POINTS} is {counts.max()} of {padded.shape[1]} points")
-
-    arrays = {
-        "points": padded[np.arange(padded.shape[1]) < counts[:, None]],
-        "offsets": np.concatenate([[0], np.cumsum(counts)]),
-        "time": time,
-    }
-    for what, width in (("position", 3), ("axis", 3), ("closed", 1)):
-        own = [n for n, name in enumerate(names) if f".{what}" in name]
-        if own:
-            values = state[:, own].reshape(len(table), -1, width)
-            arrays[f"gripper_{what}"] = values if width == 3 else values[..., 0] == 1.0
-    if "gripper_position" not in arrays:
-        raise fault(f"{STATE} has no positions of grippers")
     return arrays, meta
 
 

@@ -34,7 +34,8 @@ def fit_capsules(triangles: Array, *, excess: float, most: int) -> tuple[list[Ca
     Returns:
         Capsules that hold all triangles, and how far they stick out [m].
     """
-    triangles = _refined(triangles, 0.5 * excess)
+    size = float(np.ptp(triangles, axis=(0, 1)).max())
+    triangles = _refined(triangles, max(0.5 * excess, size / 64.0))
     parts, capsules = [triangles], [_fit(triangles)]
     out = sticks_out(capsules, triangles)
     while out.max() > excess and len(parts) < most:

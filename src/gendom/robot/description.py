@@ -34,7 +34,9 @@ EXCESS, MOST_CAPSULES = 0.03, 4
 """How far a link's capsules may stick out of its shapes [m], and how many there are at most, with
 which they may stick out further."""
 
-_LARGEST = 1 << 22  # of the file [bytes]
+_LARGEST, _LARGEST_ASSETS = 1 << 22, 1 << 24  # of the file and of all that it names [bytes]
+
+_MOST_TRIANGLES, _LARGEST_LINK = 300_000, 3.0  # of all links, and of one [m]
 _FINGER = 0.045  # length of a finger [m]
 _PACKAGE_LEVELS = 6  # folders above a file in which package:// is looked for
 _REFUSED = {"include", "replicate", "composite", "flexcomp"}  # files, and any amount
@@ -141,11 +143,13 @@ def _compiled(path: Path, mujoco: Any) -> tuple[Any, dict[str, float]]:
         spec.compiler.fusestatic = False
         spec.compiler.boundmass = spec.compiler.boundinertia = 1e-6
         spec.compiler.balanceinertia = True
+        left = _LARGEST_ASSETS
         for k, asset in enumerate((*spec.meshes, *spec.textures, *spec.hfields)):
             if asset.file:
                 file = _beside(path, asset.file, spec.meshdir)
                 asset.file = f"{k}{file.suffix.lower()}"
-                spec.assets[asset.file] = read_bytes(file, RobotError)
+                spec.assets[asset.file] = held = read_bytes(file, RobotError, most=left)
+                left -= len(held)
         spec.meshdir = spec.texturedir = ""
         return spec.compile(), speeds
     except (ElementTree.ParseError, UnicodeDecodeError, ValueError) as fault:
@@ -230,11 +234,23 @@ class _Chain:
         return placed(np.linalg.inv(self.frames[0]) @ T, faces)
 
     def capsules(self) -> Iterator[LinkCapsule]:
-        """Those that cover the links, in the links' frames."""
+        """Those that cover the links, in the links' frames.
+
+        Raises:
+            RobotError: Their surfaces have too many triangles, or a link is too large.
+        """
+        where, surfaces = str(self._path), []
         for link, T in enumerate(np.linalg.inv(np.linalg.inv(self.frames[0]) @ self.frames)):
             geoms = self._geoms(lambda body, link=link: self._link[body] == link)
             triangles = [np.empty((0, 3, 3)), *map(self._triangles, geoms)]
-            triangles = placed(T, np.concatenate(triangles))
+            surfaces.append(placed(T, np.concatenate(triangles)))
+            size = np.ptp(surfaces[-1], axis=(0, 1)).max() if len(surfaces[-1]) else 0.0
+            what, fix = f"link {link} is {size:.4g} m large", "give meshes in metres, or a scale"
+            require(size <= _LARGEST_LINK, what, where=where, fix=fix, error=RobotError)
+        count, fix = sum(map(len, surfaces)), "give simpler meshes to collide"
+        what = f"has {count} triangles, at most {_MOST_TRIANGLES} are read"
+        require(count <= _MOST_TRIANGLES, what, where=where, fix=fix, error=RobotError)
+        for link, triangles in enumerate(surfaces):
             if not len(triangles):
                 continue
             found, _ = fit_capsules(triangles, excess=EXCESS, most=MOST_CAPSULES)

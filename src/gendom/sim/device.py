@@ -19,7 +19,7 @@ from typing import Any
 import warp as wp
 
 from gendom.arguments import check_type
-from gendom.errors import DeviceError, GendomError
+from gendom.errors import DeviceError, GendomError, printable
 from gendom.files import check_folder, write_json
 from gendom.reading import read_json
 
@@ -140,10 +140,10 @@ def _kernel_cache() -> str | None:
             raise GendomError("there is no home")
         check_folder(os.path.join(own, wp.__version__ if given else f"warp/{wp.__version__}"))
         return None
-    except (GendomError, OSError) as error:
+    except (GendomError, OSError):
         kept = _folder_of_this_user()
-        fix = "set WARP_CACHE_PATH to a folder that lasts"
-        _log.warning("compiled kernels go to %s, since %s; %s", kept, error, fix)
+        why, fix = f"{own} cannot be written", "set WARP_CACHE_PATH to a folder that lasts"
+        _log.warning("compiled kernels go to %s, since %s; %s", kept, printable(why), fix)
         return kept
 
 
