@@ -66,6 +66,7 @@ class Command:
         return 0
 
     def _model(self) -> ViewerModel:
+        from gendom.estimation.replayed import find_recording, replay_setup
         from gendom.materials.estimate_file import read_record
         from gendom.viz.viewer.models import recording_model, unknown_object
 
@@ -74,15 +75,12 @@ class Command:
             fix = "give a recording and one estimate"
             require(params is None, "are given twice", where="--params", fix=fix)
             params = shown
-            from gendom.estimation.replayed import find_recording
-
-            shown = find_recording(read_record(params, even_unusable=self.force), params)
+        values = params and read_record(params, even_unusable=self.force)
+        if shown == params:
+            shown = find_recording(values, params)
         recording = Recording.read(shown)
-        if params is None:
+        if values is None:
             return recording_model(*unknown_object(recording), shown.name)
-        from gendom.estimation.replayed import replay_setup
-
-        values = read_record(params, even_unusable=self.force)
         with iterations_shown() as show:
             scene, theta = replay_setup(recording, values, str(params), on_progress=show)
         return recording_model(scene, theta, shown.name)
