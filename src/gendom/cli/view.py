@@ -75,12 +75,11 @@ class Command:
             fix = "give a recording and one estimate"
             require(params is None, "are given twice", where="--params", fix=fix)
             params = shown
-        values = params and read_record(params, even_unusable=self.force)
-        if shown == params:
-            shown = find_recording(values, params)
+        if params is None:
+            return recording_model(*unknown_object(Recording.read(shown)), shown.name)
+        values = read_record(params, even_unusable=self.force)
+        shown = find_recording(values, params) if shown == params else shown
         recording = Recording.read(shown)
-        if values is None:
-            return recording_model(*unknown_object(recording), shown.name)
         with iterations_shown() as show:
             scene, theta = replay_setup(recording, values, str(params), on_progress=show)
         return recording_model(scene, theta, shown.name)
