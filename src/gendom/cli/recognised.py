@@ -94,9 +94,16 @@ def _recording(place: Path) -> Finding:
 
 
 def _clouds(place: Path) -> Finding:
-    """A folder of clouds that lacks what is beside them in a recording."""
-    files = sorted(path for path in place.iterdir() if path.suffix.lower() in READERS)
-    found = _points_of(files[0], Finding(f"a folder of {len(files)} clouds"))
+    """A cloud, or a folder of clouds that lacks what is beside them in a recording."""
+    files = sorted(p for p in place.glob("*") if p.suffix.lower() in READERS) or [place]
+    found = Finding(f"a folder of {len(files)} clouds" if place.is_dir() else "a cloud")
+    points = READERS[files[0].suffix.lower()](files[0])
+    found.clouds.append(points[np.isfinite(points).all(axis=1)])
+    found.rows = {"points": str(len(points)), **_extent(found.clouds[0], found)}
+    if not place.is_dir():
+        fix = "put one a frame into a folder, with gripper.csv and object.toml (docs/data.md)"
+        found.lacks("is one cloud, a recording is a lift", place, fix)
+        return found
     needed = {
         "gripper.csv": "one row a cloud: time,x,y,z in seconds and metres",
         "object.toml": f"{_OBJECT} (or kind = 'cloth', width, height)",
@@ -105,21 +112,6 @@ def _clouds(place: Path) -> Finding:
         if not (place / name).is_file():
             fix = near_name(place / name) or f"write {content}"
             found.lacks("is missing", place / name, fix)
-    return found
-
-
-def _cloud(place: Path) -> Finding:
-    fix = "put one a frame into a folder, with gripper.csv and object.toml (docs/data.md)"
-    found = _points_of(place, Finding("a cloud"))
-    found.lacks("is one cloud, a recording is a lift", place, fix)
-    return found
-
-
-def _points_of(path: Path, found: Finding) -> Finding:
-    """What is found, with a cloud's points."""
-    points = READERS[path.suffix.lower()](path)
-    found.clouds.append(points[np.isfinite(points).all(axis=1)])
-    found.rows = {"points": str(len(points)), **_extent(found.clouds[0], found)}
     return found
 
 
@@ -371,7 +363,7 @@ _FILES: dict[str, Callable[[Path], Finding]] = {
     ".npz": _recording,
     ".json": _json,
     ".toml": _toml,
-    **dict.fromkeys((".ply", ".pcd"), _cloud),
+    **dict.fromkeys((".ply", ".pcd"), _clouds),
     **dict.fromkeys(BAGS, _bag),
     **dict.fromkeys((".yaml", ".yml", ".calib", ".launch", ".xml", ".py"), _poses),
 }
