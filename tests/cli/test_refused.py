@@ -27,6 +27,7 @@ perceive x --colour 1 2 | perceive: --colour: is '1 2'; give 3 whole numbers
 act rope-casting --goal a b | act: --goal: is 'a b'; give numbers
 estimate x --frames lst | estimate: --frames: is 'lst'; did you mean 'last'?
 estimate x --frames q | estimate: --frames: is 'q'; choose all, last
+estimate x --camera-pose q | estimate: --camera-pose: is 'q'; choose stated, unknown
 estimate x --method adm | estimate: there is no method 'adm'; did you mean 'adam'?
 
 estimate file.npz | file.npz

@@ -11,6 +11,7 @@ from gendom import cli
 from gendom.cli.act import result_text
 from gendom.datasets.demonstrations import generate
 from gendom.files import write_json
+from gendom.hardware.cell import Cell, PlannedMotion
 from gendom.hardware.execution import read_action
 from gendom.materials import size_of
 from gendom.materials.estimate import Estimate
@@ -43,12 +44,22 @@ def estimated(sd=0.068, **known):
 ESTIMATE = estimated()
 
 
+PLANS: dict[str, PlannedMotion] = {}
+
+
+def plan_once(cell, path, *, plan=Cell.plan, **how):
+    """As `Cell.plan`, which takes a second, once for each path: most tests act alike."""
+    key = repr((cell.path, cell.arm, path.to_dict(), how))
+    return PLANS.get(key) or PLANS.setdefault(key, plan(cell, path, **how))
+
+
 @pytest.fixture
 def act(make_policy, monkeypatch, tmp_path, capsys):
     """Run `gendom act` with the stand-in policy; returns exit code, stdout and stderr."""
     policies = {True: make_policy()[0], False: make_policy(conditioned_on=())[0]}
     monkeypatch.setattr(Policy, "pretrained", lambda task, *, parameters: policies[parameters])
     monkeypatch.setattr("gendom.cli.act.DRAWS", 24)
+    monkeypatch.setattr(Cell, "plan", plan_once)
 
     def run(*flags, estimate=ESTIMATE, goal="0.35"):
         words = ["act", "rope-reaching", "--goal", goal, *flags]

@@ -2,7 +2,7 @@
 
 import warnings
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -234,7 +234,8 @@ def test_bad_arguments_and_actions():
     with pytest.raises(ParameterError, match="call reset first"):
         env.step([0.2])
     env.reset(options={"goal": 0.4})
-    for action in ([np.nan, 0.1], [0.1, 0.1, 0.1], ["a", "b"], None):
+    bad: list[Any] = [[np.nan, 0.1], [0.1, 0.1, 0.1], ["a", "b"], None]
+    for action in bad:
         with pytest.raises(ParameterError, match="action must be"):
             env.step(action)
 

@@ -4,22 +4,11 @@ import sys
 
 import numpy as np
 import pytest
-from PIL import Image, ImageSequence
 
 from gendom import viz
 from gendom.errors import DeviceError, ParameterError
 from gendom.materials import Material
-from gendom.sim import (
-    Capsule,
-    Cuboid,
-    Gripper,
-    Simulator,
-    Solver,
-    Sphere,
-    Table,
-    cloth,
-    rope,
-)
+from gendom.sim import Capsule, Cuboid, Gripper, Simulator, Solver, Sphere, Table, cloth, rope
 from gendom.viz import Animation, Layer
 from gendom.viz.films import Stage
 from gendom.viz.simulation import motion_of
@@ -81,16 +70,12 @@ def test_meshes_have_the_faces_of_the_skin(tmp_path, kind):
 def test_films_last_as_long_as_the_motion(tmp_path):
     s = made()
     x = s.run(TIMES)
-    viz.save(tmp_path / "a.gif", s, x, TIMES)
-    with Image.open(tmp_path / "a.gif") as image:
-        every = [frame.info["duration"] for frame in ImageSequence.Iterator(image)]
-    assert sum(every) == 4 * 100 + 1000  # a frame lasts as long as the shortest of the motion
     cv2 = pytest.importorskip("cv2", reason="the extra camera")
     viz.save(tmp_path / "a.mp4", s, x, TIMES)
     film = cv2.VideoCapture(str(tmp_path / "a.mp4"))
     count, rate = film.get(cv2.CAP_PROP_FRAME_COUNT), film.get(cv2.CAP_PROP_FPS)
-    assert count == 4 and rate == pytest.approx(10.0)
-    assert {path.name for path in tmp_path.iterdir()} == {"a.gif", "a.mp4"}
+    assert count == 4 and rate == pytest.approx(10.0)  # as long as the shortest of the motion
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mp4"]
 
 
 def test_what_is_nearer_hides_what_is_behind():

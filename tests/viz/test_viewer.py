@@ -205,6 +205,7 @@ def test_a_page_plays_by_itself(browser, tmp_path):
     assert [a for a in browser.requested if not a.startswith("file:")] == []
 
 
+@pytest.mark.slow
 def test_the_page_shows_and_obeys(viewer, browser, capfd):
     """It is drawn without errors, asks for nothing from elsewhere, and its sliders act."""
     browser.open(viewer.url + "/", width=600, height=300, scale=0.1)

@@ -75,14 +75,12 @@ def _text(before: Estimate, adapted: Adapted) -> str:
     """For people."""
     rows = []
     for name in adapted.belief.names:
-        unit = "" if UNKNOWNS[name].unit == "1" else f" {UNKNOWNS[name].unit}"
-        said = []
+        u, said = UNKNOWNS[name], []
         for b in (before, adapted.belief):
             low, high = b.posterior.interval(name, LEVEL)
-            value = UNKNOWNS[name].value(float(b.mean[b.names.index(name)]))
+            value = u.value(float(b.mean[b.names.index(name)]))
             said.append(f"{value:.4g} [{low:.4g}, {high:.4g}]")
-        rows.append(f"  {name:<18} {said[0]}  ->  {said[1]}{unit}")
+        rows.append(f"  {name:<18} {'  ->  '.join(said)}{'' if u.unit == '1' else f' {u.unit}'}")
     left = ", ".join(f"{1e3 * np.linalg.norm(r):.1f}" for r in adapted.residuals)
     last = f"not explained [mm]: {left}" if left else "gendom act weighs by what was enough"
-    title = "parameters, with 90 % intervals, before and after"
-    return "\n".join([title, *rows, f"  {last}"])
+    return "\n".join(["parameters, with 90 % intervals, before and after", *rows, f"  {last}"])

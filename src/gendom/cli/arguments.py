@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from gendom.materials import Item
     from gendom.perception import RosSettings
     from gendom.tasks.task import World
-
-Settings = TypeVar("Settings")
 
 Json = Annotated[bool, tyro.conf.arg(help="Print JSON.")]
 
@@ -95,19 +93,6 @@ TaskName = Annotated[
     tyro.conf.arg(help="The task."),
 ]
 """The name of a task, those of other packages included, or a Python file that defines one."""
-
-
-def settings_of(kind: type[Settings], command: Any, **others: Any) -> Settings:
-    """Settings, a dataclass, with what a command's flags of the same names say.
-
-    Args:
-        kind: Of the settings.
-        command: Its flags; they may lack some.
-        others: Fields that no flag gives, or gives in another form.
-    """
-    every = fields(kind)  # pyright: ignore[reportArgumentType]
-    names = [f.name for f in every if hasattr(command, f.name) and f.name not in others]
-    return kind(**{name: getattr(command, name) for name in names}, **others)
 
 
 @dataclass(frozen=True, kw_only=True)

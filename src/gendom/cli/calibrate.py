@@ -47,22 +47,15 @@ class Command:
             found = calibrate(camera, views)
         except GendomError as error:
             lost = f" ({len(warnings)} left out, first {warnings[0]})" if warnings else ""
-            raise GendomError(
-                error.what + lost, where=error.where or str(self.folder), fix=error.fix
-            ) from None
+            where = error.where or str(self.folder)
+            raise GendomError(error.what + lost, where=where, fix=error.fix) from None
         for name in found.outliers:
             what = f"is {found.rms_by_picture[name]:.3g} pixels off: its pose is not the picture's"
             warnings.append(Fault(what, name, "take it again or leave it out", "warning"))
-        summary = {
-            "out": self.out,
-            "T_world_camera": found.T_world_camera,
-            "T_gripper_board": found.T_gripper_board,
-            "reprojection_rms": found.rms,
-            "reprojection_rms_by_picture": found.rms_by_picture,
-            "error_position": found.error_position,
-            "error_angle": found.error_angle,
-            "refit": found.refit,
-        }
+        poses = {n: getattr(found, n) for n in ("T_world_camera", "T_gripper_board")}
+        rms = {"reprojection_rms": found.rms, "reprojection_rms_by_picture": found.rms_by_picture}
+        errors = {n: getattr(found, n) for n in ("error_position", "error_angle", "refit")}
+        summary = {"out": self.out, **poses, **rms, **errors}
         print_result(summary, _text(found), warnings, json=self.json)
         if self.out is not None:
             write_camera(self.out, camera.at(found.T_world_camera))
@@ -77,12 +70,11 @@ def _text(found: Calibration) -> str:
     quaternion = Rotation.from_matrix(found.T_world_camera[:3, :3]).as_quat()
     turned = ", ".join(f"{q:.5f}" for q in quaternion)
     refit = ", ".join(f"{name} {v:.5g} +- {sd:.2g}" for name, (v, sd) in found.refit.items())
+    most, below = found.rms_by_picture[worst], 1e3 * found.error_position
     rows = {
-        "position": f"{x:.4f}, {y:.4f}, {z:.4f} m (error below {1e3 * found.error_position:.2f} "
-        "mm)",
+        "position": f"{x:.4f}, {y:.4f}, {z:.4f} m (error below {below:.2f} mm)",
         "quaternion": f"{turned} (x, y, z, w; error below {found.error_angle:.3f} degrees)",
-        "reprojection": f"{found.rms:.3f} pixels RMS, most in {worst} "
-        f"({found.rms_by_picture[worst]:.3f})",
+        "reprojection": f"{found.rms:.3f} pixels RMS, most in {worst} ({most:.3f})",
         "where free": refit,
     }
     lines = [f"  {name:<14} {text}" for name, text in rows.items()]

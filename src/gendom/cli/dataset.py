@@ -83,14 +83,10 @@ def summarize(table: pa.Table) -> dict[str, Any]:
 def summary_text(summary: dict[str, Any]) -> str:
     """The same for people."""
     failed = f", {summary['failed']} of them failed" if summary["failed"] else ""
-    path = printable(summary["path"])
-    lines = [
-        f"{path}: {summary['size']} demonstrations of {summary['task']}{failed}",
-        *(
-            f"  {name:<7} {g['min']:.4g} to {g['max']:.4g} m, median {g['median']:.4g} m"
-            for name, g in summary["goals"].items()
-        ),
-        f"  seed    {summary['seed']}",
-        f"  took    {summary['seconds']:.3g} s",
-    ]
+    path, size = printable(summary["path"]), summary["size"]
+    lines = [f"{path}: {size} demonstrations of {summary['task']}{failed}"]
+    for name, g in summary["goals"].items():
+        ends = f"{g['min']:.4g} to {g['max']:.4g} m, median {g['median']:.4g} m"
+        lines.append(f"  {name:<7} {ends}")
+    lines += [f"  seed    {summary['seed']}", f"  took    {summary['seconds']:.3g} s"]
     return "\n".join(lines)

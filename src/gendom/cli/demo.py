@@ -42,14 +42,7 @@ from gendom.reality.trials import TrialRun
 from gendom.tasks import Observed, Task
 from gendom.tasks.cases import draw_cases
 from gendom.tasks.world import Simulation
-from gendom.viz import (
-    ActionSummary,
-    Animation,
-    PolicyRun,
-    ReachOutcome,
-    write_film,
-    write_report,
-)
+from gendom.viz import ActionSummary, Animation, PolicyRun, ReachOutcome, write_film, write_report
 from gendom.viz.layers import arm_layer, goal_layer, gripper_layer, observed_layer
 from gendom.viz.palette import RECORDED_COLOR
 from gendom.viz.report.motion import WITH, WITHOUT
@@ -188,10 +181,7 @@ class Command:
         return found
 
     def _act(
-        self,
-        ropes: dict[str, Any],
-        found: dict[str, FittedEstimate],
-        policies: Sequence[Policy],
+        self, ropes: dict[str, Any], found: dict[str, FittedEstimate], policies: Sequence[Policy]
     ) -> tuple[ActionSummary, str]:
         """Let the arm act with each rope, say what it reached, and write it; and how far that may
         be trusted."""
@@ -226,12 +216,11 @@ class Command:
         entries = [{"rope": of.item, "goal": of.goal, "runs": of.records()} for of in outcomes]
         actions = {"format": "gendom-demo/3", "task": task.name, "outcomes": entries}
         write_json(self.out / "actions.json", actions)
+        there = "in our own simulator, with the true values" if _lacking() else "there, too"
         said = (
-            "Actions are carried out "
-            f"{'in our own simulator, with the true values' if _lacking() else 'there, too'}. "
-            "What is reached and what the simulator says of the same action differ by "
-            f"{1e3 * float(np.median(apart)):.1f} mm in the median: smaller differences say "
-            "little, and polishing in the simulator cannot take them away."
+            f"Actions are carried out {there}. What is reached and what the simulator says of the "
+            f"same action differ by {1e3 * float(np.median(apart)):.1f} mm in the median: smaller "
+            "differences say little, and polishing in the simulator cannot take them away."
         )
         print(f"  ({said})\n")
         return summary, said

@@ -69,9 +69,8 @@ class Command(Where):
 
 def result_text(result: dict[str, Any]) -> str:
     """The same for people."""
-    lines = [
-        f"{result['task']} in {result['world']}: {result['cases']} cases, seed {result['seed']}"
-    ]
+    cases, seed = result["cases"], result["seed"]
+    lines = [f"{result['task']} in {result['world']}: {cases} cases, seed {seed}"]
     for entry in result["policies"]:
         names = ", ".join(entry["conditioned_on"]) or "no parameters"
         lines.append(f"{printable(entry['path'])} ({entry['method']}, conditioned on {names})")

@@ -48,9 +48,8 @@ class Command:
 
 def info_text(info: dict[str, Any], out: Path) -> str:
     """The same for people."""
-    lines = [
-        f"{printable(out)}: {info['total_episodes']} episodes, LeRobot {info['codebase_version']}"
-    ]
+    count, kind = info["total_episodes"], info["codebase_version"]
+    lines = [f"{printable(out)}: {count} episodes, LeRobot {kind}"]
     for feature, about in info["features"].items():
         if about["names"]:
             named = zip(about["names"], about["units"], strict=True)

@@ -130,7 +130,7 @@ def _refusal(
     """What tyro has refused and said in its own words, in one line."""
     if choice := re.search(r"invalid choice '(.*?)' for argument '(.*?)'.*?\((.*?)\)", text):
         word, where = choice[1], choice[2]
-        choices = re.findall("'((?!None').*?)'", choice[3])
+        choices = sorted({*re.findall("'(.*?)'", choice[3])} - {"None"})
         fix = did_you_mean(word, choices) or f"choose {', '.join(choices)}"
         if where.startswith("--"):
             return ParameterError(f"is {word!r}", where=where, fix=fix)

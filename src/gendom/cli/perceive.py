@@ -83,9 +83,7 @@ def _summary(perceived: Perceived) -> dict[str, Any]:
             {"time": time, **dict(zip(STAGES, row, strict=True))}
             for time, row in zip(recording.time.tolist(), counts.tolist(), strict=True)
         ],
-        "seen_by": {
-            name: float(((seen_by >> k) & 1).mean()) for k, name in enumerate(perceived.cameras)
-        },
+        "seen_by": {n: float(((seen_by >> k) & 1).mean()) for k, n in enumerate(perceived.cameras)},
         "seen_share": perceived.seen_share,
         "disagreement": perceived.disagreement,
         "levelled": recording.extra["perception"]["levelled"],
@@ -103,12 +101,9 @@ def _text(summary: dict[str, Any]) -> str:
         columns(("", "min", "median", "max"), rows),
         f"  points seen by: {shares}",
     ]
-    if moved := summary["levelled"]:
-        by = (
-            f"{name} {1e3 * m['rise']:+.1f} mm, {math.degrees(m['turn']):.2f} degrees"
-            for name, m in moved.items()
-        )
-        lines.append(f"  levelled by the table: {'; '.join(by)}")
+    by = [f"{name} {1e3 * m['rise']:+.1f} mm, {math.degrees(m['turn']):.2f} degrees"
+          for name, m in summary["levelled"].items()]  # fmt: skip
+    lines += [f"  levelled by the table: {'; '.join(by)}"] if by else []
     if (apart := summary["disagreement"]) is not None:
         lines.append(f"  cameras place the object {1e3 * apart:.1f} mm apart")
     lines.append(f"  about {100 * summary['seen_share']:.0f} % of the object is seen")

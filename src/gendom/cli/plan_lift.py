@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from gendom.arguments import require
-from gendom.cli.arguments import Json, Seed, settings_of
+from gendom.cli.arguments import Json, Seed
 from gendom.cli.outputs import check_places, columns, tell_written, write_result
 from gendom.estimation.lift_plan import LiftPlan, LiftPlanSettings, ObjectClass, plan_lift, rolls
 from gendom.files import to_json
@@ -68,7 +68,8 @@ class Command:
     def run(self) -> int:
         check_places((self.out, ""))
         objects = self._objects()
-        settings = settings_of(LiftPlanSettings, self, aim=self.for_)
+        names = ("ends", "rises", "speeds", "draws", "level", "seed")
+        settings = LiftPlanSettings(aim=self.for_, **{name: getattr(self, name) for name in names})
         with bar("planning", 1, "lift", even=True) as show:
             plan = plan_lift(objects, settings, on_done=show)
         print(to_json(plan.to_dict()) if self.json else plan_text(plan))

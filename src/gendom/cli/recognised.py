@@ -48,9 +48,9 @@ class Finding:
     table: float | None = None
     """z of the table [m]."""
 
-    def step(self, *words: object, does: str) -> None:
-        """Add a command."""
-        self.next.append((shlex.join(map(str, words)), does))
+    def step(self, does: str, *words: object) -> None:
+        """Add a command of gendom."""
+        self.next.append((shlex.join(["gendom", *map(str, words)]), does))
 
     def lacks(self, what: str, where: object, fix: str) -> None:
         """Add a fault that prevents use."""
@@ -89,14 +89,21 @@ def _recording(place: Path) -> Finding:
     found.gripper = recording.gripper_position[:, 0]
     found.table = recording.table_height
     if not recording.extra.get("static", False):
-        found.step("gendom", "estimate", place, does="Estimate the object's parameters.")
+        found.step("Estimate the object's parameters.", "estimate", place)
     return found
 
 
 def _clouds(place: Path) -> Finding:
-    """A folder of clouds that lacks what is beside them in a recording."""
-    files = sorted(path for path in place.iterdir() if path.suffix.lower() in READERS)
-    found = _points_of(files[0], Finding(f"a folder of {len(files)} clouds"))
+    """A cloud, or a folder of clouds that lacks what is beside them in a recording."""
+    files = sorted(p for p in place.glob("*") if p.suffix.lower() in READERS) or [place]
+    found = Finding(f"a folder of {len(files)} clouds" if place.is_dir() else "a cloud")
+    points = READERS[files[0].suffix.lower()](files[0])
+    found.clouds.append(points[np.isfinite(points).all(axis=1)])
+    found.rows = {"points": str(len(points)), **_extent(found.clouds[0], found)}
+    if not place.is_dir():
+        fix = "put one a frame into a folder, with gripper.csv and object.toml (docs/data.md)"
+        found.lacks("is one cloud, a recording is a lift", place, fix)
+        return found
     needed = {
         "gripper.csv": "one row a cloud: time,x,y,z in seconds and metres",
         "object.toml": f"{_OBJECT} (or kind = 'cloth', width, height)",
@@ -105,21 +112,6 @@ def _clouds(place: Path) -> Finding:
         if not (place / name).is_file():
             fix = near_name(place / name) or f"write {content}"
             found.lacks("is missing", place / name, fix)
-    return found
-
-
-def _cloud(place: Path) -> Finding:
-    fix = "put one a frame into a folder, with gripper.csv and object.toml (docs/data.md)"
-    found = _points_of(place, Finding("a cloud"))
-    found.lacks("is one cloud, a recording is a lift", place, fix)
-    return found
-
-
-def _points_of(path: Path, found: Finding) -> Finding:
-    """What is found, with a cloud's points."""
-    points = READERS[path.suffix.lower()](path)
-    found.clouds.append(points[np.isfinite(points).all(axis=1)])
-    found.rows = {"points": str(len(points)), **_extent(found.clouds[0], found)}
     return found
 
 
@@ -177,13 +169,13 @@ def _bag_cameras(place: Path, held: Path, gripper: str, found: Finding) -> None:
 
     command, does = "import", "Write a recording of the clouds as they are."
     with tempfile.TemporaryDirectory() as folder:
-        some = Path(folder) / "object.toml"
-        some.write_text('[object]\nkind = "rope"\nlength = 0.5\n', encoding="utf-8")
-        some = held if held.exists() else some
+        some = held if held.exists() else Path(folder) / "object.toml"
+        if some is not held:
+            some.write_text('[object]\nkind = "rope"\nlength = 0.5\n', encoding="utf-8")
         try:
             recorded = read_ros_cameras(place, some, RosSettings(gripper=gripper))
             _cameras_seen(recorded, found)
-            stated = recorded.meta["object"] if held.exists() else {}
+            stated = recorded.meta["object"] if some is held else {}
             size = stated.get("length") or stated.get("width") or 0.0
             points = np.concatenate([np.zeros((0, 3)), *found.clouds])
             if not len(points) or np.ptp(points, axis=0).max() >= 1.5 * size:  # more is in view
@@ -192,8 +184,7 @@ def _bag_cameras(place: Path, held: Path, gripper: str, found: Finding) -> None:
         except RecordingError as error:
             if error.fix is None or "gendom import" not in error.fix:
                 raise
-    words = ("gendom", command, place, "--gripper", gripper, "--out", f"{place.stem}.npz")
-    found.step(*words, does=does)
+    found.step(does, command, place, "--gripper", gripper, "--out", f"{place.stem}.npz")
 
 
 def _depth(place: Path) -> Finding:
@@ -202,8 +193,8 @@ def _depth(place: Path) -> Finding:
     found = Finding("depth pictures of cameras")
     _cameras_seen(read_cameras(place, on_warning=found.faults.append), found)
     if all(fault.severity == "warning" for fault in found.faults):
-        words = ("gendom", "perceive", place, "--out", f"{place.resolve().name}.npz")
-        found.step(*words, does="Find the object in the pictures (--colour R G B helps).")
+        does = "Find the object in the pictures (--colour R G B helps)."
+        found.step(does, "perceive", place, "--out", f"{place.resolve().name}.npz")
     return found
 
 
@@ -265,8 +256,8 @@ def _board(place: Path) -> Finding:
         fix = "write it with width, height, K and depth_unit of the stream that took the pictures"
         found.lacks("is missing", place / "camera.toml", fix)
         return found
-    words = ("gendom", "calibrate", place, "--camera", camera, "--out", camera)
-    found.step(*words, does="Find the camera's pose, and how far it may be trusted.")
+    does = "Find the camera's pose, and how far it may be trusted."
+    found.step(does, "calibrate", place, "--camera", camera, "--out", camera)
     return found
 
 
@@ -283,7 +274,7 @@ def _toml(place: Path) -> Finding:
         return Finding("a camera", rows, faults=[*odd_intrinsics(camera)])
     if "robot" in table and "address" in table:
         found = Finding("a cell")
-        found.step("gendom", "cell", "check", place, does="Check the cell.")
+        found.step("Check the cell.", "cell", "check", place)
         return found
     what, fix = "is no table that is known", "known are camera.toml, cell.toml and object.toml"
     right = isinstance(table.get("object"), dict)
@@ -296,7 +287,7 @@ def _json(place: Path) -> Finding:
     form = read_json(place, RecordingError).get("format")
     if form == "gendom-action/4":
         found = Finding("an action")
-        found.step("gendom", "execute", place, "--cell", "cell.toml", does="Show it in a cell.")
+        found.step("Show it in a cell.", "execute", place, "--cell", "cell.toml")
         return found
     from gendom.materials.estimate import Estimate
 
@@ -307,9 +298,9 @@ def _json(place: Path) -> Finding:
     if estimate.usable:
         from gendom.cli.estimate import task_and_goal
 
-        task = task_and_goal(estimate.kind, estimate.known.get("length"))
-        words = ("gendom", "act", *task, "--params", place)
-        found.step(*words, does="Get an action for this object, and the robot's motion.")
+        task, does = task_and_goal(estimate.kind, estimate.known.get("length")), "Get an action"
+        does += " for this object, and the robot's motion."
+        found.step(does, "act", *task, "--params", place)
     return found
 
 
@@ -346,7 +337,7 @@ def _below(place: Path) -> Finding:
     for path in sorted(place.iterdir())[:200]:
         known = [holds for holds, _ in _FOLDERS if path.is_dir() and holds(path)]
         if known or (path.suffix.lower() in (".npz", *BAGS) and path.is_file()):
-            found.step("gendom", "doctor", path, does="Look into it.")
+            found.step("Look into it.", "doctor", path)
     active = sorted(place.glob("*.bag.active"))
     if active:
         found.lacks("was not closed by its recorder", active[0], "mend it: rosbag reindex FILE")
@@ -372,7 +363,7 @@ _FILES: dict[str, Callable[[Path], Finding]] = {
     ".npz": _recording,
     ".json": _json,
     ".toml": _toml,
-    **dict.fromkeys((".ply", ".pcd"), _cloud),
+    **dict.fromkeys((".ply", ".pcd"), _clouds),
     **dict.fromkeys(BAGS, _bag),
     **dict.fromkeys((".yaml", ".yml", ".calib", ".launch", ".xml", ".py"), _poses),
 }

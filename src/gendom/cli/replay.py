@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from gendom.cli.arguments import Device, Json, Recorded, iterations_shown
 from gendom.cli.outputs import check_places, tell_written, write_result
 from gendom.datasets import Recording
 from gendom.files import to_json
 from gendom.progress import bar
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, kw_only=True)

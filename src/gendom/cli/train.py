@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gendom.arguments import require
-from gendom.cli.arguments import Engine, Json, Seed, TaskName, settings_of
+from gendom.cli.arguments import Engine, Json, Seed, TaskName
 from gendom.cli.policies import described, policy_text
 from gendom.errors import DatasetError
 from gendom.files import check_file, to_json
-from gendom.materials import PARAMETERS
 
 if TYPE_CHECKING:
     from gendom.policies.demonstrations import Demonstrations
@@ -59,7 +58,6 @@ class Command:
     json: Json = False
 
     def run(self) -> int:
-        sees = _conditions(self.condition)
         check_file(self.out, ".onnx")
         demonstrations = self._read(self.data)
         finetune = None if self.finetune is None else self._read(self.finetune)
@@ -69,7 +67,9 @@ class Command:
 
         open_device(self.device)
         method = self.method or ("distal" if demonstrations.goal_names else "chance")
-        training = settings_of(Training, self, method=method, conditioned_on=sees)
+        names = ("architecture", "epochs", "refine", "refine_cases", "seed")
+        own = {name: getattr(self, name) for name in names}
+        training = Training(method=method, conditioned_on=self._sees(), **own)
         policy = train(
             demonstrations, self.out, training, finetune=finetune, cases=self.cases, progress=True,
             world=Simulation(engine=self.engine, device=self.device),
@@ -77,6 +77,12 @@ class Command:
         row = described(policy)
         print(to_json(row) if self.json else policy_text(row))
         return 0
+
+    def _sees(self) -> tuple[str, ...] | None:
+        """The parameters that the policy sees; None: all that vary."""
+        return (
+            None if self.condition == ("all",) else tuple(n for n in self.condition if n != "none")
+        )
 
     def _read(self, folder: Path) -> Demonstrations:
         from gendom.policies.demonstrations import Demonstrations
@@ -87,14 +93,3 @@ class Command:
         fix = "name another folder"
         require(name == self.task, what, where=str(folder), fix=fix, error=DatasetError)
         return demonstrations
-
-
-def _conditions(words: tuple[str, ...]) -> tuple[str, ...] | None:
-    if words == ("all",):
-        return None
-    if words in ((), ("none",)):
-        return ()
-    unknown = [*(word for word in words if word not in PARAMETERS), ""]
-    fix = f"choose from {', '.join(PARAMETERS)}, or give all or none"
-    require(not unknown[0], f"there is no parameter {unknown[0]!r}", where="--condition", fix=fix)
-    return words

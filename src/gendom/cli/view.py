@@ -66,6 +66,7 @@ class Command:
         return 0
 
     def _model(self) -> ViewerModel:
+        from gendom.estimation.replayed import find_recording, replay_setup
         from gendom.materials.estimate_file import read_record
         from gendom.viz.viewer.models import recording_model, unknown_object
 
@@ -74,15 +75,11 @@ class Command:
             fix = "give a recording and one estimate"
             require(params is None, "are given twice", where="--params", fix=fix)
             params = shown
-            from gendom.estimation.replayed import find_recording
-
-            shown = find_recording(read_record(params, even_unusable=self.force), params)
-        recording = Recording.read(shown)
         if params is None:
-            return recording_model(*unknown_object(recording), shown.name)
-        from gendom.estimation.replayed import replay_setup
-
+            return recording_model(*unknown_object(Recording.read(shown)), shown.name)
         values = read_record(params, even_unusable=self.force)
+        shown = find_recording(values, params) if shown == params else shown
+        recording = Recording.read(shown)
         with iterations_shown() as show:
             scene, theta = replay_setup(recording, values, str(params), on_progress=show)
         return recording_model(scene, theta, shown.name)

@@ -37,6 +37,7 @@ from gendom.materials.posterior import Prior, half_width
 from gendom.materials.unknowns import Theta
 from gendom.observation import visible
 from gendom.reality import Trial, arm_motion, as_real, end_of, lift, lift_cameras
+from gendom.reality.objects import description
 from gendom.robot import LIFT_ENDS, XARM7, JointMotion, LiftMotion, predefined_lift
 from gendom.robot.motions import FREE_RISE, LIFT_FRAME_RATE, RISE
 
@@ -371,7 +372,7 @@ def recorded_lift(trial: Trial, arm: JointMotion, frame_rate: float) -> Recordin
         gripper_position=arm.tcp_at(XARM7, closes + times)[:, :3, 3],
         gripper_closed=[bool(arm.closed_at(closes + t)) for t in times],
         object=ObjectDescription(
-            **item.description(),
+            **description(item),
             grasp=trial.grasp,
             grasp_radius=trial.reach,
             grasp_inset=trial.inset,

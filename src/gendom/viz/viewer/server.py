@@ -182,14 +182,14 @@ class Viewer:
     # ---- what its owner does with it -------------------------------------------------------------
 
     @property
-    def url(self) -> str:
-        """The page's address."""
-        return f"http://{HOST}:{self._server.get_port()}"
-
-    @property
     def port(self) -> int:
         """The address's port."""
         return self._server.get_port()
+
+    @property
+    def url(self) -> str:
+        """The page's address."""
+        return f"http://{HOST}:{self.port}"
 
     def play(self, playing: bool) -> None:
         """Let time run, or stop it."""
@@ -249,12 +249,11 @@ class Viewer:
             self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1")
         self._sliders: dict[str, viser.GuiSliderHandle] = {}
         self._boxes: dict[str, Any] = {}
-        groups = dict.fromkeys(p.group for p in self._parameters.values())
-        for group in groups:
-            with gui.add_folder(group, expand_by_default=group == next(iter(groups))):
-                for p in self._parameters.values():
-                    if p.group == group:
-                        self._sliders[p.name] = self._add_slider(p)
+        every = self._parameters.values()
+        for k, group in enumerate(dict.fromkeys(p.group for p in every)):
+            with gui.add_folder(group, expand_by_default=k == 0):
+                for p in (p for p in every if p.group == group):
+                    self._sliders[p.name] = self._add_slider(p)
         if self._sliders:
             gui.add_button("Reset parameters").on_click(lambda _: self.reset())
 
@@ -263,10 +262,9 @@ class Viewer:
         slider = gui.add_slider(text, *p.range, p.start, hint=p.meaning)
 
         def moved(_: Any) -> None:
-            if self._setting:
-                return
-            self._label(p, self._value(p.name))
-            self._ask()
+            if not self._setting:
+                self._label(p, self._value(p.name))
+                self._ask()
 
         slider.on_update(moved)
         if p.log:
