@@ -140,7 +140,7 @@ def _cut(
     least, h = lines.least * own, 1e-30
     first, second = _divided(edge, beyond_outer, border, least)
     moved = _divided(edge, beyond_outer, border + 1j * h, least)  # complex step
-    by_border = np.stack([of.imag / h for of in moved], axis=1)
+    by_border = np.stack([np.imag(of) / h for of in moved], axis=1)
     cut = BorderCut(
         stiffer=np.ones((L, n)),
         between=np.full((L, n, 2), -1),
@@ -178,7 +178,7 @@ def _divided(edge: Array, beyond: Array, border: Array, least: Array) -> tuple[A
     end = np.where(shared, edge + 0.5 * beyond, 0.5 * edge)
     second = np.where(shared, 0.5 * (end**2 - border**2) / edge, 0.0)
     first = end - border - second
-    first = np.where(first.real > least, first, least)
+    first = np.where(np.real(first) > least, first, least)
     return first, np.where(shared, end - border - first, 0.0)
 
 
