@@ -418,7 +418,7 @@ class Group:
         for n in np.flatnonzero(status != OK).tolist():
             w = self.worlds.start + n
             if w not in s.failures:
-                s.failures[w] = s.failure(w, plan.time[min(frame[n], last)])
+                s.failures[w] = s.failure(w, float(plan.time[min(frame[n], last)]))
         going = (status == OK) & (frame <= last)
         return bool(going.any()) and (keep_going or not s.failures)
 
