@@ -26,6 +26,10 @@ SUBSTEPS_A_LAYOUT = 2
 """Room for layouts in a recording of the forward run, which may end where they do."""
 
 
+BY_WORLD = ("friction", "velocity_damping", "damping", "gravity")
+"""Conditions that each world has one of."""
+
+
 class Tape:
     """A run that can be differentiated.
 
@@ -234,7 +238,7 @@ class Sums:
         self.adjoint = s.records(sums=(W, SUMS, N))
         self.conditions = s.allocate(
             types.ConditionsAdjoint,
-            **dict.fromkeys(("friction", "velocity_damping", "damping", "gravity"), W),
+            **dict.fromkeys(BY_WORLD, W),
             **dict.fromkeys(("position", "turn"), (W, G, K)),
             radius=(W, G),
             touched=(W, N // s.setting.body.section),
@@ -266,15 +270,12 @@ class Sums:
             nu=(by_nu * s.stiffness).sum(axis=1),
             density=sums[:, MASS].sum(axis=1) * body.volume,
             stiffness=by_E * E,
-            damping=np.array(by.damping.numpy()),
-            velocity_damping=np.array(by.velocity_damping.numpy()),
             air_density=sums[:, DRAG].sum(axis=1) * s.drag_by_air,
-            friction=np.array(by.friction.numpy()),
             self_friction=np.zeros(s.num_worlds),
-            gravity=np.array(by.gravity.numpy()),
             positions=np.array(self.state.x.numpy()),
             velocities=np.array(self.state.v.numpy()),
             gripper_positions=np.array(by.position.numpy()),
             gripper_rotations=np.array(by.turn.numpy()),
             gripper_radius=np.array(by.radius.numpy()),
+            **{name: np.array(getattr(by, name).numpy()) for name in BY_WORLD},
         )
