@@ -102,20 +102,13 @@ def simulate(
     check_list("grippers", grippers, Gripper)
     check_list("obstacles", obstacles, Obstacle)
     shapes = _shapes(body, solver, grippers, len(obstacles), set(given))
-    scene = (
-        body,
-        times,
-        grippers,
-        table,
-        obstacles,
-        physics,
-        solver,
-        variation,
-        start_time,
-        memory,
-    )
+    scene = {
+        "body": body, "materials": materials, "grippers": grippers, "table": table,
+        "obstacles": obstacles, "physics": physics, "solver": solver, "variation": variation,
+        "start_time": start_time,
+    }  # fmt: skip
     names, tensors = _spread(given, shapes, len(materials))
-    return _Simulation.apply(scene, materials, names, *tensors)  # pyright: ignore[reportReturnType]
+    return _Simulation.apply(scene, times, memory, names, *tensors)  # pyright: ignore[reportReturnType]
 
 
 def _spread(
@@ -147,47 +140,36 @@ def _spread(
 class _Simulation(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, scene: tuple, materials: Sequence[Material], names: list[str], *tensors: Tensor
-    ) -> Tensor:
-        (
-            body, times, grippers, table, obstacles, physics, solver, variation, start_time, memory
-        ) = scene  # fmt: skip
+        ctx: Any, scene: dict[str, Any], times: ArrayLike, memory: float | None, names: list[str],
+        *tensors: Tensor,
+    ) -> Tensor:  # fmt: skip
         v = {n: t.detach().cpu().numpy() for n, t in zip(names, tensors, strict=True)}
-        W = max([len(materials), *(len(values) for values in v.values())])
+        made, body, materials = dict(scene), scene["body"], scene["materials"]
+        worlds = range(max([len(materials), *(len(values) for values in v.values())]))
         given = [n for n in _OF_MATERIAL if n in v]
-        materials = [
+        made["materials"] = [
             replace(materials[w % len(materials)], **{n: float(v[n][w]) for n in given})
-            for w in range(W)
+            for w in worlds
         ]
-        own: dict[str, Any] = {}
+        hands = list(enumerate(scene["grippers"]))
+        made["grippers"] = [[_changed(g, i, w, v) for i, g in hands] for w in worlds]
+        made["physics"] = replace(scene["physics"], **{n: v[n] for n in _OF_PHYSICS if n in v})
         if "thickness" in v:
             h = float(v["thickness"][0])
-            own = {"thickness": h, "contact_radius": body.contact_radius * h / body.thickness}
-        every: Any = [[_changed(g, i, w, v) for i, g in enumerate(grippers)] for w in range(W)]
+            radius = body.contact_radius * h / body.thickness
+            made["body"] = replace(body, thickness=h, contact_radius=radius)
         if "friction" in v:
-            if table is None:
+            if scene["table"] is None:
                 raise ParameterError("friction without a table: pass table=Table(height=...)")
-            table = replace(table, friction=v["friction"])
+            made["table"] = replace(scene["table"], friction=v["friction"])
         if "obstacle_friction" in v:
-            rubs = v["obstacle_friction"].tolist()
-            obstacles = [
-                [replace(of, friction=mu) for of, mu in zip(obstacles, rubs[w], strict=True)]
-                for w in range(W)
+            made["obstacles"] = [
+                [replace(of, friction=mu) for of, mu in zip(scene["obstacles"], rubs, strict=True)]
+                for rubs in v["obstacle_friction"].tolist()
             ]
         if "stiffness" in v:
-            variation = replace(variation, stiffness=v["stiffness"])
-        simulator = Simulator(
-            replace(body, **own),
-            materials,
-            grippers=every,
-            table=table,
-            obstacles=obstacles,
-            physics=replace(physics, **{n: v[n] for n in _OF_PHYSICS if n in v}),
-            solver=solver,
-            variation=variation,
-            positions=v.get("positions"),
-            start_time=start_time,
-        )
+            made["variation"] = replace(scene["variation"], stiffness=v["stiffness"])
+        simulator = Simulator(**made, positions=v.get("positions"))
         if "velocities" in v:
             simulator.set_velocities(v["velocities"])
         ctx.rollout = Rollout(simulator, memory=memory)
@@ -201,7 +183,13 @@ class _Simulation(torch.autograd.Function):
         if ctx.turned is not None:  # by rotation vectors, not by a further rotation
             by_turn = found["gripper_rotations"][..., None, :] @ left_jacobian(ctx.turned)
             found["gripper_rotations"] = by_turn[..., 0, :]
-        return None, None, None, *(torch.as_tensor(a, dtype=torch.float64) for a in found.values())
+        return (
+            None,
+            None,
+            None,
+            None,
+            *(torch.as_tensor(a, dtype=torch.float64) for a in found.values()),
+        )
 
 
 def _changed(gripper: Gripper, i: int, w: int, v: dict[str, Array]) -> Gripper:

@@ -209,25 +209,22 @@ def make_boundary(variant: Variant) -> SimpleNamespace:
         """Derivatives by x and u from that by the change that ``contact`` makes."""
         x_bar = vec3()
         u_bar = vec3()
-        stiff = real(-SPRING) / now.h
-        loss = real(-DASHPOT)
         given = pushed(x[2] - model.contact_radius, u[2], now.h)
         if given > real(0.0):
+            mu = model.friction[now.w]
+            along = vec3(u[0], u[1], real(0.0))
+            along_bar = vec3(change_bar[0], change_bar[1], real(0.0))
             given_bar = change_bar[2]
-            slip = wp.sqrt(u[0] * u[0] + u[1] * u[1])
+            slip = wp.length(along)
             lost = real(1.0)
-            if slip > model.friction[now.w] * given:
-                lost = model.friction[now.w] * given / slip
-                lost_bar = -(change_bar[0] * u[0] + change_bar[1] * u[1])
-                given_bar += lost_bar * model.friction[now.w] / slip
+            if slip > mu * given:
+                lost = mu * given / slip
+                lost_bar = -wp.dot(along_bar, along)
+                given_bar += lost_bar * mu / slip
                 wp.atomic_add(by.friction, now.w, wp.float64(lost_bar * given / slip))
-                slip_bar = -lost_bar * lost / slip
-                u_bar[0] = u_bar[0] + slip_bar * u[0] / slip
-                u_bar[1] = u_bar[1] + slip_bar * u[1] / slip
-            u_bar[0] = u_bar[0] - lost * change_bar[0]
-            u_bar[1] = u_bar[1] - lost * change_bar[1]
-            x_bar[2] = x_bar[2] + stiff * given_bar
-            u_bar[2] = u_bar[2] + loss * given_bar
+                u_bar -= (lost_bar * lost / (slip * slip)) * along
+            u_bar += vec3(real(0.0), real(0.0), real(-DASHPOT) * given_bar) - lost * along_bar
+            x_bar[2] = real(-SPRING) / now.h * given_bar
         return x_bar, u_bar
 
     @wp.func

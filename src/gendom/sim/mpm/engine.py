@@ -200,14 +200,12 @@ class MpmEngine(Engine):
         """What kernels are compiled for."""
         if not self.setting.device.is_cuda:
             return Variant(self.real, self.damped, self.together)
-        crowded, room = self.num_worlds > MANY_WORLDS and self.num_points <= LARGE_BODY, 0
+        crowded = self.num_worlds > MANY_WORLDS and self.num_points <= LARGE_BODY
         one = Variant(self.real, self.damped, self.together)
         taken = one.components * self.num_points * np.dtype(self.setting.dtype).itemsize
         most = self.setting.device.max_shared_memory_per_block
-        for fits in (*ROOMS_OF_TWO, ROOM_ALONE):
-            blocks = 1 if fits == ROOM_ALONE else 2
-            if not room and taken <= fits and blocks * fits <= most:
-                room = fits
+        rooms = [of for of in ROOMS_OF_TWO if 2 * of <= most] + [ROOM_ALONE] * (ROOM_ALONE <= most)
+        room = next((of for of in rooms if taken <= of), 0)
         threads = NARROW if crowded and room != ROOM_ALONE else WIDE
         return replace(one, room=room, threads=threads)
 
@@ -418,7 +416,7 @@ class Group:
         for n in np.flatnonzero(status != OK).tolist():
             w = self.worlds.start + n
             if w not in s.failures:
-                s.failures[w] = s.failure(w, plan.time[min(frame[n], last)])
+                s.failures[w] = s.failure(w, float(plan.time[min(frame[n], last)]))
         going = (status == OK) & (frame <= last)
         return bool(going.any()) and (keep_going or not s.failures)
 

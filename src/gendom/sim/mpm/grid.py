@@ -75,14 +75,11 @@ def make_rebuild(variant: Variant) -> Any:
         y = x * now.inv_dx
         below = real(-MARGIN) - real(0.5)
         above = real(MARGIN) - real(0.5)
-        lower = wp.vec3i(
-            int(wp.floor(y[0] + below)), int(wp.floor(y[1] + below)), int(wp.floor(y[2] + below))
-        )
-        upper = wp.vec3i(
-            int(wp.floor(y[0] + above)) + 2,
-            int(wp.floor(y[1] + above)) + 2,
-            int(wp.floor(y[2] + above)) + 2,
-        )
+        lower = wp.vec3i()
+        upper = wp.vec3i()
+        for a in range(3):
+            lower[a] = int(wp.floor(y[a] + below))
+            upper[a] = int(wp.floor(y[a] + above)) + 2
         return lower, upper
 
     @wp.func

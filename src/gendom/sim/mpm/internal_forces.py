@@ -30,7 +30,6 @@ Shapes: W worlds, N particles.
 
 import functools
 from types import SimpleNamespace
-from typing import Any
 
 import warp as wp
 
@@ -44,43 +43,6 @@ FILLS = 1.0e-30
 
 
 @functools.cache
-def make_maxwell_branch(real: Any) -> SimpleNamespace:
-    """Build ``branch`` (a and g of a substep) and its transpose, for one scalar type."""
-
-    @wp.func
-    def branch(damping: real, dt: real, age: int):
-        """Of the Maxwell branch: the share of Z that a substep leaves, and g; (0, 0) without.
-
-        A branch cannot be faster than the substep: it is softer instead. The first substep of all
-        only fills Z: what stress a body begins with has relaxed.
-        """
-        keep = real(0.0)
-        share = real(0.0)
-        if damping > real(0.0):
-            tau = wp.max(damping, dt)
-            if age == 0:
-                share = real(FILLS)
-            else:
-                keep = wp.exp(-dt / tau)
-                share = real(0.5) * (damping / tau) * (real(1.0) + keep)
-        return keep, share
-
-    @wp.func
-    def branch_adjoint(damping: real, dt: real, age: int, keep_bar: real, share_bar: real):
-        """Derivative by the damping."""
-        bar = real(0.0)
-        if damping > real(0.0) and age > 0:
-            if damping > dt:
-                slope = wp.exp(-dt / damping) * dt / (damping * damping)
-                bar = (keep_bar + real(0.5) * share_bar) * slope
-            else:
-                bar = share_bar * real(0.5) * (real(1.0) + wp.exp(real(-1.0))) / dt
-        return bar
-
-    return functions_of(locals())
-
-
-@functools.cache
 def make_internal_forces(variant: Variant) -> SimpleNamespace:
     """Build the forces of a variant.
 
@@ -91,7 +53,7 @@ def make_internal_forces(variant: Variant) -> SimpleNamespace:
     types = make_types(real)
     vec3, Model, Clock, Substep = types.vec3, types.Model, types.Clock, types.Substep
     Records, ConditionsAdjoint = types.Records, types.ConditionsAdjoint
-    block, maxwell = make_block(real), make_maxwell_branch(real)
+    block = make_block(real)
     call = f"<{int(variant.room > 0)}, {int(variant.sorts)}>(w, thread, threads, "
 
     @wp.func_native(f"return gendom::forces_of_records{call}dt, keep, share, model, particles);")
@@ -114,10 +76,39 @@ def make_internal_forces(variant: Variant) -> SimpleNamespace:
     ) -> vec3: ...
 
     @wp.func
+    def branch(damping: real, dt: real, age: int):
+        """Of the Maxwell branch: the share of Z that a substep leaves, and g; (0, 0) without.
+
+        A branch cannot be faster than the substep: it is softer instead. The first substep of all
+        only fills Z: what stress a body begins with has relaxed.
+        """
+        keep = real(0.0)
+        share = real(0.0)
+        if damping > real(0.0):
+            tau = wp.max(damping, dt)
+            if age == 0:
+                share = real(FILLS)
+            else:
+                keep = wp.exp(-dt / tau)
+                share = real(0.5) * (damping / tau) * (real(1.0) + keep)
+        return keep, share
+
+    @wp.func
+    def branch_adjoint(damping: real, dt: real, age: int, keep_bar: real, share_bar: real):
+        """Derivative by the damping, which is positive."""
+        bar = real(0.0)
+        if age > 0 and damping > dt:
+            slope = wp.exp(-dt / damping) * dt / (damping * damping)
+            bar = (keep_bar + real(0.5) * share_bar) * slope
+        elif age > 0:
+            bar = share_bar * real(0.5) * (real(1.0) + wp.exp(real(-1.0))) / dt
+        return bar
+
+    @wp.func
     def forces(now: Substep, model: Model, clock: Clock, particles: Records):
         """Set the impulses of particles on their neighbours, add the air's to velocities and move Z
         on. Return whether a particle is inverted, which the clock names."""
-        keep, share = maxwell.branch(model.damping[now.w], now.h, now.age)
+        keep, share = branch(model.damping[now.w], now.h, now.age)
         failed = set_forces(now.w, now.thread, now.threads, now.h, keep, share, model, particles)
         if failed >= 0:
             clock.failed_particle[now.w] = failed
@@ -129,14 +120,12 @@ def make_internal_forces(variant: Variant) -> SimpleNamespace:
     ):
         """Transpose of ``forces``; derivatives by impulses are found in those by v."""
         damping = model.damping[now.w]
-        keep, share = maxwell.branch(damping, now.h, now.age)
+        keep, share = branch(damping, now.h, now.age)
         sums = set_adjoint(
             now.w, now.thread, now.threads, now.slot, now.h, keep, share, model, tape, adjoint
         )
         if damping > real(0.0):
-            by_damping = maxwell.branch_adjoint(
-                damping, now.h, now.age, real(sums[1]), real(sums[0])
-            )
+            by_damping = branch_adjoint(damping, now.h, now.age, real(sums[1]), real(sums[0]))
             wp.atomic_add(by.damping, now.w, wp.float64(by_damping))
 
     return functions_of(locals())

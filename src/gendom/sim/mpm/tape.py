@@ -26,6 +26,10 @@ SUBSTEPS_A_LAYOUT = 2
 """Room for layouts in a recording of the forward run, which may end where they do."""
 
 
+BY_WORLD = ("friction", "velocity_damping", "damping", "gravity")
+"""Conditions that each world has one of."""
+
+
 class Tape:
     """A run that can be differentiated.
 
@@ -234,7 +238,7 @@ class Sums:
         self.adjoint = s.records(sums=(W, SUMS, N))
         self.conditions = s.allocate(
             types.ConditionsAdjoint,
-            **dict.fromkeys(("friction", "velocity_damping", "damping", "gravity"), W),
+            **dict.fromkeys(BY_WORLD, W),
             **dict.fromkeys(("position", "turn"), (W, G, K)),
             radius=(W, G),
             touched=(W, N // s.setting.body.section),
@@ -251,31 +255,27 @@ class Sums:
         """What the sums mean for the numbers that a user gave."""
         s, by = self.engine, self.conditions
         materials, body = s.setting.materials, s.setting.body
-        E = np.array([m.E for m in materials])[:, None]
-        nu = np.array([m.nu for m in materials])[:, None]
-        sums = self.state.sums.numpy().astype(float)
-        # mu = E / (2 (1 + nu)), lam = E nu / ((1 + nu) (1 - k nu)), times the stiffness
-        constraint = body.lateral_constraint
-        room = (1.0 + nu) * (1.0 - constraint * nu)
-        mu_E = 1.0 / (2.0 * (1.0 + nu))
-        lam_E = nu / room
-        mu_nu = -E / (2.0 * (1.0 + nu) ** 2)
-        lam_nu = E * (1.0 + constraint * nu**2) / room**2
-        by_E = sums[:, MU] * mu_E + sums[:, LAM] * lam_E
+        sums, h = self.state.sums.numpy().astype(float), 1e-30
+        E, nu = (np.array([[getattr(m, name)] for m in materials]) for name in ("E", "nu"))
+
+        def through_moduli(E: Array, nu: Array) -> Array:
+            """Derivatives [W, N] by what is changed by h i, through mu and lam (complex step)."""
+            mu = E / (2.0 * (1.0 + nu))
+            lam = 2.0 * mu * nu / (1.0 - body.lateral_constraint * nu)
+            return (sums[:, MU] * mu.imag + sums[:, LAM] * lam.imag) / h
+
+        by_E, by_nu = through_moduli(E + 1j * h, nu), through_moduli(E, nu + 1j * h)
         return Gradients(
             E=(by_E * s.stiffness).sum(axis=1),
-            nu=((sums[:, MU] * mu_nu + sums[:, LAM] * lam_nu) * s.stiffness).sum(axis=1),
+            nu=(by_nu * s.stiffness).sum(axis=1),
             density=sums[:, MASS].sum(axis=1) * body.volume,
             stiffness=by_E * E,
-            damping=np.array(by.damping.numpy()),
-            velocity_damping=np.array(by.velocity_damping.numpy()),
             air_density=sums[:, DRAG].sum(axis=1) * s.drag_by_air,
-            friction=np.array(by.friction.numpy()),
             self_friction=np.zeros(s.num_worlds),
-            gravity=np.array(by.gravity.numpy()),
             positions=np.array(self.state.x.numpy()),
             velocities=np.array(self.state.v.numpy()),
             gripper_positions=np.array(by.position.numpy()),
             gripper_rotations=np.array(by.turn.numpy()),
             gripper_radius=np.array(by.radius.numpy()),
+            **{name: np.array(getattr(by, name).numpy()) for name in BY_WORLD},
         )

@@ -469,32 +469,27 @@ class ThinEngine(Engine):
     def _device_model(self) -> Any:
         s, W, n, m = self.setting, self.num_worlds, self.num_points, self.model
         friction = s.table.friction if s.table is not None else 0.0
-        made = self.types.ThinModel()
-        made.points, made.radius, made.table = n, s.body.thickness / 2.0, int(s.table is not None)
-        made.slot = self.array(self.slots, wp.int32)
-        made.scratch = self.zeros((W, m.scratch_rows, self.row_length))
-        made.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
-        made.gravity = self.array(spread(s.gravity, (W, 3), "gravity"), self.types.vec3)
-        check_thick(s.obstacles, made.radius, m.widest)
-        made.obstacles = self.array(numbers_of_obstacles(s.obstacles))
-        paths = dict(Grippers.of(s.obstacles).arrays)
-        paths["position"] = paths["position"] - self.origin
-        made.obstacle_paths = paths_on(s.device, paths, self.real)
+        radius = s.body.thickness / 2.0
+        check_thick(s.obstacles, radius, m.widest)
         ends, most = between(self.holds, m.flat, self.slots)
-        given = {
-            "damping": np.array([material.damping for material in s.materials]),
-            "velocity_damping": spread(s.velocity_damping, (W,), "velocity_damping"),
-            "friction": spread(friction, (W,), "friction"),
-            "holds": self.holds, "ends": ends,
+        of_points = {
             "loose": self._loose(np.arange(W * int(s.self_contact))),
             **m.arrays(s, self.air_density), **contact_arrays(s, n, m.widest),
         }  # fmt: skip
-        made.farthest = self.array(most)
-        for name, value in given.items():
-            if not isinstance(value, np.ndarray):
-                setattr(made, name, value)
-            elif value.dtype == np.int32:
-                setattr(made, name, self.array(value, wp.int32))
-            else:  # of points, or of worlds
-                setattr(made, name, self.array(self.rows(value) if value.ndim > 1 else value))
+        for name, value in of_points.items():
+            if isinstance(value, np.ndarray) and value.ndim > 1 and value.dtype != np.int32:
+                of_points[name] = self.rows(value)
+        made = self.filled(
+            self.types.ThinModel, points=n, radius=radius, table=int(s.table is not None),
+            slot=self.slots, gravity=spread(s.gravity, (W, 3), "gravity"), holds=self.holds,
+            ends=ends, farthest=most, obstacles=numbers_of_obstacles(s.obstacles),
+            damping=[material.damping for material in s.materials],
+            velocity_damping=spread(s.velocity_damping, (W,), "velocity_damping"),
+            friction=spread(friction, (W,), "friction"), **of_points,
+        )  # fmt: skip
+        made.scratch = self.zeros((W, m.scratch_rows, self.row_length))
+        made.place = self.zeros((W * self.closed.shape[1], 7, self.row_length))
+        paths = dict(Grippers.of(s.obstacles).arrays)
+        paths["position"] = paths["position"] - self.origin
+        made.obstacle_paths = paths_on(s.device, paths, self.real)
         return made

@@ -137,7 +137,10 @@ def _cut(
     shared &= taken[w, outer] == 1  # it is at no border, and beside one
     own = 0.5 * (length[i - 1] + length[i])
     beyond_outer = np.where(shared, length[after], 0.0)
-    first, second, by_border = _divided(edge, beyond_outer, border, lines.least * own)
+    least, h = lines.least * own, 1e-30
+    first, second = _divided(edge, beyond_outer, border, least)
+    moved = _divided(edge, beyond_outer, border + 1j * h, least)  # complex step
+    by_border = np.stack([np.imag(of) / h for of in moved], axis=1)
     cut = BorderCut(
         stiffer=np.ones((L, n)),
         between=np.full((L, n, 2), -1),
@@ -155,7 +158,7 @@ def _cut(
     return cut
 
 
-def _divided(edge: Array, beyond: Array, border: Array, least: Array) -> tuple[Array, Array, Array]:
+def _divided(edge: Array, beyond: Array, border: Array, least: Array) -> tuple[Array, Array]:
     """Divide the free length at borders [k] between the joint there and the next one.
 
     With x the distance from the joint, the border at x = b, the free edge's length l and the end of
@@ -165,24 +168,18 @@ def _divided(edge: Array, beyond: Array, border: Array, least: Array) -> tuple[A
     Args:
         edge: l [k] [m].
         beyond: [k] length of the edge beyond the next joint, 0 where that does not share [m].
-        border: b [k] [m].
+        border: b [k], which may be complex [m].
         least: [k] least length that the joint represents [m].
 
     Returns:
-        Lengths of the joint and of the next one (0 where it does not share) [k] [m], and their
-        derivatives by b [k, 2].
+        Lengths of the joint and of the next one (0 where it does not share) [k] [m].
     """
     shared = beyond > 0.0
     end = np.where(shared, edge + 0.5 * beyond, 0.5 * edge)
     second = np.where(shared, 0.5 * (end**2 - border**2) / edge, 0.0)
-    by_border = np.where(shared, -border / edge, 0.0)
     first = end - border - second
-    follows = first > least
-    first = np.where(follows, first, least)
-    second = np.where(shared, end - border - first, 0.0)
-    by_first = np.where(follows, -1.0 - by_border, 0.0)
-    by_second = np.where(shared, -1.0 - by_first, 0.0)
-    return first, second, np.stack([by_first, by_second], axis=1)
+    first = np.where(np.real(first) > least, first, least)
+    return first, np.where(shared, end - border - first, 0.0)
 
 
 def _leaves(offset: Array, step: Array, radius: Array) -> Array:

@@ -76,18 +76,13 @@ class ThinTape:
         return self._gradients()
 
     def _zero_adjoint(self) -> Any:
-        e, k = self.engine, self.engine.types
+        e, m = self.engine, self.engine.model
         W, G, P = e.num_worlds, e.closed.shape[1], e.row_length
-        adjoint = k.ModelAdjoint()
-        adjoint.state = e.zeros((W, e.model.state_bars, P))
-        adjoint.model = e.zeros((W, self.model_rows, P))
-        adjoint.scratch = e.zeros((W, e.model.scratch_bars, P))
-        adjoint.place = e.zeros((W * G, 6, P))
-        adjoint.centre = e.zeros((W, G), k.vec3)
-        adjoint.turn = e.zeros((W, G), k.vec3)
-        adjoint.position = e.zeros(e.stacked["time"].shape, wp.vec3d)
-        adjoint.path_turn = e.zeros(e.stacked["time"].shape, wp.vec3d)
-        return adjoint
+        return e.allocate(
+            e.types.ModelAdjoint, state=(W, m.state_bars, P), model=(W, self.model_rows, P),
+            scratch=(W, m.scratch_bars, P), place=(W * G, 6, P), centre=(W, G), turn=(W, G),
+            **dict.fromkeys(("position", "path_turn"), e.stacked["time"].shape),
+        )  # fmt: skip
 
     # ---- one group of worlds ---------------------------------------------------------------------
 
