@@ -159,10 +159,8 @@ def chance(problem: TrainingProblem, between: Between = dict) -> dict[str, float
     Raises:
         PolicyError: The task has no risk by which to know, or no actions to choose among.
     """
-    what, fix = (
-        "the task has no risk, or no candidates to choose among",
-        "choose the method inverse",
-    )
+    what = "the task has no risk, or no candidates to choose among"
+    fix = "choose the method inverse"
     known = problem.log_risk is not None and problem.candidates
     require(known, what, where="method", fix=fix, error=PolicyError)
     enough = problem.within.float()[:, None]
