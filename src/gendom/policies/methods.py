@@ -59,9 +59,9 @@ ANCHORS = 1024
 REPLAY = 4
 """How many demonstrations of the first kind each of those for fine-tuning is trained with."""
 
-REACHES, NOISES = (0.25, 0.5, 1.0, 2.0, 4.0), (1e-3, 1e-2, 0.1, 1.0, 10.0, 1e3)
+REACHES, NOISES = (0.125, 0.25, 0.5), (1e-3, 1e-2, 0.1, 1.0, 10.0, 1e3)
 """Distances of standardised inputs over which what is left of goals is alike, and variances of its
-noise over its own, that are tried."""
+noise over its own, that are tried. Farther ones would tell of objects that nobody has seen."""
 
 HUBER_THRESHOLD = 0.1
 """Error from which on it counts linearly [standard deviations of the goal]."""
