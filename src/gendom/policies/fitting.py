@@ -98,14 +98,14 @@ class Training:
     """Fixes the held-out demonstrations, the initial weights and the order of the batches."""
 
     def __post_init__(self) -> None:
-        chosen = [("method", self.method, METHODS)]
-        chosen += [("architecture", self.architecture, tuple(ARCHITECTURES))]
-        chosen += [
-            ("conditioned_on", name, tuple(PARAMETERS)) for name in self.conditioned_on or ()
-        ]
-        for name, value, known in chosen:
+        for name, values, known in (
+            ("method", (self.method,), METHODS),
+            ("architecture", (self.architecture,), tuple(ARCHITECTURES)),
+            ("conditioned_on", self.conditioned_on or (), tuple(PARAMETERS)),
+        ):
+            wrong = next((v for v in values if v not in known), None)
             fix = f"choose from {', '.join(known)}"
-            require(value in known, f"{name} is {value!r}", fix=fix, error=PolicyError)
+            require(wrong is None, f"{name} is {wrong!r}", fix=fix, error=PolicyError)
         for name in ("epochs", "batch_size", "learning_rate", "finetune_epochs"):
             value = getattr(self, name)
             require(value > 0, f"{name} must be positive, got {value}", error=PolicyError)

@@ -53,10 +53,8 @@ class Simulation:
 
     def __post_init__(self) -> None:
         low, high = CELLS_ACROSS
-        require(
-            low <= self.cells_across <= high,
-            f"cells_across must lie between {low:g} and {high:g}, got {self.cells_across:g}",
-        )
+        what = f"cells_across must lie between {low:g} and {high:g}, got {self.cells_across:g}"
+        require(low <= self.cells_across <= high, what)
 
     def carry_out(
         self,
@@ -76,11 +74,8 @@ class Simulation:
         found: list[Outcome] = [Outcome(values={}, fault="not simulated")] * len(items)
         groups = _groups_of_one_size(items)
         if self.engine == "mpm" and any(task.scene(items[g[0]]).self_contact for g in groups):
-            _log.warning(
-                "%s: layers of cloth that touch stick to each other in the MPM; engine 'thin' "
-                "keeps them apart",
-                task.name,
-            )
+            what = "layers of cloth that touch stick to each other in the MPM; engine 'thin' keeps"
+            _log.warning("%s: %s them apart", task.name, what)
         parts = [some for g in groups for some in np.split(g, range(BATCH, len(g), BATCH))]
         while parts:
             some = parts.pop(0)
@@ -91,11 +86,8 @@ class Simulation:
             except RuntimeError as error:  # Warp's own
                 if "allocate" not in str(error) or len(some) == 1:
                     raise
-                _log.warning(
-                    "%s has no memory for %d objects at once; simulating smaller batches",
-                    self.device,
-                    len(some),
-                )
+                what = f"{self.device} has no memory for {len(some)} objects at once"
+                _log.warning("%s; simulating smaller batches", what)
                 parts[:0] = np.split(some, [len(some) // 2])
                 continue
             for w, outcome in zip(some, made, strict=True):
@@ -240,12 +232,8 @@ def check_actions(task: Task, items: Sequence[Item], actions: ArrayLike) -> Arra
         ParameterError: One is not, or there are more or fewer than objects.
     """
     wanted = np.asarray(actions, dtype=float).reshape(-1, len(task.actions))
-    require(
-        len(wanted) == len(items),
-        f"are of shape {np.shape(actions)} for {len(items)} objects",
-        where="actions",
-        fix="give one for each object",
-    )
+    what, fits = f"are of shape {np.shape(actions)} for {len(items)} objects", len(wanted)
+    require(fits == len(items), what, where="actions", fix="give one for each object")
     low, high = np.moveaxis(np.array([task.limits(item) for item in items]), 2, 0)
     within = np.all((wanted >= low) & (wanted <= high), axis=1)
     for item, action, inside in zip(items, wanted, within, strict=True):
