@@ -155,10 +155,9 @@ def adapting(
         step = np.linalg.solve(H, J.T @ whitened(y - f) - prior @ (vector - belief.mean))
         # the best of some steps, if it pays
         tried = yield from simulated([vector + share * step for share in STEP_LENGTHS])
-        costs = [
-            cost(g, vector + share * step) if np.isfinite(g).all() else np.inf
-            for g, share in zip(tried, STEP_LENGTHS, strict=True)
-        ]
+        ends = [vector + share * step for share in STEP_LENGTHS]
+        costs = [cost(g, v) if np.isfinite(g).all() else np.inf
+                 for g, v in zip(tried, ends, strict=True)]  # fmt: skip
         k = int(np.argmin(costs))
         gained = cost(f, vector) - costs[k]
         if not gained > 0.0:

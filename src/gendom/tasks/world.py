@@ -79,10 +79,9 @@ class Simulation:
         parts = [some for g in groups for some in np.split(g, range(BATCH, len(g), BATCH))]
         while parts:
             some = parts.pop(0)
+            own = [items[w] for w in some]
             try:
-                made = self._side_by_side(
-                    task, [items[w] for w in some], wanted[some], keep, on_frame
-                )
+                made = self._side_by_side(task, own, wanted[some], keep, on_frame)
             except RuntimeError as error:  # Warp's own
                 if "allocate" not in str(error) or len(some) == 1:
                     raise
@@ -142,23 +141,16 @@ class Simulation:
         origin = np.asarray(scene.origin, dtype=float)
         if isinstance(item, Rope):
             body = rope(
-                diameter=item.diameter,
-                length=item.length,
-                start=origin,
-                direction=along,
+                diameter=item.diameter, length=item.length, start=origin, direction=along,
                 cells_across=self.cells_across,
-            )
+            )  # fmt: skip
             x = body.points if self.engine == "thin" else body.x
             # elementwise: a matrix product may round differently from call to call, and an
             # unstable rope shows it
             s = np.sum((x - origin) * along, axis=1) / item.length
             return body, x + scene.bow * (np.sin(np.pi * s) ** 2)[:, None] * across
-        body = cloth(
-            width=item.side,
-            height=item.side,
-            thickness=item.thickness,
-            dx=item.side / (15.0 * self.cells_across),
-        )
+        dx = item.side / (15.0 * self.cells_across)
+        body = cloth(width=item.side, height=item.side, thickness=item.thickness, dx=dx)
         x = body.points if self.engine == "thin" else body.x
         axes = (along, across, np.cross(along, across))
         return body, origin + sum(x[:, k, None] * axis for k, axis in enumerate(axes))
@@ -187,12 +179,8 @@ class Simulation:
             else:  # the last section
                 along = body.material_coordinates[:, 0]
                 tip = np.flatnonzero(along == along.max())
-            recorded = simulator.run(
-                times,
-                on_frame=on_frame,
-                particles=None if all_points else tip,
-                keep_going=True,
-            )
+            seen = None if all_points else tip
+            recorded = simulator.run(times, on_frame=on_frame, particles=seen, keep_going=True)
         hands, opens = paths.position_at(times), [opening(path) for path in paths.paths]
         return judged(task, items, simulator, body, times, recorded, hands, opens, keep=keep)
 
