@@ -74,8 +74,8 @@ class Command(KnownObject):
     no_parameters: bool = False
     """Use the shipped policy that does not see the object's parameters."""
     polish: bool = False
-    """Improve the action through the simulator, for the most likely object and with what earlier
-    executions have shown (gendom adapt); before the first one that is no better."""
+    """Improve the action through the simulator, with what earlier executions have shown (gendom
+    adapt); before the first one casts become better, and pulls hardly."""
     seconds: float = 5.0
     """Time limit of polishing [s]."""
     engine: Engine = "thin"
