@@ -69,8 +69,8 @@ class Command(KnownObject):
     policy: Path | None = None
     """Policy file; by default the shipped one."""
     polish: bool = False
-    """Improve the action through the simulator, for the most likely object and with what earlier
-    executions have shown (gendom adapt); before the first one that is no better."""
+    """Improve the action through the simulator, with what earlier executions have shown (gendom
+    adapt); before the first one casts become better, and pulls hardly."""
     seconds: float = 5.0
     """Time limit of polishing [s]."""
     engine: Engine = "thin"

@@ -19,37 +19,17 @@ if TYPE_CHECKING:
     from gendom.policies.polishing import Polished, polish
     from gendom.policies.training import train
 
-# Public name -> module that defines it. Keep in step with the block above and `__all__`.
-_LATER = {
-    "Adapted": "adaptation",
-    "believed": "belief",
-    "Demonstrations": "demonstrations",
-    "Execution": "adaptation",
-    "Polished": "polishing",
-    "Training": "fitting",
-    "adapt": "adaptation",
-    "polish": "polishing",
-    "score": "evaluation",
-    "train": "training",
-}
-
 __all__ = [
-    "Action",
-    "Adapted",
-    "Column",
-    "Demonstrations",
-    "Description",
-    "Execution",
-    "GoalRange",
-    "Policy",
-    "Polished",
-    "Training",
-    "adapt",
-    "believed",
-    "polish",
-    "score",
-    "train",
-]
+    "Action", "Adapted", "Column", "Demonstrations", "Description", "Execution", "GoalRange",
+    "Policy", "Polished", "Training", "adapt", "believed", "polish", "score", "train",
+]  # fmt: skip
 
-
-__getattr__ = imported_later(__name__, _LATER)
+__getattr__ = imported_later(
+    __name__,
+    {
+        **dict.fromkeys(("Adapted", "Execution", "adapt"), "adaptation"),
+        **dict.fromkeys(("Polished", "polish"), "polishing"),
+        "believed": "belief", "Demonstrations": "demonstrations", "Training": "fitting",
+        "score": "evaluation", "train": "training",
+    },
+)  # fmt: skip

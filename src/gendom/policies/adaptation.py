@@ -155,10 +155,9 @@ def adapting(
         step = np.linalg.solve(H, J.T @ whitened(y - f) - prior @ (vector - belief.mean))
         # the best of some steps, if it pays
         tried = yield from simulated([vector + share * step for share in STEP_LENGTHS])
-        costs = [
-            cost(g, vector + share * step) if np.isfinite(g).all() else np.inf
-            for g, share in zip(tried, STEP_LENGTHS, strict=True)
-        ]
+        ends = [vector + share * step for share in STEP_LENGTHS]
+        costs = [cost(g, v) if np.isfinite(g).all() else np.inf
+                 for g, v in zip(tried, ends, strict=True)]  # fmt: skip
         k = int(np.argmin(costs))
         gained = cost(f, vector) - costs[k]
         if not gained > 0.0:
@@ -196,22 +195,18 @@ def executions_from(rows: Sequence[Any], where: str) -> list[Execution]:
 def _check(task: Task, executions: Sequence[Execution], item: Item) -> None:
     known = task.goals or task.outcomes[:1]
     require(known, f"{task.name} has no goals to learn from", where="adapt")
-    G, A = len(known), len(task.actions)
+    G, A, names = len(known), len(task.actions), ", ".join(q.name for q in known)
     for e in executions:
-        what = (
-            f"an execution has {e.action.size} numbers of an action and {e.reached.size} reached, "
-        )
-        what += f"{task.name} has {A} and {G}: {', '.join(q.name for q in known)}"
-        fits = e.reached.shape == (G,) and e.action.shape == (A,)
-        require(fits, what, where="executions")
+        what = f"an execution has {e.action.size} numbers of an action and {e.reached.size} "
+        what += f"reached, {task.name} has {A} and {G}: {names}"
+        require(e.reached.shape == (G,) and e.action.shape == (A,), what, where="executions")
         for quantity, value in zip(known, e.reached, strict=True):
             near = quantity.unit != "m" or abs(value) <= LARGEST_REACHED * size_of(item)
             what = f"{quantity.name} is {value:g} m, and the {item.kind} {size_of(item):g} m"
             fix = f"give metres: {value:g} mm are {1e-3 * value:g} m"
             require(near, what, where="reached", fix=fix)
             what, fix = f"{quantity.name} is {value:g}", "give a share from 0 to 1"
-            share = bool(task.goals) or 0.0 <= value <= 1.0
-            require(share, what, where="reached", fix=fix)
+            require(bool(task.goals) or 0.0 <= value <= 1.0, what, where="reached", fix=fix)
 
 
 def _kernel(a: Array, b: Array) -> Array:

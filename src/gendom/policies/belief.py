@@ -32,13 +32,9 @@ def for_task(estimate: Estimate, task: Task, where: str = "estimate") -> Estimat
     Raises:
         GendomError: It is of another kind of object.
     """
-    require(
-        estimate.kind == task.kind,
-        f"describes a {estimate.kind}, the task needs a {task.kind}",
-        where=where,
-        fix=f"give the estimate of a {task.kind}",
-        error=GendomError,
-    )
+    what = f"describes a {estimate.kind}, the task needs a {task.kind}"
+    fix, fits = f"give the estimate of a {task.kind}", estimate.kind == task.kind
+    require(fits, what, where=where, fix=fix, error=GendomError)
     if estimate.value("E_over_rho") is not None:
         return estimate
     known = {**estimate.known, "E_over_rho": task.item.material.E_over_rho}
@@ -66,9 +62,8 @@ def weighed(
     given = {name: np.array([one[name] for one in alike]) for name in alike[0]}
     weight = np.ones(len(items))
     for e in executions:
-        enough = (
-            task.error(items[0], np.empty(0), {task.outcomes[0].name: float(e.reached[0])}) <= 0
-        )
+        found = {task.outcomes[0].name: float(e.reached[0])}
+        enough = task.error(items[0], np.empty(0), found) <= 0
         actions = np.array([e.action / task.action_units(item) for item in items])
         chance = policy.chances(actions, given)
         weight *= np.clip(chance if enough else 1.0 - chance, 1e-3, 1.0)

@@ -51,11 +51,8 @@ class Demonstrations:
         fix = "simulate more with gendom dataset"
         require(len(self) >= SMALLEST, what, where=self.where, fix=fix, error=DatasetError)
         for name, values in {"goal": self.goal, "action": self.action, **self.parameters}.items():
-            what, fix = (
-                f"{name} holds numbers that are not finite",
-                "simulate the demonstrations again",
-            )
-            finite = np.isfinite(values).all()
+            what, finite = f"{name} holds numbers that are not finite", np.isfinite(values).all()
+            fix = "simulate the demonstrations again"
             require(finite, what, where=self.where, fix=fix, error=DatasetError)
 
     def __len__(self) -> int:

@@ -41,11 +41,9 @@ class Score:
         nothing.
         """
         done = np.isfinite(self.error)
-        enough = (
-            {} if self.reached.shape[1] else {"enough_share": float(np.mean(self.error <= 0.0))}
-        )
+        enough = float(np.mean(self.error <= 0.0))
         return {
-            **enough,
+            **({} if self.reached.shape[1] else {"enough_share": enough}),
             "cases": len(self.error),
             "failed": int((~done).sum()),
             "error": _figures(self.error[done]),

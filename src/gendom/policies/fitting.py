@@ -98,14 +98,14 @@ class Training:
     """Fixes the held-out demonstrations, the initial weights and the order of the batches."""
 
     def __post_init__(self) -> None:
-        chosen = [("method", self.method, METHODS)]
-        chosen += [("architecture", self.architecture, tuple(ARCHITECTURES))]
-        chosen += [
-            ("conditioned_on", name, tuple(PARAMETERS)) for name in self.conditioned_on or ()
-        ]
-        for name, value, known in chosen:
+        for name, values, known in (
+            ("method", (self.method,), METHODS),
+            ("architecture", (self.architecture,), tuple(ARCHITECTURES)),
+            ("conditioned_on", self.conditioned_on or (), tuple(PARAMETERS)),
+        ):
+            wrong = next((v for v in values if v not in known), None)
             fix = f"choose from {', '.join(known)}"
-            require(value in known, f"{name} is {value!r}", fix=fix, error=PolicyError)
+            require(wrong is None, f"{name} is {wrong!r}", fix=fix, error=PolicyError)
         for name in ("epochs", "batch_size", "learning_rate", "finetune_epochs"):
             value = getattr(self, name)
             require(value > 0, f"{name} must be positive, got {value}", error=PolicyError)
@@ -287,10 +287,10 @@ class TrainingProblem:
         loss_of: Loss,
         rows: Tensor,
         epochs: int,
-        learning_rate: float,
+        rate: float,
     ) -> None:
         """Minimise the mean of a loss over batches of rows [M] of any kind by AdamW, whose learning
-        rate rises shortly, then falls to zero along a cosine.
+        `rate` rises shortly, then falls to zero along a cosine.
 
         Raises:
             PolicyError: It diverged.
@@ -299,15 +299,9 @@ class TrainingProblem:
         batch = min(how.batch_size, len(rows))
         steps = len(rows) // batch
         decay = CHANCE_WEIGHT_DECAY if self.chooses else how.weight_decay
-        optimizer = torch.optim.AdamW(
-            network.parameters(), lr=learning_rate, weight_decay=decay, fused=True
-        )
+        optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay, fused=True)
         schedule = torch.optim.lr_scheduler.OneCycleLR(
-            optimizer,
-            max_lr=learning_rate,
-            total_steps=epochs * steps + 1,
-            pct_start=0.1,
-            cycle_momentum=False,
+            optimizer, rate, total_steps=epochs * steps + 1, pct_start=0.1, cycle_momentum=False
         )
         with bar(name, epochs, "epoch", shown=self.shown) as show:
             for epoch in range(1, epochs + 1):

@@ -59,9 +59,9 @@ ANCHORS = 1024
 REPLAY = 4
 """How many demonstrations of the first kind each of those for fine-tuning is trained with."""
 
-REACHES, NOISES = (0.25, 0.5, 1.0, 2.0, 4.0), (1e-3, 1e-2, 0.1, 1.0, 10.0, 1e3)
+REACHES, NOISES = (0.125, 0.25, 0.5), (1e-3, 1e-2, 0.1, 1.0, 10.0, 1e3)
 """Distances of standardised inputs over which what is left of goals is alike, and variances of its
-noise over its own, that are tried."""
+noise over its own, that are tried. Farther ones would tell of objects that nobody has seen."""
 
 HUBER_THRESHOLD = 0.1
 """Error from which on it counts linearly [standard deviations of the goal]."""
@@ -159,10 +159,8 @@ def chance(problem: TrainingProblem, between: Between = dict) -> dict[str, float
     Raises:
         PolicyError: The task has no risk by which to know, or no actions to choose among.
     """
-    what, fix = (
-        "the task has no risk, or no candidates to choose among",
-        "choose the method inverse",
-    )
+    what = "the task has no risk, or no candidates to choose among"
+    fix = "choose the method inverse"
     known = problem.log_risk is not None and problem.candidates
     require(known, what, where="method", fix=fix, error=PolicyError)
     enough = problem.within.float()[:, None]

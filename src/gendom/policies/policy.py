@@ -277,10 +277,9 @@ class Policy(Shown):
         options.intra_op_num_threads = 1  # the network is too small for more
         options.log_severity_level = 4
         fix = "use a policy written by gendom train"
+        cpu = ["CPUExecutionProvider"]
         try:
-            session = onnxruntime.InferenceSession(
-                content, sess_options=options, providers=["CPUExecutionProvider"]
-            )
+            session = onnxruntime.InferenceSession(content, sess_options=options, providers=cpu)
         except Exception as error:  # onnxruntime's own exceptions share no public base class
             what = "is not an ONNX file that onnxruntime can run"
             raise PolicyError(what, where=where, fix=fix) from error

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -99,7 +99,7 @@ class _Point:
 
     z: Array
     r: Array
-    J: Array
+    J: Array = field(default_factory=lambda: np.empty((0, 0)))
     damping: float = 1e-3
     done: bool = False
 
@@ -171,9 +171,7 @@ class PolishingProblem:
     def flat(self, points: Sequence[Array]) -> Asking[list[_Point]]:
         """With residuals alone."""
         r = yield from self.residuals(points)
-        return [
-            _Point(z=z, r=x, J=np.zeros((len(x), len(z)))) for z, x in zip(points, r, strict=True)
-        ]
+        return [_Point(z=z, r=x) for z, x in zip(points, r, strict=True)]
 
     def point(self, z: Array) -> Asking[_Point]:
         """With residuals and derivatives, simulated side by side."""

@@ -15,7 +15,7 @@ from gendom.materials import Item, size_of
 from gendom.policies.adaptation import DISCREPANCY
 from gendom.robot import TcpPath
 from gendom.tasks import Task
-from gendom.tasks.task import Outcome, World
+from gendom.tasks.task import World
 
 LATE = 0.1
 """By which a late release is simulated [s]."""
@@ -36,8 +36,9 @@ def predict(
     if outcomes[0].fault is not None:
         return {"fault": outcomes[0].fault}
     found: dict[str, Any] = {"reached": outcomes[0].values}
-    if _releases(task, item, action):
-        (late,) = reached_late(task, item, action[None], world)
+    path = task.tool_path(item, action)
+    if task.goals and not all(event.closed for event in path.events):
+        (late,) = world.carry_out(_late(task), [item], action[None])
         found["late_release"] = {"seconds": LATE, "reached": late.values}
     values = [o.values for o in outcomes[1:] if o.fault is None]
     if values:
@@ -51,13 +52,8 @@ def predict(
     return found
 
 
-def _releases(task: Task, item: Item, action: Array) -> bool:
-    """Whether a task reaches its goal by opening the hand."""
-    return bool(task.goals) and not all(e.closed for e in task.tool_path(item, action).events)
-
-
-def reached_late(task: Task, item: Item, actions: Array, world: World) -> list[Outcome]:
-    """What actions [N, A] reach whose release comes late, by `LATE`."""
+def _late(task: Task) -> Task:
+    """The same, but the hand opens late, by `LATE`."""
 
     class Late(type(task)):
         def tool_path(self, item: Item, action: Array) -> TcpPath:
@@ -66,8 +62,7 @@ def reached_late(task: Task, item: Item, actions: Array, world: World) -> list[O
             return replace(path, events=tuple(events))
 
     made: Any = Late
-    late = made(**{f.name: getattr(task, f.name) for f in fields(task)})
-    return world.carry_out(late, [item] * len(actions), actions)
+    return made(**{f.name: getattr(task, f.name) for f in fields(task)})
 
 
 def doubts(

@@ -43,7 +43,7 @@ from gendom.tasks.world import BATCH
 STEP = 0.002
 """Of central differences [units of similarity]."""
 
-MAX_SECOND_DIFFERENCE = 0.005
+SMOOTH = 0.005
 """Larger second differences show a jump of what is reached, which has no derivative [units of
 similarity]."""
 
@@ -157,8 +157,9 @@ def _models(
             show(int(part[-1]) + 1)
     found = np.concatenate(values)
     G = len(task.goals)
+    second = found[:, 1::2] + found[:, 2::2] - 2.0 * found[:, :1]
     counts = np.isfinite(found[:, 0])
-    counts[:, :G] &= _smooth(found)[:, :G]
+    counts[:, :G] &= np.nan_to_num(np.abs(second), nan=np.inf).max(axis=1)[:, :G] <= SMOOTH
     if found.shape[2] > G:  # what is reached at risk is noise
         counts[:, :G] &= (found[:, 0, G] <= problem.highest)[:, None]
     left = asked - action
@@ -174,22 +175,13 @@ def _models(
     return {"row": torch.tensor(rows), **made}
 
 
-def _smooth(values: Array) -> NDArray[np.bool_]:
-    """[M, R] whether values [M, 2 A + 1, R] at points `stencil` others follow a derivative."""
-    second = values[:, 1::2] + values[:, 2::2] - 2.0 * values[:, :1]
-    return np.nan_to_num(np.abs(second), nan=np.inf).max(axis=1) <= MAX_SECOND_DIFFERENCE
-
-
 def _values(task: Task, world: World, items: Sequence[Item], points: Array) -> Array:
     """[M, K, G, and 1 for the logarithm of the risk] of K actions [M, K, A] with M objects, in
     units of similarity; NaN where a simulation failed."""
     M, K, _ = points.shape
     units = np.array([task.action_units(item) for item in items])
-    outcomes = world.carry_out(
-        task,
-        [item for item in items for _ in range(K)],
-        (points * units[:, None]).reshape(M * K, -1),
-    )
+    actions = (points * units[:, None]).reshape(M * K, -1)
+    outcomes = world.carry_out(task, [item for item in items for _ in range(K)], actions)
     quantities = [*task.goals, *([task.risk] if task.risk is not None else [])]
     found = np.array([[o.values.get(q.name, np.nan) for q in quantities] for o in outcomes])
     found = found.reshape(M, K, -1)

@@ -194,12 +194,11 @@ def _written(
     with atomic_path(path) as temporary:
 
         def export(about: Description) -> Policy:
+            inputs = {column.name: torch.ones(2, 1) for column in about.inputs}
+            outputs = ("chance" if problem.chooses else "action",)
+            metadata = {METADATA_KEY: about.to_json()}
             export_onnx(
-                problem.policy,
-                temporary,
-                inputs={column.name: torch.ones(2, 1) for column in about.inputs},
-                outputs=("chance" if problem.chooses else "action",),
-                metadata={METADATA_KEY: about.to_json()},
+                problem.policy, temporary, inputs=inputs, outputs=outputs, metadata=metadata
             )
             return Policy.read(temporary)
 

@@ -7,7 +7,6 @@ made from `Task`.
 from __future__ import annotations
 
 import importlib.util
-import logging
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
     from gendom.tasks.cases import draw_cases
     from gendom.tasks.demonstrator import Demonstrator
     from gendom.tasks.world import Simulation
-
-_log = logging.getLogger(__name__)
 
 _registered: dict[str, type[Task]] = {}
 
@@ -70,12 +67,8 @@ def find_task(name: str) -> type[Task]:
         ParameterError: There is none of that name.
     """
     names = task_names()
-    require(
-        name in names,
-        f"there is no task {name!r}",
-        where="task",
-        fix=f"choose {', '.join(names)}, or give the .py file that defines it",
-    )
+    fix = f"choose {', '.join(names)}, or give the .py file that defines it"
+    require(name in names, f"there is no task {name!r}", where="task", fix=fix)
     return _registered[name]
 
 
@@ -103,9 +96,8 @@ def _read(path: Path) -> type[Task]:
     try:
         spec.loader.exec_module(module)
     except Exception as error:  # whatever a file of someone else raises
-        raise ParameterError(
-            f"cannot be imported ({type(error).__name__}: {error})", where=str(path)
-        ) from error
+        what = f"cannot be imported ({type(error).__name__}: {error})"
+        raise ParameterError(what, where=str(path)) from error
     found = [
         value
         for value in vars(module).values()
@@ -137,23 +129,7 @@ __getattr__ = imported_later(
 )
 
 __all__ = [
-    "ClothDragging",
-    "ClothSpreading",
-    "Demonstrator",
-    "Observed",
-    "Outcome",
-    "Quantity",
-    "Risk",
-    "RopeCasting",
-    "RopeReaching",
-    "Scene",
-    "Simulation",
-    "Task",
-    "World",
-    "draw_cases",
-    "find_task",
-    "load_task",
-    "rebuild",
-    "register",
-    "task_names",
-]
+    "ClothDragging", "ClothSpreading", "Demonstrator", "Observed", "Outcome", "Quantity", "Risk",
+    "RopeCasting", "RopeReaching", "Scene", "Simulation", "Task", "World", "draw_cases",
+    "find_task", "load_task", "rebuild", "register", "task_names",
+]  # fmt: skip

@@ -80,10 +80,8 @@ class Demonstrator:
         goals = [q.name for q in task.goals]
         done = [o.values for o in outcomes if o.fault is None]
         names = list(done[0]) if done else goals
-        columns = {
-            GOAL + name if name in goals else name: np.array(
-                [o.values.get(name, np.nan) for o in outcomes]
-            )
-            for name in names
-        }
+        columns = {}
+        for name in names:
+            values = np.array([o.values.get(name, np.nan) for o in outcomes])
+            columns[GOAL + name if name in goals else name] = values
         return Outcomes(columns=columns, faults=tuple(o.fault for o in outcomes))

@@ -265,9 +265,8 @@ class Task(ABC):
 
     def within_risk(self, item: Item, values: Mapping[str, float]) -> bool:
         """Whether an outcome can be relied on."""
-        if self.risk is None:
-            return True
-        return values[self.risk.name] <= self.risk.limit * unit_of(self.risk.unit, item)
+        risk = self.risk
+        return risk is None or values[risk.name] <= risk.limit * unit_of(risk.unit, item)
 
     # ---- actions ---------------------------------------------------------------------------------
 
@@ -347,11 +346,9 @@ class Task(ABC):
             ParameterError: None is found.
         """
         if self.candidates:
-            known = np.array(self.candidates)
+            known, units = np.array(self.candidates), map(self.action_units, items)
             one = [known[rng.integers(len(known))] for rng in rngs]
-            return np.array(
-                [a * self.action_units(item) for a, item in zip(one, items, strict=True)]
-            )
+            return np.array([a * u for a, u in zip(one, units, strict=True)])
         low, high = np.moveaxis(np.array([self.limits(item) for item in items]), 2, 0)
         drawn = np.empty_like(low)
         left = list(range(len(items)))

@@ -53,10 +53,8 @@ class Simulation:
 
     def __post_init__(self) -> None:
         low, high = CELLS_ACROSS
-        require(
-            low <= self.cells_across <= high,
-            f"cells_across must lie between {low:g} and {high:g}, got {self.cells_across:g}",
-        )
+        what = f"cells_across must lie between {low:g} and {high:g}, got {self.cells_across:g}"
+        require(low <= self.cells_across <= high, what)
 
     def carry_out(
         self,
@@ -76,26 +74,19 @@ class Simulation:
         found: list[Outcome] = [Outcome(values={}, fault="not simulated")] * len(items)
         groups = _groups_of_one_size(items)
         if self.engine == "mpm" and any(task.scene(items[g[0]]).self_contact for g in groups):
-            _log.warning(
-                "%s: layers of cloth that touch stick to each other in the MPM; engine 'thin' "
-                "keeps them apart",
-                task.name,
-            )
+            what = "layers of cloth that touch stick to each other in the MPM; engine 'thin' keeps"
+            _log.warning("%s: %s them apart", task.name, what)
         parts = [some for g in groups for some in np.split(g, range(BATCH, len(g), BATCH))]
         while parts:
             some = parts.pop(0)
+            own = [items[w] for w in some]
             try:
-                made = self._side_by_side(
-                    task, [items[w] for w in some], wanted[some], keep, on_frame
-                )
+                made = self._side_by_side(task, own, wanted[some], keep, on_frame)
             except RuntimeError as error:  # Warp's own
                 if "allocate" not in str(error) or len(some) == 1:
                     raise
-                _log.warning(
-                    "%s has no memory for %d objects at once; simulating smaller batches",
-                    self.device,
-                    len(some),
-                )
+                what = f"{self.device} has no memory for {len(some)} objects at once"
+                _log.warning("%s; simulating smaller batches", what)
                 parts[:0] = np.split(some, [len(some) // 2])
                 continue
             for w, outcome in zip(some, made, strict=True):
@@ -150,23 +141,16 @@ class Simulation:
         origin = np.asarray(scene.origin, dtype=float)
         if isinstance(item, Rope):
             body = rope(
-                diameter=item.diameter,
-                length=item.length,
-                start=origin,
-                direction=along,
+                diameter=item.diameter, length=item.length, start=origin, direction=along,
                 cells_across=self.cells_across,
-            )
+            )  # fmt: skip
             x = body.points if self.engine == "thin" else body.x
             # elementwise: a matrix product may round differently from call to call, and an
             # unstable rope shows it
             s = np.sum((x - origin) * along, axis=1) / item.length
             return body, x + scene.bow * (np.sin(np.pi * s) ** 2)[:, None] * across
-        body = cloth(
-            width=item.side,
-            height=item.side,
-            thickness=item.thickness,
-            dx=item.side / (15.0 * self.cells_across),
-        )
+        dx = item.side / (15.0 * self.cells_across)
+        body = cloth(width=item.side, height=item.side, thickness=item.thickness, dx=dx)
         x = body.points if self.engine == "thin" else body.x
         axes = (along, across, np.cross(along, across))
         return body, origin + sum(x[:, k, None] * axis for k, axis in enumerate(axes))
@@ -195,12 +179,8 @@ class Simulation:
             else:  # the last section
                 along = body.material_coordinates[:, 0]
                 tip = np.flatnonzero(along == along.max())
-            recorded = simulator.run(
-                times,
-                on_frame=on_frame,
-                particles=None if all_points else tip,
-                keep_going=True,
-            )
+            seen = None if all_points else tip
+            recorded = simulator.run(times, on_frame=on_frame, particles=seen, keep_going=True)
         hands, opens = paths.position_at(times), [opening(path) for path in paths.paths]
         return judged(task, items, simulator, body, times, recorded, hands, opens, keep=keep)
 
@@ -240,12 +220,8 @@ def check_actions(task: Task, items: Sequence[Item], actions: ArrayLike) -> Arra
         ParameterError: One is not, or there are more or fewer than objects.
     """
     wanted = np.asarray(actions, dtype=float).reshape(-1, len(task.actions))
-    require(
-        len(wanted) == len(items),
-        f"are of shape {np.shape(actions)} for {len(items)} objects",
-        where="actions",
-        fix="give one for each object",
-    )
+    what, fits = f"are of shape {np.shape(actions)} for {len(items)} objects", len(wanted)
+    require(fits == len(items), what, where="actions", fix="give one for each object")
     low, high = np.moveaxis(np.array([task.limits(item) for item in items]), 2, 0)
     within = np.all((wanted >= low) & (wanted <= high), axis=1)
     for item, action, inside in zip(items, wanted, within, strict=True):
