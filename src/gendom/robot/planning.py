@@ -146,14 +146,15 @@ def follow(
     for q in solutions(kept, path.pose_at(path.start))[:_POSTURES]:
         try:
             motion = _from_posture(kept, path, q)
+            over = {use.kind for use in motion.limit_uses(arm) if use.exceeded}
+            excess = ("angle" in over, motion.slowdown(arm))
+            if best is not None and excess >= best[0]:
+                continue
             collisions.check(motion)
         except RobotError as error:
             refusal = refusal or error
             continue
-        over = {use.kind for use in motion.limit_uses(arm) if use.exceeded}
-        excess = ("angle" in over, motion.slowdown(arm))
-        if best is None or excess < best[0]:
-            best = excess, motion
+        best = excess, motion
         if not over:
             return motion
     if best is None:
@@ -246,19 +247,23 @@ def _ways(path: TcpPath, blend: float) -> tuple[Array, Array]:
 
 def _stepped(arm: Arm, path: TcpPath, q: Array, blend: float) -> tuple[Array, Array]:
     """Times [K] and joint angles [K, J] of a path from a start [J], each from those before."""
-    ahead = list(_solved_times(path, blend)[::-1])
-    times, found = [ahead.pop()], [q]
+    every = _solved_times(path, blend)
+    ahead = [*zip(every, path.pose_at(every, blend), strict=True)][::-1]
+    (time, at), found = ahead.pop(), [q]
+    times = [time]
     while ahead:
-        T = path.pose_at(ahead[-1], blend)
+        time, T = ahead[-1]
         step = step_towards(arm, T, found[-1], arm.home, homing=_HOMING)
         if step is not None and np.abs(step - found[-1]).max() <= _LARGEST_JUMP:
-            times.append(ahead.pop())
+            _, at = ahead.pop()
+            times.append(time)
             found.append(step)
             continue
         # Near a stretched arm some millimetres are large turns: smaller steps lead there.
-        if _movement(T, path.pose_at(times[-1], blend)) < _SMALLEST_SPACING:
-            raise _not_followed(arm, T, found[-1], step, ahead[-1])
-        ahead.append(0.5 * (times[-1] + ahead[-1]))
+        if _movement(T, at) < _SMALLEST_SPACING:
+            raise _not_followed(arm, T, found[-1], step, time)
+        between = 0.5 * (times[-1] + time)
+        ahead.append((between, path.pose_at(between, blend)))
     return np.array(times), np.array(found)
 
 
@@ -289,10 +294,10 @@ def _solved_times(path: TcpPath, blend: float) -> Array:
     edges = np.add.outer(corners, [-0.5 * blend, 0.5 * blend]).ravel()
     edges = np.unique(np.concatenate([[start, end], np.clip(edges, start, end)]))
     times = [start]
-    for a, b in pairwise(edges):
+    poses = path.pose_at(edges, blend)
+    for (a, b), moved in zip(pairwise(edges), _movement(poses[1:], poses[:-1]), strict=True):
         if b - a < 1e-9:
             continue
-        moved = _movement(*path.pose_at(np.array([b, a]), blend))
         if np.any(np.abs(corners - 0.5 * (a + b)) < 0.5 * blend):
             steps = (b - a) * max(_KNOTS_A_BLEND / blend, SOLVED_RATE)
         else:
@@ -302,10 +307,11 @@ def _solved_times(path: TcpPath, blend: float) -> Array:
     return np.array(times)
 
 
-def _movement(T: Array, T_from: Array) -> float:
-    """Distance between two poses of the tool [m], including rotation."""
-    shift, turn = np.split(pose_error(T, T_from), 2)
-    return float(np.linalg.norm(shift) + ANGLE_LENGTH * np.linalg.norm(turn))
+def _movement(T: Array, T_from: Array) -> Array:
+    """[...] distance between poses of the tool [..., 4, 4] [m], including rotation."""
+    error = pose_error(T, T_from)
+    shift, turn = (np.linalg.norm(error[..., part], axis=-1) for part in (slice(3), slice(3, 6)))
+    return shift + ANGLE_LENGTH * turn
 
 
 def _not_followed(arm: Arm, T: Array, q: Array, step: Array | None, time: float) -> RobotError:
