@@ -196,20 +196,12 @@ class CollisionChecker:
         self._margin, self._link = np.concatenate(margin), link
 
     def distance(self, q: ArrayLike) -> Array:
-        """[..., P] distances at joint angles [..., J] [rad] [m]; negative: they overlap by so much.
-
-        Raises:
-            RobotError: As `link_poses`.
-        """
+        """[..., P] distances at joint angles [..., J] [rad] [m]; negative: they overlap by so much."""
         q = self.arm.check_q(q)
         return self._distance(q, np.full(len(self.pairs), np.inf))
 
     def at(self, q: ArrayLike) -> Collision | None:
-        """The deepest collision at joint angles [J] [rad], or None.
-
-        Raises:
-            RobotError: As `link_poses`.
-        """
+        """The deepest collision at joint angles [J] [rad], or None."""
         gaps = self._gaps(q)
         k = int(np.argmin(gaps))
         return self._collision(k, gaps[k]) if gaps[k] < 0.0 else None
@@ -220,9 +212,6 @@ class CollisionChecker:
         No collision between two checked times is missed: where a pair's distances at both times are
         smaller than its possible movement in between, the arm is also checked halfway, down to
         movements of `RESOLUTION`. An overlap of half of that may be missed.
-
-        Raises:
-            RobotError: As `link_poses`.
         """
         time = np.union1d(motion.time, motion.sampled(_RATE))
         gap = self._gaps(motion.at(time))

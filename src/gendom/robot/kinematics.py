@@ -1,7 +1,8 @@
 """Forward kinematics, Jacobian and inverse kinematics of the tool; where the arm's capsules are.
 
 Poses are T_base_tcp [4, 4]: they map coordinates of the tool point (tcp) to the robot's base.
-The gripper's z points out of the fingers, its y from finger to finger.
+The gripper's z points out of the fingers, its y from finger to finger. Joint angles that are not
+finite, or not as many as the arm has, are refused with a `RobotError`.
 """
 
 from __future__ import annotations
@@ -39,11 +40,8 @@ def link_poses(arm: Arm, q: ArrayLike) -> Array:
 
     Returns:
         [..., J + 2, 4, 4]: base (the identity), links 1 to J, tool point.
-
-    Raises:
-        RobotError: The shape is wrong or an angle is not finite.
     """
-    q = arm.check_q(np.asarray(q))
+    q = arm.check_q(q)
     c, s = np.cos(q)[..., None], np.sin(q)[..., None]
     step = np.empty((*q.shape, 4, 4))
     step[...] = arm.T_links
@@ -58,11 +56,7 @@ def link_poses(arm: Arm, q: ArrayLike) -> Array:
 
 
 def tcp_pose(arm: Arm, q: ArrayLike) -> Array:
-    """T_base_tcp [..., 4, 4] at joint angles [..., J] [rad].
-
-    Raises:
-        RobotError: As `link_poses`.
-    """
+    """T_base_tcp [..., 4, 4] at joint angles [..., J] [rad]."""
     return link_poses(arm, q)[..., -1, :, :]
 
 
@@ -72,9 +66,6 @@ def jacobian(arm: Arm, q: ArrayLike) -> Array:
     Rows 0 to 2 times joint speeds are the tool point's velocity, rows 3 to 5 the tool's angular
     velocity, both in the base's axes: column i is (z_i x (p_tcp - p_i), z_i) with the axis z_i
     and the origin p_i of frame i.
-
-    Raises:
-        RobotError: As `link_poses`.
     """
     return _jacobian(link_poses(arm, q))
 
@@ -308,9 +299,6 @@ def arm_shape(arm: Arm, q: ArrayLike, opening: ArrayLike = 0.0) -> ArmShape:
         arm: The arm.
         q: [..., J] joint angles [rad].
         opening: [...] distance of the fingers' inner faces [m].
-
-    Raises:
-        RobotError: As `link_poses`.
     """
     poses = link_poses(arm, q)
     opening = np.broadcast_to(np.asarray(opening, dtype=float), poses.shape[:-3])
