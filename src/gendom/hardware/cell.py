@@ -52,8 +52,8 @@ CAREFUL = 0.1
 FIRST_POSE = (math.radians(1.0), 0.005)
 """Largest distance of the arm from a motion's first pose [rad], [m]."""
 
-RATE = 50.0
-"""At which the tool's way is compared with the workspace [1/s]."""
+RATE, SLACK = 50.0, 1.01
+"""At which the tool's way is looked at [1/s], and how much of a limit differences may be."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -334,7 +334,7 @@ class Cell:
         """
         arm, around = self.limited.holding(hangs, 0.5 * opening), self.surroundings
         motion = follow(arm, path, surroundings=around, opening=opening)
-        self.check_workspace(motion)
+        self.check_tool(motion)
         return PlannedMotion(
             arm=self.model.name,
             motion=motion,
@@ -406,15 +406,20 @@ class Cell:
         for body, move, opening in moves:
             move.check_limits(self.limited)
             CollisionChecker(body, self.surroundings, opening=opening).check(move)
-        self.check_workspace(planned.motion)
+        self.check_tool(planned.motion)
 
-    def check_workspace(self, motion: JointMotion, rate: float = RATE) -> None:
-        """Compare the tool's way, so many times a second, with the workspace.
+    def check_tool(self, motion: JointMotion, rate: float = RATE) -> None:
+        """Compare the tool's way, so many times a second, with the workspace and its speed.
 
         Raises:
-            RobotError: It leaves it.
+            RobotError: It leaves it, or is too quick between the knots that `check_limits` sees.
         """
-        x = motion.tcp_at(self.model, motion.sampled(rate))[:, :3, 3]
+        time = motion.sampled(rate)
+        x, most = motion.tcp_at(self.model, time)[:, :3, 3], self.limited.max_tcp_speed
+        speed = np.linalg.norm(np.diff(x, axis=0), axis=1).max() / (time[1] - time[0])
+        what = f"the tool moves at {speed:.3f} m/s, limit {most:g}"
+        fix = f"take {speed / most:.3f} times as long"
+        require(speed <= SLACK * most, what, where="motion", fix=fix, error=RobotError)
         out = np.maximum(self.workspace[0] - x, x - self.workspace[1]).max(axis=1)
         k = int(np.argmax(out))
         what = f"the tool leaves the workspace by {1e3 * out[k]:.0f} mm, at {_point(x[k])} m"
