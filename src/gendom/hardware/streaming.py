@@ -20,7 +20,7 @@ import numpy as np
 
 from gendom.arguments import require
 from gendom.arrays import Array
-from gendom.errors import DeviceError, GendomError, RobotError
+from gendom.errors import DeviceError, GendomError
 from gendom.hardware.cell import FASTEST_TOOL, SLACK, Cell
 from gendom.hardware.contracts import RobotState
 from gendom.robot import JointMotion, tcp_pose

@@ -196,7 +196,7 @@ class CollisionChecker:
         self._margin, self._link = np.concatenate(margin), link
 
     def distance(self, q: ArrayLike) -> Array:
-        """[..., P] distances at joint angles [..., J] [rad] [m]; negative: they overlap by so much."""
+        """[..., P] distances [m] at joint angles [..., J] [rad]; negative: overlaps."""
         q = self.arm.check_q(q)
         return self._distance(q, np.full(len(self.pairs), np.inf))
 
