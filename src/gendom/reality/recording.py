@@ -83,22 +83,12 @@ def record(
         SimulationError: The world diverged.
     """
     world, folder = run.world, Path(folder)
-    within, fix = 0.0 < frame_rate <= PATH_RATE, f"give {PATH_RATE:g} or less"
-    require(within, f"is {frame_rate}", where="frame_rate", fix=fix)
-    require(seed >= 0, f"is {seed}", where="seed", fix="give 0 or more")
-    require(world.cameras, "there is no camera", where="record", fix="give the trial cameras")
-    what, fresh = "holds a recording already", not (folder / "cameras").exists()
-    require(fresh, what, where=str(folder), fix="name another folder", error=GendomError)
-    if errors is None:
-        errors = RigErrors.synchronised() if run.trial.quick else RigErrors()
+    _check(world, folder, frame_rate, seed)
+    errors = errors or (RigErrors.synchronised() if run.trial.quick else RigErrors())
     # One stream of random numbers for each use: more frames do not change the calibration.
     rig, *eyes, encoders = [
         np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2 + len(world.cameras))
     ]
-    # Where nothing can be rendered, before anything is written.
-    world.render(0)
-    check_folder(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     believed = errors.believed(world.cameras, rig)
     writers = [PngWriter(folder / "cameras" / c.name, c) for c in believed]
     _write_object(folder / "object.toml", run, notes)
@@ -108,23 +98,43 @@ def record(
         pictures = observe(*clean, world.cameras[c], eyes[c], noisy=noisy)
         writers[c].write(errors.stamp(c, moment), pictures)
 
-    began = world.time
-    frames, samples = _moments(run.end - began, frame_rate)
     # OpenGL wants one thread; noise and files take one for each camera.
     with ExitStack() as closed, ThreadPoolExecutor(len(writers)) as pool:
         said = {"noisy": noisy, "errors": asdict(errors), "seed": seed}
         closed.callback(_write_truth, folder / "truth", world, said, truth)
         add = closed.enter_context(_path_files(folder, world, errors, encoders))
-        for moment in np.union1d(frames, samples):
-            run.step_to(began + moment)
-            if moment in samples:
-                add(moment)
-            if moment not in frames:
-                continue
-            clean = [world.render(c) for c in range(len(writers))]
+        for moment, clean in _rendered(run, frame_rate, add):
             list(pool.map(keep, range(len(writers)), [moment] * len(writers), clean))
             truth.append((moment, world.vertices()))
             on_frame(moment)
+
+
+def _rendered(
+    run: TrialRun, frame_rate: float, add: Callable[[float], None]
+) -> Iterator[tuple[float, list[tuple[np.ndarray, np.ndarray]]]]:
+    """Times [s] of a trial's pictures, and what each camera sees without noise; on the way there
+    the robot's path is added to."""
+    began, cameras = run.world.time, range(len(run.world.cameras))
+    frames, samples = _moments(run.end - began, frame_rate)
+    for moment in np.union1d(frames, samples):
+        run.step_to(began + moment)
+        if moment in samples:
+            add(moment)
+        if moment in frames:
+            yield moment, [run.world.render(c) for c in cameras]
+
+
+def _check(world: Reality, folder: Path, frame_rate: float, seed: int) -> None:
+    """Refuse what cannot be recorded before anything is written, and make the folder."""
+    within, fix = 0.0 < frame_rate <= PATH_RATE, f"give {PATH_RATE:g} or less"
+    require(within, f"is {frame_rate}", where="frame_rate", fix=fix)
+    require(seed >= 0, f"is {seed}", where="seed", fix="give 0 or more")
+    require(world.cameras, "there is no camera", where="record", fix="give the trial cameras")
+    what, fresh = "holds a recording already", not (folder / "cameras").exists()
+    require(fresh, what, where=str(folder), fix="name another folder", error=GendomError)
+    world.render(0)
+    check_folder(folder)
+    folder.mkdir(parents=True, exist_ok=True)
 
 
 def _moments(seconds: float, frame_rate: float) -> tuple[np.ndarray, np.ndarray]:
