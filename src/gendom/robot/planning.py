@@ -15,7 +15,6 @@ from gendom.errors import RobotError
 from gendom.robot.arm import Arm
 from gendom.robot.collision import NO_OBSTACLES, CollisionChecker, Surroundings
 from gendom.robot.kinematics import (
-    ANGLE_LENGTH,
     descend,
     describe,
     missed,
@@ -237,12 +236,10 @@ def _reblended(
 
 
 def _ways(path: TcpPath, blend: float) -> tuple[Array, Array]:
-    """Dense times [s] and how far the tool has moved by then, rotation included [m]."""
+    """Dense times [s] and how far the tool has moved by then [m]."""
     time = np.linspace(path.start - 0.5 * blend, path.end + 0.5 * blend, _DENSE)
-    T = path.pose_at(time, blend)
-    shift = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
-    turn = np.linalg.norm(np.diff(T[:, :3, :3], axis=0), axis=(1, 2)) / math.sqrt(2.0)
-    return time, np.concatenate([[0.0], np.cumsum(shift + ANGLE_LENGTH * turn)])
+    shift = np.linalg.norm(np.diff(path.position_at(time, blend), axis=0), axis=1)
+    return time, np.concatenate([[0.0], np.cumsum(shift)])
 
 
 def _stepped(arm: Arm, path: TcpPath, q: Array, blend: float) -> tuple[Array, Array]:
@@ -260,7 +257,7 @@ def _stepped(arm: Arm, path: TcpPath, q: Array, blend: float) -> tuple[Array, Ar
             found.append(step)
             continue
         # Near a stretched arm some millimetres are large turns: smaller steps lead there.
-        if _movement(T, at) < _SMALLEST_SPACING:
+        if np.linalg.norm((T - at)[:3, 3]) < _SMALLEST_SPACING:
             raise _not_followed(arm, T, found[-1], step, time)
         between = 0.5 * (times[-1] + time)
         ahead.append((between, path.pose_at(between, blend)))
@@ -290,12 +287,12 @@ def _refined(arm: Arm, path: TcpPath, blend: float, time: Array, q: Array) -> tu
 def _solved_times(path: TcpPath, blend: float) -> Array:
     """Times [K] [s]: dense where the path is rounded, elsewhere spaced by the tool's movement."""
     start, end = path.start - 0.5 * blend, path.end + 0.5 * blend
-    corners = path.corners()
+    corners = path.corners
     edges = np.add.outer(corners, [-0.5 * blend, 0.5 * blend]).ravel()
     edges = np.unique(np.concatenate([[start, end], np.clip(edges, start, end)]))
     times = [start]
-    poses = path.pose_at(edges, blend)
-    for (a, b), moved in zip(pairwise(edges), _movement(poses[1:], poses[:-1]), strict=True):
+    way = np.linalg.norm(np.diff(path.position_at(edges, blend), axis=0), axis=1)
+    for (a, b), moved in zip(pairwise(edges), way, strict=True):
         if b - a < 1e-9:
             continue
         if np.any(np.abs(corners - 0.5 * (a + b)) < 0.5 * blend):
@@ -305,13 +302,6 @@ def _solved_times(path: TcpPath, blend: float) -> Array:
         steps = max(steps, moved / _LARGEST_SPACING)
         times.extend(np.linspace(a, b, max(math.ceil(steps - 1e-6), 1) + 1)[1:])
     return np.array(times)
-
-
-def _movement(T: Array, T_from: Array) -> Array:
-    """[...] distance between poses of the tool [..., 4, 4] [m], including rotation."""
-    error = pose_error(T, T_from)
-    shift, turn = (np.linalg.norm(error[..., part], axis=-1) for part in (slice(3), slice(3, 6)))
-    return shift + ANGLE_LENGTH * turn
 
 
 def _not_followed(arm: Arm, T: Array, q: Array, step: Array | None, time: float) -> RobotError:
