@@ -145,21 +145,6 @@ def test_home_is_free_and_a_folded_arm_is_not():
         joint_move(XARM7, a, b)
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: box("board", (0, 0), (1, 1, 1)),
-        lambda: box("board", (0, 0, 0), (1, 1, 0)),
-        lambda: replace(box("board", (0, 0, 0), (1, 1, 1)), quat_xyzw=np.zeros(4)),
-        lambda: post("pole", np.zeros(2), np.zeros(3), 0.1),
-        lambda: post("pole", np.zeros(3), np.ones(3), np.nan),
-    ],
-)
-def test_bad_obstacles(make):
-    with pytest.raises(RobotError, match="give"):
-        make()
-
-
 # ---- motions -------------------------------------------------------------------------------------
 
 

@@ -258,7 +258,7 @@ class CollisionChecker:
         raise RobotError(str(found), where=f"motion of {self.arm.name}", fix=fix)
 
     def _gaps(self, q: ArrayLike) -> Array:
-        """[..., P] distances above the clearances [m]; for those above `_NEAR` a lower bound."""
+        """[..., P] distances above the clearances [m], or lower bounds of those above `_NEAR`."""
         return self._distance(self.arm.check_q(q), self._margin + _NEAR) - self._margin
 
     def _collision(self, pair: int, gap: float) -> Collision:

@@ -95,10 +95,7 @@ def pose_error(T_base_to: ArrayLike, T_base_from: ArrayLike) -> Array:
 def _rotation_vector(R: Array) -> Array:
     """[..., 3] rotation vectors [rad] of matrices [..., 3, 3]."""
     # R - R^T holds 2 sin(angle) times the axis: quick and exact but near half a turn.
-    twice = np.stack(
-        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]],
-        axis=-1,
-    )
+    twice = R[..., [2, 0, 1], [1, 2, 0]] - R[..., [1, 2, 0], [2, 0, 1]]
     sine = 0.5 * np.sqrt((twice * twice).sum(axis=-1))
     cosine = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)
     scale = np.where(sine > 1e-12, np.arctan2(sine, cosine) / np.maximum(sine, 1e-12), 1.0)
@@ -131,7 +128,7 @@ def solutions(arm: Arm, T_base_tcp: ArrayLike) -> list[Array]:
     good = reached(error)
     if not good.any():
         k = int(np.argmin(_size(error)))
-        x, y, z = link_poses(arm, q[k])[-1, :3, 3]
+        x, y, z = tcp_pose(arm, q[k])[:3, 3]
         what = f"{describe(T)} is out of reach: the nearest found, ({x:.3f}, {y:.3f}, {z:.3f}) m, "
         what += f"is off by {missed(arm, q[k], error[k])}"
         fix = "move it nearer to the base or turn the gripper"

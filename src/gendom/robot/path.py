@@ -49,19 +49,13 @@ def pointing(approach: ArrayLike, fingers: ArrayLike) -> Array:
         RobotError: The two are parallel, or one is zero.
     """
     z, y = np.asarray(approach, dtype=float), np.asarray(fingers, dtype=float)
-    lengths = np.linalg.norm(z), np.linalg.norm(y)
-    apart = np.linalg.norm(np.cross(y, z)) >= 1e-6 * lengths[0] * lengths[1]
-    require(
-        min(lengths) > 0.0 and apart,
-        f"approach {z.tolist()} and fingers {y.tolist()} are parallel or zero",
-        where="gripper's orientation",
-        fix="give two directions, about at right angles",
-        error=RobotError,
-    )
-    z = z / lengths[0]
-    y = y - (y @ z) * z
-    y = y / np.linalg.norm(y)
-    return Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=1)).as_quat()
+    apart = np.linalg.norm(np.cross(y, z)) > 1e-6 * np.linalg.norm(z) * np.linalg.norm(y)
+    what = f"approach {z.tolist()} and fingers {y.tolist()} are parallel or zero"
+    where, fix = "gripper's orientation", "give two directions, about at right angles"
+    require(apart, what, where=where, fix=fix, error=RobotError)
+    x = np.cross(y, z) / np.linalg.norm(np.cross(y, z))
+    z = z / np.linalg.norm(z)
+    return Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1)).as_quat()
 
 
 @dataclass(frozen=True, kw_only=True)

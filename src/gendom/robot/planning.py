@@ -306,18 +306,13 @@ def _solved_times(path: TcpPath, blend: float) -> Array:
 
 def _not_followed(arm: Arm, T: Array, q: Array, step: Array | None, time: float) -> RobotError:
     """Error: after joint angles [J] the path requires a jump of the joints, or is out of reach."""
+    what, where = f"at t = {time:.3f} s ", f"path of {arm.name}"
     if step is not None:
         jump = np.abs(step - q)
-        return RobotError(
-            f"at t = {time:.3f} s joint {int(jump.argmax()) + 1} would have to jump by "
-            f"{jump.max():.2f} rad, at a singular pose",
-            where=f"path of {arm.name}",
-            fix="move or turn the path away from there",
-        )
+        what += f"joint {int(jump.argmax()) + 1} would have to jump by {jump.max():.2f} rad, "
+        fix = "move or turn the path away from there"
+        return RobotError(f"{what}at a singular pose", where=where, fix=fix)
     left, error = (x[0] for x in descend(arm, T[None], q[None], arm.home, homing=0.0))
-    return RobotError(
-        f"at t = {time:.3f} s the path goes out of reach: {describe(T)} is missed by "
-        f"{missed(arm, left, error)}",
-        where=f"path of {arm.name}",
-        fix="move the path nearer to the base, or turn the gripper",
-    )
+    what += f"the path goes out of reach: {describe(T)} is missed by {missed(arm, left, error)}"
+    fix = "move the path nearer to the base, or turn the gripper"
+    return RobotError(what, where=where, fix=fix)
