@@ -198,11 +198,10 @@ class Cell:
         tool, speed, space, table = self.tool, self.speed, self.workspace, self.table_height
         widest = self.model.gripper.max_opening
         names = [o.name for o in self.surroundings.obstacles]
+        box = space.shape == (2, 3) and bool(np.all(space[0] < space[1]))
+        fits = 0.0 < tool.max_opening <= widest + 1e-6
         checks = {
-            "tool.max_opening": (
-                0.0 < tool.max_opening <= widest + 1e-6,
-                f"metres up to {widest:g}",
-            ),
+            "tool.max_opening": (fits, f"metres up to {widest:g}"),
             "tool.latency": (0.0 <= tool.latency <= 5.0, "seconds"),
             "tool.mass": (0.0 <= tool.mass <= 50.0, "kilograms"),
             "speed.tool": (0.0 < speed.tool <= FASTEST_TOOL, f"m/s up to {FASTEST_TOOL}"),
@@ -210,10 +209,7 @@ class Cell:
             "scene_clearance": (0.0 <= self.scene_clearance <= 1.0, "metres, 0 or more"),
             "self_clearance": (0.0 <= self.self_clearance <= 1.0, "metres, 0 or more"),
             "table_height": (table is None or math.isfinite(table), "metres"),
-            "workspace": (
-                space.shape == (2, 3) and bool(np.all(space[0] < space[1])),
-                "its lowest corner, then the highest",
-            ),
+            "workspace": (box, "its lowest corner, then the highest"),
             "box, stand, camera": (len(set(names)) == len(names), "each a name of its own"),
         }
         for name, (holds, fix) in checks.items():
@@ -289,11 +285,9 @@ class Cell:
             yield what, "workspace", "enlarge it, or check that it is in the base's frame"
         links = [*arm.T_links[1:], arm.T_flange_tcp]
         shoulder, reach = arm.T_links[0][:3, 3], sum(np.linalg.norm(T[:3, 3]) for T in links)
-        far = np.maximum(np.abs(low - shoulder), np.abs(high - shoulder))
-        if np.linalg.norm(far) > 1.5 * reach:
-            what = (
-                f"goes {np.linalg.norm(far):.3g} m from the shoulder, the arm {reach:.3g} at most"
-            )
+        far = np.linalg.norm(np.maximum(np.abs(low - shoulder), np.abs(high - shoulder)))
+        if far > 1.5 * reach:
+            what = f"goes {far:.3g} m from the shoulder, the arm {reach:.3g} at most"
             yield what, "workspace", "give metres, and no more than the arm needs"
         table = self.table_height
         if table is not None and low[2] < table - 1e-9:
