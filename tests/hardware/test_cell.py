@@ -23,6 +23,7 @@ def line(*points, seconds=2.0):
 
 
 UNMOVED = np.eye(4).tolist()
+STAND = '[[stand]]\nname = "s"\nend = [0, 0, 1]\n'
 CAMERA = '[[camera]]\nname = "c"\ndevice = "simulated"\n'
 
 
@@ -43,6 +44,8 @@ CAMERA = '[[camera]]\nname = "c"\ndevice = "simulated"\n'
         ([], {"robot": '"xarm6"'}, "there is no robot 'xarm6'; did you mean 'xarm7'?"),
         ([], {"robot": '"simulated"\narm = "ur5"'}, "there is no robot 'ur5'"),
         ([box("a", (0, 0, 1), (1, 1, 0))], {}, "a: its size is"),
+        ([f"{STAND}radius = 0.0\nstart = [0, 0, 0]"], {}, "its radius is 0.0; give metres above 0"),
+        ([f"{STAND}radius = 1.0\nstart = [0, 0]"], {}, "its start is"),
         ([box("left", (0, 1, 1), (1, 1, 1)), box("left", (0, 2, 1), (1, 1, 1))], {}, "name of its"),
         ([f'{CAMERA}calibration = "no.toml"'], {}, "no such"),
         (['[[camera]]\nname = "c"\ndevice = "realsens"'], {}, "did you mean 'realsense'?"),

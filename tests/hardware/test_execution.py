@@ -117,9 +117,8 @@ def test_an_action_of_an_arm_from_a_file_is_read_back_with_its_cell(made, tmp_pa
     (tmp_path / "cell.toml").write_text('arm = "made.urdf"\nself_clearance = 0.0\n' + text)
     cell = Cell.read(tmp_path / "cell.toml")
     T = tcp_pose(cell.model, cell.model.home)
-    path = lift(
-        T[:3, 3], height=0.05, speed=0.1, quat_xyzw=Rotation.from_matrix(T[:3, :3]).as_quat()
-    )
+    turned = Rotation.from_matrix(T[:3, :3]).as_quat()
+    path = lift(T[:3, 3], height=0.05, speed=0.1, quat_xyzw=turned)
     action = tmp_path / "action.json"
     write_json(action, {**read_json(made[1]), "plan": cell.plan(path, opening=0.016)})
     assert read_action(action, cell.model).plan.arm == "made"
@@ -181,9 +180,8 @@ def test_all_is_logged_in_order(made, tmp_path):
     assert [e["call"] for e in seen.events if "state" not in e and "call" in e] == order
     motion = read_action(made[1]).plan.motion
     assert np.abs(seen.command - motion.at(seen.time + motion.start)).max() < 1e-12
-    assert seen.end == "done" and len(seen.time) == pytest.approx(
-        100 * (motion.end - motion.start), abs=1
-    )
+    ticks = 100 * (motion.end - motion.start)
+    assert seen.end == "done" and len(seen.time) == pytest.approx(ticks, abs=1)
     assert read_action(tmp_path / "a.jsonl").plan.motion.q.tolist() == motion.q.tolist()
     assert last_time(tmp_path) is None
 
@@ -242,9 +240,8 @@ def test_after_kill_9_the_log_is_whole_and_the_next_start_says_so(made, tmp_path
 def test_nothing_moves_without_move_and_a_typed_word(made, monkeypatch, capsys):
     cell, path = made
     robots = []
-    monkeypatch.setattr(
-        Cell, "devices", lambda self: robots.append(FakeRobot()) or (robots[-1], [])
-    )
+    made_up = lambda self: robots.append(FakeRobot()) or (robots[-1], [])  # noqa: E731
+    monkeypatch.setattr(Cell, "devices", made_up)
     words = ["execute", str(path), "--cell", str(cell.path)]
     assert cli.main(words) == 0 and "nothing moved: this was a dry run" in capsys.readouterr().out
     assert cli.main([*words, "--yes"]) == 2

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from gendom.errors import DeviceError
 from gendom.hardware import streaming, xarm7
 from gendom.hardware.franky import FrankaDriver
 from gendom.hardware.streaming import Streamer
@@ -91,22 +90,6 @@ def test_motions_are_followed_and_the_hand_moves(streamer):
         assert streamer.driver.report().opening == pytest.approx(opening, abs=5e-3)
 
 
-def test_it_brakes_within_its_accelerations(streamer):
-    q = streamer.report.q
-    motion = joint_move(streamer.arm, q, q + np.array([0.5, 0, 0, 0, 0, 0, 0]), share=0.1)
-
-    def brake():
-        if streamer.elapsed > 0.5 * motion.end:
-            streamer.brake("stopped")
-
-    play(streamer, motion, brake)
-    assert (streamer.fault, streamer.ended) == (None, "stopped")
-    first = streamer.driver.report().q
-    time.sleep(0.5)
-    assert streamer.driver.report().q == pytest.approx(first, abs=2e-3)
-    assert 0.2 < (first - q)[0] < 0.4
-
-
 def approached(cell, at, path):
     """How an arm follows a path of the tool over a table, and the way there from joint angles."""
     cell = replace(cell, table_height=0.0)
@@ -143,8 +126,3 @@ def test_the_same_action_on_both_arms(streamer, monkeypatch):
         driver.disconnect()
     ends.append(tool(streamer, *approached(streamer.cell, streamer.report.q, path)))
     assert ends[0] == pytest.approx(ends[1], abs=3e-3)
-
-
-def test_nobody_there():
-    with pytest.raises(DeviceError, match="FCI"):
-        Driver(cell("127.0.78.2")).connect()

@@ -2,6 +2,7 @@
 
 import math
 import re
+from concurrent.futures import wait
 from dataclasses import replace
 
 import numpy as np
@@ -91,7 +92,7 @@ def run(streamer, motion=None, *, at=math.inf, then=lambda: None, late=()):
         assert k < 2000
     changed = np.abs(np.diff(controller.commands(), axis=0)).max(axis=1) > 0.0
     last = controller.sent[1 + int(np.nonzero(changed)[0][-1])][0] if changed.any() else 0.0
-    streamer.fingers._orders.join()
+    wait(streamer.fingers.orders)
     streamer.tick()
     return last - since if since else math.nan
 
@@ -155,7 +156,7 @@ def test_what_is_refused_before_the_arm_moves(streamer, name):
 
 def grip(streamer):
     streamer.fingers.move(0.0)
-    streamer.fingers._orders.join()
+    wait(streamer.fingers.orders)
 
 
 FAULTS = {

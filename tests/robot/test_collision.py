@@ -145,19 +145,14 @@ def test_home_is_free_and_a_folded_arm_is_not():
         joint_move(XARM7, a, b)
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: box("board", (0, 0), (1, 1, 1)),
-        lambda: box("board", (0, 0, 0), (1, 1, 0)),
-        lambda: replace(box("board", (0, 0, 0), (1, 1, 1)), quat_xyzw=np.zeros(4)),
-        lambda: post("pole", np.zeros(2), np.zeros(3), 0.1),
-        lambda: post("pole", np.zeros(3), np.ones(3), np.nan),
-    ],
-)
-def test_bad_obstacles(make):
-    with pytest.raises(RobotError, match="give"):
-        make()
+def test_what_is_far_is_only_bounded_and_what_collides_is_found_exactly():
+    board = box("board", (0.4, 0.2, 0.4), (0.3, 0.4, 0.1), (0.3, -0.5, 0.9))
+    wire = post("wire", [0.3, -0.4, 0.0], [0.3, -0.4, 0.8], 0.01)
+    checker = CollisionChecker(XARM7, Surroundings(table_height=0.0, obstacles=(board, wire)))
+    every = random_q(150, seed=4)
+    for q, least in zip(every, checker.distance(every).min(axis=1), strict=True):
+        found = checker.at(q)
+        assert (-found.depth if found else 0.0) == pytest.approx(min(least, 0.0), abs=1e-12)
 
 
 # ---- motions -------------------------------------------------------------------------------------

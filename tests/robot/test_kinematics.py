@@ -13,7 +13,6 @@ from gendom.robot import (
     arm_shape,
     find_arm,
     jacobian,
-    kinematics,
     link_poses,
     pose_error,
     solutions,
@@ -93,19 +92,6 @@ def test_inverse_kinematics_keeps_limits_and_leans_towards_home():
     for q in solutions(arm, T):
         assert np.all(q >= arm.q_min) and np.all(q <= arm.q_max)
         assert np.abs(pose_error(T, tcp_pose(arm, q))).max() < 1e-6
-
-
-@pytest.mark.parametrize("turns", [-1, 1])
-@pytest.mark.parametrize("offset", [-2.0, 2.0])
-def test_whole_turns_go_to_the_nearest(turns, offset):
-    """Of a joint that goes round twice, wherever within half a turn of the rest its angle lies."""
-    arm = replace(XARM7, q_min=np.full(7, -7.0), q_max=np.full(7, 7.0))
-    rest = 0.1 * np.arange(7.0)
-    q, near = rest.copy(), rest.copy()
-    q[6] += offset + 2.0 * np.pi * turns
-    near[6] += offset
-    (found,) = kinematics._unwound(arm, q[None], rest)
-    np.testing.assert_allclose(found, near if abs(q[6]) > np.pi else q, atol=1e-12)
 
 
 @pytest.mark.parametrize("position", [(1.2, 0.0, 0.3), (0.5, 0.0, 1.5), (0.0, -0.9, 0.3)])

@@ -52,8 +52,8 @@ CAREFUL = 0.1
 FIRST_POSE = (math.radians(1.0), 0.005)
 """Largest distance of the arm from a motion's first pose [rad], [m]."""
 
-RATE = 50.0
-"""At which the tool's way is compared with the workspace [1/s]."""
+RATE, SLACK = 50.0, 1.01
+"""At which the tool's way is looked at [1/s], and how much of a limit differences may be."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,11 +198,10 @@ class Cell:
         tool, speed, space, table = self.tool, self.speed, self.workspace, self.table_height
         widest = self.model.gripper.max_opening
         names = [o.name for o in self.surroundings.obstacles]
+        box = space.shape == (2, 3) and bool(np.all(space[0] < space[1]))
+        fits = 0.0 < tool.max_opening <= widest + 1e-6
         checks = {
-            "tool.max_opening": (
-                0.0 < tool.max_opening <= widest + 1e-6,
-                f"metres up to {widest:g}",
-            ),
+            "tool.max_opening": (fits, f"metres up to {widest:g}"),
             "tool.latency": (0.0 <= tool.latency <= 5.0, "seconds"),
             "tool.mass": (0.0 <= tool.mass <= 50.0, "kilograms"),
             "speed.tool": (0.0 < speed.tool <= FASTEST_TOOL, f"m/s up to {FASTEST_TOOL}"),
@@ -210,10 +209,7 @@ class Cell:
             "scene_clearance": (0.0 <= self.scene_clearance <= 1.0, "metres, 0 or more"),
             "self_clearance": (0.0 <= self.self_clearance <= 1.0, "metres, 0 or more"),
             "table_height": (table is None or math.isfinite(table), "metres"),
-            "workspace": (
-                space.shape == (2, 3) and bool(np.all(space[0] < space[1])),
-                "its lowest corner, then the highest",
-            ),
+            "workspace": (box, "its lowest corner, then the highest"),
             "box, stand, camera": (len(set(names)) == len(names), "each a name of its own"),
         }
         for name, (holds, fix) in checks.items():
@@ -289,11 +285,9 @@ class Cell:
             yield what, "workspace", "enlarge it, or check that it is in the base's frame"
         links = [*arm.T_links[1:], arm.T_flange_tcp]
         shoulder, reach = arm.T_links[0][:3, 3], sum(np.linalg.norm(T[:3, 3]) for T in links)
-        far = np.maximum(np.abs(low - shoulder), np.abs(high - shoulder))
-        if np.linalg.norm(far) > 1.5 * reach:
-            what = (
-                f"goes {np.linalg.norm(far):.3g} m from the shoulder, the arm {reach:.3g} at most"
-            )
+        far = np.linalg.norm(np.maximum(np.abs(low - shoulder), np.abs(high - shoulder)))
+        if far > 1.5 * reach:
+            what = f"goes {far:.3g} m from the shoulder, the arm {reach:.3g} at most"
             yield what, "workspace", "give metres, and no more than the arm needs"
         table = self.table_height
         if table is not None and low[2] < table - 1e-9:
@@ -334,7 +328,7 @@ class Cell:
         """
         arm, around = self.limited.holding(hangs, 0.5 * opening), self.surroundings
         motion = follow(arm, path, surroundings=around, opening=opening)
-        self.check_workspace(motion)
+        self.check_tool(motion)
         return PlannedMotion(
             arm=self.model.name,
             motion=motion,
@@ -406,15 +400,20 @@ class Cell:
         for body, move, opening in moves:
             move.check_limits(self.limited)
             CollisionChecker(body, self.surroundings, opening=opening).check(move)
-        self.check_workspace(planned.motion)
+        self.check_tool(planned.motion)
 
-    def check_workspace(self, motion: JointMotion, rate: float = RATE) -> None:
-        """Compare the tool's way, so many times a second, with the workspace.
+    def check_tool(self, motion: JointMotion, rate: float = RATE) -> None:
+        """Compare the tool's way, so many times a second, with the workspace and its speed.
 
         Raises:
-            RobotError: It leaves it.
+            RobotError: It leaves it, or is too quick between the knots that `check_limits` sees.
         """
-        x = motion.tcp_at(self.model, motion.sampled(rate))[:, :3, 3]
+        time = motion.sampled(rate)
+        x, most = motion.tcp_at(self.model, time)[:, :3, 3], self.limited.max_tcp_speed
+        speed = np.linalg.norm(np.diff(x, axis=0), axis=1).max() / (time[1] - time[0])
+        what = f"the tool moves at {speed:.3f} m/s, limit {most:g}"
+        fix = f"take {speed / most:.3f} times as long"
+        require(speed <= SLACK * most, what, where="motion", fix=fix, error=RobotError)
         out = np.maximum(self.workspace[0] - x, x - self.workspace[1]).max(axis=1)
         k = int(np.argmax(out))
         what = f"the tool leaves the workspace by {1e3 * out[k]:.0f} mm, at {_point(x[k])} m"

@@ -96,17 +96,11 @@ def write_trajectory(path: str | os.PathLike, motion: JointMotion) -> None:
     which is YAML, too. Joints become joint1 and so on, as the vendor's URDF names them."""
     time = motion.sampled(100.0)
     stamps = [divmod(round((t - motion.start) * 1e9), 10**9) for t in time]
-    rows = zip(stamps, motion.at(time), motion.speed_at(time), motion.acceleration_at(time),
-               strict=True)  # fmt: skip
-    points = [
-        {
-            "positions": q,
-            "velocities": v,
-            "accelerations": a,
-            "time_from_start": {"sec": seconds, "nanosec": rest},
-        }
-        for (seconds, rest), q, v, a in rows
-    ]
+    values = {"positions": motion.at(time), "velocities": motion.speed_at(time),
+              "accelerations": motion.acceleration_at(time)}  # fmt: skip
+    points = [{name: rows[k] for name, rows in values.items()}
+              | {"time_from_start": {"sec": seconds, "nanosec": rest}}
+              for k, (seconds, rest) in enumerate(stamps)]  # fmt: skip
     names = [f"joint{j + 1}" for j in range(motion.q.shape[1])]
     stamp = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
     write_json(path, {"header": stamp, "joint_names": names, "points": points})

@@ -53,10 +53,8 @@ def reached(
     judged = {quantity.name for quantity in (*task.goals, *task.outcomes)}
     if item.kind == "cloth" and judged <= {"share", "unspread", "covered"}:
         return cloth_areas(placed(T, recording.frame(recording.num_frames - 1)), size_of(item))
-    what, fix = (
-        f"{task.name} watches something else",
-        "write down what was reached for gendom adapt",
-    )
+    what = f"{task.name} watches something else"
+    fix = "write down what was reached for gendom adapt"
     seen = task.watches == "tip" and item.kind == "rope"
     require(seen, what, where=where, fix=fix, error=RecordingError)
     path, motion = task.tool_path(item, np.array([*action.action.values()])), action.plan.motion

@@ -145,9 +145,7 @@ class RealSenseCamera:
                 sensor.start(self._take)
         except RuntimeError as error:
             self._close()
-            fix = (
-                "close other programs that use it, plug it in again (USB 3), or name another folder"
-            )
+            fix = "close programs that use it, plug it in again (USB 3), or name another folder"
             self._require(False, f"does not record ({error})", fix)
 
     def wait_for_pictures(self) -> None:

@@ -94,14 +94,9 @@ class SimulatedRobot:
         self.servos = RobotArm(self.arm, still, opening=thickness_of(self.item))
         self.trial = trial
         self.world = Reality(
-            trial.item,
-            trial.layout,
-            robot=self.servos,
-            cameras=self._true,
-            timestep=trial.timestep,
-            slow_timestep=trial.slow_timestep,
-            tolerance=trial.tolerance,
-        )
+            trial.item, trial.layout, robot=self.servos, cameras=self._true,
+            timestep=trial.timestep, slow_timestep=trial.slow_timestep, tolerance=trial.tolerance,
+        )  # fmt: skip
 
     def connect(self) -> None:
         """Also forgets a fault."""

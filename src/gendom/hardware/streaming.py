@@ -9,11 +9,10 @@ the controller's own stop. A fault stays.
 from __future__ import annotations
 
 import math
-import queue
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -21,8 +20,8 @@ import numpy as np
 
 from gendom.arguments import require
 from gendom.arrays import Array
-from gendom.errors import DeviceError, GendomError, RobotError
-from gendom.hardware.cell import FASTEST_TOOL, Cell
+from gendom.errors import DeviceError, GendomError
+from gendom.hardware.cell import FASTEST_TOOL, SLACK, Cell
 from gendom.hardware.contracts import RobotState
 from gendom.robot import JointMotion, tcp_pose
 
@@ -35,7 +34,6 @@ LAG = 0.1
 """How far behind its commands an arm may be [s]."""
 
 _STILL = math.radians(1.0)  # reports that stay equal while commands move so far are frozen
-_SLACK = 1.01  # of speeds and accelerations, which are differences of two commands
 _SLOWEST_BRAKE = 0.5  # [s]; if a joint that turns back leaves no acceleration for braking
 
 
@@ -88,33 +86,29 @@ class _Line:
         return np.zeros_like(self.speed)
 
 
-class Fingers(threading.Thread):
+class Fingers:
     """Moves the gripper in a thread of its own: its commands may take seconds."""
 
     def __init__(self, driver: Driver):
-        super().__init__(daemon=True)
         self.driver = driver
-        self.fault: str | None = None
-        self._orders: queue.Queue[float] = queue.Queue()
-        self.start()
+        self.orders: list[Future[None]] = []
+        """All so far."""
+        self._thread = ThreadPoolExecutor(1)
 
     @property
     def busy(self) -> bool:
         """Whether an order has not been carried out."""
-        return self._orders.unfinished_tasks > 0
+        return not all(order.done() for order in self.orders)
+
+    @property
+    def fault(self) -> str | None:
+        """Why one was not carried out."""
+        errors = (order.exception() for order in self.orders if order.done())
+        return next((str(error) for error in errors if error), None)
 
     def move(self, opening: float) -> None:
         """Order an opening [m]; returns at once."""
-        self._orders.put(opening)
-
-    def run(self) -> None:
-        while True:
-            opening = self._orders.get()
-            try:
-                self.driver.grip(opening)
-            except GendomError as error:
-                self.fault = str(error)
-            self._orders.task_done()
+        self.orders.append(self._thread.submit(self.driver.grip, opening))
 
 
 class Streamer:
@@ -150,8 +144,7 @@ class Streamer:
         what = f"the last report of the joints is {1e3 * age:.0f} ms old"
         require(age <= BLIND[1], what, fix=fix, error=DeviceError)
         motion.check_limits(self.limits)
-        self._check_tool_speed(motion)
-        self.cell.check_workspace(motion, 1.0 / self.driver.period)
+        self.cell.check_tool(motion, 1.0 / self.driver.period)
         self.cell.check_start(motion, report.q)
         kinds = ("speed", "tool speed")
         full = replace(self.arm, max_tcp_speed=FASTEST_TOOL)
@@ -172,17 +165,6 @@ class Streamer:
         self._seen, self._fresh, self._from = report.q, self.last, at
         self.braking, self.rate, self.moving = False, 1.0, True
         self._take_next()
-
-    def _check_tool_speed(self, motion: JointMotion) -> None:
-        """`check_limits` looks at knots and between them; commands may be quicker."""
-        p = motion.tcp_at(self.arm, motion.sampled(1.0 / self.driver.period))[:, :3, 3]
-        speed = np.linalg.norm(np.diff(p, axis=0), axis=1).max() / self.driver.period
-        most = self.limits.max_tcp_speed
-        what, fix = (
-            f"the tool moves at {speed:.3f} m/s, limit {most:g}",
-            f"take {speed / most:.3f} times as long",
-        )
-        require(speed <= _SLACK * most, what, where="motion", fix=fix, error=RobotError)
 
     def _take_next(self) -> None:
         self.motion: JointMotion | _Line = self._next.pop(0)
@@ -283,9 +265,9 @@ class Streamer:
         tool_speed = np.linalg.norm(p - self.tool) / period
         beyond = {
             "angle": np.maximum(arm.q_min - q, q - arm.q_max),
-            "speed": np.abs(velocity) - _SLACK * arm.max_speed,
-            "acceleration": acceleration - _SLACK * arm.max_acceleration,
-            "tool speed": tool_speed - _SLACK * arm.max_tcp_speed,
+            "speed": np.abs(velocity) - SLACK * arm.max_speed,
+            "acceleration": acceleration - SLACK * arm.max_acceleration,
+            "tool speed": tool_speed - SLACK * arm.max_tcp_speed,
             "workspace": np.maximum(low - p, p - high),
         }
         for name, by in beyond.items():

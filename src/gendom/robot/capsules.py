@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from gendom.arrays import Array
+from gendom.robot.collision import segments_apart
 
 Capsule = tuple[Array, Array, float]
 """Both ends of the axis [3] [m] and the radius [m]."""
@@ -76,9 +77,7 @@ def sticks_out(capsules: Sequence[Capsule], triangles: Array) -> Array:
 def outside(capsule: Capsule, points: Array) -> Array:
     """[N] signed distance of points [N, 3] from a capsule [m]."""
     a, b, radius = capsule
-    axis, off = b - a, points - a
-    share = np.clip(off @ axis / max(axis @ axis, 1e-24), 0.0, 1.0)
-    return np.linalg.norm(off - np.outer(share, axis), axis=1) - radius
+    return segments_apart(points, points, a, b) - radius
 
 
 def _refined(triangles: Array, longest: float) -> Array:

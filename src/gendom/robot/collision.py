@@ -28,6 +28,7 @@ RESOLUTION = 2e-4
 
 _RATE = 50.0  # [1/s]; a motion is first checked at this rate, and at its knots
 _CHUNK = 1024  # configurations at a time, for memory
+_NEAR = 0.1  # [m]; above its clearance a pair that may be nearer is measured, others are bounded
 _PARALLEL = 1e-12  # sin^2 of the angle below which two segments count as parallel
 _POINT = 1e-24  # [m^2]; squared length below which a segment is a point
 
@@ -195,22 +196,12 @@ class CollisionChecker:
         self._margin, self._link = np.concatenate(margin), link
 
     def distance(self, q: ArrayLike) -> Array:
-        """[..., P] distances at joint angles [..., J] [rad] [m]; negative: they overlap by so much.
-
-        Raises:
-            RobotError: As `link_poses`.
-        """
+        """[..., P] distances [m] at joint angles [..., J] [rad]; negative: overlaps."""
         q = self.arm.check_q(q)
-        flat = q.reshape(-1, self.arm.joints)
-        parts = [self._distance(flat[k : k + _CHUNK]) for k in range(0, len(flat), _CHUNK)]
-        return np.concatenate(parts).reshape(*q.shape[:-1], len(self.pairs))
+        return self._distance(q, np.full(len(self.pairs), np.inf))
 
     def at(self, q: ArrayLike) -> Collision | None:
-        """The deepest collision at joint angles [J] [rad], or None.
-
-        Raises:
-            RobotError: As `link_poses`.
-        """
+        """The deepest collision at joint angles [J] [rad], or None."""
         gaps = self._gaps(q)
         k = int(np.argmin(gaps))
         return self._collision(k, gaps[k]) if gaps[k] < 0.0 else None
@@ -221,9 +212,6 @@ class CollisionChecker:
         No collision between two checked times is missed: where a pair's distances at both times are
         smaller than its possible movement in between, the arm is also checked halfway, down to
         movements of `RESOLUTION`. An overlap of half of that may be missed.
-
-        Raises:
-            RobotError: As `link_poses`.
         """
         time = np.union1d(motion.time, motion.sampled(_RATE))
         gap = self._gaps(motion.at(time))
@@ -270,8 +258,8 @@ class CollisionChecker:
         raise RobotError(str(found), where=f"motion of {self.arm.name}", fix=fix)
 
     def _gaps(self, q: ArrayLike) -> Array:
-        """[..., P] distances above the clearances [m]."""
-        return self.distance(q) - self._margin
+        """[..., P] distances above the clearances [m], or lower bounds of those above `_NEAR`."""
+        return self._distance(self.arm.check_q(q), self._margin + _NEAR) - self._margin
 
     def _collision(self, pair: int, gap: float) -> Collision:
         """That of a pair with a gap below 0 [m]."""
@@ -279,21 +267,38 @@ class CollisionChecker:
         margin = float(self._margin[pair])
         return Collision(first=first, second=second, depth=float(-gap), clearance=margin)
 
-    def _distance(self, q: Array) -> Array:
+    def _distance(self, q: Array, near: Array) -> Array:
+        """[..., P] distances [m], or lower bounds where those are above `near` [P]."""
+        flat = q.reshape(-1, self.arm.joints)
+        parts = [self._part(flat[k : k + _CHUNK], near) for k in range(0, len(flat), _CHUNK)]
+        return np.concatenate(parts).reshape(*q.shape[:-1], len(self.pairs))
+
+    def _part(self, q: Array, near: Array) -> Array:
         shape = arm_shape(self.arm, q, self.opening)
-        a, b, c = self._first, self._second, self._moving
-        found = [
-            segments_apart(shape.start[:, a], shape.end[:, a], shape.start[:, b], shape.end[:, b])
-            - (shape.radius[a] + shape.radius[b])
-        ]
-        start, end, radius = shape.start[:, c], shape.end[:, c], shape.radius[c]
+        start, end, radius = shape.start, shape.end, shape.radius
+        middle, half = 0.5 * (start + end), 0.5 * np.linalg.norm(end - start, axis=-1) + radius
+        first, second, moving = self._first, self._second, self._moving
+        found = np.empty((len(q), len(self.pairs)))
+        own = found[:, : len(first)]
+        own[:] = np.linalg.norm(middle[:, first] - middle[:, second], axis=-1)
+        own -= half[:, first] + half[:, second]
+        row, pair = np.nonzero(own < near[: len(first)])
+        a, b = first[pair], second[pair]
+        apart = segments_apart(start[row, a], end[row, a], start[row, b], end[row, b])
+        own[row, pair] = apart - (radius[a] + radius[b])
+        k = len(first)
         if self.surroundings.table_height is not None:
-            low = np.minimum(shape.start[..., 2], shape.end[..., 2]) - shape.radius
-            found.append(low[:, self._above] - self.surroundings.table_height)
-        found += [
-            obstacle.distance(start, end) - radius for obstacle in self.surroundings.obstacles
-        ]
-        return np.concatenate(found, axis=1)
+            low = np.minimum(start[..., 2], end[..., 2]) - radius
+            k += len(self._above)
+            found[:, len(first) : k] = low[:, self._above] - self.surroundings.table_height
+        for obstacle in self.surroundings.obstacles:
+            here = found[:, k : k + len(moving)]
+            here[:] = obstacle.distance(middle[:, moving], middle[:, moving]) - half[:, moving]
+            row, pair = np.nonzero(here < near[k : k + len(moving)])
+            a = moving[pair]
+            here[row, pair] = obstacle.distance(start[row, a], end[row, a]) - radius[a]
+            k += len(moving)
+        return found
 
     @cached_property
     def _levers(self) -> Array:
@@ -359,7 +364,7 @@ def segment_to_box(a: Array, b: Array, half: Array) -> Array:
     """
     along = b - a
     low, high = np.zeros(a.shape[:-1]), np.ones(a.shape[:-1])
-    for _ in range(32):
+    for _ in range(32 if along.any() else 0):  # of points there is nothing to halve
         middle = 0.5 * (low + high)
         x = a + middle[..., None] * along
         beyond = np.abs(x) - half

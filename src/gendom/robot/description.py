@@ -13,7 +13,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -295,21 +294,18 @@ class _Chain:
 
 def _points(types: Any, kind: int, size: Array) -> Array:
     """[N, 3] points whose hull is a geom that is no mesh [m]."""
-    around, up = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False), np.linspace(-1.0, 1.0, 13)
-    tilt = 0.5 * np.pi * up[:, None]
-    ball = np.cos(tilt) * np.cos(around), np.cos(tilt) * np.sin(around), np.sin(tilt) + 0.0 * around
-    ball = np.stack(ball, axis=-1).reshape(-1, 3)
-    ends = np.sign(ball) * [0.0, 0.0, 1.0]
-    if kind == types.mjGEOM_BOX:
-        return size * np.array([*product((-1.0, 1.0), repeat=3)])
-    if kind == types.mjGEOM_CYLINDER:
-        wide = np.abs(ball[:, 2]) < 0.9
-        side = ball[wide] * [1.0, 1.0, 0.0]
-        side /= np.linalg.norm(side, axis=1, keepdims=True)
-        return np.concatenate([size[0] * side + z * size[1] * np.eye(3)[2] for z in (-1.0, 1.0)])
-    if kind == types.mjGEOM_CAPSULE:
-        return size[0] * ball + size[1] * ends
-    return ball * (size if kind == types.mjGEOM_ELLIPSOID else size[0])
+    around, tilt = np.meshgrid(np.pi / 12.0 * np.arange(24), np.pi / 12.0 * np.arange(-6, 7))
+    ball = np.stack([np.cos(tilt) * np.cos(around), np.cos(tilt) * np.sin(around), np.sin(tilt)])
+    ring = np.stack([np.cos(around), np.sin(around), 0.0 * around])
+    ends = np.sign(np.sin(tilt)) * np.eye(3)[2][:, None, None]
+    r, high = size[0], size[1]
+    points = {
+        int(types.mjGEOM_BOX): size[:, None, None] * np.sign(np.round(ball, 9)),
+        int(types.mjGEOM_CYLINDER): r * ring + high * ends,
+        int(types.mjGEOM_CAPSULE): r * ball + high * ends,
+        int(types.mjGEOM_ELLIPSOID): size[:, None, None] * ball,
+    }
+    return points.get(int(kind), r * ball).reshape(3, -1).T
 
 
 def hull_faces(points: Array) -> Array:

@@ -1,7 +1,8 @@
 """Forward kinematics, Jacobian and inverse kinematics of the tool; where the arm's capsules are.
 
 Poses are T_base_tcp [4, 4]: they map coordinates of the tool point (tcp) to the robot's base.
-The gripper's z points out of the fingers, its y from finger to finger.
+The gripper's z points out of the fingers, its y from finger to finger. Joint angles that are not
+finite, or not as many as the arm has, are refused with a `RobotError`.
 """
 
 from __future__ import annotations
@@ -39,11 +40,8 @@ def link_poses(arm: Arm, q: ArrayLike) -> Array:
 
     Returns:
         [..., J + 2, 4, 4]: base (the identity), links 1 to J, tool point.
-
-    Raises:
-        RobotError: The shape is wrong or an angle is not finite.
     """
-    q = arm.check_q(np.asarray(q))
+    q = arm.check_q(q)
     c, s = np.cos(q)[..., None], np.sin(q)[..., None]
     step = np.empty((*q.shape, 4, 4))
     step[...] = arm.T_links
@@ -58,11 +56,7 @@ def link_poses(arm: Arm, q: ArrayLike) -> Array:
 
 
 def tcp_pose(arm: Arm, q: ArrayLike) -> Array:
-    """T_base_tcp [..., 4, 4] at joint angles [..., J] [rad].
-
-    Raises:
-        RobotError: As `link_poses`.
-    """
+    """T_base_tcp [..., 4, 4] at joint angles [..., J] [rad]."""
     return link_poses(arm, q)[..., -1, :, :]
 
 
@@ -72,9 +66,6 @@ def jacobian(arm: Arm, q: ArrayLike) -> Array:
     Rows 0 to 2 times joint speeds are the tool point's velocity, rows 3 to 5 the tool's angular
     velocity, both in the base's axes: column i is (z_i x (p_tcp - p_i), z_i) with the axis z_i
     and the origin p_i of frame i.
-
-    Raises:
-        RobotError: As `link_poses`.
     """
     return _jacobian(link_poses(arm, q))
 
@@ -104,10 +95,7 @@ def pose_error(T_base_to: ArrayLike, T_base_from: ArrayLike) -> Array:
 def _rotation_vector(R: Array) -> Array:
     """[..., 3] rotation vectors [rad] of matrices [..., 3, 3]."""
     # R - R^T holds 2 sin(angle) times the axis: quick and exact but near half a turn.
-    twice = np.stack(
-        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]],
-        axis=-1,
-    )
+    twice = R[..., [2, 0, 1], [1, 2, 0]] - R[..., [1, 2, 0], [2, 0, 1]]
     sine = 0.5 * np.sqrt((twice * twice).sum(axis=-1))
     cosine = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)
     scale = np.where(sine > 1e-12, np.arctan2(sine, cosine) / np.maximum(sine, 1e-12), 1.0)
@@ -140,7 +128,7 @@ def solutions(arm: Arm, T_base_tcp: ArrayLike) -> list[Array]:
     good = reached(error)
     if not good.any():
         k = int(np.argmin(_size(error)))
-        x, y, z = link_poses(arm, q[k])[-1, :3, 3]
+        x, y, z = tcp_pose(arm, q[k])[:3, 3]
         what = f"{describe(T)} is out of reach: the nearest found, ({x:.3f}, {y:.3f}, {z:.3f}) m, "
         what += f"is off by {missed(arm, q[k], error[k])}"
         fix = "move it nearer to the base or turn the gripper"
@@ -308,9 +296,6 @@ def arm_shape(arm: Arm, q: ArrayLike, opening: ArrayLike = 0.0) -> ArmShape:
         arm: The arm.
         q: [..., J] joint angles [rad].
         opening: [...] distance of the fingers' inner faces [m].
-
-    Raises:
-        RobotError: As `link_poses`.
     """
     poses = link_poses(arm, q)
     opening = np.broadcast_to(np.asarray(opening, dtype=float), poses.shape[:-3])

@@ -213,22 +213,17 @@ class JointMotion:
         """
         positive = math.isfinite(factor) and factor > 0.0
         _require(positive, f"cannot take {factor} times as long", fix="give a number > 0")
-        return replace(
-            self,
-            time=self.start + factor * (self.time - self.start),
-            events=tuple(
-                replace(e, time=self.start + factor * (e.time - self.start)) for e in self.events
-            ),
-            slowed_by=factor * self.slowed_by,
-        )
+        slower = self.retimed(lambda time: self.start + factor * (time - self.start))
+        return replace(slower, slowed_by=factor * self.slowed_by)
 
     def shifted(self, seconds: float) -> JointMotion:
         """The same motion, later by some seconds."""
-        return replace(
-            self,
-            time=self.time + seconds,
-            events=tuple(replace(e, time=e.time + seconds) for e in self.events),
-        )
+        return self.retimed(lambda time: time + seconds)
+
+    def retimed(self, to: Callable[[Any], Any]) -> JointMotion:
+        """The same motion with its times, those of its events too, changed by a function."""
+        events = tuple(replace(e, time=to(e.time)) for e in self.events)
+        return replace(self, time=to(self.time), events=events)
 
     def then(self, other: JointMotion) -> JointMotion:
         """This motion and then another, which starts where this one ends.
@@ -324,34 +319,23 @@ def read_joints(
     time, q, opening = table[:, 0], table[:, 1 : 1 + arm.joints], table[:, 1 + arm.joints :]
     beyond = np.maximum(arm.q_min - q, q - arm.q_max)
     j, widest = beyond.argmax(axis=1), arm.gripper.max_opening
-    checks: list[tuple[Any, Callable[[int], str], str]] = [
-        (
-            np.isfinite(table).all(axis=1),
-            lambda k: "a number is not finite",
-            "give seconds, radians and metres",
-        ),
-        (
-            np.diff(time, prepend=-np.inf) > 0.0,
-            lambda k: f"time goes from {time[k - 1]:g} to {time[k]:g} s",
-            "sort the rows",
-        ),
-        (
-            beyond.max(axis=1) <= 0.1,
-            lambda k: (
-                f"joint {j[k] + 1} is at {q[k, j[k]]:g} rad, its range on {arm.name} is "
-                f"{arm.q_min[j[k]]:.3f} to {arm.q_max[j[k]]:.3f}"
-            ),
-            "give radians, from the base to the flange",
-        ),
-        (
-            ((opening >= -0.005) & (opening <= widest + 0.005)).all(axis=1),
-            lambda k: f"the gripper's opening is {opening[k, 0]:g} m, it goes to {widest:g}",
-            "give metres between the fingers",
-        ),
-    ]
-    for good, what, fix in checks:
-        for k in np.flatnonzero(~good)[:1]:
-            raise RobotError(what(int(k)), where=f"{path}, line {lines[k]}", fix=fix)
+    good = np.array([
+        np.isfinite(table).all(axis=1),
+        np.diff(time, prepend=-np.inf) > 0.0,
+        beyond.max(axis=1) <= 0.1,
+        ((opening >= -0.005) & (opening <= widest + 0.005)).all(axis=1),
+    ])  # fmt: skip
+    for check, k in np.argwhere(~good)[:1]:
+        low, high = arm.q_min[j[k]], arm.q_max[j[k]]
+        wide = f"the gripper's opening is {opening[k].max(initial=0.0):g} m, it goes to {widest:g}"
+        turned = f"joint {j[k] + 1} is at {q[k, j[k]]:g} rad, its range on {arm.name} is "
+        what, fix = (
+            ("a number is not finite", "give seconds, radians and metres"),
+            (f"time goes from {time[k - 1]:g} to {time[k]:g} s", "sort the rows"),
+            (f"{turned}{low:.3f} to {high:.3f}", "give radians, from the base to the flange"),
+            (wide, "give metres between the fingers"),
+        )[check]
+        raise RobotError(what, where=f"{path}, line {lines[k]}", fix=fix)
     return JointStates(time, q, opening[:, 0] if opening.size else None)
 
 

@@ -73,8 +73,7 @@ class LiftMotion:
 
     def __post_init__(self) -> None:
         _require(self.kind in ("rope", "cloth"), f"kind is {self.kind!r}", "give rope or cloth")
-        _check_positive(rise=self.rise, speed=self.speed)
-        _check_end(self.end)
+        _check(self.end, rise=self.rise, speed=self.speed)
 
     @property
     def quasi_static(self) -> bool:
@@ -94,14 +93,13 @@ class LiftMotion:
             RobotError: It holds no such motion.
         """
         said, fix = read_json(path), "give motion.json of gendom plan-lift"
-        form, where = said.get("format"), f"{path}: lift"
-        what = f"has format {form!r}, not {MOTION_FORMAT!r}"
-        require(form == MOTION_FORMAT, what, where=str(path), fix=fix, error=RobotError)
+        what = f"has format {said.get('format')!r}, not {MOTION_FORMAT!r}"
+        right = said.get("format") == MOTION_FORMAT
+        require(right, what, where=str(path), fix=fix, error=RobotError)
         try:
-            return record_of(cls, said.get("lift"), where=where, fix=fix, error=RobotError)
+            return record_of(cls, said.get("lift"), where="lift", fix=fix, error=RobotError)
         except RobotError as error:
-            place = where if error.where == "motion" else error.where
-            raise RobotError(error.what, where=place, fix=error.fix) from None
+            raise RobotError(error.what, where=f"{path}: {error.where}", fix=error.fix) from None
 
 
 def predefined_lift(kind: str, end: str = "hold") -> LiftMotion:
@@ -155,8 +153,7 @@ def lift(
     start = np.asarray(start, dtype=float)
     good = start.shape == (3,) and np.isfinite(start).all()
     _require(good, f"start is {start.tolist()}", "give x, y, z in metres")
-    _check_positive(height=height, speed=speed, wait=wait)
-    _check_end(end)
+    _check(end, height=height, speed=speed, wait=wait)
     if after is None:
         after = 0.0 if end == "hold" else REST_AT_END
     rise, stroke, still = height / speed, SWING_STROKE * height, np.zeros(3)
@@ -185,14 +182,11 @@ def lift(
     )
 
 
-def _check_end(end: str) -> None:
+def _check(end: str, **positive: float) -> None:
     _require(end in LIFT_ENDS, f"end is {end!r}", f"choose {', '.join(LIFT_ENDS)}")
-
-
-def _check_positive(**values: float) -> None:
-    for name, value in values.items():
-        positive = math.isfinite(value) and value > 0.0
-        _require(positive, f"{name} is {value}", "give a number above 0, in SI units")
+    for name, value in positive.items():
+        fix = "give a number above 0, in SI units"
+        _require(math.isfinite(value) and value > 0.0, f"{name} is {value}", fix)
 
 
 def _require(holds: Any, what: str, fix: str) -> None:

@@ -14,7 +14,7 @@ ends, so with u = t / blend + 1/2 in [0, 1]
 
 the acceleration is continuous and at most 1.5 |dv| / blend, and a corner is missed by
 (3 / 32) |dv| blend. Straight parts, pauses and uniform accelerations stay as they are, and the
-path begins and ends half a blend earlier and later. Orientations are rounded in the same way.
+path begins and ends half a blend earlier and later.
 """
 
 from __future__ import annotations
@@ -49,19 +49,13 @@ def pointing(approach: ArrayLike, fingers: ArrayLike) -> Array:
         RobotError: The two are parallel, or one is zero.
     """
     z, y = np.asarray(approach, dtype=float), np.asarray(fingers, dtype=float)
-    lengths = np.linalg.norm(z), np.linalg.norm(y)
-    apart = np.linalg.norm(np.cross(y, z)) >= 1e-6 * lengths[0] * lengths[1]
-    require(
-        min(lengths) > 0.0 and apart,
-        f"approach {z.tolist()} and fingers {y.tolist()} are parallel or zero",
-        where="gripper's orientation",
-        fix="give two directions, about at right angles",
-        error=RobotError,
-    )
-    z = z / lengths[0]
-    y = y - (y @ z) * z
-    y = y / np.linalg.norm(y)
-    return Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=1)).as_quat()
+    apart = np.linalg.norm(np.cross(y, z)) > 1e-6 * np.linalg.norm(z) * np.linalg.norm(y)
+    what = f"approach {z.tolist()} and fingers {y.tolist()} are parallel or zero"
+    where, fix = "gripper's orientation", "give two directions, about at right angles"
+    require(apart, what, where=where, fix=fix, error=RobotError)
+    x = np.cross(y, z) / np.linalg.norm(np.cross(y, z))
+    z = z / np.linalg.norm(z)
+    return Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1)).as_quat()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +91,7 @@ class TcpPath:
     position: Array
     """[K, 3] [m]; straight and at constant speed from knot to knot."""
     quat_xyzw: Array
-    """[4], or [K, 4] between which it turns at constant rates."""
+    """[4] of the tool, which never turns."""
     events: tuple[GripperEvent, ...] = ()
     """When the gripper closes and opens, in order of time."""
     max_blend: float = math.inf
@@ -113,13 +107,11 @@ class TcpPath:
         fits = time.ndim == 1 and len(time) >= 2 and position.shape == (len(time), 3)
         shapes = f"{time.shape}, {position.shape}"
         _require(fits, f"needs time [K >= 2] and position [K, 3], got {shapes}")
-        fits = quat.shape in ((4,), (len(time), 4))
-        _require(fits, f"needs quat_xyzw [4] or [{len(time)}, 4], got {quat.shape}")
+        _require(quat.shape == (4,), f"needs quat_xyzw [4], got {quat.shape}")
         finite = np.isfinite(time).all() and np.isfinite(position).all()
         _require(finite, "holds a number that is not finite")
-        size = np.sqrt(np.sum(quat * quat, axis=-1, keepdims=True))
-        proper = 1e-6 <= size.min() and size.max() < math.inf
-        _require(proper, "has a quaternion that is zero or not finite")
+        size = np.linalg.norm(quat)
+        _require(1e-6 <= size < math.inf, "has a quaternion that is zero or not finite")
         _require((time[1:] > time[:-1]).all(), "has times that do not increase from knot to knot")
         ordered = all(a.time <= b.time for a, b in pairwise(self.events))
         _require(ordered, "has gripper events that are not in order of time")
@@ -145,8 +137,8 @@ class TcpPath:
         """For JSON and robots that play it: its own blend sampled; the frame is the base's.
 
         Returns:
-            time [K] [s]; position [K][3] [m] and quat_xyzw [4] or [K][4] of the tool; events, when
-            the hand closes and opens.
+            time [K] [s]; position [K][3] [m] and quat_xyzw [4] of the tool; events, when the hand
+            closes and opens.
         """
         times, position = self.sampled()
         return {
@@ -189,38 +181,19 @@ class TcpPath:
         T = np.zeros((*time.shape, 4, 4))
         T[..., :3, 3] = self.position_at(time, blend)
         T[..., 3, 3] = 1.0
-        if self.quat_xyzw.ndim == 1:
-            T[..., :3, :3] = Rotation.from_quat(self.quat_xyzw).as_matrix()
-            return T
-        # A product of rotations, one for each segment, each by its elapsed share of time.
-        knots = Rotation.from_quat(self.quat_xyzw)
-        turns = (knots[1:] * knots[:-1].inv()).as_rotvec()
-        rising = _ramp(time[..., None] - self.time, blend)
-        shares = (rising[..., :-1] - rising[..., 1:]) / np.diff(self.time)
-        R = np.broadcast_to(knots[0].as_matrix(), (*time.shape, 3, 3))
-        for k, turn in enumerate(turns):
-            if np.any(turn != 0.0):
-                step = Rotation.from_rotvec((shares[..., k : k + 1] * turn).reshape(-1, 3))
-                R = step.as_matrix().reshape(R.shape) @ R
-        T[..., :3, :3] = R
+        T[..., :3, :3] = Rotation.from_quat(self.quat_xyzw).as_matrix()
         return T
 
+    @property
     def corners(self) -> Array:
-        """[J] times [s] at which the ideal path's velocity or rate of turning jumps."""
-        _, knots = self._jumps
-        if self.quat_xyzw.ndim == 1:
-            return knots
-        pose = Rotation.from_quat(self.quat_xyzw)
-        rate = (pose[1:] * pose[:-1].inv()).as_rotvec() / np.diff(self.time)[:, None]
-        still = np.zeros((1, 3))
-        jumps = np.diff(np.concatenate([still, rate, still]), axis=0)
-        return np.union1d(knots, self.time[np.linalg.norm(jumps, axis=1) > 1e-12])
+        """[J] times [s] at which the ideal path's velocity jumps."""
+        return self._jumps[1]
 
     def deviation(self, blend: float) -> Deviation:
         """How far the path rounded off by `blend` [s] is from the ideal one (with its own blend, if
         it has one)."""
         near = np.linspace(-0.5 * blend, 0.5 * blend, 41)
-        time = np.unique(np.add.outer(self.corners(), near))
+        time = np.unique(np.add.outer(self.corners, near))
         rounded = self.position_at(time, blend)
         late = np.linalg.norm(rounded - self.position_at(time, self.blend or 0.0), axis=-1)
         off = np.full(len(time), np.inf)
@@ -254,8 +227,6 @@ class TcpPaths:
 
     def __init__(self, paths: Sequence[TcpPath]):
         self.paths = list(paths)
-        self.turning = np.array([path.quat_xyzw.ndim == 2 for path in self.paths])
-        """[W] whether orientations change."""
         # Shorter paths rest at their last place for a second a missing knot.
         last = np.array([len(path.time) - 1 for path in self.paths])[:, None]
         k = np.arange(last.max() + 1)
@@ -266,8 +237,6 @@ class TcpPaths:
         self._blend = np.array([path.blend or 0.0 for path in self.paths])
         self._jumps = _velocity_jumps(self._time, self._position)
         self._corner = np.linalg.norm(self._jumps, axis=2) > 0.0
-        for w in np.flatnonzero(self.turning):
-            self._corner[w] = np.isin(self._time[w], self.paths[w].corners())
 
     @cached_property
     def moves(self) -> Array:

@@ -15,7 +15,6 @@ from gendom.errors import RobotError
 from gendom.robot.arm import Arm
 from gendom.robot.collision import NO_OBSTACLES, CollisionChecker, Surroundings
 from gendom.robot.kinematics import (
-    ANGLE_LENGTH,
     descend,
     describe,
     missed,
@@ -146,14 +145,15 @@ def follow(
     for q in solutions(kept, path.pose_at(path.start))[:_POSTURES]:
         try:
             motion = _from_posture(kept, path, q)
+            over = {use.kind for use in motion.limit_uses(arm) if use.exceeded}
+            excess = ("angle" in over, motion.slowdown(arm))
+            if best is not None and excess >= best[0]:
+                continue
             collisions.check(motion)
         except RobotError as error:
             refusal = refusal or error
             continue
-        over = {use.kind for use in motion.limit_uses(arm) if use.exceeded}
-        excess = ("angle" in over, motion.slowdown(arm))
-        if best is None or excess < best[0]:
-            best = excess, motion
+        best = excess, motion
         if not over:
             return motion
     if best is None:
@@ -236,29 +236,31 @@ def _reblended(
 
 
 def _ways(path: TcpPath, blend: float) -> tuple[Array, Array]:
-    """Dense times [s] and how far the tool has moved by then, rotation included [m]."""
+    """Dense times [s] and how far the tool has moved by then [m]."""
     time = np.linspace(path.start - 0.5 * blend, path.end + 0.5 * blend, _DENSE)
-    T = path.pose_at(time, blend)
-    shift = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
-    turn = np.linalg.norm(np.diff(T[:, :3, :3], axis=0), axis=(1, 2)) / math.sqrt(2.0)
-    return time, np.concatenate([[0.0], np.cumsum(shift + ANGLE_LENGTH * turn)])
+    shift = np.linalg.norm(np.diff(path.position_at(time, blend), axis=0), axis=1)
+    return time, np.concatenate([[0.0], np.cumsum(shift)])
 
 
 def _stepped(arm: Arm, path: TcpPath, q: Array, blend: float) -> tuple[Array, Array]:
     """Times [K] and joint angles [K, J] of a path from a start [J], each from those before."""
-    ahead = list(_solved_times(path, blend)[::-1])
-    times, found = [ahead.pop()], [q]
+    every = _solved_times(path, blend)
+    ahead = [*zip(every, path.pose_at(every, blend), strict=True)][::-1]
+    (time, at), found = ahead.pop(), [q]
+    times = [time]
     while ahead:
-        T = path.pose_at(ahead[-1], blend)
+        time, T = ahead[-1]
         step = step_towards(arm, T, found[-1], arm.home, homing=_HOMING)
         if step is not None and np.abs(step - found[-1]).max() <= _LARGEST_JUMP:
-            times.append(ahead.pop())
+            _, at = ahead.pop()
+            times.append(time)
             found.append(step)
             continue
         # Near a stretched arm some millimetres are large turns: smaller steps lead there.
-        if _movement(T, path.pose_at(times[-1], blend)) < _SMALLEST_SPACING:
-            raise _not_followed(arm, T, found[-1], step, ahead[-1])
-        ahead.append(0.5 * (times[-1] + ahead[-1]))
+        if np.linalg.norm((T - at)[:3, 3]) < _SMALLEST_SPACING:
+            raise _not_followed(arm, T, found[-1], step, time)
+        between = 0.5 * (times[-1] + time)
+        ahead.append((between, path.pose_at(between, blend)))
     return np.array(times), np.array(found)
 
 
@@ -285,14 +287,14 @@ def _refined(arm: Arm, path: TcpPath, blend: float, time: Array, q: Array) -> tu
 def _solved_times(path: TcpPath, blend: float) -> Array:
     """Times [K] [s]: dense where the path is rounded, elsewhere spaced by the tool's movement."""
     start, end = path.start - 0.5 * blend, path.end + 0.5 * blend
-    corners = path.corners()
+    corners = path.corners
     edges = np.add.outer(corners, [-0.5 * blend, 0.5 * blend]).ravel()
     edges = np.unique(np.concatenate([[start, end], np.clip(edges, start, end)]))
     times = [start]
-    for a, b in pairwise(edges):
+    way = np.linalg.norm(np.diff(path.position_at(edges, blend), axis=0), axis=1)
+    for (a, b), moved in zip(pairwise(edges), way, strict=True):
         if b - a < 1e-9:
             continue
-        moved = _movement(*path.pose_at(np.array([b, a]), blend))
         if np.any(np.abs(corners - 0.5 * (a + b)) < 0.5 * blend):
             steps = (b - a) * max(_KNOTS_A_BLEND / blend, SOLVED_RATE)
         else:
@@ -302,26 +304,15 @@ def _solved_times(path: TcpPath, blend: float) -> Array:
     return np.array(times)
 
 
-def _movement(T: Array, T_from: Array) -> float:
-    """Distance between two poses of the tool [m], including rotation."""
-    shift, turn = np.split(pose_error(T, T_from), 2)
-    return float(np.linalg.norm(shift) + ANGLE_LENGTH * np.linalg.norm(turn))
-
-
 def _not_followed(arm: Arm, T: Array, q: Array, step: Array | None, time: float) -> RobotError:
     """Error: after joint angles [J] the path requires a jump of the joints, or is out of reach."""
+    what, where = f"at t = {time:.3f} s ", f"path of {arm.name}"
     if step is not None:
         jump = np.abs(step - q)
-        return RobotError(
-            f"at t = {time:.3f} s joint {int(jump.argmax()) + 1} would have to jump by "
-            f"{jump.max():.2f} rad, at a singular pose",
-            where=f"path of {arm.name}",
-            fix="move or turn the path away from there",
-        )
+        what += f"joint {int(jump.argmax()) + 1} would have to jump by {jump.max():.2f} rad, "
+        fix = "move or turn the path away from there"
+        return RobotError(f"{what}at a singular pose", where=where, fix=fix)
     left, error = (x[0] for x in descend(arm, T[None], q[None], arm.home, homing=0.0))
-    return RobotError(
-        f"at t = {time:.3f} s the path goes out of reach: {describe(T)} is missed by "
-        f"{missed(arm, left, error)}",
-        where=f"path of {arm.name}",
-        fix="move the path nearer to the base, or turn the gripper",
-    )
+    what += f"the path goes out of reach: {describe(T)} is missed by {missed(arm, left, error)}"
+    fix = "move the path nearer to the base, or turn the gripper"
+    return RobotError(what, where=where, fix=fix)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
 from gendom.arrays import Array
@@ -255,12 +254,9 @@ def grippers(scene: Scene, paths: TcpPaths, begin: float) -> Grippers:
         "hold_from": hold_from,
         "hold_until": hold_until,
         "radius": np.full((W, tools), scene.grip),
-        "turns": np.repeat(paths.turning[:, None].astype(float), tools, axis=1),
+        "turns": np.zeros((W, tools)),
         "orientation": np.tile([0.0, 0.0, 0.0, 1.0], (W, tools, K, 1)),
     }
-    for w in np.flatnonzero(paths.turning):
-        poses = paths.paths[w].pose_at(time[w], paths.paths[w].blend or 0.0)
-        arrays["orientation"][w] = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
     if scene.stand > 0.0:
         still = Gripper.still(np.asarray(scene.origin, dtype=float), radius=scene.stand)
         for name, values in Grippers.of([[still]], knots=K).arrays.items():
