@@ -80,7 +80,8 @@ class WorldInputs:
         for name, unknown in UNKNOWNS.items():
             if unknown.on_replay is not None:
                 unknown.on_replay(inputs, theta[name])
-        inputs.clamps[1, 2] += twist
+        # half of it at each end
+        inputs.clamps[:, 2] = 0.5 * (inputs.clamps[1, 2] + twist) * np.array([-1.0, 1.0])
         return inputs
 
     # ---- what unknowns do ------------------------------------------------------------------------

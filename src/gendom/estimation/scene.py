@@ -376,17 +376,49 @@ class LiftScene(Placed):
         turns = np.linalg.norm(np.diff(ahead, axis=0), axis=1)
         return float(turns.sum()) > 0.1  # [rad]
 
-    def clamp_frame(self, g: int) -> Array:
-        """[3, 3] axes of a hand as columns: x and y, and the recorded one along the rope; the
-        world's, turned the shortest way so that the nearest one lies along it: alike in all
-        recordings of a rig."""
+    @cached_property
+    def along(self) -> Array:
+        """[T, 2, 3] directions of a rope at both hands, from the first end to the last one."""
+        ahead = self.inwards * [[1.0], [-1.0]]
         axes = self.recording.gripper_axis
-        along = self.inwards[g : g + 1] if axes is None else axes[self.begins :, g].astype(float)
-        mean = along.mean(axis=0)
+        if axes is None:
+            return ahead[None]
+        own = axes[self.begins :].astype(float)
+        return own * np.where((own[0] * ahead).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
+
+    @cached_property
+    def rig(self) -> Array:
+        """[3, 3] axes of two hands as rows: level from the first to the last one in the mean of a
+        recording, level across, and up; alike in all recordings of a rig, wherever it stands."""
+        ahead = np.diff(self.recording.gripper_position[:, :2].mean(axis=0), axis=0)[0, :2]
+        size = float(np.linalg.norm(ahead))
+        x, y = ahead / size if size > 0.0 else (1.0, 0.0)
+        return np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]])
+
+    def _nearest_axis(self, g: int) -> tuple[int, float]:
+        """Of the rig's axes the one that lies along the rope at a hand, and its sign."""
+        mean = self.rig @ self.along[:, g].mean(axis=0)
         k = int(np.abs(mean).argmax())
-        nearest = math.copysign(1.0, mean[k]) * np.eye(3)[k]
-        others = np.delete(np.eye(3), k, axis=0)
-        return np.stack([*_turn_between(nearest, along[0]).apply(others), along[0]], axis=1)
+        return k, math.copysign(1.0, mean[k])
+
+    def clamp_frame(self, g: int) -> Array:
+        """[3, 3] axes of a hand as columns: x and y, and that along the rope; the rig's, turned the
+        shortest way so that the nearest one lies along it."""
+        (k, sign), own = self._nearest_axis(g), self.along[0, g]
+        others = np.delete(self.rig, k, axis=0)
+        return np.stack([*_turn_between(sign * self.rig[k], own).apply(others), own], axis=1)
+
+    def _clamp_steps(self) -> dict[str, dict[str, float]]:
+        """Steps of clamps' turns for differences, as changes to their priors: they change sign as
+        turns do when a recording is mirrored, or its ends are swapped, so that results do not
+        change."""
+        hands = self.recording.gripper_position.mean(axis=(0, 1))
+        ahead, aside, _ = np.sign(self.rig @ (self.recording.points.mean(axis=0) - hands))
+        ways, found = (aside, ahead, ahead * aside), {"clamp_twist": ahead * aside}
+        for g, end in enumerate(("first", "last")):
+            own = np.delete(ways, self._nearest_axis(g)[0])
+            found |= {f"{end}_clamp_{axis}": way for axis, way in zip("xy", own, strict=True)}
+        return {n: {"step": math.copysign(UNKNOWNS[n].step, way)} for n, way in found.items()}
 
     @property
     def guesses(self) -> list[dict[str, float]]:
@@ -429,6 +461,8 @@ class LiftScene(Placed):
         changes["E_over_rho"] = {"low": low, "high": high, "mean": mean, "sd": sd}
         if self.kind == "cloth":
             changes["E_over_rho"]["step"] = 0.06
+        if self.beside:
+            changes |= self._clamp_steps()
         if self.beside and self.shown_length is not None:
             changes["length_ratio"] = {"mean": self.shown_length / self.size}
         if self.settings.material is not None:
