@@ -87,7 +87,7 @@ def drawn_motion(rope: RealRope, rng: np.random.Generator) -> Motion:
     time = np.arange(0.0, BRING + REST + MOVE + 1e-9, 0.01)
     near = np.clip(time / BRING, 0.0, 1.0)
     near = near**2 * (3.0 - 2.0 * near)
-    moving = np.clip((time - BRING - 0.5 * REST) / 0.5, 0.0, 1.0)[:, None]
+    moving = np.clip((time - BRING - REST) / 0.5, 0.0, 1.0)[:, None]
     span, L = rng.uniform(0.35, 0.7), rope.length
     down = rng.uniform(0.2, 1.3, 2)
     position, turn = np.zeros((len(time), 2, 3)), np.zeros((len(time), 2, 3))
@@ -101,7 +101,8 @@ def drawn_motion(rope: RealRope, rng: np.random.Generator) -> Motion:
         turn[:, g] += moving * noise(time, rng, 0.3, 0.8)
     level = Rotation.from_euler("z", yaw)
     shape = position.shape
-    position = level.apply(position.reshape(-1, 3)).reshape(shape) + [0.0, 0.0, HEIGHT]
+    position = level.apply(position.reshape(-1, 3)).reshape(shape)
+    position[..., 2] += HEIGHT
     turn = level.apply(turn.reshape(-1, 3)).reshape(shape)
     return Motion(time=time, position=position, turn=turn)
 
@@ -174,7 +175,7 @@ def recorded(
 ) -> tuple[Recording, Array]:
     """The recording of a motion, and where the rope's vertices are [T, V, 3] [m]."""
     shapes, ends, axes = simulated(rope, motion)
-    markers = int(rng.integers(10, 15))
+    markers = 10 + rope.vertices % 5
     s, places = np.linspace(0.0, 1.0, rope.vertices), np.linspace(0.0, 1.0, 400)
     # from where one hand's hold ends to where the other's begins
     free = 0.5 / (rope.vertices - 1)

@@ -461,7 +461,7 @@ class LiftScene(Placed):
         changes["E_over_rho"] = {"low": low, "high": high, "mean": mean, "sd": sd}
         if self.kind == "cloth":
             changes["E_over_rho"]["step"] = 0.06
-        if self.beside:
+        if len(self.held) > 1:
             changes |= self._clamp_steps()
         if self.beside and self.shown_length is not None:
             changes["length_ratio"] = {"mean": self.shown_length / self.size}
@@ -491,7 +491,8 @@ class LiftScene(Placed):
             (not self.quasi_static, ("damping",)),
             # markers are seen by what sees the hands that hold them
             (not self.static and not self.ordered, ("delay",)),
-            (swinging, (*CLAMPS, "length_ratio")),
+            (two and not self.static, CLAMPS),
+            (swinging, ("length_ratio",)),
             (drag, ("air_drag",)),
             (not two and rope and self.thin, ("grip_turn",)),
             (not rope, ("warp_over_weft",)),
