@@ -24,7 +24,7 @@ THIN, SKIN_OF_THIN = 0.008, 1e-5
 which widens it along the views: a larger skin would fit better than the true one."""
 
 NO_SKIN = 1e-8
-"""`NoiseModel.skin` of markers, whose coordinates count, not their distance [m]."""
+"""`NoiseModel.skin` of markers in motion, whose coordinates count, not their distance [m]."""
 
 SHARED = 16.0
 """`NoiseModel.patch` of markers in motion, the first guess: what moves otherwise than the model
@@ -73,10 +73,10 @@ class NoiseModel:
             noise = replace(noise, skin=SKIN_OF_THIN)
         if scene.registration is not None:
             return noise.with_unknown_cameras()
-        if scene.ordered:
-            noise = replace(noise, patch=1.0, skin=NO_SKIN)
-        # hands and markers are measured in one frame
-        return replace(noise, shift=1e-4, turn=1e-4, patch=SHARED) if scene.captured else noise
+        if scene.captured:
+            # hands and markers are measured in one frame
+            return replace(noise, shift=1e-4, turn=1e-4, skin=NO_SKIN, patch=SHARED)
+        return replace(noise, patch=1.0) if scene.ordered else noise
 
     def with_unknown_cameras(self) -> NoiseModel:
         """With the wide prior of cameras whose poses are unknown."""
