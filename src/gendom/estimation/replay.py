@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gendom.arrays import Array
+from gendom.estimation.hands import clamp_frame
 from gendom.estimation.markers import aside, axis_beside, material_frames
 from gendom.estimation.scene import STATIC_SETTLING, LiftScene
 from gendom.estimation.scene_settings import COARSE_POINTS
@@ -235,7 +236,7 @@ class WorldInputs:
         if len(scene.held) > 1 and self.clamps[g].any():
             # the first frame shows how markers lie, not how the rope leaves the clamp
             begun = np.clip((knots - knots[0]) / self.clamping, 0.0, 1.0)
-            turn = scene.clamp_frame(g) @ self.clamps[g]
+            turn = clamp_frame(scene.recording, scene.inwards, g) @ self.clamps[g]
             found.append(Rotation.from_rotvec(begun[:, None] * turn))
         return reduce(mul, found).as_quat() if found else None
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation, Slerp
@@ -19,11 +19,11 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
+from gendom.estimation.hands import clamp_steps, turn_between
 from gendom.estimation.placing import Placed, lost_time, place, with_points
 from gendom.estimation.priors import (
     BENDING_RANGE,
     CLAMPS,
-    DENSITY_SD,
     material_prior,
     stated_priors,
     thickness_stated,
@@ -36,6 +36,7 @@ from gendom.estimation.scene_settings import (
     SceneSettings,
 )
 from gendom.materials import STANDARD_GRAVITY, catalogue
+from gendom.materials.estimate_file import ASSUMED_DENSITY_SD
 from gendom.materials.parameters import E_over_rho_of, bending_length
 from gendom.materials.posterior import Prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
@@ -247,7 +248,7 @@ class LiftScene(Placed):
         """Standard deviation of the logarithm of a density that is assumed: of the stated material,
         or of any."""
         if self.settings.material is None:
-            return DENSITY_SD
+            return ASSUMED_DENSITY_SD
         return catalogue.get(self.settings.material).density.log_sd
 
     def density_of(self, theta: Theta) -> float:
@@ -339,7 +340,7 @@ class LiftScene(Placed):
             own, x = t, self.recording.gripper_position[first:, g].astype(float)
             if not (self.quasi_static or len(t) < 3):
                 own = np.linspace(t[0], t[-1], max(2, round(float(t[-1] - t[0]) / PATH_STEP)))
-                x = _between(t, x, own)
+                x = _between(t, x, own, captured=self.captured)
             found.append((own, x, self.turned(g, own)))
         return found
 
@@ -360,7 +361,7 @@ class LiftScene(Placed):
                 found.append(None)
                 continue
             along, turned = axes[first:, g].astype(float), [np.eye(3)]
-            for step in _turn_between(along[:-1], along[1:]).as_matrix():
+            for step in turn_between(along[:-1], along[1:]).as_matrix():
                 turned.append(step @ turned[-1])
             times = self.sim_time(self.recording.time[first:])
             found.append(Slerp(times, Rotation.from_matrix(turned)))
@@ -375,50 +376,6 @@ class LiftScene(Placed):
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
         turns = np.linalg.norm(np.diff(ahead, axis=0), axis=1)
         return float(turns.sum()) > 0.1  # [rad]
-
-    @cached_property
-    def along(self) -> Array:
-        """[T, 2, 3] directions of a rope at both hands, from the first end to the last one."""
-        ahead = self.inwards * [[1.0], [-1.0]]
-        axes = self.recording.gripper_axis
-        if axes is None:
-            return ahead[None]
-        own = axes[self.begins :].astype(float)
-        return own * np.where((own[0] * ahead).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
-
-    @cached_property
-    def rig(self) -> Array:
-        """[3, 3] axes of two hands as rows: level from the first to the last one in the mean of a
-        recording, level across, and up; alike in all recordings of a rig, wherever it stands."""
-        ahead = np.diff(self.recording.gripper_position[:, :2].mean(axis=0), axis=0)[0, :2]
-        size = float(np.linalg.norm(ahead))
-        x, y = ahead / size if size > 0.0 else (1.0, 0.0)
-        return np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]])
-
-    def _nearest_axis(self, g: int) -> tuple[int, float]:
-        """Of the rig's axes the one that lies along the rope at a hand, and its sign."""
-        mean = self.rig @ self.along[:, g].mean(axis=0)
-        k = int(np.abs(mean).argmax())
-        return k, math.copysign(1.0, mean[k])
-
-    def clamp_frame(self, g: int) -> Array:
-        """[3, 3] axes of a hand as columns: x and y, and that along the rope; the rig's, turned the
-        shortest way so that the nearest one lies along it."""
-        (k, sign), own = self._nearest_axis(g), self.along[0, g]
-        others = np.delete(self.rig, k, axis=0)
-        return np.stack([*_turn_between(sign * self.rig[k], own).apply(others), own], axis=1)
-
-    def _clamp_steps(self) -> dict[str, dict[str, float]]:
-        """Steps of clamps' turns for differences, as changes to their priors: they change sign as
-        turns do when a recording is mirrored, or its ends are swapped, so that results do not
-        change."""
-        hands = self.recording.gripper_position.mean(axis=(0, 1))
-        ahead, aside, _ = np.sign(self.rig @ (self.recording.points.mean(axis=0) - hands))
-        ways, found = (aside, ahead, ahead * aside), {"clamp_twist": ahead * aside}
-        for g, end in enumerate(("first", "last")):
-            own = np.delete(ways, self._nearest_axis(g)[0])
-            found |= {f"{end}_clamp_{axis}": way for axis, way in zip("xy", own, strict=True)}
-        return {n: {"step": math.copysign(UNKNOWNS[n].step, way)} for n, way in found.items()}
 
     @property
     def guesses(self) -> list[dict[str, float]]:
@@ -462,7 +419,7 @@ class LiftScene(Placed):
         if self.kind == "cloth":
             changes["E_over_rho"]["step"] = 0.06
         if len(self.held) > 1:
-            changes |= self._clamp_steps()
+            changes |= clamp_steps(self.recording, self.inwards)
         if self.beside and self.shown_length is not None:
             changes["length_ratio"] = {"mean": self.shown_length / self.size}
         if self.settings.material is not None:
@@ -502,8 +459,11 @@ class LiftScene(Placed):
         return tuple(name for holds, names in rows if holds for name in names)
 
 
-def _between(t: Array, x: Array, fine: Array) -> Array:
-    """[K, 3] a path at times [K], that is at places [T, 3] at times [T]."""
+def _between(t: Array, x: Array, fine: Array, *, captured: bool) -> Array:
+    """[K, 3] a path at times [K], that is at places [T, 3] at times [T]; one that was captured by
+    slopes that do not depend on the axes' directions."""
+    if captured:
+        return CubicHermiteSpline(t, x, np.gradient(x, t, axis=0))(fine)
     if np.median(np.diff(t)) < SPARSE:
         return PchipInterpolator(t, x, axis=0)(fine)
     knots, x = with_corners(t, x)
@@ -534,14 +494,6 @@ def with_corners(t: Array, x: Array) -> tuple[Array, Array]:
             places.append(x[k] + before * u)
     order = np.argsort(times)
     return np.array(times)[order], np.array(places)[order]
-
-
-def _turn_between(a: Array, b: Array) -> Rotation:
-    """The smallest turns from directions [..., 3] to others."""
-    normal = np.cross(a, b)
-    size = np.linalg.norm(normal, axis=-1, keepdims=True)
-    angle = np.arctan2(size, (a * b).sum(axis=-1, keepdims=True))
-    return Rotation.from_rotvec(normal * angle / np.maximum(size, 1e-12))
 
 
 # ---- material ----------------------------------------------------------------------------------
