@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
-from operator import mul
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.observation import visible_on_sheet
 from gendom.sim import Gripper, Physics, Solver, Table
+from gendom.sim.thin import rotation
 
 if TYPE_CHECKING:
     from gendom.sim import Simulator
@@ -226,19 +226,19 @@ class WorldInputs:
     ) -> Array | None:
         """[K, 4] how a gripper turns, or None: as its recorded axis does; and a pinched corner does
         not stay level beside it, it hangs once the gripper has risen by its reach."""
-        scene, found = self.scene, [] if recorded is None else [recorded]
+        scene, found = self.scene, [] if recorded is None else [recorded.as_quat()]
         if scene.by_corner:
             rise = at[:, 2] - scene.held[g, 2]
             inwards = Rotation.from_euler("z", self.theta.yaw).apply(scene.inwards[g])
             axis = np.cross(inwards, [0.0, 0.0, -1.0])
             angle = self.theta.grip_tilt * np.clip(rise / (2.0 * reach), 0.0, 1.0)
-            found.append(Rotation.from_rotvec(angle[:, None] * axis))
+            found.append(Rotation.from_rotvec(angle[:, None] * axis).as_quat())
         if len(scene.held) > 1 and self.clamps[g].any():
             # the first frame shows how markers lie, not how the rope leaves the clamp
             begun = np.clip((knots - knots[0]) / self.clamping, 0.0, 1.0)
             turn = clamp_frame(scene.recording, scene.inwards, g) @ self.clamps[g]
-            found.append(Rotation.from_rotvec(begun[:, None] * turn))
-        return reduce(mul, found).as_quat() if found else None
+            found.append(Rotation.from_rotvec(begun[:, None] * turn).as_quat())
+        return reduce(rotation.product, found) if found else None
 
 
 def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, Array]:
