@@ -36,7 +36,6 @@ from gendom.estimation.scene_settings import (
     SceneSettings,
 )
 from gendom.materials import STANDARD_GRAVITY, catalogue
-from gendom.materials.estimate_file import ASSUMED_DENSITY_SD
 from gendom.materials.parameters import E_over_rho_of, bending_length
 from gendom.materials.posterior import Prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
@@ -242,14 +241,6 @@ class LiftScene(Placed):
         """[m], of an object whose thickness is this multiple of the stated one."""
         k = thickness * self.radius_of_gyration
         return bending_length(E_over_rho, k, STANDARD_GRAVITY)
-
-    @property
-    def density_sd(self) -> float:
-        """Standard deviation of the logarithm of a density that is assumed: of the stated material,
-        or of any."""
-        if self.settings.material is None:
-            return ASSUMED_DENSITY_SD
-        return catalogue.get(self.settings.material).density.log_sd
 
     def density_of(self, theta: Theta) -> float:
         """Of an object that is as thick as estimated; of a stated mass, where there is one
