@@ -149,7 +149,14 @@ def drawn_lifts(
     prior, base = scene.prior(also=("thickness",))
     vectors = [drawn(prior, rng) for _ in range(count)]
     thetas = [prior.theta(v, base) for v in vectors]
-    shown = imagined(scene, thetas, settings.noise.sensor, rng)
+    # as finely as an estimate of it will be simulated
+    finer = [scene.finer(theta) for theta in thetas]
+    noise = settings.noise.sensor
+    if all(one is scene for one in finer):
+        shown = imagined(scene, thetas, noise, rng)
+    else:
+        pairs = zip(finer, thetas, strict=True)
+        shown = [imagined(one, [theta], noise, rng)[0] for one, theta in pairs]
     found = []
     for recording, theta, v in zip(shown, thetas, vectors, strict=True):
         if recording is not None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
@@ -43,7 +44,7 @@ def test_a_cable_in_fast_motion_comes_back(cable):
     assert scene.velocities is not None and np.abs(scene.velocities).max() > 0.3
     prior, base = scene.prior()
     assert "friction" not in prior.names and "damping" in prior.names
-    clamps = {"first_clamp_x": 0.1, "last_clamp_y": -0.2, "clamp_twist": 0.8}
+    clamps = {"first_clamp_x": -0.1, "last_clamp_y": 0.2, "clamp_twist": 0.8}
     truth = base.with_values({"E_over_rho": 6000.0, "damping": 0.02, "air_drag": 4.0, **clamps})
     seen = markers(scene, replay(scene, [truth])[:, 0]).astype(np.float32)
     made = replace(recording, points=seen.reshape(-1, 3))
@@ -202,3 +203,31 @@ def test_a_wire_at_rest():
     assert np.linalg.norm(np.diff(x, axis=0), axis=1).sum() == pytest.approx(1.5, rel=0.002)
     assert np.abs(found.record["calibration"]["shift"]).max() < 0.003
     assert found.record["rms"] < 0.003
+
+
+def turned(recording, turn, *, swapped=False):
+    """A recording of the same rig elsewhere: turned or mirrored by [3, 3], or with its hands and
+    markers counted from the other end, along axes in the other direction."""
+    way = slice(None, None, -1) if swapped else slice(None)
+    frames = recording.points.reshape(recording.num_frames, -1, 3).astype(float)
+    axis = recording.gripper_axis[:, way] @ np.transpose(turn)
+    return replace(
+        recording,
+        points=(frames[:, way] @ np.transpose(turn)).reshape(-1, 3),
+        gripper_position=recording.gripper_position[:, way] @ np.transpose(turn),
+        gripper_axis=-axis if swapped else axis,
+    )
+
+
+def test_results_do_not_depend_on_where_a_rig_stands(cable):
+    """Nor on which hand is the first one, which way axes point, or on mirroring."""
+    recording, settings = cable.head(100), EstimateSettings(starts=1, max_iterations=4)
+    level = Rotation.from_euler("z", 37.0, degrees=True).as_matrix()
+    found = estimate(recording, settings)
+    frames = found.fits[0].positions
+    for turn, swapped in ((level, False), (np.diag([1.0, -1.0, 1.0]), False), (np.eye(3), True)):
+        other = estimate(turned(recording, turn, swapped=swapped), settings)
+        assert other.theta.E_over_rho == pytest.approx(found.theta.E_over_rho, rel=1e-4)
+        assert other.theta.damping == pytest.approx(found.theta.damping, rel=1e-3)
+        wanted = (frames[:, ::-1] if swapped else frames) @ turn.T
+        assert other.fits[0].positions == pytest.approx(wanted, abs=1e-5)

@@ -114,8 +114,8 @@ class Comparison:
     def rms(self) -> float:
         """Robust root mean square distance of points from the skin, and of skin without points from
         the points [m]."""
-        rows, c = self.rows, HUBER
-        squares = 2.0 * c**2 * (np.sqrt(1.0 + (rows.rho / c) ** 2) - 1.0)
+        rows = self.rows
+        squares = 2.0 * rows.rho**2 / (1.0 + rows.soft_root(HUBER, rows.rho))
         return math.sqrt(float((rows.counts * squares).sum() / max(rows.counts.sum(), 1e-9)))
 
     def cameras_apart(self) -> tuple[float, int, int]:
@@ -264,7 +264,7 @@ class Comparison:
         moved = a.any() or len(self.offsets)
         rows = self._rows(self._displaced(a)) if moved else self.rows
         rho = rows.rho - a[-1]
-        root = np.sqrt(1.0 + (rho / HUBER) ** 2)
+        root = rows.soft_root(HUBER, rho)
         # by the displacement of each frame, which all frames' coefficients make up; by offsets,
         # rigid motion and skin; and what is left
         G, w = rows.displacing(o.in_place[:, : None if S else 0]), (rows.counts / root)[..., None]
@@ -279,7 +279,7 @@ class Comparison:
             Gt=Gt,
             Dt=Dt,
             products=np.block([[square, cross], [cross.T, (Dt @ D).sum(axis=0)]]),
-            loss=float((rows.counts * 2.0 * HUBER**2 * (root - 1.0)).sum()),
+            loss=float((rows.counts * 2.0 * rho**2 / (1.0 + root)).sum()),
             count=float(rows.counts.sum()),
         )
 

@@ -23,6 +23,9 @@ THIN, SKIN_OF_THIN = 0.008, 1e-5
 """Diameter of a thin rope, and `NoiseModel.skin` of it [m]. Depth is mixed at most of its pixels,
 which widens it along the views: a larger skin would fit better than the true one."""
 
+NO_SKIN = 1e-8
+"""`NoiseModel.skin` of markers in motion, whose coordinates count, not their distance [m]."""
+
 SHARED = 16.0
 """`NoiseModel.patch` of markers in motion, the first guess: what moves otherwise than the model
 does so for some tenths of a second, along a quarter of the cable."""
@@ -72,7 +75,7 @@ class NoiseModel:
             return noise.with_unknown_cameras()
         if scene.captured:
             # hands and markers are measured in one frame
-            return replace(noise, shift=1e-4, turn=1e-4, patch=SHARED)
+            return replace(noise, shift=1e-4, turn=1e-4, skin=NO_SKIN, patch=SHARED)
         return replace(noise, patch=1.0) if scene.ordered else noise
 
     def with_unknown_cameras(self) -> NoiseModel:
@@ -262,6 +265,14 @@ class Rows:
     """[T, m] how many points each stands for."""
     on_skin: bool
     """Whether points are on the skin, not on the middle."""
+
+    def soft_root(self, limit: float, rho: Array) -> Array:
+        """[T, m] by how much residuals [T, m] beyond a limit [m] pull less than in squares; of
+        markers that of all three coordinates."""
+        squares = rho**2
+        if not self.on_skin:
+            squares = np.repeat(squares.reshape(len(rho), -1, 3).sum(axis=2), 3, axis=1)
+        return np.sqrt(1.0 + squares / limit**2)
 
     def parameter_derivatives(self, J: Array, widens: Array) -> Array:
         """[T, m, P] by how much residuals fall with parameters that change shapes by J

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import BSpline, CubicSpline
+from scipy.linalg import solveh_banded
 from scipy.optimize import minimize_scalar
 from scipy.sparse.csgraph import shortest_path
 from scipy.spatial import KDTree
@@ -202,17 +203,18 @@ def rod_near(length: float, shown: Array, places: Array, n: int, near: float = M
     at[np.arange(len(places)), own + 1] = places - own
     bend = np.diff(np.eye(n), 2, axis=0)
     linear = np.concatenate([at / near, bend / (TURN * edge)])
+    wanted = linear.T @ np.concatenate([shown / near, np.zeros((n - 2, 3))])
+    square, e = np.kron(linear.T @ linear, np.eye(3)), np.arange(n - 1)
     for _ in range(6):
         step = np.diff(x, axis=0)
         size = np.linalg.norm(step, axis=1)
         rows = np.zeros((n - 1, n, 3))
-        e = np.arange(n - 1)
         rows[e, e + 1], rows[e, e] = step / size[:, None], -step / size[:, None]
-        wanted = np.concatenate([shown / near, np.zeros((n - 2, 3))])
-        off = [(edge - size) / (STRAIN * edge), *(wanted - linear @ x).T]
-        J = np.concatenate([rows.reshape(n - 1, -1) / (STRAIN * edge),
-                            *(np.kron(linear, axis) for axis in np.eye(3))])  # fmt: skip
-        x = x + np.linalg.solve(J.T @ J, J.T @ np.concatenate(off)).reshape(n, 3)
+        J = rows.reshape(n - 1, -1) / (STRAIN * edge)
+        pull = (wanted - linear.T @ (linear @ x)).ravel() + J.T @ (edge - size) / (STRAIN * edge)
+        A = J.T @ J + square  # a point meets its neighbours and theirs
+        band = [np.pad(np.diagonal(A, -k), (0, k)) for k in range(9)]
+        x = x + solveh_banded(np.stack(band), pull, lower=True).reshape(n, 3)
     return x
 
 

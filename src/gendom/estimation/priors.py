@@ -17,9 +17,6 @@ BENDING_RANGE = {"rope": (0.04, 2.5), "held rope": (0.04, 1.2), "cloth": (0.01, 
 the object hangs like a chain, above it it does not bend; a rope between two hands then
 has one shape whatever its E."""
 
-DENSITY_SD = 0.5
-"""Of the logarithm of a density that is assumed, as ropes and cloths have 300 to 2,000 kg/m^3."""
-
 UNKNOWN_THICKNESS = 0.8
 """Deviation of the logarithm of a diameter or thickness that is assumed: ropes are a hundredth to a
 sixteenth of their length thick. `UNKNOWNS` has that of one whose accuracy is not stated."""

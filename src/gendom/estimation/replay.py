@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
-from operator import mul
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gendom.arrays import Array
+from gendom.estimation.hands import clamp_frame
 from gendom.estimation.markers import aside, axis_beside, material_frames
 from gendom.estimation.scene import STATIC_SETTLING, LiftScene
 from gendom.estimation.scene_settings import COARSE_POINTS
@@ -21,6 +21,7 @@ from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.observation import visible_on_sheet
 from gendom.sim import Gripper, Physics, Solver, Table, Variation
+from gendom.sim.thin import rotation
 
 if TYPE_CHECKING:
     from gendom.sim import Simulator
@@ -80,7 +81,8 @@ class WorldInputs:
         for name, unknown in UNKNOWNS.items():
             if unknown.on_replay is not None:
                 unknown.on_replay(inputs, theta[name])
-        inputs.clamps[1, 2] += twist
+        # half of it at each end
+        inputs.clamps[:, 2] = 0.5 * (inputs.clamps[1, 2] + twist) * np.array([-1.0, 1.0])
         return inputs
 
     # ---- what unknowns do ------------------------------------------------------------------------
@@ -224,19 +226,19 @@ class WorldInputs:
     ) -> Array | None:
         """[K, 4] how a gripper turns, or None: as its recorded axis does; and a pinched corner does
         not stay level beside it, it hangs once the gripper has risen by its reach."""
-        scene, found = self.scene, [] if recorded is None else [recorded]
+        scene, found = self.scene, [] if recorded is None else [recorded.as_quat()]
         if scene.by_corner:
             rise = at[:, 2] - scene.held[g, 2]
             inwards = Rotation.from_euler("z", self.theta.yaw).apply(scene.inwards[g])
             axis = np.cross(inwards, [0.0, 0.0, -1.0])
             angle = self.theta.grip_tilt * np.clip(rise / (2.0 * reach), 0.0, 1.0)
-            found.append(Rotation.from_rotvec(angle[:, None] * axis))
+            found.append(Rotation.from_rotvec(angle[:, None] * axis).as_quat())
         if len(scene.held) > 1 and self.clamps[g].any():
             # the first frame shows how markers lie, not how the rope leaves the clamp
             begun = np.clip((knots - knots[0]) / self.clamping, 0.0, 1.0)
-            turn = scene.clamp_frame(g) @ self.clamps[g]
-            found.append(Rotation.from_rotvec(begun[:, None] * turn))
-        return reduce(mul, found).as_quat() if found else None
+            turn = clamp_frame(scene.recording, scene.inwards, g) @ self.clamps[g]
+            found.append(Rotation.from_rotvec(begun[:, None] * turn).as_quat())
+        return reduce(rotation.product, found) if found else None
 
 
 def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, Array]:

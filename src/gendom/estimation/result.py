@@ -16,6 +16,7 @@ from gendom.estimation.replay import replay
 from gendom.estimation.scene import LiftScene
 from gendom.materials import KINDS
 from gendom.materials.estimate import Estimate, Verdict
+from gendom.materials.estimate_file import assumed_density_sd
 from gendom.materials.posterior import Posterior
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.observation import chamfer, visible
@@ -164,7 +165,7 @@ def result_of(
         posterior=posterior,
         verdict=verdict,
         level=problem.settings.level,
-        density_sd=0.0 if weighed else problem.scene.density_sd,
+        density_sd=0.0 if weighed else assumed_density_sd(problem.scene.settings.material),
         about=about,
         fits=tuple(fits),
     )

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation, Slerp
@@ -19,11 +19,11 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
+from gendom.estimation.hands import clamp_steps, turn_between
 from gendom.estimation.placing import Placed, lost_time, place, with_points
 from gendom.estimation.priors import (
     BENDING_RANGE,
     CLAMPS,
-    DENSITY_SD,
     material_prior,
     stated_priors,
     thickness_stated,
@@ -242,14 +242,6 @@ class LiftScene(Placed):
         k = thickness * self.radius_of_gyration
         return bending_length(E_over_rho, k, STANDARD_GRAVITY)
 
-    @property
-    def density_sd(self) -> float:
-        """Standard deviation of the logarithm of a density that is assumed: of the stated material,
-        or of any."""
-        if self.settings.material is None:
-            return DENSITY_SD
-        return catalogue.get(self.settings.material).density.log_sd
-
     def density_of(self, theta: Theta) -> float:
         """Of an object that is as thick as estimated; of a stated mass, where there is one
         [kg/m^3]."""
@@ -339,7 +331,7 @@ class LiftScene(Placed):
             own, x = t, self.recording.gripper_position[first:, g].astype(float)
             if not (self.quasi_static or len(t) < 3):
                 own = np.linspace(t[0], t[-1], max(2, round(float(t[-1] - t[0]) / PATH_STEP)))
-                x = _between(t, x, own)
+                x = _between(t, x, own, captured=self.captured)
             found.append((own, x, self.turned(g, own)))
         return found
 
@@ -360,7 +352,7 @@ class LiftScene(Placed):
                 found.append(None)
                 continue
             along, turned = axes[first:, g].astype(float), [np.eye(3)]
-            for step in _turn_between(along[:-1], along[1:]).as_matrix():
+            for step in turn_between(along[:-1], along[1:]).as_matrix():
                 turned.append(step @ turned[-1])
             times = self.sim_time(self.recording.time[first:])
             found.append(Slerp(times, Rotation.from_matrix(turned)))
@@ -375,18 +367,6 @@ class LiftScene(Placed):
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
         turns = np.linalg.norm(np.diff(ahead, axis=0), axis=1)
         return float(turns.sum()) > 0.1  # [rad]
-
-    def clamp_frame(self, g: int) -> Array:
-        """[3, 3] axes of a hand as columns: x and y, and the recorded one along the rope; the
-        world's, turned the shortest way so that the nearest one lies along it: alike in all
-        recordings of a rig."""
-        axes = self.recording.gripper_axis
-        along = self.inwards[g : g + 1] if axes is None else axes[self.begins :, g].astype(float)
-        mean = along.mean(axis=0)
-        k = int(np.abs(mean).argmax())
-        nearest = math.copysign(1.0, mean[k]) * np.eye(3)[k]
-        others = np.delete(np.eye(3), k, axis=0)
-        return np.stack([*_turn_between(nearest, along[0]).apply(others), along[0]], axis=1)
 
     @property
     def guesses(self) -> list[dict[str, float]]:
@@ -429,6 +409,8 @@ class LiftScene(Placed):
         changes["E_over_rho"] = {"low": low, "high": high, "mean": mean, "sd": sd}
         if self.kind == "cloth":
             changes["E_over_rho"]["step"] = 0.06
+        if len(self.held) > 1:
+            changes |= clamp_steps(self.recording, self.inwards)
         if self.beside and self.shown_length is not None:
             changes["length_ratio"] = {"mean": self.shown_length / self.size}
         if self.settings.material is not None:
@@ -457,7 +439,8 @@ class LiftScene(Placed):
             (not self.quasi_static, ("damping",)),
             # markers are seen by what sees the hands that hold them
             (not self.static and not self.ordered, ("delay",)),
-            (swinging, (*CLAMPS, "length_ratio")),
+            (two and not self.static, CLAMPS),
+            (swinging, ("length_ratio",)),
             (drag, ("air_drag",)),
             (not two and rope and self.thin, ("grip_turn",)),
             (not rope, ("warp_over_weft",)),
@@ -467,8 +450,11 @@ class LiftScene(Placed):
         return tuple(name for holds, names in rows if holds for name in names)
 
 
-def _between(t: Array, x: Array, fine: Array) -> Array:
-    """[K, 3] a path at times [K], that is at places [T, 3] at times [T]."""
+def _between(t: Array, x: Array, fine: Array, *, captured: bool) -> Array:
+    """[K, 3] a path at times [K], that is at places [T, 3] at times [T]; one that was captured by
+    slopes that do not depend on the axes' directions."""
+    if captured:
+        return CubicHermiteSpline(t, x, np.gradient(x, t, axis=0))(fine)
     if np.median(np.diff(t)) < SPARSE:
         return PchipInterpolator(t, x, axis=0)(fine)
     knots, x = with_corners(t, x)
@@ -499,14 +485,6 @@ def with_corners(t: Array, x: Array) -> tuple[Array, Array]:
             places.append(x[k] + before * u)
     order = np.argsort(times)
     return np.array(times)[order], np.array(places)[order]
-
-
-def _turn_between(a: Array, b: Array) -> Rotation:
-    """The smallest turns from directions [..., 3] to others."""
-    normal = np.cross(a, b)
-    size = np.linalg.norm(normal, axis=-1, keepdims=True)
-    angle = np.arctan2(size, (a * b).sum(axis=-1, keepdims=True))
-    return Rotation.from_rotvec(normal * angle / np.maximum(size, 1e-12))
 
 
 # ---- material ----------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -50,6 +50,8 @@ from gendom.materials.parameters import bending_length
 from gendom.materials.posterior import Posterior, Prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.shown import Shown
+
+T = TypeVar("T", Rope, Cloth)
 
 CONSISTENT = 1e-6
 """Relative difference beyond which a file's value contradicts its posterior."""
@@ -232,20 +234,17 @@ class Estimate(Shown):
         Raises:
             ParameterError: It is a cloth.
         """
-        item = self.item
-        if not isinstance(item, Rope):
-            raise ParameterError("is of a cloth", where="estimate", fix="take its cloth()")
-        return item
+        return self._made(Rope)
 
     def cloth(self) -> Cloth:
-        """The cloth with the estimated material, square as wide as stated.
+        """The cloth with the estimated material, square as wide as stated; errors as of `rope`."""
+        return self._made(Cloth)
 
-        Raises:
-            ParameterError: It is a rope.
-        """
+    def _made(self, made: type[T]) -> T:
         item = self.item
-        if not isinstance(item, Cloth):
-            raise ParameterError("is of a rope", where="estimate", fix="take its rope()")
+        if not isinstance(item, made):
+            what, fix = f"is of a {item.kind}", f"take its {item.kind}()"
+            raise ParameterError(what, where="estimate", fix=fix)
         return item
 
     def at(self, vector: Array) -> Item:
@@ -294,7 +293,7 @@ class Estimate(Shown):
         # what is not uncertain any more stays as it most likely is
         known = {n: v for n, v in to_columns(self._usual).items() if n != "E"}
         prior = prior_of(u.name for u in chosen)
-        return replace(self, known=known)._with(prior, mean, covariance)
+        return replace(self, known=known).with_gaussian(mean, covariance, prior)
 
     def _of_this_size(self) -> Array:
         """[P, P] covariance with the thickness at its most likely value. Of an uncertain thickness
@@ -305,10 +304,6 @@ class Estimate(Shown):
         shared = self.covariance[:, k]
         return self.covariance - np.outer(shared, shared) / self.covariance[k, k]
 
-    def _with(self, prior: Prior, mean: Array, covariance: Array) -> Self:
-        posterior = replace(self.posterior, prior=prior, mean=mean, covariance=covariance)
-        return replace(self, posterior=posterior)
-
     def with_posterior(self, read: Mapping[str, Any]) -> Self:
         """With the Gaussian of a file.
 
@@ -318,9 +313,11 @@ class Estimate(Shown):
         read = with_current_names(with_current_names(read), "range")
         return replace(self, posterior=Posterior.from_dict(read, self.posterior.bases))
 
-    def with_gaussian(self, mean: Array, covariance: Array) -> Self:
-        """With another mean [P] and covariance [P, P]."""
-        return self._with(self.posterior.prior, mean, covariance)
+    def with_gaussian(self, mean: Array, covariance: Array, prior: Prior | None = None) -> Self:
+        """With another mean [P] and covariance [P, P], perhaps of other unknowns."""
+        prior = prior or self.posterior.prior
+        posterior = replace(self.posterior, prior=prior, mean=mean, covariance=covariance)
+        return replace(self, posterior=posterior)
 
     def with_uncertain(self, name: str, sd: float) -> Self:
         """With one more uncertain unknown, independent of the others, around the object's value;
@@ -330,7 +327,7 @@ class Estimate(Shown):
         covariance = np.pad(self.covariance, (0, 1))
         covariance[-1, -1] = sd**2
         prior = self.posterior.prior.followed_by(prior_of([name]))
-        return self._with(prior, np.append(self.mean, mean), covariance)
+        return self.with_gaussian(np.append(self.mean, mean), covariance, prior)
 
     def with_known(self, values: Mapping[str, float]) -> Self:
         """With numbers that are given: sizes and parameters in SI units, E among them. With another
@@ -378,7 +375,7 @@ class Estimate(Shown):
         mean = np.concatenate([learned.mean, old.mean[kept]])
         known = {n: v for n, v in self.known.items() if n not in mine}
         about = {**self.about, **entries}
-        return replace(self, known=known, about=about)._with(prior, mean, covariance)
+        return replace(self, known=known, about=about).with_gaussian(mean, covariance, prior)
 
     # ---- the file --------------------------------------------------------------------------------
 

@@ -33,9 +33,6 @@ LEVEL = 0.9
 HIDDEN = ("damping", "friction")
 """What many recordings do not determine: where one does not, the usual value is taken for it."""
 
-ASSUMED_DENSITY_SD = 0.5
-"""Of the logarithm of a density that is assumed, as ropes and cloths have 300 to 2,000 kg/m^3."""
-
 LARGEST_SD = 10.0
 """Of the logarithm of a density in a file: twice that of all matter on Earth."""
 
@@ -167,6 +164,12 @@ NOTHING_ESTIMATED = Posterior(
 )
 
 
+def assumed_density_sd(material: str | None) -> float:
+    """Of the logarithm of a density that is assumed: that of a listed material, or of any, as ropes
+    and cloths have 300 to 2,000 kg/m^3."""
+    return 0.5 if material is None else catalogue.get(material).density.log_sd
+
+
 # ---- reading -----------------------------------------------------------------------------------
 
 
@@ -225,8 +228,8 @@ def fields_of(
     posterior = Posterior.from_dict(stored.posterior or {}, bases)
     stated = _stated(known, posterior, of)
     material = None if stored.simulation is None else stored.simulation.material
-    sd = catalogue.get(material).density.log_sd if material else ASSUMED_DENSITY_SD
-    density_sd = float(read.get("density_sd", 0.0 if "mass" in known else sd))
+    sd = 0.0 if "mass" in known else assumed_density_sd(material)
+    density_sd = float(read.get("density_sd", sd))
     what = f"density_sd is {density_sd:g}"
     require(0.0 <= density_sd <= LARGEST_SD, what, fix="estimate again")
     about = {k: v for k, v in read.items() if k not in _OWN}

@@ -26,7 +26,7 @@ def first_starts(problem: Problem, scanned: int, initial: Sequence[Array] = ()) 
         found = _scanned(problem, k, scan)
     starts = [Start(initial=found[0], vector=found[0])]
     while len(starts) < problem.settings.starts:
-        drawn = prior.mean + prior.sd * rng.standard_normal(len(middle))
+        drawn = prior.mean + prior.sd * np.sign(prior.step) * rng.standard_normal(len(middle))
         if k is not None:
             # one of the better half of the scan: beyond, shapes hardly depend on the modulus
             drawn[k] = found[rng.integers(1, max(2, len(found) // 2))][k]
