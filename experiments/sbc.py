@@ -149,7 +149,10 @@ def drawn_lifts(
     prior, base = scene.prior(also=("thickness",))
     vectors = [drawn(prior, rng) for _ in range(count)]
     thetas = [prior.theta(v, base) for v in vectors]
-    shown = imagined(scene, thetas, settings.noise.sensor, rng)
+    # as finely as the limpest one needs, whatever estimates do
+    limpest = min(thetas, key=lambda t: scene.bending_length(t.E_over_rho, t.thickness))
+    fine = scene.finer(limpest) if item.kind == "rope" else scene
+    shown = imagined(fine, thetas, settings.noise.sensor, rng)
     found = []
     for recording, theta, v in zip(shown, thetas, vectors, strict=True):
         if recording is not None:
