@@ -149,14 +149,14 @@ def drawn_lifts(
     prior, base = scene.prior(also=("thickness",))
     vectors = [drawn(prior, rng) for _ in range(count)]
     thetas = [prior.theta(v, base) for v in vectors]
-    # as finely as an estimate of it will be simulated
-    finer = [scene.finer(theta) for theta in thetas]
+    # as finely as an estimate of it will be simulated; ropes as the limpest one needs
     noise = settings.noise.sensor
-    if all(one is scene for one in finer):
-        shown = imagined(scene, thetas, noise, rng)
+    limpest = min(thetas, key=lambda t: scene.bending_length(t.E_over_rho, t.thickness))
+    if item.kind == "rope":
+        shown = imagined(scene.finer(limpest), thetas, noise, rng)
     else:
-        pairs = zip(finer, thetas, strict=True)
-        shown = [imagined(one, [theta], noise, rng)[0] for one, theta in pairs]
+        finer = ((scene.finer(theta), theta) for theta in thetas)
+        shown = [imagined(one, [theta], noise, rng)[0] for one, theta in finer]
     found = []
     for recording, theta, v in zip(shown, thetas, vectors, strict=True):
         if recording is not None:

@@ -17,7 +17,9 @@ from gendom.estimation import (
     estimate,
     replay,
 )
+from gendom.estimation.observed import NoiseModel
 from gendom.estimation.placing import lying_line, lying_rectangle
+from gendom.estimation.problem import Part
 from gendom.estimation.scene_settings import SHELL_ERROR
 from gendom.materials.parameters import E_over_rho_of
 from gendom.sim.lines import arc_length
@@ -293,6 +295,20 @@ def test_limp_cloths_get_points_as_near_as_they_bend(cloth_lift):
     # the mesh blurs limp ones the more, the fewer points there are for each bending length
     for share, times in ((1.0 / 32.0, 1.0), (1.0 / 8.0, 1.0 / 64.0)):
         assert plain.mesh_error(bending(share)) == pytest.approx(times * SHELL_ERROR)
+
+
+def test_limp_ropes_get_points_as_near_as_they_bend(rope_lift):
+    """And none fewer, not even where a search begins."""
+    plain = LiftScene.of(rope_lift.at_rest(8), replace(rope_lift.settings, points=None))
+    for bends, points in ((0.05, 25), (0.02, 39), (0.001, 65)):
+        limp = rope_lift.truth.with_values({"E_over_rho": plain.E_over_rho(bends)})
+        finer = plain.finer(limp)
+        assert len(finer.initial) == points and (finer is plain) == (points == 25)
+        assert finer.finer(limp) is finer
+        coarse = Part(
+            scene=finer, base=limp, shown=np.zeros(0), noise=NoiseModel(), name=""
+        ).coarser
+        assert coarse is finer
 
 
 def test_frames_before_the_lift_are_no_calm_ones(rope_lift):

@@ -1,6 +1,8 @@
 """Ranks of drawn truths, and the neural posterior beside the estimator's."""
 
 import json
+import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,8 +10,9 @@ import pytest
 from scipy.stats import norm
 
 from experiments.__main__ import main
-from experiments.lifts import Lifts
+from experiments.lifts import Lifts, estimate_settings
 from experiments.sbc import imagined_lift, uniformity
+from gendom.estimation import estimate
 
 
 @pytest.mark.parametrize(
@@ -34,6 +37,16 @@ def test_imagined_lifts_repeat_and_are_not_alike():
     assert length is not None and d is not None
     assert np.ptp(first[:, 0]) == pytest.approx(length, abs=0.02)
     assert np.ptp(first[:, 2]) < 1.5 * d + 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [136, 128, 299, 195])
+def test_limp_and_turned_stiff_ropes_are_found(seed):
+    """Of the whole prior: coarse points and a firm grip have their best fits elsewhere."""
+    recording, truth = imagined_lift(Lifts(), seed)
+    found = estimate(recording, replace(estimate_settings(seed), starts=3))
+    assert found.usable
+    assert abs(math.log(found.record["bending_length"] / truth["bending_length"])) < 0.15
 
 
 def test_a_network_learns_where_a_rope_is():

@@ -108,7 +108,8 @@ def _searched(problem: Problem, search: Callable[[Problem], Found]) -> tuple[Pro
         finer = problem.finer(found.best.vector).beside(found)
         if finer is problem:
             return problem, _searched_widely(problem, found)
-        problem, found = finer, refined(finer, found)
+        limp = finer.scene.limp and not problem.scene.limp
+        problem, found = finer, gauss_newton(finer) if limp else refined(finer, found)
     return problem, found
 
 

@@ -47,7 +47,8 @@ class EstimateSettings:
     """Method of the search: gauss-newton, adam, differential-evolution or another package's
     (docs/estimation.md)."""
     starts: int = 3
-    """Number of starts of the search: the best of a scan first, then random ones."""
+    """Number of starts of a search: the best of a scan, and random ones; of ropes in one hand the
+    best ones of a finer scan."""
     unknowns: tuple[str, ...] = ()
     """Unknowns to estimate, such as E_over_rho grip_height; by default those that a recording
     of this kind may determine."""
@@ -174,6 +175,7 @@ class Part:
         along = len(scene.initial) if rope else max(scene.body.shape)
         fixed = not scene.thin or scene.settings.points is not None
         few, stretch = fixed or along < 1.3 * COARSE_POINTS, STRETCH if rope else COARSE_STRETCH
+        few |= scene.limp
         return scene if few else scene.simulated_with(COARSE_POINTS, stretch)
 
     @cached_property
@@ -247,6 +249,13 @@ class Problem:
     def captured(self) -> bool:
         """Whether all recordings are of markers in motion, which are seen without errors."""
         return all(part.scene.captured for part in self.parts)
+
+    @property
+    def lifted_rope(self) -> bool:
+        """Whether it is one lift of a rope by one hand."""
+        scene = self.scene
+        one = len(self.parts) == len(scene.held) == 1 and not scene.static
+        return one and scene.kind == "rope" and scene.thin
 
     @property
     def bases(self) -> tuple[Theta, ...]:

@@ -79,7 +79,7 @@ def replay_setup(
     if registration is not None:
         registration = check_numbers("calibration.registration", registration, (4, 4))
         recording = recording.moved(registration)
-    scene = LiftScene.of(first, settings, registration)
+    scene = LiftScene.of(first, settings, registration).finer(theta)
     return of_all_frames(replace(scene, notes=scene.notes + said), recording), theta
 
 

@@ -29,9 +29,10 @@ from gendom.estimation.priors import (
     thickness_stated,
 )
 from gendom.estimation.scene_settings import (
+    MOST_ROD_POINTS,
     MOST_SHELL_POINTS,
     SHELL_ERROR,
-    SHELL_SPACING,
+    SPACING,
     STRETCH,
     SceneSettings,
 )
@@ -90,6 +91,8 @@ class LiftScene(Placed):
     digest: str = ""
     """`Recording.digest`, likewise."""
     stretch: float = STRETCH
+    limp: bool = False
+    """Whether it is a rope that bends over so little that it has more points than others."""
     registration: Array | None = None
     """[4, 4] by which the recording's clouds were moved [m]; None: the stated camera poses are
     taken."""
@@ -257,16 +260,19 @@ class LiftScene(Placed):
         return 0.5 * (times - 1.0) * self.body.thickness
 
     def finer(self, theta: Theta) -> LiftScene:
-        """The same with the resolution that a cloth of this bending length needs, unless it has it
-        or the settings fix the number of points."""
-        described = self.recording.object
-        if self.kind != "cloth" or not self.thin or self.settings.points is not None:
+        """The same with the resolution that an object of this bending length needs, unless it has
+        it, is held by two hands, or the settings fix the number of points."""
+        described, rope = self.recording.object, self.kind == "rope"
+        if not self.thin or self.settings.points is not None or (rope and len(self.held) > 1):
             return self
         bends = self.bending_length(theta.E_over_rho, theta.thickness)
-        longer = max(described.width or 0.0, described.height or 0.0)
-        points = min(math.ceil(longer / (SHELL_SPACING * bends)) + 1, MOST_SHELL_POINTS)
-        if points <= 1.1 * max(self.body.shape):
+        longer = max(described.length or 0.0, described.width or 0.0, described.height or 0.0)
+        most = MOST_ROD_POINTS if rope else MOST_SHELL_POINTS
+        points = min(math.ceil(longer / (SPACING * bends)) + 1, most)
+        if points <= 1.1 * (len(self.initial) if rope else max(self.body.shape)):
             return self
+        if rope:
+            return replace(self.simulated_with(points), limp=True)
         notes = (n for n in self.notes if not n.startswith(FINER))
         return replace(self.simulated_with(points), notes=(*notes, f"{FINER} {points} points"))
 

@@ -45,6 +45,9 @@ TRIED = 4
 UNLIKELY = 9.0
 """Fall of -2 log likelihood, that of three deviations, beyond which another end does not count."""
 
+REACHED = 0.3
+"""Distance in ln(E) from which Gauss-Newton steps reach a minimum."""
+
 PER_BATCH = 2
 """Iterations for each of `EstimateSettings.max_iterations`: few compute derivatives."""
 
@@ -129,6 +132,8 @@ def gauss_newton(
             raise problem.nothing_runs()
         times.append(time.perf_counter())
         rivals = _apart(problem.coarse, best, starts, noise, 3.0)
+        if problem.lifted_rope:
+            rivals += _along_valley(problem.coarse, best, noise)
         noise = _fine_stage(problem, best, stated, settings, iteration, most)
         ends = [(s, _fine_stage(problem, s, stated, settings, iteration, most)) for s in rivals]
         best, noise, others = _likeliest(problem, [(best, noise), *ends])
@@ -215,6 +220,24 @@ def _apart(
         if near and min(off) > least:
             found.append(s)
     return found[1:]
+
+
+def _along_valley(problem: Problem, best: Start, noise: Sequence[NoiseModel]) -> list[Start]:
+    """Starts of a rope two deviations away from the best one, where that is beyond what steps
+    reach, in E / density and in what makes up for it, which follows the rope's compliance."""
+    prior, name = problem.prior, "E_over_rho"
+    if name not in prior.names:
+        return []
+    k = prior.names.index(name)
+    covariance = np.linalg.inv(problem.gradient_and_hessian(best, noise)[1])
+    far, found = 2.0 * np.sqrt(covariance[k, k]), []
+    for way in (far, -far) if far > REACHED else ():
+        share = (1.0 - np.exp(-way)) / covariance[k, k]
+        vector = best.vector + share * covariance[k]
+        vector[k] = best.vector[k] + way
+        if (prior.clipped(vector) == vector).all():
+            found.append(Start(initial=vector, vector=vector, stage="coarse"))
+    return found
 
 
 def _likeliest(

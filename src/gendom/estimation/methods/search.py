@@ -11,10 +11,18 @@ from gendom.estimation.likelihood import Comparisons
 from gendom.estimation.observed import NoiseModel
 from gendom.estimation.problem import Found, Problem, Start
 
+TURNS, FRICTIONS = (0.08, 0.2), (0.2, 0.8)
+"""Of a rope in one hand: turns of stiff ones in soft fingers [rad], which look like a smaller
+modulus, and frictions of limp ones, which end where their tails have slid."""
+
+LIMP = 0.25
+"""Bending length from which a rope is a stiff one, in its length."""
+
 
 def first_starts(problem: Problem, scanned: int, initial: Sequence[Array] = ()) -> list[Start]:
     """Starting points: the best of a scan of so many moduli over the whole range, and random points
-    about it; or those where to begin instead, [P] transformed."""
+    about it; of a rope in one hand the best ones of a second scan. Or those where to begin instead,
+    [P] transformed."""
     if initial:
         return [Start(initial=v, vector=v) for v in initial]
     prior, rng = problem.prior, np.random.default_rng(problem.settings.seed)
@@ -24,6 +32,9 @@ def first_starts(problem: Problem, scanned: int, initial: Sequence[Array] = ()) 
         k = prior.names.index("E_over_rho")
         scan = np.linspace(prior.low[k], prior.high[k], scanned + 2)[1:-1]
         found = _scanned(problem, k, scan)
+        if problem.lifted_rope:
+            found = _scanned_about(problem, k, scan[1] - scan[0], found[0])
+            return [Start(initial=v, vector=v) for v in found[: problem.settings.starts]]
     starts = [Start(initial=found[0], vector=found[0])]
     while len(starts) < problem.settings.starts:
         drawn = prior.mean + prior.sd * np.sign(prior.step) * rng.standard_normal(len(middle))
@@ -66,6 +77,28 @@ def _scanned(problem: Problem, k: int, scan: Array) -> list[Array]:
         # before clamps are found, stiff cables fit a little better: of what is alike the softest
         total = np.maximum(total, 1.08**2 * total.min())
     return list(vectors.reshape(-1, vectors.shape[2])[np.argsort(total, axis=None, kind="stable")])
+
+
+def _scanned_about(problem: Problem, k: int, step: float, best: Array) -> list[Array]:
+    """[P] vectors about the best one of a scan of unknown k with such steps, in half steps and with
+    other turns or frictions; those first that fit best, no two of them alike."""
+    prior, scene, theta = problem.prior, problem.scene, problem.theta(best)
+    stiff = scene.bending_length(theta.E_over_rho, theta.thickness) > LIMP * scene.size
+    name, values = ("grip_turn", TURNS) if stiff else ("friction", FRICTIONS)
+    ways = step * (np.arange(-0.5, 2.1, 0.5) if stiff else np.arange(-1.5, 1.6, 0.5))
+    vectors = np.repeat(best[None], len(ways) * (1 + len(values)), axis=0)
+    vectors[:, k] += np.tile(ways, 1 + len(values))
+    if name in prior.names:
+        j = prior.names.index(name)
+        vectors[:, j] = np.repeat([best[j], *values], len(ways))
+    vectors = np.unique(prior.clipped(vectors), axis=0)
+    compared = problem.compare(list(vectors), derivatives=False)
+    rms = [np.inf if c is None else c.rms for c in compared]
+    found: list[Array] = []
+    for v in vectors[np.argsort(rms, kind="stable")]:
+        if all(abs(v[k] - other[k]) > 0.6 * step for other in found):
+            found.append(v)
+    return found
 
 
 def best_of(starts: Sequence[Start]) -> Start | None:
