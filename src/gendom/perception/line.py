@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
@@ -65,9 +66,9 @@ def find_line(points: Array, rope: ObjectDescription, held: Array | None = None)
     nodes = _nodes(points, max(_NODE, across / 2.0), reach)
     if not 1 < len(nodes) <= _MOST_NODES:
         return Line(min(reach, length), none, clear=len(nodes) < 2)
-    # An average near an end lies so much before it.
-    start, before = int(_Ways(nodes, 0).along.argmax()), reach / 2.0
-    if held is not None:
+    if held is None:  # an average near an end lies half its reach before it
+        start, before = int(_Ways(nodes, 0).along.argmax()), reach / 2.0
+    else:
         start = int(np.linalg.norm(nodes - held, axis=1).argmin())
         before = float(np.linalg.norm(nodes[start] - held))
     ways = _Ways(nodes, start)
@@ -77,9 +78,8 @@ def find_line(points: Array, rope: ObjectDescription, held: Array | None = None)
         own = _away(points, ways.to(int(seen.argmax())))[0] <= beside
         return Line(longest, own, bool(longest <= most and np.mean(~own) <= MOST_FAR))
     goal = length if longest > most else longest
-    near = KDTree(nodes).query_ball_point(nodes, beside)
-    ends_at = np.array([seen[some].max() for some in near]) <= seen
-    tips = np.flatnonzero((seen >= min(least, 0.9 * longest)) & (seen <= most) & ends_at)
+    goes_on = ((ways.steps <= beside) & (seen > seen[:, None])).any(axis=1)
+    tips = np.flatnonzero((seen >= min(least, 0.9 * longest)) & (seen <= most) & ~goes_on)
     if not len(tips):  # it goes on: something touches its end
         tips = np.flatnonzero(np.abs(seen - goal) <= 2.0 * _NODE)
     if not len(tips):
@@ -101,13 +101,18 @@ class _Ways:
 
     def __init__(self, nodes: Array, start: int):
         self._nodes = nodes
-        steps = cdist(nodes, nodes)
-        cost, self._before = dijkstra(steps**2, indices=start, return_predecessors=True)
-        order, before = np.argsort(cost), self._before
-        self.along = np.zeros(len(nodes))
+        self.steps = cdist(nodes, nodes)
+        """[m, m] between nodes [m]."""
+        n = len(nodes)
+        every = np.tile(np.arange(n), n), np.arange(0, n * n + 1, n)
+        graph = csr_array((self.steps.ravel() ** 2, *every), shape=(n, n))
+        cost, self._before = dijkstra(graph, indices=start, return_predecessors=True)
+        before = np.maximum(self._before, 0)
+        along, last = [0.0] * n, self.steps[np.arange(n), before].tolist()
+        for k in np.argsort(cost)[1:].tolist():
+            along[k] = along[before[k]] + last[k]
+        self.along = np.array(along)
         """[m] length of each way [m]."""
-        for k in order[1:]:
-            self.along[k] = self.along[before[k]] + steps[k, before[k]]
 
     def to(self, node: int) -> Array:
         """[k, 3] the way to a node, from the start [m]."""
@@ -119,8 +124,9 @@ class _Ways:
 
 def _nodes(points: Array, edge: float, reach: float) -> Array:
     """[m, 3] averages of a cloud, one a cube of an edge, over a reach [m]."""
-    cells = np.floor(points / edge).astype(int)
-    place = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    cells = np.floor((points - points.min(axis=0)) / edge).astype(int)
+    key = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    place = np.unique(key, return_inverse=True)[1]
     count = np.bincount(place)
     mean = np.stack([np.bincount(place, x) / count for x in points.T], axis=1)
     if len(mean) > _MOST_NODES:
