@@ -105,7 +105,8 @@ class _Ways:
         """[m, m] between nodes [m]."""
         n = len(nodes)
         every = np.tile(np.arange(n), n), np.arange(0, n * n + 1, n)
-        graph = csr_array((self.steps.ravel() ** 2, *every), shape=(n, n))
+        costs = self.steps.ravel() ** 2 + 1e-12  # also between nodes at one place
+        graph = csr_array((costs, *every), shape=(n, n))
         cost, self._before = dijkstra(graph, indices=start, return_predecessors=True)
         before = np.maximum(self._before, 0)
         along, last = [0.0] * n, self.steps[np.arange(n), before].tolist()
