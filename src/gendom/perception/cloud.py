@@ -323,6 +323,10 @@ class CameraView:
             bottom = np.where(meets, z + band, np.inf)
         self._top, self._bottom = self._counts(top, np.ceil), self._counts(bottom, np.floor)
 
+    def hides(self, thickness: float, depth: float) -> bool:
+        """Whether a thing of a thickness [m] on the table is within its noise, at a depth [m]."""
+        return self.table is not None and thickness < _TABLE_SIGMAS * self.table.noise * depth**2
+
     def drop_table(self) -> None:
         """Leave out what lies within the table's noise, whatever its colour."""
         self._bottom = self._top - np.uint16(1)
@@ -405,6 +409,8 @@ class Held:
     """Whether what is above the grippers is the arm: what hangs from them is not."""
     rope: ObjectDescription | None = None
     """The rope that they hold, whose line is followed; None: it is none."""
+    all_seen: bool = True
+    """Whether no part of the rope can lie within the table's noise."""
 
     def among(self, points: Array) -> npt.NDArray[np.bool_]:
         """[n] those of points [n, 3] [m] that belong to it."""
@@ -504,7 +510,8 @@ def perceive_frame(
     together, clear = points, True
     if held is not None and held.rope is not None and len(points):
         by_end = held.rope.grasp == "end" and len(held.places) == 1
-        line = find_line(points, held.rope, held.places[0] if by_end else None)
+        place = held.places[0] if by_end else None
+        line = find_line(points, held.rope, place, all_seen=held.all_seen)
         clear = line.clear
         if by_end and clear:
             points, seen_by = points[line.own], seen_by[line.own]

@@ -35,7 +35,7 @@ _ROUND = 0.015  # [m]; at least, the distance over which noise is averaged
 _MOST_NODES = 1500  # no rope has more
 _FROM_HELD = 0.06  # [m]; at most, fingers hide so much of it
 _STEP, _PIECE = 0.004, 5  # [m] along the way, and so many steps
-_THICK = 2.0  # times the usual distance of points from it, a piece of a rope has not
+_THICK = 1.6  # times the usual distance of points from it, a piece of a rope has not
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,13 @@ class Line:
     """Whether no other line could be the rope."""
 
 
-def find_line(points: Array, rope: ObjectDescription, held: Array | None = None) -> Line:
+def find_line(
+    points: Array,
+    rope: ObjectDescription,
+    held: Array | None = None,
+    *,
+    all_seen: bool = True,
+) -> Line:
     """The line of a rope, whose length is known, in a cloud [n, 3] [m].
 
     The cloud's points are averaged to nodes, and the way between two of them is the one of least
@@ -58,6 +64,8 @@ def find_line(points: Array, rope: ObjectDescription, held: Array | None = None)
 
     Args:
         held: [3] where its end is held [m]; None: the longest line there is, however it is held.
+        all_seen: False: a part of it may be missing, as what lies within a table's noise is; then
+            what else is there may stand for that part.
     """
     length, none = rope.length or 0.0, np.ones(len(points), np.bool_)
     across = rope.diameter or THICKEST * length
@@ -93,7 +101,7 @@ def find_line(points: Array, rope: ObjectDescription, held: Array | None = None)
     whole = seen[tip] >= least and before <= _FROM_HELD
     if alone:
         return Line(float(seen[tip]), own, clear=True)
-    return Line(float(seen[tip]), own & ~_thick(off, at, own), bool(alike and whole))
+    return Line(float(seen[tip]), own & ~_thick(off, at, own), bool(alike and whole and all_seen))
 
 
 class _Ways:

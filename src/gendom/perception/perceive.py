@@ -126,6 +126,7 @@ class _Perception:
         across = self.object.diameter or math.inf
         self.views = [CameraView(source.camera, settings, across) for source in recorded.sources]
         self.colour: ObjectColour | None = None
+        self.all_seen = True  # of a rope on the table
         self.clouds: list[FusedCloud] = []
         self.times: list[float] = []
         self.grippers: list[tuple[np.ndarray, np.ndarray | None]] = []
@@ -160,7 +161,7 @@ class _Perception:
             if not begun:
                 self._begin(pictures, held)
                 begun = True
-            held = replace(held, chosen=self.colour is not None)
+            held = replace(held, chosen=self.colour is not None, all_seen=self.all_seen)
             closed = robot.closed_at(time)
             cloud = perceive_frame(
                 self.views,
@@ -243,6 +244,8 @@ class _Perception:
         what = f"the rope is {pixels:.1f} pixels across, too few to tell it from what is behind it"
         fix = "choose it by --colour or --masks, or move the cameras nearer"
         self._require(pixels >= _FEWEST_ACROSS or self.colour is not None, what, fix)
+        hidden = (view.hides(view.breadth, self._away(view.camera)) for view in self.views)
+        self.all_seen = self.colour is not None or not any(hidden)
         alike = False
         for view, seen in zip(self.views, pictures, strict=True):
             if self.colour is not None and view.table is not None:
