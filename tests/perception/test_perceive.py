@@ -90,8 +90,10 @@ def test_a_shift_along_a_rope_shows_when_it_is_lifted(world, live):
     left, right = (camera.calibrated() for camera in world.pair())
     shift = np.eye(4)
     shift[0, 3] = 0.03
-    path = ((0.0, 0.0, 0.005), (0.0, 0.0, 0.005), (0.0, 0.0, 0.25))
-    sources = live(21, path=path, times=(0, 0.19, 1.0), held=held, stated=[left, shift @ right])
+    path = ((0.0, 0.0, 0.005), (0.0, 0.0, 0.005), (0.0, 0.0, 0.25), (0.0, 0.0, 0.25))
+    sources = live(
+        21, path=path, times=(0, 0.19, 0.2, 1.0), held=held, stated=[left, shift @ right]
+    )
     for source in sources.sources:
         source._read = lambda t, source=source: source._render(int(t >= 6))
 

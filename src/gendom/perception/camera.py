@@ -127,6 +127,21 @@ class Camera:
             xy = np.stack([(pixels[:, 0] - K[0, 2] - K[0, 1] * y) / K[0, 0], y], axis=1)
         return np.column_stack([xy, np.ones(len(xy))])
 
+    def pixels(self, points: Array) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+        """Columns and rows [n, 2] of the pixels nearest to points [n, 3] before the camera, in its
+        axes [m], and which [n] are in the picture."""
+        if any(self.distortion):
+            import cv2
+
+            none = np.zeros(3)
+            points = np.asarray(points, np.float64)
+            uv = cv2.projectPoints(points, none, none, self.K, np.array(self.distortion))[0][:, 0]
+        else:
+            uv = points[:, :2] / points[:, 2:] @ self.K[:2, :2].T + self.K[:2, 2]
+        # Rays far outside of the lens would not fit an integer.
+        found = np.rint(np.clip(uv, -1.0, 1e6)).astype(np.int64)
+        return found, ((found >= 0) & (found < [self.width, self.height])).all(axis=1)
+
     def at(self, T_world_camera: npt.ArrayLike) -> Camera:
         """The same camera at another pose, [4, 4] [m]."""
         return replace(self, T_world_camera=np.asarray(T_world_camera, dtype=np.float64))

@@ -20,10 +20,12 @@ from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
 from gendom.arrays import Array, rigid
+from gendom.datasets import ObjectDescription
 from gendom.errors import RecordingError
 from gendom.perception.camera import Camera
 from gendom.perception.colour import LIGHTNESS_WEIGHT, TOLERANCE, ObjectColour
 from gendom.perception.frames import SYNC_TOLERANCE, Pictures
+from gendom.perception.line import find_line
 from gendom.perception.robot import Capsules
 
 STAGES = ("depth", "workspace", "table", "colour", "support", "robot", "voxels", "outliers")
@@ -58,6 +60,8 @@ _TABLE_CLEARANCE = 0.002  # [m]; so are points nearer to it than this, for any n
 _ROBOT_MARGIN = 0.01  # [m]; points nearer than this to a capsule are the robot's
 _FINGERTIP = 0.02  # [m]; points farther from what is held may be as near to fingers as to links
 _HANGING_TOGETHER = 0.06  # [m]; gaps in what is held are smaller
+_ABOVE, _BESIDE = 0.03, 0.05  # [m]; an arm of unknown shape is a cone that begins so far above what
+# it holds, and is wider by this than it is high
 _NO_TABLE = np.uint16(65535)  # counts that no depth exceeds
 _STEREO_NOISE = 0.005  # [1/m]; depth noise over depth squared, where no table shows it
 _MAX_DEPTH_SLOPE = 5.0  # pixels' widths by which a surface's depth changes a pixel, at most
@@ -319,6 +323,10 @@ class CameraView:
             bottom = np.where(meets, z + band, np.inf)
         self._top, self._bottom = self._counts(top, np.ceil), self._counts(bottom, np.floor)
 
+    def hides(self, thickness: float, depth: float) -> bool:
+        """Whether a thing of a thickness [m] on the table is within its noise, at a depth [m]."""
+        return self.table is not None and thickness < _TABLE_SIGMAS * self.table.noise * depth**2
+
     def drop_table(self) -> None:
         """Leave out what lies within the table's noise, whatever its colour."""
         self._bottom = self._top - np.uint16(1)
@@ -397,11 +405,21 @@ class Held:
     they lie apart from the grippers."""
     robot: Capsules | None = None
     """The grippers' shape, of which noise is left where nothing chose the points; None: unknown."""
+    arm_above: bool = False
+    """Whether what is above the grippers is the arm: what hangs from them is not."""
+    rope: ObjectDescription | None = None
+    """The rope that they hold, whose line is followed; None: it is none."""
+    all_seen: bool = True
+    """Whether no part of the rope can lie within the table's noise."""
 
     def among(self, points: Array) -> npt.NDArray[np.bool_]:
         """[n] those of points [n, 3] [m] that belong to it."""
         away = np.linalg.norm(points[:, None] - self.places, axis=2)
         near = (away <= self.reach).all(axis=1)
+        if self.arm_above:
+            for off in points - self.places[:, None]:
+                high = off[:, 2]
+                near &= (high < _ABOVE) | (np.hypot(off[:, 0], off[:, 1]) > high + _BESIDE)
         if self.robot is not None and not self.chosen:
             whole = replace(self.robot, largest_margin=None).contain(points, _ROBOT_MARGIN)
             near &= ~(whole & (away > _FINGERTIP).all(axis=1))
@@ -425,6 +443,10 @@ class FusedCloud:
     """[8] points left at each of `STAGES`, summed over the cameras."""
     parts: list[npt.NDArray[np.float32]]
     """[n, 3] each camera's own points, before they were fused [m]."""
+    together: npt.NDArray[np.float32]
+    """[m, 3] the points, and what hangs together with them beside a rope's line [m]."""
+    clear: bool
+    """Whether no other line among these could be the rope."""
 
 
 def fuse(
@@ -485,8 +507,17 @@ def perceive_frame(
     parts = [view.segment(p, colour, capsules) for view, p in zip(views, pictures, strict=True)]
     clouds = [points for points, _ in parts]
     points, seen_by, voxels = fuse(clouds, held, views[0].breadth)
+    together, clear = points, True
+    if held is not None and held.rope is not None and len(points):
+        by_end = held.rope.grasp == "end" and len(held.places) == 1
+        place = held.places[0] if by_end else None
+        line = find_line(points, held.rope, place, all_seen=held.all_seen)
+        clear = line.clear
+        if by_end and clear:
+            points, seen_by = points[line.own], seen_by[line.own]
     counts = np.sum([counts for _, counts in parts], axis=0).tolist()
-    return FusedCloud(points, seen_by, np.array([*counts, voxels, len(points)]), clouds)
+    counts = np.array([*counts, voxels, len(points)])
+    return FusedCloud(points, seen_by, counts, clouds, together, clear)
 
 
 def _box_depths(

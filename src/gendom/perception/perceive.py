@@ -52,8 +52,7 @@ _BELOW_TABLE = 0.05  # [m]; the workspace reaches so far below a known table
 _MARGIN = 0.05  # [m]; and so far beyond what the object can reach
 _BEYOND = 0.03  # [m]; points farther from a gripper than the object is long may be its own
 _FEWEST_ACROSS = 2.0  # pixels that a rope is across; of thinner ones most pixels are lost or mixed
-_BY_ONE = 0.6  # of what all may cover, one camera's points of the object on the table may
-_ALIKE = 0.5  # of its own area, apart from it on the table: the table has the object's colour
+_ALIKE = 0.3  # of its own area, apart from it on the table: the table has the object's colour
 _LOW = 0.01  # [m]; points so near to the table may be the table's
 _MOST_CROWDED = 1 / 3  # of the frames may be left out because more than the object is in them
 _MASKS = "give a PNG a picture, of its name and size, above 0 where the object is"
@@ -127,6 +126,7 @@ class _Perception:
         across = self.object.diameter or math.inf
         self.views = [CameraView(source.camera, settings, across) for source in recorded.sources]
         self.colour: ObjectColour | None = None
+        self.all_seen = True  # of a rope on the table
         self.clouds: list[FusedCloud] = []
         self.times: list[float] = []
         self.grippers: list[tuple[np.ndarray, np.ndarray | None]] = []
@@ -137,8 +137,7 @@ class _Perception:
         self.seen = np.zeros(len(self.names), dtype=np.int64)  # points of each camera
         self.unreadable: list[RecordingError] = []
         self.off_path = 0
-        self.most = MOST_COVERED.get(self.object.kind, math.inf)
-        self.crowded: list[float] = []  # how many times its area clouds have that are too large
+        self.crowded: list[float] = []  # how many times its area clouds of other things, too, have
         self.levelled: dict[str, dict[str, float]] = {}
 
     def run(self) -> Perceived:
@@ -152,11 +151,17 @@ class _Perception:
             if (pictures := self._read(frames)) is None:
                 continue
             capsules = self.recorded.capsules and self.recorded.capsules.at(time)
-            held = Held(gripper[0], (self.object.size or 0.0) + _BEYOND, robot=capsules)
+            held = Held(
+                gripper[0],
+                (self.object.size or 0.0) + _BEYOND,
+                robot=capsules,
+                arm_above=capsules is None and self.settings.masks is None,
+                rope=self.object if self.object.kind == "rope" else None,
+            )
             if not begun:
                 self._begin(pictures, held)
                 begun = True
-            held = replace(held, chosen=self.colour is not None)
+            held = replace(held, chosen=self.colour is not None, all_seen=self.all_seen)
             closed = robot.closed_at(time)
             cloud = perceive_frame(
                 self.views,
@@ -165,10 +170,12 @@ class _Perception:
                 capsules=capsules,
                 held=held if closed is None or closed.all() else None,
             )
-            if (times := times_own_area(cloud.points, self.object)) > self.most:
+            times = times_own_area(cloud.points, self.object)
+            if times <= MOST_COVERED * len(self.views):  # each may place it elsewhere
+                self._compare(cloud)
+            if times > MOST_COVERED or not cloud.clear:
                 self.crowded.append(times)
                 continue
-            self._compare(cloud)
             self.clouds.append(cloud)
             self.times.append(time)
             self.grippers.append(gripper)
@@ -237,13 +244,15 @@ class _Perception:
         what = f"the rope is {pixels:.1f} pixels across, too few to tell it from what is behind it"
         fix = "choose it by --colour or --masks, or move the cameras nearer"
         self._require(pixels >= _FEWEST_ACROSS or self.colour is not None, what, fix)
+        hidden = (view.hides(view.breadth, self._away(view.camera)) for view in self.views)
+        self.all_seen = self.colour is not None or not any(hidden)
         alike = False
         for view, seen in zip(self.views, pictures, strict=True):
             if self.colour is not None and view.table is not None:
                 points, _ = view.segment(seen, self.colour, held.robot)
                 low = np.abs(points @ view.table.normal - view.table.offset) < _LOW
                 apart = low & ~held.among(points)
-                alike |= times_own_area(points[low], self.object) > _BY_ONE * self.most
+                alike |= times_own_area(points[low], self.object) > MOST_COVERED
                 alike |= times_own_area(points[apart], self.object) > _ALIKE
         if alike:
             for view in self.views:
@@ -321,7 +330,7 @@ class _Perception:
         done = self.comparable >= _AGREEMENT_FRAMES and self.object.kind != "rope"
         if done or len(cloud.parts) < 2 or len(cloud.points) == 0:
             return
-        tree, near = KDTree(cloud.points), OUTLIER_RADIUS
+        tree, near = KDTree(cloud.together), OUTLIER_RADIUS
         clouds = [part[tree.query(part)[0] < near] for part in cloud.parts]
         if any(len(own) < least for own, least in zip(clouds, self.fewest, strict=True)):
             return
@@ -380,9 +389,11 @@ class _Perception:
             fix = "put robot and cameras on one clock if there are many"
             self._warn(f"{what}they are left out", f"{self.recorded.where}/gripper.csv", fix)
         if self.crowded:
-            what = f"in {len(self.crowded)} of {used} frames points cover "
-            what += f"{np.median(self.crowded):.0f} times the object's own area: other things are "
-            what += "among them, such as a hand, a cable, the table or the robot"
+            what = f"in {len(self.crowded)} of {used} frames other things are among the points, "
+            what += "such as a hand, a cable, the table or the robot: "
+            times = float(np.median(self.crowded))
+            covers = f"they cover {times:.1f} times as much as the object can"
+            what += covers if times > MOST_COVERED else "more than one line could be the rope"
             fix = "take them out of view, narrow --workspace, choose the object by --colour or "
             fix += "--masks, and check its sizes in object.toml"
             few = len(self.crowded) <= _MOST_CROWDED * (len(self.crowded) + len(self.clouds))

@@ -6,26 +6,23 @@ from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist
 
 from gendom.arrays import Array
 from gendom.datasets import Fault, ObjectDescription
 from gendom.perception.camera import Camera
-from gendom.perception.cloud import unique_cells
+from gendom.perception.line import THICKEST, find_line
 
 MAX_DISAGREEMENT = 0.02
 """Two cameras' clouds of one object may be this far apart [m]."""
 
-MOST_COVERED = {"rope": 3.5, "cloth": 2.5}
-"""Largest `times_own_area` by kind (docs/perception.md#what-else-is-in-view has the evidence)."""
+MOST_COVERED = 1.1
+"""Largest `times_own_area` of an object (docs/perception.md#what-else-is-in-view: evidence)."""
 
 _FIELD = (25.0, 130.0)  # [degrees] across the wider side that depth cameras see
 _OFF_CENTRE = 0.15  # of the pictures' size, at most, that their centre lies from the middle
 _LEVEL = 0.15  # of the points lie on the largest plane of a scene with a table
 _CELL = 0.005  # [m]
-_THICKEST = 0.07  # of its length, a rope of unknown diameter
 _PAIRED_SHARE = 0.6  # of the points: each camera also sees what the other cannot
 _MAX_POINTS = 500
 
@@ -74,60 +71,50 @@ def _thinned(points: np.ndarray) -> np.ndarray:
     return points[np.random.default_rng(0).choice(len(points), _MAX_POINTS, replace=False)]
 
 
-def own_area(description: ObjectDescription, thinnest: float = 0.0) -> float:
-    """Of an object as it is seen [m^2]: a rope's length times its diameter, which counts as this
-    [m] at least, or a cloth's width times its height."""
+def own_area(description: ObjectDescription, wider: float = 0.0) -> float:
+    """Of an object as it is seen [m^2], each side longer by so much [m]: a rope's length times its
+    diameter, or a cloth's width times its height."""
     d = description
-    if d.kind == "rope":
-        length = d.length or 0.0
-        return length * max(d.diameter or _THICKEST * length, thinnest)
-    return (d.width or 0.0) * (d.height or 0.0)
+    length = d.length or 0.0
+    sides = (
+        (length, d.diameter or THICKEST * length)
+        if d.kind == "rope"
+        else (d.width or 0.0, d.height or 0.0)
+    )
+    return (sides[0] + wider) * (sides[1] + wider)
 
 
 def times_own_area(points: npt.ArrayLike, description: ObjectDescription) -> float:
-    """Area of the 5 mm cells that a cloud [n, 3] occupies [m], over the object's own.
-
-    Its sizes are known; a rope thinner than a cell counts as thick as one.
+    """Area that a cloud [n, 3] [m] covers as seen along x, y or z, at most, over the object's own
+    area, which no view of it exceeds. The cloud's 5 mm cells may stand out by one on every side.
     """
-    p = np.asarray(points, dtype=np.float64)
-    cells = len(unique_cells(p, _CELL)[0]) if len(p) else 0
-    return cells * _CELL**2 / own_area(description, _CELL)
+    cells = np.floor(np.asarray(points, dtype=np.float64) / _CELL).astype(np.int64)
+    if not len(cells):
+        return 0.0
+    cells -= cells.min(axis=0)
+    keys = (
+        cells[:, j] * (cells[:, k].max() + 1) + cells[:, k] for j, k in ((0, 1), (0, 2), (1, 2))
+    )
+    covered = max(len(np.unique(key)) for key in keys)
+    return covered * _CELL**2 / own_area(description, 2.0 * _CELL)
 
 
 def seen_share(points: npt.ArrayLike, description: ObjectDescription) -> float:
     """About how much of an object, whose sizes are known, a cloud [n, 3] [m] covers, 0 to 1.
 
-    A rope: the length of the shortest tree through points spaced by 1.5 cm (or the diameter, if
-    larger), without steps over gaps, over its length. A cloth: occupied cells of 1.5 cm, of
-    which a surface of any direction crosses 1.5 a cell's face on average, over its area. Good
-    to 0.1 to 0.2, which is enough to see that most is hidden.
+    A rope: the length of its line. A cloth: occupied cells of 1.5 cm, of which a surface of any
+    direction crosses 1.5 a cell's face on average, over its area, which is good to 0.1 to 0.2.
     """
     p = np.asarray(points, dtype=np.float64)
     if len(p) == 0:
         return 0.0
     if description.kind == "rope":
         assert description.length is not None
-        spacing = max(0.015, description.diameter or 0.0)
-        nodes = _spaced(p, spacing)
-        if len(nodes) == 1:
-            return min(1.0, spacing / description.length)
-        # A tree needs edges above zero; no two nodes are nearer than the spacing.
-        steps = minimum_spanning_tree(cdist(nodes, nodes)).data
-        seen = steps[steps < 3.0 * spacing].sum() + spacing
-        return float(min(1.0, seen / description.length))
+        return min(1.0, find_line(p, description).length / description.length)
     assert description.width is not None and description.height is not None
     cell = 0.015
     cells = len(np.unique(np.floor(p / cell).astype(np.int64), axis=0))
     return float(min(1.0, cells * cell**2 / 1.5 / (description.width * description.height)))
-
-
-def _spaced(points: np.ndarray, spacing: float) -> np.ndarray:
-    """A subset with at least a spacing between points that covers all others (greedy)."""
-    left, chosen = points, []
-    while len(left):
-        chosen.append(left[0])
-        left = left[((left - left[0]) ** 2).sum(axis=1) >= spacing**2]
-    return np.array(chosen)
 
 
 def odd_intrinsics(camera: Camera) -> Iterator[Fault]:

@@ -458,32 +458,14 @@ class Alignment:
         points = self._rays[pixels] * (raw[pixels] * self._unit)[:, None] + self._shift
         front = points[:, 2] > 0.0
         pixels, points = pixels[front], points[front]
-        u, v = self._project(points)
-        inside = (u >= 0) & (u < self.colour.width) & (v >= 0) & (v < self.colour.height)
-        pixels, z, u, v = pixels[inside], points[inside, 2], u[inside], v[inside]
+        found, inside = self.colour.pixels(points)
+        pixels, z, (u, v) = pixels[inside], points[inside, 2], found[inside].T
         hidden = self._hidden(z, u, v)
         kept, painted = raw.copy(), np.zeros((len(raw), 3), np.uint8)
         kept[pixels[hidden]] = 0
         seen = ~hidden
         painted[pixels[seen]] = colour[v[seen], u[seen]]
         return Pictures(kept.reshape(depth.shape), painted.reshape(*depth.shape, 3))
-
-    def _project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Column and row of the colour picture, nearest pixels, of points [n, 3] before it."""
-        K = self.colour.K
-        x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-        k1, k2, p1, p2, k3 = five = _five(self.colour)
-        if any(five):
-            r2 = x * x + y * y
-            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            x, y = (
-                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-            )
-        u = np.rint(K[0, 0] * x + K[0, 1] * y + K[0, 2])
-        v = np.rint(K[1, 1] * y + K[1, 2])
-        # Rays far outside of the lens would not fit an integer.
-        return tuple(np.clip(a, -1, 1e6).astype(np.int64) for a in (u, v))
 
     def _hidden(self, z: np.ndarray, u: np.ndarray, v: np.ndarray) -> npt.NDArray[np.bool_]:
         """Which points [n] of depth z [m] have something nearer within a cell of theirs."""

@@ -205,13 +205,10 @@ class RosCloudCamera:
         cloud, seen = points_of(message, where)
         points = cloud[seen] @ self.T_frame_camera[:3, :3]
         ahead = points[:, 2] > 1e-3
-        K, z = camera.K, points[ahead, 2]
-        slopes = points[ahead, :2] / z[:, None]
-        u = np.rint(K[0, 0] * slopes[:, 0] + K[0, 1] * slopes[:, 1] + K[0, 2])
-        v = np.rint(K[1, 1] * slopes[:, 1] + K[1, 2])
-        inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        z = points[ahead, 2]
+        found, inside = camera.pixels(points[ahead])
         farthest_first = np.argsort(-z[inside], kind="stable")
-        pixels = (v[inside] * camera.width + u[inside]).astype(np.int64)[farthest_first]
+        pixels = (found[inside] @ [1, camera.width])[farthest_first]
         depth = np.zeros(camera.height * camera.width, np.uint16)
         depth[pixels] = _counts(z[inside][farthest_first])
         depth = depth.reshape(camera.height, camera.width)

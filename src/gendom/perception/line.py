@@ -1,0 +1,161 @@
+"""A rope in a cloud: the line of its length that begins where it is held.
+
+What touches or crosses a rope, as a hand or a cable does, is no farther from it than its own parts,
+and can cover as much. But a rope is one line of known length: from the point that is held the way
+along the cloud to its tip is as long as the rope, and all its points lie beside that way. Where two
+ways fit, nothing says which one is the rope.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
+
+from gendom.arrays import Array
+from gendom.datasets import ObjectDescription
+
+FAR = 0.02
+"""Points farther than this from a rope's surface are not its own [m]."""
+
+MOST_FAR = 0.05
+"""Largest share of such points in a frame that is used."""
+
+THICKEST = 0.07
+"""Of its length, a rope of unknown diameter."""
+
+_WHOLE = 0.88, 1.1  # of a rope's length: what is measured of one that is seen from end to end
+_NODE = 0.01  # [m]; at least, between points of the way
+_ROUND = 0.015  # [m]; at least, the distance over which noise is averaged
+_MOST_NODES = 1500  # no rope has more
+_FROM_HELD = 0.06  # [m]; at most, fingers hide so much of it
+_STEP, _PIECE = 0.004, 5  # [m] along the way, and so many steps
+_THICK = 1.6  # times the usual distance of points from it, a piece of a rope has not
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """What was found of a rope in a cloud."""
+
+    length: float
+    """[m] from end to end, as far as it is seen."""
+    own: npt.NDArray[np.bool_]
+    """[n] whether a point of the cloud is beside the line."""
+    clear: bool
+    """Whether no other line could be the rope."""
+
+
+def find_line(
+    points: Array,
+    rope: ObjectDescription,
+    held: Array | None = None,
+    *,
+    all_seen: bool = True,
+) -> Line:
+    """The line of a rope, whose length is known, in a cloud [n, 3] [m].
+
+    The cloud's points are averaged to nodes, and the way between two of them is the one of least
+    squared steps: it follows the cloud where it is dense, and bridges gaps.
+
+    Args:
+        held: [3] where its end is held [m]; None: the longest line there is, however it is held.
+        all_seen: False: a part of it may be missing, as what lies within a table's noise is; then
+            what else is there may stand for that part.
+    """
+    length, none = rope.length or 0.0, np.ones(len(points), np.bool_)
+    across = rope.diameter or THICKEST * length
+    beside, reach = FAR + across / 2.0, max(across, _ROUND)
+    least, most = (k * length for k in _WHOLE)
+    nodes = _nodes(points, max(_NODE, across / 2.0), reach)
+    if not 1 < len(nodes) <= _MOST_NODES:
+        return Line(min(reach, length), none, clear=len(nodes) < 2)
+    if held is None:  # an average near an end lies half its reach before it
+        start, before = int(_Ways(nodes, 0).along.argmax()), reach / 2.0
+    else:
+        start = int(np.linalg.norm(nodes - held, axis=1).argmin())
+        before = float(np.linalg.norm(nodes[start] - held))
+    ways = _Ways(nodes, start)
+    seen = before + ways.along + reach / 2.0
+    longest = float(seen.max())
+    if held is None:
+        own = _away(points, ways.to(int(seen.argmax())))[0] <= beside
+        return Line(longest, own, bool(longest <= most and np.mean(~own) <= MOST_FAR))
+    goal = length if longest > most else longest
+    goes_on = ((ways.steps <= beside) & (seen > seen[:, None])).any(axis=1)
+    tips = np.flatnonzero((seen >= min(least, 0.9 * longest)) & (seen <= most) & ~goes_on)
+    if not len(tips):  # it goes on: something touches its end
+        tips = np.flatnonzero(np.abs(seen - goal) <= 2.0 * _NODE)
+    if not len(tips):
+        return Line(longest, none, clear=False)
+    tip = tips[np.abs(seen[tips] - goal).argmin()]
+    way = ways.to(tip)
+    off, at = _away(points, way)
+    own = off <= beside
+    alone = np.mean(~own) <= MOST_FAR and longest <= most
+    alike = _away(nodes[tips], way)[0].max() <= beside + MOST_FAR * length
+    whole = seen[tip] >= least and before <= _FROM_HELD
+    if alone:
+        return Line(float(seen[tip]), own, clear=True)
+    return Line(float(seen[tip]), own & ~_thick(off, at, own), bool(alike and whole and all_seen))
+
+
+class _Ways:
+    """The ways from one of nodes [m, 3] [m] to all others."""
+
+    def __init__(self, nodes: Array, start: int):
+        self._nodes = nodes
+        self.steps = cdist(nodes, nodes)
+        """[m, m] between nodes [m]."""
+        n = len(nodes)
+        every = np.tile(np.arange(n), n), np.arange(0, n * n + 1, n)
+        costs = self.steps.ravel() ** 2 + 1e-12  # also between nodes at one place
+        graph = csr_array((costs, *every), shape=(n, n))
+        cost, self._before = dijkstra(graph, indices=start, return_predecessors=True)
+        before = np.maximum(self._before, 0)
+        along, last = [0.0] * n, self.steps[np.arange(n), before].tolist()
+        for k in np.argsort(cost)[1:].tolist():
+            along[k] = along[before[k]] + last[k]
+        self.along = np.array(along)
+        """[m] length of each way [m]."""
+
+    def to(self, node: int) -> Array:
+        """[k, 3] the way to a node, from the start [m]."""
+        found = [node]
+        while self._before[found[-1]] >= 0:
+            found.append(self._before[found[-1]])
+        return self._nodes[found[::-1]]
+
+
+def _nodes(points: Array, edge: float, reach: float) -> Array:
+    """[m, 3] averages of a cloud, one a cube of an edge, over a reach [m]."""
+    cells = np.floor((points - points.min(axis=0)) / edge).astype(int)
+    key = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    place = np.unique(key, return_inverse=True)[1]
+    count = np.bincount(place)
+    mean = np.stack([np.bincount(place, x) / count for x in points.T], axis=1)
+    if len(mean) > _MOST_NODES:
+        return mean
+    weight = (cdist(mean, mean) <= reach) * count
+    return weight @ mean / weight.sum(axis=1, keepdims=True)
+
+
+def _away(points: Array, way: Array) -> tuple[Array, npt.NDArray[np.intp]]:
+    """[n] distance of points [n, 3] from a way [k, 3] [m], and the number of the piece of the way
+    that each is nearest to."""
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
+    places = np.arange(0.0, along[-1] + _STEP, _STEP)
+    fine = np.stack([np.interp(places, along, x) for x in way.T], axis=1)
+    off, nearest = KDTree(fine).query(points)
+    return np.asarray(off), np.asarray(nearest) // _PIECE
+
+
+def _thick(off: Array, at: npt.NDArray[np.intp], own: npt.NDArray[np.bool_]) -> Array:
+    """[n] points of pieces that are thicker than others: what hides or touches a rope there."""
+    squares = np.bincount(at, np.where(own, off**2, 0.0)) / np.maximum(np.bincount(at, own), 1.0)
+    usual = np.median(np.sqrt(squares[squares > 0.0]))
+    return np.sqrt(squares)[at] > _THICK * usual
