@@ -10,6 +10,7 @@ import pytest
 from gendom import cli
 from gendom.cli.act import result_text
 from gendom.datasets.demonstrations import generate
+from gendom.errors import PolicyError
 from gendom.files import write_json
 from gendom.hardware.cell import Cell, PlannedMotion
 from gendom.hardware.execution import read_action
@@ -110,17 +111,17 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     assert shift == pytest.approx(np.tile([0.02, -0.1, -0.02], (len(shift), 1)))
 
 
-def test_an_unsteady_release_is_told():
+def test_an_unsteady_release_is_not_offered():
     """The shipped policy's for the cotton rope at 0.485 m: 7.7 mm by 100 ms."""
     task, item, world = RopeReaching(), OBJECTS["rope-cotton"], Simulation()
     release = size_of(item) * np.array([0.49461472, 0.35117316])
-    for goal, action, said in (
-        (0.485, release, ["by 7.7 mm"]),
-        (0.45, np.array([0.175, 0.084]), []),
-    ):
-        predicted = predict(task, item, action, [], 0, world)
-        notes = doubts(task, item, {"x": goal}, predicted)
-        assert len(notes) == len(said) and all(s in n for s, n in zip(said, notes, strict=True))
+    predicted = predict(task, item, release, [], 0, world)
+    with pytest.raises(PolicyError, match="by 7.7 mm; choose another goal, or add --force"):
+        doubts(task, item, {"x": 0.485}, predicted, force=False)
+    (note,) = doubts(task, item, {"x": 0.485}, predicted, force=True)
+    assert "by 7.7 mm" in note
+    steady = predict(task, item, np.array([0.175, 0.084]), [], 0, world)
+    assert not doubts(task, item, {"x": 0.45}, steady, force=False)
 
 
 @pytest.mark.parametrize("cell", [False, True])
