@@ -59,6 +59,7 @@ def act(make_policy, monkeypatch, tmp_path, capsys):
     """Run `gendom act` with the stand-in policy; returns exit code, stdout and stderr."""
     policies = {True: make_policy()[0], False: make_policy(conditioned_on=())[0]}
     monkeypatch.setattr(Policy, "pretrained", lambda task, *, parameters: policies[parameters])
+    monkeypatch.setattr("gendom.policies.prediction.UNSTEADY", 0.04)  # the stand-in's move by 0.03
     monkeypatch.setattr("gendom.cli.act.DRAWS", 24)
     monkeypatch.setattr(Cell, "plan", plan_once)
 
