@@ -412,3 +412,21 @@ def test_what_was_found_stays_mended(tmp_path, kind, old, new):
     folder, files, stated = made(tmp_path, kind)
     path = next(path for path in files if old in path.read_bytes())
     check(kind, stated, folder, path, path.read_bytes().replace(old, new), old)
+
+
+COMMANDS = """estimate X
+check X
+import X --out o.npz
+perceive X
+export X --out o
+twin X --out o
+view X --html o.html
+cell check X
+calibrate X --camera X
+train rope-casting --data X --out o.onnx"""
+
+
+@pytest.mark.parametrize("words", COMMANDS.splitlines())
+def test_a_loop_of_links_is_told(tmp_path, refused, words):
+    (tmp_path / "loop").symlink_to("loop")
+    refused(*(tmp_path / "loop" if word == "X" else word for word in words.split()))
