@@ -430,3 +430,12 @@ train rope-casting --data X --out o.onnx"""
 def test_a_loop_of_links_is_told(tmp_path, refused, words):
     (tmp_path / "loop").symlink_to("loop")
     refused(*(tmp_path / "loop" if word == "X" else word for word in words.split()))
+
+
+def test_numbers_beyond_doubles_are_one_line(tmp_path, refused, recwarn):
+    board(tmp_path)
+    write_camera(tmp_path / "camera.toml", CAMERA)
+    path = tmp_path / "poses.csv"
+    path.write_text(path.read_text().replace("0,0,0,1\n", "0,0,0,1e300\n", 1))
+    told = refused("calibrate", tmp_path, "--camera", tmp_path / "camera.toml")
+    assert "line 2: quaternion of length inf" in told and len(recwarn) == 0
