@@ -1,6 +1,8 @@
 """Files of others with random damage: each is read or refused, in bounded time and memory."""
 
+import contextlib
 import json
+import os
 import resource
 import shutil
 import time
@@ -392,6 +394,33 @@ def test_damaged_files_are_read_or_refused(tmp_path, kind, count):
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < MOST_MEMORY
     assert sorted(path for path in folder.rglob("*") if path.is_file()) == files
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
+ODD = {
+    "a loop of links": lambda path: path.symlink_to(path.name),
+    "a link to nothing": lambda path: path.symlink_to("nothing"),
+    "a link to zeros": lambda path: path.symlink_to("/dev/zero"),
+    "a folder": Path.mkdir,
+    "a pipe": os.mkfifo,
+    "nothing": Path.touch,
+    "a hole of a terabyte": lambda path: (path.touch(), os.truncate(path, 1 << 40)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("odd", ODD)
+@pytest.mark.parametrize("kind", READERS)
+def test_what_stands_in_place_of_a_file_is_refused(tmp_path, kind, odd):
+    """Or left out with a word, or never opened."""
+    folder, files, _ = made(tmp_path, kind)
+    path = files[len(files) // 2]
+    path.unlink()
+    ODD[odd](path)
+    for read, place in ((READERS[kind][1], folder), (look, folder), (look, path)):
+        began = time.process_time()
+        with contextlib.suppress(GendomError):
+            read(place)
+        assert time.process_time() - began < LONGEST
 
 
 FAR, ONE = np.full(3, 1e9, "<f4").tobytes(), np.float64(1.0).tobytes()
