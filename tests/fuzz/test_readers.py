@@ -433,7 +433,7 @@ FAR, ONE = np.full(3, 1e9, "<f4").tobytes(), np.float64(1.0).tobytes()
         ("MCAP clouds", b"float64 y", b"float64 Y"),
         ("MCAP clouds", bytes(24) + ONE, bytes(24) + np.float64(1e200).tobytes()),
         ("arm", b"b.stl", b"b" * 300),  # longer than names are
-        ("arm", np.float32([0.05, 0, 0]).tobytes(), FAR),  # 1e21 triangles of 15 mm
+        ("arm", np.array([0.05, 0, 0], "<f4").tobytes(), FAR),  # 1e21 triangles of 15 mm
     ],
     ids=["far points", "another field", "a turn without length", "a long name", "a far corner"],
 )
