@@ -330,8 +330,11 @@ FIGURES = (
     ),
     reached("reaching"),
     reached("casting"),
-    experiment("ablation-reaching", "ablation --jobs 8", ablation),
-    experiment("ablation-casting", "ablation --task rope-casting --jobs 8", ablation),
+    experiment("ablation-reaching", "ablation --scale full --device cuda", ablation, "cuda"),
+    experiment(
+        "ablation-casting", "ablation --task rope-casting --scale full --device cuda",
+        ablation, "cuda",
+    ),
     Figure("evaluate-casting", "gendom evaluate rope-casting --cases 50 --seed 3", evaluated),
     Figure("evaluate-reaching", "gendom evaluate rope-reaching --cases 50 --seed 3", evaluated),
     validation("cantilever", ratios),

@@ -29,15 +29,12 @@ def quick(monkeypatch):
     """A world that reaches twice as far as the release; every fifth demonstration fails."""
 
     def carry_out(self, task, items, actions, **_):
-        rope = task.name == "rope-reaching"
+        rope, cloth = task.name == "rope-reaching", {"share": 0.8, "unspread": 0.2}
+        made = ({"x": 2.0 * a[0], "sideways": 0.01 * k} for k, a in enumerate(np.asarray(actions)))
+        faults = (None if k % 5 else "diverged" for k in range(len(actions)))
         return [
-            Outcome(
-                values={"x": 2.0 * a[0], "sideways": 0.01 * k}
-                if rope
-                else {"share": 0.8, "unspread": 0.2},
-                fault=None if k % 5 else "diverged",
-            )
-            for k, a in enumerate(np.asarray(actions))
+            Outcome(values=values if rope else cloth, fault=fault)
+            for values, fault in zip(made, faults, strict=True)
         ]
 
     monkeypatch.setattr(Simulation, "carry_out", carry_out)

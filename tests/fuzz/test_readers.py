@@ -1,6 +1,8 @@
 """Files of others with random damage: each is read or refused, in bounded time and memory."""
 
+import contextlib
 import json
+import os
 import resource
 import shutil
 import time
@@ -388,6 +390,33 @@ def test_damaged_files_are_read_or_refused(tmp_path, kind, count):
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 
+ODD = {
+    "a loop of links": lambda path: path.symlink_to(path.name),
+    "a link to nothing": lambda path: path.symlink_to("nothing"),
+    "a link to zeros": lambda path: path.symlink_to("/dev/zero"),
+    "a folder": Path.mkdir,
+    "a pipe": os.mkfifo,
+    "nothing": Path.touch,
+    "a hole of a terabyte": lambda path: (path.touch(), os.truncate(path, 1 << 40)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("odd", ODD)
+@pytest.mark.parametrize("kind", READERS)
+def test_what_stands_in_place_of_a_file_is_refused(tmp_path, kind, odd):
+    """Or left out with a word, or never opened."""
+    folder, files, _ = made(tmp_path, kind)
+    path = files[len(files) // 2]
+    path.unlink()
+    ODD[odd](path)
+    for read, place in ((READERS[kind][1], folder), (look, folder), (look, path)):
+        began = time.process_time()
+        with contextlib.suppress(GendomError):
+            read(place)
+        assert time.process_time() - began < LONGEST
+
+
 FAR, ONE = np.full(3, 1e9, "<f4").tobytes(), np.float64(1.0).tobytes()
 
 
@@ -398,7 +427,7 @@ FAR, ONE = np.full(3, 1e9, "<f4").tobytes(), np.float64(1.0).tobytes()
         ("MCAP clouds", b"float64 y", b"float64 Y"),
         ("MCAP clouds", bytes(24) + ONE, bytes(24) + np.float64(1e200).tobytes()),
         ("arm", b"b.stl", b"b" * 300),  # longer than names are
-        ("arm", np.float32([0.05, 0, 0]).tobytes(), FAR),  # 1e21 triangles of 15 mm
+        ("arm", np.array([0.05, 0, 0], "<f4").tobytes(), FAR),  # 1e21 triangles of 15 mm
     ],
     ids=["far points", "another field", "a turn without length", "a long name", "a far corner"],
 )
@@ -406,3 +435,30 @@ def test_what_was_found_stays_mended(tmp_path, kind, old, new):
     folder, files, stated = made(tmp_path, kind)
     path = next(path for path in files if old in path.read_bytes())
     check(kind, stated, folder, path, path.read_bytes().replace(old, new), old)
+
+
+COMMANDS = """estimate X
+check X
+import X --out o.npz
+perceive X
+export X --out o
+twin X --out o
+view X --html o.html
+cell check X
+calibrate X --camera X
+train rope-casting --data X --out o.onnx"""
+
+
+@pytest.mark.parametrize("words", COMMANDS.splitlines())
+def test_a_loop_of_links_is_told(tmp_path, refused, words):
+    (tmp_path / "loop").symlink_to("loop")
+    refused(*(tmp_path / "loop" if word == "X" else word for word in words.split()))
+
+
+def test_numbers_beyond_doubles_are_one_line(tmp_path, refused, recwarn):
+    board(tmp_path)
+    write_camera(tmp_path / "camera.toml", CAMERA)
+    path = tmp_path / "poses.csv"
+    path.write_text(path.read_text().replace("0,0,0,1\n", "0,0,0,1e300\n", 1))
+    told = refused("calibrate", tmp_path, "--camera", tmp_path / "camera.toml")
+    assert "line 2: quaternion of length inf" in told and len(recwarn) == 0

@@ -116,6 +116,8 @@ def test_bad_executions_are_refused():
     far = Execution(action=np.array([0.4, 0.4]), reached=np.array([357.0]))
     with pytest.raises(ParameterError, match=r"x is 357 m, .* give metres: 357 mm are 0\.357"):
         adapt(TASK, belief, [far], world=Throws())
+    with pytest.raises(ParameterError, match="executions: are 401, at most 400 are learnt from"):
+        adapt(TASK, belief, [executed(0.4, 0.4)] * 401, world=Throws())
     with pytest.raises(SimulationError, match="cannot be simulated"):
         adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(fails=True))
     with pytest.raises(ParameterError, match="share is 4; give a share"):

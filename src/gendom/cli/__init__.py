@@ -16,6 +16,7 @@ import logging
 import os
 import sys
 import traceback
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from importlib import import_module
@@ -99,7 +100,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     try:
         level = logging.DEBUG if debug else logging.WARNING if quiet else logging.INFO
-        with _log_to_stderr(name, level), silence() if quiet else nullcontext():
+        with (
+            _log_to_stderr(name, level),
+            silence() if quiet else nullcontext(),
+            warnings.catch_warnings(),
+        ):
+            if not debug:  # NumPy's, of numbers that are told in a line of ours
+                warnings.simplefilter("ignore", RuntimeWarning)
             code = _run(name, rest)
             sys.stdout.flush()
             return code

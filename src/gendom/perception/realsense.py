@@ -97,6 +97,7 @@ class RealSenseRecording:
         if self.path.is_dir():
             self.path = self.find(self.path) or self.path
         self._on_warning = on_warning
+        file_size(self.path, RecordingError, most=sys.maxsize)  # a pipe would wait
         _check_checksum(self.path)
         self._bag = Bag(self._as_db3(), on_warning=on_warning)
         where, name = str(self.path), self.path.resolve().parent.name

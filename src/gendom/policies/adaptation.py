@@ -31,6 +31,9 @@ from gendom.tasks import Task
 from gendom.tasks.task import World
 from gendom.tasks.world import Simulation
 
+MOST = 400
+"""Executions: time and memory grow with their cube and square."""
+
 STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1)
 """Of a Gauss-Newton step, simulated side by side."""
 
@@ -195,6 +198,8 @@ def executions_from(rows: Sequence[Any], where: str) -> list[Execution]:
 def _check(task: Task, executions: Sequence[Execution], item: Item) -> None:
     known = task.goals or task.outcomes[:1]
     require(known, f"{task.name} has no goals to learn from", where="adapt")
+    what, few = f"are {len(executions)}, at most {MOST} are learnt from", len(executions) <= MOST
+    require(few, what, where="executions", fix="give the latest")
     G, A, names = len(known), len(task.actions), ", ".join(q.name for q in known)
     for e in executions:
         what = f"an execution has {e.action.size} numbers of an action and {e.reached.size} "
