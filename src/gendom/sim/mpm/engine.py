@@ -100,6 +100,10 @@ class MpmEngine(Engine):
         wp.copy(self.state.x, self.array(x, self.types.vec3))
         self.together = s.device.is_cuda
         """Whether one launch runs all worlds; tests set it on the CPU."""
+        self.particles: Any = None
+        """Records of all worlds."""
+        self.unsorted = self.zeros(W)
+        """[W] distance travelled since records were sorted [m]."""
 
     # ---- state -----------------------------------------------------------------------------------
 
@@ -148,7 +152,14 @@ class MpmEngine(Engine):
             now = float(times[-1])
 
     def groups(self) -> list["Group"]:
-        """The groups of worlds, the slowest first."""
+        """The groups of worlds, the slowest first; what they share is made before threads take
+        them."""
+        if self.particles is None:
+            self.particles = self.records(moduli=(self.num_worlds, 2, self.num_points))
+            if not self.together:
+                near = self.setting.body.lattice.transpose(2, 1, 0).reshape(1, 6, -1)
+                near = np.repeat(near, self.num_worlds, axis=0)
+                self.particles.near = self.array(near, wp.int32)
         if self.together:
             return [Group(self, slice(0, self.num_worlds))]
         return [Group(self, slice(w, w + 1)) for w in np.argsort(self.setting.substep).tolist()]
@@ -208,20 +219,6 @@ class MpmEngine(Engine):
         room = next((of for of in rooms if taken <= of), 0)
         threads = NARROW if crowded and room != ROOM_ALONE else WIDE
         return replace(one, room=room, threads=threads)
-
-    @cached_property
-    def particles(self) -> Any:
-        """Records of all worlds."""
-        made = self.records(moduli=(self.num_worlds, 2, self.num_points))
-        if not self.together:
-            near = self.setting.body.lattice.transpose(2, 1, 0).reshape(1, 6, -1)
-            made.near = self.array(np.repeat(near, self.num_worlds, axis=0), wp.int32)
-        return made
-
-    @cached_property
-    def unsorted(self) -> wp.array:
-        """[W] distance travelled since records were sorted [m]."""
-        return self.zeros(self.num_worlds)
 
     def records(self, **more: tuple[int, int, int]) -> Any:
         """Room for records of all worlds, with an array [W, n, N] more, and for reordering them."""
