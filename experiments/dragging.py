@@ -32,7 +32,8 @@ Array = NDArray[np.float64]
 FAMILIES = ((0.05, 0.064), (0.064, 0.082), (0.082, 0.11), (0.11, 0.17))
 """Bending lengths [sides]."""
 
-START = (0.47, 0.5, 0.0, 1.25, 1.7, 1.0, 0.0, 0.8, 1.7, 1.45, 0.0, 0.02, 1.6, 1.9, 0.0, 1.6)
+START = (0.47, 0.5, 0.0, 1.25, 1.7, 1.0, 0.0, 0.8, 1.7, 1.45, 0.0, 0.02, 1.6, 1.9, 0.0, 0.02, 1.6,
+         2.0, 0.0, 1.0)  # fmt: skip
 """Laid down along the diagonal, and dragged on."""
 
 SIGMA = 0.15
@@ -41,7 +42,7 @@ SIGMA = 0.15
 LATTICES, AIR = (1.0, 1.0, 1.2), (0.0, 1.2)
 """Cells across, and densities of the air [kg/m^3], of the generations."""
 
-ENOUGH, SOFT = 0.75, 0.05
+ENOUGH, SOFT = 0.75, 0.12
 """Share that is asked for, and over how much of it a motion counts as nearly enough."""
 
 

@@ -25,7 +25,7 @@ def test_the_evolution_strategy_follows_a_narrow_valley():
 
 def test_what_is_enough_counts_most():
     assert worth(np.array([0.5, 0.74, 0.8, 1.0])) == pytest.approx(
-        [0.15, 0.36, 0.75, 1.0], abs=0.01
+        [0.15, 0.39, 0.56, 0.97], abs=0.01
     )
 
 

@@ -117,7 +117,7 @@ def test_an_unsteady_release_is_not_offered():
     task, item, world = RopeReaching(), OBJECTS["rope-cotton"], Simulation()
     release = size_of(item) * np.array([0.49461472, 0.35117316])
     predicted = predict(task, item, release, [], 0, world)
-    with pytest.raises(PolicyError, match="by 7.7 mm; choose another goal, or add --force"):
+    with pytest.raises(PolicyError, match=r"by 7\.7 mm; choose another goal, or add --force"):
         doubts(task, item, {"x": 0.485}, predicted, force=False)
     (note,) = doubts(task, item, {"x": 0.485}, predicted, force=True)
     assert "by 7.7 mm" in note

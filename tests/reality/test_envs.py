@@ -27,7 +27,7 @@ NUMBERS = {
     "RopeReaching": {"action": 2, "goal": 1},
     "RopeCasting": {"action": 1, "goal": 2},
     "ClothSpreading": {"action": 1},
-    "ClothDragging": {"action": 16},
+    "ClothDragging": {"action": 20},
 }
 """How many numbers an action and a goal have."""
 
