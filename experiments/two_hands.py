@@ -204,6 +204,7 @@ def recorded(
             diameter=rope.diameter,
             mass=rope.mass * length / rope.length,
             grasp="both ends",
+            grasp_radius=0.001,  # what is held ends at the stated place
         ),
         gripper_source="measured",
         source="experiments.two_hands",

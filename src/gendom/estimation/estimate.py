@@ -80,7 +80,8 @@ def estimate(
         times.append(clock.perf_counter())
         problem, found = _searched(problem, search)
         times.append(clock.perf_counter())
-        shown = "cable" if problem.scene.beside else problem.scene.kind
+        moved_by_two = len(problem.scene.held) > 1 and not problem.scene.static
+        shown = "cable" if moved_by_two else problem.scene.kind
         calibration = calibration or IntervalCalibration.of(shown, settings.frames)
         shift, suspicion = tip_suspected(problem, found)
         said = (*suspicion, *told_apart(problem, found))

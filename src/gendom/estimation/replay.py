@@ -415,10 +415,8 @@ def held_reach(scene: LiftScene, farther: float = 0.0) -> float:
     stated = scene.recording.object.grasp_radius
     if scene.kind == "rope" and len(scene.held) > 1:
         # a gripper holds the part from its point to the end, and as much on the other side
-        ends = scene.initial[[0, -1]]
-        return stated or max(
-            float(np.linalg.norm(ends - scene.held, axis=1).max()), 0.5 * scene.body.thickness
-        )
+        gap = float(np.linalg.norm(scene.initial[[0, -1]] - scene.held, axis=1).max())
+        return max(stated or 0.5 * scene.body.thickness, gap)
     if scene.kind == "rope":
         return stated or ROPE_REACH * scene.body.thickness
     least = 0.4 * scene.body.dx
