@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.datasets import ObjectDescription
 from gendom.perception import CameraView, PerceptionSettings
+from gendom.perception.line import find_line
 from gendom.perception.quality import offset_between, seen_share, sides_apart
 
 
@@ -53,3 +54,10 @@ def test_share_of_a_cloth(share):
     found = [seen_share(turn.apply(p), cloth) for turn in turns]
     assert found == pytest.approx(np.full(20, share), abs=0.2)
     assert np.mean(found) == pytest.approx(share, abs=0.1)
+
+
+def test_line_of_points_at_one_place():
+    """Averages of such points may fall together."""
+    rope = ObjectDescription(kind="rope", length=0.4, diameter=0.01)
+    p = np.repeat([[0.0099, 0.0, 0.0], [0.0101, 0.0, 0.0]], 3, axis=0)
+    assert find_line(p, rope, np.zeros(3)).own.all()

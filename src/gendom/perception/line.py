@@ -36,6 +36,7 @@ _MOST_NODES = 1500  # no rope has more
 _FROM_HELD = 0.06  # [m]; at most, fingers hide so much of it
 _STEP, _PIECE = 0.004, 5  # [m] along the way, and so many steps
 _THICK = 1.6  # times the usual distance of points from it, a piece of a rope has not
+_MOST_THICK = 1 / 3  # of the points beside it; a line with more is no rope's
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +102,9 @@ def find_line(
     whole = seen[tip] >= least and before <= _FROM_HELD
     if alone:
         return Line(float(seen[tip]), own, clear=True)
-    return Line(float(seen[tip]), own & ~_thick(off, at, own), bool(alike and whole and all_seen))
+    thick = own & _thick(off, at, own)
+    clear = alike and whole and all_seen and thick.sum() <= _MOST_THICK * own.sum()
+    return Line(float(seen[tip]), own & ~thick, bool(clear))
 
 
 class _Ways:
