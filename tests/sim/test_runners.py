@@ -55,6 +55,7 @@ def test_two_runs_equal_one():
     """To the bit; no time passes where none does, and chosen particles are those of all."""
     one, two = scene(), scene()
     frames = one.run([0.05, 0.09])
+    np.testing.assert_array_equal(scene(threads=4).run([0.05, 0.09]), frames)
     np.testing.assert_array_equal(frames[:1], two.run([0.05]))
     assert two.time == 0.05
     np.testing.assert_array_equal(frames[1:], two.run([0.09]))
