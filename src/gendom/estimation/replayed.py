@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from gendom.arguments import check_numbers, require
 from gendom.arrays import Array
@@ -25,7 +25,7 @@ def replay_setup(
     params: Mapping[str, Any],
     where: str,
     device: str = "cpu",
-    engine: str | None = None,
+    engine: Literal["thin", "mpm"] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> tuple[LiftScene, Theta]:
     """The scene of all frames of a recording, and an estimate's parameters for it.
