@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gendom.policies.fitting import (  # explains a missing torch
+    descend,
     export_onnx,
-    fit,
 )
 
 # isort: split
@@ -193,17 +193,17 @@ def _fit(
         weight = torch.exp(0.5 * own).detach()
         return (weight * (off * torch.exp(-own) + own)).mean()
 
-    def count(epochs: int, *_: float | None) -> None:
+    def count(epochs: int, _: float) -> None:
         nonlocal done
         done = epochs
 
-    fit(
+    descend(
         network,
         loss_of,
         torch.arange(len(target)),
         epochs=training.epochs,
         batch_size=training.batch_size,
-        learning_rate=training.learning_rate,
+        rate=training.learning_rate,
         weight_decay=training.weight_decay,
         on_epoch=count,
     )

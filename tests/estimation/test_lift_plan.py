@@ -180,7 +180,7 @@ def test_the_command_writes_what_record_reads(tmp_path, capsys):
         ([*FIXED, "--mass", "27"], "mass: is 27 kg, a density of 9.55e+05 kg/m^3; it looks like"),
         ([*FIXED, "--level", "2"], "level: is 2.0; give 0 to 1, as 0.9"),
         ([*FIXED, "--rises", "0"], "motion: rise is 0.0; give a number above 0, in SI units"),
-        ([*FIXED, "--for", "nu"], "--for: is 'nu'; choose E, damping, friction, all"),
+        ([*FIXED, "--for", "nu"], "--for: is 'nu'; choose E, all, damping, friction"),
         ([*FIXED, "--fro", "E"], "there is no flag '--fro'; did you mean '--for'?"),
     ],
 )  # fmt: skip

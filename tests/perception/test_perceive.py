@@ -84,7 +84,7 @@ def test_a_shift_along_a_rope_shows_when_it_is_lifted(world, live):
     """At first it lies straight, and 3 cm along it show nowhere."""
 
     def held(world, t):
-        line = np.array([[-0.1, 0.0, 0.005], [0.3, 0.0, 0.005]])
+        line = np.array([[0.0, 0.0, 0.005], [0.4, 0.0, 0.005]])
         return world.lifted_rope(tip=(0.0, 0.0, 0.25)) if t else world.Rope(line)
 
     left, right = (camera.calibrated() for camera in world.pair())

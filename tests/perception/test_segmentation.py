@@ -45,7 +45,7 @@ def things(world, name, own):
 
 def recorded(world, own=RED, table=GREY, beside="", frames=2):
     def scene(t):
-        late = beside == "late branch" and t >= 2
+        late = beside == "late branch" and t == 1
         others = things(world, "branch" if late else beside, own)
         return world.Scene([world.Plane(colour=table), rope_of(world, t, own), *others])
 

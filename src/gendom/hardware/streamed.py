@@ -30,6 +30,7 @@ from gendom.hardware.streaming import Driver, Streamer
 from gendom.robot import JointMotion
 
 _CONNECTING, _STARTING, _SILENT = 20.0, 60.0, 5.0  # [s]; to connect, to start, without a row
+_SETTLES, _STILL = 2.0, 5e-4  # [s], [rad]; an arm that was stopped comes to rest
 _ROWS, _TEXT = 1 << 14, 2000  # of the board; ticks of 160 s
 _REPORT = "press the emergency stop, then look at the controller"
 
@@ -203,7 +204,7 @@ class StreamedRobot:
             RobotError: The pose is out of the limits, or the arm would touch something.
             DeviceError: As `play`.
         """
-        state, cell = self._ready(), self.cell
+        state, cell = self._at_rest(), self.cell
         at = np.clip(state.q, self.arm.q_min, self.arm.q_max)
         opening = cell.tool.max_opening if state.opening is None else state.opening
         q = np.asarray(q, dtype=float)
@@ -242,6 +243,18 @@ class StreamedRobot:
         fix = "then connect() again"
         require(state.fault is None, state.fault or "", fix=fix, error=DeviceError)
         return state
+
+    def _at_rest(self) -> RobotState:
+        """The state once two reports agree: after a stop the arm still swings a little."""
+        end = time.monotonic() + _SETTLES
+        before = self._ready()
+        while True:
+            time.sleep(0.05)
+            state = self._ready()
+            new = state.time > before.time
+            if (new and np.abs(state.q - before.q).max() < _STILL) or time.monotonic() > end:
+                return state
+            before = state if new else before
 
     def _do(self, name: str, what: Any, on_tick: Callable[[Tick], None] | None = None) -> None:
         """Give an order and wait until it is done; Ctrl-C and errors of `on_tick` stop the arm."""

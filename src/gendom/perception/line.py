@@ -71,16 +71,16 @@ def find_line(
     length, none = rope.length or 0.0, np.ones(len(points), np.bool_)
     across = rope.diameter or THICKEST * length
     beside, reach = FAR + across / 2.0, max(across, _ROUND)
-    least, most = (k * length for k in _WHOLE)
+    least, most, chord = *(k * length for k in _WHOLE), 2.0 * reach
     nodes = _nodes(points, max(_NODE, across / 2.0), reach)
     if not 1 < len(nodes) <= _MOST_NODES:
         return Line(min(reach, length), none, clear=len(nodes) < 2)
     if held is None:  # an average near an end lies half its reach before it
-        start, before = int(_Ways(nodes, 0).along.argmax()), reach / 2.0
+        start, before = int(_Ways(nodes, 0, chord).along.argmax()), reach / 2.0
     else:
         start = int(np.linalg.norm(nodes - held, axis=1).argmin())
         before = float(np.linalg.norm(nodes[start] - held))
-    ways = _Ways(nodes, start)
+    ways = _Ways(nodes, start, chord)
     seen = before + ways.along + reach / 2.0
     longest = float(seen.max())
     if held is None:
@@ -110,7 +110,7 @@ def find_line(
 class _Ways:
     """The ways from one of nodes [m, 3] [m] to all others."""
 
-    def __init__(self, nodes: Array, start: int):
+    def __init__(self, nodes: Array, start: int, chord: float):
         self._nodes = nodes
         self.steps = cdist(nodes, nodes)
         """[m, m] between nodes [m]."""
@@ -119,12 +119,15 @@ class _Ways:
         costs = self.steps.ravel() ** 2 + 1e-12  # also between nodes at one place
         graph = csr_array((costs, *every), shape=(n, n))
         cost, self._before = dijkstra(graph, indices=start, return_predecessors=True)
-        before = np.maximum(self._before, 0)
-        along, last = [0.0] * n, self.steps[np.arange(n), before].tolist()
+        before = np.maximum(self._before, 0).tolist()
+        along, since = [0.0] * n, [start] * n  # chords, of which noise makes less than of steps
         for k in np.argsort(cost)[1:].tolist():
-            along[k] = along[before[k]] + last[k]
+            parent = before[k]
+            whole = self.steps[parent, since[parent]] >= chord
+            since[k] = parent if whole else since[parent]
+            along[k] = along[since[k]] + float(self.steps[k, since[k]])
         self.along = np.array(along)
-        """[m] length of each way [m]."""
+        """[m] length of each way, by chords of this length and more [m]."""
 
     def to(self, node: int) -> Array:
         """[k, 3] the way to a node, from the start [m]."""
