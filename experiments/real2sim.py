@@ -122,7 +122,7 @@ def _estimated(
         recording,
         EstimateSettings(
             method=method,
-            frames=frames,
+            frames="last" if frames == "last" else "all",
             starts=settings.starts,
             max_iterations=settings.iterations,
             seed=runs.seed,

@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from time import perf_counter
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,7 +151,7 @@ def truth_of(E: float, nu: float) -> Theta:
     return Theta(E_over_rho=E_over_rho(E), nu=nu, damping=DAMPING, friction=PAPER_FRICTION)
 
 
-def scene_settings(engine: str = "thin", **changes: Any) -> SceneSettings:
+def scene_settings(engine: Literal["thin", "mpm"] = "thin", **changes: Any) -> SceneSettings:
     """How the lift is simulated: on the authors' grid, every frame compared."""
     return replace(
         SceneSettings(

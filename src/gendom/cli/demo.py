@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gendom.cli.arguments import Seed, iterations_shown
+from gendom.cli.arguments import Json, Seed, iterations_shown
 from gendom.cli.estimate import (
     NAME,
     NOT_USABLE,
@@ -28,7 +28,7 @@ from gendom.cli.outputs import check_places
 from gendom.datasets import Recording
 from gendom.errors import GendomError, printable
 from gendom.estimation import EstimateSettings, FittedEstimate, estimate
-from gendom.files import write_json
+from gendom.files import to_json, write_json
 from gendom.installation import how_to_install
 from gendom.materials import Item, to_columns
 from gendom.materials.estimate import Estimate
@@ -111,6 +111,7 @@ class Command:
     starts: int = 3
     """Random starts of the estimates."""
     seed: Seed = 0
+    json: Json = False
 
     def run(self) -> int:
         check_places((self.out, ""))
@@ -216,6 +217,8 @@ class Command:
         entries = [{"rope": of.item, "goal": of.goal, "runs": of.records()} for of in outcomes]
         actions = {"format": "gendom-demo/3", "task": task.name, "outcomes": entries}
         write_json(self.out / "actions.json", actions)
+        if self.json:
+            print(to_json(actions))
         there = "in our own simulator, with the true values" if _lacking() else "there, too"
         said = (
             f"Actions are carried out {there}. What is reached and what the simulator says of the "

@@ -140,8 +140,9 @@ class Camera:
             uv = points[:, :2] / points[:, 2:] @ self.K[:2, :2].T + self.K[:2, 2]
         # Rays far outside of the lens would not fit an integer.
         found = np.rint(np.clip(uv, -1.0, 1e6)).astype(np.int64)
-        inside = (found >= 0) & (found < np.array([self.width, self.height]))
-        return found, inside.all(axis=1)
+        x, y = found.T
+        inside = (x >= 0) & (y >= 0) & (x < self.width) & (y < self.height)
+        return found, np.asarray(inside)
 
     def at(self, T_world_camera: npt.ArrayLike) -> Camera:
         """The same camera at another pose, [4, 4] [m]."""

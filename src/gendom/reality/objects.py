@@ -68,24 +68,25 @@ SHEET_NU = -1.0 / 3.0
 """Poisson's ratio of bending; that of the material counts in a sheet's rigidity and its plane."""
 
 
-def grid(side: int, spacing: float) -> tuple[Array, npt.NDArray[np.intp]]:
-    """A flat square of so many vertices along a side.
+def grid(along: int, across: int, spacing: float) -> tuple[Array, npt.NDArray[np.intp]]:
+    """A flat rectangle.
 
     Args:
-        side: Vertices along a side.
+        along: Vertices along its first side.
+        across: Vertices along its second side.
         spacing: Between neighbours [m].
 
     Returns:
-        Vertices [side * side, 2] [m], those of the second side one after another, and
+        Vertices [along * across, 2] [m], those of the second side one after another, and
         triangles [F, 3].
     """
-    at = np.arange(side * side).reshape(side, side)
+    at = np.arange(along * across).reshape(along, across)
     a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
     even = np.indices(a.shape).sum(axis=0) % 2 == 0
     first = np.stack([a, b, np.where(even, c, d)], axis=-1)
     second = np.stack([np.where(even, a, b), c, d], axis=-1)
     triangles = np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
-    points = spacing * np.indices((side, side)).reshape(2, -1).T.astype(np.float64)
+    points = spacing * np.indices((along, across)).reshape(2, -1).T.astype(np.float64)
     return points, triangles
 
 
@@ -139,7 +140,7 @@ class RealCloth(Cloth):
     @property
     def sheet(self) -> tuple[Array, npt.NDArray[np.intp]]:
         """Vertices [V, 2] of the flat cloth [m] and triangles [F, 3]."""
-        return grid(self.vertices, self.spacing)
+        return grid(self.vertices, self.vertices, self.spacing)
 
     @property
     def spacing(self) -> float:

@@ -122,7 +122,7 @@ class Lift:
 def sheet_points(lift: Lift, side: int) -> tuple[Array, np.ndarray]:
     """[V, 3] points of a lying cloth, so many along its side [m], and [F, 3] triangles."""
     assert isinstance(lift.item, Cloth)
-    flat, triangles = grid(side, lift.item.side / (side - 1))
+    flat, triangles = grid(side, side, lift.item.side / (side - 1))
     half = math.sqrt(0.5)
     height = np.full(len(flat), lift.height)
     return np.column_stack([flat @ [[half, -half], [half, half]], height]), triangles

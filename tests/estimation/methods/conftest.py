@@ -1,5 +1,7 @@
 """A short lift with exact clouds, made by the simulator itself."""
 
+from typing import Literal
+
 import pytest
 
 from experiments.sim2sim import scene_settings, sim2sim_problem, sim2sim_recording
@@ -14,7 +16,7 @@ def short_lift():
     arguments go to the settings."""
     recordings = {}
 
-    def make(engine="thin", markers=True, shows="all", **other):
+    def make(engine: Literal["thin", "mpm"] = "thin", markers=True, shows="all", **other):
         settings, frames = scene_settings(engine, fast_frames=20), 20 if engine == "thin" else 5
         key = engine, markers, shows
         if key not in recordings:
