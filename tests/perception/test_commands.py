@@ -80,6 +80,15 @@ def test_recording_of_a_rope(lift, command):
     assert cameras is not None and len(cameras) == 1
 
 
+def test_a_rope_longer_than_stated_is_told(copy, command):
+    """What is beyond the stated length is left out, but not without a word."""
+    about = copy / "object.toml"
+    about.write_text(about.read_text().replace("length = 0.4", "length = 0.34"))
+    code, printed, _ = command(copy, *RED)
+    assert code == 0
+    assert "beyond a line of 0.34 m and are left out; check the stated length" in printed.out
+
+
 def test_json_has_all_frames(lift, command):
     folder, ropes = lift
     code, printed, out = command(folder, *RED, "--json")

@@ -61,3 +61,12 @@ def test_line_of_points_at_one_place():
     rope = ObjectDescription(kind="rope", length=0.4, diameter=0.01)
     p = np.repeat([[0.0099, 0.0, 0.0], [0.0101, 0.0, 0.0]], 3, axis=0)
     assert find_line(p, rope, np.zeros(3)).own.all()
+
+
+def test_noise_does_not_make_a_line_longer():
+    """Steps between noisy nodes zigzag; chords hardly do."""
+    rope = ObjectDescription(kind="rope", length=0.4, diameter=0.01)
+    rng = np.random.default_rng(0)
+    p = np.column_stack([rng.uniform(0.0, 0.4, 800), rng.normal(scale=0.006, size=(800, 2))])
+    line = find_line(p, rope, np.zeros(3))
+    assert line.length == pytest.approx(0.4, rel=0.06) and line.own.all()

@@ -32,6 +32,7 @@ from gendom.perception.cloud import (
 from gendom.perception.colour import ObjectColour, lab
 from gendom.perception.folder import CameraRecording
 from gendom.perception.frames import Frame, MatchedFrames, Pictures, read_png
+from gendom.perception.line import MOST_FAR
 from gendom.perception.quality import (
     MAX_DISAGREEMENT,
     MOST_COVERED,
@@ -399,6 +400,12 @@ class _Perception:
             few = len(self.crowded) <= _MOST_CROWDED * (len(self.crowded) + len(self.clouds))
             self._require(few, what, fix)
             self._warn(f"{what}; they are left out", self.recorded.where, fix)
+        beyond = [1.0 - len(c.points) / max(len(c.together), 1) for c in self.clouds]
+        if (cut := np.sum(np.array(beyond) > MOST_FAR)) > 0.5 * len(beyond):
+            what = f"in {cut} of {len(beyond)} frames {np.median(beyond):.0%} of the points lie "
+            what += f"beyond a line of {self.object.length:g} m and are left out"
+            fix = "check the stated length, or take other things out of view"
+            self._warn(what, self.recorded.where, fix)
         what = f"the robot's path is at other times, {times}, than the cameras' frames ({spans})"
         self._require(self.clouds, what, "put both on one clock")
 
