@@ -10,7 +10,7 @@ from PIL import Image
 from gendom import cli
 from gendom.errors import RobotError
 from gendom.hardware.cell import BARE, Cell
-from gendom.robot import DOWN, XARM7, Box, TcpPath, tcp_pose
+from gendom.robot import DOWN, FR3, XARM7, Box, TcpPath, tcp_pose
 from simulated_cell import box, write_cell
 
 
@@ -33,13 +33,13 @@ CAMERA = '[[camera]]\nname = "c"\ndevice = "simulated"\n'
         (["[[boxes]]"], {}, "unknown key 'boxes'; did you mean 'box'?"),
         (['[[stand]]\nname = "a"\nradios = 1.0'], {}, "stand[0]: has the unknown key 'radios'"),
         ([], {"share": "0.3\nshar = 1"}, "speed: has the unknown key 'shar'; did you mean"),
-        ([], {"tool": "0.9"}, "speed.tool: is out of range; give m/s up to 0.8"),
-        ([], {"share": "30.0"}, "speed.share: is out of range; give a share up to 1"),
-        ([], {"max_opening": "84.0"}, "tool.max_opening: is out of range; give metres up to 0.084"),
-        ([], {"workspace": "[[0, 0, 0.5], [1, 1, 0.2]]"}, "workspace: is out of range"),
+        ([], {"tool": "0.9"}, "speed.tool: is not valid; give m/s up to 0.8"),
+        ([], {"share": "30.0"}, "speed.share: is not valid; give a share up to 1"),
+        ([], {"max_opening": "84.0"}, "tool.max_opening: is not valid; give metres up to 0.084"),
+        ([], {"workspace": "[[0, 0, 0.5], [1, 1, 0.2]]"}, "workspace: is not valid"),
         ([], {"workspace": '"all"'}, "workspace: expected an array of numbers"),
-        ([], {"table_height": "nan"}, "table_height: is out of range"),
-        ([], {"table_height": "0.0\nself_clearance = nan"}, "self_clearance: is out of range"),
+        ([], {"table_height": "nan"}, "table_height: is not valid"),
+        ([], {"table_height": "0.0\nself_clearance = nan"}, "self_clearance: is not valid"),
         ([box("a", (0, 0, 1), (1, 1, 1)) + "\nquat_xyzw = [0, 0, 0, 0]"], {}, "no quaternion"),
         ([], {"robot": '"xarm6"'}, "there is no robot 'xarm6'; did you mean 'xarm7'?"),
         ([], {"robot": '"simulated"\narm = "ur5"'}, "there is no robot 'ur5'"),
@@ -47,6 +47,16 @@ CAMERA = '[[camera]]\nname = "c"\ndevice = "simulated"\n'
         ([f"{STAND}radius = 0.0\nstart = [0, 0, 0]"], {}, "its radius is 0.0; give metres above 0"),
         ([f"{STAND}radius = 1.0\nstart = [0, 0]"], {}, "its start is"),
         ([box("left", (0, 1, 1), (1, 1, 1)), box("left", (0, 2, 1), (1, 1, 1))], {}, "name of its"),
+        ([box("table", (0, 1, 1), (1, 1, 1))], {}, "name of its"),
+        ([box("a", (400, 300, 100), (80, 80, 80))], {}, "give metres, in the frame"),
+        ([], {"robot": '"xarm7"\narm = "fr3"', "max_opening": "0.08"}, "arm: is not valid; give xarm7"),
+        ([], {"address": '"rope-coton"'}, "there is no object 'rope-coton'"),
+        ([], {"address": '" "'}, "address: is not valid"),
+        ([CAMERA, CAMERA], {}, "name of its"),
+        ([CAMERA.replace('"c"', '"../c"')], {}, "it names a folder"),
+        ([f'{CAMERA}serial = "left"'], {}, "camera.serial: is not valid; give each its own"),
+        ([f"{CAMERA}stated_error = -0.002"], {}, "stated_error: is not valid; give metres above 0"),
+        ([f"{CAMERA}stated_error = inf"], {}, "stated_error: is not valid"),
         ([f'{CAMERA}calibration = "no.toml"'], {}, "no such"),
         (['[[camera]]\nname = "c"\ndevice = "realsens"'], {}, "did you mean 'realsense'?"),
         ([f"{CAMERA}T_world_camera = {(2.0 * np.eye(4)).tolist()}"], {}, "is no rigid transform"),
@@ -78,6 +88,8 @@ def test_errors_of_a_cell(tmp_path, more, changed, words):
 def test_calibrations_that_are_old_or_absent_are_warned_of(tmp_path):
     path = write_cell(tmp_path, '[[camera]]\nname = "new"\ndevice = "realsense"')
     path.write_text(path.read_text().replace("stated_error = 0.002", "stated_error = 0.02", 1))
+    ahead = {f.what for f in Cell.read(path).faults(date(2026, 11, 1))}
+    assert "is calibrated 19 days from now" in ahead
     faults = Cell.read(path).faults(date(2027, 3, 1))
     said = sorted((f.where, f.what) for f in faults)
     assert said == [
@@ -132,6 +144,12 @@ def test_what_was_planned_is_checked_against_the_cell_as_it_is(planned):
     slower = replace(cell, speed=replace(cell.speed, tool=0.05))
     tool = slower.approach(XARM7.home, motion.first).limit_uses(XARM7)[-1]
     assert tool.value <= 0.05 + 1e-6
+
+
+def test_an_arm_is_its_robot_s_unless_the_cell_names_another(tmp_path):
+    changed = {"robot": '"fr3"', "max_opening": "0.08"}
+    assert Cell.read(write_cell(tmp_path, cameras=False, **changed)).model is FR3
+    assert Cell.read(write_cell(tmp_path, cameras=False)).model is XARM7
 
 
 def test_an_approach_goes_around_what_stands_in_its_way():

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from datetime import date
@@ -34,6 +35,7 @@ from gendom.robot import (
     find_arm,
     follow,
     joint_move,
+    known_arms,
     tcp_pose,
 )
 
@@ -42,6 +44,9 @@ FASTEST_TOOL = 0.8
 
 OLD = 90
 """Days after which a calibration is asked for again."""
+
+FARTHEST = 20.0
+"""That an obstacle or the table may be from the robot's base [m]; more was not given in metres."""
 
 LARGEST_ERROR = 0.01
 """Of a camera's pose [m]; beyond it the cell is warned of."""
@@ -157,8 +162,9 @@ class Cell:
     tool: Tool
     workspace: Array
     """[2, 3] lowest and highest corner of a box that the tool point never leaves [m]."""
-    arm: str = XARM7.name
-    """As `gendom.robot.find_arm` takes it; a file from the cell's file on."""
+    arm: str = ""
+    """As `gendom.robot.find_arm` takes it; a file from the cell's file on. By default the robot's
+    own, of others the xArm 7."""
     speed: SpeedLimits = field(default_factory=SpeedLimits)
     table_height: float | None = None
     """z of the table [m]; None: there is none."""
@@ -188,7 +194,8 @@ class Cell:
             cell = record_of(cls, table, where=where, fix=fix, by_hand=True, error=DeviceError)
         except RobotError as error:  # of a box or a stand
             raise DeviceError(error.what, where=f"{where}: {error.where}", fix=error.fix) from None
-        arm = str(path.parent / cell.arm) if Path(cell.arm).suffix else cell.arm
+        own = cell.robot if cell.robot in known_arms() else XARM7.name
+        arm = str(path.parent / cell.arm) if Path(cell.arm).suffix else cell.arm or own
         cell = replace(cell, path=path, arm=arm, camera=tuple(c.placed(path) for c in cell.camera))
         cell._check_values()
         return cell
@@ -196,11 +203,21 @@ class Cell:
     def _check_values(self) -> None:
         """Refuse what no cell can have."""
         tool, speed, space, table = self.tool, self.speed, self.workspace, self.table_height
-        widest = self.model.gripper.max_opening
-        names = [o.name for o in self.surroundings.obstacles]
+        widest, arms, seen = self.model.gripper.max_opening, known_arms(), self.camera
+        around, origin = (*self.box, *self.stand), np.zeros(3)
+        names = ["table", *(o.name for o in around), *(f"camera {c.name}" for c in seen)]
         box = space.shape == (2, 3) and bool(np.all(space[0] < space[1]))
         fits = 0.0 < tool.max_opening <= widest + 1e-6
+        near = all(o.distance(origin, origin) < FARTHEST for o in around)
+        plain = all(re.fullmatch(r"\w[\w.-]*", c.name) for c in seen)
+        errors = np.array([c.stated_error for c in seen])
+        stated = bool(np.all(np.isnan(errors) | ((errors > 0.0) & (errors < 1.0))))
+        serials = [(c.device, c.serial) for c in seen if c.serial and c.device != "replay"]
+        one = len(set(serials)) == len(serials)
         checks = {
+            "address": (self.address.strip() != "", "that of the robot's controller"),
+            "arm": (not {self.robot, self.arm} <= arms.keys() or self.robot == self.arm,
+                    f"{self.robot}, or the file of one that differs from it"),
             "tool.max_opening": (fits, f"metres up to {widest:g}"),
             "tool.latency": (0.0 <= tool.latency <= 5.0, "seconds"),
             "tool.mass": (0.0 <= tool.mass <= 50.0, "kilograms"),
@@ -208,16 +225,24 @@ class Cell:
             "speed.share": (0.0 < speed.share <= 1.0, "a share up to 1"),
             "scene_clearance": (0.0 <= self.scene_clearance <= 1.0, "metres, 0 or more"),
             "self_clearance": (0.0 <= self.self_clearance <= 1.0, "metres, 0 or more"),
-            "table_height": (table is None or math.isfinite(table), "metres"),
+            "table_height": (table is None or abs(table) < FARTHEST, "metres"),
             "workspace": (box, "its lowest corner, then the highest"),
+            "box, stand": (near, "metres, in the frame of the robot's base"),
             "box, stand, camera": (len(set(names)) == len(names), "each a name of its own"),
-        }
+            "camera.name": (plain, "letters, digits, '-', '_' and '.': it names a folder"),
+            "camera.serial": (one, "each its own"),
+            "camera.stated_error": (stated, "metres above 0, as gendom calibrate states it"),
+        }  # fmt: skip
         for name, (holds, fix) in checks.items():
             where = f"{self.path}: {name}"
-            require(holds, "is out of range", where=where, fix=f"give {fix}", error=DeviceError)
+            require(holds, "is not valid", where=where, fix=f"give {fix}", error=DeviceError)
         find_robot(self.robot)
-        for camera in self.camera:
+        for camera in seen:
             find_depth_camera(camera.device)
+        if self.simulated:
+            from gendom.reality import find_object
+
+            find_object(self.address)
 
     @cached_property
     def surroundings(self) -> Surroundings:
@@ -304,6 +329,8 @@ class Cell:
                 yield "does not say when it was calibrated", where, "give calibrated = YYYY-MM-DD"
             elif (days := (today - camera.calibrated).days) > OLD:
                 yield f"was calibrated {days} days ago", where, f"{fix} again"
+            elif days < -1:
+                yield f"is calibrated {-days} days from now", where, "correct the date"
             if not camera.stated_error <= LARGEST_ERROR:
                 said = "nothing" if math.isnan(camera.stated_error) else f"{camera.stated_error} m"
                 yield f"states {said} as its error", where, fix
@@ -452,6 +479,7 @@ class Cell:
 BARE = Cell(
     robot="simulated",
     address="",
+    arm=XARM7.name,
     tool=Tool(max_opening=XARM7.gripper.max_opening, latency=0.0),
     workspace=np.outer([-np.inf, np.inf], np.ones(3)),
     speed=SpeedLimits(tool=math.inf, share=1.0),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -123,11 +124,12 @@ class DepthCamera(Protocol):
 
 
 ROBOTS = {
-    "xarm7": "gendom.hardware.xarm7:XArm7",
-    "fr3": "gendom.hardware.franky:FrankaFR3",
+    "xarm7": "gendom.hardware.xarm7:XArmDriver",
+    "fr3": "gendom.hardware.franky:FrankaDriver",
     "simulated": "gendom.hardware.simulated:SimulatedRobot",
 }
-"""Robots by their names: what constructs one from the cell that it stands in."""
+"""Robots by their names: what makes one, or its `gendom.hardware.streaming.Driver`, from the cell
+that it stands in."""
 
 DEPTH_CAMERAS = {
     "realsense": "gendom.hardware.realsense:RealSenseCamera",
@@ -138,12 +140,17 @@ DEPTH_CAMERAS = {
 
 
 def find_robot(name: str) -> Any:
-    """The class of a robot: one of `ROBOTS`, or of an entry point ``gendom.robots``.
+    """What makes a robot from its cell: one of `ROBOTS`, or of an entry point ``gendom.robots``.
 
     Raises:
         DeviceError: There is none.
     """
-    return _find("robot", name, ROBOTS, plugins("robots"))
+    found = _find("robot", name, ROBOTS, plugins("robots"))
+    if not hasattr(found, "servo"):
+        return found
+    from gendom.hardware.streamed import StreamedRobot
+
+    return partial(StreamedRobot, driver=found)
 
 
 def find_depth_camera(name: str) -> Any:

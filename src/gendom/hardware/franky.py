@@ -20,7 +20,6 @@ from gendom.arrays import Array
 from gendom.errors import DeviceError
 from gendom.hardware.cell import Cell
 from gendom.hardware.contracts import RobotState
-from gendom.hardware.streamed import StreamedRobot
 from gendom.installation import how_to_install
 
 _GAIN = 10.0  # [1/s]; of the distance from the last command
@@ -34,15 +33,8 @@ _MODES = {
 }
 
 
-class FrankaFR3(StreamedRobot):
-    """A Franka Research 3 that streams joint velocities to its controller."""
-
-    def __init__(self, cell: Cell) -> None:
-        super().__init__(cell, FrankaDriver)
-
-
 class FrankaDriver:
-    """What `StreamedRobot` asks of the controller."""
+    """A `gendom.hardware.streaming.Driver` that streams joint velocities."""
 
     period = 0.01
     realtime = "Enforce"

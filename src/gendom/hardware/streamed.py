@@ -91,7 +91,7 @@ def _serve(link: Connection, board: _Board, cell: Cell, make: Callable[[Cell], D
             leaving.append("the program that moved the arm is gone")
         if leaving:
             streamer.brake(leaving[0])
-        if asked and not streamer.moving and not streamer.fingers.busy:
+        if asked and not streamer.moving and all(g.done() for g in streamer.grips):
             asked = False
             _answer(link, streamer)
         while (wait := due - time.monotonic()) > 0.0:
@@ -116,7 +116,7 @@ def _obey(order: tuple[str, Any], streamer: Streamer, leaving: list[str]) -> boo
         except Exception as error:
             streamer.ended = str(error)
     elif name == "grip":
-        streamer.fingers.move(what)
+        streamer.grip(what)
     elif name == "stop":
         streamer.brake("stopped")
     else:
@@ -125,7 +125,7 @@ def _obey(order: tuple[str, Any], streamer: Streamer, leaving: list[str]) -> boo
 
 
 def _answer(link: Connection, streamer: Streamer) -> None:
-    streamer.fault = streamer.fault or streamer.fingers.fault
+    streamer.fault = streamer.fault or streamer.grip_fault()
     kind = "fault" if streamer.fault else "refused" if streamer.ended else "done"
     with suppress(OSError):
         link.send((kind, streamer.fault or streamer.ended or ""))

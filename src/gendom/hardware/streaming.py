@@ -13,7 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -67,50 +67,6 @@ class Driver(Protocol):
     def disconnect(self) -> None: ...
 
 
-@dataclass(frozen=True)
-class _Line:
-    """Straight on in the space of joints, if what comes next on the path is no command."""
-
-    q: Array
-    speed: Array
-    begin: float
-    end: float = math.inf
-
-    def at(self, time: float) -> Array:
-        return self.q + (time - self.begin) * self.speed
-
-    def speed_at(self, time: float) -> Array:
-        return self.speed
-
-    def acceleration_at(self, time: float) -> Array:
-        return np.zeros_like(self.speed)
-
-
-class Fingers:
-    """Moves the gripper in a thread of its own: its commands may take seconds."""
-
-    def __init__(self, driver: Driver):
-        self.driver = driver
-        self.orders: list[Future[None]] = []
-        """All so far."""
-        self._thread = ThreadPoolExecutor(1)
-
-    @property
-    def busy(self) -> bool:
-        """Whether an order has not been carried out."""
-        return not all(order.done() for order in self.orders)
-
-    @property
-    def fault(self) -> str | None:
-        """Why one was not carried out."""
-        errors = (order.exception() for order in self.orders if order.done())
-        return next((str(error) for error in errors if error), None)
-
-    def move(self, opening: float) -> None:
-        """Order an opening [m]; returns at once."""
-        self.orders.append(self._thread.submit(self.driver.grip, opening))
-
-
 class Streamer:
     """Follows one motion at a time; `tick` is called once a period."""
 
@@ -119,7 +75,9 @@ class Streamer:
     ) -> None:
         self.driver, self.cell, self.clock = driver, cell, clock
         self.arm, self.limits = cell.model, cell.limited
-        self.fingers = Fingers(driver)
+        self.grips: list[Future[None]] = []
+        """Orders to the gripper; a thread of its own gives them, which may take seconds."""
+        self._hand = ThreadPoolExecutor(1)
         self.report = driver.report()
         self.command = self.report.q
         self.moving = False
@@ -166,8 +124,17 @@ class Streamer:
         self.braking, self.rate, self.moving = False, 1.0, True
         self._take_next()
 
+    def grip(self, opening: float) -> None:
+        """Order an opening [m]; returns at once."""
+        self.grips.append(self._hand.submit(self.driver.grip, opening))
+
+    def grip_fault(self) -> str | None:
+        """Why the gripper did not do what it was told."""
+        errors = (grip.exception() for grip in self.grips if grip.done())
+        return next((str(error) for error in errors if error), None)
+
     def _take_next(self) -> None:
-        self.motion: JointMotion | _Line = self._next.pop(0)
+        self.motion: JointMotion = self._next.pop(0)
         self.s = self.motion.time[0]
         self.began = math.nan if self._next else self.clock()
 
@@ -184,30 +151,25 @@ class Streamer:
         self.report = report = self.driver.report()
         if not self.moving:
             self.elapsed = math.nan
-            self.fault = self.fault or report.fault or self.fingers.fault
+            self.fault = self.fault or report.fault or self.grip_fault()
             return
         late, self.last = now - self.last - self.driver.period, now
         stop = report.fault or self._stalled(late)
         stop = stop or (None if self.braking else self._lost(report))
-        if stop:
-            self._halt(stop)
-            return
-        slow = self.fingers.fault or self._unseen(report, now)
-        if slow:
+        slow = self.grip_fault() or self._unseen(report, now)
+        if slow and not stop:
             self.brake(slow, fault=True)
         rate, s, q = self._advanced()
-        broken = None if self.braking else self._broken(q)
-        if broken:
-            self.motion = _Line(self.command, self.velocity, self.s)
-            self.brake(broken, fault=True)
-            rate, s, q = self._advanced()
+        if stop := stop or self._broken(q):
+            self._halt(stop)
+            return
         self.driver.servo(q)
         self.velocity = (q - self.command) / self.driver.period
         self.command, self.tool = q, tcp_pose(self.limits, q)[:3, 3]
         self._sent.append((now, q))
         self.rate, self.s, self.elapsed = rate, s, now - self.began
         while self._orders and not self._next and s >= self._orders[0][0] and not self.braking:
-            self.fingers.move(self._orders.pop(0)[1])
+            self.grip(self._orders.pop(0)[1])
         if rate == 0.0 or s >= self.motion.end:
             if self._next and not self.braking:
                 self._take_next()
@@ -258,6 +220,8 @@ class Streamer:
         """What is wrong with a command."""
         if not np.isfinite(q).all():
             return "a command is not finite; the motion is damaged: plan it again"
+        if self.braking:
+            return None
         arm, period = self.limits, self.driver.period
         p, (low, high) = tcp_pose(arm, q)[:3, 3], self.cell.workspace
         velocity = (q - self.command) / period

@@ -23,7 +23,6 @@ from gendom.arrays import Array
 from gendom.errors import DeviceError
 from gendom.hardware.cell import Cell
 from gendom.hardware.contracts import RobotState
-from gendom.hardware.streamed import StreamedRobot
 from gendom.installation import how_to_install
 
 SERVO_MODE = 1
@@ -40,15 +39,8 @@ _HELD, _GRIPPING = 0.5, 4.0  # [s]; fingers that stand so long hold something; t
 _LOOK = "check its cable and power, and look at UFACTORY Studio"
 
 
-class XArm7(StreamedRobot):
-    """An xArm 7 that streams joint angles to its controller."""
-
-    def __init__(self, cell: Cell) -> None:
-        super().__init__(cell, XArmDriver)
-
-
 class XArmDriver:
-    """What `StreamedRobot` asks of the controller."""
+    """A `gendom.hardware.streaming.Driver` that streams joint angles."""
 
     period = 0.01
 

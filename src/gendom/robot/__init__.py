@@ -3,6 +3,8 @@
 The robot's base is the world. NumPy and SciPy only; nothing here moves a real arm.
 """
 
+from typing import Any
+
 from gendom.arguments import require
 from gendom.errors import RobotError
 from gendom.plugins import plugins
@@ -24,6 +26,11 @@ from gendom.robot.path import DOWN, Deviation, GripperEvent, TcpPath, TcpPaths, 
 from gendom.robot.planning import follow, joint_move
 
 
+def known_arms() -> dict[str, Any]:
+    """Arms by their names: those that are shipped, and of entry points ``gendom.arms``."""
+    return {XARM7.name: XARM7, FR3.name: FR3, **plugins("arms")}
+
+
 def find_arm(name: str, *, files: bool = False) -> Arm:
     """The arm with a given name: xarm7, fr3, or one of an entry point ``gendom.arms``.
 
@@ -37,7 +44,7 @@ def find_arm(name: str, *, files: bool = False) -> Arm:
     """
     if files and str(name).lower().endswith((".urdf", ".xml", ".mjcf")):
         return read_arm(name)
-    arms = {XARM7.name: XARM7, FR3.name: FR3, **plugins("arms")}
+    arms = known_arms()
     fix = f"have {', '.join(arms)}" + ", or name a .urdf or .xml file" * files
     known = isinstance(arms.get(name), Arm)
     require(known, f"there is no robot {name!r}", fix=fix, error=RobotError)
@@ -71,6 +78,7 @@ __all__ = [
     "follow",
     "jacobian",
     "joint_move",
+    "known_arms",
     "lift",
     "link_poses",
     "pointing",
