@@ -273,7 +273,7 @@ def action(folder):
 
 
 def log(folder):
-    written = ExecutionLog(folder / "a.jsonl", {"format": "gendom-action/4"})
+    written = ExecutionLog(folder / "a.jsonl", {"format": ACTION_FORMAT})
     for k in range(4):
         q = np.zeros(7)
         written.tick(Tick(time=0.01 * k, command=q, measured=q, age=0.0, stamp=0.0))

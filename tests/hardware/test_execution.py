@@ -44,15 +44,11 @@ class FakeRobot:
     def state(self):
         return RobotState(time=time.monotonic(), q=self.q)
 
-    def approach(self, q):
-        self.calls.append("approach")
-        self.q = np.asarray(q)
-
     def play(self, motion, *, on_tick=None):
         self.calls.append("play")
         for k, t in enumerate(np.arange(0.0, motion.end, 0.01)):
             self.q = motion.at(t)
-            if k == 20 and self.fails is not None and self.calls.count("play") == 2:
+            if k == 20 and self.fails is not None and self.calls.count("play") == 3:
                 raise self.fails
             (on_tick or print)(Tick(time=t, command=self.q, measured=self.q, age=0.001, stamp=t))
             time.sleep(self.pace)
@@ -131,7 +127,7 @@ def test_an_action_of_an_arm_from_a_file_is_read_back_with_its_cell(made, tmp_pa
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda s: s.update(format="gendom-action/3"), "not 'gendom-action/4'; make it again"),
+        (lambda s: s.update(format="gendom-action/4"), "not 'gendom-action/5'; make it again"),
         (lambda s: s.pop("plan"), "holds no plan"),
         (lambda s: s["plan"].pop("approach"), "plan: object missing required field approach"),
         (lambda s: s["plan"].update(arm="ur5"), "there is no robot 'ur5'"),
@@ -174,7 +170,7 @@ def run_it(made, tmp_path, robot):
 def test_all_is_logged_in_order(made, tmp_path):
     robot = FakeRobot()
     run_it(made, tmp_path, robot)
-    order = ["connect", "gripper", "approach", "play", "gripper", "play", "disconnect"]
+    order = ["connect", "gripper", "play", "play", "gripper", "play", "disconnect"]
     assert robot.calls == order
     seen = read_log(tmp_path / "a.jsonl")
     assert [e["call"] for e in seen.events if "state" not in e and "call" in e] == order

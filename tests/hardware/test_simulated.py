@@ -52,7 +52,7 @@ def test_a_far_start_and_no_connection_are_refused(devices):
     far = shifted(cell.model.home + 0.03 * np.eye(7)[0], 0.1)
     with pytest.raises(DeviceError, match=r"1\.7 degrees .* first pose; approach it"):
         robot.play(far)
-    robot.approach(far.q[0])
+    robot.play(cell.approach(robot.state().q, far.q[0]))
     robot.play(far)
     robot.disconnect()
     with pytest.raises(DeviceError, match="is not connected"):

@@ -69,11 +69,11 @@ def test_a_robot_moves_grips_stops_and_keeps_its_faults(box, robot):
     assert box.gripper == pytest.approx(850.0 * 0.04 / 0.084, abs=12)
     with pytest.raises(DeviceError, match="approach it first"):
         robot.play(motion)
-    robot.approach(AWAY - 0.02)
+    approach(robot, AWAY - 0.02)
     assert box.true == pytest.approx(AWAY - 0.02, abs=1e-3)
     assert box.orders("mode") == [1, 0, 1, 0]
 
-    robot.approach(XARM7.home)
+    approach(robot, XARM7.home)
     threading.Timer(0.5, robot.stop).start()
     with pytest.raises(DeviceError, match="stopped"):
         robot.play(there_and())
@@ -83,28 +83,32 @@ def test_a_robot_moves_grips_stops_and_keeps_its_faults(box, robot):
         if tick.time > 0.4:
             raise ZeroDivisionError
 
-    robot.approach(XARM7.home)
+    approach(robot, XARM7.home)
     with pytest.raises(ZeroDivisionError):
         robot.play(there_and(), on_tick=fail)
     assert_braked(box)
     assert robot.state().fault is None
 
-    robot.approach(XARM7.home)
+    approach(robot, XARM7.home)
     threading.Timer(0.4, box.fail, [31]).start()
     with pytest.raises(DeviceError, match=r"C31: Collision.*clear it in UFACTORY Studio"):
         robot.play(there_and(0.1))
     box.code = 0
-    for order in (lambda: robot.approach(AWAY), lambda: robot.gripper(0.0)):
+    for order in (lambda: approach(robot, AWAY), lambda: robot.gripper(0.0)):
         with pytest.raises(DeviceError, match="C31"):
             order()
     assert "C31" in (robot.state().fault or "")
     robot.connect()
     assert robot.state().fault is None
-    robot.approach(XARM7.home)
+    approach(robot, XARM7.home)
     threading.Timer(0.5, robot._process.kill).start()
     with pytest.raises(DeviceError, match=r"gone or hangs.*emergency stop"):
         robot.play(there_and())
     assert "gone" in (robot.state().fault or "")
+
+
+def approach(robot, q):
+    robot.play(robot.cell.slow_move(robot.state().q, q))
 
 
 def assert_braked(box):

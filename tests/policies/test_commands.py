@@ -80,7 +80,7 @@ def test_act_prints_action_and_motion_in_the_robot_s_frame(act, tmp_path):
     assert code == 0 and err.endswith(f"written: {tmp_path / 'action.json'}\n")
     result = json.loads(out)
     assert result == read_json(tmp_path / "action.json")
-    assert result["format"] == "gendom-action/4"
+    assert result["format"] == "gendom-action/5"
     x, z = result["action"]["release_x"], result["action"]["release_z"]
     assert (x, z) == pytest.approx((0.15, 0.1), abs=0.005)
     motion = result["trajectory"]
@@ -148,7 +148,7 @@ def test_act_plans_what_execute_reads(act, tmp_path):
     assert read_json(points)["points"][-1]["positions"] == pytest.approx(motion.q[-1])
     said = read_json(out)
     assert said["plan"]["surroundings"]["table_height"] == 0.0
-    assert said["plan"]["motion"]["deviation"]["at_equal_times"] < 0.02
+    assert said["plan"]["motion"]["deviation"] < 0.02
     assert ("takes" in text) == any("times as long" in w for w in said["warnings"])
 
 

@@ -96,7 +96,7 @@ def test_inverse_kinematics_keeps_limits_and_leans_towards_home():
 
 @pytest.mark.parametrize("position", [(1.2, 0.0, 0.3), (0.5, 0.0, 1.5), (0.0, -0.9, 0.3)])
 def test_unreachable_poses_are_refused(position):
-    words = r"out of reach: the nearest found.*off by .*mm and .* degrees"
+    words = r"out of reach: missed by .*mm and .* degrees"
     with pytest.raises(RobotError, match=words):
         solutions(XARM7, pose(position))
 

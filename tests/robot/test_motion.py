@@ -125,7 +125,7 @@ def test_what_is_asked_too_fast_is_done_slower_on_the_same_path(asked, longest):
 
 def test_path_out_of_reach_names_its_time():
     path = make_path([0, 2], [[0.5, 0, 0.2], [1.1, 0, 0.2]])
-    with pytest.raises(RobotError, match=r"at t = \d\.\d+ s the path goes out of reach"):
+    with pytest.raises(RobotError, match=r"at t = \d\.\d+ s .* is out of reach: missed"):
         follow(XARM7, path)
     with pytest.raises(RobotError, match="out of reach"):
         follow(XARM7, replace(path, position=path.position[::-1]))
@@ -185,7 +185,7 @@ def test_joint_move_uses_what_binds():
     assert tool.limit_uses(XARM7)[-1].value == pytest.approx(1.0, rel=2e-3)
     half = joint_move(quick, XARM7.home, far, share=0.5)
     assert half.end == pytest.approx(2.0 * motion.end, rel=1e-2)
-    with pytest.raises(RobotError, match=r"joint 4 at 4\.0000 rad"):
+    with pytest.raises(RobotError, match=r"joint 4 at .* 4 rad"):
         joint_move(XARM7, XARM7.home, np.array([0, 0, 0, 4.0, 0, 0, 0]))
 
 

@@ -35,12 +35,7 @@ def test_a_blend_is_the_convolution_with_its_kernel(path):
     # deviation at a corner is as stated
     corner = np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.3, 0]])
     path = TcpPath(time=np.arange(3.0), position=corner, quat_xyzw=np.array(DOWN))
-    found = path.deviation(0.1)
-    assert found.at_equal_times == pytest.approx(3 / 32 * 0.3 * np.sqrt(2) * 0.1, rel=1e-6)
-    assert 0.5 < found.off_the_path / found.at_equal_times < 1.0
-    dense = path.position_at(np.linspace(0.9, 1.1, 401), 0.1)
-    off = np.minimum(np.abs(dense[:, 1]), np.abs(dense[:, 0] - 0.3))
-    assert found.off_the_path == pytest.approx(off.max(), rel=1e-2)
+    assert path.deviation(0.1) == pytest.approx(3 / 32 * 0.3 * np.sqrt(2) * 0.1, rel=1e-6)
 
 
 def test_pointing_gives_the_axes_asked_for():

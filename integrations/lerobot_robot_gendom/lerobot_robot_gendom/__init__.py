@@ -87,7 +87,7 @@ class GendomRobot(Robot):
         arm = self._robot.arm
         q = np.array([float(action[name]) for name in self._joints])
         q = np.clip(q, arm.q_min, arm.q_max)
-        self._robot.approach(q)
+        self._robot.play(self._cell.approach(self._robot.state().q, q))
         sent = dict(zip(self._joints, map(float, q), strict=True))
         if (opening := action.get("gripper.pos")) is not None and np.isfinite(opening):
             self._robot.gripper(float(np.clip(opening, 0.0, arm.gripper.max_opening)))

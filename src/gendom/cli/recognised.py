@@ -285,7 +285,7 @@ def _toml(place: Path) -> Finding:
 
 def _json(place: Path) -> Finding:
     form = read_json(place, RecordingError).get("format")
-    if form == "gendom-action/4":
+    if form == "gendom-action/5":
         found = Finding("an action")
         found.step("Show it in a cell.", "execute", place, "--cell", "cell.toml")
         return found

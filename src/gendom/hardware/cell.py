@@ -384,14 +384,15 @@ class Cell:
         )
 
     def approach(self, q_from: Array, q_to: Array) -> JointMotion:
-        """A slow move with the fingers open: straight, or with a stop where some joints have moved
-        and the others not yet.
+        """A slow move from where the arm is, with the fingers open: straight, or with a stop where
+        some joints have moved and the others not yet.
 
         Raises:
             RobotError: It comes too near to something.
         """
         around: Any = {"surroundings": self.surroundings, "opening": self.tool.max_opening}
         joint, refused = np.arange(self.model.joints), None
+        q_from = np.clip(q_from, self.model.q_min, self.model.q_max)  # as measured
         masks = [mask for k in joint[1:] for mask in (joint < k, joint >= k)]
         for via in (None, *(np.where(mask, q_to, q_from) for mask in masks)):
             try:

@@ -39,32 +39,23 @@ _BLOCKS = 8  # of pictures in a row that the jackknife leaves out
 _Seen = tuple[Array, Array, Array, Array]  # the tool's pose, its velocity, points of the body
 
 
-def clock_offsets(folder: Path, arm: Arm) -> dict[str, tuple[float, float]]:
-    """By how much each camera's clock is ahead of the robot's, and the standard deviation [s];
-    cameras that do not show it are left out.
+def check_clocks(folder: Path, arm: Arm) -> dict[str, tuple[float, float]]:
+    """By how much each camera's clock is ahead of the robot's, and the standard deviation [s], also
+    written into the folder's recording.json; cameras that do not show it are left out.
 
     Args:
         folder: A recording, as `gendom.perception.read_cameras` reads it, with joints.csv.
         arm: The robot.
 
     Raises:
-        GendomError: It cannot be read.
-    """
-    states = read_joints(folder / "joints.csv", arm)
-    tool = tcp_pose(arm, states.q)
-    every = read_cameras(folder, arm=arm).sources
-    found = {s.camera.name: _slope(_seen(s, states.time, tool, arm)) for s in every}
-    return {name: offset for name, offset in found.items() if offset is not None}
-
-
-def check_clocks(folder: Path, arm: Arm) -> dict[str, tuple[float, float]]:
-    """`clock_offsets`, written into the folder's recording.json.
-
-    Raises:
         DeviceError: A clock is off by more than `MAX_OFFSET`.
         GendomError: The recording cannot be read.
     """
-    offsets, wrong = clock_offsets(folder, arm), []
+    states, wrong = read_joints(folder / "joints.csv", arm), []
+    tool = tcp_pose(arm, states.q)
+    every = read_cameras(folder, arm=arm).sources
+    found = {s.camera.name: _slope(_seen(s, states.time, tool, arm)) for s in every}
+    offsets = {name: offset for name, offset in found.items() if offset is not None}
     for name, (offset, sd) in offsets.items():
         if abs(offset) - 2.0 * sd > MAX_OFFSET:
             what = f"camera {name}: its clock is {1e3 * offset:+.0f} ms off the robot's"

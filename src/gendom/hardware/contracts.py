@@ -9,8 +9,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from numpy.typing import ArrayLike
-
 from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import DeviceError, did_you_mean
@@ -47,9 +45,6 @@ class Robot(Protocol):
         """Raises: `DeviceError` where there is no robot, or it has a fault."""
 
     def state(self) -> RobotState: ...
-
-    def approach(self, q: ArrayLike) -> None:
-        """Move slowly, point to point, to joint angles [J] [rad]."""
 
     def play(self, motion: JointMotion, *, on_tick: Callable[[Tick], None] | None = None) -> None:
         """Follow a motion in real time, its gripper events included.

@@ -28,7 +28,7 @@ from gendom.hardware.contracts import Robot, Tick
 from gendom.reading import parse_json, read_bytes, read_json, record_of
 from gendom.robot import Arm, JointMotion, find_arm, tcp_pose
 
-ACTION_FORMAT = "gendom-action/4"
+ACTION_FORMAT = "gendom-action/5"
 LOG_FORMAT = "gendom-execution/1"
 
 _FIX = "make it again with gendom act --cell"
@@ -323,7 +323,7 @@ def execute(
     try:
         told.connect()
         told.gripper(cell.tool.max_opening)
-        told.approach(planned.approach.q[0])  # home, from wherever the arm is, if that way is free
+        told.play(cell.approach(told.state().q, planned.approach.q[0]))  # from wherever it is
         told.play(planned.approach)
         ready()
         told.gripper(planned.opening)

@@ -19,7 +19,6 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from gendom.arguments import require
 from gendom.arrays import Array
@@ -120,9 +119,6 @@ class SimulatedRobot:
         put it where a trial has it, its end between the fingers."""
         self._begin(trial or lift(self.item), self.state().q)
         self.world.step_to(START_DELAY if trial else SETTLE)
-
-    def approach(self, q: ArrayLike) -> None:
-        self._follow(self.cell.approach(self.state().q, np.asarray(q, dtype=float)), None)
 
     def play(self, motion: JointMotion, *, on_tick: Callable[[Tick], None] | None = None) -> None:
         self._check_connected()

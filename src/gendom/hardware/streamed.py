@@ -19,7 +19,6 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from gendom.arguments import check_number, require
 from gendom.arrays import Array
@@ -30,7 +29,6 @@ from gendom.hardware.streaming import Driver, Streamer
 from gendom.robot import JointMotion
 
 _CONNECTING, _STARTING, _SILENT = 20.0, 60.0, 5.0  # [s]; to connect, to start, without a row
-_SETTLES, _STILL = 2.0, 5e-4  # [s], [rad]; an arm that was stopped comes to rest
 _ROWS, _TEXT = 1 << 14, 2000  # of the board; ticks of 160 s
 _REPORT = "press the emergency stop, then look at the controller"
 
@@ -92,8 +90,10 @@ def _serve(link: Connection, board: _Board, cell: Cell, make: Callable[[Cell], D
         if leaving:
             streamer.brake(leaving[0])
         if asked and not streamer.moving and all(g.done() for g in streamer.grips):
-            asked = False
-            _answer(link, streamer)
+            asked, streamer.fault = False, streamer.fault or streamer.grip_fault()
+            kind = "fault" if streamer.fault else "refused" if streamer.ended else "done"
+            with suppress(OSError):
+                link.send((kind, streamer.fault or streamer.ended or ""))
         while (wait := due - time.monotonic()) > 0.0:
             try:
                 if not link.poll(wait):
@@ -109,26 +109,17 @@ def _serve(link: Connection, board: _Board, cell: Cell, make: Callable[[Cell], D
 def _obey(order: tuple[str, Any], streamer: Streamer, leaving: list[str]) -> bool:
     """Carry out an order of the program; whether it waits for an answer."""
     name, what = order
-    streamer.ended = None if name in ("play", "grip") else streamer.ended
-    if name == "play":
+    if name == "stop":
+        streamer.brake("stopped")
+    elif name == "end":
+        leaving.append("disconnected")
+    else:
+        streamer.ended = None
         try:
-            streamer.start(what)
+            (streamer.start if name == "play" else streamer.grip)(what)
         except Exception as error:
             streamer.ended = str(error)
-    elif name == "grip":
-        streamer.grip(what)
-    elif name == "stop":
-        streamer.brake("stopped")
-    else:
-        leaving.append("disconnected")
     return name in ("play", "grip")
-
-
-def _answer(link: Connection, streamer: Streamer) -> None:
-    streamer.fault = streamer.fault or streamer.grip_fault()
-    kind = "fault" if streamer.fault else "refused" if streamer.ended else "done"
-    with suppress(OSError):
-        link.send((kind, streamer.fault or streamer.ended or ""))
 
 
 class StreamedRobot:
@@ -197,19 +188,6 @@ class StreamedRobot:
             fault=fault,
         )
 
-    def approach(self, q: ArrayLike) -> None:
-        """Move slowly, point to point, around nothing: a way that touches something is refused.
-
-        Raises:
-            RobotError: The pose is out of the limits, or the arm would touch something.
-            DeviceError: As `play`.
-        """
-        state, cell = self._at_rest(), self.cell
-        at = np.clip(state.q, self.arm.q_min, self.arm.q_max)
-        opening = cell.tool.max_opening if state.opening is None else state.opening
-        q = np.asarray(q, dtype=float)
-        self.play(cell.slow_move(at, q, surroundings=cell.surroundings, opening=opening))
-
     def play(self, motion: JointMotion, *, on_tick: Callable[[Tick], None] | None = None) -> None:
         """Follow a motion; `gendom.hardware.Robot.play`."""
         self._do("play", motion, on_tick)
@@ -243,18 +221,6 @@ class StreamedRobot:
         fix = "then connect() again"
         require(state.fault is None, state.fault or "", fix=fix, error=DeviceError)
         return state
-
-    def _at_rest(self) -> RobotState:
-        """The state once two reports agree: after a stop the arm still swings a little."""
-        end = time.monotonic() + _SETTLES
-        before = self._ready()
-        while True:
-            time.sleep(0.05)
-            state = self._ready()
-            new = state.time > before.time
-            if (new and np.abs(state.q - before.q).max() < _STILL) or time.monotonic() > end:
-                return state
-            before = state if new else before
 
     def _do(self, name: str, what: Any, on_tick: Callable[[Tick], None] | None = None) -> None:
         """Give an order and wait until it is done; Ctrl-C and errors of `on_tick` stop the arm."""

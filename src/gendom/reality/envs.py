@@ -189,12 +189,11 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             return self._observe(), REFUSED, True, False, info
         values = task.outcome(item, observe(task, run))
         arm, reward = run.motion, next(iter(values.values()))
-        deviation = None if arm is None else arm.deviation
         info = values | info
         info |= {
             "reached": np.array([values[q.name] for q in task.goals]),
             "slowed_by": 1.0 if arm is None else arm.slowed_by,
-            "deviation": 0.0 if deviation is None else deviation.at_equal_times,
+            "deviation": 0.0 if arm is None else arm.deviation,
         }
         if task.goals:
             reward = -task.error(item, self._seen["goal"], values)

@@ -22,7 +22,7 @@ from gendom.robot.kinematics import (
 )
 from gendom.robot.motion import JointMotion, JointStates, read_joints
 from gendom.robot.motions import LIFT_ENDS, MOTION_FORMAT, LiftMotion, lift, predefined_lift
-from gendom.robot.path import DOWN, Deviation, GripperEvent, TcpPath, TcpPaths, pointing
+from gendom.robot.path import DOWN, GripperEvent, TcpPath, TcpPaths, pointing
 from gendom.robot.planning import follow, joint_move
 
 
@@ -60,7 +60,6 @@ __all__ = [
     "Arm",
     "Box",
     "CollisionChecker",
-    "Deviation",
     "FingerCapsule",
     "GripperEvent",
     "JointMotion",

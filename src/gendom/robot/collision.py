@@ -8,7 +8,7 @@ looked at where the arm is `Arm.holding` it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -94,6 +94,17 @@ class Post:
         return segments_apart(start, end, self.start, self.end) - self.radius
 
 
+@dataclass(frozen=True)
+class _Table:
+    """The half space below a height [m]."""
+
+    height: float
+    name: str = "table"
+
+    def distance(self, start: Array, end: Array) -> Array:
+        return np.minimum(start[..., 2], end[..., 2]) - self.height
+
+
 def _require(one: Box | Post, holds: Any, what: str, fix: str) -> None:
     require(holds, what, where=one.name, fix=fix, error=RobotError)
 
@@ -126,7 +137,7 @@ NO_OBSTACLES = Surroundings()
 """No obstacles: only self-collision of the arm is checked."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Collision:
     """A collision of two bodies."""
 
@@ -135,21 +146,13 @@ class Collision:
     second: str
     """Another one, "table", or an obstacle's name."""
     depth: float
-    """How far they overlap at worst, or come below the clearance [m]."""
-    clearance: float = 0.0
-    """Least distance asked of them [m]."""
+    """How far they overlap at worst, or come below the clearance asked of them [m]."""
     time: float | None = None
-    """When they first touch [s]; None: at a pose."""
-    deepest: float | None = None
-    """When they overlap most [s]."""
+    """When they are first too near [s]; None: at a pose."""
 
     def __str__(self) -> str:
-        far, both = f"{1e3 * self.depth:.1f} mm", f"{self.first} and {self.second}"
-        near = f"less than {1e3 * self.clearance:.3g} mm apart, {far} too near"
-        if self.time is None or self.deepest is None:
-            return f"{both} {f'are {near}' if self.clearance else f'overlap by {far}'}"
-        how = f"come {near}" if self.clearance else f"collide, {far} deep"
-        return f"from t = {self.time:.3f} s on {both} {how} at t = {self.deepest:.3f} s"
+        when = "" if self.time is None else f"from t = {self.time:.3f} s on "
+        return f"{when}{self.first} and {self.second} are {1e3 * self.depth:.1f} mm too near"
 
 
 class CollisionChecker:
@@ -180,19 +183,19 @@ class CollisionChecker:
         home -= shape.radius[first] + shape.radius[second]
         apart = (np.abs(between) > 2) | ((np.abs(between) == 2) & (home >= 0.0))
         self._first, self._second = first[apart], second[apart]
-        self._moving = np.flatnonzero(link > 0)
-        held = [c for c, capsule in enumerate(arm.capsules) if capsule.held]
-        self._above = np.setdiff1d(self._moving, held)
-        asked = surroundings.self_clearance
-        own = np.where((np.abs(between) > 2) | (home >= asked), asked, 0.0)[apart]
-        names, around = shape.names, surroundings.obstacles
-        pairs, margin = list(zip(self._first, self._second, strict=True)), [own]
-        self.pairs = tuple((names[a], names[b]) for a, b in pairs)
-        if surroundings.table_height is not None:
-            self.pairs += tuple((names[c], "table") for c in self._above)
-            margin.append(surroundings.clearance * ~shape.touches_object[self._above])
-        self.pairs += tuple((names[c], other.name) for other in around for c in self._moving)
-        margin.append(np.full(len(around) * len(self._moving), surroundings.clearance))
+        moving = np.flatnonzero(link > 0)
+        asked, least = surroundings.self_clearance, surroundings.clearance
+        margin = [np.where((np.abs(between) > 2) | (home >= asked), asked, 0.0)[apart]]
+        self._around = [(obstacle, moving) for obstacle in surroundings.obstacles]
+        margin += [np.full(len(moving), least) for _ in self._around]
+        if surroundings.table_height is not None:  # which the fingers and what they hold may touch
+            held = [c for c, capsule in enumerate(arm.capsules) if capsule.held]
+            above = np.setdiff1d(moving, held)
+            self._around.insert(0, (_Table(surroundings.table_height), above))
+            margin.insert(1, least * ~shape.touches_object[above])
+        pairs = [(a, shape.names[b]) for a, b in zip(self._first, self._second, strict=True)]
+        pairs += [(c, other.name) for other, own in self._around for c in own]
+        self.pairs = tuple((shape.names[c], name) for c, name in pairs)
         self._margin, self._link = np.concatenate(margin), link
 
     def distance(self, q: ArrayLike) -> Array:
@@ -204,7 +207,7 @@ class CollisionChecker:
         """The deepest collision at joint angles [J] [rad], or None."""
         gaps = self._gaps(q)
         k = int(np.argmin(gaps))
-        return self._collision(k, gaps[k]) if gaps[k] < 0.0 else None
+        return Collision(*self.pairs[k], depth=float(-gaps[k])) if gaps[k] < 0.0 else None
 
     def along(self, motion: JointMotion) -> Collision | None:
         """The first collision of a motion, or None.
@@ -240,9 +243,7 @@ class CollisionChecker:
             touches = self._gaps(motion.at(middle)).min() < 0.0
             free, begin = (free, middle) if touches else (middle, begin)
         pair = int(np.argmin(self._gaps(motion.at(begin))))
-        deepest = int(np.argmin(gap[:, pair]))
-        found = self._collision(pair, gap[deepest, pair])
-        return replace(found, time=begin, deepest=float(time[deepest]))
+        return Collision(*self.pairs[pair], depth=float(-gap[:, pair].min()), time=begin)
 
     def check(self, motion: JointMotion) -> None:
         """Refuse a motion through a collision.
@@ -261,12 +262,6 @@ class CollisionChecker:
         """[..., P] distances above the clearances [m], or lower bounds of those above `_NEAR`."""
         return self._distance(self.arm.check_q(q), self._margin + _NEAR) - self._margin
 
-    def _collision(self, pair: int, gap: float) -> Collision:
-        """That of a pair with a gap below 0 [m]."""
-        first, second = self.pairs[pair]
-        margin = float(self._margin[pair])
-        return Collision(first=first, second=second, depth=float(-gap), clearance=margin)
-
     def _distance(self, q: Array, near: Array) -> Array:
         """[..., P] distances [m], or lower bounds where those are above `near` [P]."""
         flat = q.reshape(-1, self.arm.joints)
@@ -277,7 +272,7 @@ class CollisionChecker:
         shape = arm_shape(self.arm, q, self.opening)
         start, end, radius = shape.start, shape.end, shape.radius
         middle, half = 0.5 * (start + end), 0.5 * np.linalg.norm(end - start, axis=-1) + radius
-        first, second, moving = self._first, self._second, self._moving
+        first, second = self._first, self._second
         found = np.empty((len(q), len(self.pairs)))
         own = found[:, : len(first)]
         own[:] = np.linalg.norm(middle[:, first] - middle[:, second], axis=-1)
@@ -287,17 +282,13 @@ class CollisionChecker:
         apart = segments_apart(start[row, a], end[row, a], start[row, b], end[row, b])
         own[row, pair] = apart - (radius[a] + radius[b])
         k = len(first)
-        if self.surroundings.table_height is not None:
-            low = np.minimum(start[..., 2], end[..., 2]) - radius
-            k += len(self._above)
-            found[:, len(first) : k] = low[:, self._above] - self.surroundings.table_height
-        for obstacle in self.surroundings.obstacles:
-            here = found[:, k : k + len(moving)]
-            here[:] = obstacle.distance(middle[:, moving], middle[:, moving]) - half[:, moving]
-            row, pair = np.nonzero(here < near[k : k + len(moving)])
-            a = moving[pair]
+        for obstacle, some in self._around:
+            here = found[:, k : k + len(some)]
+            here[:] = obstacle.distance(middle[:, some], middle[:, some]) - half[:, some]
+            row, pair = np.nonzero(here < near[k : k + len(some)])
+            a = some[pair]
             here[row, pair] = obstacle.distance(start[row, a], end[row, a]) - radius[a]
-            k += len(moving)
+            k += len(some)
         return found
 
     @cached_property
@@ -315,9 +306,7 @@ class CollisionChecker:
         joint = np.arange(arm.joints)[:, None]
         lever = np.where(link > joint, steps[link - 1] - steps[joint] + own, 0.0)
         between = np.where(joint >= link[self._first], lever[:, self._second], 0.0)
-        table = [] if self.surroundings.table_height is None else [lever[:, self._above]]
-        others = [lever[:, self._moving]] * len(self.surroundings.obstacles)
-        return np.concatenate([between, *table, *others], axis=1)
+        return np.concatenate([between, *(lever[:, own] for _, own in self._around)], axis=1)
 
 
 def _rotation_bound(motion: JointMotion, a: Array, b: Array) -> Array:

@@ -33,7 +33,7 @@ EXCESS, MOST_CAPSULES = 0.03, 4
 """How far a link's capsules may stick out of its shapes [m], and how many there are at most, with
 which they may stick out further."""
 
-_LARGEST, _LARGEST_ASSETS = 1 << 22, 1 << 24  # of the file and of all that it names [bytes]
+_LARGEST, _LARGEST_ASSETS = 1 << 22, 1 << 27  # of the file and of all that it names [bytes]
 
 _MOST_TRIANGLES, _LARGEST_LINK = 300_000, 3.0  # of all links, and of one [m]
 _FINGER = 0.045  # length of a finger [m]
@@ -125,7 +125,10 @@ def _hand(path: Path) -> Hand:
 
 def _compiled(path: Path, mujoco: Any) -> tuple[Any, dict[str, float]]:
     """MuJoCo's model of a file, and the largest speeds that a URDF has by joints' names [rad/s]."""
-    data, fix = read_bytes(path, RobotError, most=_LARGEST), "give a URDF or MJCF file of one arm"
+    data, fix = (
+        read_bytes(path, RobotError, most=_LARGEST),
+        "give a URDF or MJCF file of one arm, its meshes as STL or OBJ",
+    )
     plain = not any(word in data for word in (b"<!DOCTYPE", b"<!ENTITY", b"\0"))
     require(plain, "declares entities", where=str(path), fix=fix, error=RobotError)
     try:

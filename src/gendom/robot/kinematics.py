@@ -128,9 +128,7 @@ def solutions(arm: Arm, T_base_tcp: ArrayLike) -> list[Array]:
     good = reached(error)
     if not good.any():
         k = int(np.argmin(_size(error)))
-        x, y, z = tcp_pose(arm, q[k])[:3, 3]
-        what = f"{describe(T)} is out of reach: the nearest found, ({x:.3f}, {y:.3f}, {z:.3f}) m, "
-        what += f"is off by {missed(arm, q[k], error[k])}"
+        what = out_of_reach(arm, T, q[k], error[k])
         fix = "move it nearer to the base or turn the gripper"
         raise RobotError(what, where=arm.name, fix=fix)
     q = _unwound(arm, q[good], rest)
@@ -254,20 +252,15 @@ def _check_pose(T: ArrayLike) -> Array:
     return T
 
 
-def describe(T_base_tcp: Array) -> str:
-    """A pose in words: position [m] and quat_xyzw."""
-    x, y, z = T_base_tcp[:3, 3]
-    quat = Rotation.from_matrix(T_base_tcp[:3, :3]).as_quat()
+def out_of_reach(arm: Arm, T_base_tcp: Array, q: Array, error: Array) -> str:
+    """That angles [J] miss a pose by an error (`pose_error`), in words."""
+    x, y, z, *quat = *T_base_tcp[:3, 3], *Rotation.from_matrix(T_base_tcp[:3, :3]).as_quat()
     turn = ", ".join(f"{value:.3f}" for value in quat)
-    return f"position ({x:.3f}, {y:.3f}, {z:.3f}) m, quat_xyzw ({turn})"
-
-
-def missed(arm: Arm, q: Array, error: Array) -> str:
-    """By how much angles [J] miss a pose (`pose_error`), in words, and which are at their ends."""
-    off = f"{1e3 * np.linalg.norm(error[:3]):.2g} mm and "
-    off += f"{np.degrees(np.linalg.norm(error[3:])):.2g} degrees"
     held = [str(j + 1) for j in np.flatnonzero((q <= arm.q_min) | (q >= arm.q_max))]
-    return off + (f", joint {' and '.join(held)} at its end" if held else "")
+    far, angle = 1e3 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
+    what = f"({x:.3f}, {y:.3f}, {z:.3f}) m, quat_xyzw ({turn}), is out of reach: missed by "
+    at_end = f", joint {' and '.join(held)} at its end" if held else ""
+    return f"{what}{far:.2g} mm and {angle:.2g} degrees{at_end}"
 
 
 # ---- where the arm's capsules are ---------------------------------------------------------------

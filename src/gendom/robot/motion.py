@@ -20,7 +20,7 @@ from gendom.files import atomic_path
 from gendom.reading import read_number_table
 from gendom.robot.arm import Arm
 from gendom.robot.kinematics import jacobian, tcp_pose
-from gendom.robot.path import Deviation, GripperEvent
+from gendom.robot.path import GripperEvent
 
 RATE = 100.0
 """Rows a second of written files [1/s]."""
@@ -28,7 +28,7 @@ RATE = 100.0
 _TOLERANCE = 1e-9  # share by which a limit may be passed, for rounding
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class LimitUse:
     """The largest value of one kind in a motion, beside its limit."""
 
@@ -40,19 +40,13 @@ class LimitUse:
     """[s]."""
     value: float
     limit: float
-    lower: bool = False
-    """The limit is the lower end of a range."""
+    share: float
+    """Of the limit; of an angle of half its range, from the middle."""
 
     @property
     def exceeded(self) -> bool:
         """Whether the value is beyond its limit."""
-        excess = self.limit - self.value if self.lower else self.value - self.limit
-        return excess > _TOLERANCE * abs(self.limit)
-
-    @property
-    def share(self) -> float:
-        """The value over its limit, signs left out."""
-        return abs(self.value / self.limit) if self.limit != 0.0 else math.inf
+        return self.share > 1.0 + _TOLERANCE
 
     def __str__(self) -> str:
         unit = {"angle": "rad", "speed": "rad/s", "acceleration": "rad/s^2"}
@@ -78,8 +72,8 @@ class JointMotion:
     """When the gripper closes and opens, in order of time."""
     blend: float = 0.0
     """Time over which the path's corners were rounded off [s]."""
-    deviation: Deviation | None = None
-    """Deviation from the ideal path; None: the motion was not made from a path."""
+    deviation: float = 0.0
+    """Largest distance of the tool from the ideal path at the same time [m]."""
     slowed_by: float = 1.0
     """Duration over the duration of the path."""
 
@@ -150,28 +144,25 @@ class JointMotion:
             self.spline.derivative(order).roots(discontinuity=False, extrapolate=False)
             for order in (1, 2)
         ]
-        middle, fastest = 0.5 * (arm.q_min + arm.q_max), (arm.max_speed, arm.max_acceleration)
+        middle, half = 0.5 * (arm.q_min + arm.q_max), 0.5 * (arm.q_max - arm.q_min)
+        limits = {"angle": half, "speed": arm.max_speed, "acceleration": arm.max_acceleration}
         uses = []
         for j in range(arm.joints):
-            for order, kind in enumerate(("angle", "speed", "acceleration")):
+            for order, (kind, most) in enumerate(limits.items()):
                 inside = turns[order][j] if order < 2 else np.empty(0)
                 t = np.concatenate([self.time, inside[np.isfinite(inside)]])
-                value = self.spline(t, order)[:, j]
-                k = int(np.argmax(np.abs(value - middle[j] if order == 0 else value)))
-                lower = order == 0 and bool(value[k] < middle[j])
-                if order == 0:
-                    most, limit = value[k], (arm.q_min if lower else arm.q_max)[j]
-                else:
-                    most, limit = abs(value[k]), fastest[order - 1][j]
-                uses.append(LimitUse(kind=kind, joint=j + 1, time=float(t[k]), value=float(most),
-                                     limit=float(limit), lower=lower))  # fmt: skip
+                off = self.spline(t, order)[:, j] - (0.0 if order else middle[j])
+                k = int(np.argmax(np.abs(off)))
+                uses.append(_use(kind, j + 1, t[k], abs(off[k]), most[j]))
+                if order == 0:  # an angle's limit is an end of its range
+                    sign = np.copysign(1.0, off[k])
+                    value, limit = middle[j] + off[k], middle[j] + sign * most[j]
+                    uses[-1] = replace(uses[-1], value=float(value), limit=float(limit))
         t = np.sort(np.concatenate([self.time, 0.5 * (self.time[1:] + self.time[:-1])]))
         rates = jacobian(arm, self.at(t))[:, :3] @ self.speed_at(t)[..., None]
         speed = np.linalg.norm(rates[..., 0], axis=1)
         k = int(np.argmax(speed))
-        uses.append(LimitUse(kind="tool speed", joint=None, time=float(t[k]),
-                             value=float(speed[k]), limit=arm.max_tcp_speed))  # fmt: skip
-        return uses
+        return [*uses, _use("tool speed", None, t[k], speed[k], arm.max_tcp_speed)]
 
     def check_limits(self, arm: Arm) -> None:
         """Check that the motion is within the arm's limits.
@@ -231,11 +222,9 @@ class JointMotion:
         Raises:
             RobotError: The start of the other motion differs by more than 1e-4 rad.
         """
-        gap = np.abs(other.q[0] - self.q[-1])
-        j = int(gap.argmax())
-        what = f"joint {j + 1} ends at {self.q[-1, j]:.4f} rad and the next motion starts at "
-        what += f"{other.q[0, j]:.4f}"
-        _require(gap[j] <= 1e-4, what, fix="put a joint move between them")
+        gap = float(np.abs(other.q[0] - self.q[-1]).max())
+        what = f"ends {gap:.4f} rad from where the next one starts"
+        _require(gap <= 1e-4, what, fix="put a joint move between them")
         late = other.shifted(self.end - other.start)
         return JointMotion(
             time=np.concatenate([self.time, late.time[1:]]),  # the common knot is kept once
@@ -337,6 +326,10 @@ def read_joints(
         )[check]
         raise RobotError(what, where=f"{path}, line {lines[k]}", fix=fix)
     return JointStates(time, q, opening[:, 0] if opening.size else None)
+
+
+def _use(kind: str, joint: int | None, time: float, value: float, limit: float) -> LimitUse:
+    return LimitUse(kind, joint, float(time), float(value), float(limit), float(value / limit))
 
 
 def _require(holds: Any, what: str, *, fix: str | None = None) -> None:

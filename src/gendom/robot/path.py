@@ -68,16 +68,6 @@ class GripperEvent:
     """True: it closes; False: it opens."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Deviation:
-    """Deviation of a rounded path from the ideal one."""
-
-    at_equal_times: float
-    """Largest distance of the two at the same time [m]."""
-    off_the_path: float
-    """Largest distance from the ideal path, whenever that is there [m]."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TcpPath:
     """A timed path of the tool point; before its start and after its end the tool stands still.
@@ -189,22 +179,12 @@ class TcpPath:
         """[J] times [s] at which the ideal path's velocity jumps."""
         return self._jumps[1]
 
-    def deviation(self, blend: float) -> Deviation:
-        """How far the path rounded off by `blend` [s] is from the ideal one (with its own blend, if
-        it has one)."""
-        near = np.linspace(-0.5 * blend, 0.5 * blend, 41)
-        time = np.unique(np.add.outer(self.corners, near))
-        rounded = self.position_at(time, blend)
-        late = np.linalg.norm(rounded - self.position_at(time, self.blend or 0.0), axis=-1)
-        off = np.full(len(time), np.inf)
-        for a, b in zip(self.position[:-1], self.position[1:], strict=True):
-            length2 = (b - a) @ (b - a)
-            along = np.clip((rounded - a) @ (b - a) / length2, 0.0, 1.0) if length2 > 0.0 else 0.0
-            nearest = a + np.multiply.outer(along, b - a)
-            off = np.minimum(off, np.linalg.norm(rounded - nearest, axis=-1))
-        if len(time) == 0:
-            return Deviation(at_equal_times=0.0, off_the_path=0.0)
-        return Deviation(at_equal_times=float(late.max()), off_the_path=float(off.max()))
+    def deviation(self, blend: float) -> float:
+        """Largest distance of the path rounded off by `blend` [s] from the ideal one (with its own
+        blend, if it has one) at the same time [m]."""
+        time = np.add.outer(self.corners, np.linspace(-0.5 * blend, 0.5 * blend, 41))
+        late = self.position_at(time, blend) - self.position_at(time, self.blend or 0.0)
+        return float(np.linalg.norm(late, axis=-1).max(initial=0.0))
 
     def moved(self, T: ArrayLike) -> TcpPath:
         """Return the path transformed by `T` [4, 4] [m] from its frame to another one."""

@@ -16,8 +16,7 @@ from gendom.robot.arm import Arm
 from gendom.robot.collision import NO_OBSTACLES, CollisionChecker, Surroundings
 from gendom.robot.kinematics import (
     descend,
-    describe,
-    missed,
+    out_of_reach,
     pose_error,
     reached,
     solutions,
@@ -80,12 +79,6 @@ def joint_move(
     fix = "give 0 < share <= 1"
     require(0.0 < share <= 1.0, f"share is {share}", where="joint move", fix=fix, error=RobotError)
     ends = [arm.check_q(q) for q in (q_from, q_to)]
-    for q in ends:
-        out = (q < arm.q_min) | (q > arm.q_max)
-        j = int(np.argmax(out))
-        what = f"joint {j + 1} at {q[j]:.4f} rad, limits {arm.q_min[j]:.4f} to {arm.q_max[j]:.4f}"
-        where, fix = f"move of {arm.name}", "choose another configuration"
-        require(not out.any(), what, where=where, fix=fix, error=RobotError)
     distance = np.abs(ends[1] - ends[0]) / share
     least = [
         15.0 / 8.0 * distance / arm.max_speed,
@@ -100,6 +93,7 @@ def joint_move(
     # The tool may be too fast, and the spline through the knots misses the quintic by 1e-6.
     slower = replace(arm, max_tcp_speed=share * arm.max_tcp_speed)
     motion = replace(motion.stretched(max(1.0, motion.slowdown(slower))), slowed_by=1.0)
+    motion.check_limits(arm)
     CollisionChecker(arm, surroundings, opening=opening).check(motion)
     return motion
 
@@ -313,6 +307,6 @@ def _not_followed(arm: Arm, T: Array, q: Array, step: Array | None, time: float)
         fix = "move or turn the path away from there"
         return RobotError(f"{what}at a singular pose", where=where, fix=fix)
     left, error = (x[0] for x in descend(arm, T[None], q[None], arm.home, homing=0.0))
-    what += f"the path goes out of reach: {describe(T)} is missed by {missed(arm, left, error)}"
+    what += out_of_reach(arm, T, left, error)
     fix = "move the path nearer to the base, or turn the gripper"
     return RobotError(what, where=where, fix=fix)

@@ -88,6 +88,10 @@ class Stage:
         self._letter(ImageDraw.Draw(image), frame)
         return image
 
+    def at(self, x: Array) -> Array:
+        """Where places [..., 3] [m] are in its pictures [..., 2] [pixels]."""
+        return self._seen(x)[0] / _SMOOTH
+
     def _seen(self, x: Array) -> tuple[Array, Array]:
         """Where places [..., 3] [m] are in the picture, y downwards [..., 2] [pixels], and how far
         away [...] [m]."""
