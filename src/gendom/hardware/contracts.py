@@ -141,11 +141,9 @@ def find_robot(name: str) -> Any:
         DeviceError: There is none.
     """
     found = _find("robot", name, ROBOTS, plugins("robots"))
-    if not hasattr(found, "servo"):
-        return found
-    from gendom.hardware.streamed import StreamedRobot
-
-    return partial(StreamedRobot, driver=found)
+    if hasattr(found, "servo"):
+        return partial(_loaded("gendom.hardware.streamed:StreamedRobot"), driver=found)
+    return found
 
 
 def find_depth_camera(name: str) -> Any:
@@ -162,7 +160,9 @@ def _find(kind: str, name: str, own: dict[str, str], others: dict[str, Any]) -> 
     found = ({**own, **others}).get(name)
     fix = did_you_mean(name, [*own, *others]) or f"have {', '.join([*own, *others])}"
     require(found, f"there is no {kind} {name!r}", fix=fix, error=DeviceError)
-    if not isinstance(found, str):
-        return found
-    module, _, attribute = found.partition(":")
+    return _loaded(found) if isinstance(found, str) else found
+
+
+def _loaded(place: str) -> Any:
+    module, _, attribute = place.partition(":")
     return getattr(import_module(module), attribute)
