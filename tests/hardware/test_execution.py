@@ -7,6 +7,7 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -197,6 +198,24 @@ def test_whatever_ends_it_the_arm_brakes_and_the_log_says_why(made, tmp_path, fa
     seen = read_log(tmp_path / "a.jsonl")
     assert seen.end == end and len(seen.time) == 20
     assert [e["call"] for e in seen.events if "fault" in e] == ["play"]
+
+
+def test_a_disk_that_fills_stops_the_arm_and_is_told(made, tmp_path, monkeypatch):
+    cell, path = made
+    robot, log = FakeRobot(), ExecutionLog(tmp_path / "a.jsonl", read_json(path))
+    lines, write = [], log._file.write
+
+    def full(text):
+        lines.append(text)
+        if len(lines) > 100:
+            raise OSError(28, "No space left on device")
+        write(text)
+
+    monkeypatch.setattr(log, "_file", SimpleNamespace(write=full, close=log._file.close))
+    with pytest.raises(DeviceError, match=r"a\.jsonl: cannot be written \(No space .* make room"):
+        execute(read_action(path).plan, cell, robot, log)
+    assert robot.calls[-3:] == ["play", "stop", "disconnect"]
+    assert "was killed" in (last_time(tmp_path) or "") and len(read_log(log.path).time) > 50
 
 
 KILLED = """

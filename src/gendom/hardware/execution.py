@@ -172,18 +172,25 @@ class ExecutionLog:
 
     def write(self, **said: Any) -> None:
         said = {"at": round(time.monotonic() - self._begun, 4), **said}
-        line = json.dumps(json.loads(to_json(said)), separators=(",", ":"))
-        self._file.write(line + "\n")
+        self._add(json.loads(to_json(said)))
 
     def tick(self, tick: Tick) -> None:
         """Without the detour of `write`: a hundred a second."""
-        row = {"t": tick.time, "command": tick.command.tolist(), "measured": tick.measured.tolist(),
-               "age": tick.age, "opening": tick.opening}  # fmt: skip
-        self._file.write(json.dumps(row, separators=(",", ":")) + "\n")
+        self._add({"t": tick.time, "command": tick.command.tolist(), "age": tick.age,
+                   "measured": tick.measured.tolist(), "opening": tick.opening})  # fmt: skip
+
+    def _add(self, row: dict[str, Any]) -> None:
+        try:
+            self._file.write(json.dumps(row, separators=(",", ":")) + "\n")
+        except OSError as error:
+            what, fix = f"cannot be written ({error.strerror})", "make room: the arm was stopped"
+            raise DeviceError(what, where=str(self.path), fix=fix) from None
 
     def end(self, said: str) -> None:
-        self.write(end=said)
-        self._file.close()
+        try:
+            self.write(end=said)
+        finally:
+            self._file.close()
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,10 +343,10 @@ def execute(
         by = f"{type(error).__name__}: {error}"
         by = "Ctrl-C" if isinstance(error, KeyboardInterrupt) else by
         try:
-            told.stop()
+            robot.stop()  # also where nothing can be written any more
         finally:
-            log.end(f"stopped by {by}")
             robot.disconnect()
+            log.end(f"stopped by {by}")
         raise
     told.disconnect()
     log.end("done")

@@ -32,8 +32,8 @@ def draw_cell(cell: Cell, q: Array, paths: Mapping[str, Array] | None = None) ->
 
     Args:
         cell: What stands there; boxes as their edges.
-        q: [P, J] poses of the arm [rad]; all but the last are drawn faintly.
-        paths: [N, 3] of the tool point [m], by what the legend calls them.
+        q: [P, J] poses of the arm [rad]; all but the last are drawn thin and faint.
+        paths: [N, 3] of the tool point, dots over all else [m], by what the legend calls them.
 
     Raises:
         ParameterError: The workspace is not finite.
@@ -50,11 +50,11 @@ def draw_cell(cell: Cell, q: Array, paths: Mapping[str, Array] | None = None) ->
         layers.append(_lines("", _OBSTACLE, ends, radius))
     for k, pose in enumerate(q):
         shape = arm_shape(cell.model, pose, cell.tool.max_opening)
-        colour = _ARM if k == len(q) - 1 else _FAINT_ARM
-        layers.append(_lines("", colour, np.stack([shape.start, shape.end], axis=1), shape.radius))
+        colour, share = (_ARM, 1.0) if k == len(q) - 1 else (_FAINT_ARM, 0.3)
+        ends = np.stack([shape.start, shape.end], axis=1)
+        layers.append(_lines("", colour, ends, share * shape.radius))
     for k, (name, path) in enumerate((paths or {}).items()):
-        steps = np.stack([path[:-1], path[1:]], axis=1)
-        layers.append(_lines(name, COLOURS[k % len(COLOURS)], steps, 2.0 * _LINE))
+        layers.append(_lines(name, COLOURS[k % len(COLOURS)], path, 2.0 * _LINE))
     shown = Animation(times=np.zeros(1), layers=tuple(layers), table_height=cell.table_height)
     views = [_drawn(Stage(shown, view, _SIZE, title), labels) for title, view in _VIEWS.items()]
     return Image.fromarray(np.concatenate(views))
