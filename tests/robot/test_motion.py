@@ -20,7 +20,7 @@ from gendom.robot import (
     read_joints,
     tcp_pose,
 )
-from gendom.robot.timing import in_time
+from gendom.robot.planning import in_time
 
 ANY_TOOL = replace(XARM7, max_tcp_speed=100.0)
 

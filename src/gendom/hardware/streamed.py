@@ -216,15 +216,10 @@ class StreamedRobot:
 
     # ---- the other process -----------------------------------------------------------------------
 
-    def _ready(self) -> RobotState:
-        state = self.state()
-        fix = "then connect() again"
-        require(state.fault is None, state.fault or "", fix=fix, error=DeviceError)
-        return state
-
     def _do(self, name: str, what: Any, on_tick: Callable[[Tick], None] | None = None) -> None:
         """Give an order and wait until it is done; Ctrl-C and errors of `on_tick` stop the arm."""
-        self._ready()
+        fault, fix = self.state().fault, "then connect() again"
+        require(fault is None, fault or "", fix=fix, error=DeviceError)
         first = self._board.count.value
         self._send(name, what)
         self._asked = True

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
 from gendom.arrays import Array
@@ -154,22 +153,10 @@ class Arm:
         return q
 
 
-def _links(*, a: Array, alpha: Array, d: Array) -> Array:
-    """`Arm.T_links` [J, 4, 4] of modified Denavit-Hartenberg parameters [J] [m], [degrees] (Craig,
-    "Introduction to Robotics", chapter 3): T_(i-1)_i = Rot_x(alpha_i) Trans_x(a_i) Rot_z(q_i)
-    Trans_z(d_i)."""
-    alpha = np.radians(alpha)
-    T = np.tile(np.eye(4), (len(a), 1, 1))
-    T[:, :3, :3] = Rotation.from_rotvec(np.outer(alpha, [1.0, 0.0, 0.0])).as_matrix()
-    T[:, :3, 3] = np.stack([a, -np.sin(alpha) * d, np.cos(alpha) * d], axis=1)
-    return T
-
-
 def _shipped(name: str) -> Arm:
     """An arm of a file beside this one."""
     path = Path(__file__).with_name(f"{name}.toml")
     table = read_toml(path, error=RobotError)
-    table["T_links"] = _links(**{key: np.array(row) for key, row in table.pop("dh").items()})
     return record_of(Arm, table, where=str(path), fix="mend it", error=RobotError)
 
 
