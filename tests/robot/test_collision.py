@@ -133,6 +133,8 @@ def coal_capsule(coal, start, end, radius):
 
 def test_home_is_free_and_a_folded_arm_is_not():
     assert CollisionChecker(XARM7, TABLE).at(XARM7.home) is None
+    beside = Surroundings(table_height=0.15)  # higher than the first link begins, which only turns
+    assert CollisionChecker(XARM7, beside).at(XARM7.home) is None
     bowed = np.array([0.0, 1.5, 0.0, 0.0, 0.0, -0.6, 0.0])  # the hand is where the base is
     found = CollisionChecker(XARM7).at(bowed)
     assert found is not None and found.depth > 0.05 and found.time is None

@@ -123,7 +123,8 @@ class Surroundings:
     """The obstacles around an arm."""
 
     table_height: float | None = None
-    """z of a table below all of the arm but its base [m]; None: there is none."""
+    """z of a table below all of the arm but its base, and the first link if that only turns above
+    it [m]; None: there is none."""
     obstacles: tuple[Box | Post, ...] = ()
     """With different names."""
     clearance: float = 0.0
@@ -190,7 +191,8 @@ class CollisionChecker:
         margin += [np.full(len(moving), least) for _ in self._around]
         if surroundings.table_height is not None:  # which the fingers and what they hold may touch
             held = [c for c, capsule in enumerate(arm.capsules) if capsule.held]
-            above = np.setdiff1d(moving, held)
+            level = abs(arm.T_links[0][2, 2]) > 1.0 - 1e-9  # what only turns comes no nearer
+            above = np.setdiff1d(np.flatnonzero(link > level), held)
             self._around.insert(0, (_Table(surroundings.table_height), above))
             margin.insert(1, least * ~shape.touches_object[above])
         pairs = [(a, shape.names[b]) for a, b in zip(self._first, self._second, strict=True)]
