@@ -70,3 +70,13 @@ def test_noise_does_not_make_a_line_longer():
     p = np.column_stack([rng.uniform(0.0, 0.4, 800), rng.normal(scale=0.006, size=(800, 2))])
     line = find_line(p, rope, np.zeros(3))
     assert line.length == pytest.approx(0.4, rel=0.06) and line.own.all()
+
+
+@pytest.mark.parametrize("stated", [0.9, 1.1])
+def test_a_line_alone_is_the_rope(stated):
+    """Neither cut nor refused where the stated length is a tenth off."""
+    rope = ObjectDescription(kind="rope", length=0.4 * stated, diameter=0.01)
+    rng = np.random.default_rng(0)
+    p = np.column_stack([rng.uniform(0.0, 0.4, 800), rng.normal(scale=0.004, size=(800, 2))])
+    line = find_line(p, rope, np.zeros(3))
+    assert line.clear and line.own.all()
