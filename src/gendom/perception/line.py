@@ -31,7 +31,6 @@ THICKEST = 0.07
 
 _WHOLE = 0.88, 1.1  # of a rope's length: what is measured of one that is seen from end to end
 _ALONE = 1.16  # of the length; nothing is beside the line, and the length is a tenth too short
-_POWER = 2
 _NODE = 0.01  # [m]; at least, between points of the way
 _ROUND = 0.015  # [m]; at least, the distance over which noise is averaged
 _MOST_NODES = 1500  # no rope has more
@@ -63,7 +62,8 @@ def find_line(
     """The line of a rope, whose length is known, in a cloud [n, 3] [m].
 
     The cloud's points are averaged to nodes, and the way between two of them is the one of least
-    squared steps: it follows the cloud where it is dense, and bridges gaps.
+    fourth powers of steps: it follows the cloud where it is dense, also where a rope comes near
+    itself, and bridges gaps.
 
     Args:
         held: [3] where its end is held [m]; None: the longest line there is, however it is held.
@@ -116,7 +116,7 @@ class _Ways:
         """[m, m] between nodes [m]."""
         n = len(nodes)
         every = np.tile(np.arange(n), n), np.arange(0, n * n + 1, n)
-        costs = self.steps.ravel() ** _POWER + 1e-12  # also between nodes at one place
+        costs = self.steps.ravel() ** 4 + 1e-12  # also between nodes at one place
         graph = csr_array((costs, *every), shape=(n, n))
         cost, self._before = dijkstra(graph, indices=start, return_predecessors=True)
         before = np.maximum(self._before, 0).tolist()
