@@ -143,13 +143,19 @@ def test_when_the_gripper_was_closed_is_kept(lift, tmp_path):
     assert dropped.head(4).holds[:, 0].tolist() == closed[:4]
 
 
-@pytest.mark.parametrize("name", ["lift.mcap", "lift.db3", "lift.bag", "bag/metadata.yaml"])
-def test_a_bag_is_sent_to_the_command_that_reads_it(tmp_path, name):
-    (tmp_path / name).parent.mkdir(exist_ok=True)
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        *((name, "is a bag") for name in ("lift.mcap", "lift.db3", "lift.bag", "a/metadata.yaml")),
+        ("a/cameras/left/camera.toml", "holds depth pictures"),
+        *((name, "is no recording") for name in ("a.ply", "gripper.csv")),
+    ],
+)
+def test_what_makes_a_recording_is_sent_to_the_command_that_tells(tmp_path, name, kind):
+    (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
     (tmp_path / name).write_bytes(b"x")
-    path = (tmp_path / name).parent if "/" in name else tmp_path / name
-    (line,) = refusal(path)
-    assert f"is a bag; gendom doctor {path} says what is in it" in line
+    path = tmp_path / name.split("/")[0]
+    assert refusal(path)[0].startswith(f"{kind}; gendom doctor {path} says what is in it and what")
 
 
 def test_several_faults_are_several_lines(lift, tmp_path):

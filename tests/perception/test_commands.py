@@ -215,6 +215,8 @@ def test_flags_that_are_refused(lift, command, words, said):
 
 def test_places_that_are_none(tmp_path, command, capsys):
     refused(command(tmp_path / "x"), "no such folder")
+    (tmp_path / "y").write_text("")
+    refused(command(tmp_path / "y"), f"y: is no folder; gendom doctor {tmp_path / 'y'} says what")
     assert cli.main(["perceive", str(tmp_path / "x"), "--out", str(tmp_path / "a.txt")]) == 2
     assert "a.txt: does not end in .npz" in capsys.readouterr().err
 

@@ -153,7 +153,7 @@ def last(change):
 
 
 POINTS, HELD, NOT_SAID = "/camera/points", "/tool_pose", "TF does not say where "
-CLOUD = f"{POINTS}: message 2: a cloud has"
+CLOUD = f"{POINTS}: frame 2: a cloud has"
 LACKING = [
     (without(POINTS), {}, "has no topic of sensor_msgs/msg/PointCloud2; record clouds, or depth"),
     (lambda rows: [*rows, ("/b", rows[-1][1])], {}, f"has /b and {POINTS}, both of frame camera"),

@@ -118,8 +118,6 @@ def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         wanted = (*STORED_ARRAYS, "loops", "meta")
         return {name: archive[name] for name in wanted if name in archive.files}
 
-    single = path.suffix.lower() in (".ply", ".pcd")
-    wanted(not single, "is a single cloud", path, "give the folder that holds all frames")
     stored = _from_npz(path, take, write=f"write {FORMAT} with numpy.savez")
     meta, where = stored.pop("meta", np.zeros(0)), f"{path}: meta"
     is_text = meta.size == 1 and meta.dtype.kind in "US" and meta.nbytes <= 4 * LARGEST_JSON

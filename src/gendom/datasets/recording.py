@@ -121,9 +121,14 @@ def _read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any], str, list[F
     faults of the meta's keys."""
     is_lerobot = (path / "meta/info.json").is_file()
     described = is_lerobot or (path / "gripper.csv").is_file()
+    kinds = {
+        "is a bag": bag_files(path) and not described,
+        "holds depth pictures": (path / "cameras").is_dir(),
+        "is no recording": path.is_file() and path.suffix.lower() not in (".npz", ""),
+    }
     fix = f"gendom doctor {shlex.quote(str(path))} says what is in it and what makes a recording of"
-    is_bag = bag_files(path) and not described
-    require(not is_bag, "is a bag", where=str(path), fix=f"{fix} it", error=RecordingError)
+    for what, is_so in kinds.items():
+        require(not is_so, what, where=str(path), fix=f"{fix} it", error=RecordingError)
     if path.is_dir() and not is_lerobot:
         arrays, meta = read_folder(path)
         what, key = "is not given, so there is no table", "table_height"

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import math
 import os
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -195,9 +196,11 @@ def read_cameras(
     """
     folder = Path(folder)
     place, path = folder / "cameras", folder / "gripper.csv"
+    fix = f"gendom doctor {shlex.quote(str(folder))} says what it is"
+    expect(folder.is_dir() or not folder.exists(), "is no folder", str(folder), fix)
     expect(folder.is_dir(), "no such folder", str(folder), "check the path")
     found = sorted(p.name for p in place.iterdir() if p.is_dir()) if place.is_dir() else []
-    fix = "give each a folder with camera.toml and frames.csv or a RealSense recording"
+    fix = f"give each a folder with camera.toml and frames.csv or a RealSense recording; {fix}"
     expect(found, "holds no camera", str(place), fix)
     for name in cameras:
         what, fix = f"there is no camera {name!r}", f"have {', '.join(found)}"

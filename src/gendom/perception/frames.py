@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+import warnings
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -25,8 +26,9 @@ SYNC_TOLERANCE = 0.02
 """Frames of different cameras further apart than this [s] do not belong together."""
 
 _ROUNDING = 1e-9  # [s]; time stamps apart by just the tolerance match
-# Exceptions that Pillow raises for damaged PNG data.
+# Exceptions that Pillow raises for damaged or vast pictures.
 _PNG_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error)
+_PNG_ERRORS += (Image.DecompressionBombError, Image.DecompressionBombWarning)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,23 +161,24 @@ def interpolate(times: Array, values: Array, time: float) -> Array:
 def read_png(path: Path) -> Image.Image:
     """A decoded PNG file whose checksums hold; RecordingError: it is missing, damaged or large."""
     fix = "the recording was cut off; record it again"
-    return decode_png(read_bytes(path, RecordingError, fix=fix), str(path))
+    return decode(read_bytes(path, RecordingError, fix=fix), str(path))
 
 
-def decode_png(data: bytes, where: str) -> Image.Image:
-    """The same of a file's bytes, which messages call `where`."""
-    if data[12:16] == b"IHDR" and len(data) >= 24:
-        width, height = struct.unpack_from(">II", data, 16)
-        what, fix = f"has {width} x {height} pixels", f"give pictures of {MOST_PIXELS} at most"
-        expect(width * height <= MOST_PIXELS, what, where, fix)
+def decode(data: bytes, where: str, form: str = "PNG") -> Image.Image:
+    """The same of a file's bytes, which messages call `where`; also of the form "JPEG"."""
     try:
-        # Decoding alone lets some damage pass as wrong pixels; verifying uses the picture up.
-        with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
-            picture.verify()
-        picture = Image.open(io.BytesIO(data), formats=["PNG"])
+        with (
+            warnings.catch_warnings(action="error"),
+            Image.open(io.BytesIO(data), formats=[form]) as picture,
+        ):
+            width, height = picture.size  # of its header
+            what, fix = f"has {width} x {height} pixels", f"give pictures of {MOST_PIXELS} at most"
+            expect(width * height <= MOST_PIXELS, what, where, fix)
+            picture.verify()  # decoding alone lets some damage pass as wrong pixels
+        picture = Image.open(io.BytesIO(data), formats=[form])
         picture.load()
     except _PNG_ERRORS as error:
-        reason = "no PNG" if isinstance(error, Image.UnidentifiedImageError) else str(error)
+        reason = f"no {form}" if isinstance(error, Image.UnidentifiedImageError) else str(error)
         what = f"is damaged ({reason[:80] or type(error).__name__})"
         raise RecordingError(what, where=where, fix="copy it again") from None
     return picture

@@ -30,6 +30,7 @@ THICKEST = 0.07
 """Of its length, a rope of unknown diameter."""
 
 _WHOLE = 0.88, 1.1  # of a rope's length: what is measured of one that is seen from end to end
+_ALONE = 1.16  # of the length; nothing is beside the line, and the length is a tenth too short
 _NODE = 0.01  # [m]; at least, between points of the way
 _ROUND = 0.015  # [m]; at least, the distance over which noise is averaged
 _MOST_NODES = 1500  # no rope has more
@@ -61,7 +62,8 @@ def find_line(
     """The line of a rope, whose length is known, in a cloud [n, 3] [m].
 
     The cloud's points are averaged to nodes, and the way between two of them is the one of least
-    squared steps: it follows the cloud where it is dense, and bridges gaps.
+    fourth powers of steps: it follows the cloud where it is dense, also where a rope comes near
+    itself, and bridges gaps.
 
     Args:
         held: [3] where its end is held [m]; None: the longest line there is, however it is held.
@@ -83,9 +85,10 @@ def find_line(
     ways = _Ways(nodes, start, chord)
     seen = before + ways.along + reach / 2.0
     longest = float(seen.max())
-    if held is None:
-        own = _away(points, ways.to(int(seen.argmax())))[0] <= beside
-        return Line(longest, own, bool(longest <= most and np.mean(~own) <= MOST_FAR))
+    own = _away(points, ways.to(int(seen.argmax())))[0] <= beside
+    alone = bool(longest <= _ALONE * length and np.mean(~own) <= MOST_FAR)
+    if alone or held is None:
+        return Line(longest, own, clear=alone)
     goal = length if longest > most else longest
     goes_on = ((ways.steps <= beside) & (seen > seen[:, None])).any(axis=1)
     tips = np.flatnonzero((seen >= min(least, 0.9 * longest)) & (seen <= most) & ~goes_on)
@@ -97,11 +100,8 @@ def find_line(
     way = ways.to(tip)
     off, at = _away(points, way)
     own = off <= beside
-    alone = np.mean(~own) <= MOST_FAR and longest <= most
     alike = _away(nodes[tips], way)[0].max() <= beside + MOST_FAR * length
     whole = seen[tip] >= least and before <= _FROM_HELD
-    if alone:
-        return Line(float(seen[tip]), own, clear=True)
     thick = own & _thick(off, at, own)
     clear = alike and whole and all_seen and thick.sum() <= _MOST_THICK * own.sum()
     return Line(float(seen[tip]), own & ~thick, bool(clear))
@@ -116,7 +116,7 @@ class _Ways:
         """[m, m] between nodes [m]."""
         n = len(nodes)
         every = np.tile(np.arange(n), n), np.arange(0, n * n + 1, n)
-        costs = self.steps.ravel() ** 2 + 1e-12  # also between nodes at one place
+        costs = self.steps.ravel() ** 4 + 1e-12  # also between nodes at one place
         graph = csr_array((costs, *every), shape=(n, n))
         cost, self._before = dijkstra(graph, indices=start, return_predecessors=True)
         before = np.maximum(self._before, 0).tolist()

@@ -3,7 +3,7 @@
 A recorded camera is a folder with one recording and camera.toml:
 
     cameras/left/
-      recording.db3    or .bag, of any name, as the SDK or its viewer records them
+      recording.db3    of any name, as the SDK or its viewer records them
       camera.toml      T_world_camera; depth_unit only where the recording's is wrong
 
 Intrinsics, distortion and depth unit are the recording's. Colour is aligned with depth. Time is the
@@ -20,8 +20,8 @@ read without the SDK. Those used here are, below /device_0/sensor_N/, and the sa
 
 SDK 2.58 stored pictures raw and compressed each message by zstd; since 2.59 pictures are PNG, and
 raw compressed by zstd in formats that PNG does not have. Each is read separately on demand: of a
-damaged or truncated file all messages that SQLite can read are used. .bag files are converted by
-the SDK first, in a process of its own: it ends the process on some damaged files.
+damaged or truncated file all messages that SQLite can read are used. A .bag file is refused with
+the command by which the SDK converts it.
 """
 
 from __future__ import annotations
@@ -29,20 +29,16 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import shutil
 import sqlite3
-import subprocess
-import sys
-import tempfile
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from gendom.arrays import Array, rigid
 from gendom.datasets import Fault
@@ -50,9 +46,10 @@ from gendom.datasets.npz import short
 from gendom.errors import DeviceError, RecordingError
 from gendom.files import atomic_path
 from gendom.installation import how_to_install
+from gendom.perception.aligned import aligned
 from gendom.perception.camera import Camera, expect
 from gendom.perception.camera_file import read_camera
-from gendom.perception.frames import SYNC_TOLERANCE, Frame, Pictures
+from gendom.perception.frames import Frame
 from gendom.perception.ros_bag import ANY_SIZE, decompressed, open_database
 from gendom.perception.ros_messages import IMAGE, PACKED, picture_of
 from gendom.reading import file_size, read_bytes
@@ -66,10 +63,6 @@ _TEXT = "std_msgs/msg/String"
 _OPENCV = ("Brown Conrady", "Inverse Brown Conrady")
 _PROJECTED = (*_OPENCV, "Modified Brown Conrady")
 _DEVICE_CLOCK = "Hardware Clock"
-# What hides a point is nearer by this share of its depth, besides the change of depth over two
-# cells of a surface whose slope is this many pixels' widths a pixel.
-_MIN_NEARER_SHARE = 0.02
-_MAX_DEPTH_SLOPE = 5.0
 
 
 def is_recording(path: str | os.PathLike) -> bool:
@@ -81,13 +74,12 @@ class RealSenseRecording:
     """A recording of a RealSense camera, as a `FrameSource`.
 
     Args:
-        path: The .db3 or .bag file, or its folder, which names the camera; camera.toml is looked
+        path: The .db3 file, or its folder, which names the camera; camera.toml is looked
             for beside it.
         on_warning: Called with every fault that does not prevent use.
 
     Raises:
         RecordingError: It is damaged from its start, without depth, or unlike camera.toml.
-        DeviceError: A .bag file is to be read and the SDK is missing.
     """
 
     def __init__(
@@ -96,79 +88,38 @@ class RealSenseRecording:
         self.path = Path(path)
         if self.path.is_dir():
             self.path = self.find(self.path) or self.path
-        self._on_warning = on_warning
-        file_size(self.path, RecordingError, most=sys.maxsize)  # a pipe would wait
         _check_checksum(self.path)
-        self._bag = Bag(self._as_db3(), on_warning=on_warning)
+        bag = Bag(self.path, on_warning=on_warning)
         where, name = str(self.path), self.path.resolve().parent.name
-        depth = self._bag.stream("Depth", name)
+        depth, colour = bag.stream("Depth", name), bag.stream("Color", f"{name}: colour")
         what = "has no depth pictures" if depth is None else "no depth picture can be read"
         expect(depth and depth.entries, what, where, "record the depth stream (Z16)")
         assert depth is not None
-        self._depth = depth.entries
-        unit, fix = self._bag.depth_unit(), "record it with the RealSense SDK"
+        unit, fix = bag.depth_unit(), "record it with the RealSense SDK"
         expect(unit is not None, "does not say its depth unit", where, fix)
         camera = replace(depth.camera, depth_unit=unit)
         beside = self.path.with_name("camera.toml")
         self.camera: Camera = read_camera(beside, recorded=camera) if beside.exists() else camera
-        colour = self._bag.stream("Color", f"{name}: colour")
-        self._colour = [] if colour is None else colour.entries
-        self._colour_times = np.array([entry.time for entry in self._colour])
-        self._align: Alignment | None = None
-        if colour is not None and self._colour:
+        self._depth, self._beside = depth.entries, ()
+        if colour is not None and colour.entries:
             T = colour.T_stream_reference @ np.linalg.inv(depth.T_stream_reference)
-            self._align = Alignment(self.camera, colour.camera, T)
-        if self._depth[0].domain == _DEVICE_CLOCK:
+            self._beside = colour.camera, colour.entries, T
+        if depth.clock == _DEVICE_CLOCK:
             what = "its time stamps are of the camera's own clock"
             fix = "record with the option Global Time Enabled to compare them with other clocks"
             on_warning(Fault(what, where, fix, "warning"))
 
-    def _as_db3(self) -> Path:
-        """Path of the .db3 file, converted by the SDK from a .bag if necessary."""
-        try:
-            with open(self.path, "rb") as file:
-                is_bag = file.read(7) == b"#ROSBAG"
-        except OSError:
-            is_bag = False  # `Bag` raises the reason
-        if not is_bag:
-            return self.path
-        folder = Path(tempfile.mkdtemp(prefix="gendom-"))
-        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-        return _converted(self.path, folder, self._on_warning)
+    def __iter__(self) -> Iterator[Frame]:
+        return aligned(self.camera, self._depth, *self._beside)
 
     @staticmethod
     def find(folder: Path) -> Path | None:
         """The recording in a camera's folder; None: there is none, RecordingError: several are."""
         found = sorted(filter(is_recording, folder.iterdir()))
+        found = [path for path in found if path.suffix.lower() == ".db3"] or found
         what = f"holds {len(found)} recordings, {', '.join(p.name for p in found)}"
         expect(len(found) <= 1, what, str(folder), "leave one in the camera's folder")
         return found[0] if found else None
-
-    def __iter__(self) -> Iterator[Frame]:
-        for k, entry in enumerate(self._depth):
-            where = f"{self.path}: frame {k}"
-            yield Frame(entry.time, where, lambda e=entry, w=where: self._read(e, w))
-
-    def _read(self, entry: Entry, where: str) -> Pictures:
-        depth = self._picture(entry, self.camera, np.uint16, f"{where}: depth")
-        if self._align is None:
-            return Pictures(depth)
-        nearest = int(np.abs(self._colour_times - entry.time).argmin())
-        late = float(abs(self._colour_times[nearest] - entry.time))
-        what, fix = f"the nearest colour picture is {late:.3g} s away", "record colour at the rate "
-        expect(late <= SYNC_TOLERANCE, what, where, f"{fix}of depth")
-        place = f"{where}: colour"
-        colour = self._picture(self._colour[nearest], self._align.colour, np.uint8, place)
-        return self._align(depth, colour)
-
-    def _picture(self, entry: Entry, camera: Camera, kind: type, where: str) -> Any:
-        """A picture, which has the camera's size."""
-        picture, size = self._bag.picture(entry, where), (camera.height, camera.width)
-        what = f"is {picture.shape[1]} x {picture.shape[0]} of {picture.dtype}, the stream "
-        what += f"{size[1]} x {size[0]} of {np.dtype(kind)}"
-        right = picture.shape[:2] == size and picture.dtype == kind
-        expect(right, what, where, "copy the file again")
-        return picture
 
 
 def write_checksum(path: Path) -> None:
@@ -196,34 +147,6 @@ def _checksum(path: Path) -> str:
         raise RecordingError(f"cannot be read ({error.strerror})", where=str(path)) from None
 
 
-_CONVERT = "import sys, pyrealsense2; pyrealsense2.context().convert_bag_to_db3(*sys.argv[1:])"
-
-
-def _converted(path: Path, folder: Path, on_warning: Callable[[Fault], None]) -> Path:
-    """Convert the readable part of a .bag to a .db3 file with the SDK; DeviceError: it is missing,
-    RecordingError: the conversion fails."""
-    sdk = realsense_sdk()
-    if not hasattr(sdk.context, "convert_bag_to_db3"):
-        what = f"the RealSense SDK {sdk.__version__} cannot convert .bag files"
-        raise DeviceError(what, where=str(path), fix="pip install 'pyrealsense2>=2.59'")
-    # The SDK detects the format from the file name, not from the content.
-    source, made = path.resolve(), folder / "recording.db3"
-    if source.suffix != ".bag":
-        source = Path(shutil.copyfile(source, folder / "recording.bag"))
-    done = subprocess.run(
-        [sys.executable, "-c", _CONVERT, str(source), str(made)], capture_output=True, text=True
-    )
-    if done.returncode != 0:
-        reason = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
-        what = f"the RealSense SDK cannot read it ({reason[:120]})"
-        fix = "copy it again; rosbag reindex mends one that was cut off"
-        expect(made.exists(), what, str(path), fix)
-        what = f"is damaged or cut off ({reason[:120]}); what comes before is used"
-        fix = "copy it again, or record again if too much is missing"
-        on_warning(Fault(what, str(path), fix, "warning"))
-    return made
-
-
 def realsense_sdk() -> Any:
     """The module pyrealsense2; DeviceError: it is missing or does not load."""
     try:
@@ -239,20 +162,6 @@ def realsense_sdk() -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
-    """A picture in the file."""
-
-    row: int
-    """Its message's number."""
-    kind: str
-    """Of the message: `CompressedImage` or `Image`."""
-    time: float
-    """Time stamp [s]."""
-    domain: str
-    """The clock it is of: "Global Time", "System Time" or "Hardware Clock"."""
-
-
-@dataclass(frozen=True, eq=False)
 class Stream:
     """One stream of pictures."""
 
@@ -260,8 +169,10 @@ class Stream:
     """Size and intrinsics."""
     T_stream_reference: Array
     """[4, 4] from the device's axes to the stream's [m]."""
-    entries: list[Entry]
+    entries: list[Frame]
     """In order of time."""
+    clock: str
+    """Of the first one's time: "Global Time", "System Time" or "Hardware Clock"."""
 
 
 class Bag:
@@ -343,7 +254,8 @@ class Bag:
         K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         size = {"width": width, "height": height, "distortion": coefficients}
         camera = Camera(name=name or kind, K=K, T_world_camera=None, **size)
-        return Stream(camera, self._extrinsics(prefix), list(self._entries(prefix, topic)))
+        entries, clock = self._entries(prefix, topic)
+        return Stream(camera, self._extrinsics(prefix), entries, clock)
 
     def _extrinsics(self, prefix: str) -> Array:
         topic = next((name for name in self._topics if name.startswith(f"{prefix}/tf/")), None)
@@ -358,28 +270,27 @@ class Bag:
         except (KeyError, ValueError) as error:
             raise self._error(f"{topic} is damaged ({error})", "record again") from None
 
-    def _entries(self, prefix: str, topic: str) -> Iterator[Entry]:
-        """Pictures whose metadata is there and whose time stamps increase."""
+    def _entries(self, prefix: str, topic: str) -> tuple[list[Frame], str]:
+        """Pictures with metadata, whose time stamps increase, and the clock of these."""
         stamps = {}
         for row, time in self._rows.get(self._topics.get(f"{prefix}/image/metadata", -1), []):
-            try:
+            with suppress(KeyError, ValueError):
                 values = self._pairs(row)
                 stamps[time] = float(values["timestamp"]) * 1e-3, values["timestamp_domain"]
-            except (KeyError, ValueError):
-                continue
-        last, left_out, kind = -np.inf, 0, PACKED if "/compressed" in topic else IMAGE
-        for row, time in self._rows.get(self._topics[topic], []):
-            stamp, domain = stamps.get(time, (np.nan, ""))
-            if not last < stamp < np.inf:
-                left_out += 1
-                continue
-            last = stamp
-            yield Entry(row, kind, stamp, domain)
-        if left_out:
+        found, rows = [], self._rows.get(self._topics[topic], [])
+        kind = PACKED if "/compressed" in topic else IMAGE
+        for row, time in rows:
+            stamp, _ = stamps.get(time, (np.nan, ""))
+            if (found[-1].time if found else -np.inf) < stamp < np.inf:
+                where = f"{self.path}: frame {len(found)}{': colour' * ('/Color_' in topic)}"
+                read = partial(self._picture, row, kind, where)
+                found.append(Frame(stamp, where, read))
+        if left_out := len(rows) - len(found):
             what = f"{left_out} pictures have no time stamp, or one that goes back; "
             what += "they are left out"
             fix = "record again if too much is missing"
             self._on_warning(Fault(what, f"{self.path}: {prefix}", fix, "warning"))
+        return found, next((clock for _, clock in stamps.values()), "")
 
     def depth_unit(self) -> float | None:
         """The depth sensor's own setting [m a count]; None: unknown."""
@@ -390,16 +301,14 @@ class Bag:
                         return unit
         return None
 
-    def picture(self, entry: Entry, where: str) -> Array:
-        """A decoded picture: [height, width] uint16 or [height, width, 3] uint8, RGB, which
-        messages call `where`; RecordingError: it is damaged or of an unknown format."""
+    def _picture(self, row: int, kind: str, where: str) -> Array:
+        """The picture of a message; RecordingError: it is damaged or of an unknown format."""
         try:
-            message = self._message(entry.row, entry.kind)
+            message = self._message(row, kind)
         except ValueError as error:
-            raise RecordingError(
-                f"is damaged ({error})", where=where, fix="copy it again"
-            ) from None
-        return picture_of(message, entry.kind, where)[0]
+            what = f"is damaged ({error})"
+            raise RecordingError(what, where=where, fix="copy it again") from None
+        return picture_of(message, kind, where)[0]
 
     def _message(self, row: int, kind: str) -> Any:
         """A message of a type; ValueError: it cannot be read."""
@@ -420,67 +329,3 @@ class Bag:
         if not (rows := self._rows.get(self._topics.get(topic, -1))):
             raise ValueError("no message of it is left")
         return rows[0][0]
-
-
-class Alignment:
-    """Assign each depth pixel the colour of its point.
-
-    Pixels without depth, and those whose point is outside the colour camera's view, become black.
-    Where a nearer object occludes a point from the colour camera, the colour would be that of the
-    nearer object; the depth of such pixels, at the edges of near objects, is removed.
-
-    `T_colour_depth` [4, 4] leads from the depth camera's axes to the colour camera's [m]; neither
-    their poses in the world nor the latter's depth unit matter.
-    """
-
-    def __init__(self, depth: Camera, colour: Camera, T_colour_depth: npt.ArrayLike):
-        T = np.asarray(T_colour_depth, dtype=np.float64)
-        self._unit = np.float32(depth.depth_unit)
-        self.colour = colour
-        self._rays = (depth.rays() @ T[:3, :3].T).astype(np.float32)
-        self._shift = T[:3, 3].astype(np.float32)
-        # The colour picture in cells of about a depth pixel's size, to find what hides what.
-        self._cell = max(1.0, float(colour.K[0, 0] / depth.K[0, 0]))
-        self._nearer = np.float32(1.0 + _MIN_NEARER_SHARE + 2.0 * _MAX_DEPTH_SLOPE / depth.K[0, 0])
-        self._same = (
-            np.allclose(T, np.eye(4), atol=1e-6)
-            and (depth.width, depth.height) == (colour.width, colour.height)
-            and np.allclose(depth.K, colour.K, atol=1e-3)
-            and np.allclose(_five(depth), _five(colour), atol=1e-6)
-        )
-
-    def __call__(self, depth: npt.NDArray[np.uint16], colour: npt.NDArray[np.uint8]) -> Pictures:
-        """Depth [height, width] in counts and colour [height, width, 3] of its own camera's size,
-        both in the depth camera's pixels."""
-        if self._same:
-            return Pictures(depth, colour)
-        raw = depth.ravel()
-        pixels = np.flatnonzero(raw)
-        points = self._rays[pixels] * (raw[pixels] * self._unit)[:, None] + self._shift
-        front = points[:, 2] > 0.0
-        pixels, points = pixels[front], points[front]
-        found, inside = self.colour.pixels(points)
-        pixels, z, (u, v) = pixels[inside], points[inside, 2], found[inside].T
-        hidden = self._hidden(z, u, v)
-        kept, painted = raw.copy(), np.zeros((len(raw), 3), np.uint8)
-        kept[pixels[hidden]] = 0
-        seen = ~hidden
-        painted[pixels[seen]] = colour[v[seen], u[seen]]
-        return Pictures(kept.reshape(depth.shape), painted.reshape(*depth.shape, 3))
-
-    def _hidden(self, z: np.ndarray, u: np.ndarray, v: np.ndarray) -> npt.NDArray[np.bool_]:
-        """Which points [n] of depth z [m] have something nearer within a cell of theirs."""
-        columns = int(self.colour.width / self._cell) + 3
-        rows = int(self.colour.height / self._cell) + 3
-        cell = ((v / self._cell).astype(np.int64) + 1) * columns + (u / self._cell).astype(int) + 1
-        nearest = np.full(rows * columns, np.inf, np.float32)
-        np.minimum.at(nearest, cell, z)
-        around = nearest[cell]
-        for step in np.add.outer((-columns, 0, columns), (-1, 0, 1)).ravel():
-            np.minimum(around, nearest[cell + step], out=around)
-        return z > self._nearer * around
-
-
-def _five(camera: Camera) -> tuple[float, ...]:
-    """k1, k2, p1, p2, k3 of a camera with at most these."""
-    return (*camera.distortion, *[0.0] * 5)[:5]

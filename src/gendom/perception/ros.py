@@ -37,14 +37,7 @@ from gendom.perception.frames import Frame, MatchedFrames
 from gendom.perception.poses import read_poses
 from gendom.perception.robot import CapsulePath, arm_capsules
 from gendom.perception.ros_bag import RosBag
-from gendom.perception.ros_cameras import (
-    DEPTH_UNIT,
-    RosCamera,
-    RosCloudCamera,
-    colour_topic,
-    intrinsics,
-    topics_of,
-)
+from gendom.perception.ros_cameras import cloud_camera, depth_camera, topics_of
 from gendom.perception.ros_frames import FrameTree, Track, stamp
 from gendom.perception.ros_messages import (
     CLOUD,
@@ -179,7 +172,12 @@ def read_ros_cameras(
         names[name] = topic
     for name in cameras:
         expect(name in names, f"there is no camera {name!r}", where, f"have {', '.join(names)}")
-    sources = [_camera(scene, name, names[name]) for name in cameras or names]
+    sources = [
+        cloud_camera(scene.bag, names[name], name, scene.world)
+        if scene.bag.topics[names[name]] == CLOUD
+        else depth_camera(scene.bag, names[name], name, scene.frames)
+        for name in cameras or names
+    ]
     frame = sources[0].frame_id
     scene.world = scene.world or frame
     at_rest: list[Any] = [source.at(_at_rest(scene, source.frame_id)) for source in sources]
@@ -351,24 +349,6 @@ def _named(topics: list[str]) -> dict[str, str]:
         if len(set(names.values())) == len(topics):
             return names
     return {topic: topic.strip("/").replace("/", "_") for topic in topics}
-
-
-def _camera(scene: _Scene, name: str, topic: str) -> RosCamera | RosCloudCamera:
-    """A topic as a camera, not placed yet."""
-    bag = scene.bag
-    if bag.topics[topic] == CLOUD:
-        return RosCloudCamera.of(bag, topic, name, scene.world)
-    depth = bag.first(topic)
-    expect(depth is not None, "has no message", f"{bag.where}: {topic}", "record it")
-    is_float = bag.topics[topic] == IMAGE and depth.encoding.lower() == "32fc1"
-    camera = intrinsics(bag, topic, name, DEPTH_UNIT if is_float else 1e-3)
-    frame, beside = depth.header.frame_id.lstrip("/"), colour_topic(bag, topic)
-    if beside is None:
-        return RosCamera(bag, topic, camera, frame)
-    colour, message = intrinsics(bag, beside, f"{name}: colour"), bag.first(beside)
-    other = message.header.frame_id.lstrip("/")
-    (T,) = scene.frames.between(other, frame, np.array([stamp(depth.header)]))
-    return RosCamera(bag, topic, camera, frame, beside, colour, T)
 
 
 def _at_rest(scene: _Scene, frame: str) -> Array:

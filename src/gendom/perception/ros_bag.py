@@ -6,8 +6,9 @@ import os
 import re
 import sqlite3
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -91,11 +92,14 @@ class RosBag:
         """A topic's first message; None: it has none."""
         return next((message for _, message in self.messages(topic)), None)
 
-    def frames(self, topic: str) -> Iterator[Frame]:
-        """A topic's messages with their times, in order of these."""
+    def frames(
+        self, topic: str, read: Callable[[Any, str], Any] = lambda message, _: message
+    ) -> Iterator[Frame]:
+        """A topic's messages with their times, in order of these; a frame's `read` gives what a
+        function makes of a message and of what messages to people call it."""
         for k, (_, message) in enumerate(self.messages(topic)):
-            where = f"{self.where}: {topic}: message {k}"
-            yield Frame(stamp(message.header), where, lambda m=message: m)
+            where = f"{self.where}: {topic}: frame {k}"
+            yield Frame(stamp(message.header), where, partial(read, message, where))
 
 
 def open_database(path: Path) -> sqlite3.Connection:
@@ -104,8 +108,11 @@ def open_database(path: Path) -> sqlite3.Connection:
     where = str(path)
     file_size(path, RecordingError, most=ANY_SIZE)
     with open(path, "rb") as file:
-        fix = "record it with the RealSense SDK or ROS 2, or copy it"
-        expect(file.read(16) == _SQLITE, "is no .db3 recording", where, fix)
+        head, fix = file.read(16), "record it with the RealSense SDK or ROS 2, or copy it"
+    if head.startswith(_ROS1[:7]):
+        fix = "convert it by the SDK: python -c 'import pyrealsense2 as rs; rs.context()"
+        fix += f'.convert_bag_to_db3("{path}", "{path.with_suffix(".db3")}")\''
+    expect(head == _SQLITE, "is no .db3 recording", where, fix)
     # Immutable: no journal is looked for and no lock taken, so any folder will do. The schema
     # counts as writable so that SQLite reads files shorter than their header says.
     address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"

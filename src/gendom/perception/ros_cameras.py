@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import takewhile
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gendom.arrays import Array, rigid
 from gendom.errors import RecordingError
+from gendom.perception.aligned import aligned
 from gendom.perception.camera import Camera, expect
-from gendom.perception.frames import SYNC_TOLERANCE, Frame, Pictures
-from gendom.perception.realsense import Alignment
+from gendom.perception.frames import Frame, Pictures
 from gendom.perception.ros_bag import RosBag
+from gendom.perception.ros_frames import FrameTree, stamp
 from gendom.perception.ros_messages import (
     CLOUD,
     IMAGE,
@@ -46,8 +49,8 @@ def topics_of(bag: RosBag, kind: str) -> list[str]:
     if kind == CLOUD:
         return found
     found = [name for name in found if "depth" in name.lower()]
-    aligned = {name.split("/aligned_depth")[0] for name in found if "/aligned_depth" in name}
-    return [n for n in found if "/aligned_depth" in n or n.rpartition("/depth")[0] not in aligned]
+    twice = {name.split("/aligned_depth")[0] for name in found if "/aligned_depth" in name}
+    return [n for n in found if "/aligned_depth" in n or n.rpartition("/depth")[0] not in twice]
 
 
 def intrinsics(bag: RosBag, topic: str, name: str, depth_unit: float = 1e-3) -> Camera:
@@ -64,14 +67,6 @@ def intrinsics(bag: RosBag, topic: str, name: str, depth_unit: float = 1e-3) -> 
     except RecordingError as error:
         place = f"{bag.where}: {found}: {str(error.where).rpartition(': ')[2]}"
         raise RecordingError(error.what, where=place, fix=error.fix) from None
-
-
-def check_size(picture: Array, camera: Camera, where: str) -> None:
-    """Refuse a picture that is not of its camera's size."""
-    height, width = picture.shape[:2]
-    what = f"is {width} x {height}, its CameraInfo {camera.width} x {camera.height}"
-    right, fix = (height, width) == (camera.height, camera.width), "record that of these pictures"
-    expect(right, what, where, fix)
 
 
 def colour_topic(bag: RosBag, depth: str) -> str | None:
@@ -93,130 +88,103 @@ def colour_topic(bag: RosBag, depth: str) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class RosCamera:
-    """A topic of depth pictures, and one of colour pictures beside it."""
+    """A topic, or two, as a `FrameSource`."""
 
-    bag: RosBag
-    topic: str
     camera: Camera
     """Its intrinsics, and where it has been placed its pose."""
     frame_id: str
     """The frame of TF that it rests in."""
-    colour_topic: str | None = None
-    colour: Camera | None = None
-    T_colour_depth: Array | None = None
-    """[4, 4] from the depth camera's axes to the colour camera's [m]."""
-
-    def at(self, T_world_frame: Array) -> RosCamera:
-        """The same where its frame is in the world, [4, 4] [m]."""
-        return replace(self, camera=self.camera.at(T_world_frame))
-
-    def __iter__(self) -> Iterator[Frame]:
-        align = None
-        if self.colour is not None and self.T_colour_depth is not None:
-            align = Alignment(self.camera, self.colour, self.T_colour_depth)
-        colours = self._colours()
-        near = next(colours, None)
-        after = next(colours, None)
-        for k, frame in enumerate(self.bag.frames(self.topic)):
-            while near and after and abs(after.time - frame.time) <= abs(near.time - frame.time):
-                near, after = after, next(colours, None)
-            where = f"{self.bag.where}: {self.topic}: frame {k}"
-            yield Frame(
-                frame.time,
-                where,
-                lambda f=frame, w=where, c=near: self._read(f, c, align, w),
-            )
-
-    def _colours(self) -> Iterator[Frame]:
-        return iter(()) if self.colour_topic is None else self.bag.frames(self.colour_topic)
-
-    def _read(
-        self, frame: Frame, colour: Frame | None, align: Alignment | None, where: str
-    ) -> Pictures:
-        depth = depth_of(frame.read(), self.bag.topics[self.topic], where)
-        check_size(depth, self.camera, where)
-        if depth.dtype != np.uint16:
-            depth = _counts(depth)
-        if align is None or self.colour_topic is None:
-            return Pictures(depth)
-        late = np.inf if colour is None else abs(colour.time - frame.time)
-        what, fix = f"the nearest colour picture is {late:.3g} s away", "record colour at the rate "
-        expect(late <= SYNC_TOLERANCE, what, where, f"{fix}of depth")
-        assert colour is not None
-        seen = colour_of(colour.read(), self.bag.topics[self.colour_topic], where)
-        check_size(seen, align.colour, f"{where}: colour")
-        return align(depth, seen)
-
-
-@dataclass(frozen=True, eq=False)
-class RosCloudCamera:
-    """A topic of clouds that a camera saw, as pictures of its own."""
-
-    bag: RosBag
-    topic: str
-    camera: Camera
-    """Its intrinsics, and where it has been placed its pose."""
-    frame_id: str
-    T_frame_camera: Array
-    """[4, 4] from the camera's axes to those of the clouds [m]."""
+    frames: Callable[[Camera], Iterator[Frame]]
+    """What it sees."""
+    T_frame_camera: Array = field(default_factory=lambda: np.eye(4))
+    """[4, 4] from the camera's axes to those of its frame [m]."""
     stated: bool = True
     """Whether a CameraInfo states the intrinsics; else they are made up."""
 
-    @classmethod
-    def of(cls, bag: RosBag, topic: str, name: str, world: str) -> RosCloudCamera:
-        """The camera of a topic: of the CameraInfo of its frame, or one that sees the first cloud
-        with about a pixel a point; RecordingError: the clouds are not seen from their origin."""
-        where, message = f"{bag.where}: {topic}", bag.first(topic)
-        frame = message.header.frame_id.lstrip("/")
-        cloud, seen = points_of(message, where)
-        what, fix = "the first cloud is empty", "record it from before the lift"
-        expect(seen.sum() > 100, what, where, fix)
-        for info_topic in (n for n, kind in bag.topics.items() if kind == INFO and bag.counts[n]):
-            info = bag.first(info_topic)
-            if info.header.frame_id.lstrip("/") == frame:
-                of = {"name": name, "depth_unit": DEPTH_UNIT}
-                camera = replace(camera_of(info, rectified=False, **of), distortion=())
-                return cls(bag, topic, camera, frame, np.eye(4))
-        for T in (np.eye(4), _FORWARD):
-            points = cloud[seen] @ T[:3, :3]
-            ahead = points[points[:, 2] > 0.0]
-            slopes = ahead[:, :2] / ahead[:, 2:]
-            all_ahead = len(ahead) > 0.99 * len(points) and np.abs(slopes).max() < _WIDEST
-            if all_ahead and frame != world:
-                camera = _around(slopes, name)
-                if camera.K[0, 0] > _COARSEST:
-                    return cls(bag, topic, camera, frame, T, stated=False)
-        what = f"clouds of frame {frame} are thinned, or not seen from its origin as a camera's are"
-        fix = "gendom import takes them as they are; crop table and robot by --workspace"
-        raise RecordingError(what, where=where, fix=fix)
-
-    def at(self, T_world_frame: Array) -> RosCloudCamera:
+    def at(self, T_world_frame: Array) -> RosCamera:
         """The same where its frame is in the world, [4, 4] [m]."""
         return replace(self, camera=self.camera.at(T_world_frame @ self.T_frame_camera))
 
     def __iter__(self) -> Iterator[Frame]:
-        for k, frame in enumerate(self.bag.frames(self.topic)):
-            where = f"{self.bag.where}: {self.topic}: frame {k}"
-            yield Frame(frame.time, where, lambda f=frame, w=where: self._read(f, w))
+        return self.frames(self.camera)
 
-    def _read(self, frame: Frame, where: str) -> Pictures:
-        """Each point in the pixel that it falls into, the nearest one where several do."""
-        message, camera = frame.read(), self.camera
-        cloud, seen = points_of(message, where)
-        points = cloud[seen] @ self.T_frame_camera[:3, :3]
-        ahead = points[:, 2] > 1e-3
-        z = points[ahead, 2]
-        found, inside = camera.pixels(points[ahead])
-        farthest_first = np.argsort(-z[inside], kind="stable")
-        pixels = (found[inside] @ [1, camera.width])[farthest_first]
-        depth = np.zeros(camera.height * camera.width, np.uint16)
-        depth[pixels] = _counts(z[inside][farthest_first])
-        depth = depth.reshape(camera.height, camera.width)
-        if (colours := colours_of(message, where)) is None:
-            return Pictures(depth)
-        painted = np.zeros((depth.size, 3), np.uint8)
-        painted[pixels] = colours[seen][ahead][inside][farthest_first]
-        return Pictures(depth, painted.reshape(*depth.shape, 3))
+
+def depth_camera(bag: RosBag, topic: str, name: str, frames: FrameTree) -> RosCamera:
+    """The camera of a topic of depth pictures, with the colour pictures beside it."""
+    depth, kind = bag.first(topic), bag.topics[topic]
+    expect(depth is not None, "has no message", f"{bag.where}: {topic}", "record it")
+    is_float = kind == IMAGE and depth.encoding.lower() == "32fc1"
+    camera = intrinsics(bag, topic, name, DEPTH_UNIT if is_float else 1e-3)
+    frame, beside = depth.header.frame_id.lstrip("/"), colour_topic(bag, topic)
+
+    def counts(message: Any, where: str) -> Array:
+        found = depth_of(message, kind, where)
+        return found if found.dtype == np.uint16 else _counts(found)
+
+    def seen(camera: Camera) -> Iterator[Frame]:
+        depths = bag.frames(topic, counts)
+        if beside is None:
+            return aligned(camera, depths)
+        of = partial(colour_of, kind=bag.topics[beside])
+        colours = bag.frames(beside, lambda message, where: of(message, where=where))
+        return aligned(camera, depths, colour, colours, T)
+
+    if beside is not None:
+        colour, message = intrinsics(bag, beside, f"{name}: colour"), bag.first(beside)
+        other = message.header.frame_id.lstrip("/")
+        (T,) = frames.between(other, frame, np.array([stamp(depth.header)]))
+    return RosCamera(camera, frame, seen)
+
+
+def cloud_camera(bag: RosBag, topic: str, name: str, world: str) -> RosCamera:
+    """The camera of a topic of clouds: of the CameraInfo of its frame, or one that sees the first
+    cloud with about a pixel a point; RecordingError: they are not seen from their origin."""
+    where, message = f"{bag.where}: {topic}", bag.first(topic)
+    frame = message.header.frame_id.lstrip("/")
+    cloud, seen = points_of(message, where)
+    what, fix = "the first cloud is empty", "record it from before the lift"
+    expect(seen.sum() > 100, what, where, fix)
+
+    def as_camera(camera: Camera, T: Array, stated: bool) -> RosCamera:
+        def read(camera: Camera) -> Iterator[Frame]:
+            return bag.frames(topic, lambda message, where: _picture(message, camera, T, where))
+
+        return RosCamera(camera, frame, read, T, stated)
+
+    for info_topic in (n for n, kind in bag.topics.items() if kind == INFO and bag.counts[n]):
+        info = bag.first(info_topic)
+        if info.header.frame_id.lstrip("/") == frame:
+            camera = camera_of(info, rectified=False, name=name, depth_unit=DEPTH_UNIT)
+            return as_camera(replace(camera, distortion=()), np.eye(4), True)
+    for T in (np.eye(4), _FORWARD):
+        points = cloud[seen] @ T[:3, :3]
+        ahead = points[points[:, 2] > 0.0]
+        slopes = ahead[:, :2] / ahead[:, 2:]
+        all_ahead = len(ahead) > 0.99 * len(points) and np.abs(slopes).max() < _WIDEST
+        if all_ahead and frame != world and (camera := _around(slopes, name)).K[0, 0] > _COARSEST:
+            return as_camera(camera, T, False)
+    what = f"clouds of frame {frame} are thinned, or not seen from its origin as a camera's are"
+    fix = "gendom import takes them as they are; crop table and robot by --workspace"
+    raise RecordingError(what, where=where, fix=fix)
+
+
+def _picture(message: Any, camera: Camera, T_frame_camera: Array, where: str) -> Pictures:
+    """A cloud, each point in the pixel that it falls into, the nearest one where several do."""
+    cloud, seen = points_of(message, where)
+    points = cloud[seen] @ T_frame_camera[:3, :3]
+    ahead = points[:, 2] > 1e-3
+    z = points[ahead, 2]
+    found, inside = camera.pixels(points[ahead])
+    farthest_first = np.argsort(-z[inside], kind="stable")
+    pixels = (found[inside] @ [1, camera.width])[farthest_first]
+    depth = np.zeros(camera.height * camera.width, np.uint16)
+    depth[pixels] = _counts(z[inside][farthest_first])
+    depth = depth.reshape(camera.height, camera.width)
+    if (colours := colours_of(message, where)) is None:
+        return Pictures(depth)
+    painted = np.zeros((depth.size, 3), np.uint8)
+    painted[pixels] = colours[seen][ahead][inside][farthest_first]
+    return Pictures(depth, painted.reshape(*depth.shape, 3))
 
 
 def _counts(metres: Array) -> NDArray[np.uint16]:

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import io
 import re
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
 from scipy.spatial.transform import Rotation
 
 from gendom.arrays import Array
 from gendom.errors import RecordingError
 from gendom.perception.camera import Camera, expect
-from gendom.perception.frames import decode_png
+from gendom.perception.frames import decode
 from gendom.perception.ros_bag import decompressed
-from gendom.reading import MOST_PIXELS
 
 CLOUD, IMAGE, PACKED, INFO, JOINTS = (
     f"sensor_msgs/msg/{name}"
@@ -89,7 +86,7 @@ def picture_of(message: Any, kind: str, where: str) -> tuple[Array, str]:
         if kind == PACKED:
             said = message.format
             if data.startswith(b"\xff\xd8"):
-                return _jpeg(data, where), said
+                return np.asarray(decode(data, where, "JPEG").convert("RGB")), said
             return packed_picture(data, said, where), said
         order, size = "<>"[bool(message.is_bigendian)], (message.width, message.height)
         return raw_picture(data, message.encoding, *size, message.step, order, where), (
@@ -107,7 +104,7 @@ def packed_picture(data: bytes, form: str, where: str) -> Array:
         width, height, step = (int(raw[k]) for k in (2, 3, 4))
         return raw_picture(decompressed(data), raw[1], width, height, step, "<", where)
     # Depth has twelve bytes more in front (compressed_depth_image_transport).
-    picture = decode_png(data[max(data.find(_PNG, 0, 16), 0) :], where)
+    picture = decode(data[max(data.find(_PNG, 0, 16), 0) :], where)
     if picture.mode.startswith("I"):
         return np.asarray(picture).astype(np.uint16, copy=False)
     return np.asarray(picture.convert("RGB"))
@@ -143,17 +140,6 @@ _RAW: dict[str, tuple[int, list[int]]] = {
     "rgba8": (4, [0, 1, 2]),
     "bgra8": (4, [2, 1, 0]),
 }
-
-
-def _jpeg(data: bytes, where: str) -> Array:
-    try:
-        with Image.open(io.BytesIO(data), formats=["JPEG"]) as picture:
-            width, height = picture.size
-            what, fix = f"has {width} x {height} pixels", f"give {MOST_PIXELS} at most"
-            expect(width * height <= MOST_PIXELS, what, where, fix)
-            return np.asarray(picture.convert("RGB"))
-    except (OSError, SyntaxError, UnidentifiedImageError) as error:
-        raise ValueError(str(error)[:80]) from None
 
 
 def points_of(message: Any, where: str) -> tuple[Array, NDArray[np.bool_]]:
