@@ -195,7 +195,7 @@ def with_episodes(problem: Problem, found: Found, covariance: Array) -> Array:
     assert compared is not None
     for part, own, noise in zip(problem.parts, compared.parts, found.noise, strict=True):
         if part.scene.captured:
-            parts = np.array_split(own.pulls(noise), EPISODES)
+            parts = np.array_split(own.fit(noise).pulls, EPISODES)
             sums = np.stack([pulls.sum(axis=0) for pulls in parts])
             total[np.ix_(part.shown, part.shown)] += sums.T @ sums
     times = np.diag(covariance @ total @ covariance) / np.diag(covariance)
