@@ -39,7 +39,7 @@ def test_episodes_that_pull_apart_count(captured):
         SimpleNamespace(scene=SimpleNamespace(captured=c), shown=np.arange(2))
         for c in (captured, False)
     ]
-    own = [SimpleNamespace(pulls=lambda noise: pulls)] * 2
+    own = [SimpleNamespace(fit=lambda noise: SimpleNamespace(pulls=pulls))] * 2
     problem: Any = SimpleNamespace(parts=parts)
     found = result(comparison=SimpleNamespace(parts=own))
     wider = with_episodes(problem, found, np.diag([0.1, 0.3]))

@@ -198,8 +198,6 @@ class Comparison:
     def _by_offsets(self, rows: Rows) -> Array:
         """[T, m, B] by how much residuals fall with the markers' offsets."""
         o = self.observation
-        if not o.scene.beside:
-            return np.zeros((*rows.rho.shape, 0))
         along = np.einsum("tmk,tmkq->tmkq", rows.weight, (spread(o.scene) @ o.beside)[rows.index])
         frames = self.frames[np.arange(len(rows.rho))[:, None, None], rows.index]
         found = np.einsum("tmkq,tmkab,tma->tmqb", along, frames, rows.normal, optimize=True)
@@ -224,9 +222,9 @@ class Comparison:
         # by the displacement of each frame, which all frames' coefficients make up; by offsets,
         # rigid motion and skin; what is left; by parameters
         U, G = o.in_time[:, :S], rows.displacing(o.in_place[:, :S])
-        own = [self._by_offsets(rows), rows.fixed(o.centre), rho[..., None]]
-        if self.J.size:
-            own.append(rows.parameter_derivatives(self.J, self.widens))
+        own = [self._by_offsets(rows)] if o.scene.beside else []
+        own += [rows.fixed(o.centre), rho[..., None]]
+        own += [rows.parameter_derivatives(self.J, self.widens)] if self.J.size else []
         D = np.concatenate(own, axis=2)
         # weighted by how likely they are
         w = (rows.counts / rows.soft_root(HUBER, rho))[..., None]
@@ -241,23 +239,14 @@ class Comparison:
         solved = cho_solve(cho_factor(M, lower=True), np.column_stack([downhill, by]))
         step, follows = solved[:, 0], solved[:, 1:]
         gain, loss = float(step @ downhill), misfit(rows, rho)
+        # a small step is not taken, but counts
+        value = weight * loss + float(precision @ a**2) - gain * (gain < REGISTERED)
+        # residuals fall as the object moves along its normals
+        gradient = by.T @ step - weight * products[R, R + 1 :]
+        hessian = weight * products[R + 1 :, R + 1 :] - by.T @ follows
         pulls = each[:, R - S, R - S + 1 :] - each[:, R - S, : R - S] @ follows[S:]
-        return Fit(
-            noise=noise,
-            a=a,
-            rows=rows,
-            products=products,
-            loss=loss,
-            step=step,
-            gain=gain,
-            # a small step is not taken, but counts
-            value=weight * loss + float(precision @ a**2) - gain * (gain < REGISTERED),
-            # residuals fall as the object moves along its normals
-            gradient=by.T @ step - weight * products[R, R + 1 :],
-            hessian=weight * products[R + 1 :, R + 1 :] - by.T @ follows,
-            pulls=weight * pulls,
-            smooth=S,
-        )
+        likely = value, gradient, hessian, weight * pulls
+        return Fit(noise, a, S, rows, products, loss, step, gain, *likely)
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,14 +267,13 @@ class Comparisons:
             mine.warm_start(theirs)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class Fit:
     """Clouds beside one simulated shape, registered."""
 
     noise: NoiseModel
     a: Array
-    """[S + B + 7] displacement's coefficients [m], markers beside the axis [m], rigid motion
-    [m, rad], skin [m]."""
+    """[S + B + 7] displacement's coefficients, markers beside the axis, motion [rad], skin [m]."""
     smooth: int
     """S."""
     rows: Rows
