@@ -238,7 +238,9 @@ def test_markers_beside_an_axis_that_were_found_before():
 def test_distances_count_as_points_do():
     c: Any = compared(Seen(far=0.05))
     rho, counts, own = c.observation.rho(c.axis, 0.0015), c.observation.every, c.observation.own
-    frames = [np.sqrt(np.mean(r[:own][w[:own] > 0.0] ** 2)) for r, w in zip(rho, counts)]
+    frames = [
+        np.sqrt(np.mean(r[:own][w[:own] > 0.0] ** 2)) for r, w in zip(rho, counts, strict=True)
+    ]
     assert c.rms_by_frame() == pytest.approx(frames)
     huber = 2.0 * HUBER**2 * (np.sqrt(1.0 + (rho / HUBER) ** 2) - 1.0)
     rms = np.sqrt((counts * huber).sum() / counts.sum())

@@ -52,12 +52,12 @@ where it is not known which camera saw a point. Pixels at edges have no depth or
 background: 31 good lifts of the MuJoCo scene have 0.70 to 1.06 of the thickness."""
 
 
+UNITS = "is the mass in kilograms, are sizes in metres?"
+
+
 def beyond(findings: Findings) -> list[str]:
     """Reasons."""
     return [said for value, most, said in findings if value > most]
-
-
-UNITS = "is the mass in kilograms, are sizes in metres?"
 
 
 def _out_of(value: float, low: float, high: float) -> float:
