@@ -126,7 +126,7 @@ def test_the_best_of_four_shares_of_a_step_is_taken(most):
     assert (best == ASKED[3]) is (most > 1.0)
     assert ASKED[7:9] == pytest.approx([best + h, best - h], abs=1e-6)
     # where one end of the differences fails they say nothing
-    assert (found.belief.sd[0] < 0.29) is (most > 1.0)
+    assert (found.belief.sd[0] < 0.29) == (most > 1.0)
 
 
 def test_executions_have_the_numbers_of_their_task():
@@ -378,7 +378,8 @@ def test_the_first_of_the_surest_actions_is_chosen_for_all_likely_objects():
     known = ((0.4, 0.2), (0.995, 0.3), (1.0, 0.3), (0.6, 0.1))
     columns = (Column(name=n, mean=0.0, scale=1.0) for n in ("release_x", "release_z", "nu"))
     chances = {"method": "chance", "candidates": known, "inputs": tuple(columns),
-               "goals": GoalRange(at=(0.3,), low=((),), high=((),)), "conditioned_on": ("nu",)}  # fmt: skip
+               "goals": GoalRange(at=(0.3,), low=((),), high=((),)),
+               "conditioned_on": ("nu",)}  # fmt: skip
     policy = Policy(Chances(), describe(**chances), where="f")
     items = [rope(nu=0.25), rope(nu=0.35), rope(nu=0.38)]
     given = np.array([0.25, 0.35, 0.38])
