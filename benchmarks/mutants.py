@@ -58,7 +58,7 @@ PRELOADED = (
 
 ROOMS = {
     "intervals": ("estimation", "intervals", "estimation/test_exact_intervals "
-                  "estimation/test_widening estimation/test_intervals"),
+                  "estimation/test_intervals"),
     "readers": ("datasets", "clouds npz folder ../reading",
                 "datasets/test_exact_readers test_reading datasets/test_clouds "
                 "datasets/test_folder datasets/test_recording"),
@@ -68,8 +68,7 @@ ROOMS = {
     "robot": ("robot", "kinematics path motion timing collision",
               "robot/test_exact_robot robot/test_path robot/test_motion robot/test_collision "
               "robot/test_kinematics"),
-    "verdict": ("estimation", "verdict",
-                "estimation/test_exact_verdict"),
+    "verdict": ("estimation", "verdict", "estimation/test_exact_verdict"),
     "likelihood": ("estimation", "likelihood", "estimation/test_exact_likelihood"),
 }  # fmt: skip
 """Folder, modules and tests by room."""

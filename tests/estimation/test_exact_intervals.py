@@ -218,8 +218,9 @@ def test_fingers_and_pulls_widen_what_they_move():
     pulls = [rng.normal(size=(40, 2)) * 3.0, rng.normal(size=(40, 3)) * 3.0]
     shown = [np.array([0, 2]), np.array([0, 1, 2])]
     parts = [NS(scene=NS(captured=True), shown=s) for s in shown]
-    fits = [NS(fit=lambda noise, p=p: NS(pulls=p)) for p in pulls]
-    both = NS(best=NS(comparison=NS(parts=fits)), noise=[None, None])
+    parts.append(NS(scene=NS(captured=False), shown=shown[0]))
+    fits = [NS(fit=lambda noise, p=p: NS(pulls=p)) for p in (*pulls, 1e3 * pulls[0])]
+    both = NS(best=NS(comparison=NS(parts=fits)), noise=[None] * 3)
     total = np.zeros((3, 3))
     for p, s in zip(pulls, shown, strict=True):
         for k in range(10):
