@@ -269,7 +269,7 @@ def test_packed_clouds_say_how_long_they_are(tmp_path):
     ):  # fmt: skip
         assert said in refusal(read_pcd, path, data)
     for encoding, data in (("ascii", b"7 1 0 0 0 2 3"), ("binary", bytes(36))):
-        path.write_bytes(pcd(encoding, None, POINTS="1", WIDTH=None) + data)
+        path.write_bytes(pcd(encoding, 1, WIDTH=None) + data)
         assert read_pcd(path).shape == (1, 3)
     assert "has DATA packed, not one of ascii, binary, binary_compressed" in refusal(
         read_pcd, path, pcd("packed")

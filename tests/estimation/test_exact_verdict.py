@@ -177,7 +177,8 @@ def test_how_a_rope_lies_at_rest(cloud, changes, said):
 )
 def test_how_a_cloth_lies_at_rest(monkeypatch, sides, told):
     """However its sides are named."""
-    monkeypatch.setattr(verdict, "lying_rectangle", lambda points: sides)
+    seen = lambda points: sides if points.shape == (100, 2) else (9.0, 9.0)  # noqa: E731
+    monkeypatch.setattr(verdict, "lying_rectangle", seen)
     said = f"at rest the cloud fills a rectangle of {told}, the cloth is stated to be 0.5 x 0.3 m"
     for described in (CLOTH, replace(CLOTH, width=0.5, height=0.3)):
         assert lying(along(), described=described) == ([said] if told else [])

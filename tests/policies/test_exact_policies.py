@@ -35,7 +35,8 @@ OFFS = (0.01, -0.015, 0.02, 0.0)
 def reached(belief, vector):
     """[N] in lengths, of `ACTIONS`."""
     alike = dimensionless_parameters(belief.at(vector))
-    return np.array([reach_of(*a, alike["bending_ratio"], alike["damping"]) for a in ACTIONS])
+    known = alike["bending_ratio"], alike["damping"]
+    return np.array([reach_of(x, z, *known) for x, z in ACTIONS])
 
 
 def gram(a, b):

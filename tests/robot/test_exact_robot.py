@@ -328,8 +328,8 @@ def test_a_blend_is_the_mean_under_a_parabola():
 
 def test_many_paths_are_sampled_as_they_run():
     one = some_path(blend=0.2, events=(GripperEvent(time=1.1, closed=True),))
-    two = TcpPath(time=[0.0, 1.0], position=[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], quat_xyzw=DOWN)
-    still = TcpPath(time=[0.0, 1.0], position=np.zeros((2, 3)), quat_xyzw=DOWN)
+    ends = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    two, still = (some_path(time=[0.0, 1.0], position=p) for p in (ends, 0.0 * ends))
     paths = TcpPaths([one, two, still])
     np.testing.assert_allclose(paths.moves, [0.4, 0.0, np.inf])
     assert (one.moves, two.moves) == (pytest.approx(0.4), 0.0)
@@ -409,9 +409,9 @@ def test_limits_are_used_as_a_cubic_does():
     round_trip = JointMotion(time=np.array([0.0, 1.0, 1.3]), q=q)
     t = np.linspace(0.0, 1.3, 20001)
     for use in round_trip.limit_uses(XARM7)[:-1]:
-        order = ("angle", "speed", "acceleration").index(use.kind)
-        value = round_trip.spline(t, order)[:, use.joint - 1]
-        centre = MIDDLE[use.joint - 1] if order == 0 else 0.0
+        order, joint = ("angle", "speed", "acceleration").index(use.kind), use.joint or 0
+        value = round_trip.spline(t, order)[:, joint - 1]
+        centre = MIDDLE[joint - 1] if order == 0 else 0.0
         assert abs(use.value - centre) == pytest.approx(np.abs(value - centre).max(), rel=1e-5)
 
 

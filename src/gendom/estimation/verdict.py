@@ -69,7 +69,7 @@ def of_recording(recording: Recording, density: float | None) -> Findings:
     """Independently of the fit; of a density where mass and sizes are stated [kg/m^3]."""
     if density is not None:
         said = f"mass and sizes give a density of {density:.3g} kg/m^3: {UNITS}"
-        yield _out_of(density, MIN_DENSITY.get(recording.object.kind, 0.0), MAX_DENSITY), 1.0, said
+        yield _out_of(density, MIN_DENSITY[recording.object.kind], MAX_DENSITY), 1.0, said
     if recording.extra.get("static", False):
         return
     frames = np.flatnonzero(recording.frame_valid)
@@ -77,7 +77,7 @@ def of_recording(recording: Recording, density: float | None) -> Findings:
     yield FEWEST_FRAMES - len(frames), 0.0, lack
     if len(frames) < FEWEST_FRAMES:
         return
-    path, size = recording.gripper_position[frames], max(recording.object.size or 0.0, 1e-9)
+    path, size = recording.gripper_position[frames], recording.object.size or 1e-9
     reach = float(norm(path - path[0], axis=2).max())
     moves = reach >= 0.15 * size  # less shows almost nothing of the stiffness
     said = f"the gripper moves by {reach:.3g} m, {reach / size:.0%} of the object's size"
@@ -172,17 +172,20 @@ def _seen_breadth(comparison: Comparison, noise: NoiseModel) -> float | None:
     index, _, feet = o.shape.nearest(line, o.points)
     # beyond its ends it is no cylinder
     own = (index[..., 0] > 2) & (index[..., 1] < line.shape[1] - 3) & (o.counts > 0.0)
-    along = np.diff(taken(line, index)[own][:, :2], axis=1)[:, 0]
-    seen = o.points[own], feet[own], along, cameras, noise.sensor
+    ends = taken(line, index)[own]
+    seen = o.points[own], feet[own], ends[:, 1] - ends[:, 0], cameras, noise.sensor
     return breadth_across(*seen, seen_by=o.camera[own])
 
 
 def _blamed_on_cameras(reasons: list[str], part: Part, comparison: Comparison) -> list[str]:
     """Reasons, with that cameras disagree, where they do, in place of a wrong thickness; a fit that
     is farther from the clouds than that does not tell."""
-    perceived = part.scene.recording.cameras_apart
-    far, first, last = comparison.cameras_apart() if reasons else (0.0, 0, 0)
-    if far > max(2.0 * part.noise.shift, comparison.rms):
+    perceived, most = (
+        part.scene.recording.cameras_apart,
+        max(2.0 * part.noise.shift, comparison.rms),
+    )
+    if reasons and (found := comparison.cameras_apart())[0] > most:
+        far, first, last = found
         said = f"in frames {first} to {last} two cameras place the object {1e3 * far:.0f} mm apart"
         said += ": do their poses, or clocks, drift?"
     elif perceived > 0.012:  # of 30 lifts with usual errors of calibration 0.008 m at most
