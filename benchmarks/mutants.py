@@ -6,7 +6,8 @@
 
 Changes are those of cosmic-ray, made in a copy of the repository. Of each room `--count` places are
 drawn by `--seed`, and one change of each. Left out is what changes no result: types, the text of
-messages (f-strings), flags of decorators and of zip (`strict`). What was tried is kept in --out as
+messages (f-strings), caches and flags of classes, flags of calls (`strict`, `optimize`), and
+identity in place of equality, which is up to Python. What was tried is kept in --out as
 long as the room's code stays the same, so an interrupted run goes on. The table and the changes
 that survived are printed.
 """
@@ -55,6 +56,9 @@ PRELOADED = (
     "cv2",
 )
 """Packages that are imported once."""
+
+IDENTITY = ("_Eq_Is", "_Is_Eq", "_NotEq_IsNot", "_IsNot_NotEq")
+"""Ends of operators' names."""
 
 ROOMS = {
     "intervals": ("estimation", "intervals", "estimation/test_exact_intervals "
@@ -176,6 +180,8 @@ def drawn(items: list[WorkItem], rng: random.Random, count: int) -> list[WorkIte
     left = {path: set(left_out(path)) for path in {i.mutations[0].module_path for i in items}}
     for item in items:
         change = item.mutations[0]
+        if change.operator_name.endswith(IDENTITY):
+            continue
         if not any(a <= change.start_pos < b for a, b in left[change.module_path]):
             at.setdefault((change.module_path, change.start_pos), []).append(item)
     places = sorted(at, key=str)
@@ -192,12 +198,13 @@ def left_out(path: Path) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
             found = [node.annotation]
         elif isinstance(node, ast.FunctionDef):
             found = [node.returns]
+            found += [d for d in node.decorator_list if "cache" in ast.unparse(d).split(".")]
         elif isinstance(node, ast.JoinedStr):
             found = [node]
         elif isinstance(node, ast.If) and isinstance(node.test, ast.Name):
             found = [node.test] if node.test.id == "TYPE_CHECKING" else []
         elif isinstance(node, ast.Call):
-            found = [k.value for k in node.keywords if k.arg == "strict"]
+            found = [k.value for k in node.keywords if k.arg in ("strict", "optimize")]
         elif isinstance(node, ast.ClassDef):
             found = [d for d in node.decorator_list if isinstance(d, ast.Call)]
         for one in filter(None, found):

@@ -325,7 +325,7 @@ def read_rows(
     except (UnicodeDecodeError, csv.Error) as fault:
         raise error(f"is not CSV ({fault})", where=str(path), fix="save it as CSV") from None
     require(lines, "is empty", path, f"write the header {header}", error)
-    odd = next((mark for mark in ";\t" if mark in text.split("\n", 1)[0]), None)
+    odd = next((mark for mark in ";\t" if mark in text.partition("\n")[0]), None)
     fix = "separate values by commas, and write decimals with a point"
     require(odd is None, f"is separated by {odd!r}", path, fix, error)
     count = len(lines[0][1])

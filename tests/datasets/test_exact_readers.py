@@ -2,14 +2,17 @@
 
 import io
 import json
+import os
 import struct
 import zipfile
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
 from datasets.test_clouds import pcd, ply, refusal
 from gendom import reading
+from gendom.arrays import Array
 from gendom.datasets import clouds, npz, read_pcd, read_ply
 from gendom.datasets.folder import _misfit, check_named, in_order, read_gripper, read_object
 from gendom.datasets.npz import read_npz, read_npz_cloud
@@ -46,7 +49,7 @@ def nested(depth):
          "in line 2); write the file again"),
         ("a.csv", b"x\n" * (1 << 15), b"x\n" * ((1 << 15) + 1),
          "has 32769 rows, at most 32768 are read; keep one lift, or every tenth row"),
-        ("a.csv", b"," * 255, b"," * 256, "has 257 columns; write the header x"),
+        ("a.csv", b"," * 255, b"," * 256 + b"\n1,2", "has 257 columns; write the header x"),
         ("a.csv", b"x", b"\n\n", "is empty; write the header x"),
         ("a.csv", b"x,y\n1;2", b"x;y\n", "is separated by ';'; separate values by commas, and "
          "write decimals with a point"),
@@ -67,6 +70,48 @@ def test_text_is_read_up_to_its_bound(tmp_path, name, within, beyond, said):
         assert words.startswith(f"{path}: is not JSON (") and "in line 2); write" in words
     else:
         assert words == f"{path}: {said}"
+
+
+@dataclass
+class Inner:
+    width: float
+    path: str = ""
+
+
+@dataclass
+class Outer:
+    name: str
+    cameras: list[Inner]
+    one: Inner | None = None
+    matrix: Array = field(default_factory=lambda: np.zeros(0))
+
+
+def test_records_of_people_have_known_keys_at_every_depth():
+    """Others may hold more; arrays are lists of numbers."""
+    good = {"name": "a", "cameras": [{"width": 1}], "one": {"width": 2.0}, "matrix": [[1, 2]]}
+
+    def read(value, by_hand=True):
+        return reading.record_of(Outer, value, where="f", fix="mend it", by_hand=by_hand)
+
+    found = read(good)
+    assert (found.cameras, found.one) == ([Inner(1.0)], Inner(2.0))
+    assert found.matrix.dtype == np.float64 and found.matrix.tolist() == [[1.0, 2.0]]
+    for change, said in (
+        ({"nam": 1}, "f: has the unknown key 'nam'; did you mean 'name'?"),
+        ({"x": 1}, "f: has the unknown key 'x'; known are name, cameras, one, matrix"),
+        ({"cameras": [{"width": 1}, {"width": 1, "q": 2}]},
+         "f: cameras[1]: has the unknown key 'q'; known are width"),
+        ({"one": {"width": 1, "wdth": 2}},
+         "f: one: has the unknown key 'wdth'; did you mean 'width'?"),
+        ({"one": {"width": 1, "path": "p"}}, "f: one: has the unknown key 'path'; known are width"),
+        ({"cameras": [{"width": "a"}]}, "f: cameras[0].width: expected float, got str; mend it"),
+        ({"matrix": "a"}, "f: matrix: expected an array of numbers; mend it"),
+        ({"cameras": 3}, "f: cameras: expected array, got int; mend it"),
+    ):  # fmt: skip
+        with pytest.raises(GendomError) as caught:
+            read({**good, **change})
+        assert str(caught.value) == said
+    assert read({**good, "x": 1}, by_hand=False).name == "a"
 
 
 def test_compressed_data_may_unpack_to_so_much():
@@ -218,6 +263,9 @@ def test_clouds_at_their_bounds(tmp_path):
         else:
             with pytest.raises(RecordingError, match="has no end_header"):
                 read_ply(path)
+    path.write_bytes(ply("ascii", *VERTEX) + b"1 2 3 4 5 0." + b"0" * 6000)
+    with pytest.raises(RecordingError, match=r"is no number .more than 1100 characters"):
+        read_ply(path)
     number = b"0." + b"0" * 1097 + b"1"
     path.write_bytes(ply("ascii", *VERTEX) + number + b" 2 3 -nan(ind) 5 6")
     assert read_ply(path).tolist() == [[0.0, 2.0, 3.0]]
@@ -355,6 +403,14 @@ def test_clouds_and_recordings_of_numpy(tmp_path):
         archive.writestr("points.npy", file.getvalue())
     with pytest.raises(RecordingError, match=r"pickles.*numbers and meta as JSON"):
         read_npz_cloud(path)
+    for size, said in ((1 << 31, "is no .npz file"), ((1 << 31) + 1, "most 2147483648 are read")):
+        path.write_bytes(b"")
+        os.truncate(path, size)
+        with pytest.raises(RecordingError, match=said):
+            read_npz_cloud(path)
+    for size, said in ((1 << 23, "meta.format: is None"), ((1 << 23) + 1, "or no JSON text")):
+        with pytest.raises(RecordingError, match=said):
+            read_npz(saved(path, meta=np.array("{}".ljust(size))))
     assert npz.short(ValueError("a" * 130 + "\nb")) == "a" * 120
     assert npz.short(KeyError()) == "KeyError"
     for suffix in (".ply", ".PCD"):

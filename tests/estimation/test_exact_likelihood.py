@@ -1,5 +1,6 @@
 """Fits of small problems beside a slow reference: dense matrices, derivatives by differences."""
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,7 @@ from gendom.estimation import likelihood
 from gendom.estimation.likelihood import HUBER, Comparison, Comparisons, shared
 from gendom.estimation.observed import NoiseModel, Rows
 
-T, N, M = 3, 4, 30
+T, N, M = 4, 4, 30
 NOISE = NoiseModel(sensor=0.003, model=0.004, patch=2.0, shift=0.01, turn=0.02, skin=0.003)
 
 
@@ -38,7 +39,7 @@ class Seen:
         self.centre, self.noise = np.array([0.1, -0.2, 0.3]), NOISE
         self.in_time, self.in_place = rng.normal(size=(T, 2)), rng.normal(size=(N, 2))
         self.beside = rng.normal(size=(5, 2)) if beside else np.zeros((0, 0))
-        self.scene = SimpleNamespace(beside=beside, frames=(4, 6, 9), captured=not on_skin)
+        self.scene = SimpleNamespace(beside=beside, frames=(4, 6, 9, 11), captured=not on_skin)
         self.shape = SimpleNamespace(radius=0.002, taken_from=lambda other, J: J)
         self.camera = np.zeros((T, self.own), int)
         self.markers = None if on_skin else (0, 0)
@@ -261,36 +262,35 @@ def test_distances_count_as_points_do():
 
 @pytest.mark.parametrize(("points", "told"), [(101, True), (100, False)])
 def test_cameras_are_apart_by_the_rigid_motions_of_their_points(points, told):
-    """In the second of three frames, where one camera's points are off; of ridge regressions by
+    """In the first third of the frames, where one camera's points are off; of ridge regressions by
     rows that are added. A camera that is not known, and points that do not count, say nothing."""
-    seen: Any = Seen(rows=3 * points + 50)
-    camera = np.repeat([0, 5, -1], [points, points, len(seen.counts[0]) - 2 * points])
+    seen: Any = Seen(rows=158)
+    camera = np.repeat([0, 5, -1], [51, 51, 50])
     seen.camera[:], seen.counts = camera, np.ones((T, seen.own))
-    seen.counts[:, : points - 1 if points == 101 else points] = 1.0
-    seen.point[1] += np.where(np.arange(len(seen.point[1])) < points, 1.0, 0.0)[:, None] * 0.01
-    seen.point[:, 2 * points :] += 0.3
-    seen.counts[0, :5] = 0.0
-    c = compared(seen)
+    seen.counts[1, points - 51 : 51] = 0.0  # so many of the first camera count
+    seen.point[:2, :51] += 0.01
+    seen.point[:, 102:] += 0.3
+    c: Any = compared(seen)
     far, first, last = c.cameras_apart()
     if not told:
         assert (far, first, last) == (0.0, 0, 0)
         return
     found, rho = [], seen.rho(c.axis, 0.0015)
-    noise = replace(seen.noise, shift=0.05, turn=0.1)
-    sd = np.array([*[noise.shift] * 3, *[noise.turn] * 3, noise.skin])
-    for mine in (camera == 0, camera == 5):
-        r, n = rho[1, : seen.own][mine], seen.normal[1, : seen.own][mine]
-        on = c.rows.point[1, : seen.own][mine] - seen.centre
+    sd = np.array([0.05] * 3 + [0.1] * 3 + [seen.noise.skin])
+    for one in (0, 5):
+        mine = np.zeros_like(rho, bool)
+        mine[:2, : seen.own] = (camera == one) & (seen.counts[:2] > 0.0)
+        r, n, on = rho[mine], seen.normal[mine], c.rows.point[mine] - seen.centre
         A = np.concatenate([-n, -np.cross(on, n), np.ones((len(r), 1))], axis=1)
-        w = (1.0 + (r / HUBER) ** 2) ** -0.25 / noise.sensor
+        w = (1.0 + (r / HUBER) ** 2) ** -0.25 / seen.noise.sensor
         rows = np.concatenate([w[:, None] * A, np.diag(1.0 / sd)])
         found.append(np.linalg.lstsq(rows, np.append(w * r, np.zeros(7)), rcond=None)[0][:3])
     assert far == pytest.approx(np.linalg.norm(found[0] - found[1]), rel=1e-6)
-    assert (first, last) == (6, 6) and far > 0.005
+    assert (first, last) == (4, 6) and far > 0.005
 
 
 def test_noise_is_that_of_the_greatest_marginal_likelihood():
-    """Of Gaussians with small residuals, each of which is there twice; not below its bounds."""
+    """Of Gaussians with small residuals; not below its bounds."""
     seen: Any = Seen(seed=3, rows=60)
     seen.every[:], seen.counts[:] = 1.0, 1.0
     seen.point = seen.feet(seen.axis) + 1e-5 * seen.rng.normal(size=(T, 60, 1)) * seen.normal
@@ -316,9 +316,22 @@ def test_noise_is_that_of_the_greatest_marginal_likelihood():
     seen.every *= 2.0  # of two that share their noise
     twice = c.fit(replace(begin, patch=2.0)).updated_noise(4000)
     assert (twice.sensor, twice.model) == pytest.approx(best, rel=2e-3)
-    bounded = c.fit(begin).updated_noise(3), replace(begin, least_sensor=1.0, least_model=2.0)
-    bounded = c.fit(bounded[1]).updated_noise(1)
+    bounded = c.fit(replace(begin, least_sensor=1.0, least_model=2.0)).updated_noise(1)
     assert (bounded.sensor, bounded.model) == (1.0, 2.0)
+    # of fewer points than unknowns a tenth counts: residuals beside a posterior's mean
+    seen.every[:], still = 0.04, replace(still, model=4e-3)  # 240 of them, 9.6 points
+    fit = c.fit(still)
+    r, W = y.ravel(), 0.04 / still.sensor**2
+    every = reference(c, np.zeros(19), still).D.reshape(-1, 21)[:, :19]
+    precision = still.precision(12, 0)
+    spread = np.linalg.inv(W * every.T @ every + np.diag(precision))
+    off, used = spread @ every.T @ r * W, 19.0 - np.diag(spread) @ precision
+    assert 9.6 - used < 0.96
+    wanted = math.sqrt(0.04 * np.sum((r - every @ off) ** 2) / max(9.6 - used, 0.96))
+    found = fit.updated_noise(1)
+    assert found.sensor == pytest.approx(wanted, rel=1e-4)
+    wanted = math.sqrt((off[:12] @ off[:12] + np.diag(spread)[:12].sum()) / 12.0)
+    assert found.model == pytest.approx(wanted, rel=1e-4)
 
 
 def test_noise_of_markers_counts_residuals_that_last():

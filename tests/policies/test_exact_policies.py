@@ -260,6 +260,7 @@ def test_descriptions_say_what_acting_relies_on():
          "its actions to choose among are not of 2 numbers"),
     ):  # fmt: skip
         assert next(replace(good, **changes)._faults(), None) == said
+    assert not good.inputs[0].log
     words = replace(good, training={"demonstrations": 7}), replace(good, conditioned_on=())
     shown = [Policy(None, w, where="f")._shown() for w in words]
     assert shown[0] == ("Policy (rope-reaching, distal)", [

@@ -60,6 +60,8 @@ def test_errors_of_poses_are_shifts_and_turns(angle):
     error = kin.pose_error(np.stack([to, start]), np.stack([start, start]))
     np.testing.assert_allclose(error[0], [0.1, -0.2, 0.3, *(angle * axis)], atol=1e-9)
     np.testing.assert_allclose(error[1], np.zeros(6), atol=1e-12)
+    half = kin.pose_error(turned(axis, math.pi), np.eye(4))[3:]  # half a turn has two axes
+    np.testing.assert_allclose(np.abs(half), np.abs(math.pi * axis), atol=1e-7)
 
 
 def test_solutions_reach_their_pose_from_near_to_far():
@@ -97,6 +99,7 @@ def test_whole_turns_are_taken_off_where_limits_allow_it():
     [
         ([9.9e-8, 0, 0, 0, 0, 9.9e-7], True),
         ([8e-8, 8e-8, 0, 0, 0, 0], False),
+        ([0, 0, 0, 5e-7, 0, 0], True),
         ([0, 0, 1.01e-7, 0, 0, 0], False),
         ([0, 0, 0, 8e-7, 0, 8e-7], False),
         ([0, 0, 0, 0, 1.01e-6, 0], False),
@@ -173,6 +176,7 @@ def test_segments_are_as_far_apart_as_their_nearest_points():
         least = np.linalg.norm(x[:, None] - y[None], axis=2).min()
         found = hits.segments_apart(a[k], b[k], c[k], d[k])
         assert least - 0.01 < found <= least + 1e-9
+        assert found == pytest.approx(hits.segments_apart(a, b, c, d)[k], abs=1e-12)
 
 
 def test_a_box_is_as_far_as_its_nearest_face():
@@ -187,6 +191,7 @@ def test_a_box_is_as_far_as_its_nearest_face():
         outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
         least = (outside + np.minimum(beyond.max(axis=1), 0.0)).min()
         assert hits.segment_to_box(a[k], b[k], half) == pytest.approx(least, abs=2e-3)
+        assert hits.segment_to_box(a, b, half)[k] == pytest.approx(least, abs=2e-3)
     turn = Rotation.from_rotvec([0.2, -0.4, 0.9])
     box = hits.Box(name="b", position=np.array([1.0, 2.0, 3.0]), size=2.0 * half,
                    quat_xyzw=turn.as_quat())  # fmt: skip
@@ -198,15 +203,40 @@ POST = hits.Post(
     name="post", start=np.array([0.4, 0.3, 0.0]), end=np.array([0.4, 0.3, 0.5]), radius=0.02
 )
 BOX = hits.Box(name="box", position=np.array([0.5, -0.2, 0.2]), size=np.array([0.1, 0.2, 0.3]))
-AROUND = hits.Surroundings(
-    table_height=-0.05, obstacles=(BOX, POST), clearance=0.03, self_clearance=0.01
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"position": [1.0, 2.0]}, "its position is [1.0, 2.0]; give 3 numbers"),
+        (
+            {"position": [1.0, 2.0, 3.0, 4.0]},
+            "its position is [1.0, 2.0, 3.0, 4.0]; give 3 numbers",
+        ),
+        ({"size": [1.0, np.nan, 1.0]}, "its size is [1.0, nan, 1.0]; give 3 numbers"),
+        ({"quat_xyzw": [0.0] * 3}, "its quat_xyzw is [0.0, 0.0, 0.0]; give 4 numbers"),
+        ({"quat_xyzw": [0.0] * 4}, "is turned by no quaternion; give four numbers, not all 0"),
+        ({"size": [1.0, 0.0, 1.0]}, "its size is [1. 0. 1.]; give lengths above 0"),
+    ],
 )
+def test_obstacles_are_made_of_numbers(changes, said):
+    given = {"name": "b", "position": [0, 0, 0], "size": [1, 1, 1], "quat_xyzw": [0, 0, 0, 1]}
+    with pytest.raises(RobotError) as caught:
+        hits.Box(**{**given, **changes})
+    assert str(caught.value) == f"b: {said}"
+    for radius in (0.0, np.inf, np.nan):
+        with pytest.raises(RobotError, match=f"its radius is {radius}; give metres above 0"):
+            replace(POST, radius=radius)
 
 
-def test_a_checker_measures_all_pairs_that_may_collide():
+@pytest.mark.parametrize("asked", [0.01, 0.3])
+def test_a_checker_measures_all_pairs_that_may_collide(asked):
     """Of capsules more than two links apart, of those two apart that are free at home; of what
     moves with the table and obstacles."""
-    check = hits.CollisionChecker(XARM7, AROUND, opening=0.04)
+    around = hits.Surroundings(
+        table_height=-0.05, obstacles=(BOX, POST), clearance=0.03, self_clearance=asked
+    )
+    check = hits.CollisionChecker(XARM7, around, opening=0.04)
     q = angles(6)
     shape, home = (kin.arm_shape(XARM7, x, 0.04) for x in (q, XARM7.home))
     links = [c.link for c in XARM7.capsules] + [7] * (2 * len(XARM7.gripper.fingers))
@@ -223,7 +253,7 @@ def test_a_checker_measures_all_pairs_that_may_collide():
             between, free = abs(links[a] - links[b]), float(apart(home, a, b))
             if between > 2 or (between == 2 and free >= 0.0):
                 wanted[names[a], names[b]] = apart(shape, a, b)
-                margins[names[a], names[b]] = 0.01 if between > 2 or free >= 0.01 else 0.0
+                margins[names[a], names[b]] = asked if between > 2 or free >= asked else 0.0
     for a in range(len(names)):
         if links[a] > 0:
             low = np.minimum(shape.start[:, a, 2], shape.end[:, a, 2]) - shape.radius[a]
@@ -404,15 +434,39 @@ def test_limits_are_used_as_a_cubic_does():
     slow.check_limits(XARM7)
     with pytest.raises(RobotError, match=r"take 1\.\d{3} times as long"):
         motion.stretched(0.9 * motion.slowdown(XARM7)).check_limits(XARM7)
+    # how far a joint turns at most: the speed's parabola within its Bezier points
+    bound = hits._rotation_bound(motion, np.array([1.0, 1.0]), np.array([3.0, 2.0]))
+    np.testing.assert_allclose(bound[0], 3.0 * abs(by))
     # a turn between knots is found
     q = np.stack([MIDDLE, MIDDLE + by, MIDDLE + 0.9 * by])
     round_trip = JointMotion(time=np.array([0.0, 1.0, 1.3]), q=q)
     t = np.linspace(0.0, 1.3, 20001)
-    for use in round_trip.limit_uses(XARM7)[:-1]:
+    *of_joints, of_tool = round_trip.limit_uses(XARM7)
+    at = np.array([0.0, 0.5, 1.0, 1.15, 1.3])
+    rates = kin.jacobian(XARM7, round_trip.at(at))[:, :3] @ round_trip.speed_at(at)[..., None]
+    assert of_tool.value == pytest.approx(np.linalg.norm(rates[..., 0], axis=1).max())
+    for use in of_joints:
         order, joint = ("angle", "speed", "acceleration").index(use.kind), use.joint or 0
         value = round_trip.spline(t, order)[:, joint - 1]
         centre = MIDDLE[joint - 1] if order == 0 else 0.0
         assert abs(use.value - centre) == pytest.approx(np.abs(value - centre).max(), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("time", "q", "said"),
+    [
+        ([0.0, np.nan], np.zeros((2, 7)), "holds a number that is not finite"),
+        ([0.0, 1.0], np.full((2, 7), np.inf), "holds a number that is not finite"),
+        ([0.0, 0.0], np.zeros((2, 7)), "its times do not increase; sort them"),
+        ([0.0], np.zeros((1, 7)), "needs time [K >= 2] and q [K, J], got (1,) and (1, 7)"),
+        ([0.0, 1.0], np.zeros((3, 7)), "needs time [K >= 2] and q [K, J], got (2,) and (3, 7)"),
+        ([0.0, 1.0], np.zeros(2), "needs time [K >= 2] and q [K, J], got (2,) and (2,)"),
+    ],
+)
+def test_motions_are_made_of_finite_numbers(time, q, said):
+    with pytest.raises(RobotError) as caught:
+        JointMotion(time=np.array(time), q=q)
+    assert str(caught.value) == f"joint motion: {said}"
 
 
 def test_uses_of_limits_in_words():
