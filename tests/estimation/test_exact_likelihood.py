@@ -109,11 +109,11 @@ def residuals(c, a, theta):
 
 
 def reference(c, a, noise):
-    """Of all that a fit says at a registration: by central differences and dense matrices."""
+    """Of all that a fit says at a registration: by differences, which are exact here."""
     o, R, P = c.observation, len(a), c.J.shape[3]
     x = np.concatenate([a, np.zeros(P)])
     f = lambda x: residuals(c, x[:R], x[R:])  # noqa: E731
-    D = -np.stack([(f(x + h) - f(x - h)) / 2e-6 for h in 1e-6 * np.eye(R + P)], axis=2)
+    D = -np.stack([(f(x + h) - f(x - h)) / 0.02 for h in 0.01 * np.eye(R + P)], axis=2)
     rho = f(x)
     size = np.abs(rho)
     if not o.on_skin:  # of all three coordinates
@@ -319,15 +319,15 @@ def test_noise_is_that_of_the_greatest_marginal_likelihood():
     bounded = c.fit(replace(begin, least_sensor=1.0, least_model=2.0)).updated_noise(1)
     assert (bounded.sensor, bounded.model) == (1.0, 2.0)
     # of fewer points than unknowns a tenth counts: residuals beside a posterior's mean
-    seen.every[:], still = 0.04, replace(still, model=4e-3)  # 240 of them, 9.6 points
-    fit = c.fit(still)
-    r, W = y.ravel(), 0.04 / still.sensor**2
-    every = reference(c, np.zeros(19), still).D.reshape(-1, 21)[:, :19]
-    precision = still.precision(12, 0)
-    spread = np.linalg.inv(W * every.T @ every + np.diag(precision))
-    off, used = spread @ every.T @ r * W, 19.0 - np.diag(spread) @ precision
+    seen.every[:], still = 0.04, replace(true, model=4e-3, least_sensor=1e-9)  # 9.6 points
+    fit, known = c.fit(still), reference(c, np.zeros(19), still)
+    r, D, W = known.rho.ravel(), known.D.reshape(-1, 21)[:, :19], known.W.ravel()
+    precision, A = still.precision(12, 0), (W[:, None] * D).T / still.sensor**2
+    spread = np.linalg.inv(A @ D + np.diag(precision))
+    off, used = spread @ A @ r, 19.0 - np.diag(spread) @ precision
     assert 9.6 - used < 0.96
-    wanted = math.sqrt(0.04 * np.sum((r - every @ off) ** 2) / max(9.6 - used, 0.96))
+    left = known.loss + W @ ((r - D @ off) ** 2 - r**2)
+    wanted = math.sqrt(left / max(9.6 - used, 0.96))
     found = fit.updated_noise(1)
     assert found.sensor == pytest.approx(wanted, rel=1e-4)
     wanted = math.sqrt((off[:12] @ off[:12] + np.diag(spread)[:12].sum()) / 12.0)
