@@ -319,7 +319,7 @@ def test_noise_is_that_of_the_greatest_marginal_likelihood():
     bounded = c.fit(replace(begin, least_sensor=1.0, least_model=2.0)).updated_noise(1)
     assert (bounded.sensor, bounded.model) == (1.0, 2.0)
     # of 9.6 points, fewer than unknowns, a tenth counts
-    seen.every[:], still = 0.04, replace(true, model=4e-3, least_model=1e-9)
+    seen.every[:], still = 0.04, replace(begin, model=4e-3, sensor=2e-5)
     fit, known = c.fit(still), reference(c, np.zeros(19), still)
     r, D, W = known.rho.ravel(), known.D.reshape(-1, 21)[:, :19], known.W.ravel()
     precision, A = still.precision(12, 0), (W[:, None] * D).T / still.sensor**2
