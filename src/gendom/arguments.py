@@ -21,8 +21,7 @@ Shape = tuple[int | str, ...]
 def require(
     holds: Any,
     what: str,
-    *,
-    where: str | None = None,
+    where: object = None,
     fix: str | None = None,
     error: type[GendomError] = ParameterError,
 ) -> None:
@@ -32,7 +31,7 @@ def require(
         GendomError: Of the given class, as "where: what; fix".
     """
     if not holds:
-        raise error(what, where=where, fix=fix)
+        raise error(what, where=None if where is None else str(where), fix=fix)
 
 
 def check_choice(

@@ -10,12 +10,7 @@ from collections.abc import Iterable
 
 import gymnasium
 
-BUILT_IN = (
-    "rope-reaching",
-    "rope-casting",
-    "cloth-spreading",
-    "cloth-dragging",
-)
+BUILT_IN = ("rope-reaching", "rope-casting", "cloth-spreading", "cloth-dragging")
 
 
 def register(names: Iterable[str] = BUILT_IN) -> None:

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,8 @@ LEAST_ROOM = 1 << 22
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 """Errors of a disk without room."""
+
+_wanted = partial(require, error=GendomError)
 
 
 @contextmanager
@@ -96,10 +99,6 @@ def check_file(path: str | os.PathLike, ending: str) -> None:
 def free_room(folder: str | os.PathLike) -> int:
     """Free space on the disk of a folder that need not exist yet [bytes]."""
     return shutil.disk_usage(_nearest(Path(folder))).free
-
-
-def _wanted(holds: object, what: str, where: Path, fix: str) -> None:
-    require(holds, what, where=str(where), fix=fix, error=GendomError)
 
 
 def _nearest(path: Path) -> Path:

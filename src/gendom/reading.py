@@ -20,6 +20,7 @@ import tomllib
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
@@ -59,20 +60,8 @@ MOST_DOTS = 256
 """In a line of TOML: reading a key of so many parts takes a time that grows with their cube."""
 
 
-def wanted(
-    holds: Any,
-    what: str,
-    where: object = None,
-    fix: str | None = None,
-    error: type[GendomError] = RecordingError,
-) -> None:
-    """Raise an error with this message unless the condition holds.
-
-    Raises:
-        GendomError: As `error`.
-    """
-    if not holds:
-        raise error(what, where=None if where is None else str(where), fix=fix)
+wanted = partial(require, error=RecordingError)
+"""`require` of recordings."""
 
 
 def near_name(path: str | os.PathLike) -> str:
@@ -114,11 +103,9 @@ def file_size(
         what = f"cannot be read ({getattr(fault, 'strerror', fault)})"
         raise error(what, where=str(path), fix="check the path") from None
     what = "is a folder" if stat.S_ISDIR(found.st_mode) else "is a pipe or device, not a file"
-    regular = stat.S_ISREG(found.st_mode)
-    require(regular, what, where=str(path), fix="name a file", error=error)
+    require(stat.S_ISREG(found.st_mode), what, path, "name a file", error)
     what = f"has {found.st_size} bytes, at most {most} are read"
-    fits = found.st_size <= most
-    require(fits, what, where=str(path), fix="check that it is the right file", error=error)
+    require(found.st_size <= most, what, path, "check that it is the right file", error)
     return found.st_size
 
 
@@ -146,8 +133,7 @@ def check_unpacked(
     """
     most = max(LARGEST_FILE, MOST_UNPACKED * packed)
     what = f"unpacks to {size} bytes or more, at most {most} are read"
-    fix = "check where it comes from"
-    require(size <= most, what, where=where, fix=fix, error=error)
+    require(size <= most, what, where, "check where it comes from", error)
 
 
 def inside(
@@ -195,8 +181,8 @@ def parse_json(
     try:
         text = decoded(content) if isinstance(content, bytes) else content
         value = json.loads(text, parse_constant=_refuse_constant)
-        what, fix = f"holds a JSON {type(value).__name__}, not an object", "is it the right file?"
-        require(isinstance(value, dict), what, where=where, fix=fix, error=error)
+        what = f"holds a JSON {type(value).__name__}, not an object"
+        require(isinstance(value, dict), what, where, "is it the right file?", error)
         _check_tree(value, finite=True)
     except json.JSONDecodeError as fault:
         what = f"is not JSON ({fault.msg} in line {fault.lineno})"
@@ -239,7 +225,7 @@ def _check_keys(kind: Any, table: dict[str, Any], where: str, error: type[Gendom
     known, types = [f.name for f in fields(kind) if f.name != "path"], get_type_hints(kind)
     for key, value in table.items():
         fix = did_you_mean(key, known) or f"known are {', '.join(known)}"
-        require(key in known, f"has the unknown key {key!r}", where=where, fix=fix, error=error)
+        require(key in known, f"has the unknown key {key!r}", where, fix, error)
         inner = next((k for k in (types[key], *get_args(types[key])) if is_dataclass(k)), None)
         for n, entry in enumerate(value if isinstance(value, list) else [value]):
             if inner is not None and isinstance(entry, dict):
@@ -327,21 +313,25 @@ def read_rows(
     fix = f"write one row a frame under {header}"
     content = read_bytes(path, error, most=LARGEST_CSV, fix=fix)
     rows = max(map(content.count, (b"\n", b"\r")))
-    what, few = f"has {rows} rows, at most {MOST_ROWS} are read", rows <= MOST_ROWS
-    require(few, what, where=str(path), fix="keep one lift, or every tenth row", error=error)
+    what, fix = (
+        f"has {rows} rows, at most {MOST_ROWS} are read",
+        "keep one lift, or every tenth row",
+    )
+    require(rows <= MOST_ROWS, what, path, fix, error)
     try:
         text = decoded(content, "replace" if damaged else "strict")
         reader = csv.reader(io.StringIO(text, newline=""))
         lines = [(reader.line_num, [text.strip() for text in row]) for row in reader if row]
     except (UnicodeDecodeError, csv.Error) as fault:
         raise error(f"is not CSV ({fault})", where=str(path), fix="save it as CSV") from None
-    if not lines:
-        raise error("is empty", where=str(path), fix=f"write the header {header}")
-    odd = next((mark for mark in ";\t" if mark in text.split("\n", 1)[0]), None)
+    require(lines, "is empty", path, f"write the header {header}", error)
+    odd = next((mark for mark in ";\t" if mark in text.partition("\n")[0]), None)
     fix = "separate values by commas, and write decimals with a point"
-    wanted(odd is None, f"is separated by {odd!r}", path, fix, error)
-    what, few = f"has {len(lines[0][1])} columns", len(lines[0][1]) <= MOST_COLUMNS
-    require(few, what, where=str(path), fix=f"write the header {header}", error=error)
+    require(odd is None, f"is separated by {odd!r}", path, fix, error)
+    count = len(lines[0][1])
+    require(
+        count <= MOST_COLUMNS, f"has {count} columns", path, f"write the header {header}", error
+    )
     return lines
 
 
@@ -370,8 +360,7 @@ def read_number_table(
         GendomError: As `error`: the file cannot be read, holds no rows, or a row is malformed.
     """
     (_, names), *lines = read_rows(path, header=header, error=error)
-    if not lines:
-        raise error("holds a header and no rows", where=str(path), fix="write one row a frame")
+    require(lines, "holds a header and no rows", path, "write one row a frame", error)
     check_header(names)
     number, last = lines[-1]
     cut = len(last) < len(names) or (len(last) == len(names) and not _is_number(last[-1]))
@@ -385,12 +374,10 @@ def read_number_table(
             return names, table, [number for number, _ in lines]
     for number, row in lines:
         what, where = f"{len(row)} values under {len(names)} column names", f"{path}, line {number}"
-        fix = "give one value a column"
-        require(len(row) == len(names), what, where=where, fix=fix, error=error)
-        wrong = next((k for k, text in enumerate(row) if not _is_number(text)), None)
-        if wrong is not None:
-            where, fix = f"{where}, column {names[wrong]}", "give seconds and metres"
-            raise error(f"{row[wrong][:60]!r} is no number", where=where, fix=fix)
+        require(len(row) == len(names), what, where, "give one value a column", error)
+        for name, text in zip(names, row, strict=True):
+            what, place = f"{text[:60]!r} is no number", f"{where}, column {name}"
+            require(_is_number(text), what, place, "give seconds and metres", error)
     raise error("is no table of numbers", where=str(path), fix="give seconds and metres")
 
 

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from gendom.datasets import Recording
 from gendom.errors import ParameterError
 from gendom.estimation import EstimateSettings, LiftScene, SceneSettings, estimate, replay
-from gendom.estimation.likelihood import shared
 from gendom.estimation.markers import aside, axis_beside, material_frames
 from gendom.estimation.observed import Observation
 from gendom.estimation.placing import lost_time
@@ -86,13 +85,6 @@ def test_twist_is_read_from_the_first_motion(cable, twist):
     other = LiftScene.of(replace(scene.recording, points=seen.reshape(-1, 3)))
     assert with_twist_shown(other, known).clamp_twist == pytest.approx(twist, abs=0.35)
     assert with_twist_shown(other, known.with_offsets(())) == known  # of a cable unseen before
-
-
-def test_residuals_that_last_count_once():
-    rng = np.random.default_rng(0)
-    white = rng.normal(size=(400, 12, 3))
-    assert shared(white) == pytest.approx(1.0, abs=0.2)
-    assert shared(np.repeat(white, 8, axis=0)) == pytest.approx(8.0, rel=0.2)
 
 
 def without(recording, lost):

@@ -34,6 +34,7 @@ from gendom.perception.ros import RosSettings, read_ros_bag, read_ros_cameras
 from gendom.policies import Policy
 from gendom.reality.object_file import read_object
 from gendom.robot import XARM7, joint_move, read_arm
+from gendom.robot.motion import read_joints
 from gendom.robot.motions import LiftMotion, predefined_lift
 from simulated_cell import write_cell
 from written import write_ply
@@ -77,9 +78,13 @@ def cameras(folder):
     for k in range(3):
         Image.fromarray(np.full((4, 8), 900, np.uint16)).save(place / "depth" / f"{k}.png")
     table(place / "frames.csv", "time,depth", *(f"{0.1 * k},depth/{k}.png" for k in range(3)))
-    joints = (f"{0.1 * k},0,0,0,0.5,0,0,0" for k in range(3))
-    table(folder / "joints.csv", "time,q0,q1,q2,q3,q4,q5,q6", *joints)
+    joints(folder)
     gripper(folder)
+
+
+def joints(folder):
+    rows = (f"{0.1 * k},0,0,0,0.5,0,0,0,0.02" for k in range(3))
+    table(folder / "joints.csv", "time,q0,q1,q2,q3,q4,q5,q6,gripper", *rows)
 
 
 def table(path, *rows):
@@ -310,6 +315,7 @@ READERS = {
         files(recording_db3=DB3),
         lambda f: read_frames(RealSenseRecording(f)),
     ),
+    "joints": (joints, lambda f: read_joints(f / "joints.csv", XARM7)),
     "board": (board, lambda f: read_views(f, CAMERA, on_warning=lambda _: None)),
     "npz at rest": (at_rest, lambda f: numbers(f / "a.npz")),
     "arm": (arm, lambda f: read_arm(f / "arm.urdf")),
@@ -321,7 +327,7 @@ READERS = {
 
 
 EDITED = {"cell", "action", "log", "motion", "arm", "arm as mjcf", "pose", "launch"}
-EDITED |= {"object"}
+EDITED |= {"object", "joints"}
 """Text that people edit: other numbers are read without a word."""
 
 

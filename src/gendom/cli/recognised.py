@@ -14,7 +14,7 @@ import numpy as np
 from gendom.arguments import require, time_text
 from gendom.arrays import Array
 from gendom.cli.summary import summarize, summary_rows
-from gendom.datasets import Fault, Recording
+from gendom.datasets import Fault, ObjectDescription, Recording
 from gendom.datasets.folder import BAGS, READERS, bag_files
 from gendom.errors import RecordingError
 from gendom.reading import file_size, near_name, read_json, read_toml
@@ -174,9 +174,9 @@ def _bag_cameras(place: Path, held: Path, gripper: str, found: Finding) -> None:
             some.write_text('[object]\nkind = "rope"\nlength = 0.5\n', encoding="utf-8")
         try:
             recorded = read_ros_cameras(place, some, RosSettings(gripper=gripper))
-            _cameras_seen(recorded, found)
-            stated = recorded.meta["object"] if some is held else {}
-            size = stated.get("length") or stated.get("width") or 0.0
+            stated = _cameras_seen(recorded, found)
+            known = stated if some is held else None
+            size = (known and (known.length or known.width)) or 0.0
             points = np.concatenate([np.zeros((0, 3)), *found.clouds])
             if not len(points) or np.ptp(points, axis=0).max() >= 1.5 * size:  # more is in view
                 command, does = "perceive", "Take table and robot out, and write a recording"
@@ -198,8 +198,9 @@ def _depth(place: Path) -> Finding:
     return found
 
 
-def _cameras_seen(recorded: CameraRecording, found: Finding) -> None:
-    """What cameras see in their first picture, in the world, as `gendom perceive` looks at it."""
+def _cameras_seen(recorded: CameraRecording, found: Finding) -> ObjectDescription | None:
+    """What cameras see in their first picture, in the world, as `gendom perceive` looks at it.
+    Returns the object as stated, where it is."""
     from gendom.datasets.recording_form import parse_meta
     from gendom.perception import CameraView, PerceptionSettings
     from gendom.perception.perceive import within_reach
@@ -207,9 +208,9 @@ def _cameras_seen(recorded: CameraRecording, found: Finding) -> None:
 
     values, faults = parse_meta(recorded.meta)
     found.faults += faults
-    path, table = recorded.robot, values["table_height"]
+    path, table, stated = recorded.robot, values["table_height"], values.get("object")
     found.gripper, found.table = path.position[:, 0], table
-    box = within_reach(recorded, values["object"].size or 0.5, table)
+    box = within_reach(recorded, (stated and stated.size) or 0.5, table)
     for source in recorded.sources:
         camera, name = source.camera, source.camera.name
         odd = [*odd_intrinsics(camera)] if getattr(source, "stated", True) else []
@@ -241,6 +242,7 @@ def _cameras_seen(recorded: CameraRecording, found: Finding) -> None:
             found.doubts(f"sees no table at z = {table:g} m", name, fix)
     if found.clouds:
         found.rows |= _extent(np.concatenate(found.clouds), found, units=False)
+    return stated
 
 
 def _board(place: Path) -> Finding:

@@ -1,17 +1,16 @@
 """The posterior of what was found: the likelihood's Gaussian, with what it does not know.
 
 The likelihood's own deviations are wrong, because the simulator is not exact. The calibration comes
-from lifts whose true parameters are known: `python -m experiments coverage --calibrate` records
-random objects in the second reality, estimates them and writes, for each unknown, the factor of its
-deviations or the deviation to add in squares, in the form of `assets/calibration.json`.
+from lifts whose true parameters are known: `python -m experiments coverage --calibrate` estimates
+random objects of the second reality and writes, for each unknown, the factor of its deviations or
+the deviation to add in squares (`assets/calibration.json`).
 
 Where a recorded object moves otherwise than any simulated one, the likelihood takes the difference
-for random: it averages it over frames and becomes sure of the parameters that imitate it best. But
-it may be the same throughout, like a bend that the real object has by nature. So a parameter is
-uncertain by at least the change that moves the shape by as much as is not explained. The change is
-simulated, not extrapolated from derivatives: shapes that swing have derivatives that grow with the
-stiffness, while large changes of it hardly move them. Only what exceeds the differences of the
-calibration's lifts counts (`IntervalCalibration.displaced`).
+for random, and becomes sure of the parameters that imitate it best. But it may be the same
+throughout, like a bend by nature. So a parameter is uncertain by at least the change that moves the
+shape by as much as is not explained. It is simulated, not extrapolated from derivatives: those of
+shapes that swing grow with the stiffness, while large changes of it hardly move them. Only what
+exceeds the differences of the calibration's lifts counts (`IntervalCalibration.displaced`).
 """
 
 from __future__ import annotations
@@ -78,10 +77,8 @@ class IntervalCalibration:
         nearer to the prior's mean the posterior's is.
         """
         own = np.sqrt(np.diag(covariance))
-        factor, more = (
-            np.array([by.get(name, usual) for name in prior.names])
-            for by, usual in ((self.factor, 1.0), (self.added, 0.0))
-        )
+        factor = np.array([self.factor.get(name, 1.0) for name in prior.names])
+        more = np.array([self.added.get(name, 0.0) for name in prior.names])
         wide = prior.sd**2
         inside = np.minimum(own**2, (1.0 - 1e-9) * wide)
         alone = inside * wide / (wide - inside)  # the likelihood's variance without the prior
@@ -89,19 +86,12 @@ class IntervalCalibration:
         mean = prior.mean + (wide + alone) / (wide + worse) * (mean - prior.mean)
         sd = np.hypot(np.sqrt(wide * worse / (wide + worse)), added)
         share = np.minimum(sd, np.maximum(prior.sd, own)) / own
-        return Posterior(
-            prior=prior,
-            mean=mean,
-            covariance=covariance * share[:, None] * share,
-            bases=tuple(bases),
-        )
+        covariance = covariance * share[:, None] * share
+        return Posterior(prior=prior, mean=mean, covariance=covariance, bases=tuple(bases))
 
 
 def posterior_of(
-    problem: Problem,
-    found: Found,
-    calibration: IntervalCalibration,
-    added: float | Array = 0.0,
+    problem: Problem, found: Found, calibration: IntervalCalibration, added: float | Array = 0.0
 ) -> Posterior:
     """The posterior of what was found, with further deviations [P] added in squares."""
     covariance = found.covariance
@@ -129,15 +119,14 @@ def discrepancy(
     prior; 0 where there is no more of it than in lifts with known truth, or the likelihood's
     covariance [P, P] does not determine them. Of several recordings the best one counts: their
     errors need not be independent."""
-    prior = problem.prior
+    prior, vector = problem.prior, found.best.vector
     sd = np.full(len(prior.names), math.inf)
     wanted = np.sqrt(np.diag(covariance)) < IDENTIFIABLE * prior.sd
     wanted &= [UNKNOWNS[name].material and name not in INSTRUMENTED for name in prior.names]
     for k, part in enumerate(problem.parts):
-        excess = _unexplained(found, part, k, calibration)
+        by = _unexplained(found, part, k, calibration)
         for p in part.shown:
-            change = wanted[p] and excess > 0.0
-            own = _change(problem, found.best.vector, k, int(p), excess) if change else 0.0
+            own = _change(problem, vector, k, int(p), by) if wanted[p] and by > 0.0 else 0.0
             sd[p] = min(sd[p], own)
     return np.where(np.isfinite(sd), sd, 0.0)
 
@@ -157,31 +146,23 @@ def _unexplained(
 
 def _change(problem: Problem, vector: Array, recording: int, p: int, by: float) -> float:
     """The change of unknown p beyond which every larger one, up or down, moves the shape by more
-    than this, root mean square of a coordinate [m]; at most the prior's deviation."""
-    changes = float(problem.prior.sd[p]) * np.array(SHARES)
-    moved = _moved(problem, vector, recording, p, changes)
-    n = int(np.flatnonzero(np.append(True, moved < by))[-1])
-    if n == len(changes):
-        return float(problem.prior.sd[p])
-    # linear between changes that were simulated, and from none on
-    moved, changes = np.append(0.0, moved), np.append(0.0, changes)
-    share = (by - moved[n]) / (moved[n + 1] - moved[n])
-    return float(changes[n] + share * (changes[n + 1] - changes[n]))
-
-
-def _moved(problem: Problem, vector: Array, recording: int, p: int, changes: Array) -> Array:
-    """[k] how far shapes move with changes [k] of unknown p in the direction that moves them less
-    [m]. A world that diverges or lies beyond the range of the search says nothing."""
+    than this, root mean square of a coordinate [m]; at most the prior's deviation. A world that
+    diverges or lies beyond the range of the search says nothing."""
     prior, part = problem.prior, problem.parts[recording]
     scene = part.coarser if part.scene.kind == "rope" else part.scene
+    changes = prior.sd[p] * np.array([0.0, *SHARES])
     ends = vector[p] + np.array([[-1.0], [1.0]]) * changes
-    inside = (ends >= prior.low[p]) & (ends <= prior.high[p])
-    worlds = [vector]
-    for end in np.clip(ends, prior.low[p], prior.high[p]).ravel():
-        worlds.append(np.where(np.arange(len(vector)) == p, end, vector))
-    x = middle(scene, problem.positions(worlds, recording, scene))
-    off = np.sqrt(np.mean((x[:, 1:] - x[:, :1]) ** 2, axis=(0, 2, 3))).reshape(2, -1)
-    return np.where(inside & np.isfinite(off), off, np.inf).min(axis=0)
+    worlds = np.tile(vector, (ends.size, 1))
+    worlds[:, p] = np.clip(ends, prior.low[p], prior.high[p]).ravel()
+    x = middle(scene, problem.positions(list(worlds), recording, scene))
+    off = np.sqrt(np.mean((x - x[:, :1]) ** 2, axis=(0, 2, 3))).reshape(ends.shape)
+    says = (ends >= prior.low[p]) & (ends <= prior.high[p]) & np.isfinite(off)
+    # in the direction that moves it less
+    moved = np.where(says, off, np.inf).min(axis=0)
+    moved[0] = 0.0
+    n = int(np.flatnonzero(moved < by)[-1])
+    # linear between changes that were simulated
+    return float(np.interp(by, moved[n : n + 2], changes[n : n + 2], right=prior.sd[p]))
 
 
 def with_episodes(problem: Problem, found: Found, covariance: Array) -> Array:
@@ -195,7 +176,7 @@ def with_episodes(problem: Problem, found: Found, covariance: Array) -> Array:
     assert compared is not None
     for part, own, noise in zip(problem.parts, compared.parts, found.noise, strict=True):
         if part.scene.captured:
-            parts = np.array_split(own.pulls(noise), EPISODES)
+            parts = np.array_split(own.fit(noise).pulls, EPISODES)
             sums = np.stack([pulls.sum(axis=0) for pulls in parts])
             total[np.ix_(part.shown, part.shown)] += sums.T @ sums
     times = np.diag(covariance @ total @ covariance) / np.diag(covariance)
@@ -206,12 +187,11 @@ def with_episodes(problem: Problem, found: Found, covariance: Array) -> Array:
 def with_fingers(problem: Problem, found: Found, covariance: Array) -> Array:
     """[P, P] covariance, where ropes that turn in the fingers do not turn just as their moment."""
     prior = problem.prior
-    for k, name in enumerate(prior.names):
-        if name == "grip_turn":
-            # what a quarter of the turn does to the others
-            moved = covariance[k] / covariance[k, k] * 0.25 * found.best.vector[k]
-            moved = np.clip(moved, -prior.sd, prior.sd)
-            covariance = covariance + np.outer(moved, moved)
+    for k in np.flatnonzero(np.array(prior.names) == "grip_turn"):
+        # what a quarter of the turn does to the others
+        moved = covariance[k] / covariance[k, k] * 0.25 * found.best.vector[k]
+        moved = np.clip(moved, -prior.sd, prior.sd)
+        covariance = covariance + np.outer(moved, moved)
     return covariance
 
 
@@ -219,9 +199,9 @@ def told_apart(problem: Problem, found: Found) -> tuple[str, ...]:
     """What to say where starts have ended apart."""
     ends = [problem.theta(v) for v in (found.best.vector, *found.others)]
     bends = [problem.scene.bending_length(t.E_over_rho, t.thickness) for t in ends]
+    what = "starts end apart and fit about as well, with bending lengths of"
     texts = ", ".join(f"{b:.4g}" for b in bends)
-    what = f"starts end apart and fit about as well, with bending lengths of {texts} m"
-    return (f"{what}: the intervals hold all of them",) if found.others else ()
+    return (f"{what} {texts} m: the intervals hold all of them",) if found.others else ()
 
 
 def tip_suspected(problem: Problem, found: Found) -> tuple[Array, tuple[str, ...]]:
@@ -232,18 +212,14 @@ def tip_suspected(problem: Problem, found: Found) -> tuple[Array, tuple[str, ...
         [P] by how much the others would change then, and what to say of it; 0 and nothing where
         there is no sign of it.
     """
-    prior, scene, name = problem.prior, problem.scene, "tip_mass"
-    one = len(problem.parts) == len(scene.held) == 1 and not scene.static
-    rope = scene.kind == "rope" and scene.thin and name not in prior.names
-    heavier = _heavier(problem, found) if one and rope else None
+    names, name = problem.prior.names, "tip_mass"
+    uniform = problem.lifted_rope and name not in names
+    heavier = _heavier(problem, found) if uniform else None
     if heavier is None:
-        return np.zeros(len(prior.mean)), ()
-    share = float(heavier[-1])
-    said = (
-        f"the free end hangs lower than that of a uniform rope, as if {share:.0%} of the mass "
-        f"sat there (a knot, a sheath?): estimate it, too, with --also {name}"
-    )
-    return heavier[:-1] - found.best.vector, (said,)
+        return np.zeros(len(names)), ()
+    said = f"the free end hangs lower than that of a uniform rope, as if {heavier[-1]:.0%} of the"
+    fix = f"mass sat there (a knot, a sheath?): estimate it, too, with --also {name}"
+    return heavier[:-1] - found.best.vector, (f"{said} {fix}",)
 
 
 def _heavier(problem: Problem, found: Found) -> Array | None:
@@ -253,13 +229,14 @@ def _heavier(problem: Problem, found: Found) -> Array | None:
     (heavier,) = more.compare([at], free=[len(at) - 1])
     if heavier is None or compared is None:
         return None
-    (one,), (other,) = compared.parts, heavier.parts
+    one, other = compared.parts[0], heavier.parts[0]
     other.J[..., :-1], other.widens[:-1] = one.J, one.widens
     other.warm_start(one)
     start = replace(found.best, vector=at, comparison=heavier)
     gradient, hessian = more.gradient_and_hessian(start, found.noise)
-    step = -np.linalg.solve(hessian, gradient)
-    if step[-1] < math.sqrt(np.linalg.inv(hessian)[-1, -1]):
+    covariance = np.linalg.inv(hessian)
+    step = -covariance @ gradient
+    if step[-1] < math.sqrt(covariance[-1, -1]):
         return None  # less than a deviation
     # from a heavy tip on: near none other unknowns make up for it
     begin = more.prior.clipped(at + step * more.prior.sd[-1] / step[-1])
@@ -268,6 +245,6 @@ def _heavier(problem: Problem, found: Found) -> Array | None:
     except SimulationError:  # it diverges with such a tip
         return None
     assert again.comparison is not None
-    won = more.value(at, heavier, found.noise)
-    won -= more.value(again.vector, again.comparison, found.noise)
-    return again.vector if won >= 9.0 else None  # the square of three deviations
+    before = more.value(at, heavier, found.noise)
+    after = more.value(again.vector, again.comparison, found.noise)
+    return again.vector if before - after >= 9.0 else None  # the square of three deviations

@@ -33,6 +33,11 @@ REGISTERED = 0.1
 """A registration ends where a step lowers -2 log likelihood by no more than this."""
 
 
+def misfit(rows: Rows, rho: Array) -> float:
+    """Smoothed sum of squares of residuals [T, m] [m^2]."""
+    return float((rows.counts * 2.0 * rho**2 / (1.0 + rows.soft_root(HUBER, rho))).sum())
+
+
 class Comparison:
     """Clouds beside one simulated shape.
 
@@ -61,8 +66,7 @@ class Comparison:
         self.radius = observation.shape.radius if radius is None else radius
         self.widens = np.zeros(0) if widens is None else widens
         self._last: Fit | None = None
-        self._near: Linearised | None = None
-        self._registered: NoiseModel | None = None
+        self._near: Fit | None = None
         self._first = np.zeros(0)
         self._in_sight = cache(lambda t: observation.in_sight(axis[t]))
 
@@ -85,7 +89,8 @@ class Comparison:
         if size > 0.0:
             missing = self.axis - other.axis - J @ step
             J = J + missing[..., None] * (weight * step / size)
-        self.J, self.widens, self._last = J, other.widens, None
+        self.J, self.widens = J, other.widens
+        self._near, self._last = self._last or self._near, None
 
     @cached_property
     def frames(self) -> Array:
@@ -106,17 +111,15 @@ class Comparison:
 
     def rms_by_frame(self) -> list[float]:
         """Distance of each frame's points from the skin [m]."""
-        own, weight = self.observation.counts.shape[1], self.rows.counts
-        squares = self.rows.rho[:, :own] ** 2 * (weight[:, :own] > 0.0)
-        return np.sqrt(squares.sum(axis=1) / (weight[:, :own] > 0.0).sum(axis=1)).tolist()
+        own = self.rows.counts[:, : self.observation.counts.shape[1]] > 0.0
+        squares = self.rows.rho[:, : own.shape[1]] ** 2 * own
+        return np.sqrt(squares.sum(axis=1) / own.sum(axis=1)).tolist()
 
     @cached_property
     def rms(self) -> float:
         """Robust root mean square distance of points from the skin, and of skin without points from
         the points [m]."""
-        rows = self.rows
-        squares = 2.0 * rows.rho**2 / (1.0 + rows.soft_root(HUBER, rows.rho))
-        return math.sqrt(float((rows.counts * squares).sum() / max(rows.counts.sum(), 1e-9)))
+        return math.sqrt(misfit(self.rows, self.rows.rho) / max(self.rows.counts.sum(), 1e-9))
 
     def cameras_apart(self) -> tuple[float, int, int]:
         """How far two cameras' clouds are from each other at the object, in the third of the frames
@@ -124,18 +127,18 @@ class Comparison:
 
         By the rigid motion with which each camera's points lie on the simulated skin.
         """
-        o, rows, farthest = self.observation, self.rows, (0.0, 0, 0)
+        o, farthest = self.observation, (0.0, 0, 0)
         own, noise = o.counts.shape[1], o.noise.with_unknown_cameras()
-        rho, D = rows.rho[:, :own], rows.fixed(o.centre)[:, :own]
+        rho, D = self.rows.rho[:, :own], self.rows.fixed(o.centre)[:, :own]
         weight = o.counts / np.sqrt(1.0 + (rho / HUBER) ** 2) / noise.sensor**2
         for part in np.array_split(np.arange(len(rho)), 3):
             shifts = []
             for camera in np.unique(o.camera[part]):
                 mine = (o.camera[part] == camera) & (weight[part] > 0.0)
                 if camera >= 0 and mine.sum() > 100:
-                    A, w = D[part][mine], weight[part][mine][:, None]
-                    H = A.T @ (w * A) + np.diag(noise.fixed)
-                    shifts.append(np.linalg.solve(H, A.T @ (w[:, 0] * rho[part][mine]))[:3])
+                    A, w = D[part][mine], weight[part][mine]
+                    H = A.T @ (w[:, None] * A) + np.diag(noise.fixed)
+                    shifts.append(np.linalg.solve(H, A.T @ (w * rho[part][mine]))[:3])
             for a, b in combinations(shifts, 2):
                 first, last = (o.scene.frames[t] for t in part[[0, -1]])
                 farthest = max(farthest, (float(np.linalg.norm(a - b)), first, last))
@@ -144,62 +147,23 @@ class Comparison:
     def fit(self, noise: NoiseModel) -> Fit:
         """Motion, skin and displacement, registered for this noise by Gauss-Newton steps under
         their priors, and what is left of the gradient by parameters where those follow."""
-        if self._last is not None and self._last.noise == noise:
-            return self._last
-        S, B = self.smooth if noise.model > 0.0 else 0, 3 * self.observation.beside.shape[1]
-        precision, weight = noise.precision(S, B), 1.0 / (noise.patch * noise.sensor**2)
-        R, at = len(precision), self._near
-        if at is None or len(at.a) != R:
-            at = self._linearised(self._first if len(self._first) == R else np.zeros(R))
-        # with other derivatives alone it stays where it is
-        for left in reversed(range(1 if self._registered == noise else noise.rounds + 1)):
-            factor = cho_factor(weight * at.curvature + np.diag(precision), lower=True)
-            downhill = weight * at.slope - precision * at.a
-            step = cho_solve(factor, downhill)
-            gain = float(step @ downhill)
-            if left == 0 or gain < REGISTERED:
-                break
-            at = self._linearised(at.a + step)
-        self._near, self._registered, own = at, noise, self._by_parameters(at)
-        cross, P = weight * own[:R], own.shape[1]
-        self._last = Fit(
-            noise=noise,
-            # a small step is not taken, but counts
-            value=weight * at.loss + float(precision @ at.a**2) - gain * (gain < REGISTERED),
-            # residuals fall as the object moves along its normals
-            gradient=cross.T @ step - weight * own[R],
-            hessian=weight * own[R + 1 :] - cross.T @ cho_solve(factor, cross).reshape(R, P),
-            at=at,
-            smooth=S,
-        )
-        return self._last
-
-    def correlated_noise(self, noise: NoiseModel) -> NoiseModel:
-        """Noise of markers in motion: how large their residuals are, and how many share theirs by
-        their correlation in time and along the cable."""
-        rows = self._rows(self.registered(noise))
-        e = rows.rho.reshape(len(rows.rho), -1, 3)
-        e = e - e.mean(axis=0)  # what stays is a marker's place
-        square = float(np.mean(e**2))
-        sensor = max(math.sqrt(square), noise.least_sensor)
-        # what is added to a smaller residual is independent
-        patch = 1.0 + (shared(e) * shared(np.swapaxes(e, 0, 1)) - 1.0) * square / sensor**2
-        # what lasts is no noise: so much is not explained
-        model = max(math.sqrt(max(square - noise.least_sensor**2, 0.0)), noise.least_model)
-        return replace(noise, sensor=sensor, model=model, patch=patch)
-
-    def pulls(self, noise: NoiseModel) -> Array:
-        """[T, P] half the gradient of each frame by the parameters, where the registration of
-        markers in motion follows."""
-        fit = self.fit(noise)
-        at, R, weight = fit.at, len(fit.a), 1.0 / (noise.patch * noise.sensor**2)
-        by = at.rows.parameter_derivatives(self.J, self.widens)
-        rho = (at.rows.rho - fit.a[-1])[..., None]
-        own = np.einsum("tm,tmp->tp", at.Dt[:, -1], by)
-        registered = (at.Dt[:, :R] @ rho)[..., 0]
-        M = weight * at.curvature + np.diag(noise.precision(fit.smooth, R - 7 - fit.smooth))
-        cross = weight * (at.Dt[:, :R] @ by).sum(axis=0)
-        return weight * (own - registered @ np.linalg.solve(M, cross))
+        o, last, near = self.observation, self._last, self._last or self._near
+        if last is None or last.noise != noise:
+            smooth = 3 * o.in_time.shape[1] * o.in_place.shape[1] if noise.model > 0.0 else 0
+            R = smooth + 3 * o.beside.shape[1] + 7
+            if near is not None and len(near.a) == R:
+                last = self._linearised(near.a, noise, near.rows)
+            else:
+                first = self._first if len(self._first) == R else np.zeros(R)
+                last = self._linearised(first, noise)
+            # with other derivatives alone it stays where it is
+            stays = near is not None and near.noise == noise
+            for _ in range(0 if stays else noise.rounds):
+                if last.gain < REGISTERED:
+                    break
+                last = self._linearised(last.a + last.step, noise)
+            self._last = last
+        return last
 
     def registered(self, noise: NoiseModel) -> Array:
         """[T, n, 3] the shape as clouds show it, displaced and moved [m]."""
@@ -207,19 +171,12 @@ class Comparison:
 
     def outside(self, noise: NoiseModel) -> float:
         """Median distance of points from the skin of the registered object, 0 of markers [m]."""
-        o = self.observation
-        if o.markers is not None:
-            return 0.0
-        rho = self._rows(self.registered(noise)).rho
-        return float(np.median(rho[:, : o.counts.shape[1]][o.counts > 0.0]))
-
-    @property
-    def smooth(self) -> int:
-        """S, numbers of the displacement."""
-        return self.observation.in_time.shape[1] * 3 * self.observation.in_place.shape[1]
+        o, rows = self.observation, self.fit(noise).rows
+        points = rows.rho[:, : o.counts.shape[1]][o.counts > 0.0]
+        return float(np.median(points)) if rows.on_skin else 0.0
 
     def _smooth_of(self, a: Array) -> int:
-        """Those of the displacement in ``a``, which may have none: S or 0."""
+        """S, numbers of the displacement in ``a``, which may have none."""
         return len(a) - 7 - 3 * self.observation.beside.shape[1]
 
     def beside(self, a: Array) -> Array:
@@ -241,8 +198,6 @@ class Comparison:
     def _by_offsets(self, rows: Rows) -> Array:
         """[T, m, B] by how much residuals fall with the markers' offsets."""
         o = self.observation
-        if not o.scene.beside:
-            return np.zeros((*rows.rho.shape, 0))
         along = np.einsum("tmk,tmkq->tmkq", rows.weight, (spread(o.scene) @ o.beside)[rows.index])
         frames = self.frames[np.arange(len(rows.rho))[:, None, None], rows.index]
         found = np.einsum("tmkq,tmkab,tma->tmqb", along, frames, rows.normal, optimize=True)
@@ -256,74 +211,42 @@ class Comparison:
         """A shape [..., 3] moved as the cameras' estimated rigid motion shows it [m]."""
         return self._moved(shape, self.fit(noise).a)
 
-    def _linearised(self, a: Array) -> Linearised:
-        """Residuals about the shape displaced by ``a`` [S + B + 7], of points that are paired
-        anew."""
-        o, S = self.observation, self._smooth_of(a)
-        U = o.in_time if S else o.in_time[:, :0]
-        moved = a.any() or len(self.offsets)
-        rows = self._rows(self._displaced(a)) if moved else self.rows
+    def _linearised(self, a: Array, noise: NoiseModel, rows: Rows | None = None) -> Fit:
+        """Residuals about the shape displaced by ``a`` [S + B + 7], of points that are paired anew
+        where their rows are not given."""
+        o, S, R = self.observation, self._smooth_of(a), len(a)
+        if rows is None:
+            moved = a.any() or len(self.offsets)
+            rows = self._rows(self._displaced(a)) if moved else self.rows
         rho = rows.rho - a[-1]
-        root = rows.soft_root(HUBER, rho)
         # by the displacement of each frame, which all frames' coefficients make up; by offsets,
-        # rigid motion and skin; and what is left
-        G, w = rows.displacing(o.in_place[:, : None if S else 0]), (rows.counts / root)[..., None]
-        own = [self._by_offsets(rows), rows.fixed(o.centre), rho[..., None]]
+        # rigid motion and skin; what is left; by parameters
+        U, G = o.in_time[:, :S], rows.displacing(o.in_place[:, :S])
+        own = [self._by_offsets(rows)] if o.scene.beside else []
+        own += [rows.fixed(o.centre), rho[..., None]]
+        own += [rows.parameter_derivatives(self.J, self.widens)] if self.J.size else []
         D = np.concatenate(own, axis=2)
-        Gt, Dt = np.swapaxes(w * G, 1, 2), np.swapaxes(w * D, 1, 2)
+        # weighted by how likely they are
+        w = (rows.counts / rows.soft_root(HUBER, rho))[..., None]
+        Gt, each = np.swapaxes(w * G, 1, 2), np.swapaxes(w * D, 1, 2) @ D
         cross = np.einsum("tr,tqd->rqd", U, Gt @ D, optimize=True).reshape(S, D.shape[2])
         square = np.einsum("tr,ts,tqp->rqsp", U, U, Gt @ G, optimize=True).reshape(S, S)
-        return Linearised(
-            a=a,
-            rows=rows,
-            Gt=Gt,
-            Dt=Dt,
-            products=np.block([[square, cross], [cross.T, (Dt @ D).sum(axis=0)]]),
-            loss=float((rows.counts * 2.0 * rho**2 / (1.0 + root)).sum()),
-            count=float(rows.counts.sum()),
-        )
-
-    def _by_parameters(self, at: Linearised) -> Array:
-        """[S + B + 7 + 1 + P, P] products of residuals' derivatives by parameters with those by
-        registration, with residuals, and with each other."""
-        P, S = self.J.shape[-1], self._smooth_of(at.a)
-        if P == 0:
-            return np.zeros((len(at.a) + 1, 0))
-        by, U = at.rows.parameter_derivatives(self.J, self.widens), self.observation.in_time
-        smooth = np.einsum("tr,tqd->rqd", U[:, : None if S else 0], at.Gt @ by, optimize=True)
-        fixed, w = (at.Dt @ by).sum(axis=0), at.Dt[:, -2, :, None]  # the skin's derivative is 1
-        return np.concatenate(
-            [smooth.reshape(S, P), fixed, (np.swapaxes(w * by, 1, 2) @ by).sum(axis=0)]
-        )
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Linearised:
-    """Residuals about a registration; weighted by how likely they are, not by their variance."""
-
-    a: Array
-    """[S + B + 7] the registration."""
-    rows: Rows
-    Gt: Array
-    """[T, 3 Q, m] weighted derivatives by each frame's displacement."""
-    Dt: Array
-    """[T, B + 8, m] by offsets, rigid motion and skin, and residuals, likewise."""
-    products: Array
-    """[S + B + 8, S + B + 8] of derivatives by registration, and of residuals [m^2]."""
-    loss: float
-    """Smoothed sum of squares [m^2]."""
-    count: float
-    """Points."""
-
-    @property
-    def curvature(self) -> Array:
-        """[S + B + 7] squared, of residuals' squares by the registration."""
-        return self.products[:-1, :-1]
-
-    @property
-    def slope(self) -> Array:
-        """[S + B + 7] how they fall with it."""
-        return self.products[:-1, -1]
+        products = np.block([[square, cross], [cross.T, each.sum(axis=0)]])
+        precision, weight = noise.precision(S, R - 7 - S), 1.0 / (noise.patch * noise.sensor**2)
+        M = weight * products[:R, :R] + np.diag(precision)
+        downhill = weight * products[:R, R] - precision * a
+        by = weight * products[:R, R + 1 :]
+        solved = cho_solve(cho_factor(M, lower=True), np.column_stack([downhill, by]))
+        step, follows = solved[:, 0], solved[:, 1:]
+        gain, loss = float(step @ downhill), misfit(rows, rho)
+        # a small step is not taken, but counts
+        value = weight * loss + float(precision @ a**2) - gain * (gain < REGISTERED)
+        # residuals fall as the object moves along its normals
+        gradient = by.T @ step - weight * products[R, R + 1 :]
+        hessian = weight * products[R + 1 :, R + 1 :] - by.T @ follows
+        pulls = each[:, R - S, R - S + 1 :] - each[:, R - S, : R - S] @ follows[S:]
+        likely = value, gradient, hessian, weight * pulls
+        return Fit(noise, a, S, rows, products, loss, step, gain, *likely)
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,11 +267,25 @@ class Comparisons:
             mine.warm_start(theirs)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class Fit:
     """Clouds beside one simulated shape, registered."""
 
     noise: NoiseModel
+    a: Array
+    """[S + B + 7] displacement's coefficients, markers beside the axis, motion [rad], skin [m]."""
+    smooth: int
+    """S."""
+    rows: Rows
+    products: Array
+    """[S + B + 8 + P] squared, weighted, of residuals' derivatives by ``a``, of residuals, and of
+    their derivatives by parameters."""
+    loss: float
+    """Smoothed sum of squares [m^2]."""
+    step: Array
+    """[S + B + 7] that is not taken any more."""
+    gain: float
+    """By which it would lower the value."""
     value: float
     """-2 log likelihood at the registered nuisance parameters, up to a constant that depends on the
     noise only."""
@@ -356,38 +293,42 @@ class Fit:
     """[P] half its slope."""
     hessian: Array
     """[P, P] half its curvature, with the nuisance parameters marginalised."""
-    at: Linearised
-    """Where it is registered."""
-    smooth: int
-    """S."""
-
-    @property
-    def a(self) -> Array:
-        """[S + B + 7] displacement's coefficients [m], markers beside the axis [m], rigid motion
-        [m, rad], skin [m]."""
-        return self.at.a
+    pulls: Array
+    """[T, P] half the gradient of each frame, of markers in motion."""
 
     @property
     def rms(self) -> float:
         """Distance of points from the registered skin [m]."""
-        return math.sqrt(self.at.loss / max(self.at.count, 1e-9))
+        return math.sqrt(self.loss / max(self.rows.counts.sum(), 1e-9))
+
+    def correlated_noise(self) -> NoiseModel:
+        """Noise of markers in motion: how large their residuals are, and how many share theirs by
+        their correlation in time and along the cable."""
+        noise, e = self.noise, self.rows.rho.reshape(len(self.rows.rho), -1, 3)
+        e = e - e.mean(axis=0)  # what stays is a marker's place
+        square = float(np.mean(e**2))
+        sensor = max(math.sqrt(square), noise.least_sensor)
+        # what is added to a smaller residual is independent
+        patch = 1.0 + (shared(e) * shared(np.swapaxes(e, 0, 1)) - 1.0) * square / sensor**2
+        # what lasts is no noise: so much is not explained
+        model = max(math.sqrt(max(square - noise.least_sensor**2, 0.0)), noise.least_model)
+        return replace(noise, sensor=sensor, model=model, patch=patch)
 
     def updated_noise(self, rounds: int) -> NoiseModel:
         """Noise of higher likelihood, by rounds of expectation and maximisation with fixed
         correspondences."""
-        noise, at, S, B = self.noise, self.at, self.smooth, len(self.a) - self.smooth - 7
+        noise, S, R = self.noise, self.smooth, len(self.a)
         # of the residuals alone, in m^2
-        D, slope = at.curvature / noise.patch, at.slope / noise.patch
-        total, count = at.loss / noise.patch, at.count / noise.patch
+        D, slope = self.products[:R, :R] / noise.patch, self.products[:R, R] / noise.patch
+        total, count = self.loss / noise.patch, self.rows.counts.sum() / noise.patch
         for _ in range(rounds):
-            prior = noise.precision(S, B)
+            prior = noise.precision(S, R - S - 7)
             spread = np.linalg.inv(D / noise.sensor**2 + np.diag(prior))
             a = spread @ (slope + D @ self.a) / noise.sensor**2
-            off = a - self.a
+            off, own = a - self.a, np.diag(spread)
             loss = max(total - float((2.0 * slope - D @ off) @ off), 0.0)
-            own = np.diag(spread)
             of_model = float(a[:S] @ a[:S] + own[:S].sum()) / S
-            used = len(a) - float(own @ prior)
+            used = R - float(own @ prior)
             of_sensor = loss / max(count - used, 0.1 * count)
             noise = replace(
                 noise,

@@ -42,14 +42,17 @@ NUISANCE = 5.0
 recordings of one object from each other."""
 
 DISPLACED, DISPLACED_BY_TWO, DISPLACED_CLOTH = 0.015, 0.06, 0.01
-"""Largest smooth displacement between model and clouds, in the object's size. Over 60 good lifts of
-ropes it is 0.010 at most; ropes that slip through the fingers have 0.021 and more. Of real cables
-in fast motion it is 0.010 to 0.016. Twice a sheet's E moves it by as much in a lift."""
+"""Largest smooth displacement between model and clouds, in the object's size. Good lifts of ropes
+have 0.010 at most, ropes that slip through the fingers 0.021 and more, real cables in fast motion
+0.010 to 0.016. Twice a sheet's E moves it by as much in a lift."""
 
 BROADER, BLURRED, NARROWER, LOST = 1.25, (0.0013, 0.0005), 1.15, 0.002
-"""How much more and less of a rope than its thickness cameras show across their views, as factors
-and lengths [m]; more where it is not known which camera saw a point. Pixels at edges have no depth
-or that of the background: 31 good lifts of the MuJoCo scene have 0.70 to 1.06 of the thickness."""
+"""How much more and less than a rope's thickness cameras show, as factors and lengths [m]; more
+where it is not known which camera saw a point. Pixels at edges have no depth or that of the
+background: 31 good lifts of the MuJoCo scene have 0.70 to 1.06 of the thickness."""
+
+
+UNITS = "is the mass in kilograms, are sizes in metres?"
 
 
 def beyond(findings: Findings) -> list[str]:
@@ -65,38 +68,27 @@ def _out_of(value: float, low: float, high: float) -> float:
 def of_recording(recording: Recording, density: float | None) -> Findings:
     """Independently of the fit; of a density where mass and sizes are stated [kg/m^3]."""
     if density is not None:
-        low = MIN_DENSITY.get(recording.object.kind, 0.0)
-        said = (
-            f"mass and sizes give a density of {density:.3g} kg/m^3: is the mass in kilograms, are "
-            "sizes in metres?"
-        )
-        yield _out_of(density, low, MAX_DENSITY), 1.0, said
+        said = f"mass and sizes give a density of {density:.3g} kg/m^3: {UNITS}"
+        yield _out_of(density, MIN_DENSITY[recording.object.kind], MAX_DENSITY), 1.0, said
     if recording.extra.get("static", False):
         return
     frames = np.flatnonzero(recording.frame_valid)
-    count = len(frames)
-    lack = f"{count} of the {FEWEST_FRAMES} frames that a lift takes show points"
-    yield FEWEST_FRAMES - count, 0.0, lack
-    if count < FEWEST_FRAMES:
+    lack = f"{len(frames)} of the {FEWEST_FRAMES} frames that a lift takes show points"
+    yield FEWEST_FRAMES - len(frames), 0.0, lack
+    if len(frames) < FEWEST_FRAMES:
         return
-    path, size = recording.gripper_position[frames], max(recording.object.size or 0.0, 1e-9)
+    path, size = recording.gripper_position[frames], recording.object.size or 1e-9
     reach = float(norm(path - path[0], axis=2).max())
     moves = reach >= 0.15 * size  # less shows almost nothing of the stiffness
-    said = (
-        f"the gripper moves by {reach:.3g} m, {reach / size:.0%} of the object's size: too little "
-        "to tell a stiffness"
-    )
-    yield not moves, 0.0, said
+    said = f"the gripper moves by {reach:.3g} m, {reach / size:.0%} of the object's size"
+    yield not moves, 0.0, f"{said}: too little to tell a stiffness"
     speed = usual_speed(recording) if moves else None
     if speed is not None:
-        said = (
-            f"the gripper's speed is {speed:.3g} m/s: are times in seconds and positions in metres?"
-        )
-        yield _out_of(speed, *USUAL_SPEED), 1.0, said
+        said = f"the gripper's speed is {speed:.3g} m/s: are times in seconds and positions in"
+        yield _out_of(speed, *USUAL_SPEED), 1.0, f"{said} metres?"
     yield numbered(recording), 0.0, "frames are exactly 1 s apart: are times frame numbers?"
     if recording.table_height is not None:
-        thick = recording.object.diameter
-        depth = 0.01 if thick is None else min(0.01, max(0.004, 0.25 * thick))
+        depth = np.clip(0.25 * (recording.object.diameter or math.inf), 0.004, 0.01)
         under = float((recording.points[:, 2] < recording.table_height - depth).mean())
         yield under, 0.08, f"{under:.0%} of all points lie under the table: does z point up?"
 
@@ -104,16 +96,13 @@ def of_recording(recording: Recording, density: float | None) -> Findings:
 def refused_before(problem: Problem) -> bool:
     """Whether a recording is not usable whatever a search finds."""
     known = "thickness" not in problem.prior.names
-    return any(
-        beyond(of_recording(part.scene.recording, _density(part)))
-        or (known and beyond(_at_rest(part, part.base)))
-        for part in problem.parts
-    )
+    return any(_of_part(p) or (known and beyond(_at_rest(p, p.base))) for p in problem.parts)
 
 
-def _density(part: Part) -> float | None:
-    """Mass over volume [kg/m^3], None where the mass is not stated."""
-    return None if part.scene.recording.object.mass is None else part.scene.density
+def _of_part(part: Part) -> list[str]:
+    recording = part.scene.recording
+    stated = recording.object.mass is not None
+    return beyond(of_recording(recording, part.scene.density if stated else None))
 
 
 def judge(
@@ -121,14 +110,11 @@ def judge(
 ) -> Verdict:
     """The verdict of a fit. Reasons that concern one of several recordings begin with its name.
     Posteriors of each recording alone are compared where there are any."""
-    compared, vector = found.best.comparison, found.best.vector
+    compared, vector, reasons = found.best.comparison, found.best.vector, []
     assert compared is not None
-    reasons = []
     for k, (part, comparison) in enumerate(zip(problem.parts, compared.parts, strict=True)):
-        noise, theta = found.noise[k], problem.theta(vector, k)
-        faults = beyond(of_recording(part.scene.recording, _density(part)))
-        faults += beyond(_of_fit(part, comparison, noise, theta))
-        faults = _blamed_on_cameras(faults, part, comparison)
+        fitted = beyond(_of_fit(part, comparison, found.noise[k], problem.theta(vector, k)))
+        faults = _blamed_on_cameras(_of_part(part) + fitted, part, comparison)
         faults += beyond(_improbable(problem, vector, k))
         reasons += [f"{part.name}: {said}" if part.name else said for said in faults]
     reasons += beyond(_of_unknowns(problem, vector, posterior, alone))
@@ -136,25 +122,22 @@ def judge(
 
 
 def _of_fit(part: Part, comparison: Comparison, noise: NoiseModel, theta: Theta) -> Findings:
-    scene, observation = part.scene, part.observation
+    scene, o, rows = part.scene, part.observation, comparison.rows
     shift, turn = np.split(comparison.fit(noise).a[-7:-1], 2)
     most = NUISANCE * noise.shift
     if len(scene.held) > 1:
         # clouds cannot follow grippers that hold both ends: it is the object that moves otherwise
         most = max(most, DISPLACED_BY_TWO * scene.size)
-    said = (
-        f"clouds would have to be moved by {1e3 * norm(shift):.0f} mm and turned by "
-        f"{math.degrees(norm(turn)):.1f} degrees: cameras or gripper are elsewhere than stated, or "
-        "the object has another size"
-    )
-    yield max(np.abs(shift).max() / most, np.abs(turn).max() / (NUISANCE * noise.turn)), 1.0, said
+    by = f"{1e3 * norm(shift):.0f} mm and turned by {math.degrees(norm(turn)):.1f} degrees"
+    why = "cameras or gripper are elsewhere than stated, or the object has another size"
+    moved = max(np.abs(shift).max() / most, np.abs(turn).max() / (NUISANCE * noise.turn))
+    yield moved, 1.0, f"clouds would have to be moved by {by}: {why}"
     if thickness_stated(scene.recording.object):
         yield from _of_thickness(comparison, noise)
-    rows, own = comparison.rows, observation.counts.shape[1]
-    away = np.abs(rows.rho[:, :own])[observation.counts > 0.0]
-    stray = float((away > 4.0 * HUBER).mean())
+    own = o.counts.shape[1]
+    stray = float((np.abs(rows.rho[:, :own])[o.counts > 0.0] > 4.0 * HUBER).mean())
     yield stray, 0.25, f"{stray:.0%} of all points do not belong to the object"
-    if observation.markers is None:
+    if o.markers is None:
         # beyond the clouds' own gaps
         bare = (rows.counts[:, own:] > 0.0) & (rows.rho[:, own:] > 0.004)
         share = float(np.median(bare.mean(axis=1)))
@@ -168,15 +151,16 @@ def _of_fit(part: Part, comparison: Comparison, noise: NoiseModel, theta: Theta)
 def _of_thickness(comparison: Comparison, noise: NoiseModel) -> Findings:
     """A thickness that is not that of the object: by the breadth of a rope, where it is seen."""
     thick, seen = 2.0 * comparison.radius, _seen_breadth(comparison, noise)
-    outside = comparison.outside(noise)
-    side = "outside" if outside > 0.0 else "inside"
-    said = f"points lie {1e3 * abs(outside):.1f} mm {side} an object {1e3 * thick:.3g} mm thick"
-    found, most = abs(outside), max(0.0025, 0.3 * thick)
-    if seen is not None:
+    if seen is None:
+        outside = comparison.outside(noise)
+        side = "outside" if outside > 0.0 else "inside"
+        said = f"points lie {1e3 * abs(outside):.1f} mm {side} an object"
+        found, most = abs(outside), max(0.0025, 0.3 * thick)
+    else:
         blurred = BLURRED[bool((comparison.observation.camera >= 0).any())]
-        said = f"cameras see {1e3 * seen:.1f} mm across an object {1e3 * thick:.3g} mm thick"
+        said = f"cameras see {1e3 * seen:.1f} mm across an object"
         found, most = _out_of(seen, thick / NARROWER - LOST, BROADER * thick + blurred), 1.0
-    yield found, most, f"{said}: is its thickness right?"
+    yield found, most, f"{said} {1e3 * thick:.3g} mm thick: is its thickness right?"
 
 
 def _seen_breadth(comparison: Comparison, noise: NoiseModel) -> float | None:
@@ -186,24 +170,24 @@ def _seen_breadth(comparison: Comparison, noise: NoiseModel) -> float | None:
         return None
     line = comparison.registered(noise)
     index, _, feet = o.shape.nearest(line, o.points)
-    ends = taken(line, index)
     # beyond its ends it is no cylinder
     own = (index[..., 0] > 2) & (index[..., 1] < line.shape[1] - 3) & (o.counts > 0.0)
-    along = (ends[:, :, 1] - ends[:, :, 0])[own]
-    seen = o.points[own], feet[own], along, cameras, noise.sensor
+    ends = taken(line, index)[own]
+    seen = o.points[own], feet[own], ends[:, 1] - ends[:, 0], cameras, noise.sensor
     return breadth_across(*seen, seen_by=o.camera[own])
 
 
 def _blamed_on_cameras(reasons: list[str], part: Part, comparison: Comparison) -> list[str]:
     """Reasons, with that cameras disagree, where they do, in place of a wrong thickness; a fit that
     is farther from the clouds than that does not tell."""
-    perceived = part.scene.recording.cameras_apart
-    far, first, last = comparison.cameras_apart() if reasons else (0.0, 0, 0)
-    if far > max(2.0 * part.noise.shift, comparison.rms):
-        said = (
-            f"in frames {first} to {last} two cameras place the object {1e3 * far:.0f} mm apart: "
-            "do their poses, or clocks, drift?"
-        )
+    perceived, most = (
+        part.scene.recording.cameras_apart,
+        max(2.0 * part.noise.shift, comparison.rms),
+    )
+    if reasons and (found := comparison.cameras_apart())[0] > most:
+        far, first, last = found
+        said = f"in frames {first} to {last} two cameras place the object {1e3 * far:.0f} mm apart"
+        said += ": do their poses, or clocks, drift?"
     elif perceived > 0.012:  # of 30 lifts with usual errors of calibration 0.008 m at most
         said = f"cameras' clouds of the object are {1e3 * perceived:.0f} mm apart: calibrate again"
     else:
@@ -219,15 +203,13 @@ def _at_rest(part: Part, theta: Theta) -> Findings:
     cloud = early_points(recording, with_points(recording), 0.02 * scene.size)
     if scene.kind == "cloth":
         seen = lying_rectangle(cloud[:, :2])
-        assert described.width is not None and described.height is not None
-        stated = max(described.width, described.height), min(described.width, described.height)
         if seen is not None:
-            off = max(abs(seen[0] - stated[0]), abs(seen[1] - stated[1]))
-            said = (
-                f"at rest the cloud fills a rectangle of {seen[0]:.3g} x {seen[1]:.3g} m, the "
-                f"cloth is stated to be {stated[0]:.3g} x {stated[1]:.3g} m"
-            )
-            yield off, NUISANCE * part.noise.shift, said
+            sides = described.width or 0.0, described.height or 0.0
+            stated = max(sides), min(sides)
+            off = float(np.abs(np.subtract(seen, stated)).max())
+            fills, told = (f"{a:.3g} x {b:.3g} m" for a, b in (seen, stated))
+            said = f"at rest the cloud fills a rectangle of {fills}, the cloth is stated to be"
+            yield off, NUISANCE * part.noise.shift, f"{said} {told}"
         return
     thick = theta.thickness * scene.body.thickness
     along = np.linspace(0.0, scene.size, LINE_PLACES)
@@ -237,40 +219,32 @@ def _at_rest(part: Part, theta: Theta) -> Findings:
     beside = float((away[nearest < len(along) - 1] > far_off).mean())
     apart = np.where(np.abs(along[:, None] - along) > 2.0 * far_off, cdist(places, places), np.inf)
     crosses = beside > 0.15 or apart.min() < 0.5 * thick
-    said = (
-        f"at rest {beside:.0%} of the points lie beside the line that the others follow: the rope "
-        "crosses itself, or something else is in view"
-    )
-    yield crosses, 0.0, said
+    said = f"at rest {beside:.0%} of the points lie beside the line that the others follow"
+    yield crosses, 0.0, f"{said}: the rope crosses itself, or something else is in view"
     if not crosses:
         # beyond its end, straight on; nearly all of the cloud ends before
         ahead = (places[-1] - places[-2]) / norm(places[-1] - places[-2])
         tail = np.where(nearest == len(along) - 1, (cloud[:, :2] - places[-1]) @ ahead, 0.0)
-        beyond = float(np.quantile(along[nearest] + tail, 0.99)) - scene.size
+        over = float(np.quantile(along[nearest] + tail, 0.99)) - scene.size
         prior, _ = scene.prior(("grip_along", "grip_height"))
-        ends = "beyond" if beyond > 0.0 else "before"
-        place = math.hypot(part.noise.shift, *map(float, prior.sd))
-        said = (
-            f"at rest the cloud ends {1e3 * abs(beyond):.0f} mm {ends} the end of an object "
-            f"{scene.size:.3g} m long: are its length and the gripper's place right?"
-        )
-        yield abs(beyond), NUISANCE * place, said
+        ends = "beyond" if over > 0.0 else "before"
+        most = NUISANCE * math.hypot(part.noise.shift, *map(float, prior.sd))
+        said = f"at rest the cloud ends {1e3 * abs(over):.0f} mm {ends} the end of an object"
+        right = f"{scene.size:.3g} m long: are its length and the gripper's place right?"
+        yield abs(over), most, f"{said} {right}"
     if recording.table_height is not None and thickness_stated(described):
         # over ten lifts they differ by 1.5 mm at most, of a real rope by 7 mm
         top = float(np.quantile(cloud[:, 2], 0.9)) - recording.table_height
-        said = (
-            f"at rest the object reaches {1e3 * top:.0f} mm above the table, its diameter is "
-            f"{1e3 * thick:.3g} mm: are diameter and table_height right, does z point up?"
-        )
-        yield abs(top - thick), max(3.0 * part.noise.shift, 0.25 * thick), said
+        said = f"at rest the object reaches {1e3 * top:.0f} mm above the table, its diameter is"
+        right = f"{1e3 * thick:.3g} mm: are diameter and table_height right, does z point up?"
+        yield abs(top - thick), max(3.0 * part.noise.shift, 0.25 * thick), f"{said} {right}"
 
 
 def displaced(part: Part, noise: NoiseModel, times: float = 1.0) -> bool:
     """Whether the object moves otherwise than any simulated one, by so many times what is
     usable."""
-    most = DISPLACED if len(part.scene.held) == 1 else DISPLACED_BY_TWO
-    if part.scene.kind == "cloth":
-        most = DISPLACED_CLOTH
+    of_rope = DISPLACED if len(part.scene.held) == 1 else DISPLACED_BY_TWO
+    most = DISPLACED_CLOTH if part.scene.kind == "cloth" else of_rope
     return noise.model > times * most * part.scene.size
 
 
@@ -280,11 +254,9 @@ def _improbable(problem: Problem, vector: Array, recording: int) -> Findings:
     for k in prior.of(recording):
         u, x = UNKNOWNS[prior.names[k]], float(vector[k])
         if not u.material:
-            said = (
-                f"{u.symbol} would have to be {u.value(x):.3g} {u.unit} ({u.meaning}): the stated "
-                "motion or size is wrong"
-            )
-            yield abs(x - prior.mean[k]), NUISANCE * prior.sd[k], said
+            said = f"{u.symbol} would have to be {u.value(x):.3g} {u.unit} ({u.meaning})"
+            off, most = abs(x - prior.mean[k]), NUISANCE * prior.sd[k]
+            yield off, most, f"{said}: the stated motion or size is wrong"
 
 
 def _of_unknowns(
@@ -300,12 +272,9 @@ def _of_unknowns(
         # fibres and rubbers have 300 to 2,500 kg/m^3, cables with copper up to 4,000; strands of
         # metal have an E above 0.1 GPa
         if scene.recording.object.mass is not None and own < 2e4:
-            said = (
-                f"mass and sizes give a density of {scene.density:.3g} kg/m^3, which only metals "
-                f"have, but it bends like no metal (E / density {own:.3g} m^2/s^2): is the mass in "
-                "kilograms, are sizes in metres?"
-            )
-            yield scene.density, 4000.0, said
+            said = f"mass and sizes give a density of {scene.density:.3g} kg/m^3, which only metals"
+            bends = f"have, but it bends like no metal (E / density {own:.3g} m^2/s^2): {UNITS}"
+            yield scene.density, 4000.0, f"{said} {bends}"
     # ropes and cloths have 1 to 20 ms, and what moves too fast for its stiffness looks damped;
     # swinging cables, whose strands rub, have 30 to 160
     if not problem.captured and posterior.determined("damping"):
@@ -315,13 +284,12 @@ def _of_unknowns(
     if name not in prior.names or len(alone) < 2:
         return
     at = [(float(p.mean[p.prior.index(name)]), p.sd(name)) for p in alone]
-    pairs = combinations(range(len(at)), 2)
     # the two that differ by the most deviations
-    apart = ((abs(at[a][0] - at[b][0]) / math.hypot(at[a][1], at[b][1]), a, b) for a, b in pairs)
-    deviations, a, b = max(apart)
-    said = (
-        f"{problem.parts[a].name} and {problem.parts[b].name} do not show one object: by "
-        f"themselves they say that E / density is {math.exp(at[a][0]):.3g} and "
-        f"{math.exp(at[b][0]):.3g} m^2/s^2, {deviations:.0f} standard deviations apart"
+    deviations, a, b = max(
+        (abs(at[a][0] - at[b][0]) / math.hypot(at[a][1], at[b][1]), a, b)
+        for a, b in combinations(range(len(at)), 2)
     )
-    yield deviations, NUISANCE, said
+    names = f"{problem.parts[a].name} and {problem.parts[b].name} do not show one object"
+    ends = f"{math.exp(at[a][0]):.3g} and {math.exp(at[b][0]):.3g} m^2/s^2"
+    said = f"{names}: by themselves they say that E / density is {ends}"
+    yield deviations, NUISANCE, f"{said}, {deviations:.0f} standard deviations apart"

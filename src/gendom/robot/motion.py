@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PPoly
 
 from gendom.arguments import require
 from gendom.arrays import Array
@@ -140,9 +140,10 @@ class JointMotion:
             RobotError: The arm has another number of joints.
         """
         arm.check_q(self.q)
+        # joint by joint: of several at once SciPy 1.17 loses a root that two have alike
         turns = [
-            self.spline.derivative(order).roots(discontinuity=False, extrapolate=False)
-            for order in (1, 2)
+            [PPoly(own.c[..., j], own.x).roots(False, False) for j in range(arm.joints)]
+            for own in (self.spline.derivative(order) for order in (1, 2))
         ]
         middle, half = 0.5 * (arm.q_min + arm.q_max), 0.5 * (arm.q_max - arm.q_min)
         limits = {"angle": half, "speed": arm.max_speed, "acceleration": arm.max_acceleration}

@@ -126,13 +126,10 @@ def estimated_noise(
     comparison: Comparisons, noise: Sequence[NoiseModel], rounds: int = 6
 ) -> tuple[NoiseModel, ...]:
     """Maximum likelihood noise of each recording: two registrations, each with this many rounds of
-    expectation and maximisation; of markers in motion `Comparison.correlated_noise`."""
+    expectation and maximisation; of markers in motion `Fit.correlated_noise`."""
     found = list(noise)
     for k, part in enumerate(comparison.parts):
         for _ in range(2):
-            captured = part.observation.scene.captured
-            one = found[k]
-            found[k] = (
-                part.correlated_noise(one) if captured else part.fit(one).updated_noise(rounds)
-            )
+            fit, captured = part.fit(found[k]), part.observation.scene.captured
+            found[k] = fit.correlated_noise() if captured else fit.updated_noise(rounds)
     return tuple(found)

@@ -1,0 +1,481 @@
+"""Each bound of a verdict from both sides, and what is said beyond it."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gendom.datasets import ObjectDescription, Recording
+from gendom.estimation import Theta, verdict
+from gendom.estimation.observed import NoiseModel
+from gendom.materials.posterior import Posterior, prior_of
+
+NS: Any = SimpleNamespace
+NOISE = NoiseModel(shift=0.003, turn=0.01, model=0.002)
+ROPE = ObjectDescription(kind="rope", length=0.4, diameter=0.01, mass=0.02)
+CLOTH = ObjectDescription(kind="cloth", width=0.3, height=0.5, mass=0.02)
+
+
+def nothing(*_):
+    return iter(())
+
+
+# ---- of the recording ----------------------------------------------------------------------------
+
+
+def recording(step=0.03, dt=0.5, frames=4, under=0, described=ROPE, static=False, **changes):
+    """A gripper that goes up evenly; 100 points a frame, some of which lie under the table."""
+    clouds, z = [], np.arange(frames) * step
+    for _ in range(frames):
+        cloud = np.tile([0.0, 0.0, 0.2], (100, 1))
+        cloud[:under, 2] = 0.1 - changes.get("depth", 0.006)
+        clouds.append(cloud)
+    return Recording.from_frames(
+        clouds, time=dt * np.arange(frames), object=described,
+        table_height=changes.get("table", 0.1), extra={"static": static},
+        gripper_position=np.stack([0.0 * z, 0.0 * z, z], axis=1),
+    )  # fmt: skip
+
+
+DENSE = "mass and sizes give a density of {} kg/m^3: is the mass in kilograms, are sizes in metres?"
+FAST = "the gripper's speed is {} m/s: are times in seconds and positions in metres?"
+THICK, THIN = (replace(ROPE, diameter=d) for d in (0.03, 0.002))
+UNDER = "{} of all points lie under the table: does z point up?"
+STILL = "the gripper moves by {} of the object's size: too little to tell a stiffness"
+
+
+@pytest.mark.parametrize(
+    ("changes", "density", "said"),
+    [
+        ({}, None, []),
+        ({}, 120.1, []),
+        ({}, 119.9, [DENSE.format(120)]),
+        ({"described": CLOTH, "step": 0.1}, 30.1, []),
+        ({"described": CLOTH, "step": 0.1}, 29.9, [DENSE.format(29.9)]),
+        ({}, 11990.0, []),
+        ({}, 12100.0, [DENSE.format("1.21e+04")]),
+        ({"static": True, "frames": 1}, 119.9, [DENSE.format(120)]),
+        ({"frames": 3}, None, ["3 of the 4 frames that a lift takes show points"]),
+        ({"step": 0.0201}, None, []),
+        ({"step": 0.0199}, None, [STILL.format("0.0597 m, 15%")]),
+        ({"step": 0.03, "dt": 0.0151}, None, []),
+        ({"step": 0.03, "dt": 0.0149}, None, [FAST.format(2.01)]),
+        ({"step": 0.03, "dt": 59.9}, None, []),
+        ({"step": 0.03, "dt": 60.1}, None, [FAST.format(0.000499)]),
+        ({"step": 0.03, "dt": 1.0, "frames": 9}, None, []),
+        ({"step": 0.03, "dt": 1.0, "frames": 10}, None,
+         ["frames are exactly 1 s apart: are times frame numbers?"]),
+        # by a quarter of the thickness, at least 4 and at most 10 mm, 1 cm where it is not known
+        ({"under": 8}, None, []),
+        ({"under": 9}, None, [UNDER.format("9%")]),
+        ({"under": 50, "depth": 0.0039}, None, []),
+        ({"under": 50, "depth": 0.0041, "described": THIN}, None, [UNDER.format("50%")]),
+        ({"under": 50, "depth": 0.0074, "described": THICK}, None, []),
+        ({"under": 50, "depth": 0.0076, "described": THICK}, None, [UNDER.format("50%")]),
+        ({"under": 50, "depth": 0.0101, "described": replace(ROPE, diameter=0.05)}, None,
+         [UNDER.format("50%")]),
+        ({"under": 50, "depth": 0.0099, "described": replace(ROPE, diameter=None)}, None, []),
+        ({"under": 50, "depth": 0.0101, "described": replace(ROPE, diameter=None)}, None,
+         [UNDER.format("50%")]),
+        ({"under": 50, "table": None}, None, []),
+    ],
+)  # fmt: skip
+def test_what_a_recording_itself_shows(changes, density, said):
+    assert verdict.beyond(verdict.of_recording(recording(**changes), density)) == said
+
+
+# ---- of the object at rest -----------------------------------------------------------------------
+
+CORNER = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.3, 0.1, 0.0]])
+"""A line whose end points along y."""
+
+
+def lying(cloud, line=CORNER, thick=0.01, described=ROPE, table=0.5, **changes):
+    place = NS(
+        object=described, table_height=table, gripper_position=np.zeros((1, 1, 3)), num_frames=1,
+        frame_valid=[True], frame=lambda t: cloud,
+    )  # fmt: skip
+    sd = np.array([0.004, 0.012])  # with 3 mm of the cameras 13 mm in all
+    scene = NS(
+        ordered=False, held=[0], floor=None, kind=described.kind, size=0.4, recording=place,
+        body=NS(points=line, thickness=0.5 * thick), prior=lambda names: (NS(sd=sd), names),
+    )  # fmt: skip
+    vars(scene).update(changes)
+    return verdict.beyond(verdict._at_rest(NS(scene=scene, noise=NOISE), NS(thickness=2.0)))
+
+
+def along(end=0.1, beside=0, off=0.0, top=0.01):
+    """90 points along the first side, 10 at the end; of all so many lie beside it."""
+    cloud = np.stack([np.linspace(0.0, 0.28, 90), np.zeros(90), np.zeros(90)], axis=1)
+    cloud = np.concatenate([cloud, np.tile([0.3, end, 0.0], (10, 1))])
+    cloud[20 : 20 + beside, 1] = -off
+    return cloud + np.array([0.0, 0.0, 0.5 + top])
+
+
+BESIDE = "at rest {} of the points lie beside the line that the others follow: the rope crosses "
+BESIDE += "itself, or something else is in view"
+ENDS = "at rest the cloud ends {} the end of an object 0.4 m long: are its length and the "
+ENDS += "gripper's place right?"
+HIGH = "at rest the object reaches {} mm above the table, its diameter is {} mm: are diameter and "
+HIGH += "table_height right, does z point up?"
+
+
+def legs(gap):
+    """A line there and back."""
+    return np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.2, gap, 0.0], [gap, gap, 0.0]])
+
+
+FOLDED = np.array([[0, 0, 0], [0.38, 0, 0], [0.38, 0.0049, 0], [0.3649, 0.0049, 0]])
+"""The last 35 mm of the line touch themselves."""
+
+
+@pytest.mark.parametrize(
+    ("cloud", "changes", "said"),
+    [
+        (along(), {}, []),
+        (along(0.1649), {}, []),
+        (along(0.1651), {}, [ENDS.format("65 mm beyond")]),
+        (along(0.0351), {}, []),
+        (along(0.0340), {}, [ENDS.format("66 mm before")]),
+        (along(beside=13, off=0.0151), {}, []),
+        (along(beside=14, off=0.0149), {}, []),
+        (along(beside=14, off=0.0151), {}, [BESIDE.format("16%")]),
+        (along(beside=14, off=0.0299, top=0.02), {"thick": 0.02}, []),
+        (along(beside=14, off=0.0301, top=0.02), {"thick": 0.02}, [BESIDE.format("16%")]),
+        (along()[:60], {"line": legs(0.0051), "size": 0.4}, "no crossing"),
+        (along()[:60], {"line": legs(0.0049), "size": 0.4}, [BESIDE.format("0%")]),
+        (along()[:60], {"line": FOLDED}, [BESIDE.format("0%")]),
+        (along(top=0.0189), {}, []),
+        (along(top=0.0191), {}, [HIGH.format(19, 10)]),
+        (along(top=0.0011), {}, []),
+        (along(top=0.0009), {}, [HIGH.format(1, 10)]),
+        (along(top=0.0499), {"thick": 0.04}, []),
+        (along(top=0.0501), {"thick": 0.04}, [HIGH.format(50, 40)]),
+        (along(top=0.0501), {"thick": 0.04, "table": None}, []),
+        (along(top=0.0501), {"described": replace(ROPE, diameter=None)}, []),
+        # what says nothing of how it lies
+        (along(0.3), {"ordered": True}, []),
+        (along(0.3), {"held": [0, 1]}, []),
+        (along(0.3), {"floor": 0.2}, []),
+    ],
+)
+def test_how_a_rope_lies_at_rest(cloud, changes, said):
+    found = lying(cloud, **changes)
+    if said == "no crossing":
+        assert not any("crosses itself" in one for one in found)
+    else:
+        assert found == said
+
+
+@pytest.mark.parametrize(
+    ("sides", "told"),
+    [
+        ((0.5, 0.3), None),
+        ((0.5149, 0.2851), None),
+        ((0.5151, 0.3), "0.515 x 0.3 m"),
+        ((0.5, 0.2849), "0.5 x 0.285 m"),
+        (None, None),
+    ],
+)
+def test_how_a_cloth_lies_at_rest(monkeypatch, sides, told):
+    """However its sides are named."""
+    seen = lambda points: sides if points.shape == (100, 2) else (9.0, 9.0)  # noqa: E731
+    monkeypatch.setattr(verdict, "lying_rectangle", seen)
+    said = f"at rest the cloud fills a rectangle of {told}, the cloth is stated to be 0.5 x 0.3 m"
+    for described in (CLOTH, replace(CLOTH, width=0.5, height=0.3)):
+        assert lying(along(), described=described) == ([said] if told else [])
+
+
+# ---- of the fit ----------------------------------------------------------------------------------
+
+MOVED = "clouds would have to be moved by {} mm and turned by {} degrees: cameras or gripper are "
+MOVED += "elsewhere than stated, or the object has another size"
+BARE = "clouds show nothing where {} of the object should be: is its size right?"
+STRAY = "{} of all points do not belong to the object"
+OTHERWISE = "the object moves {} mm otherwise than any simulated one"
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, []),
+        ({"shift": (0.0, -0.0149, 0.0)}, []),
+        ({"shift": (0.0, -0.0151, 0.0)}, [MOVED.format(15, 0.0)]),
+        ({"shift": (0.0, 0.03, 0.04)}, [MOVED.format(50, 0.0)]),
+        ({"turn": (0.0, 0.0499, -0.0499)}, []),
+        ({"turn": (0.0, 0.0, -0.0501)}, [MOVED.format(0, 2.9)]),
+        ({"shift": (0.0239, 0.0, 0.0), "held": [0, 1]}, []),
+        ({"shift": (0.0241, 0.0, 0.0), "held": [0, 1]}, [MOVED.format(24, 0.0)]),
+        ({"shift": (0.0149, 0.0, 0.0), "held": [0, 1], "size": 0.1}, []),
+        # a quarter of the eight points that count, beyond 24 mm
+        ({"stray": 2, "far": 0.03}, []),
+        ({"stray": 3, "far": -0.0241}, [STRAY.format("38%")]),
+        ({"stray": 3, "far": 0.0239}, []),
+        ({"stray": 3, "far": 0.0241, "markers": 0}, [STRAY.format("38%")]),
+        # three tenths of ten places in the median of three frames
+        ({"bare": (3, 3, 9), "gap": 0.0041}, []),
+        ({"bare": (4, 1, 4), "gap": 0.0041}, [BARE.format("40%")]),
+        ({"bare": (4, 4, 4), "gap": 0.0039}, []),
+        ({"bare": (4, 4, 4), "gap": 0.0041, "stands_for": 0.4}, [BARE.format("40%")]),
+        ({"bare": (4, 4, 4), "gap": 0.0041, "stands_for": 0.0}, []),
+        ({"bare": (4, 4, 4), "gap": 0.0041, "markers": 0}, []),
+        ({"model": 0.00599}, []),
+        ({"model": 0.00601}, [OTHERWISE.format(6)]),
+    ],
+)
+def test_how_well_it_fits(monkeypatch, changes, said):
+    """Of a rope of 0.4 m, whose thickness is not stated."""
+    still = (0.0, 0.0, 0.0)
+    given = {"shift": still, "turn": still, "held": [0], "size": 0.4, "stray": 0, "far": 0.0,
+             "markers": None, "bare": (0, 0, 0), "gap": 0.0, "stands_for": 1.0,
+             "model": 0.002} | changes  # fmt: skip
+    monkeypatch.setattr(verdict, "_at_rest", nothing)
+    rho, counts = np.zeros((3, 13)), np.ones((3, 13))
+    counts[2, 2], counts[:, 3:] = 0.0, 0.0  # eight of nine points count
+    rho[:, :3].flat[: given["stray"]] = given["far"]
+    rho[2, 2] = 1.0  # does not count
+    for t, n in enumerate(given["bare"]):
+        rho[t, 3 : 3 + n], counts[t, 3 : 3 + n] = given["gap"], given["stands_for"]
+    observation = NS(counts=counts[:, :3], markers=given["markers"])
+    a = np.array([9.0, 9.0, *given["shift"], *given["turn"], 9.0])
+    fitted = NS(rows=NS(rho=rho, counts=counts), fit=lambda noise: NS(a=a))
+    described = NS(object=replace(ROPE, diameter=None))
+    scene = NS(held=given["held"], size=given["size"], kind="rope", recording=described)
+    noise = replace(NOISE, model=given["model"])
+    part = NS(scene=scene, observation=observation, noise=noise)
+    assert verdict.beyond(verdict._of_fit(part, fitted, noise, Theta(E_over_rho=1.0))) == said
+
+
+@pytest.mark.parametrize(
+    ("kind", "held", "share"), [("rope", 1, 0.015), ("rope", 2, 0.06), ("cloth", 1, 0.01)]
+)
+def test_what_moves_otherwise_than_any_simulated_object(kind, held, share):
+    part = NS(scene=NS(kind=kind, held=[0] * held, size=2.0))
+    for times in (1.0, 5.0):
+        for more, beyond in ((0.999, False), (1.001, True)):
+            noise = replace(NOISE, model=more * times * share * 2.0)
+            assert verdict.displaced(part, noise, times) is beyond
+    assert verdict.displaced(part, replace(NOISE, model=1.001 * share * 2.0))
+
+
+THICKNESS = "{} an object {} mm thick: is its thickness right?"
+
+
+@pytest.mark.parametrize(
+    ("thick", "seen", "outside", "known", "said"),
+    [
+        (0.010, None, 0.0029, True, None),
+        (0.010, None, 0.0031, True, "points lie 3.1 mm outside"),
+        (0.010, None, -0.0031, True, "points lie 3.1 mm inside"),
+        (0.004, None, 0.0024, True, None),
+        (0.004, None, -0.0026, True, "points lie 2.6 mm inside"),
+        # 1.25 times and 0.5 mm more, 1.3 mm where cameras are not known; 1.15 times and 2 mm less
+        (0.010, 0.01299, 9.0, True, None),
+        (0.010, 0.01301, 0.0, True, "cameras see 13.0 mm across"),
+        (0.010, 0.01379, 0.0, False, None),
+        (0.010, 0.01381, 0.0, False, "cameras see 13.8 mm across"),
+        (0.023, 0.01801, 0.0, True, None),
+        (0.023, 0.01799, 0.0, True, "cameras see 18.0 mm across"),
+    ],
+)
+def test_how_thick_it_looks(monkeypatch, thick, seen, outside, known, said):
+    monkeypatch.setattr(verdict, "_seen_breadth", lambda comparison, noise: seen)
+    monkeypatch.setattr(verdict, "_at_rest", nothing)
+    camera = np.array([[-1, 0 if known else -1]])
+    observed = NS(camera=camera, counts=np.ones((1, 1)), markers=0)
+    compared = NS(
+        radius=0.5 * thick, outside=lambda noise: outside, observation=observed,
+        fit=lambda noise: NS(a=np.zeros(7)), rows=NS(rho=np.zeros((1, 1))),
+    )  # fmt: skip
+    scene = NS(held=[0], size=0.4, kind="rope", recording=NS(object=ROPE))
+    part = NS(scene=scene, observation=observed, noise=NOISE)
+    found = verdict.beyond(verdict._of_fit(part, compared, NOISE, Theta(E_over_rho=1.0)))
+    assert found == ([THICKNESS.format(said, f"{1e3 * thick:.3g}")] if said else [])
+
+
+def test_breadth_is_seen_away_from_both_ends(monkeypatch):
+    """Of points that count, beside the line as it is registered."""
+    line = np.cumsum(np.arange(24.0).reshape(1, 8, 3), axis=1)
+    first = np.array([[2, 3, 4, 4, 3]])
+    index = np.stack([first, first + 1], axis=2)
+    points, feet = np.arange(15.0).reshape(1, 5, 3), -np.arange(15.0).reshape(1, 5, 3)
+    shape = NS(rope=True, nearest=lambda x, p: (index, None, feet) if p is points else None)
+    observed = NS(
+        scene=NS(recording=NS(camera_positions="cameras")), markers=None, shape=shape,
+        points=points, counts=np.array([[1.0, 1.0, 1.0, 1.0, 0.0]]), camera=np.arange(5)[None],
+    )  # fmt: skip
+    compared, got = NS(observation=observed, registered=lambda noise: line), []
+
+    def breadth(*seen, seen_by):
+        got.extend([*seen, seen_by])
+        return 0.007
+
+    monkeypatch.setattr(verdict, "breadth_across", breadth)
+    assert verdict._seen_breadth(compared, NOISE) == 0.007
+    # of the first points 0 to 2 and the last three no segment counts: 3 to 4 does
+    own = [1]
+    np.testing.assert_array_equal(got[0], points[0, own])
+    np.testing.assert_array_equal(got[1], feet[0, own])
+    np.testing.assert_array_equal(got[2], line[0, [4]] - line[0, [3]])
+    assert got[3] == "cameras" and got[4] == NOISE.sensor and got[5].tolist() == [1]
+    for changes in ({"markers": 0}, {"shape": NS(rope=False)}):
+        other = NS(**{**vars(observed), **changes})
+        assert verdict._seen_breadth(NS(observation=other), NOISE) is None
+    observed.scene.recording.camera_positions = None
+    assert verdict._seen_breadth(compared, NOISE) is None
+
+
+DRIFT = "in frames 3 to 7 two cameras place the object {} mm apart: do their poses, or clocks, "
+DRIFT += "drift?"
+APART = "cameras' clouds of the object are {} mm apart: calibrate again"
+
+
+@pytest.mark.parametrize(
+    ("far", "rms", "perceived", "said"),
+    [
+        (0.0059, 0.001, 0.0, None),
+        (0.0061, 0.001, 0.02, DRIFT.format(6)),
+        (0.0059, 0.0061, 0.0119, None),
+        (0.0061, 0.0062, 0.0121, APART.format(12)),
+    ],
+)
+def test_cameras_are_blamed_where_they_disagree(far, rms, perceived, said):
+    part = NS(scene=NS(recording=NS(cameras_apart=perceived)), noise=NOISE)
+    compared = NS(cameras_apart=lambda: (far, 3, 7), rms=rms)
+    faults = ["is its thickness right?", "other"]
+    found = verdict._blamed_on_cameras(faults, part, compared)
+    assert found == (faults if said is None else [said, "other"])
+    alone = [APART.format(f"{1e3 * perceived:.0f}")] if perceived > 0.012 else []
+    assert verdict._blamed_on_cameras([], part, compared) == alone
+
+
+# ---- of what was found ---------------------------------------------------------------------------
+
+PRIOR = prior_of(("E_over_rho", "damping", "grip_height", "delay"))
+
+
+@pytest.mark.parametrize(("share", "beyond"), [(4.99, False), (-4.99, False), (5.01, True)])
+def test_unknowns_of_a_recording_are_near_their_priors(share, beyond):
+    """The object's own are not looked at."""
+    vector = PRIOR.mean + np.array([9.0, 9.0, share, 0.0]) * PRIOR.sd
+    (height,) = (u for u in PRIOR.unknowns if u.name == "grip_height")
+    said = (
+        f"{height.symbol} would have to be {vector[2]:.3g} {height.unit} ({height.meaning}): the "
+    )
+    said += "stated motion or size is wrong"
+    found = verdict.beyond(verdict._improbable(NS(prior=PRIOR), vector, 0))
+    assert found == ([said] if beyond else [])
+
+
+def known(lnE=7.0, sd=0.1, damping=0.01, wide=0.2):
+    mean = np.array([lnE, math.log(damping), 0.0, 0.0])
+    sds = np.array([sd, wide, 0.001, 0.001])
+    return Posterior(prior=PRIOR, mean=mean, covariance=np.diag(sds**2), bases=())
+
+
+METAL = "mass and sizes give a density of {} kg/m^3, which only metals have, but it bends like no "
+METAL += "metal (E / density {} m^2/s^2): is the mass in kilograms, are sizes in metres?"
+DAMPED = "a damping of {} s or more is more than objects have: are times in seconds?"
+APART_BY = "{} do not show one object: by themselves they say that E / density is {} m^2/s^2, {} "
+APART_BY += "standard deviations apart"
+END = "E / density lies at the end of the range that was searched"
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, []),
+        ({"lnE": PRIOR.low[0] + 1.1e-3}, []),
+        ({"lnE": PRIOR.low[0] + 0.9e-3}, [END]),
+        ({"lnE": PRIOR.high[0] - 0.9e-3}, [END]),
+        ({"lnE": math.log(19999.5), "density": 4001.0}, [METAL.format("4e+03", "2e+04")]),
+        ({"lnE": math.log(20000.5), "density": 4001.0}, []),
+        ({"density": 3999.0}, []),
+        ({"density": 4001.0, "mass": None}, []),
+        # the lower end of 90 % of exp(N(ln 0.07, 0.2)) is 0.07 exp(-0.329)
+        ({"damping": 0.0694}, []),
+        ({"damping": 0.0696}, [DAMPED.format(0.05)]),
+        ({"damping": 0.2, "captured": True}, []),
+        ({"damping": 0.9, "wide": 0.51 * PRIOR.sd[1]}, []),
+        ({"alone": [known(7.0), known(7.70)]}, []),
+        ({"alone": [known(7.0), known(7.71)]},
+         [APART_BY.format("a and b", "1.1e+03 and 2.23e+03", 5)]),
+        ({"alone": [known(7.71)]}, []),
+        # of three the two that differ by the most deviations, not by the most
+        ({"alone": [known(7.0, 0.03), known(7.4, 0.04), known(9.0, 1.0)]},
+         [APART_BY.format("a and b", "1.1e+03 and 1.64e+03", 8)]),
+        ({"alone": [known(9.0, 1.0), known(7.0, 0.03), known(7.4, 0.04)]},
+         [APART_BY.format("b and c", "1.1e+03 and 1.64e+03", 8)]),
+    ],
+)  # fmt: skip
+def test_values_that_no_object_has(changes, said):
+    given = {"lnE": 7.0, "density": 1000.0, "mass": 0.1, "damping": 0.01, "wide": 0.2,
+             "captured": False, "alone": ()} | changes  # fmt: skip
+    vector = np.array([given["lnE"], 0.0, 0.0, 0.0])
+    scene = NS(density=given["density"], recording=NS(object=NS(mass=given["mass"])))
+    problem = NS(
+        prior=PRIOR, scene=scene, captured=given["captured"], parts=[NS(name=n) for n in "abc"]
+    )
+    posterior = known(damping=given["damping"], wide=given["wide"])
+    found = verdict._of_unknowns(problem, vector, posterior, given["alone"])
+    assert verdict.beyond(found) == said
+    problem.prior = prior_of(("damping", "grip_height"))  # of a known material
+    found = verdict.beyond(verdict._of_unknowns(problem, vector, posterior, given["alone"]))
+    assert found == [one for one in said if "damping" in one]
+
+
+def test_a_verdict_has_all_reasons_by_recording(monkeypatch):
+    """In order: the recording, its fit, what is improbable; then those of all together."""
+    recordings = [recording(frames=4 if k else 3) for k in range(2)]
+    parts = [
+        NS(scene=NS(recording=r, density=1e5), name=n, noise=NOISE, base="base", k=k)
+        for k, (r, n) in enumerate(zip(recordings, ("", "second"), strict=True))
+    ]
+    for part in parts:
+        part.scene.recording = replace(part.scene.recording, object=replace(ROPE, mass=None))
+    compared = [NS(cameras_apart=lambda: (0.0, 0, 0), rms=0.0, k=k) for k in range(2)]
+    found = NS(
+        best=NS(comparison=NS(parts=compared), vector="vector"), noise=["noise 0", "noise 1"]
+    )
+    problem = NS(parts=parts, theta=lambda v, k: f"theta {k}", prior=NS(names=("E_over_rho",)))
+
+    def of_fit(part, comparison, noise, theta):
+        yield 1.0, 1.0, "not more than usable"
+        yield 2.0, 1.0, f"fit {part.k} {comparison.k} {noise} {theta}"
+
+    monkeypatch.setattr(verdict, "_of_fit", of_fit)
+    monkeypatch.setattr(verdict, "_improbable", lambda p, v, k: iter([(2.0, 1.0, f"odd {v} {k}")]))
+    every = lambda p, v, post, alone: iter([(2.0, 1.0, f"all {v} {post} {alone}")])  # noqa: E731
+    monkeypatch.setattr(verdict, "_of_unknowns", every)
+    said = verdict.judge(problem, found, "posterior", "alone")  # type: ignore[arg-type]
+    assert said.reasons == (
+        "3 of the 4 frames that a lift takes show points",
+        "fit 0 0 noise 0 theta 0",
+        "odd vector 0",
+        "second: fit 1 1 noise 1 theta 1",
+        "second: odd vector 1",
+        "all vector posterior alone",
+    )
+    assert not said.usable
+    assert verdict.refused_before(problem)
+    rest = {"said": []}
+
+    def at_rest(part, theta):
+        rest["said"].append(theta)
+        yield 1.0, 0.0, "lies elsewhere"
+
+    monkeypatch.setattr(verdict, "_at_rest", at_rest)
+    problem.parts = parts[1:]
+    assert verdict.refused_before(problem) and rest["said"] == ["base"]
+    problem.prior.names = ("thickness",)
+    assert not verdict.refused_before(problem)
+    parts[1].scene.recording = recordings[1]
+    assert verdict.refused_before(problem)  # a mass that gives 100,000 kg/m^3
+    for name in ("_of_fit", "_improbable", "_of_unknowns"):
+        monkeypatch.setattr(verdict, name, nothing)
+    parts[1].scene.density, found.best.comparison.parts = 1000.0, compared[1:]
+    good = verdict.judge(problem, found, "posterior", "alone")  # type: ignore[arg-type]
+    assert good.usable and good.reasons == ()
