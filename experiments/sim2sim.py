@@ -20,12 +20,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.adam import adam
+from experiments.evolution import differential_evolution
 from experiments.pointnet import pointnet
 from experiments.runs import Result, Runs, Table
 from gendom.arguments import require
 from gendom.datasets import ObjectDescription, Recording
-from gendom.estimation.methods.adam import adam
-from gendom.estimation.methods.differential_evolution import differential_evolution
 from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_newton
 from gendom.estimation.observed import NoiseModel
 from gendom.estimation.problem import EstimateSettings, Found, Problem

@@ -28,7 +28,7 @@ act rope-casting --goal a b | act: --goal: is 'a b'; give numbers
 estimate x --frames lst | estimate: --frames: is 'lst'; did you mean 'last'?
 estimate x --frames q | estimate: --frames: is 'q'; choose all, last
 estimate x --camera-pose q | estimate: --camera-pose: is 'q'; choose stated, unknown
-estimate x --method adm | estimate: there is no method 'adm'; did you mean 'adam'?
+estimate x --method gauss | estimate: there is no method 'gauss'; did you mean 'gauss-newton'?
 
 estimate file.npz | file.npz
 check absent.npz | absent.npz: no such file; check the path

@@ -204,7 +204,6 @@ def test_only_the_last_frame_may_be_compared(rope_lift, lifted, settings):
         ({"unknowns": ("colour",)}, "no unknown 'colour'; choose from E_over_rho"),
         ({"unknowns": ("yaw",)}, "a rope has no yaw"),
         ({"unknowns": ("nu", "nu")}, "nu is named twice"),
-        ({"unknowns": ("thickness",), "method": "adam"}, "compares objects as thick as stated"),
     ],
 )
 def test_bad_settings_are_refused(lifted, settings, changes, words):

@@ -163,9 +163,7 @@ def test_lifts_of_two_ropes_are_told_apart(rope_lift, lifts, settings):
 
 
 def test_ctrl_c_ends_all_of_the_search(lifts, settings):
-    """What each recording says by itself is then not looked for. Adam reads one recording."""
-    with pytest.raises(ParameterError, match="method adam: reads one recording, got 2"):
-        estimate(lifts, replace(settings, method="adam"))
+    """What each recording says by itself is then not looked for."""
 
     def interrupt(progress):
         raise KeyboardInterrupt

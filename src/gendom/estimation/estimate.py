@@ -19,7 +19,7 @@ from gendom.estimation.intervals import (
     told_apart,
 )
 from gendom.estimation.methods import find_method
-from gendom.estimation.methods.differential_evolution import nearest
+from gendom.estimation.methods.nearest import nearest
 from gendom.estimation.methods.gauss_newton import gauss_newton, refined
 from gendom.estimation.problem import EstimateSettings, Found, Problem, Progress, recording_names
 from gendom.estimation.registration import register

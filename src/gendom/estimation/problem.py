@@ -44,8 +44,7 @@ class EstimateSettings:
     """How parameters are estimated; written into every result."""
 
     method: str = "gauss-newton"
-    """Method of the search: gauss-newton, adam, differential-evolution or another package's
-    (docs/estimation.md)."""
+    """Method of the search: gauss-newton or another package's (docs/estimation.md)."""
     starts: int = 3
     """Number of starts of a search: the best of a scan, and random ones; of ropes in one hand the
     best ones of a finer scan."""

@@ -7,17 +7,11 @@ function; its name is that of the entry point.
 from collections.abc import Callable
 
 from gendom.errors import ParameterError, did_you_mean
-from gendom.estimation.methods.adam import adam
-from gendom.estimation.methods.differential_evolution import differential_evolution
 from gendom.estimation.methods.gauss_newton import gauss_newton
 from gendom.estimation.problem import Found, Problem
 from gendom.plugins import plugins
 
-METHODS: dict[str, Callable[[Problem], Found]] = {
-    "gauss-newton": gauss_newton,
-    "adam": adam,
-    "differential-evolution": differential_evolution,
-}
+METHODS: dict[str, Callable[[Problem], Found]] = {"gauss-newton": gauss_newton}
 
 
 def find_method(name: str) -> Callable[[Problem], Found]:

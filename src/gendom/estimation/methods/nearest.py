@@ -1,9 +1,6 @@
-"""Differential evolution (Storn and Price 1997), by scipy with its own rates: a method, and the
-search for the replay that is nearest to the clouds.
+"""The replay that is nearest to the clouds, by differential evolution (Storn and Price 1997).
 
-`differential-evolution` minimises the clouds' misfit with fixed noise plus the prior's, as R2S2R
-(Lim et al. 2022, "Planar robot casting with real2sim2real self-supervised learning"). `nearest`
-compares mean distances, which, unlike the likelihood, keep their slope far from the clouds and
+Mean distances are compared, which, unlike the likelihood, keep their slope far from the clouds and
 leave nothing to a displacement of the model. A generation is one batch of worlds. Derivatives are
 taken only at the end, for the uncertainty.
 """
@@ -30,33 +27,6 @@ FINALISTS = 20
 Objective = Callable[[Array, Comparisons], float]
 
 
-def differential_evolution(problem: Problem, *, members: int = 15) -> Found:
-    """Search, and keep the best so far if interrupted.
-
-    Args:
-        problem: What is looked for.
-        members: Of the population, for each unknown.
-
-    Raises:
-        SimulationError: Nothing of a population can be simulated.
-        KeyboardInterrupt: If interrupted before anything was found.
-    """
-    noise = problem.first_noise(sensor=0.005, model=problem.settings.noise.least_model, rounds=1)
-    middle = problem.prior.vector(*problem.bases)
-    best, interrupted = Start(initial=middle, vector=middle), False
-
-    def misfit(vector: Array, comparison: Comparisons) -> float:
-        return problem.value(vector, comparison, noise)
-
-    try:
-        _evolve(problem, best, misfit, members, problem.settings.max_iterations, tol=0.01)
-    except KeyboardInterrupt:
-        interrupted = True
-        if best.comparison is None:
-            raise
-    return finished(problem, [best], interrupted)
-
-
 def nearest(problem: Problem, *, generations: int = GENERATIONS) -> Found:
     """The nearest replay; generations of three members an unknown are simulated coarsely.
 
@@ -72,7 +42,7 @@ def nearest(problem: Problem, *, generations: int = GENERATIONS) -> Found:
         tried.append((sum(map(distance, comparison.parts)) / len(comparison.parts), vector))
         return tried[-1][0]
 
-    _evolve(problem.coarse, best, away, 3, generations, tol=0.0)
+    evolve(problem.coarse, best, away, 3, generations, tol=0.0)
     finalists = [v for _, v in sorted(tried, key=lambda one: one[0])[:FINALISTS]]
     best.comparison, best.value, best.stage, best.done = None, math.inf, "", True
     _values(best, finalists, problem.compare(finalists, derivatives=False), away)
@@ -88,7 +58,7 @@ def distance(comparison: Comparison) -> float:
     return float((points + (away * (rows.counts > 0.0))[:, own:].mean(axis=1)).mean())
 
 
-def _evolve(
+def evolve(
     problem: Problem, best: Start, of: Objective, members: int, generations: int, tol: float
 ) -> None:
     """Evolve a population within three deviations of the prior; ``best`` moves with its best."""
