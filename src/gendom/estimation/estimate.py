@@ -19,8 +19,8 @@ from gendom.estimation.intervals import (
     told_apart,
 )
 from gendom.estimation.methods import find_method
-from gendom.estimation.methods.nearest import nearest
 from gendom.estimation.methods.gauss_newton import gauss_newton, refined
+from gendom.estimation.methods.nearest import nearest
 from gendom.estimation.problem import EstimateSettings, Found, Problem, Progress, recording_names
 from gendom.estimation.registration import register
 from gendom.estimation.result import FittedEstimate, result_of
@@ -119,7 +119,7 @@ def _searched_widely(problem: Problem, found: Found) -> Found:
     best fit does: with a large displacement of the model every place fits, and steps end anywhere.
     """
     parts = zip(problem.parts, found.noise, strict=True)
-    cloth = problem.scene.kind == "cloth" and problem.scene.thin
+    cloth = problem.scene.kind == "cloth"
     # a displacement so large is as large as the deviation of how a corner is held
     if not cloth or not any(displaced(part, noise, times=5.0) for part, noise in parts):
         return found

@@ -30,7 +30,6 @@ from gendom.errors import SimulationError
 from gendom.estimation.methods.gauss_newton import gauss_newton
 from gendom.estimation.priors import INSTRUMENTED
 from gendom.estimation.problem import Found, Part, Problem
-from gendom.estimation.replay import middle
 from gendom.estimation.verdict import displaced
 from gendom.materials.posterior import IDENTIFIABLE, Posterior, Prior
 from gendom.materials.unknowns import UNKNOWNS, Theta
@@ -179,7 +178,7 @@ def _moved(problem: Problem, vector: Array, recording: int, p: int, changes: Arr
     worlds = [vector]
     for end in np.clip(ends, prior.low[p], prior.high[p]).ravel():
         worlds.append(np.where(np.arange(len(vector)) == p, end, vector))
-    x = middle(scene, problem.positions(worlds, recording, scene))
+    x = problem.positions(worlds, recording, scene)
     off = np.sqrt(np.mean((x[:, 1:] - x[:, :1]) ** 2, axis=(0, 2, 3))).reshape(2, -1)
     return np.where(inside & np.isfinite(off), off, np.inf).min(axis=0)
 
@@ -234,7 +233,7 @@ def tip_suspected(problem: Problem, found: Found) -> tuple[Array, tuple[str, ...
     """
     prior, scene, name = problem.prior, problem.scene, "tip_mass"
     one = len(problem.parts) == len(scene.held) == 1 and not scene.static
-    rope = scene.kind == "rope" and scene.thin and name not in prior.names
+    rope = scene.kind == "rope" and name not in prior.names
     heavier = _heavier(problem, found) if one and rope else None
     if heavier is None:
         return np.zeros(len(prior.mean)), ()

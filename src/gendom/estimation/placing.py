@@ -52,7 +52,7 @@ class Placed:
 
     body: Body
     initial: Array
-    """[N, 3] particles, or points of a rod or shell [m]."""
+    """[N, 3] points of a rod or shell [m]."""
     velocities: Array | None = None
     """[N, 3] likewise [m/s]; None: at rest."""
     places: Array | None = None
@@ -85,10 +85,6 @@ def place(
     return own(recording, settings, frames, notes)
 
 
-def _points_of(body: Body, settings: SceneSettings) -> Array:
-    return np.asarray(body.points if settings.engine == "thin" else body.x, dtype=float)
-
-
 def _sizes_of_rope(recording: Recording, notes: list[str]) -> tuple[float, float]:
     """Length and diameter [m]."""
     length, diameter = recording.object.length, recording.object.diameter
@@ -118,7 +114,6 @@ def _place_rope(
         diameter=diameter,
         length=length,
         centre_line=_line_from(recording, grip, frames, diameter, length, inset),
-        cells_across=settings.cells_across,
         points=settings.points,
     )
     steps, s = np.diff(body.points, axis=0), arc_length(body.points)
@@ -126,7 +121,7 @@ def _place_rope(
     direction = steps[min(int(np.searchsorted(s, inset)), len(steps) - 1)]
     return Placed(
         body=body,
-        initial=_points_of(body, settings),
+        initial=np.asarray(body.points, dtype=float),
         held=held[None],
         inwards=direction[None] / np.linalg.norm(direction),
     )
@@ -135,10 +130,7 @@ def _place_rope(
 def _place_between(
     recording: Recording, settings: SceneSettings, frames: tuple[int, ...], notes: list[str]
 ) -> Placed:
-    """A rope that two grippers hold by its ends, straight by nature; with rods alone, since bodies
-    of the MPM are free of stress as they begin."""
-    what = "a rope held at both ends is simulated as a rod"
-    require(settings.engine == "thin", what, where="engine", fix="engine 'thin'")
+    """A rope that two grippers hold by its ends, straight by nature."""
     length, diameter = _sizes_of_rope(recording, notes)
     grip = recording.gripper_position[frames[0]].astype(float)
     s, line, speeds, backwards = _line_between(recording, grip, frames, length, diameter)
@@ -382,14 +374,14 @@ def _place_cloth(
         width=described.width,
         height=described.height,
         thickness=thickness,
-        dx=longer / 14.0 * 1.5 / settings.cells_across,
+        dx=longer / 14.0,
         corner=np.append(grip[:2] - turn @ held, mid),
         yaw=yaw,
         points=(1 + max(2, round(sides[0] / spacing)), 1 + max(2, round(sides[1] / spacing))),
     )
     return Placed(
         body=body,
-        initial=_points_of(body, settings),
+        initial=np.asarray(body.points, dtype=float),
         held=np.array([[grip[0], grip[1], mid]]),
         inwards=np.append(turn @ diagonal, 0.0)[None],
     )

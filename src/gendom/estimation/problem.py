@@ -17,7 +17,7 @@ from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons
 from gendom.estimation.observed import NoiseModel, Observation
-from gendom.estimation.replay import Shape, middle, replay_axis
+from gendom.estimation.replay import Shape, replay_axis
 from gendom.estimation.scene import LiftScene
 from gendom.estimation.scene_settings import (
     COARSE_FRAMES,
@@ -172,7 +172,7 @@ class Part:
         saved."""
         scene, rope = self.scene, self.scene.kind == "rope"
         along = len(scene.initial) if rope else max(scene.body.shape)
-        fixed = not scene.thin or scene.settings.points is not None
+        fixed = scene.settings.points is not None
         few, stretch = fixed or along < 1.3 * COARSE_POINTS, STRETCH if rope else COARSE_STRETCH
         few |= scene.limp
         return scene if few else scene.simulated_with(COARSE_POINTS, stretch)
@@ -254,7 +254,7 @@ class Problem:
         """Whether it is one lift of a rope by one hand."""
         scene = self.scene
         one = len(self.parts) == len(scene.held) == 1 and not scene.static
-        return one and scene.kind == "rope" and scene.thin
+        return one and scene.kind == "rope"
 
     @property
     def bases(self) -> tuple[Theta, ...]:
@@ -402,15 +402,15 @@ class Problem:
         they change from there to the others [T, n, 3, k] [m], in a scene that may be coarser; NaN
         where a world diverges."""
         part = self.parts[recording]
-        m = middle(few, self.positions([v for row in worlds for v in row], recording, few))
-        rows = np.split(m, np.cumsum([len(row) for row in worlds])[:-1], axis=1)
+        x = self.positions([v for row in worlds for v in row], recording, few)
+        rows = np.split(x, np.cumsum([len(row) for row in worlds])[:-1], axis=1)
         shapes = [own[:, 0] for own in rows]
         changes = [np.moveaxis(own[:, 1:] - own[:, :1], 1, -1) for own in rows]
         if few is part.scene:
             return shapes, changes
-        m = middle(part.scene, self.positions([row[0] for row in worlds], recording))
+        x = self.positions([row[0] for row in worlds], recording)
         to, of = part.observation.shape, Shape(few)
-        return list(np.swapaxes(m, 0, 1)), [to.taken_from(of, change) for change in changes]
+        return list(np.swapaxes(x, 0, 1)), [to.taken_from(of, change) for change in changes]
 
     def joined(self, parts: Sequence[Comparison | None]) -> Comparisons | None:
         """The joint comparison of all recordings; None where one could not be simulated."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from gendom.arguments import check_numbers, require
 from gendom.arrays import Array
@@ -25,7 +25,6 @@ def replay_setup(
     params: Mapping[str, Any],
     where: str,
     device: str = "cpu",
-    engine: Literal["thin", "mpm"] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> tuple[LiftScene, Theta]:
     """The scene of all frames of a recording, and an estimate's parameters for it.
@@ -38,7 +37,6 @@ def replay_setup(
         params: An estimate's JSON.
         where: Its file, for error messages.
         device: That simulates.
-        engine: None: that of the estimate.
         on_progress: Called with each iteration of an estimation.
 
     Raises:
@@ -57,13 +55,7 @@ def replay_setup(
     own = of_recording(params, recording)
     try:
         made = (own or every[0])["simulation"]
-        points = made["points"] if engine in (None, made["engine"]) else None
-        settings = SceneSettings(
-            engine=engine or made["engine"],
-            points=points,  # another engine has its own number
-            cells_across=made["cells_across"],
-            device=device,
-        )
+        settings = SceneSettings(points=made["points"], device=device)
         # the object lies as it was taken to lie from the frames that were fitted
         fitted = recording.num_frames if own is None else 1 + max(own["compared"])
         theta = found.theta.with_values({} if own is None else own["theta"])

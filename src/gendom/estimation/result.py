@@ -32,7 +32,7 @@ class RecordingFit:
     theta: Theta
     """The material, and how the object is held here and when."""
     positions: Array
-    """[T, N, 3] particles or points at the scene's frames [m]."""
+    """[T, N, 3] points at the scene's frames [m]."""
     chamfer: Array
     """[T] distance to all of the object [m]."""
     chamfer_surface: Array
@@ -41,10 +41,8 @@ class RecordingFit:
     def record(self, comparison: Comparison, noise: NoiseModel) -> dict[str, Any]:
         """The file's entries for this recording."""
         scene, fit = self.scene, comparison.fit(noise)
-        registered = comparison.as_seen(self.positions, noise)
-        if scene.thin:
-            registered = scene.body_of(self.theta).surface(registered)
-        registered = _chamfer(scene, registered)
+        moved = comparison.as_seen(self.positions, noise)
+        registered = _chamfer(scene, scene.body_of(self.theta).surface(moved))
         return {
             "theta": {n: v for n, v in self.theta.items() if not UNKNOWNS[n].material},
             "chamfer_last": float(self.chamfer[-1]),
@@ -106,7 +104,7 @@ def chamfers(scene: LiftScene, x: Array, theta: Theta) -> tuple[Array, Array]:
         seen = [skin[visible(skin, camera_positions=cameras)] for skin in skins]
     else:
         seen = list(skins)
-    return _chamfer(scene, skins if scene.thin else x), _chamfer(scene, seen)
+    return _chamfer(scene, skins), _chamfer(scene, seen)
 
 
 def _chamfer(scene: LiftScene, every: Sequence[Array] | Array) -> Array:

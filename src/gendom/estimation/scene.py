@@ -166,15 +166,10 @@ class LiftScene(Placed):
         return self.body.kind
 
     @property
-    def thin(self) -> bool:
-        """Whether the engine models a rope by its centre line, a cloth by its middle surface."""
-        return self.settings.engine == "thin"
-
-    @property
     def dtype(self) -> str | None:
         """Of its simulation; None: the engine's own. Shells of ``float32`` take half the time;
         they are 0.4 um off in the mean of a lift and 15 um at most."""
-        if self.settings.dtype is None and self.kind == "cloth" and self.thin:
+        if self.settings.dtype is None and self.kind == "cloth":
             return "float32"
         return self.settings.dtype
 
@@ -263,7 +258,7 @@ class LiftScene(Placed):
         """The same with the resolution that an object of this bending length needs, unless it has
         it, is held by two hands, or the settings fix the number of points."""
         described, rope = self.recording.object, self.kind == "rope"
-        if not self.thin or self.settings.points is not None or (rope and len(self.held) > 1):
+        if self.settings.points is not None or (rope and len(self.held) > 1):
             return self
         bends = self.bending_length(theta.E_over_rho, theta.thickness)
         longer = max(described.length or 0.0, described.width or 0.0, described.height or 0.0)
@@ -285,7 +280,7 @@ class LiftScene(Placed):
 
     def mesh_error(self, theta: Theta) -> float:
         """Standard deviation of ln(E) by the distance of a cloth's points."""
-        if self.kind != "cloth" or not self.thin:
+        if self.kind != "cloth":
             return 0.0
         apart = float(np.linalg.norm(self.body.points[1] - self.body.points[0]))
         bends = self.bending_length(theta.E_over_rho, theta.thickness)
@@ -367,7 +362,7 @@ class LiftScene(Placed):
     @cached_property
     def curved(self) -> bool:
         """Whether a rope lies curved, so that it counts how much of that it is by nature."""
-        if self.kind != "rope" or not self.thin or len(self.held) > 1:
+        if self.kind != "rope" or len(self.held) > 1:
             return False
         ahead = np.diff(self.body.points, axis=0)
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
@@ -448,7 +443,7 @@ class LiftScene(Placed):
             (two and not self.static, CLAMPS),
             (swinging, ("length_ratio",)),
             (drag, ("air_drag",)),
-            (not two and rope and self.thin, ("grip_turn",)),
+            (not two and rope, ("grip_turn",)),
             (not rope, ("warp_over_weft",)),
             (self.by_corner, ("grip_aside", "grip_tilt", "grip_reach", "yaw")),
             (self.curved and natural is None, ("natural_curvature",)),

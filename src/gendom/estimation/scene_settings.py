@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from gendom.arguments import require
 from gendom.materials import catalogue
-from gendom.sim import ENGINES, check_numbers
-from gendom.sim.bodies import CELLS_ACROSS
+from gendom.sim import check_numbers
 
 SHELL_POINTS = 33
 """Along the longer side of a cloth. Cloths that bend over 0.09 and 0.16 of a side then move like
@@ -39,16 +37,11 @@ compared, at most, and in place of `STRETCH`."""
 class SceneSettings:
     """How a recording is turned into a simulation; written into every result."""
 
-    engine: Literal["thin", "mpm"] = "thin"
-    """Engine of the simulator. thin: ropes as rods, cloths as shells. mpm: material points, slower.
-    """
     material: str | None = None
     """Its material, by a name of gendom materials: narrows the priors, and gives the density where
     the mass is unknown."""
     points: int | None = None
-    """Points of a rod, or along the longer side of a shell; by default the engine's choice."""
-    cells_across: float = 1.5
-    """With mpm: grid cells across a rope's diameter (cloths alike); finer is slower."""
+    """Points of a rod, or along the longer side of a shell; by default as many as it needs."""
     slow_frames: int = 36
     """Frames that are compared where the gripper is slow, at most."""
     fast_frames: int = 60
@@ -65,13 +58,6 @@ class SceneSettings:
     def __post_init__(self) -> None:
         if self.material is not None:
             catalogue.get(self.material)
-        check_numbers("cells_across", self.cells_across, above=0.0)
-        low, high = CELLS_ACROSS
-        fit = low <= self.cells_across <= high
-        fix = f"give {low:g} to {high:g}"
-        require(fit, f"is {self.cells_across:g}", where="cells_across", fix=fix)
-        unknown, fix = f"unknown engine {self.engine!r}", f"choose one of {', '.join(ENGINES)}"
-        require(self.engine in ENGINES, unknown, fix=fix)
         if self.substep is not None:
             check_numbers("substep", self.substep, above=0.0)
         few = f"is {self.points}"
