@@ -100,40 +100,19 @@ def gauss_newton(
         SimulationError: No start can be simulated.
         KeyboardInterrupt: If interrupted before anything was found.
     """
-    began, settings = time.perf_counter(), settings or GaussNewtonSettings.of(problem.scene.kind)
-    stated = problem.first_noise()
-    least = problem.settings.noise.least_model
-    first = problem.coarse.first_noise(sensor=COARSE_NOISE, model=0.0, beside=least, rounds=1)
-    if problem.captured:
-        first = tuple(replace(noise, patch=1.0) for noise in first)
-    noise, most = first, PER_BATCH * problem.settings.max_iterations
-    names = problem.prior.names
-    free = [k for k, name in enumerate(names) if name in settings.leading] or None
+    times, settings = [time.perf_counter()], settings or GaussNewtonSettings.of(problem.scene.kind)
+    noise = stated = problem.first_noise()
+    most = PER_BATCH * problem.settings.max_iterations
     starts = first_starts(problem.coarse, SCANNED, initial)
-    for start in starts:
-        start.stage = "coarse"
-    times = [began, time.perf_counter()]
-    interrupted, iteration, late, best, others = False, 0, 0, None, ()
+    times.append(time.perf_counter())
+    interrupted, others, best = False, (), None
     try:
-        while iteration < max(1, round(COARSE_SHARE * most)):
-            going = [s for s in starts if not s.done]
-            if not going or late == PATIENCE:
-                break
-            iteration += 1
-            _step(problem.coarse, going, noise, settings.gain[0], settings, free)
-            leads = best_of(starts)
-            late = late + 1 if leads is not None and leads.done else 0
-            if settings.rugged and leads is not None:
-                for s in starts:  # so many steps like its last one would not reach the best
-                    s.done |= s.value - leads.value > PATIENCE * s.won
-            problem.tell("search", iteration, most, leads or starts[0])
+        iteration = _coarse_stage(problem, starts, settings, most)
+        times.append(time.perf_counter())
         best = best_of(starts)
         if best is None:
             raise problem.nothing_runs()
-        times.append(time.perf_counter())
-        rivals = _apart(problem.coarse, best, starts, noise, 3.0)
-        if problem.lifted_rope:
-            rivals += _along_valley(problem.coarse, best, noise)
+        rivals = _rivals(problem.coarse, best, starts)
         noise = _fine_stage(problem, best, stated, settings, iteration, most)
         ends = [(s, _fine_stage(problem, s, stated, settings, iteration, most)) for s in rivals]
         best, noise, others = _likeliest(problem, [(best, noise), *ends])
@@ -144,17 +123,47 @@ def gauss_newton(
         if best.stage == "coarse":
             _compare_all(problem, best, settings)
         assert best.comparison is not None
-        noise = estimated_noise(best.comparison, stated if noise is first else noise)
+        noise = estimated_noise(best.comparison, noise)
     times.append(time.perf_counter())
-    parts = zip(("scan", "coarse", "fine"), np.diff(times), strict=False)
+    parts = zip(("scan", "coarse", "fine"), np.diff(times).tolist(), strict=False)
     return Found(
         best=best,
         starts=starts,
         noise=noise,
         interrupted=interrupted,
         others=others,
-        seconds={name: float(t) for name, t in parts},
+        seconds=dict(parts),
     )
+
+
+def _coarse_noise(problem: Problem) -> tuple[NoiseModel, ...]:
+    """That of the coarse stage, in which clouds are not registered."""
+    least, alone = problem.settings.noise.least_model, {"patch": 1.0} if problem.captured else {}
+    return problem.first_noise(sensor=COARSE_NOISE, model=0.0, beside=least, rounds=1, **alone)
+
+
+def _coarse_stage(
+    problem: Problem, starts: Sequence[Start], settings: GaussNewtonSettings, most: int
+) -> int:
+    """Steps of all starts by the leading unknowns alone. Returns their number."""
+    coarse, noise, late, iteration = problem.coarse, _coarse_noise(problem.coarse), 0, 0
+    names = problem.prior.names
+    free = [k for k, name in enumerate(names) if name in settings.leading] or None
+    for start in starts:
+        start.stage = "coarse"
+    while iteration < max(1, round(COARSE_SHARE * most)):
+        going = [s for s in starts if not s.done]
+        if not going or late == PATIENCE:
+            break
+        iteration += 1
+        _step(coarse, going, noise, settings.gain[0], settings, free)
+        leads = best_of(starts)
+        late = late + 1 if leads is not None and leads.done else 0
+        if settings.rugged and leads is not None:
+            for s in starts:  # so many steps like its last one would not reach the best
+                s.done |= s.value - leads.value > PATIENCE * s.won
+        problem.tell("search", iteration, most, leads or starts[0])
+    return iteration
 
 
 def refined(problem: Problem, found: Found) -> Found:
@@ -222,15 +231,17 @@ def _apart(
     return found[1:]
 
 
-def _along_valley(problem: Problem, best: Start, noise: Sequence[NoiseModel]) -> list[Start]:
-    """Starts of a rope two deviations away from the best one, where that is beyond what steps
-    reach, in E / density and in what makes up for it, which follows the rope's compliance."""
-    prior, name = problem.prior, "E_over_rho"
-    if name not in prior.names:
-        return []
+def _rivals(problem: Problem, best: Start, starts: Sequence[Start]) -> list[Start]:
+    """Others of which the fine stage is to say whether they are the better ones: those that have
+    ended apart, and of a rope two deviations away from the best one, where that is beyond what
+    steps reach, in E / density and in what makes up for it, which follows the rope's compliance."""
+    prior, name, noise = problem.prior, "E_over_rho", _coarse_noise(problem)
+    found = _apart(problem, best, starts, noise, 3.0)
+    if not problem.lifted_rope or name not in prior.names:
+        return found
     k = prior.names.index(name)
     covariance = np.linalg.inv(problem.gradient_and_hessian(best, noise)[1])
-    far, found = 2.0 * np.sqrt(covariance[k, k]), []
+    far = 2.0 * np.sqrt(covariance[k, k])
     for way in (far, -far) if far > REACHED else ():
         share = (1.0 - np.exp(-way)) / covariance[k, k]
         vector = best.vector + share * covariance[k]
