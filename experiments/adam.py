@@ -55,7 +55,7 @@ def adam(problem: Problem, *, initial: Sequence[Array] = (), steps: int = STEPS)
         KeyboardInterrupt: If interrupted before anything was found.
     """
     prior, most = problem.prior, steps * problem.settings.max_iterations
-    starts = first_starts(problem, SCANNED, initial)
+    _, starts = first_starts(problem, SCANNED, initial)
     interrupted = False
     try:
         loss = DensityLoss(problem)

@@ -78,7 +78,8 @@ def estimate(
         scenes = [_scene(r, settings, known, n) for r, n in zip(recordings, names, strict=True)]
         problem = Problem(scenes, settings, on_progress, known, names)
         times.append(clock.perf_counter())
-        problem, found = _searched(problem, search)
+        found = _searched(problem, search)
+        problem = found.problem or problem
         times.append(clock.perf_counter())
         moved_by_two = len(problem.scene.held) > 1 and not problem.scene.static
         shown = "cable" if moved_by_two else problem.scene.kind
@@ -98,20 +99,21 @@ def estimate(
         return result_of(problem, found, posterior, alone, verdict, seconds, said)
 
 
-def _searched(problem: Problem, search: Callable[[Problem], Found]) -> tuple[Problem, Found]:
-    """What a method finds, and the problem at the resolution that the result needs. A recording
-    that is refused whatever is found gets a few iterations, which show where it differs."""
+def _searched(problem: Problem, search: Callable[[Problem], Found]) -> Found:
+    """What a method finds, at the resolution that the result needs. A recording that is refused
+    whatever is found gets a few iterations, which show where it differs."""
     refused = refused_before(problem)
     if refused:
         problem.settings = replace(problem.settings, starts=1, max_iterations=2)
     found = search(problem)
     while problem.settings.method == "gauss-newton" and not (found.interrupted or refused):
+        problem = found.problem or problem
         finer = problem.finer(found.best.vector).beside(found)
         if finer is problem:
-            return problem, _searched_widely(problem, found)
+            return _searched_widely(problem, found)
         limp = finer.scene.limp and not problem.scene.limp
-        problem, found = finer, gauss_newton(finer) if limp else refined(finer, found)
-    return problem, found
+        found = gauss_newton(finer) if limp else refined(finer, found)
+    return found
 
 
 def _searched_widely(problem: Problem, found: Found) -> Found:

@@ -63,13 +63,20 @@ class Placed:
     """[G, 3] points of the object that the grippers hold [m]."""
     inwards: Array
     """[G, 3] unit vectors from those along the object: a rope's direction, a cloth's diagonal."""
+    lies: Array | None = None
+    """How an object lies on its table: [K, 3] a rope's centre line [m], or a cloth's turn [rad]."""
 
 
 def place(
-    recording: Recording, settings: SceneSettings, frames: tuple[int, ...], notes: list[str]
+    recording: Recording,
+    settings: SceneSettings,
+    frames: tuple[int, ...],
+    notes: list[str],
+    lies: Array | None = None,
 ) -> Placed:
     """Where the recorded object lies in the beginning, and where it is held; ``notes`` get what was
-    assumed. Of ``frames``, those that hold points, there is one at least.
+    assumed. Of ``frames``, those that hold points, there is one at least. ``lies`` is `Placed.lies`
+    where that is known.
 
     Raises:
         RecordingError: The recording shows too little to place the object, or no rope or cloth.
@@ -80,9 +87,10 @@ def place(
     require(
         kind in KINDS, what, where="meta.object.kind", fix="use rope or cloth", error=RecordingError
     )
-    of_rope = _place_rope if recording.num_grippers == 1 else _place_between
-    own = _place_cloth if kind == "cloth" else of_rope
-    return own(recording, settings, frames, notes)
+    if kind == "rope" and recording.num_grippers > 1:
+        return _place_between(recording, settings, frames, notes)
+    own = _place_cloth if kind == "cloth" else _place_rope
+    return own(recording, settings, frames, notes, lies)
 
 
 def _sizes_of_rope(recording: Recording, notes: list[str]) -> tuple[float, float]:
@@ -104,18 +112,19 @@ def _sizes_of_rope(recording: Recording, notes: list[str]) -> tuple[float, float
 
 
 def _place_rope(
-    recording: Recording, settings: SceneSettings, frames: tuple[int, ...], notes: list[str]
+    recording: Recording,
+    settings: SceneSettings,
+    frames: tuple[int, ...],
+    notes: list[str],
+    line: Array | None,
 ) -> Placed:
     """A rope on its table, held near one end."""
     length, diameter = _sizes_of_rope(recording, notes)
-    grip = recording.gripper_position[frames[0], 0].astype(float)
     inset = recording.object.grasp_inset or diameter / 2.0
-    body = rope(
-        diameter=diameter,
-        length=length,
-        centre_line=_line_from(recording, grip, frames, diameter, length, inset),
-        points=settings.points,
-    )
+    if line is None:
+        grip = recording.gripper_position[frames[0], 0].astype(float)
+        line = _line_from(recording, grip, frames, diameter, length, inset)
+    body = rope(diameter=diameter, length=length, centre_line=line, points=settings.points)
     steps, s = np.diff(body.points, axis=0), arc_length(body.points)
     held = np.array([np.interp(inset, s, x) for x in body.points.T])
     direction = steps[min(int(np.searchsorted(s, inset)), len(steps) - 1)]
@@ -124,6 +133,7 @@ def _place_rope(
         initial=np.asarray(body.points, dtype=float),
         held=held[None],
         inwards=direction[None] / np.linalg.norm(direction),
+        lies=line,
     )
 
 
@@ -350,7 +360,11 @@ def _turn(yaw: float) -> Array:
 
 
 def _place_cloth(
-    recording: Recording, settings: SceneSettings, frames: tuple[int, ...], notes: list[str]
+    recording: Recording,
+    settings: SceneSettings,
+    frames: tuple[int, ...],
+    notes: list[str],
+    turned: Array | None,
 ) -> Placed:
     """A flat cloth on its table."""
     described, thickness = recording.object, recording.object.thickness
@@ -364,7 +378,7 @@ def _place_cloth(
     diagonal, held = sides / math.hypot(*sides), sides / 2.0
     if described.grasp == "corner":
         held = (described.grasp_inset or 0.0) * diagonal
-    yaw = _cloth_yaw(recording, frames, sides, -held)
+    yaw = _cloth_yaw(recording, frames, sides, -held) if turned is None else float(turned)
     low = recording.table_height
     if low is None:
         low = float(np.percentile(early_points(recording, frames, 0.05 * longer)[:, 2], 5))
@@ -384,6 +398,7 @@ def _place_cloth(
         initial=np.asarray(body.points, dtype=float),
         held=np.array([[grip[0], grip[1], mid]]),
         inwards=np.append(turn @ diagonal, 0.0)[None],
+        lies=np.array(yaw),
     )
 
 

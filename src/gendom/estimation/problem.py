@@ -146,6 +146,8 @@ class Found:
     """[P, P] transformed, of methods that state their own; None: that of the likelihood."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Durations of parts of the search [s]."""
+    problem: Problem | None = None
+    """The same with another resolution, where a method has changed it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -172,10 +174,10 @@ class Part:
         saved."""
         scene, rope = self.scene, self.scene.kind == "rope"
         along = len(scene.initial) if rope else max(scene.body.shape)
-        fixed = scene.settings.points is not None
-        few, stretch = fixed or along < 1.3 * COARSE_POINTS, STRETCH if rope else COARSE_STRETCH
-        few |= scene.limp
-        return scene if few else scene.simulated_with(COARSE_POINTS, stretch)
+        points, stretch = COARSE_POINTS[scene.kind], STRETCH if rope else COARSE_STRETCH
+        points = max(points, (along + 1) // 2) if scene.limp else points
+        few = scene.settings.points is not None or along < 1.3 * points
+        return scene if few else scene.simulated_with(points, stretch)
 
     @cached_property
     def coarse(self) -> Part:

@@ -402,7 +402,7 @@ def held_reach(scene: LiftScene, farther: float = 0.0) -> float:
     if scene.kind == "rope":
         return stated or ROPE_REACH * scene.body.thickness
     side = scene.size / math.sqrt(2.0)
-    least = 0.6 * side / (COARSE_POINTS - 1)  # so that it holds points wherever it is
+    least = 0.6 * side / (COARSE_POINTS[scene.kind] - 1)  # so that it holds points wherever it is
     return max((stated or CLOTH_REACH) + farther, least)
 
 

@@ -275,7 +275,7 @@ class LiftScene(Placed):
         """The same with so many points; their number stays open in the settings, so that it can
         grow once more."""
         settings = replace(self.settings, points=points)
-        placed = place(self.recording, settings, with_points(self.recording), [])
+        placed = place(self.recording, settings, with_points(self.recording), [], self.lies)
         return replace(self, **vars(placed), stretch=stretch)
 
     def mesh_error(self, theta: Theta) -> float:

@@ -103,7 +103,7 @@ def gauss_newton(
     times, settings = [time.perf_counter()], settings or GaussNewtonSettings.of(problem.scene.kind)
     noise = stated = problem.first_noise()
     most = PER_BATCH * problem.settings.max_iterations
-    starts = first_starts(problem.coarse, SCANNED, initial)
+    problem, starts = first_starts(problem, SCANNED, initial)
     times.append(time.perf_counter())
     interrupted, others, best = False, (), None
     try:
@@ -127,6 +127,7 @@ def gauss_newton(
     times.append(time.perf_counter())
     parts = zip(("scan", "coarse", "fine"), np.diff(times).tolist(), strict=False)
     return Found(
+        problem=problem,
         best=best,
         starts=starts,
         noise=noise,
@@ -181,7 +182,7 @@ def refined(problem: Problem, found: Found) -> Found:
         noise = _fine_stage(problem, best, noise, settings, 0, most)
     except KeyboardInterrupt:
         found = replace(found, interrupted=True)
-    return replace(found, best=best, noise=noise)
+    return replace(found, problem=problem, best=best, noise=noise)
 
 
 def _fine_stage(

@@ -19,22 +19,27 @@ LIMP = 0.25
 """Bending length from which a rope is a stiff one, in its length."""
 
 
-def first_starts(problem: Problem, scanned: int, initial: Sequence[Array] = ()) -> list[Start]:
-    """Starting points: the best of a scan of so many moduli over the whole range, and random points
-    about it; of a rope in one hand the best ones of a second scan. Or those where to begin instead,
-    [P] transformed."""
+def first_starts(
+    problem: Problem, scanned: int, initial: Sequence[Array] = ()
+) -> tuple[Problem, list[Start]]:
+    """Starting points: the best of a scan of so many moduli over the whole range with few points,
+    and random points about it; of a rope in one hand the best ones of a second scan, with the
+    problem as fine as a limp one needs. Or those where to begin instead, [P] transformed."""
     if initial:
-        return [Start(initial=v, vector=v) for v in initial]
+        return problem, [Start(initial=v, vector=v) for v in initial]
     prior, rng = problem.prior, np.random.default_rng(problem.settings.seed)
     middle, k = prior.vector(*problem.bases), None
     found = [middle]
     if "E_over_rho" in prior.names:
         k = prior.names.index("E_over_rho")
         scan = np.linspace(prior.low[k], prior.high[k], scanned + 2)[1:-1]
-        found = _scanned(problem, k, scan)
+        found = _scanned(problem.coarse, k, scan)
         if problem.lifted_rope:
-            found = _scanned_about(problem, k, scan[1] - scan[0], found[0])
-            return [Start(initial=v, vector=v) for v in found[: problem.settings.starts]]
+            finer = problem.finer(found[0])
+            if finer is not problem:
+                return first_starts(finer, scanned)
+            found = _scanned_about(problem.coarse, k, scan[1] - scan[0], found[0])
+            return problem, [Start(initial=v, vector=v) for v in found[: problem.settings.starts]]
     starts = [Start(initial=found[0], vector=found[0])]
     while len(starts) < problem.settings.starts:
         drawn = prior.mean + prior.sd * np.sign(prior.step) * rng.standard_normal(len(middle))
@@ -43,7 +48,7 @@ def first_starts(problem: Problem, scanned: int, initial: Sequence[Array] = ()) 
             drawn[k] = found[rng.integers(1, max(2, len(found) // 2))][k]
         drawn = prior.clipped(drawn)
         starts.append(Start(initial=drawn, vector=drawn))
-    return starts
+    return problem, starts
 
 
 def _scanned(problem: Problem, k: int, scan: Array) -> list[Array]:
