@@ -295,17 +295,15 @@ def test_limp_cloths_get_points_as_near_as_they_bend(cloth_lift):
 
 
 def test_limp_ropes_get_points_as_near_as_they_bend(rope_lift):
-    """And none fewer, not even where a search begins."""
+    """And where a search begins, half of them."""
     plain = LiftScene.of(rope_lift.at_rest(8), replace(rope_lift.settings, points=None))
     for bends, points in ((0.05, 25), (0.02, 39), (0.001, 65)):
         limp = rope_lift.truth.with_values({"E_over_rho": plain.E_over_rho(bends)})
         finer = plain.finer(limp)
         assert len(finer.initial) == points and (finer is plain) == (points == 25)
         assert finer.finer(limp) is finer
-        coarse = Part(
-            scene=finer, base=limp, shown=np.zeros(0), noise=NoiseModel(), name=""
-        ).coarser
-        assert coarse is finer
+        part = Part(scene=finer, base=limp, shown=np.zeros(0), noise=NoiseModel(), name="")
+        assert len(part.coarser.initial) == max(17, (points + 1) // 2)
 
 
 def test_frames_before_the_lift_are_no_calm_ones(rope_lift):

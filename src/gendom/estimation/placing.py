@@ -207,6 +207,7 @@ def rod_near(length: float, shown: Array, places: Array, n: int, near: float = M
     linear = np.concatenate([at / near, bend / (TURN * edge)])
     wanted = linear.T @ np.concatenate([shown / near, np.zeros((n - 2, 3))])
     square, e = np.kron(linear.T @ linear, np.eye(3)), np.arange(n - 1)
+    band = np.zeros((9, 3 * n))
     for _ in range(6):
         step = np.diff(x, axis=0)
         size = np.linalg.norm(step, axis=1)
@@ -215,8 +216,9 @@ def rod_near(length: float, shown: Array, places: Array, n: int, near: float = M
         J = rows.reshape(n - 1, -1) / (STRAIN * edge)
         pull = (wanted - linear.T @ (linear @ x)).ravel() + J.T @ (edge - size) / (STRAIN * edge)
         A = J.T @ J + square  # a point meets its neighbours and theirs
-        band = [np.pad(np.diagonal(A, -k), (0, k)) for k in range(9)]
-        x = x + solveh_banded(np.stack(band), pull, lower=True).reshape(n, 3)
+        for k in range(9):
+            band[k, : 3 * n - k] = np.diagonal(A, -k)
+        x = x + solveh_banded(band, pull, lower=True).reshape(n, 3)
     return x
 
 
