@@ -90,9 +90,9 @@ def load_kernels(module: Any, device: Any, block_dim: int | None = None) -> None
     many threads (1 on the CPU). What is damaged in the cache is made anew."""
     _start_warp()
     with making:
-        version = module.get_module_hash(block_dim or module.options["block_dim"])
-        loaded = module, str(device), block_dim, version
-        if loaded in _loaded:
+        size = block_dim or module.options["block_dim"]
+        loaded = module.execs.get((wp.get_device(device).context, size))
+        if loaded is not None and loaded.module_hash == module.get_module_hash(size):
             return
         for kept in _folders(module):
             if not _is_whole(kept):
@@ -105,7 +105,6 @@ def load_kernels(module: Any, device: Any, block_dim: int | None = None) -> None
             wp.load_module(module, device=device, block_dim=block_dim)
         for kept in _folders(module):
             _seal(kept)
-        _loaded.add(loaded)
 
 
 def _folders(module: Any) -> list[Path]:
@@ -167,9 +166,6 @@ def _folder_of_this_user() -> str:
     _lent.append(tempfile.TemporaryDirectory(prefix="gendom-kernels-"))
     return _lent[-1].name
 
-
-_loaded: set[tuple[Any, str, int | None, bytes]] = set()
-"""What this process has loaded: a module, its device, blocks and version."""
 
 _lent: list[tempfile.TemporaryDirectory] = []
 """Folders that are removed when the process ends."""
