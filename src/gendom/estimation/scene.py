@@ -54,16 +54,16 @@ QUASI_STATIC_SPEED, QUASI_STATIC_DAMPING = 0.05, 1.0
 table swings. And the rate of decay then [1/s]: the drag is 0.5 % of gravity."""
 
 PATH_STEP, SPARSE, RAMP = 0.005, 0.2, 0.1
-"""Time between a path's places [s]; between frames from which on they do not show how a gripper
-starts and stops [s]; and that in which it then does [s]."""
+"""Times between a path's places, between frames that do not show how a gripper starts and stops,
+and in which it then does [s]."""
 
 SLOW, AFTER_FAST = 0.15, 1.5
 """Speed of a gripper below which frames are alike [m/s], and time for which an object moves on
 after that [s]."""
 
 LIFTED = 0.15
-"""Rise of the gripper, in a rope's length or a cloth's longer side, from which the object is
-lifted: before, clouds show hardly more than how it lay."""
+"""Rise of the gripper, in a rope's length or a cloth's longer side, before which clouds show hardly
+more than how it lay."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,20 +118,16 @@ class LiftScene(Placed):
             RecordingError: The recording shows too little to place the object.
             ParameterError: Settings do not fit it.
         """
-        settings = settings or SceneSettings()
-        begins_with = recording.begins_with if recording.frame_valid.any() else ""
-        digest = recording.digest
-        notes: list[str] = []
-        if registration is not None:
-            middle = recording.points.mean(axis=0, dtype=float)
-            shift = np.linalg.norm(registration[:3, :3] @ middle + registration[:3, 3] - middle)
-            turn = math.degrees(Rotation.from_matrix(registration[:3, :3]).magnitude())
-            moved = f"clouds moved by {1e3 * shift:.0f} mm and {turn:.1f} degrees"
-            notes.append(f"camera poses unknown: {moved}")
-            recording = recording.moved(registration)
+        settings, stated, notes = settings or SceneSettings(), recording, []
         frames = with_points(recording)
         what, fix = "no frame holds a point", "record again"
         require(frames, what, where="points", fix=fix, error=RecordingError)
+        if registration is not None:
+            recording = recording.moved(registration)
+            shift = (recording.points - stated.points).mean(axis=0, dtype=float)
+            turn = math.degrees(Rotation.from_matrix(registration[:3, :3]).magnitude())
+            moved = f"clouds moved by {1e3 * np.linalg.norm(shift):.0f} mm and {turn:.1f} degrees"
+            notes.append(f"camera poses unknown: {moved}")
         missing = float(lost_time(recording)[-1])
         if missing > 0.0:
             leaps = "the hands leap where frames were lost"
@@ -144,8 +140,8 @@ class LiftScene(Placed):
         require(lasts <= 300.0, longer, where="time", fix=fix, error=RecordingError)
         hanging = frames
         if recording.object.kind == "cloth" and recording.object.grasp == "corner":
-            hanging = _lifted(recording, frames)
-            hanging = hanging if len(hanging) >= 5 else frames
+            lifted = _lifted(recording, frames)
+            hanging = lifted if len(lifted) >= 5 else frames
         calm, fast = _compared(recording, settings, hanging)
         return cls(
             **vars(placed),
@@ -155,8 +151,8 @@ class LiftScene(Placed):
             calm=_lifted(recording, calm) if fast else calm,
             clock=clock,
             density=_density(recording, placed.body, settings, notes),
-            begins_with=begins_with,
-            digest=digest,
+            begins_with=stated.begins_with,
+            digest=stated.digest,
             registration=registration,
             notes=tuple(notes),
         )
@@ -232,13 +228,11 @@ class LiftScene(Placed):
     @property
     def radius_of_gyration(self) -> float:
         """sqrt(I / A) of the section: d / 4 of a rope, h / sqrt(12) of a sheet [m]."""
-        share = 4.0 if self.kind == "rope" else math.sqrt(12.0)
-        return self.body.thickness / share
+        return self.body.thickness / (4.0 if self.kind == "rope" else math.sqrt(12.0))
 
     def bending_length(self, E_over_rho: float, thickness: float = 1.0) -> float:
         """[m], of an object whose thickness is this multiple of the stated one."""
-        k = thickness * self.radius_of_gyration
-        return bending_length(E_over_rho, k, STANDARD_GRAVITY)
+        return bending_length(E_over_rho, thickness * self.radius_of_gyration, STANDARD_GRAVITY)
 
     def density_of(self, theta: Theta) -> float:
         """Of an object that is as thick as estimated; of a stated mass, where there is one
@@ -297,29 +291,21 @@ class LiftScene(Placed):
 
     @cached_property
     def floor(self) -> float | None:
-        """Height below which the recording shows nothing although the object lies there [m].
-
-        Clouds of tables are often cut off a little above them. Less than half of the object at
-        rest is then seen.
-        """
-        table = self.recording.table_height
-        if table is None:
-            return None
-        cloud = self.recording.frame(self.begins).astype(float)
-        gaps = KDTree(cloud).query(self.body.points)[0]
-        if float(np.mean(gaps < 0.05 * self.size)) >= 0.5:
+        """Height below which the recording shows nothing although the object lies there [m]: where
+        clouds of tables were cut off above them, less than half of the object at rest is seen."""
+        gaps = KDTree(self.recording.frame(self.begins)).query(self.body.points)[0]
+        seen = float(np.mean(gaps < 0.05 * self.size))
+        if self.recording.table_height is None or seen >= 0.5:
             return None
         return 0.003 + min(float(self.recording.frame(t)[:, 2].min()) for t in self.frames)
 
     def sim_time(self, recorded: Array | float) -> Array:
         """Simulated time of recorded ones; 0 in the first frame [s]."""
-        t = np.asarray(recorded, dtype=float)
-        time, late = self.recording.time, self._lost
+        t, time, late = np.asarray(recorded, dtype=float), self.recording.time, self._lost
         return (t + np.interp(t, time, late - late[self.begins]) - time[self.begins]) / self.clock
 
     @cached_property
     def _lost(self) -> Array:
-        """[T] time that is missing in the recorded times by each frame [s]."""
         return lost_time(self.recording)
 
     @cached_property
@@ -352,11 +338,11 @@ class LiftScene(Placed):
             if axes is None or np.ptp(axes[first:, g], axis=0).max() < 1e-3:
                 found.append(None)
                 continue
-            along, turned = axes[first:, g].astype(float), [np.eye(3)]
-            for step in turn_between(along[:-1], along[1:]).as_matrix():
-                turned.append(step @ turned[-1])
+            along, turned = axes[first:, g].astype(float), [Rotation.identity()]
+            for step in turn_between(along[:-1], along[1:]):
+                turned.append(step * turned[-1])
             times = self.sim_time(self.recording.time[first:])
-            found.append(Slerp(times, Rotation.from_matrix(turned)))
+            found.append(Slerp(times, Rotation.concatenate(turned)))
         return found
 
     @cached_property
@@ -366,8 +352,7 @@ class LiftScene(Placed):
             return False
         ahead = np.diff(self.body.points, axis=0)
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-        turns = np.linalg.norm(np.diff(ahead, axis=0), axis=1)
-        return float(turns.sum()) > 0.1  # [rad]
+        return float(np.linalg.norm(np.diff(ahead, axis=0), axis=1).sum()) > 0.1  # [rad]
 
     @property
     def guesses(self) -> list[dict[str, float]]:
@@ -488,9 +473,6 @@ def with_corners(t: Array, x: Array) -> tuple[Array, Array]:
     return np.array(times)[order], np.array(places)[order]
 
 
-# ---- material ----------------------------------------------------------------------------------
-
-
 def _density(recording: Recording, body: Body, settings: SceneSettings, notes: list[str]) -> float:
     """That is simulated [kg/m^3]; what is assumed for it goes to `notes`."""
     density, made_of = 1000.0, ""
@@ -508,9 +490,6 @@ def _density(recording: Recording, body: Body, settings: SceneSettings, notes: l
         "more than E / density and the bending length"
     )
     return density
-
-
-# ---- frames and time ---------------------------------------------------------------------------
 
 
 def _choose_clock(recording: Recording) -> float:
@@ -546,16 +525,16 @@ def _compared(
     time, path = recording.time, recording.gripper_position
     fast = np.zeros(recording.num_frames, dtype=bool)
     if not recording.quasi_static and recording.num_frames > 1:
-        speed = np.linalg.norm(np.gradient(path, time, axis=0), axis=-1).max(axis=1)
-        moments = list(time[speed > SLOW])
+        moves = np.linalg.norm(np.gradient(path, time, axis=0), axis=-1).max(axis=1) > SLOW
         if recording.gripper_closed is not None:
-            moments += list(time[(~recording.gripper_closed).any(axis=1)])
-        for moment in moments:
+            moves |= (~recording.gripper_closed).any(axis=1)
+        for moment in time[moves]:
             fast |= (time >= moment) & (time <= moment + AFTER_FAST)
-    chosen = []
-    for kind, most in ((False, settings.slow_frames), (True, settings.fast_frames)):
+
+    def some(kind: bool, most: int) -> tuple[int, ...]:
         those = [t for t in frames if fast[t] == kind]
-        if len(those) > most:
-            those = [those[k] for k in np.linspace(0, len(those) - 1, most).round().astype(int)]
-        chosen.append(tuple(those))
-    return chosen[0], chosen[1]
+        if len(those) <= most:
+            return tuple(those)
+        return tuple(those[k] for k in np.linspace(0, len(those) - 1, most).round().astype(int))
+
+    return some(False, settings.slow_frames), some(True, settings.fast_frames)
