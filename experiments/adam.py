@@ -22,7 +22,7 @@ import numpy as np
 from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import SimulationError
-from gendom.estimation.likelihood import Comparison
+from gendom.estimation.likelihood import Comparison, Comparisons
 from gendom.estimation.methods.search import best_of, finished, first_starts
 from gendom.estimation.problem import Found, Problem, Start
 from gendom.estimation.replay import simulator_of
@@ -230,6 +230,4 @@ class DensityLoss:
             s.iterations += 1
             if values[w] < s.value:
                 here = Comparison(self.part.observation, x[:, w])
-                compared = problem.joined([here])
-                assert compared is not None
-                s.take(d.vector, compared, values[w])
+                s.take(d.vector, Comparisons((here,)), values[w])

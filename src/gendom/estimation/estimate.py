@@ -64,10 +64,8 @@ def estimate(
         KeyboardInterrupt: If interrupted before anything was found.
     """
     settings = settings or EstimateSettings()
-    search = find_method(settings.method)
-    times = [clock.perf_counter()]
-    if isinstance(recordings, Recording):
-        recordings = [recordings]
+    search, times = find_method(settings.method), [clock.perf_counter()]
+    recordings = [recordings] if isinstance(recordings, Recording) else recordings
     check_list("recordings", recordings, Recording)
     names = names or recording_names(len(recordings))
     for recording, name in zip(recordings, names, strict=True):  # perhaps made, not read
@@ -81,8 +79,8 @@ def estimate(
         found = _searched(problem, search)
         problem = found.problem or problem
         times.append(clock.perf_counter())
-        moved_by_two = len(problem.scene.held) > 1 and not problem.scene.static
-        shown = "cable" if moved_by_two else problem.scene.kind
+        cable = len(problem.scene.held) > 1 and not problem.scene.static
+        shown = "cable" if cable else problem.scene.kind
         calibration = calibration or IntervalCalibration.of(shown, settings.frames)
         shift, suspicion = tip_suspected(problem, found)
         said = (*suspicion, *told_apart(problem, found))
@@ -94,9 +92,8 @@ def estimate(
             posterior = posterior.with_assumed(problem.scene.prior(("thickness",))[0])
         if not verdict.usable:
             posterior = replace(posterior, covariance=np.diag(posterior.prior.sd**2))
-        stages = zip(("scene", "search", "intervals"), np.diff(times), strict=True)
-        seconds = {name: float(t) for name, t in stages}
-        return result_of(problem, found, posterior, alone, verdict, seconds, said)
+        seconds = zip(("scene", "search", "intervals"), np.diff(times).tolist(), strict=True)
+        return result_of(problem, found, posterior, alone, verdict, dict(seconds), said)
 
 
 def _searched(problem: Problem, search: Callable[[Problem], Found]) -> Found:
@@ -121,9 +118,9 @@ def _searched_widely(problem: Problem, found: Found) -> Found:
     best fit does: with a large displacement of the model every place fits, and steps end anywhere.
     """
     parts = zip(problem.parts, found.noise, strict=True)
-    cloth = problem.scene.kind == "cloth"
     # a displacement so large is as large as the deviation of how a corner is held
-    if not cloth or not any(displaced(part, noise, times=5.0) for part, noise in parts):
+    far = any(displaced(part, noise, times=5.0) for part, noise in parts)
+    if problem.scene.kind != "cloth" or not far:
         return found
     try:
         wide = nearest(problem)
@@ -161,13 +158,11 @@ def _scene(
 ) -> LiftScene:
     """The scene of a recording; errors name the recording. Its clouds are registered where camera
     poses are unknown."""
-    unknown = settings.camera_pose == "unknown"
-    if settings.camera_pose is None:
-        unknown = not recording.cameras_calibrated
+    said = "stated" if recording.cameras_calibrated else "unknown"
     try:
+        unknown = (settings.camera_pose or said) == "unknown"
         registration = register(recording, settings, known) if unknown else None
         return LiftScene.of(recording, settings.scene, registration)
     except RecordingError as error:
-        where = ": ".join(filter(None, (name, error.where))) or None
-        fix, faults = error.fix, error.faults
-        raise RecordingError(error.what, where=where, fix=fix, faults=faults) from None
+        own = {"where": ": ".join(filter(None, (name, error.where))) or None, "fix": error.fix}
+        raise RecordingError(error.what, **own, faults=error.faults) from None

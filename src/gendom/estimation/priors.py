@@ -68,14 +68,11 @@ def stated_priors(recording: Recording) -> dict[str, dict[str, float]]:
 
 def _delay(recording: Recording) -> dict[str, float]:
     """The prior of how late clouds are, as changes to that of `UNKNOWNS`."""
-    (mean, sd), frames = DELAY[recording.gripper_source], 0.0
+    (mean, sd), u, times = DELAY[recording.gripper_source], UNKNOWNS["delay"], 1.0
     if recording.quasi_static and recording.num_frames > 1:
-        frames = FRAME_SHARE * float(np.median(np.diff(recording.time)))
-    if frames <= sd:
-        return {"mean": mean, "sd": sd}
-    u, times = UNKNOWNS["delay"], frames / sd
+        times = max(1.0, FRAME_SHARE * float(np.median(np.diff(recording.time))) / sd)
     wider = {n: times * getattr(u, n) for n in ("low", "high", "step", "widest")}
-    return {"mean": mean, "sd": frames, **wider}
+    return {"mean": mean, "sd": times * sd, **wider}
 
 
 def _thickness(described: ObjectDescription) -> dict[str, float]:
@@ -107,21 +104,14 @@ def material_prior(
         ParameterError: It is of another kind, or its E / density is out of the range of ``moduli``
             [m^2/s^2].
     """
-    require(
-        material.kind == kind,
-        f"{material.name} is a {material.kind}, and a {kind} was recorded",
-        where="material",
-        fix=f"gendom materials lists each {kind}",
-    )
-    E, density = material.E, material.density
+    what = f"{material.name} is a {material.kind}, and a {kind} was recorded"
+    fix, E, density = f"gendom materials lists each {kind}", material.E, material.density
+    require(material.kind == kind, what, where="material", fix=fix)
     modulus = E.typical / density.typical
     like = "a chain" if modulus <= moduli[0] else "a stick"
-    require(
-        moduli[0] < modulus < moduli[1],
-        f"an object of these sizes, made of {material.name}, would be {like}",
-        where="material",
-        fix="check the recording's sizes with gendom check, or leave the material out",
-    )
+    what = f"an object of these sizes, made of {material.name}, would be {like}"
+    fix = "check the recording's sizes with gendom check, or leave the material out"
+    require(moduli[0] < modulus < moduli[1], what, where="material", fix=fix)
     found = {"E_over_rho": {"mean": modulus, "sd": math.hypot(E.log_sd, density.log_sd)}}
     for name in ("nu", "damping", "friction"):
         unknown, known = UNKNOWNS[name], getattr(material, name)

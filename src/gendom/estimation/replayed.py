@@ -13,6 +13,7 @@ from gendom.datasets import Recording
 from gendom.datasets.recording import is_recording
 from gendom.errors import GendomError, ParameterError
 from gendom.estimation.estimate import estimate
+from gendom.estimation.placing import with_points
 from gendom.estimation.problem import EstimateSettings, Progress
 from gendom.estimation.scene import LiftScene
 from gendom.estimation.scene_settings import SceneSettings
@@ -52,20 +53,19 @@ def replay_setup(
     every = list(params.get("recordings") or ())
     what, fix = "is of no recording, or of an earlier version", "run gendom estimate again"
     require(every and found.posterior.bases, what, where=where, fix=fix)
-    own = of_recording(params, recording)
+    own, first, said = of_recording(params, recording), recording, ()
+    theta, registration = found.theta, None
     try:
-        made = (own or every[0])["simulation"]
-        settings = SceneSettings(points=made["points"], device=device)
-        # the object lies as it was taken to lie from the frames that were fitted
-        fitted = recording.num_frames if own is None else 1 + max(own["compared"])
-        theta = found.theta.with_values({} if own is None else own["theta"])
-        registration = None if own is None else own["calibration"]["registration"]
+        points = (own or every[0])["simulation"]["points"]
+        if own is not None:
+            # the object lies as it was taken to lie from the frames that were fitted
+            first = recording.head(min(1 + max(own["compared"]), recording.num_frames))
+            theta = theta.with_values(own["theta"])
+            registration = own["calibration"]["registration"]
     except (KeyError, TypeError, ValueError) as error:
-        raise ParameterError(
-            f"cannot be used: {type(error).__name__} {error}", where=where, fix=fix
-        ) from None
-    first = recording.head(min(fitted, recording.num_frames))
-    said: tuple[str, ...] = ()
+        what = f"cannot be used: {type(error).__name__} {error}"
+        raise ParameterError(what, where=where, fix=fix) from None
+    settings = SceneSettings(points=points, device=device)
     if own is None:
         theta, said, registration = _found_anew(LiftScene.of(first, settings), theta, on_progress)
     if registration is not None:
@@ -102,8 +102,7 @@ def _found_anew(
 
 def of_all_frames(scene: LiftScene, recording: Recording) -> LiftScene:
     """A scene with every frame of its recording, or of a longer one of the same motion."""
-    every = tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
-    return replace(scene, recording=recording, frames=every)
+    return replace(scene, recording=recording, frames=with_points(recording))
 
 
 def find_recording(params: Mapping[str, Any], where: Path) -> Path:
@@ -118,7 +117,8 @@ def find_recording(params: Mapping[str, Any], where: Path) -> Path:
         GendomError: It is not there.
     """
     folder, similar = where.absolute().parent, ""
-    for path in [*_recordings_in(folder), *_recordings_in(folder.parent)]:
+    inside = (p for f in (folder, folder.parent) for p in sorted([*f.glob("*.npz"), *f.glob("*/")]))
+    for path in filter(is_recording, inside):
         try:
             recording = Recording.read(path, on_warning=lambda _: None)
         except GendomError:  # another kind of file
@@ -132,9 +132,3 @@ def find_recording(params: Mapping[str, Any], where: Path) -> Path:
         where=str(where),
         fix=f"name it: gendom view RECORDING --params {where}",
     )
-
-
-def _recordings_in(folder: Path) -> list[Path]:
-    """What may be recordings, by name."""
-    inside = [*folder.glob("*.npz"), *(p for p in folder.iterdir() if p.is_dir())]
-    return sorted(path for path in inside if is_recording(path))
