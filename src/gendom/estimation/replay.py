@@ -31,9 +31,8 @@ HEM = 0.01
 """Breadth of a cloth's border that may be hemmed [m]."""
 
 RAMP_SPEED, CLAMPING, CLAMPING_SHOWN = 0.1, 0.1, 0.02
-"""Speed at which the gripper takes the object from rest to its first recorded position [m/s], and
-time in which clamps turn from where markers show them to how they hold the rope [s]: of cables with
-known offsets of their markers, the first frame shows how they hold it."""
+"""Speed of the gripper from rest to its first recorded position [m/s], and time in which clamps
+turn from where markers show them to how they hold the rope [s], and where offsets are known."""
 
 TWIST_SHOWN, TWIST_SD, TWIST_NOISE = 0.1, 1.0, 2e-4
 """Time in which the twist of a cable is looked for [s], how far hands may be turned about it in
@@ -43,15 +42,14 @@ FEET = 48
 """Places along the longer side of a cloth that points may belong to, about."""
 
 ROPE_REACH, CLOTH_REACH = 0.75, 0.02
-"""How far from its point a gripper holds an object where `grasp_radius` is not stated: a rope
-[diameters], by fingertips 1.5 diameters wide, and a cloth [m], by two fingertips."""
+"""Where `grasp_radius` is not stated: of a rope [diameters], and of two fingertips on a cloth [m].
+"""
 
 
 @dataclass
 class WorldInputs:
-    """Inputs of one simulated world: parameters that are taken as they are, and what begins as the
-    recording states it and is changed by each unknown's `Unknown.on_replay`, in the order of the
-    registry."""
+    """Inputs of one simulated world: parameters, and what begins as the recording states it and is
+    changed by each unknown's `Unknown.on_replay`, in the order of the registry."""
 
     scene: LiftScene
     theta: Theta
@@ -85,15 +83,12 @@ class WorldInputs:
         inputs.clamps[:, 2] = 0.5 * (inputs.clamps[1, 2] + twist) * np.array([-1.0, 1.0])
         return inputs
 
-    # ---- what unknowns do ------------------------------------------------------------------------
-
     def thicken(self, times: float) -> None:
         """Make the object so many times as thick as stated.
 
-        The simulated body stays as thick as stated. With its mass, an object that is r times as
-        thick takes r^2 times the E, so that it bends equally: stiffness over weight goes with the
-        square of the radius of gyration, of ropes and of sheets. Its middle lies higher on the
-        table, so the gripper is lowered instead.
+        The simulated body stays as it is: with its mass, r times as thick, it takes r^2 times the E
+        to bend equally, since stiffness over weight goes with the square of the radius of gyration.
+        Its middle lies higher on the table, so the gripper is lowered instead.
         """
         self.E_over_rho *= times**2
         self.raised -= self.scene.rise(times)
@@ -113,8 +108,7 @@ class WorldInputs:
             self.mass = factors * (area.sum() / (factors @ area))
 
     def _bordered(self, times: float) -> tuple[Array, Array]:
-        """[N] the mean of so many times in a border and once elsewhere, over what each point of a
-        cloth stands for, and the area of that [N] [m^2]."""
+        """[N] means of so many times in a border and once elsewhere, over areas [N] [m^2]."""
         rest, breadth = [], []
         for x in lattice(self.scene):
             inwards, half = np.minimum(x, x[-1] - x), 0.5 * (x[1] - x[0])
@@ -150,10 +144,9 @@ class WorldInputs:
         """Let a rope turn in soft fingers, by its moment there: by so much [rad] when its other end
         leaves the table.
 
-        The pads are a spring in series with the joint at the fingers' border, which stands for the
-        length between them and the middle of the next free edge, see `sim.thin.grips`. The moment
-        then is half the weight times the length of a stick; of a chain, sqrt(2 E I w L), with w the
-        weight by length.
+        The pads are a spring in series with the joint at the fingers' border (`sim.thin.grips`).
+        The moment then is half the weight times the length of a stick; of a chain,
+        sqrt(2 E I w L), with w the weight by length.
         """
         from gendom.sim.thin.rods import SHORTEST  # Warp, which takes long to import
 
@@ -173,8 +166,6 @@ class WorldInputs:
         if self.stiffness is None:
             self.stiffness = np.ones(len(x))
         self.stiffness[joint] *= own / (own + turn * bends**3 / lever)
-
-    # ---- what the simulator takes ----------------------------------------------------------------
 
     @property
     def material(self) -> Material:
@@ -307,7 +298,7 @@ def replay(
 
 
 def _beside(scene: LiftScene, x: Array, thetas: Sequence[Theta]) -> Array:
-    """[T, W, n, 3] by how much lines through markers are beside axes [T, W, n, 3] [m]."""
+    """[T, W, n, 3] by how much lines through markers are beside axes [m]."""
     found = np.zeros(x.shape)
     for w, offsets in enumerate(theta.offsets for theta in thetas):
         if scene.beside and offsets and np.isfinite(x[:, w]).all():
@@ -317,11 +308,8 @@ def _beside(scene: LiftScene, x: Array, thetas: Sequence[Theta]) -> Array:
 
 
 def with_twist_shown(scene: LiftScene, theta: Theta) -> Theta:
-    """Parameters of an instrumented cable with the twist with which this recording begins.
-
-    How hands are turned about a cable is not recorded. But a twist pushes a bent cable aside at
-    once: of several, that counts with which the first tenth of a second is nearest.
-    """
+    """Parameters of an instrumented cable with the twist with which this recording begins, which
+    pushes a bent cable aside at once: that with which its first tenth of a second is nearest."""
     recording, begins = scene.recording, scene.begins
     shown = recording.time <= recording.time[begins] + TWIST_SHOWN
     early = tuple(int(t) for t in np.flatnonzero(shown & recording.frame_valid) if t >= begins)
@@ -331,8 +319,7 @@ def with_twist_shown(scene: LiftScene, theta: Theta) -> Theta:
     changes = TWIST_SD * np.linspace(-2.5, 2.5, 11)
     twists = theta.clamp_twist + changes
     every = [theta.with_values({"clamp_twist": float(twist)}) for twist in twists]
-    x = replay_axis(scene, every, keep_going=True)
-    index, weight = scene.markers
+    x, (index, weight) = replay_axis(scene, every, keep_going=True), scene.markers
     at = np.einsum("mk,twmka->twma", weight, (x + _beside(scene, x, every))[:, :, index])
     off = at - np.stack([recording.frame(t) for t in early])[:, None]
     mean = np.nan_to_num(((off - off[:1]) ** 2).mean(axis=(0, 2, 3)), nan=np.inf)
@@ -384,23 +371,21 @@ def _closed(scene: LiftScene, g: int, delay: float) -> dict[str, Any]:
         return {}
     states, time = closed[first:, g], scene.sim_time(scene.recording.time[first:]) + delay
     between, starts = 0.5 * (time[1:] + time[:-1]), int(np.argmax(states))
-    found = {"hold_from": float(between[starts - 1])} if starts else {}
-    opens = np.flatnonzero(~states[starts:])
-    if len(opens):
-        found["hold_until"] = float(between[starts + int(opens[0]) - 1])
-    return found
+    opens = starts + np.flatnonzero(~states[starts:])[:1]
+    found = {"hold_from": between[starts - 1 : starts], "hold_until": between[opens - 1]}
+    return {name: float(at[0]) for name, at in found.items() if len(at)}
 
 
 def held_reach(scene: LiftScene, farther: float = 0.0) -> float:
     """How far from its point a gripper holds the object fast; a cloth so much farther than stated
     [m]."""
-    stated = scene.recording.object.grasp_radius
+    stated, thick = scene.recording.object.grasp_radius, scene.body.thickness
     if scene.kind == "rope" and len(scene.held) > 1:
         # a gripper holds the part from its point to the end, and as much on the other side
         gap = float(np.linalg.norm(scene.initial[[0, -1]] - scene.held, axis=1).max())
-        return max(stated or 0.5 * scene.body.thickness, gap)
+        return max(stated or 0.5 * thick, gap)
     if scene.kind == "rope":
-        return stated or ROPE_REACH * scene.body.thickness
+        return stated or ROPE_REACH * thick
     side = scene.size / math.sqrt(2.0)
     least = 0.6 * side / (COARSE_POINTS[scene.kind] - 1)  # so that it holds points wherever it is
     return max((stated or CLOTH_REACH) + farther, least)
@@ -434,8 +419,7 @@ class Shape:
         self.samples = cells, np.full((len(cells), 4), 0.25)
 
     def taken_from(self, other: Shape, values: Array) -> Array:
-        """[T, n, ...] at this shape's points, of values at those of another of the same object,
-        between which they are linear."""
+        """[T, n, ...] at this shape's points, linear between values at those of another one."""
         if [len(k) for k in self.lattice] == [len(k) for k in other.lattice]:
             return values
         Ka, Kb = (
@@ -492,8 +476,7 @@ class Shape:
 
 def nearest_of(points: Array, places: Array) -> Array:
     """[T, m] which of few points [T, k, 3] are nearest to places [T, m, 3]."""
-    far = _with_ones(places) @ _columns(-2.0 * points, (points**2).sum(axis=2))
-    return far.argmin(axis=2)
+    return (_with_ones(places) @ _columns(-2.0 * points, (points**2).sum(axis=2))).argmin(axis=2)
 
 
 def _with_ones(x: Array) -> Array:
@@ -508,6 +491,4 @@ def _columns(of: Array, last: Array) -> Array:
 
 def taken(J: Array, index: Array) -> Array:
     """[T, m, k, 3] of [T, n, 3] at indices [T, m, k]."""
-    return np.take_along_axis(J[:, :, None], index.reshape(len(index), -1, 1, 1), axis=1).reshape(
-        *index.shape, 3
-    )
+    return J[np.arange(len(index))[:, None, None], index]
