@@ -14,16 +14,15 @@ from gendom.materials.unknowns import UNKNOWNS
 
 BENDING_RANGE = {"rope": (0.04, 2.5), "held rope": (0.04, 1.2), "cloth": (0.01, 0.2)}
 """Range of bending lengths that is searched, in lengths of a rope or diagonals of a cloth: below it
-the object hangs like a chain, above it it does not bend; a rope between two hands then
-has one shape whatever its E."""
+the object hangs like a chain, above it it does not bend."""
 
 UNKNOWN_THICKNESS = 0.8
 """Deviation of the logarithm of a diameter or thickness that is assumed: ropes are a hundredth to a
-sixteenth of their length thick. `UNKNOWNS` has that of one whose accuracy is not stated."""
+sixteenth of their length thick."""
 
 HEIGHT = {"measured": 0.002, "commanded": 0.01}
-"""Deviation of a rope's gripper [m]: of calibrated arms and rulers, and of arms that follow late,
-with fingertips whose point is not the tool's. A cloth's commanded one has twice the latter."""
+"""Deviation of a rope's gripper [m]: of calibrated arms and rulers, and of arms that follow late. A
+cloth's commanded one has twice the latter."""
 
 INSET, UNKNOWN_INSET = 0.002, 0.008
 """Deviation of a distance from a rope's end [m]: stated, and where half the diameter is assumed."""
@@ -36,8 +35,7 @@ DELAY = {"measured": (0.0, 0.02), "commanded": (0.05, 0.1)}
 """Mean and deviation of how late clouds are after the gripper [s]."""
 
 FRAME_SHARE = 12.0**-0.5
-"""Deviation of a quasi-static recording's delay, in intervals between frames: its times are often
-those of the nearest frame, or its numbers."""
+"""Deviation of a quasi-static recording's delay, in intervals: its times are often frames'."""
 
 CLAMPS = ("first_clamp_x", "first_clamp_y", "last_clamp_x", "last_clamp_y", "clamp_twist")
 """How two hands hold a rope, where markers beside it show its ends."""

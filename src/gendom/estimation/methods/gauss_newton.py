@@ -5,9 +5,8 @@ derivatives are differences between worlds side by side, kept while they are acc
 (Broyden 1965). The step is Levenberg's and Marquardt's (Nocedal and Wright 2006, chapter 10), of a
 cloth with several dampings and once by the object's own unknowns alone: the set of held points
 changes in jumps, and those unknowns do not cause any. In the coarse stage only the most influential
-unknowns are free, clouds are not registered, and frames with fast motion are left out where enough
-others are left. In the fine stage, about the best start's result, everything is free, the model's
-displacement is registered, and noise and displacement are estimated in turns with steps.
+unknowns are free, and clouds are not registered. In the fine stage, about the best start's result,
+everything is free, and noise and the model's displacement are estimated in turns with steps.
 """
 
 from __future__ import annotations
@@ -54,16 +53,14 @@ PER_BATCH = 2
 
 @dataclass(frozen=True, kw_only=True)
 class GaussNewtonSettings:
-    """What differs between searches; defaults are those of ropes; `of` has those of cloths."""
+    """What differs between searches; defaults are those of ropes, `of` has those of cloths."""
 
     leading: tuple[str, ...] = (
         "E_over_rho", "damping", "grip_turn", "tip_mass", *INSTRUMENTED,
     )  # fmt: skip
-    """Unknowns that are free in the coarse stage, so that the others do not absorb their effect.
-    None: all."""
+    """Unknowns that are free in the coarse stage, so that others do not absorb their effect."""
     gain: tuple[float, float] = (2.0, 0.2)
-    """A start has converged when a step can lower the value by no more than this, in the coarse and
-    in the fine stage."""
+    """Least gain of a step, in the coarse and in the fine stage, before a start has converged."""
     rugged: bool = False
     """Whether several steps are tried side by side."""
     jumps: tuple[float, ...] = ()
@@ -71,12 +68,9 @@ class GaussNewtonSettings:
 
     @classmethod
     def of(cls, kind: str, **changes: Any) -> GaussNewtonSettings:
-        """For ropes or cloths.
-
-        For cloths the grip matters as much as the bending, so all unknowns are free in the coarse
-        stage; the objective is rugged, with many local minima; and the model's error exceeds the
-        noise of the clouds, so small gains do not count.
-        """
+        """For ropes or cloths, of which the grip matters as much as the bending, so all unknowns
+        are free; the objective is rugged; and the model's error exceeds the noise of the clouds, so
+        small gains do not count."""
         if kind == "cloth":
             own = {"leading": (), "gain": (2.0, 10.0), "rugged": True, "jumps": (3.0, 6.0, 9.0)}
             changes = own | changes
@@ -173,16 +167,14 @@ def refined(problem: Problem, found: Found) -> Found:
     Raises:
         SimulationError: It cannot be simulated there.
     """
-    settings = GaussNewtonSettings.of(problem.scene.kind)
-    best, noise = found.best, found.noise
-    best.stage = "coarse"
-    most = PER_BATCH * problem.settings.max_iterations
-    most = max(1, round((1.0 - COARSE_SHARE) * most))
+    settings, noise = GaussNewtonSettings.of(problem.scene.kind), found.noise
+    found.best.stage = "coarse"
+    most = max(1, round((1.0 - COARSE_SHARE) * PER_BATCH * problem.settings.max_iterations))
     try:
-        noise = _fine_stage(problem, best, noise, settings, 0, most)
+        noise = _fine_stage(problem, found.best, noise, settings, 0, most)
     except KeyboardInterrupt:
         found = replace(found, interrupted=True)
-    return replace(found, problem=problem, best=best, noise=noise)
+    return replace(found, problem=problem, noise=noise)
 
 
 def _fine_stage(
@@ -221,9 +213,8 @@ def _apart(
 ) -> list[Start]:
     """Starts that have ended so many deviations or more from the best one, and from each other, in
     an unknown of the object, and are not much less likely."""
-    own = [UNKNOWNS[name].material for name in problem.prior.names]
-    hessian, found = problem.gradient_and_hessian(best, noise)[1], [best]
-    sd = np.sqrt(np.diag(np.linalg.inv(hessian)))
+    own, found = [UNKNOWNS[name].material for name in problem.prior.names], [best]
+    sd = np.sqrt(np.diag(np.linalg.inv(problem.gradient_and_hessian(best, noise)[1])))
     for s in starts:
         near = s.comparison is not None and s.done and s.value - best.value < UNLIKELY
         off = [(np.abs(s.vector - other.vector) / sd)[own].max(initial=0.0) for other in found]
@@ -256,12 +247,13 @@ def _likeliest(
     problem: Problem, ends: Sequence[tuple[Start, tuple[NoiseModel, ...]]]
 ) -> tuple[Start, tuple[NoiseModel, ...], tuple[Array, ...]]:
     """Of starts' ends the most likely one, its noise, and places [P] of others that are apart."""
-    if len(ends) > 1:
-        for s, _ in ends:
-            assert s.comparison is not None
-            s.value = problem.value(s.vector, s.comparison, ends[0][1])
+    if len(ends) == 1:
+        return *ends[0], ()
+    for s, _ in ends:
+        assert s.comparison is not None
+        s.value = problem.value(s.vector, s.comparison, ends[0][1])
     best, noise = min(ends, key=lambda end: end[0].value)
-    others = _apart(problem, best, [s for s, _ in ends], noise, 1.0) if len(ends) > 1 else []
+    others = _apart(problem, best, [s for s, _ in ends], noise, 1.0)
     return best, noise, tuple(s.vector for s in others)
 
 
@@ -327,8 +319,8 @@ def _step(
     free: Sequence[int] | None = None,
 ) -> None:
     """Proposals of every start, in one batch, of which it takes the best; a start is done where it
-    can gain no more than ``least``. Derivatives are updated by Broyden's rule while steps gain what
-    they predict, and computed again before a start is given up, and at the end."""
+    can gain no more than ``least``. Derivatives are computed again where steps gain less than half
+    of what they predict, before a start is given up, and at the end."""
     _renew(problem, [s for s in going if s.comparison is None or s.renew], noise, free)
     going = [s for s in going if not s.done]
     if not going:
@@ -388,9 +380,8 @@ def _propose(
     settings: GaussNewtonSettings,
     among: Sequence[int] | None,
 ) -> tuple[list[tuple[Array, float, float]], Array]:
-    """A damped step; on rugged objectives also one of greater damping, one by the object's unknowns
-    alone, and longer ones: places [P] with the gain that the quadratic model predicts and their
-    damping; and that model's curvature along each unknown [P]."""
+    """A damped step; on rugged objectives others, too: places [P] with the gain that the quadratic
+    model predicts and their damping; and that model's curvature along each unknown [P]."""
     prior = problem.prior
     gradient, H = problem.gradient_and_hessian(start, noise)
     # a parameter pressed against its bound is held there

@@ -91,8 +91,7 @@ def evolve(
 def _values(
     best: Start, vectors: Sequence[Array], compared: Sequence[Comparisons | None], of: Objective
 ) -> Array:
-    """[S] values of vectors [P], infinite where nothing could be simulated; the start moves to a
-    place of a lower one."""
+    """[S] values of vectors [P], infinite where nothing runs; the start moves to lower ones."""
     found = np.full(len(vectors), math.inf)
     for n, comparison in enumerate(compared):
         if comparison is not None:

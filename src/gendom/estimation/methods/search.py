@@ -52,26 +52,20 @@ def first_starts(
 
 
 def _scanned(problem: Problem, k: int, scan: Array) -> list[Array]:
-    """[P] vectors with each modulus [S] of a scan as unknown k, the best ones first.
-
-    Guesses of different recordings are independent: with each modulus every recording takes its
-    best guess, then the next best.
-    """
+    """[P] vectors with each modulus [S] of a scan as unknown k, the best ones first: with each
+    modulus every recording takes its own best guess, then the next best."""
     prior, parts = problem.prior, problem.parts
-    most = max(len(part.scene.guesses) for part in parts)
-    bases = []
+    guesses, bases = [part.scene.guesses for part in parts], []
+    most = max(map(len, guesses))
     for n in range(most):
-        guesses = [part.scene.guesses[n % len(part.scene.guesses)] for part in parts]
-        thetas = [b.with_values(g) for b, g in zip(problem.bases, guesses, strict=True)]
-        bases.append(prior.vector(*thetas))
+        own = zip(problem.bases, guesses, strict=True)
+        bases.append(prior.vector(*(b.with_values(g[n % len(g)]) for b, g in own)))
     vectors = np.repeat(np.array(bases)[:, None], len(scan), axis=1)
     vectors[:, :, k] = scan
-    rms = np.full((len(parts), most, len(scan)), np.inf)
-    for n, compared in enumerate(
-        problem.compare(list(vectors.reshape(-1, len(bases[0]))), derivatives=False)
-    ):
-        if compared is not None:
-            rms[:, n // len(scan), n % len(scan)] = [c.rms for c in compared.parts]
+    found = problem.compare(list(vectors.reshape(-1, len(bases[0]))), derivatives=False)
+    none = [np.inf] * len(parts)
+    rms = np.array([none if c is None else [one.rms for one in c.parts] for c in found])
+    rms = rms.T.reshape(len(parts), most, len(scan))
     order = np.argsort(rms, axis=1, kind="stable")
     for recording in range(len(parts)):
         own = [n for n, owner in enumerate(prior.owners) if owner == recording]
@@ -85,8 +79,8 @@ def _scanned(problem: Problem, k: int, scan: Array) -> list[Array]:
 
 
 def _scanned_about(problem: Problem, k: int, step: float, best: Array) -> list[Array]:
-    """[P] vectors about the best one of a scan of unknown k with such steps, in half steps and with
-    other turns or frictions; those first that fit best, no two of them alike."""
+    """[P] vectors in half steps about the best one of a scan of unknown k, and with other turns or
+    frictions; those first that fit best, no two of them alike."""
     prior, scene, theta = problem.prior, problem.scene, problem.theta(best)
     stiff = scene.bending_length(theta.E_over_rho, theta.thickness) > LIMP * scene.size
     name, values = ("grip_turn", TURNS) if stiff else ("friction", FRICTIONS)
@@ -97,8 +91,9 @@ def _scanned_about(problem: Problem, k: int, step: float, best: Array) -> list[A
         j = prior.names.index(name)
         vectors[:, j] = np.repeat([best[j], *values], len(ways))
     vectors = np.unique(prior.clipped(vectors), axis=0)
-    compared = problem.compare(list(vectors), derivatives=False)
-    rms = [np.inf if c is None else c.rms for c in compared]
+    rms = [
+        np.inf if c is None else c.rms for c in problem.compare(list(vectors), derivatives=False)
+    ]
     found: list[Array] = []
     for v in vectors[np.argsort(rms, kind="stable")]:
         if all(abs(v[k] - other[k]) > 0.6 * step for other in found):
