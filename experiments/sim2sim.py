@@ -30,8 +30,7 @@ from gendom.estimation.methods.gauss_newton import GaussNewtonSettings, gauss_ne
 from gendom.estimation.observed import NoiseModel
 from gendom.estimation.problem import EstimateSettings, Found, Problem
 from gendom.estimation.replay import replay
-from gendom.estimation.scene import LiftScene
-from gendom.estimation.scene_settings import SceneSettings
+from gendom.estimation.scene import LiftScene, SceneSettings
 from gendom.materials import STANDARD_GRAVITY
 from gendom.materials.unknowns import Theta
 from gendom.observation import chamfer

@@ -20,7 +20,7 @@ from gendom.estimation import (
 from gendom.estimation.observed import NoiseModel
 from gendom.estimation.placing import lying_line, lying_rectangle
 from gendom.estimation.problem import Part
-from gendom.estimation.scene_settings import SHELL_ERROR
+from gendom.estimation.scene import SHELL_ERROR
 from gendom.materials.parameters import E_over_rho_of
 from gendom.sim.lines import arc_length
 

@@ -7,8 +7,7 @@ from gendom.estimation.observed import NoiseModel, Observation
 from gendom.estimation.problem import EstimateSettings, Problem, Progress
 from gendom.estimation.replay import replay
 from gendom.estimation.result import FittedEstimate, chamfers
-from gendom.estimation.scene import LiftScene
-from gendom.estimation.scene_settings import SceneSettings
+from gendom.estimation.scene import LiftScene, SceneSettings
 from gendom.materials.estimate import Estimate, Verdict
 from gendom.materials.posterior import Posterior, Prior
 from gendom.materials.unknowns import UNKNOWNS, Theta, Unknown

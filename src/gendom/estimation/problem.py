@@ -18,12 +18,12 @@ from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons
 from gendom.estimation.observed import NoiseModel, Observation
 from gendom.estimation.replay import Shape, replay_axis
-from gendom.estimation.scene import LiftScene
-from gendom.estimation.scene_settings import (
+from gendom.estimation.scene import (
     COARSE_FRAMES,
     COARSE_POINTS,
     COARSE_STRETCH,
     STRETCH,
+    LiftScene,
     SceneSettings,
 )
 from gendom.materials.posterior import Prior, joint_prior, prior_of

@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 from gendom.arrays import Array
 from gendom.estimation.hands import clamp_frame
 from gendom.estimation.markers import aside, axis_beside, material_frames
-from gendom.estimation.scene import STATIC_SETTLING, LiftScene
-from gendom.estimation.scene_settings import COARSE_POINTS
+from gendom.estimation.scene import COARSE_POINTS, STATIC_SETTLING, LiftScene
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.observation import visible_on_sheet

@@ -15,8 +15,7 @@ from gendom.errors import GendomError, ParameterError
 from gendom.estimation.estimate import estimate
 from gendom.estimation.placing import with_points
 from gendom.estimation.problem import EstimateSettings, Progress
-from gendom.estimation.scene import LiftScene
-from gendom.estimation.scene_settings import SceneSettings
+from gendom.estimation.scene import LiftScene, SceneSettings
 from gendom.materials.estimate import Estimate
 from gendom.materials.unknowns import UNKNOWNS, Theta
 

@@ -28,19 +28,32 @@ from gendom.estimation.priors import (
     stated_priors,
     thickness_stated,
 )
-from gendom.estimation.scene_settings import (
-    MOST_ROD_POINTS,
-    MOST_SHELL_POINTS,
-    SHELL_ERROR,
-    SPACING,
-    STRETCH,
-    SceneSettings,
-)
 from gendom.materials import STANDARD_GRAVITY, catalogue
 from gendom.materials.parameters import E_over_rho_of, bending_length
 from gendom.materials.posterior import Prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
-from gendom.sim import Body
+from gendom.sim import Body, check_numbers
+
+SPACING, MOST_SHELL_POINTS, MOST_ROD_POINTS = 1.0 / 3.0, 49, 65
+"""Limp objects are then estimated again with points this many bending lengths apart, up to so many
+of cloths and ropes, where that is at least a tenth more. Lifted ropes with points twice as far
+apart are off by 0.5 to 5 mm, as if their bending length was 5 to 40 % another."""
+
+SHELL_ERROR = 1.5
+"""Error of ln(E) by the distance of a cloth's points, in bending lengths and to the third power
+(docs/notes/cloths.md)."""
+
+STRETCH = 0.002
+"""An object's own weight lengthens it by this at most, hanging by a side or an end: the simulated
+stiffness along it is limited to that. For a cloth this allows longer time steps: two to four times
+where it bends over 25 to 45 mm and is 0.5 to 1 mm thick. A rope gets at least that stiffness: its
+fibres resist stretch more than bending, in which they slide past each other. With one E for both
+soft ropes stretch by up to 4 %, and their tails follow less over the table."""
+
+COARSE_POINTS, COARSE_FRAMES, COARSE_STRETCH = {"rope": 17, "cloth": 21}, 18, 0.01
+"""Where a search begins: points of a rod, or along the longer side of a shell, frames that are
+compared, at most, and in place of `STRETCH`."""
+
 
 FINER = "limp: simulated along its longer side with"
 """Note of a cloth that gets more points than others."""
@@ -64,6 +77,37 @@ after that [s]."""
 LIFTED = 0.15
 """Rise of the gripper, in a rope's length or a cloth's longer side, before which clouds show hardly
 more than how it lay."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSettings:
+    """How a recording is turned into a simulation; written into every result."""
+
+    material: str | None = None
+    """Its material, by a name of gendom materials: narrows the priors, and gives the density where
+    the mass is unknown."""
+    points: int | None = None
+    """Points of a rod, or along the longer side of a shell; by default as many as it needs."""
+    slow_frames: int = 36
+    """Frames that are compared where the gripper is slow, at most."""
+    fast_frames: int = 60
+    """Frames that are compared elsewhere, at most."""
+    dtype: str | None = None
+    """``float32`` or ``float64``; None: the first for cloths as shells, else the engine's own."""
+    substep: float | None = None
+    """Of all worlds [s]; None: each its own. Then the number of substeps between two frames depends
+    on E, and where it changes, positions jump by some 1e-7 m, which shows in exact clouds only."""
+    device: str = "cpu"
+    """cpu, cuda or cuda:0 and so on."""
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.material is not None:
+            catalogue.get(self.material)
+        if self.substep is not None:
+            check_numbers("substep", self.substep, above=0.0)
+        few = f"is {self.points}"
+        require(self.points is None or self.points >= 5, few, where="points", fix="give 5 or more")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,7 +176,7 @@ class LiftScene(Placed):
         if missing > 0.0:
             leaps = "the hands leap where frames were lost"
             notes.append(f"{leaps}: {missing:.3g} s added to the times")
-        placed = place(recording, settings, frames, notes)
+        placed = place(recording, settings.points, frames, notes)
         clock = _choose_clock(recording)
         lasts = float(recording.time[frames[-1]] - recording.time[frames[0]]) / clock
         longer = f"lasts {lasts:.4g} s, longer than the 300 s that are simulated"
@@ -268,8 +312,7 @@ class LiftScene(Placed):
     def simulated_with(self, points: int, stretch: float = STRETCH) -> LiftScene:
         """The same with so many points; their number stays open in the settings, so that it can
         grow once more."""
-        settings = replace(self.settings, points=points)
-        placed = place(self.recording, settings, with_points(self.recording), [], self.lies)
+        placed = place(self.recording, points, with_points(self.recording), [], self.lies)
         return replace(self, **vars(placed), stretch=stretch)
 
     def mesh_error(self, theta: Theta) -> float:
