@@ -13,11 +13,15 @@ from gendom.materials.parameters import E_over_rho_of
 from gendom.sim.lines import arc_length
 
 
+def simulated(lift, changes, frames):
+    """The scene of a lift, and its replays [T, W, N, 3] with changes of its truth."""
+    scene = LiftScene.of(lift.at_rest(frames), lift.settings)
+    return scene, replay(scene, [lift.truth.with_values(c) for c in changes])
+
+
 def test_grip_height_raises_the_object(rope_lift):
     """What hangs 5 mm higher than stated is held 5 mm higher, once off the table."""
-    scene = LiftScene.of(rope_lift.at_rest(5), rope_lift.settings)
-    thetas = [rope_lift.truth.with_values({"grip_height": h}) for h in (0.0, 0.005)]
-    x = replay(scene, thetas)
+    scene, x = simulated(rope_lift, [{}, {"grip_height": 0.005}], 5)
     held = int(np.linalg.norm(scene.body.points - scene.held[0], axis=1).argmin())
     rise = x[:, 1, held, 2] - x[:, 0, held, 2]
     assert rise[1:] == pytest.approx(0.005, abs=5e-4)
@@ -46,22 +50,17 @@ def test_a_soft_rope_keeps_its_length(rope_lift):
 
 def test_worlds_of_one_call_are_as_each_alone(cloth_lift):
     """Of a cloth, whose worlds differ in how they lie and are held."""
-    scene = LiftScene.of(cloth_lift.at_rest(4), cloth_lift.settings)
     changes = [{}, {"yaw": 0.2}, {"grip_along": 0.01, "grip_tilt": 0.3}, {"grip_reach": 0.01}]
-    thetas = [cloth_lift.truth.with_values(c) for c in changes]
-    both = replay(scene, thetas)
-    for w, theta in enumerate(thetas):
-        np.testing.assert_allclose(both[:, w], replay(scene, [theta])[:, 0], atol=1e-6)
+    _, both = simulated(cloth_lift, changes, 4)
+    for w, own in enumerate(changes):
+        np.testing.assert_allclose(both[:, w], simulated(cloth_lift, [own], 4)[1][:, 0], atol=1e-6)
     assert min(np.abs(both[:, w] - both[:, 0]).max() for w in (1, 2, 3)) > 2e-3
 
 
 def test_a_held_corner_hangs_as_steep_as_told(cloth_lift):
     """Lifted level, a corner's surroundings stay level; tilted, they do not."""
-    scene = LiftScene.of(cloth_lift.at_rest(6), cloth_lift.settings)
-    changes = [{"grip_tilt": 0.0}, {"grip_tilt": 1.2}]
-    x = replay(scene, [cloth_lift.truth.with_values(c) for c in changes])[-1]
-    corner, next_to_it = 0, scene.body.shape[1] + 1
-    drop = x[:, corner, 2] - x[:, next_to_it, 2]
+    scene, x = simulated(cloth_lift, [{"grip_tilt": 0.0}, {"grip_tilt": 1.2}], 6)
+    drop = x[-1, :, 0, 2] - x[-1, :, scene.body.shape[1] + 1, 2]
     assert drop[1] > drop[0] + 0.005
 
 
