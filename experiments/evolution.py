@@ -6,9 +6,8 @@ its own rates, that minimises the clouds' misfit with fixed noise plus the prior
 from __future__ import annotations
 
 import numpy as np
+from scipy import optimize
 
-from gendom.estimation.likelihood import Comparisons
-from gendom.estimation.methods.nearest import evolve
 from gendom.estimation.methods.search import finished
 from gendom.estimation.problem import Found, Problem, Start
 
@@ -25,14 +24,35 @@ def differential_evolution(problem: Problem, *, members: int = 15) -> Found:
         KeyboardInterrupt: If interrupted before anything was found.
     """
     noise = problem.first_noise(sensor=0.005, model=problem.settings.noise.least_model, rounds=1)
-    middle = problem.prior.vector(*problem.bases)
+    middle, most = problem.prior.vector(*problem.bases), problem.settings.max_iterations
     best, interrupted = Start(initial=middle, vector=middle), False
 
-    def misfit(vector: np.ndarray, comparison: Comparisons) -> float:
-        return problem.value(vector, comparison, noise)
+    def generation(x: np.ndarray) -> list[float]:
+        """[S] values of vectors [P, S]."""
+        vectors = list(x.T.copy())
+        compared = problem.compare(vectors, derivatives=False)
+        values = problem.values(vectors, compared, noise)
+        n, best.iterations = int(np.argmin(values)), best.iterations + 1
+        if compared[n] is None and best.comparison is None:
+            raise problem.nothing_runs()
+        if values[n] < best.value:
+            best.vector, best.comparison, best.value = vectors[n], compared[n], values[n]
+        best.noted()
+        problem.tell("evolution", best.iterations, most, best)
+        return values
 
     try:
-        evolve(problem, best, misfit, members, problem.settings.max_iterations, tol=0.01)
+        ended = optimize.differential_evolution(
+            generation,
+            list(zip(*problem.prior.within(3.0), strict=True)),
+            popsize=members,
+            maxiter=most - 1,  # the first generation is drawn, not evolved
+            rng=problem.settings.seed,
+            polish=False,
+            vectorized=True,
+            updating="deferred",
+        )
+        best.done = bool(ended.success)
     except KeyboardInterrupt:
         interrupted = True
         if best.comparison is None:

@@ -1,8 +1,7 @@
 """Parameters of an object from one or more recordings."""
 
-from gendom.estimation.estimate import estimate
+from gendom.estimation.estimate import METHODS, estimate, find_method
 from gendom.estimation.intervals import IntervalCalibration
-from gendom.estimation.methods import METHODS, find_method
 from gendom.estimation.observed import NoiseModel, Observation
 from gendom.estimation.problem import EstimateSettings, Problem, Progress
 from gendom.estimation.replay import replay

@@ -11,14 +11,13 @@ from threadpoolctl import threadpool_limits
 
 from gendom.arguments import check_list
 from gendom.datasets import Recording
-from gendom.errors import RecordingError
+from gendom.errors import ParameterError, RecordingError, did_you_mean
 from gendom.estimation.intervals import (
     IntervalCalibration,
     posterior_of,
     tip_suspected,
     told_apart,
 )
-from gendom.estimation.methods import find_method
 from gendom.estimation.methods.gauss_newton import gauss_newton, refined
 from gendom.estimation.methods.nearest import nearest
 from gendom.estimation.problem import EstimateSettings, Found, Problem, Progress, recording_names
@@ -28,6 +27,23 @@ from gendom.estimation.scene import LiftScene
 from gendom.estimation.verdict import displaced, judge, refused_before
 from gendom.materials.posterior import Posterior
 from gendom.materials.unknowns import Theta
+from gendom.plugins import plugins
+
+METHODS: dict[str, Callable[[Problem], Found]] = {"gauss-newton": gauss_newton}
+"""By name; other packages add theirs by entry points of the group ``gendom.methods``."""
+
+
+def find_method(name: str) -> Callable[[Problem], Found]:
+    """The method of a name, those of other packages included.
+
+    Raises:
+        ParameterError: There is none of that name.
+    """
+    known = {**plugins("methods"), **METHODS}
+    if name not in known:
+        fix = did_you_mean(name, known) or f"choose from {', '.join(known)}"
+        raise ParameterError(f"there is no method {name!r}", fix=fix)
+    return known[name]
 
 
 def estimate(

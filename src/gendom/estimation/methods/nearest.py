@@ -8,44 +8,68 @@ taken only at the end, for the uncertainty.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import optimize
 
 from gendom.arrays import Array
-from gendom.estimation.likelihood import Comparison, Comparisons
+from gendom.estimation.likelihood import Comparison
 from gendom.estimation.methods.search import finished
 from gendom.estimation.problem import Found, Problem, Start
 
 GENERATIONS = 40
-"""Of `nearest`: the mean distance of real cloths then falls by less than 0.1 mm a generation."""
+"""The mean distance of real cloths then falls by less than 0.1 mm a generation."""
 
 FINALISTS = 20
-"""Its best ones of all generations that are simulated as finely as the problem asks for."""
-
-Objective = Callable[[Array, Comparisons], float]
+"""The best ones of all generations that are simulated as finely as the problem asks for."""
 
 
 def nearest(problem: Problem, *, generations: int = GENERATIONS) -> Found:
-    """The nearest replay; generations of three members an unknown are simulated coarsely.
+    """The nearest replay within three deviations of the prior; generations of three members an
+    unknown are simulated coarsely.
 
     Raises:
         SimulationError: Nothing could be simulated.
         KeyboardInterrupt: It was interrupted.
     """
-    prior = problem.prior
+    prior, tried = problem.prior, []
     best = Start(initial=prior.mean, vector=prior.mean, stage="coarse")
-    tried: list[tuple[float, Array]] = []
 
-    def away(vector: Array, comparison: Comparisons) -> float:
-        tried.append((sum(map(distance, comparison.parts)) / len(comparison.parts), vector))
-        return tried[-1][0]
+    def away(problem: Problem, vectors: Sequence[Array]) -> Array:
+        """[S] distances at vectors [P], infinite where nothing runs; the best start moves."""
+        found = np.full(len(vectors), math.inf)
+        for n, compared in enumerate(problem.compare(vectors, derivatives=False)):
+            if compared is not None:
+                found[n] = sum(map(distance, compared.parts)) / len(compared.parts)
+                if found[n] < best.value:
+                    best.vector, best.comparison, best.value = vectors[n], compared, found[n]
+        return found
 
-    evolve(problem.coarse, best, away, 3, generations, tol=0.0)
-    finalists = [v for _, v in sorted(tried, key=lambda one: one[0])[:FINALISTS]]
+    def generation(x: Array) -> Array:
+        """[S] distances at vectors [P, S]."""
+        found = away(problem.coarse, list(x.T.copy()))
+        tried.extend(zip(found.tolist(), x.T.copy(), strict=True))
+        best.iterations += 1
+        if best.comparison is None:
+            raise problem.nothing_runs()
+        best.noted()
+        problem.tell("coarse", best.iterations, generations, best)
+        return found
+
+    optimize.differential_evolution(
+        generation,
+        list(zip(*prior.within(3.0), strict=True)),
+        popsize=3,
+        maxiter=generations - 1,  # the first generation is drawn, not evolved
+        rng=problem.settings.seed,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        tol=0.0,
+    )
     best.comparison, best.value, best.stage, best.done = None, math.inf, "", True
-    _values(best, finalists, problem.compare(finalists, derivatives=False), away)
+    away(problem, [v for _, v in sorted(tried, key=lambda one: one[0])[:FINALISTS]])
     return finished(problem, [best], interrupted=False)
 
 
@@ -56,46 +80,3 @@ def distance(comparison: Comparison) -> float:
     own, away = counts.shape[1], np.abs(rows.rho)
     points = (away[:, :own] * counts).sum(axis=1) / counts.sum(axis=1)
     return float((points + (away * (rows.counts > 0.0))[:, own:].mean(axis=1)).mean())
-
-
-def evolve(
-    problem: Problem, best: Start, of: Objective, members: int, generations: int, tol: float
-) -> None:
-    """Evolve a population within three deviations of the prior; ``best`` moves with its best."""
-
-    def generation(x: Array) -> Array:
-        """[S] values of vectors [P, S]."""
-        vectors = list(x.T.copy())
-        found = _values(best, vectors, problem.compare(vectors, derivatives=False), of)
-        best.iterations += 1
-        if best.comparison is None:
-            raise problem.nothing_runs()
-        best.noted()
-        problem.tell(best.stage or "evolution", best.iterations, generations, best)
-        return found
-
-    ended = optimize.differential_evolution(
-        generation,
-        list(zip(*problem.prior.within(3.0), strict=True)),
-        popsize=members,
-        maxiter=generations - 1,  # the first generation is drawn, not evolved
-        rng=problem.settings.seed,
-        polish=False,
-        vectorized=True,
-        updating="deferred",
-        tol=tol,
-    )
-    best.done = bool(ended.success)
-
-
-def _values(
-    best: Start, vectors: Sequence[Array], compared: Sequence[Comparisons | None], of: Objective
-) -> Array:
-    """[S] values of vectors [P], infinite where nothing runs; the start moves to lower ones."""
-    found = np.full(len(vectors), math.inf)
-    for n, comparison in enumerate(compared):
-        if comparison is not None:
-            found[n] = of(vectors[n], comparison)
-            if found[n] < best.value:
-                best.vector, best.comparison, best.value = vectors[n], comparison, found[n]
-    return found
