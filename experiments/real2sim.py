@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+from experiments.adam import adam
+from experiments.evolution import differential_evolution
 from experiments.lifts import truth_of
 from experiments.pointnet import pointnet
 from experiments.runs import Result, Runs, Table
@@ -37,6 +39,13 @@ ROWS = {
     "cloth": (("gauss-newton", "all"),),
 }
 """Rows by kind of object: methods, and the frames that they see."""
+
+BASELINES = {
+    "adam": adam,
+    "differential-evolution": differential_evolution,
+    "pointnet": pointnet,
+}
+"""Methods beside the estimator's own."""
 
 PAPER = {
     "adam": {"rope-cotton": 0.034, "rope-polyester": 0.060, "rope-polyethylene": 0.053},
@@ -116,7 +125,7 @@ def _estimated(
     """One row, without the truth."""
     from gendom.reality import find_object
 
-    METHODS["pointnet"] = pointnet
+    METHODS.update(BASELINES)
     recording = runs.recorded(f"lift-{name}-seed-{runs.seed}", find_object(name), motion)
     found = estimate(
         recording,

@@ -130,7 +130,7 @@ def test_record_is_gendom_estimate_1(rope_lift, found):
     shares = np.array(record["bounds"]["bending_length"]) / found.scene.size
     np.testing.assert_allclose(shares, BENDING_RANGE["rope"])
     made = record["simulation"]
-    assert (made["engine"], made["clock"], made["points_simulated"]) == ("thin", 1.0, 15)
+    assert (made["clock"], made["points_simulated"]) == (1.0, 15)
     assert not record["interrupted"]
     assert 2 <= record["iterations"] <= PER_BATCH * EstimateSettings.max_iterations
     iterations = [h["iteration"] for h in record["history"]]
@@ -204,7 +204,6 @@ def test_only_the_last_frame_may_be_compared(rope_lift, lifted, settings):
         ({"unknowns": ("colour",)}, "no unknown 'colour'; choose from E_over_rho"),
         ({"unknowns": ("yaw",)}, "a rope has no yaw"),
         ({"unknowns": ("nu", "nu")}, "nu is named twice"),
-        ({"unknowns": ("thickness",), "method": "adam"}, "compares objects as thick as stated"),
     ],
 )
 def test_bad_settings_are_refused(lifted, settings, changes, words):

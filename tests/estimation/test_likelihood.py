@@ -3,13 +3,12 @@
 import numpy as np
 
 from gendom.estimation.observed import Observation
-from gendom.estimation.replay import middle
 from gendom.estimation.scene import LiftScene
 
 
 def test_a_shape_where_no_points_are_counts_except_where_fingers_hide_it(rope_lift):
     scene = LiftScene.of(rope_lift.seen(frames=5), rope_lift.settings)
-    observed, rest = Observation(scene), middle(scene, scene.initial)
+    observed, rest = Observation(scene), scene.initial
     aside = np.repeat(rest[None] + [0.0, 0.5, 0.0], len(scene.frames), axis=0)
     every = np.ones(len(observed.in_view), bool)
     counts = observed.rows(aside, 0.006, lambda _: every).counts[:, -len(every) :]

@@ -12,26 +12,24 @@ from gendom.materials import catalogue
 
 
 def test_a_material_narrows_what_is_believed(rope_lift):
-    known = catalogue.get("cotton-rope")
-    wide, _ = LiftScene.of(rope_lift.at_rest(), rope_lift.settings).prior()
-    settings = replace(rope_lift.settings, material="cotton-rope")
-    narrow, base = LiftScene.of(rope_lift.at_rest(), settings).prior()
+    def of(material, *wanted):
+        settings = replace(rope_lift.settings, material=material)
+        return LiftScene.of(rope_lift.at_rest(), settings).prior(wanted)
+
+    known, (wide, _), (narrow, base) = catalogue.get("cotton-rope"), of(None), of("cotton-rope")
     assert narrow.names == wide.names
-    np.testing.assert_array_equal(narrow.low, wide.low)
-    np.testing.assert_array_equal(narrow.high, wide.high)
-    k = narrow.names.index("E_over_rho")
-    assert narrow.mean[k] == pytest.approx(math.log(known.E.typical / known.density.typical))
+    assert (narrow.low == wide.low).all() and (narrow.high == wide.high).all()
+    sd, mean = (dict(zip(narrow.names, x, strict=True)) for x in (narrow.sd, narrow.mean))
+    assert mean["E_over_rho"] == pytest.approx(math.log(known.E.typical / known.density.typical))
     spread = math.hypot(math.log(20.0), math.log(1000.0 / 650.0))
-    assert narrow.sd[k] == pytest.approx(spread / 2.0 / 1.645, rel=1e-3)
+    assert sd["E_over_rho"] == pytest.approx(spread / 2.0 / 1.645, rel=1e-3)
     for name in ("nu", "friction"):
-        k, expected = narrow.names.index(name), getattr(known, name)
-        assert narrow.mean[k] == expected.typical
-        assert narrow.sd[k] == pytest.approx((expected.high - expected.low) / 3.29, rel=1e-3)
-    k = narrow.names.index("grip_height")
-    assert narrow.sd[k] == wide.sd[k]
+        expected = getattr(known, name)
+        assert mean[name] == expected.typical
+        assert sd[name] == pytest.approx((expected.high - expected.low) / 3.29, rel=1e-3)
+    assert sd["grip_height"] == wide.sd[wide.names.index("grip_height")]
     assert base.damping == pytest.approx(known.damping.typical)
-    settings = replace(rope_lift.settings, material="rubber-cord")
-    prior, base = LiftScene.of(rope_lift.at_rest(), settings).prior(("delay",))
+    prior, base = of("rubber-cord", "delay")
     assert prior.names == ("delay",)
     assert base.friction == catalogue.get("rubber-cord").friction.typical
     assert base.nu == 0.45  # the stiffest that is looked for

@@ -2,24 +2,26 @@
 
 import math
 from dataclasses import replace
-from importlib.resources import files
 
 import numpy as np
 import pytest
 
-from gendom.datasets import Recording
-from gendom.estimation import EstimateSettings, LiftScene, SceneSettings, Theta, estimate, replay
+from gendom.estimation import EstimateSettings, LiftScene, estimate, replay
 from gendom.estimation.observed import NoiseModel, Observation
-from gendom.estimation.replay import HEM, WorldInputs, held_reach, lattice, middle
+from gendom.estimation.replay import HEM, WorldInputs, held_reach
 from gendom.materials.parameters import E_over_rho_of
 from gendom.sim.lines import arc_length
 
 
+def simulated(lift, changes, frames):
+    """The scene of a lift, and its replays [T, W, N, 3] with changes of its truth."""
+    scene = LiftScene.of(lift.at_rest(frames), lift.settings)
+    return scene, replay(scene, [lift.truth.with_values(c) for c in changes])
+
+
 def test_grip_height_raises_the_object(rope_lift):
     """What hangs 5 mm higher than stated is held 5 mm higher, once off the table."""
-    scene = LiftScene.of(rope_lift.at_rest(5), rope_lift.settings)
-    thetas = [rope_lift.truth.with_values({"grip_height": h}) for h in (0.0, 0.005)]
-    x = replay(scene, thetas)
+    scene, x = simulated(rope_lift, [{}, {"grip_height": 0.005}], 5)
     held = int(np.linalg.norm(scene.body.points - scene.held[0], axis=1).argmin())
     rise = x[:, 1, held, 2] - x[:, 0, held, 2]
     assert rise[1:] == pytest.approx(0.005, abs=5e-4)
@@ -48,22 +50,17 @@ def test_a_soft_rope_keeps_its_length(rope_lift):
 
 def test_worlds_of_one_call_are_as_each_alone(cloth_lift):
     """Of a cloth, whose worlds differ in how they lie and are held."""
-    scene = LiftScene.of(cloth_lift.at_rest(4), cloth_lift.settings)
     changes = [{}, {"yaw": 0.2}, {"grip_along": 0.01, "grip_tilt": 0.3}, {"grip_reach": 0.01}]
-    thetas = [cloth_lift.truth.with_values(c) for c in changes]
-    both = replay(scene, thetas)
-    for w, theta in enumerate(thetas):
-        np.testing.assert_allclose(both[:, w], replay(scene, [theta])[:, 0], atol=1e-6)
+    _, both = simulated(cloth_lift, changes, 4)
+    for w, own in enumerate(changes):
+        np.testing.assert_allclose(both[:, w], simulated(cloth_lift, [own], 4)[1][:, 0], atol=1e-6)
     assert min(np.abs(both[:, w] - both[:, 0]).max() for w in (1, 2, 3)) > 2e-3
 
 
 def test_a_held_corner_hangs_as_steep_as_told(cloth_lift):
     """Lifted level, a corner's surroundings stay level; tilted, they do not."""
-    scene = LiftScene.of(cloth_lift.at_rest(6), cloth_lift.settings)
-    changes = [{"grip_tilt": 0.0}, {"grip_tilt": 1.2}]
-    x = replay(scene, [cloth_lift.truth.with_values(c) for c in changes])[-1]
-    corner, next_to_it = 0, scene.body.shape[1] + 1
-    drop = x[:, corner, 2] - x[:, next_to_it, 2]
+    scene, x = simulated(cloth_lift, [{"grip_tilt": 0.0}, {"grip_tilt": 1.2}], 6)
+    drop = x[-1, :, 0, 2] - x[-1, :, scene.body.shape[1] + 1, 2]
     assert drop[1] > drop[0] + 0.005
 
 
@@ -137,47 +134,12 @@ def test_threads_come_back(cloth_lift):
     assert found.theta.warp_over_weft == pytest.approx(4.0, rel=0.5)
 
 
-THETA = Theta(E_over_rho=960.0, nu=0.35)
-
-
-@pytest.fixture(scope="module")
-def recording():
-    return Recording.read(str(files("gendom") / "assets" / "demo-rope-lift.npz"))
-
-
-@pytest.mark.slow
-def test_both_engines_lift_a_rope_alike(recording):
-    x, scenes = [], []
-    for engine in ("thin", "mpm"):
-        scene = LiftScene.of(recording, SceneSettings(engine=engine, slow_frames=3, fast_frames=3))
-        at = replay(scene, [THETA])[:, 0]
-        x.append(middle(scene, at))
-        scenes.append(scene)
-        assert x[-1].shape == (len(scene.frames), len(lattice(scene)[0]), 3)
-    assert scenes[0].frames == scenes[1].frames
-    for a, b in zip(*x, strict=True):
-        away = np.linalg.norm(a[:, None] - b[None], axis=2).min(axis=1)
-        assert away.max() < 0.01
-
-
-@pytest.mark.slow
-def test_the_mpm_finds_what_rods_find(recording):
-    """E of the demo's lift within a fifth."""
-    found = [
-        estimate(recording, EstimateSettings(starts=1, scene=SceneSettings(engine=engine)))
-        for engine in ("thin", "mpm")
-    ]
-    assert found[0].usable and found[1].usable
-    a, b = (f.theta.E_over_rho for f in found)
-    assert b == pytest.approx(a, rel=0.2)
-
-
 def test_fingers_hide_what_they_hold(rope_lift):
     """Of a rope twice their reach beyond where it is held, and nothing of its far end."""
     scene = LiftScene.of(rope_lift.seen(), rope_lift.settings)
     observation = Observation(scene, NoiseModel())
     seen, (own, share) = observation.in_view, observation.shape.samples
-    x = np.einsum("mk,mka->ma", share, middle(scene, scene.initial)[own])
+    x = np.einsum("mk,mka->ma", share, scene.initial[own])
     away = np.linalg.norm(x - scene.held[0], axis=1)
     assert not seen[away < 2.0 * held_reach(scene)].any() and (away < held_reach(scene)).any()
     assert seen[away > 0.1].all()

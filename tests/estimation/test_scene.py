@@ -20,7 +20,7 @@ from gendom.estimation import (
 from gendom.estimation.observed import NoiseModel
 from gendom.estimation.placing import lying_line, lying_rectangle
 from gendom.estimation.problem import Part
-from gendom.estimation.scene_settings import SHELL_ERROR
+from gendom.estimation.scene import SHELL_ERROR
 from gendom.materials.parameters import E_over_rho_of
 from gendom.sim.lines import arc_length
 
@@ -68,10 +68,7 @@ def test_unknown_mass_assumes_a_density(rope_lift):
     [
         {"substep": 0.0},
         {"substep": np.nan},
-        {"cells_across": -1.0},
-        {"cells_across": 0.2},
         {"points": 3},
-        {"engine": "fem"},
         {"material": "denin"},
         {"friction": -0.1},
         {"damping": -1e-3},
@@ -214,13 +211,9 @@ def test_a_stated_share_is_not_looked_for(rope_lift):
     assert "natural_curvature" not in prior.names and base.natural_curvature == 0.25
     straight, _ = LiftScene.of(rope_lift.at_rest(), rope_lift.settings).prior()
     assert "natural_curvature" not in straight.names
-
-
-@pytest.mark.parametrize("share", [-0.1, 1.5, "half"])
-def test_a_share_outside_0_to_1_is_a_fault(rope_lift, share):
-    seen = rope_lift.at_rest(5)
-    faulty = replace(seen, object=replace(seen.object, extra={"natural_curvature": share}))
-    assert any("natural_curvature" in str(fault) for fault in faulty.validate())
+    for share in (-0.1, 1.5, "half"):
+        faulty = replace(seen, object=replace(seen.object, extra={"natural_curvature": share}))
+        assert any("natural_curvature" in str(fault) for fault in faulty.validate())
 
 
 def test_a_rope_across_itself_is_refused(rope_lift):
@@ -298,17 +291,15 @@ def test_limp_cloths_get_points_as_near_as_they_bend(cloth_lift):
 
 
 def test_limp_ropes_get_points_as_near_as_they_bend(rope_lift):
-    """And none fewer, not even where a search begins."""
+    """And where a search begins, half of them."""
     plain = LiftScene.of(rope_lift.at_rest(8), replace(rope_lift.settings, points=None))
     for bends, points in ((0.05, 25), (0.02, 39), (0.001, 65)):
         limp = rope_lift.truth.with_values({"E_over_rho": plain.E_over_rho(bends)})
         finer = plain.finer(limp)
         assert len(finer.initial) == points and (finer is plain) == (points == 25)
         assert finer.finer(limp) is finer
-        coarse = Part(
-            scene=finer, base=limp, shown=np.zeros(0), noise=NoiseModel(), name=""
-        ).coarser
-        assert coarse is finer
+        part = Part(scene=finer, base=limp, shown=np.zeros(0), noise=NoiseModel(), name="")
+        assert len(part.coarser.initial) == max(17, (points + 1) // 2)
 
 
 def test_frames_before_the_lift_are_no_calm_ones(rope_lift):

@@ -113,10 +113,6 @@ def test_a_hold_and_a_swing_give_modulus_and_damping(rope_lift, lifts, settings)
     assert width(found) < width(hold)
 
 
-def other_object(recording, **changes):
-    return replace(recording, object=replace(recording.object, **changes))
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -126,8 +122,9 @@ def other_object(recording, **changes):
     ],
 )
 def test_objects_that_differ_are_refused(lifts, settings, changes, words):
+    other = replace(lifts[1], object=replace(lifts[1].object, **changes))
     with pytest.raises(ParameterError, match=words):
-        estimate([lifts[0], other_object(lifts[1], **changes)], settings)
+        estimate([lifts[0], other], settings)
 
 
 def test_a_rope_and_a_cloth_are_refused(lifts, cloth_lift, settings):
@@ -163,9 +160,7 @@ def test_lifts_of_two_ropes_are_told_apart(rope_lift, lifts, settings):
 
 
 def test_ctrl_c_ends_all_of_the_search(lifts, settings):
-    """What each recording says by itself is then not looked for. Adam reads one recording."""
-    with pytest.raises(ParameterError, match="method adam: reads one recording, got 2"):
-        estimate(lifts, replace(settings, method="adam"))
+    """What each recording says by itself is then not looked for."""
 
     def interrupt(progress):
         raise KeyboardInterrupt

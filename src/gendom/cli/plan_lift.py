@@ -120,7 +120,7 @@ def plan_text(plan: LiftPlan) -> str:
         widths = [f"{100.0 * math.expm1(half[n]):.3g}" if math.isfinite(half[n]) else ""
                   for n in ("E", "damping")]  # fmt: skip
         friction = f"{half['friction']:.3f}" if math.isfinite(half["friction"]) else ""
-        carried, gain = f"{row.carried_out} of {drawn}", f"{plan.gain(row):.2f}"
+        carried, gain = f"{len(row.sd)} of {drawn}", f"{plan.gain(row):.2f}"
         star = "*" if rolls(row.motion) else ""
         rows.append((str(row.motion), *widths, friction, carried, gain, star))
     head = ("E [%]", "damping [%]", "friction", "carried out", "gain", "")

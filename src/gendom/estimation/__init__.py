@@ -1,14 +1,12 @@
 """Parameters of an object from one or more recordings."""
 
-from gendom.estimation.estimate import estimate
+from gendom.estimation.estimate import METHODS, estimate, find_method
 from gendom.estimation.intervals import IntervalCalibration
-from gendom.estimation.methods import METHODS, find_method
 from gendom.estimation.observed import NoiseModel, Observation
 from gendom.estimation.problem import EstimateSettings, Problem, Progress
 from gendom.estimation.replay import replay
 from gendom.estimation.result import FittedEstimate, chamfers
-from gendom.estimation.scene import LiftScene
-from gendom.estimation.scene_settings import SceneSettings
+from gendom.estimation.scene import LiftScene, SceneSettings
 from gendom.materials.estimate import Estimate, Verdict
 from gendom.materials.posterior import Posterior, Prior
 from gendom.materials.unknowns import UNKNOWNS, Theta, Unknown

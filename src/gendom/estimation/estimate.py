@@ -11,16 +11,15 @@ from threadpoolctl import threadpool_limits
 
 from gendom.arguments import check_list
 from gendom.datasets import Recording
-from gendom.errors import RecordingError
+from gendom.errors import ParameterError, RecordingError, did_you_mean
 from gendom.estimation.intervals import (
     IntervalCalibration,
     posterior_of,
     tip_suspected,
     told_apart,
 )
-from gendom.estimation.methods import find_method
-from gendom.estimation.methods.differential_evolution import nearest
 from gendom.estimation.methods.gauss_newton import gauss_newton, refined
+from gendom.estimation.methods.nearest import nearest
 from gendom.estimation.problem import EstimateSettings, Found, Problem, Progress, recording_names
 from gendom.estimation.registration import register
 from gendom.estimation.result import FittedEstimate, result_of
@@ -28,6 +27,23 @@ from gendom.estimation.scene import LiftScene
 from gendom.estimation.verdict import displaced, judge, refused_before
 from gendom.materials.posterior import Posterior
 from gendom.materials.unknowns import Theta
+from gendom.plugins import plugins
+
+METHODS: dict[str, Callable[[Problem], Found]] = {"gauss-newton": gauss_newton}
+"""By name; other packages add theirs by entry points of the group ``gendom.methods``."""
+
+
+def find_method(name: str) -> Callable[[Problem], Found]:
+    """The method of a name, those of other packages included.
+
+    Raises:
+        ParameterError: There is none of that name.
+    """
+    known = {**plugins("methods"), **METHODS}
+    if name not in known:
+        fix = did_you_mean(name, known) or f"choose from {', '.join(known)}"
+        raise ParameterError(f"there is no method {name!r}", fix=fix)
+    return known[name]
 
 
 def estimate(
@@ -64,10 +80,8 @@ def estimate(
         KeyboardInterrupt: If interrupted before anything was found.
     """
     settings = settings or EstimateSettings()
-    search = find_method(settings.method)
-    times = [clock.perf_counter()]
-    if isinstance(recordings, Recording):
-        recordings = [recordings]
+    search, times = find_method(settings.method), [clock.perf_counter()]
+    recordings = [recordings] if isinstance(recordings, Recording) else recordings
     check_list("recordings", recordings, Recording)
     names = names or recording_names(len(recordings))
     for recording, name in zip(recordings, names, strict=True):  # perhaps made, not read
@@ -78,10 +92,11 @@ def estimate(
         scenes = [_scene(r, settings, known, n) for r, n in zip(recordings, names, strict=True)]
         problem = Problem(scenes, settings, on_progress, known, names)
         times.append(clock.perf_counter())
-        problem, found = _searched(problem, search)
+        found = _searched(problem, search)
+        problem = found.problem or problem
         times.append(clock.perf_counter())
-        moved_by_two = len(problem.scene.held) > 1 and not problem.scene.static
-        shown = "cable" if moved_by_two else problem.scene.kind
+        cable = len(problem.scene.held) > 1 and not problem.scene.static
+        shown = "cable" if cable else problem.scene.kind
         calibration = calibration or IntervalCalibration.of(shown, settings.frames)
         shift, suspicion = tip_suspected(problem, found)
         said = (*suspicion, *told_apart(problem, found))
@@ -93,25 +108,25 @@ def estimate(
             posterior = posterior.with_assumed(problem.scene.prior(("thickness",))[0])
         if not verdict.usable:
             posterior = replace(posterior, covariance=np.diag(posterior.prior.sd**2))
-        stages = zip(("scene", "search", "intervals"), np.diff(times), strict=True)
-        seconds = {name: float(t) for name, t in stages}
-        return result_of(problem, found, posterior, alone, verdict, seconds, said)
+        seconds = zip(("scene", "search", "intervals"), np.diff(times).tolist(), strict=True)
+        return result_of(problem, found, posterior, alone, verdict, dict(seconds), said)
 
 
-def _searched(problem: Problem, search: Callable[[Problem], Found]) -> tuple[Problem, Found]:
-    """What a method finds, and the problem at the resolution that the result needs. A recording
-    that is refused whatever is found gets a few iterations, which show where it differs."""
+def _searched(problem: Problem, search: Callable[[Problem], Found]) -> Found:
+    """What a method finds, at the resolution that the result needs. A recording that is refused
+    whatever is found gets a few iterations, which show where it differs."""
     refused = refused_before(problem)
     if refused:
         problem.settings = replace(problem.settings, starts=1, max_iterations=2)
     found = search(problem)
     while problem.settings.method == "gauss-newton" and not (found.interrupted or refused):
+        problem = found.problem or problem
         finer = problem.finer(found.best.vector).beside(found)
         if finer is problem:
-            return problem, _searched_widely(problem, found)
+            return _searched_widely(problem, found)
         limp = finer.scene.limp and not problem.scene.limp
-        problem, found = finer, gauss_newton(finer) if limp else refined(finer, found)
-    return problem, found
+        found = gauss_newton(finer) if limp else refined(finer, found)
+    return found
 
 
 def _searched_widely(problem: Problem, found: Found) -> Found:
@@ -119,9 +134,9 @@ def _searched_widely(problem: Problem, found: Found) -> Found:
     best fit does: with a large displacement of the model every place fits, and steps end anywhere.
     """
     parts = zip(problem.parts, found.noise, strict=True)
-    cloth = problem.scene.kind == "cloth" and problem.scene.thin
     # a displacement so large is as large as the deviation of how a corner is held
-    if not cloth or not any(displaced(part, noise, times=5.0) for part, noise in parts):
+    far = any(displaced(part, noise, times=5.0) for part, noise in parts)
+    if problem.scene.kind != "cloth" or not far:
         return found
     try:
         wide = nearest(problem)
@@ -159,13 +174,11 @@ def _scene(
 ) -> LiftScene:
     """The scene of a recording; errors name the recording. Its clouds are registered where camera
     poses are unknown."""
-    unknown = settings.camera_pose == "unknown"
-    if settings.camera_pose is None:
-        unknown = not recording.cameras_calibrated
+    said = "stated" if recording.cameras_calibrated else "unknown"
     try:
+        unknown = (settings.camera_pose or said) == "unknown"
         registration = register(recording, settings, known) if unknown else None
         return LiftScene.of(recording, settings.scene, registration)
     except RecordingError as error:
-        where = ": ".join(filter(None, (name, error.where))) or None
-        fix, faults = error.fix, error.faults
-        raise RecordingError(error.what, where=where, fix=fix, faults=faults) from None
+        own = {"where": ": ".join(filter(None, (name, error.where))) or None, "fix": error.fix}
+        raise RecordingError(error.what, **own, faults=error.faults) from None

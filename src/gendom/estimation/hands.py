@@ -52,11 +52,8 @@ def _nearest(rig: Array, own: Array) -> tuple[int, float]:
 
 
 def clamp_steps(recording: Recording, inwards: Array) -> dict[str, dict[str, float]]:
-    """Steps of clamps' turns for differences, as changes to their priors.
-
-    They change sign as turns do when a recording is mirrored, or its ends are swapped; with other
-    differences its result would be another one.
-    """
+    """Steps of clamps' turns for differences, as changes to their priors: they change sign as turns
+    do when a recording is mirrored, or its ends are swapped, so that its result is the same."""
     rig, own = rig_axes(recording), along(recording, inwards)
     hands = recording.gripper_position.mean(axis=(0, 1))
     ahead, aside, _ = np.sign(rig @ (recording.points.mean(axis=0) - hands))

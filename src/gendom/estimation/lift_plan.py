@@ -73,12 +73,10 @@ class ObjectClass:
 
     def __post_init__(self) -> None:
         require(self.kind in KINDS, f"is {self.kind!r}", where="kind", fix="give rope or cloth")
-        ranges = (self.size, self.thickness, self.mass)
-        for where, ends in zip((*KINDS[self.kind].sizes, "mass"), ranges, strict=True):
-            if ends is not None:
-                what = f"is {ends[0]:g} to {ends[1]:g}"
-                fix = "give one number above 0, or the lower end and then the higher one"
-                require(0.0 < ends[0] <= ends[1] < math.inf, what, where=where, fix=fix)
+        for where, ends in self._ranges.items():
+            what = f"is {ends[0]:g} to {ends[1]:g}"
+            fix = "give one number above 0, or the lower end and then the higher one"
+            require(0.0 < ends[0] <= ends[1] < math.inf, what, where=where, fix=fix)
         if self.material is not None:
             what = f"{self.material} is no material of a {self.kind}"
             fix = f"gendom materials lists each {self.kind}"
@@ -87,6 +85,14 @@ class ObjectClass:
         for share in (0.0, 1.0):
             self.at(share)
 
+    @property
+    def _ranges(self) -> dict[str, tuple[float, float]]:
+        """Those that are stated, by name."""
+        given = zip(
+            (*KINDS[self.kind].sizes, "mass"), (self.size, self.thickness, self.mass), strict=True
+        )
+        return {name: ends for name, ends in given if ends is not None}
+
     def at(self, *shares: float) -> Item:
         """The object whose size, thickness and mass lie at these shares of their ranges, or all at
         one; of its material only the density counts.
@@ -94,19 +100,15 @@ class ObjectClass:
         Raises:
             ParameterError: There is no such object.
         """
-        shares = shares * 3 if len(shares) == 1 else shares
-        size, thickness = (
-            low + share * (high - low)
-            for (low, high), share in zip((self.size, self.thickness), shares, strict=False)
-        )
-        density = 1000.0
+        shares, ranges = shares * 3 if len(shares) == 1 else shares, self._ranges.items()
+        own = {
+            n: low + k * (high - low) for (n, (low, high)), k in zip(ranges, shares, strict=False)
+        }
+        mass, density = own.pop("mass", None), 1000.0
+        made: Any = KINDS[self.kind](**own)
         if self.material is not None:
             density = catalogue.get(self.material).density.typical
-        kind = KINDS[self.kind]
-        sizes: dict[str, Any] = dict(zip(kind.sizes, (size, thickness), strict=True))
-        made = kind(**sizes)
-        if self.mass is not None:
-            mass = self.mass[0] + shares[2] * (self.mass[1] - self.mass[0])
+        if mass is not None:
             density = made.material.density * mass / made.mass
             what = f"is {mass:g} kg, a density of {density:.3g} kg/m^3"
             fix = "it looks like grams; divide by 1000"
@@ -175,23 +177,19 @@ def rolls(motion: LiftMotion) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class MotionForecast:
-    """The information that one motion is expected to give about D drawn objects."""
+    """The information that one motion is expected to give about drawn objects."""
 
     motion: LiftMotion
-    sd: tuple[Mapping[str, float] | None, ...]
-    """[D] deviations of the posterior by keys of `SHOWN`, transformed; None: no information."""
+    sd: tuple[Mapping[str, float], ...]
+    """Deviations of the posterior by keys of `SHOWN`, transformed, for each object that can be
+    lifted so and simulated."""
     faults: tuple[str, ...] = ()
-    """Why objects give none, without repetitions."""
-
-    @property
-    def carried_out(self) -> int:
-        """Number of objects that give information."""
-        return sum(sd is not None for sd in self.sd)
+    """Why the others cannot, without repetitions."""
 
     def half_width(self, name: str, level: float) -> float:
         """Of the expected interval, in transformed units; NaN without information."""
-        deviations = [sd[name] for sd in self.sd if sd is not None]
-        return half_width(level) * float(np.mean(deviations)) if deviations else math.nan
+        own = [sd[name] for sd in self.sd]
+        return half_width(level) * float(np.mean(own)) if own else math.nan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,12 +206,9 @@ class LiftPlan:
     def score(self, row: MotionForecast) -> float:
         """Mean logarithm of the ratio of prior to posterior deviation, over objects and the
         parameters aimed at; 0 for an object that gives no information."""
-        gains = [
-            0.0 if sd is None else math.log(self.prior_sd[name] / sd[name])
-            for sd in row.sd
-            for name in self.settings.aims
-        ]
-        return float(np.mean(gains))
+        aims = self.settings.aims
+        gains = (math.log(self.prior_sd[name] / sd[name]) for sd in row.sd for name in aims)
+        return sum(gains) / (self.settings.draws * len(aims))
 
     def gain(self, row: MotionForecast) -> float:
         """By how much intervals are narrower than after the plain hold, the geometric mean."""
@@ -222,27 +217,26 @@ class LiftPlan:
     @property
     def chosen(self) -> MotionForecast:
         """The row with the highest score; one after which ropes roll only if there is no other."""
-        done = [row for row in self.rows if row.carried_out]
+        done = [row for row in self.rows if row.sd]
         asked = [row for row in done if row.motion.end in self.settings.ends] or done
         steady = [row for row in asked if not rolls(row.motion)]
         return max(steady or asked, key=self.score)
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON; half widths of ln E, ln damping and friction."""
-        widths = [{n: r.half_width(n, self.settings.level) for n in SHOWN} for r in self.rows]
+        level, chosen = self.settings.level, self.rows.index(self.chosen)
         rows = [
             {
                 "lift": vars(row.motion),
-                "half_width": {n: w if math.isfinite(w) else None for n, w in width.items()},
-                "carried_out": row.carried_out,
+                "half_width": {n: row.half_width(n, level) if row.sd else None for n in SHOWN},
+                "carried_out": len(row.sd),
                 "gain": self.gain(row),
                 "rolls": rolls(row.motion),
                 "sd": row.sd,
                 "faults": row.faults,
             }
-            for row, width in zip(self.rows, widths, strict=True)
+            for row in self.rows
         ]
-        chosen = self.rows.index(self.chosen)
         return {"format": "gendom-lift-plan/1", **vars(self), "chosen": chosen, "rows": rows}
 
 
@@ -268,21 +262,21 @@ def plan_lift(
     shares = (np.random.default_rng([settings.seed, n]).random(3) for n in range(settings.draws))
     drawn = [objects.at(*three) for three in shares]
     for motion in motions:
-        found: list[Mapping[str, float] | None] = []
+        found: list[Mapping[str, float]] = []
         faults: dict[str, None] = {}
         for n, item in enumerate(drawn):
-            trial, sd = lift(as_real(item), motion), None
+            trial = lift(as_real(item), motion)
             try:
                 arm = arm_motion(trial, lift_cameras(trial.item))
                 lying = recorded_lift(trial, arm, LIFT_FRAME_RATE[motion.end])
                 prior_sd, sd = forecast(lying, objects.material, [settings.seed, n])
+                found.append(sd)
             except (RobotError, SimulationError) as error:
                 faults[str(error)] = None
-            found.append(sd)
             on_done(len(rows) * len(drawn) + n + 1, len(motions) * len(drawn))
         rows.append(MotionForecast(motion=motion, sd=tuple(found), faults=tuple(faults)))
     require(
-        any(row.carried_out for row in rows),
+        any(row.sd for row in rows),
         f"no object can be lifted by any of {len(rows)} motions: {next(iter(rows[0].faults), '')}",
         where="plan",
         fix="lift smaller objects, or less high",
@@ -306,14 +300,13 @@ def forecast(
     """
     coarse = 15 if lying.object.kind == "cloth" else None
     settings = EstimateSettings(scene=SceneSettings(material=material, points=coarse, threads=1))
-    scene = LiftScene.of(lying, settings.scene)
+    scene, rng = LiftScene.of(lying, settings.scene), np.random.default_rng([*seed, 1])
     prior, base = scene.prior()
-    believed = {name: float(scene.prior((unknown,))[0].sd[0]) for name, unknown in SHOWN.items()}
-    rng = np.random.default_rng([*seed, 1])
-    truth = drawn(prior, rng)
+    truth, comparison = drawn(prior, rng), None
     (shown,) = imagined(scene, [prior.theta(truth, base)], settings.noise.sensor, rng)
-    problem = Problem([scene if shown is None else replace(scene, recording=shown)], settings)
-    comparison = None if shown is None else problem.compare([truth])[0]
+    if shown is not None:
+        problem = Problem([replace(scene, recording=shown)], settings)
+        (comparison,) = problem.compare([truth])
     if comparison is None:
         raise SimulationError(f"a drawn {lying.object.kind} could not be simulated")
     start = Start(initial=truth, vector=truth, comparison=comparison)
@@ -321,11 +314,10 @@ def forecast(
     covariance = np.linalg.inv(problem.gradient_and_hessian(start, noise)[1])
     calibration = IntervalCalibration.of(scene.kind)
     posterior = calibration.posterior(prior, truth, covariance, problem.bases)
+    before = {name: float(scene.prior((unknown,))[0].sd[0]) for name, unknown in SHOWN.items()}
     # unknowns that such a recording does not determine keep their priors
-    return believed, {
-        name: posterior.sd(unknown) if unknown in prior.names else believed[name]
-        for name, unknown in SHOWN.items()
-    }
+    own = {name: posterior.sd(u) for name, u in SHOWN.items() if u in prior.names}
+    return before, before | own
 
 
 def drawn(prior: Prior, rng: np.random.Generator) -> Array:
@@ -342,15 +334,11 @@ def imagined(
 ) -> list[Recording | None]:
     """Recordings of a scene's lift of objects with these parameters, by cameras with some noise
     [m]; None where one could not be simulated. Only frames that are compared show points."""
-    found: list[Recording | None] = []
     every = np.swapaxes(replay(scene, thetas, keep_going=True), 0, 1)
-    for x, theta in zip(every, thetas, strict=True):
-        shown = None
-        if np.isfinite(x).all():
-            clouds = _seen(scene, x, theta, noise, rng)
-            shown = _showing(scene.recording, scene.frames, clouds)
-        found.append(shown)
-    return found
+    return [
+        _seen(scene, x, theta, noise, rng) if np.isfinite(x).all() else None
+        for x, theta in zip(every, thetas, strict=True)
+    ]
 
 
 def recorded_lift(trial: Trial, arm: JointMotion, frame_rate: float) -> Recording:
@@ -385,24 +373,19 @@ def recorded_lift(trial: Trial, arm: JointMotion, frame_rate: float) -> Recordin
     )
 
 
-def _showing(lying: Recording, frames: Sequence[int], clouds: Sequence[Array]) -> Recording:
-    """A recording with other clouds in some frames, and none in those after the first of them."""
-    shown = dict(zip(frames, clouds, strict=True))
-    nothing = np.zeros((0, 3))
-    every = [
-        shown.get(t, lying.frame(t) if t <= frames[0] else nothing) for t in range(lying.num_frames)
-    ]
-    return replace(lying, points=np.concatenate(every), offsets=np.cumsum([0, *map(len, every)]))
-
-
 def _seen(
     scene: LiftScene, x: Array, theta: Theta, noise: float, rng: np.random.Generator
-) -> list[Array]:
-    """T clouds of an object at [T, N, 3] [m] that the scene's cameras see with some noise [m]."""
-    most, clouds = CLOUD_POINTS[scene.kind], []
-    for skin in scene.body_of(theta).surface(x):
+) -> Recording:
+    """The recording of an object at [T, N, 3] [m] in a scene's frames by its cameras with some
+    noise [m]; later frames than the first of them show nothing else."""
+    lying, most, shown = scene.recording, CLOUD_POINTS[scene.kind], {}
+    for t, skin in zip(scene.frames, scene.body_of(theta).surface(x), strict=True):
         if scene.kind == "rope":
-            skin = skin[visible(skin, camera_positions=scene.recording.camera_positions)]
+            skin = skin[visible(skin, camera_positions=lying.camera_positions)]
         skin = skin[rng.choice(len(skin), size=min(most, len(skin)), replace=False)]
-        clouds.append(skin + noise * rng.standard_normal(skin.shape))
-    return clouds
+        shown[t] = skin + noise * rng.standard_normal(skin.shape)
+    before, nothing = range(scene.frames[0]), np.zeros((0, 3))
+    every = [
+        lying.frame(t) if t in before else shown.get(t, nothing) for t in range(lying.num_frames)
+    ]
+    return replace(lying, points=np.concatenate(every), offsets=np.cumsum([0, *map(len, every)]))

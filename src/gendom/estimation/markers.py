@@ -1,10 +1,9 @@
 """Markers of a cable that two hands hold, which are beside its axis, and its material's frames.
 
-A ball of a motion capture is glued onto a sheath, so it is up to two centimetres beside the axis,
-and turns with the cable. Where a marker is in the frame of its cross-section is a property of the
-cable as it is instrumented: `Theta.offsets`. Frames begin as the first hand's, go along the rod
-without twist (Bishop 1975, "There is more than one way to frame a curve") and turn about it evenly,
-such that the last one is the other hand's.
+A ball of a motion capture on a sheath is up to two centimetres beside the axis, and turns with the
+cable: `Theta.offsets` has where it is in the frame of its cross-section. Frames begin as the first
+hand's, go along the rod without twist (Bishop 1975, "There is more than one way to frame a curve")
+and turn about it evenly, such that the last one is the other hand's.
 """
 
 from __future__ import annotations
@@ -100,7 +99,7 @@ def spread(scene: LiftScene) -> Array:
 @functools.lru_cache(maxsize=64)
 def beside_axis(scene: LiftScene) -> Array:
     """[m, k] offsets of m markers, orthonormal, with which both hands are on the axis, and which do
-    not bend it to one side: a twist or a bend by nature does so, and is alike all along it."""
+    not bend it to one side, as a twist or a bend by nature does."""
     fine = np.linspace(0.0, 1.0, 16 * len(scene.initial))
     own = np.linspace(0.0, 1.0, len(scene.initial))
     x, along = (interp1d(own, v, axis=0)(fine) for v in (scene.initial, spread(scene)))

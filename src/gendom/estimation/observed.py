@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from gendom.arrays import Array
 from gendom.estimation.markers import beside_axis
-from gendom.estimation.replay import Shape, held_reach, lattice, middle, nearest_of
+from gendom.estimation.replay import Shape, held_reach, lattice, nearest_of
 from gendom.estimation.scene import LiftScene
 from gendom.observation import visible
 
@@ -20,23 +20,22 @@ UNKNOWN_SHIFT, UNKNOWN_TURN = 0.05, 0.1
 registration."""
 
 THIN, SKIN_OF_THIN = 0.008, 1e-5
-"""Diameter of a thin rope, and `NoiseModel.skin` of it [m]. Depth is mixed at most of its pixels,
-which widens it along the views: a larger skin would fit better than the true one."""
+"""Diameter of a thin rope, and `NoiseModel.skin` of it [m]: mixed depth at most of its pixels
+widens it along the views, and a larger skin would fit better than the true one."""
 
 NO_SKIN = 1e-8
 """`NoiseModel.skin` of markers in motion, whose coordinates count, not their distance [m]."""
 
 SHARED = 16.0
-"""`NoiseModel.patch` of markers in motion, the first guess: what moves otherwise than the model
-does so for some tenths of a second, along a quarter of the cable."""
+"""`NoiseModel.patch` of markers in motion, the first guess: some tenths of a second, along a
+quarter of the cable."""
 
 PLACE_SCALE, TIME_SCALE = 0.3, 0.1
-"""Correlation length of displacements along the object, in its size, and their correlation time, as
-a share of the compared frames."""
+"""Correlation length of displacements, in the object's size, and time, in the compared frames."""
 
 LEAST_MODE, LEAST_MODE_OF_SIDE, LEAST_SQUARE = 0.01, 0.05, 0.02
-"""Modes of displacements that count have at least this share of the largest one's variance, of
-ropes and in time, and of cloths along each side; and of cloths this mean square for one of 1."""
+"""Least shares of the largest one's variance of modes of displacements that count, of ropes and in
+time, and of cloths along each side; and of cloths their least mean square for one of 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,26 +117,21 @@ class Observation:
         near = [t.query(t.data, k=2)[0][:, 1] if t.n > 1 else 0.0 for t in self.trees]
         self.gaps = np.array([max(0.005, 3.0 * float(np.median(d))) for d in near])
         self.centre = np.mean([c.mean(axis=0) for c in self.clouds], axis=0)
-        sizes = [len(c) for c in self.clouds]
         # clouds of one size, with points that do not count
-        self.points = np.zeros((len(sizes), max(sizes), 3))
-        self.counts = np.zeros(self.points.shape[:2])
-        for t, (cloud, size) in enumerate(zip(self.clouds, sizes, strict=True)):
-            self.points[t, :size], self.points[t, size:] = cloud, cloud[0]
-            self.counts[t, :size] = 1.0
+        sizes = np.array([len(c) for c in self.clouds])
+        own = np.arange(sizes.max())
+        self.points = np.stack([c[np.where(own < len(c), own, 0)] for c in self.clouds])
+        self.counts = (own < sizes[:, None]).astype(float)
         self.shape = Shape(scene)
         # samples that no fingers hide: farther from what is held than twice its reach
         own, share = self.shape.samples
-        x = np.einsum("mk,mka->ma", share, middle(scene, scene.initial)[own])
+        x = np.einsum("mk,mka->ma", share, scene.initial[own])
         away = np.linalg.norm(x[:, None] - scene.held, axis=2).min(axis=1)
         self.in_view = away > 2.0 * held_reach(scene) + scene.body.thickness
-        self.markers = None
-        if scene.places is not None:
-            self.markers = scene.markers
-        elif scene.ordered:
-            rest = middle(scene, scene.initial)
+        self.markers = None if scene.places is None else scene.markers
+        if scene.places is None and scene.ordered:
             first = scene.recording.frame(scene.begins).astype(float)
-            index, weight, _ = self.shape.nearest(rest[None], first[None])
+            index, weight, _ = self.shape.nearest(scene.initial[None], first[None])
             self.markers = index[0], weight[0]
         # functions by which displacements change, scaled by deviations: [T, R] of the frames, which
         # are denser where more happens, and [n, Q] of the middle's points
@@ -191,7 +185,11 @@ class Observation:
             rho = np.where(inside, np.abs(high) - r, rho)
         own, share = self.shape.samples
         c = np.einsum("mk,tmka->tma", share, shape[:, own])
-        near = np.take_along_axis(self.points, self._nearest(c)[..., None], axis=1)
+        if self.shape.rope:
+            nearest = nearest_of(self.points, c)
+        else:
+            nearest = np.stack([tree.query(x)[1] for tree, x in zip(self.trees, c, strict=True)])
+        near = np.take_along_axis(self.points, nearest[..., None], axis=1)
         gap = np.linalg.norm(near - c, axis=2)
         out = gap - r - self.gaps[:, None]
         bare = (out > 0.0) & self.in_view
@@ -214,20 +212,11 @@ class Observation:
 
     def in_sight(self, shape: Array) -> Array:
         """[m] which samples of a shape [n, 3] a camera sees."""
-        own, share = self.shape.samples
-        c, cameras = (
-            np.einsum("mk,mka->ma", share, shape[own]),
-            self.scene.recording.camera_positions,
-        )
+        (own, share), cameras = self.shape.samples, self.scene.recording.camera_positions
+        c = np.einsum("mk,mka->ma", share, shape[own])
         if self.shape.rope:
             return visible(c, camera_positions=cameras)
         return np.ones(len(c), bool) if cameras is None else self.shape.open_to(cameras, shape, c)
-
-    def _nearest(self, places: Array) -> Array:
-        """[T, m] the clouds' points that are nearest to places [T, m, 3]."""
-        if self.shape.rope:
-            return nearest_of(self.points, places)
-        return np.stack([t.query(x)[1] for t, x in zip(self.trees, places, strict=True)])
 
     def _marker_rows(self, shape: Array) -> Rows:
         """All three coordinates of a marker count: markers are few and accurate."""

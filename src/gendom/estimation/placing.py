@@ -18,10 +18,13 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
-from gendom.estimation.scene_settings import SHELL_POINTS, SceneSettings
 from gendom.materials import KINDS
 from gendom.sim import Body, cloth, rope
 from gendom.sim.lines import along_line, arc_length
+
+SHELL_POINTS = 33
+"""Along the longer side of a cloth. Cloths that bend over 0.09 and 0.16 of a side then move like
+ones of 81 points if E is 0.87 and 1.01 times theirs."""
 
 LINE_PLACES = 200
 """Along the line of a rope at rest."""
@@ -52,7 +55,7 @@ class Placed:
 
     body: Body
     initial: Array
-    """[N, 3] particles, or points of a rod or shell [m]."""
+    """[N, 3] points of a rod or shell [m]."""
     velocities: Array | None = None
     """[N, 3] likewise [m/s]; None: at rest."""
     places: Array | None = None
@@ -63,30 +66,36 @@ class Placed:
     """[G, 3] points of the object that the grippers hold [m]."""
     inwards: Array
     """[G, 3] unit vectors from those along the object: a rope's direction, a cloth's diagonal."""
+    lies: Array | None = None
+    """How an object lies on its table: [K, 3] a rope's centre line [m], or a cloth's turn [rad]."""
 
 
 def place(
-    recording: Recording, settings: SceneSettings, frames: tuple[int, ...], notes: list[str]
+    recording: Recording,
+    points: int | None,
+    frames: tuple[int, ...],
+    notes: list[str],
+    lies: Array | None = None,
 ) -> Placed:
-    """Where the recorded object lies in the beginning, and where it is held; ``notes`` get what was
-    assumed. Of ``frames``, those that hold points, there is one at least.
+    """Where the recorded object lies in the beginning, with so many points along it, and where it
+    is held; ``notes`` get what was assumed. Of ``frames``, those that hold points, there is one at
+    least. ``lies`` is `Placed.lies` where that is known.
 
     Raises:
         RecordingError: The recording shows too little to place the object, or no rope or cloth.
         ParameterError: The engine cannot simulate it.
     """
     kind = recording.object.kind
-    what = f"objects of kind {kind!r} cannot be simulated"
-    require(
-        kind in KINDS, what, where="meta.object.kind", fix="use rope or cloth", error=RecordingError
-    )
-    of_rope = _place_rope if recording.num_grippers == 1 else _place_between
-    own = _place_cloth if kind == "cloth" else of_rope
-    return own(recording, settings, frames, notes)
-
-
-def _points_of(body: Body, settings: SceneSettings) -> Array:
-    return np.asarray(body.points if settings.engine == "thin" else body.x, dtype=float)
+    what, where = f"objects of kind {kind!r} cannot be simulated", "meta.object.kind"
+    require(kind in KINDS, what, where=where, fix="use rope or cloth", error=RecordingError)
+    if kind == "cloth":
+        return _place_cloth(recording, points, frames, notes, lies)
+    length, diameter = _sizes_of_rope(recording, notes)
+    if recording.num_grippers == 1:
+        line = _line_from(recording, frames, length, diameter) if lies is None else lies
+        return _place_rope(recording, points, length, diameter, line)
+    notes.append("held at both ends: straight by nature, as far as is known")
+    return _place_between(recording, points, frames, length, diameter)
 
 
 def _sizes_of_rope(recording: Recording, notes: list[str]) -> tuple[float, float]:
@@ -97,59 +106,49 @@ def _sizes_of_rope(recording: Recording, notes: list[str]) -> tuple[float, float
         share = THIN if recording.extra.get("static", False) else THICK
         diameter = length / share
         notes.append(f"diameter not stated: {diameter:.4g} m assumed (length / {share:g})")
-    require(
-        diameter <= 0.2 * length,
+    what, fix = (
         f"a rope {diameter:g} m thick and {length:g} m long is no rope",
-        where="meta.object",
-        fix="give diameter and length in metres",
-        error=RecordingError,
+        "give both in metres",
     )
+    require(diameter <= 0.2 * length, what, where="meta.object", fix=fix, error=RecordingError)
     return length, diameter
 
 
 def _place_rope(
-    recording: Recording, settings: SceneSettings, frames: tuple[int, ...], notes: list[str]
+    recording: Recording, points: int | None, length: float, diameter: float, line: Array
 ) -> Placed:
-    """A rope on its table, held near one end."""
-    length, diameter = _sizes_of_rope(recording, notes)
-    grip = recording.gripper_position[frames[0], 0].astype(float)
+    """A rope along a line [K, 3] on its table, held near one end."""
     inset = recording.object.grasp_inset or diameter / 2.0
-    body = rope(
-        diameter=diameter,
-        length=length,
-        centre_line=_line_from(recording, grip, frames, diameter, length, inset),
-        cells_across=settings.cells_across,
-        points=settings.points,
-    )
+    body = rope(diameter=diameter, length=length, centre_line=line, points=points)
     steps, s = np.diff(body.points, axis=0), arc_length(body.points)
     held = np.array([np.interp(inset, s, x) for x in body.points.T])
     direction = steps[min(int(np.searchsorted(s, inset)), len(steps) - 1)]
     return Placed(
         body=body,
-        initial=_points_of(body, settings),
+        initial=np.asarray(body.points, dtype=float),
         held=held[None],
         inwards=direction[None] / np.linalg.norm(direction),
+        lies=line,
     )
 
 
 def _place_between(
-    recording: Recording, settings: SceneSettings, frames: tuple[int, ...], notes: list[str]
+    recording: Recording,
+    points: int | None,
+    frames: tuple[int, ...],
+    length: float,
+    diameter: float,
 ) -> Placed:
-    """A rope that two grippers hold by its ends, straight by nature; with rods alone, since bodies
-    of the MPM are free of stress as they begin."""
-    what = "a rope held at both ends is simulated as a rod"
-    require(settings.engine == "thin", what, where="engine", fix="engine 'thin'")
-    length, diameter = _sizes_of_rope(recording, notes)
+    """A rope that two grippers hold by its ends, straight by nature."""
     grip = recording.gripper_position[frames[0]].astype(float)
     s, line, speeds, backwards = _line_between(recording, grip, frames, length, diameter)
     shown, s = float(s[-1]), s * (length / s[-1])
-    body = rope(diameter=diameter, length=length, points=settings.points)
+    body = rope(diameter=diameter, length=length, points=points)
     u = np.linspace(0.0, length, len(body.points))
     ordered = recording.extra.get("ordered_markers", False)
     near = MARKER if ordered else max(MARKER, 0.5 * diameter)
     x = rod_near(length, line, s / u[1], len(u), near)
     ends = np.stack([x[1] - x[0], x[-2] - x[-1]])
-    notes.append("held at both ends: straight by nature, as far as is known")
     return Placed(
         body=body,
         initial=x,
@@ -164,9 +163,9 @@ def _place_between(
 def lost_time(recording: Recording) -> Array:
     """[T] time that is missing in the recorded times by each frame [s].
 
-    A recorder that numbers its frames and loses some states times that are too short. Where
-    measured hands leap, and their steps before and after are alike, the leap took as many intervals
-    as it has such steps.
+    A recorder that numbers its frames and loses some states times that are too short: where
+    measured hands leap, with like steps before and after, that took as many intervals as it has
+    such steps.
     """
     time, late = recording.time, np.zeros(recording.num_frames)
     if recording.gripper_source != "measured" or recording.quasi_static or len(time) < 8:
@@ -205,6 +204,7 @@ def rod_near(length: float, shown: Array, places: Array, n: int, near: float = M
     linear = np.concatenate([at / near, bend / (TURN * edge)])
     wanted = linear.T @ np.concatenate([shown / near, np.zeros((n - 2, 3))])
     square, e = np.kron(linear.T @ linear, np.eye(3)), np.arange(n - 1)
+    band = np.zeros((9, 3 * n))
     for _ in range(6):
         step = np.diff(x, axis=0)
         size = np.linalg.norm(step, axis=1)
@@ -213,8 +213,9 @@ def rod_near(length: float, shown: Array, places: Array, n: int, near: float = M
         J = rows.reshape(n - 1, -1) / (STRAIN * edge)
         pull = (wanted - linear.T @ (linear @ x)).ravel() + J.T @ (edge - size) / (STRAIN * edge)
         A = J.T @ J + square  # a point meets its neighbours and theirs
-        band = [np.pad(np.diagonal(A, -k), (0, k)) for k in range(9)]
-        x = x + solveh_banded(np.stack(band), pull, lower=True).reshape(n, 3)
+        for k in range(9):
+            band[k, : 3 * n - k] = np.diagonal(A, -k)
+        x = x + solveh_banded(band, pull, lower=True).reshape(n, 3)
     return x
 
 
@@ -243,14 +244,11 @@ def _line_between(
         cloud, gaps = cloud[::-1], gaps[::-1]
         speeds = None if speeds is None else speeds[::-1]
     s = np.concatenate([[0.0], np.cumsum(gaps)])
-    require(
-        MEASURED_LINE[0] * length <= s[-1] <= MEASURED_LINE[1] * length,
-        f"in the first frame points lie along a line of {s[-1]:.3g} m from one gripper to the "
-        f"other, the object is stated to be {length:.3g} m long",
-        where="meta.object.length",
-        fix="give the length between the grippers, and points in metres",
-        error=RecordingError,
-    )
+    what = f"in the first frame points lie along a line of {s[-1]:.3g} m from one gripper to the"
+    what += f" other, the object is stated to be {length:.3g} m long"
+    where, fix = "meta.object.length", "give the length between the grippers, and points in metres"
+    near = MEASURED_LINE[0] * length <= s[-1] <= MEASURED_LINE[1] * length
+    require(near, what, where=where, fix=fix, error=RecordingError)
     for _ in range(3):  # chords of a bend are shorter than what is between the markers
         fine = np.linspace(s[:-1], s[1:], 17, axis=1)
         steps = np.diff(CubicSpline(s, cloud)(fine), axis=1)
@@ -259,24 +257,18 @@ def _line_between(
 
 
 def _line_from(
-    recording: Recording,
-    grip: Array,
-    frames: tuple[int, ...],
-    diameter: float,
-    length: float,
-    behind: float,
+    recording: Recording, frames: tuple[int, ...], length: float, diameter: float
 ) -> Array:
     """Centre line of a rope at rest, from somewhat behind the gripper on."""
     early = early_points(recording, frames, diameter)
-    flat = early[:, :2] - grip[:2]
+    grip = recording.gripper_position[frames[0], 0].astype(float)
+    behind, flat = recording.object.grasp_inset or diameter / 2.0, early[:, :2] - grip[:2]
+    what = "the first frames show too little of the rope to tell which way it lies"
+    where = f"frames {frames[0]}-{frames[min(9, len(frames) - 1)]}"
+    fix = "record from the rope at rest on; is its length in metres?"
     # points farther from the gripper tell which way it lies
-    require(
-        int((np.linalg.norm(flat, axis=1) > 0.25 * length).sum()) >= 5,
-        "the first frames show too little of the rope to tell which way it lies",
-        where=f"frames {frames[0]}-{frames[min(9, len(frames) - 1)]}",
-        fix="record from the rope at rest on; is its length in metres?",
-        error=RecordingError,
-    )
+    far = int((np.linalg.norm(flat, axis=1) > 0.25 * length).sum())
+    require(far >= 5, what, where=where, fix=fix, error=RecordingError)
     line = lying_line(flat, length / diameter)
     s = arc_length(line)
     # where the gripper is along it: before its first point, which fingers may hide, straight on
@@ -353,12 +345,15 @@ def _principal_curve(
 
 def _turn(yaw: float) -> Array:
     """[2, 2]."""
-    c, s = math.cos(yaw), math.sin(yaw)
-    return np.array([[c, -s], [s, c]])
+    return np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
 
 
 def _place_cloth(
-    recording: Recording, settings: SceneSettings, frames: tuple[int, ...], notes: list[str]
+    recording: Recording,
+    points: int | None,
+    frames: tuple[int, ...],
+    notes: list[str],
+    lies: Array | None,
 ) -> Placed:
     """A flat cloth on its table."""
     described, thickness = recording.object, recording.object.thickness
@@ -372,26 +367,27 @@ def _place_cloth(
     diagonal, held = sides / math.hypot(*sides), sides / 2.0
     if described.grasp == "corner":
         held = (described.grasp_inset or 0.0) * diagonal
-    yaw = _cloth_yaw(recording, frames, sides, -held)
+    yaw = _cloth_yaw(recording, frames, sides, -held) if lies is None else float(lies)
     low = recording.table_height
     if low is None:
         low = float(np.percentile(early_points(recording, frames, 0.05 * longer)[:, 2], 5))
     mid = low + thickness / 2.0
-    turn, spacing = _turn(yaw), longer / ((settings.points or SHELL_POINTS) - 1)
+    turn, spacing = _turn(yaw), longer / ((points or SHELL_POINTS) - 1)
     body = cloth(
         width=described.width,
         height=described.height,
         thickness=thickness,
-        dx=longer / 14.0 * 1.5 / settings.cells_across,
+        dx=longer / 14.0,
         corner=np.append(grip[:2] - turn @ held, mid),
         yaw=yaw,
         points=(1 + max(2, round(sides[0] / spacing)), 1 + max(2, round(sides[1] / spacing))),
     )
     return Placed(
         body=body,
-        initial=_points_of(body, settings),
+        initial=np.asarray(body.points, dtype=float),
         held=np.array([[grip[0], grip[1], mid]]),
         inwards=np.append(turn @ diagonal, 0.0)[None],
+        lies=np.array(yaw),
     )
 
 
@@ -399,32 +395,25 @@ def _cloth_yaw(recording: Recording, frames: tuple[int, ...], sides: Array, firs
     """Turn of a flat cloth with sides [2] and its first corner at [2] from the held point, about
     that point.
 
-    Of a cloth that lies flat before it is lifted, the turn of its outline. Held by a corner it
-    hangs evenly about its diagonal, so otherwise the diagonal points to where the lifted cloud is.
-    Held elsewhere, the turn whose outline holds the low points best.
+    Of a cloth that lies flat before it is lifted, or is not held by a corner, the turn of its
+    outline. Otherwise it hangs evenly about its diagonal, which points to where the lifted cloud
+    is.
     """
     grip, longer = recording.gripper_position[frames[0], 0], float(sides.max())
     lying = early_points(recording, frames, 0.01 * longer)[:, :2] - grip[:2]
-    yaw, off = _outline_yaw(lying, first, sides, filled=True)
+    yaw, off = _outline_yaw(lying, first, sides)
     # cloths of the second reality have 0.012, real ones that lie in folds 0.11 and more
-    if off < 0.03 * longer:
+    if off < 0.03 * longer or recording.object.grasp != "corner":
         return _along_edges(lying, yaw)
-    if recording.object.grasp == "corner":
-        later = frames[len(frames) // 2 :]
-        towards = [recording.frame(t)[:, :2].mean(axis=0) - grip[:2] for t in later]
-        x, y = np.median(np.array(towards, dtype=float), axis=0)
-        return math.atan2(y, x) - math.atan2(sides[1], sides[0])
-    points = np.concatenate([recording.frame(t) for t in frames]).astype(float)
-    base = recording.table_height if recording.table_height is not None else points[:, 2].min()
-    low = points[points[:, 2] < base + 0.15 * longer]
-    flat = (low if len(low) > 50 else points)[:, :2] - grip[:2]
-    return _outline_yaw(flat, first, sides, filled=False)[0]
+    later = frames[len(frames) // 2 :]
+    towards = [recording.frame(t)[:, :2].mean(axis=0) - grip[:2] for t in later]
+    x, y = np.median(np.array(towards, dtype=float), axis=0)
+    return math.atan2(y, x) - math.atan2(sides[1], sides[0])
 
 
-def _outline_yaw(points: Array, first: Array, sides: Array, *, filled: bool) -> tuple[float, float]:
+def _outline_yaw(points: Array, first: Array, sides: Array) -> tuple[float, float]:
     """The turn with which a rectangle, its first corner at [2], fits points [n, 2] best, both seen
-    from the point that it turns about; and the mean distance from points to it and, if points
-    should fill it, from it to points [m]."""
+    from the point that it turns about; and the mean distance from points to it and back [m]."""
     every = math.ceil(len(points) / 2000)
     points, grid = points[::every], (np.indices((12, 12)).reshape(2, -1).T + 0.5) / 12.0
     tree, inside = KDTree(points), first + grid * sides
@@ -433,7 +422,7 @@ def _outline_yaw(points: Array, first: Array, sides: Array, *, filled: bool) -> 
         turn = _turn(yaw)
         beyond = np.abs(points @ turn - first - sides / 2.0) - sides / 2.0
         outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1).mean()
-        return float(outside + (tree.query(inside @ turn.T)[0].mean() if filled else 0.0))
+        return float(outside + tree.query(inside @ turn.T)[0].mean())
 
     coarse = min(np.radians(np.arange(-180.0, 180.0, 2.5)), key=off)
     found = minimize_scalar(off, bounds=(coarse - 0.05, coarse + 0.05), method="bounded")
@@ -485,7 +474,7 @@ def lying_rectangle(points: Array) -> tuple[float, float] | None:
 
 def with_points(recording: Recording) -> tuple[int, ...]:
     """Frames that hold points."""
-    return tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
+    return tuple(np.flatnonzero(recording.frame_valid).tolist())
 
 
 def early_points(recording: Recording, frames: tuple[int, ...], size: float) -> Array:

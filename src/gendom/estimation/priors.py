@@ -14,16 +14,15 @@ from gendom.materials.unknowns import UNKNOWNS
 
 BENDING_RANGE = {"rope": (0.04, 2.5), "held rope": (0.04, 1.2), "cloth": (0.01, 0.2)}
 """Range of bending lengths that is searched, in lengths of a rope or diagonals of a cloth: below it
-the object hangs like a chain, above it it does not bend; a rope between two hands then
-has one shape whatever its E."""
+the object hangs like a chain, above it it does not bend."""
 
 UNKNOWN_THICKNESS = 0.8
 """Deviation of the logarithm of a diameter or thickness that is assumed: ropes are a hundredth to a
-sixteenth of their length thick. `UNKNOWNS` has that of one whose accuracy is not stated."""
+sixteenth of their length thick."""
 
 HEIGHT = {"measured": 0.002, "commanded": 0.01}
-"""Deviation of a rope's gripper [m]: of calibrated arms and rulers, and of arms that follow late,
-with fingertips whose point is not the tool's. A cloth's commanded one has twice the latter."""
+"""Deviation of a rope's gripper [m]: of calibrated arms and rulers, and of arms that follow late. A
+cloth's commanded one has twice the latter."""
 
 INSET, UNKNOWN_INSET = 0.002, 0.008
 """Deviation of a distance from a rope's end [m]: stated, and where half the diameter is assumed."""
@@ -36,8 +35,7 @@ DELAY = {"measured": (0.0, 0.02), "commanded": (0.05, 0.1)}
 """Mean and deviation of how late clouds are after the gripper [s]."""
 
 FRAME_SHARE = 12.0**-0.5
-"""Deviation of a quasi-static recording's delay, in intervals between frames: its times are often
-those of the nearest frame, or its numbers."""
+"""Deviation of a quasi-static recording's delay, in intervals: its times are often frames'."""
 
 CLAMPS = ("first_clamp_x", "first_clamp_y", "last_clamp_x", "last_clamp_y", "clamp_twist")
 """How two hands hold a rope, where markers beside it show its ends."""
@@ -68,14 +66,11 @@ def stated_priors(recording: Recording) -> dict[str, dict[str, float]]:
 
 def _delay(recording: Recording) -> dict[str, float]:
     """The prior of how late clouds are, as changes to that of `UNKNOWNS`."""
-    (mean, sd), frames = DELAY[recording.gripper_source], 0.0
+    (mean, sd), u, times = DELAY[recording.gripper_source], UNKNOWNS["delay"], 1.0
     if recording.quasi_static and recording.num_frames > 1:
-        frames = FRAME_SHARE * float(np.median(np.diff(recording.time)))
-    if frames <= sd:
-        return {"mean": mean, "sd": sd}
-    u, times = UNKNOWNS["delay"], frames / sd
+        times = max(1.0, FRAME_SHARE * float(np.median(np.diff(recording.time))) / sd)
     wider = {n: times * getattr(u, n) for n in ("low", "high", "step", "widest")}
-    return {"mean": mean, "sd": frames, **wider}
+    return {"mean": mean, "sd": times * sd, **wider}
 
 
 def _thickness(described: ObjectDescription) -> dict[str, float]:
@@ -107,21 +102,14 @@ def material_prior(
         ParameterError: It is of another kind, or its E / density is out of the range of ``moduli``
             [m^2/s^2].
     """
-    require(
-        material.kind == kind,
-        f"{material.name} is a {material.kind}, and a {kind} was recorded",
-        where="material",
-        fix=f"gendom materials lists each {kind}",
-    )
-    E, density = material.E, material.density
+    what = f"{material.name} is a {material.kind}, and a {kind} was recorded"
+    fix, E, density = f"gendom materials lists each {kind}", material.E, material.density
+    require(material.kind == kind, what, where="material", fix=fix)
     modulus = E.typical / density.typical
     like = "a chain" if modulus <= moduli[0] else "a stick"
-    require(
-        moduli[0] < modulus < moduli[1],
-        f"an object of these sizes, made of {material.name}, would be {like}",
-        where="material",
-        fix="check the recording's sizes with gendom check, or leave the material out",
-    )
+    what = f"an object of these sizes, made of {material.name}, would be {like}"
+    fix = "check the recording's sizes with gendom check, or leave the material out"
+    require(moduli[0] < modulus < moduli[1], what, where="material", fix=fix)
     found = {"E_over_rho": {"mean": modulus, "sd": math.hypot(E.log_sd, density.log_sd)}}
     for name in ("nu", "damping", "friction"):
         unknown, known = UNKNOWNS[name], getattr(material, name)

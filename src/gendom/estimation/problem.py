@@ -17,13 +17,13 @@ from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons
 from gendom.estimation.observed import NoiseModel, Observation
-from gendom.estimation.replay import Shape, middle, replay_axis
-from gendom.estimation.scene import LiftScene
-from gendom.estimation.scene_settings import (
+from gendom.estimation.replay import Shape, replay_axis
+from gendom.estimation.scene import (
     COARSE_FRAMES,
     COARSE_POINTS,
     COARSE_STRETCH,
     STRETCH,
+    LiftScene,
     SceneSettings,
 )
 from gendom.materials.posterior import Prior, joint_prior, prior_of
@@ -44,8 +44,7 @@ class EstimateSettings:
     """How parameters are estimated; written into every result."""
 
     method: str = "gauss-newton"
-    """Method of the search: gauss-newton, adam, differential-evolution or another package's
-    (docs/estimation.md)."""
+    """Method of the search: gauss-newton or another package's (docs/estimation.md)."""
     starts: int = 3
     """Number of starts of a search: the best of a scan, and random ones; of ropes in one hand the
     best ones of a finer scan."""
@@ -112,7 +111,7 @@ class Start:
     iterations: int = 0
     done: bool = False
     renew: bool = False
-    """Whether the comparison's derivatives, taken at a neighbour, are too inaccurate to be used."""
+    """Whether the comparison's derivatives, of a neighbour, are too inaccurate to be used."""
     exact: bool = False
     """Whether they are its own."""
     stage: str = ""
@@ -123,8 +122,8 @@ class Start:
     def noted(self) -> None:
         """Let the history have where it is."""
         assert self.comparison is not None
-        place = self.iterations, self.vector.copy(), self.comparison.rms, self.stage
-        self.history.append(place)
+        rms = self.comparison.rms
+        self.history.append((self.iterations, self.vector.copy(), rms, self.stage))
 
     def take(self, vector: Array, comparison: Comparisons, value: float) -> None:
         """Go to a place, which joins the history."""
@@ -147,6 +146,8 @@ class Found:
     """[P, P] transformed, of methods that state their own; None: that of the likelihood."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Durations of parts of the search [s]."""
+    problem: Problem | None = None
+    """The same with another resolution, where a method has changed it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -169,20 +170,19 @@ class Part:
 
     @cached_property
     def coarser(self) -> LiftScene:
-        """The scene with fewer simulated points, unless settings fix their number or few are
-        saved."""
+        """The scene with fewer points, unless settings fix their number or few are saved."""
         scene, rope = self.scene, self.scene.kind == "rope"
         along = len(scene.initial) if rope else max(scene.body.shape)
-        fixed = not scene.thin or scene.settings.points is not None
-        few, stretch = fixed or along < 1.3 * COARSE_POINTS, STRETCH if rope else COARSE_STRETCH
-        few |= scene.limp
-        return scene if few else scene.simulated_with(COARSE_POINTS, stretch)
+        points, stretch = COARSE_POINTS[scene.kind], STRETCH if rope else COARSE_STRETCH
+        points = max(points, (along + 1) // 2) if scene.limp else points
+        few = scene.settings.points is not None or along < 1.3 * points
+        return scene if few else scene.simulated_with(points, stretch)
 
     @cached_property
     def coarse(self) -> Part:
-        """The coarse problem, for the first stage of a search: fewer simulated points; of a
-        cloth also fewer recorded ones, of a rope fewer frames, where there are enough only those
-        without fast motion, which depends on the earlier motion, too."""
+        """For the first stage of a search: fewer simulated points; of a cloth also fewer recorded
+        ones, of a rope fewer frames, if enough those without fast motion, which depends on the
+        earlier motion, too."""
         scene, noise = self.coarser, self.noise
         if scene.kind == "rope":
             frames = scene.calm if len(scene.calm) >= 6 else scene.frames
@@ -226,16 +226,13 @@ class Problem:
         self.settings = settings
         believed = [scene.prior(settings.unknowns, settings.also) for scene in scenes]
         self.prior: Prior = joint_prior([prior for prior, _ in believed])
-        self.parts: tuple[Part, ...] = tuple(
-            Part(
-                scene=scene,
-                base=base if known is None else prior.theta(prior.mean, known),
-                shown=np.array([self.prior.index(n, k) for n in prior.names], dtype=np.intp),
-                noise=settings.noise.of(scene, "thickness" in prior.names),
-                name=names[k],
-            )
-            for k, (scene, (prior, base)) in enumerate(zip(scenes, believed, strict=True))
-        )
+        made = []
+        for k, (scene, (prior, base)) in enumerate(zip(scenes, believed, strict=True)):
+            base = base if known is None else prior.theta(prior.mean, known)
+            shown = np.array([self.prior.index(n, k) for n in prior.names], dtype=np.intp)
+            noise = settings.noise.of(scene, "thickness" in prior.names)
+            made.append(Part(scene=scene, base=base, shown=shown, noise=noise, name=names[k]))
+        self.parts: tuple[Part, ...] = tuple(made)
         self._on_progress = on_progress
         self.placed = 0
         """How often markers were found beside the axis."""
@@ -253,9 +250,8 @@ class Problem:
     @property
     def lifted_rope(self) -> bool:
         """Whether it is one lift of a rope by one hand."""
-        scene = self.scene
-        one = len(self.parts) == len(scene.held) == 1 and not scene.static
-        return one and scene.kind == "rope" and scene.thin
+        one = len(self.parts) == len(self.scene.held) == 1 and not self.scene.static
+        return one and self.scene.kind == "rope"
 
     @property
     def bases(self) -> tuple[Theta, ...]:
@@ -279,9 +275,8 @@ class Problem:
         """The same with the resolution that the found parameters need, see `LiftScene.finer`."""
         scenes = [p.scene.finer(self.theta(vector, k)) for k, p in enumerate(self.parts)]
         both = list(zip(self.parts, scenes, strict=True))
-        if all(s is p.scene for p, s in both):
-            return self
-        return self._with([replace(p, scene=s) for p, s in both])
+        same = all(s is p.scene for p, s in both)
+        return self if same else self._with([replace(p, scene=s) for p, s in both])
 
     def beside(self, found: Found) -> Problem:
         """The same with the markers of a cable as far beside its axis as was found, in the mean of
@@ -333,9 +328,8 @@ class Problem:
         """Report progress."""
         if self._on_progress is not None:
             rms = math.nan if best.comparison is None else best.comparison.rms
-            theta = self.theta(best.vector)
-            told = Progress(stage=stage, iteration=iteration, most=most, best=theta, rms=rms)
-            self._on_progress(told)
+            own = {"stage": stage, "iteration": iteration, "most": most, "rms": rms}
+            self._on_progress(Progress(**own, best=self.theta(best.vector)))
 
     def positions(
         self, vectors: Sequence[Array], recording: int = 0, scene: LiftScene | None = None
@@ -394,7 +388,8 @@ class Problem:
                     Comparison(part.observation, here, J, float(r[0]), widens, part.base.offsets)
                 )
             columns.append(found)
-        return [self.joined(row) for row in zip(*columns, strict=True)]
+        rows = zip(*columns, strict=True)
+        return [None if None in row else Comparisons(row) for row in rows]
 
     def _shapes(
         self, worlds: Sequence[Sequence[Array]], recording: int, few: LiftScene
@@ -403,22 +398,15 @@ class Problem:
         they change from there to the others [T, n, 3, k] [m], in a scene that may be coarser; NaN
         where a world diverges."""
         part = self.parts[recording]
-        m = middle(few, self.positions([v for row in worlds for v in row], recording, few))
-        rows = np.split(m, np.cumsum([len(row) for row in worlds])[:-1], axis=1)
+        x = self.positions([v for row in worlds for v in row], recording, few)
+        rows = np.split(x, np.cumsum([len(row) for row in worlds])[:-1], axis=1)
         shapes = [own[:, 0] for own in rows]
         changes = [np.moveaxis(own[:, 1:] - own[:, :1], 1, -1) for own in rows]
         if few is part.scene:
             return shapes, changes
-        m = middle(part.scene, self.positions([row[0] for row in worlds], recording))
+        x = self.positions([row[0] for row in worlds], recording)
         to, of = part.observation.shape, Shape(few)
-        return list(np.swapaxes(m, 0, 1)), [to.taken_from(of, change) for change in changes]
-
-    def joined(self, parts: Sequence[Comparison | None]) -> Comparisons | None:
-        """The joint comparison of all recordings; None where one could not be simulated."""
-        whole = tuple(c for c in parts if c is not None)
-        if len(whole) < len(self.parts):
-            return None
-        return Comparisons(whole)
+        return list(np.swapaxes(x, 0, 1)), [to.taken_from(of, change) for change in changes]
 
     def inherit_derivatives(
         self, near: Comparisons, other: Comparisons, step: Array, weight: Array
@@ -430,8 +418,8 @@ class Problem:
     def _along(self, moved: Array) -> Array:
         """[P, P] the direction in which each unknown's step goes, where these are moved."""
         along, own = np.eye(len(self.prior.names)), [self.prior.names[k] for k in moved]
-        for k, u in zip(moved, (UNKNOWNS[name] for name in own), strict=True):
-            for name, share in u.steps_with:
+        for k, unknown in zip(moved, own, strict=True):
+            for name, share in UNKNOWNS[unknown].steps_with:
                 if name in own:
                     along[k, moved[own.index(name)]] = share
         return along
@@ -477,11 +465,9 @@ class Problem:
 
     def nothing_runs(self) -> SimulationError:
         frames = ", ".join(str(len(part.scene.frames)) for part in self.parts)
-        return SimulationError(
-            "no start could be simulated",
-            where=f"{self.settings.method}, {frames} frames",
-            fix="check the recording's units and gripper path with gendom check",
-        )
+        where = f"{self.settings.method}, {frames} frames"
+        fix = "check the recording's units and gripper path with gendom check"
+        return SimulationError("no start could be simulated", where=where, fix=fix)
 
 
 def recording_names(count: int) -> tuple[str, ...]:
@@ -492,13 +478,12 @@ def recording_names(count: int) -> tuple[str, ...]:
 def _check_one_object(scenes: Sequence[LiftScene], names: Sequence[str]) -> None:
     """Refuse recordings whose object descriptions differ."""
     require(scenes, "there is no recording", fix="give one or more")
-    what = f"{len(scenes)} recordings have {len(names)} names"
+    what, apart = f"{len(scenes)} recordings have {len(names)} names", "estimate each by itself"
     require(len(names) == len(scenes), what, where="names")
     first = scenes[0].recording.object
     for scene, name in zip(scenes[1:], names[1:], strict=True):
         other = scene.recording.object
         what = f"shows a {other.kind}, {names[0]} a {first.kind}"
-        apart = "estimate each by itself"
         require(other.kind == first.kind, what, where=name, fix=apart)
         here, there = (len(s.recording.frame(s.begins)) for s in (scene, scenes[0]))
         what = f"shows {here} markers in order, {names[0]} {there}"

@@ -1,9 +1,8 @@
 """Registration of clouds from cameras with unknown poses to the robot's frame.
 
-The gripper's path is known in the robot's frame, the clouds are not. The held point lies at the
-gripper, which gives a first shift. Then a simulated object is placed where the clouds are and the
-clouds are registered to it, in turns. The remaining error is a nuisance parameter of the
-likelihood, with a wide prior.
+The held point lies at the gripper, which gives a first shift. Then a simulated object is placed
+where the clouds are and the clouds are registered to it, in turns. What is left is a nuisance
+parameter of the likelihood, with a wide prior.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
@@ -67,13 +67,10 @@ def first_shift(recording: Recording) -> Array:
     frames = with_points(recording)
     rise = recording.gripper_position[:, :, 2].min(axis=1)
     lifted = [t for t in frames if rise[t] - rise[frames[0]] > LIFTED * size]
-    if not lifted or recording.num_grippers > 1:
-        raise RecordingError(
-            "clouds of cameras with unknown poses need a gripper that lifts the object by "
-            f"{LIFTED:.0%} of its size",
-            where="gripper_position",
-            fix="calibrate the cameras (gendom calibrate), or lift higher",
-        )
+    what = "clouds of cameras with unknown poses need a gripper that lifts the object by"
+    what, one = f"{what} {LIFTED:.0%} of its size", recording.num_grippers == 1
+    where, fix = "gripper_position", "calibrate the cameras (gendom calibrate), or lift higher"
+    require(lifted and one, what, where=where, fix=fix, error=RecordingError)
     away = []
     for t in lifted:
         cloud = recording.frame(t).astype(float)
@@ -93,15 +90,13 @@ def _scanned(problem: Problem) -> tuple[Array, Comparison, NoiseModel]:
         scan = np.linspace(prior.low[k], prior.high[k], 10)[1:-1]
         vectors = [np.where(np.arange(len(v)) == k, x, v) for v in vectors for x in scan]
     (noise,) = problem.first_noise(sensor=0.005, rounds=8)
-    compared = [
-        (c.parts[0].fit(noise).value, n, c.parts[0])
-        for n, c in enumerate(problem.compare(vectors, derivatives=False))
-        if c is not None
-    ]
-    if not compared:
+    compared = problem.compare(vectors, derivatives=False)
+    values = [np.inf if c is None else c.parts[0].fit(noise).value for c in compared]
+    n = int(np.argmin(values))
+    best = compared[n]
+    if best is None:
         raise problem.nothing_runs()
-    _, n, best = min(compared)
-    return vectors[n], best, noise
+    return vectors[n], best.parts[0], noise
 
 
 def _motion(comparison: Comparison, noise: NoiseModel) -> tuple[Array, tuple[float, float]]:

@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 from gendom.arrays import Array
 from gendom.estimation.hands import clamp_frame
 from gendom.estimation.markers import aside, axis_beside, material_frames
-from gendom.estimation.scene import STATIC_SETTLING, LiftScene
-from gendom.estimation.scene_settings import COARSE_POINTS
+from gendom.estimation.scene import COARSE_POINTS, STATIC_SETTLING, LiftScene
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.observation import visible_on_sheet
@@ -31,9 +30,8 @@ HEM = 0.01
 """Breadth of a cloth's border that may be hemmed [m]."""
 
 RAMP_SPEED, CLAMPING, CLAMPING_SHOWN = 0.1, 0.1, 0.02
-"""Speed at which the gripper takes the object from rest to its first recorded position [m/s], and
-time in which clamps turn from where markers show them to how they hold the rope [s]: of cables with
-known offsets of their markers, the first frame shows how they hold it."""
+"""Speed of the gripper from rest to its first recorded position [m/s], and time in which clamps
+turn from where markers show them to how they hold the rope [s], and where offsets are known."""
 
 TWIST_SHOWN, TWIST_SD, TWIST_NOISE = 0.1, 1.0, 2e-4
 """Time in which the twist of a cable is looked for [s], how far hands may be turned about it in
@@ -43,15 +41,14 @@ FEET = 48
 """Places along the longer side of a cloth that points may belong to, about."""
 
 ROPE_REACH, CLOTH_REACH = 0.75, 0.02
-"""How far from its point a gripper holds an object where `grasp_radius` is not stated: a rope
-[diameters], by fingertips 1.5 diameters wide, and a cloth [m], by two fingertips."""
+"""Where `grasp_radius` is not stated: of a rope [diameters], and of two fingertips on a cloth [m].
+"""
 
 
 @dataclass
 class WorldInputs:
-    """Inputs of one simulated world: parameters that are taken as they are, and what begins as the
-    recording states it and is changed by each unknown's `Unknown.on_replay`, in the order of the
-    registry."""
+    """Inputs of one simulated world: parameters, and what begins as the recording states it and is
+    changed by each unknown's `Unknown.on_replay`, in the order of the registry."""
 
     scene: LiftScene
     theta: Theta
@@ -85,27 +82,20 @@ class WorldInputs:
         inputs.clamps[:, 2] = 0.5 * (inputs.clamps[1, 2] + twist) * np.array([-1.0, 1.0])
         return inputs
 
-    # ---- what unknowns do ------------------------------------------------------------------------
-
     def thicken(self, times: float) -> None:
         """Make the object so many times as thick as stated.
 
-        The simulated body stays as thick as stated. With its mass, an object that is r times as
-        thick takes r^2 times the E, so that it bends equally: stiffness over weight goes with the
-        square of the radius of gyration, of ropes and of sheets. Its middle lies higher on the
-        table, so the gripper is lowered instead.
+        The simulated body stays as it is: with its mass, r times as thick, it takes r^2 times the E
+        to bend equally, since stiffness over weight goes with the square of the radius of gyration.
+        Its middle lies higher on the table, so the gripper is lowered instead.
         """
         self.E_over_rho *= times**2
         self.raised -= self.scene.rise(times)
 
     def stiffen_along(self, slope: float) -> None:
         """Let ln(E) grow by so much from one end of a rope to the other."""
-        scene = self.scene
-        if slope and scene.thin:
-            self.stiffness = np.exp(slope * np.linspace(-0.5, 0.5, len(scene.body.points)))
-        elif slope:
-            share = scene.body.material_coordinates[:, 0] / scene.size
-            self.stiffness = np.exp(slope * (share - 0.5))
+        if slope:
+            self.stiffness = np.exp(slope * np.linspace(-0.5, 0.5, len(self.positions)))
 
     def hem(self, *, stiffness: float = 1.0, mass: float = 1.0) -> None:
         """Make a cloth's border so many times as stiff in bending, and as heavy as the rest; its
@@ -117,8 +107,7 @@ class WorldInputs:
             self.mass = factors * (area.sum() / (factors @ area))
 
     def _bordered(self, times: float) -> tuple[Array, Array]:
-        """[N] the mean of so many times in a border and once elsewhere, over what each point of a
-        cloth stands for, and the area of that [N] [m^2]."""
+        """[N] means of so many times in a border and once elsewhere, over areas [N] [m^2]."""
         rest, breadth = [], []
         for x in lattice(self.scene):
             inwards, half = np.minimum(x, x[-1] - x), 0.5 * (x[1] - x[0])
@@ -154,15 +143,14 @@ class WorldInputs:
         """Let a rope turn in soft fingers, by its moment there: by so much [rad] when its other end
         leaves the table.
 
-        The pads are a spring in series with the joint at the fingers' border, which stands for the
-        length between them and the middle of the next free edge, see `sim.thin.grips`. The moment
-        then is half the weight times the length of a stick; of a chain, sqrt(2 E I w L), with w the
-        weight by length.
+        The pads are a spring in series with the joint at the fingers' border (`sim.thin.grips`).
+        The moment then is half the weight times the length of a stick; of a chain,
+        sqrt(2 E I w L), with w the weight by length.
         """
         from gendom.sim.thin.rods import SHORTEST  # Warp, which takes long to import
 
         scene = self.scene
-        if not turn or not scene.thin or len(scene.held) > 1:
+        if not turn or len(scene.held) > 1:
             return
         x, reach = self.positions, held_reach(scene)
         step = scene.size / (len(x) - 1)
@@ -178,8 +166,6 @@ class WorldInputs:
             self.stiffness = np.ones(len(x))
         self.stiffness[joint] *= own / (own + turn * bends**3 / lever)
 
-    # ---- what the simulator takes ----------------------------------------------------------------
-
     @property
     def material(self) -> Material:
         """The object's material."""
@@ -187,10 +173,10 @@ class WorldInputs:
         E = self.E_over_rho * scene.density
         hangs = described.length or max(described.width or 0.0, described.height or 0.0)
         along = scene.density * STANDARD_GRAVITY * hangs / (2.0 * scene.stretch)
-        if scene.kind == "cloth" and scene.thin:
+        if scene.kind == "cloth":
             warp = math.sqrt(self.theta.warp_over_weft)
             more = {"membrane": min(E, along), "warp": warp, "weft": 1.0 / warp}
-        elif scene.thin and E < along:
+        elif E < along:
             more = {"membrane": along}  # fibres, which slide past each other in bending
         nu, damping = self.theta.nu, self.theta.damping
         return Material(E=E, nu=nu, density=scene.density, damping=damping, **more)
@@ -275,7 +261,6 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
             air_density=[AIR_DENSITY * theta.air_drag for theta in thetas],
         ),
         solver=Solver(
-            engine=scene.settings.engine,
             substep=scene.settings.substep,
             dtype=scene.dtype,
             device=scene.settings.device,
@@ -294,8 +279,8 @@ def replay(
     keep_going: bool = False,
     on_frame: Callable[[int], None] | None = None,
 ) -> Array:
-    """[T, W, N, 3] particles, or points of a rod or shell, at the frames of a scene [m]; of a cable
-    with markers beside its axis the line through these.
+    """[T, W, N, 3] points of a rod or shell at the frames of a scene [m]; of a cable with markers
+    beside its axis the line through these.
 
     Args:
         scene: What was recorded.
@@ -312,7 +297,7 @@ def replay(
 
 
 def _beside(scene: LiftScene, x: Array, thetas: Sequence[Theta]) -> Array:
-    """[T, W, n, 3] by how much lines through markers are beside axes [T, W, n, 3] [m]."""
+    """[T, W, n, 3] by how much lines through markers are beside axes [m]."""
     found = np.zeros(x.shape)
     for w, offsets in enumerate(theta.offsets for theta in thetas):
         if scene.beside and offsets and np.isfinite(x[:, w]).all():
@@ -322,11 +307,8 @@ def _beside(scene: LiftScene, x: Array, thetas: Sequence[Theta]) -> Array:
 
 
 def with_twist_shown(scene: LiftScene, theta: Theta) -> Theta:
-    """Parameters of an instrumented cable with the twist with which this recording begins.
-
-    How hands are turned about a cable is not recorded. But a twist pushes a bent cable aside at
-    once: of several, that counts with which the first tenth of a second is nearest.
-    """
+    """Parameters of an instrumented cable with the twist with which this recording begins, which
+    pushes a bent cable aside at once: that with which its first tenth of a second is nearest."""
     recording, begins = scene.recording, scene.begins
     shown = recording.time <= recording.time[begins] + TWIST_SHOWN
     early = tuple(int(t) for t in np.flatnonzero(shown & recording.frame_valid) if t >= begins)
@@ -336,8 +318,7 @@ def with_twist_shown(scene: LiftScene, theta: Theta) -> Theta:
     changes = TWIST_SD * np.linspace(-2.5, 2.5, 11)
     twists = theta.clamp_twist + changes
     every = [theta.with_values({"clamp_twist": float(twist)}) for twist in twists]
-    x = replay_axis(scene, every, keep_going=True)
-    index, weight = scene.markers
+    x, (index, weight) = replay_axis(scene, every, keep_going=True), scene.markers
     at = np.einsum("mk,twmka->twma", weight, (x + _beside(scene, x, every))[:, :, index])
     off = at - np.stack([recording.frame(t) for t in early])[:, None]
     mean = np.nan_to_num(((off - off[:1]) ** 2).mean(axis=(0, 2, 3)), nan=np.inf)
@@ -364,23 +345,10 @@ def replay_axis(
     return x
 
 
-def middle(scene: LiftScene, x: Array) -> Array:
-    """[..., n, 3] a rope's centre line or a cloth's middle surface, row by row along its first
-    axis, for positions [..., N, 3] of `replay` [m]; `lattice` has its shape."""
-    if scene.thin:
-        return x
-    first, second = (len(ticks) for ticks in lattice(scene))
-    layers = x.reshape(*x.shape[:-2], first, second, -1, 3).mean(axis=-2)
-    return np.swapaxes(layers, -3, -2).reshape(*x.shape[:-2], -1, 3)
-
-
 def lattice(scene: LiftScene) -> tuple[Array, Array]:
-    """Places of `middle`'s points in the object: [n] along a rope and [1] 0, or columns and rows of
-    a cloth [m]."""
+    """Places of points in the object: [n] along a rope and [1] 0, or columns and rows of a cloth,
+    which has them row by row [m]."""
     body, described = scene.body, scene.recording.object
-    if not scene.thin:
-        first, second = (np.unique(x) for x in body.material_coordinates[:, :2].T)
-        return first, np.zeros(1) if scene.kind == "rope" else second
     if scene.kind == "rope":
         return np.linspace(0.0, scene.size, len(body.points)), np.zeros(1)
     rows, columns = body.shape
@@ -402,27 +370,23 @@ def _closed(scene: LiftScene, g: int, delay: float) -> dict[str, Any]:
         return {}
     states, time = closed[first:, g], scene.sim_time(scene.recording.time[first:]) + delay
     between, starts = 0.5 * (time[1:] + time[:-1]), int(np.argmax(states))
-    found = {"hold_from": float(between[starts - 1])} if starts else {}
-    opens = np.flatnonzero(~states[starts:])
-    if len(opens):
-        found["hold_until"] = float(between[starts + int(opens[0]) - 1])
-    return found
+    opens = starts + np.flatnonzero(~states[starts:])[:1]
+    found = {"hold_from": between[starts - 1 : starts], "hold_until": between[opens - 1]}
+    return {name: float(at[0]) for name, at in found.items() if len(at)}
 
 
 def held_reach(scene: LiftScene, farther: float = 0.0) -> float:
     """How far from its point a gripper holds the object fast; a cloth so much farther than stated
     [m]."""
-    stated = scene.recording.object.grasp_radius
+    stated, thick = scene.recording.object.grasp_radius, scene.body.thickness
     if scene.kind == "rope" and len(scene.held) > 1:
         # a gripper holds the part from its point to the end, and as much on the other side
         gap = float(np.linalg.norm(scene.initial[[0, -1]] - scene.held, axis=1).max())
-        return max(stated or 0.5 * scene.body.thickness, gap)
+        return max(stated or 0.5 * thick, gap)
     if scene.kind == "rope":
-        return stated or ROPE_REACH * scene.body.thickness
-    least = 0.4 * scene.body.dx
-    if scene.thin:
-        side = scene.size / math.sqrt(2.0)
-        least = 0.6 * side / (COARSE_POINTS - 1)  # so that it holds points wherever it is
+        return stated or ROPE_REACH * thick
+    side = scene.size / math.sqrt(2.0)
+    least = 0.6 * side / (COARSE_POINTS[scene.kind] - 1)  # so that it holds points wherever it is
     return max((stated or CLOTH_REACH) + farther, least)
 
 
@@ -454,8 +418,7 @@ class Shape:
         self.samples = cells, np.full((len(cells), 4), 0.25)
 
     def taken_from(self, other: Shape, values: Array) -> Array:
-        """[T, n, ...] at this shape's points, of values at those of another of the same object,
-        between which they are linear."""
+        """[T, n, ...] at this shape's points, linear between values at those of another one."""
         if [len(k) for k in self.lattice] == [len(k) for k in other.lattice]:
             return values
         Ka, Kb = (
@@ -512,8 +475,7 @@ class Shape:
 
 def nearest_of(points: Array, places: Array) -> Array:
     """[T, m] which of few points [T, k, 3] are nearest to places [T, m, 3]."""
-    far = _with_ones(places) @ _columns(-2.0 * points, (points**2).sum(axis=2))
-    return far.argmin(axis=2)
+    return (_with_ones(places) @ _columns(-2.0 * points, (points**2).sum(axis=2))).argmin(axis=2)
 
 
 def _with_ones(x: Array) -> Array:
@@ -528,6 +490,4 @@ def _columns(of: Array, last: Array) -> Array:
 
 def taken(J: Array, index: Array) -> Array:
     """[T, m, k, 3] of [T, n, 3] at indices [T, m, k]."""
-    return np.take_along_axis(J[:, :, None], index.reshape(len(index), -1, 1, 1), axis=1).reshape(
-        *index.shape, 3
-    )
+    return J[np.arange(len(index))[:, None, None], index]

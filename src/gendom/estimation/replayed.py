@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from gendom.arguments import check_numbers, require
 from gendom.arrays import Array
@@ -13,9 +13,9 @@ from gendom.datasets import Recording
 from gendom.datasets.recording import is_recording
 from gendom.errors import GendomError, ParameterError
 from gendom.estimation.estimate import estimate
+from gendom.estimation.placing import with_points
 from gendom.estimation.problem import EstimateSettings, Progress
-from gendom.estimation.scene import LiftScene
-from gendom.estimation.scene_settings import SceneSettings
+from gendom.estimation.scene import LiftScene, SceneSettings
 from gendom.materials.estimate import Estimate
 from gendom.materials.unknowns import UNKNOWNS, Theta
 
@@ -25,7 +25,6 @@ def replay_setup(
     params: Mapping[str, Any],
     where: str,
     device: str = "cpu",
-    engine: Literal["thin", "mpm"] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> tuple[LiftScene, Theta]:
     """The scene of all frames of a recording, and an estimate's parameters for it.
@@ -38,7 +37,6 @@ def replay_setup(
         params: An estimate's JSON.
         where: Its file, for error messages.
         device: That simulates.
-        engine: None: that of the estimate.
         on_progress: Called with each iteration of an estimation.
 
     Raises:
@@ -54,26 +52,19 @@ def replay_setup(
     every = list(params.get("recordings") or ())
     what, fix = "is of no recording, or of an earlier version", "run gendom estimate again"
     require(every and found.posterior.bases, what, where=where, fix=fix)
-    own = of_recording(params, recording)
+    own, first, said = of_recording(params, recording), recording, ()
+    theta, registration = found.theta, None
     try:
-        made = (own or every[0])["simulation"]
-        points = made["points"] if engine in (None, made["engine"]) else None
-        settings = SceneSettings(
-            engine=engine or made["engine"],
-            points=points,  # another engine has its own number
-            cells_across=made["cells_across"],
-            device=device,
-        )
-        # the object lies as it was taken to lie from the frames that were fitted
-        fitted = recording.num_frames if own is None else 1 + max(own["compared"])
-        theta = found.theta.with_values({} if own is None else own["theta"])
-        registration = None if own is None else own["calibration"]["registration"]
+        points = (own or every[0])["simulation"]["points"]
+        if own is not None:
+            # the object lies as it was taken to lie from the frames that were fitted
+            first = recording.head(min(1 + max(own["compared"]), recording.num_frames))
+            theta = theta.with_values(own["theta"])
+            registration = own["calibration"]["registration"]
     except (KeyError, TypeError, ValueError) as error:
-        raise ParameterError(
-            f"cannot be used: {type(error).__name__} {error}", where=where, fix=fix
-        ) from None
-    first = recording.head(min(fitted, recording.num_frames))
-    said: tuple[str, ...] = ()
+        what = f"cannot be used: {type(error).__name__} {error}"
+        raise ParameterError(what, where=where, fix=fix) from None
+    settings = SceneSettings(points=points, device=device)
     if own is None:
         theta, said, registration = _found_anew(LiftScene.of(first, settings), theta, on_progress)
     if registration is not None:
@@ -110,8 +101,7 @@ def _found_anew(
 
 def of_all_frames(scene: LiftScene, recording: Recording) -> LiftScene:
     """A scene with every frame of its recording, or of a longer one of the same motion."""
-    every = tuple(t for t in range(recording.num_frames) if recording.frame_valid[t])
-    return replace(scene, recording=recording, frames=every)
+    return replace(scene, recording=recording, frames=with_points(recording))
 
 
 def find_recording(params: Mapping[str, Any], where: Path) -> Path:
@@ -126,7 +116,8 @@ def find_recording(params: Mapping[str, Any], where: Path) -> Path:
         GendomError: It is not there.
     """
     folder, similar = where.absolute().parent, ""
-    for path in [*_recordings_in(folder), *_recordings_in(folder.parent)]:
+    inside = (p for f in (folder, folder.parent) for p in sorted([*f.glob("*.npz"), *f.glob("*/")]))
+    for path in filter(is_recording, inside):
         try:
             recording = Recording.read(path, on_warning=lambda _: None)
         except GendomError:  # another kind of file
@@ -140,9 +131,3 @@ def find_recording(params: Mapping[str, Any], where: Path) -> Path:
         where=str(where),
         fix=f"name it: gendom view RECORDING --params {where}",
     )
-
-
-def _recordings_in(folder: Path) -> list[Path]:
-    """What may be recordings, by name."""
-    inside = [*folder.glob("*.npz"), *(p for p in folder.iterdir() if p.is_dir())]
-    return sorted(path for path in inside if is_recording(path))

@@ -32,7 +32,7 @@ class RecordingFit:
     theta: Theta
     """The material, and how the object is held here and when."""
     positions: Array
-    """[T, N, 3] particles or points at the scene's frames [m]."""
+    """[T, N, 3] points at the scene's frames [m]."""
     chamfer: Array
     """[T] distance to all of the object [m]."""
     chamfer_surface: Array
@@ -41,18 +41,13 @@ class RecordingFit:
     def record(self, comparison: Comparison, noise: NoiseModel) -> dict[str, Any]:
         """The file's entries for this recording."""
         scene, fit = self.scene, comparison.fit(noise)
-        registered = comparison.as_seen(self.positions, noise)
-        if scene.thin:
-            registered = scene.body_of(self.theta).surface(registered)
-        registered = _chamfer(scene, registered)
+        moved = comparison.as_seen(self.positions, noise)
+        registered = _chamfer(scene, scene.body_of(self.theta).surface(moved))
+        away = {"": self.chamfer, "_surface": self.chamfer_surface, "_registered": registered}
         return {
             "theta": {n: v for n, v in self.theta.items() if not UNKNOWNS[n].material},
-            "chamfer_last": float(self.chamfer[-1]),
-            "chamfer_mean": float(self.chamfer.mean()),
-            "chamfer_last_surface": float(self.chamfer_surface[-1]),
-            "chamfer_mean_surface": float(self.chamfer_surface.mean()),
-            "chamfer_last_registered": float(registered[-1]),
-            "chamfer_mean_registered": float(registered.mean()),
+            **{f"chamfer_last{part}": float(own[-1]) for part, own in away.items()},
+            **{f"chamfer_mean{part}": float(own.mean()) for part, own in away.items()},
             "rms": comparison.rms,
             "rms_by_frame": comparison.rms_by_frame(),
             "rms_registered": fit.rms,
@@ -92,9 +87,8 @@ class FittedEstimate(Estimate):
 def chamfers(scene: LiftScene, x: Array, theta: Theta) -> tuple[Array, Array]:
     """Chamfer distance a frame, to all of the object and to what the cameras could see [T] [m].
 
-    Parts of the object outside the recorded space (`LiftScene.floor`) have no points near and do
-    not count. Without camera positions a rope is seen from above; of a cloth everything counts,
-    since both of its sides lie where the cloud is.
+    Parts of the object below `LiftScene.floor` do not count. Without camera positions a rope is
+    seen from above; of a cloth both sides count, which lie where the cloud is.
 
     Args:
         scene: What was recorded.
@@ -106,21 +100,17 @@ def chamfers(scene: LiftScene, x: Array, theta: Theta) -> tuple[Array, Array]:
         seen = [skin[visible(skin, camera_positions=cameras)] for skin in skins]
     else:
         seen = list(skins)
-    return _chamfer(scene, skins if scene.thin else x), _chamfer(scene, seen)
+    return _chamfer(scene, skins), _chamfer(scene, seen)
 
 
 def _chamfer(scene: LiftScene, every: Sequence[Array] | Array) -> Array:
     """[T] the distance of a scene's clouds from points of the object in each frame [m]."""
-    clouds = (scene.recording.frame(t).astype(float) for t in scene.frames)
-    pairs = zip(clouds, every, strict=True)
-    return np.array([chamfer(cloud, own, of_b=_inside(scene, own)) for cloud, own in pairs])
-
-
-def _inside(scene: LiftScene, points: Array) -> Array:
-    if scene.floor is None:
-        return np.ones(len(points), dtype=bool)
-    above = points[:, 2] > scene.floor
-    return above if above.any() else np.ones(len(points), dtype=bool)
+    found, floor = [], -np.inf if scene.floor is None else scene.floor
+    for t, own in zip(scene.frames, every, strict=True):
+        above = own[:, 2] > floor
+        cloud = scene.recording.frame(t).astype(float)
+        found.append(chamfer(cloud, own, of_b=above if above.any() else ~above))
+    return np.array(found)
 
 
 def result_of(
@@ -139,17 +129,10 @@ def result_of(
     fits, recordings = [], []
     for k, (part, theta) in enumerate(zip(problem.parts, posterior.thetas, strict=True)):
         x = replay(part.scene, [theta])[:, 0]
-        whole, surface = chamfers(part.scene, x, theta)
-        fit = RecordingFit(
-            name=part.name,
-            scene=part.scene,
-            theta=theta,
-            positions=x,
-            chamfer=whole,
-            chamfer_surface=surface,
-        )
-        fits.append(fit)
-        own = fit.record(comparison.parts[k], found.noise[k])
+        whole, seen = chamfers(part.scene, x, theta)
+        held = {"name": part.name, "scene": part.scene, "theta": theta, "positions": x}
+        fits.append(RecordingFit(**held, chamfer=whole, chamfer_surface=seen))
+        own = fits[k].record(comparison.parts[k], found.noise[k])
         by_itself = _by_itself(alone[k : k + 1], problem.settings.level, verdict)
         recordings.append({"name": part.name, **own, "alone": by_itself})
     about = {
@@ -187,13 +170,12 @@ def _search(problem: Problem, found: Found, seconds: Mapping[str, float]) -> dic
     """The file's entries about the search."""
     settings, scene = problem.settings, problem.scene
     starts = []
-    for s in found.starts:
-        if s.comparison is not None:
-            theta = problem.theta(s.vector)
-            bends = scene.bending_length(theta.E_over_rho, theta.thickness)
-            initial, final = (_named(problem, v) for v in (s.initial, s.vector))
-            ended = {"loss": s.comparison.rms, "converged": bool(s.done)}
-            starts.append({"initial": initial, "final": final, "bending_length": bends, **ended})
+    for s in (s for s in found.starts if s.comparison is not None):
+        theta = problem.theta(s.vector)
+        bends = scene.bending_length(theta.E_over_rho, theta.thickness)
+        initial, final = (_named(problem, v) for v in (s.initial, s.vector))
+        ended = {"loss": s.comparison.rms, "converged": bool(s.done)}
+        starts.append({"initial": initial, "final": final, "bending_length": bends, **ended})
     history = [
         {"stage": stage or settings.method, "start": n, "iteration": i, "loss": r}
         | _named(problem, v)

@@ -28,19 +28,32 @@ from gendom.estimation.priors import (
     stated_priors,
     thickness_stated,
 )
-from gendom.estimation.scene_settings import (
-    MOST_ROD_POINTS,
-    MOST_SHELL_POINTS,
-    SHELL_ERROR,
-    SPACING,
-    STRETCH,
-    SceneSettings,
-)
 from gendom.materials import STANDARD_GRAVITY, catalogue
 from gendom.materials.parameters import E_over_rho_of, bending_length
 from gendom.materials.posterior import Prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
-from gendom.sim import Body
+from gendom.sim import Body, check_numbers
+
+SPACING, MOST_SHELL_POINTS, MOST_ROD_POINTS = 1.0 / 3.0, 49, 65
+"""Limp objects are then estimated again with points this many bending lengths apart, up to so many
+of cloths and ropes, where that is at least a tenth more. Lifted ropes with points twice as far
+apart are off by 0.5 to 5 mm, as if their bending length was 5 to 40 % another."""
+
+SHELL_ERROR = 1.5
+"""Error of ln(E) by the distance of a cloth's points, in bending lengths and to the third power
+(docs/notes/cloths.md)."""
+
+STRETCH = 0.002
+"""An object's own weight lengthens it by this at most, hanging by a side or an end: the simulated
+stiffness along it is limited to that. For a cloth this allows longer time steps: two to four times
+where it bends over 25 to 45 mm and is 0.5 to 1 mm thick. A rope gets at least that stiffness: its
+fibres resist stretch more than bending, in which they slide past each other. With one E for both
+soft ropes stretch by up to 4 %, and their tails follow less over the table."""
+
+COARSE_POINTS, COARSE_FRAMES, COARSE_STRETCH = {"rope": 17, "cloth": 21}, 18, 0.01
+"""Where a search begins: points of a rod, or along the longer side of a shell, frames that are
+compared, at most, and in place of `STRETCH`."""
+
 
 FINER = "limp: simulated along its longer side with"
 """Note of a cloth that gets more points than others."""
@@ -54,16 +67,47 @@ QUASI_STATIC_SPEED, QUASI_STATIC_DAMPING = 0.05, 1.0
 table swings. And the rate of decay then [1/s]: the drag is 0.5 % of gravity."""
 
 PATH_STEP, SPARSE, RAMP = 0.005, 0.2, 0.1
-"""Time between a path's places [s]; between frames from which on they do not show how a gripper
-starts and stops [s]; and that in which it then does [s]."""
+"""Times between a path's places, between frames that do not show how a gripper starts and stops,
+and in which it then does [s]."""
 
 SLOW, AFTER_FAST = 0.15, 1.5
 """Speed of a gripper below which frames are alike [m/s], and time for which an object moves on
 after that [s]."""
 
 LIFTED = 0.15
-"""Rise of the gripper, in a rope's length or a cloth's longer side, from which the object is
-lifted: before, clouds show hardly more than how it lay."""
+"""Rise of the gripper, in a rope's length or a cloth's longer side, before which clouds show hardly
+more than how it lay."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSettings:
+    """How a recording is turned into a simulation; written into every result."""
+
+    material: str | None = None
+    """Its material, by a name of gendom materials: narrows the priors, and gives the density where
+    the mass is unknown."""
+    points: int | None = None
+    """Points of a rod, or along the longer side of a shell; by default as many as it needs."""
+    slow_frames: int = 36
+    """Frames that are compared where the gripper is slow, at most."""
+    fast_frames: int = 60
+    """Frames that are compared elsewhere, at most."""
+    dtype: str | None = None
+    """``float32`` or ``float64``; None: the first for cloths as shells, else the engine's own."""
+    substep: float | None = None
+    """Of all worlds [s]; None: each its own. Then the number of substeps between two frames depends
+    on E, and where it changes, positions jump by some 1e-7 m, which shows in exact clouds only."""
+    device: str = "cpu"
+    """cpu, cuda or cuda:0 and so on."""
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.material is not None:
+            catalogue.get(self.material)
+        if self.substep is not None:
+            check_numbers("substep", self.substep, above=0.0)
+        few = f"is {self.points}"
+        require(self.points is None or self.points >= 5, few, where="points", fix="give 5 or more")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,25 +162,21 @@ class LiftScene(Placed):
             RecordingError: The recording shows too little to place the object.
             ParameterError: Settings do not fit it.
         """
-        settings = settings or SceneSettings()
-        begins_with = recording.begins_with if recording.frame_valid.any() else ""
-        digest = recording.digest
-        notes: list[str] = []
-        if registration is not None:
-            middle = recording.points.mean(axis=0, dtype=float)
-            shift = np.linalg.norm(registration[:3, :3] @ middle + registration[:3, 3] - middle)
-            turn = math.degrees(Rotation.from_matrix(registration[:3, :3]).magnitude())
-            moved = f"clouds moved by {1e3 * shift:.0f} mm and {turn:.1f} degrees"
-            notes.append(f"camera poses unknown: {moved}")
-            recording = recording.moved(registration)
+        settings, stated, notes = settings or SceneSettings(), recording, []
         frames = with_points(recording)
         what, fix = "no frame holds a point", "record again"
         require(frames, what, where="points", fix=fix, error=RecordingError)
+        if registration is not None:
+            recording = recording.moved(registration)
+            shift = (recording.points - stated.points).mean(axis=0, dtype=float)
+            turn = math.degrees(Rotation.from_matrix(registration[:3, :3]).magnitude())
+            moved = f"clouds moved by {1e3 * np.linalg.norm(shift):.0f} mm and {turn:.1f} degrees"
+            notes.append(f"camera poses unknown: {moved}")
         missing = float(lost_time(recording)[-1])
         if missing > 0.0:
             leaps = "the hands leap where frames were lost"
             notes.append(f"{leaps}: {missing:.3g} s added to the times")
-        placed = place(recording, settings, frames, notes)
+        placed = place(recording, settings.points, frames, notes)
         clock = _choose_clock(recording)
         lasts = float(recording.time[frames[-1]] - recording.time[frames[0]]) / clock
         longer = f"lasts {lasts:.4g} s, longer than the 300 s that are simulated"
@@ -144,8 +184,8 @@ class LiftScene(Placed):
         require(lasts <= 300.0, longer, where="time", fix=fix, error=RecordingError)
         hanging = frames
         if recording.object.kind == "cloth" and recording.object.grasp == "corner":
-            hanging = _lifted(recording, frames)
-            hanging = hanging if len(hanging) >= 5 else frames
+            lifted = _lifted(recording, frames)
+            hanging = lifted if len(lifted) >= 5 else frames
         calm, fast = _compared(recording, settings, hanging)
         return cls(
             **vars(placed),
@@ -155,8 +195,8 @@ class LiftScene(Placed):
             calm=_lifted(recording, calm) if fast else calm,
             clock=clock,
             density=_density(recording, placed.body, settings, notes),
-            begins_with=begins_with,
-            digest=digest,
+            begins_with=stated.begins_with,
+            digest=stated.digest,
             registration=registration,
             notes=tuple(notes),
         )
@@ -166,15 +206,10 @@ class LiftScene(Placed):
         return self.body.kind
 
     @property
-    def thin(self) -> bool:
-        """Whether the engine models a rope by its centre line, a cloth by its middle surface."""
-        return self.settings.engine == "thin"
-
-    @property
     def dtype(self) -> str | None:
         """Of its simulation; None: the engine's own. Shells of ``float32`` take half the time;
         they are 0.4 um off in the mean of a lift and 15 um at most."""
-        if self.settings.dtype is None and self.kind == "cloth" and self.thin:
+        if self.settings.dtype is None and self.kind == "cloth":
             return "float32"
         return self.settings.dtype
 
@@ -237,13 +272,11 @@ class LiftScene(Placed):
     @property
     def radius_of_gyration(self) -> float:
         """sqrt(I / A) of the section: d / 4 of a rope, h / sqrt(12) of a sheet [m]."""
-        share = 4.0 if self.kind == "rope" else math.sqrt(12.0)
-        return self.body.thickness / share
+        return self.body.thickness / (4.0 if self.kind == "rope" else math.sqrt(12.0))
 
     def bending_length(self, E_over_rho: float, thickness: float = 1.0) -> float:
         """[m], of an object whose thickness is this multiple of the stated one."""
-        k = thickness * self.radius_of_gyration
-        return bending_length(E_over_rho, k, STANDARD_GRAVITY)
+        return bending_length(E_over_rho, thickness * self.radius_of_gyration, STANDARD_GRAVITY)
 
     def density_of(self, theta: Theta) -> float:
         """Of an object that is as thick as estimated; of a stated mass, where there is one
@@ -263,7 +296,7 @@ class LiftScene(Placed):
         """The same with the resolution that an object of this bending length needs, unless it has
         it, is held by two hands, or the settings fix the number of points."""
         described, rope = self.recording.object, self.kind == "rope"
-        if not self.thin or self.settings.points is not None or (rope and len(self.held) > 1):
+        if self.settings.points is not None or (rope and len(self.held) > 1):
             return self
         bends = self.bending_length(theta.E_over_rho, theta.thickness)
         longer = max(described.length or 0.0, described.width or 0.0, described.height or 0.0)
@@ -279,13 +312,12 @@ class LiftScene(Placed):
     def simulated_with(self, points: int, stretch: float = STRETCH) -> LiftScene:
         """The same with so many points; their number stays open in the settings, so that it can
         grow once more."""
-        settings = replace(self.settings, points=points)
-        placed = place(self.recording, settings, with_points(self.recording), [])
+        placed = place(self.recording, points, with_points(self.recording), [], self.lies)
         return replace(self, **vars(placed), stretch=stretch)
 
     def mesh_error(self, theta: Theta) -> float:
         """Standard deviation of ln(E) by the distance of a cloth's points."""
-        if self.kind != "cloth" or not self.thin:
+        if self.kind != "cloth":
             return 0.0
         apart = float(np.linalg.norm(self.body.points[1] - self.body.points[0]))
         bends = self.bending_length(theta.E_over_rho, theta.thickness)
@@ -302,29 +334,21 @@ class LiftScene(Placed):
 
     @cached_property
     def floor(self) -> float | None:
-        """Height below which the recording shows nothing although the object lies there [m].
-
-        Clouds of tables are often cut off a little above them. Less than half of the object at
-        rest is then seen.
-        """
-        table = self.recording.table_height
-        if table is None:
-            return None
-        cloud = self.recording.frame(self.begins).astype(float)
-        gaps = KDTree(cloud).query(self.body.points)[0]
-        if float(np.mean(gaps < 0.05 * self.size)) >= 0.5:
+        """Height below which the recording shows nothing although the object lies there [m]: where
+        clouds of tables were cut off above them, less than half of the object at rest is seen."""
+        gaps = KDTree(self.recording.frame(self.begins)).query(self.body.points)[0]
+        seen = float(np.mean(gaps < 0.05 * self.size))
+        if self.recording.table_height is None or seen >= 0.5:
             return None
         return 0.003 + min(float(self.recording.frame(t)[:, 2].min()) for t in self.frames)
 
     def sim_time(self, recorded: Array | float) -> Array:
         """Simulated time of recorded ones; 0 in the first frame [s]."""
-        t = np.asarray(recorded, dtype=float)
-        time, late = self.recording.time, self._lost
+        t, time, late = np.asarray(recorded, dtype=float), self.recording.time, self._lost
         return (t + np.interp(t, time, late - late[self.begins]) - time[self.begins]) / self.clock
 
     @cached_property
     def _lost(self) -> Array:
-        """[T] time that is missing in the recorded times by each frame [s]."""
         return lost_time(self.recording)
 
     @cached_property
@@ -357,22 +381,21 @@ class LiftScene(Placed):
             if axes is None or np.ptp(axes[first:, g], axis=0).max() < 1e-3:
                 found.append(None)
                 continue
-            along, turned = axes[first:, g].astype(float), [np.eye(3)]
-            for step in turn_between(along[:-1], along[1:]).as_matrix():
-                turned.append(step @ turned[-1])
+            along, turned = axes[first:, g].astype(float), [Rotation.identity()]
+            for step in turn_between(along[:-1], along[1:]):
+                turned.append(step * turned[-1])
             times = self.sim_time(self.recording.time[first:])
-            found.append(Slerp(times, Rotation.from_matrix(turned)))
+            found.append(Slerp(times, Rotation.concatenate(turned)))
         return found
 
     @cached_property
     def curved(self) -> bool:
         """Whether a rope lies curved, so that it counts how much of that it is by nature."""
-        if self.kind != "rope" or not self.thin or len(self.held) > 1:
+        if self.kind != "rope" or len(self.held) > 1:
             return False
         ahead = np.diff(self.body.points, axis=0)
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-        turns = np.linalg.norm(np.diff(ahead, axis=0), axis=1)
-        return float(turns.sum()) > 0.1  # [rad]
+        return float(np.linalg.norm(np.diff(ahead, axis=0), axis=1).sum()) > 0.1  # [rad]
 
     @property
     def guesses(self) -> list[dict[str, float]]:
@@ -448,7 +471,7 @@ class LiftScene(Placed):
             (two and not self.static, CLAMPS),
             (swinging, ("length_ratio",)),
             (drag, ("air_drag",)),
-            (not two and rope and self.thin, ("grip_turn",)),
+            (not two and rope, ("grip_turn",)),
             (not rope, ("warp_over_weft",)),
             (self.by_corner, ("grip_aside", "grip_tilt", "grip_reach", "yaw")),
             (self.curved and natural is None, ("natural_curvature",)),
@@ -493,9 +516,6 @@ def with_corners(t: Array, x: Array) -> tuple[Array, Array]:
     return np.array(times)[order], np.array(places)[order]
 
 
-# ---- material ----------------------------------------------------------------------------------
-
-
 def _density(recording: Recording, body: Body, settings: SceneSettings, notes: list[str]) -> float:
     """That is simulated [kg/m^3]; what is assumed for it goes to `notes`."""
     density, made_of = 1000.0, ""
@@ -513,9 +533,6 @@ def _density(recording: Recording, body: Body, settings: SceneSettings, notes: l
         "more than E / density and the bending length"
     )
     return density
-
-
-# ---- frames and time ---------------------------------------------------------------------------
 
 
 def _choose_clock(recording: Recording) -> float:
@@ -551,16 +568,16 @@ def _compared(
     time, path = recording.time, recording.gripper_position
     fast = np.zeros(recording.num_frames, dtype=bool)
     if not recording.quasi_static and recording.num_frames > 1:
-        speed = np.linalg.norm(np.gradient(path, time, axis=0), axis=-1).max(axis=1)
-        moments = list(time[speed > SLOW])
+        moves = np.linalg.norm(np.gradient(path, time, axis=0), axis=-1).max(axis=1) > SLOW
         if recording.gripper_closed is not None:
-            moments += list(time[(~recording.gripper_closed).any(axis=1)])
-        for moment in moments:
+            moves |= (~recording.gripper_closed).any(axis=1)
+        for moment in time[moves]:
             fast |= (time >= moment) & (time <= moment + AFTER_FAST)
-    chosen = []
-    for kind, most in ((False, settings.slow_frames), (True, settings.fast_frames)):
+
+    def some(kind: bool, most: int) -> tuple[int, ...]:
         those = [t for t in frames if fast[t] == kind]
-        if len(those) > most:
-            those = [those[k] for k in np.linspace(0, len(those) - 1, most).round().astype(int)]
-        chosen.append(tuple(those))
-    return chosen[0], chosen[1]
+        if len(those) <= most:
+            return tuple(those)
+        return tuple(those[k] for k in np.linspace(0, len(those) - 1, most).round().astype(int))
+
+    return some(False, settings.slow_frames), some(True, settings.fast_frames)

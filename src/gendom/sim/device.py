@@ -90,6 +90,10 @@ def load_kernels(module: Any, device: Any, block_dim: int | None = None) -> None
     many threads (1 on the CPU). What is damaged in the cache is made anew."""
     _start_warp()
     with making:
+        size = block_dim or module.options["block_dim"]
+        loaded = module.execs.get((wp.get_device(device).context, size))
+        if loaded is not None and loaded.module_hash == module.get_module_hash(size):
+            return
         for kept in _folders(module):
             if not _is_whole(kept):
                 shutil.rmtree(kept, ignore_errors=True)

@@ -5,9 +5,8 @@ derivatives are differences between worlds side by side, kept while they are acc
 (Broyden 1965). The step is Levenberg's and Marquardt's (Nocedal and Wright 2006, chapter 10), of a
 cloth with several dampings and once by the object's own unknowns alone: the set of held points
 changes in jumps, and those unknowns do not cause any. In the coarse stage only the most influential
-unknowns are free, clouds are not registered, and frames with fast motion are left out where enough
-others are left. In the fine stage, about the best start's result, everything is free, the model's
-displacement is registered, and noise and displacement are estimated in turns with steps.
+unknowns are free, and clouds are not registered. In the fine stage, about the best start's result,
+everything is free, and noise and the model's displacement are estimated in turns with steps.
 """
 
 from __future__ import annotations
@@ -54,16 +53,14 @@ PER_BATCH = 2
 
 @dataclass(frozen=True, kw_only=True)
 class GaussNewtonSettings:
-    """What differs between searches; defaults are those of ropes; `of` has those of cloths."""
+    """What differs between searches; defaults are those of ropes, `of` has those of cloths."""
 
     leading: tuple[str, ...] = (
         "E_over_rho", "damping", "grip_turn", "tip_mass", *INSTRUMENTED,
     )  # fmt: skip
-    """Unknowns that are free in the coarse stage, so that the others do not absorb their effect.
-    None: all."""
+    """Unknowns that are free in the coarse stage, so that others do not absorb their effect."""
     gain: tuple[float, float] = (2.0, 0.2)
-    """A start has converged when a step can lower the value by no more than this, in the coarse and
-    in the fine stage."""
+    """Least gain of a step, in the coarse and in the fine stage, before a start has converged."""
     rugged: bool = False
     """Whether several steps are tried side by side."""
     jumps: tuple[float, ...] = ()
@@ -71,12 +68,9 @@ class GaussNewtonSettings:
 
     @classmethod
     def of(cls, kind: str, **changes: Any) -> GaussNewtonSettings:
-        """For ropes or cloths.
-
-        For cloths the grip matters as much as the bending, so all unknowns are free in the coarse
-        stage; the objective is rugged, with many local minima; and the model's error exceeds the
-        noise of the clouds, so small gains do not count.
-        """
+        """For ropes or cloths, of which the grip matters as much as the bending, so all unknowns
+        are free; the objective is rugged; and the model's error exceeds the noise of the clouds, so
+        small gains do not count."""
         if kind == "cloth":
             own = {"leading": (), "gain": (2.0, 10.0), "rugged": True, "jumps": (3.0, 6.0, 9.0)}
             changes = own | changes
@@ -100,40 +94,19 @@ def gauss_newton(
         SimulationError: No start can be simulated.
         KeyboardInterrupt: If interrupted before anything was found.
     """
-    began, settings = time.perf_counter(), settings or GaussNewtonSettings.of(problem.scene.kind)
-    stated = problem.first_noise()
-    least = problem.settings.noise.least_model
-    first = problem.coarse.first_noise(sensor=COARSE_NOISE, model=0.0, beside=least, rounds=1)
-    if problem.captured:
-        first = tuple(replace(noise, patch=1.0) for noise in first)
-    noise, most = first, PER_BATCH * problem.settings.max_iterations
-    names = problem.prior.names
-    free = [k for k, name in enumerate(names) if name in settings.leading] or None
-    starts = first_starts(problem.coarse, SCANNED, initial)
-    for start in starts:
-        start.stage = "coarse"
-    times = [began, time.perf_counter()]
-    interrupted, iteration, late, best, others = False, 0, 0, None, ()
+    times, settings = [time.perf_counter()], settings or GaussNewtonSettings.of(problem.scene.kind)
+    noise = stated = problem.first_noise()
+    most = PER_BATCH * problem.settings.max_iterations
+    problem, starts = first_starts(problem, SCANNED, initial)
+    times.append(time.perf_counter())
+    interrupted, others, best = False, (), None
     try:
-        while iteration < max(1, round(COARSE_SHARE * most)):
-            going = [s for s in starts if not s.done]
-            if not going or late == PATIENCE:
-                break
-            iteration += 1
-            _step(problem.coarse, going, noise, settings.gain[0], settings, free)
-            leads = best_of(starts)
-            late = late + 1 if leads is not None and leads.done else 0
-            if settings.rugged and leads is not None:
-                for s in starts:  # so many steps like its last one would not reach the best
-                    s.done |= s.value - leads.value > PATIENCE * s.won
-            problem.tell("search", iteration, most, leads or starts[0])
+        iteration = _coarse_stage(problem, starts, settings, most)
+        times.append(time.perf_counter())
         best = best_of(starts)
         if best is None:
             raise problem.nothing_runs()
-        times.append(time.perf_counter())
-        rivals = _apart(problem.coarse, best, starts, noise, 3.0)
-        if problem.lifted_rope:
-            rivals += _along_valley(problem.coarse, best, noise)
+        rivals = _rivals(problem.coarse, best, starts)
         noise = _fine_stage(problem, best, stated, settings, iteration, most)
         ends = [(s, _fine_stage(problem, s, stated, settings, iteration, most)) for s in rivals]
         best, noise, others = _likeliest(problem, [(best, noise), *ends])
@@ -144,17 +117,48 @@ def gauss_newton(
         if best.stage == "coarse":
             _compare_all(problem, best, settings)
         assert best.comparison is not None
-        noise = estimated_noise(best.comparison, stated if noise is first else noise)
+        noise = estimated_noise(best.comparison, noise)
     times.append(time.perf_counter())
-    parts = zip(("scan", "coarse", "fine"), np.diff(times), strict=False)
+    parts = zip(("scan", "coarse", "fine"), np.diff(times).tolist(), strict=False)
     return Found(
+        problem=problem,
         best=best,
         starts=starts,
         noise=noise,
         interrupted=interrupted,
         others=others,
-        seconds={name: float(t) for name, t in parts},
+        seconds=dict(parts),
     )
+
+
+def _coarse_noise(problem: Problem) -> tuple[NoiseModel, ...]:
+    """That of the coarse stage, in which clouds are not registered."""
+    least, alone = problem.settings.noise.least_model, {"patch": 1.0} if problem.captured else {}
+    return problem.first_noise(sensor=COARSE_NOISE, model=0.0, beside=least, rounds=1, **alone)
+
+
+def _coarse_stage(
+    problem: Problem, starts: Sequence[Start], settings: GaussNewtonSettings, most: int
+) -> int:
+    """Steps of all starts by the leading unknowns alone. Returns their number."""
+    coarse, noise, late, iteration = problem.coarse, _coarse_noise(problem.coarse), 0, 0
+    names = problem.prior.names
+    free = [k for k, name in enumerate(names) if name in settings.leading] or None
+    for start in starts:
+        start.stage = "coarse"
+    while iteration < max(1, round(COARSE_SHARE * most)):
+        going = [s for s in starts if not s.done]
+        if not going or late == PATIENCE:
+            break
+        iteration += 1
+        _step(coarse, going, noise, settings.gain[0], settings, free)
+        leads = best_of(starts)
+        late = late + 1 if leads is not None and leads.done else 0
+        if settings.rugged and leads is not None:
+            for s in starts:  # so many steps like its last one would not reach the best
+                s.done |= s.value - leads.value > PATIENCE * s.won
+        problem.tell("search", iteration, most, leads or starts[0])
+    return iteration
 
 
 def refined(problem: Problem, found: Found) -> Found:
@@ -163,16 +167,14 @@ def refined(problem: Problem, found: Found) -> Found:
     Raises:
         SimulationError: It cannot be simulated there.
     """
-    settings = GaussNewtonSettings.of(problem.scene.kind)
-    best, noise = found.best, found.noise
-    best.stage = "coarse"
-    most = PER_BATCH * problem.settings.max_iterations
-    most = max(1, round((1.0 - COARSE_SHARE) * most))
+    settings, noise = GaussNewtonSettings.of(problem.scene.kind), found.noise
+    found.best.stage = "coarse"
+    most = max(1, round((1.0 - COARSE_SHARE) * PER_BATCH * problem.settings.max_iterations))
     try:
-        noise = _fine_stage(problem, best, noise, settings, 0, most)
+        noise = _fine_stage(problem, found.best, noise, settings, 0, most)
     except KeyboardInterrupt:
         found = replace(found, interrupted=True)
-    return replace(found, best=best, noise=noise)
+    return replace(found, problem=problem, noise=noise)
 
 
 def _fine_stage(
@@ -211,9 +213,8 @@ def _apart(
 ) -> list[Start]:
     """Starts that have ended so many deviations or more from the best one, and from each other, in
     an unknown of the object, and are not much less likely."""
-    own = [UNKNOWNS[name].material for name in problem.prior.names]
-    hessian, found = problem.gradient_and_hessian(best, noise)[1], [best]
-    sd = np.sqrt(np.diag(np.linalg.inv(hessian)))
+    own, found = [UNKNOWNS[name].material for name in problem.prior.names], [best]
+    sd = np.sqrt(np.diag(np.linalg.inv(problem.gradient_and_hessian(best, noise)[1])))
     for s in starts:
         near = s.comparison is not None and s.done and s.value - best.value < UNLIKELY
         off = [(np.abs(s.vector - other.vector) / sd)[own].max(initial=0.0) for other in found]
@@ -222,15 +223,17 @@ def _apart(
     return found[1:]
 
 
-def _along_valley(problem: Problem, best: Start, noise: Sequence[NoiseModel]) -> list[Start]:
-    """Starts of a rope two deviations away from the best one, where that is beyond what steps
-    reach, in E / density and in what makes up for it, which follows the rope's compliance."""
-    prior, name = problem.prior, "E_over_rho"
-    if name not in prior.names:
-        return []
+def _rivals(problem: Problem, best: Start, starts: Sequence[Start]) -> list[Start]:
+    """Others of which the fine stage is to say whether they are the better ones: those that have
+    ended apart, and of a rope two deviations away from the best one, where that is beyond what
+    steps reach, in E / density and in what makes up for it, which follows the rope's compliance."""
+    prior, name, noise = problem.prior, "E_over_rho", _coarse_noise(problem)
+    found = _apart(problem, best, starts, noise, 3.0)
+    if not problem.lifted_rope or name not in prior.names:
+        return found
     k = prior.names.index(name)
     covariance = np.linalg.inv(problem.gradient_and_hessian(best, noise)[1])
-    far, found = 2.0 * np.sqrt(covariance[k, k]), []
+    far = 2.0 * np.sqrt(covariance[k, k])
     for way in (far, -far) if far > REACHED else ():
         share = (1.0 - np.exp(-way)) / covariance[k, k]
         vector = best.vector + share * covariance[k]
@@ -244,12 +247,13 @@ def _likeliest(
     problem: Problem, ends: Sequence[tuple[Start, tuple[NoiseModel, ...]]]
 ) -> tuple[Start, tuple[NoiseModel, ...], tuple[Array, ...]]:
     """Of starts' ends the most likely one, its noise, and places [P] of others that are apart."""
-    if len(ends) > 1:
-        for s, _ in ends:
-            assert s.comparison is not None
-            s.value = problem.value(s.vector, s.comparison, ends[0][1])
+    if len(ends) == 1:
+        return *ends[0], ()
+    for s, _ in ends:
+        assert s.comparison is not None
+        s.value = problem.value(s.vector, s.comparison, ends[0][1])
     best, noise = min(ends, key=lambda end: end[0].value)
-    others = _apart(problem, best, [s for s, _ in ends], noise, 1.0) if len(ends) > 1 else []
+    others = _apart(problem, best, [s for s, _ in ends], noise, 1.0)
     return best, noise, tuple(s.vector for s in others)
 
 
@@ -315,8 +319,8 @@ def _step(
     free: Sequence[int] | None = None,
 ) -> None:
     """Proposals of every start, in one batch, of which it takes the best; a start is done where it
-    can gain no more than ``least``. Derivatives are updated by Broyden's rule while steps gain what
-    they predict, and computed again before a start is given up, and at the end."""
+    can gain no more than ``least``. Derivatives are computed again where steps gain less than half
+    of what they predict, before a start is given up, and at the end."""
     _renew(problem, [s for s in going if s.comparison is None or s.renew], noise, free)
     going = [s for s in going if not s.done]
     if not going:
@@ -376,9 +380,8 @@ def _propose(
     settings: GaussNewtonSettings,
     among: Sequence[int] | None,
 ) -> tuple[list[tuple[Array, float, float]], Array]:
-    """A damped step; on rugged objectives also one of greater damping, one by the object's unknowns
-    alone, and longer ones: places [P] with the gain that the quadratic model predicts and their
-    damping; and that model's curvature along each unknown [P]."""
+    """A damped step; on rugged objectives others, too: places [P] with the gain that the quadratic
+    model predicts and their damping; and that model's curvature along each unknown [P]."""
     prior = problem.prior
     gradient, H = problem.gradient_and_hessian(start, noise)
     # a parameter pressed against its bound is held there

@@ -19,22 +19,27 @@ LIMP = 0.25
 """Bending length from which a rope is a stiff one, in its length."""
 
 
-def first_starts(problem: Problem, scanned: int, initial: Sequence[Array] = ()) -> list[Start]:
-    """Starting points: the best of a scan of so many moduli over the whole range, and random points
-    about it; of a rope in one hand the best ones of a second scan. Or those where to begin instead,
-    [P] transformed."""
+def first_starts(
+    problem: Problem, scanned: int, initial: Sequence[Array] = ()
+) -> tuple[Problem, list[Start]]:
+    """Starting points: the best of a scan of so many moduli over the whole range with few points,
+    and random points about it; of a rope in one hand the best ones of a second scan, with the
+    problem as fine as a limp one needs. Or those where to begin instead, [P] transformed."""
     if initial:
-        return [Start(initial=v, vector=v) for v in initial]
+        return problem, [Start(initial=v, vector=v) for v in initial]
     prior, rng = problem.prior, np.random.default_rng(problem.settings.seed)
     middle, k = prior.vector(*problem.bases), None
     found = [middle]
     if "E_over_rho" in prior.names:
         k = prior.names.index("E_over_rho")
         scan = np.linspace(prior.low[k], prior.high[k], scanned + 2)[1:-1]
-        found = _scanned(problem, k, scan)
+        found = _scanned(problem.coarse, k, scan)
         if problem.lifted_rope:
-            found = _scanned_about(problem, k, scan[1] - scan[0], found[0])
-            return [Start(initial=v, vector=v) for v in found[: problem.settings.starts]]
+            finer = problem.finer(found[0])
+            if finer is not problem:
+                return first_starts(finer, scanned)
+            found = _scanned_about(problem.coarse, k, scan[1] - scan[0], found[0])
+            return problem, [Start(initial=v, vector=v) for v in found[: problem.settings.starts]]
     starts = [Start(initial=found[0], vector=found[0])]
     while len(starts) < problem.settings.starts:
         drawn = prior.mean + prior.sd * np.sign(prior.step) * rng.standard_normal(len(middle))
@@ -43,30 +48,24 @@ def first_starts(problem: Problem, scanned: int, initial: Sequence[Array] = ()) 
             drawn[k] = found[rng.integers(1, max(2, len(found) // 2))][k]
         drawn = prior.clipped(drawn)
         starts.append(Start(initial=drawn, vector=drawn))
-    return starts
+    return problem, starts
 
 
 def _scanned(problem: Problem, k: int, scan: Array) -> list[Array]:
-    """[P] vectors with each modulus [S] of a scan as unknown k, the best ones first.
-
-    Guesses of different recordings are independent: with each modulus every recording takes its
-    best guess, then the next best.
-    """
+    """[P] vectors with each modulus [S] of a scan as unknown k, the best ones first: with each
+    modulus every recording takes its own best guess, then the next best."""
     prior, parts = problem.prior, problem.parts
-    most = max(len(part.scene.guesses) for part in parts)
-    bases = []
+    guesses, bases = [part.scene.guesses for part in parts], []
+    most = max(map(len, guesses))
     for n in range(most):
-        guesses = [part.scene.guesses[n % len(part.scene.guesses)] for part in parts]
-        thetas = [b.with_values(g) for b, g in zip(problem.bases, guesses, strict=True)]
-        bases.append(prior.vector(*thetas))
+        own = zip(problem.bases, guesses, strict=True)
+        bases.append(prior.vector(*(b.with_values(g[n % len(g)]) for b, g in own)))
     vectors = np.repeat(np.array(bases)[:, None], len(scan), axis=1)
     vectors[:, :, k] = scan
-    rms = np.full((len(parts), most, len(scan)), np.inf)
-    for n, compared in enumerate(
-        problem.compare(list(vectors.reshape(-1, len(bases[0]))), derivatives=False)
-    ):
-        if compared is not None:
-            rms[:, n // len(scan), n % len(scan)] = [c.rms for c in compared.parts]
+    found = problem.compare(list(vectors.reshape(-1, len(bases[0]))), derivatives=False)
+    none = [np.inf] * len(parts)
+    rms = np.array([none if c is None else [one.rms for one in c.parts] for c in found])
+    rms = rms.T.reshape(len(parts), most, len(scan))
     order = np.argsort(rms, axis=1, kind="stable")
     for recording in range(len(parts)):
         own = [n for n, owner in enumerate(prior.owners) if owner == recording]
@@ -80,8 +79,8 @@ def _scanned(problem: Problem, k: int, scan: Array) -> list[Array]:
 
 
 def _scanned_about(problem: Problem, k: int, step: float, best: Array) -> list[Array]:
-    """[P] vectors about the best one of a scan of unknown k with such steps, in half steps and with
-    other turns or frictions; those first that fit best, no two of them alike."""
+    """[P] vectors in half steps about the best one of a scan of unknown k, and with other turns or
+    frictions; those first that fit best, no two of them alike."""
     prior, scene, theta = problem.prior, problem.scene, problem.theta(best)
     stiff = scene.bending_length(theta.E_over_rho, theta.thickness) > LIMP * scene.size
     name, values = ("grip_turn", TURNS) if stiff else ("friction", FRICTIONS)
@@ -92,8 +91,9 @@ def _scanned_about(problem: Problem, k: int, step: float, best: Array) -> list[A
         j = prior.names.index(name)
         vectors[:, j] = np.repeat([best[j], *values], len(ways))
     vectors = np.unique(prior.clipped(vectors), axis=0)
-    compared = problem.compare(list(vectors), derivatives=False)
-    rms = [np.inf if c is None else c.rms for c in compared]
+    rms = [
+        np.inf if c is None else c.rms for c in problem.compare(list(vectors), derivatives=False)
+    ]
     found: list[Array] = []
     for v in vectors[np.argsort(rms, kind="stable")]:
         if all(abs(v[k] - other[k]) > 0.6 * step for other in found):

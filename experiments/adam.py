@@ -22,10 +22,10 @@ import numpy as np
 from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import SimulationError
-from gendom.estimation.likelihood import Comparison
+from gendom.estimation.likelihood import Comparison, Comparisons
 from gendom.estimation.methods.search import best_of, finished, first_starts
 from gendom.estimation.problem import Found, Problem, Start
-from gendom.estimation.replay import lattice, middle, simulator_of
+from gendom.estimation.replay import simulator_of
 from gendom.observation import DensityGrid, visible
 
 SCANNED = 16
@@ -55,7 +55,7 @@ def adam(problem: Problem, *, initial: Sequence[Array] = (), steps: int = STEPS)
         KeyboardInterrupt: If interrupted before anything was found.
     """
     prior, most = problem.prior, steps * problem.settings.max_iterations
-    starts = first_starts(problem, SCANNED, initial)
+    _, starts = first_starts(problem, SCANNED, initial)
     interrupted = False
     try:
         loss = DensityLoss(problem)
@@ -132,8 +132,7 @@ class DensityLoss:
         if markers is None:
             return np.asarray(self.part.scene.body.surface(x), dtype=float)
         index, weight = markers
-        m = middle(self.part.scene, x)
-        return np.einsum("mk,tmka->tma", weight, m[:, index])
+        return np.einsum("mk,tmka->tma", weight, x[:, index])
 
     def seen(self, points: Array) -> list[Array]:
         """T masks [M] of the points [T, M, 3] that a recording would show."""
@@ -159,13 +158,10 @@ class DensityLoss:
         if self.part.observation.markers is None:
             return value, self.part.scene.body.surface_transpose(x, bar)
         index, weight = self.part.observation.markers
-        of_middle = np.zeros((len(lattice(self.part.scene)[0]), len(x), 3))
+        of_points = np.zeros((x.shape[1], len(x), 3))
         for k, share in zip(index.T, weight.T, strict=True):
-            np.add.at(of_middle, k, share[:, None, None] * np.swapaxes(bar, 0, 1))
-        of_middle = np.swapaxes(of_middle, 0, 1)
-        # each point of the middle is the mean of the particles of a section
-        count = x.shape[1] // of_middle.shape[1]
-        return value, np.repeat(of_middle, count, axis=1) / count
+            np.add.at(of_points, k, share[:, None, None] * np.swapaxes(bar, 0, 1))
+        return value, np.swapaxes(of_points, 0, 1)
 
     def _compare(
         self, shown: Array, seen: Sequence[Array], *, derivative: bool = False
@@ -233,7 +229,5 @@ class DensityLoss:
             s = d.start
             s.iterations += 1
             if values[w] < s.value:
-                here = Comparison(self.part.observation, middle(problem.scene, x[:, w]))
-                compared = problem.joined([here])
-                assert compared is not None
-                s.take(d.vector, compared, values[w])
+                here = Comparison(self.part.observation, x[:, w])
+                s.take(d.vector, Comparisons((here,)), values[w])
