@@ -29,8 +29,9 @@ from gendom.estimation.observed import NoiseModel, Observation, Rows
 HUBER = 0.006
 """Distance beyond which a point's pull grows no further [m]: Huber's loss, smoothed."""
 
-REGISTERED = 0.1
-"""A registration ends where a step lowers -2 log likelihood by no more than this."""
+REGISTERED, LONGER = 0.1, 1.5
+"""A registration ends where a step lowers -2 log likelihood by no more than this; and by how much
+steps of sheets are longer: with weights of Huber's loss and pairs as they are they end short."""
 
 
 class Comparison:
@@ -43,6 +44,7 @@ class Comparison:
         radius: Half its thickness [m]; None: as stated.
         widens: [P] how that changes with the transformed parameters [m].
         offsets: [m, 3] by which markers are beside it [m], where that was found before.
+        at: [P] the transformed parameters.
     """
 
     def __init__(
@@ -53,10 +55,12 @@ class Comparison:
         radius: float | None = None,
         widens: Array | None = None,
         offsets: Offsets = (),
+        at: Array | None = None,
     ):
         self.observation = observation
         self.axis = axis
         self.offsets = np.array(offsets)
+        self.at = np.zeros(0) if at is None else at
         self.J = np.zeros((*axis.shape, 0)) if J is None else J
         self.radius = observation.shape.radius if radius is None else radius
         self.widens = np.zeros(0) if widens is None else widens
@@ -64,12 +68,18 @@ class Comparison:
         self._near: Linearised | None = None
         self._registered: NoiseModel | None = None
         self._first = np.zeros(0)
+        self._rounds: int | None = None
         self._in_sight = cache(lambda t: observation.in_sight(axis[t]))
 
     def warm_start(self, other: Comparison) -> None:
         """Start the registration from the result of a comparison nearby."""
-        if other._last is not None:
-            self._first = other._last.a
+        near = other._last or other._near
+        if near is not None:
+            self._first = near.a
+        if other._last is not None and not self.observation.shape.rope:
+            # a sheet's takes long: it begins where it follows the parameters
+            step, self._rounds = self.at - other.at, 1
+            self._first = self._first + other._last.follows @ step[: other._last.follows.shape[1]]
 
     def inherit_derivatives(self, other: Comparison, step: Array, weight: Array) -> None:
         """Take over the derivatives of a comparison nearby, with the smallest change that agrees
@@ -152,23 +162,27 @@ class Comparison:
         if at is None or len(at.a) != R:
             at = self._linearised(self._first if len(self._first) == R else np.zeros(R))
         # with other derivatives alone it stays where it is
-        for left in reversed(range(1 if self._registered == noise else noise.rounds + 1)):
+        far = 1.0 if self.observation.shape.rope else LONGER
+        rounds, self._rounds = self._rounds or noise.rounds, None
+        for left in reversed(range(1 if self._registered == noise else rounds + 1)):
             factor = cho_factor(weight * at.curvature + np.diag(precision), lower=True)
             downhill = weight * at.slope - precision * at.a
             step = cho_solve(factor, downhill)
             gain = float(step @ downhill)
             if left == 0 or gain < REGISTERED:
                 break
-            at = self._linearised(at.a + step)
+            at = self._linearised(at.a + far * step)
         self._near, self._registered, own = at, noise, self._by_parameters(at)
         cross, P = weight * own[:R], own.shape[1]
+        follows = -cho_solve(factor, cross).reshape(R, P)
         self._last = Fit(
             noise=noise,
             # a small step is not taken, but counts
             value=weight * at.loss + float(precision @ at.a**2) - gain * (gain < REGISTERED),
             # residuals fall as the object moves along its normals
             gradient=cross.T @ step - weight * own[R],
-            hessian=weight * own[R + 1 :] - cross.T @ cho_solve(factor, cross).reshape(R, P),
+            hessian=weight * own[R + 1 :] + cross.T @ follows,
+            follows=follows,
             at=at,
             smooth=S,
         )
@@ -356,6 +370,8 @@ class Fit:
     """[P] half its slope."""
     hessian: Array
     """[P, P] half its curvature, with the nuisance parameters marginalised."""
+    follows: Array
+    """[S + B + 7, P] how the registration changes with the parameters."""
     at: Linearised
     """Where it is registered."""
     smooth: int
