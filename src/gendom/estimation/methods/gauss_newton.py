@@ -76,7 +76,7 @@ class GaussNewtonSettings:
         """For ropes or cloths.
 
         For cloths the grip matters as much as the bending, so all unknowns are free in the coarse
-        stage; the objective is rugged, with many local minima; and the model's error exceeds the
+        stage but its reach, which few points show in jumps; the objective is rugged, with many local minima; and the model's error exceeds the
         noise of the clouds, so small gains do not count.
         """
         if kind == "cloth":
@@ -329,7 +329,7 @@ def _compare_all(problem: Problem, start: Start, settings: GaussNewtonSettings) 
     former, start.damping, start.stage = start.comparison, DAMPING[0], "fine"
     start.exact, start.renew = not settings.rugged, False
     (start.comparison,) = problem.compare([start.vector], sketched=True)
-    if start.comparison is None and former is not None and not settings.leading:
+    if start.comparison is None and former is not None and settings.rugged:
         # where a neighbour cannot be simulated, the old derivatives stay
         (start.comparison,) = problem.compare([start.vector], derivatives=False)
         if start.comparison is not None:
