@@ -76,8 +76,9 @@ class GaussNewtonSettings:
         """For ropes or cloths.
 
         For cloths the grip matters as much as the bending, so all unknowns are free in the coarse
-        stage but its reach, which few points show in jumps; the objective is rugged, with many local minima; and the model's error exceeds the
-        noise of the clouds, so small gains do not count.
+        stage but its reach, which few points show in jumps; the objective is rugged, with many
+        local minima; and the model's error exceeds the noise of the clouds, so small gains do not
+        count.
         """
         if kind == "cloth":
             own = {
