@@ -23,19 +23,7 @@ Coefficients of friction are for a smooth table, damping is a time: the stress o
 is damping times that of the strain. Both are chosen, within what such things show: 0.25 for
 polyethylene to 0.7 for rubber, and loss factors of 0.15 to 0.25 where ropes vibrate, at 8 Hz.
 
-Triangles of a cloth. Squares are halved along one diagonal and the other by turns: halved all
-alike, a sheet of MuJoCo 4.0 resists bending along the diagonals 3.4 times as much as across them.
-
-Its bending energy of a square of side h, w up: hinges over the edges see the curvature
-(w_up + w_down - 2 w) / h^2 of the vertices where no diagonal ends, those over the diagonals see
-+-(twist). A vertex where diagonals end can be higher or lower than its neighbours by any u h^2 / 4,
-so with stiffness a over the edges and g a / 4 over the diagonals the energy an area is
-
-    a / 2 min_u [(w_xx + u)^2 + (w_yy + u)^2 + g (w_xy^2 + u^2)]
-    = a / 2 [w_xx^2 + w_yy^2 - (w_xx + w_yy)^2 / (2 + g) + g w_xy^2].
-
-That is a plate's for g = 2 alone, with a rigidity of 3 a / 4 and a Poisson's ratio (of bending) of
--1/3. MuJoCo has g = 4: 5 a / 6 over the sides, 4 a / 3 over the diagonals.
+Triangles of a cloth: docs/reality.md derives how they are cut and how stiff their hinges are.
 """
 
 from __future__ import annotations
@@ -54,7 +42,6 @@ from gendom.materials import STANDARD_GRAVITY, Cloth, Item, Material, Rope
 LEAST_RADIUS = 0.0005
 """The least of a cloth's `RealCloth.radius` [m]."""
 
-
 POINT_SPACING = 0.0075
 """Between a cloth's points [m]. With 10 mm lifts show bending lengths that are 4 % longer for the
 rubber cloth, a lift takes half the time."""
@@ -62,7 +49,6 @@ rubber cloth, a lift takes half the time."""
 POINTS_A_BEND = 3.0
 """Least number of points in a bending length. The lift of a cloth that bends over 12.6 mm shows 1.8
 times its E with points 7.5 mm apart, 1.09 times with 4.4 mm."""
-
 
 SHEET_NU = -1.0 / 3.0
 """Poisson's ratio of bending; that of the material counts in a sheet's rigidity and its plane."""
