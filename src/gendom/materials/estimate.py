@@ -338,14 +338,13 @@ class Estimate(Shown):
             E = known.pop("E", None)
             if E is None and self.value("E_over_rho") is not None and "density" in self.known:
                 E = self.E
-            posterior = NOTHING_ESTIMATED
             known.pop("E_over_rho", None)
-            density = known.get("density")
-            if E is not None and density is None:
-                known["E"] = E
-            elif E is not None and density is not None:
-                known["E_over_rho"] = E / density
+            posterior = NOTHING_ESTIMATED
+            if E is not None and "density" in known:
+                known["E_over_rho"] = E / known["density"]
                 given.add("E_over_rho")
+            elif E is not None:
+                known["E"] = E
         return replace(self, known=known, given=self.given | given, posterior=posterior)
 
     def updated(self, learned: Estimate, entries: Mapping[str, Any]) -> Self:
