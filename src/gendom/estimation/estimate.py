@@ -105,10 +105,12 @@ def _searched(problem: Problem, search: Callable[[Problem], Found]) -> tuple[Pro
     if refused:
         problem.settings = replace(problem.settings, starts=1, max_iterations=2)
     found = search(problem)
+    problem = found.problem or problem
     while problem.settings.method == "gauss-newton" and not (found.interrupted or refused):
         finer = problem.finer(found.best.vector).beside(found)
         if finer is problem:
-            return problem, _searched_widely(problem, found)
+            found = _searched_widely(problem, found)
+            return found.problem or problem, found
         limp = finer.scene.limp and not problem.scene.limp
         problem, found = finer, gauss_newton(finer) if limp else refined(finer, found)
     return problem, found
@@ -150,7 +152,7 @@ def _alone(
     for recording, part in enumerate(problem.parts):
         alone = problem.alone(recording)
         own = gauss_newton(alone, initial=[found.best.vector[part.shown]])
-        posteriors.append(posterior_of(alone, own, calibration))
+        posteriors.append(posterior_of(own.problem or alone, own, calibration))
     return posteriors
 
 

@@ -140,6 +140,8 @@ class Found:
     starts: Sequence[Start]
     noise: tuple[NoiseModel, ...]
     """Of each recording; its comparison is evaluated with it."""
+    problem: Problem | None = None
+    """A finer one than was asked for, in which that is."""
     interrupted: bool = False
     others: tuple[Array, ...] = ()
     """[P] where other starts have ended that are about as likely as the best one."""

@@ -37,7 +37,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.arrays import Array
-from gendom.materials import STANDARD_GRAVITY, Cloth, Item, Material, Rope
+from gendom.materials import STANDARD_GRAVITY, Cloth, Item, Material, Rope, size_of
 
 LEAST_RADIUS = 0.0005
 """The least of a cloth's `RealCloth.radius` [m]."""
@@ -84,20 +84,28 @@ def vertices_of(side: float, bends: float = math.inf) -> int:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RealRope(Rope):
-    """A rope of the MuJoCo test scene; its E is that of bending."""
+class _Meshed:
+    """What objects of the scene have in common."""
 
     name: str
     """As on the command line."""
     colour: tuple[int, int, int]
     """sRGB."""
-    vertices: int = 18
-    """Points along it; their spacing must exceed the diameter."""
+    vertices: int
+    """Points along a rope, or a side of a cloth."""
 
     @property
     def spacing(self) -> float:
         """Between points [m]."""
-        return self.length / (self.vertices - 1)
+        return size_of(self) / (self.vertices - 1)  # pyright: ignore[reportArgumentType]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealRope(_Meshed, Rope):
+    """A rope of the MuJoCo test scene, whose points are farther apart than it is thick; its E is
+    that of bending."""
+
+    vertices: int = 18
 
     @property
     def radius(self) -> float:
@@ -113,15 +121,10 @@ class RealRope(Rope):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RealCloth(Cloth):
+class RealCloth(_Meshed, Cloth):
     """A cloth of the MuJoCo test scene; its E is that of bending."""
 
-    name: str
-    """As on the command line."""
-    colour: tuple[int, int, int]
-    """sRGB."""
     vertices: int = 41
-    """Points along a side."""
 
     @property
     def sheet(self) -> tuple[Array, npt.NDArray[np.intp]]:
@@ -129,21 +132,10 @@ class RealCloth(Cloth):
         return grid(self.vertices, self.vertices, self.spacing)
 
     @property
-    def spacing(self) -> float:
-        """Between points [m]."""
-        return self.side / (self.vertices - 1)
-
-    @property
     def radius(self) -> float:
         """Distance from its middle surface of contacts and of the visible skin [m]: half its
         thickness, or the least that contacts need."""
         return max(LEAST_RADIUS, self.thickness / 2.0)
-
-    @property
-    def mass(self) -> float:
-        """[kg]."""
-        area = 0.5 * self.spacing**2 * len(self.sheet[1])
-        return area * self.thickness * self.material.density
 
     @property
     def vertex_masses(self) -> Array:

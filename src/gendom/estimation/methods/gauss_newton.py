@@ -139,6 +139,8 @@ def gauss_newton(
         if best is None:
             raise problem.nothing_runs()
         times.append(time.perf_counter())
+        if settings.rugged:
+            problem = problem.finer(best.vector)
         rivals = _apart(problem.coarse, best, starts, noise, 3.0)
         if problem.lifted_rope:
             rivals += _along_valley(problem.coarse, best, noise)
@@ -157,6 +159,7 @@ def gauss_newton(
     parts = zip(("scan", "coarse", "fine"), np.diff(times), strict=False)
     return Found(
         best=best,
+        problem=problem,
         starts=starts,
         noise=noise,
         interrupted=interrupted,
@@ -180,7 +183,7 @@ def refined(problem: Problem, found: Found) -> Found:
         noise = _fine_stage(problem, best, noise, settings, 0, most)
     except KeyboardInterrupt:
         found = replace(found, interrupted=True)
-    return replace(found, best=best, noise=noise)
+    return replace(found, best=best, noise=noise, problem=problem)
 
 
 def _fine_stage(
