@@ -22,6 +22,7 @@ from gendom.estimation.scene import LiftScene
 from gendom.estimation.scene_settings import (
     COARSE_FRAMES,
     COARSE_POINTS,
+    COARSE_SHARE,
     COARSE_STRETCH,
     STRETCH,
     SceneSettings,
@@ -176,9 +177,10 @@ class Part:
         scene, rope = self.scene, self.scene.kind == "rope"
         along = len(scene.initial) if rope else max(scene.body.shape)
         fixed = not scene.thin or scene.settings.points is not None
-        few, stretch = fixed or along < 1.3 * COARSE_POINTS, STRETCH if rope else COARSE_STRETCH
+        points = COARSE_POINTS if rope else max(COARSE_POINTS, round(COARSE_SHARE * along))
+        few, stretch = fixed or along < 1.3 * points, STRETCH if rope else COARSE_STRETCH
         few |= scene.limp
-        return scene if few else scene.simulated_with(COARSE_POINTS, stretch)
+        return scene if few else scene.simulated_with(points, stretch)
 
     @cached_property
     def coarse(self) -> Part:
