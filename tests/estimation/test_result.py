@@ -1,7 +1,5 @@
 """Estimates as they are kept and shown."""
 
-from typing import Any
-
 import pytest
 
 from gendom.errors import ParameterError
@@ -26,9 +24,7 @@ def test_an_estimate_comes_back_from_its_file(found, tmp_path):
     ("changes", "words"),
     [
         ({"format": "other/1"}, "not 'gendom-estimate/1'"),
-        ({"posterior": {}}, "posterior: object missing required field names"),
-        ({"theta": {"colour": 1.0}}, "cannot be used: TypeError"),
-        ({"E": 1.0}, r"estimate\.json: E is .*, its posterior says"),
+        ({"E": 1.0}, r"estimate\.json: was changed after it was written"),
         (None, "nothing was estimated: no frame holds a point"),
     ],
 )
@@ -58,21 +54,3 @@ def test_the_object_has_the_estimated_material(found):
     with pytest.raises(ParameterError, match="is of a rope"):
         found.cloth()
     assert len({item.material.E for item in found.draws(5, seed=0)}) == 5
-
-
-def test_files_of_earlier_versions_are_read(found, tmp_path):
-    path = tmp_path / "estimate.json"
-    old = {"E": "youngs_modulus", "nu": "poissons_ratio", "E_over_rho": "specific_modulus"}
-
-    def renamed(read: Any) -> Any:
-        if isinstance(read, dict):
-            return {old.get(k, k) if k != "nu" else k: renamed(v) for k, v in read.items()}
-        if isinstance(read, list):
-            return [old["E_over_rho"] if v == "E_over_rho" else renamed(v) for v in read]
-        return read
-
-    record = renamed(found.record)
-    record["poissons_ratio"] = record.pop("nu")
-    write_json(path, record)
-    assert Estimate.load(path).record["posterior"] == found.record["posterior"]
-    assert Estimate.load(path).E == found.E

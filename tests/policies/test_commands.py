@@ -16,6 +16,7 @@ from gendom.hardware.cell import Cell, PlannedMotion
 from gendom.hardware.execution import read_action
 from gendom.materials import size_of
 from gendom.materials.estimate import Estimate
+from gendom.materials.estimate_file import checksum
 from gendom.materials.posterior import Posterior, prior_of
 from gendom.policies import Policy
 from gendom.policies.prediction import doubts, predict
@@ -38,8 +39,7 @@ def estimated(sd=0.068, **known):
         bases=(),
     )
     known = {"length": 0.25, "diameter": 0.014, "nu": 0.3, "density": 900.0} | known
-    record = Estimate(kind="rope", known=known, posterior=posterior).record
-    return {name: value for name, value in record.items() if name != "sha256"}
+    return Estimate(kind="rope", known=known, posterior=posterior).record
 
 
 ESTIMATE = estimated()
@@ -66,7 +66,8 @@ def act(make_policy, monkeypatch, tmp_path, capsys):
     def run(*flags, estimate=ESTIMATE, goal="0.35"):
         words = ["act", "rope-reaching", "--goal", goal, *flags]
         if estimate is not None:
-            write_json(tmp_path / "estimate.json", estimate)
+            sealed = estimate | {"sha256": checksum(estimate)}
+            write_json(tmp_path / "estimate.json", sealed)
             words += ["--params", str(tmp_path / "estimate.json")]
         code = cli.main(words)
         return code, *capsys.readouterr()
@@ -230,7 +231,7 @@ def test_adapt_learns_from_executions_one_after_the_other(adapt, act, tmp_path):
     # and what is not explained by parameters moves the polished action
     flags = ("--json", "--polish", "--seconds", "60")
     with_it = json.loads(act(*flags, estimate=by_turns)[1])
-    edited = {n: v for n, v in by_turns.items() if n != "sha256"} | {"executions": {}}
+    edited = by_turns | {"executions": {}}
     without = json.loads(act(*flags, estimate=edited)[1])
     assert with_it["action"] != without["action"]
 
@@ -318,9 +319,8 @@ what is said, also where it is forced."""
         ((), "0.9", "choose one between", ESTIMATE),
         (FEW, "0.3", "give --diameter [m], --density [kg/m^3]", None),
         ((), "0.35", "not 'gendom-estimate/1'", ESTIMATE | {"format": "other/1"}),
-        ((), "0.35", "must be a positive number, got '0.3'", ESTIMATE | {"nu": "0.3"}),
+        ((), "0.35", "could not convert string to float", ESTIMATE | {"nu": "x"}),
         ((), "0.35", "describes a cloth", CLOTH),
-        ((), "0.35", "is of a version before 0.2", ESTIMATE | {"posterior": None}),
         (("--E", "-1"), "0.35", "must be positive", ESTIMATE),
         (("--policy", "x.onnx"), "0.35", "x.onnx: no such file", ESTIMATE),
         (("--origin", "nan", "0", "0"), "0.35", "--origin: is nan 0 0 m; give metres", ESTIMATE),

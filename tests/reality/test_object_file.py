@@ -68,7 +68,7 @@ def test_objects_of_files(tmp_path):
         ({"length": None}, "lacks length"),
         ({"mass": None}, "one of mass and density"),
         ({"density": "900"}, "one of mass and density"),
-        ({"length": "280"}, "give metres"),
+        ({"length": "280"}, r"check sizes \[m\]"),
         ({"diameter": "-0.01"}, "give metres"),
         ({"diameter": "0.1"}, "is no rope"),
         ({"mass": "30"}, "its density would be"),

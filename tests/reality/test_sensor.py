@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from gendom.errors import ParameterError
 from gendom.perception import Camera
 from gendom.reality import sensor
 from gendom.reality.model import DEPTH_UNIT
@@ -189,5 +188,3 @@ def test_errors_of_a_rig_have_the_size_asked_for():
     for camera in none.believed(cameras, np.random.default_rng(0)):
         np.testing.assert_array_equal(camera.calibrated(), np.eye(4))
     assert none.stamp(1, 1.0) == 1.0
-    with pytest.raises(ParameterError, match="rotation is -1"):
-        RigErrors(rotation=-1.0)

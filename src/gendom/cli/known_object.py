@@ -56,7 +56,7 @@ class KnownObject:
         found = Estimate(kind=task.kind, known={})
         where = None if self.params is None else str(self.params)
         if self.params is not None:
-            found = Estimate.load(self.params, kind=task.kind, even_unusable=self.force)
+            found = Estimate.load(self.params, even_unusable=self.force)
             what = f"describes a {found.kind}, the task needs a {task.kind}"
             fix = f"give the estimate of a {task.kind}"
             require(found.kind == task.kind, what, where=where, fix=fix, error=GendomError)

@@ -165,7 +165,7 @@ def _alone(
     for recording, part in enumerate(problem.parts):
         alone = problem.alone(recording)
         own = gauss_newton(alone, initial=[found.best.vector[part.shown]])
-        posteriors.append(posterior_of(alone, own, calibration))
+        posteriors.append(posterior_of(own.problem or alone, own, calibration))
     return posteriors
 
 

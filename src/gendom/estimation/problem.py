@@ -21,6 +21,7 @@ from gendom.estimation.replay import Shape, replay_axis
 from gendom.estimation.scene import (
     COARSE_FRAMES,
     COARSE_POINTS,
+    COARSE_SHARE,
     COARSE_STRETCH,
     STRETCH,
     LiftScene,
@@ -139,6 +140,8 @@ class Found:
     starts: Sequence[Start]
     noise: tuple[NoiseModel, ...]
     """Of each recording; its comparison is evaluated with it."""
+    problem: Problem | None = None
+    """A finer one than was asked for, in which that is."""
     interrupted: bool = False
     others: tuple[Array, ...] = ()
     """[P] where other starts have ended that are about as likely as the best one."""
@@ -174,7 +177,10 @@ class Part:
         scene, rope = self.scene, self.scene.kind == "rope"
         along = len(scene.initial) if rope else max(scene.body.shape)
         points, stretch = COARSE_POINTS[scene.kind], STRETCH if rope else COARSE_STRETCH
-        points = max(points, (along + 1) // 2) if scene.limp else points
+        if rope and scene.limp:
+            points = max(points, (along + 1) // 2)
+        elif not rope:
+            points = along if scene.limp else max(points, round(COARSE_SHARE * along))
         few = scene.settings.points is not None or along < 1.3 * points
         return scene if few else scene.simulated_with(points, stretch)
 
@@ -236,6 +242,7 @@ class Problem:
         self._on_progress = on_progress
         self.placed = 0
         """How often markers were found beside the axis."""
+        self._anchors: tuple[tuple[Array, Array], ...] = ()
 
     @property
     def scene(self) -> LiftScene:
@@ -293,6 +300,19 @@ class Problem:
             return self
         parts = [replace(p, base=p.base.with_offsets(mean)) for p in self.parts]
         return self._with(parts, placed=self.placed + 1)
+
+    def about(self, start: Start) -> Problem | None:
+        """The same about a start: only how shapes change from there is simulated, with few points
+        (space mapping; Bandler et al. 1994, "Space mapping technique for electromagnetic
+        optimization"); None where that cannot be simulated."""
+        assert start.comparison is not None
+        anchors = []
+        for k, compared in enumerate(start.comparison.parts):
+            few = self.parts[k].coarser
+            begun = self.positions([start.vector], k, few)[:, 0]
+            anchors.append((compared.axis, begun))
+        usual = all(np.isfinite(begun).all() for _, begun in anchors)
+        return self._with(self.parts, _anchors=tuple(anchors)) if usual else None
 
     def with_unknown(self, name: str) -> Problem:
         """The same of one recording with one more unknown, the last one."""
@@ -370,10 +390,13 @@ class Problem:
                 [v, *(v + along[k] * h[k] for k in which)]
                 for v, h in zip(vectors, steps, strict=True)
             ]
-            few = part.coarser if sketched or part.scene.kind == "rope" else part.scene
-            shapes, changes = self._shapes(worlds, recording, few if derivatives else part.scene)
+            sketch = sketched or part.scene.kind == "rope" or self._anchors
+            few = part.coarser if sketch else part.scene
+            few = few if derivatives or self._anchors else part.scene
+            shapes, changes = self._shapes(worlds, recording, few)
             found: list[Comparison | None] = []
-            for own, here, change, h in zip(worlds, shapes, changes, steps, strict=True):
+            each = zip(vectors, worlds, shapes, changes, steps, strict=True)
+            for v, own, here, change, h in each:
                 if not (np.isfinite(here).all() and np.isfinite(change).all()):
                     found.append(None)
                     continue
@@ -384,9 +407,8 @@ class Problem:
                 J = np.zeros((*here.shape, len(widens)))
                 J[..., moved] = change / h[which] @ back.T
                 widens[moved] = back @ ((r[1:] - r[0]) / h[which])
-                found.append(
-                    Comparison(part.observation, here, J, float(r[0]), widens, part.base.offsets)
-                )
+                of, at = (float(r[0]), widens, part.base.offsets), v[part.shown]
+                found.append(Comparison(part.observation, here, J, *of, at))
             columns.append(found)
         rows = zip(*columns, strict=True)
         return [None if None in row else Comparisons(row) for row in rows]
@@ -404,8 +426,12 @@ class Problem:
         changes = [np.moveaxis(own[:, 1:] - own[:, :1], 1, -1) for own in rows]
         if few is part.scene:
             return shapes, changes
-        x = self.positions([row[0] for row in worlds], recording)
         to, of = part.observation.shape, Shape(few)
+        if self._anchors:
+            fine, begun = self._anchors[recording]
+            shapes = [fine + to.taken_from(of, shape - begun) for shape in shapes]
+            return shapes, [to.taken_from(of, change) for change in changes]
+        x = self.positions([row[0] for row in worlds], recording)
         return list(np.swapaxes(x, 0, 1)), [to.taken_from(of, change) for change in changes]
 
     def inherit_derivatives(

@@ -427,7 +427,8 @@ class Shape:
         )
         T, _, *rest = values.shape
         rows = values.reshape(T, Kb.shape[1], Ka.shape[1], -1)
-        return np.einsum("ij,kl,tjlp->tikp", Kb, Ka, rows, optimize=True).reshape(T, -1, *rest)
+        found = np.einsum("ij,kl,tjlp->tikp", Kb, Ka, rows, optimize=True)
+        return found.reshape(T, len(Kb) * len(Ka), *rest)
 
     def nearest(self, x: Array, points: Array) -> tuple[Array, Array, Array]:
         """Middle points around the feet of points [T, m, 3] on shapes [T, n, 3], [T, m, k], their

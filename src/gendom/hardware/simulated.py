@@ -94,7 +94,7 @@ class SimulatedRobot:
         self.trial = trial
         self.world = Reality(
             trial.item, trial.layout, robot=self.servos, cameras=self._true,
-            timestep=trial.timestep, slow_timestep=trial.slow_timestep, tolerance=trial.tolerance,
+            timestep=trial.timestep, adaptive=trial.adaptive,
         )  # fmt: skip
 
     def connect(self) -> None:

@@ -1,7 +1,7 @@
 """The file of an estimate: the numbers in it that follow from others, and how it is read.
 
-Its single source of truth is the posterior; the values beside it follow from that, and a file in
-which they do not is refused. Names of earlier versions are mapped by `gendom.materials.names`.
+Its single source of truth is the posterior; the values beside it follow from that. A file that was
+changed after it was written is refused.
 """
 
 from __future__ import annotations
@@ -16,14 +16,12 @@ from typing import Any
 import numpy as np
 
 from gendom.arguments import require
-from gendom.errors import GendomError, ParameterError
 from gendom.files import to_json
 from gendom.materials import catalogue
-from gendom.materials.names import with_current_names
 from gendom.materials.objects import KINDS
 from gendom.materials.posterior import Posterior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
-from gendom.reading import read_json, record_of
+from gendom.reading import read_json
 
 FORMAT = "gendom-estimate/1"
 
@@ -32,9 +30,6 @@ LEVEL = 0.9
 
 HIDDEN = ("damping", "friction")
 """What many recordings do not determine: where one does not, the usual value is taken for it."""
-
-LARGEST_SD = 10.0
-"""Of the logarithm of a density in a file: twice that of all matter on Earth."""
 
 SIZES = ("length", "width", "height", "diameter", "thickness", "side")
 """Names of sizes in files [m]."""
@@ -54,54 +49,6 @@ class Verdict:
 
 
 USABLE = Verdict(usable=True)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Stored:
-    """What is read of the file, by its type; an empty entry counts as none."""
-
-    format: str | None = None
-    verdict: Verdict | None = None
-    object: dict[str, str | float | None] | None = None
-    posterior: dict[str, Any] | None = None
-    theta: dict[str, float] | None = None
-    marker_offsets: list[tuple[float, float, float]] | None = None
-    intervals: dict[str, float | tuple[float, float]] | None = None
-    density_sd: float | None = None
-    simulation: Simulated | None = None
-    recordings: list[StoredRecording] | None = None
-    executions: dict[str, list[Any]] | None = None
-    before_executions: dict[str, Any] | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class StoredRecording:
-    """What is read of one of its recordings."""
-
-    theta: dict[str, float]
-    digest: str | None = None
-    begins_with: str | None = None
-    compared: list[int] | None = None
-    simulation: Simulated | None = None
-    calibration: Calibrated | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Simulated:
-    """What is read of how it was simulated."""
-
-    engine: str | None = None
-    points: int | None = None
-    cells_across: float = 1.0
-    material: str | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Calibrated:
-    """What is read of where cameras were found."""
-
-    registration: tuple[tuple[float, ...], ...] | None = None
-    """[4, 4]."""
 
 
 CHECKSUM, TIMES = "sha256", ("seconds", "stage_seconds")
@@ -174,85 +121,34 @@ def assumed_density_sd(material: str | None) -> float:
 
 
 def read_record(path: str | Path, *, even_unusable: bool = True) -> dict[str, Any]:
-    """The JSON document of an estimate's file, perhaps of an earlier version, with the present
-    names of quantities; errors as of `checked`."""
-    read = with_current_names(read_json(path))
-    checked(read, str(path), even_unusable=even_unusable)
+    """The JSON document of an estimate's file; errors as of `check_record`."""
+    read = read_json(path)
+    check_record(read, str(path), even_unusable=even_unusable)
     return read
 
 
-def checked(read: Mapping[str, Any], where: str, *, even_unusable: bool = True) -> Stored:
-    """What is read of an estimate's record with present names, by its type.
+def check_record(read: Mapping[str, Any], where: str, *, even_unusable: bool = True) -> None:
+    """Refuse what is not an estimate's record as it was written.
 
     Raises:
-        ParameterError: It has another format or odd types, holds no numbers, or is not usable,
-            unless such are wanted, too.
+        ParameterError: It has another format or no checksum, was changed, holds no numbers, or is
+            not usable, unless such are wanted, too.
     """
     form, fix = read.get("format"), "give a file written by gendom estimate"
     require(form == FORMAT, f"has format {form!r}, not {FORMAT!r}", where=where, fix=fix)
-    fix = "give the file as gendom estimate wrote it"
-    stored = record_of(Stored, read, where=where, fix=fix, error=ParameterError)
-    verdict = stored.verdict or USABLE
-    why, again = ", ".join(verdict.reasons), "record the object again, or"
-    usable, fix = even_unusable or verdict.usable, f"{again} add --force"
-    require(usable, f"is not usable: {why}", where=where, fix=fix)
+    verdict, again = read.get("verdict"), "record the object again, or"
+    reasons = verdict.get("reasons") if isinstance(verdict, dict) else None
+    why = ", ".join(map(str, reasons if isinstance(reasons, list) else ()))
     numbers, fix = not read.keys() <= {"format", "verdict"}, f"{again} give flags such as --E"
     what = f"holds no numbers, since nothing was estimated: {why}"
     require(numbers, what, where=where, fix=fix)
-    what = "has no posterior: is of a version before 0.2"
-    require(stored.posterior is not None, what, where=where, fix="run gendom estimate again")
-    return stored
-
-
-def fields_of(
-    read: Mapping[str, Any], stored: Stored, kind: str | None, where: str
-) -> tuple[dict[str, Any], dict[str, float]]:
-    """Fields of the estimate of a record that was `checked`, and the values that its posterior must
-    have. `kind` is of the object, for files that do not say it.
-
-    Raises:
-        KeyError, IndexError, TypeError, ValueError, GendomError: The record cannot be used.
-    """
-    of = (stored.object or {}).get("kind", kind)
-    if not isinstance(of, str) or of not in KINDS:
-        raise ValueError(f"there is no kind of object {of!r}")
-    known = _numbers(read, stored, where)
-    level = (stored.intervals or {}).get("level", LEVEL)
-    if not isinstance(level, float) or not 0.0 < level < 1.0:
-        raise ParameterError(f"level is {level}", where="intervals", fix="estimate again")
-    base = Theta(**stored.theta) if stored.theta else None
-    base = base and base.with_offsets(stored.marker_offsets or ())
-    # files of earlier versions are of one recording
-    own = [{}] if stored.recordings is None else [r.theta for r in stored.recordings]
-    bases = [base.with_values(theta) for theta in own] if base else []
-    posterior = Posterior.from_dict(stored.posterior or {}, bases)
-    stated = _stated(known, posterior, of)
-    material = None if stored.simulation is None else stored.simulation.material
-    sd = 0.0 if "mass" in known else assumed_density_sd(material)
-    density_sd = float(read.get("density_sd", sd))
-    what = f"density_sd is {density_sd:g}"
-    require(0.0 <= density_sd <= LARGEST_SD, what, fix="estimate again")
-    about = {k: v for k, v in read.items() if k not in _OWN}
-    fields = {"kind": of, "known": known, "posterior": posterior, "about": about}
-    return {**fields, "level": level, "density_sd": density_sd}, stated
-
-
-def _stated(known: dict[str, float], posterior: Posterior, kind: str) -> dict[str, float]:
-    """Take out of a record's numbers those that the posterior has, and return them. What is left
-    is of an object as thick as stated."""
-    owners = zip(posterior.names, posterior.prior.owners, strict=True)
-    names = [name for name, owner in owners if owner is None]
-    stated = {n: known.pop(n) for n in ("E", *names) if n in known and n != "thickness"}
-    if "thickness" not in names:
-        return stated
-    small, power = KINDS[kind].sizes[1], KINDS[kind].thickness_power
-    r = UNKNOWNS["thickness"].value(float(posterior.mean[posterior.names.index("thickness")]))
-    if small in known:
-        stated["thickness"] = known[small]
-        known[small] /= r
-    if "mass" in known and "density" in known:
-        known["density"] *= r**power
-    return stated
+    what = "has no checksum: is of a version before 0.2"
+    require(CHECKSUM in read, what, where=where, fix="run gendom estimate again")
+    fix = "leave the file as it was written; give another number by a flag such as --E"
+    whole = read[CHECKSUM] == checksum(read)
+    require(whole, "was changed after it was written", where=where, fix=fix)
+    usable, fix = even_unusable or read["verdict"]["usable"], f"{again} add --force"
+    require(usable, f"is not usable: {why}", where=where, fix=fix)
 
 
 _OWN = (
@@ -263,19 +159,39 @@ _OWN = (
 """Entries of the file that `Estimate.record` computes, beside values of unknowns."""
 
 
-def _numbers(read: Mapping[str, Any], stored: Stored, where: str) -> dict[str, float]:
-    """The file's numbers of the object.
+def fields_of(read: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of the estimate of a record that was checked.
 
     Raises:
-        GendomError: One is none, or not positive.
+        KeyError, TypeError, ValueError, GendomError: An unknown of another package is missing here.
     """
-    names = {n for n, u in UNKNOWNS.items() if u.material and n != "thickness"}
-    numbers = {n: read.get(n) for n in ("E", *names, "density")}
-    numbers |= {n: (stored.object or {}).get(n) for n in (*SIZES, "mass")}
-    fix = "estimate again, or give the number by a flag"
-    for name, value in numbers.items():
-        least = isinstance(value, (int, float)) and (value > 0.0 or (not value and name in HIDDEN))
-        right = value is None or least or (name in UNKNOWNS and UNKNOWNS[name].low <= 0)
-        what = f"{name} must be a positive number, got {value!r}"
-        require(right, what, where=where, fix=fix, error=GendomError)
-    return {n: float(v) for n, v in numbers.items() if v is not None}
+    stated, verdict = read["object"], read["verdict"]
+    bases = []
+    if "theta" in read:
+        base = Theta(**read["theta"]).with_offsets(read.get("marker_offsets") or ())
+        bases = [base.with_values(r["theta"]) for r in read.get("recordings") or [{"theta": {}}]]
+    posterior = Posterior.from_dict(read["posterior"], bases)
+    owners = zip(posterior.names, posterior.prior.owners, strict=True)
+    estimated = {name for name, owner in owners if owner is None}
+    names = {n for n, u in UNKNOWNS.items() if u.material} - estimated - {"thickness"}
+    known = {n: read.get(n) for n in (*sorted(names), "density")}
+    known |= {n: stated.get(n) for n in (*SIZES, "mass")}
+    known = {n: float(v) for n, v in known.items() if v is not None}
+    if "thickness" in estimated:
+        # what is known is of an object as thick as stated
+        kind = KINDS[stated["kind"]]
+        k = posterior.names.index("thickness")
+        times = UNKNOWNS["thickness"].value(float(posterior.mean[k]))
+        if kind.sizes[1] in known:
+            known[kind.sizes[1]] /= times
+        if "mass" in known and "density" in known:
+            known["density"] *= times**kind.thickness_power
+    return {
+        "kind": stated["kind"],
+        "known": known,
+        "posterior": posterior,
+        "verdict": Verdict(usable=verdict["usable"], reasons=tuple(verdict["reasons"])),
+        "level": (read["intervals"] or {"level": LEVEL})["level"],
+        "density_sd": read["density_sd"],
+        "about": {k: v for k, v in read.items() if k not in _OWN},
+    }

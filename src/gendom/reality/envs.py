@@ -4,8 +4,7 @@ as ``gendom/RopeReaching-v0``, those of other packages included (docs/reality.md
 A step is one action carried out to its end, and ends the episode. Actions, goals and limits are
 those of `gendom.tasks`, in the task's frame.
 
-Observation: a dictionary of float32. `metadata["units"]` has the units too, by the same names, and
-those of the action.
+Observation: a dictionary of float32.
 
     goal         [G] as the task's goals; absent where it has none
     sizes        [2] a rope's length and diameter, a cloth's side and thickness [m]
@@ -21,8 +20,6 @@ info of a step, beside the task's outcome by name:
 
     action       what was carried out: one that the task does not allow is moved into its limits
     reached      [G] as the goal; NaN if refused
-    slowed_by    how much longer the arm took than the task asks for
-    deviation    largest distance of the arm's path from the ideal one at equal times [m]
     refused      why the arm refused (then only this, action and reached are there), or None
 """
 
@@ -96,20 +93,11 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         low, high = limits[..., 0].min(axis=0), limits[..., 1].max(axis=0)
         self.action_space = box(low, high, dtype=np.float64)
         spaces: dict[str, gymnasium.Space[Any]] = {"sizes": box(0.0, LARGEST, (2,))}
-        units = {
-            "sizes": ("m", "m"),
-            "action": tuple(q.unit for q in self.task.actions),
-            "goal": tuple(q.unit for q in self.task.goals),
-            "parameters": tuple(p.unit for p in PARAMETERS.values()),
-        }
         if self.task.goals:
             spaces["goal"] = box(-10.0, 10.0, (len(self.task.goals),))
         if parameters:
-            low = np.array([0.0, -1.0, 0.0, 0.0, 0.0], np.float32)
-            high = np.array([1e9, 0.5, 1e3, 1e2, 1e6], np.float32)
-            spaces["parameters"] = box(low, high)
-        # Gymnasium reads this from the instance, not from the class
-        vars(self)["metadata"] = {**self.metadata, "units": units}
+            ends = np.float32([[0.0, -1.0, 0.0, 0.0, 0.0], [1e9, 0.5, 1e3, 1e2, 1e6]])
+            spaces["parameters"] = box(*ends)
         self.observation_space = gymnasium.spaces.Dict(spaces)
         self._item: RealObject | None = None
         self._seen: dict[str, Array] = {}
@@ -188,13 +176,8 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             info |= {"reached": np.full(len(task.goals), np.nan), "refused": str(error)}
             return self._observe(), REFUSED, True, False, info
         values = task.outcome(item, observe(task, run))
-        arm, reward = run.motion, next(iter(values.values()))
-        info = values | info
-        info |= {
-            "reached": np.array([values[q.name] for q in task.goals]),
-            "slowed_by": 1.0 if arm is None else arm.slowed_by,
-            "deviation": 0.0 if arm is None else arm.deviation,
-        }
+        reward = next(iter(values.values()))
+        info = values | info | {"reached": np.array([values[q.name] for q in task.goals])}
         if task.goals:
             reward = -task.error(item, self._seen["goal"], values)
         return self._observe(), float(reward), True, False, info

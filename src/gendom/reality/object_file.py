@@ -22,8 +22,8 @@ from gendom.reality.objects import OBJECTS, PLAIN, RealCloth, RealObject, RealRo
 DEFAULTS = {name: ASSUMED[name] for name in ("damping", "friction")}
 """Defaults of numbers that a file may leave out."""
 
-LARGEST, THICKEST, DENSEST, STIFFEST = 5.0, 0.2, 2e4, 1e13
-"""Sizes [m], densities [kg/m^3] and moduli [Pa] beyond these are taken for a wrong unit."""
+DENSEST = 2e4
+"""Densities beyond this are taken for a wrong unit [kg/m^3]."""
 
 
 def find_object(name: str) -> RealObject:
@@ -93,11 +93,6 @@ def _numbers(given: Mapping[str, Any], usual: Mapping[str, float], kind: str) ->
     if ("mass" in number) == ("density" in number):
         missing.append("one of mass and density")
     require(not missing, f"lacks {', '.join(missing)}", fix="give it")
-    limits = {large: (LARGEST, "metres"), small: (THICKEST, "metres")}
-    limits |= {"density": (DENSEST, "kg/m^3"), "E": (STIFFEST, "pascals")}
-    for name, (most, unit) in limits.items():
-        value = number.get(name, most)
-        require(0.0 < value <= most, f"{name} is {value:g}", fix=f"give {unit}")
     area = math.pi / 4.0 * number[small] ** 2 if kind == "rope" else number[large] * number[small]
     density = number.get("density", number.get("mass", 0.0) / (number[large] * area))
     what, fix = f"its density would be {density:.4g} kg/m^3", "check sizes [m] and mass [kg]"

@@ -23,19 +23,7 @@ Coefficients of friction are for a smooth table, damping is a time: the stress o
 is damping times that of the strain. Both are chosen, within what such things show: 0.25 for
 polyethylene to 0.7 for rubber, and loss factors of 0.15 to 0.25 where ropes vibrate, at 8 Hz.
 
-Triangles of a cloth. Squares are halved along one diagonal and the other by turns: halved all
-alike, a sheet of MuJoCo 4.0 resists bending along the diagonals 3.4 times as much as across them.
-
-Its bending energy of a square of side h, w up: hinges over the edges see the curvature
-(w_up + w_down - 2 w) / h^2 of the vertices where no diagonal ends, those over the diagonals see
-+-(twist). A vertex where diagonals end can be higher or lower than its neighbours by any u h^2 / 4,
-so with stiffness a over the edges and g a / 4 over the diagonals the energy an area is
-
-    a / 2 min_u [(w_xx + u)^2 + (w_yy + u)^2 + g (w_xy^2 + u^2)]
-    = a / 2 [w_xx^2 + w_yy^2 - (w_xx + w_yy)^2 / (2 + g) + g w_xy^2].
-
-That is a plate's for g = 2 alone, with a rigidity of 3 a / 4 and a Poisson's ratio (of bending) of
--1/3. MuJoCo has g = 4: 5 a / 6 over the sides, 4 a / 3 over the diagonals.
+Triangles of a cloth: docs/reality.md derives how they are cut and how stiff their hinges are.
 """
 
 from __future__ import annotations
@@ -49,11 +37,10 @@ import numpy as np
 import numpy.typing as npt
 
 from gendom.arrays import Array
-from gendom.materials import STANDARD_GRAVITY, Cloth, Item, Material, Rope
+from gendom.materials import STANDARD_GRAVITY, Cloth, Item, Material, Rope, size_of
 
 LEAST_RADIUS = 0.0005
 """The least of a cloth's `RealCloth.radius` [m]."""
-
 
 POINT_SPACING = 0.0075
 """Between a cloth's points [m]. With 10 mm lifts show bending lengths that are 4 % longer for the
@@ -62,7 +49,6 @@ rubber cloth, a lift takes half the time."""
 POINTS_A_BEND = 3.0
 """Least number of points in a bending length. The lift of a cloth that bends over 12.6 mm shows 1.8
 times its E with points 7.5 mm apart, 1.09 times with 4.4 mm."""
-
 
 SHEET_NU = -1.0 / 3.0
 """Poisson's ratio of bending; that of the material counts in a sheet's rigidity and its plane."""
@@ -98,20 +84,28 @@ def vertices_of(side: float, bends: float = math.inf) -> int:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RealRope(Rope):
-    """A rope of the MuJoCo test scene; its E is that of bending."""
+class _Meshed:
+    """What objects of the scene have in common."""
 
     name: str
     """As on the command line."""
     colour: tuple[int, int, int]
     """sRGB."""
-    vertices: int = 18
-    """Points along it; their spacing must exceed the diameter."""
+    vertices: int
+    """Points along a rope, or a side of a cloth."""
 
     @property
     def spacing(self) -> float:
         """Between points [m]."""
-        return self.length / (self.vertices - 1)
+        return size_of(self) / (self.vertices - 1)  # pyright: ignore[reportArgumentType]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealRope(_Meshed, Rope):
+    """A rope of the MuJoCo test scene, whose points are farther apart than it is thick; its E is
+    that of bending."""
+
+    vertices: int = 18
 
     @property
     def radius(self) -> float:
@@ -127,15 +121,10 @@ class RealRope(Rope):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RealCloth(Cloth):
+class RealCloth(_Meshed, Cloth):
     """A cloth of the MuJoCo test scene; its E is that of bending."""
 
-    name: str
-    """As on the command line."""
-    colour: tuple[int, int, int]
-    """sRGB."""
     vertices: int = 41
-    """Points along a side."""
 
     @property
     def sheet(self) -> tuple[Array, npt.NDArray[np.intp]]:
@@ -143,21 +132,10 @@ class RealCloth(Cloth):
         return grid(self.vertices, self.vertices, self.spacing)
 
     @property
-    def spacing(self) -> float:
-        """Between points [m]."""
-        return self.side / (self.vertices - 1)
-
-    @property
     def radius(self) -> float:
         """Distance from its middle surface of contacts and of the visible skin [m]: half its
         thickness, or the least that contacts need."""
         return max(LEAST_RADIUS, self.thickness / 2.0)
-
-    @property
-    def mass(self) -> float:
-        """[kg]."""
-        area = 0.5 * self.spacing**2 * len(self.sheet[1])
-        return area * self.thickness * self.material.density
 
     @property
     def vertex_masses(self) -> Array:

@@ -27,6 +27,7 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import GendomError
 from gendom.files import atomic_path, check_folder, write_json
+from gendom.materials import to_columns
 from gendom.perception import PngWriter
 from gendom.reality.objects import description
 from gendom.reality.sensor import RigErrors, observe
@@ -187,11 +188,7 @@ def _write_truth(
         {
             "format": "gendom-truth/1",
             "object": {"name": item.name, **description(item)},
-            "E": item.material.E,
-            "nu": item.material.nu,
-            "density": item.material.density,
-            "damping": item.material.damping,
-            "friction": item.friction,
+            **to_columns(item),
             "air_density": world.air.density,
             **said,
         },

@@ -10,7 +10,6 @@ one picture can be present in the next.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,7 +19,6 @@ import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.spatial.transform import Rotation
 
-from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.perception import Camera, Pictures
 
@@ -164,11 +162,7 @@ def _grazed(inverse: Array, camera: Camera, rng: np.random.Generator) -> Mask:
 
 @dataclass(frozen=True, kw_only=True)
 class RigErrors:
-    """Errors of calibration and synchronisation of a pair of cameras and a robot.
-
-    Raises:
-        ParameterError: A value is out of its range.
-    """
+    """Errors of calibration and synchronisation of a pair of cameras and a robot."""
 
     translation: float = 2e-3
     """RMS size of the error of a camera's position [m]."""
@@ -176,11 +170,6 @@ class RigErrors:
     """RMS angle of the error of its direction [rad]."""
     clock_offset: float = 0.02
     """Offset of the clocks of all other cameras ahead of the first camera's [s]."""
-
-    def __post_init__(self):
-        for name in ("translation", "rotation"):
-            value = getattr(self, name)
-            require(0.0 <= value < math.inf, f"{name} is {value}", fix="give 0 or more")
 
     @classmethod
     def none(cls) -> RigErrors:

@@ -24,7 +24,7 @@ from gendom.errors import DeviceError, RobotError, SimulationError
 from gendom.materials import AIR_DENSITY, Item, size_of, thickness_of
 from gendom.perception.camera import Camera
 from gendom.reality.arm import RobotArm, surroundings
-from gendom.reality.model import CLOTH_STEP, Layout, default_cameras
+from gendom.reality.model import Layout, default_cameras
 from gendom.reality.objects import RealCloth, RealObject, RealRope, as_real
 from gendom.reality.world import FINGER_WIDTH, Reality
 from gendom.robot import (
@@ -40,11 +40,6 @@ from gendom.tasks import Observed, Task
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import check_actions
 
-CLOTH_TIMESTEP = 0.002
-"""MuJoCo's in tasks with cloths [s]: at the default of 4 ms a rubber cloth of 0.2 m that is brought
-down by A = 0.2 covers 0.60 of its area (31 points a side), at this one 0.80, as at 1 ms. While all
-of it is slow (`gendom.reality.world.SLOW`), the default is taken."""
-
 TIP_HEIGHT = 0.002
 """The lowest that the tool point goes above the table [m]: the pads reach 1.1 mm below it."""
 
@@ -53,10 +48,6 @@ START = 0.32
 
 SETTLE = 0.5
 """Time in which the object comes to rest before the hand closes, and the hand's pauses [s]."""
-
-TASK_TOLERANCE = 1e-4
-"""Of MuJoCo's solver in tasks with cloths. It moves the vertices of a lifted cloth by 0.05 mm in
-the mean, 0.6 mm at most, so lifts, which are estimated from, keep the default of 1e-6."""
 
 FRAME_RATE = 100.0
 """At which tasks look at objects [1/s]."""
@@ -86,10 +77,8 @@ class Trial:
     """Whether inertia plays no part."""
     timestep: float | None = None
     """Time step of MuJoCo [s]; None: the default of the object's kind."""
-    slow_timestep: float | None = None
-    """That while the object is slow [s], see `Reality`; None: the same."""
-    tolerance: float | None = None
-    """Of MuJoCo's solver; None: the default of the object's kind."""
+    adaptive: bool = False
+    """Whether steps of a cloth that moves fast are shorter, see `Reality`."""
     quick: bool = False
     """Whether the object moves so fast that cameras must be synchronised."""
 
@@ -126,8 +115,7 @@ class TrialRun:
             robot=arm,
             cameras=cameras,
             timestep=trial.timestep,
-            slow_timestep=trial.slow_timestep,
-            tolerance=trial.tolerance,
+            adaptive=trial.adaptive,
         )
         if arm is None:
             blend = trial.path.blend or 0.0
@@ -294,9 +282,7 @@ def task_trial(task: Task, item: RealObject, action: npt.ArrayLike) -> Trial:
         grasp="center" if cloth else "end",
         reach=scene.grip,
         end=START_DELAY - closes + float(task.times(item)[-1]),
-        timestep=CLOTH_TIMESTEP if cloth else None,
-        slow_timestep=CLOTH_STEP if cloth else None,
-        tolerance=TASK_TOLERANCE if cloth else None,
+        adaptive=cloth,
     )
 
 
@@ -360,7 +346,7 @@ class RealWorld:
         """
         trial = task_trial(task, as_real(item), action)
         if self.timestep is not None:
-            trial = replace(trial, timestep=self.timestep, slow_timestep=None)
+            trial = replace(trial, timestep=self.timestep, adaptive=False)
         return TrialRun(trial, robot=self.robot)
 
 

@@ -57,41 +57,6 @@ def transported(edges: Array, director: npt.ArrayLike) -> Array:
     return u / math.sqrt(u @ u)
 
 
-def twist(edges: Array, first: npt.ArrayLike, last: npt.ArrayLike) -> float:
-    """Angle by which the last section is turned against the first, in (-pi, pi] [rad].
-
-    Positive: to the right, along the rod.
-
-    Args:
-        edges: [n, 3] [m].
-        first: [3] a director of the first section.
-        last: [3] the same one of the last section.
-    """
-    u, end = transported(edges, first), np.asarray(last, dtype=float)
-    t = edges[-1] / math.sqrt(edges[-1] @ edges[-1])
-    return math.atan2(float(cross(u, end) @ t), float(u @ end))
-
-
-def twist_gradient(edges: Array) -> Array:
-    """[n + 1, 3] how the twist changes with the vertices [rad/m].
-
-    The sections at both ends keep their directors, but for turning with their edges.
-
-    Args:
-        edges: [n, 3] [m].
-    """
-    length = np.sqrt(np.einsum("ij,ij->i", edges, edges))
-    a, b = edges[:-1], edges[1:]
-    scale = length[:-1] * length[1:] + np.einsum("ij,ij->i", a, b)
-    half = cross(a, b) / scale[:, None]
-    gradient = np.zeros((len(edges) + 1, 3))
-    before, after = -half / length[:-1, None], half / length[1:, None]
-    gradient[:-2] += before
-    gradient[2:] += after
-    gradient[1:-1] -= before + after
-    return gradient
-
-
 def cross(a: Array, b: Array) -> Array:
     """a x b [..., 3], several times as fast as NumPy's."""
     return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
@@ -130,14 +95,23 @@ class Twist:
             seconds: Since the last call [s].
         """
         edges = self._edges(vertices)
-        angle = twist(edges, self._start, rotation @ self._end)
+        length = np.sqrt(np.einsum("ij,ij->i", edges, edges))
+        along = edges[-1] / length[-1]
+        u, end = transported(edges, self._start), rotation @ self._end
+        angle = math.atan2(float(cross(u, end) @ along), float(u @ end))
         angle += 2.0 * math.pi * round((self.angle - angle) / (2.0 * math.pi))
         rate = (angle - self.angle) / seconds
         self.angle = angle
         moment = self._stiffness * (angle + self._damping * rate)
+        # how the twist changes with the vertices [rad/m]
+        a, b = edges[:-1], edges[1:]
+        half = cross(a, b) / (length[:-1] * length[1:] + np.einsum("ij,ij->i", a, b))[:, None]
+        before, after = -half / length[:-1, None], half / length[1:, None]
         forces = np.zeros_like(vertices)
-        forces[self._first : self._last + 2] = -moment * twist_gradient(edges)
-        along = edges[-1] / math.sqrt(edges[-1] @ edges[-1])
+        held = forces[self._first : self._last + 2]
+        held[:-2] -= moment * before
+        held[2:] -= moment * after
+        held[1:-1] += moment * (before + after)
         return forces, -moment * along
 
     def _edges(self, vertices: Array) -> Array:
