@@ -72,7 +72,7 @@ validate: $(CORE)
 	@$(BIN)/python -m validation $(ARGS)
 
 bench: $(CORE)
-	@$(BIN)/gendom bench $(ARGS)
+	@$(BIN)/python benchmarks/speed.py $(ARGS)
 
 figures: $(FULL)
 	@$(BIN)/python benchmarks/figures.py $(ARGS)

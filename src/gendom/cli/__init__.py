@@ -50,7 +50,6 @@ COMMANDS = {
     "record": ("gendom.cli.record", "a lift under depth cameras, in a cell or in the MuJoCo scene"),
     "perceive": ("gendom.cli.perceive", "from depth pictures or a ROS bag to a recording"),
     "import": ("gendom.cli.import_", "from a ROS bag, clouds or LeRobot to a recording"),
-    "bench": ("gendom.cli.bench", "measure the simulator's speed on this machine"),
     "completion": ("gendom.cli.completion", "complete commands and flags in your shell"),
 }
 
