@@ -21,39 +21,25 @@ FLAGS = (
     "--no-sandbox",
     "--hide-scrollbars",
     "--no-first-run",
+    "--disable-gpu",
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
     "--remote-debugging-port=0",
 )
 
-WEBGL_FLAGS = (
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-    # whatever is elsewhere cannot be found
-    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
-)
-"""For pages that draw with WebGL, in place of `--disable-gpu`."""
-
 
 class Browser:
-    """One page at a time; collects what it logs and asks the network for. Skips the test where
-    there is no browser.
+    """One page at a time, in a profile folder; collects what it logs and asks the network for.
+    Skips the test where there is no browser."""
 
-    Args:
-        profile: Folder for its files.
-        webgl: Whether pages can draw with WebGL, in software.
-    """
-
-    def __init__(self, profile: Path, *, webgl: bool = False):
-        connect = pytest.importorskip("websockets.sync.client", reason="the extra viz").connect
+    def __init__(self, profile: Path):
+        connect = pytest.importorskip("websockets.sync.client", reason="the extra dev").connect
         program = next((found for name in NAMES if (found := shutil.which(name))), None)
         if program is None:
             pytest.skip(f"needs a browser: {', '.join(NAMES)}")
-        flags = [*FLAGS, *(WEBGL_FLAGS if webgl else ("--disable-gpu",))]
         self._process = subprocess.Popen(
-            [program, *flags, f"--user-data-dir={profile}", "about:blank"],
+            [program, *FLAGS, f"--user-data-dir={profile}", "about:blank"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )

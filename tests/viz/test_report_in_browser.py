@@ -111,7 +111,7 @@ def test_layers_go_and_come_back(browser, report):
     browser.open(report, width=800)
     before = drawn(browser, "motion")
     for layer in ("recorded", "simulated", "gripper", "arm", "goal", "skin"):
-        box = f"#motion input[data-layer={layer}]"
+        box = f"#motion input[aria-label={layer}]"
         act(browser, box, "checked = false")
         assert drawn(browser, "motion") != before, layer
         act(browser, box, "checked = true")

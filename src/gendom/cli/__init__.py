@@ -63,7 +63,6 @@ _EXTRAS = {
     "cv2": "camera",
     "gymnasium": "reality",
     "ray": "cluster",
-    "viser": "viz",
     "rosbags": "ros",
     "xarm": "robot",
     "franky": "franka",

@@ -92,6 +92,7 @@ def render_page(title: str, opening: str, sections: Mapping[str, str] | None = N
 <meta name="color-scheme" content="light dark">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; \
 style-src 'unsafe-inline'; script-src 'unsafe-inline'">
+<link rel="icon" href="data:image/png,">
 <title>{escaped(title)}</title>
 <style>
 {_asset("page.css")}</style>

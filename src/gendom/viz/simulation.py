@@ -89,11 +89,9 @@ def show(
     Raises:
         ParameterError: As of `motion_of`.
         RecordingError: A recording shows too little to place its object.
-        DeviceError: The viewer needs viser, which is not installed.
         GendomError: There is no such port.
     """
-    from gendom.viz.viewer.models import recording_model, unknown_object
-    from gendom.viz.viewer.sliders import ViewerModel
+    from gendom.viz.viewer import Viewer, ViewerModel, recording_model, unknown_object
 
     if isinstance(simulator, Recording):
         model = recording_model(*unknown_object(simulator), "a recording")
@@ -103,11 +101,6 @@ def show(
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     if hasattr(shell, "kernel"):
         return NotebookPage(encode_page(model.complete(), model.title))
-    try:
-        from gendom.viz.viewer.server import Viewer
-    except ModuleNotFoundError:
-        fix = how_to_install("viz")
-        raise DeviceError("the viewer needs viser", where="show", fix=fix) from None
     with contextlib.closing(Viewer(model, port=port)) as viewer:
         viewer.serve()
     return None
