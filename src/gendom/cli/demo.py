@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import logging
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,7 +21,6 @@ from gendom.cli.estimate import (
     estimate_text,
     fit_content,
     next_steps,
-    shell,
 )
 from gendom.cli.outputs import check_places
 from gendom.datasets import Recording
@@ -121,15 +119,14 @@ class Command:
             _log.warning("%s, %s simulator, with the ropes' true values", what, how)
         policies = [Policy.pretrained(self.task, parameters=sees) for sees in (True, False)]
         ropes = {name: find_object(name) for name in LIFTS}
-        began = time.perf_counter()
         every = {name: self._estimate(name, rope) for name, rope in ropes.items()}
-        seconds = {"estimate": time.perf_counter() - began}
         usable = {name: found for name, found in every.items() if found.usable}
-        action, apart = None, ""
+        action, apart, steps = None, "", next_steps(self.out / "recording.npz")
         if usable:
-            began = time.perf_counter()
             action, apart = self._act({n: ropes[n] for n in usable}, usable, policies)
-            seconds["act and carry out"] = time.perf_counter() - began
+            folder, goal = self._folder(next(iter(usable))), action.outcomes[0].goal.tolist()
+            act = [self.task, "--goal", *goal]
+            steps = next_steps(folder / "recording.npz", folder / NAME, act)
         content = fit_content(
             every["rope-cotton"],
             title="GenDOM: one lift of each of three ropes, and what the arm does with them",
@@ -139,27 +136,17 @@ class Command:
             cameras_note=CAMERAS_NOTE,
             truth=to_columns(ropes["rope-cotton"]),
             action=action,
-            stage_seconds=seconds,
-            next_steps=self.next_steps(action.outcomes[0].goal.tolist() if action else None),
+            next_steps=steps,
         )
         assert content.lift is not None
-        began = time.perf_counter()
         write_film(self.out / "lift.gif", content.lift)
-        seconds["film"] = time.perf_counter() - began
         write_report(self.out / "report.html", content)
         print(f"report: {printable(self.out / 'report.html')}")
         return 0 if len(usable) == len(every) else NOT_USABLE
 
-    def next_steps(self, goal: Sequence[float] | None) -> list[tuple[str, str]]:
-        """Commands that go on from the demo's files, and what each does; without a goal there is no
-        usable estimate."""
-        recording, estimate = self.out / "recording.npz", self.out / NAME
-        if goal is None:
-            return next_steps(recording)
-        other = "rope-reaching" if self.task == "rope-casting" else "rope-casting"
-        words = ["gendom", "demo", "--task", other, "--out", f"{self.out}-{other}"]
-        again = shell(words), "Run the demo with the other task."
-        return [*next_steps(recording, estimate, [self.task, "--goal", *goal]), again]
+    def _folder(self, name: str) -> Path:
+        """Of a rope's files."""
+        return self.out if name == next(iter(LIFTS)) else self.out / name
 
     def _estimate(self, name: str, rope: Item) -> FittedEstimate:
         """A rope's estimate, which is printed and written beside its recording."""
@@ -170,13 +157,12 @@ class Command:
         with iterations_shown() as show:
             found = estimate(recording, settings, on_progress=show)
         material, text = rope.material, estimate_text(found)
-        first = name == next(iter(LIFTS))
-        print(f"\n{text}" if first else "\n".join(text.splitlines()[:3]))
+        folder = self._folder(name)
+        print(f"\n{text}" if folder == self.out else "\n".join(text.splitlines()[:3]))
         print(f"true values      E {material.E:.4g} Pa, nu {material.nu:.3f}\n", flush=True)
         for reason in found.verdict.reasons:
             _log.error("%s is not usable: %s", name, reason)
         # kept whatever becomes of the actions
-        folder = self.out if first else self.out / name
         write_json(folder / NAME, found.record)
         recording.write(folder / "recording.npz")
         return found
