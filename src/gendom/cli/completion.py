@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Annotated, Any, Literal, Union
+from typing import Literal
 
 import tyro
 
@@ -27,15 +28,10 @@ class Command:
     def run(self) -> int:
         from gendom.cli import COMMANDS
 
-        parts = []
-        for name, (module, line) in COMMANDS.items():
-            command = import_module(module).Command
+        commands = {name: import_module(module).Command for name, (module, _) in COMMANDS.items()}
+        for command in commands.values():
             arguments_of(command)
-            parts.append(Annotated[command, tyro.conf.subcommand(name, description=line)])
-        commands: Any = Union[tuple(parts)]  # noqa: UP007
-        words = ["--tyro-write-completion", self.shell, "-"]
-        try:
-            tyro.cli(commands, prog="gendom", args=words, config=PARSING)
-        except SystemExit as stop:  # how it ends
-            return int(stop.code or 0)
+        with suppress(SystemExit):  # how it ends
+            words = ["--tyro-write-completion", self.shell, "-"]
+            tyro.extras.subcommand_cli_from_dict(commands, prog="gendom", args=words, config=PARSING)
         return 0
