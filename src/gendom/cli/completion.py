@@ -33,5 +33,7 @@ class Command:
             arguments_of(command)
         with suppress(SystemExit):  # how it ends
             words = ["--tyro-write-completion", self.shell, "-"]
-            tyro.extras.subcommand_cli_from_dict(commands, prog="gendom", args=words, config=PARSING)
+            tyro.extras.subcommand_cli_from_dict(
+                commands, prog="gendom", args=words, config=PARSING
+            )
         return 0
