@@ -22,6 +22,6 @@ def test_without_mujoco_actions_are_carried_out_in_our_simulator(monkeypatch):
     assert pair[0].trial is None
     off = [np.linalg.norm(of.reached - goal) for of in pair]
     assert off[0] < 0.002 < off[1]
-    shown = demo.compared(task, rope, pair[0], pair[1], goal)
+    shown = demo.compared(task, rope, {WITH: pair[0], WITHOUT: pair[1]}, goal)
     assert [of.name for of in shown.layers] == [WITH, WITHOUT, "gripper", "goal"]
     assert shown.num_frames > 10

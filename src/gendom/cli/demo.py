@@ -6,7 +6,6 @@ import importlib.util
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -172,17 +171,14 @@ class Command:
     ) -> tuple[ActionSummary, str]:
         """Let the arm act with each rope, say what it reached, and write it; and how far that may
         be trusted."""
-        task, outcomes, motions, apart = policies[0].task(), [], [], []
+        task, every, outcomes, apart = policies[0].task(), {}, [], []
         for name in each(tuple(ropes), "the arm acts", "rope"):
-            rope, belief = ropes[name], believed(found[name], task)
-            aim = self._goal(rope, belief, policies)
-            runs = carry_out(rope, policies, aim, belief)
-            ours, without, *_ = runs.values()
-            model = task.outcome(belief.item, _simulated(task, belief.item, ours.action))
-            known = [model[q.name] for q in task.goals]
-            apart.append(np.linalg.norm(ours.reached - known))
-            motions.append(partial(compared, task, rope, ours, without, aim))
-            outcomes.append(ReachOutcome(item=name, goal=aim, runs=runs))
+            belief = believed(found[name], task)
+            goal = self._goal(ropes[name], belief, policies)
+            every[name] = runs = carry_out(ropes[name], policies, goal, belief)
+            model = task.outcome(belief.item, _simulated(task, belief.item, runs[WITH].action))
+            apart.append(np.linalg.norm(runs[WITH].reached - [model[q.name] for q in task.goals]))
+            outcomes.append(ReachOutcome(item=name, goal=goal, runs=runs))
         for outcome in outcomes:
             named = zip(task.actions, outcome.runs[WITH].action, strict=True)
             action = ", ".join(f"{q.name} {value:.3f} {q.unit}" for q, value in named)
@@ -191,11 +187,11 @@ class Command:
             print(f"{outcome.item}, goal {place} m: {action}")
             off = (f"{name} {1e3 * outcome.error(name):.1f} mm" for name in outcome.runs)
             print(f"  off by: {', '.join(off)}")
-        best = int(np.argmax([of.error(WITHOUT) - of.error(WITH) for of in outcomes]))
+        best = max(outcomes, key=lambda of: of.error(WITHOUT) - of.error(WITH))
         summary = ActionSummary(
             outcomes=outcomes,
-            motion=motions[best](),
-            motion_note=f"{outcomes[best].item}: carried out with the estimate (orange) and "
+            motion=compared(task, ropes[best.item], every[best.item], best.goal),
+            motion_note=f"{best.item}: carried out with the estimate (orange) and "
             f"without parameters (blue). {CHOSEN}",
             goal_name=", ".join(f"{q.name} {q.meaning}" for q in task.goals),
             action_names=[f"{q.name.replace('_', ' ')} [{q.unit}]" for q in task.actions],
@@ -281,17 +277,16 @@ def _simulated(task: Task, item: Item, action: np.ndarray) -> Observed:
     return outcome.seen
 
 
-def compared(
-    task: Task, rope: Any, ours: Executed, without: Executed, goal: np.ndarray
-) -> Animation:
-    """Both motions in the task's frame, one over the other."""
-    lasts = min(float(np.ptp(of.seen.times)) for of in (ours, without))
-    times = np.arange(0.0, lasts, 1.0 / MOTION_RATE)
-    shown = []
-    for seen in (ours.seen, without.seen):
+def compared(task: Task, rope: Any, runs: dict[str, Executed], goal: np.ndarray) -> Animation:
+    """The motions with the estimate and without parameters in the task's frame, one over the
+    other."""
+    both = [runs[name].seen for name in (WITH, WITHOUT)]
+    lasts = min(float(np.ptp(seen.times)) for seen in both)
+    times, shown = np.arange(0.0, lasts, 1.0 / MOTION_RATE), []
+    for seen in both:
         k = np.searchsorted(seen.times - seen.times[0], times - 1e-9)
         shown.append(replace(seen, points=seen.points[k], hand=seen.hand[k]))
-    trial, T = ours.trial, task.T_world_task(rope)
+    trial, T = runs[WITH].trial, task.T_world_task(rope)
     layers = [
         observed_layer(WITH, rope, shown[0]),
         observed_layer(WITHOUT, rope, shown[1], RECORDED_COLOR),
