@@ -21,7 +21,7 @@ class Command:
     command.
 
     Known are recordings, folders of clouds or of depth pictures, bags of ROS 1 and 2, sets of
-    LeRobot, boards of a calibration, cameras' files, cells, actions and estimates. Exit code 2: it
+    LeRobot, boards of a calibration, cameras' files, cells and estimates. Exit code 2: it
     cannot be used; every fault is listed.
 
     For example: gendom doctor lift
@@ -48,9 +48,7 @@ def examine(place: Path, picture: Path | None = None, *, json: bool) -> int:
         found = look(place)
     except GendomError as error:
         if json:
-            faults = [fault_entry(f) for f in getattr(error, "faults", ())] or [
-                {"what": error.what, "where": error.where, "fix": error.fix}
-            ]
+            faults = [fault_entry(fault) for fault in getattr(error, "faults", ()) or [error]]
             print(to_json({"path": place, "valid": False, "faults": faults}))
         raise
     errors = [fault for fault in found.faults if fault.severity == "error"]
