@@ -7,6 +7,7 @@ import pytest
 
 from gendom import viz
 from gendom.errors import DeviceError, ParameterError
+from gendom.estimation import EstimateSettings, estimate
 from gendom.materials import Material
 from gendom.sim import Capsule, Cuboid, Gripper, Simulator, Solver, Sphere, Table, cloth, rope
 from gendom.viz import Animation, Layer
@@ -103,11 +104,18 @@ def test_notebooks_show_a_player(monkeypatch):
     assert page.startswith("<iframe srcdoc=") and len(page) > 30_000
 
 
-def test_the_viewer_serves_until_it_is_stopped(monkeypatch):
-    seen = []
-    monkeypatch.setattr(Viewer, "serve", lambda viewer: seen.append(viewer.page().decode()))
-    assert viz.show(made(), port=0) is None
-    assert '"name":"rope"' in seen[0] and "Reset parameters" not in seen[0]
+def test_the_viewer_serves_until_it_is_stopped(rope_lift, monkeypatch):
+    """Recordings and what was found of them have sliders."""
+    found = estimate(rope_lift.seen(), EstimateSettings(starts=1, scene=rope_lift.settings))
+    pages = []
+    monkeypatch.setattr(Viewer, "serve", lambda viewer: pages.append(viewer.page().decode()))
+    for shown in (made(), rope_lift.seen(), found):
+        assert viz.show(shown, port=0) is None
+    assert '"name":"rope"' in pages[0] and "Reset parameters" not in pages[0]
+    assert all("recorded" in page and "Reset parameters" in page for page in pages[1:])
+    assert f"&quot;value&quot;: {found.theta.E_over_rho}" in pages[2]
+    with pytest.raises(ParameterError, match="simulator must be a Simulator"):
+        viz.show(np.zeros((3, 3)), port=0)
 
 
 def test_particles_are_dots(tmp_path):

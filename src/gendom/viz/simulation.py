@@ -82,7 +82,8 @@ def show(
     viewer on this machine, prints its address, and goes on until Ctrl-C.
 
     Args:
-        simulator: As of `motion_of`, with what follows; or a `gendom.Recording`, with sliders.
+        simulator: As of `motion_of`, with what follows; or a `gendom.Recording` or what
+            `gendom.estimate` found, with sliders.
         x, times, world: As of `motion_of`.
         port: Of the viewer.
 
@@ -91,10 +92,14 @@ def show(
         RecordingError: A recording shows too little to place its object.
         GendomError: There is no such port.
     """
+    from gendom.estimation import FittedEstimate
     from gendom.viz.viewer import Viewer, ViewerModel, recording_model, unknown_object
 
     if isinstance(simulator, Recording):
         model = recording_model(*unknown_object(simulator), "a recording")
+    elif isinstance(simulator, FittedEstimate):
+        fit = simulator.fits[0]
+        model = recording_model(fit.scene, fit.theta, "an estimate")
     else:
         shown = motion_of(simulator, x, times, world)
         model = ViewerModel(title=f"a {simulator.body.kind}", initial=shown)
