@@ -54,10 +54,9 @@ def test_a_cloud_stands_in_place_of_markers(monkeypatch):
     off = np.linalg.norm(points[:, :, None] - spine[:, None], axis=-1).min(axis=2)
     assert off.max() < 0.5 / (MARKERS - 1) + item.diameter / item.length
     np.testing.assert_array_equal(seen[:, 150:], markers[:, 6 * MARKERS :])
-    for _ in range(4):
-        lowered = cloud.step(np.tile([0.0, -1.0, 1.0], (W, 1)))[0][:, :150].reshape(W, 50, 3)
-    assert lowered[:, :, 0].min() < points[:, :, 0].max() and lowered[:, :, 2].std() > 0.0
-    assert np.abs(lowered.mean(axis=1) - points.mean(axis=1))[:, 2].min() > 0.02
+    for _ in range(3):
+        moved = cloud.step(np.tile([-1.0, -1.0, 1.0], (W, 1)))[0][:, :150].reshape(W, 50, 3)
+    assert (points[..., 0].mean(axis=1) - moved[..., 0].mean(axis=1)).min() > 0.15
     with pytest.raises(ParameterError, match="cloud must be at least 0"):
         StepsVectorEnv("rope-reaching", W, cloud=-1)
 
