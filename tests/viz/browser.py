@@ -67,18 +67,9 @@ class Browser:
         self._process.terminate()
         self._process.wait(10.0)
 
-    def open(
-        self,
-        page: Path | str,
-        *,
-        width: int,
-        height: int = 900,
-        dark: bool = False,
-        scale: float = 1.0,
-    ) -> None:
-        """Load a file, or an address, in a window of a size [CSS pixels]; what is drawn in software
-        is drawn faster at a smaller scale."""
-        size = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": False}
+    def open(self, page: Path | str, *, width: int, dark: bool = False) -> None:
+        """Load a file, or an address, in a window of a width [CSS pixels]."""
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1.0, "mobile": False}
         self.call("Emulation.setDeviceMetricsOverride", **size)
         features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self.call("Emulation.setEmulatedMedia", features=features)
@@ -90,6 +81,14 @@ class Browser:
             self.call("Page.navigate", url=address)
             while not self._loaded:
                 self._receive()
+        self.settle()
+
+    def act(self, element: str, change: str, event: str = "input") -> None:
+        """Change the element of a selector and say so, as a hand would."""
+        self.evaluate(
+            f"(() => {{ const e = document.querySelector(`{element}`); e.{change};"
+            f"e.dispatchEvent(new Event('{event}', {{bubbles: true}})); }})()"
+        )
         self.settle()
 
     def settle(self) -> None:
@@ -105,9 +104,9 @@ class Browser:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def screenshot(self, path: Path, *, whole: bool = True) -> None:
-        """A PNG of the page, or of what the window shows."""
-        answer = self.call("Page.captureScreenshot", captureBeyondViewport=whole)
+    def screenshot(self, path: Path) -> None:
+        """A PNG of the page, for people."""
+        answer = self.call("Page.captureScreenshot", captureBeyondViewport=True)
         path.write_bytes(base64.b64decode(answer["data"]))
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,8 +17,6 @@ from gendom.files import atomic_path
 
 if TYPE_CHECKING:
     from gendom.viz.viewer import ViewerModel
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +55,6 @@ class Command:
         from gendom.viz.viewer import Viewer
 
         with contextlib.closing(Viewer(model, port=self.port)) as viewer:
-            if self.port not in (0, viewer.port):
-                _log.warning("port %d is taken", self.port)
             viewer.serve()
         return 0
 
