@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import tyro
@@ -32,8 +32,6 @@ class Command:
     """Folder written by gendom dataset, a recording, or a folder with cameras/NAME/."""
     out: Path
     """Folder to make."""
-    to: Literal["lerobot"] = "lerobot"
-    """The format."""
     json: bool = False
     """Print info.json."""
 
@@ -77,13 +75,11 @@ def _export_cameras(folder: Path, out: Path) -> dict[str, Any]:
 
 def info_text(info: dict[str, Any], out: Path) -> str:
     """The same for people."""
-    count, kind = info["total_episodes"], info["codebase_version"]
-    lines = [f"{printable(out)}: {count} episodes, LeRobot {kind}"]
+    lines = [
+        f"{printable(out)}: {info['total_episodes']} episodes, LeRobot {info['codebase_version']}"
+    ]
     for feature, about in info["features"].items():
-        if about["dtype"] == "image":
-            height, width, _ = about["shape"]
-            lines.append(f"  {feature}  {width} x {height} pixels" + ", mm" * bool(about["info"]))
-        elif about["names"]:
-            named = zip(about["names"], about["units"], strict=True)
-            lines.append(f"  {feature:<17}  {', '.join(f'{n} [{u}]' for n, u in named)}")
+        named = zip(about["names"] or (), about.get("units", about["shape"]), strict=False)
+        if said := ", ".join(f"{name} [{unit}]" for name, unit in named):
+            lines.append(f"  {feature:<17}  {said}")
     return "\n".join(lines)

@@ -139,7 +139,6 @@ def _bag(place: Path) -> Finding:
     found = Finding(f"a bag of ROS {1 if bag_files(place)[0].suffix == '.bag' else 2}")
     found.rows = {n: f"{kind}, {count} messages" for n, (kind, count) in content.topics.items()}
     found.summary = {"topics": content.topics, "grippers": content.grippers}
-    held = (place if place.is_dir() else place.parent) / "object.toml"
     if content.of_realsense:
         found.kind = "a recording of the RealSense SDK"
         fix = "put it into DIR/cameras/NAME beside camera.toml, DIR/object.toml and DIR/gripper.csv"
@@ -154,6 +153,7 @@ def _bag(place: Path) -> Finding:
     if found.faults:
         return found
     found.rows["gripper"] = f"perhaps {', '.join(content.grippers[:4])}"
+    held = (place if place.is_dir() else place.parent) / "object.toml"
     if not held.exists():
         found.lacks("is missing", held, f"write {_OBJECT}; or name another file by --object")
     _bag_cameras(place, held, content.grippers[0], found)
