@@ -412,7 +412,8 @@ def _pictures(of: Sequence[Array]) -> tuple[dict[str, Any], pa.Array, dict[str, 
     info = {"is_depth_map": True, "depth_unit": "mm"} if depth else None
     feature = {"dtype": "image", "shape": shape, "names": ["height", "width", "channels"]}
     some = np.stack([x[::8, ::8] for x in of]).reshape(-1, shape[2]) / (1.0 if depth else 255.0)
-    found = {name: np.reshape(v, (-1, 1, 1)).tolist() for name, v in _statistics(some).items()}
+    statistics = _statistics(some).items()
+    found: dict[str, Any] = {n: np.reshape(v, (-1, 1, 1)).tolist() for n, v in statistics}
     found["count"] = [len(of)]
     return feature | {"info": info}, column, found
 
