@@ -54,7 +54,7 @@ test-lowest:
 	@echo "installing the oldest versions in .venv-lowest (1 to 5 minutes)"
 	@$(PYTHON) -m venv --clear .venv-lowest
 	@.venv-lowest/bin/python -m pip --disable-pip-version-check install -qq -c constraints-lowest.txt \
-	  -e '.[data,reality,camera,viz,ros]' pytest pytest-xdist matplotlib
+	  -e '.[data,reality,camera,viz,ros]' pytest pytest-xdist matplotlib websockets
 	@.venv-lowest/bin/python -m pytest --numprocesses auto --maxprocesses 4 --dist worksteal $(ARGS)
 
 lerobot:
@@ -72,7 +72,7 @@ validate: $(CORE)
 	@$(BIN)/python -m validation $(ARGS)
 
 bench: $(CORE)
-	@$(BIN)/gendom bench $(ARGS)
+	@$(BIN)/python benchmarks/speed.py $(ARGS)
 
 figures: $(FULL)
 	@$(BIN)/python benchmarks/figures.py $(ARGS)

@@ -1,6 +1,6 @@
 """What a derivative costs: forward and backward over a plain forward run, on one core.
 
-One rope of ``gendom bench`` is carried for a while. Plain runs take turns with rollouts that keep
+One rope of speed.py is carried for a while. Plain runs take turns with rollouts that keep
 every substep and with rollouts that keep some and run the others once more; ratios are taken turn
 by turn.
 

@@ -354,9 +354,13 @@ FIGURES = (
     ),
     PEERS("cantilever-rope", "python benchmarks/cantilever.py rope", cantilever),
     PEERS("cantilever-strip", "python benchmarks/cantilever.py strip", cantilever),
-    TIMED("bench", "gendom bench --worlds 1 --threads 1 --dtype float32 float64", bench),
+    TIMED(
+        "bench", "python benchmarks/speed.py --worlds 1 --threads 1 --dtype float32 float64", bench
+    ),
     ON_CUDA(
-        "bench-cuda", "gendom bench --device cuda --worlds 1024 --seconds 0.2 --gradient", bench
+        "bench-cuda",
+        "python benchmarks/speed.py --device cuda --worlds 1024 --seconds 0.2 --gradient",
+        bench,
     ),
     TIMED("gradient", "python benchmarks/gradient.py", gradient),
     dataset("reaching", "rope-reaching --size 40000 --device cuda", "cuda"),

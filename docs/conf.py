@@ -32,7 +32,7 @@ exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = f"GenDOM {release}"
 html_copy_source = False
-html_show_sphinx = False
+html_show_sphinx = html_show_copyright = False
 
 myst_heading_anchors = 4
 highlight_language = "none"  # of blocks that name no language
@@ -69,7 +69,7 @@ CALLED_FIRST = {
     "gendom.robot": "find_arm Arm TcpPath plan",
     "gendom.sim": "Simulator rope cloth Gripper Table Physics Solver Targets",
     "gendom.tasks": "RopeReaching RopeCasting ClothSpreading Task Simulation",
-    "gendom.viz": "write_report write_film show save",
+    "gendom.viz": "show save write_report write_film",
 }
 """What programs call of a package; its page begins with it."""
 

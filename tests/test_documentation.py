@@ -6,7 +6,9 @@ Blocks are run from top to bottom of a page, but for those under a comment
 """
 
 import ast
+import contextlib
 import importlib.util
+import io
 import os
 import re
 import shlex
@@ -49,6 +51,8 @@ class Block:
     commands: tuple[str, ...]
     skipped: str | None
     """Why it is not run."""
+    shown: str = ""
+    """What the page says that comes out: the block of text that follows."""
 
     def __str__(self) -> str:
         return f"{self.page.relative_to(ROOT)}:{self.line}"
@@ -62,7 +66,8 @@ FENCE = re.compile(
 
 def blocks(page: Path) -> Iterator[Block]:
     text = page.read_text(encoding="utf-8")
-    for found in FENCE.finditer(text):
+    every = list(FENCE.finditer(text))
+    for found, after in zip(every, [*every[1:], None], strict=False):
         if found["language"] not in ("", "sh"):
             continue
         body = found["body"].replace("\\\n", " ")
@@ -73,12 +78,13 @@ def blocks(page: Path) -> Iterator[Block]:
             line=text[: found.start()].count("\n") + 1,
             commands=tuple(c for c in commands if c and not c.startswith("#")),
             skipped=found["why"],
+            shown=after["body"] if after and after["language"] == "text" else "",
         )
 
 
 def inline(page: Path) -> Iterator[str]:
-    """Commands in backticks outside of blocks; not those of earlier releases."""
-    text = FENCE.sub("", page.read_text(encoding="utf-8")).partition("## [0.1.0]")[0]
+    """Commands in backticks outside of blocks."""
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
     for code in re.findall(r"`([^`\n]+(?:\n[^`\n]+)?)`", text):
         words, programs = " ".join(code.split()), r"python (examples/|benchmarks/|-m experiments )"
         if re.match(rf"(gendom [a-z]|{programs}|make( |$))", words):
@@ -86,7 +92,8 @@ def inline(page: Path) -> Iterator[str]:
 
 
 ALL = [block for page in PAGES for block in blocks(page)] if DOCS.is_dir() else []
-INLINE = sorted({code for page in PAGES for code in inline(page)})
+# the changelog names what went, too
+INLINE = sorted({code for p in PAGES if p.name != "CHANGELOG.md" for code in inline(p)})
 
 
 @cache
@@ -205,6 +212,7 @@ def run_command(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))  # the tested code
     run = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=300)
     assert run.returncode == 0, f"{command}\n{run.stderr}"
+    print(run.stdout)
 
 
 @pytest.fixture(scope="session")
@@ -215,8 +223,10 @@ def after_tutorial(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("tutorial")
     with pytest.MonkeyPatch.context() as patch:
         for block in (b for b in ALL if b.page == TUTORIAL and b.skipped is None):
-            for command in block.commands:
-                run_command(command, folder, patch)
+            with contextlib.redirect_stdout(io.StringIO()) as printed:
+                for command in block.commands:
+                    run_command(command, folder, patch)
+            (folder / f"{block.line}.txt").write_text(printed.getvalue())
     (folder / "lift").mkdir()
     for name in ("lift.npz", "recording.npz", "estimate.json", "lift/estimate.json"):
         made = "lift.npz" if name.endswith(".npz") else "estimate.json"
@@ -228,6 +238,44 @@ def after_tutorial(tmp_path_factory) -> Path:
 def test_the_tutorial_can_be_followed(after_tutorial):
     written = {p.name for p in (after_tutorial / "mine").iterdir()}
     assert {"lift.npz", "estimate.json", "report.html", "replay.gif", "action.json"} <= written
+
+
+NUMBER = re.compile(r"(?<![\w.])-?\d+\.?\d*(?:e[+-]?\d+)?")
+
+
+def differences(shown: str, printed: str) -> Iterator[str]:
+    """Lines of a page that did not come out: other words, or numbers that are more than a tenth
+    off, and 0.4 of those in mm."""
+    came = {}
+    for line in printed.splitlines():
+        came.setdefault(" ".join(NUMBER.sub("#", line).split()), []).append(line)
+    for line in filter(None, map(str.strip, shown.splitlines())):
+        if line == "..." or line.startswith(("search ", "report: ")):  # times and places
+            continue
+        numbers = np.array([float(x) for x in NUMBER.findall(line)])
+        room = 0.1 * np.abs(numbers) + 0.4 * (" mm" in line) + 1e-9
+        others = came.get(" ".join(NUMBER.sub("#", line).split()), ())
+        found = [np.array([float(x) for x in NUMBER.findall(other)]) for other in others]
+        if not any((np.abs(other - numbers) <= room).all() for other in found):
+            yield f"{line} | {', '.join(others) or 'did not come out'}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("block", [b for b in ALL if b.page == TUTORIAL and b.shown], ids=str)
+def test_the_tutorial_shows_what_comes_out(block, after_tutorial, monkeypatch, capsys):
+    printed = after_tutorial / f"{block.line}.txt"
+    if "make demo" in block.commands:
+        pytest.importorskip("mujoco", reason="needs the extra reality")
+        run_command("gendom demo", after_tutorial, monkeypatch)
+        printed.write_text(capsys.readouterr().out)
+    assert list(differences(block.shown, printed.read_text())) == []
+
+
+def test_other_numbers_and_words_are_found():
+    came = "mean  1.02 mm, at 3 places\nE 7.65e+05 Pa"
+    assert list(differences("...\nmean 1.2 mm, at 3 places\nE 7.7e+05 Pa", came)) == []
+    for shown in ("mean 2.2 mm, at 3 places", "E 5e+05 Pa", "mean 1.02 mm"):
+        assert len(list(differences(shown, came))) == 1
 
 
 RUN = [b for b in ALL if b.skipped is None and b.page != TUTORIAL]

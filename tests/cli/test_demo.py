@@ -1,12 +1,6 @@
 """What the demo says about itself."""
 
-import shlex
-from importlib import import_module
-from pathlib import Path
-
 import numpy as np
-import pytest
-import tyro
 
 from gendom.cli import demo
 from gendom.cli.demo import Command
@@ -14,18 +8,6 @@ from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
 from gendom.reality import find_object
 from gendom.viz.report.motion import WITH, WITHOUT
-
-
-@pytest.mark.parametrize("command", [Command(), Command(out=Path("a b"), task="rope-reaching")])
-def test_commands_to_try_next_are_commands(command):
-    """Of the files that the demo writes; each as a user would type it."""
-    steps = command.next_steps([0.3, 0.1])
-    assert [words.split()[1] for words, _ in steps] == ["check", "replay", "act", "demo"]
-    assert command.next_steps(None) == steps[:1]  # nothing that needs a usable estimate
-    for words, _ in steps:
-        said = shlex.split(words)
-        module = import_module(f"gendom.cli.{said[1]}")
-        tyro.cli(module.Command, args=said[2:], config=(tyro.conf.FlagCreatePairsOff,))
 
 
 def test_without_mujoco_actions_are_carried_out_in_our_simulator(monkeypatch):
@@ -40,6 +22,6 @@ def test_without_mujoco_actions_are_carried_out_in_our_simulator(monkeypatch):
     assert pair[0].trial is None
     off = [np.linalg.norm(of.reached - goal) for of in pair]
     assert off[0] < 0.002 < off[1]
-    shown = demo.compared(task, rope, pair[0], pair[1], goal)
+    shown = demo.compared(task, rope, {WITH: pair[0], WITHOUT: pair[1]}, goal)
     assert [of.name for of in shown.layers] == [WITH, WITHOUT, "gripper", "goal"]
     assert shown.num_frames > 10

@@ -17,8 +17,7 @@ from gendom.estimation import LiftScene, chamfers, replay
 from gendom.estimation.replayed import find_recording, of_all_frames
 from gendom.files import write_json
 from gendom.reading import read_json
-from gendom.viz.viewer.models import recording_model, unknown_object
-from gendom.viz.viewer.sliders import MATERIAL
+from gendom.viz.viewer import recording_model, unknown_object
 from viz.made_up import record_of
 
 
@@ -27,7 +26,7 @@ def layers(scene):
 
 
 def first_values(model):
-    return {p.name: p.value for p in model.parameters}
+    return {s.unknown.name: s.value for s in model.sliders}
 
 
 def shown(model, **changes):
@@ -78,25 +77,24 @@ def test_a_recording_is_shown_beside_its_simulation(lift_model, lifted, scene, r
 
 def test_parameters_are_those_that_a_recording_is_searched_for(lift_model, scene, rope_lift):
     """Values beyond what is searched have room; without a table there is no friction."""
-    made = {p.name: p for p in lift_model.parameters}
-    assert made["E_over_rho"].log and made["E_over_rho"].group == MATERIAL
-    assert not made["nu"].log and made["nu"].ends == (0.05, 0.45)
-    assert made["grip_height"].group != MATERIAL and "yaw" not in made
-    assert all(p.ends[0] <= p.value <= p.ends[1] for p in made.values())
+    made = {s.unknown.name: s for s in lift_model.sliders}
+    assert made["E_over_rho"].unknown.material and made["nu"].ends == (0.05, 0.45)
+    assert not made["grip_height"].unknown.material and "yaw" not in made
+    assert all(s.ends[0] <= s.value <= s.ends[1] for s in made.values())
     theta = rope_lift.truth.with_values({"nu": 0.49})
-    made = {p.name: p for p in recording_model(scene, theta, "").parameters}
-    assert made["nu"].range[1] == made["nu"].value == 0.49
+    made = {s.unknown.name: s for s in recording_model(scene, theta, "").sliders}
+    assert made["nu"].value == 0.49 and "&quot;high&quot;: 0.49" in made["nu"].html()
     scene = LiftScene.of(rope_lift.at_rest(4, table_height=None), rope_lift.settings)
-    names = {p.name for p in recording_model(scene, rope_lift.truth, "").parameters}
-    assert "friction" not in names
+    assert "friction" not in first_values(recording_model(scene, rope_lift.truth, ""))
 
 
 def test_unknown_objects_particles_and_cloths_are_shown(lifted, cloth_lift):
     """Particles as a chain, a cloth as a lattice."""
     scene, theta = unknown_object(lifted)
     assert len(scene.frames) == lifted.num_frames
-    p = next(p for p in recording_model(scene, theta, "").parameters if p.name == "E_over_rho")
-    assert p.value == pytest.approx(np.sqrt(np.prod(p.ends)))
+    model = recording_model(scene, theta, "")
+    (s,) = (s for s in model.sliders if s.unknown.name == "E_over_rho")
+    assert s.value == pytest.approx(np.sqrt(np.prod(s.ends)))
     scene = LiftScene.of(cloth_lift.at_rest(4), cloth_lift.settings)
     model = recording_model(scene, cloth_lift.truth, "")
     rows, columns = scene.body.shape
@@ -144,14 +142,6 @@ def test_an_estimate_finds_its_recording(params, lifted, rope_lift, capsys):
 # ---- the command ---------------------------------------------------------------------------------
 
 
-def test_a_missing_extra_is_named_before_the_work(params, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "viser", None)
-    monkeypatch.delitem(sys.modules, "gendom.viz.viewer.server", raising=False)
-    monkeypatch.setattr("gendom.cli.view.Command._model", lambda _: pytest.fail("worked"))
-    assert cli.main(["view", str(params)]) == 2
-    assert re.search(r"needs viser; install it with: .*\[viz\]", capsys.readouterr().err)
-
-
 def test_a_page_is_written_instead(params, tmp_path, capsys):
     page = tmp_path / "lift.html"
     assert cli.main(["view", str(params), "--html", str(page)]) == 0
@@ -160,7 +150,6 @@ def test_a_page_is_written_instead(params, tmp_path, capsys):
 
 
 def test_it_prints_its_address_and_ends_with_ctrl_c(params):
-    pytest.importorskip("viser", reason="needs viser (the extra viz)")
     words = [sys.executable, "-m", "gendom", "view", str(params), "--port", "0"]
     process = subprocess.Popen(
         words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parent

@@ -1,22 +1,27 @@
 """Demonstrations and recordings as LeRobot data sets: what is written, and that it is read."""
 
+import io
 import json
+import shutil
 from dataclasses import fields
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 
 from gendom import cli
 from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.demonstrations import generate, load, read_description
 from gendom.datasets.lerobot import export_demonstrations, export_recording, seal
 from gendom.errors import DatasetError, RecordingError
+from gendom.perception import read_camera
 from gendom.tasks import ClothSpreading, RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
+from perception.conftest import write_lift
 
 DATA = "data/chunk-000/file-000.parquet"
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"
@@ -277,3 +282,60 @@ def test_lerobot_reads_recordings(uneven, tmp_path, reader):
         assert float(item["observation.time"]) == pytest.approx(uneven.time[t], rel=1e-6)
         assert item["task"] == "move a rope that is held by: end"
     assert found.meta.stats["observation.points"]["mean"].shape == (24, 3)
+
+
+# ---- pictures --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    """Depth pictures of a lift, and the set that the command makes of them."""
+    folder = tmp_path_factory.mktemp("pictures")
+    write_lift(folder / "lift", frames=4)
+    assert cli.main(["export", str(folder / "lift"), "--out", str(folder / "set")]) == 0
+    return folder / "lift", folder / "set"
+
+
+def test_pictures_have_depth_in_millimetres(pictures):
+    lift, made = pictures
+    features = json.loads((made / "meta/info.json").read_text())["features"]
+    table = pq.read_table(made / DATA)
+    unit = 1e3 * read_camera(lift / "cameras/right/camera.toml").depth_unit
+    for t in range(4):
+        for name, folder in (("depth", "depth"), ("images", "colour")):
+            feature = f"observation.{name}.right"
+            picture = decoded(io.BytesIO(table[feature][t].as_py()["bytes"]))
+            recorded = decoded(lift / f"cameras/right/{folder}/{t:06d}.png")
+            wanted = (unit * recorded).round() if name == "depth" else recorded
+            np.testing.assert_array_equal(picture, wanted)
+            assert features[feature]["shape"][:2] == list(picture.shape[:2])
+    position = np.array(table["observation.state"].to_pylist())
+    np.testing.assert_allclose(table["action"].to_pylist()[:-1], position[1:], rtol=1e-6)
+    rows = np.loadtxt(lift / "gripper.csv", delimiter=",", skiprows=1)
+    time = table["observation.time"].to_numpy()
+    for a in range(3):
+        np.testing.assert_allclose(position[:, a], np.interp(time, rows[:, 0], rows[:, 1 + a]))
+
+
+def test_lerobot_reads_depth(pictures, reader):
+    made = pictures[1]
+    found = reader.LeRobotDataset("gendom/test", root=made)
+    assert sorted(found.meta.depth_keys) == ["observation.depth.left", "observation.depth.right"]
+    column = pq.read_table(made / DATA)["observation.depth.left"]
+    for t in range(4):
+        picture = decoded(io.BytesIO(column[t].as_py()["bytes"]))
+        np.testing.assert_array_equal(found[t]["observation.depth.left"][0], picture)
+        assert 0.2 < float(found[t]["observation.images.left"].max()) <= 1.0
+
+
+def test_pictures_on_another_clock_are_refused(pictures, tmp_path, capsys):
+    folder = tmp_path / "lift"
+    shutil.copytree(pictures[0], folder)
+    (folder / "gripper.csv").write_text("time,x,y,z\n100,0,0,0.2\n101,0,0,0.3\n")
+    assert cli.main(["export", str(folder), "--out", str(tmp_path / "set")]) == 2
+    assert "no picture at a time of the gripper's path; put all times" in capsys.readouterr().err
+    assert not (tmp_path / "set").exists()
+
+
+def decoded(file):
+    return np.asarray(Image.open(file))

@@ -17,7 +17,7 @@ from gendom.materials.estimate import Estimate
 from gendom.materials.unknowns import UNKNOWNS, register
 from gendom.policies.belief import believed
 from gendom.tasks import RopeReaching
-from gendom.viz.viewer.models import _parameters
+from gendom.viz.viewer import recording_model
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "rope_dragging.py"
 TWIN = """
@@ -197,7 +197,8 @@ def test_packages_add_a_material_an_unknown_and_a_method(
     assert f'class="name" data-label="quantity">{humidity.title}</td>' in page
     assert humidity.title in page.split("usable.", 1)[1].split("</p>", 1)[0]  # the verdict
     scene = LiftScene.of(rope_lift.seen(), rope_lift.settings)
-    assert "humidity" in [p.name for p in _parameters(scene, found.theta)]
+    sliders = recording_model(scene, found.theta, "").sliders
+    assert "humidity" in [s.unknown.name for s in sliders]
     belief = believed(found, RopeReaching())
     E = [item.material.E for item in belief.draws(50, seed=0)]
     # the lift shows the product of both alone, so E varies less than each of them

@@ -42,6 +42,25 @@ def test_the_space_has_markers_tool_goal_and_parameters(envs):
     assert envs.metadata["autoreset_mode"] == gymnasium.vector.AutoresetMode.NEXT_STEP
 
 
+def test_a_cloud_stands_in_place_of_markers(monkeypatch):
+    """Its points lie on the skin of what the markers show; drawn by the seed."""
+    monkeypatch.setattr("gendom.tasks.envs.BANK", 8)
+    cloud, again, marked = (StepsVectorEnv("rope-reaching", W, cloud=n) for n in (50, 50, 0))
+    (seen, _), (same, _), (markers, _) = (of.reset(seed=3) for of in (cloud, again, marked))
+    assert cloud.single_observation_space.shape == (3 * 50 + 5 + 1,) and np.array_equal(seen, same)
+    points = seen[:, :150].reshape(W, 50, 3)
+    item = cloud.items[0]
+    spine = markers[:, : 3 * MARKERS].reshape(W, MARKERS, 3)
+    off = np.linalg.norm(points[:, :, None] - spine[:, None], axis=-1).min(axis=2)
+    assert off.max() < 0.5 / (MARKERS - 1) + item.diameter / item.length
+    np.testing.assert_array_equal(seen[:, 150:], markers[:, 6 * MARKERS :])
+    for _ in range(3):
+        moved = cloud.step(np.tile([-1.0, -1.0, 1.0], (W, 1)))[0][:, :150].reshape(W, 50, 3)
+    assert (points[..., 0].mean(axis=1) - moved[..., 0].mean(axis=1)).min() > 0.15
+    with pytest.raises(ParameterError, match="cloud must be at least 0"):
+        StepsVectorEnv("rope-reaching", W, cloud=-1)
+
+
 def test_a_tool_that_goes_back_and_lets_go_swings_the_tip(envs):
     def pull(k):
         return [-0.25, 0.0, 1.0] if k < 20 else [0.0, 0.0, -1.0]

@@ -21,39 +21,25 @@ FLAGS = (
     "--no-sandbox",
     "--hide-scrollbars",
     "--no-first-run",
+    "--disable-gpu",
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
     "--remote-debugging-port=0",
 )
 
-WEBGL_FLAGS = (
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-    # whatever is elsewhere cannot be found
-    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
-)
-"""For pages that draw with WebGL, in place of `--disable-gpu`."""
-
 
 class Browser:
-    """One page at a time; collects what it logs and asks the network for. Skips the test where
-    there is no browser.
+    """One page at a time, in a profile folder; collects what it logs and asks the network for.
+    Skips the test where there is no browser."""
 
-    Args:
-        profile: Folder for its files.
-        webgl: Whether pages can draw with WebGL, in software.
-    """
-
-    def __init__(self, profile: Path, *, webgl: bool = False):
-        connect = pytest.importorskip("websockets.sync.client", reason="the extra viz").connect
+    def __init__(self, profile: Path):
+        connect = pytest.importorskip("websockets.sync.client", reason="the extra dev").connect
         program = next((found for name in NAMES if (found := shutil.which(name))), None)
         if program is None:
             pytest.skip(f"needs a browser: {', '.join(NAMES)}")
-        flags = [*FLAGS, *(WEBGL_FLAGS if webgl else ("--disable-gpu",))]
         self._process = subprocess.Popen(
-            [program, *flags, f"--user-data-dir={profile}", "about:blank"],
+            [program, *FLAGS, f"--user-data-dir={profile}", "about:blank"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
@@ -81,18 +67,9 @@ class Browser:
         self._process.terminate()
         self._process.wait(10.0)
 
-    def open(
-        self,
-        page: Path | str,
-        *,
-        width: int,
-        height: int = 900,
-        dark: bool = False,
-        scale: float = 1.0,
-    ) -> None:
-        """Load a file, or an address, in a window of a size [CSS pixels]; what is drawn in software
-        is drawn faster at a smaller scale."""
-        size = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": False}
+    def open(self, page: Path | str, *, width: int, dark: bool = False) -> None:
+        """Load a file, or an address, in a window of a width [CSS pixels]."""
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1.0, "mobile": False}
         self.call("Emulation.setDeviceMetricsOverride", **size)
         features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self.call("Emulation.setEmulatedMedia", features=features)
@@ -104,6 +81,14 @@ class Browser:
             self.call("Page.navigate", url=address)
             while not self._loaded:
                 self._receive()
+        self.settle()
+
+    def act(self, element: str, change: str, event: str = "input") -> None:
+        """Change the element of a selector and say so, as a hand would."""
+        self.evaluate(
+            f"(() => {{ const e = document.querySelector(`{element}`); e.{change};"
+            f"e.dispatchEvent(new Event('{event}', {{bubbles: true}})); }})()"
+        )
         self.settle()
 
     def settle(self) -> None:
@@ -119,9 +104,9 @@ class Browser:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def screenshot(self, path: Path, *, whole: bool = True) -> None:
-        """A PNG of the page, or of what the window shows."""
-        answer = self.call("Page.captureScreenshot", captureBeyondViewport=whole)
+    def screenshot(self, path: Path) -> None:
+        """A PNG of the page, for people."""
+        answer = self.call("Page.captureScreenshot", captureBeyondViewport=True)
         path.write_bytes(base64.b64decode(answer["data"]))
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:

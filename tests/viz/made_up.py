@@ -106,7 +106,6 @@ def content(**changes):
         "estimate": estimate(),
         "truth": {"E": 1850.0, "nu": 0.35},
         "action": action(),
-        "stage_seconds": {"estimate": 3.0},
         "next_steps": [("gendom check a.npz", "Look at it.")],
     }
     return ReportContent(**parts | changes)

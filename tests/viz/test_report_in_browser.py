@@ -52,15 +52,6 @@ def drawn(browser, viewer):
     return browser.evaluate(f"document.querySelector('#{viewer} canvas').toDataURL()")
 
 
-def act(browser, element, change, event="input"):
-    """Change an element and say so, as a hand would."""
-    browser.evaluate(
-        f"(() => {{ const e = document.querySelector('{element}'); e.{change};"
-        f"e.dispatchEvent(new Event('{event}', {{bubbles: true}})); }})()"
-    )
-    browser.settle()
-
-
 @pytest.mark.parametrize(("width", "dark"), [(390, False), (800, True), (1280, False)])
 def test_it_fits_and_is_silent(browser, report, width, dark):
     browser.open(report, width=width, dark=dark)
@@ -82,7 +73,7 @@ def test_the_slider_moves_the_view(browser, report, viewer):
     output = f"document.querySelector('#{viewer} output').textContent"
     seen = []
     for frame in (0, FRAMES - 1):
-        act(browser, f"#{viewer} input.time", f"value = {frame}")
+        browser.act(f"#{viewer} input.time", f"value = {frame}")
         assert f"frame {frame + 1} of {FRAMES}" in browser.evaluate(output)
         seen.append(drawn(browser, viewer))
     assert seen[0] != seen[1]
@@ -90,7 +81,7 @@ def test_the_slider_moves_the_view(browser, report, viewer):
 
 def test_play_goes_on_until_pause(browser, report):
     browser.open(report, width=800)
-    act(browser, "#lift input.time", "value = 0")
+    browser.act("#lift input.time", "value = 0")
     browser.evaluate("document.querySelector('#lift button.play').click()")
     frame = "Number(document.querySelector('#lift input.time').value)"
     playing = (
@@ -111,10 +102,10 @@ def test_layers_go_and_come_back(browser, report):
     browser.open(report, width=800)
     before = drawn(browser, "motion")
     for layer in ("recorded", "simulated", "gripper", "arm", "goal", "skin"):
-        box = f"#motion input[data-layer={layer}]"
-        act(browser, box, "checked = false")
+        box = f"#motion input[aria-label={layer}]"
+        browser.act(box, "checked = false")
         assert drawn(browser, "motion") != before, layer
-        act(browser, box, "checked = true")
+        browser.act(box, "checked = true")
         assert drawn(browser, "motion") == before
     # dragging turns the view
     browser.open(report, width=800)

@@ -7,11 +7,13 @@ import pytest
 
 from gendom import viz
 from gendom.errors import DeviceError, ParameterError
+from gendom.estimation import EstimateSettings, estimate
 from gendom.materials import Material
 from gendom.sim import Capsule, Cuboid, Gripper, Simulator, Solver, Sphere, Table, cloth, rope
 from gendom.viz import Animation, Layer
 from gendom.viz.films import Stage
 from gendom.viz.simulation import motion_of
+from gendom.viz.viewer import Viewer
 
 TIMES = np.array([0.0, 0.1, 0.25])
 AROUND = [
@@ -102,17 +104,18 @@ def test_notebooks_show_a_player(monkeypatch):
     assert page.startswith("<iframe srcdoc=") and len(page) > 30_000
 
 
-def test_the_viewer_serves_until_it_is_stopped(monkeypatch):
-    server = pytest.importorskip("gendom.viz.viewer.server", reason="the extra viz")
-    seen = []
-
-    def served(viewer):
-        assert viewer.wait(30.0)
-        seen.extend(layer.name for layer in viewer._scene.layers)
-
-    monkeypatch.setattr(server.Viewer, "serve", served)
-    assert viz.show(made(), port=0) is None
-    assert seen[0] == "rope"
+def test_the_viewer_serves_until_it_is_stopped(rope_lift, monkeypatch):
+    """Recordings and what was found of them have sliders."""
+    found = estimate(rope_lift.seen(), EstimateSettings(starts=1, scene=rope_lift.settings))
+    pages = []
+    monkeypatch.setattr(Viewer, "serve", lambda viewer: pages.append(viewer.page().decode()))
+    for shown in (made(), rope_lift.seen(), found):
+        assert viz.show(shown, port=0) is None
+    assert '"name":"rope"' in pages[0] and "Reset parameters" not in pages[0]
+    assert all("recorded" in page and "Reset parameters" in page for page in pages[1:])
+    assert f"&quot;value&quot;: {found.theta.E_over_rho}" in pages[2]
+    with pytest.raises(ParameterError, match="simulator must be a Simulator"):
+        viz.show(np.zeros((3, 3)), port=0)
 
 
 def test_particles_are_dots(tmp_path):

@@ -1,6 +1,8 @@
-"""The viewer without a recording: what it shows, when it simulates, its server and its files."""
+"""The viewer without a recording: what it shows, when it simulates, whom it answers."""
 
 import contextlib
+import http.client
+import json
 import socket
 import threading
 import time
@@ -10,13 +12,10 @@ import numpy as np
 import pytest
 
 from gendom.errors import GendomError
+from gendom.materials.unknowns import UNKNOWNS
 from gendom.viz import Animation, Layer
-from gendom.viz.player import encode_page
-from gendom.viz.viewer.sliders import MATERIAL, SliderParameter, ViewerModel
+from gendom.viz.viewer import Slider, Viewer, ViewerModel
 from viz.browser import Browser
-
-ARROW = {"key": "ArrowRight", "code": "ArrowRight", "windowsVirtualKeyCode": 39}
-"""A key, as the browser's protocol describes it."""
 
 TIMES = np.array([0.0, 0.1, 0.3, 0.6])
 
@@ -49,12 +48,12 @@ class Square(ViewerModel):
     def __init__(self, seconds=0.0):
         self.seconds, self.fault = seconds, None
         self.simulated = []
-        height = SliderParameter(
-            name="height", label="height", unit="m", meaning="of the square", group=MATERIAL,
-            ends=(0.0, 0.1), value=0.0,
-        )  # fmt: skip
-        E = replace(height, name="E", label="E", ends=(1.0, 1e4), value=123.0, log=True)
-        self.parameters = height, E
+        height = replace(UNKNOWNS["grip_height"], name="height", symbol="height", material=True)
+        E = replace(UNKNOWNS["E_over_rho"], name="E", symbol="E", unit="Pa")
+        self.sliders = (
+            Slider(unknown=height, ends=(0.0, 0.1), value=0.0),
+            Slider(unknown=E, ends=(1.0, 1e4), value=123.0),
+        )
 
     def simulate(self, values, go_on):
         if self.fault:
@@ -80,11 +79,6 @@ def test_scenes_know_their_frames_and_their_box():
     np.testing.assert_allclose(scene.box, [[0.0, 0.0, 0.0], [0.4, 0.2, 0.26]], atol=0.005)
     with pytest.raises(GendomError, match="no points at all"):
         _ = Animation(times=TIMES, layers=()).box
-    # logarithmic parameters have logarithmic sliders
-    height, E = Square().parameters
-    assert E.position(100.0) == pytest.approx(2.0) and E.at(2.0) == pytest.approx(100.0)
-    assert E.range == (0.0, 4.0, 0.02) and E.at(E.start) == 123.0
-    assert height.text(0.02) == "height 20 mm" and height.range[:2] == (0.0, 0.1)
 
 
 # ---- simulating again ----------------------------------------------------------------------------
@@ -93,152 +87,62 @@ def test_scenes_know_their_frames_and_their_box():
 @pytest.fixture
 def viewer():
     """Of the square, on any port."""
-    pytest.importorskip("viser", reason="needs viser (the extra viz)")
-    from gendom.viz.viewer.server import Viewer
-
     with contextlib.closing(Viewer(Square(), port=0)) as made:
-        assert made.wait(10.0)
+        threading.Thread(target=made.serve_forever, daemon=True).start()
         yield made
+        made.shutdown()
 
 
-def move(viewer, name, value):
-    """Move a parameter's slider, as a hand would."""
-    viewer._sliders[name].value = viewer._parameters[name].position(value)
+def ask(viewer, height, E=123.0):
+    """What a page gets that asks for values."""
+    asked = http.client.HTTPConnection("127.0.0.1", viewer.port, timeout=20.0)
+    asked.request("POST", "/simulate", json.dumps({"height": height, "E": E}))
+    return [json.loads(line) for line in asked.getresponse().read().splitlines()]
+
+
+def test_a_wish_gets_the_motion_and_then_its_distance(viewer):
+    first, second = ask(viewer, 0.04)
+    assert first["scene"]["distance"] is None and first["said"].startswith("simulated in 0.0")
+    assert second["scene"]["distance"] == ["Chamfer", pytest.approx(0.04 + 1e-3 * TIMES)]
+    assert [of["name"] for of in second["scene"]["layers"]] == ["recorded", "simulated", "stick"]
+    assert viewer._model.simulated == [{"height": 0.04, "E": 123.0}]
 
 
 def test_the_last_wish_wins(viewer):
-    """Those in between are never simulated; long simulations are given up, and not waited for."""
+    """A simulation is given up for a newer one, and when the viewer ends."""
     model = viewer._model
-    model.seconds = 0.1
-    for height in (0.01, 0.02, 0.03, 0.04):
-        move(viewer, "height", height)
-    assert viewer.wait(10.0)
-    assert model.simulated[-1]["height"] == pytest.approx(0.04) and len(model.simulated) <= 3
-    assert viewer._scene.distance[1][0] == pytest.approx(0.04)
-    model.simulated.clear()
-    model.seconds = 30.0
-    move(viewer, "height", 0.01)
-    time.sleep(0.05)
-    model.seconds = 0.0
-    move(viewer, "height", 0.02)
-    assert viewer.wait(6.0)
-    assert model.simulated == [{"height": 0.02, "E": 123.0}]
-    assert viewer._status_text.startswith("simulated in ")
-    model.seconds = 30.0
-    move(viewer, "height", 0.01)
-    assert not viewer.wait(0.2)
-    began = time.monotonic()
-    viewer.close()
-    assert time.monotonic() - began < 2.0
+    for ends in (lambda: ask(viewer, 0.02), viewer.close):
+        model.seconds, left = 30.0, []
+        long = threading.Thread(target=lambda: left.append(ask(viewer, 0.01)), daemon=True)  # noqa: B023
+        long.start()
+        time.sleep(0.2)
+        model.seconds = 0.0
+        ends()
+        long.join(5.0)
+        assert left == [[]]
+    assert [of["height"] for of in model.simulated] == [0.02]
 
 
 def test_faults_are_told_and_the_next_wish_is_served(viewer, caplog):
-    """The last scene stays until there is another."""
-    before = viewer._scene
     for height, fault, said in (
         (0.095, None, "height: is too high"),
         (0.01, KeyError("height"), "internal error: KeyError: 'height'"),  # of the program
     ):
         viewer._model.fault = fault
-        move(viewer, "height", height)
-        assert viewer.wait(5.0)
-        assert viewer._status_text == said and viewer._scene is before
+        assert ask(viewer, height) == [{"fault": said}]
     viewer._model.fault = None
-    move(viewer, "height", 0.05)
-    assert viewer.wait(5.0) and viewer._status_text.startswith("simulated in ")
-    assert viewer._scene.distance[1][0] == pytest.approx(0.05)
-
-
-def test_parameters_are_reset(viewer):
-    """What nobody moved keeps all its digits."""
-    move(viewer, "height", 0.04)
-    assert viewer.wait(10.0)
-    assert viewer._model.simulated[-1] == {"height": 0.04, "E": 123.0}
-    move(viewer, "E", 1000.0)
-    assert viewer.wait(10.0)
-    assert viewer._model.simulated[-1]["E"] == pytest.approx(1000.0)
-    viewer.reset()
-    assert viewer.wait(10.0)
-    assert viewer._model.simulated[-1] == {"height": 0.0, "E": 123.0}
+    assert len(ask(viewer, 0.05)) == 2
 
 
 def test_only_this_machine_reaches_it(viewer, capfd):
-    """On the next port where one is taken. Nothing is printed, and no thread stays."""
-    from gendom.viz.viewer.server import Viewer
-
-    socket.create_connection(("127.0.0.1", viewer.port), timeout=5.0).close()
+    """On the next port where one is taken. Nothing is printed."""
     with pytest.raises(OSError):
         socket.create_connection(("127.0.0.2", viewer.port), timeout=1.0)
     with contextlib.closing(Viewer(Square(), port=viewer.port)) as second:
         assert second.port > viewer.port
     with pytest.raises(GendomError, match="port: is 70000"):
         Viewer(Square(), port=70000)
-    viewer.close()
-    assert capfd.readouterr().out == ""
-    assert not [t for t in threading.enumerate() if t.name.startswith(("player", "simulation"))]
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    """One that draws with WebGL, in software."""
-    opened = Browser(tmp_path_factory.mktemp("profile"), webgl=True)
-    yield opened
-    opened.close()
-
-
-def until(browser, expression, seconds=60.0):
-    """The value of an expression once it is something."""
-    ends = time.monotonic() + seconds
-    while not (value := browser.evaluate(expression)):
-        assert time.monotonic() < ends, expression
-        time.sleep(0.1)
-    return value
-
-
-def test_a_page_plays_by_itself(browser, tmp_path):
-    path = tmp_path / "square.html"
-    path.write_text(encode_page(Square().complete(), "a square"), encoding="utf-8")
-    browser.open(path, width=500, height=700)
-    for name in ("recorded", "simulated", "stick", "Chamfer"):
-        assert browser.evaluate(f"document.body.textContent.includes({name!r})")
-    assert browser.errors == []
-    assert [a for a in browser.requested if not a.startswith("file:")] == []
-
-
-@pytest.mark.slow
-def test_the_page_shows_and_obeys(viewer, browser, capfd):
-    """It is drawn without errors, asks for nothing from elsewhere, and its sliders act."""
-    browser.open(viewer.url + "/", width=600, height=300, scale=0.1)
-    text = "document.body.textContent"
-    for said in ("a square", "It is flat.", "Chamfer", "recorded", "Reset parameters"):
-        until(browser, f"{text}.includes({said!r})")
-    until(browser, "document.querySelector('canvas') !== null")
-    assert browser.evaluate("document.documentElement.scrollWidth") <= 600
-    viewer._time.value = 0
-    for slider, moved in (
-        (0, lambda: viewer._time.value == 1),
-        (1, lambda: viewer._model.simulated[1:]),
-    ):
-        thumb = f"document.querySelectorAll('[role=slider]')[{slider}]"
-        until(browser, f"{thumb}.getAttribute('aria-valuenow') === '0'")
-        browser.evaluate(f"{thumb}.focus()")
-        for kind in ("rawKeyDown", "keyUp"):
-            browser.call("Input.dispatchKeyEvent", type=kind, **ARROW)
-        ends = time.monotonic() + 20.0
-        while not moved():
-            assert time.monotonic() < ends, slider
-            browser.settle()
-    # the box beside a logarithmic slider has the value itself, in both directions
-    boxes = "[...document.querySelectorAll('input')].filter(i => i.offsetParent !== null)"
-    values = f"{boxes}.map(i => i.value)"
-    until(browser, f"{values}.includes('123000')")
-    assert browser.evaluate(f"!{values}.some(v => v.startsWith('2.08'))")
-    viewer._boxes["E"].value = 456e3  # in mm
-    until(browser, f"{values}.includes('456000')")
-    assert viewer._value("E") == pytest.approx(456.0)
-    assert browser.errors == []
-    assert [a for a in browser.requested if not a.startswith((viewer.url, "blob:"))] == []
-    assert capfd.readouterr().out == ""
+    assert capfd.readouterr() == ("", "")
 
 
 ASKED = [
@@ -258,16 +162,76 @@ ASKED = [
 """Origin and host of requests, and whether they are served."""
 
 
-def test_only_its_own_page_opens_a_socket(viewer):
+@pytest.mark.parametrize(("origin", "host", "served"), ASKED)
+@pytest.mark.parametrize("method", ["GET", "POST"])
+def test_only_its_own_page_is_answered(viewer, method, origin, host, served):
     own = f"127.0.0.1:{viewer.port}"
-    for origin, host, served in ASKED:
-        lines = [
-            "GET / HTTP/1.1", f"Host: {host or own}", "Upgrade: websocket", "Connection: Upgrade",
-            "Sec-WebSocket-Version: 13", "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
-            "Sec-WebSocket-Protocol: viser-v0",
-        ]  # fmt: skip
-        lines += [f"Origin: {origin.format(own=own)}"] if origin else []
-        with socket.create_connection(("127.0.0.1", viewer.port), timeout=5.0) as asked:
-            asked.sendall("\r\n".join([*lines, "", ""]).encode())
-            answer = asked.recv(12).decode()
-        assert answer.endswith("101" if served else "403"), (origin, host)
+    head = {"Host": host or own} | ({"Origin": origin.format(own=own)} if origin else {})
+    asked = http.client.HTTPConnection("127.0.0.1", viewer.port, timeout=5.0)
+    values = json.dumps({"height": 0.0, "E": 1.0})
+    asked.request(method, "/", values if method == "POST" else None, head)
+    assert asked.getresponse().status == (200 if served else 403)
+
+
+def test_what_is_no_wish_is_refused(viewer):
+    for method, path, body, status in (
+        ("POST", "/simulate", "{", 400),
+        ("POST", "/simulate", "[1]", 400),
+        ("POST", "/simulate", '{"E": "much"}', 400),
+        ("GET", "/etc/passwd", None, 404),
+    ):
+        asked = http.client.HTTPConnection("127.0.0.1", viewer.port, timeout=5.0)
+        asked.request(method, path, body)
+        assert asked.getresponse().status == status
+    assert viewer._model.simulated == []
+
+
+# ---- in a browser --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    opened = Browser(tmp_path_factory.mktemp("profile"))
+    yield opened
+    opened.close()
+
+
+def until(browser, expression, seconds=20.0):
+    """The value of an expression once it is something."""
+    ends = time.monotonic() + seconds
+    while not (value := browser.evaluate(expression)):
+        assert time.monotonic() < ends, expression
+        time.sleep(0.05)
+    return value
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_the_page_shows_and_obeys(viewer, browser, width):
+    """It is drawn without errors, asks for nothing from elsewhere, and its sliders act."""
+    simulated = viewer._model.simulated
+    browser.open(viewer.url, width=width)
+    for said in ("a square", "It is flat.", "Chamfer", "stick", "Reset parameters"):
+        until(browser, f"document.body.textContent.includes({said!r})")
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    assert simulated == [{"height": 0.0, "E": 123.0}]  # all its digits
+
+    values = "[...document.querySelectorAll('[type=number]')].map(of => Number(of.value))"
+    for which, kind, value, heard, found in (
+        (1, "range", 0.5, "input", {"height": 0.05, "E": 123.0}),
+        (2, "range", 0.75, "input", {"height": 0.05, "E": 1e3}),  # its slider is logarithmic
+        (1, "number", 20.0, "change", {"height": 0.02, "E": 1e3}),  # in mm
+        (2, "number", 9e9, "change", {"height": 0.02, "E": 1e4}),
+    ):
+        browser.act(f"label:nth-of-type({which}) [type={kind}]", f"value = {value}", heard)
+        ends = time.monotonic() + 10.0
+        while simulated[-1] != pytest.approx(found):
+            assert time.monotonic() < ends, simulated[-1]
+            time.sleep(0.02)
+        assert browser.evaluate(values) == pytest.approx([1e3 * found["height"], found["E"]])
+    browser.act("label:nth-of-type(1) [type=number]", "value = 95", "change")
+    until(browser, "document.querySelector('.said.warning')?.textContent === 'height: is too high'")
+    browser.evaluate("document.querySelector('[type=reset]').click()")
+    until(browser, "document.querySelector('.said').textContent.startsWith('simulated in')")
+    assert simulated[-1] == {"height": 0.0, "E": 123.0}
+    assert browser.errors == []
+    assert [a for a in browser.requested if not a.startswith(viewer.url)] == []

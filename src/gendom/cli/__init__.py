@@ -50,8 +50,6 @@ COMMANDS = {
     "record": ("gendom.cli.record", "a lift under depth cameras, in a cell or in the MuJoCo scene"),
     "perceive": ("gendom.cli.perceive", "from depth pictures or a ROS bag to a recording"),
     "import": ("gendom.cli.import_", "from a ROS bag, clouds or LeRobot to a recording"),
-    "bench": ("gendom.cli.bench", "measure the simulator's speed on this machine"),
-    "completion": ("gendom.cli.completion", "complete commands and flags in your shell"),
 }
 
 # Import name -> the extra that brings it.
@@ -64,7 +62,6 @@ _EXTRAS = {
     "cv2": "camera",
     "gymnasium": "reality",
     "ray": "cluster",
-    "viser": "viz",
     "rosbags": "ros",
     "xarm": "robot",
     "franky": "franka",
@@ -133,7 +130,7 @@ def _run(name: str, words: list[str]) -> int:
         return stop.code if isinstance(stop.code, int) else 2
     if (seed := getattr(command, "seed", 0)) < 0:
         raise ParameterError(f"is {seed}", where="--seed", fix="give 0 or more")
-    with escaped() if name != "completion" else nullcontext():
+    with escaped():
         return command.run()
 
 

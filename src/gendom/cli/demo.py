@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import logging
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -22,7 +20,6 @@ from gendom.cli.estimate import (
     estimate_text,
     fit_content,
     next_steps,
-    shell,
 )
 from gendom.cli.outputs import check_places
 from gendom.datasets import Recording
@@ -121,15 +118,14 @@ class Command:
             _log.warning("%s, %s simulator, with the ropes' true values", what, how)
         policies = [Policy.pretrained(self.task, parameters=sees) for sees in (True, False)]
         ropes = {name: find_object(name) for name in LIFTS}
-        began = time.perf_counter()
         every = {name: self._estimate(name, rope) for name, rope in ropes.items()}
-        seconds = {"estimate": time.perf_counter() - began}
         usable = {name: found for name, found in every.items() if found.usable}
-        action, apart = None, ""
+        action, apart, steps = None, "", next_steps(self.out / "recording.npz")
         if usable:
-            began = time.perf_counter()
             action, apart = self._act({n: ropes[n] for n in usable}, usable, policies)
-            seconds["act and carry out"] = time.perf_counter() - began
+            folder, goal = self._folder(next(iter(usable))), action.outcomes[0].goal.tolist()
+            act = [self.task, "--goal", *goal]
+            steps = next_steps(folder / "recording.npz", folder / NAME, act)
         content = fit_content(
             every["rope-cotton"],
             title="GenDOM: one lift of each of three ropes, and what the arm does with them",
@@ -139,27 +135,17 @@ class Command:
             cameras_note=CAMERAS_NOTE,
             truth=to_columns(ropes["rope-cotton"]),
             action=action,
-            stage_seconds=seconds,
-            next_steps=self.next_steps(action.outcomes[0].goal.tolist() if action else None),
+            next_steps=steps,
         )
         assert content.lift is not None
-        began = time.perf_counter()
         write_film(self.out / "lift.gif", content.lift)
-        seconds["film"] = time.perf_counter() - began
         write_report(self.out / "report.html", content)
         print(f"report: {printable(self.out / 'report.html')}")
         return 0 if len(usable) == len(every) else NOT_USABLE
 
-    def next_steps(self, goal: Sequence[float] | None) -> list[tuple[str, str]]:
-        """Commands that go on from the demo's files, and what each does; without a goal there is no
-        usable estimate."""
-        recording, estimate = self.out / "recording.npz", self.out / NAME
-        if goal is None:
-            return next_steps(recording)
-        other = "rope-reaching" if self.task == "rope-casting" else "rope-casting"
-        words = ["gendom", "demo", "--task", other, "--out", f"{self.out}-{other}"]
-        again = shell(words), "Run the demo with the other task."
-        return [*next_steps(recording, estimate, [self.task, "--goal", *goal]), again]
+    def _folder(self, name: str) -> Path:
+        """Of a rope's files."""
+        return self.out if name == next(iter(LIFTS)) else self.out / name
 
     def _estimate(self, name: str, rope: Item) -> FittedEstimate:
         """A rope's estimate, which is printed and written beside its recording."""
@@ -170,13 +156,12 @@ class Command:
         with iterations_shown() as show:
             found = estimate(recording, settings, on_progress=show)
         material, text = rope.material, estimate_text(found)
-        first = name == next(iter(LIFTS))
-        print(f"\n{text}" if first else "\n".join(text.splitlines()[:3]))
+        folder = self._folder(name)
+        print(f"\n{text}" if folder == self.out else "\n".join(text.splitlines()[:3]))
         print(f"true values      E {material.E:.4g} Pa, nu {material.nu:.3f}\n", flush=True)
         for reason in found.verdict.reasons:
             _log.error("%s is not usable: %s", name, reason)
         # kept whatever becomes of the actions
-        folder = self.out if first else self.out / name
         write_json(folder / NAME, found.record)
         recording.write(folder / "recording.npz")
         return found
@@ -186,17 +171,14 @@ class Command:
     ) -> tuple[ActionSummary, str]:
         """Let the arm act with each rope, say what it reached, and write it; and how far that may
         be trusted."""
-        task, outcomes, motions, apart = policies[0].task(), [], [], []
+        task, every, outcomes, apart = policies[0].task(), {}, [], []
         for name in each(tuple(ropes), "the arm acts", "rope"):
-            rope, belief = ropes[name], believed(found[name], task)
-            aim = self._goal(rope, belief, policies)
-            runs = carry_out(rope, policies, aim, belief)
-            ours, without, *_ = runs.values()
-            model = task.outcome(belief.item, _simulated(task, belief.item, ours.action))
-            known = [model[q.name] for q in task.goals]
-            apart.append(np.linalg.norm(ours.reached - known))
-            motions.append(partial(compared, task, rope, ours, without, aim))
-            outcomes.append(ReachOutcome(item=name, goal=aim, runs=runs))
+            belief = believed(found[name], task)
+            goal = self._goal(ropes[name], belief, policies)
+            every[name] = runs = carry_out(ropes[name], policies, goal, belief)
+            model = task.outcome(belief.item, _simulated(task, belief.item, runs[WITH].action))
+            apart.append(np.linalg.norm(runs[WITH].reached - [model[q.name] for q in task.goals]))
+            outcomes.append(ReachOutcome(item=name, goal=goal, runs=runs))
         for outcome in outcomes:
             named = zip(task.actions, outcome.runs[WITH].action, strict=True)
             action = ", ".join(f"{q.name} {value:.3f} {q.unit}" for q, value in named)
@@ -205,11 +187,11 @@ class Command:
             print(f"{outcome.item}, goal {place} m: {action}")
             off = (f"{name} {1e3 * outcome.error(name):.1f} mm" for name in outcome.runs)
             print(f"  off by: {', '.join(off)}")
-        best = int(np.argmax([of.error(WITHOUT) - of.error(WITH) for of in outcomes]))
+        best = max(outcomes, key=lambda of: of.error(WITHOUT) - of.error(WITH))
         summary = ActionSummary(
             outcomes=outcomes,
-            motion=motions[best](),
-            motion_note=f"{outcomes[best].item}: carried out with the estimate (orange) and "
+            motion=compared(task, ropes[best.item], every[best.item], best.goal),
+            motion_note=f"{best.item}: carried out with the estimate (orange) and "
             f"without parameters (blue). {CHOSEN}",
             goal_name=", ".join(f"{q.name} {q.meaning}" for q in task.goals),
             action_names=[f"{q.name.replace('_', ' ')} [{q.unit}]" for q in task.actions],
@@ -295,17 +277,16 @@ def _simulated(task: Task, item: Item, action: np.ndarray) -> Observed:
     return outcome.seen
 
 
-def compared(
-    task: Task, rope: Any, ours: Executed, without: Executed, goal: np.ndarray
-) -> Animation:
-    """Both motions in the task's frame, one over the other."""
-    lasts = min(float(np.ptp(of.seen.times)) for of in (ours, without))
-    times = np.arange(0.0, lasts, 1.0 / MOTION_RATE)
-    shown = []
-    for seen in (ours.seen, without.seen):
+def compared(task: Task, rope: Any, runs: dict[str, Executed], goal: np.ndarray) -> Animation:
+    """The motions with the estimate and without parameters in the task's frame, one over the
+    other."""
+    both = [runs[name].seen for name in (WITH, WITHOUT)]
+    lasts = min(float(np.ptp(seen.times)) for seen in both)
+    times, shown = np.arange(0.0, lasts, 1.0 / MOTION_RATE), []
+    for seen in both:
         k = np.searchsorted(seen.times - seen.times[0], times - 1e-9)
         shown.append(replace(seen, points=seen.points[k], hand=seen.hand[k]))
-    trial, T = ours.trial, task.T_world_task(rope)
+    trial, T = runs[WITH].trial, task.T_world_task(rope)
     layers = [
         observed_layer(WITH, rope, shown[0]),
         observed_layer(WITHOUT, rope, shown[1], RECORDED_COLOR),

@@ -11,7 +11,8 @@ import tyro
 from gendom.cli.arguments import Json
 from gendom.cli.outputs import check_places, fault_entry, print_result, write_picture
 from gendom.cli.recognised import look
-from gendom.errors import GendomError, RecordingError, printable
+from gendom.cli.summary import rows_text
+from gendom.errors import GendomError, RecordingError
 from gendom.files import to_json
 
 
@@ -21,7 +22,7 @@ class Command:
     command.
 
     Known are recordings, folders of clouds or of depth pictures, bags of ROS 1 and 2, sets of
-    LeRobot, boards of a calibration, cameras' files, cells, actions and estimates. Exit code 2: it
+    LeRobot, boards of a calibration, cameras' files, cells and estimates. Exit code 2: it
     cannot be used; every fault is listed.
 
     For example: gendom doctor lift
@@ -48,9 +49,7 @@ def examine(place: Path, picture: Path | None = None, *, json: bool) -> int:
         found = look(place)
     except GendomError as error:
         if json:
-            faults = [fault_entry(f) for f in getattr(error, "faults", ())] or [
-                {"what": error.what, "where": error.where, "fix": error.fix}
-            ]
+            faults = [fault_entry(fault) for fault in getattr(error, "faults", ()) or [error]]
             print(to_json({"path": place, "valid": False, "faults": faults}))
         raise
     errors = [fault for fault in found.faults if fault.severity == "error"]
@@ -59,7 +58,8 @@ def examine(place: Path, picture: Path | None = None, *, json: bool) -> int:
     if errors:
         of["faults"] = [fault_entry(fault) for fault in errors]
     of["next"] = [{"command": command, "does": does} for command, does in found.next]
-    print_result(of, _text(place, found.kind, found.rows, not errors), warnings, json=json)
+    said = f"{found.kind}, {'lacks something' if errors else 'can be used'}"
+    print_result(of, rows_text(place, said, found.rows), warnings, json=json)
     if found.next and not json:
         print("next:")
         print("\n".join(f"  {command}\n      {does}" for command, does in found.next))
@@ -72,9 +72,3 @@ def examine(place: Path, picture: Path | None = None, *, json: bool) -> int:
         named = any(fault.where.startswith(str(place)) for fault in errors)
         raise RecordingError(where="" if named else str(place), faults=errors)
     return 0
-
-
-def _text(place: Path, kind: str, rows: dict[str, str], usable: bool) -> str:
-    said = "can be used" if usable else "lacks something"
-    lines = [f"  {name:<9} {text}" for name, text in rows.items()]
-    return "\n".join([f"{printable(place)}: {kind}, {said}", *lines])

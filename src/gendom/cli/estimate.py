@@ -133,7 +133,6 @@ class Command:
             summary=REPORT_SUMMARY if found.usable else NOT_USABLE_SUMMARY,
             recording_source=_sentences(names, recording.source, recording.notes),
             lift_note=f"The first of {several}: {first.name}." if several > 1 else "",
-            stage_seconds=found.record["stage_seconds"],
         )
 
     def _next_steps(self, found: FittedEstimate | None) -> list[tuple[str, str]]:

@@ -12,7 +12,7 @@ import tyro
 from gendom.arguments import require
 from gendom.cli.arguments import Json, ObjectFile, beside_bag, refuse_bag_flags
 from gendom.cli.outputs import print_result, tell_written
-from gendom.cli.summary import summarize, summary_text
+from gendom.cli.summary import rows_text, summarize, summary_rows
 from gendom.datasets import Fault, Recording
 from gendom.datasets.folder import bag_files
 from gendom.files import check_file
@@ -56,7 +56,7 @@ class Command:
             refuse_bag_flags(self.source, self.bag, object=self.object, workspace=self.workspace)
             recording = Recording.read(self.source, on_warning=warnings.append)
         summary = summarize(recording)
-        text = summary_text(str(self.source), summary)
+        text = rows_text(self.source, "can be used", summary_rows(summary))
         print_result({"out": self.out, **summary}, text, warnings, json=self.json)
         recording.write(self.out)
         tell_written(self.out, json=self.json)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gendom.datasets import Fault
-from gendom.errors import printable
+from gendom.errors import GendomError, printable
 from gendom.files import atomic_path, check_file, check_folder, to_json, write_json
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def write_picture(path: Path, picture: Image.Image, *, json: bool = False) -> No
     tell_written(path, json=json)
 
 
-def fault_entry(fault: Fault) -> dict[str, str]:
+def fault_entry(fault: Fault | GendomError) -> dict[str, str | None]:
     """A fault for JSON."""
     return {"what": fault.what, "where": fault.where, "fix": fault.fix}
 

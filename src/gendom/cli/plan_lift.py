@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from gendom.arguments import require
-from gendom.cli.arguments import Json, Seed
+from gendom.cli.arguments import Json
 from gendom.cli.outputs import check_places, columns, tell_written, write_result
+from gendom.cli.parsing import NotFlags
 from gendom.estimation.lift_plan import LiftPlan, LiftPlanSettings, ObjectClass, plan_lift, rolls
 from gendom.files import to_json
 from gendom.materials import KINDS, thickness_of, to_columns
@@ -50,26 +51,15 @@ class Command:
     """Its material, by a name of gendom materials: narrows the priors."""
     for_: Annotated[Literal["E", "damping", "friction", "all"], tyro.conf.arg(name="for")] = "all"
     """What the motion is chosen for."""
-    ends: tuple[Literal["hold", "swing", "drop"], ...] = ("hold", "swing", "drop")
-    """Ends that are compared."""
-    rises: tuple[float, ...] = (0.75, 1.0)
-    """Heights that are compared, in lengths of a rope or sides of a cloth."""
-    speeds: tuple[float, ...] = ()
-    """Speeds that are compared in m/s; by default that of gendom record, and twice that."""
-    draws: int = 4
-    """Objects that are drawn."""
-    level: float = 0.9
-    """Probability of the intervals."""
+    settings: Annotated[LiftPlanSettings, NotFlags("aim")] = field(default_factory=LiftPlanSettings)
     out: Path | None = None
     """Folder for plan.json, motion.json and joints.csv."""
-    seed: Seed = 0
     json: Json = False
 
     def run(self) -> int:
         check_places((self.out, ""))
         objects = self._objects()
-        names = ("ends", "rises", "speeds", "draws", "level", "seed")
-        settings = LiftPlanSettings(aim=self.for_, **{name: getattr(self, name) for name in names})
+        settings = replace(self.settings, aim=self.for_)
         with bar("planning", 1, "lift", even=True) as show:
             plan = plan_lift(objects, settings, on_done=show)
         print(to_json(plan.to_dict()) if self.json else plan_text(plan))

@@ -34,7 +34,6 @@ class Command:
 def described(policy: Policy) -> dict[str, Any]:
     """A policy ready for JSON."""
     about = policy.description
-    training = {name: value for name, value in about.training.items() if name != "acted"}
     return {
         "path": policy.where,
         "task": about.task["name"],
@@ -42,9 +41,8 @@ def described(policy: Policy) -> dict[str, Any]:
         "conditioned_on": about.conditioned_on,
         "goals": dict(zip(about.goal_names, policy.goal_range().tolist(), strict=True)),
         "parameters": {n: about.parameters[n] for n in about.conditioned_on},
-        "demonstrations": training.get("demonstrations"),
-        "failed": training.get("failed", 0),
-        "training": training,
+        "demonstrations": about.training.get("demonstrations"),
+        "training": {name: value for name, value in about.training.items() if name != "acted"},
         "acted": about.training.get("acted"),
     }
 
@@ -58,26 +56,22 @@ def policy_text(row: dict[str, Any]) -> str:
         lines.append(f"  input {name:<8} {low:.3g} to {high:.3g} [-] ({PARAMETERS[name].meaning})")
     for name, (low, high) in row["goals"].items():
         lines.append(f"  goal {name:<9} {low:.3g} to {high:.3g} sizes")
-    said = [
-        f"{row['demonstrations']} demonstrations",
-        f"of which {row['failed']} failed" * bool(row["failed"]),
-        f"fine-tuned on {training.get('finetuned_on')}" * bool(training.get("finetuned_on")),
-        f"refined in {training.get('refine')} rounds" * bool(training.get("refine")),
-    ]
-    lines.append(f"  trained on     {', '.join(filter(None, said))}")
+    forms = {"demonstrations": "{} demonstrations", "failed": "of which {} failed",
+             "finetuned_on": "fine-tuned on {}", "refine": "refined in {} rounds"}  # fmt: skip
+    said = [form.format(training[name]) for name, form in forms.items() if training.get(name)]
+    lines.append(f"  trained on     {', '.join(said)}")
     for name, value in training.get("errors", {}).items():
         of = "" if name.endswith("_share") else " of the size"
         lines.append(f"  held out       {name.replace('_', ' ')} {100.0 * value:.3g} %{of}")
     if acted:
         off, of = acted["error_over_size"], "the size" if row["goals"] else "its share"
-        said = f"in none of {acted['cases']} new cases: none could be simulated"
+        cases, said = acted["cases"], "in none of {} new cases: none could be simulated"
         if None not in off.values():
-            said = (
-                f"{100.0 * off['mean']:.2g} % of {of} in the mean, {100.0 * off['p95']:.2g} % at "
-                f"the 95th percentile of {acted['cases']} new cases"
-            )
+            mean, p95 = 100.0 * off["mean"], 100.0 * off["p95"]
+            said = f"{mean:.2g} % of {of} in the mean, {p95:.2g} % at the 95th percentile of "
+            said += "{} new cases"
         if "enough_share" in acted:
-            share, cases = 100.0 * acted["enough_share"], acted["cases"]
+            share = 100.0 * acted["enough_share"]
             lines.append(f"  is enough      in {share:.3g} % of {cases} new cases")
-        lines.append(f"  misses by      {said}")
+        lines.append(f"  misses by      {said.format(cases)}")
     return "\n".join(lines)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _POINTS = 20_000  # drawn of a picture
 _LARGEST_SCENE, _SMALLEST_SCENE = 20.0, 0.02  # [m]
-_PACKED = (".zip", ".tar", ".gz", ".tgz", ".7z", ".xz", ".bz2", ".zst", ".rar")
+_PERCEIVE = "Take table and robot out, and write a recording (--colour R G B helps)."
 _OBJECT = 'object.toml with: [object] kind = "rope", length = METRES, diameter = METRES'
 
 
@@ -72,8 +72,7 @@ def look(place: Path) -> Finding:
     file_size(place, RecordingError, most=1 << 62)
     reader = _FILES.get(place.suffix.lower())
     if reader is None:
-        fix = f"give a folder, or one of {', '.join(sorted(_FILES))}"
-        fix = "unpack it" if place.suffix.lower() in _PACKED else fix
+        fix = f"unpack it, if it is packed; known are folders and {', '.join(sorted(_FILES))}"
         raise RecordingError("is of no kind that is known", where=str(place), fix=fix)
     return reader(place)
 
@@ -104,14 +103,12 @@ def _clouds(place: Path) -> Finding:
         fix = "put one a frame into a folder, with gripper.csv and object.toml (docs/data.md)"
         found.lacks("is one cloud, a recording is a lift", place, fix)
         return found
-    needed = {
-        "gripper.csv": "one row a cloud: time,x,y,z in seconds and metres",
-        "object.toml": f"{_OBJECT} (or kind = 'cloth', width, height)",
-    }
-    for name, content in needed.items():
+    for name, content in (
+        ("gripper.csv", "one row a cloud: time,x,y,z in seconds and metres"),
+        ("object.toml", f"{_OBJECT} (or kind = 'cloth', width, height)"),
+    ):
         if not (place / name).is_file():
-            fix = near_name(place / name) or f"write {content}"
-            found.lacks("is missing", place / name, fix)
+            found.lacks("is missing", place / name, near_name(place / name) or f"write {content}")
     return found
 
 
@@ -142,7 +139,6 @@ def _bag(place: Path) -> Finding:
     found = Finding(f"a bag of ROS {1 if bag_files(place)[0].suffix == '.bag' else 2}")
     found.rows = {n: f"{kind}, {count} messages" for n, (kind, count) in content.topics.items()}
     found.summary = {"topics": content.topics, "grippers": content.grippers}
-    held = (place if place.is_dir() else place.parent) / "object.toml"
     if content.of_realsense:
         found.kind = "a recording of the RealSense SDK"
         fix = "put it into DIR/cameras/NAME beside camera.toml, DIR/object.toml and DIR/gripper.csv"
@@ -157,6 +153,7 @@ def _bag(place: Path) -> Finding:
     if found.faults:
         return found
     found.rows["gripper"] = f"perhaps {', '.join(content.grippers[:4])}"
+    held = (place if place.is_dir() else place.parent) / "object.toml"
     if not held.exists():
         found.lacks("is missing", held, f"write {_OBJECT}; or name another file by --object")
     _bag_cameras(place, held, content.grippers[0], found)
@@ -179,8 +176,7 @@ def _bag_cameras(place: Path, held: Path, gripper: str, found: Finding) -> None:
             size = (known and (known.length or known.width)) or 0.0
             points = np.concatenate([np.zeros((0, 3)), *found.clouds])
             if not len(points) or np.ptp(points, axis=0).max() >= 1.5 * size:  # more is in view
-                command, does = "perceive", "Take table and robot out, and write a recording"
-                does += " (--colour R G B helps)."
+                command, does = "perceive", _PERCEIVE
         except RecordingError as error:
             if error.fix is None or "gendom import" not in error.fix:
                 raise
@@ -193,8 +189,7 @@ def _depth(place: Path) -> Finding:
     found = Finding("depth pictures of cameras")
     _cameras_seen(read_cameras(place, on_warning=found.faults.append), found)
     if all(fault.severity == "warning" for fault in found.faults):
-        does = "Find the object in the pictures (--colour R G B helps)."
-        found.step(does, "perceive", place, "--out", f"{place.resolve().name}.npz")
+        found.step(_PERCEIVE, "perceive", place, "--out", f"{place.resolve().name}.npz")
     return found
 
 
@@ -227,10 +222,11 @@ def _cameras_seen(recorded: CameraRecording, found: Finding) -> ObjectDescriptio
             found.clouds.append(view.points(raw, seen))
             if not odd:  # which would pass for another unit
                 view.check_depth(depth, table)
-        except (StopIteration, RecordingError) as error:
-            fix = getattr(error, "fix", None) or "record again"
-            where = getattr(error, "where", None) or name
-            found.lacks(getattr(error, "what", "holds no picture"), where, fix)
+        except StopIteration:
+            found.lacks("holds no picture", name, "record again")
+            continue
+        except RecordingError as error:
+            found.lacks(error.what, error.where or name, error.fix or "record again")
             continue
         if path.at(frame.time) is None:
             first, last = (time_text(time) for time in path.time[[0, -1]])
@@ -274,23 +270,15 @@ def _toml(place: Path) -> Finding:
         known = "no pose yet" if T is None else f"at {camera.position.round(3)} m"
         rows = {"camera": f"{camera.width} x {camera.height}, {known}"}
         return Finding("a camera", rows, faults=[*odd_intrinsics(camera)])
-    if "robot" in table and "address" in table:
-        found = Finding("a cell")
-        found.step("Check the cell.", "cell", "check", place)
-        return found
-    what, fix = "is no table that is known", "known are camera.toml, cell.toml and object.toml"
-    right = isinstance(table.get("object"), dict)
+    what, fix = "is no table that is known", "known are camera.toml and cell.toml"
+    right = "robot" in table and "address" in table
     require(right, what, where=str(place), fix=fix, error=RecordingError)
-    said = ", ".join(f"{k} {v}" for k, v in table["object"].items())
-    return Finding("the description of an object", {"object": said})
+    found = Finding("a cell")
+    found.step("Check the cell.", "cell", "check", place)
+    return found
 
 
 def _json(place: Path) -> Finding:
-    form = read_json(place, RecordingError).get("format")
-    if form == "gendom-action/5":
-        found = Finding("an action")
-        found.step("Show it in a cell.", "execute", place, "--cell", "cell.toml")
-        return found
     from gendom.materials.estimate import Estimate
 
     estimate = Estimate.load(place)

@@ -69,7 +69,7 @@ def summary_rows(summary: dict[str, Any]) -> dict[str, str]:
     }
 
 
-def summary_text(path: str, summary: dict[str, Any]) -> str:
-    """The same as lines below a recording's name."""
-    lines = [f"  {name:<9} {text}" for name, text in summary_rows(summary).items()]
-    return "\n".join([f"{printable(path)}: can be used", *lines])
+def rows_text(place: object, said: str, rows: dict[str, str]) -> str:
+    """Lines below what is said of a place."""
+    lines = [f"  {name:<9} {text}" for name, text in rows.items()]
+    return "\n".join([f"{printable(place)}: {said}", *lines])

@@ -67,19 +67,21 @@ class Command:
         return 0
 
     @property
-    def _sizes(self) -> dict[str, float | None]:
-        return {n: getattr(self, n) for n in ("length", "diameter", "side", "thickness")}
+    def _sizes(self) -> dict[str, float]:
+        """Those that are given."""
+        every = {n: getattr(self, n) for n in ("length", "diameter", "side", "thickness")}
+        return {name: value for name, value in every.items() if value is not None}
 
     def _of_material(self) -> Item:
         found = catalogue.get(self.source)
         kind = KINDS[found.kind]
         large, small = kind.sizes
-        given = sorted(n for n, v in self._sizes.items() if v is not None and n not in kind.sizes)
-        what = f"is a {found.kind}, which has no {' and no '.join(given)}"
-        require(not given, what, where=self.source, fix=f"give --{large} and --{small}")
-        sizes = {large: self._sizes[large], small: self._sizes[small] or found.across.typical}
-        what = f"a material has no {large}"
-        require(sizes[large] is not None, what, where=self.source, fix=f"give --{large} in metres")
+        others = " and no ".join(sorted({*self._sizes} - {large, small}))
+        what = f"is a {found.kind}, which has no {others}"
+        require(not others, what, where=self.source, fix=f"give --{large} and --{small}")
+        what, fix = f"a material has no {large}", f"give --{large} in metres"
+        require(large in self._sizes, what, where=self.source, fix=fix)
+        sizes = {small: found.across.typical, **self._sizes}
         return kind(**sizes, material=found.material(), friction=found.friction.typical)
 
     def _of_estimate(self) -> tuple[list[Item], dict[str, Any]]:
@@ -88,7 +90,7 @@ class Command:
         fix = near or "name a file of gendom estimate, or one of gendom materials"
         what = "is no file and no material"
         require(path.exists(), what, where=self.source, fix=fix, error=GendomError)
-        given = ", ".join(f"--{name}" for name, value in self._sizes.items() if value)
+        given = ", ".join(f"--{name}" for name in self._sizes)
         what = "are sizes of a material; an estimate has its own"
         require(not given, what, where=given, fix="leave them out")
         found = Estimate.load(path, even_unusable=self.force)

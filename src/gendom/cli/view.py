@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,9 +16,7 @@ from gendom.datasets import Recording
 from gendom.files import atomic_path
 
 if TYPE_CHECKING:
-    from gendom.viz.viewer.sliders import ViewerModel
-
-_log = logging.getLogger(__name__)
+    from gendom.viz.viewer import ViewerModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +43,6 @@ class Command:
 
     def run(self) -> int:
         check_places((self.html, ".html"))
-        if self.html is None:
-            import gendom.viz.viewer.server  # viser: missing shows at once
-
         model = self._model()
         if self.html is not None:
             from gendom.viz.player import encode_page
@@ -58,17 +52,16 @@ class Command:
                 temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
             tell_written(self.html)
             return 0
-        made = gendom.viz.viewer.server.Viewer(model, port=self.port)
-        with contextlib.closing(made) as viewer:
-            if self.port not in (0, viewer.port):
-                _log.warning("port %d is taken", self.port)
+        from gendom.viz.viewer import Viewer
+
+        with contextlib.closing(Viewer(model, port=self.port)) as viewer:
             viewer.serve()
         return 0
 
     def _model(self) -> ViewerModel:
         from gendom.estimation.replayed import find_recording, replay_setup
         from gendom.materials.estimate_file import read_record
-        from gendom.viz.viewer.models import recording_model, unknown_object
+        from gendom.viz.viewer import recording_model, unknown_object
 
         shown, params = self.shown, self.params
         if shown.suffix == ".json":

@@ -31,6 +31,11 @@ A recording becomes an episode of T frames:
     action                  [A] float32: position of each gripper in the next frame [m], and whether
                             it is closed; for LeRobot's own tools, and not read back
 
+What cameras saw (`export_pictures`) becomes an episode with the last three of these, and
+
+    observation.images.NAME [height, width, 3] colour, where a camera gives it, as PNG
+    observation.depth.NAME  [height, width, 1] depth [mm] as 16 bit PNG, LeRobot's `is_depth_map`
+
 LeRobot computes `timestamp` as the frame index over `fps`, so it is correct only for evenly spaced
 frames; `observation.time` is always correct. Statistics of points exclude the padding, and are the
 same for each of the P rows.
@@ -42,9 +47,10 @@ lerobot 0.4.4.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +58,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
+from PIL import Image
 
 from gendom.arguments import require
 from gendom.arrays import Array
@@ -155,18 +162,16 @@ def export_recording(recording: RecordingData, out: str | os.PathLike) -> dict[s
         state, units = [*state, recording.gripper_axis.reshape(T, -1)], units | named("axis", "1")
     if recording.gripper_closed is not None:
         state, units = [*state, recording.gripper_closed.astype(float)], units | closed
-    following = np.minimum(np.arange(T) + 1, T - 1)
-    action = [recording.gripper_position[following].reshape(T, -1), recording.holds[following]]
+    action = _following(recording.gripper_position.reshape(T, -1), recording.holds)
     frames = {
         POINTS: padded,
         NUM_POINTS: counts.astype(np.int64)[:, None],
         STATE: np.concatenate(state, axis=1),
         TIME: recording.time[:, None],
-        ACTION: np.concatenate(action, axis=1).astype(np.float32),
+        ACTION: action,
     }
     found = _statistics(recording.points).items()
     alike = {name: [values] * padded.shape[1] for name, values in found if name != "count"}
-    steps = np.diff(recording.time)
     return _write(
         out,
         frames,
@@ -174,9 +179,62 @@ def export_recording(recording: RecordingData, out: str | os.PathLike) -> dict[s
         task=f"move a {recording.object.kind} that is held by: {recording.object.grasp}",
         units={STATE: units, TIME: {"time": "s"}, ACTION: {**places, **closed}},
         about=recording.meta(),
-        fps=max(1, round(1.0 / float(np.median(steps)))) if len(steps) else 1,
+        fps=_rate(recording.time),
         of_all={POINTS: {**alike, "count": [T]}},
     )
+
+
+def export_pictures(
+    pictures: Mapping[str, Sequence[Array]],
+    time: Array,
+    position: Array,
+    out: str | os.PathLike,
+    *,
+    task: str,
+    about: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Write what cameras saw of a lift into a new folder, completely or not at all.
+
+    Args:
+        pictures: T pictures of each camera, by the feature's name: [height, width, 3] uint8 colour
+            or [height, width] uint16 depth [mm].
+        time: [T] [s].
+        position: [T, G, 3] where the grippers hold the object [m].
+        out: The folder.
+        task: What is done.
+        about: Content of meta/gendom.json.
+
+    Returns:
+        The content of info.json.
+
+    Raises:
+        GendomError: `out` is there already or cannot be written, or the disk is full.
+    """
+    T, G = position.shape[:2]
+    places = {f"gripper{g}.position.{axis}": "m" for g in range(G) for axis in "xyz"}
+    at = position.reshape(T, -1)
+    return _write(
+        out,
+        {STATE: at, TIME: time[:, None], ACTION: _following(at)},
+        np.array([T]),
+        task=task,
+        units={STATE: places, TIME: {"time": "s"}, ACTION: places},
+        about=about,
+        fps=_rate(time),
+        pictures=pictures,
+    )
+
+
+def _following(*columns: Array) -> Array:
+    """What the next frame's columns are, in the last one its own."""
+    return np.concatenate(
+        [np.vstack([of[1:], of[-1:]]) for of in columns], axis=1, dtype=np.float32
+    )
+
+
+def _rate(time: Array) -> int:
+    """Frames a second."""
+    return max(1, round(1.0 / float(np.median(np.diff(time))))) if len(time) > 1 else 1
 
 
 def _read_table(path: Path) -> pa.Table:
@@ -246,6 +304,7 @@ def _write(
     fps: int = 1,
     of_all: Mapping[str, Mapping[str, Any]] | None = None,
     extra: Mapping[str, pa.Array] | None = None,
+    pictures: Mapping[str, Sequence[Array]] | None = None,
 ) -> dict[str, Any]:
     """Write a data set.
 
@@ -260,6 +319,7 @@ def _write(
         fps: Frames a second, for time stamps.
         of_all: Statistics of all frames, for features with padded rows.
         extra: [E] further columns of the episodes.
+        pictures: N pictures by feature, as of `export_pictures`.
 
     Returns:
         The content of info.json.
@@ -270,6 +330,9 @@ def _write(
     count, frames = len(lengths), {**frames, **_counted(lengths, fps)}
     found = {feature: _statistics(values) for feature, values in frames.items()}
     found |= dict(of_all or {})
+    features, columns = _features(frames, units), {n: _column(x) for n, x in frames.items()}
+    for feature, of in (pictures or {}).items():
+        features[feature], columns[feature], found[feature] = _pictures(of)
     info = {
         "codebase_version": VERSION,
         "robot_type": None,
@@ -283,12 +346,12 @@ def _write(
         "splits": {"train": f"0:{count}"},
         "data_path": f"data/{_NAMED}",
         "video_path": None,
-        "features": _features(frames, units),
+        "features": features,
     }
     tables = {
         Path("meta/tasks.parquet"): _tasks(task),
         "meta/episodes" / FILE: _episodes(lengths, task, extra or {}),
-        "data" / FILE: pa.table({name: _column(values) for name, values in frames.items()}),
+        "data" / FILE: pa.table(columns),
     }
     with atomic_folder(out) as root:
         for path, table in tables.items():
@@ -333,6 +396,26 @@ def _features(frames: Mapping[str, Array], units: Units) -> dict[str, dict[str, 
     for feature, of in units.items():
         features[feature] |= {"names": list(of), "units": list(of.values())}
     return features
+
+
+def _pictures(of: Sequence[Array]) -> tuple[dict[str, Any], pa.Array, dict[str, Any]]:
+    """The feature, its column and statistics of pictures; colours count from 0 to 1."""
+    depth, encoded = of[0].ndim == 2, []
+    for picture in of:
+        file = io.BytesIO()
+        Image.fromarray(picture).save(file, "PNG")
+        encoded.append(file.getvalue())
+    column = pa.StructArray.from_arrays(
+        [pa.array(encoded), pa.nulls(len(of), pa.string())], ["bytes", "path"]
+    )
+    shape = [*of[0].shape[:2], 1 if depth else 3]
+    info = {"is_depth_map": True, "depth_unit": "mm"} if depth else None
+    feature = {"dtype": "image", "shape": shape, "names": ["height", "width", "channels"]}
+    some = np.stack([x[::8, ::8] for x in of]).reshape(-1, shape[2]) / (1.0 if depth else 255.0)
+    statistics = _statistics(some).items()
+    found: dict[str, Any] = {n: np.reshape(v, (-1, 1, 1)).tolist() for n, v in statistics}
+    found["count"] = [len(of)]
+    return feature | {"info": info}, column, found
 
 
 def _statistics(values: Array) -> dict[str, list[Any]]:

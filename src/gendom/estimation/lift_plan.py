@@ -127,12 +127,13 @@ class LiftPlanSettings:
     aim: str = "all"
     """One of `AIMS`."""
     ends: tuple[str, ...] = LIFT_ENDS
+    """Ends that are compared: hold, swing, drop."""
     rises: tuple[float, ...] = (RISE, FREE_RISE)
-    """In lengths of a rope or sides of a cloth."""
+    """Heights that are compared, in lengths of a rope or sides of a cloth."""
     speeds: tuple[float, ...] = ()
-    """[m/s]; by default that of the predefined lift, and twice that."""
+    """Speeds that are compared [m/s]; by default that of the predefined lift, and twice that."""
     draws: int = 4
-    """Objects."""
+    """Objects that are drawn."""
     seed: int = 0
     """Of objects and noise."""
     level: float = 0.9
@@ -142,6 +143,7 @@ class LiftPlanSettings:
         fix = f"choose from {', '.join(AIMS)}"
         require(self.aim in AIMS, f"is {self.aim!r}", where="for", fix=fix)
         require(self.draws >= 1, f"is {self.draws}", where="draws", fix="give 1 or more")
+        require(self.seed >= 0, f"is {self.seed}", where="seed", fix="give 0 or more")
         level, fix = f"is {self.level}", "give 0 to 1, as 0.9"
         require(0.0 < self.level < 1.0, level, where="level", fix=fix)
 

@@ -18,6 +18,9 @@ parameters as networks see them (`gendom.materials.PARAMETERS`, logarithms where
 Reward: 0 until the last step, then minus the distance of what was reached from the goal, over L;
 of a task without goals the first of its outcomes. A world that diverges earns `DIVERGED`.
 
+With ``cloud=N`` N points of the object's surface stand in place of the markers and velocities,
+drawn anew in every step, in no order: what cameras would give that see it from everywhere.
+
 info: ``parameters`` [W, 5] always; in the last step ``reached`` [W, G], NaN where a world diverged.
 """
 
@@ -67,6 +70,7 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         task: Its name, or the task itself.
         num_envs: W.
         parameters: Whether observations hold the object's parameters.
+        cloud: Number of points of a cloud that is observed in place of markers; 0: markers.
         device: ``cpu``, ``cuda`` or ``cuda:0`` and so on.
         threads: Of the CPU (default: one a core).
 
@@ -83,16 +87,19 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         num_envs: int = 1,
         *,
         parameters: bool = False,
+        cloud: int = 0,
         device: str = "cpu",
         threads: int | None = None,
     ):
         check_integers("num_envs", num_envs, (), least=1)
+        check_integers("cloud", cloud, (), least=0)
+        self.cloud = cloud
         self.task = find_task(task)() if isinstance(task, str) else task
         self.num_envs, self.sees_parameters = num_envs, parameters
         self.world = Simulation(device=device, threads=threads)
         path = self._path(self.task.item)
         self.lets_go = math.isfinite(opening(path))
-        size = 6 * MARKERS + 5 + len(self.task.goals) + 5 * parameters
+        size = (3 * cloud or 6 * MARKERS) + 5 + len(self.task.goals) + 5 * parameters
         box = gymnasium.spaces.Box
         self.single_observation_space = box(-np.inf, np.inf, (size,), np.float32)
         self.single_action_space = box(-1.0, 1.0, (2 + self.lets_go,), np.float32)
@@ -208,12 +215,18 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         simulator, item = self._simulator, self.items[0]
         assert simulator is not None
         L, speed = size_of(item), unit_of("m/s", item)
-        shown = np.linspace(0, simulator.num_points - 1, MARKERS).round().astype(int)
-        x, v = simulator.positions()[:, shown], simulator.velocities()[:, shown]
+        W = np.arange(self.num_envs)[:, None]
+        if self.cloud:
+            skin = self.body.surface(simulator.positions())
+            drawn = self.np_random.integers(skin.shape[1], size=(self.num_envs, self.cloud))
+            shape = [skin[W, drawn] / L]
+        else:
+            shown = np.linspace(0, simulator.num_points - 1, MARKERS).round().astype(int)
+            shape = [simulator.positions()[:, shown] / L, simulator.velocities()[:, shown] / speed]
         left = np.full(self.num_envs, 1.0 - self._step / STEPS)
         units = self.task.goal_units(item) if self.task.goals else 1.0
         parts = [
-            (x / L).reshape(self.num_envs, -1), (v / speed).reshape(self.num_envs, -1),
+            *(of.reshape(self.num_envs, -1) for of in shape),
             self._tool / L, self._holds[:, None], left[:, None], self.goals / units,
         ]  # fmt: skip
         if self.sees_parameters:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from gendom.arrays import Array, placed
 from gendom.materials import Item, Rope, size_of, thickness_of
@@ -141,33 +142,20 @@ def goal_layer(goal: Array, seen: Observed, item: Item) -> Layer:
 
 
 def obstacle_layer(name: str, obstacle: Obstacle, times: Array) -> Layer:
-    """A rigid obstacle at times [T] [s]: a cube of small squares, pressed onto its surface."""
+    """A rigid obstacle at times [T] [s]: the hull of spheres at the corners of its core."""
     half, reach = obstacle.core
-    turn = np.tan(np.linspace(0.0, 0.25 * math.pi, 5))[1:]
-    lines = []
-    for h in half.tolist():
-        inner = np.linspace(-h, h, 5) if h > 0.0 else np.zeros(1)
-        outer = h + reach * turn if reach > 0.0 else np.zeros(0)
-        lines.append(np.concatenate([-outer[::-1], inner, outer]))
-    points, faces, count = [], [], 0
-    for axis in range(3):
-        u, v = lines[axis - 2], lines[axis - 1]
-        for side in (-1.0, 1.0):
-            face = np.empty((len(u), len(v), 3))
-            face[..., axis] = side * (half[axis] + reach)
-            face[..., axis - 2], face[..., axis - 1] = np.meshgrid(u, v, indexing="ij")
-            points.append(face.reshape(-1, 3))
-            faces.append(count + lattice_triangles(len(u), len(v))[:, :: -int(side)])
-            count += len(u) * len(v)
-    x = np.concatenate(points)
-    core = np.clip(x, -half, half)
-    away = x - core
-    x = core + reach * away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+    tilt, turn = np.meshgrid(np.linspace(0.0, math.pi, 13), np.linspace(0.0, 2.0 * math.pi, 25))
+    ball = np.stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)], -1)
+    corners = np.stack(np.meshgrid(*[(-h, h) for h in half]), axis=-1).reshape(-1, 1, 3)
+    hull = ConvexHull((corners + reach * ball.reshape(-1, 3)).reshape(-1, 3))
+    x, faces = hull.points[hull.vertices], np.searchsorted(hull.vertices, hull.simplices)
+    a, b, c = np.moveaxis(x[faces], 1, 0)
+    inwards = np.sum(np.cross(b - a, c - a) * hull.equations[:, :3], axis=1) < 0.0
+    faces[inwards] = faces[inwards, ::-1]
     moves = len(np.atleast_1d(obstacle.time)) > 1
     poses = [obstacle.pose_at(float(t)) for t in (times if moves else times[:1])]
     shown = [centre + turned.apply(x) for centre, turned in poses]
-    skin = {"faces": np.concatenate(faces), "closed": True}
-    return Layer(name=name, color=OBSTACLE_COLOR, points=shown, **skin)
+    return Layer(name=name, color=OBSTACLE_COLOR, points=shown, faces=faces, closed=True)
 
 
 def tube_faces(rings: int, sides: int) -> NDArray[np.integer]:

@@ -21,16 +21,13 @@ def table(
     rows: Sequence[Sequence[str]],
     *,
     totals: int = 0,
-    kind: str = "stacked",
 ) -> str:
-    """A table as HTML.
+    """A table as HTML; a row's cells are below each other on a narrow page.
 
     Args:
         columns: Titles, and the class of `page.css` of each column's cells.
         rows: A text for each column.
-        totals: How many of the last rows are sums or means.
-        kind: A class of `page.css`; "stacked" puts a row's cells below each other on a narrow
-            page.
+        totals: How many of the last rows are means.
     """
     head = "".join(f'<th class="{of}">{escaped(title)}</th>' for title, of in columns.items())
     lines = []
@@ -44,7 +41,7 @@ def table(
         lines.append(f"<tr{total}>{cells}</tr>")
     body = "\n".join(lines)
     return (
-        f'<div class="scroll"><table class="{kind}"><thead><tr>{head}</tr></thead>\n'
+        f'<div class="scroll"><table class="stacked"><thead><tr>{head}</tr></thead>\n'
         f"<tbody>\n{body}\n</tbody></table></div>"
     )
 
@@ -92,6 +89,7 @@ def render_page(title: str, opening: str, sections: Mapping[str, str] | None = N
 <meta name="color-scheme" content="light dark">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; \
 style-src 'unsafe-inline'; script-src 'unsafe-inline'">
+<link rel="icon" href="data:image/png,">
 <title>{escaped(title)}</title>
 <style>
 {_asset("page.css")}</style>

@@ -26,19 +26,37 @@
   class Player {
     constructor(root) {
       this.root = root;
-      this.scene = JSON.parse(document.getElementById(root.dataset.scene).textContent);
       this.play = root.querySelector("button.play");
       this.slider = root.querySelector("input.time");
       this.speed = root.querySelector("select.speed");
       this.clock = root.querySelector("output");
-      this.boxes = [...root.querySelectorAll("input[data-layer]")];
+      this.options = root.querySelector(".options");
       this.canvas = root.querySelector("canvas");
-      this.last = this.scene.times.length - 1;
-      this.slider.max = this.last;
-      this.slider.value = Math.floor(this.last * 0.6);
-      this.look = this.scene.view;
-      this.listen();
+      const scene = JSON.parse(document.getElementById(root.dataset.scene).textContent);
+      Object.assign(this, { look: { ...scene.view, near: 1 }, box: scene.box, hidden: new Set() });
       root.hidden = false;
+      this.show(scene, scene.times[Math.floor((scene.times.length - 1) * 0.6)]);
+      this.listen();
+    }
+
+    // A scene in place of another one, at the same time and from the same place.
+    show(scene, time = this.scene.times[Number(this.slider.value)]) {
+      this.scene = scene;
+      this.last = this.slider.max = scene.times.length - 1;
+      this.slider.value = Math.max(scene.times.findLastIndex((t) => t <= time), 0);
+      this.options.replaceChildren(...scene.layers.map(({ name, color }) => {
+        const label = document.createElement("label"), key = document.createElement("i");
+        const box = Object.assign(document.createElement("input"),
+          { type: "checkbox", ariaLabel: name, checked: !this.hidden.has(name) });
+        key.className = "key dot";
+        key.style.setProperty("--c", color);
+        box.addEventListener("input", () => {
+          this.hidden[box.checked ? "delete" : "add"](name);
+          this.draw();
+        });
+        label.append(box, key, name);
+        return label;
+      }));
       this.draw();
     }
 
@@ -46,9 +64,9 @@
       const { canvas, look } = this;
       this.play.addEventListener("click", () => (this.timer ? this.stop() : this.start()));
       this.slider.addEventListener("input", () => { this.stop(); this.draw(); });
-      for (const box of this.boxes) box.addEventListener("input", () => this.draw());
-      const turnBy = (right, up) => {
+      const turnBy = (right, up, nearer = 1) => {
         look.turn += right;
+        look.near *= nearer;
         look.tilt = Math.min(Math.PI / 2, Math.max(0, look.tilt + up));
         this.draw();
       };
@@ -58,7 +76,7 @@
       });
       canvas.addEventListener("keydown", (e) => {
         const step = { ArrowLeft: [0.1, 0], ArrowRight: [-0.1, 0], ArrowUp: [0, 0.1],
-          ArrowDown: [0, -0.1] }[e.key];
+          ArrowDown: [0, -0.1], "+": [0, 0, 1.1], "-": [0, 0, 1 / 1.1] }[e.key];
         if (!step) return;
         e.preventDefault();
         turnBy(...step);
@@ -113,11 +131,11 @@
       const pen = canvas.getContext("2d");
       pen.scale(ratio, ratio);
       const project = projection(look);
-      const flat = scene.box.map((p) => project(...p));
+      const flat = this.box.map((p) => project(...p));
       const [low, high] = [Math.min, Math.max].map((best) =>
         [0, 1].map((k) => flat.reduce((m, p) => best(m, p[k]), flat[0][k])));
       const scale = Math.min(...[width, height].map((n, k) =>
-        (0.86 * n) / Math.max(high[k] - low[k], 10)));
+        (0.86 * look.near * n) / Math.max(high[k] - low[k], 10)));
       const place = (x, y, z) => {
         const [right, up, away] = project(x, y, z);
         return [width / 2 + scale * (right - (low[0] + high[0]) / 2),
@@ -131,10 +149,10 @@
         pen.stroke();
         pen.fill();
       }
-      const shown = scene.layers.filter((_, k) => this.boxes[k].checked).map((layer) => {
+      const shown = scene.layers.filter((layer) => !this.hidden.has(layer.name)).map((layer) => {
         const points = layer.frames[layer.frames.length > 1 ? t : 0], seen = [];
         for (let i = 0; i < points.length; i += 3) seen.push(place(...points.slice(i, i + 3)));
-        return { ...layer, color: layer.color || named("ink"), points, seen };
+        return { ...layer, color: layer.ink ? named("ink") : layer.color, points, seen };
       });
       const shapes = shown.flatMap((layer) => this.shapes(layer, scale));
       shapes.sort((a, b) => b.away - a.away);
@@ -205,7 +223,77 @@
     }
   }
 
-  for (const root of document.querySelectorAll(".viewer")) new Player(root);
+  // Sliders and boxes of parameters: what moved is simulated again, and the last wish wins.
+  class Parameters {
+    constructor(form, player) {
+      this.player = player;
+      this.said = document.querySelector(".said");
+      this.rows = [...form.querySelectorAll("label")].map((label) => {
+        const row = JSON.parse(label.dataset.about), [slider, box] = label.querySelectorAll("input");
+        const [low, high] = [row.low, row.high].map((x) => (row.log ? Math.log(x) : x));
+        row.set = (value) => {
+          row.now = value;
+          slider.value = ((row.log ? Math.log(value) : value) - low) / (high - low);
+          box.value = Number((row.factor * value).toPrecision(4));
+        };
+        slider.addEventListener("input", () => {
+          const at = low + Number(slider.value) * (high - low);
+          row.set(row.log ? Math.exp(at) : at);
+          this.ask();
+        });
+        box.addEventListener("change", () => {
+          const value = Number(box.value) / row.factor;
+          row.set(Number.isFinite(value) ? Math.min(Math.max(value, row.low), row.high) : row.now);
+          this.ask();
+        });
+        row.set(row.value);
+        return row;
+      });
+      form.addEventListener("reset", (e) => {
+        e.preventDefault();
+        for (const row of this.rows) row.set(row.value);
+        this.ask();
+      });
+      this.ask();
+    }
+
+    // One request at a time; one that takes longer than a second is given up for a newer one.
+    async ask() {
+      this.changed = true;
+      if (this.began) {
+        if (performance.now() - this.began > 1000) this.giveUp.abort();
+        return;
+      }
+      while (this.changed) {
+        Object.assign(this, { changed: false, began: performance.now(), giveUp: new AbortController() });
+        const values = Object.fromEntries(this.rows.map(({ name, now }) => [name, now]));
+        const asked = { method: "POST", body: JSON.stringify(values), signal: this.giveUp.signal };
+        try {
+          const reader = (await fetch("simulate", asked)).body
+            .pipeThrough(new TextDecoderStream()).getReader();
+          let text = "";
+          for (let part; !this.changed && !(part = await reader.read()).done;) {
+            const lines = (text + part.value).split("\n");
+            text = lines.pop();
+            for (const line of lines) this.take(JSON.parse(line));
+          }
+          reader.cancel();
+        } catch (error) {
+          if (error.name !== "AbortError") this.take({ fault: "the viewer has ended" });
+        }
+      }
+      this.began = null;
+    }
+
+    take({ scene, said, fault }) {
+      this.said.textContent = fault ?? said;
+      this.said.classList.toggle("warning", fault !== undefined);
+      if (scene) this.player.show(scene);
+    }
+  }
+
+  const [first] = [...document.querySelectorAll(".viewer")].map((root) => new Player(root));
+  for (const form of document.querySelectorAll(".parameters")) new Parameters(form, first);
   addEventListener("beforeprint", () => {
     for (const folded of document.querySelectorAll("details")) folded.open = true;
   });

@@ -19,6 +19,9 @@ _POINTS = 40_000
 _FRAMES = 60
 """With more frames than these, evenly spaced ones are shown."""
 
+_LESS = "\\u003c"
+""""<" inside a script element."""
+
 _SPEEDS = (("1", "real time"), ("0.5", "half speed"), ("0.25", "quarter speed"))
 
 
@@ -34,40 +37,44 @@ def player(shown: Animation, *, name: str, subject: str) -> str:
         GendomError: There are no points.
     """
     speeds = "".join(f'<option value="{value}">{said}</option>' for value, said in _SPEEDS)
-    options = "".join(
-        f'<label><input type="checkbox" data-layer="{escaped(layer.name)}" checked>'
-        f'<i class="key dot" style="--c: {layer.color}"></i>{escaped(layer.name)}</label>'
-        for layer in shown.layers
-    )
+    scene = json.dumps(animation_data(shown), separators=(",", ":"), allow_nan=False)
     return (
         f'<div class="viewer" id="{name}" data-scene="{name}-scene" hidden>'
         f'<figure><canvas tabindex="0" role="img" aria-label="{escaped(subject)}; drag or use the '
-        'arrow keys to turn it"></canvas>'
+        'arrow keys to turn it, + and - to come nearer and go away"></canvas>'
         "<figcaption>Drag it, or use the arrow keys, to turn it</figcaption></figure>"
         '<div class="controls"><button type="button" class="play">Play</button>'
         '<input type="range" class="time" min="0" value="0" aria-label="Time"><output></output>'
         f'<select class="speed" aria-label="Speed">{speeds}</select></div>'
-        f'<div class="options">{options}</div></div>'
+        '<div class="options"></div></div>'
         f'<script type="application/json" id="{name}-scene">'
-        f"{encode_animation(shown)}</script>"
+        f"{scene.replace('<', _LESS)}</script>"
     )
 
 
-def encode_page(shown: Animation, title: str) -> str:
+def encode_page(shown: Animation, title: str, more: str = "") -> str:
     """A whole page that plays an animation.
+
+    Args:
+        shown: What is played.
+        title: Plain text.
+        more: HTML below.
 
     Raises:
         GendomError: There are no points.
     """
-    facts = "; ".join(f"{name} {value}" for name, value in shown.facts)
-    return render_page(
-        title, f"{player(shown, name='motion', subject=title)}<p>{escaped(facts)}</p>"
-    )
+    motion = player(shown, name="motion", subject=title)
+    return render_page(title, f'{motion}<p class="said">{escaped(facts_text(shown))}</p>{more}')
 
 
-def encode_animation(shown: Animation) -> str:
-    """What `player.js` draws, as JSON that is safe inside a script element: dots are thinned, and
-    frames left out, to some hundred kilobytes.
+def facts_text(shown: Animation) -> str:
+    """What an animation states, in one line."""
+    return "; ".join(f"{name} {value}" for name, value in shown.facts)
+
+
+def animation_data(shown: Animation) -> dict[str, Any]:
+    """What `player.js` draws, ready for JSON: dots are thinned, and frames left out, to some
+    hundred kilobytes.
 
     Raises:
         GendomError: There are no points.
@@ -78,7 +85,7 @@ def encode_animation(shown: Animation) -> str:
     known, z, (turn, tilt) = shown.distance, shown.table_height, shown.view
     (a, b), (c, d) = shown.table_ends
     table = [] if z is None else [(a, b, z), (c, b, z), (c, d, z), (a, d, z)]
-    found = {
+    return {
         "times": np.asarray(shown.times)[chosen].round(5).tolist(),
         "frames": [t + 1 for t in chosen],
         "of": shown.num_frames,
@@ -88,7 +95,6 @@ def encode_animation(shown: Animation) -> str:
         "view": {"turn": turn, "tilt": tilt},
         "layers": [_layer(layer, chosen) for layer in shown.layers],
     }
-    return json.dumps(found, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
 def _layer(layer: Layer, chosen: list[int]) -> dict[str, Any]:
@@ -100,8 +106,10 @@ def _layer(layer: Layer, chosen: list[int]) -> dict[str, Any]:
     elif layer.kind == "lines":
         radius = np.broadcast_to(radius, len(frames[0]))
     return {
+        "name": layer.name,
         "kind": layer.kind,
-        "color": "" if layer.color == GRIPPER_COLOR else layer.color,  # that of text
+        "color": layer.color,
+        "ink": layer.color == GRIPPER_COLOR,  # that of text
         "opacity": layer.opacity,
         "closed": layer.closed,
         "radius": (1e4 * np.atleast_1d(radius)).round(2).tolist(),

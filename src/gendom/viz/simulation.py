@@ -82,32 +82,30 @@ def show(
     viewer on this machine, prints its address, and goes on until Ctrl-C.
 
     Args:
-        simulator: As of `motion_of`, with what follows; or a `gendom.Recording`, with sliders.
+        simulator: As of `motion_of`, with what follows; or a `gendom.Recording` or what
+            `gendom.estimate` found, with sliders.
         x, times, world: As of `motion_of`.
         port: Of the viewer.
 
     Raises:
         ParameterError: As of `motion_of`.
         RecordingError: A recording shows too little to place its object.
-        DeviceError: The viewer needs viser, which is not installed.
         GendomError: There is no such port.
     """
-    from gendom.viz.viewer.models import recording_model, unknown_object
-    from gendom.viz.viewer.sliders import ViewerModel
+    from gendom.estimation import FittedEstimate
+    from gendom.viz.viewer import Viewer, ViewerModel, recording_model, unknown_object
 
     if isinstance(simulator, Recording):
         model = recording_model(*unknown_object(simulator), "a recording")
+    elif isinstance(simulator, FittedEstimate):
+        fit = simulator.fits[0]
+        model = recording_model(fit.scene, fit.theta, "an estimate")
     else:
         shown = motion_of(simulator, x, times, world)
         model = ViewerModel(title=f"a {simulator.body.kind}", initial=shown)
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     if hasattr(shell, "kernel"):
         return NotebookPage(encode_page(model.complete(), model.title))
-    try:
-        from gendom.viz.viewer.server import Viewer
-    except ModuleNotFoundError:
-        fix = how_to_install("viz")
-        raise DeviceError("the viewer needs viser", where="show", fix=fix) from None
     with contextlib.closing(Viewer(model, port=port)) as viewer:
         viewer.serve()
     return None

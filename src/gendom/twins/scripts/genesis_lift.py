@@ -9,6 +9,8 @@ from driver import lift
 here = Path(__file__).parent
 about = {name: value[()] for name, value in np.load(here / "lift.npz").items()}
 rope, dt, friction = about["kind"] == "rope", float(about["step"]), float(about["friction"])
+# neighbours are looked for in cells: small ones in a small room, or a step takes half a second
+reach, cell = 3.0 * float(np.abs(about["rest"]).max()), 2.0 * float(about.get("spacing", 0.01))
 
 gs.init(backend=gs.cpu, precision="64", logging_level="warning")
 scene = gs.Scene(
@@ -18,9 +20,9 @@ scene = gs.Scene(
         max_stretch_solver_iterations=6,
         max_bending_solver_iterations=3,
         particle_size=0.2 * float(about.get("spacing", 0.01)),
-        hash_grid_cell_size=0.05,
-        lower_bound=(-2.0, -2.0, 0.0),
-        upper_bound=(2.0, 2.0, 2.0),
+        hash_grid_cell_size=cell,
+        lower_bound=(-reach, -reach, 0.0),
+        upper_bound=(reach, reach, reach),
     ),
     show_viewer=False,
 )

@@ -12,7 +12,7 @@ from gendom.files import atomic_path
 from gendom.installation import version
 from gendom.materials.estimate import Estimate
 from gendom.viz.animation import Animation
-from gendom.viz.markup import escaped, facts_list, render_page, table
+from gendom.viz.markup import escaped, facts_list, render_page
 from gendom.viz.player import player
 from gendom.viz.quantities import interval_text, length_text, quantity_text, title_of
 from gendom.viz.report import estimate as estimated
@@ -31,7 +31,7 @@ class ReportContent:
     recording_source: str = ""
     """Where the recording came from, and how far it may be trusted."""
     cameras: bytes | None = None
-    """What all cameras saw at one moment, see `gendom.viz.encode_camera_views`."""
+    """What all cameras saw at one moment."""
     cameras_note: str = ""
     """Which cameras, where, when."""
     lift: Animation | None = None
@@ -40,8 +40,6 @@ class ReportContent:
     truth: Mapping[str, float] = field(default_factory=dict)
     """True values by the names of the estimate's record, as far as known."""
     action: motion.ActionSummary | None = None
-    stage_seconds: Mapping[str, float] = field(default_factory=dict)
-    """Seconds of each stage, in order."""
     refused: Sequence[str] = ()
     """Why nothing could be estimated, where nothing could."""
     next_steps: Sequence[tuple[str, str]] = ()
@@ -77,17 +75,13 @@ class ReportContent:
         return made
 
     def _provenance(self) -> str:
-        """Warnings, command and version, and how long each stage took."""
+        """Warnings, command, version and date."""
         notes = () if self.estimate is None else self.estimate.record["notes"]
         parts = [
             f'<p class="warning"><strong>Warning.</strong> {escaped(note)}</p>' for note in notes
         ]
         parts.append(f"<pre>{escaped(self.command)}</pre>")
         parts.append(facts_list([("GenDOM", version()), ("date", date.today().isoformat())]))
-        if self.stage_seconds:
-            stages = {**self.stage_seconds, "all": sum(self.stage_seconds.values())}
-            rows = [[name, f"{seconds:.1f} s"] for name, seconds in stages.items()]
-            parts.append(table({"Stage": "", "Time": "number"}, rows, totals=1, kind="narrow"))
         return "\n".join(parts)
 
     def opening(self) -> str:

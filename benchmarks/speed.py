@@ -1,4 +1,6 @@
-"""`gendom bench`: how fast the simulator runs on this machine.
+"""How fast the MPM runs on this machine: rope-reaching rollouts.
+
+python benchmarks/speed.py [--worlds 1 16] [--threads 1 2] [--device cuda] [--gradient] [--json]
 
 A particle-step is one particle taken through one substep. Gripper paths, grid columns, boundary
 handling and recording are included; compiling kernels is not.
@@ -7,7 +9,6 @@ handling and recording are included; compiling kernels is not.
 from __future__ import annotations
 
 import itertools
-import logging
 import math
 import time
 from collections.abc import Callable
@@ -15,9 +16,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+import tyro
 
-from gendom.arguments import require
-from gendom.cli.arguments import Device, Json
 from gendom.cli.outputs import columns
 from gendom.files import to_json
 from gendom.materials import Material
@@ -29,19 +29,13 @@ from gendom.tasks.world import Simulation, grippers
 RUNS = 5
 """Rollouts timed for each row."""
 
-log = logging.getLogger(__name__)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Command:
-    """Time rope-reaching rollouts: one row for each combination of the flags.
+class Speed:
+    """One row for each combination of the flags: medians of several runs."""
 
-    Medians of several runs; kernels are compiled before the first is timed.
-
-    For example: gendom bench --worlds 1 16 --threads 1 2
-    """
-
-    device: Device = "cpu"
+    device: str = "cpu"
+    """cpu, cuda or cuda:0 and so on."""
     worlds: tuple[int, ...] = (1, 4)
     """Ropes simulated at once."""
     threads: tuple[int, ...] = (1, 2)
@@ -52,19 +46,17 @@ class Command:
     """Simulated time [s]; in a short one the host's share of starting a run counts."""
     gradient: bool = False
     """Time forward and backward together too."""
-    json: Json = False
+    json: bool = False
+    """Print JSON."""
 
-    def run(self) -> int:
-        positive = min((*self.worlds, *self.threads), default=0) >= 1 and self.seconds > 0.0
-        require(positive, "worlds, threads and seconds must be positive", fix="give more")
+    def run(self) -> None:
         every = (1,) if self.device.startswith("cuda") else self.threads
-        rows = []
-        for dtype, worlds, threads in itertools.product(self.dtype, self.worlds, every):
-            if threads <= worlds:
-                log.info("%s, %d worlds, %d threads ...", dtype, worlds, threads)
-                rows.append(self._measure(dtype, worlds, threads))
+        rows = [
+            self._measure(dtype, worlds, threads)
+            for dtype, worlds, threads in itertools.product(self.dtype, self.worlds, every)
+            if threads <= worlds
+        ]
         print(to_json(rows) if self.json else _table(rows))
-        return 0
 
     def _measure(self, dtype: str, worlds: int, threads: int) -> dict[str, Any]:
         """Time rollouts of ropes that are carried to random points."""
@@ -126,3 +118,7 @@ def _table(rows: list[dict[str, Any]]) -> str:
         for row in rows
     ]
     return columns((*heads, "M steps/s", "us/substep", "gradient"), texts)
+
+
+if __name__ == "__main__":
+    tyro.cli(Speed).run()
