@@ -14,10 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from gendom.materials import QUANTITIES, Item
+from gendom.materials import Item
 from gendom.reality import RealWorld
 from gendom.tasks import ClothSpreading, RopeCasting, RopeReaching, Task
 from gendom.tasks.cloth_spreading import lattice_triangles
+from gendom.tasks.task import DRAWN
 from gendom.tasks.world import Simulation
 
 
@@ -34,11 +35,11 @@ def main() -> None:
     if given.picture:
         draw(given.picture)
         return
-    print("task             " + "".join(f"{name:>12}" for name in QUANTITIES))
+    print("task             " + "".join(f"{name:>12}" for name in DRAWN))
     for task in (RopeReaching(), RopeCasting(), ClothSpreading()):
         count = given.cloth_actions if task.kind == "cloth" else given.actions
         began = time.perf_counter()
-        moved = [spread_of(task, name, count, given) for name in QUANTITIES]
+        moved = [spread_of(task, name, count, given) for name in DRAWN]
         texts = "".join(f"{m:12.4f}" if m is not None else f"{'-':>12}" for m in moved)
         print(f"{task.name:<17}{texts}   {time.perf_counter() - began:.0f} s", flush=True)
 
@@ -73,7 +74,7 @@ def item_with(task: Task, values: dict[str, float]) -> Item:
 
     def middle(name: str) -> tuple[float, float]:
         low, high = task.ranges[name]
-        at = (low * high) ** 0.5 if QUANTITIES[name].log else 0.5 * (low + high)
+        at = (low * high) ** 0.5 if DRAWN[name].log else 0.5 * (low + high)
         return values.get(name, at), values.get(name, at)
 
     fixed = replace(task, ranges={name: middle(name) for name in task.ranges})

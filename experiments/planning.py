@@ -1,12 +1,15 @@
-"""Ways to find an action at acting time: the policy's, polished, and CMA-ES in the simulator at
-equal simulator time (as DLO-Lab and Wiggle and Go! plan), for ropes of the MuJoCo test scene that
-were lifted once. True parameters serve only for the score.
+"""Ways to find an action at acting time, for ropes of the MuJoCo test scene that were lifted once:
+the policy's, polished, and CMA-ES in the simulator at equal simulator time (as DLO-Lab and Wiggle
+and Go! plan); and ways to learn from execution to execution: `adapt`, and iterative learning, which
+moves the action by the simulator's derivatives against the miss that was seen. True parameters
+serve only for the score.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,18 +21,23 @@ from experiments.runs import Result, Runs, Table
 from gendom.arrays import Array
 from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
-from gendom.policies.evaluation import choose, judge
+from gendom.policies.adaptation import Execution, adapting
+from gendom.policies.evaluation import Score, choose, judge
 from gendom.policies.polishing import Polished, PolishingProblem, polishing
 from gendom.policies.rollouts import Asking, side_by_side
 from gendom.tasks import Task
-from gendom.tasks.cases import draw_cases
+from gendom.tasks.cases import Cases, draw_cases
+from gendom.tasks.task import World
 from gendom.tasks.world import Simulation
 
-GOALS = {"small": 6, "full": 201}
-"""Of all ropes together."""
+GOALS = {"small": (6, 3, 3, 1), "full": (201, 60, 30, 3)}
+"""Of all ropes together: in our simulator, of these in MuJoCo, of these learnt from executions, and
+how many of these there are."""
 
 POPULATION, SIGMA = 8, 0.1
 """Actions a generation, and standard deviation of the first [of the limits' width]."""
+
+Beliefs = Sequence[Estimate]
 
 
 def evolved(
@@ -51,15 +59,59 @@ def evolved(
     return problem.action(best)
 
 
+def corrected(task: Task, belief: Estimate, action: Array, miss: Array) -> Asking[Array]:
+    """The action [A] after one step of iterative learning: by the most likely object's simulated
+    derivatives there, against the miss [G] (reached less goal) that was seen."""
+    item = belief.most_likely
+    problem = PolishingProblem(task, miss, Estimate.of(item), None)
+    point = yield from problem.point(problem.start(action))
+    G, A = len(task.goals), len(task.actions)
+    J = point.J[:G, :A]
+    step = np.linalg.lstsq(J.T @ J + 1e-6 * np.eye(A), J.T @ (miss / problem.goal_units))[0]
+    return task.nearest(item, action - step * problem.units)
+
+
+def executions(
+    cases: Cases, held: Beliefs, first: Array, there: Array, count: int, sim: World, real: World
+) -> dict[str, Score]:
+    """Scores in the second reality of `adapt` and of iterative learning, after 1, 2, ... of their
+    own executions there, which all begin with the first actions [W, A], that reach [W, G]."""
+    task, found = cases.task, dict[str, Score]()
+    for way in ("adapt", "iterative learning"):
+        seen: list[list[Execution]] = [[] for _ in held]
+        action, reached = first, there
+        for k in range(1, count + 1):
+            for w, (a, y) in enumerate(zip(action, reached, strict=True)):
+                seen[w] += [Execution(action=a, reached=y)] if np.isfinite(y).all() else []
+            rows = list(zip(held, seen, cases.goal, action, reached, strict=True))
+            if way == "adapt":
+                learnt = side_by_side(task, sim, [adapting(task, b, e) for b, e, *_ in rows])
+                searches: list[Any] = [
+                    polishing(task, g, one.belief, task.nearest(one.belief.most_likely, a),
+                              seconds=math.inf, discrepancy=one.discrepancy)
+                    for one, (_, _, g, a, _) in zip(learnt, rows, strict=True)
+                ]  # fmt: skip
+                action = np.array([p.action for p in side_by_side(task, sim, searches)])
+            else:
+                searches = [corrected(task, b, a, np.nan_to_num(y - g)) for b, _, g, a, y in rows]
+                action = np.array(side_by_side(task, sim, searches))
+            found[f"{way}, {k}"] = judge(cases, action, world=real)
+            reached = found[f"{way}, {k}"].reached
+    return found
+
+
 def run(runs: Runs, flags: argparse.Namespace) -> Result:
     """Misses of drawn goals, in our simulator and in MuJoCo, by way and task."""
     from gendom.reality import RealWorld, find_object
 
     policy = Policy.pretrained(flags.task)
-    task, sim = policy.task(), Simulation(device=runs.device)
+    task, sim, real = policy.task(), Simulation(device=runs.device), RealWorld(jobs=runs.jobs)
     beliefs = [runs.lifted(name, task) for name in ROPES]
-    cases = draw_cases(task, GOALS[flags.scale], seed=runs.seed, simulation=sim,
+    many, few, fewer, repeats = GOALS[flags.scale]
+    cases = draw_cases(task, many, seed=runs.seed, simulation=sim,
                        items=[find_object(name) for name in ROPES])  # fmt: skip
+    some, less = (Cases(task=task, items=cases.items[:n], goal=cases.goal[:n])
+                  for n in (few, fewer))  # fmt: skip
     held = [beliefs[k % len(beliefs)] for k in range(len(cases))]
     start = choose(policy, cases, known=[belief.most_likely for belief in held])
     searches = [polishing(task, g, belief, a, seconds=math.inf)
@@ -67,29 +119,30 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     polished: list[Polished] = side_by_side(task, sim, searches)
     rivals = [evolved(task, g, belief, a, p.rollouts) for g, belief, a, p
               in zip(cases.goal, held, start, polished, strict=True)]  # fmt: skip
+    better = np.array([p.action for p in polished])
     acted = {
         "policy": start,
-        "polished": np.array([p.action for p in polished]),
+        "polished": better,
         "CMA-ES": np.array(side_by_side(task, sim, rivals)),
     }
-    worlds = {"ours": sim, "MuJoCo": RealWorld(jobs=runs.jobs)}
-    misses: dict[str, Any] = {}
-    for way, action in acted.items():
-        for place, world in worlds.items():
-            error = judge(cases, action, world=world).error.tolist()
-            misses[f"{way}, {place}"] = [e if math.isfinite(e) else None for e in error]
+    scores = {f"{way}, ours": judge(cases, a, world=sim) for way, a in acted.items()}
+    scores |= {f"{way}, MuJoCo": judge(some, a[:few], world=real) for way, a in acted.items()}
+    there = scores["polished, MuJoCo"].reached[:fewer]
+    learnt = executions(less, held[:fewer], better[:fewer], there, repeats, sim, real)
+    scores |= {f"{way}, MuJoCo": score for way, score in learnt.items()}
+    misses = {row: [e if math.isfinite(e) else None for e in score.error.tolist()]
+              for row, score in scores.items()}  # fmt: skip
     rows = {}
     for row, error in misses.items():
         e = 1e3 * np.array(error, dtype=float)
         e = e[np.isfinite(e)]
         figures = (e.mean(), np.median(e), np.quantile(e, 0.95), e.max())
-        rows[row] = (*(f"{x:.2f}" for x in figures), str(len(error) - len(e)))
+        rows[row] = (*(f"{x:.2f}" for x in figures), f"{len(error)}, {len(error) - len(e)}")
     rollouts = float(np.mean([p.rollouts for p in polished]))
-    head = ("mean", "median", "95 %", "worst", "failed")
-    title = f"{task.name}, {len(cases)} goals, {rollouts:.0f} rollouts each: missed by [mm]"
-    figures = {"task": task.name, "rollouts": rollouts, "misses": misses}
+    head = ("mean", "median", "95 %", "worst", "goals, failed")
+    title = f"{task.name}, {rollouts:.0f} rollouts each: missed by [mm]"
     return Result(
         name=f"planning-{task.name}",
-        figures=figures,
+        figures={"task": task.name, "rollouts": rollouts, "misses": misses},
         shown=[Table(title=title, head=head, rows=rows)],
     )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import PolicyError
-from gendom.materials import with_dimensionless
+from gendom.materials import PARAMETERS, with_dimensionless
 from gendom.policies import Policy
 from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks import ClothSpreading, RopeReaching
@@ -48,13 +48,7 @@ def toy(count: int, seed: int = 0, *, risky: bool = False) -> Demonstrations:
         goal_names=("x",),
         goal=goal[:, None],
         action=action,
-        parameters={
-            "bending_ratio": E,
-            "nu": nu,
-            "damping": 0.02 * one,
-            "friction": one,
-            "density": one,
-        },
+        parameters=dict.fromkeys(PARAMETERS, one) | {"bending_ratio": E, "nu": nu},
         risk=risk,
     )
 
@@ -62,14 +56,13 @@ def toy(count: int, seed: int = 0, *, risky: bool = False) -> Demonstrations:
 def sheets(action, E, *, risk=None) -> Demonstrations:
     """Demonstrations without goals: actions [N] that were enough for cloths of `bending_ratio`."""
     one = np.ones(len(E))
-    other = dict.fromkeys(("nu", "damping", "friction", "density"), one)
     return Demonstrations(
         task={"name": "cloth-spreading", **ClothSpreading().settings()},
         action_names=("A",),
         goal_names=(),
         goal=np.empty((len(E), 0)),
         action=action[:, None],
-        parameters={"bending_ratio": E, **other},
+        parameters=dict.fromkeys(PARAMETERS, one) | {"bending_ratio": E},
         risk=risk,
     )
 

@@ -11,15 +11,16 @@ from gendom import tasks
 from gendom.errors import ParameterError
 from gendom.materials import (
     PARAMETERS,
-    QUANTITIES,
     Cloth,
     Material,
     Rope,
     dimensionless_parameters,
     size_of,
     to_columns,
+    with_dimensionless,
 )
 from gendom.tasks import RopeReaching, find_task, load_task, rebuild, task_names
+from gendom.tasks.task import DRAWN
 from gendom.tasks.world import Simulation
 
 ALL = [find_task(name) for name in task_names()]
@@ -47,14 +48,18 @@ def test_draws_follow_the_seed_and_the_ranges(kind):
     task = kind()
     items = [task.draw_item(np.random.default_rng([3, i])) for i in range(400)]
     assert task.draw_item(np.random.default_rng([3, 7])) == items[7]
-    columns = [to_columns(item) for item in items]
+    own = dimensionless_parameters(task.item)
+    as_thick = {"thickness_ratio": own["thickness_ratio"]}
+    columns = [to_columns(with_dimensionless(item, as_thick)) for item in items]
+    for row, item in zip(columns, items, strict=True):
+        row["thickness_ratio"] = dimensionless_parameters(item)["thickness_ratio"]
     for name, (low, high) in task.ranges.items():
         values = np.array([c[name] for c in columns])
-        assert low <= values.min() < values.max() <= high
-        middle = math.sqrt(low * high) if QUANTITIES[name].log else 0.5 * (low + high)
+        assert 0.999 * low <= values.min() < values.max() <= 1.001 * high
+        middle = math.sqrt(low * high) if DRAWN[name].log else 0.5 * (low + high)
         assert 160 < np.sum(values < middle) < 240
-    for name, value in dimensionless_parameters(task.item).items():
-        if PARAMETERS[name].column not in task.ranges:
+    for name, value in own.items():
+        if (PARAMETERS[name].column or name) not in task.ranges:
             alike = [dimensionless_parameters(i)[name] for i in items]
             np.testing.assert_allclose(alike, value, rtol=1e-12)
 

@@ -11,7 +11,7 @@ from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import OBS_STATE
 
 from gendom.errors import GendomError
-from gendom.materials import KINDS, PARAMETERS, from_columns
+from gendom.materials import KINDS, QUANTITIES, from_columns
 from gendom.policies import Policy
 from lerobot_policy_gendom.configuration_gendom import GendomConfig
 
@@ -50,8 +50,7 @@ class GendomPolicy(PreTrainedPolicy):
     def _act(self, row: np.ndarray) -> np.ndarray:
         task = self.policy.task()
         goal, rest = np.split(row, [len(task.goals)])
-        columns = [p.column for p in PARAMETERS.values()]
-        known = dict(zip([*columns, *KINDS[task.kind].sizes], rest.tolist(), strict=True))
+        known = dict(zip([*QUANTITIES, *KINDS[task.kind].sizes], rest.tolist(), strict=True))
         known["E"] = known["E_over_rho"] * known["density"]
         item = from_columns(task.kind, known)
         return np.array(self.policy.act(goal, item, force=True).values)

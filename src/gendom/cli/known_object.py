@@ -66,7 +66,7 @@ class KnownObject:
         columns = [n for n in KINDS[task.kind].sizes if n != "side" or "width" not in found.known]
         # not every recording determines damping and friction
         # nor Poisson's ratio, which hardly shows in what slender and thin things do
-        columns += [PARAMETERS[n].column for n in needs if n not in (*HIDDEN, "nu")]
+        columns += [c for n in needs if n not in (*HIDDEN, "nu") and (c := PARAMETERS[n].column)]
         missing = [name for name in columns if found.value(name) is None]
         both = [n for n in ("E", "density") if found.value(n) is None] or ["E", "density"]
         every = [n for name in missing for n in (both if name == "E_over_rho" else [name])]

@@ -14,7 +14,7 @@ A demonstration becomes an episode of one frame, at time 0: an action is a whole
 before it begins, without observations during the motion. Failed demonstrations are left out.
 
     observation.state  [S] float32: the reached result as the goal, sizes, parameters, in the order
-                       of `gendom.reality.envs`; parameters are those of `PARAMETERS`
+                       of `gendom.reality.envs`; parameters are those of `QUANTITIES`
     action             [A] float32: the task's action
 
 In addition to the format's columns, rows of episodes have `demonstration`, the number in the set,
@@ -67,7 +67,7 @@ from gendom.datasets.npz import short
 from gendom.datasets.recording_form import RecordingData
 from gendom.errors import DatasetError, RecordingError
 from gendom.files import atomic_folder, to_json
-from gendom.materials import KINDS, PARAMETERS
+from gendom.materials import KINDS, QUANTITIES
 from gendom.reading import check_unpacked, file_size, read_bytes, read_json
 
 VERSION = "v3.0"
@@ -133,7 +133,7 @@ def _quantities(about: Mapping[str, Any], where: str) -> dict[str, dict[str, str
         raise DatasetError(what, where=where, fix=fix) from None
     state = {GOAL + name: unit for name, unit in goals.items()}
     state |= dict.fromkeys(kind.sizes, "m")
-    state |= {parameter.column: parameter.unit for parameter in PARAMETERS.values()}
+    state |= {name: quantity.unit for name, quantity in QUANTITIES.items()}
     return {STATE: state, ACTION: actions}
 
 

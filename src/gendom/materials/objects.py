@@ -41,7 +41,7 @@ class Parameter:
 
     name: str
     column: str
-    """Of a demonstration that holds the quantity it comes from."""
+    """Of a demonstration that holds the quantity it comes from; empty: it comes from sizes."""
     unit: str
     """Of that quantity, SI."""
     meaning: str
@@ -58,11 +58,12 @@ PARAMETERS: dict[str, Parameter] = {
         ("damping", "damping", "s", "damping time over sqrt(size / g)", True),
         ("friction", "friction", "1", "coefficient of friction", False),
         ("density", "density", "kg/m^3", "density of air times size over mass per area", True),
+        ("thickness_ratio", "", "", "thickness over size", True),
     )
 }
 """What policies can be conditioned on, by name."""
 
-QUANTITIES: dict[str, Parameter] = {p.column: p for p in PARAMETERS.values()}
+QUANTITIES: dict[str, Parameter] = {p.column: p for p in PARAMETERS.values() if p.column}
 """The same by the quantities in SI units that they come from, which tasks draw objects by."""
 
 
@@ -199,18 +200,21 @@ def dimensionless_parameters(item: Item) -> dict[str, float]:
         "damping": material.damping / unit_of("s", item),
         "friction": item.friction,
         "density": AIR_DENSITY * L / item.mass_per_area,
+        "thickness_ratio": thickness_of(item) / L,
     }
 
 
 def with_dimensionless(item: Item, parameters: Mapping[str, float]) -> Item:
-    """An object of the same sizes with other `dimensionless_parameters`; those that are not given
+    """An object of the same size with other `dimensionless_parameters`; those that are not given
     stay.
 
     Raises:
         ParameterError: There is no such object.
     """
+    alike = {**dimensionless_parameters(item), **parameters}
+    if not math.isclose(alike["thickness_ratio"], thickness_of(item) / size_of(item), rel_tol=1e-6):
+        item = replace(item, **{item.sizes[1]: alike["thickness_ratio"] * size_of(item)})
     own = dimensionless_parameters(item)
-    alike = {**own, **parameters}
     density = item.material.density * own["density"] / alike["density"]
     # the bending length depends on nu, so the modulus that it stands for is asked of this one
     same = replace(item, material=replace(item.material, nu=alike["nu"], density=density))

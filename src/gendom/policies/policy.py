@@ -62,6 +62,10 @@ similarity]."""
 RANGE_TOLERANCE = 0.01
 """A parameter outside the range by less than this share of its end counts as in it."""
 
+UNLIKE_THICKNESS = 0.25
+"""A rope whose thickness over length differs by more than this share from all that a policy was
+trained on, which does not see it, is worth a warning."""
+
 UNIT_ERROR_FACTOR = 10.0
 """A goal this many times as far as the farthest that can be reached was given in another unit."""
 
@@ -147,7 +151,8 @@ class Description:
     goals: GoalRange
     """Goals seen in training."""
     parameters: dict[str, tuple[float, float]]
-    """Smallest and largest value of each of `PARAMETERS` in training [-]."""
+    """Smallest and largest value of each of `PARAMETERS` in training [-]; of files before 0.4
+    without ``thickness_ratio``: that of the task's object."""
     candidates: tuple[tuple[float, ...], ...] = ()
     """[K][A] actions to choose among, that which asks least first [units of similarity]; of the
     method ``chance`` only."""
@@ -192,7 +197,8 @@ class Description:
         made += ("refine_cases",) if made and self.training.get("refine") else ()
         lacking = [f"training.{n}" for n in made if self.training.get(n) is None]
         lacking += [f"task.{n}" for n in ("name", "item", "ranges") if n not in self.task]
-        lacking += [f"parameters.{n}" for n in PARAMETERS if n not in self.parameters]
+        since_first = [n for n in PARAMETERS if n != "thickness_ratio"]
+        lacking += [f"parameters.{n}" for n in since_first if n not in self.parameters]
         if lacking:
             yield f"lacks {', '.join(lacking)}"
         at, G = self.goals.at, len(self.goal_names)
@@ -482,6 +488,7 @@ class Policy(Shown):
                 f"the action was moved by {moved:.3g} of the {task.kind}'s size into the task's "
                 "limits; the goal may be missed"
             )
+        warnings += self._other_thickness(task, item)
         for line in warnings:
             _log.warning("%s", line)
         return Action(
@@ -491,6 +498,21 @@ class Policy(Shown):
             chance=chance,
             warnings=tuple(warnings),
         )
+
+    def _other_thickness(self, task: Task, item: Item) -> list[str]:
+        """What to say of a rope that is thicker or thinner than those of the training, of a policy
+        that does not see it. Of cloths hardly more than their bending counts."""
+        name, ratio = "thickness_ratio", dimensionless_parameters(item)["thickness_ratio"]
+        own = dimensionless_parameters(task.item)[name]
+        low, high = self.description.parameters.get(name, (own, own))
+        far = not low / (1.0 + UNLIKE_THICKNESS) <= ratio <= high * (1.0 + UNLIKE_THICKNESS)
+        if task.kind != "rope" or name in self.description.conditioned_on or not far:
+            return []
+        return [
+            f"{name} ({PARAMETERS[name].meaning}) is {ratio:.3g}, the policy was trained with "
+            f"{low:.3g} to {high:.3g} and does not see it: the goal may be missed; use --polish, "
+            "or a policy that sees it"
+        ]
 
     def _asked(
         self, goal: Array, inputs: Mapping[str, float], likely: Sequence[Item]

@@ -35,7 +35,7 @@ from gendom.arguments import check_numbers, require
 from gendom.arrays import Array
 from gendom.errors import DeviceError, ParameterError, RobotError, SimulationError
 from gendom.installation import how_to_install
-from gendom.materials import LARGEST, PARAMETERS, to_columns
+from gendom.materials import LARGEST, QUANTITIES, to_columns
 from gendom.reality.object_file import find_object
 from gendom.reality.objects import OBJECTS, RealObject
 from gendom.reality.trials import RealWorld, observe
@@ -137,7 +137,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         columns = to_columns(item)
         seen = {
             "sizes": [getattr(item, name) for name in item.sizes],
-            "parameters": [columns[p.column] for p in PARAMETERS.values()],
+            "parameters": [columns[name] for name in QUANTITIES],
             **given,
         }
         found = {

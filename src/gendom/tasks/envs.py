@@ -13,7 +13,8 @@ stand holds, too, goes no farther from that than it was.
 Observation [D], in units of similarity (lengths over the object's size L, speeds over sqrt(g L)):
 `MARKERS` points of the object, evenly spaced, and their velocities, the tool's place, whether it
 holds, the share of time that is left, the goal; and with ``parameters=True`` the object's
-parameters as networks see them (`gendom.materials.PARAMETERS`, logarithms where ratios count).
+parameters as networks see them (`gendom.materials.QUANTITIES`, logarithms where ratios count).
+All objects are as thick as the task's own.
 
 Reward: 0 until the last step, then minus the distance of what was reached from the goal, over L;
 of a task without goals the first of its outcomes. A world that diverges earns `DIVERGED`.
@@ -28,6 +29,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import gymnasium
@@ -38,7 +40,7 @@ from numpy.typing import NDArray
 
 from gendom.arguments import check_integers, require
 from gendom.arrays import Array
-from gendom.materials import PARAMETERS, Item, dimensionless_parameters, size_of, unit_of
+from gendom.materials import QUANTITIES, Item, dimensionless_parameters, size_of, unit_of
 from gendom.robot.path import TcpPaths
 from gendom.sim import Simulator, Targets
 from gendom.tasks import Task, find_task
@@ -94,7 +96,10 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         check_integers("num_envs", num_envs, (), least=1)
         check_integers("cloud", cloud, (), least=0)
         self.cloud = cloud
-        self.task = find_task(task)() if isinstance(task, str) else task
+        task = find_task(task)() if isinstance(task, str) else task
+        # all worlds are of one size
+        ranges = {n: ends for n, ends in task.ranges.items() if n in QUANTITIES}
+        self.task = replace(task, ranges=ranges)
         self.num_envs, self.sees_parameters = num_envs, parameters
         self.world = Simulation(device=device, threads=threads)
         path = self._path(self.task.item)
@@ -183,7 +188,7 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         self._step = 0
         self._seen = [(begin, simulator.positions().astype(float), self._tool.copy())]
         own = [dimensionless_parameters(i) for i in self.items]
-        seen = [[math.log(o[p.name]) if p.log else o[p.name] for p in PARAMETERS.values()]
+        seen = [[math.log(o[p.name]) if p.log else o[p.name] for p in QUANTITIES.values()]
                 for o in own]  # fmt: skip
         self.parameters = np.array(seen)
         return self._observed()

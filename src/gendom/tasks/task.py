@@ -24,7 +24,17 @@ from numpy.typing import ArrayLike
 from gendom.arguments import check_choice, require
 from gendom.arrays import Array
 from gendom.errors import ParameterError
-from gendom.materials import QUANTITIES, Item, Material, Rope, from_columns, to_columns, unit_of
+from gendom.materials import (
+    PARAMETERS,
+    QUANTITIES,
+    Item,
+    Material,
+    Rope,
+    from_columns,
+    to_columns,
+    unit_of,
+    with_dimensionless,
+)
 from gendom.materials.names import with_current_names
 from gendom.reading import record_of
 from gendom.robot.path import TcpPath
@@ -37,9 +47,17 @@ ROPE_RANGES = {
     "nu": (0.2, 0.4),
     "damping": (0.001, 0.02),
     "density": (500.0, 1500.0),
+    "thickness_ratio": (0.01, 0.1155),
 }
 """Its drawn parameters: E / density is the paper's 500 to 10500, times (9.81 * 0.25) / (12 * 0.5),
 nu is the paper's."""
+
+DRAWN = {**QUANTITIES, "thickness_ratio": PARAMETERS["thickness_ratio"]}
+"""What objects are drawn by, by name."""
+
+THICKNESSES = 16
+"""Values of the thickness over the size that are drawn, for a factor of ten: objects of one size
+are simulated side by side."""
 
 DRAWS = 1000
 """Draws from the box of an action's limits before it is given up to find one that is allowed."""
@@ -204,18 +222,19 @@ class Task(ABC):
     item: Item = ROPE
     """The object that demonstrations are simulated with; its parameters are drawn."""
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Lowest and highest parameter of drawn objects, by names of `QUANTITIES` and in SI units
-    (``E``: E / density); those that are not named stay as they are in `item`."""
+    """Lowest and highest parameter of drawn objects, by names of `DRAWN` and in SI units; those
+    that are not named stay as they are in `item`. Others are those of an object as thick as `item`:
+    one of another ``thickness_ratio`` has its bending length and mass per area."""
 
     def __post_init__(self) -> None:
         kind = self.item.kind
         require(kind == self.kind, f"{self.name} takes a {self.kind}, not a {kind}")
         for name, (low, high) in self.ranges.items():
-            check_choice("parameter", name, QUANTITIES, where=f"ranges of {self.name}")
+            check_choice("parameter", name, DRAWN, where=f"ranges of {self.name}")
             what, where = f"is {low} to {high}", f"range of {name}"
             ordered = math.isfinite(low) and math.isfinite(high) and low <= high
             require(ordered, what, where=where, fix="give two finite numbers, the lower one first")
-            positive = low > 0.0 or (low == 0.0 and (high == 0.0 or not QUANTITIES[name].log))
+            positive = low > 0.0 or (low == 0.0 and (high == 0.0 or not DRAWN[name].log))
             require(positive, what, where=where, fix="give positive numbers, the smaller one first")
             try:
                 for end in (low, high):
@@ -369,12 +388,12 @@ class Task(ABC):
     def draw_items(self, rngs: Sequence[np.random.Generator]) -> list[Item]:
         """W objects, each drawn as `draw_item` from its own generator."""
         # in their own order, so that draws do not depend on the mapping's
-        names = [name for name in QUANTITIES if name in self.ranges]
+        names = [name for name in DRAWN if name in self.ranges]
         shares = np.array([rng.random(len(names)) for rng in rngs])
         columns = []
         for k, name in enumerate(names):
             low, high = self.ranges[name]
-            log = QUANTITIES[name].log and low > 0.0
+            log = DRAWN[name].log and low > 0.0
             if log:
                 low, high = math.log(low), math.log(high)
             numbers = (low + (high - low) * shares[:, k]).tolist()
@@ -391,8 +410,13 @@ class Task(ABC):
         m, given = self.item.material, dict(values)
         friction = given.pop("friction", self.item.friction)
         E_over_rho = given.pop("E_over_rho", m.E_over_rho)
+        ratio = given.pop("thickness_ratio", 0.0)
         E = E_over_rho * given.get("density", m.density)
-        return replace(self.item, material=replace(m, E=E, **given), friction=friction)
+        item = replace(self.item, material=replace(m, E=E, **given), friction=friction)
+        if not ratio:
+            return item
+        ratio = 10.0 ** (round(THICKNESSES * math.log10(ratio)) / THICKNESSES)
+        return with_dimensionless(item, {"thickness_ratio": ratio})
 
     # ---- settings --------------------------------------------------------------------------------
 
