@@ -20,11 +20,14 @@ import gc
 import hashlib
 import json
 import logging
+import multiprocessing
 import os
 import queue
+import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,6 +58,7 @@ SHARD_SIZE = {"cpu": 256, "cuda": 4096}
 _DESCRIPTION, _LOCK = "dataset.json", ".lock"
 _METADATA = b"gendom"  # key of the set's identity in the metadata of a shard
 _IN_FLIGHT = 2  # parts of a set on a GPU: one is prepared while the other is simulated
+_HOSTS = 6  # processes that draw and judge what one GPU simulates, which takes less time
 _FEWEST_TOGETHER = 1024  # demonstrations that use a GPU well; of several GPUs none gets fewer
 _PARTS_PER_DEVICE = 8  # of several devices; several parts balance the load between them
 _MAKE_AGAIN = "make it again with this version of gendom dataset"
@@ -275,6 +279,9 @@ def _on_devices(
         for job in jobs:
             yield job, simulate(job, device=devices[0])
         return
+    if len(devices) == 1 and hasattr(os, "fork") and "warp" not in sys.modules:
+        yield from _on_one_gpu(simulate, jobs, devices[0])
+        return
     free: queue.SimpleQueue[str] = queue.SimpleQueue()
     places = devices if "cpu" in devices else _IN_FLIGHT * devices
     for device in places:
@@ -300,6 +307,34 @@ def _on_devices(
         finally:
             stop.set()
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _on_one_gpu(
+    simulate: Callable[..., pa.Table], jobs: list[range], device: str
+) -> Iterator[tuple[range, pa.Table]]:
+    """The same in processes that share a GPU: branches of this one, which has not opened it."""
+    hosts, fork = min(_HOSTS, len(jobs), os.cpu_count() or 1), multiprocessing.get_context("fork")
+    with ProcessPoolExecutor(hosts, fork, _take_over, (simulate,)) as pool:
+        at_work = {pool.submit(_do, job, device): job for job in jobs}
+        try:
+            for done in as_completed(list(at_work)):
+                yield at_work.pop(done), done.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _take_over(simulate: Callable[..., pa.Table]) -> None:
+    """Begin a process; an interrupt is its parent's."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _of_process["simulate"] = simulate
+
+
+def _do(job: range, device: str) -> pa.Table:
+    return _of_process["simulate"](job, device=device)
+
+
+_of_process: dict[str, Callable[..., pa.Table]] = {}
+"""What a process was made for: it came with the branch, unpickled."""
 
 
 def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
