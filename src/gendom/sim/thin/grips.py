@@ -11,11 +11,9 @@ Shapes: W worlds, n points.
 """
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 from gendom.arrays import Array
 from gendom.sim.paths import Pose
@@ -23,8 +21,7 @@ from gendom.sim.thin import rotation
 from gendom.sim.thin.types import Lines
 
 STRETCH = 0.2
-"""Largest mean stretch or compression of a body, and stretch of what two grippers have between
-them."""
+"""Largest mean stretch or compression of a body."""
 
 LOCAL_STRETCH = 1.0
 """Largest momentary stretch of one edge: a soft rope that cracks like a whip stretches by 25 %."""
@@ -63,9 +60,10 @@ class Grip:
         """This grip of one world in many."""
 
         def many(values: Array) -> Array:
-            return np.tile(values, (worlds, *[1] * (values.ndim - 1)))
+            return np.broadcast_to(values, (worlds, *values.shape[1:]))
 
-        cuts = [BorderCut(*map(many, vars(c).values())) for c in self.cuts]
+        cuts = [BorderCut(*(np.repeat(a[None], worlds, 0).reshape(-1, *a.shape[1:])
+                            for a in vars(cut).values())) for cut in self.cuts]  # fmt: skip
         return Grip(many(self.holds), many(self.place), many(self.stiffer), cuts)
 
 
@@ -276,30 +274,3 @@ def released_adjoint(
     turned = np.cross(x - pose.centre[:, None], v_bar).sum(axis=1) + spin_bar.sum(axis=1)
     none = np.zeros_like(pose.centre)
     return x_bar, Pose(-x_bar.sum(axis=1), none, v_bar.sum(axis=1), turned)
-
-
-def pairs_of(holds: Array) -> list[tuple[int, int]]:
-    """Pairs of grippers that hold as ``holds`` [W, G, n]."""
-    return list(combinations(range(holds.shape[1]), 2))
-
-
-def between(holds: Array, flat: Array | None, slots: Array) -> tuple[Array, Array]:
-    """Of W worlds and pairs of grippers [p]: the slots [W, p, 2] of the two points that have least
-    of the body at rest between them, and how far apart they may be [W, p] [m]; infinite where one
-    holds nothing, or the body has holes and notches and thus no ``flat`` [n, .] places at rest."""
-    held, pairs = holds & 1, pairs_of(holds)
-    ends = np.zeros((len(held), len(pairs), 2), dtype=np.int32)
-    most = np.full((len(held), len(pairs)), np.inf)
-    if flat is None:
-        return ends, most
-    for p, pair in enumerate(pairs):
-        alike: dict[bytes, list[int]] = {}  # the few ways of holding
-        for k in np.flatnonzero(np.all(held[:, pair].any(axis=2), axis=1)).tolist():
-            alike.setdefault(held[k, pair].tobytes(), []).append(k)
-        for some in alike.values():
-            i, j = map(np.flatnonzero, held[some[0], pair])
-            far = cdist(flat[i], flat[j])
-            a, b = np.unravel_index(far.argmin(), far.shape)
-            ends[some, p] = slots[[i[a], j[b]]]
-            most[some, p] = (1.0 + STRETCH) * far[a, b]
-    return ends, most

@@ -196,19 +196,6 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         if kept.shape[1] > state.shape[1]:
             native.keep_list(model, w, kept, to, state.shape[1])
 
-    @wp.func
-    def are_far(model: ThinModel, w: int, state: rows, row: int):
-        """Whether two grippers have what they hold too far apart."""
-        found = bool(False)
-        for p in range(model.farthest.shape[1]):
-            far2 = real(0.0)
-            for c in range(3):
-                d = state[row, c, model.ends[w, p, 1]] - state[row, c, model.ends[w, p, 0]]
-                far2 += d * d
-            if far2 > model.farthest[w, p]:
-                found = True
-        return found
-
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def advance(
         first: int,  # world
@@ -261,9 +248,6 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
                             bad = 1
                         if native.block_any(bad) != 0:
                             break
-                    if are_far(model, w, state, row):
-                        bad = 1
-                        break
                 if not native.mean_stretch(model, state, row) <= mean_limit:
                     bad = 1
                 if model.contact == 1:  # noqa: SIM102 - Warp evaluates both sides of `and`
