@@ -104,11 +104,6 @@ class MpmEngine(Engine):
 
     # ---- state -----------------------------------------------------------------------------------
 
-    @property
-    def used(self) -> bool:
-        """Whether any world has moved."""
-        return bool(self.clock.age.numpy().any())
-
     def positions(self) -> Array:
         return self.state.x.numpy() + self.origin.astype(self.setting.dtype)
 
@@ -170,6 +165,7 @@ class MpmEngine(Engine):
         self.clock.dt.assign(span[0] / np.maximum(1, steps[0]))
         self.clock.step.zero_()
         self.clock.status.zero_()
+        self.used = True
         return Plan(time, steps, plan)
 
     def failure(self, w: int, frame_start: float) -> SimulationError:

@@ -87,14 +87,12 @@ class Tape:
         row = e.num_worlds * (numbers + 4 * (3 * X * Y + 2 * N + 7))
         return min(LONGEST, max(SHORTEST, MEMORY // row))
 
-    def _record(
-        self, segment: "Segment", substeps: int, spare: "TapedStates | None"
-    ) -> "TapedStates":
+    def _record(self, segment: "Segment", spare: "TapedStates | None") -> "TapedStates":
         """Run a segment from its beginning once more and keep everything that its reverse needs.
 
         Into ``spare`` where that has the room.
         """
-        e, group = self.engine, segment.group
+        e, group, substeps = self.engine, segment.group, int(segment.substeps.max())
         while True:
             if spare is None or spare.room != e.room or spare.substeps < substeps:
                 spare = None  # its memory first
@@ -110,35 +108,25 @@ class Tape:
 
     def backward(self, positions_bar: Array) -> Gradients:
         """Derivatives by all inputs, given those [T, W, N, 3] by the positions of ``forward``."""
-        sums = Sums(self.engine)
+        e, sums = self.engine, Sums(self.engine)
 
         def go_back(segments: list[Segment]) -> None:
-            spare: TapedStates | None = None
+            recorded: TapedStates | None = None
             group = segments[0].group
             group.begin()
             for f in reversed(range(len(positions_bar))):
                 sums.add_positions(group, positions_bar[f])
-                for segment in [s for s in reversed(segments) if s.frame == f]:
-                    spare = self._reverse(segment, sums, spare)
+                for segment in [s for s in reversed(segments) if s.frame == f and s.substeps.any()]:
+                    recorded = self._record(segment, recorded)
+                    recorded.grid.velocity_bar = wp.empty_like(recorded.grid.velocity)
+                    group.launch(make_reverse(e.variant), [
+                        *segment.arrays(self._plan), e.device_model, e.paths, e.grips,
+                        recorded.grid, recorded.tape, sums.adjoint, sums.state, sums.conditions,
+                    ])  # fmt: skip
             del group.grid
 
-        self.engine.in_threads(go_back, self.segments)
+        e.in_threads(go_back, self.segments)
         return sums.gradients()
-
-    def _reverse(
-        self, segment: "Segment", sums: "Sums", spare: "TapedStates | None"
-    ) -> "TapedStates | None":
-        """Carry derivatives from the end of a segment to its beginning."""
-        e, substeps = self.engine, int(segment.substeps.max())
-        if not substeps:
-            return spare
-        recorded = self._record(segment, substeps, spare)
-        recorded.grid.velocity_bar = wp.empty_like(recorded.grid.velocity)
-        segment.group.launch(make_reverse(e.variant), [
-            *segment.arrays(self._plan), e.device_model, e.paths, e.grips, recorded.grid,
-            recorded.tape, sums.adjoint, sums.state, sums.conditions,
-        ])  # fmt: skip
-        return recorded
 
 
 class Segment:

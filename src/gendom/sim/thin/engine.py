@@ -103,7 +103,6 @@ class ThinEngine(Engine):
         self.state = self.zeros((W, m.state_rows, self.row_length))
         self.now = np.full(W, s.start_time)
         """[W] time of the state [s]."""
-        self.used = False
         self.last_dt = np.zeros(W)
         """[W] length of the last step [s]; 0 where velocities are those at the current time."""
         x = self.first_positions(n)
@@ -343,7 +342,7 @@ class ThinEngine(Engine):
         held = self.model.held(x1, of[0], radius1, np.bitwise_or.reduce(holds1, axis=1))
         q1 = q1 if self.model.directed else None
         grip = close(x1, q1, Pose(*of), radius1, held, self.model.lines)
-        grip = grip.repeated(len(worlds)) if alike else grip
+        grip = grip.repeated(len(worlds), self.model.lines) if alike else grip
         self.closed[worlds, g] = 1
         for k in np.flatnonzero(~grip.holds.any(axis=1)).tolist():
             w, centre = int(worlds[k]), pose.centre[k]

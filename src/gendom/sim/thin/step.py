@@ -184,18 +184,6 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         native.block_sync()
         native.move(model, w, state, w, w + state.shape[0] // 2, dt, dt)
 
-    @wp.func
-    def keep(
-        model: ThinModel, w: int, thread: int, threads: int, state: rows, row: int, kept: rows,
-        to: int,
-    ):  # fmt: skip
-        """Keep a state, and what its list of pairs was made from if there is room for that."""
-        for c in range(state.shape[1]):
-            for i in range(thread, state.shape[2], threads):
-                kept[to, c, i] = state[row, c, i]
-        if kept.shape[1] > state.shape[1]:
-            native.keep_list(model, w, kept, to, state.shape[1])
-
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def advance(
         first: int,  # world
@@ -224,8 +212,12 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         row = w - offset
         for p in range(piece[w, 0], piece[w, 1]):
             if stopped[w] < 0:
-                if every >= 0:
-                    keep(model, w, thread, threads, state, row, kept, w + p * every)
+                if every >= 0:  # with what the list of pairs was made from, if there is room
+                    for c in range(state.shape[1]):
+                        for i in range(thread, state.shape[2], threads):
+                            kept[w + p * every, c, i] = state[row, c, i]
+                    if kept.shape[1] > state.shape[1]:
+                        native.keep_list(model, w, kept, w + p * every, state.shape[1])
                 if model.contact * stride > 0:
                     native.rebuild_lists(model, w, state, row, state.shape[1] - LISTED, real(0.0))
                 began = plan.begins[w, p]
