@@ -1,15 +1,9 @@
-"""Ropes and strips of cloth beside MuJoCo and PyElastica: cantilevers with a closed form.
-
-    python benchmarks/cantilever.py rope|strip [--elastica PYTHON] [--rounds 5] [--worlds 1 16 64]
+"""Cantilevers with a closed form, for ``race.py``: ropes, strips of cloth, and their simulators.
 
 A straight rope or a flat strip, clamped at one end, is let go in weak gravity and swings about its
 static sag of 1 % of its length, without damping, for 1.3 periods. Theory: the modes of a thin
 plate, which for a rope are those of a beam. A run's error is the root mean square of the tip's,
-over the static sag. Numbers of edges and time steps are first surveyed; then, for each simulator
-and each bound on the error, the cheapest that keeps it is timed: CPU seconds for one simulated,
-medians of rounds in which the simulators take turns. ``--worlds`` then times many at once on all
-cores, by the clock. ``--elastica`` is an interpreter that has PyElastica
-(``make -C benchmarks peers``).
+over the static sag.
 
 A wide strip is stiffer than a beam of modulus E: the clamp keeps it from curving across, within
 about its width. One of 60 mm x 300 mm sags by 2.5 % less for nu 0.3, and swings 1.3 % faster; by
@@ -17,19 +11,12 @@ about its width. One of 60 mm x 300 mm sags by 2.5 % less for nu 0.3, and swings
 simulator is compared with the plate of its Poisson's ratio and width.
 """
 
-import argparse
-import json
 import os
-import statistics
-import subprocess
-import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,7 +25,6 @@ from numpy.polynomial import Legendre, Polynomial
 LENGTH, NU, FRAMES = 0.3, 0.3, 100
 SAG = 0.01 * LENGTH
 EDGES = (6, 8, 10, 12, 16, 20, 24, 32, 40)
-BOUNDS = (0.02, 0.01, 0.005)
 CORES = len(os.sched_getaffinity(0))
 
 
@@ -331,7 +317,7 @@ def one_elastica(item: Specimen, edges: int, option: str) -> np.ndarray:
     rod = ea.CosseratRod.straight_rod(
         edges, np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]),
         edges * edge, item.thickness / 2.0, item.density,
-        E=item.E, shear_modulus=item.E / 2.0 / (1.0 + NU),
+        youngs_modulus=item.E, shear_modulus=item.E / 2.0 / (1.0 + NU),
     )  # fmt: skip
     scene.append(rod)
     scene.constrain(rod).using(
@@ -350,11 +336,56 @@ def one_elastica(item: Specimen, edges: int, option: str) -> np.ndarray:
     return np.array(tip)
 
 
-ITEMS = {"rope": ROPE, "strip": STRIP}
+def newton(item: Specimen, edges: int, option: str, worlds: int) -> Prepared:
+    """Newton's rod of rigid segments by its solver VBD; ``option``: iterations, and the step [s]. A
+    clamped segment reaches to the middle of its edge."""
+    import newton as nt  # pyright: ignore[reportMissingImports]
+    import warp as wp
+
+    iterations, step = option.split()
+    steps, dt = item.pace(float(step))
+    h, area = LENGTH / (edges - 0.5), np.pi * item.thickness**2 / 4.0
+    EI, GJ = item.E * area * item.gyration**2, item.E / (1.0 + NU) * area * item.gyration**2
+    builder = nt.ModelBuilder(gravity=wp.vec3(0.0, 0.0, -item.gravity))
+    nodes = [wp.vec3(float(x), 0.0, 0.0) for x in h * (np.arange(edges + 1) - 0.5)]
+    for _ in range(worlds):
+        rod = nt.Rod(
+            nodes, radius=item.thickness / 2.0, stretch_rigidity=item.E * area,
+            shear_rigidity=item.E * area, bend_rigidity=EI, twist_rigidity=GJ,
+        )  # fmt: skip
+        bodies, _ = builder.add_rod(rod=rod)
+        for k, body in enumerate(bodies):
+            mass = item.density * area * h if k else 0.0
+            share = mass / builder.body_mass[body]
+            inertia = share * np.array(builder.body_inertia[body]).reshape(3, 3)
+            builder.body_mass[body] = mass
+            builder.body_inv_mass[body] = 1.0 / mass if mass else 0.0
+            builder.body_inertia[body] = wp.mat33(inertia)
+            inverse = np.linalg.inv(inertia) if mass else np.zeros((3, 3))
+            builder.body_inv_inertia[body] = wp.mat33(inverse)
+    builder.color()
+    model = builder.finalize(device="cpu")
+    solver = nt.solvers.SolverVBD(model, iterations=int(iterations))
+    control = model.control()
+
+    def run() -> np.ndarray:
+        states, tip = [model.state(), model.state()], []
+        for _ in range(FRAMES):
+            for _ in range(steps):
+                states[0].clear_forces()
+                solver.step(*states, control, None, dt)
+                states.reverse()
+            z = states[0].body_q.numpy()[: len(bodies), 2]
+            tip.append(-(1.5 * z[-1] - 0.5 * z[-2]))  # from segments' middles
+        return np.array(tip)
+
+    return run, 0.0, 0.0
+
+
 FLEX = ("0.001", "0.002", "0.004", "0.008", "0.016")
 """Steps [s]. Euler's diverge at 2 ms for a sheet; MuJoCo refuses `implicit` for a flex."""
-SIMULATORS: dict[str, dict[str, tuple[Callable[..., Prepared], tuple[str, ...]]]] = {
-    "rope": {
+CANTILEVERS: dict[str, dict[str, tuple[Callable[..., Prepared], tuple[str, ...]]]] = {
+    "cantilever-rope": {
         "gendom": (gendom, ("float64",)),
         "gendom-f32": (gendom, ("float32",)),
         "mujoco-flex": (flex, FLEX),
@@ -371,8 +402,9 @@ SIMULATORS: dict[str, dict[str, tuple[Callable[..., Prepared], tuple[str, ...]]]
             ),
         ),
         "elastica": (elastica, ("0.5", "0.25", "0.125", "0.0625")),
+        "newton-vbd": (newton, tuple(f"{n} {s}" for n in (5, 20) for s in ("0.002", "0.004"))),
     },
-    "strip": {
+    "cantilever-strip": {
         "gendom": (gendom, ("float64",)),
         "gendom-f32": (gendom, ("float32",)),
         "gendom-soft": (gendom, ("float64 16",)),
@@ -382,137 +414,3 @@ SIMULATORS: dict[str, dict[str, tuple[Callable[..., Prepared], tuple[str, ...]]]
 }
 """``soft``: `Material(membrane=)` of E / 16; as far as the strip only bends, its plane does not
 count."""
-
-
-def measured(body: str, name: str, edges: int, option: str, worlds: int) -> dict[str, Any]:
-    item, prepare = ITEMS[body], SIMULATORS[body][name][0]
-    cpus = []
-    for _ in range(2 if worlds == 1 else 1):  # the first may compile, and is left out
-        run, nu, width = prepare(item, edges, option, worlds)
-        wall, cpu = time.perf_counter(), time.process_time()
-        tip = run()
-        cpus.append(time.process_time() - cpu)
-        wall = time.perf_counter() - wall
-    lasts = float(item.times[-1])
-    error = float(np.sqrt(np.mean((tip - theory(item, nu, width)) ** 2)) / SAG)
-    return {
-        "edges": edges, "option": option, "error": error if np.isfinite(error) else np.inf,
-        "cpu": min(cpus) / lasts, "rate": worlds * lasts / wall,
-    }  # fmt: skip
-
-
-def surveyed(body: str, name: str) -> list[dict[str, Any]]:
-    """All options from few edges on, until the smallest error asked for is kept."""
-    rows = []
-    for edges in EDGES:
-        for option in SIMULATORS[body][name][1]:
-            with np.errstate(all="ignore"):
-                rows.append(measured(body, name, edges, option, 1))
-        if min(r["error"] for r in rows) < min(BOUNDS):
-            break
-    return rows
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    peer = Path(__file__).parent / ".envs/elastica/bin/python"
-    parser.add_argument("body", choices=ITEMS)
-    parser.add_argument("--elastica", type=Path, default=peer)
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--worlds", type=int, nargs="*", default=[1, 16, 64])
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("--only", help="a simulator, and a list of runs of it, as JSON")
-    given = parser.parse_args()
-    if given.only:
-        name, runs = json.loads(given.only)
-        found = (
-            [measured(given.body, name, *run) for run in runs]
-            if runs
-            else surveyed(given.body, name)
-        )
-        print(json.dumps(found))
-        return
-
-    def ask(name: str, runs: list[tuple[int, str, int]]) -> list[dict]:
-        """In a process of its own, on one core unless there are many worlds."""
-        python = given.elastica if name == "elastica" else sys.executable
-        if not Path(python).exists():
-            print(f"{name}: no interpreter at {python} (make -C benchmarks peers)", file=sys.stderr)
-            return []
-        done = subprocess.run(
-            [str(python), __file__, given.body, "--only", json.dumps([name, runs])],
-            env={**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"},
-            capture_output=True, text=True,
-        )  # fmt: skip
-        if done.returncode:
-            last = (done.stderr.strip().splitlines() or [f"ended with {done.returncode}"])[-1]
-            print(f"{name}: {last}", file=sys.stderr)
-            return []
-        return json.loads(done.stdout.strip().splitlines()[-1])
-
-    chosen: dict[str, dict[float, dict]] = {}
-    for name in SIMULATORS[given.body]:
-        rows = ask(name, [])
-        chosen[name] = {}
-        for bound in BOUNDS:
-            keep = [r for r in rows if r["error"] < bound]
-            if keep:
-                chosen[name][bound] = min(keep, key=lambda r: r["cpu"])
-    cpu = turns(given.rounds, chosen, ask, "cpu", {b: (b, 1) for b in BOUNDS})
-    wanted = {n: (BOUNDS[1], n) for n in given.worlds}
-    rate = turns(given.rounds, chosen, ask, "rate", wanted)
-    if given.json:
-        found = {"cpu": by_key(cpu, BOUNDS), "rate": by_key(rate, given.worlds)}
-        print(json.dumps(found, indent=2))
-        return
-    print(
-        "error below   simulator         edges  option            error   CPU s a simulated second"
-    )
-    for bound in BOUNDS:
-        for name in chosen:
-            if bound in chosen[name] and (name, bound) in cpu:
-                r = chosen[name][bound]
-                print(
-                    f"{bound:11.3f}   {name:16} {r['edges']:6}  {r['option']:16}"
-                    f" {r['error']:7.4f} {cpu[name, bound]:12.5f}"
-                )
-    if not given.worlds:
-        return
-    print(f"worlds   simulator         simulated seconds a second, {CORES} cores")
-    for n in given.worlds:
-        for name in chosen:
-            if (name, n) in rate:
-                print(f"{n:6}   {name:16} {rate[name, n]:12.1f}")
-
-
-def by_key(medians: dict, keys: Sequence[float]) -> dict[str, dict[str, float]]:
-    """Medians by key, and by simulator."""
-    return {f"{key:g}": {n: m for (n, k), m in medians.items() if k == key} for key in keys}
-
-
-def turns(
-    rounds: int,
-    chosen: dict[str, dict[float, dict]],
-    ask: Callable[[str, list[tuple[int, str, int]]], list[dict]],
-    what: str,
-    wanted: dict,
-) -> dict:
-    """Medians, by simulator and key of ``wanted``, which has bounds and numbers of worlds."""
-    found: dict = {}
-    for _ in range(rounds):
-        for name, best in chosen.items():
-            for key, (bound, worlds) in wanted.items():
-                if bound not in best:
-                    continue
-                # PyElastica's processes share nothing: more worlds take longer in proportion
-                worlds = min(worlds, 16) if name == "elastica" else worlds
-                r = best[bound]
-                for row in ask(name, [(r["edges"], r["option"], worlds)]):
-                    found.setdefault((name, key), []).append(row[what])
-    return {key: statistics.median(values) for key, values in found.items()}
-
-
-if __name__ == "__main__":
-    main()

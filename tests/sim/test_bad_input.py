@@ -119,7 +119,7 @@ WRONG = [
     (of_made("set_velocities"), {"v": (0.0, 0.0, 0.0)}, VELOCITIES),
     (of_made("set_velocities", "mpm"), {"v": (0.0, 0.0, 0.0)}, VELOCITIES),
     (lambda **given: Rollout(**{"simulator": made(), **given}), {},
-     {"simulator": [3], "memory": [-1.0, nan]}),
+     {"simulator": [3]}),
     (open_device, {}, {"name": [3]}),
     (ROPE.surface, {}, {"x": [RAGGED, np.zeros((5, 3)), np.zeros(3)]}),
 ]  # fmt: skip

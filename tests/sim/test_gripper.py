@@ -35,18 +35,18 @@ def test_turns_carry_one_orientation_into_the_next():
 
 
 def test_stacked_grippers_are_those_that_were_given():
-    turning = Gripper(
-        **path(quat_xyzw=Rotation.from_rotvec([[0, 0, a] for a in (0.0, 0.3, 1.1)]).as_quat())
-    )
+    """Shorter paths repeat their last knot."""
+    q = Rotation.from_rotvec([[0, 0, a] for a in (0.0, 0.3, 1.1)]).as_quat()
+    turning = Gripper(**path(quat_xyzw=q))
     still = Gripper.still([0.1, 0.2, 0.3], radius=0.02, hold_until=0.7)
     every = [[turning, still], [still, turning]]
-    stacked = Grippers.of(every)
-    assert len(stacked) == 2
-    for given, found in zip(every, stacked, strict=True):
-        for a, b in zip(given, found, strict=True):
-            for name in ("time", "position", "radius", "hold_from", "hold_until"):
-                np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
-            assert (a.quat_xyzw is None) == (b.quat_xyzw is None)
-            if a.quat_xyzw is not None:
-                assert np.abs(np.asarray(a.quat_xyzw) - b.quat_xyzw).max() < 1e-12
-    np.testing.assert_array_equal(stacked[1:].arrays["time"], stacked.arrays["time"][1:])
+    arrays = Grippers.of(every).arrays
+    for w, g in np.ndindex(2, 2):
+        of, last = every[w][g], [len(np.asarray(every[w][g].time)) - 1]
+        knots = np.minimum(np.arange(3), last)
+        for name in ("time", "position"):
+            np.testing.assert_array_equal(arrays[name][w, g], np.asarray(getattr(of, name))[knots])
+        for name in ("radius", "hold_from", "hold_until"):
+            assert arrays[name][w, g] == getattr(of, name)
+        assert arrays["turns"][w, g] == (of is turning)
+    assert np.abs(arrays["orientation"][0, 0] - q).max() < 1e-12

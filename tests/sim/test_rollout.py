@@ -95,17 +95,20 @@ def test_derivatives_by_everything_equal_central_differences(options):
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_repeated_substeps_give_the_recorded_ones_derivatives_to_the_bit(dtype):
-    recorded, repeated = (
-        Rollout(scene(worlds=2, dtype=dtype), memory=memory) for memory in (1e9, 0.0)
-    )
-    x, y = recorded.forward(TIMES), repeated.forward(TIMES)
-    assert np.array_equal(x, y)
-    assert np.array_equal(x, scene(worlds=2, dtype=dtype).run(TIMES))
+def test_segments_of_any_length_give_the_same_derivatives(dtype, monkeypatch):
+    one, other = (Rollout(scene(worlds=2, dtype=dtype)) for _ in range(2))
+    x = one.forward(TIMES)
     bar = weights(x.shape)
-    a, b = recorded.backward(bar), repeated.backward(bar)
+    a = one.backward(bar)
+    monkeypatch.setattr(mpm_tape, "LONGEST_ON_CPU", 7)
+    assert np.array_equal(x, other.forward(TIMES))
+    assert np.array_equal(x, scene(worlds=2, dtype=dtype).run(TIMES))
+    b = other.backward(bar)
+    assert len(segments_of(other)[0]) > 4 * len(segments_of(one)[0])
     for name in STEPS:
-        assert np.array_equal(getattr(a, name), getattr(b, name)), name
+        expected, rounding = getattr(a, name), 1e-5 if dtype == "float32" else 1e-12
+        off = np.abs(getattr(b, name) - expected).max()
+        assert off <= rounding * np.abs(expected).max(), name
 
 
 @pytest.mark.parametrize("engine", ["mpm", "thin"])
@@ -145,12 +148,12 @@ def test_misuse_is_refused():
             call()
 
 
-def rollout(memory=1e9, *, together=False, **options):
+def rollout(*, together=False, **options):
     """A rollout; ``together``: of all worlds at once, as on CUDA."""
     simulator = scene(**options)
     assert isinstance(simulator.engine, MpmEngine)
     simulator.engine.together |= together
-    return Rollout(simulator, memory=memory)
+    return Rollout(simulator)
 
 
 def segments_of(rollout):
@@ -158,32 +161,22 @@ def segments_of(rollout):
 
 
 def test_a_long_rollout_stays_within_its_memory():
-    long = rollout(memory=0.0)
+    long = rollout()
     x = long.forward([0.4])  # 2,000 substeps
     (kept,) = segments_of(long)
     row = x[0].size // 3 * (15 * 8 + 12)  # x, v, C, and by whom what share is held
     states: list[Any] = [values for segment in kept for values in segment.kept]
     assert sum(values.numpy().nbytes for values in states) == math.ceil(2000 / 64) * row
-    assert all(segment.recording is None for segment in kept)
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
 @pytest.mark.parametrize(
     "options", [{}, {"sheet": True, "damped": 3e-3}], ids=lambda o: " ".join(o) or "elastic"
 )
-@pytest.mark.parametrize("memory", [0.0, 1e9])
-def test_all_worlds_at_once_have_the_derivatives_of_each(options, memory, device):
+def test_all_worlds_at_once_have_the_derivatives_of_each(options, device):
     """What a GPU does, which runs on the CPU too, against the CPU's own way."""
     options = {"worlds": 2, **options}
-    check_derivatives(rollout(**options), rollout(memory, together=True, device=device, **options))
-
-
-def test_a_recording_may_run_out_of_layouts(monkeypatch):
-    """It then ends, and another one begins."""
-    monkeypatch.setattr(mpm_tape, "SUBSTEPS_A_LAYOUT", 1000)
-    together = rollout(worlds=2, together=True)
-    check_derivatives(rollout(worlds=2), together)
-    assert max(map(len, segments_of(together))) > len(TIMES)
+    check_derivatives(rollout(**options), rollout(together=True, device=device, **options))
 
 
 def check_derivatives(*rollouts):

@@ -20,11 +20,14 @@ import gc
 import hashlib
 import json
 import logging
+import multiprocessing
 import os
 import queue
+import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,6 +58,7 @@ SHARD_SIZE = {"cpu": 256, "cuda": 4096}
 _DESCRIPTION, _LOCK = "dataset.json", ".lock"
 _METADATA = b"gendom"  # key of the set's identity in the metadata of a shard
 _IN_FLIGHT = 2  # parts of a set on a GPU: one is prepared while the other is simulated
+_HOSTS = 10  # processes that draw and judge what one GPU simulates, which takes less time
 _FEWEST_TOGETHER = 1024  # demonstrations that use a GPU well; of several GPUs none gets fewer
 _PARTS_PER_DEVICE = 8  # of several devices; several parts balance the load between them
 _MAKE_AGAIN = "make it again with this version of gendom dataset"
@@ -212,9 +216,9 @@ def _complete(
         results = _on_devices(simulate, jobs, devices)
     else:
         results = on_cluster(simulate, jobs, cluster, kind, (source, *vars(source).values()))
-    for job, rows in results:
+    for job, found in results:
         number = job.start // shard_size
-        parts[number].append(rows)
+        parts[number].append(_table(job, found))
         done += len(job)
         report(done, size)
         if sum(map(len, parts[number])) < min(shard_size, size - number * shard_size):
@@ -268,12 +272,15 @@ class _StoppedError(Exception):
 
 
 def _on_devices(
-    simulate: Callable[..., pa.Table], jobs: list[range], devices: list[str]
-) -> Iterator[tuple[range, pa.Table]]:
-    """Run jobs in parallel on the devices, and yield jobs and rows as they finish."""
+    simulate: Callable[..., dict[str, Any]], jobs: list[range], devices: list[str]
+) -> Iterator[tuple[range, dict[str, Any]]]:
+    """Run jobs in parallel on the devices, and yield jobs and results as they finish."""
     if len(devices) == 1 and not devices[0].startswith("cuda"):
         for job in jobs:
             yield job, simulate(job, device=devices[0])
+        return
+    if len(devices) == 1 and hasattr(os, "fork") and "warp" not in sys.modules:
+        yield from _on_one_gpu(simulate, jobs, devices[0])
         return
     free: queue.SimpleQueue[str] = queue.SimpleQueue()
     places = devices if "cpu" in devices else _IN_FLIGHT * devices
@@ -285,7 +292,7 @@ def _on_devices(
         if stop.is_set():
             raise _StoppedError
 
-    def work(job: range) -> pa.Table:
+    def work(job: range) -> dict[str, Any]:
         device = free.get()
         try:
             return simulate(job, device=device, on_frame=go_on)
@@ -300,6 +307,35 @@ def _on_devices(
         finally:
             stop.set()
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _on_one_gpu(
+    simulate: Callable[..., dict[str, Any]], jobs: list[range], device: str
+) -> Iterator[tuple[range, dict[str, Any]]]:
+    """The same in processes that share a GPU: branches of this one, which has not opened it."""
+    hosts, fork = min(_HOSTS, len(jobs), os.cpu_count() or 1), multiprocessing.get_context("fork")
+    with ProcessPoolExecutor(hosts, fork, _take_over, (simulate,)) as pool:
+        at_work = {pool.submit(_do, job, device): job for job in jobs}
+        pa.array([0])  # imports pandas, which takes long, while they work
+        try:
+            for done in as_completed(list(at_work)):
+                yield at_work.pop(done), done.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _take_over(simulate: Callable[..., dict[str, Any]]) -> None:
+    """Begin a process; an interrupt is its parent's."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _of_process["simulate"] = simulate
+
+
+def _do(job: range, device: str) -> dict[str, Any]:
+    return _of_process["simulate"](job, device=device)
+
+
+_of_process: dict[str, Callable[..., dict[str, Any]]] = {}
+"""What a process was made for: it came with the branch, unpickled."""
 
 
 def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
@@ -523,14 +559,19 @@ def _simulate(
     seed: int,
     device: str,
     on_frame: Callable[[int], None] | None = None,
-) -> pa.Table:
-    """Draw and simulate the demonstrations with these numbers."""
+) -> dict[str, Any]:
+    """Draw and simulate the demonstrations with these numbers: columns, and `fault`."""
     draws = source.draw([generator_of(seed, i) for i in indices])
     outcomes = source.demonstrate(draws, device=device, on_frame=on_frame)
-    ok = np.array([fault is None for fault in outcomes.faults])
+    return {**draws, **outcomes.columns, "fault": outcomes.faults}
+
+
+def _table(indices: range, found: dict[str, Any]) -> pa.Table:
+    """What `_simulate` found, as rows of a shard."""
+    faults = found.pop("fault")
     columns = {"demonstration": pa.array(indices, pa.int64())}
-    for name, values in {**draws, **outcomes.columns}.items():
+    for name, values in found.items():
         columns[name] = pa.array(values, pa.float64(), from_pandas=True)  # NaN becomes null
-    columns["ok"] = pa.array(ok)
-    columns["fault"] = pa.array(outcomes.faults, pa.string())
+    columns["ok"] = pa.array([fault is None for fault in faults])
+    columns["fault"] = pa.array(faults, pa.string())
     return pa.table(columns)

@@ -60,7 +60,6 @@ def simulate(
     solver: Solver = Solver(),
     variation: Variation = Variation(),
     start_time: float = 0.0,
-    memory: float | None = None,
     **given: Tensor | float,
 ) -> Tensor:
     """Simulate positions at given times, differentiable with respect to every input tensor.
@@ -79,7 +78,6 @@ def simulate(
             coefficients.
         physics, variation: Inputs of the names of their fields replace them.
         solver, start_time: As of ``Simulator``.
-        memory: Limit on memory for the backward pass [bytes] (default: as ``Rollout``).
         given: ``E`` [Pa], ``nu``, ``density`` [kg/m^3], ``damping`` [s], of shells ``membrane``
             [Pa], ``warp``, ``weft`` and ``shear``, ``velocity_damping`` [1/s], ``air_density``
             [kg/m^3], ``friction``, ``self_friction``: numbers or [W]; ``gravity`` [3] or [W, 3];
@@ -108,7 +106,7 @@ def simulate(
         "start_time": start_time,
     }  # fmt: skip
     names, tensors = _spread(given, shapes, len(materials))
-    return _Simulation.apply(scene, times, memory, names, *tensors)  # pyright: ignore[reportReturnType]
+    return _Simulation.apply(scene, times, names, *tensors)  # pyright: ignore[reportReturnType]
 
 
 def _spread(
@@ -140,9 +138,8 @@ def _spread(
 class _Simulation(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, scene: dict[str, Any], times: ArrayLike, memory: float | None, names: list[str],
-        *tensors: Tensor,
-    ) -> Tensor:  # fmt: skip
+        ctx: Any, scene: dict[str, Any], times: ArrayLike, names: list[str], *tensors: Tensor
+    ) -> Tensor:
         v = {n: t.detach().cpu().numpy() for n, t in zip(names, tensors, strict=True)}
         made, body, materials = dict(scene), scene["body"], scene["materials"]
         worlds = range(max([len(materials), *(len(values) for values in v.values())]))
@@ -172,7 +169,7 @@ class _Simulation(torch.autograd.Function):
         simulator = Simulator(**made, positions=v.get("positions"))
         if "velocities" in v:
             simulator.set_velocities(v["velocities"])
-        ctx.rollout = Rollout(simulator, memory=memory)
+        ctx.rollout = Rollout(simulator)
         ctx.names, ctx.turned = names, v.get("gripper_rotations")
         return torch.from_numpy(ctx.rollout.forward(times))
 
@@ -183,13 +180,8 @@ class _Simulation(torch.autograd.Function):
         if ctx.turned is not None:  # by rotation vectors, not by a further rotation
             by_turn = found["gripper_rotations"][..., None, :] @ left_jacobian(ctx.turned)
             found["gripper_rotations"] = by_turn[..., 0, :]
-        return (
-            None,
-            None,
-            None,
-            None,
-            *(torch.as_tensor(a, dtype=torch.float64) for a in found.values()),
-        )
+        bars = (torch.as_tensor(a, dtype=torch.float64) for a in found.values())
+        return None, None, None, *bars
 
 
 def _changed(gripper: Gripper, i: int, w: int, v: dict[str, Array]) -> Gripper:

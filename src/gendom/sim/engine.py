@@ -19,6 +19,8 @@ class Engine:
 
     commanded: CommandedPaths | None = None
     """Paths of grippers that somebody controls, if any."""
+    used = False
+    """Whether it has been run."""
 
     def __init__(self, setting: Setting):
         self.setting, self.num_worlds = setting, len(setting.materials)

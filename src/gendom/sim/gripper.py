@@ -177,8 +177,8 @@ def of_worlds(name: str, given: Any, kind: type, worlds: int) -> list[Sequence[A
     return list(given[:worlds])
 
 
-class Grippers(Sequence[Sequence[Gripper]]):
-    """The G grippers of each of W worlds, as arrays; an element is the sequence of one world.
+class Grippers:
+    """The G grippers of each of W worlds, as arrays.
 
     Args:
         arrays: By name: `time` [W, G, K] [s], `position` [W, G, K, 3] [m] and `orientation`
@@ -249,28 +249,12 @@ class Grippers(Sequence[Sequence[Gripper]]):
         np.add.at(found, (w, g, np.minimum(k, last)), by_knot)
         return found
 
-    def __len__(self) -> int:
-        return len(self.arrays["time"])
-
-    def __getitem__(self, w: Any) -> Any:
-        part = {name: values[w] for name, values in self.arrays.items()}
-        if isinstance(w, slice):
-            return Grippers(part)
-        made = []
-        for g, t in enumerate(part["time"]):
-            knots = slice(0, 1 + np.count_nonzero(np.diff(t)))
-            q = part["orientation"][g, knots] if part["turns"][g] else None
-            own = {n: float(part[n][g]) for n in ("radius", "hold_from", "hold_until")}
-            made.append(
-                Gripper(time=t[knots], position=part["position"][g, knots], quat_xyzw=q, **own)
-            )
-        return made
-
 
 def hands_of_worlds(given: Any, worlds: int) -> Grippers:
     """The grippers of each world, given those of all worlds or of each, or as arrays; errors as of
     ``of_worlds``."""
     if not isinstance(given, Grippers):
         return Grippers.of(of_worlds("grippers", given, Gripper, worlds))
-    require(len(given) >= worlds, f"no grippers given for world {len(given)} of the batch")
-    return given[:worlds]
+    many = len(given.arrays["time"])
+    require(many >= worlds, f"no grippers given for world {many} of the batch")
+    return Grippers({name: values[:worlds] for name, values in given.arrays.items()})

@@ -200,7 +200,8 @@ class HostPaths:
 
     def pose(self, g: int, w: Array, t: Array) -> Pose:
         """Pose of gripper g of worlds w [k], each once, at times t [k] [s]."""
-        path, (knot, share), (last, rate) = self.arrays, self._at(g, w, t), self._before(g, w, t)
+        path, (knot, share, _) = self.arrays, self._at(g, w, t)
+        last, _, rate = self._at(g, w, t, before=True)
         p, turn, turns = path["position"], path["turn"], path["turns"][w, g, None]
         a = p[w, g, knot]
         q = rotation.product(_exp(share * turn[w, g, knot]), path["orientation"][w, g, knot])
@@ -213,7 +214,7 @@ class HostPaths:
 
     def pose_adjoint(self, g: int, w: Array, t: Array, adjoint: Pose) -> None:
         """Transpose of ``pose``: adds to the derivatives by the knots."""
-        (knot, share), (last, rate) = self._at(g, w, t), self._before(g, w, t)
+        (knot, share, _), (last, _, rate) = self._at(g, w, t), self._at(g, w, t, before=True)
         self.position_bar[w, g, knot] += (1.0 - share) * adjoint.centre
         self.position_bar[w, g, knot + 1] += share * adjoint.centre
         self.position_bar[w, g, last] -= rate * adjoint.velocity
@@ -234,22 +235,18 @@ class HostPaths:
         self.turn_bar[w, g, knot] += turns * (gone - np.linalg.solve(before, bar)[..., 0])
         self.turn_bar[w, g, knot + 1] += turns * np.linalg.solve(after, bar)[..., 0]
 
-    def _at(self, g: int, w: Array, t: Array) -> tuple[Array, Array]:
-        """Knots [k] that begin the segments of times t, and their elapsed shares [k, 1]."""
-        time = self.arrays["time"][w, g]
-        knot, i = np.count_nonzero(time[:, 1:-1] <= t[:, None], axis=1), np.arange(len(t))
-        span = time[i, knot + 1] - time[i, knot]
-        share = (t - time[i, knot]) / np.where(span > 0.0, span, 1.0)
-        return knot, np.where(span > 0.0, np.clip(share, 0.0, 1.0), 0.0)[:, None]
-
-    def _before(self, g: int, w: Array, t: Array) -> tuple[Array, Array]:
-        """Knots [k] that begin the segments just before times t, and 1 / the segments' durations
-        [k, 1] [1/s], 0 outside of the path."""
-        time = self.arrays["time"][w, g]
-        knot, i = np.count_nonzero(time[:, 1:-1] < t[:, None], axis=1), np.arange(len(t))
+    def _at(
+        self, g: int, w: Array, t: Array, *, before: bool = False
+    ) -> tuple[Array, Array, Array]:
+        """Of the segments of times t, or of those just ``before``: the knots [k] that begin them,
+        elapsed shares, and 1 / durations, 0 outside of the path [1/s], [k, 1] each."""
+        time, i = self.arrays["time"][w, g], np.arange(len(t))
+        passed = time[:, 1:-1] < t[:, None] if before else time[:, 1:-1] <= t[:, None]
+        knot = np.count_nonzero(passed, axis=1)
         begin, end = time[i, knot], time[i, knot + 1]
-        within = (begin < t) & (t <= end)
-        return knot, np.where(within, 1.0 / np.where(within, end - begin, 1.0), 0.0)[:, None]
+        span = np.where(end > begin, end - begin, np.inf)
+        rate = np.where((begin < t) & (t <= end), 1.0 / span, 0.0)
+        return knot, np.clip((t - begin) / span, 0.0, 1.0)[:, None], rate[:, None]
 
 
 def _exp(turn: Array) -> Array:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gendom.arguments import check_number, check_numbers, check_type
+from gendom.arguments import check_numbers, check_type
 from gendom.arrays import Array
 from gendom.errors import ParameterError
 from gendom.sim.gradients import Gradients
@@ -14,41 +14,28 @@ from gendom.sim.simulator import Simulator
 from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.tape import ThinTape
 
-MEMORY = {"cpu": 64 << 20, "cuda": 8 << 30}
-"""Default limits on the memory that a rollout uses for its reverse pass [bytes]."""
-
 
 class Rollout:
     """A recorded simulation that can be differentiated.
 
     ``forward`` runs it; ``backward`` takes the derivative of any loss with respect to the recorded
-    positions and returns its derivatives with respect to all inputs. Where recording every substep
-    of the MPM would need more than ``memory``, states are stored every few substeps and the
-    substeps between them are recomputed (checkpointing). Rods and shells always do so, whatever
-    ``memory`` is, and store about twice the square root of their number of steps.
+    positions and returns its derivatives with respect to all inputs. States are stored every few
+    steps, and the steps between them are recomputed (checkpointing): rods and shells store about
+    twice the square root of their number of steps, the MPM one in 64 on the CPU.
 
     Args:
         simulator: A simulator that has not been run.
-        memory: Limit on the memory used by the MPM [bytes] (default: ``MEMORY`` of the device);
-            without effect on rods and shells.
 
     Raises:
-        ParameterError: If the simulator is none or has been run, or ``memory`` is negative.
+        ParameterError: If the simulator is none or has been run.
     """
 
-    def __init__(self, simulator: Simulator, *, memory: float | None = None):
+    def __init__(self, simulator: Simulator):
         check_type("simulator", simulator, Simulator)
-        if memory is not None:
-            check_number("memory", memory, least=0.0, finite=False)
         if simulator.engine.used:
             raise ParameterError("a rollout starts from a simulator that has not been run")
-        self.simulator = simulator
-        cuda = simulator.device.is_cuda
-        if memory is None:
-            memory = MEMORY["cuda" if cuda else "cpu"]
-        engine = simulator.engine
-        thin = isinstance(engine, ThinEngine)
-        self._tape = ThinTape(engine) if thin else Tape(engine, memory)
+        self.simulator, engine = simulator, simulator.engine
+        self._tape = ThinTape(engine) if isinstance(engine, ThinEngine) else Tape(engine)
         self._times: Array | None = None
 
     def forward(self, times: ArrayLike) -> Array:

@@ -23,7 +23,7 @@ from gendom.materials.parameters import WEAVE
 from gendom.shown import Shown
 from gendom.sim.bodies import Body
 from gendom.sim.device import cores, making, open_device
-from gendom.sim.gripper import Gripper, Targets, hands_of_worlds, of_worlds
+from gendom.sim.gripper import Gripper, Grippers, Targets, hands_of_worlds, of_worlds
 from gendom.sim.mpm.engine import MpmEngine
 from gendom.sim.obstacles import Obstacle, Table, check_clear
 from gendom.sim.setting import Frames, Physics, Setting, Solver, Variation
@@ -69,7 +69,7 @@ class Simulator(Shown):
         body: Body,
         materials: Sequence[Material],
         *,
-        grippers: Sequence[Gripper] | Sequence[Sequence[Gripper]] = (),
+        grippers: Grippers | Sequence[Gripper] | Sequence[Sequence[Gripper]] = (),
         table: Table | None = None,
         obstacles: Sequence[Obstacle] | Sequence[Sequence[Obstacle]] = (),
         physics: Physics = Physics(),

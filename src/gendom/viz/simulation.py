@@ -60,9 +60,11 @@ def motion_of(
     layers = [object_layer(body.kind, body, x)]
     for k, of in enumerate(setting.obstacles[world]):
         layers.append(obstacle_layer(f"{of.kind.lower()} {k}", of, t))
-    hands = list(setting.grippers[world])
+    path = setting.grippers.arrays
+    hands = list(zip(path["time"][world], path["position"][world], strict=True))
     if hands and simulator.engine.commanded is None:
-        held = np.stack([hand.position_at(t) for hand in hands], axis=1)
+        held = np.array([[np.interp(t, at, axis) for axis in p.T] for at, p in hands])
+        held = np.moveaxis(held, 2, 0)
         layers.append(gripper_layer(held, float(np.ptp(x[0], axis=0).max())))
     table = None if setting.table is None else setting.table.height
     return Animation(times=t, layers=tuple(layers), table_height=table)

@@ -48,9 +48,6 @@ WIDE = 256
 NARROW = 128
 """Threads of one of two blocks that share one; more leave too few registers for each."""
 
-RECORDED = 1 << 30
-"""Bound on the recorded positions that wait on the device [bytes]."""
-
 SUBSTEPS_A_SLICE = 128
 """Of a world in one launch."""
 
@@ -107,11 +104,6 @@ class MpmEngine(Engine):
 
     # ---- state -----------------------------------------------------------------------------------
 
-    @property
-    def used(self) -> bool:
-        """Whether any world has moved."""
-        return bool(self.clock.age.numpy().any())
-
     def positions(self) -> Array:
         return self.state.x.numpy() + self.origin.astype(self.setting.dtype)
 
@@ -133,23 +125,16 @@ class MpmEngine(Engine):
             SimulationError: If a world diverges, unless told to keep going.
         """
         self.load(make_advance(self.variant, taped=False))
-        T, P = len(frames.times), len(frames.particles)
-        row = max(1, self.num_worlds * P * 3 * frames.x.itemsize)
-        most = max(1, RECORDED // row)
-        now, groups = frames.began, self.groups()
-        for first in range(0, T, most):
-            times, found = frames.times[first : first + most], frames.x[first : first + most]
-            failed_before = set(self.failures)
-            plan = self.plan(now, times, frames.particles)
-            self.in_threads(partial(Group.run, plan=plan, keep_going=frames.keep_going), groups)
-            found[...] = plan.arrays.x.numpy() + self.origin.astype(self.setting.dtype)
-            frame = self.clock.frame.numpy()
-            for w in self.failures:
-                found[0 if w in failed_before else frame[w] :, w] = np.nan
-            self.raise_failures(keep_going=frames.keep_going)
-            if frames.on_frame is not None:
-                frames.on_frame(first + len(times))
-            now = float(times[-1])
+        failed_before = set(self.failures)
+        plan = self.plan(frames.began, frames.times, frames.particles)
+        self.in_threads(partial(Group.run, plan=plan, keep_going=frames.keep_going), self.groups())
+        frames.x[...] = plan.arrays.x.numpy() + self.origin.astype(self.setting.dtype)
+        frame = self.clock.frame.numpy()
+        for w in self.failures:
+            frames.x[0 if w in failed_before else frame[w] :, w] = np.nan
+        if frames.on_frame is not None:
+            frames.on_frame(len(frames.times))
+        self.raise_failures(keep_going=frames.keep_going)
 
     def groups(self) -> list["Group"]:
         """The groups of worlds, the slowest first; what they share is made before threads take
@@ -180,6 +165,7 @@ class MpmEngine(Engine):
         self.clock.dt.assign(span[0] / np.maximum(1, steps[0]))
         self.clock.step.zero_()
         self.clock.status.zero_()
+        self.used = True
         return Plan(time, steps, plan)
 
     def failure(self, w: int, frame_start: float) -> SimulationError:
@@ -192,7 +178,7 @@ class MpmEngine(Engine):
         if status == NOTHING_HELD:
             return error(
                 f"gripper {found} closed on nothing",
-                where=f"radius {self.setting.grippers[w][found].radius:.4g} m",
+                where=f"radius {self.stacked['radius'][w, found]:.4g} m",
                 fix="move its path to the object",
             )
         inverted = status == INVERTED
@@ -270,7 +256,7 @@ class MpmEngine(Engine):
         )
 
     def _grips(self) -> Any:
-        W, G, N = self.num_worlds, len(self.setting.grippers[0]), self.num_points
+        (W, G), N = self.stacked["radius"].shape, self.num_points
         lists = dict.fromkeys(("particle", "weight", "place"), (W, G, N))
         listed = [name for name in self.types.Grips.vars if name.startswith("held_")]
         poses = ("closed", "centre", "orientation", "velocity", "spin")

@@ -191,27 +191,23 @@ def make_advance(variant: Variant, *, taped: bool) -> Any:
         block.sync()
         while frame < frames and left > 0 and status == OK:
             if step < steps and travel >= real(MARGIN) * now.dx:
-                if keeps == 1:
-                    if made >= grid.count.shape[0]:
-                        left = 0  # the tape is full
-                    else:
-                        now.layout = made
-                        made += shared
-                if left > 0:
-                    fits = rebuild(now, particles, grid)
-                    status = GRID_FULL
-                    if fits:
-                        status = OK
-                        far += travel
-                        travel = real(0.0)
-                        if sort(now, far, model, grid, particles, tape) == 1:
-                            far = real(0.0)
-                            now.holding = list_gripped(now, particles, model, grips)
-                    elif thread == 0:
-                        # the grid's need is read from the world's first layout
-                        for a in range(4):
-                            grid.bounds[own, a] = grid.bounds[now.layout, a]
-            goes_on = step < steps and status == OK and left > 0
+                if keeps == 1:  # a tape has a layout for each substep
+                    now.layout = made
+                    made += shared
+                fits = rebuild(now, particles, grid)
+                status = GRID_FULL
+                if fits:
+                    status = OK
+                    far += travel
+                    travel = real(0.0)
+                    if sort(now, far, model, grid, particles, tape) == 1:
+                        far = real(0.0)
+                        now.holding = list_gripped(now, particles, model, grips)
+                elif thread == 0:
+                    # the grid's need is read from the world's first layout
+                    for a in range(4):
+                        grid.bounds[own, a] = grid.bounds[now.layout, a]
+            goes_on = step < steps and status == OK
             if goes_on and t >= event:
                 empty = int(-1)
                 if thread == 0:

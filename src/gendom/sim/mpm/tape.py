@@ -1,8 +1,8 @@
 """Recorded runs and their reverse: derivatives of a loss by all inputs.
 
-A group of worlds goes through segments, some substeps inside one frame. Where memory holds every
-substep, the forward run records them. Otherwise it keeps the state at the beginning of each
-segment, from which the segment is run again and recorded when it is to be reversed.
+A group of worlds goes through segments, some substeps inside one frame. The forward run keeps the
+state at the beginning of each segment, from which the segment is run again and recorded when it is
+to be reversed.
 """
 
 # pyright: basic
@@ -22,9 +22,8 @@ from gendom.sim.mpm.step import GRID_FULL
 SHORTEST, LONGEST, LONGEST_ON_CPU = 8, 256, 64
 """Bounds on the substeps of a segment."""
 
-SUBSTEPS_A_LAYOUT = 2
-"""Room for layouts in a recording of the forward run, which may end where they do."""
-
+MEMORY = 8 << 30
+"""Bound on what a recorded segment takes on CUDA [bytes]."""
 
 BY_WORLD = ("friction", "velocity_damping", "damping", "gravity")
 """Conditions that each world has one of."""
@@ -35,14 +34,12 @@ class Tape:
 
     Args:
         engine: Its worlds have not run before.
-        memory: Bound on what is recorded [bytes]; at least one segment is.
     """
 
-    def __init__(self, engine: MpmEngine, memory: float):
-        self.engine, self.memory = engine, memory
+    def __init__(self, engine: MpmEngine):
+        self.engine = engine
         self.segments: list[list[Segment]] = []
         """Of each group of worlds."""
-        self._longest = LONGEST if engine.setting.device.is_cuda else LONGEST_ON_CPU
         engine.load(make_advance(engine.variant, taped=False))
         engine.load(make_advance(engine.variant, taped=True))
         engine.load(make_reverse(engine.variant))
@@ -55,8 +52,6 @@ class Tape:
         """
         e, groups = self.engine, self.engine.groups()
         self._plan = plan = e.plan(began, times, np.arange(e.num_points))
-        substeps, row = plan.steps.sum(axis=0), _row_bytes(e, SUBSTEPS_A_LAYOUT)
-        needed = sum(g.count * int(substeps[g.worlds].max()) * row for g in groups)
         self.segments = [[] for _ in groups]
 
         def go(k: int) -> None:
@@ -65,50 +60,43 @@ class Tape:
             for f in range(len(times)):
                 while (group.read("frame") <= f).any():
                     segment = Segment(group, f)
-                    self._run(segment, keeps=needed <= self.memory)
+                    self._run(segment)
                     self.segments[k].append(segment)
             del group.grid
 
         e.in_threads(go, range(len(groups)))
         return plan.arrays.x.numpy() + e.origin.astype(e.setting.dtype)
 
-    def _run(self, segment: "Segment", *, keeps: bool) -> None:
+    def _run(self, segment: "Segment") -> None:
         """Run a segment for the first time."""
-        group, plan, f = segment.group, self._plan, segment.frame
-        left = int((plan.steps[f, group.worlds] - segment.step).max())
-        more = True
+        group, plan, more = segment.group, self._plan, True
         while more:
-            if keeps and left:
-                segment.recording = self._record(segment, min(self._longest, left), None)
-                more = False
-            else:
-                done = int((group.read("age") - segment.age).max())
-                group.advance(plan, self._segment_substeps() - done, f + 1, group.grid)
-                more = bool((group.read("status") == GRID_FULL).any())
+            done = int((group.read("age") - segment.age).max())
+            group.advance(plan, self._segment_substeps() - done, segment.frame + 1, group.grid)
+            more = bool((group.read("status") == GRID_FULL).any())
             group.look(plan, keep_going=False)
             self.engine.raise_failures(keep_going=False)
         segment.finish(plan)
 
     def _segment_substeps(self) -> int:
-        """Substeps that the memory holds at once."""
-        if not self.engine.setting.device.is_cuda:
+        """Substeps that are recorded at once."""
+        e, (X, Y, M), N = self.engine, self.engine.room, self.engine.num_points
+        if not e.setting.device.is_cuda:
             return LONGEST_ON_CPU
-        row = self.engine.num_worlds * _row_bytes(self.engine, 1)
-        return min(LONGEST, max(SHORTEST, int(self.memory / row)))
+        numbers = np.dtype(e.setting.dtype).itemsize * (e.variant.taped * N + 4 * M)
+        row = e.num_worlds * (numbers + 4 * (3 * X * Y + 2 * N + 7))
+        return min(LONGEST, max(SHORTEST, MEMORY // row))
 
-    def _record(
-        self, segment: "Segment", substeps: int, spare: "TapedStates | None"
-    ) -> "TapedStates":
-        """Run a segment from its beginning and keep everything that its reverse needs.
+    def _record(self, segment: "Segment", spare: "TapedStates | None") -> "TapedStates":
+        """Run a segment from its beginning once more and keep everything that its reverse needs.
 
         Into ``spare`` where that has the room.
         """
-        e, group = self.engine, segment.group
-        layouts = substeps if segment.finished else -(-substeps // SUBSTEPS_A_LAYOUT)
+        e, group, substeps = self.engine, segment.group, int(segment.substeps.max())
         while True:
             if spare is None or spare.room != e.room or spare.substeps < substeps:
                 spare = None  # its memory first
-                spare = TapedStates(group, substeps, layouts)
+                spare = TapedStates(group, substeps)
             segment.restore()
             group.advance(self._plan, substeps, segment.frame + 1, spare.grid, spare.tape)
             full = group.read("status") == GRID_FULL
@@ -120,38 +108,25 @@ class Tape:
 
     def backward(self, positions_bar: Array) -> Gradients:
         """Derivatives by all inputs, given those [T, W, N, 3] by the positions of ``forward``."""
-        sums = Sums(self.engine)
+        e, sums = self.engine, Sums(self.engine)
 
         def go_back(segments: list[Segment]) -> None:
-            spare: TapedStates | None = None
+            recorded: TapedStates | None = None
             group = segments[0].group
             group.begin()
             for f in reversed(range(len(positions_bar))):
                 sums.add_positions(group, positions_bar[f])
-                for segment in [s for s in reversed(segments) if s.frame == f]:
-                    spare = self._reverse(segment, sums, spare)
+                for segment in [s for s in reversed(segments) if s.frame == f and s.substeps.any()]:
+                    recorded = self._record(segment, recorded)
+                    recorded.grid.velocity_bar = wp.empty_like(recorded.grid.velocity)
+                    group.launch(make_reverse(e.variant), [
+                        *segment.arrays(self._plan), e.device_model, e.paths, e.grips,
+                        recorded.grid, recorded.tape, sums.adjoint, sums.state, sums.conditions,
+                    ])  # fmt: skip
             del group.grid
 
-        self.engine.in_threads(go_back, self.segments)
+        e.in_threads(go_back, self.segments)
         return sums.gradients()
-
-    def _reverse(
-        self, segment: "Segment", sums: "Sums", spare: "TapedStates | None"
-    ) -> "TapedStates | None":
-        """Carry derivatives from the end of a segment to its beginning."""
-        e, substeps = self.engine, int(segment.substeps.max())
-        if not substeps:
-            return spare
-        recording = segment.recording
-        if recording is None:
-            recording = spare = self._record(segment, substeps, spare)
-        recording.grid.velocity_bar = wp.empty_like(recording.grid.velocity)
-        segment.group.launch(make_reverse(e.variant), [
-            *segment.arrays(self._plan), e.device_model, e.paths, e.grips, recording.grid,
-            recording.tape, sums.adjoint, sums.state, sums.conditions,
-        ])  # fmt: skip
-        segment.recording = None
-        return spare
 
 
 class Segment:
@@ -159,13 +134,11 @@ class Segment:
     their clock and what grippers hold."""
 
     def __init__(self, group: Group, frame: int):
-        self.group, self.frame, self.finished = group, frame, False
+        self.group, self.frame = group, frame
         self.kept = [wp.clone(array) for array in self._arrays()]
         self.step, self.age, self._frames = map(group.read, ("step", "age", "frame"))
         self.substeps = np.zeros_like(self.step)
         """[n] of each world."""
-        self.recording: TapedStates | None = None
-        """If it is kept from the forward run."""
 
     def _arrays(self) -> list[wp.array]:
         e = self.group.engine
@@ -187,7 +160,6 @@ class Segment:
         end = np.where(through, steps, self.group.read("step"))
         # those that were through before have not moved
         self.substeps = np.where(self._frames > self.frame, 0, end - self.step)
-        self.finished = True
 
     def arrays(self, plan: Plan) -> tuple[Any, Any, Any]:
         """For the kernel: where the worlds begin [s], how many substeps they have, the clock."""
@@ -204,26 +176,18 @@ class Segment:
 class TapedStates:
     """States, grids and layouts of consecutive substeps of a group of worlds."""
 
-    def __init__(self, group: Group, substeps: int, layouts: int):
-        e, n = group.engine, group.count
+    def __init__(self, group: Group, substeps: int):
+        e, n = group.engine, substeps * group.count
         self.room, self.substeps = e.room, substeps
         # nothing is read before it was written: memory that is never needed is never touched
-        self.grid = e.make_grid(n, layouts * n, substeps * n, wp.empty)
+        self.grid = e.make_grid(group.count, n, n, wp.empty)
         self.tape = e.allocate(
             e.types.Records,
             wp.empty,
-            of=(substeps * n, e.variant.taped, e.num_points),
-            layout_of=substeps * n,
-            **dict.fromkeys(("order", "place"), (layouts * n, e.num_points)),
+            of=(n, e.variant.taped, e.num_points),
+            layout_of=n,
+            **dict.fromkeys(("order", "place"), (n, e.num_points)),
         )
-
-
-def _row_bytes(engine: MpmEngine, substeps_a_layout: int) -> float:
-    """Memory that a recorded substep of one world takes [bytes]."""
-    X, Y, M = engine.room
-    N, real = engine.num_points, np.dtype(engine.setting.dtype).itemsize
-    layout = 4 * (3 * X * Y + 2 * N + 7)
-    return real * (engine.variant.taped * N + 4 * M) + layout / substeps_a_layout
 
 
 class Sums:

@@ -132,29 +132,32 @@ def edges_and_triangles(model: Any) -> tuple[NDArray[np.int64], NDArray[np.int64
 def _crosses(ends: Array, corners: Array) -> NDArray[np.bool_]:
     """[k] whether edges with ends [k, 2, 3] go through triangles with corners [k, 3, 3]."""
     start, way = ends[:, 0], ends[:, 1] - ends[:, 0]
-    corner, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(u, v)
+    normal, _, _ = _on_plane(start, corners)
     level = np.sum(way * normal, axis=1)
-    s = np.sum((corner - start) * normal, axis=1) / np.where(level == 0.0, 1.0, level)
-    at = start + s[:, None] * way - corner
-    square = np.sum(normal**2, axis=1)
-    along = np.sum(np.cross(at, v) * normal, axis=1) / square
-    across = np.sum(np.cross(u, at) * normal, axis=1) / square
+    s = np.sum((corners[:, 0] - start) * normal, axis=1) / np.where(level == 0.0, 1.0, level)
+    _, along, across = _on_plane(start + s[:, None] * way, corners)
     inside = (along > 0.0) & (across > 0.0) & (along + across < 1.0)
     return (level != 0.0) & (s > 0.0) & (s < 1.0) & inside
 
 
-def triangle_distance(x: Array, corners: Array) -> Array:
-    """[F] smallest distances between points [3] or [F, 3] and triangles [F, 3, 3] [m]."""
+def _on_plane(x: Array, corners: Array) -> tuple[Array, Array, Array]:
+    """Normals [F, 3] of triangles [F, 3, 3], and how far along the two sides from their first
+    corner the feet of points [3] or [F, 3] are [F]."""
     a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal, at = np.cross(u, v), x - a
     square = np.maximum(np.sum(normal**2, axis=1), 1e-300)
     along = np.sum(np.cross(at, v) * normal, axis=1) / square
-    across = np.sum(np.cross(u, at) * normal, axis=1) / square
+    return normal, along, np.sum(np.cross(u, at) * normal, axis=1) / square
+
+
+def triangle_distance(x: Array, corners: Array) -> Array:
+    """[F] smallest distances between points [3] or [F, 3] and triangles [F, 3, 3] [m]."""
+    normal, along, across = _on_plane(x, corners)
     above = (along >= 0.0) & (across >= 0.0) & (along + across <= 1.0)
-    level = np.abs(np.sum(at * normal, axis=1)) / np.sqrt(square)
+    size = np.maximum(np.linalg.norm(normal, axis=1), 1e-150)
+    level = np.abs(np.sum((x - corners[:, 0]) * normal, axis=1)) / size
     step = np.roll(corners, -1, axis=1) - corners
-    from_corner = np.broadcast_to(x, a.shape)[:, None] - corners
+    from_corner = np.broadcast_to(x, step[:, 0].shape)[:, None] - corners
     share = np.sum(from_corner * step, axis=2) / np.maximum(np.sum(step**2, axis=2), 1e-300)
     foot = np.clip(share, 0.0, 1.0)[..., None] * step
     sides = np.linalg.norm(from_corner - foot, axis=2).min(axis=1)

@@ -19,7 +19,7 @@ from gendom.sim.obstacles import check_thick, numbers_of_obstacles
 from gendom.sim.paths import CommandedPaths, HostPaths, Pose, paths_on
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
-from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, between, close, pairs_of, released
+from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, close, released
 from gendom.sim.thin.rods import RodModel
 from gendom.sim.thin.run import Event, Round, Schedule, put
 from gendom.sim.thin.shells import ShellModel
@@ -71,7 +71,7 @@ class ThinEngine(Engine):
 
     def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
         super().__init__(setting)
-        W, n, G = self.num_worlds, len(setting.body.points), len(setting.grippers[0])
+        W, n, G = self.num_worlds, len(setting.body.points), self.stacked["radius"].shape[1]
         self.num_points = n
         self.air_density = spread(setting.air_density, (W,), "air_density")
         self.model = m = (RodModel if setting.body.kind == "rope" else ShellModel)(setting)
@@ -90,6 +90,9 @@ class ThinEngine(Engine):
         """Threads of a CUDA block."""
         self.per_mass = 1.0 / m.mass
         self.slots, self.row_length = m.slots, m.row_length
+        adjacent = slice(int(m.slots[0]), int(m.slots[0]) + n)
+        self.columns = adjacent if m.slots[-1] < adjacent.stop else m.slots
+        """As an index of rows: a slice where there are no gaps, which is faster."""
         self.paths = HostPaths(self.stacked)
         self.device_paths = paths_on(s.device, self.stacked, self.real)
         self.closed = np.zeros((W, G), dtype=int)
@@ -100,7 +103,6 @@ class ThinEngine(Engine):
         self.state = self.zeros((W, m.state_rows, self.row_length))
         self.now = np.full(W, s.start_time)
         """[W] time of the state [s]."""
-        self.used = False
         self.last_dt = np.zeros(W)
         """[W] length of the last step [s]; 0 where velocities are those at the current time."""
         x = self.first_positions(n)
@@ -132,19 +134,14 @@ class ThinEngine(Engine):
             state[:, Q, self.slots[:-1]] = np.swapaxes(self.model.directions(different), 1, 2)
         return state
 
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Parameters of the model."""
-        own = ("membrane",) * any(m.membrane is not None for m in self.setting.materials)
-        return ("E", "nu", "density", "thickness", *own, *self.model.woven)
-
     # ---- state -----------------------------------------------------------------------------------
 
     def rows(self, values: Array) -> Array:
         """Arrange values [..., n] in rows [..., P]."""
-        rows = np.zeros((*values.shape[:-1], self.row_length))
-        rows[..., self.slots] = values
-        return rows
+        some = values[:1] if values.strides[0] == 0 else values  # the same in all
+        rows = np.zeros((*some.shape[:-1], self.row_length))
+        rows[..., self.columns] = some
+        return np.broadcast_to(rows, (*values.shape[:-1], self.row_length))
 
     def component(self, which: slice, rows: Any = None) -> Array:
         """Components [W, n, k] of the state, or of other rows."""
@@ -152,7 +149,7 @@ class ThinEngine(Engine):
 
     def pick(self, which: slice, rows: Array) -> Array:
         """Components [k, n, .] of rows [k, ., P]."""
-        return np.swapaxes(rows[:, which][..., self.slots], 1, 2).astype(float)
+        return np.swapaxes(rows[:, which][..., self.columns], 1, 2).astype(float)
 
     def positions(self) -> Array:
         """Positions of points, [W, n, 3] [m]."""
@@ -309,24 +306,13 @@ class ThinEngine(Engine):
                 w, float(plan.time(w, s)), f"more than {PAIRS} pairs a point are about to meet",
                 where="contact of the body with itself", fix="fewer points, or a thinner body",
             )  # fmt: skip
-        x, most = self.state.numpy()[w, :3], model.farthest.numpy()[w]
-        for pair, ends, far2 in zip(pairs_of(self.holds), model.ends.numpy()[w], most, strict=True):
-            far = float(np.linalg.norm(x[:, ends[1]] - x[:, ends[0]]))
-            if far**2 >= (1.0 - 1e-6) * far2:  # as the kernel has rounded it
-                return error(
-                    w, time,
-                    f"grippers {pair[0]} and {pair[1]} pull the body apart: what they hold is "
-                    f"{far:.4g} m apart, {100 * STRETCH:.0f} % more than the body between it is "
-                    "long",
-                    where="grippers",
-                    fix="paths that stay closer together, or a gripper that opens before",
-                )  # fmt: skip
         return error(
             w, time,
             f"the body is stretched or compressed by more than {100 * STRETCH:.0f} % in the "
             f"mean, or somewhere by more than {100 * LOCAL_STRETCH:.0f} %",
             where=f"substep {plan.dt[w, s]:.3g} s",
-            fix="slower grippers, obstacles or velocities, or a smaller substep",
+            fix="slower grippers, obstacles or velocities, a smaller substep, or hands that stay "
+            "closer together",
         )  # fmt: skip
 
     # ---- grippers --------------------------------------------------------------------------------
@@ -346,22 +332,21 @@ class ThinEngine(Engine):
         return events
 
     def _close(self, g: int, worlds: NDArray[np.int64], now: Array) -> Event:
-        state, radius = self.state.numpy()[worlds], self.stacked["radius"][worlds, g]
-        pose, holds = self.paths.pose(g, worlds, now), self.holds[worlds]
-        given = (state, holds, radius, *vars(pose).values())
+        state, pose = self.state.numpy()[worlds], self.paths.pose(g, worlds, now)
+        x, radius = self.pick(X, state), self.stacked["radius"][worlds, g]
+        q = self.pick(Q, state)[:, :-1] if self.model.directed else x
+        given = (x, q, self.holds[worlds], radius, *vars(pose).values())
         # worlds that begin alike hold alike
-        first = slice(0, 1 if all((values == values[:1]).all() for values in given) else None)
-        x, of = self.pick(X, state[first]), Pose(*(values[first] for values in vars(pose).values()))
-        q = self.pick(Q, state[first])[:, :-1] if self.model.directed else None
-        taken = np.bitwise_or.reduce(holds[first], axis=1)
-        held = self.model.held(x, of.centre, radius[first], taken)
-        grip = close(x, q, of, radius[first], held, self.model.lines)
-        if len(x) < len(worlds):
-            grip = grip.repeated(len(worlds))
+        alike = all((values == values[:1]).all() for values in given)
+        x1, q1, holds1, radius1, *of = (a[:1] if alike else a for a in given)
+        held = self.model.held(x1, of[0], radius1, np.bitwise_or.reduce(holds1, axis=1))
+        q1 = q1 if self.model.directed else None
+        grip = close(x1, q1, Pose(*of), radius1, held, self.model.lines)
+        grip = grip.repeated(len(worlds), self.model.lines) if alike else grip
         self.closed[worlds, g] = 1
         for k in np.flatnonzero(~grip.holds.any(axis=1)).tolist():
             w, centre = int(worlds[k]), pose.centre[k]
-            far = np.linalg.norm(self.pick(X, state[k : k + 1])[0] - centre, axis=1).min()
+            far = np.linalg.norm(x[k] - centre, axis=1).min()
             self.failures[w] = self.setting.error(
                 w,
                 float(now[k]),
@@ -375,7 +360,7 @@ class ThinEngine(Engine):
         rows = worlds * self.closed.shape[1] + g
         put(self.device_model.place, rows, self.rows(grip.place))
         self.hold(worlds)
-        return Event(g, True, worlds, now, pose, grip, self.pick(X, state))
+        return Event(g, True, worlds, now, pose, grip, x)
 
     def _open(self, g: int, worlds: NDArray[np.int64], now: Array) -> Event:
         rows = self.state.numpy()[worlds]
@@ -393,43 +378,17 @@ class ThinEngine(Engine):
         self.hold(worlds)
         return Event(g, False, worlds, now, pose, grip, x)
 
-    def held_by(self, group: slice) -> tuple[Array, Array, Array]:
-        """Copies of what grippers hold in a group of worlds, see ``Grip``: ``holds`` [k, G, n],
-        ``stiffer`` [k, G, M, n] and ``place`` [k G, 7, P]."""
-        G = self.closed.shape[1]
-        place = self.device_model.place.numpy()[group.start * G : group.stop * G]
-        return self.holds[group].copy(), self.stiffer[group].copy(), place.copy()
-
-    def hold_again(self, group: slice, held: tuple[Array, Array, Array]) -> None:
-        """Let grippers hold what they held."""
-        G = self.closed.shape[1]
-        self.holds[group], self.stiffer[group], place = held
-        put(self.device_model.place, slice(group.start * G, group.stop * G), place)
-        self.hold(np.arange(group.start, group.stop))
-
     def hold(self, worlds: NDArray[np.int64]) -> None:
-        """Copy the held points of worlds [k] to the kernels' model."""
+        """Copy what worlds [k] hold, and the stiffness at its borders, to the kernels' model."""
         model = self.device_model
         put(model.holds, worlds, self.holds[worlds])
-        if self.closed.shape[1] > 1:
-            ends, most = between(self.holds[worlds], self.model.flat, self.slots)
-            put(model.ends, worlds, ends)
-            put(model.farthest, worlds, most**2)
-        self.stiffen(worlds)
+        m, inertia = self.model, model.inertia.numpy()[worlds]
+        borders = m.at_borders(worlds, self.stiffer[worlds].prod(axis=1))
+        inertia[:, m.border_rows] = self.rows(borders)
+        put(model.inertia, worlds, inertia)
         if self.setting.self_contact:
-            put(model.loose, worlds, self.rows(self._loose(worlds)))
-
-    def stiffen(self, worlds: NDArray[np.int64]) -> None:
-        """Copy the stiffness at the borders of grippers to the kernels' model."""
-        m, inertia = self.model, self.device_model.inertia.numpy()[worlds]
-        rows = np.array(m.border_rows)[:, None]
-        inertia[:, rows, self.slots] = m.at_borders(worlds, self.stiffer[worlds].prod(axis=1))
-        put(self.device_model.inertia, worlds, inertia)
-
-    def _loose(self, worlds: NDArray[np.int64]) -> Array:
-        """Inverse masses of points of worlds [k], 0 for held ones, [k, 1, n] [1/kg]."""
-        free = 1.0 - np.any(self.holds[worlds] & 1, axis=1)
-        return (self.per_mass[worlds] * free)[:, None]
+            free = 1.0 - np.any(self.holds[worlds] & 1, axis=1)
+            put(model.loose, worlds, self.rows((self.per_mass[worlds] * free)[:, None]))
 
     def gripper_forces(self) -> Array:
         """Forces of the body on grippers, [W, G, 3] [N]: momentum that held points would gain in a
@@ -471,9 +430,8 @@ class ThinEngine(Engine):
         friction = s.table.friction if s.table is not None else 0.0
         radius = s.body.thickness / 2.0
         check_thick(s.obstacles, radius, m.widest)
-        ends, most = between(self.holds, m.flat, self.slots)
         of_points = {
-            "loose": self._loose(np.arange(W * int(s.self_contact))),
+            "loose": self.per_mass[: W * int(s.self_contact), None],
             **m.arrays(s, self.air_density), **contact_arrays(s, n, m.widest),
         }  # fmt: skip
         for name, value in of_points.items():
@@ -482,7 +440,7 @@ class ThinEngine(Engine):
         made = self.filled(
             self.types.ThinModel, points=n, radius=radius, table=int(s.table is not None),
             slot=self.slots, gravity=spread(s.gravity, (W, 3), "gravity"), holds=self.holds,
-            ends=ends, farthest=most, obstacles=numbers_of_obstacles(s.obstacles),
+            obstacles=numbers_of_obstacles(s.obstacles),
             damping=[material.damping for material in s.materials],
             velocity_damping=spread(s.velocity_damping, (W,), "velocity_damping"),
             friction=spread(friction, (W,), "friction"), **of_points,

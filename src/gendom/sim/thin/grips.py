@@ -11,11 +11,9 @@ Shapes: W worlds, n points.
 """
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 from gendom.arrays import Array
 from gendom.sim.paths import Pose
@@ -23,8 +21,7 @@ from gendom.sim.thin import rotation
 from gendom.sim.thin.types import Lines
 
 STRETCH = 0.2
-"""Largest mean stretch or compression of a body, and stretch of what two grippers have between
-them."""
+"""Largest mean stretch or compression of a body."""
 
 LOCAL_STRETCH = 1.0
 """Largest momentary stretch of one edge: a soft rope that cracks like a whip stretches by 25 %."""
@@ -32,19 +29,18 @@ LOCAL_STRETCH = 1.0
 
 @dataclass
 class BorderCut:
-    """Intersections of spheres with lines of points between held and free edges."""
+    """Intersections [c] of spheres with lines of points between held and free edges."""
 
-    stiffer: Array
-    """[L, n] factor on the stiffness of joints."""
-    between: Array
-    """[L, n, 2] the two points on either side of a joint's cut, -1 where there is no cut."""
+    line: NDArray[np.int64]
+    """Of all worlds, one after another."""
+    between: NDArray[np.int64]
+    """[c, 2] the two points on either side of the cut."""
     share: Array
-    """[L, n] position of the cut from the first (0) to the second point (1)."""
-    next: Array
-    """[L, n] the joint that shares a joint's free length, or itself."""
-    free: Array
-    """[L, n, 2] derivatives of the lengths represented by the joint and by the next with respect to
-    ``share`` [m]."""
+    """Position of the cut from the first (0) to the second point (1)."""
+    joints: NDArray[np.int64]
+    """[c, 2] the joint there and the one that shares its free length, or itself again."""
+    slopes: Array
+    """[c, 2] derivatives of these joints' factors on the stiffness by ``share``."""
 
 
 @dataclass
@@ -59,13 +55,19 @@ class Grip:
     """[W, M, n] factor on the stiffness of joints at its border, along each of the body's lines."""
     cuts: list[BorderCut]
 
-    def repeated(self, worlds: int) -> "Grip":
+    def repeated(self, worlds: int, every: list[Lines]) -> "Grip":
         """This grip of one world in many."""
 
         def many(values: Array) -> Array:
-            return np.tile(values, (worlds, *[1] * (values.ndim - 1)))
+            return np.broadcast_to(values, (worlds, *values.shape[1:]))
 
-        cuts = [BorderCut(*map(many, vars(c).values())) for c in self.cuts]
+        cuts = []
+        for cut, lines in zip(self.cuts, every, strict=True):
+            again = BorderCut(
+                *(np.tile(a, (worlds, *[1] * (a.ndim - 1))) for a in vars(cut).values())
+            )
+            again.line += np.repeat(np.arange(worlds) * len(lines.index), len(cut.line))
+            cuts.append(again)
         return Grip(many(self.holds), many(self.place), many(self.stiffer), cuts)
 
 
@@ -92,13 +94,14 @@ def close(
     place[:, :3] = np.swapaxes(rotation.turned(back, x - pose.centre[:, None]), 1, 2)
     if q is not None:
         place[:, 3:, :-1] = np.swapaxes(rotation.product(np.broadcast_to(back, q.shape), q), 1, 2)
-    cuts = []
+    cuts, stiffer = [], []
     for lines in every:
         held, many = lines.of(holds), len(lines.index)
         inside = (held[:, :-1] & (held[:, 1:] if q is None else 2)) > 0
         centre, radii = np.repeat(pose.centre, many, axis=0), np.repeat(radius, many)
-        cuts.append(_cut(lines.of(x), centre, radii, lines, inside))
-    stiffer = [lines.points(cut.stiffer) for lines, cut in zip(every, cuts, strict=True)]
+        found, cut = _cut(lines.of(x), centre, radii, lines, inside)
+        stiffer.append(lines.points(found))
+        cuts.append(cut)
     return Grip(holds, place, np.stack(stiffer, axis=1), cuts)
 
 
@@ -107,9 +110,9 @@ def close(
 
 def _cut(
     x: Array, centre: Array, radius: Array, lines: Lines, inside: NDArray[np.bool_]
-) -> BorderCut:
+) -> tuple[Array, BorderCut]:
     """Cut lines of points [L, n, 3] with spheres [L] between held edges, which are ``inside``
-    [L, n - 1], and free ones."""
+    [L, n - 1], and free ones; returns also the factors [L, n] on the stiffness of joints."""
     L, n = x.shape[:2]
     length, exist = lines.length, np.tile(lines.exist, (L // len(lines.index), 1))
     borders = inside[:, :-1] != inside[:, 1:]
@@ -141,21 +144,15 @@ def _cut(
     first, second = _divided(edge, beyond_outer, border, least)
     moved = _divided(edge, beyond_outer, border + 1j * h, least)  # complex step
     by_border = np.stack([np.imag(of) / h for of in moved], axis=1)
-    cut = BorderCut(
-        stiffer=np.ones((L, n)),
-        between=np.full((L, n, 2), -1),
-        share=np.zeros((L, n)),
-        next=np.tile(np.arange(n), (L, 1)),
-        free=np.zeros((L, n, 2)),
-    )
-    cut.stiffer[w, i] = own / first
-    cut.between[w, i] = np.stack([np.where(far, i, inner), np.where(far, outer, i)], axis=1)
-    cut.share[w, i] = share
-    cut.next[w, i] = np.where(shared, outer, i)
-    cut.free[w, i] = by_border * step[:, None]
-    own = 0.5 * (edge + beyond_outer)[shared]
-    cut.stiffer[w[shared], outer[shared]] = own / second[shared]
-    return cut
+    stiffer, beside = np.ones((L, n)), 0.5 * (edge + beyond_outer)
+    stiffer[w, i] = own / first
+    stiffer[w[shared], outer[shared]] = (beside / np.where(shared, second, 1.0))[shared]
+    slopes = -by_border * step[:, None] * np.stack(
+        [stiffer[w, i] ** 2 / own, np.where(shared, stiffer[w, outer] ** 2 / beside, 0.0)], axis=1
+    )  # fmt: skip
+    ends = np.stack([np.where(far, i, inner), np.where(far, outer, i)], axis=1)
+    joints = np.stack([i, np.where(shared, outer, i)], axis=1)
+    return stiffer, BorderCut(w, ends, share, joints, slopes)
 
 
 def _divided(edge: Array, beyond: Array, border: Array, least: Array) -> tuple[Array, Array]:
@@ -202,7 +199,7 @@ def border_adjoint(
     x_bar, centre_bar, radius_bar = np.zeros_like(x), np.zeros((W, 3)), np.zeros(W)
     for k, (lines, cut) in enumerate(zip(every, grip.cuts, strict=True)):
         centre, bar = np.repeat(pose.centre, len(lines.index), axis=0), lines.of(stiffer_bar[:, k])
-        by_x, by_centre, by_radius = _cut_adjoint(cut, lines.of(x), centre, lines.length, bar)
+        by_x, by_centre, by_radius = _cut_adjoint(cut, lines.of(x), centre, bar)
         x_bar += lines.points(by_x)
         centre_bar += by_centre.reshape(W, -1, 3).sum(axis=1)
         radius_bar += by_radius.reshape(W, -1).sum(axis=1)
@@ -210,18 +207,13 @@ def border_adjoint(
 
 
 def _cut_adjoint(
-    cut: BorderCut, x: Array, centre: Array, length: Array, stiffer_bar: Array
+    cut: BorderCut, x: Array, centre: Array, stiffer_bar: Array
 ) -> tuple[Array, Array, Array]:
     """Transpose of ``_cut``: derivatives by points [L, n, 3], centres [L, 3], and radii [L]."""
-    w, i = np.nonzero(cut.between[..., 0] >= 0)
-    (first, second), share = cut.between[w, i].T, cut.share[w, i, None]
+    w, (first, second), share = cut.line, cut.between.T, cut.share[:, None]
     step = x[w, second] - x[w, first]
     out = x[w, first] + share * step - centre[w]
-    by_share = np.zeros(len(w))
-    for k, joint in enumerate((i, cut.next[w, i])):
-        own = 0.5 * (length[joint - 1] + length[np.minimum(joint, len(length) - 1)])
-        by_own = -(cut.stiffer[w, joint] ** 2) / own * stiffer_bar[w, joint]
-        by_share += cut.free[w, i, k] * by_own
+    by_share = np.sum(cut.slopes * stiffer_bar[w[:, None], cut.joints], axis=1)
     moved = (by_share / np.sum(out * step, axis=1))[:, None] * out
     x_bar, centre_bar, radius_bar = np.zeros_like(x), np.zeros_like(centre), np.zeros(len(x))
     np.add.at(x_bar, (w, first), -(1.0 - share) * moved)
@@ -276,30 +268,3 @@ def released_adjoint(
     turned = np.cross(x - pose.centre[:, None], v_bar).sum(axis=1) + spin_bar.sum(axis=1)
     none = np.zeros_like(pose.centre)
     return x_bar, Pose(-x_bar.sum(axis=1), none, v_bar.sum(axis=1), turned)
-
-
-def pairs_of(holds: Array) -> list[tuple[int, int]]:
-    """Pairs of grippers that hold as ``holds`` [W, G, n]."""
-    return list(combinations(range(holds.shape[1]), 2))
-
-
-def between(holds: Array, flat: Array | None, slots: Array) -> tuple[Array, Array]:
-    """Of W worlds and pairs of grippers [p]: the slots [W, p, 2] of the two points that have least
-    of the body at rest between them, and how far apart they may be [W, p] [m]; infinite where one
-    holds nothing, or the body has holes and notches and thus no ``flat`` [n, .] places at rest."""
-    held, pairs = holds & 1, pairs_of(holds)
-    ends = np.zeros((len(held), len(pairs), 2), dtype=np.int32)
-    most = np.full((len(held), len(pairs)), np.inf)
-    if flat is None:
-        return ends, most
-    for p, pair in enumerate(pairs):
-        alike: dict[bytes, list[int]] = {}  # the few ways of holding
-        for k in np.flatnonzero(np.all(held[:, pair].any(axis=2), axis=1)).tolist():
-            alike.setdefault(held[k, pair].tobytes(), []).append(k)
-        for some in alike.values():
-            i, j = map(np.flatnonzero, held[some[0], pair])
-            far = cdist(flat[i], flat[j])
-            a, b = np.unravel_index(far.argmin(), far.shape)
-            ends[some, p] = slots[[i[a], j[b]]]
-            most[some, p] = (1.0 + STRETCH) * far[a, b]
-    return ends, most

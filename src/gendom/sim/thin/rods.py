@@ -139,11 +139,6 @@ class RodModel:
         exist = np.ones((1, n - 1), dtype=bool)
         return [Lines(np.arange(n)[None], self.length, exist, SHORTEST)]
 
-    @property
-    def flat(self) -> Array:
-        """[n, 1] places along the rod [m]."""
-        return np.concatenate([[0.0], np.cumsum(self.length)])[:, None]
-
     def share_bar(self, stiffness_bar: Array) -> Array:
         """Derivatives by E at each point over its material's [W, n], given those by ``stiffness``
         [W, 6, n]."""

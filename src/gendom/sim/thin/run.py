@@ -145,15 +145,9 @@ def put(array: wp.array, rows: slice | NDArray[np.int64], values: Array) -> None
     """
     if wp.get_device(array.device).is_cpu:
         array.numpy()[rows] = values  # the array's own memory
-    elif isinstance(rows, slice):
-        if rows.stop > rows.start and values.size:
-            sent = wp.array(np.ascontiguousarray(values), dtype=array.dtype, device="cpu")
-            wp.copy(
-                array, sent, dest_offset=rows.start * (array.size // len(array)), count=sent.size
-            )
-    else:
-        every = np.asarray(values)
-        if not np.array_equal(rows, np.arange(len(array))):
+    elif array.size:
+        every, whole = np.asarray(values), np.arange(len(array))
+        if not np.array_equal(whole[rows], whole):
             every = array.numpy()
             every[rows] = values
         array.assign(np.ascontiguousarray(every))

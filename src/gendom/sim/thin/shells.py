@@ -148,13 +148,6 @@ class ShellModel:
             Lines(number.T, np.full(rows - 1, ly), has[1].T[:, :-1], SHORTEST),
         ]
 
-    @property
-    def flat(self) -> Array | None:
-        """[n, 2] places in the plane [m]; None: there are holes and notches between them."""
-        if self.cut is not None:
-            return None
-        return np.stack(np.unravel_index(self.at, self.shape)[::-1], axis=1) * self.spacing
-
     def on_lattice(self, values: Array, fill: float = 0.0) -> Array:
         """Values of points [W, n, ...] on the whole lattice, [W, rows, columns, ...]."""
         (ny, nx), more = self.shape, values.shape[2:]

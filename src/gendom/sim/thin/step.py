@@ -184,31 +184,6 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         native.block_sync()
         native.move(model, w, state, w, w + state.shape[0] // 2, dt, dt)
 
-    @wp.func
-    def keep(
-        model: ThinModel, w: int, thread: int, threads: int, state: rows, row: int, kept: rows,
-        to: int,
-    ):  # fmt: skip
-        """Keep a state, and what its list of pairs was made from if there is room for that."""
-        for c in range(state.shape[1]):
-            for i in range(thread, state.shape[2], threads):
-                kept[to, c, i] = state[row, c, i]
-        if kept.shape[1] > state.shape[1]:
-            native.keep_list(model, w, kept, to, state.shape[1])
-
-    @wp.func
-    def are_far(model: ThinModel, w: int, state: rows, row: int):
-        """Whether two grippers have what they hold too far apart."""
-        found = bool(False)
-        for p in range(model.farthest.shape[1]):
-            far2 = real(0.0)
-            for c in range(3):
-                d = state[row, c, model.ends[w, p, 1]] - state[row, c, model.ends[w, p, 0]]
-                far2 += d * d
-            if far2 > model.farthest[w, p]:
-                found = True
-        return found
-
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def advance(
         first: int,  # world
@@ -237,8 +212,12 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         row = w - offset
         for p in range(piece[w, 0], piece[w, 1]):
             if stopped[w] < 0:
-                if every >= 0:
-                    keep(model, w, thread, threads, state, row, kept, w + p * every)
+                if every >= 0:  # with what the list of pairs was made from, if there is room
+                    for c in range(state.shape[1]):
+                        for i in range(thread, state.shape[2], threads):
+                            kept[w + p * every, c, i] = state[row, c, i]
+                    if kept.shape[1] > state.shape[1]:
+                        native.keep_list(model, w, kept, w + p * every, state.shape[1])
                 if model.contact * stride > 0:
                     native.rebuild_lists(model, w, state, row, state.shape[1] - LISTED, real(0.0))
                 began = plan.begins[w, p]
@@ -261,9 +240,6 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
                             bad = 1
                         if native.block_any(bad) != 0:
                             break
-                    if are_far(model, w, state, row):
-                        bad = 1
-                        break
                 if not native.mean_stretch(model, state, row) <= mean_limit:
                     bad = 1
                 if model.contact == 1:  # noqa: SIM102 - Warp evaluates both sides of `and`

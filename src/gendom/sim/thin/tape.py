@@ -30,7 +30,8 @@ class ThinTape:
 
     def __init__(self, engine: ThinEngine):
         self.engine = engine
-        self.rounds: list[tuple[slice, Round, tuple]] = []
+        self.rounds: list[tuple[slice, Round, Array, Array]] = []
+        """Groups of worlds, their rounds, and what grippers hold in them."""
         engine.load("reverse", "begin_adjoint")
 
     def forward(self, times: Array, began: float) -> Array:
@@ -45,12 +46,12 @@ class ThinTape:
         pieces = e.schedule(frames, self.most).steps.shape[1]
         self.rows = e.model.state_rows + LISTED * e.device_model.contact
         self.kept = e.zeros((pieces * W, self.rows, e.row_length))
-        self.plan = e.run(
-            frames,
-            after=lambda group, round: self.rounds.append((group, round, e.held_by(group))),
-            most_steps=self.most,
-            kept=self.kept,
-        )
+
+        def keep(group: slice, round: Round) -> None:
+            held = e.holds[group].copy(), e.stiffer[group].copy()
+            self.rounds.append((group, round, *held))
+
+        self.plan = e.run(frames, after=keep, most_steps=self.most, kept=self.kept)
         return x
 
     def backward(self, bar: Array) -> Gradients:
@@ -67,9 +68,14 @@ class ThinTape:
         self.stiffer_bar = np.zeros(e.stiffer.shape)
 
         def reverse(group: slice) -> None:
-            for of, round, held in reversed(self.rounds):
+            for of, round, *held in reversed(self.rounds):
                 if of == group:
-                    self._reverse_round(group, round, held)
+                    e.holds[group], e.stiffer[group] = held  # places are as they closed on them
+                    e.hold(np.arange(group.start, group.stop))
+                    self._reverse_steps(group, round)
+                    self._take_model(group)
+                    for event in reversed(round.events):
+                        self._reverse_event(group, event)
             self._reverse_begin(group)
 
         e.in_threads(reverse, e.groups())
@@ -85,13 +91,6 @@ class ThinTape:
         )  # fmt: skip
 
     # ---- one group of worlds ---------------------------------------------------------------------
-
-    def _reverse_round(self, group: slice, round: Round, held: tuple) -> None:
-        self.engine.hold_again(group, held)
-        self._reverse_steps(group, round)
-        self._take_model(group)
-        for event in reversed(round.events):
-            self._reverse_event(group, event)
 
     def _reverse_steps(self, group: slice, round: Round) -> None:
         """Transpose the steps of a group's round."""
@@ -190,6 +189,8 @@ class ThinTape:
         first = self.adjoint.state.numpy()[..., e.slots].astype(float)
         x, v = e.component(types.X, self.first), e.component(types.V, self.first)
         x_bar, v_bar = e.model.by_start(x, v, np.swapaxes(first, 1, 2))
+        own = ("membrane",) * any(m.membrane is not None for m in e.setting.materials)
+        parameters = ("E", "nu", "density", "thickness", *own, *e.model.woven)
         return Gradients(
             stiffness=e.model.share_bar(m[:, : e.device_model.stiffness.shape[1]]),
             damping=m[:, types.DAMPING].sum(axis=1),
@@ -204,7 +205,7 @@ class ThinTape:
             gripper_positions=self.adjoint.position.numpy() + self.host.position_bar,
             gripper_rotations=self.adjoint.path_turn.numpy() + self.host.turn_bar,
             gripper_radius=self.radius_bar,
-            **{name: self._by_parameter(name) for name in e.parameters},
+            **{name: self._by_parameter(name) for name in parameters},
         )
 
     def _by_parameter(self, name: str) -> Array:

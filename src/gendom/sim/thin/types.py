@@ -135,9 +135,6 @@ def make_types(real: Any) -> SimpleNamespace:
         obstacle_paths: Paths
         holds: wp.array3d(dtype=wp.int32)  # [W, G, n] 1: a point is held, 2: an edge's direction is
         place: wp.array3d(dtype=real)  # [W G, 7, P] of those, in the gripper's frame
-        # of each pair of grippers
-        ends: wp.array3d(dtype=wp.int32)  # [W, G (G - 1) / 2, 2] slots of two points
-        farthest: wp.array2d(dtype=real)  # and how far apart they may be, squared [m^2]
         # contact with itself
         contact: int
         contact_distance: real  # between centre lines or middle surfaces [m]

@@ -16,8 +16,10 @@
 // What is handed around by value must stay in registers.
 #if defined(__CUDA_ARCH__)
 #define GENDOM_INLINE __device__ __forceinline__
+constexpr bool on_cuda = true;
 #else
 #define GENDOM_INLINE inline
+constexpr bool on_cuda = false;
 #endif
 
 namespace gendom {
@@ -29,6 +31,10 @@ template <int rows, typename real> using sums = wp::mat_t<rows, 4, real>;
 using lowest_node = wp::vec_t<3, int>;
 
 #if defined(__CUDA_ARCH__)
+template <typename real> using four = vec4<real>;
+template <typename V> GENDOM_INLINE V times(const V& a, const V& b) { return wp::cw_mul(a, b); }
+template <typename real> GENDOM_INLINE four<real> row_of(const real* a) { return {a[0], a[1], a[2], a[3]}; }
+
 // whole values, whose alignment the compiler does not see
 GENDOM_INLINE vec4<float> load(const vec4<float>* node) {
     const float4 h = *(const float4*)node;
@@ -54,9 +60,24 @@ GENDOM_INLINE void add(vec4<float>* node, const vec4<float>& h) {
 }
 GENDOM_INLINE void add(vec4<double>* node, const vec4<double>& h) { wp::atomic_add(node, h); }
 #else
-template <typename real> inline vec4<real> load(const vec4<real>* node) { return *node; }
-template <typename real> inline void store(vec4<real>* node, const vec4<real>& h) { *node = h; }
-template <typename real> inline void add(vec4<real>* node, const vec4<real>& h) { *node = *node + h; }
+template <typename real> struct register_of;
+template <> struct register_of<float> {
+    typedef float four __attribute__((ext_vector_type(4)));
+    typedef four anywhere __attribute__((aligned(4)));  // in memory
+};
+template <> struct register_of<double> {
+    typedef double four __attribute__((ext_vector_type(4)));
+    typedef four anywhere __attribute__((aligned(8)));
+};
+template <typename real> using four = typename register_of<real>::four;
+template <typename real> inline auto& at_address(const real* a) {
+    return *(typename register_of<real>::anywhere*)a;
+}
+template <typename V> inline V times(const V& a, const V& b) { return a * b; }
+template <typename real> inline four<real> row_of(const real* a) { return at_address(a); }
+template <typename real> inline four<real> load(const vec4<real>* node) { return at_address(node->c); }
+template <typename real> inline void store(vec4<real>* node, const four<real>& h) { at_address(node->c) = h; }
+template <typename real> inline void add(vec4<real>* node, const four<real>& h) { at_address(node->c) += h; }
 #endif
 
 // Velocity and mass of the nodes, a share `keep` of momentum / mass; without mass 0. Empties the
@@ -66,22 +87,19 @@ GENDOM_INLINE void normalise(const nodes_of<real>& momentum, int row, const node
                              int row_out, int thread, int threads, int count, real keep, int empty) {
     vec4<real>* nodes = &wp::index(momentum, row, 0);
     vec4<real>* u = &wp::index(velocity, row_out, 0);
-    vec4<real> next = thread < count ? load(nodes + thread) : vec4<real>();
     for (int n = thread; n < count; n += threads) {
-        const vec4<real> q = next;
-        // on its way while this one is updated
-        if (n + threads < count) next = load(nodes + n + threads);
+        const four<real> q = gendom::load(nodes + n);
         const bool full = q[3] > real(0);
-        if (full && empty) store(nodes + n, vec4<real>());
+        if (full && empty) store(nodes + n, four<real>{});
         const real share = full ? keep / q[3] : real(0);
-        store(u + n, vec4<real>(share * q[0], share * q[1], share * q[2], q[3]));
+        store(u + n, four<real>{share * q[0], share * q[1], share * q[2], q[3]});
     }
 }
 
 template <typename real>
 GENDOM_INLINE void clear(const nodes_of<real>& grid, int row, int thread, int threads, int count) {
     vec4<real>* nodes = &wp::index(grid, row, 0);
-    for (int n = thread; n < count; n += threads) store(nodes + n, vec4<real>());
+    for (int n = thread; n < count; n += threads) store(nodes + n, four<real>{});
 }
 
 // Transpose of `normalise`: derivatives by momentum and mass in place of those by velocity; returns
@@ -94,167 +112,25 @@ GENDOM_INLINE double normalise_adjoint(const nodes_of<real>& momentum, int row,
     vec4<real>* by = &wp::index(adjoint, row_out, 0);
     double by_keep = 0.0;
     for (int n = thread; n < count; n += threads) {
-        const vec4<real> q = load(nodes + n), u = load(by + n);
+        const four<real> q = gendom::load(nodes + n), u = gendom::load(by + n);
         const bool full = q[3] > real(0);
         const real share = full ? keep / q[3] : real(0);
         const real along = full ? (u[0] * q[0] + u[1] * q[1] + u[2] * q[2]) / q[3] : real(0);
         by_keep += along;
-        store(by + n, vec4<real>(share * u[0], share * u[1], share * u[2], -share * along));
+        store(by + n, four<real>{share * u[0], share * u[1], share * u[2], -share * along});
     }
     return by_keep;
 }
 
-#if !defined(__CUDA_ARCH__)
-// On the CPU two nodes of a column fill a register; what all nodes of a plane share is multiplied
-// once.
-
-template <typename real> struct simd;
-template <> struct simd<float> {
-    typedef float four __attribute__((ext_vector_type(4), aligned(4)));
-    typedef float pair __attribute__((ext_vector_type(8), aligned(4)));
-};
-template <> struct simd<double> {
-    typedef double four __attribute__((ext_vector_type(4), aligned(8)));
-    typedef double pair __attribute__((ext_vector_type(8), aligned(8)));
-};
-
-template <typename real> struct stencil {
-    typedef typename simd<real>::four four;
-    typedef typename simd<real>::pair pair;
-
-    four w[3], s[3];  // weights and slopes, by axes
-    const int* first;  // columns are contiguous along y
+// Where the columns of nodes around a particle begin; they are contiguous along y.
+struct columns_at {
+    const int* first;
     int pitch;
 
-    stencil(const wp::array_t<int>& start, int layout, const lowest_node& node, const vec3<real>& f) {
-        const four place = {f[0], f[1], f[2], real(0)};
-        const four below = real(1.5) - place, middle = place - real(1), above = place - real(0.5);
-        w[0] = real(0.5) * below * below;
-        w[1] = real(0.75) - middle * middle;
-        w[2] = real(0.5) * above * above;
-        s[0] = -below;
-        s[1] = real(-2) * middle;
-        s[2] = above;
-        first = &wp::index(start, layout, node[0], node[1]);
-        pitch = start.strides[1] / sizeof(int);
-    }
-    static pair join(four a, four b) { return __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7); }
-    static four fold(pair a) { return a.lo + a.hi; }
-    static four load(const real* a) { return *(const four*)a; }
-    pair wz01() const { return join(w[0].zzzz, w[1].zzzz); }
-    pair sz01() const { return join(s[0].zzzz, s[1].zzzz); }
-
-    // Add (q + i x + j y) w_i w_j to nine columns, from the node that h points to in each.
-    template <typename part> void spread(part q, part x, part y, real* h) const {
-        typedef part loose __attribute__((aligned(sizeof(real))));
-        #pragma unroll
-        for (int i = 0; i < 3; ++i) {
-            const part here = i == 0 ? q : i == 1 ? q + x : q + x + x;
-            const part b = here * w[i].x, c = y * w[i].x;
-            const int* column = first + i * pitch;
-            *(loose*)(h + 4 * column[0]) += b * w[0].y;
-            *(loose*)(h + 4 * column[1]) += (b + c) * w[1].y;
-            *(loose*)(h + 4 * column[2]) += (b + c + c) * w[2].y;
-        }
-    }
-
-    template <typename part> struct sums_of_planes { part v, cx, cy, dx, dy, all; };
-
-    // Sums over nine columns of h, i h and j h; with slopes also the derivatives by the place of sums
-    // with q, x, y.
-    template <bool sloped, typename part>
-    sums_of_planes<part> collect(part q, part x, part y, const real* h) const {
-        typedef part loose __attribute__((aligned(sizeof(real))));
-        sums_of_planes<part> sum;
-        #pragma unroll
-        for (int i = 0; i < 3; ++i) {
-            const int* column = first + i * pitch;
-            const part h0 = *(const loose*)(h + 4 * column[0]);
-            const part h1 = *(const loose*)(h + 4 * column[1]);
-            const part h2 = *(const loose*)(h + 4 * column[2]);
-            const part u1 = h1 * w[1].y, u2 = h2 * w[2].y;
-            const part u = h0 * w[0].y + u1 + u2, j = u1 + u2 + u2;
-            const part uw = u * w[i].x;
-            sum.v = i == 0 ? uw : sum.v + uw;
-            sum.cx = i == 0 ? uw - uw : i == 1 ? uw : sum.cx + uw + uw;
-            sum.cy = i == 0 ? j * w[0].x : sum.cy + j * w[i].x;
-            if constexpr (sloped) {
-                const part t1 = h1 * s[1].y, t2 = h2 * s[2].y;
-                const part t = h0 * s[0].y + t1 + t2, tj = t1 + t2 + t2;
-                const part here = i == 0 ? q : i == 1 ? q + x : q + x + x;
-                const part e = u * here + j * y, f = t * here + tj * y;
-                sum.dx = i == 0 ? e * s[0].x : sum.dx + e * s[i].x;
-                sum.dy = i == 0 ? f * w[0].x : sum.dy + f * w[i].x;
-                sum.all = i == 0 ? e * w[0].x : sum.all + e * w[i].x;
-            }
-        }
-        return sum;
-    }
+    GENDOM_INLINE columns_at(const wp::array_t<int>& start, int layout, const lowest_node& node)
+        : first(&wp::index(start, layout, node[0], node[1])), pitch(start.strides[1] / sizeof(int)) {}
+    GENDOM_INLINE int operator()(int i, int j) const { return first[i * pitch + j]; }
 };
-
-// No window is needed: it is returned as it was.
-template <unsigned rows, typename real>
-inline wp::mat_t<rows, 4, real> scatter(const wp::mat_t<rows, 4, real>& window, const lowest_node&,
-                                        const lowest_node& node, const vec3<real>& f,
-                                        const sums<4, real>& c, const nodes_of<real>& grid, int row,
-                                        const wp::array_t<int>& start, int layout) {
-    typedef stencil<real> S;
-    typedef typename S::four four;
-    const S at(start, layout, node, f);
-    real* nodes = (real*)(&wp::index(grid, row, 0) + node[2]);
-    const four Q = S::load(c.data[0]), A0 = S::load(c.data[1]), A1 = S::load(c.data[2]);
-    const four A2 = S::load(c.data[3]), wz2 = at.w[2].zzzz;
-    const typename S::pair wz01 = at.wz01();
-    // nodes 0 and 1 of each column together, node 2 by itself
-    at.spread(S::join(Q, Q + A2) * wz01, S::join(A0, A0) * wz01, S::join(A1, A1) * wz01, nodes);
-    at.spread((Q + A2 + A2) * wz2, A0 * wz2, A1 * wz2, nodes + 8);
-    return window;
-}
-
-template <unsigned rows, typename real>
-inline void flush(const wp::mat_t<rows, 4, real>&, const lowest_node&, const nodes_of<real>&, int,
-                  const wp::array_t<int>&, int) {}
-
-template <int rows, typename real>
-inline sums<rows, real> gather(const nodes_of<real>& grid, int row, const wp::array_t<int>& start,
-                               int layout, const lowest_node& node, const vec3<real>& f,
-                               const sums<4, real>& c = {}) {
-    typedef stencil<real> S;
-    typedef typename S::four four;
-    typedef typename S::pair pair;
-    constexpr bool sloped = rows == 5;
-    const S at(start, layout, node, f);
-    const real* nodes = (const real*)(&wp::index(grid, row, 0) + node[2]);
-    const four Q = S::load(c.data[0]), A0 = S::load(c.data[1]), A1 = S::load(c.data[2]);
-    const four A2 = S::load(c.data[3]);
-    const auto two = at.template collect<sloped, pair>(
-        S::join(Q, Q + A2), S::join(A0, A0), S::join(A1, A1), nodes);
-    const auto one = at.template collect<sloped, four>(Q + A2 + A2, A0, A1, nodes + 8);
-    sums<rows, real> out;
-    four* into = (four*)out.data;
-    const pair wz01 = at.wz01(), vw = two.v * wz01;
-    const four wz2 = at.w[2].zzzz, uw = one.v * wz2;
-    into[0] = S::fold(vw) + uw;
-    into[1] = S::fold(two.cx * wz01) + one.cx * wz2;
-    into[2] = S::fold(two.cy * wz01) + one.cy * wz2;
-    into[3] = vw.hi + uw + uw;
-    if constexpr (sloped) {
-        const four X = S::fold(two.dx * wz01) + one.dx * wz2;
-        const four Y = S::fold(two.dy * wz01) + one.dy * wz2;
-        const four Z = S::fold(two.all * at.sz01()) + one.all * at.s[2].zzzz;
-        const auto sum = [](four a) { return a.x + a.y + a.z + a.w; };
-        into[4] = four{sum(X), sum(Y), sum(Z), real(0)};
-    }
-    return out;
-}
-
-#else
-// On CUDA node by node. What neighbouring particles give to the same nodes is summed in a window of
-// 27 nodes first.
-
-template <typename real> GENDOM_INLINE vec4<real> row_of(const real* a) {
-    return vec4<real>(a[0], a[1], a[2], a[3]);
-}
 
 template <typename real> struct stencil {
     real wx[3], wy[3], wz[3], sx[3], sy[3], sz[3];
@@ -276,24 +152,46 @@ template <typename real> struct stencil {
     // not a[i]: where i is not known beforehand that array would not be in registers
     static GENDOM_INLINE real pick(const real* a, int i) { return i == 0 ? a[0] : i == 1 ? a[1] : a[2]; }
 
-    // Call add(9 i + 3 j + k, value) for every node.
+    // Call add(3 i + j, k, value) for every node.
     template <typename adder> GENDOM_INLINE void spread(const sums<4, real>& c, adder add) const {
-        const vec4<real> Q = row_of(c.data[0]), A0 = row_of(c.data[1]), A1 = row_of(c.data[2]);
-        const vec4<real> A2 = row_of(c.data[3]);
+        const four<real> Q = row_of(c.data[0]), A0 = row_of(c.data[1]), A1 = row_of(c.data[2]);
+        const four<real> A2 = row_of(c.data[3]);
         #pragma unroll
         for (int i = 0; i < 3; ++i) {
-            const vec4<real> Qi = Q + A0 * real(i);
+            const four<real> Qi = Q + A0 * real(i);
             #pragma unroll
             for (int j = 0; j < 3; ++j) {
                 const real w = wx[i] * wy[j];
-                const vec4<real> b = (Qi + A1 * real(j)) * w, s = A2 * w;
-                add(9 * i + 3 * j, b * wz[0]);
-                add(9 * i + 3 * j + 1, (b + s) * wz[1]);
-                add(9 * i + 3 * j + 2, (b + s + s) * wz[2]);
+                const four<real> b = (Qi + A1 * real(j)) * w, s = A2 * w;
+                add(3 * i + j, 0, b * wz[0]);
+                add(3 * i + j, 1, (b + s) * wz[1]);
+                add(3 * i + j, 2, (b + s + s) * wz[2]);
             }
         }
     }
 };
+
+#if !defined(__CUDA_ARCH__)
+// No window is needed: it is returned as it was.
+template <unsigned rows, typename real>
+inline wp::mat_t<rows, 4, real> scatter(const wp::mat_t<rows, 4, real>& window, const lowest_node&,
+                                        const lowest_node& node, const vec3<real>& f,
+                                        const sums<4, real>& c, const nodes_of<real>& grid, int row,
+                                        const wp::array_t<int>& start, int layout) {
+    vec4<real>* nodes = &wp::index(grid, row, 0) + node[2];
+    const columns_at column(start, layout, node);
+    stencil<real>(f).spread(c, [&](int n, int k, const four<real>& h) {
+        gendom::add(nodes + column(n / 3, n % 3) + k, h);
+    });
+    return window;
+}
+
+template <unsigned rows, typename real>
+inline void flush(const wp::mat_t<rows, 4, real>&, const lowest_node&, const nodes_of<real>&, int,
+                  const wp::array_t<int>&, int) {}
+
+#else
+// What neighbouring particles give to the same nodes is summed in a window of 27 nodes first.
 
 template <typename real> using window_of = wp::mat_t<27, 4, real>;
 
@@ -338,9 +236,9 @@ GENDOM_INLINE window_of<real> scatter(window_of<real> window, const lowest_node&
                                       const sums<4, real>& c, const nodes_of<real>& grid, int row,
                                       const wp::array_t<int>& start, int layout) {
     window = hand_over(window, held, node, grid, row, start, layout);
-    stencil<real>(f).spread(c, [&](int n, const vec4<real>& h) {
+    stencil<real>(f).spread(c, [&](int n, int k, const vec4<real>& h) {
         #pragma unroll
-        for (int a = 0; a < 4; ++a) window.data[n][a] += h[a];
+        for (int a = 0; a < 4; ++a) window.data[3 * n + k][a] += h[a];
     });
     return window;
 }
@@ -353,6 +251,8 @@ GENDOM_INLINE void flush(const window_of<real>& window, const lowest_node& held,
     hand_over(window, held, lowest_node(-1, -1, -1), grid, row, start, layout);
 }
 
+#endif
+
 // Sums over all nodes; with the coefficients c also the derivative of P by the place, as last row.
 template <int rows, typename real>
 GENDOM_INLINE sums<rows, real> gather(const nodes_of<real>& grid, int row,
@@ -361,88 +261,44 @@ GENDOM_INLINE sums<rows, real> gather(const nodes_of<real>& grid, int row,
                                       const sums<4, real>& c = {}) {
     constexpr bool sloped = rows == 5;
     const stencil<real> at(f);
-    const vec4<real>* nodes = &wp::index(grid, row, 0);
-    const auto column = [&](int i, int j) {
-        return wp::index(start, layout, node[0] + i, node[1] + j) + node[2];
-    };
-    vec4<real> V, C0, C1, C2, X, Y, Z, Q, A0, A1, A2;
-    if constexpr (sloped) {
-        Q = row_of(c.data[0]);
-        A0 = row_of(c.data[1]);
-        A1 = row_of(c.data[2]);
-        A2 = row_of(c.data[3]);
-    }
-    // the next plane's columns and the next column's nodes are on their way while these are summed
-    int n0 = column(0, 0), n1 = column(0, 1), n2 = column(0, 2);
-    vec4<real> h0, h1, h2;
-    if constexpr (sloped) {
-        h0 = load(nodes + n0);
-        h1 = load(nodes + n0 + 1);
-        h2 = load(nodes + n0 + 2);
-    }
+    const columns_at column(start, layout, node);
+    const vec4<real>* nodes = &wp::index(grid, row, 0) + node[2];
+    four<real> V = {}, C0 = {}, C1 = {}, C2 = {}, X = {}, Y = {}, Z = {};
+    const four<real> Q = row_of(c.data[0]), A0 = row_of(c.data[1]), A1 = row_of(c.data[2]);
+    const four<real> A2 = row_of(c.data[3]);
     // loops that stay loops spare the instruction cache
-    #pragma unroll 1
+    #pragma unroll (on_cuda ? 1 : 3)
     for (int i = 0; i < 3; ++i) {
-        const int next = i < 2 ? i + 1 : i;
-        const int m0 = column(next, 0), m1 = column(next, 1), m2 = column(next, 2);
         const real wxi = at.pick(at.wx, i), sxi = at.pick(at.sx, i);
-        #pragma unroll (sloped ? 1 : 3)
+        #pragma unroll (on_cuda && sloped ? 1 : 3)
         for (int j = 0; j < 3; ++j) {
-            const real wyj = at.pick(at.wy, j);
-            const real w = wxi * wyj;
-            vec4<real> g0, g1, g2;
-            if constexpr (sloped) {
-                const int n = j == 0 ? n1 : j == 1 ? n2 : m0;
-                g0 = load(nodes + n);
-                g1 = load(nodes + n + 1);
-                g2 = load(nodes + n + 2);
-            } else {
-                const int n = j == 0 ? n0 : j == 1 ? n1 : n2;
-                h0 = load(nodes + n);
-                h1 = load(nodes + n + 1);
-                h2 = load(nodes + n + 2);
-            }
-            const vec4<real> u1 = h1 * at.wz[1], u2 = h2 * at.wz[2];
-            const vec4<real> u = h0 * at.wz[0] + u1 + u2, k = u1 + u2 + u2;
-            const vec4<real> s = u * w;
+            const vec4<real>* h = nodes + column(i, j);
+            const four<real> h0 = gendom::load(h), h1 = gendom::load(h + 1), h2 = gendom::load(h + 2);
+            const real wyj = at.pick(at.wy, j), w = wxi * wyj;
+            const four<real> u1 = h1 * at.wz[1], u2 = h2 * at.wz[2];
+            const four<real> u = h0 * at.wz[0] + u1 + u2, k = u1 + u2 + u2, s = u * w;
             V = V + s;
             C0 = C0 + s * real(i);
             C1 = C1 + s * real(j);
             C2 = C2 + k * w;
             if constexpr (sloped) {
-                const real dx = sxi * wyj, dy = wxi * at.pick(at.sy, j);
-                const vec4<real> z = h0 * at.sz[0] + h1 * at.sz[1] + h2 * at.sz[2];
-                const vec4<real> zk = h1 * at.sz[1] + h2 * (at.sz[2] + at.sz[2]);
-                const vec4<real> Qij = Q + A0 * real(i) + A1 * real(j);
-                const vec4<real> p = wp::cw_mul(u, Qij) + wp::cw_mul(k, A2);
-                X = X + p * dx;
-                Y = Y + p * dy;
-                Z = Z + (wp::cw_mul(z, Qij) + wp::cw_mul(zk, A2)) * w;
-                h0 = g0;
-                h1 = g1;
-                h2 = g2;
+                const four<real> z = h0 * at.sz[0] + h1 * at.sz[1] + h2 * at.sz[2];
+                const four<real> zk = h1 * at.sz[1] + h2 * (at.sz[2] + at.sz[2]);
+                const four<real> Qij = Q + A0 * real(i) + A1 * real(j);
+                const four<real> p = times(u, Qij) + times(k, A2);
+                X = X + p * (sxi * wyj);
+                Y = Y + p * (wxi * at.pick(at.sy, j));
+                Z = Z + (times(z, Qij) + times(zk, A2)) * w;
             }
         }
-        n0 = m0;
-        n1 = m1;
-        n2 = m2;
     }
+    const auto sum = [](const four<real>& a) { return a[0] + a[1] + a[2] + a[3]; };
     sums<rows, real> out;
     #pragma unroll
-    for (int a = 0; a < 4; ++a) {
-        out.data[0][a] = V[a];
-        out.data[1][a] = C0[a];
-        out.data[2][a] = C1[a];
-        out.data[3][a] = C2[a];
-    }
-    if constexpr (sloped) {
-        out.data[4][0] = X[0] + X[1] + X[2] + X[3];
-        out.data[4][1] = Y[0] + Y[1] + Y[2] + Y[3];
-        out.data[4][2] = Z[0] + Z[1] + Z[2] + Z[3];
-        out.data[4][3] = real(0);
-    }
+    for (int a = 0; a < 4; ++a)
+        out.data[0][a] = V[a], out.data[1][a] = C0[a], out.data[2][a] = C1[a], out.data[3][a] = C2[a];
+    if constexpr (sloped) out.data[4][0] = sum(X), out.data[4][1] = sum(Y), out.data[4][2] = sum(Z);
     return out;
 }
-#endif
 
 }  // namespace gendom
