@@ -288,14 +288,9 @@ def test_yes_moves_slowly_and_the_log_can_be_looked_at(made, monkeypatch, capsys
 
 def test_two_threads_write_whole_lines(tmp_path):
     """A watch's stop is logged beside the ticks of a motion."""
-    log = ExecutionLog(tmp_path / "a.jsonl", {})
-    q = np.zeros(7)
-
-    def ticks():
-        for k in range(300):
-            log.tick(Tick(time=0.01 * k, command=q, measured=q, age=0.0, stamp=0.0))
-
-    thread = threading.Thread(target=ticks)
+    log, q = ExecutionLog(tmp_path / "a.jsonl", {}), np.zeros(7)
+    tick = Tick(time=0.0, command=q, measured=q, age=0.0, stamp=0.0)
+    thread = threading.Thread(target=lambda: [log.tick(tick) for _ in range(300)])
     thread.start()
     for _ in range(300):
         log.write(call="stop")
