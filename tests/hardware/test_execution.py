@@ -8,6 +8,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -202,7 +203,8 @@ def test_whatever_ends_it_the_arm_brakes_and_the_log_says_why(made, tmp_path, fa
 
 def test_a_disk_that_fills_stops_the_arm_and_is_told(made, tmp_path, monkeypatch):
     cell, path = made
-    robot, log = FakeRobot(), ExecutionLog(tmp_path / "a.jsonl", read_json(path))
+    robot: Any = FakeRobot()
+    log = ExecutionLog(tmp_path / "a.jsonl", read_json(path))
     lines, write = [], log._file.write
 
     def full(text):
