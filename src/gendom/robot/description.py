@@ -46,8 +46,9 @@ class Hand:
     """What files of robots leave out, in metres, seconds and radians."""
 
     flange: str = ""
-    """Body or site whose z points out of the fingers and whose y is from finger to finger; by
-    default the body that carries the file's fingers, else the last one behind the last joint."""
+    """Body or site whose z points out of the fingers and whose y is from finger to finger; joints
+    beyond it are the hand's. By default the body that carries the file's fingers, else the last one
+    behind the last joint."""
     tool: float | None = None
     """From there to the point between the fingertips; by default to the end of the file's shapes,
     at least 0.1 m."""
@@ -77,7 +78,7 @@ def read_arm(path: str | os.PathLike) -> Arm:
     model, speeds = _compiled(path, mujoco)
     beside = path.with_suffix(".toml")
     hand = _hand(beside) if beside.exists() else Hand()
-    chain = _Chain(mujoco, model, path)
+    chain = _Chain(mujoco, model, path, hand.flange)
     joints, address = chain.joints, model.jnt_qposadr[chain.joints]
     limited = model.jnt_limited[joints].astype(bool)[:, None]
     low, high = np.where(limited, model.jnt_range[joints], [[-2.0 * np.pi, 2.0 * np.pi]]).T
@@ -171,13 +172,16 @@ def _beside(path: Path, name: str, folder: str) -> Path:
 class _Chain:
     """The arm's joints and what hangs on them in MuJoCo's model, at angles of zero."""
 
-    def __init__(self, mujoco: Any, model: Any, path: Path):
+    def __init__(self, mujoco: Any, model: Any, path: Path, flange: str):
         self._types, self._model, self._path = mujoco.mjtGeom, model, path
         weld, parent = model.body_weldid, model.body_parentid  # weld: the body that carries it
         moving = [b for b in range(1, model.nbody) if weld[b] == b]
+        at = {model.site(k).name: int(model.site_bodyid[k]) for k in range(model.nsite)}
+        at |= {model.body(b).name: b for b in range(model.nbody)}
+        carrier = int(weld[at.get(flange, 0)])  # what comes after it is a hand's
         self.bodies, joints = [], []
         next_ones = [b for b in moving if not weld[parent[b]]][:1]
-        while len(next_ones) == 1 and len(joints) < 7:
+        while len(next_ones) == 1 and len(joints) < 7 and carrier not in self.bodies:
             (body,) = next_ones
             joint = int(model.body_jntadr[body])
             hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
