@@ -176,9 +176,9 @@ class _Chain:
         self._types, self._model, self._path = mujoco.mjtGeom, model, path
         weld, parent = model.body_weldid, model.body_parentid  # weld: the body that carries it
         moving = [b for b in range(1, model.nbody) if weld[b] == b]
-        at = {model.site(k).name: int(model.site_bodyid[k]) for k in range(model.nsite)}
-        at |= {model.body(b).name: b for b in range(model.nbody)}
-        carrier = int(weld[at.get(flange, 0)])  # what comes after it is a hand's
+        self._sites = {model.site(k).name: model.site_bodyid[k] for k in range(model.nsite)}
+        self._named = {model.body(b).name: b for b in range(model.nbody)} | self._sites
+        carrier = int(weld[self._named.get(flange, 0)])  # what comes after it is a hand's
         self.bodies, joints = [], []
         next_ones = [b for b in moving if not weld[parent[b]]][:1]
         while len(next_ones) == 1 and len(joints) < 7 and carrier not in self.bodies:
@@ -276,15 +276,11 @@ class _Chain:
             behind = [int(model.body_parentid[self._fingers[0]])]
         flange = self._frame(behind[-1])
         if hand.flange:
-            sites = {model.site(k).name: k for k in range(model.nsite)}
-            bodies = {model.body(b).name: b for b in range(model.nbody)}
             what, fix = f"has no body or site {hand.flange!r}", "correct `flange` in its .toml"
-            known = hand.flange in {**sites, **bodies}
+            known = hand.flange in self._named
             require(known, what, where=str(self._path), fix=fix, error=RobotError)
-            if (k := sites.get(hand.flange)) is None:
-                flange = self._frame(bodies[hand.flange])
-            else:
-                flange = rigid(data.site_xmat[k].reshape(3, 3), data.site_xpos[k])
+            at = (data.site if hand.flange in self._sites else data.body)(hand.flange)
+            flange = rigid(at.xmat.reshape(3, 3), at.xpos)
         carriers = {self.bodies[-1], *self._fingers}
         ends = [0.1]
         for g in self._geoms(lambda b: self._link[b] == last or self._below(b, carriers)):
