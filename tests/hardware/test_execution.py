@@ -288,6 +288,16 @@ def test_yes_moves_slowly_and_the_log_can_be_looked_at(made, monkeypatch, capsys
     assert f"{len(slow.time)} ticks; end: done" in out and picture.exists()
 
 
+def test_the_log_of_a_lift_is_looked_at_and_not_moved_again(made, tmp_path, capsys, refused):
+    cell, path = made
+    log = ExecutionLog(tmp_path / "a.jsonl", {"plan": read_json(path)["plan"]})
+    execute(read_action(path).plan, cell, FakeRobot(), log)  # type: ignore[arg-type]
+    words = ["execute", str(log.path), "--cell", str(cell.path)]
+    assert cli.main([*words, "--picture", str(tmp_path / "a.png")]) == 0
+    assert "ticks; end: done" in capsys.readouterr().out and (tmp_path / "a.png").exists()
+    assert "is the log of a lift; lift again" in refused(*words, "--move")
+
+
 def test_two_threads_write_whole_lines(tmp_path):
     """A watch's stop is logged beside the ticks of a motion."""
     log, q = ExecutionLog(tmp_path / "a.jsonl", {}), np.zeros(7)
