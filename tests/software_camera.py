@@ -14,11 +14,10 @@ from gendom.perception.realsense import realsense_sdk
 class SoftwareCamera:
     """A device of the SDK with the geometry of a `Camera`; colour is `beside` it by metres."""
 
-    def __init__(self, camera, *, coloured=True, rate=30, beside=0.0, own_clock=False):
+    def __init__(self, camera, *, coloured=True, rate=30, beside=0.0):
         self.sdk = sdk = realsense_sdk()
         self.camera = camera
-        domains = sdk.timestamp_domain
-        self.domain = domains.hardware_clock if own_clock else domains.global_time
+        self.domain = sdk.timestamp_domain.global_time
         self.device = sdk.software_device()
         self.device.register_info(sdk.camera_info.name, "Software D435I")
         self.device.register_info(sdk.camera_info.serial_number, camera.name)

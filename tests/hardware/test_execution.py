@@ -8,6 +8,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -202,7 +203,8 @@ def test_whatever_ends_it_the_arm_brakes_and_the_log_says_why(made, tmp_path, fa
 
 def test_a_disk_that_fills_stops_the_arm_and_is_told(made, tmp_path, monkeypatch):
     cell, path = made
-    robot, log = FakeRobot(), ExecutionLog(tmp_path / "a.jsonl", read_json(path))
+    robot: Any = FakeRobot()
+    log = ExecutionLog(tmp_path / "a.jsonl", read_json(path))
     lines, write = [], log._file.write
 
     def full(text):
@@ -286,16 +288,21 @@ def test_yes_moves_slowly_and_the_log_can_be_looked_at(made, monkeypatch, capsys
     assert f"{len(slow.time)} ticks; end: done" in out and picture.exists()
 
 
+def test_the_log_of_a_lift_is_looked_at_and_not_moved_again(made, tmp_path, capsys, refused):
+    cell, path = made
+    log = ExecutionLog(tmp_path / "a.jsonl", {"plan": read_json(path)["plan"]})
+    execute(read_action(path).plan, cell, FakeRobot(), log)  # type: ignore[arg-type]
+    words = ["execute", str(log.path), "--cell", str(cell.path)]
+    assert cli.main([*words, "--picture", str(tmp_path / "a.png")]) == 0
+    assert "ticks; end: done" in capsys.readouterr().out and (tmp_path / "a.png").exists()
+    assert "is the log of a lift; lift again" in refused(*words, "--move")
+
+
 def test_two_threads_write_whole_lines(tmp_path):
     """A watch's stop is logged beside the ticks of a motion."""
-    log = ExecutionLog(tmp_path / "a.jsonl", {})
-    q = np.zeros(7)
-
-    def ticks():
-        for k in range(300):
-            log.tick(Tick(time=0.01 * k, command=q, measured=q, age=0.0, stamp=0.0))
-
-    thread = threading.Thread(target=ticks)
+    log, q = ExecutionLog(tmp_path / "a.jsonl", {}), np.zeros(7)
+    tick = Tick(time=0.0, command=q, measured=q, age=0.0, stamp=0.0)
+    thread = threading.Thread(target=lambda: [log.tick(tick) for _ in range(300)])
     thread.start()
     for _ in range(300):
         log.write(call="stop")

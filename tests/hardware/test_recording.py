@@ -17,7 +17,6 @@ from gendom.hardware.realsense import RealSenseCamera
 from gendom.hardware.recording import record_motion
 from gendom.hardware.replay import ReplayedCamera
 from gendom.perception import Camera, Pictures, read_cameras
-from gendom.perception.realsense import RealSenseRecording
 from gendom.robot import XARM7, JointMotion, read_joints, tcp_pose
 from software_camera import SoftwareCamera, connected
 
@@ -221,15 +220,3 @@ def test_absent_cameras_and_modes(sdk, tmp_path):
         RealSenseCamera(described, device=device).connect()
     with pytest.raises(DeviceError, match="is not connected; call connect"):
         RealSenseCamera(described).start_recording(tmp_path)
-
-
-def test_stamps_of_a_cameras_own_clock_are_told(sdk, tmp_path):
-    software = SoftwareCamera(camera(), own_clock=True)
-    live = connected(software)
-    live.start_recording(tmp_path)
-    software.show(1.0, 1, pictures(1))
-    live.wait_for_pictures()
-    live.stop_recording()
-    told = []
-    RealSenseRecording(tmp_path, on_warning=told.append)
-    assert any("of the camera's own clock" in fault.what for fault in told)

@@ -4,6 +4,7 @@ import math
 import re
 from concurrent.futures import wait
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -236,11 +237,11 @@ def test_bad_commands_are_not_sent(streamer, add, message):
     assert on_path(streamer, motion) < 1e-4
     if not math.isfinite(np.max(add)):  # nor while the arm brakes
         controller.sent = controller.sent[:1]
-        streamer = Streamer(controller, streamer.cell, clock=streamer.clock)
-        streamer.start(motion)
-        streamer._next[-1] = Damaged(motion, add)
-        run(streamer, at=0.49 * motion.end, then=lambda: streamer.brake("stopped"))
-        assert message in streamer.fault and np.isfinite(controller.commands()).all()
+        again: Any = Streamer(controller, streamer.cell, clock=streamer.clock)
+        again.start(motion)
+        again._next[-1] = Damaged(motion, add)
+        run(again, at=0.49 * motion.end, then=lambda: again.brake("stopped"))
+        assert message in again.fault and np.isfinite(controller.commands()).all()
 
 
 def test_a_command_out_of_the_workspace_is_not_sent(streamer):

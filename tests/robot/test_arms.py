@@ -128,6 +128,16 @@ def test_an_arm_of_a_urdf_turns_as_it_says_and_its_capsules_hold_its_shapes(tmp_
     assert abs(motion.tcp_at(arm, motion.end)[2, 3] - path.position[-1, 2]) < 1e-5
 
 
+def test_an_arm_ends_at_its_flange_and_a_jaw_that_turns_is_none_of_its_joints(tmp_path):
+    pytest.importorskip("mujoco", reason="needs the extra reality")
+    path = written(tmp_path, XARM7)
+    path.with_suffix(".toml").write_text('flange = "l6"\ntool = 0.1\n')
+    arm, q = read_arm(path), XARM7.home
+    assert arm.joints == 6 and max(c.link for c in arm.capsules) == 6
+    T = link_poses(XARM7, q)[6]
+    np.testing.assert_allclose(tcp_pose(arm, q[:6])[:3, 3], T[:3, 3] + 0.1 * T[:3, 2], atol=1e-9)
+
+
 def test_poses_and_jacobians_are_those_of_pinocchio(tmp_path):
     """`make test` leaves it out, it is large."""
     pin = pytest.importorskip("pinocchio", reason="pip install pin")

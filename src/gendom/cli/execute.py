@@ -33,7 +33,7 @@ from gendom.hardware.picture import draw_cell
 from gendom.hardware.recording import record_motion
 from gendom.hardware.simulated import SimulatedRobot
 from gendom.materials import Item, from_columns
-from gendom.reading import read_json
+from gendom.reading import read_json, record_of
 from gendom.reality import as_real, task_trial
 from gendom.reality.objects import description
 from gendom.reality.recording import object_file
@@ -42,6 +42,9 @@ from gendom.robot import JointMotion, tcp_pose
 from gendom.tasks import find_task
 
 _log = logging.getLogger(__name__)
+
+LIFTED = {"at", "log", "started", "plan"}
+"""Keys of the first line of a lift's log."""
 
 WORD = "move"
 """What a person types before the arm moves."""
@@ -78,15 +81,23 @@ class Command:
         require(self.move or not self.yes, "goes with --move", where="--yes", fix=fix)
         require(self.move or self.record is None, "goes with --move", where="--record", fix=fix)
         cell = Cell.read(self.cell)
-        action = read_action(self.action, cell.model)
+        log = read_log(self.action) if self.action.suffix == ".jsonl" else None
+        if log is not None and log.header.keys() == LIFTED:
+            again, fix = not self.move, "lift again with gendom record --cell"
+            require(again, "is the log of a lift", where=str(self.action), fix=fix)
+            plan = log.header["plan"]
+            action, plan = None, record_of(PlannedMotion, plan, where=str(self.action), fix=fix)
+        else:
+            action = read_action(self.action, cell.model)
+            plan = action.plan
         if killed := last_time(self.cell.parent / "executions"):
             _log.warning("%s", killed)
-        if self.action.suffix == ".jsonl":
+        if log is not None:
             print(_measured(self.action))
         if self.picture is not None:
-            write_picture(self.picture, self._drawn(cell, action))
-        if not self.move:
-            print("\n".join(preview(action.plan, cell)))
+            write_picture(self.picture, self._drawn(cell, plan))
+        if not self.move or action is None:
+            print("\n".join(preview(plan, cell)))
             print("nothing moved: this was a dry run (--move)")
             return 0
         what, logs = "the execution of an action", self.cell.parent / "executions"
@@ -94,8 +105,8 @@ class Command:
         move(cell, action, what, read_plan(self.action), logs, record=record, yes=self.yes)
         return 0
 
-    def _drawn(self, cell: Cell, action: PlannedAction) -> Any:
-        arm, planned = cell.model, action.plan
+    def _drawn(self, cell: Cell, planned: PlannedMotion) -> Any:
+        arm = cell.model
         moves = {"approach": planned.approach, "motion": planned.motion}
         paths = {name: m.at(m.sampled(50.0)) for name, m in moves.items()}
         if self.action.suffix == ".jsonl" and len(measured := read_log(self.action).measured):

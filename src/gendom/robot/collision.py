@@ -187,7 +187,9 @@ class CollisionChecker:
         moving = np.flatnonzero(link > 0)
         asked, least = surroundings.self_clearance, surroundings.clearance
         margin = [np.where((np.abs(between) > 2) | (home >= asked), asked, 0.0)[apart]]
-        self._around = [(obstacle, moving) for obstacle in surroundings.obstacles]
+        self._around: list[tuple[Any, Any]] = [
+            (obstacle, moving) for obstacle in surroundings.obstacles
+        ]
         margin += [np.full(len(moving), least) for _ in self._around]
         if surroundings.table_height is not None:  # which the fingers and what they hold may touch
             held = [c for c, capsule in enumerate(arm.capsules) if capsule.held]

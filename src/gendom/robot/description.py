@@ -46,8 +46,9 @@ class Hand:
     """What files of robots leave out, in metres, seconds and radians."""
 
     flange: str = ""
-    """Body or site whose z points out of the fingers and whose y is from finger to finger; by
-    default the body that carries the file's fingers, else the last one behind the last joint."""
+    """Body or site whose z points out of the fingers and whose y is from finger to finger; joints
+    beyond it are the hand's. By default the body that carries the file's fingers, else the last one
+    behind the last joint."""
     tool: float | None = None
     """From there to the point between the fingertips; by default to the end of the file's shapes,
     at least 0.1 m."""
@@ -77,7 +78,7 @@ def read_arm(path: str | os.PathLike) -> Arm:
     model, speeds = _compiled(path, mujoco)
     beside = path.with_suffix(".toml")
     hand = _hand(beside) if beside.exists() else Hand()
-    chain = _Chain(mujoco, model, path)
+    chain = _Chain(mujoco, model, path, hand.flange)
     joints, address = chain.joints, model.jnt_qposadr[chain.joints]
     limited = model.jnt_limited[joints].astype(bool)[:, None]
     low, high = np.where(limited, model.jnt_range[joints], [[-2.0 * np.pi, 2.0 * np.pi]]).T
@@ -171,13 +172,16 @@ def _beside(path: Path, name: str, folder: str) -> Path:
 class _Chain:
     """The arm's joints and what hangs on them in MuJoCo's model, at angles of zero."""
 
-    def __init__(self, mujoco: Any, model: Any, path: Path):
+    def __init__(self, mujoco: Any, model: Any, path: Path, flange: str):
         self._types, self._model, self._path = mujoco.mjtGeom, model, path
         weld, parent = model.body_weldid, model.body_parentid  # weld: the body that carries it
         moving = [b for b in range(1, model.nbody) if weld[b] == b]
+        self._sites = {model.site(k).name: model.site_bodyid[k] for k in range(model.nsite)}
+        self._named = {model.body(b).name: b for b in range(model.nbody)} | self._sites
+        carrier = int(weld[self._named.get(flange, 0)])  # what comes after it is a hand's
         self.bodies, joints = [], []
         next_ones = [b for b in moving if not weld[parent[b]]][:1]
-        while len(next_ones) == 1 and len(joints) < 7:
+        while len(next_ones) == 1 and len(joints) < 7 and carrier not in self.bodies:
             (body,) = next_ones
             joint = int(model.body_jntadr[body])
             hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
@@ -272,15 +276,11 @@ class _Chain:
             behind = [int(model.body_parentid[self._fingers[0]])]
         flange = self._frame(behind[-1])
         if hand.flange:
-            sites = {model.site(k).name: k for k in range(model.nsite)}
-            bodies = {model.body(b).name: b for b in range(model.nbody)}
             what, fix = f"has no body or site {hand.flange!r}", "correct `flange` in its .toml"
-            known = hand.flange in {**sites, **bodies}
+            known = hand.flange in self._named
             require(known, what, where=str(self._path), fix=fix, error=RobotError)
-            if (k := sites.get(hand.flange)) is None:
-                flange = self._frame(bodies[hand.flange])
-            else:
-                flange = rigid(data.site_xmat[k].reshape(3, 3), data.site_xpos[k])
+            at = (data.site if hand.flange in self._sites else data.body)(hand.flange)
+            flange = rigid(at.xmat.reshape(3, 3), at.xpos)
         carriers = {self.bodies[-1], *self._fingers}
         ends = [0.1]
         for g in self._geoms(lambda b: self._link[b] == last or self._below(b, carriers)):
