@@ -53,11 +53,7 @@ class Line:
 
 
 def find_line(
-    points: Array,
-    rope: ObjectDescription,
-    held: Array | None = None,
-    *,
-    all_seen: bool = True,
+    points: Array, rope: ObjectDescription, held: Array | None = None, *, all_seen: bool = True
 ) -> Line:
     """The line of a rope, whose length is known, in a cloud [n, 3] [m].
 

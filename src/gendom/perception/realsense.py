@@ -1,14 +1,8 @@
 """RealSense recordings as a source of frames.
 
-A recorded camera is a folder with one recording and camera.toml:
-
-    cameras/left/
-      recording.db3    of any name, as the SDK or its viewer records them
-      camera.toml      T_world_camera; depth_unit only where the recording's is wrong
-
-Intrinsics, distortion and depth unit are the recording's. Colour is aligned with depth. Time is the
-depth picture's own time stamp [s]: with the SDK's "Global Time", its default, on the clock of the
-computer that recorded, since 1970.
+A camera's folder holds one recording, .db3 of any name as the SDK or its viewer records it, and
+camera.toml with T_world_camera. Colour is aligned with depth. Time is the depth picture's own time
+stamp [s]: with the SDK's "Global Time", its default, on the clock of the computer that recorded.
 
 A .db3 file is a bag of ROS 2 whose topics the SDK documents (doc/record-and-playback.md); it is
 read without the SDK. Those used here are, below /device_0/sensor_N/, and the same for Color_0:
@@ -308,7 +302,7 @@ class Bag:
         except ValueError as error:
             what = f"is damaged ({error})"
             raise RecordingError(what, where=where, fix="copy it again") from None
-        return picture_of(message, kind, where)[0]
+        return picture_of(message, kind, where)
 
     def _message(self, row: int, kind: str) -> Any:
         """A message of a type; ValueError: it cannot be read."""
