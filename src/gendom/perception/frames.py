@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -49,8 +49,9 @@ class Frame:
     """Time stamp [s] on a clock that all cameras share."""
     where: str
     """What messages call it."""
-    read: Callable[[], Pictures]
-    """The pictures, fetched or decoded when called; raises `RecordingError` when damaged."""
+    read: Callable[[], Any]
+    """`Pictures` (of a single sensor or a bag's topic: its picture or message), fetched or decoded
+    when called; raises `RecordingError` when damaged."""
 
 
 @runtime_checkable

@@ -82,6 +82,7 @@ class RealSenseRecording:
         self.path = Path(path)
         if self.path.is_dir():
             self.path = self.find(self.path) or self.path
+        file_size(self.path, RecordingError, most=ANY_SIZE)  # a pipe would wait
         _check_checksum(self.path)
         bag = Bag(self.path, on_warning=on_warning)
         where, name = str(self.path), self.path.resolve().parent.name
@@ -94,7 +95,8 @@ class RealSenseRecording:
         camera = replace(depth.camera, depth_unit=unit)
         beside = self.path.with_name("camera.toml")
         self.camera: Camera = read_camera(beside, recorded=camera) if beside.exists() else camera
-        self._depth, self._beside = depth.entries, ()
+        self._depth = depth.entries
+        self._beside: tuple[Any, ...] = ()
         if colour is not None and colour.entries:
             T = colour.T_stream_reference @ np.linalg.inv(depth.T_stream_reference)
             self._beside = colour.camera, colour.entries, T
