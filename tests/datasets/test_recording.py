@@ -216,11 +216,11 @@ ORDER = "sort the frames and drop repeated ones; each must be later than the one
         ("points", lambda a: 100.0 * a, "points: a frame spans 40.1 m, the object 0.4 m; "
          "it looks like centimetres; divide by 100"),
         ("time", lambda a: 1e3 * a,
-         "time: frames are 100 s apart; they look like milliseconds; divide by 1000"),
+         "time: frames are 100 s apart; it looks like milliseconds; divide by 1000"),
         ("time", lambda a: 1e6 * a,
-         "time: frames are 1e+05 s apart; they look like microseconds; divide by 1e6"),
+         "time: frames are 1e+05 s apart; it looks like microseconds; divide by 1e+06"),
         ("time", lambda a: 1e9 * a,
-         "time: frames are 1e+08 s apart; they look like nanoseconds; divide by 1e9"),
+         "time: frames are 1e+08 s apart; it looks like nanoseconds; divide by 1e+09"),
         ("gripper_position", lambda a: 1000.0 * a,
          "gripper_position: moves by 40 m; it looks like centimetres or millimetres; divide by"),
     ],
@@ -331,10 +331,8 @@ def sized(lift, **sizes):
         (lambda r: sized(r, length=4.0), "object.length", "is it 0.4 m?"),
         (slow_camera, "time", "times look like milliseconds"),
         (lambda r: replace(r, time=r.time + 9.0 * (r.time > 0.25)), "time, frame 2", "9.1 s pass"),
-        (lambda r: replace(r, time=r.time / 60.0), "time", "times look like minutes"),
         (lambda r: sized(r, mass=20.0, diameter=0.01), "object.mass", "looks like grams"),
-        (lambda r: sized(r, diameter=0.08), "object.mass", "looks ten times too large"),
-        (lambda r: sized(r, diameter=0.001), "object.mass", "looks ten times too small"),
+        (lambda r: sized(r, diameter=0.08), "object.mass", "sizes in metres"),
     ],
 )
 def test_the_likely_unit_is_named(lift, spoil, where, said):

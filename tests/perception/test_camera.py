@@ -138,5 +138,5 @@ def test_pictures_of_too_many_pixels(tmp_path):
         for kind, of in chunks
     )
     (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + data)
-    with pytest.raises(RecordingError, match="exceeds limit of|has 40000 x 40000 pixels"):
+    with pytest.raises(RecordingError, match=r"Image size .* exceeds limit"):
         read_png(tmp_path / "a.png")

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.perception import (
-    CameraView,
-    PerceptionSettings,
-    Pictures,
-    cloud,
-    perceive_frame,
-)
+from gendom.perception import CameraView, PerceptionSettings, Pictures, cloud, perceive_frame
 from gendom.perception.cloud import fuse
 from gendom.perception.colour import ObjectColour, lab
 

@@ -173,7 +173,7 @@ REFUSED = [
     ),
     (edit(RIGHT, "K = ", "P = "), "camera.toml: lacks K"),
     (lambda folder: (folder / RIGHT).unlink(), "the intrinsics are unknown"),
-    (edit(RIGHT, "320", "640"), "000000.png: none of 5 | is 320 x 240, camera.toml says 640 x 240"),
+    (edit(RIGHT, "320", "640"), "000000.png: none of 5 | is 320 x 240, the camera 640 x 240"),
     (text(RIGHT, lambda s: s[: s.index("T_w")]), "T_world_camera: is missing | gendom calibrate"),
     (text("cameras/right/frames.csv", late), "within 0.02 s (left 0 to 0.133333 s, right 5 | one "),
     (put(PATH, f"{ROWS}100,0,0,0.2\n101,0,0,0.3\n"), "path is at other times, 100 to 101 s, than"),

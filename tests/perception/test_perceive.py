@@ -8,13 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
-from gendom.perception import (
-    CameraRecording,
-    FrameSource,
-    PerceptionSettings,
-    RobotPath,
-    perceive,
-)
+from gendom.perception import CameraRecording, FrameSource, PerceptionSettings, RobotPath, perceive
 
 ROPE = {"object": {"kind": "rope", "length": 0.4, "diameter": 0.01}, "table_height": 0.0}
 SETTINGS = PerceptionSettings(colour=(180, 30, 35), workspace=(-0.4, -0.4, -0.05, 0.4, 0.4, 0.4))

@@ -8,16 +8,7 @@ import pytest
 from gendom.errors import RecordingError
 from gendom.perception import perceive, read_cameras
 from gendom.perception.robot import FINGER_MARGIN, Capsules, arm_capsules
-from gendom.robot import (
-    XARM7,
-    JointStates,
-    arm_shape,
-    follow,
-    lift,
-    pointing,
-    solutions,
-    tcp_pose,
-)
+from gendom.robot import XARM7, JointStates, arm_shape, follow, lift, pointing, solutions, tcp_pose
 
 PLACE = np.array([0.45, 0.0, 0.0])
 """Where the rope of these tests hangs."""

@@ -305,11 +305,7 @@ def test_what_perceive_cannot_use(world, tmp_path, capsys):
     hand = [placed("tool", f"{n}_optical_frame", np.eye(4)) for n in ("left", "right")]
     for name, of, said in (
         ("hand", [*turned, *moving, *hand], "_optical_frame moves in base by 300.0 mm"),
-        (
-            "thin",
-            [*rows, *moving, thin],
-            "frame far_optical_frame are thinned, or not",
-        ),
+        ("thin", [*rows, *moving, thin], "frame far_optical_frame are thinned, or not"),
         ("lost", turned, "TF does not say where right_optical_frame is"),
         ("bare", bare, "without a CameraInfo beside them; record camera_info"),
     ):

@@ -158,7 +158,7 @@ def test_masks_of_another_program(masked, command):
     [
         (lambda path: path.unlink(missing_ok=True), "there is no such mask"),
         (lambda path: Image.new("L", (320, 240)).save(path), "masks nothing"),
-        (lambda path: Image.new("L", (640, 480), 1).save(path), "640 x 480, the pictures are 320"),
+        (lambda path: Image.new("L", (640, 480), 1).save(path), "640 x 480, the camera 320"),
         (lambda path: path.write_bytes(b"GIF"), "is damaged"),
     ],
 )

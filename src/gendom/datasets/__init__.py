@@ -12,13 +12,6 @@ from gendom.lazy import imported_later
 if TYPE_CHECKING:
     from gendom.datasets.demonstrations import generate
 
-__all__ = [
-    "Fault",
-    "ObjectDescription",
-    "Recording",
-    "generate",
-    "read_pcd",
-    "read_ply",
-]
+__all__ = ["Fault", "ObjectDescription", "Recording", "generate", "read_pcd", "read_ply"]
 
 __getattr__ = imported_later(__name__, {"generate": "demonstrations"})

@@ -6,7 +6,7 @@ Types and shapes of its arrays are checked in `gendom.datasets.recording_form`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -39,17 +39,8 @@ _USUAL_EXTENT = (0.1, 2.0)  # [m]; usual lengths of objects that robots handle
 _THICKEST = {"rope": 0.1, "cloth": 0.02}  # of the size, where the thickness is unknown
 _USUAL_DENSITY = (200.0, 3000.0)  # [kg/m^3]
 _SINCE_1970 = 1e9  # [s]; later times are not from a start
+_USUAL_STEP = (5e-3, 5.0)  # [s] between frames
 _MAX_STEP, _LONGEST_GAP = 10.0, 2.0  # [s] between frames, usually and once
-_TIMES = (  # frames less far apart than so many seconds, their unit, and what brings seconds
-    (5e3, "milliseconds", "1000"),
-    (5e6, "microseconds", "1e6"),
-    (math.inf, "nanoseconds", "1e9"),
-)
-_SPEEDS = (  # units of time given by mistake, in a second, and what brings seconds
-    ("milliseconds", 1e3, "divide by 1000"),
-    ("minutes", 1 / 60.0, "multiply by 60"),
-    ("microseconds", 1e6, "divide by 1e6"),
-)
 _UPS = {  # other axes that may point up, and what stands for x, y and z then
     (0, 1, 0): ("y", "x, -z, y"),
     (0, -1, 0): ("-y", "x, z, -y"),
@@ -59,7 +50,9 @@ _UPS = {  # other axes that may point up, and what stands for x, y and z then
 _MISPLACED = 0.1  # of the clouds: in right order none of 50 lifts has one, shuffled half of them
 _MAX_BELOW, _MAX_AWAY = 5.0, 50.0  # [m] that a table lies from the object, that a camera stands
 _OF_GRASP = ("grasp_radius", "grasp_inset")
-_LENGTHS = {"centimetres": 100.0, "millimetres": 1000.0}  # units given by mistake, in a metre
+# Units given by mistake, in a metre or in a second.
+_LENGTHS = {"centimetres": 100.0, "millimetres": 1000.0}
+_TIMES = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of numbers that are told
@@ -164,11 +157,11 @@ def _check_frames(recording: RecordingData) -> Iterator[Fault]:
         yield Fault(what, "points", "nothing need be done: they are skipped", "warning")
 
 
-def _units(value: float, low: float, high: float) -> str:
-    """The units in which a too large length would lie between two usual ones [m], and what brings
-    metres."""
-    units = [u for u, of_metre in _LENGTHS.items() if low <= value / of_metre <= high] or _LENGTHS
-    factors = " or ".join(f"{_LENGTHS[unit]:g}" for unit in units)
+def _units(value: float, low: float, high: float, known: Mapping[str, float] = _LENGTHS) -> str:
+    """The units in which a too large length or time would lie between two usual ones [m] or [s],
+    and what brings these."""
+    units = [unit for unit, factor in known.items() if low <= value / factor <= high] or known
+    factors = " or ".join(f"{known[unit]:g}" for unit in units)
     return f"it looks like {' or '.join(units)}; divide by {factors}"
 
 
@@ -217,8 +210,7 @@ def _check_other_units(recording: RecordingData) -> Iterator[Fault]:
             yield from _check_density(held, size)
     step = float(np.median(np.diff(recording.time))) if recording.num_frames > 1 else 0.0
     if step > _MAX_STEP:
-        unit, factor = next((u, f) for most, u, f in _TIMES if step < most)
-        fix = f"they look like {unit}; divide by {factor}"
+        fix = _units(step, *_USUAL_STEP, _TIMES)
         yield Fault(f"frames are {step:.4g} s apart", "time", fix)
     if len(recording.points) == 0:
         return
@@ -248,16 +240,13 @@ def _check_density(held: ObjectDescription, size: float) -> Iterator[Fault]:
     density = mass / (area * across if cloth else math.pi / 4.0 * across**2 * size)
     if (MIN_DENSITY.get(held.kind, 0.0) if stated else 0.0) <= density <= MAX_DENSITY:
         return
-    heavy = density > MAX_DENSITY
-    tenfold = (10.0 if heavy else 0.1) ** (1 if cloth else 2)
     low, high = _USUAL_DENSITY
     fix = "give the mass in kilograms, and sizes in metres"
     if low <= density / 1000.0 <= high:
         fix = "it looks like grams; divide by 1000"
-    elif stated and low <= density / tenfold <= high:
-        fix = f"object.{name} looks ten times too {'small' if heavy else 'large'}"
     what = f"is {mass:.4g} kg, a density of {density:.2g} kg/m^3{'' if stated else ' or more'}"
-    yield Fault(what, "object.mass", fix, "error" if heavy else "warning")
+    severity = "error" if density > MAX_DENSITY else "warning"
+    yield Fault(what, "object.mass", fix, severity)
 
 
 def _check_motion(recording: RecordingData) -> Iterator[Fault]:
@@ -286,12 +275,9 @@ def _check_motion(recording: RecordingData) -> Iterator[Fault]:
     speed = usual_speed(recording)
     if speed is None or USUAL_SPEED[0] <= speed <= USUAL_SPEED[1]:
         return
-    likely = [
-        f"times look like {unit}; {words}"
-        for unit, factor, words in _SPEEDS
-        if USUAL_SPEED[0] <= speed * factor <= USUAL_SPEED[1]
-    ]
-    fix = likely[0] if likely else "give seconds, and positions in metres"
+    low, high = USUAL_SPEED
+    units = [unit for unit, factor in _TIMES.items() if low <= speed * factor <= high]
+    fix = f"times look like {units[0]}" if units else "give seconds, and positions in metres"
     yield Fault(f"the gripper moves at {speed:.2g} m/s", "time", fix, "warning")
 
 

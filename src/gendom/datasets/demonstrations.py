@@ -160,7 +160,9 @@ def generate(
         shard_size = int(read_description(folder)["shard_size"]) if begun else usual
     for name, value, least in [("size", size, 1), ("shard_size", shard_size, 1), ("seed", seed, 0)]:
         require(value >= least, f"is {value}", where=name, fix=f"give {least} or more")
-    description = _describe(source, size, seed, kind, shard_size)
+    description = {"format": FORMAT, "gendom": __version__, **source.about(), "size": size}
+    # rounding differs between CPU and CUDA, not between two cards
+    description |= {"seed": seed, "shard_size": shard_size, "device": kind}
     _check_same(folder, description)
     gc.freeze()  # visiting all that was imported would take a quarter of the time
     try:
@@ -434,21 +436,6 @@ class _Described:
     sha256: dict[str, str]
 
 
-def _describe(
-    source: DemonstrationSource, size: int, seed: int, device: str, shard_size: int
-) -> dict[str, Any]:
-    return {
-        "format": FORMAT,
-        "gendom": __version__,
-        **source.about(),
-        "size": size,
-        "seed": seed,
-        "shard_size": shard_size,
-        # rounding differs between CPU and CUDA, not between two cards
-        "device": device.partition(":")[0],
-    }
-
-
 def _identity(description: Mapping[str, Any]) -> dict[str, Any]:
     """Fields that identify a set, common to all its shards."""
     return {k: value for k, value in description.items() if k not in ("size", "sha256")}
@@ -472,18 +459,25 @@ def _check_same(folder: Path, wanted: Mapping[str, Any]) -> None:
     require(not differing, what, where=where, fix=fix, error=DatasetError)
 
 
-def _differences(there: Mapping[str, Any], here: Mapping[str, Any], prefix: str = "") -> list[str]:
+def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
     """What differs, with nested names."""
-    found = []
-    for name in sorted({*there, *here}):
-        mine, yours = there.get(name), here.get(name)
-        if isinstance(mine, Mapping) and isinstance(yours, Mapping):
-            found += _differences(mine, yours, f"{prefix}{name}.")
-        elif mine != yours:
-            both = (mine, yours)
-            mine, yours = ("absent" if value is None else json.dumps(value) for value in both)
-            found.append(f"{prefix}{name} is {mine} there and {yours} here")
-    return found
+    ours, theirs = (
+        {name: json.dumps(value) for name, value in _flat(of) if value is not None}
+        for of in (here, there)
+    )
+    return [
+        f"{n} is {theirs.get(n, 'absent')} there and {ours.get(n, 'absent')} here"
+        for n in sorted({*ours, *theirs})
+        if ours.get(n) != theirs.get(n)
+    ]
+
+
+def _flat(of: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in of.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
 
 
 def _count_shards(size: int, shard_size: int) -> int:
@@ -547,11 +541,6 @@ def _unpacked(file: pq.ParquetFile) -> int:
     return bytes_
 
 
-def generator_of(seed: int, index: int) -> np.random.Generator:
-    """The generator of one demonstration: `numpy.random.default_rng([seed, index])`."""
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, index])))
-
-
 def _simulate(
     source: DemonstrationSource,
     indices: range,
@@ -561,7 +550,7 @@ def _simulate(
     on_frame: Callable[[int], None] | None = None,
 ) -> dict[str, Any]:
     """Draw and simulate the demonstrations with these numbers: columns, and `fault`."""
-    draws = source.draw([generator_of(seed, i) for i in indices])
+    draws = source.draw([np.random.default_rng([seed, i]) for i in indices])
     outcomes = source.demonstrate(draws, device=device, on_frame=on_frame)
     return {**draws, **outcomes.columns, "fault": outcomes.faults}
 

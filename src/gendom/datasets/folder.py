@@ -40,16 +40,9 @@ _TOP_KEYS += ("cameras_calibrated", "source", "notes")
 
 
 def read_folder(folder: str | os.PathLike) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Read the parts of a recording stored as a folder. It holds
-
-        *.ply, *.pcd or *.npz: one cloud a frame, in order of the numbers in their names (see
-            `in_order`);
-            .npz files beside .ply or .pcd files are not clouds, and are ignored;
-        gripper.csv: one row a frame; header time,x,y,z (and ax,ay,az: the axis along the
-            object; and closed: 1 where the gripper holds it, 0 where not) for one gripper, or
-            time,x0,y0,z0,x1,y1,z1,... (and ax0,ay0,az0,...; closed0,closed1,...);
-        object.toml: table [object] with the sizes, and table_height, gripper_source,
-            quasi_static, source, notes, camera_positions, cameras_calibrated and anything else.
+    """Read the parts of a recording stored as a folder: clouds, one a frame, in order of the
+    numbers in their names (see `in_order`), gripper.csv and object.toml (docs/data.md). .npz files
+    beside .ply or .pcd files are not clouds, and are ignored.
 
     Returns:
         Arrays by their names in a recording's file, and the content of object.toml in the layout

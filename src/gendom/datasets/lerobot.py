@@ -1,35 +1,8 @@
 """Demonstrations and recordings as LeRobot data sets, format v3.0; recordings come back whole.
 
-    meta/info.json                            features with names and units, counts, paths
-    meta/stats.json                           statistics of every feature over all frames
-    meta/tasks.parquet                        the task's name and its number, 0
-    meta/episodes/chunk-000/file-000.parquet  one row an episode: where its frames are
-    meta/gendom.json                          dataset.json of a set, or a recording's `meta`
-    data/chunk-000/file-000.parquet           one row a frame
-
-All numbers are in SI units, stored in info.json as `units` of a feature beside its `names`. A
-feature of one number is a plain column, as LeRobot's reader requires.
-
-A demonstration becomes an episode of one frame, at time 0: an action is a whole motion, chosen
-before it begins, without observations during the motion. Failed demonstrations are left out.
-
-    observation.state  [S] float32: the reached result as the goal, sizes, parameters, in the order
-                       of `gendom.reality.envs`; parameters are those of `QUANTITIES`
-    action             [A] float32: the task's action
-
-In addition to the format's columns, rows of episodes have `demonstration`, the number in the set,
-and `outcome/NAME` for all other measured results.
-
-A recording becomes an episode of T frames:
-
-    observation.points      [P, 3] float32: the cloud [m], padded with zeros to the P points of
-                            the largest frame
-    observation.num_points  int64: number of points; the rest is padding
-    observation.state       [S] float64: position of each gripper [m], its axis where known, and
-                            whether it is closed, where known
-    observation.time        float64: the recorded time [s]
-    action                  [A] float32: position of each gripper in the next frame [m], and whether
-                            it is closed; for LeRobot's own tools, and not read back
+Features and files are those of docs/data.md. Numbers are in SI units, stored in info.json as
+`units` of a feature beside its `names`. A feature of one number is a plain column, as LeRobot's
+reader requires; the P points of a frame are padded with zeros, which statistics leave out.
 
 What cameras saw (`export_pictures`) becomes an episode with the last three of these, and
 
@@ -37,8 +10,7 @@ What cameras saw (`export_pictures`) becomes an episode with the last three of t
     observation.depth.NAME  [height, width, 1] depth [mm] as 16 bit PNG, LeRobot's `is_depth_map`
 
 LeRobot computes `timestamp` as the frame index over `fps`, so it is correct only for evenly spaced
-frames; `observation.time` is always correct. Statistics of points exclude the padding, and are the
-same for each of the P rows.
+frames; `observation.time` is always correct.
 
 Source: the documentation of LeRobotDataset v3.0 (huggingface.co/docs/lerobot), and the reader of
 lerobot 0.4.4.
@@ -306,26 +278,15 @@ def _write(
     extra: Mapping[str, pa.Array] | None = None,
     pictures: Mapping[str, Sequence[Array]] | None = None,
 ) -> dict[str, Any]:
-    """Write a data set.
+    """Write values [N, ...] of each feature, one row a frame, episode after episode, into a new
+    folder, completely or not at all, and return the content of info.json.
 
     Args:
-        out: Folder to create; it is written completely or not at all.
-        frames: [N, ...] values of each feature, one row for each frame, episode after episode;
-            frame indices and time stamps are added.
         lengths: [E] number of frames of each episode; all 1 where there are several.
-        task: Description of the task, the same for all episodes.
-        units: Units of features.
         about: Content of meta/gendom.json.
-        fps: Frames a second, for time stamps.
         of_all: Statistics of all frames, for features with padded rows.
         extra: [E] further columns of the episodes.
         pictures: N pictures by feature, as of `export_pictures`.
-
-    Returns:
-        The content of info.json.
-
-    Raises:
-        GendomError: `out` is there already or cannot be written, or the disk is full.
     """
     count, frames = len(lengths), {**frames, **_counted(lengths, fps)}
     found = {feature: _statistics(values) for feature, values in frames.items()}

@@ -57,11 +57,10 @@ def aligned(
 
 def _sized(frame: Frame, camera: Camera, kind: type) -> npt.NDArray:
     """A picture, which has its camera's size and is of a kind of numbers."""
-    picture, size = frame.read(), (camera.height, camera.width)
-    what = f"is {picture.shape[1]} x {picture.shape[0]} of {picture.dtype}, its camera "
-    what += f"{size[1]} x {size[0]} of {np.dtype(kind)}"
-    right, fix = picture.shape[:2] == size and picture.dtype == kind, "give the camera's intrinsics"
-    expect(right, what, frame.where, f"{fix} of these pictures, or copy them again")
+    picture = frame.read()
+    what, fix = f"holds {picture.dtype}, not {np.dtype(kind)}", "record depth, or colour as rgb8"
+    expect(picture.dtype == kind, what, frame.where, fix)
+    camera.check_size(picture, frame.where)
     return picture
 
 

@@ -36,7 +36,7 @@ from gendom.datasets import Fault
 from gendom.errors import RecordingError
 from gendom.perception.camera import MAX_DISTANCE, Camera, expect
 from gendom.perception.frames import read_png
-from gendom.reading import inside, read_rows, read_toml
+from gendom.reading import inside, read_rows, read_toml, record_of
 
 # What is refused (docs/perception.md).
 _MIN_PICTURES = 5
@@ -74,10 +74,10 @@ class Board:
     def __post_init__(self):
         what = f"{self.squares_x} x {self.squares_y} squares"
         some = all(3 <= n <= 100 and isinstance(n, int) for n in (self.squares_x, self.squares_y))
-        expect(some, what, where="board", fix="use 3 or more, 100 at most")
+        expect(some, what, where="board.toml", fix="use 3 or more, 100 at most")
         what = f"square {self.square}, marker {self.marker}"
         fix = "give metres, the marker smaller than the square"
-        expect(0.0 < self.marker < self.square < 1.0, what, where="board", fix=fix)
+        expect(0.0 < self.marker < self.square < 1.0, what, where="board.toml", fix=fix)
 
     def opencv(self) -> Any:
         """The same as cv2.aruco.CharucoBoard; RecordingError: there is no such dictionary."""
@@ -86,7 +86,7 @@ class Board:
         known = self.dictionary.startswith("DICT_") and hasattr(aruco, self.dictionary)
         fix = "use OpenCV's names, such as DICT_4X4_50 or DICT_5X5_100"
         what = f"there is no dictionary {self.dictionary!r}"
-        expect(known, what, where="board", fix=fix)
+        expect(known, what, where="board.toml", fix=fix)
         markers = aruco.getPredefinedDictionary(getattr(aruco, self.dictionary))
         size = self.squares_x, self.squares_y
         board = aruco.CharucoBoard(size, self.square, self.marker, markers)
@@ -405,11 +405,8 @@ def read_views(
         except RecordingError as error:
             on_warning(Fault(f"{error.what}; left out", str(path), error.fix or "", "warning"))
             continue
-        size = camera.width, camera.height
-        what = f"is {picture.width} x {picture.height}, the camera {size[0]} x {size[1]}"
-        fix = "take the pictures with the stream whose K is given"
-        expect(picture.size == size, what, where=str(path), fix=fix)
         grey = np.asarray(picture.convert("L"))
+        camera.check_size(grey, str(path))
         points, pixels = find_board(grey, board)
         if len(points) == 0:
             other = replace(board, legacy=not board.legacy)
@@ -427,13 +424,8 @@ def read_views(
 def read_board(path: Path) -> Board:
     """The board of a file board.toml with the fields of `Board`; RecordingError: it has others."""
     fix = "give squares_x, squares_y, square, marker (m), dictionary"
-    try:
-        return Board(**read_toml(path, fix=fix, error=RecordingError))
-    except TypeError as error:  # a field that is missing, unknown or of another type
-        what = f"does not describe a board ({str(error).removeprefix('Board.__init__() ')})"
-    except RecordingError as error:
-        what, fix = error.what, error.fix
-    raise RecordingError(what, where=str(path), fix=fix)
+    table = read_toml(path, fix=fix, error=RecordingError)
+    return record_of(Board, table, where=str(path), fix=fix, by_hand=True, error=RecordingError)
 
 
 def read_poses(path: Path) -> list[tuple[Path, np.ndarray]]:

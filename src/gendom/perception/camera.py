@@ -144,6 +144,14 @@ class Camera:
         inside = (x >= 0) & (y >= 0) & (x < self.width) & (y < self.height)
         return found, np.asarray(inside)
 
+    def check_size(self, picture: npt.NDArray, where: str) -> None:
+        """RecordingError: a picture [height, width, ...], which messages call `where`, has not the
+        size of this camera's."""
+        (height, width), own = picture.shape[:2], f"{self.width} x {self.height}"
+        fix = "give the intrinsics of these pictures, colour and masks aligned with depth"
+        right = (width, height) == (self.width, self.height)
+        expect(right, f"is {width} x {height}, the camera {own}", where, fix)
+
     def at(self, T_world_camera: npt.ArrayLike) -> Camera:
         """The same camera at another pose, [4, 4] [m]."""
         return replace(self, T_world_camera=np.asarray(T_world_camera, dtype=np.float64))

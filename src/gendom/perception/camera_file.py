@@ -1,11 +1,4 @@
-"""A depth camera's file, camera.toml.
-
-    width = 640                  # pixels
-    height = 480
-    depth_unit = 0.001           # metres a count of the depth pictures
-    K = [[385.0, 0.0, 319.5], [0.0, 385.0, 239.5], [0.0, 0.0, 1.0]]   # pixels
-    distortion = []              # OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]
-    T_world_camera = [[...], [...], [...], [0.0, 0.0, 0.0, 1.0]]      # camera to world [m]
+"""A depth camera's file, camera.toml (docs/perception.md, Input).
 
 T_world_camera may also name a file beside it that another calibration wrote
 (`gendom.perception.poses`). Beside a recording that holds the intrinsics only it is needed.

@@ -144,11 +144,7 @@ class TablePlane:
 
 
 def fit_table(
-    points: Array,
-    directions: Array,
-    depth: Array,
-    *,
-    expected_height: float | None = None,
+    points: Array, directions: Array, depth: Array, *, expected_height: float | None = None
 ) -> TablePlane | None:
     """The horizontal plane that most points lie on.
 
@@ -450,9 +446,7 @@ class FusedCloud:
 
 
 def fuse(
-    clouds: Sequence[npt.NDArray[np.float32]],
-    held: Held | None = None,
-    breadth: float = np.inf,
+    clouds: Sequence[npt.NDArray[np.float32]], held: Held | None = None, breadth: float = np.inf
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8], int]:
     """One cloud of several cameras' clouds [n_k, 3] [m]: one point a voxel, without outliers, and
     of what grippers hold, where it is given, only what hangs together with them. Points of objects

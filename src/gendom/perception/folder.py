@@ -1,21 +1,9 @@
-"""Recordings of cameras and robot as folders of PNG pictures.
+"""Recordings of cameras and robot as folders (docs/perception.md, Input).
 
-    DIR/
-      object.toml            what is held, as in a folder of PLY clouds
-      gripper.csv            the robot's path: time,x,y,z[,ax,ay,az][,closed], at times of its own
-      joints.csv             optional: the robot's joint angles, see `gendom.robot`
-      cameras/NAME/
-        camera.toml          see `gendom.perception.camera_file`
-        frames.csv           time,depth[,colour]: seconds, and files relative to this folder
-        depth/*.png          16 bit grey, counts of depth_unit along the optical axis, 0: none
-        colour/*.png         8 bit, of the depth's size and aligned with it
-
-Instead of frames.csv and pictures a camera may have a RealSense recording; then its camera.toml
-holds the pose only (`gendom.perception.realsense`). Other packages add kinds of folders by entry
-points ``gendom.cameras`` (`gendom.perception.CameraReader`).
-
-All times are seconds of one clock. Each frame is read separately when it is used, so a damaged or
-missing frame does not affect others.
+A camera's folder holds frames.csv and PNG pictures, or a RealSense recording; other packages add
+kinds by entry points ``gendom.cameras`` (`gendom.perception.CameraReader`). All times are seconds
+of one clock. Each frame is read separately when it is used, so a damaged or missing frame does not
+affect others.
 """
 
 from __future__ import annotations
@@ -135,17 +123,13 @@ class PngCamera:
         what = f"is a PNG of mode {picture.mode}, not 16 bit grey"
         fix = "store depth as 16 bit counts of depth_unit"
         expect(picture.mode.startswith("I"), what, str(path), fix)
-        counts = self._sized(np.asarray(picture), path).astype(np.uint16, copy=False)
+        counts = np.asarray(picture).astype(np.uint16, copy=False)
+        self.camera.check_size(counts, str(path))
         if colour is None:
             return Pictures(counts)
-        return Pictures(counts, self._sized(np.asarray(read_png(colour).convert("RGB")), colour))
-
-    def _sized(self, array: np.ndarray, path: Path) -> np.ndarray:
-        height, width = self.camera.height, self.camera.width
-        what = f"is {array.shape[1]} x {array.shape[0]}, camera.toml says {width} x {height}"
-        fix = "give the intrinsics of these pictures, colour aligned with depth"
-        expect(array.shape[:2] == (height, width), what, str(path), fix)
-        return array
+        painted = np.asarray(read_png(colour).convert("RGB"))
+        self.camera.check_size(painted, str(colour))
+        return Pictures(counts, painted)
 
 
 class PngWriter:

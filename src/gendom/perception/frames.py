@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -49,8 +49,9 @@ class Frame:
     """Time stamp [s] on a clock that all cameras share."""
     where: str
     """What messages call it."""
-    read: Callable[[], Pictures]
-    """The pictures, fetched or decoded when called; raises `RecordingError` when damaged."""
+    read: Callable[[], Any]
+    """`Pictures` (of a single sensor or a bag's topic: its picture or message), fetched or decoded
+    when called; raises `RecordingError` when damaged."""
 
 
 @runtime_checkable
@@ -136,15 +137,20 @@ class MatchedFrames:
                 self.alone[k] += 1
                 step(k)
 
+    def left_out(self, names: Iterable[str]) -> Iterator[Fault]:
+        """A warning of each source, by what messages call it, some of whose frames were alone."""
+        for name, alone in zip(names, self.alone, strict=True):
+            if alone:
+                what = f"{alone} of {alone + self.used} frames match no frame of the others within "
+                what += f"{self._tolerance:g} s; they are left out"
+                yield Fault(what, name, "check the cameras' clocks if there are many", "warning")
+
 
 def _in_order(source: Iterable[Frame]) -> Iterator[Frame]:
     last = -np.inf
     for frame in source:
-        what, fix = (
-            f"time goes from {time_text(last)} s to {time_text(frame.time)} s",
-            "sort the frames",
-        )
-        expect(frame.time > last, what, frame.where, f"{fix} and drop repeated ones")
+        what = f"time goes from {time_text(last)} s to {time_text(frame.time)} s"
+        expect(frame.time > last, what, frame.where, "sort the frames and drop repeated ones")
         yield frame
         last = frame.time
 

@@ -53,17 +53,12 @@ class Line:
 
 
 def find_line(
-    points: Array,
-    rope: ObjectDescription,
-    held: Array | None = None,
-    *,
-    all_seen: bool = True,
+    points: Array, rope: ObjectDescription, held: Array | None = None, *, all_seen: bool = True
 ) -> Line:
     """The line of a rope, whose length is known, in a cloud [n, 3] [m].
 
     The cloud's points are averaged to nodes, and the way between two of them is the one of least
-    fourth powers of steps: it follows the cloud where it is dense, also where a rope comes near
-    itself, and bridges gaps.
+    squared steps: it follows the cloud where it is dense, and bridges gaps.
 
     Args:
         held: [3] where its end is held [m]; None: the longest line there is, however it is held.
@@ -116,7 +111,7 @@ class _Ways:
         """[m, m] between nodes [m]."""
         n = len(nodes)
         every = np.tile(np.arange(n), n), np.arange(0, n * n + 1, n)
-        costs = self.steps.ravel() ** 4 + 1e-12  # also between nodes at one place
+        costs = self.steps.ravel() ** 2 + 1e-12  # also between nodes at one place
         graph = csr_array((costs, *every), shape=(n, n))
         cost, self._before = dijkstra(graph, indices=start, return_predecessors=True)
         before = np.maximum(self._before, 0).tolist()

@@ -201,7 +201,8 @@ class _Perception:
 
     def _read(self, frames: tuple[Frame, ...]) -> list[Pictures] | None:
         try:
-            pictures = list(map(self._picture, self.names, frames))
+            cameras = [view.camera for view in self.views]
+            pictures = list(map(self._picture, cameras, frames))
             for frame, seen in zip(frames, pictures, strict=True):
                 # Sensors give such pictures just after they are switched on.
                 has = np.count_nonzero(seen.depth)
@@ -213,7 +214,7 @@ class _Perception:
             return None
         return pictures
 
-    def _picture(self, name: str, frame: Frame) -> Pictures:
+    def _picture(self, camera: Camera, frame: Frame) -> Pictures:
         """What a camera saw; where there are masks, white is the object and the rest black."""
         seen = frame.read()
         if self.settings.masks is None:
@@ -221,14 +222,12 @@ class _Perception:
         file = Path(frame.where).name
         if not file.endswith(".png"):
             file = f"{file.rsplit(' ', 1)[-1]:0>6}.png"
-        path = self.settings.masks / name / file
+        path = self.settings.masks / camera.name / file
         self._require(path.is_file(), "there is no such mask", _MASKS, str(path))
         picture = read_png(path)
         found = np.asarray(picture if picture.mode[0] == "I" else picture.convert("RGB")) > 0
         mask = np.asarray(found.reshape(*found.shape[:2], -1).any(axis=2))
-        size, own = seen.depth.shape, mask.shape
-        what = f"is {own[1]} x {own[0]}, the pictures are {size[1]} x {size[0]}"
-        self._require(own == size, what, _MASKS, str(path))
+        camera.check_size(mask, str(path))
         self._require(mask.any(), "masks nothing: all pixels are 0", _MASKS, str(path))
         return Pictures(seen.depth, np.repeat(mask[..., None], 3, axis=2) * np.uint8(255))
 
@@ -371,11 +370,8 @@ class _Perception:
         )
         what = f"no frames of the cameras lie within {late} ({spans})"
         self._require(used, what, "put all time stamps on one clock, or raise --sync-tolerance")
-        for name, alone in zip(self.names, matched.alone, strict=True):
-            if alone:
-                what = f"{alone} of {alone + used} frames match no frame of the others "
-                what += f"within {late}; they are left out"
-                self._warn(what, f"camera {name!r}", "check the cameras' clocks if there are many")
+        for fault in matched.left_out(f"camera {name!r}" for name in self.names):
+            self.on_warning(fault)
         path = self.recorded.robot.time
         times = f"{time_text(path[0])} to {time_text(path[-1])} s"
         if self.unreadable:

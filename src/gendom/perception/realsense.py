@@ -1,14 +1,8 @@
 """RealSense recordings as a source of frames.
 
-A recorded camera is a folder with one recording and camera.toml:
-
-    cameras/left/
-      recording.db3    of any name, as the SDK or its viewer records them
-      camera.toml      T_world_camera; depth_unit only where the recording's is wrong
-
-Intrinsics, distortion and depth unit are the recording's. Colour is aligned with depth. Time is the
-depth picture's own time stamp [s]: with the SDK's "Global Time", its default, on the clock of the
-computer that recorded, since 1970.
+A camera's folder holds one recording, .db3 of any name as the SDK or its viewer records it, and
+camera.toml with T_world_camera. Colour is aligned with depth. Time is the depth picture's own time
+stamp [s]: with the SDK's "Global Time", its default, on the clock of the computer that recorded.
 
 A .db3 file is a bag of ROS 2 whose topics the SDK documents (doc/record-and-playback.md); it is
 read without the SDK. Those used here are, below /device_0/sensor_N/, and the same for Color_0:
@@ -88,6 +82,7 @@ class RealSenseRecording:
         self.path = Path(path)
         if self.path.is_dir():
             self.path = self.find(self.path) or self.path
+        file_size(self.path, RecordingError, most=ANY_SIZE)  # a pipe would wait
         _check_checksum(self.path)
         bag = Bag(self.path, on_warning=on_warning)
         where, name = str(self.path), self.path.resolve().parent.name
@@ -100,7 +95,8 @@ class RealSenseRecording:
         camera = replace(depth.camera, depth_unit=unit)
         beside = self.path.with_name("camera.toml")
         self.camera: Camera = read_camera(beside, recorded=camera) if beside.exists() else camera
-        self._depth, self._beside = depth.entries, ()
+        self._depth = depth.entries
+        self._beside: tuple[Any, ...] = ()
         if colour is not None and colour.entries:
             T = colour.T_stream_reference @ np.linalg.inv(depth.T_stream_reference)
             self._beside = colour.camera, colour.entries, T
@@ -308,7 +304,7 @@ class Bag:
         except ValueError as error:
             what = f"is damaged ({error})"
             raise RecordingError(what, where=where, fix="copy it again") from None
-        return picture_of(message, kind, where)[0]
+        return picture_of(message, kind, where)
 
     def _message(self, row: int, kind: str) -> Any:
         """A message of a type; ValueError: it cannot be read."""

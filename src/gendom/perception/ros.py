@@ -1,18 +1,8 @@
 """Recordings from bags of ROS 1 and ROS 2: what cameras saw, and the gripper's motion.
 
-A bag is a folder with metadata.yaml, or one or all of its files (.bag, .db3, .mcap). Read are
-
-    sensor_msgs/PointCloud2        clouds, of one topic or several
-    sensor_msgs/Image              depth, 16UC1 in millimetres or 32FC1 in metres, and colour; also
-                                   CompressedImage (depth PNG, colour PNG or JPEG); with CameraInfo
-    tf2_msgs/TFMessage             /tf and /tf_static: where frames are
-    geometry_msgs/PoseStamped,     the gripper, where it is no frame of TF
-    TransformStamped, FrankaState
-    sensor_msgs/JointState         the robot's joints, to take its shape out of the clouds
-
-`read_ros_bag` takes the clouds as they are, `read_ros_cameras` makes cameras of them for
-`gendom.perception.perceive`, which removes table and robot. All is brought into one frame, the
-world's. Times are those of the headers.
+What is read of which messages, docs/data.md says. `read_ros_bag` takes the clouds as they are,
+`read_ros_cameras` makes cameras of them for `gendom.perception.perceive`, which removes table and
+robot. All is brought into one frame, the world's. Times are those of the headers.
 """
 
 from __future__ import annotations
@@ -39,15 +29,7 @@ from gendom.perception.robot import CapsulePath, arm_capsules
 from gendom.perception.ros_bag import RosBag
 from gendom.perception.ros_cameras import cloud_camera, depth_camera, topics_of
 from gendom.perception.ros_frames import FrameTree, Track, stamp
-from gendom.perception.ros_messages import (
-    CLOUD,
-    IMAGE,
-    JOINTS,
-    PACKED,
-    POSES,
-    TF,
-    points_of,
-)
+from gendom.perception.ros_messages import CLOUD, IMAGE, JOINTS, PACKED, POSES, TF, points_of
 from gendom.robot import Arm, JointStates, find_arm
 
 Box = tuple[float, float, float, float, float, float]
@@ -120,10 +102,8 @@ def read_ros_bag(
         what = f"{left_out} of {left_out + len(clouds)} clouds lie outside of the time in which "
         what += "frames are known; they are left out"
         on_warning(Fault(what, topics, "record /tf as long as the clouds", "warning"))
-    for topic, alone in zip(chosen, matched.alone, strict=True):
-        if alone:
-            what = f"{alone} of {alone + matched.used} clouds match none of the other topics"
-            on_warning(Fault(f"{what}; they are left out", topic, "check the clocks", "warning"))
+    for fault in matched.left_out(chosen):
+        on_warning(fault)
     values = scene.values
     values["extra"] |= {"ros": {"points": chosen, "gripper": settings.gripper}}
     values["extra"] |= {"started": times[0], "world": scene.world}

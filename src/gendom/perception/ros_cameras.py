@@ -24,9 +24,8 @@ from gendom.perception.ros_messages import (
     INFO,
     PACKED,
     camera_of,
-    colour_of,
     colours_of,
-    depth_of,
+    picture_of,
     points_of,
 )
 from gendom.reading import MOST_PIXELS
@@ -118,14 +117,14 @@ def depth_camera(bag: RosBag, topic: str, name: str, frames: FrameTree) -> RosCa
     frame, beside = depth.header.frame_id.lstrip("/"), colour_topic(bag, topic)
 
     def counts(message: Any, where: str) -> Array:
-        found = depth_of(message, kind, where)
-        return found if found.dtype == np.uint16 else _counts(found)
+        found = picture_of(message, kind, where)
+        return _counts(found) if found.dtype == np.float32 else found
 
     def seen(camera: Camera) -> Iterator[Frame]:
         depths = bag.frames(topic, counts)
         if beside is None:
             return aligned(camera, depths)
-        of = partial(colour_of, kind=bag.topics[beside])
+        of = partial(picture_of, kind=bag.topics[beside])
         colours = bag.frames(beside, lambda message, where: of(message, where=where))
         return aligned(camera, depths, colour, colours, T)
 

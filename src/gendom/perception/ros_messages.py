@@ -60,49 +60,27 @@ def camera_of(info: Any, *, rectified: bool, name: str, depth_unit: float) -> Ca
     return Camera(name=name, K=K, distortion=distortion, T_world_camera=None, **size)
 
 
-def depth_of(message: Any, kind: str, where: str) -> Array:
-    """[height, width] uint16 [mm] or float32 [m] of a message; RecordingError: it is damaged, or no
-    depth."""
-    depth, said = picture_of(message, kind, where)
-    fix = "record 16UC1 or 32FC1, packed ones as 16UC1 PNG"
-    right = depth.ndim == 2 and not said.startswith("32FC1;")
-    expect(right, f"is {said[:40]!r}, no depth", where, fix)
-    return depth
+def picture_of(message: Any, kind: str, where: str) -> Array:
+    """The picture of a message: [height, width] of depth, uint16 as stored or float32 [m], or
+    [height, width, 3] uint8, RGB; RecordingError: it is damaged or of an unknown format.
 
-
-def colour_of(message: Any, kind: str, where: str) -> NDArray[np.uint8]:
-    """[height, width, 3] sRGB of a message; RecordingError: it is damaged, or no colour."""
-    colour, said = picture_of(message, kind, where)
-    right = colour.ndim == 3 and colour.dtype == np.uint8
-    expect(right, f"is {said[:40]!r}, no colour", where, "record rgb8 or bgr8")
-    return colour
-
-
-def picture_of(message: Any, kind: str, where: str) -> tuple[Array, str]:
-    """The picture of a message, and how it says that it is stored: [height, width] of depth or
-    [height, width, 3] uint8, RGB; RecordingError: it is damaged or of an unknown format."""
+    A CompressedImage's format is "16UC1; compressedDepth png", "rgb8; jpeg compressed bgr8" or, of
+    the RealSense SDK, "rgb8; zstd; 64x48 step=192".
+    """
     data = np.asarray(message.data, dtype=np.uint8).tobytes()
     try:
-        if kind == PACKED:
-            said = message.format
-            if data.startswith(b"\xff\xd8"):
-                return np.asarray(decode(data, where, "JPEG").convert("RGB")), said
-            return packed_picture(data, said, where), said
-        order, size = "<>"[bool(message.is_bigendian)], (message.width, message.height)
-        return raw_picture(data, message.encoding, *size, message.step, order, where), (
-            message.encoding
-        )
+        if kind != PACKED:
+            order, size = "<>"[bool(message.is_bigendian)], (message.width, message.height)
+            return raw_picture(data, message.encoding, *size, message.step, order, where)
+        if raw := _ZSTD_FORMAT.match(message.format):
+            width, height, step = (int(raw[k]) for k in (2, 3, 4))
+            return raw_picture(decompressed(data), raw[1], width, height, step, "<", where)
     except ValueError as error:
         raise RecordingError(f"is damaged ({error})", where=where, fix="copy it") from None
-
-
-def packed_picture(data: bytes, form: str, where: str) -> Array:
-    """The picture of a CompressedImage, whose format is "16UC1; compressedDepth png", "rgb8; png
-    compressed bgr8" or "rgb8; zstd; 64x48 step=192"; ValueError: it is damaged, RecordingError: so
-    is the PNG, or the format is unknown."""
-    if raw := _ZSTD_FORMAT.match(form):
-        width, height, step = (int(raw[k]) for k in (2, 3, 4))
-        return raw_picture(decompressed(data), raw[1], width, height, step, "<", where)
+    what, fix = f"is {message.format[:40]!r}", "record depth in PNG as 16UC1"
+    expect(not message.format.startswith("32FC1;"), what, where, fix)
+    if data.startswith(b"\xff\xd8"):
+        return np.asarray(decode(data, where, "JPEG").convert("RGB"))
     # Depth has twelve bytes more in front (compressed_depth_image_transport).
     picture = decode(data[max(data.find(_PNG, 0, 16), 0) :], where)
     if picture.mode.startswith("I"):
