@@ -4,15 +4,8 @@ import os
 
 import pytest
 
-from gendom.errors import GendomError, RecordingError
-from gendom.reading import (
-    inside,
-    read_bytes,
-    read_json,
-    read_number_table,
-    read_rows,
-    read_toml,
-)
+from gendom.errors import GendomError
+from gendom.reading import read_bytes, read_json, read_rows, read_toml
 
 
 @pytest.mark.parametrize(
@@ -46,12 +39,6 @@ def test_text_that_cannot_be_used(tmp_path, name, content, what):
     assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("most", [2**63 - 1, -(2**63)])
-def test_integers_have_64_bits(tmp_path, most):
-    (tmp_path / "x.json").write_text(f'{{"x": [[{most}]]}}')
-    assert read_json(tmp_path / "x.json") == {"x": [[most]]}
-
-
 def test_only_regular_files_of_some_size_are_read(tmp_path):
     pipe, zero, large = tmp_path / "pipe", tmp_path / "zero.toml", tmp_path / "large.json"
     os.mkfifo(pipe)
@@ -70,38 +57,6 @@ def test_only_regular_files_of_some_size_are_read(tmp_path):
     ):
         with pytest.raises(GendomError, match=what):
             read_bytes(path)
-
-
-@pytest.mark.parametrize("name", ["/etc/passwd", "../x.png", "a/../../x.png", "C:\\x", "a\0b"])
-def test_names_that_lead_out_of_a_folder(tmp_path, name):
-    with pytest.raises(RecordingError, match=r"^line 3: .* is not in"):
-        inside(tmp_path, name, where="line 3")
-    assert inside(tmp_path, r"depth\0.png", where="") == str(tmp_path / "depth" / "0.png")
-
-
-@pytest.mark.parametrize(("last", "cut"), [("1,-", [3]), ("1", [3]), ("1,2", []), ("1,-\n", None)])
-def test_a_last_row_may_be_cut(tmp_path, last, cut):
-    """Of what an interrupted program wrote; whole lines end in a line feed."""
-    (tmp_path / "x.csv").write_text(f"t,x\n0,5\n{last}")
-    told = []
-
-    def read():
-        return read_number_table(
-            tmp_path / "x.csv", header="t,x", check_header=lambda names: None, on_cut=told.append
-        )
-
-    if cut is None:
-        with pytest.raises(RecordingError, match=r"line 3, column x: '-' is no number"):
-            read()
-        return
-    assert read()[1].tolist() == [[0.0, 5.0], [1.0, 2.0]][: 1 + (not cut)] and told == cut
-
-
-@pytest.mark.parametrize("end", ["\n", "\r"])
-def test_tables_of_too_many_rows(tmp_path, end):
-    (tmp_path / "x.csv").write_text("x" + f"{end}1" * 40_000, newline="")
-    with pytest.raises(RecordingError, match=r"x\.csv: has 40000 rows, at most 32768 are read"):
-        read_rows(tmp_path / "x.csv", header="x")
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])

@@ -38,25 +38,10 @@ _ROOMS = {
 _EXPORTS = {name: room for room, names in _ROOMS.items() for name in names}
 
 __all__ = [
-    "Cloth",
-    "ClothSpreading",
-    "Estimate",
-    "EstimateSettings",
-    "Fault",
-    "GendomError",
-    "Material",
-    "ObjectDescription",
-    "Policy",
-    "Recording",
-    "Rope",
-    "RopeCasting",
-    "RopeReaching",
-    "SceneSettings",
-    "Simulator",
-    "__version__",
-    "estimate",
-    "replay",
-]
+    "Cloth", "ClothSpreading", "Estimate", "EstimateSettings", "Fault", "GendomError", "Material",
+    "ObjectDescription", "Policy", "Recording", "Rope", "RopeCasting", "RopeReaching",
+    "SceneSettings", "Simulator", "__version__", "estimate", "replay",
+]  # fmt: skip
 
 
 __getattr__ = imported_later(__name__, _EXPORTS)

@@ -49,6 +49,8 @@ def nested(depth):
          "in line 2); write the file again"),
         ("a.csv", b"x\n" * (1 << 15), b"x\n" * ((1 << 15) + 1),
          "has 32769 rows, at most 32768 are read; keep one lift, or every tenth row"),
+        ("a.csv", b"x\r" * (1 << 15), b"x\r" * ((1 << 15) + 1),
+         "has 32769 rows, at most 32768 are read; keep one lift, or every tenth row"),
         ("a.csv", b"," * 255, b"," * 256 + b"\n1,2", "has 257 columns; write the header x"),
         ("a.csv", b"x", b"\n\n", "is empty; write the header x"),
         ("a.csv", b"x,y\n1;2", b"x;y\n", "is separated by ';'; separate values by commas, and "
@@ -132,7 +134,8 @@ def test_names_lead_into_a_folder_or_are_near_to_one(tmp_path):
     with pytest.raises(GendomError, match="no such file; check the path"):
         reading.read_bytes(tmp_path / "other.csv")
     assert reading.inside("f", "a/b.png", where="") == "f/a/b.png"
-    for bad in ("", "/a", "a/..", "..", "C:a", "C:/a"):
+    assert reading.inside("f", r"a\0.png", where="") == "f/a/0.png"
+    for bad in ("", "/a", "a/../../x", "..", "C:a", "C:\\x", "a\0b"):
         with pytest.raises(RecordingError, match=r"is not in f; name files below that folder"):
             reading.inside("f", bad, where="")
 

@@ -37,19 +37,24 @@ def test_the_shipped_calibration_is_that_of_the_kind_and_frames(kind, frames, en
 def test_a_calibrated_posterior_is_a_product_of_gaussians():
     """Of the prior and the likelihood, whose deviations are wider by what is known to be wrong;
     what is added comes on top, up to the prior's deviation or, where the search said more, that."""
-    calibration = IntervalCalibration(factor={"E_over_rho": 2.0}, added={"damping": 0.3})
-    own, more = PRIOR.sd * [0.3, 0.5, 1.5], PRIOR.sd * [0.1, 5.0, 0.0]
+    factor, added = {"E_over_rho": 2.0}, {"grip_height": 0.4 * PRIOR.sd[1]}
+    calibration = IntervalCalibration(factor=factor, added=added)
+    own, more = PRIOR.sd * [0.3, 0.5, 1.5], PRIOR.sd * [0.1, 0.0, 0.0]
     correlation = np.array([[1.0, 0.5, 0.2], [0.5, 1.0, 0.1], [0.2, 0.1, 1.0]])
+    covariance = correlation * np.outer(own, own)
     mean = PRIOR.mean + np.array([0.5, 0.01, 0.2])
-    found = calibration.posterior(PRIOR, mean, correlation * np.outer(own, own), [], more)
-    tau, w = 1.0 / (own[0] ** -2 - PRIOR.sd[0] ** -2), PRIOR.sd[0] ** 2
-    peak = PRIOR.mean[0] + 0.5 * tau / own[0] ** 2  # of the likelihood alone
-    worse = 4.0 * tau
-    precision = 1.0 / w + 1.0 / worse
-    at = (PRIOR.mean[0] / w + peak / worse) / precision
-    assert found.mean[0] == pytest.approx(at) and found.mean[1] == pytest.approx(mean[1])
-    sd = np.array([math.sqrt(1.0 / precision + more[0] ** 2), PRIOR.sd[1], PRIOR.sd[2]])
+    found = calibration.posterior(PRIOR, mean, covariance, [], more)
+    sd = PRIOR.sd.copy()  # of what the likelihood says nothing of it stays
+    for k, name in enumerate(PRIOR.names[:2]):
+        tau, w = 1.0 / (own[k] ** -2 - PRIOR.sd[k] ** -2), PRIOR.sd[k] ** 2
+        peak = PRIOR.mean[k] + (mean - PRIOR.mean)[k] * tau / own[k] ** 2  # of the likelihood alone
+        worse = factor.get(name, 1.0) ** 2 * tau + added.get(name, 0.0) ** 2
+        precision = 1.0 / w + 1.0 / worse
+        assert found.mean[k] == pytest.approx((PRIOR.mean[k] / w + peak / worse) / precision)
+        sd[k] = math.hypot(precision**-0.5, more[k])
     np.testing.assert_allclose(found.covariance, correlation * np.outer(sd, sd), rtol=1e-6)
+    wide = calibration.posterior(PRIOR, mean, covariance, [], 5.0 * PRIOR.sd)
+    np.testing.assert_allclose(np.diag(wide.covariance), np.maximum(PRIOR.sd, own) ** 2)
 
 
 # ---- what is added -------------------------------------------------------------------------------

@@ -94,6 +94,7 @@ def load_kernels(module: Any, device: Any, block_dim: int | None = None) -> None
         loaded = module.execs.get((wp.get_device(device).context, size))
         if loaded is not None and loaded.module_hash == module.get_module_hash(size):
             return
+    with making, _alone(module):
         for kept in _folders(module):
             if not _is_whole(kept):
                 shutil.rmtree(kept, ignore_errors=True)
@@ -105,6 +106,22 @@ def load_kernels(module: Any, device: Any, block_dim: int | None = None) -> None
             wp.load_module(module, device=device, block_dim=block_dim)
         for kept in _folders(module):
             _seal(kept)
+
+
+@contextmanager
+def _alone(module: Any) -> Iterator[None]:
+    """One process at a time makes a module's kernels: several would write the same files."""
+    file = None
+    with contextlib.suppress(ImportError, OSError):  # Windows, or a folder that is read alone
+        import fcntl
+
+        file = open(Path(str(wp.config.kernel_cache_dir)) / f"{module.name}.lock", "a")  # noqa: SIM115
+        fcntl.flock(file, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        if file is not None:
+            file.close()
 
 
 def _folders(module: Any) -> list[Path]:
