@@ -114,6 +114,8 @@ class Start:
     """Whether the comparison's derivatives, of a neighbour, are too inaccurate to be used."""
     exact: bool = False
     """Whether they are its own."""
+    precise: bool = True
+    """Whether they are to be taken with all points."""
     stage: str = ""
     """Of a search that has several."""
     history: list[tuple[int, Array, float, str]] = field(default_factory=list)
@@ -345,7 +347,7 @@ class Problem:
         *,
         derivatives: bool = True,
         free: Sequence[int] | None = None,
-        sketched: bool = False,
+        sketched: bool | None = None,
     ) -> list[Comparisons | None]:
         """Comparisons at transformed parameters, None where a world diverges, from one batch for
         each recording.
@@ -354,8 +356,7 @@ class Problem:
             vectors: [P] each.
             derivatives: Whether they know how shapes change with parameters.
             free: Indices of the free parameters (default: all); derivatives by the others are 0.
-            sketched: Whether those of cloths are taken with few points, too, as those of ropes are:
-                of 21 and 47 they differ by 1 to 2 % in E and how it is held.
+            sketched: Whether they are taken with few points; by default of ropes.
         """
         prior, columns = self.prior, []
         steps = [np.where(v + prior.step > prior.high, -prior.step, prior.step) for v in vectors]
@@ -370,7 +371,8 @@ class Problem:
                 [v, *(v + along[k] * h[k] for k in which)]
                 for v, h in zip(vectors, steps, strict=True)
             ]
-            few = part.coarser if sketched or part.scene.kind == "rope" else part.scene
+            sketch = part.scene.kind == "rope" if sketched is None else sketched
+            few = part.coarser if sketch else part.scene
             shapes, changes = self._shapes(worlds, recording, few if derivatives else part.scene)
             found: list[Comparison | None] = []
             for own, here, change, h in zip(worlds, shapes, changes, steps, strict=True):
