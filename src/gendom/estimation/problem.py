@@ -298,14 +298,14 @@ class Problem:
 
     def with_unknown(self, name: str) -> Problem:
         """The same of one recording with one more unknown, the last one."""
-        part = self.only()
-        part = replace(part, shown=np.append(part.shown, len(part.shown)))
+        shown = np.append(self.only().shown, len(self.only().shown))
+        part = replace(self.only(), shown=shown)
         return self._with([part], prior=self.prior.followed_by(prior_of([name])))
 
     def alone(self, recording: int) -> Problem:
         """The same of one recording."""
-        part, k = self.parts[recording], self.parts[recording].shown
-        own = replace(part, shown=np.arange(len(k)), name="")
+        k = self.parts[recording].shown
+        own = replace(self.parts[recording], shown=np.arange(len(k)), name="")
         return self._with([own], prior=self.prior.alone(k), _on_progress=None)
 
     def only(self) -> Part:
@@ -386,9 +386,8 @@ class Problem:
                 J = np.zeros((*here.shape, len(widens)))
                 J[..., moved] = change / h[which] @ back.T
                 widens[moved] = back @ ((r[1:] - r[0]) / h[which])
-                found.append(
-                    Comparison(part.observation, here, J, float(r[0]), widens, part.base.offsets)
-                )
+                made = part.observation, here, J, float(r[0]), widens, part.base.offsets
+                found.append(Comparison(*made))
             columns.append(found)
         rows = zip(*columns, strict=True)
         return [None if None in row else Comparisons(row) for row in rows]
