@@ -231,3 +231,14 @@ def test_results_do_not_depend_on_where_a_rig_stands(cable):
         assert other.theta.damping == pytest.approx(found.theta.damping, rel=1e-3)
         wanted = (frames[:, ::-1] if swapped else frames) @ turn.T
         assert other.fits[0].positions == pytest.approx(wanted, abs=1e-5)
+
+
+def test_an_axis_that_ends_beside_the_hands_is_held(cable):
+    """That of a longer cable begins elsewhere than where markers show it."""
+    scene = LiftScene.of(cable.head(20))
+    theta = scene.prior()[1].with_values({"E_over_rho": 7000.0})
+    for points in (17, len(scene.initial)):
+        own = scene.simulated_with(points)
+        for longer in (0.97, 1.0, 1.03):
+            x = replay_axis(own, [theta.with_values({"length_ratio": longer})])
+            assert np.isfinite(x).all()

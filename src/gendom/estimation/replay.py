@@ -195,7 +195,7 @@ class WorldInputs:
             begin = knots[0] - away / RAMP_SPEED - 1e-3
             knots, at = np.append(begin, knots), np.concatenate([held[None], at])
             turned = None if turned is None else Rotation.concatenate([turned[0], turned])
-        reach = held_reach(scene, self.theta.grip_reach)
+        reach = held_reach(scene, self.theta.grip_reach, self.positions)
         return Gripper(
             time=knots,
             position=at,
@@ -372,14 +372,15 @@ def _closed(scene: LiftScene, g: int, delay: float) -> dict[str, Any]:
     return {name: float(at[0]) for name, at in found.items() if len(at)}
 
 
-def held_reach(scene: LiftScene, farther: float = 0.0) -> float:
-    """How far from its point a gripper holds the object fast; a cloth so much farther than stated
-    [m]."""
+def held_reach(scene: LiftScene, farther: float = 0.0, x: Array | None = None) -> float:
+    """How far from its point a gripper holds the object, at [N, 3] or where it is shown to begin,
+    fast; a cloth so much farther than stated [m]."""
     stated, thick = scene.recording.object.grasp_radius, scene.body.thickness
     if scene.kind == "rope" and len(scene.held) > 1:
         # a gripper holds the part from its point to the end, and as much on the other side
-        gap = float(np.linalg.norm(scene.initial[[0, -1]] - scene.held, axis=1).max())
-        return max(stated or 0.5 * thick, gap)
+        ends = (scene.initial if x is None else x)[[0, -1]]
+        gap = float(np.linalg.norm(ends - scene.held, axis=1).max())
+        return max(stated or 0.5 * thick, (1.0 + 1e-6) * gap)
     if scene.kind == "rope":
         return stated or ROPE_REACH * thick
     side = scene.size / math.sqrt(2.0)

@@ -298,7 +298,8 @@ def _jump(
 def _compare_all(problem: Problem, start: Start, settings: GaussNewtonSettings) -> None:
     """Compare a start of the coarse problem in the full one, by all unknowns."""
     former, start.damping, start.stage = start.comparison, DAMPING[0], "fine"
-    start.exact, start.renew, start.precise = not settings.rugged, False, settings.rugged
+    start.exact, start.renew = not settings.rugged, False
+    start.precise = settings.rugged or problem.captured
     (start.comparison,) = problem.compare([start.vector], sketched=True)
     if start.comparison is None and former is not None and not settings.leading:
         # where a neighbour cannot be simulated, the old derivatives stay
