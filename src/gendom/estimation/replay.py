@@ -378,8 +378,8 @@ def held_reach(scene: LiftScene, farther: float = 0.0, x: Array | None = None) -
     stated, thick = scene.recording.object.grasp_radius, scene.body.thickness
     if scene.kind == "rope" and len(scene.held) > 1:
         # a gripper holds the part from its point to the end, and as much on the other side
-        ends = (scene.initial if x is None else x)[[0, -1]]
-        gap = float(np.linalg.norm(ends - scene.held, axis=1).max())
+        ends = np.stack([scene.initial, scene.initial if x is None else x])[:, [0, -1]]
+        gap = float(np.linalg.norm(ends - scene.held, axis=2).max())
         return max(stated or 0.5 * thick, (1.0 + 1e-6) * gap)
     if scene.kind == "rope":
         return stated or ROPE_REACH * thick
