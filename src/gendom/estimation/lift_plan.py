@@ -102,7 +102,8 @@ class ObjectClass:
         each = zip(self._ranges.items(), shares * 3 if len(shares) == 1 else shares, strict=False)
         own = {n: low + share * (high - low) for (n, (low, high)), share in each}
         mass, density = own.pop("mass", None), 1000.0
-        made: Any = KINDS[self.kind](**own)
+        sizes: dict[str, Any] = dict(own)
+        made: Any = KINDS[self.kind](**sizes)
         if self.material is not None:
             density = catalogue.get(self.material).density.typical
         if mass is not None:
@@ -155,8 +156,8 @@ class LiftPlanSettings:
         """
         plain = predefined_lift(kind)
         speeds = self.speeds or (plain.speed, 2.0 * plain.speed)
-        names, every = ("end", "rise", "speed"), product(self.ends, self.rises, speeds)
-        made = (LiftMotion(kind=kind, **dict(zip(names, m, strict=True))) for m in every)
+        every = product(self.ends, self.rises, speeds)
+        made = (LiftMotion(kind=kind, end=e, rise=rise, speed=v) for e, rise, v in every)
         return list(dict.fromkeys((plain, *made)))
 
 

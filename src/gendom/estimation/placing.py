@@ -433,7 +433,8 @@ def _along_edges(points: Array, yaw: float) -> float:
         slopes = []
         for axis in (0, 1):
             along, across = local[:, axis], local[:, 1 - axis]
-            ends = np.linspace(*np.quantile(along, [0.1, 0.9]), BINS + 1)  # corners are round
+            low, high = np.quantile(along, [0.1, 0.9]).tolist()  # corners are round
+            ends = np.linspace(low, high, BINS + 1)
             bins = [across[(along >= a) & (along < b)] for a, b in pairwise(ends)]
             kept = [k for k, one in enumerate(bins) if len(one) > 10]
             if len(kept) < BINS / 2:

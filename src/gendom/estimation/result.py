@@ -170,7 +170,9 @@ def _search(problem: Problem, found: Found, seconds: Mapping[str, float]) -> dic
     """The file's entries about the search."""
     settings, scene = problem.settings, problem.scene
     starts = []
-    for s in (s for s in found.starts if s.comparison is not None):
+    for s in found.starts:
+        if s.comparison is None:
+            continue
         theta = problem.theta(s.vector)
         bends = scene.bending_length(theta.E_over_rho, theta.thickness)
         initial, final = (_named(problem, v) for v in (s.initial, s.vector))
