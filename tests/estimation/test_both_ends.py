@@ -15,7 +15,7 @@ from gendom.estimation.markers import aside, axis_beside, material_frames
 from gendom.estimation.observed import Observation
 from gendom.estimation.placing import lost_time
 from gendom.estimation.problem import Problem
-from gendom.estimation.replay import replay_axis, with_twist_shown
+from gendom.estimation.replay import WorldInputs, replay_axis, with_twist_shown
 
 
 def markers(scene, x):
@@ -223,3 +223,14 @@ def test_results_do_not_depend_on_where_a_rig_stands(cable):
         assert other.theta.damping == pytest.approx(found.theta.damping, rel=1e-3)
         wanted = (frames[:, ::-1] if swapped else frames) @ turn.T
         assert other.fits[0].positions == pytest.approx(wanted, abs=1e-5)
+
+
+def test_an_axis_that_begins_beside_the_hands_is_held(cable):
+    """However tightly, and wherever it lies: what a hand does not reach cannot be simulated."""
+    tight = replace(cable.object, grasp_radius=1e-5)
+    scene = LiftScene.of(replace(cable.head(20), object=tight))
+    inputs = WorldInputs.of(scene, scene.prior()[1])
+    inputs.positions = inputs.positions + [0.0, 0.0, 0.004]
+    for g, end in ((0, 0), (1, -1)):
+        away = np.linalg.norm(inputs.positions[end] - scene.held[g])
+        assert inputs.gripper(g).radius >= away > 0.003

@@ -40,11 +40,11 @@ def plan():
 
 @pytest.mark.slow
 def test_a_swing_is_expected_to_show_damping(plan):
-    """As a swinging rope's decay does; a slow hold tells its damping within a factor of two."""
+    """As a swinging rope's decay does, with what the calibration of damping adds to both."""
     hold, swing = plan.rows
     assert hold.motion == predefined_lift("rope") and swing.motion.end == "swing"
-    assert plan.chosen is swing and plan.gain(hold) == 1.0 and plan.gain(swing) > 2.0
-    assert hold.half_width("damping", 0.9) > 4.0 * swing.half_width("damping", 0.9)
+    assert plan.chosen is swing and plan.gain(hold) == 1.0 and plan.gain(swing) > 1.4
+    assert hold.half_width("damping", 0.9) > 1.4 * swing.half_width("damping", 0.9)
     for row in plan.rows:
         assert len(row.sd) == 2
         for sd in row.sd:

@@ -157,10 +157,8 @@ def _alone(
     """The posterior of each recording alone, searched from the joint result; empty where that was
     interrupted. Noise is estimated again: in the joint fit a recording of another object looks
     noisy."""
-    if len(problem.parts) == 1:
-        return [posterior]
-    if found.interrupted:
-        return []
+    if len(problem.parts) == 1 or found.interrupted:
+        return [posterior] if len(problem.parts) == 1 else []
     posteriors = []
     for recording, part in enumerate(problem.parts):
         alone = problem.alone(recording)

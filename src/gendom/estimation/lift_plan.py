@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -88,10 +89,8 @@ class ObjectClass:
     @property
     def _ranges(self) -> dict[str, tuple[float, float]]:
         """Those that are stated, by name."""
-        given = zip(
-            (*KINDS[self.kind].sizes, "mass"), (self.size, self.thickness, self.mass), strict=True
-        )
-        return {name: ends for name, ends in given if ends is not None}
+        names, ends = (*KINDS[self.kind].sizes, "mass"), (self.size, self.thickness, self.mass)
+        return {name: own for name, own in zip(names, ends, strict=True) if own is not None}
 
     def at(self, *shares: float) -> Item:
         """The object whose size, thickness and mass lie at these shares of their ranges, or all at
@@ -100,12 +99,11 @@ class ObjectClass:
         Raises:
             ParameterError: There is no such object.
         """
-        shares, ranges = shares * 3 if len(shares) == 1 else shares, self._ranges.items()
-        own = {
-            n: low + k * (high - low) for (n, (low, high)), k in zip(ranges, shares, strict=False)
-        }
+        each = zip(self._ranges.items(), shares * 3 if len(shares) == 1 else shares, strict=False)
+        own = {n: low + share * (high - low) for (n, (low, high)), share in each}
         mass, density = own.pop("mass", None), 1000.0
-        made: Any = KINDS[self.kind](**own)
+        sizes: dict[str, Any] = dict(own)
+        made: Any = KINDS[self.kind](**sizes)
         if self.material is not None:
             density = catalogue.get(self.material).density.typical
         if mass is not None:
@@ -160,21 +158,16 @@ class LiftPlanSettings:
         """
         plain = predefined_lift(kind)
         speeds = self.speeds or (plain.speed, 2.0 * plain.speed)
-        every = (
-            LiftMotion(kind=kind, rise=rise, speed=speed, end=end)
-            for end in self.ends
-            for rise in self.rises
-            for speed in speeds
-        )
-        return list(dict.fromkeys((plain, *every)))
+        every = product(self.ends, self.rises, speeds)
+        made = (LiftMotion(kind=kind, end=e, rise=rise, speed=v) for e, rise, v in every)
+        return list(dict.fromkeys((plain, *made)))
 
 
 def rolls(motion: LiftMotion) -> bool:
     """Whether a rope moves fast on the table: a round one rolls there and the simulator's slides,
     so that estimates are wrong by more than their intervals say (docs/reality.md)."""
-    if motion.kind != "rope" or motion.end == "hold":
-        return False
-    return motion.end == "drop" or motion.rise < FREE_RISE
+    fast = motion.kind == "rope" and motion.end != "hold"
+    return fast and (motion.end == "drop" or motion.rise < FREE_RISE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -277,13 +270,10 @@ def plan_lift(
                 faults[str(error)] = None
             on_done(len(rows) * len(drawn) + n + 1, len(motions) * len(drawn))
         rows.append(MotionForecast(motion=motion, sd=tuple(found), faults=tuple(faults)))
-    require(
-        any(row.sd for row in rows),
-        f"no object can be lifted by any of {len(rows)} motions: {next(iter(rows[0].faults), '')}",
-        where="plan",
-        fix="lift smaller objects, or less high",
-        error=RobotError,
-    )
+    said = next(iter(rows[0].faults), "")
+    what = f"no object can be lifted by any of {len(rows)} motions: {said}"
+    fix = "lift smaller objects, or less high"
+    require(any(row.sd for row in rows), what, where="plan", fix=fix, error=RobotError)
     return LiftPlan(objects=objects, settings=settings, prior_sd=prior_sd, rows=tuple(rows))
 
 

@@ -86,11 +86,9 @@ def _hands(scene: LiftScene, frames: tuple[int, ...]) -> list[Array]:
 def spread(scene: LiftScene) -> Array:
     """[n, m] the smoothest change along the rod's points that is 1 at one of m markers and 0 at the
     others."""
-    index, weight = scene.markers
-    m, n = len(index), len(scene.initial)
-    at = np.zeros((m, n))
-    np.put_along_axis(at, index, weight, axis=1)
-    bend = np.diff(np.eye(n), 2, axis=0)
+    m, n = len(scene.markers[0]), len(scene.initial)
+    at, bend = np.zeros((m, n)), np.diff(np.eye(n), 2, axis=0)
+    np.put_along_axis(at, *scene.markers, axis=1)
     # the least bend with these values
     K = np.block([[bend.T @ bend, at.T], [at, np.zeros((m, m))]])
     return np.linalg.solve(K, np.concatenate([np.zeros((n, m)), np.eye(m)]))[:n]

@@ -393,12 +393,8 @@ def _place_cloth(
 
 def _cloth_yaw(recording: Recording, frames: tuple[int, ...], sides: Array, first: Array) -> float:
     """Turn of a flat cloth with sides [2] and its first corner at [2] from the held point, about
-    that point.
-
-    Of a cloth that lies flat before it is lifted, or is not held by a corner, the turn of its
-    outline. Otherwise it hangs evenly about its diagonal, which points to where the lifted cloud
-    is.
-    """
+    that point: of its outline, or, of one that lies in folds and hangs by a corner, evenly about
+    its diagonal, of that, which points to where the lifted cloud is."""
     grip, longer = recording.gripper_position[frames[0], 0], float(sides.max())
     lying = early_points(recording, frames, 0.01 * longer)[:, :2] - grip[:2]
     yaw, off = _outline_yaw(lying, first, sides)
@@ -437,9 +433,8 @@ def _along_edges(points: Array, yaw: float) -> float:
         slopes = []
         for axis in (0, 1):
             along, across = local[:, axis], local[:, 1 - axis]
-            # corners are round
-            low, high = np.quantile(along, [0.1, 0.9])
-            ends = np.linspace(float(low), float(high), BINS + 1)
+            low, high = np.quantile(along, [0.1, 0.9]).tolist()  # corners are round
+            ends = np.linspace(low, high, BINS + 1)
             bins = [across[(along >= a) & (along < b)] for a, b in pairwise(ends)]
             kept = [k for k, one in enumerate(bins) if len(one) > 10]
             if len(kept) < BINS / 2:
@@ -453,10 +448,8 @@ def _along_edges(points: Array, yaw: float) -> float:
 
 
 def lying_rectangle(points: Array) -> tuple[float, float] | None:
-    """Longer and shorter side [m] of the rectangle that points [n, 2] fill, None: they fill none.
-
-    Of all rectangles with nearly all points inside, the smallest.
-    """
+    """Longer and shorter side [m] of the smallest rectangle with nearly all points [n, 2] inside,
+    None: they do not fill it."""
 
     def box(angle: float) -> tuple[Array, Array, Array]:
         local = points @ _turn(angle)

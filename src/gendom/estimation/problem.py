@@ -115,6 +115,8 @@ class Start:
     """Whether the comparison's derivatives, of a neighbour, are too inaccurate to be used."""
     exact: bool = False
     """Whether they are its own."""
+    precise: bool = True
+    """Whether they are to be taken with all points."""
     stage: str = ""
     """Of a search that has several."""
     history: list[tuple[int, Array, float, str]] = field(default_factory=list)
@@ -316,14 +318,14 @@ class Problem:
 
     def with_unknown(self, name: str) -> Problem:
         """The same of one recording with one more unknown, the last one."""
-        part = self.only()
-        part = replace(part, shown=np.append(part.shown, len(part.shown)))
+        shown = np.append(self.only().shown, len(self.only().shown))
+        part = replace(self.only(), shown=shown)
         return self._with([part], prior=self.prior.followed_by(prior_of([name])))
 
     def alone(self, recording: int) -> Problem:
         """The same of one recording."""
-        part, k = self.parts[recording], self.parts[recording].shown
-        own = replace(part, shown=np.arange(len(k)), name="")
+        k = self.parts[recording].shown
+        own = replace(self.parts[recording], shown=np.arange(len(k)), name="")
         return self._with([own], prior=self.prior.alone(k), _on_progress=None)
 
     def only(self) -> Part:
@@ -365,7 +367,7 @@ class Problem:
         *,
         derivatives: bool = True,
         free: Sequence[int] | None = None,
-        sketched: bool = False,
+        sketched: bool | None = None,
     ) -> list[Comparisons | None]:
         """Comparisons at transformed parameters, None where a world diverges, from one batch for
         each recording.
@@ -374,8 +376,7 @@ class Problem:
             vectors: [P] each.
             derivatives: Whether they know how shapes change with parameters.
             free: Indices of the free parameters (default: all); derivatives by the others are 0.
-            sketched: Whether those of cloths are taken with few points, too, as those of ropes are:
-                of 21 and 47 they differ by 1 to 2 % in E and how it is held.
+            sketched: Whether they are taken with few points; by default of ropes.
         """
         prior, columns = self.prior, []
         steps = [np.where(v + prior.step > prior.high, -prior.step, prior.step) for v in vectors]
@@ -390,9 +391,8 @@ class Problem:
                 [v, *(v + along[k] * h[k] for k in which)]
                 for v, h in zip(vectors, steps, strict=True)
             ]
-            sketch = sketched or part.scene.kind == "rope" or self._anchors
-            few = part.coarser if sketch else part.scene
-            few = few if derivatives or self._anchors else part.scene
+            sketch = part.scene.kind == "rope" if sketched is None else sketched
+            few = part.coarser if self._anchors or (sketch and derivatives) else part.scene
             shapes, changes = self._shapes(worlds, recording, few)
             found: list[Comparison | None] = []
             each = zip(vectors, worlds, shapes, changes, steps, strict=True)

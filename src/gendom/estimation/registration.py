@@ -63,8 +63,7 @@ def first_shift(recording: Recording) -> Array:
     Raises:
         RecordingError: The gripper never lifts the object.
     """
-    T, size = np.eye(4), recording.object.size or 0.0
-    frames = with_points(recording)
+    T, size, frames = np.eye(4), recording.object.size or 0.0, with_points(recording)
     rise = recording.gripper_position[:, :, 2].min(axis=1)
     lifted = [t for t in frames if rise[t] - rise[frames[0]] > LIFTED * size]
     what = "clouds of cameras with unknown poses need a gripper that lifts the object by"

@@ -149,11 +149,10 @@ class WorldInputs:
         """
         from gendom.sim.thin.rods import SHORTEST  # Warp, which takes long to import
 
-        scene = self.scene
+        scene, x = self.scene, self.positions
         if not turn or len(scene.held) > 1:
             return
-        x, reach = self.positions, held_reach(scene)
-        step = scene.size / (len(x) - 1)
+        reach, step = held_reach(scene), scene.size / (len(x) - 1)
         away = np.linalg.norm(0.5 * (x[1:] + x[:-1]) - scene.held[0], axis=1)
         held = np.flatnonzero(away < max(reach, float(away.min()) + 1e-9))
         joint = min(int(held[-1]) + 1, len(x) - 2)
@@ -162,8 +161,7 @@ class WorldInputs:
         own = max(0.375 * step - border + 0.5 * border**2 / step, SHORTEST * step)
         bends = scene.bending_length(self.E_over_rho)
         lever = min(math.sqrt(2.0 * bends**3 * scene.size), 0.5 * scene.size**2)  # M / w
-        if self.stiffness is None:
-            self.stiffness = np.ones(len(x))
+        self.stiffness = np.ones(len(x)) if self.stiffness is None else self.stiffness
         self.stiffness[joint] *= own / (own + turn * bends**3 / lever)
 
     @property
@@ -184,8 +182,7 @@ class WorldInputs:
     def gripper(self, g: int) -> Gripper:
         """The recorded path, moved onto the held point, with slack and a ramp from rest."""
         scene, held = self.scene, self.scene.held[g]
-        delay = self.theta.delay / scene.clock
-        knots, path, turned = scene.paths[g]
+        delay, (knots, path, turned) = self.theta.delay / scene.clock, scene.paths[g]
         knots, at = knots + delay, path.copy()
         if len(scene.held) == 1:
             at[:, :2] += held[:2] - at[0, :2]
@@ -198,7 +195,7 @@ class WorldInputs:
             begin = knots[0] - away / RAMP_SPEED - 1e-3
             knots, at = np.append(begin, knots), np.concatenate([held[None], at])
             turned = None if turned is None else Rotation.concatenate([turned[0], turned])
-        reach = held_reach(scene, self.theta.grip_reach)
+        reach = held_reach(scene, self.theta.grip_reach, self.positions)
         return Gripper(
             time=knots,
             position=at,
@@ -375,14 +372,15 @@ def _closed(scene: LiftScene, g: int, delay: float) -> dict[str, Any]:
     return {name: float(at[0]) for name, at in found.items() if len(at)}
 
 
-def held_reach(scene: LiftScene, farther: float = 0.0) -> float:
-    """How far from its point a gripper holds the object fast; a cloth so much farther than stated
-    [m]."""
+def held_reach(scene: LiftScene, farther: float = 0.0, x: Array | None = None) -> float:
+    """How far from its point a gripper holds the object, at [N, 3] or where it is shown to begin,
+    fast; a cloth so much farther than stated [m]."""
     stated, thick = scene.recording.object.grasp_radius, scene.body.thickness
     if scene.kind == "rope" and len(scene.held) > 1:
         # a gripper holds the part from its point to the end, and as much on the other side
-        gap = float(np.linalg.norm(scene.initial[[0, -1]] - scene.held, axis=1).max())
-        return max(stated or 0.5 * thick, gap)
+        ends = np.stack([scene.initial, scene.initial if x is None else x])[:, [0, -1]]
+        gap = float(np.linalg.norm(ends - scene.held, axis=2).max())
+        return max(stated or 0.5 * thick, (1.0 + 1e-6) * gap)
     if scene.kind == "rope":
         return stated or ROPE_REACH * thick
     side = scene.size / math.sqrt(2.0)

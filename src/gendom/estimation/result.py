@@ -170,7 +170,9 @@ def _search(problem: Problem, found: Found, seconds: Mapping[str, float]) -> dic
     """The file's entries about the search."""
     settings, scene = problem.settings, problem.scene
     starts = []
-    for s in (s for s in found.starts if s.comparison is not None):
+    for s in found.starts:
+        if s.comparison is None:
+            continue
         theta = problem.theta(s.vector)
         bends = scene.bending_length(theta.E_over_rho, theta.thickness)
         initial, final = (_named(problem, v) for v in (s.initial, s.vector))
@@ -198,10 +200,10 @@ def _search(problem: Problem, found: Found, seconds: Mapping[str, float]) -> dic
 
 def _by_itself(alone: Sequence[Posterior], level: float, verdict: Verdict) -> dict[str, Any] | None:
     """E / density from one recording alone, None where that was not computed or is not usable."""
-    name = "E_over_rho"
-    if not alone or name not in alone[0].names or not verdict.usable:
+    if not alone or "E_over_rho" not in alone[0].names or not verdict.usable:
         return None
-    return {name: alone[0].theta.E_over_rho, "interval": list(alone[0].interval(name, level))}
+    interval = list(alone[0].interval("E_over_rho", level))
+    return {"E_over_rho": alone[0].theta.E_over_rho, "interval": interval}
 
 
 def _named(problem: Problem, vector: Sequence[float] | Array) -> dict[str, float]:
@@ -209,5 +211,4 @@ def _named(problem: Problem, vector: Sequence[float] | Array) -> dict[str, float
     theta, prior = problem.theta(vector), problem.prior
     own = {prior.names[k]: theta[prior.names[k]] for k in prior.of(0)}
     E = theta.E_over_rho * problem.scene.density_of(theta)
-    always = {n: theta[n] for n in ("E_over_rho", "nu", "friction")}
-    return {"E": E, **always, **own}
+    return {"E": E} | {n: theta[n] for n in ("E_over_rho", "nu", "friction")} | own

@@ -227,9 +227,7 @@ class LiftScene(Placed):
 
     @property
     def velocity_damping(self) -> float:
-        if self.static:
-            return STATIC_DAMPING
-        return QUASI_STATIC_DAMPING if self.quasi_static else 0.0
+        return STATIC_DAMPING if self.static else QUASI_STATIC_DAMPING * self.quasi_static
 
     @property
     def ordered(self) -> bool:
@@ -267,9 +265,8 @@ class LiftScene(Placed):
     @property
     def size(self) -> float:
         """Length of a rope, diagonal of a cloth [m]."""
-        size = self.recording.object.size
-        assert size is not None  # the recording's own check
-        return size
+        assert self.recording.object.size is not None  # the recording's own check
+        return self.recording.object.size
 
     @property
     def radius_of_gyration(self) -> float:
@@ -312,18 +309,15 @@ class LiftScene(Placed):
         return replace(self.simulated_with(points), notes=(*notes, f"{FINER} {points} points"))
 
     def simulated_with(self, points: int, stretch: float = STRETCH) -> LiftScene:
-        """The same with so many points; their number stays open in the settings, so that it can
-        grow once more."""
+        """The same with so many points; in the settings their number stays open, to grow again."""
         placed = place(self.recording, points, with_points(self.recording), [], self.lies)
         return replace(self, **vars(placed), stretch=stretch)
 
     def mesh_error(self, theta: Theta) -> float:
         """Standard deviation of ln(E) by the distance of a cloth's points."""
-        if self.kind != "cloth":
-            return 0.0
         apart = float(np.linalg.norm(self.body.points[1] - self.body.points[0]))
         bends = self.bending_length(theta.E_over_rho, theta.thickness)
-        return SHELL_ERROR * (apart / bends) ** 3
+        return SHELL_ERROR * (apart / bends) ** 3 if self.kind == "cloth" else 0.0
 
     def body_of(self, theta: Theta) -> Body:
         """The body with the estimated thickness, for display; simulations take the stated

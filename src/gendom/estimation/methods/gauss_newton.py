@@ -338,6 +338,7 @@ def _compare_all(problem: Problem, start: Start, settings: GaussNewtonSettings) 
     """Compare a start of the coarse problem in the full one, by all unknowns."""
     former, start.damping, start.stage = start.comparison, DAMPING[0], "fine"
     start.exact, start.renew = not settings.rugged, False
+    start.precise = settings.rugged or problem.captured
     (start.comparison,) = problem.compare([start.vector], sketched=True)
     if start.comparison is None and former is not None and settings.rugged:
         # where a neighbour cannot be simulated, the old derivatives stay
@@ -379,9 +380,12 @@ def _step(
             s.won = won = s.value - values[best]
             little = won < least or (not settings.rugged and gain < least)
             problem.inherit_derivatives(closer, former, vector - s.vector, weight)
-            s.done, s.renew = little and s.exact, little or won < 0.5 * gain
+            s.done, s.renew = little and s.exact and s.precise, little or won < 0.5 * gain
+            s.precise |= little and s.exact
             s.exact, s.damping = False, max(damping / 10.0, DAMPING[0])
             s.take(vector, closer, values[best])
+        elif s.exact and not s.precise:
+            s.precise = s.renew = True
         elif s.exact:
             s.damping *= DAMPING_RATIO ** (2 if settings.rugged else 1)
             s.done = tries[0][1] < least or s.damping > DAMPING[1]
@@ -398,7 +402,8 @@ def _renew(
     """Compute the derivatives of starts; one that cannot be simulated is done."""
     if not starts:
         return
-    compared = problem.compare([s.vector for s in starts], free=free)
+    few = None if any(not s.precise for s in starts) else False
+    compared = problem.compare([s.vector for s in starts], free=free, sketched=few)
     for s, comparison in zip(starts, compared, strict=True):
         former, s.exact, s.renew = s.comparison, True, False
         if comparison is None:
