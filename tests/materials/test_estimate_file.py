@@ -26,7 +26,7 @@ def found():
     return Estimate.of(rope, posterior.to_dict())
 
 
-def places(value, at=()):
+def places(value, at: tuple = ()):
     """Of everything in a document, the first of each list alone."""
     yield at
     first = enumerate(value[:1]) if isinstance(value, list) else ()
@@ -37,21 +37,21 @@ def places(value, at=()):
 def test_whatever_is_changed_by_hand_is_refused_in_one_line(found, tmp_path):
     """Everything in the file, left out, of odd types, or 1 % off."""
     path, whole = tmp_path / "estimate.json", json.loads(json.dumps(found.record))
-    for at in list(places(whole))[1:]:
+    for *outer, last in list(places(whole))[1:]:
         for odd in (None, "x", -1e308, [[1]], "left out", "off"):
             inner = document = copy.deepcopy(whole)
-            for name in at[:-1]:
+            for name in outer:
                 inner = inner[name]
-            now = inner[at[-1]]
-            inner[at[-1]] = 1.01 * now if odd == "off" and isinstance(now, float) else odd
+            now = inner[last]
+            inner[last] = 1.01 * now if odd == "off" and isinstance(now, float) else odd
             if odd == "left out":
-                del inner[at[-1]]
+                del inner[last]
             if document == whole:
                 continue
             path.write_text(json.dumps(document))
             with pytest.raises(GendomError) as refused:
                 Estimate.load(path)
-            assert "\n" not in str(refused.value), (at, odd)
+            assert "\n" not in str(refused.value), (outer, last, odd)
     path.write_text(json.dumps({n: v for n, v in whole.items() if n != "sha256"}))
     with pytest.raises(GendomError, match=r"of a version before 0\.2; run gendom"):
         Estimate.load(path)

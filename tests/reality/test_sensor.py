@@ -3,17 +3,13 @@
 import numpy as np
 import pytest
 
-from gendom.perception import Camera
 from gendom.reality import sensor
-from gendom.reality.model import DEPTH_UNIT
+from gendom.reality.model import DEPTH_UNIT, default_cameras
 from gendom.reality.sensor import RigErrors
 
 F, B = 385.0, 0.05
-WIDTH, HEIGHT = 640, 480
-K = np.array([[F, 0, (WIDTH - 1) / 2], [0, F, (HEIGHT - 1) / 2], [0, 0, 1.0]])
-CAMERA = Camera(
-    name="left", width=WIDTH, height=HEIGHT, K=K, T_world_camera=np.eye(4), depth_unit=DEPTH_UNIT
-)
+CAMERA = default_cameras()[0].at(np.eye(4))
+WIDTH, HEIGHT = CAMERA.width, CAMERA.height
 
 GREY = np.full((HEIGHT, WIDTH, 3), 128, np.uint8)
 

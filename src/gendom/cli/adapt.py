@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from gendom.cli.outputs import check_places, write_result
 from gendom.files import to_json
 from gendom.materials.estimate import Estimate
 from gendom.materials.estimate_file import LEVEL
+from gendom.materials.posterior import Posterior
 from gendom.materials.unknowns import UNKNOWNS
 from gendom.policies.adaptation import Adapted, adapt, executions_from
 from gendom.policies.belief import believed
@@ -57,7 +58,7 @@ class Command(KnownObject):
         belief = believed(held, task)
         before = held.about.get("before_executions")
         if before is not None:  # all executions are learnt from at once, from where it began
-            belief = belief.with_posterior(before)
+            belief = replace(belief, posterior=Posterior.from_dict(before, ()))
         adapted = adapt(task, belief, executions, world=Simulation(engine=self.engine))
         # with all executions, and what was known of the object before any
         every = {task.name: [e.to_dict() for e in executions]}

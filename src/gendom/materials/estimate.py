@@ -93,7 +93,11 @@ class Estimate(Shown):
         """
         known = {n: v for n, v in to_columns(item).items() if n != "E"}
         found = Estimate(kind=item.kind, known=known)
-        return found if posterior is None else found.with_posterior(posterior)
+        return (
+            found
+            if posterior is None
+            else replace(found, posterior=Posterior.from_dict(posterior, ()))
+        )
 
     # ---- values ----------------------------------------------------------------------------------
 
@@ -300,14 +304,6 @@ class Estimate(Shown):
         shared = self.covariance[:, k]
         return self.covariance - np.outer(shared, shared) / self.covariance[k, k]
 
-    def with_posterior(self, read: Mapping[str, Any]) -> Self:
-        """With the Gaussian of a file.
-
-        Raises:
-            ParameterError: It cannot be used.
-        """
-        return replace(self, posterior=Posterior.from_dict(read, self.posterior.bases))
-
     def with_gaussian(self, mean: Array, covariance: Array, prior: Prior | None = None) -> Self:
         """With another mean [P] and covariance [P, P], perhaps of other unknowns."""
         prior = prior or self.posterior.prior
@@ -474,9 +470,6 @@ class Estimate(Shown):
         check_record(read, where)
         try:
             return cls(**fields_of(read))
-        except ParameterError as error:
-            place = where if error.where in (None, where) else f"{where}: {error.where}"
-            raise ParameterError(error.what, where=place, fix=error.fix) from None
         except (ArithmeticError, KeyError, IndexError, TypeError, ValueError) as error:
             what, fix = f"cannot be used: {type(error).__name__} {error}", "estimate again"
             raise ParameterError(what, where=where, fix=fix) from None
@@ -485,8 +478,11 @@ class Estimate(Shown):
         """Name, value and interval of what was found, with units, for tables."""
         record, ours = self.record, self._derived
         every = ["E", "E_over_rho", *ours, *(n for n, u in UNKNOWNS.items() if u.material)]
-        if self._thickness_blurs:
-            every = list(dict.fromkeys(["bending_length", *every]))
+        if {"E_over_rho", "thickness"} <= set(self.names):
+            k = self.posterior.prior.index("E_over_rho")
+            if self._of_this_size()[k, k] < 0.5 * self.covariance[k, k]:
+                # most of the uncertainty is that of the thickness, on which this does not depend
+                every = list(dict.fromkeys(["bending_length", *every]))
         shown = {name: ours.get(name) or UNKNOWNS[name] for name in every}
         titles = {n: (q.title, "" if q.unit == "1" else q.unit, q.form) for n, q in shown.items()}
         titles["thickness"] = (self._small, "m", ".4g")
@@ -507,16 +503,6 @@ class Estimate(Shown):
                 remarks.append("assumed: the mass is unknown")
             rows.append((title, f"{record[name]:{form}} {unit}".strip(), ", ".join(remarks)))
         return rows
-
-    @property
-    def _thickness_blurs(self) -> bool:
-        """Whether most of the uncertainty of E / density is that of the thickness; the bending
-        length does not depend on it."""
-        name = "E_over_rho"
-        if not {name, "thickness"} <= set(self.names):
-            return False
-        k = self.posterior.prior.index(name)
-        return bool(self._of_this_size()[k, k] < 0.5 * self.covariance[k, k])
 
     def _shown(self) -> tuple[str, list[tuple[str, str, str]]]:
         return f"Estimate ({self.kind}, {self.verdict.text})", self.rows()

@@ -239,9 +239,8 @@ class Posterior:
         told = {"low": stored.low, "high": stored.high, "mean": stored.prior_mean,
                 "sd": stored.prior_sd}  # fmt: skip
         told = {n: check_numbers(n, v, (P,)) for n, v in told.items() if v is not None}
-        prior = replace(usual.taken([usual.names.index(n) for n in names]), **told)
-        if stored.recordings is not None:
-            prior = replace(prior, owners=stored.recordings)
+        own = {} if stored.recordings is None else {"owners": stored.recordings}
+        prior = replace(usual.taken([usual.names.index(n) for n in names]), **told, **own)
         mean = check_numbers("mean", stored.mean, (P,))
         covariance = np.array(stored.covariance).reshape(-1, P) if P else np.zeros((0, 0))
         check_numbers("covariance", covariance, (P, P))

@@ -96,7 +96,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         if self.task.goals:
             spaces["goal"] = box(-10.0, 10.0, (len(self.task.goals),))
         if parameters:
-            ends = np.float32([[0.0, -1.0, 0.0, 0.0, 0.0], [1e9, 0.5, 1e3, 1e2, 1e6]])
+            ends = np.array([[0.0, -1.0, 0.0, 0.0, 0.0], [1e9, 0.5, 1e3, 1e2, 1e6]], np.float32)
             spaces["parameters"] = box(*ends)
         self.observation_space = gymnasium.spaces.Dict(spaces)
         self._item: RealObject | None = None

@@ -16,7 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 
 from gendom.arrays import Array
@@ -257,12 +257,6 @@ def _slope(values: Array, axis: int) -> Array:
 def _between(disparity: Array, seen: Mask, chosen: Mask, rng: np.random.Generator) -> Array:
     """[M] disparities between the lowest and the highest seen next to M chosen pixels, which are
     seen; draws for every pixel, so that later draws do not depend on the scene."""
-
-    def around(picture: Array) -> Array:
-        """[M, 3, 3]; beyond the border the border's pixel, which is in the neighbourhood too."""
-        return sliding_window_view(np.pad(picture, 1, mode="edge"), (3, 3))[chosen]
-
-    near, there = around(disparity), around(seen)
-    low = np.where(there, near, np.inf).min(axis=(1, 2))
-    high = np.where(there, near, -np.inf).max(axis=(1, 2))
+    low = minimum_filter(np.where(seen, disparity, np.inf), 3, mode="nearest")[chosen]
+    high = maximum_filter(np.where(seen, disparity, -np.inf), 3, mode="nearest")[chosen]
     return low + rng.random(disparity.shape)[chosen] * (high - low)

@@ -242,6 +242,7 @@ def _moved_about(
             _step(near, [own], noise, settings.gain[0], settings)
         if own.vector is not places[-1]:
             places.append(own.vector)
+    start.iterations = own.iterations
     ends = places[len(places) // 2 : -1][:1] + places[1:][-1:]
     if _taken_best(problem, start, ends, noise, own.comparison or first, settings.gain[1]):
         return True
