@@ -92,13 +92,13 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         threads: int | None = None,
     ):
         check_integers("num_envs", num_envs, (), least=1)
+        check_integers("cloud", cloud, (), least=0)
+        self.cloud = cloud
         self.task = find_task(task)() if isinstance(task, str) else task
         self.num_envs, self.sees_parameters = num_envs, parameters
         self.world = Simulation(device=device, threads=threads)
         path = self._path(self.task.item)
         self.lets_go = math.isfinite(opening(path))
-        check_integers("cloud", cloud, (), least=0)
-        self.cloud = cloud
         size = (3 * cloud or 6 * MARKERS) + 5 + len(self.task.goals) + 5 * parameters
         box = gymnasium.spaces.Box
         self.single_observation_space = box(-np.inf, np.inf, (size,), np.float32)
