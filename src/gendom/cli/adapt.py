@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gendom.arguments import require
-from gendom.cli.arguments import Json, TaskName
+from gendom.cli.arguments import Engine, Json, TaskName
 from gendom.cli.known_object import KnownObject, executed
 from gendom.cli.outputs import check_places, write_result
 from gendom.files import to_json
@@ -18,6 +18,7 @@ from gendom.materials.unknowns import UNKNOWNS
 from gendom.policies.adaptation import Adapted, adapt, executions_from
 from gendom.policies.belief import believed
 from gendom.tasks import find_task
+from gendom.tasks.world import Simulation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +39,7 @@ class Command(KnownObject):
     """The executed action, as gendom act printed it [SI]."""
     reached: tuple[float, ...] = ()
     """What it reached, in the form of a goal [SI]; of cloths the share that lies spread."""
+    engine: Engine = "thin"
     out: Path | None = None
     """JSON file to write: the updated estimate, with all executions."""
     json: Json = False
@@ -56,7 +58,7 @@ class Command(KnownObject):
         before = held.about.get("before_executions")
         if before is not None:  # all executions are learnt from at once, from where it began
             belief = belief.with_posterior(before)
-        adapted = adapt(task, belief, executions)
+        adapted = adapt(task, belief, executions, world=Simulation(engine=self.engine))
         # with all executions, and what was known of the object before any
         every = {task.name: [e.to_dict() for e in executions]}
         about = {
