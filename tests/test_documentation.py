@@ -96,31 +96,23 @@ ALL = [block for page in PAGES for block in blocks(page)] if DOCS.is_dir() else 
 INLINE = sorted({code for p in PAGES if p.name != "CHANGELOG.md" for code in inline(p)})
 
 
-@cache
-def flags(name: str) -> frozenset[str]:
-    command = import_module(cli.COMMANDS[name][0]).Command
-    return frozenset({"--help", *arguments_of(command)})
-
-
-def gendom_words(command: str) -> list[str]:
-    """Its words after the program, without redirections and flags that all commands take."""
+def fault_of_gendom(command: str, *, whole: bool) -> str | None:
+    """What is wrong with a `gendom` command, without redirections and flags that all commands take;
+    `whole`: all that it needs must be there."""
     words = shlex.split(command.partition(" > ")[0])[1:]
-    return [w for w in words if w not in ("--debug", "--quiet")]
-
-
-def fault_of_gendom(words: list[str], *, whole: bool) -> str | None:
-    """What is wrong with a `gendom` command; `whole`: all that it needs must be there."""
+    words = [w for w in words if w not in ("--debug", "--quiet")]
     if words in ([], ["--version"], ["--help"], ["help"], ["help", "COMMAND"]):
         return None
     name, *rest = words[1:2] if words[0] == "help" else words
     if name not in cli.COMMANDS:
         return f"there is no command {name!r}"
-    command, known = import_module(cli.COMMANDS[name][0]).Command, dict(tasks._registered)
-    if unknown := [w for w in rest if re.match(r"--[a-zA-Z]", w) and w not in flags(name)]:
+    kind, known = import_module(cli.COMMANDS[name][0]).Command, dict(tasks._registered)
+    flags = {"--help", *arguments_of(kind)}
+    if unknown := [w for w in rest if re.match(r"--[a-zA-Z]", w) and w not in flags]:
         return f"gendom {name} has no {unknown[0]}"
     try:
         if whole and words[0] != "help":
-            parse(command, name, rest)
+            parse(kind, name, rest)
     except SystemExit as stop:
         return "does not parse" if stop.code else None
     except GendomError as fault:
@@ -156,7 +148,7 @@ def fault_of(command: str, *, whole: bool = True) -> str | None:
     program, *rest = shlex.split(command)
     program = program.removeprefix(".venv/bin/")
     if program == "gendom":
-        return fault_of_gendom(gendom_words(command), whole=whole)
+        return fault_of_gendom(command, whole=whole)
     if program == "python":
         return fault_of_python(rest)
     if program == "make":

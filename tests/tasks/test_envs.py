@@ -9,7 +9,7 @@ import gymnasium
 from gymnasium.utils.env_checker import check_env
 
 from gendom.errors import ParameterError
-from gendom.materials import size_of
+from gendom.materials import size_of, thickness_of
 from gendom.tasks.envs import MARKERS, STEPS, StepsEnv, StepsVectorEnv
 
 W, MODULE = 3, "gendom.environments:"
@@ -52,7 +52,7 @@ def test_a_cloud_stands_in_place_of_markers(monkeypatch):
     item = cloud.items[0]
     spine = markers[:, : 3 * MARKERS].reshape(W, MARKERS, 3)
     off = np.linalg.norm(points[:, :, None] - spine[:, None], axis=-1).min(axis=2)
-    assert off.max() < 0.5 / (MARKERS - 1) + item.diameter / item.length
+    assert off.max() < 0.5 / (MARKERS - 1) + thickness_of(item) / size_of(item)
     np.testing.assert_array_equal(seen[:, 150:], markers[:, 6 * MARKERS :])
     for _ in range(3):
         moved = cloud.step(np.tile([-1.0, -1.0, 1.0], (W, 1)))[0][:, :150].reshape(W, 50, 3)

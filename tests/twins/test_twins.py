@@ -132,6 +132,7 @@ def test_genesis_sheet_is_flat_and_held_by_its_corner(tmp_path):
     rows = (folder / "sheet.obj").read_text().splitlines()
     x = np.array([row.split()[1:] for row in rows if row.startswith("v")], dtype=float)
     np.testing.assert_allclose(x, arrays["rest"], atol=1e-12)
+    assert np.linalg.norm(x[1] - x[0]) == pytest.approx(float(arrays["spacing"]))
     faces = np.array([row.split()[1:] for row in rows if row.startswith("f")], dtype=int) - 1
     a, b, c = (x[faces[:, k]] for k in range(3))
     assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(0.04)

@@ -53,8 +53,6 @@ class Browser:
         self._last_id = 0
         self.logged: list[str] = []
         """Errors and warnings of the console, and uncaught exceptions."""
-        self.errors: list[str] = []
-        """Those of them that are no warnings."""
         self.requested: list[str] = []
         """Addresses other than the page's own file and what is inside it."""
         self._loaded = False
@@ -75,8 +73,8 @@ class Browser:
         self.call("Emulation.setEmulatedMedia", features=features)
         self._address = page if isinstance(page, str) else page.resolve().as_uri()
         for address in ("about:blank", self._address):  # what the page before still says is gone
-            for found in (self.logged, self.errors, self.requested):
-                found.clear()
+            self.logged.clear()
+            self.requested.clear()
             self._loaded = False
             self.call("Page.navigate", url=address)
             while not self._loaded:
@@ -138,5 +136,3 @@ class Browser:
     def _log(self, level: str, text: str) -> None:
         if level in ("error", "warning"):
             self.logged.append(text)
-        if level == "error":
-            self.errors.append(text)

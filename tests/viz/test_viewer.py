@@ -233,5 +233,5 @@ def test_the_page_shows_and_obeys(viewer, browser, width):
     browser.evaluate("document.querySelector('[type=reset]').click()")
     until(browser, "document.querySelector('.said').textContent.startsWith('simulated in')")
     assert simulated[-1] == {"height": 0.0, "E": 123.0}
-    assert browser.errors == []
+    assert browser.logged == []
     assert [a for a in browser.requested if not a.startswith(viewer.url)] == []

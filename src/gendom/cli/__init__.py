@@ -62,6 +62,7 @@ _EXTRAS = {
     "cv2": "camera",
     "gymnasium": "reality",
     "ray": "cluster",
+    "trimesh": "viz",
     "rosbags": "ros",
     "xarm": "robot",
     "franky": "franka",

@@ -13,7 +13,7 @@ from gendom.arguments import require
 from gendom.datasets import Recording
 from gendom.datasets.recording import is_recording
 from gendom.errors import printable
-from gendom.files import check_folder, to_json
+from gendom.files import check_folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,8 +32,6 @@ class Command:
     """Folder written by gendom dataset, a recording, or a folder with cameras/NAME/."""
     out: Path
     """Folder to make."""
-    json: bool = False
-    """Print info.json."""
 
     def run(self) -> int:
         from gendom.datasets.lerobot import export_demonstrations, export_recording
@@ -45,7 +43,7 @@ class Command:
             info = export_recording(Recording.read(self.source), self.out)
         else:
             info = export_demonstrations(self.source, self.out)
-        print(to_json(info) if self.json else info_text(info, self.out))
+        print(info_text(info, self.out))
         return 0
 
 
@@ -74,7 +72,7 @@ def _export_cameras(folder: Path, out: Path) -> dict[str, Any]:
 
 
 def info_text(info: dict[str, Any], out: Path) -> str:
-    """The same for people."""
+    """What was written."""
     lines = [
         f"{printable(out)}: {info['total_episodes']} episodes, LeRobot {info['codebase_version']}"
     ]

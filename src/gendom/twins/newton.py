@@ -55,8 +55,9 @@ def written(item: Item) -> tuple[Lift, dict[str, str], Array, dict[str, Any]]:
 
 
 def sheet_of(item: Cloth, places: Array, triangles: Any, hold: float) -> dict[str, Any]:
-    """A sheet of triangles, and how stiff it is in its plane and at its hinges."""
-    m, h = item.material, item.side / (SIDE - 1)
+    """A sheet of triangles over a square lattice, and how stiff it is in its plane and at its
+    hinges."""
+    m, h = item.material, item.side / (math.isqrt(len(places)) - 1)
     D = m.E * item.thickness**3 / (12.0 * (1.0 - m.nu**2))
     weight = m.density * item.thickness * STANDARD_GRAVITY * item.side
     stretch = min(m.E * item.thickness, weight / (2.0 * SHEET_STRETCH))

@@ -34,6 +34,9 @@ HOST = "127.0.0.1"
 OWN_NAMES = ("127.0.0.1", "localhost", "::1")
 """Names of this machine by which a browser on it, or behind a tunnel to it, may ask."""
 
+PAUSE = 0.3
+"""Between a motion and its distance from the clouds [s]: a slider that is dragged asks again."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -215,6 +218,7 @@ class Viewer(ThreadingHTTPServer):
         said, shown = "", self._model.simulate(values, go_on)
         try:
             for first in (True, False):
+                time.sleep(0.0 if first else PAUSE)
                 with self._turn if first else contextlib.nullcontext():
                     go_on()
                     began = time.monotonic()
