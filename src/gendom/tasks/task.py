@@ -78,17 +78,9 @@ class Quantity:
     outcome also ``bool``: 1 is yes, 0 is no."""
     meaning: str = ""
     """For people, a few words."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Risk:
-    """An outcome that shows whether an action is one to learn from."""
-
-    name: str
-    unit: str
-    limit: float
-    """Beyond it what was reached depends on the smallest disturbance, or the task has failed [units
-    of similarity]."""
+    limit: float = math.inf
+    """Of an outcome that shows whether an action is one to learn from: beyond it what was reached
+    depends on the smallest disturbance, or the task has failed [units of similarity]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -208,8 +200,8 @@ class Task(ABC):
     """Numbers of a goal; none where a task always wants the same."""
     outcomes: ClassVar[tuple[Quantity, ...]] = ()
     """Further numbers of an outcome, beside those of the goal."""
-    risk: ClassVar[Risk | None] = None
-    """What actions are to avoid."""
+    risk: ClassVar[Quantity | None] = None
+    """What actions are to avoid: the first of `outcomes` with a limit."""
     watches: ClassVar[str] = "tip"
     """What it observes: ``tip`` or ``all`` points."""
     candidates: ClassVar[tuple[tuple[float, ...], ...]] = ()
@@ -225,6 +217,10 @@ class Task(ABC):
     """Lowest and highest parameter of drawn objects, by names of `DRAWN` and in SI units; those
     that are not named stay as they are in `item`. Others are those of an object as thick as `item`:
     one of another ``thickness_ratio`` has its bending length and mass per area."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls.risk = next((q for q in cls.outcomes if q.limit < math.inf), None)
 
     def __post_init__(self) -> None:
         kind = self.item.kind
@@ -400,6 +396,11 @@ class Task(ABC):
             columns.append([math.exp(x) for x in numbers] if log else numbers)
         rows = zip(*columns, strict=True) if names else [()] * len(rngs)
         return [self._item_with(dict(zip(names, row, strict=True))) for row in rows]
+
+    def of_one_size(self) -> Self:
+        """The same task, all of whose drawn objects are as thick as its own."""
+        ranges = {name: ends for name, ends in self.ranges.items() if name in QUANTITIES}
+        return replace(self, ranges=ranges)
 
     def _item_with(self, values: Mapping[str, float]) -> Item:
         """The task's object with other parameters, as named in `ranges`.

@@ -1,0 +1,170 @@
+"""Baselines that learn from a lift's clouds alone, for ropes of the MuJoCo test scene: a network
+from the lift straight to parameters, followed by the policy or by CMA-ES in the simulator (as
+Wiggle and Go! plans), and one from the lift and a goal straight to an action, without any
+parameters. Both see the same simulated lifts of ropes of one size; true parameters serve only for
+the score.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from experiments.planning import GOALS, evolved
+from experiments.rope_real import ROPES
+from experiments.runs import Result, Runs, Table
+from experiments.sbc import drawn_lifts
+from gendom.arrays import Array
+from gendom.datasets import Recording
+from gendom.estimation.lift_plan import ObjectClass
+from gendom.materials import Item, Material, size_of
+from gendom.materials.estimate import Estimate
+from gendom.policies import Policy
+from gendom.policies.evaluation import choose, judge
+from gendom.policies.polishing import polishing
+from gendom.policies.rollouts import side_by_side
+from gendom.robot import predefined_lift
+from gendom.tasks.cases import Cases, draw_cases
+from gendom.tasks.world import Simulation
+
+ROPE = ObjectClass(kind="rope", size=(0.3, 0.3), thickness=(0.016, 0.016)).at(0.5)
+"""Of the size of the three."""
+
+LIFTS, BATCH = {"small": 64, "full": 4096}, 32
+"""Simulated lifts to learn from, and how many are simulated together."""
+
+FRAMES, POINTS, WIDTH = 16, 64, 128
+"""Of a lift that networks see, points of each, and their width."""
+
+EPOCHS, LABELS = 120, 8
+"""Passes over the lifts, and goals with actions of each lift."""
+
+UNKNOWNS = ("E_over_rho", "damping")
+
+
+def simulated(seed: int) -> tuple[Array, Array]:
+    """Clouds of a batch of lifts, and the logarithms of their `UNKNOWNS`."""
+    lifts = drawn_lifts(ROPE, "swing", np.random.default_rng([92, seed]), BATCH)
+    clouds = np.array([seen(recording) for recording, _, _ in lifts])
+    truths = np.log([[truth[n] for n in UNKNOWNS] for _, truth, _ in lifts])
+    return clouds.reshape(-1, FRAMES, POINTS, 3), truths.reshape(-1, len(UNKNOWNS))
+
+
+def seen(recording: Recording) -> Array:
+    """[FRAMES, POINTS, 3] points from the first place of the gripper [0.1 m]."""
+    frames = np.flatnonzero(recording.frame_valid)
+    frames = frames[np.linspace(0, len(frames) - 1, FRAMES).round().astype(int)]
+    rng, clouds = np.random.default_rng(0), [recording.frame(int(t)) for t in frames]
+    points = np.array([cloud[rng.choice(len(cloud), POINTS)] for cloud in clouds])
+    return 10.0 * (points - recording.gripper_position[frames[0], 0])
+
+
+class FromClouds(nn.Module):
+    """Clouds [B, FRAMES, POINTS, 3], in any order, and further numbers [B, N] to outputs."""
+
+    def __init__(self, numbers: int, outputs: int):
+        super().__init__()
+        self.point = nn.Sequential(nn.Linear(3, WIDTH), nn.GELU(), nn.Linear(WIDTH, WIDTH))
+        self.frame = nn.Sequential(nn.Linear(2 * WIDTH, 32), nn.GELU(), nn.Flatten(1))
+        layers = nn.Linear(32 * FRAMES + numbers, WIDTH), nn.GELU(), nn.Linear(WIDTH, WIDTH)
+        self.lift = nn.Sequential(*layers, nn.GELU(), nn.Linear(WIDTH, outputs))
+
+    def forward(self, x: Tensor, numbers: Tensor) -> Tensor:
+        h = self.point(x)
+        h = self.frame(torch.cat([h.mean(dim=2), h.amax(dim=2)], dim=-1))
+        return self.lift(torch.cat([h, numbers], dim=1))
+
+
+def fitted(X: Array, numbers: Array, Y: Array, device: str, seed: int) -> Any:
+    """A function of clouds and numbers [B, N] that gives Y, learnt from [M, FRAMES, POINTS, 3]
+    lifts, each with K rows of numbers [M K, N] and outputs [M K, O]."""
+    torch.manual_seed(seed)
+    mean, scale = Y.mean(axis=0), np.maximum(Y.std(axis=0), 1e-9)
+    x, n, y = (torch.tensor(a, dtype=torch.float32, device=device)
+               for a in (X, numbers, (Y - mean) / scale))  # fmt: skip
+    net, K = FromClouds(numbers.shape[1], Y.shape[1]).to(device), len(Y) // len(X)
+    steps = EPOCHS * -(-len(y) // 256)
+    optimizer = torch.optim.AdamW(net.parameters(), lr=1e-3, weight_decay=1e-4)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 1e-3, total_steps=steps)
+    for _ in range(EPOCHS):
+        for rows in torch.randperm(len(y)).to(device).split(256):
+            noise = 0.02 * torch.randn_like(x[rows // K])
+            loss = nn.functional.smooth_l1_loss(net(x[rows // K] + noise, n[rows]), y[rows])
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+    as_tensor = lambda a: torch.tensor(a, dtype=torch.float32, device=device)  # noqa: E731
+    with torch.no_grad():
+        return lambda a, b: mean + scale * net(as_tensor(a), as_tensor(b)).cpu().double().numpy()
+
+
+def rope_of(known: Item, logs: Array) -> Item:
+    """A rope [UNKNOWNS] of another's sizes and density."""
+    E_over_rho, damping = np.exp(logs).tolist()
+    m = known.material
+    return replace(ROPE, material=Material(
+        E=E_over_rho * m.density, nu=m.nu, density=m.density, damping=damping
+    ))  # fmt: skip
+
+
+def run(runs: Runs, flags: argparse.Namespace) -> Result:
+    """Misses of goals in both realities, and parameters."""
+    from gendom.reality import RealWorld, find_object
+
+    policy = Policy.pretrained(flags.task)
+    task, sim, real = policy.task(), Simulation(device=runs.device), RealWorld(jobs=runs.jobs)
+    seeds = range(runs.seed, runs.seed + LIFTS[flags.scale] // BATCH)
+    X, Y = map(np.concatenate, zip(*runs.each(simulated, seeds, "lifts"), strict=True))
+    items, L = [find_object(name) for name in ROPES], size_of(ROPE)
+    motion = predefined_lift("rope", "swing")
+    shown = [seen(runs.recorded(f"lift-{n}", i, motion))
+             for n, i in zip(ROPES, items, strict=True)]  # fmt: skip
+    none = np.empty((len(X), 0))
+    logs = fitted(X, none, Y, runs.device, runs.seed)(shown, np.empty((3, 0)))
+    told = [rope_of(item, row) for item, row in zip(items, logs, strict=True)]
+    taught = [rope_of(items[k % 3], row) for k, row in enumerate(Y) for _ in range(LABELS)]
+    share = np.random.default_rng(runs.seed).random((len(taught), len(task.goals)))
+    ends = np.array([policy.goal_range(item) for item in taught])
+    goal = ends[..., 0] + share * (ends[..., 1] - ends[..., 0])
+    labels = choose(policy, Cases(task=task, items=tuple(taught), goal=goal)) / L
+    acts = fitted(X, goal / L, labels, runs.device, runs.seed)
+    many, few, *_ = GOALS[flags.scale]
+    cases = draw_cases(task, many, seed=runs.seed, simulation=sim, items=items)
+    some = Cases(task=task, items=cases.items[:few], goal=cases.goal[:few])
+    held = [told[k % 3] for k in range(many)]
+    first, beliefs = choose(policy, cases, known=held), [Estimate.of(item) for item in held]
+    rows = list(zip(cases.goal, beliefs, first, strict=True))
+    tried: Sequence[Any] = side_by_side(
+        task, sim, [polishing(task, g, b, a, seconds=math.inf) for g, b, a in rows]
+    )
+    rivals = [evolved(task, g, b, a, t.rollouts)
+              for (g, b, a), t in zip(rows, tried, strict=True)]  # fmt: skip
+    straight = acts([shown[k % 3] for k in range(many)], cases.goal / L) * L
+    acted = {
+        "network's parameters, policy": first,
+        "network's parameters, CMA-ES": np.array(side_by_side(task, sim, rivals)),
+        "clouds to action": np.array([task.nearest(ROPE, a) for a in straight]),
+    }
+    table: dict[str, tuple[str, ...]] = {}
+    for way, action in acted.items():
+        for place, score in (("ours", judge(cases, action, world=sim)),
+                             ("MuJoCo", judge(some, action[:few], world=real))):  # fmt: skip
+            e = 1e3 * score.error[np.isfinite(score.error)]
+            figures = (e.mean(), np.median(e), np.quantile(e, 0.95), e.max())
+            table[f"{way}, {place}"] = (*(f"{x:.2f}" for x in figures), str(len(e)))
+    off = [np.log([i.material.E_over_rho, i.material.damping]) for i in items]
+    notes = [f"{name}: E off by {100 * (math.exp(d[0]) - 1):.1f} %, damping by a factor of "
+             f"{math.exp(abs(d[1])):.2f}"
+             for name, d in zip(ROPES, logs - np.array(off), strict=True)]  # fmt: skip
+    head = ("mean", "median", "95 %", "worst", "goals")
+    title = f"{task.name}, {len(X)} lifts to learn from: missed by [mm]"
+    return Result(name=f"wiggle-{task.name}", figures={"rows": table, "notes": notes},
+                  shown=[Table(title=title, head=head, rows=table)], notes=notes)  # fmt: skip
