@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -24,11 +23,10 @@ from experiments.sbc import drawn_lifts
 from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.estimation.lift_plan import ObjectClass
-from gendom.materials import Item, Material, size_of
+from gendom.materials import Item, size_of
 from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
 from gendom.policies.evaluation import choose, judge
-from gendom.policies.polishing import polishing
 from gendom.policies.rollouts import side_by_side
 from gendom.robot import predefined_lift
 from gendom.tasks.cases import Cases, draw_cases
@@ -40,13 +38,14 @@ ROPE = ObjectClass(kind="rope", size=(0.3, 0.3), thickness=(0.016, 0.016)).at(0.
 LIFTS, BATCH = {"small": 64, "full": 4096}, 32
 """Simulated lifts to learn from, and how many are simulated together."""
 
-FRAMES, POINTS, WIDTH = 16, 64, 128
-"""Of a lift that networks see, points of each, and their width."""
+FRAMES, POINTS, WIDTH, EPOCHS = 16, 64, 128, 120
+"""Of a lift that networks see, points of each, their width, and passes over all lifts."""
 
-EPOCHS, LABELS = 120, 8
-"""Passes over the lifts, and goals with actions of each lift."""
+ROLLOUTS = 40
+"""Of CMA-ES for a goal."""
 
-UNKNOWNS = ("E_over_rho", "damping")
+LABELS, UNKNOWNS = 8, ("E_over_rho", "damping")
+"""Goals with actions of each lift, and the parameters that are told."""
 
 
 def simulated(seed: int) -> tuple[Array, Array]:
@@ -91,7 +90,7 @@ def fitted(X: Array, numbers: Array, Y: Array, device: str, seed: int) -> Any:
                for a in (X, numbers, (Y - mean) / scale))  # fmt: skip
     net, K = FromClouds(numbers.shape[1], Y.shape[1]).to(device), len(Y) // len(X)
     steps = EPOCHS * -(-len(y) // 256)
-    optimizer = torch.optim.AdamW(net.parameters(), lr=1e-3, weight_decay=1e-4)
+    optimizer = torch.optim.AdamW(net.parameters())
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 1e-3, total_steps=steps)
     for _ in range(EPOCHS):
         for rows in torch.randperm(len(y)).to(device).split(256):
@@ -101,18 +100,19 @@ def fitted(X: Array, numbers: Array, Y: Array, device: str, seed: int) -> Any:
             loss.backward()
             optimizer.step()
             schedule.step()
-    as_tensor = lambda a: torch.tensor(a, dtype=torch.float32, device=device)  # noqa: E731
-    with torch.no_grad():
-        return lambda a, b: mean + scale * net(as_tensor(a), as_tensor(b)).cpu().double().numpy()
+
+    @torch.no_grad()
+    def answer(*given: Array) -> Array:
+        x, n = (torch.tensor(np.array(a), dtype=torch.float32, device=device) for a in given)
+        return mean + scale * net(x, n).cpu().double().numpy()
+
+    return answer
 
 
 def rope_of(known: Item, logs: Array) -> Item:
-    """A rope [UNKNOWNS] of another's sizes and density."""
-    E_over_rho, damping = np.exp(logs).tolist()
-    m = known.material
-    return replace(ROPE, material=Material(
-        E=E_over_rho * m.density, nu=m.nu, density=m.density, damping=damping
-    ))  # fmt: skip
+    """A rope of another's density, with these `UNKNOWNS`."""
+    (E_over_rho, damping), m = np.exp(logs).tolist(), known.material
+    return replace(ROPE, material=replace(m, E=E_over_rho * m.density, damping=damping))
 
 
 def run(runs: Runs, flags: argparse.Namespace) -> Result:
@@ -141,12 +141,8 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     some = Cases(task=task, items=cases.items[:few], goal=cases.goal[:few])
     held = [told[k % 3] for k in range(many)]
     first, beliefs = choose(policy, cases, known=held), [Estimate.of(item) for item in held]
-    rows = list(zip(cases.goal, beliefs, first, strict=True))
-    tried: Sequence[Any] = side_by_side(
-        task, sim, [polishing(task, g, b, a, seconds=math.inf) for g, b, a in rows]
-    )
-    rivals = [evolved(task, g, b, a, t.rollouts)
-              for (g, b, a), t in zip(rows, tried, strict=True)]  # fmt: skip
+    rivals = [evolved(task, g, b, a, ROLLOUTS)
+              for g, b, a in zip(cases.goal, beliefs, first, strict=True)]  # fmt: skip
     straight = acts([shown[k % 3] for k in range(many)], cases.goal / L) * L
     acted = {
         "network's parameters, policy": first,
