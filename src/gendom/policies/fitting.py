@@ -86,8 +86,8 @@ class Training:
     learning_rate: float = 4e-3
     """Peak of the learning rate, which then falls to zero along a cosine."""
     weight_decay: float = 1e-4
-    finetune_epochs: int = 300
-    """Passes over the demonstrations for fine-tuning."""
+    finetune_steps: int = 4000
+    """Of the optimiser for fine-tuning, at least."""
     refine: int = 0
     """Rounds in the simulator after that, see `gendom.policies.refining`."""
     refine_cases: int = 2000
@@ -106,7 +106,7 @@ class Training:
             wrong = next((v for v in values if v not in known), None)
             fix = f"choose from {', '.join(known)}"
             require(wrong is None, f"{name} is {wrong!r}", fix=fix, error=PolicyError)
-        for name in ("epochs", "batch_size", "learning_rate", "finetune_epochs"):
+        for name in ("epochs", "batch_size", "learning_rate", "finetune_steps"):
             value = getattr(self, name)
             require(value > 0, f"{name} must be positive, got {value}", error=PolicyError)
         what = f"{self.refine} rounds of {self.refine_cases} cases and {self.refine_steps} steps"
@@ -227,6 +227,8 @@ class TrainingProblem:
             logs = np.log(np.maximum(d.risk, RISK_FLOOR))
             self.log_risk = torch.tensor(logs, dtype=torch.float32)[:, None]
             self.within = self.log_risk[:, 0] <= self.highest
+            if not self.chooses:  # what real objects reach follows also where they sway
+                self.within[len(demonstrations) :] = True
         kind, outputs = (
             (ChanceNetwork, [CHANCE]) if self.chooses else (PhysicalNetwork, self.actions)
         )
@@ -273,7 +275,8 @@ class TrainingProblem:
                 return
             few = _chosen(self.tuned, only)
             rows = torch.cat([few, rows[: replay * len(few)]])
-            name, epochs, rate = f"{name}, fine-tuned", how.finetune_epochs, FINETUNE_LEARNING_RATE
+            epochs = -(-how.finetune_steps // max(1, len(rows) // how.batch_size))
+            name, rate = f"{name}, fine-tuned", FINETUNE_LEARNING_RATE
         self.descend(name, network, loss_of, rows, epochs, rate)
 
     def descend(

@@ -59,7 +59,7 @@ ANCHORS = 1024
 REPLAY = 4
 """How many demonstrations of the first kind each of those for fine-tuning is trained with."""
 
-REACHES, NOISES = (0.125, 0.25, 0.5), (1e-3, 1e-2, 0.1, 1.0, 10.0, 1e3)
+REACHES, NOISES = (0.25, 0.5, 1.0), (1e-3, 1e-2, 0.1, 1.0, 10.0, 1e3)
 """Distances of standardised inputs over which what is left of goals is alike, and variances of its
 noise over its own, that are tried. Farther ones would tell of objects that nobody has seen."""
 
@@ -119,7 +119,7 @@ def distal(problem: TrainingProblem, between: Between = dict) -> dict[str, float
 
     problem.fit("policy", problem.policy, policy_loss, only=problem.within)
     errors = between()
-    tuned = problem.tuned[problem.within[problem.tuned]]
+    tuned = problem.tuned
     if len(tuned) >= SMALLEST:
         at = seen(problem.action[tuned], tuned)
         with torch.no_grad():
