@@ -69,8 +69,8 @@ def draw_cases(
     waiting = np.arange(count)
     for attempt in range(_ROUNDS):
         rngs = [np.random.default_rng([seed, int(i), attempt, _STREAM]) for i in waiting]
-        drawn = [items[i % len(items)] for i in waiting] if items else task.draw_items(rngs)
-        for i, item in zip(waiting, drawn, strict=True):
+        drawn = [items[int(i) % len(items)] for i in waiting] if items else task.draw_items(rngs)
+        for i, item in zip(waiting.tolist(), drawn, strict=True):
             kept[i] = item
         if not task.goals:
             break
