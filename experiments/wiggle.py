@@ -1,8 +1,7 @@
 """Baselines that learn from a lift's clouds alone, for ropes of the MuJoCo test scene: a network
-from the lift straight to parameters, followed by the policy or by CMA-ES in the simulator (as
-Wiggle and Go! plans), and one from the lift and a goal straight to an action, without any
-parameters. Both see the same simulated lifts of ropes of one size; true parameters serve only for
-the score.
+to parameters, then the policy or CMA-ES in the simulator (as Wiggle and Go! plans), and one from
+the lift and a goal straight to an action. Both learn from the same simulated lifts of ropes of one
+size; true parameters serve only for the score.
 """
 
 from __future__ import annotations
@@ -16,9 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from experiments.planning import GOALS, evolved
+from experiments.planning import GOALS, evolved, missed
 from experiments.rope_real import ROPES
-from experiments.runs import Result, Runs, Table
+from experiments.runs import Result, Runs
 from experiments.sbc import drawn_lifts
 from gendom.arrays import Array
 from gendom.datasets import Recording
@@ -33,19 +32,15 @@ from gendom.tasks.cases import Cases, draw_cases
 from gendom.tasks.world import Simulation
 
 ROPE = ObjectClass(kind="rope", size=(0.3, 0.3), thickness=(0.016, 0.016)).at(0.5)
-"""Of the size of the three."""
+"""As long and thick as the three."""
 
-LIFTS, BATCH = {"small": 64, "full": 4096}, 32
-"""Simulated lifts to learn from, and how many are simulated together."""
+LIFTS, BATCH, EPOCHS = {"small": 64, "full": 4096}, 32, 120
+FRAMES, POINTS, WIDTH = 16, 64, 128
+"""Lifts to learn from, of which so many are simulated together, and passes over all; frames of a
+lift that networks see, points of each, and their width."""
 
-FRAMES, POINTS, WIDTH, EPOCHS = 16, 64, 128, 120
-"""Of a lift that networks see, points of each, their width, and passes over all lifts."""
-
-ROLLOUTS = 40
-"""Of CMA-ES for a goal."""
-
-LABELS, UNKNOWNS = 8, ("E_over_rho", "damping")
-"""Goals with actions of each lift, and the parameters that are told."""
+ROLLOUTS, LABELS, UNKNOWNS = 40, 8, ("E_over_rho", "damping")
+"""Of CMA-ES for a goal, goals with actions of each lift, and the parameters that are told."""
 
 
 def simulated(seed: int) -> tuple[Array, Array]:
@@ -86,11 +81,11 @@ def fitted(X: Array, numbers: Array, Y: Array, device: str, seed: int) -> Any:
     lifts, each with K rows of numbers [M K, N] and outputs [M K, O]."""
     torch.manual_seed(seed)
     mean, scale = Y.mean(axis=0), np.maximum(Y.std(axis=0), 1e-9)
-    x, n, y = (torch.tensor(a, dtype=torch.float32, device=device)
-               for a in (X, numbers, (Y - mean) / scale))  # fmt: skip
+    given = X, numbers, (Y - mean) / scale
+    x, n, y = (torch.tensor(a, dtype=torch.float32, device=device) for a in given)
     net, K = FromClouds(numbers.shape[1], Y.shape[1]).to(device), len(Y) // len(X)
-    steps = EPOCHS * -(-len(y) // 256)
     optimizer = torch.optim.AdamW(net.parameters())
+    steps = EPOCHS * -(-len(y) // 256)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 1e-3, total_steps=steps)
     for _ in range(EPOCHS):
         for rows in torch.randperm(len(y)).to(device).split(256):
@@ -123,44 +118,32 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     task, sim, real = policy.task(), Simulation(device=runs.device), RealWorld(jobs=runs.jobs)
     seeds = range(runs.seed, runs.seed + LIFTS[flags.scale] // BATCH)
     X, Y = map(np.concatenate, zip(*runs.each(simulated, seeds, "lifts"), strict=True))
-    items, L = [find_object(name) for name in ROPES], size_of(ROPE)
-    motion = predefined_lift("rope", "swing")
-    shown = [seen(runs.recorded(f"lift-{n}", i, motion))
-             for n, i in zip(ROPES, items, strict=True)]  # fmt: skip
-    none = np.empty((len(X), 0))
-    logs = fitted(X, none, Y, runs.device, runs.seed)(shown, np.empty((3, 0)))
-    told = [rope_of(item, row) for item, row in zip(items, logs, strict=True)]
+    items, L = list(map(find_object, ROPES)), size_of(ROPE)
+    motion, named = predefined_lift("rope", "swing"), zip(ROPES, items, strict=True)
+    shown = [seen(runs.recorded(f"lift-{name}", item, motion)) for name, item in named]
+    logs = fitted(X, np.empty((len(X), 0)), Y, runs.device, runs.seed)(shown, np.empty((3, 0)))
     taught = [rope_of(items[k % 3], row) for k, row in enumerate(Y) for _ in range(LABELS)]
-    share = np.random.default_rng(runs.seed).random((len(taught), len(task.goals)))
-    ends = np.array([policy.goal_range(item) for item in taught])
-    goal = ends[..., 0] + share * (ends[..., 1] - ends[..., 0])
+    low, high = np.moveaxis(np.array([policy.goal_range(item) for item in taught]), 2, 0)
+    goal = np.random.default_rng(runs.seed).uniform(low, high)
     labels = choose(policy, Cases(task=task, items=tuple(taught), goal=goal)) / L
     acts = fitted(X, goal / L, labels, runs.device, runs.seed)
     many, few, *_ = GOALS[flags.scale]
     cases = draw_cases(task, many, seed=runs.seed, simulation=sim, items=items)
     some = Cases(task=task, items=cases.items[:few], goal=cases.goal[:few])
-    held = [told[k % 3] for k in range(many)]
-    first, beliefs = choose(policy, cases, known=held), [Estimate.of(item) for item in held]
-    rivals = [evolved(task, g, b, a, ROLLOUTS)
-              for g, b, a in zip(cases.goal, beliefs, first, strict=True)]  # fmt: skip
+    held = [rope_of(items[k % 3], logs[k % 3]) for k in range(many)]
+    first = choose(policy, cases, known=held)
+    rivals = [evolved(task, g, Estimate.of(item), a, ROLLOUTS)
+              for g, item, a in zip(cases.goal, held, first, strict=True)]  # fmt: skip
     straight = acts([shown[k % 3] for k in range(many)], cases.goal / L) * L
     acted = {
         "network's parameters, policy": first,
         "network's parameters, CMA-ES": np.array(side_by_side(task, sim, rivals)),
         "clouds to action": np.array([task.nearest(ROPE, a) for a in straight]),
     }
-    table: dict[str, tuple[str, ...]] = {}
-    for way, action in acted.items():
-        for place, score in (("ours", judge(cases, action, world=sim)),
-                             ("MuJoCo", judge(some, action[:few], world=real))):  # fmt: skip
-            e = 1e3 * score.error[np.isfinite(score.error)]
-            figures = (e.mean(), np.median(e), np.quantile(e, 0.95), e.max())
-            table[f"{way}, {place}"] = (*(f"{x:.2f}" for x in figures), str(len(e)))
-    off = [np.log([i.material.E_over_rho, i.material.damping]) for i in items]
-    notes = [f"{name}: E off by {100 * (math.exp(d[0]) - 1):.1f} %, damping by a factor of "
-             f"{math.exp(abs(d[1])):.2f}"
-             for name, d in zip(ROPES, logs - np.array(off), strict=True)]  # fmt: skip
-    head = ("mean", "median", "95 %", "worst", "goals")
-    title = f"{task.name}, {len(X)} lifts to learn from: missed by [mm]"
-    return Result(name=f"wiggle-{task.name}", figures={"rows": table, "notes": notes},
-                  shown=[Table(title=title, head=head, rows=table)], notes=notes)  # fmt: skip
+    scores = {f"{way}, ours": judge(cases, a, world=sim) for way, a in acted.items()}
+    scores |= {f"{way}, MuJoCo": judge(some, a[:few], world=real) for way, a in acted.items()}
+    off = logs - np.log([[i.material.E_over_rho, i.material.damping] for i in items])
+    notes = [f"{name}: E {100.0 * math.expm1(e):+.1f} %, damping times {math.exp(d):.2f}"
+             for name, (e, d) in zip(ROPES, off, strict=True)]  # fmt: skip
+    title = f"{len(X)} lifts to learn from"
+    return replace(missed("wiggle", title, scores, {"task": task.name}), notes=notes)
