@@ -31,6 +31,7 @@ from gendom.materials import (
     Material,
     Rope,
     from_columns,
+    size_of,
     to_columns,
     unit_of,
     with_dimensionless,
@@ -215,8 +216,8 @@ class Task(ABC):
     """The object that demonstrations are simulated with; its parameters are drawn."""
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Lowest and highest parameter of drawn objects, by names of `DRAWN` and in SI units; those
-    that are not named stay as they are in `item`. Others are those of an object as thick as `item`:
-    one of another ``thickness_ratio`` has its bending length and mass per area."""
+    that are not named stay as they are in `item`. E / density is that of an object as thick as
+    `item`: one of another ``thickness_ratio`` has its bending length."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -417,7 +418,10 @@ class Task(ABC):
         if not ratio:
             return item
         ratio = 10.0 ** (round(THICKNESSES * math.log10(ratio)) / THICKNESSES)
-        return with_dimensionless(item, {"thickness_ratio": ratio})
+        m = with_dimensionless(item, {"thickness_ratio": ratio}).material
+        thick = {item.sizes[1]: ratio * size_of(item)}
+        own = replace(item.material, E=m.E_over_rho * item.material.density)
+        return replace(item, material=own, **thick)
 
     # ---- settings --------------------------------------------------------------------------------
 
