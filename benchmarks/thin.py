@@ -90,7 +90,7 @@ def timed(given: argparse.Namespace, job: Callable[[], object]) -> float:
 
 def release(given: argparse.Namespace, worlds: int, threads: int | None, engine: str) -> float:
     """Rope reaching with random releases and materials."""
-    task = RopeReaching()
+    task = RopeReaching().of_one_size()
     rng = np.random.default_rng(0)
     items = [task.draw_item(rng) for _ in range(worlds)]
     actions = task.sample_actions(task.item, rng, worlds)

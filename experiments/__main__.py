@@ -25,7 +25,9 @@ TABLES = {
     "rope-real": "three ropes of the MuJoCo test scene, each lifted once; policies, baselines, "
     "polished and adapted actions, carried out by the arm",
     "planning": "the same lifts: actions of the policy, polished, and by CMA-ES in the simulator "
-    "at equal simulator time, in our simulator and carried out by the arm",
+    "at equal simulator time, in our simulator and carried out by the arm; and by `adapt` and "
+    "iterative learning from execution to execution",
+    "wiggle": "networks from a lift's clouds to parameters, then CMA-ES, or straight to actions",
     "cloth-real": "two cloths of that scene, each lifted once, spread by policies and by the A "
     "that spreads most in our simulator",
     "coverage": "random objects of that scene are lifted, recorded and estimated: errors, share of "
@@ -68,7 +70,7 @@ def parser() -> argparse.ArgumentParser:
         "--task",
         choices=("rope-reaching", "rope-casting"),
         default="rope-reaching",
-        help="of ablation, generalization, planning and rope-real",
+        help="of ablation, generalization, planning, rope-real and wiggle",
     )
     add(
         "--method",

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -130,19 +130,21 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     there = scores["polished, MuJoCo"].reached[:fewer]
     learnt = executions(less, held[:fewer], better[:fewer], there, repeats, sim, real)
     scores |= {f"{way}, MuJoCo": score for way, score in learnt.items()}
+    rollouts = float(np.mean([p.rollouts for p in polished]))
+    about = {"task": task.name, "rollouts": rollouts}
+    return missed("planning", f"{task.name}, {rollouts:.0f} rollouts each", scores, about)
+
+
+def missed(name: str, title: str, scores: Mapping[str, Score], about: dict[str, Any]) -> Result:
+    """The table of what goals were missed by, by row."""
     misses = {row: [e if math.isfinite(e) else None for e in score.error.tolist()]
               for row, score in scores.items()}  # fmt: skip
     rows = {}
     for row, error in misses.items():
-        e = 1e3 * np.array(error, dtype=float)
-        e = e[np.isfinite(e)]
+        e = 1e3 * np.array([x for x in error if x is not None])
         figures = (e.mean(), np.median(e), np.quantile(e, 0.95), e.max())
         rows[row] = (*(f"{x:.2f}" for x in figures), f"{len(error)}, {len(error) - len(e)}")
-    rollouts = float(np.mean([p.rollouts for p in polished]))
     head = ("mean", "median", "95 %", "worst", "goals, failed")
-    title = f"{task.name}, {rollouts:.0f} rollouts each: missed by [mm]"
-    return Result(
-        name=f"planning-{task.name}",
-        figures={"task": task.name, "rollouts": rollouts, "misses": misses},
-        shown=[Table(title=title, head=head, rows=rows)],
-    )
+    table = Table(title=f"{title}: missed by [mm]", head=head, rows=rows)
+    figures = {**about, "misses": misses}
+    return Result(name=f"{name}-{about['task']}", figures=figures, shown=[table])

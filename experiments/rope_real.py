@@ -78,11 +78,9 @@ class Settings:
     """Demonstrations of each rope in the second reality."""
     epochs: int
     steps: int = 3000
-    """Of the optimiser in each training, at least, and in each round of refining."""
+    """Of the optimiser in each training, at least, in each round of refining and in fine-tuning."""
     refine: int
     """Rounds in the simulator of policies that are trained on simulations by our method."""
-    finetune_epochs: int = 300
-    """Of fine-tuning on the second reality's demonstrations."""
     executions: int
     """That are learnt from, one after the other, for each goal."""
 
@@ -225,14 +223,14 @@ def _policies(
     plain = Training(epochs=settings.epochs, refine_steps=settings.steps, seed=runs.seed)
     refined = replace(plain, refine=settings.refine)
     inverse = replace(plain, method="inverse")
-    tuned = replace(plain, finetune_epochs=settings.finetune_epochs)
+    tuned = replace(refined, finetune_steps=settings.steps)
     world = runs.training_world()
     jobs = {
         "ours": job(simulated, refined, world=world),
         "ours, no parameters": job(simulated, replace(refined, conditioned_on=()), world=world),
         "inverse": job(simulated, inverse, world=world),
         "inverse, no parameters": job(simulated, replace(inverse, conditioned_on=()), world=world),
-        "sim+real": job(simulated, tuned, finetune=every_real),
+        "sim+real": job(simulated, tuned, finetune=every_real, world=world),
     }
     for row, data in sets.items():
         # real demonstrations have no simulator to refine in

@@ -130,7 +130,7 @@ def test_real_ropes_have_all_rows_and_go_on(runs, monkeypatch):
         ),
     )
     settings = rope_real_module.Settings(
-        goals=3, demonstrations=200, real=20, epochs=3, finetune_epochs=3, steps=30,
+        goals=3, demonstrations=200, real=20, epochs=3, steps=30,
         executions=2, refine=4,
     )  # fmt: skip
     result = rope_real(runs, settings)

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gendom.materials import QUANTITIES, Material, Rope, dimensionless_parameters, size_of
+from gendom.materials import Material, Rope, dimensionless_parameters, size_of
 from gendom.tasks import RopeReaching
-from gendom.tasks.task import ROPE_RANGES, Outcome
+from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
 
-TASK = RopeReaching(ranges={n: r for n, r in ROPE_RANGES.items() if n in QUANTITIES})
+TASK = RopeReaching().of_one_size()
 ROPE = Rope(
     length=0.3, diameter=0.016, material=Material(E=8e5, nu=0.3, density=900.0, damping=0.004)
 )

@@ -70,6 +70,20 @@ def test_parameters_outside_are_clipped_with_a_warning(make_policy, caplog):
     assert session.fed["bending_ratio"][:, 0] == pytest.approx([0.25, 0.5, 0.7])
 
 
+def test_a_policy_that_does_not_see_the_thickness_says_what_it_was_trained_with(
+    make_policy, description
+):
+    """Also one of a file of before, which does not hold it."""
+    ranges = {n: ends for n, ends in description.parameters.items() if n != "thickness_ratio"}
+    policy, _ = make_policy(parameters=ranges)
+    assert Description.from_json(policy.description.to_json(), where="x").parameters == ranges
+    assert policy.act(0.35, rope(diameter=0.016)).warnings == ()
+    (said,) = policy.act(0.35, rope(diameter=0.028)).warnings
+    assert "(thickness over size) is 0.112, the policy was trained with 0.056 to 0.056" in said
+    seen, _ = make_policy(parameters=ranges | {"thickness_ratio": (0.01, 0.1155)})
+    assert seen.act(0.35, rope(diameter=0.028)).warnings == ()
+
+
 def test_action_beyond_the_limits_is_moved_into_them(make_policy):
     policy, session = make_policy()
     session.offset = 0.5

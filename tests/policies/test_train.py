@@ -203,7 +203,8 @@ def test_fine_tuning_follows_another_world_where_it_was_seen_and_forgets_nothing
     """Soft ropes reach 0.03 farther there; of stiff ones nothing was seen."""
     real = toy(500, seed=7)
     real = replace(real, goal=real.goal + 0.03).chosen(real.parameters["bending_ratio"] < 0.35)
-    tuned = train(toy(1200), tmp_path / "p.onnx", Training(epochs=60), finetune=real)
+    how = Training(epochs=60, finetune_steps=1000)
+    tuned = train(toy(1200), tmp_path / "p.onnx", how, finetune=real)
     about, new = tuned.description.training, toy(500, seed=1)
     assert (about["demonstrations"], about["finetuned_on"]) == (1200, len(real))
     E, nu = (new.parameters[n] for n in ("bending_ratio", "nu"))
@@ -220,7 +221,7 @@ def test_the_inverse_method_is_fine_tuned_to_other_actions(tmp_path):
         replace(d, action=np.stack([d.goal[:, 0] - shift, d.goal[:, 0]], axis=1))
         for d, shift in ((toy(1200), 0.0), (toy(300, seed=7), 0.03))
     )
-    settings = Training(epochs=40, method="inverse", finetune_epochs=60)
+    settings = Training(epochs=40, method="inverse", finetune_steps=300)
     tuned = train(sim, tmp_path / "p.onnx", settings, finetune=real)
     new = toy(500, seed=1)
     assert abs((acted(tuned, new)[:, 0] - new.goal[:, 0]).mean() + 0.03) < 0.015

@@ -53,6 +53,7 @@ def test_draws_follow_the_seed_and_the_ranges(kind):
     columns = [to_columns(with_dimensionless(item, as_thick)) for item in items]
     for row, item in zip(columns, items, strict=True):
         row["thickness_ratio"] = dimensionless_parameters(item)["thickness_ratio"]
+        row["density"] = item.material.density
     for name, (low, high) in task.ranges.items():
         values = np.array([c[name] for c in columns])
         assert 0.999 * low <= values.min() < values.max() <= 1.001 * high

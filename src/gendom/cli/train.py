@@ -38,8 +38,8 @@ class Command:
     actions on goals, as in the paper. chance: learn how probably an action is enough (default of
     tasks without goals)."""
     condition: tuple[str, ...] = ("all",)
-    """Parameters that the policy sees: some of bending_ratio, nu, damping, friction and density, or
-    all (that vary in the demonstrations) or none."""
+    """Parameters that the policy sees: some of bending_ratio, nu, damping, friction, density and
+    thickness_ratio, or all (that vary in the demonstrations) or none."""
     architecture: Literal["smooth", "paper"] = "smooth"
     """smooth: 3 x 192 SiLU. paper: 256, 128, 32 ReLU."""
     epochs: int = 300

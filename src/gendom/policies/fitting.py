@@ -86,8 +86,8 @@ class Training:
     learning_rate: float = 4e-3
     """Peak of the learning rate, which then falls to zero along a cosine."""
     weight_decay: float = 1e-4
-    finetune_epochs: int = 300
-    """Passes over the demonstrations for fine-tuning."""
+    finetune_steps: int = 4000
+    """Of the optimiser for fine-tuning, at least."""
     refine: int = 0
     """Rounds in the simulator after that, see `gendom.policies.refining`."""
     refine_cases: int = 2000
@@ -106,7 +106,7 @@ class Training:
             wrong = next((v for v in values if v not in known), None)
             fix = f"choose from {', '.join(known)}"
             require(wrong is None, f"{name} is {wrong!r}", fix=fix, error=PolicyError)
-        for name in ("epochs", "batch_size", "learning_rate", "finetune_epochs"):
+        for name in ("epochs", "batch_size", "learning_rate", "finetune_steps"):
             value = getattr(self, name)
             require(value > 0, f"{name} must be positive, got {value}", error=PolicyError)
         what = f"{self.refine} rounds of {self.refine_cases} cases and {self.refine_steps} steps"
@@ -227,6 +227,8 @@ class TrainingProblem:
             logs = np.log(np.maximum(d.risk, RISK_FLOOR))
             self.log_risk = torch.tensor(logs, dtype=torch.float32)[:, None]
             self.within = self.log_risk[:, 0] <= self.highest
+            if not self.chooses:  # what real objects reach follows also where they sway
+                self.within[len(demonstrations) :] = True
         kind, outputs = (
             (ChanceNetwork, [CHANCE]) if self.chooses else (PhysicalNetwork, self.actions)
         )
@@ -245,7 +247,13 @@ class TrainingProblem:
         return (beyond**2).mean()
 
     def fit(
-        self, name: str, network: nn.Module, loss_of: Loss, *, only: Tensor | None = None
+        self,
+        name: str,
+        network: nn.Module,
+        loss_of: Loss,
+        *,
+        only: Tensor | None = None,
+        replay: int | None = None,
     ) -> None:
         """Fit a network to the demonstrations.
 
@@ -254,31 +262,22 @@ class TrainingProblem:
             network: What is trained.
             loss_of: Loss of some rows.
             only: [N] which rows count, bool; all if it leaves too few.
+            replay: Fit it to the demonstrations for fine-tuning, if there are any, each together
+                with so many of the first ones; None: to the first ones.
 
         Raises:
             PolicyError: It diverged.
         """
-        how = self.training
-        rows = _chosen(self.trained, only)
-        self.descend(name, network, loss_of, rows, how.epochs, how.learning_rate)
-
-    def finetune(
-        self,
-        name: str,
-        network: nn.Module,
-        loss_of: Loss,
-        *,
-        only: Tensor | None = None,
-        replay: int = 0,
-    ) -> None:
-        """As `fit` to the demonstrations for fine-tuning, where there are any, each together with
-        `replay` of the first ones."""
-        if not len(self.tuned):
-            return
-        rows, first = _chosen(self.tuned, only), _chosen(self.trained, only)
-        rows = torch.cat([rows, first[: replay * len(rows)]])
-        epochs = self.training.finetune_epochs
-        self.descend(f"{name}, fine-tuned", network, loss_of, rows, epochs, FINETUNE_LEARNING_RATE)
+        how, rows = self.training, _chosen(self.trained, only)
+        epochs, rate = how.epochs, how.learning_rate
+        if replay is not None:
+            if not len(self.tuned):
+                return
+            few = _chosen(self.tuned, only)
+            rows = torch.cat([few, rows[: replay * len(few)]])
+            epochs = -(-how.finetune_steps // max(1, len(rows) // how.batch_size))
+            name, rate = f"{name}, fine-tuned", FINETUNE_LEARNING_RATE
+        self.descend(name, network, loss_of, rows, epochs, rate)
 
     def descend(
         self,
@@ -289,58 +288,32 @@ class TrainingProblem:
         epochs: int,
         rate: float,
     ) -> None:
-        """`descend` with the training's settings, and progress.
+        """Minimise the mean of a loss over batches of rows [M] by AdamW, whose learning `rate`
+        rises shortly, then falls to zero along a cosine.
 
         Raises:
             PolicyError: It diverged.
         """
-        how = self.training
-        decay = CHANCE_WEIGHT_DECAY if self.chooses else how.weight_decay
+        how, batch = self.training, min(self.training.batch_size, len(rows))
+        decay, steps = CHANCE_WEIGHT_DECAY if self.chooses else how.weight_decay, len(rows) // batch
+        optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay, fused=True)
+        schedule = torch.optim.lr_scheduler.OneCycleLR(
+            optimizer, rate, total_steps=epochs * steps + 1, pct_start=0.1, cycle_momentum=False
+        )
         with bar(name, epochs, "epoch", shown=self.shown) as show:
-            descend(
-                network, loss_of, rows, epochs=epochs, batch_size=how.batch_size, rate=rate,
-                weight_decay=decay, on_epoch=lambda n, loss: show(n, note=f"loss {loss:.2e}"),
-            )  # fmt: skip
-
-
-def descend(
-    network: nn.Module,
-    loss_of: Loss,
-    rows: Tensor,
-    *,
-    epochs: int,
-    batch_size: int,
-    rate: float,
-    weight_decay: float,
-    on_epoch: Callable[[int, float], None],
-) -> None:
-    """Minimise the mean of a loss over batches of rows [M] by AdamW, whose learning `rate` rises
-    shortly, then falls to zero along a cosine. ``on_epoch`` is told each epoch and its loss.
-
-    Raises:
-        PolicyError: It diverged.
-    """
-    batch = min(batch_size, len(rows))
-    steps = len(rows) // batch
-    optimizer = torch.optim.AdamW(
-        network.parameters(), lr=rate, weight_decay=weight_decay, fused=True
-    )
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, rate, total_steps=epochs * steps + 1, pct_start=0.1, cycle_momentum=False
-    )
-    for epoch in range(1, epochs + 1):
-        total = 0.0
-        for part in rows[torch.randperm(len(rows))][: steps * batch].split(batch):
-            loss = loss_of(part)
-            optimizer.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-            optimizer.step()
-            schedule.step()
-            total += loss.item() / steps
-        what, fix = f"training diverged in epoch {epoch}", "lower the learning rate"
-        require(np.isfinite(total), what, fix=fix, error=PolicyError)
-        on_epoch(epoch, total)
+            for epoch in range(1, epochs + 1):
+                total = 0.0
+                for part in rows[torch.randperm(len(rows))][: steps * batch].split(batch):
+                    loss = loss_of(part)
+                    optimizer.zero_grad()
+                    loss.backward()
+                    nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+                    optimizer.step()
+                    schedule.step()
+                    total += loss.item() / steps
+                what, fix = f"training diverged in epoch {epoch}", "lower the learning rate"
+                require(np.isfinite(total), what, fix=fix, error=PolicyError)
+                show(epoch, note=f"loss {total:.2e}")
 
 
 def _chosen(rows: Tensor, only: Tensor | None) -> Tensor:

@@ -59,7 +59,7 @@ ANCHORS = 1024
 REPLAY = 4
 """How many demonstrations of the first kind each of those for fine-tuning is trained with."""
 
-REACHES, NOISES = (0.125, 0.25, 0.5), (1e-3, 1e-2, 0.1, 1.0, 10.0, 1e3)
+REACHES, NOISES = (0.25, 0.5, 1.0), (1e-3, 1e-2, 0.1, 1.0, 10.0, 1e3)
 """Distances of standardised inputs over which what is left of goals is alike, and variances of its
 noise over its own, that are tried. Farther ones would tell of objects that nobody has seen."""
 
@@ -119,12 +119,12 @@ def distal(problem: TrainingProblem, between: Between = dict) -> dict[str, float
 
     problem.fit("policy", problem.policy, policy_loss, only=problem.within)
     errors = between()
-    tuned = problem.tuned[problem.within[problem.tuned]]
+    tuned = problem.tuned
     if len(tuned) >= SMALLEST:
         at = seen(problem.action[tuned], tuned)
         with torch.no_grad():
             beside = GaussianProcess(model, at, problem.goal[tuned] - model(*at)[:, :G])
-    problem.finetune("policy", problem.policy, policy_loss, only=problem.within, replay=REPLAY)
+    problem.fit("policy", problem.policy, policy_loss, only=problem.within, replay=REPLAY)
     with torch.no_grad():
         rows = problem.held_out[problem.within[problem.held_out]]
         if not len(rows):
@@ -147,7 +147,7 @@ def inverse(problem: TrainingProblem, between: Between = dict) -> dict[str, floa
 
     problem.fit("policy", problem.policy, loss)
     errors = between()
-    problem.finetune("policy", problem.policy, loss)
+    problem.fit("policy", problem.policy, loss, replay=0)
     with torch.no_grad():
         return {**errors, "action_rms": rms(lacks(problem.held_out))}
 
@@ -169,7 +169,7 @@ def chance(problem: TrainingProblem, between: Between = dict) -> dict[str, float
         return nn.functional.binary_cross_entropy(problem.act(rows), enough[rows])
 
     problem.fit("policy", problem.policy, loss)
-    problem.finetune("policy", problem.policy, loss)
+    problem.fit("policy", problem.policy, loss, replay=0)
     with torch.no_grad():
         rows = problem.held_out
         wrong = (problem.act(rows) > 0.5) != (enough[rows] > 0.5)

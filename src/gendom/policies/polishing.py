@@ -24,9 +24,9 @@ the best of the known actions is varied by chance, ever less, and the best so fa
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,14 +41,8 @@ from gendom.tasks import Task
 from gendom.tasks.task import Outcome, World
 from gendom.tasks.world import Simulation
 
-
-class Discrepancy(Protocol):
-    """The simulator's error, learnt from executions."""
-
-    def __call__(self, action: Array) -> tuple[Array, float]:
-        """Mean [G] and standard deviation of it at an action [A], in SI units."""
-        ...
-
+Discrepancy = Callable[[Array], tuple[Array, float]]
+"""Mean [G] and standard deviation of the simulator's error at an action [A], in SI units."""
 
 MAX_ITERATIONS = 6
 """Steps, or rounds of variations, at most."""
@@ -100,8 +94,6 @@ class _Point:
     z: Array
     r: Array
     J: Array = field(default_factory=lambda: np.empty((0, 0)))
-    damping: float = 1e-3
-    done: bool = False
 
     @property
     def cost(self) -> float:
@@ -268,31 +260,20 @@ def _varied(
 
 def _improved(problem: PolishingProblem, best: _Point, deadline: float) -> Asking[_Point]:
     """What damped Gauss-Newton steps lead to until a time [s]."""
-    round_seconds = 0.0
+    damping, round_seconds = 1e-3, 0.0
     for _ in range(MAX_ITERATIONS):
         starts = time.monotonic()
-        if best.done or deadline - starts < round_seconds:
+        if deadline - starts < round_seconds:
             break
-        new = yield from problem.point(best.z + _step(best))
-        best = _better(best, new)
+        H = best.J.T @ best.J
+        D = np.maximum(np.diag(H), 1e-6 * max(float(np.trace(H)), 1e-12))
+        H = H + damping * np.diag(D) + 1e-15 * np.eye(len(H))
+        new = yield from problem.point(best.z + np.linalg.solve(H, -best.J.T @ best.r))
         round_seconds = time.monotonic() - starts
+        better = new.cost < best.cost
+        gained = 1.0 - new.cost / best.cost if better else 1.0
+        best = new if better else best
+        damping = max(0.1 * damping, 1e-6) if better else max(10.0 * damping, 1e-2)
+        if best.cost < TOLERANCE**2 or gained < LEAST_GAIN or damping > 1e4:
+            break
     return best
-
-
-def _step(p: _Point) -> Array:
-    H = p.J.T @ p.J
-    D = np.maximum(np.diag(H), 1e-6 * max(float(np.trace(H)), 1e-12))
-    damped = H + p.damping * np.diag(D) + 1e-15 * np.eye(len(H))
-    return np.asarray(np.linalg.solve(damped, -p.J.T @ p.r), dtype=float)
-
-
-def _better(old: _Point, new: _Point) -> _Point:
-    """Whichever costs less, with the damping of its next step."""
-    if not new.cost < old.cost:
-        old.damping = max(10.0 * old.damping, 1e-2)
-        old.done = old.damping > 1e4 or old.cost < TOLERANCE**2
-        return old
-    gained = (old.cost - new.cost) / old.cost
-    new.damping = max(0.1 * old.damping, 1e-6)
-    new.done = new.cost < TOLERANCE**2 or gained < LEAST_GAIN
-    return new

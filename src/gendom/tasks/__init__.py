@@ -20,7 +20,7 @@ from gendom.tasks.cloth_dragging import ClothDragging
 from gendom.tasks.cloth_spreading import ClothSpreading
 from gendom.tasks.rope_casting import RopeCasting
 from gendom.tasks.rope_reaching import RopeReaching
-from gendom.tasks.task import Observed, Outcome, Quantity, Risk, Scene, Task, World
+from gendom.tasks.task import Observed, Outcome, Quantity, Scene, Task, World
 
 if TYPE_CHECKING:
     from gendom.tasks.cases import draw_cases
@@ -129,7 +129,7 @@ __getattr__ = imported_later(
 )
 
 __all__ = [
-    "ClothDragging", "ClothSpreading", "Demonstrator", "Observed", "Outcome", "Quantity", "Risk",
+    "ClothDragging", "ClothSpreading", "Demonstrator", "Observed", "Outcome", "Quantity",
     "RopeCasting", "RopeReaching", "Scene", "Simulation", "Task", "World", "draw_cases",
     "find_task", "load_task", "rebuild", "register", "task_names",
 ]  # fmt: skip

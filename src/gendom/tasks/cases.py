@@ -68,14 +68,13 @@ def draw_cases(
     goal = np.full((count, len(task.goals)), np.nan)
     waiting = np.arange(count)
     for attempt in range(_ROUNDS):
-        actions = np.empty((len(waiting), len(task.actions)))
-        for k, i in enumerate(map(int, waiting)):
-            rng = np.random.default_rng([seed, i, attempt, _STREAM])
-            kept[i] = items[i % len(items)] if items else task.draw_item(rng)
-            actions[k] = task.sample_actions(kept[i], rng, 1)[0]
+        rngs = [np.random.default_rng([seed, int(i), attempt, _STREAM]) for i in waiting]
+        drawn = [items[int(i) % len(items)] for i in waiting] if items else task.draw_items(rngs)
+        for i, item in zip(waiting.tolist(), drawn, strict=True):
+            kept[i] = item
         if not task.goals:
-            return Cases(task=task, items=tuple(kept), goal=goal)
-        outcomes = simulation.carry_out(task, [kept[i] for i in waiting], actions)
+            break
+        outcomes = simulation.carry_out(task, drawn, task.draw_actions(drawn, rngs))
         again = []
         for i, outcome in zip(waiting, outcomes, strict=True):
             if outcome.fault is None and task.within_risk(kept[i], outcome.values):
@@ -83,7 +82,9 @@ def draw_cases(
             else:
                 again.append(i)
         waiting = np.array(again, dtype=int)
-        if not len(waiting):
-            return Cases(task=task, items=tuple(kept), goal=goal)
-    what = f"{len(waiting)} of {count} cases failed {_ROUNDS} times"
-    raise SimulationError(what, fix="choose other ranges")
+        if not again:
+            break
+    else:
+        what = f"{len(waiting)} of {count} cases failed {_ROUNDS} times"
+        raise SimulationError(what, fix="choose other ranges")
+    return Cases(task=task, items=tuple(kept), goal=goal)

@@ -29,7 +29,7 @@ from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.materials import Cloth, Item, Material, size_of, thickness_of, unit_of
 from gendom.robot.path import DOWN, GripperEvent, TcpPath
-from gendom.tasks.task import Observed, Quantity, Risk, Scene, Task
+from gendom.tasks.task import Observed, Quantity, Scene, Task
 
 CLOTH = Cloth(side=0.2, thickness=0.001, material=Material(E=4e5, density=400.0, damping=0.005))
 """What demonstrations are simulated with."""
@@ -111,10 +111,9 @@ class ClothSpreading(Task):
     goals: ClassVar[tuple[Quantity, ...]] = ()
     outcomes: ClassVar[tuple[Quantity, ...]] = (
         Quantity(name="share", unit="1", meaning="share of the area that lies flat, unwrinkled"),
-        Quantity(name="unspread", unit="1", meaning="share of the area that does not"),
+        Quantity(name="unspread", unit="1", meaning="share that does not", limit=1.0 - SPREAD),
         Quantity(name="covered", unit="1", meaning="covered area of the table over the cloth's"),
     )
-    risk: ClassVar[Risk | None] = Risk(name="unspread", unit="1", limit=1.0 - SPREAD)
     watches: ClassVar[str] = "all"
     candidates: ClassVar[tuple[tuple[float, ...], ...]] = tuple((A,) for A in CHOICES)
     cost: ClassVar[float] = 16.0

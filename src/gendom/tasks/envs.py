@@ -29,7 +29,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import gymnasium
@@ -97,9 +96,7 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         check_integers("cloud", cloud, (), least=0)
         self.cloud = cloud
         task = find_task(task)() if isinstance(task, str) else task
-        # all worlds are of one size
-        ranges = {n: ends for n, ends in task.ranges.items() if n in QUANTITIES}
-        self.task = replace(task, ranges=ranges)
+        self.task = task.of_one_size()
         self.num_envs, self.sees_parameters = num_envs, parameters
         self.world = Simulation(device=device, threads=threads)
         path = self._path(self.task.item)

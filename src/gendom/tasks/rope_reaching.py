@@ -20,7 +20,7 @@ import numpy as np
 from gendom.arrays import Array, rigid
 from gendom.materials import Item, size_of, unit_of
 from gendom.robot.path import GripperEvent, TcpPath, pointing
-from gendom.tasks.task import ROPE, ROPE_RANGES, Observed, Quantity, Risk, Scene, Task
+from gendom.tasks.task import ROPE, ROPE_RANGES, Observed, Quantity, Scene, Task
 
 PAPER_CLOCK = math.sqrt(0.5 / 12.0)
 """Unit of time of the paper's scene [-]."""
@@ -89,9 +89,11 @@ class RopeReaching(Task):
     )
 
     outcomes: ClassVar[tuple[Quantity, ...]] = (
-        Quantity(name="sideways", unit="m", meaning="largest distance of the tip from its plane"),
-    )
-    risk: ClassVar[Risk | None] = Risk(name="sideways", unit="m", limit=0.03)
+        Quantity(
+            name="sideways", unit="m", limit=0.03,
+            meaning="largest distance of the tip from its plane",
+        ),
+    )  # fmt: skip
 
     item: Item = ROPE
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=lambda: dict(ROPE_RANGES))

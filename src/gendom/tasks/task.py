@@ -31,6 +31,7 @@ from gendom.materials import (
     Material,
     Rope,
     from_columns,
+    size_of,
     to_columns,
     unit_of,
     with_dimensionless,
@@ -78,17 +79,9 @@ class Quantity:
     outcome also ``bool``: 1 is yes, 0 is no."""
     meaning: str = ""
     """For people, a few words."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Risk:
-    """An outcome that shows whether an action is one to learn from."""
-
-    name: str
-    unit: str
-    limit: float
-    """Beyond it what was reached depends on the smallest disturbance, or the task has failed [units
-    of similarity]."""
+    limit: float = math.inf
+    """Of an outcome that shows whether an action is one to learn from: beyond it what was reached
+    depends on the smallest disturbance, or the task has failed [units of similarity]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -208,8 +201,8 @@ class Task(ABC):
     """Numbers of a goal; none where a task always wants the same."""
     outcomes: ClassVar[tuple[Quantity, ...]] = ()
     """Further numbers of an outcome, beside those of the goal."""
-    risk: ClassVar[Risk | None] = None
-    """What actions are to avoid."""
+    risk: ClassVar[Quantity | None] = None
+    """What actions are to avoid: the first of `outcomes` with a limit."""
     watches: ClassVar[str] = "tip"
     """What it observes: ``tip`` or ``all`` points."""
     candidates: ClassVar[tuple[tuple[float, ...], ...]] = ()
@@ -223,8 +216,12 @@ class Task(ABC):
     """The object that demonstrations are simulated with; its parameters are drawn."""
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Lowest and highest parameter of drawn objects, by names of `DRAWN` and in SI units; those
-    that are not named stay as they are in `item`. Others are those of an object as thick as `item`:
-    one of another ``thickness_ratio`` has its bending length and mass per area."""
+    that are not named stay as they are in `item`. E / density is that of an object as thick as
+    `item`: one of another ``thickness_ratio`` has its bending length."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls.risk = next((q for q in cls.outcomes if q.limit < math.inf), None)
 
     def __post_init__(self) -> None:
         kind = self.item.kind
@@ -401,6 +398,11 @@ class Task(ABC):
         rows = zip(*columns, strict=True) if names else [()] * len(rngs)
         return [self._item_with(dict(zip(names, row, strict=True))) for row in rows]
 
+    def of_one_size(self) -> Self:
+        """The same task, all of whose drawn objects are as thick as its own."""
+        ranges = {name: ends for name, ends in self.ranges.items() if name in QUANTITIES}
+        return replace(self, ranges=ranges)
+
     def _item_with(self, values: Mapping[str, float]) -> Item:
         """The task's object with other parameters, as named in `ranges`.
 
@@ -416,7 +418,10 @@ class Task(ABC):
         if not ratio:
             return item
         ratio = 10.0 ** (round(THICKNESSES * math.log10(ratio)) / THICKNESSES)
-        return with_dimensionless(item, {"thickness_ratio": ratio})
+        m = with_dimensionless(item, {"thickness_ratio": ratio}).material
+        thick = {item.sizes[1]: ratio * size_of(item)}
+        own = replace(item.material, E=m.E_over_rho * item.material.density)
+        return replace(item, material=own, **thick)
 
     # ---- settings --------------------------------------------------------------------------------
 
