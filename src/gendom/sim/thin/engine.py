@@ -221,7 +221,7 @@ class ThinEngine(Engine):
             for name in ("begins", "steps", "before", "dt"):
                 getattr(run.on_device, name).assign(getattr(plan, name))
         run.frames = replace(run.frames, times=np.array([until]))
-        run.stopped.fill_(-1)
+        put(run.stopped, slice(None), np.full(self.num_worlds, -1, dtype=np.int32))
         # a step is short: few launches
         self.in_threads(partial(self._go, run, None), self.groups(self.num_worlds))
         self._end(run)
