@@ -11,6 +11,7 @@ Shapes: W worlds, n points.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,13 +32,13 @@ LOCAL_STRETCH = 1.0
 class BorderCut:
     """Intersections [c] of spheres with lines of points between held and free edges."""
 
-    line: NDArray[np.int64]
+    line: NDArray[Any]
     """Of all worlds, one after another."""
-    between: NDArray[np.int64]
+    between: NDArray[Any]
     """[c, 2] the two points on either side of the cut."""
     share: Array
     """Position of the cut from the first (0) to the second point (1)."""
-    joints: NDArray[np.int64]
+    joints: NDArray[Any]
     """[c, 2] the joint there and the one that shares its free length, or itself again."""
     slopes: Array
     """[c, 2] derivatives of these joints' factors on the stiffness by ``share``."""
