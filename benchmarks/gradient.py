@@ -1,8 +1,7 @@
 """What a derivative costs: forward and backward over a plain forward run, on one core.
 
-One rope of speed.py is carried for a while. Plain runs take turns with rollouts that keep
-every substep and with rollouts that keep some and run the others once more; ratios are taken turn
-by turn.
+One rope of ``gendom bench`` is carried for a while. Plain runs take turns with rollouts, which run
+it twice; ratios are taken turn by turn.
 
     python benchmarks/gradient.py [--seconds 0.1] [--rounds 7] [--json]
 """
@@ -11,7 +10,6 @@ import argparse
 import json
 import statistics
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -19,12 +17,8 @@ import numpy as np
 from gendom.materials import Material
 from gendom.robot import TcpPaths
 from gendom.sim import Rollout, Simulator, Solver
-from gendom.sim.rollout import MEMORY
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation, grippers
-
-MODES = {"every substep recorded": 1e9, "stretches repeated": float(MEMORY["cpu"])}
-"""Bounds on what a rollout keeps [bytes]."""
 
 
 def main() -> None:
@@ -33,40 +27,34 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    rows = [row for dtype in ("float32", "float64") for row in measured(dtype, args)]
+    rows = [measured(dtype, args) for dtype in ("float32", "float64")]
     if args.json:
         print(json.dumps(rows, indent=2))
         return
-    print(f"{'dtype':8} {'mode':24} {'forward':>9} {'both':>9} {'cost':>6} {'range':>14}")
+    print(f"{'dtype':8} {'forward':>9} {'both':>9} {'cost':>6} {'range':>14}")
     for r in rows:
         print(
-            f"{r['dtype']:8} {r['mode']:24} {r['forward']:7.3f} s {r['both']:7.3f} s "
+            f"{r['dtype']:8} {r['forward']:7.3f} s {r['both']:7.3f} s "
             f"{r['cost']:6.2f} {r['least']:6.2f} .. {r['most']:.2f}"
         )
 
 
-def measured(dtype: str, args: argparse.Namespace) -> list[dict[str, Any]]:
-    """A row for each mode; all take turns."""
-    seconds: dict[str, list[float]] = {"plain": [], **{mode: [] for mode in MODES}}
+def measured(dtype: str, args: argparse.Namespace) -> dict[str, Any]:
+    """What plain runs and rollouts, in turns, take."""
+    seconds: dict[str, list[float]] = {"plain": [], "both": []}
     for turn in range(args.rounds + 1):
-        runs: dict[str, Callable[[Simulator], None]] = {"plain": lambda s: plain(s, args)}
-        for mode, memory in MODES.items():
-            runs[mode] = lambda s, memory=memory: both(s, memory, args)
-        for name, run in runs.items():
+        for name, run in (("plain", plain), ("both", both)):
             s = simulator(dtype)
             began = time.perf_counter()
-            run(s)
+            run(s, args)
             if turn > 0:  # the first one compiles
                 seconds[name].append(time.perf_counter() - began)
-    rows = []
-    for mode in MODES:
-        cost = np.divide(seconds[mode], seconds["plain"])
-        rows.append({
-            "dtype": dtype, "mode": mode, "forward": statistics.median(seconds["plain"]),
-            "both": statistics.median(seconds[mode]), "cost": float(np.median(cost)),
-            "least": float(cost.min()), "most": float(cost.max()),
-        })  # fmt: skip
-    return rows
+    cost = np.divide(seconds["both"], seconds["plain"])
+    return {
+        "dtype": dtype, "forward": statistics.median(seconds["plain"]),
+        "both": statistics.median(seconds["both"]), "cost": float(np.median(cost)),
+        "least": float(cost.min()), "most": float(cost.max()),
+    }  # fmt: skip
 
 
 def simulator(dtype: str) -> Simulator:
@@ -87,8 +75,8 @@ def plain(s: Simulator, args: argparse.Namespace) -> None:
     s.run([args.seconds])
 
 
-def both(s: Simulator, memory: float, args: argparse.Namespace) -> None:
-    rollout = Rollout(s, memory=memory)
+def both(s: Simulator, args: argparse.Namespace) -> None:
+    rollout = Rollout(s)
     x = rollout.forward([args.seconds])
     rollout.backward(np.ones_like(x))
 

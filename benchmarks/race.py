@@ -21,7 +21,7 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +36,6 @@ SIDE, RISE, SPEED, LAST, TILT, ROOM = 0.2, 0.15, 0.3, 0.8, 0.15, 0.002
 TIMES = np.linspace(0.0, LAST, 41)[1:]
 SHARES = np.linspace(0.0, 1.0, 9)
 DAMPING, FRICTION = 0.01, 0.3
-PEERS = {"gendom": "gendom", "mujoco": "mujoco", "elastica": "pyelastica", "newton": "newton"}
-"""Packages, by the first part of a simulator's name."""
-
 Run = Callable[[], np.ndarray]
 
 
@@ -153,24 +150,22 @@ def mujoco(scene: str, edges: int, option: str, worlds: int) -> Run:
     return run
 
 
-OWN: dict[str, dict[str, tuple[Callable[..., Run], tuple[str, ...], tuple[int, ...], Any]]] = {
-    "lift-rope": {
-        "gendom": (gendom, ("float64",), (8, 12, 16, 24, 32), (64, "float64")),
-        "gendom-f32": (gendom, ("float32",), (8, 12, 16, 24, 32), (64, "float64")),
-        "mujoco-flex": (mujoco, ("0.001", "0.002", "0.004"), (8, 12, 16, 24, 32), (40, "0.0005")),
-    },
-    "lift-cloth": {
-        "gendom": (gendom, ("float64",), (8, 12, 16, 24, 32), (48, "float64")),
-        "gendom-f32": (gendom, ("float32",), (8, 12, 16, 24, 32), (48, "float64")),
-        "mujoco-flex": (mujoco, ("0.002", "0.004", "0.008"), (8, 12, 16, 24), (32, "0.001")),
-    },
-    "fall-cloth": {
-        "gendom": (gendom, ("float64",), (8, 12, 16, 24), (32, "float64")),
-        "gendom-f32": (gendom, ("float32",), (8, 12, 16, 24), (32, "float64")),
-        "mujoco-flex": (mujoco, ("0.001", "0.002", "0.004"), (8, 12, 16, 24), (32, "0.001")),
-    },
+def own(
+    edges: tuple[int, ...], finest: tuple[int, int], steps: tuple[str, ...], least: str
+) -> dict[str, tuple[Callable[..., Run], tuple[str, ...], tuple[int, ...], tuple[int, str]]]:
+    """Simulators, what sets their steps, numbers of edges, and the finest of all."""
+    return {
+        "gendom": (gendom, ("float64",), edges, (finest[0], "float64")),
+        "gendom-f32": (gendom, ("float32",), edges, (finest[0], "float64")),
+        "mujoco-flex": (mujoco, steps, edges, (finest[1], least)),
+    }
+
+
+OWN = {
+    "lift-rope": own((8, 12, 16, 24, 32), (64, 40), ("0.001", "0.002", "0.004"), "0.0005"),
+    "lift-cloth": own((8, 12, 16, 24), (48, 32), ("0.002", "0.004", "0.008"), "0.001"),
+    "fall-cloth": own((8, 12, 16), (24, 24), ("0.001", "0.002", "0.004"), "0.001"),
 }
-"""Simulators, what sets their steps, numbers of edges, and the finest of all."""
 SCENES = [*CANTILEVERS, *OWN]
 
 
@@ -219,15 +214,15 @@ def ask(scene: str, name: str, runs: list[tuple[int, str, int]]) -> list[dict[st
 
 def surveyed(scene: str, name: str) -> tuple[list[dict[str, Any]], np.ndarray | None, str]:
     """Errors of all settings from few edges on, until the least bound is kept; the finest run."""
-    own = OWN.get(scene, {}).get(name)
-    options = own[1] if own else CANTILEVERS[scene][name][1]
+    mine = OWN.get(scene, {}).get(name)
+    options = mine[1] if mine else CANTILEVERS[scene][name][1]
     rows, finest, scale = [], None, RISE if scene.startswith("lift") else SIDE
-    if own:
-        found = ask(scene, name, [(*own[3], 1)])
+    if mine:
+        found = ask(scene, name, [(*mine[3], 1)])
         if isinstance(found, str):
             return [], None, found
         finest = np.array(found[0]["seen"])
-    for edges in own[2] if own else EDGES:
+    for edges in mine[2] if mine else EDGES:
         found = ask(scene, name, [(edges, option, 1) for option in options])
         if isinstance(found, str):
             return rows, finest, found
@@ -317,24 +312,19 @@ def draw(found: dict[str, Any], path: Path) -> None:
     """CPU seconds over the error that is kept, a panel a scene."""
     import matplotlib.pyplot as plt
 
+    versions = {name: version(name) for name in ("gendom", "mujoco")}
+
     figure, axes = plt.subplots(1, len(found), figsize=(3.2 * len(found), 3.4), squeeze=False)
     for axis, (scene, one) in zip(axes[0], found.items(), strict=True):
         for name, kept in one["settings"].items():
             at = [b for b in kept if name in one["cpu"].get(b, {})]
-            label = f"{name} {release(name)}"
+            label = f"{name} {versions.get(name.split('-')[0], '')}"
             axis.loglog([100.0 * float(b) for b in at], [one["cpu"][b][name] for b in at],
                         "o-", label=label)  # fmt: skip
         axis.set(title=scene, xlabel="error [%]", ylabel="CPU s a simulated s")
         axis.legend(fontsize=6)
     figure.tight_layout()
     figure.savefig(path)
-
-
-def release(name: str) -> str:
-    try:
-        return version(PEERS[name.split("-")[0]])
-    except PackageNotFoundError:
-        return ""
 
 
 if __name__ == "__main__":

@@ -250,15 +250,8 @@ def bench(rows: Any) -> dict[str, Any]:
 
 
 def gradient(rows: Any) -> dict[str, Any]:
-    """Cost, least and most in forward runs: float32 recorded, repeated, float64 likewise."""
+    """Cost, least and most in forward runs, of float32 and float64."""
     return {"cost": [[r["cost"], r["least"], r["most"]] for r in rows]}
-
-
-def peers(text: str) -> dict[str, Any]:
-    tables = re.findall(r"(?:^\|.*\n?)+", text, re.MULTILINE)
-    ratios = [float(ratio) for ratio in re.findall(r"\| (\S+) x \(", tables[0])]
-    range_ = [min(ratios), max(ratios)]
-    return {"forward": tables[0].rstrip(), "gradient": tables[1].rstrip(), "ratios": range_}
 
 
 def seconds(found: Any) -> dict[str, Any]:
@@ -352,19 +345,14 @@ FIGURES = (
     ON_CUDA(
         "thin-cuda", "python benchmarks/thin.py --device cuda --worlds 40000 --sheets 960", jobs
     ),
-    PEERS("cantilever-rope", "python benchmarks/cantilever.py rope", cantilever),
-    PEERS("cantilever-strip", "python benchmarks/cantilever.py strip", cantilever),
-    TIMED(
-        "bench", "python benchmarks/speed.py --worlds 1 --threads 1 --dtype float32 float64", bench
-    ),
+    PEERS("cantilever-rope", "python benchmarks/race.py cantilever-rope", cantilever),
+    PEERS("cantilever-strip", "python benchmarks/race.py cantilever-strip", cantilever),
+    TIMED("bench", "gendom bench --worlds 1 --threads 1 --dtype float32 float64", bench),
     ON_CUDA(
-        "bench-cuda",
-        "python benchmarks/speed.py --device cuda --worlds 1024 --seconds 0.2 --gradient",
-        bench,
+        "bench-cuda", "gendom bench --device cuda --worlds 1024 --seconds 0.2 --gradient", bench
     ),
     TIMED("gradient", "python benchmarks/gradient.py", gradient),
     dataset("reaching", "rope-reaching --size 40000 --device cuda", "cuda"),
     dataset("casting", "rope-casting --size 20000 --device cuda", "cuda"),
     dataset("cpu", "rope-reaching --size 4000"),
-    PEERS("compare", "make -C benchmarks compare", peers, json=False),
 )  # fmt: skip

@@ -27,6 +27,11 @@ def flat_simulator(body: Body, materials: Sequence[Material], **options: Any) ->
     return Simulator(body, materials, **options)
 
 
+def moved(body: Body, by: ArrayLike) -> Body:
+    """The same body shifted by [3] [m]."""
+    return replace(body, x=body.x + by, points=body.points + by)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Bench:
     """How a case is run. All simulators of the suite are made here."""

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from gendom.arrays import Array
 from gendom.materials import Material
 from gendom.sim import Gripper, Table, rope
-from validation.bench import WEIGHTLESS, Bench, Row, case, over_theory, relative, worst
+from validation.bench import WEIGHTLESS, Bench, Row, case, moved, over_theory, relative, worst
 from validation.bending import SPAN
 from validation.bending import STIFF as MATERIAL
 from validation.elastica import WARPING, critical_load, lateral_load, tip_friction
@@ -171,7 +171,7 @@ def slips(bench: Bench, load: float, friction: ArrayLike) -> Array:
     # a small sideways gravity decides where it buckles to
     gravity = (0.005 * unit, 0.0, -load * unit)
     s = bench.simulate(
-        body.moved(start), [MATERIAL] * len(mu), grippers=[lowered], gravity=gravity,
+        moved(body, start), [MATERIAL] * len(mu), grippers=[lowered], gravity=gravity,
         table=Table(height=0.0, friction=mu), velocity_damping=omega,
     )  # fmt: skip
     t = np.linspace(0.0, 1.0, frames + 1)[1:]

@@ -22,7 +22,7 @@ from gendom.sim import (
     cloth,
     rope,
 )
-from validation.bench import WEIGHTLESS, Bench, Row, case, relative, vanishing
+from validation.bench import WEIGHTLESS, Bench, Row, case, moved, relative, vanishing
 from validation.readings import mechanics
 from validation.specimens import across, block, clamp_beyond
 
@@ -77,7 +77,7 @@ def resting(bench: Bench, kind: str = "") -> Iterator[Row]:
     if kind:
         body, _, material = _flat(kind)
         s = bench.simulate(
-            body.moved((0.0, 0.0, 0.02)), [material], table=Table(height=0.0),
+            moved(body, (0.0, 0.0, 0.02)), [material], table=Table(height=0.0),
             air_density=AIR_DENSITY,
         )  # fmt: skip
         off = np.abs(s.run([1.0])[0, 0, :, 2] / (body.thickness / 2.0) - 1.0).max()

@@ -180,8 +180,7 @@ class _Simulation(torch.autograd.Function):
         if ctx.turned is not None:  # by rotation vectors, not by a further rotation
             by_turn = found["gripper_rotations"][..., None, :] @ left_jacobian(ctx.turned)
             found["gripper_rotations"] = by_turn[..., 0, :]
-        bars = (torch.as_tensor(a, dtype=torch.float64) for a in found.values())
-        return None, None, None, *bars
+        return None, None, None, *(torch.as_tensor(a, dtype=torch.float64) for a in found.values())
 
 
 def _changed(gripper: Gripper, i: int, w: int, v: dict[str, Array]) -> Gripper:

@@ -162,15 +162,6 @@ class Body:
         radius = np.linalg.norm(self.material_coordinates[: self.section, 1:], axis=1)
         return radius > 0.6 * radius.max()
 
-    def moved(self, offset: ArrayLike) -> "Body":
-        """Return the same body shifted by ``offset`` [3] [m].
-
-        Raises:
-            ParameterError: If that is not three finite numbers.
-        """
-        by = check_numbers("offset", offset, (3,))
-        return replace(self, x=self.x + by, points=self.points + by)
-
 
 def rope(
     *,
@@ -304,8 +295,8 @@ def cloth(
             outline of the origin of its coordinates [m].
         yaw: Angle of the first axis about z [rad].
         outline: A polygon [K, 2], or a sequence of them, the outside and then holes, with
-            coordinates along the first and second axis [m] (default: a rectangle). The points are
-            those of cells of a lattice over the box of the outline that it reaches into
+            coordinates along the first and second axis [m] (default: a rectangle), for shells. The
+            points are those of cells of a lattice over the box of the outline that it reaches into
             (``Body.cut``).
 
     Raises:
@@ -352,8 +343,7 @@ def _sheet(
     middle[:, :2] += lower
     if outline is not None:
         part, area = Cut(outline, points), outline.area
-        inside = _with_neighbours(np.flatnonzero(outline.contains(local[:, :2])), cells)
-        local, cells, middle = local[inside], cells[inside], middle[part.at]
+        local, cells, middle = local[:0], cells[:0], middle[part.at]  # no particles
     thick = thickness > dx
     return Body(
         kind="cloth",
@@ -386,19 +376,6 @@ def _sheet_sizes(
         allowed = given is None or abs(given - size) <= 1e-6 * size
         require(allowed, what, fix=f"leave {name} out")
     return shape_of, lower, tuple((upper - lower).tolist())
-
-
-def _with_neighbours(
-    inside: NDArray[np.integer], cells: NDArray[np.integer]
-) -> NDArray[np.integer]:
-    """Those of the particles ``inside`` that have a neighbour of theirs along each axis."""
-    while len(inside):
-        own = np.arange(len(inside))[:, None, None]
-        lonely = (neighbours(cells[inside]) == own).all(axis=2).any(axis=1)
-        if not lonely.any():
-            break
-        inside = inside[~lonely]
-    return inside
 
 
 def round_section(across: int, diameter: float) -> tuple[Array, NDArray[np.integer]]:

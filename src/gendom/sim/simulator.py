@@ -277,8 +277,7 @@ def _check_fits(
     variation: Variation,
 ) -> None:  # fmt: skip
     """Check that a body of N particles or points has what only some bodies may have."""
-    narrow = "the outline is narrower than the particles"
-    require(N, narrow, fix="a smaller dx, or engine='thin'")
+    require(N, "cloths with an outline are shells, not particles", fix="engine='thin'")
     variation.check(N)
     rod, shell = thin and body.kind == "rope", thin and body.kind == "cloth"
     membrane = any(m.membrane is not None for m in materials)

@@ -1,29 +1,21 @@
 """What acts on particles besides each other: the table and grippers.
 
-All of it acts on particles, section by section (the particles of a rope's cross-section, or those
-through a cloth's thickness, ``Body.section``), so that no cell of the grid shows in where a body
-rests or is held.
+All of it acts section by section (``Body.section``), so that no cell of the grid shows in where a
+body rests or is held; see docs/simulator.md.
 
-- **The table** pushes a section whose centre is nearer than the body's contact radius: with a
-  spring as stiff as substeps allow (k = m ``SPRING`` / dt^2; what lies at rest is 1e-7 m deep in
-  it) and a dashpot, and never pulls. Coulomb friction takes as much of the velocity along the
-  table, with all other impulses of the substep, as that push allows. These impulses go to the grid
-  with the others; at rest every section is then in balance by itself.
-- **Grippers**: when one closes, each particle keeps its place in the gripper's frame, with a weight
-  f that falls from 1 to 0 over one lattice spacing about the surface of the gripper's sphere,
-  measured to the centre of its section. From then on a spring and a dashpot that are stiffer the
-  larger f is make of its velocity u with all impulses
+- **The table** is a spring, k = m ``SPRING`` / dt^2 (what lies at rest is 1e-7 m deep in it), and a
+  dashpot. Friction takes as much of the velocity along it, with all other impulses of the substep,
+  as its push allows.
+- **Grippers**: what is held with weight f has of its velocity u with all impulses
 
       w = (1 - f) u + f (V + b (X - x) / dt),    b = ``STIFFNESS`` (dt c / dx)^2,
 
   X and V the place and velocity that the gripper would give it, c the speed of pressure waves: a
-  spring as stiff as the material, whatever the substep. w goes to the grid. What is held with
-  f = 1 has no part in the grid: it goes where the gripper goes, and acts on the rest by its elastic
-  forces alone. At rest w = 0 for every particle, whatever the phase of the grid.
+  spring as stiff as the material, whatever the substep. With f = 1 it has no part in the grid. At
+  rest w = 0 for every particle, whatever the phase of the grid.
 
-Each function has its transpose beside it, which carries derivatives of a loss back to the
-particles, to friction and to the grippers' paths. Whether a section touches, slides or sticks, and
-when grippers open and close, is not differentiated.
+Each function has its transpose beside it. Whether a section touches, slides or sticks, and when
+grippers open and close, is not differentiated.
 
 Shapes: W worlds, N particles, G grippers, K path knots.
 """

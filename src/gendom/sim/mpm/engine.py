@@ -2,7 +2,7 @@
 
 # pyright: basic
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.materials import Material
@@ -32,9 +31,6 @@ CFL = 0.6
 
 SHORTEST_SUBSTEP = 1e-6
 """Below, a second takes hours, and float32 does not resolve motion [s]."""
-
-MOST_PARTICLES = 32_767
-"""Of a body on CUDA: indices of neighbours have 15 bits there."""
 
 MANY_WORLDS = 132
 """Above, two blocks share a multiprocessor, which wants them small."""
@@ -68,11 +64,6 @@ class MpmEngine(Engine):
     def __init__(self, setting: Setting, *, substep: float | None, cfl: float | None):
         super().__init__(setting)
         s, W, N = setting, self.num_worlds, setting.body.num_particles
-        require(
-            not s.device.is_cuda or N <= MOST_PARTICLES,
-            f"the body has {N} particles, on CUDA the MPM takes at most {MOST_PARTICLES}",
-            fix="a larger dx, or device='cpu'",
-        )
         self.num_points = N
         self.stiffness = spread(s.variation.stiffness, (W, N), "stiffness")
         limits = np.array([stable_substep(m, s.body.dx, cfl=cfl or CFL) for m in s.materials])
@@ -128,7 +119,7 @@ class MpmEngine(Engine):
         failed_before = set(self.failures)
         plan = self.plan(frames.began, frames.times, frames.particles)
         self.in_threads(partial(Group.run, plan=plan, keep_going=frames.keep_going), self.groups())
-        frames.x[...] = plan.arrays.x.numpy() + self.origin.astype(self.setting.dtype)
+        frames.x[...] = plan.x.numpy() + self.origin.astype(self.setting.dtype)
         frame = self.clock.frame.numpy()
         for w in self.failures:
             frames.x[0 if w in failed_before else frame[w] :, w] = np.nan
@@ -149,9 +140,9 @@ class MpmEngine(Engine):
             return [Group(self, slice(0, self.num_worlds))]
         return [Group(self, slice(w, w + 1)) for w in np.argsort(self.setting.substep).tolist()]
 
-    def plan(self, began: float, times: Array, particles: Any) -> "Plan":
+    def plan(self, began: float, times: Array, particles: Any) -> Any:
         """Set all worlds to go from ``began`` to each of the times [T] [s], at each of which the
-        positions of the particles [P] are recorded."""
+        positions of the particles [P] are recorded, a ``FramePlan``."""
         s, T, W = self.setting, len(times), self.num_worlds
         time = np.concatenate([[began], times])
         span = np.diff(time)[:, None]
@@ -166,7 +157,7 @@ class MpmEngine(Engine):
         self.clock.step.zero_()
         self.clock.status.zero_()
         self.used = True
-        return Plan(time, steps, plan)
+        return plan
 
     def failure(self, w: int, frame_start: float) -> SimulationError:
         """Return the error of world w, which has failed."""
@@ -213,7 +204,7 @@ class MpmEngine(Engine):
         return self.allocate(
             self.types.Records,
             of=(1 if variant.room else W, variant.components, N),
-            near=(W, 3 if self.setting.device.is_cuda else 6, N),
+            near=(W, 6, N),
             **dict.fromkeys(("order", "place"), (W, N)),
             spare=(reordered, variant.components + n, N),
             spare_order=(reordered, N),
@@ -313,27 +304,11 @@ class MpmEngine(Engine):
         return exhausted
 
 
-@dataclass(frozen=True)
-class Plan:
-    """The frames that worlds go through."""
-
-    time: Array
-    """[T + 1] where each frame begins, and the last one's end [s]."""
-    steps: NDArray[np.int32]
-    """[T, W] substeps."""
-    arrays: Any
-    """``FramePlan``."""
-
-
 class Group:
     """Worlds that share a grid and advance by themselves.
 
     On the CPU every world is a group, and threads take the groups in turn. On CUDA all worlds are
     one group, with a block of threads for each world.
-
-    Args:
-        engine: Theirs.
-        worlds: Which they are: one, or all.
     """
 
     def __init__(self, engine: "MpmEngine", worlds: slice):
@@ -356,22 +331,22 @@ class Group:
         """[n] a copy of an array of these worlds' clock."""
         return np.array(getattr(self.engine.clock, name).numpy()[self.worlds])
 
-    def run(self, plan: Plan, *, keep_going: bool) -> None:
+    def run(self, plan: Any, *, keep_going: bool) -> None:
         """Take the worlds through all frames, or until one fails that is not to be left behind."""
         self.begin()
         more, launches = True, SLICES if self.engine.setting.device.is_cuda else 1
         while more:
             for _ in range(launches):
-                self.advance(plan, SUBSTEPS_A_SLICE, len(plan.steps), self.grid)
+                self.advance(plan, SUBSTEPS_A_SLICE, plan.steps.shape[0], self.grid)
             more = self.look(plan, keep_going=keep_going)
         del self.grid
 
-    def advance(self, plan: Plan, most: int, frames: int, grid: Any, tape: Any = None) -> None:
+    def advance(self, plan: Any, most: int, frames: int, grid: Any, tape: Any = None) -> None:
         """Take the worlds further, by ``most`` substeps at most, through the first ``frames`` of
         the plan; a ``tape`` keeps everything that the reverse needs."""
         s = self.engine
         self.launch(make_advance(s.variant, taped=tape is not None), [
-            most, frames, plan.arrays, s.clock, s.unsorted, s.device_model, s.paths, s.grips,
+            most, frames, plan, s.clock, s.unsorted, s.device_model, s.paths, s.grips,
             s.state, grid, s.particles, s.types.Records() if tape is None else tape,
         ])  # fmt: skip
 
@@ -386,9 +361,9 @@ class Group:
             block_dim=threads,
         )
 
-    def look(self, plan: Plan, *, keep_going: bool) -> bool:
+    def look(self, plan: Any, *, keep_going: bool) -> bool:
         """See to worlds that found no room or failed; return whether there is more to do."""
-        s, last = self.engine, len(plan.steps) - 1
+        s, last = self.engine, plan.steps.shape[0] - 1
         status, frame = self.read("status"), self.read("frame")
         full = status == GRID_FULL
         if full.any():
@@ -399,7 +374,8 @@ class Group:
         for n in np.flatnonzero(status != OK).tolist():
             w = self.worlds.start + n
             if w not in s.failures:
-                s.failures[w] = s.failure(w, float(plan.time[min(frame[n], last)]))
+                began = float(plan.time.numpy()[min(frame[n], last)])
+                s.failures[w] = s.failure(w, began)
         going = (status == OK) & (frame <= last)
         return bool(going.any()) and (keep_going or not s.failures)
 

@@ -82,12 +82,12 @@ def make_gripped(variant: Variant) -> SimpleNamespace:
         )
 
     @wp.func
-    def add_to_pose(grip_row: int, g: int, total: pose_type, by: ConditionsAdjoint):
+    def add_to_pose(w: int, g: int, total: pose_type, by: ConditionsAdjoint):
         """Add the sum of a warp's derivatives by a gripper's pose."""
-        add_by_warp(by.centre, grip_row, g, total[0])
-        add_by_warp(by.velocity, grip_row, g, total[1])
-        add_by_warp(by.spin, grip_row, g, total[2])
-        add_by_warp(by.rotation, grip_row, g, total[3])
+        add_by_warp(by.centre, w, g, total[0])
+        add_by_warp(by.velocity, w, g, total[1])
+        add_by_warp(by.spin, w, g, total[2])
+        add_by_warp(by.rotation, w, g, total[3])
 
     @wp.func
     def firm_adjoint(now: Substep, grips: Grips, adjoint: Records, by: ConditionsAdjoint):
@@ -105,7 +105,7 @@ def make_gripped(variant: Variant) -> SimpleNamespace:
                     )  # fmt: skip
                     fields.put_x(adjoint, now.w, i, x_bar - centre_bar)
                     total += rows_of(centre_bar, V_bar, spin_bar, R_bar)
-            add_to_pose(now.grip_row, g, total, by)
+            add_to_pose(now.w, g, total, by)
 
     @wp.func
     def partial_adjoint(
@@ -137,7 +137,7 @@ def make_gripped(variant: Variant) -> SimpleNamespace:
                     sums[now.w, MU, i] = sums[now.w, MU, i] + real(2.0) * by_lam
                     sums[now.w, MASS, i] = sums[now.w, MASS, i] + by_mass
                     total += rows_of(centre_bar, V_bar, spin_bar, R_bar)
-            add_to_pose(now.grip_row, g, total, by)
+            add_to_pose(now.w, g, total, by)
 
     return functions_of(locals())
 
@@ -145,7 +145,7 @@ def make_gripped(variant: Variant) -> SimpleNamespace:
 @functools.cache
 def make_poses(real: Any) -> SimpleNamespace:
     """Build ``pose_ahead`` (grippers in many substeps, by the threads of a block) and its transpose
-    ``close_poses``, for one scalar type."""
+    ``pose_adjoint`` of one substep, for one scalar type."""
     types = make_types(real)
     Paths, Grips, Substep = types.Paths, types.Grips, types.Substep
     ConditionsAdjoint = types.ConditionsAdjoint
@@ -177,35 +177,31 @@ def make_poses(real: Any) -> SimpleNamespace:
             grips.spin[row, g] = types.vec3(turned / dt)
 
     @wp.func
-    def close_poses(
-        now: Substep, first: int, count: int, t0: wp.float64, dt: wp.float64, paths: Paths,
-        grips: Grips, by: ConditionsAdjoint,
+    def pose_adjoint(
+        now: Substep, t: wp.float64, dt: wp.float64, paths: Paths, grips: Grips,
+        by: ConditionsAdjoint,
     ):  # fmt: skip
-        """Transpose of ``pose_ahead``; resets the rows' sums."""
+        """Transpose of ``pose_ahead`` for the substep that begins at t; resets its sums."""
         w = now.w
-        grippers = grips.closed.shape[1]
-        for n in range(now.thread, count * grippers, now.threads):
-            row = w * AHEAD + n // grippers
-            g = n % grippers
-            t = t0 + wp.float64(first + n // grippers) * dt
-            if grips.closed[row, g] == 1:
-                moved = by.velocity[row, g] / dt
+        for g in range(now.thread, grips.closed.shape[1], now.threads):
+            if grips.closed[now.grip_row, g] == 1:
+                moved = by.velocity[w, g] / dt
                 _here, _q, knot = paths_of.placed(w, g, t, paths)
                 _there, _q_end, end = paths_of.placed(w, g, t + dt, paths)
                 paths_of.pose_adjoint(w, g, t, -moved, wp.vec3d(), paths, by.position, by.turn)
                 paths_of.pose_adjoint(
-                    w, g, t + dt, by.centre[row, g] + moved, by.rotation[row, g], paths,
+                    w, g, t + dt, by.centre[w, g] + moved, by.rotation[w, g], paths,
                     by.position, by.turn,
                 )  # fmt: skip
                 if paths.turns[w, g] == 1:
                     for k in range(knot, end + 1):
-                        by_turn = (paths_of.share_of(w, g, k, t, dt, paths) / dt) * by.spin[row, g]
+                        by_turn = (paths_of.share_of(w, g, k, t, dt, paths) / dt) * by.spin[w, g]
                         paths_of.turn_adjoint(
                             w, g, k, wp.float64(0.0), wp.vec3d(), by_turn, paths, by.turn
                         )
-                by.centre[row, g] = wp.vec3d()
-                by.rotation[row, g] = wp.vec3d()
-                by.velocity[row, g] = wp.vec3d()
-                by.spin[row, g] = wp.vec3d()
+                by.centre[w, g] = wp.vec3d()
+                by.rotation[w, g] = wp.vec3d()
+                by.velocity[w, g] = wp.vec3d()
+                by.spin[w, g] = wp.vec3d()
 
     return functions_of(locals())

@@ -1,22 +1,14 @@
 """Internal forces of bodies and the air's, forward and transposed.
 
-A body remembers its shape at rest. F of a particle is what the differences D of the positions of
-its neighbours in the rest lattice say, F = D B with the inverse B of the same at rest; the elastic
-energy is a function of positions alone, and its derivatives are the forces (Lagrangian forces:
-Jiang, Gast and Teran 2017). No energy comes from nowhere, and what has come to rest stays.
+Where they come from: docs/simulator.md. The law is neo-Hookean, P(F).
 
-- **Elastic law**: neo-Hookean, P(F).
-- **Material damping**: a standard linear solid with one Maxwell branch as stiff as the elastic law
-  (Simo and Hughes 1998, chapter 10). The branch's stress is Q = S - Z, S the second Piola-Kirchhoff
-  stress and Z the same filtered with the branch's time tau: per substep, with
-  a = exp(-dt / tau) and g = (1 + a) / 2,
+- **Material damping**: a standard linear solid with one Maxwell branch as stiff as the elastic law.
+  The branch's stress is Q = S - Z, S the second Piola-Kirchhoff stress and Z the same filtered with
+  the branch's time tau: per substep, with a = exp(-dt / tau) and g = (1 + a) / 2,
 
       P <- (1 + g) P - g F Z,      Z <- Z + (1 - a) (S - Z).
 
-  In slow motion that is a viscosity of tau times the elastic moduli, so tau is
-  ``Material.damping``; above 1 / tau it is an additional stiffness, at most that of the law:
-  substeps shrink by sqrt(2). Both lines are exact to second order in dt / tau. At rest Z = S:
-  static shapes do not change.
+  Both are exact to second order in dt / tau. At rest Z = S: static shapes do not change.
 - **Air**: -1/2 rho c |v_n| v_n A n on each patch of a sheet with the velocity v_n along its normal,
   -1/2 rho c d l |v_t| v_t across each stretch l of a rope, v_t the velocity less its part along it.
 

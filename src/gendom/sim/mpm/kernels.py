@@ -358,8 +358,7 @@ def make_reverse(variant: Variant) -> Any:
         now.layout = tape.layout_of[now.gone * shared + own]
         load_all(now, model, tape, by_state, adjoint)
         now.holding = list_gripped(now, adjoint, model, grips)
-        posed = int(now.gone + 1)  # the substep from which on poses are known, and how many of them
-        count = int(0)
+        posed = int(now.gone + 1)  # the substep from which on poses are known
         while now.gone >= 0:
             now.slot = now.gone * shared + own
             now.age = clock.age[w] + now.gone
@@ -371,25 +370,22 @@ def make_reverse(variant: Variant) -> Any:
                 now.layout = earlier
             if grippers > 0 and now.gone < posed:
                 # poses of many substeps at once
-                poses.close_poses(now, posed, count, t0, dt, paths, grips, by)
-                block.sync()
                 posed = wp.max(0, now.gone - AHEAD + 1)
-                count = now.gone + 1 - posed
-                poses.pose_ahead(now, posed, count, t0, dt, paths, grips)
+                poses.pose_ahead(now, posed, now.gone + 1 - posed, t0, dt, paths, grips)
                 block.sync()
             now.grip_row = w * AHEAD + now.gone - posed
             substep_adjoint(now, model, grips, tape, adjoint, grid, by)
+            t = t0 + wp.float64(now.gone) * dt
+            poses.pose_adjoint(now, t, dt, paths, grips, by)
             grasped = int(0)
             for g in range(grippers):
                 if grips.until[w, g] == now.age or grips.since[w, g] == now.age:
                     grasped = 1
             if block.any(grasped) == 1:
                 if thread == 0:
-                    t = t0 + wp.float64(now.gone) * dt
                     boundary.grasp_adjoint(now, t, model, paths, grips, tape, adjoint, by)
                 now.holding = list_gripped(now, adjoint, model, grips)
             now.gone -= 1
-        poses.close_poses(now, posed, count, t0, dt, paths, grips, by)
         unload_all(now, by_state, adjoint)
 
     return reverse

@@ -74,30 +74,22 @@ def make_moving(variant: Variant) -> SimpleNamespace:
     """Particles while they move, or derivatives by them: ``x``, ``v``, ``C``, ``q``, ``low``,
     ``put_x`` and so on of the i-th record of a row, ``get_Z`` and ``put_Z`` of its filtered stress,
     ``particle``, which it is of; ``place`` of particle p, and its ``x_of``."""
-
-    @wp.func
-    def order_of(s: Any, row: int):
-        return row
-
-    return _access(variant.real, order_of, STRESS, resident=variant.room > 0)
+    return _access(variant.real, STRESS, resident=variant.room > 0, taped=False)
 
 
 @functools.cache
 def make_taped(variant: Variant) -> SimpleNamespace:
     """The same of particles on a tape; row n * W + w is substep n of world w."""
-
-    @wp.func
-    def order_of(s: Any, row: int):
-        return s.layout_of[row]
-
-    return _access(variant.real, order_of, TAPED_STRESS, resident=False)
+    return _access(variant.real, TAPED_STRESS, resident=False, taped=True)
 
 
-def _access(real: Any, order_of: Any, stress: int, *, resident: bool) -> SimpleNamespace:
+def _access(real: Any, stress: int, *, resident: bool, taped: bool) -> SimpleNamespace:
     """Access to records whose filtered stress begins at component ``stress``; ``resident``: in the
-    shared memory of a CUDA block, all that its kernel sets aside."""
+    shared memory of a CUDA block, all that its kernel sets aside; ``taped``: in the orders of
+    layouts."""
     types = make_types(real)
     Records, number, shared = types.Records, f"wp::{real.__name__}", int(resident)
+    TAPED = wp.constant(int(taped))
     one = f"gendom::component<{shared}>(of, row, c, i)"
 
     @wp.func_native(f"return {one};")
@@ -122,6 +114,13 @@ def _access(real: Any, order_of: Any, stress: int, *, resident: bool) -> SimpleN
     @wp.func
     def put_Z(s: Records, row: int, c: int, i: int, value: real):
         put(s.of, row, wp.static(stress) + c, i, value)
+
+    @wp.func
+    def order_of(s: Records, row: int):
+        order = row
+        if TAPED == 1:
+            order = s.layout_of[row]
+        return order
 
     @wp.func
     def particle(s: Records, row: int, i: int):

@@ -14,7 +14,7 @@ import warp as wp
 
 from gendom.arrays import Array
 from gendom.sim.gradients import Gradients
-from gendom.sim.mpm.engine import REBUILD, Group, MpmEngine, Plan
+from gendom.sim.mpm.engine import REBUILD, Group, MpmEngine
 from gendom.sim.mpm.kernels import SUMS, make_advance, make_reverse
 from gendom.sim.mpm.particles import DRAG, LAM, MASS, MU
 from gendom.sim.mpm.step import GRID_FULL
@@ -65,7 +65,7 @@ class Tape:
             del group.grid
 
         e.in_threads(go, range(len(groups)))
-        return plan.arrays.x.numpy() + e.origin.astype(e.setting.dtype)
+        return plan.x.numpy() + e.origin.astype(e.setting.dtype)
 
     def _run(self, segment: "Segment") -> None:
         """Run a segment for the first time."""
@@ -153,20 +153,21 @@ class Segment:
         clock = {"step": self.step, "age": self.age, "frame": self._frames}
         self.group.set_clock(**clock, status=0, travel=REBUILD)
 
-    def finish(self, plan: Plan) -> None:
+    def finish(self, plan: Any) -> None:
         """Keep how far the worlds have come now."""
         through = self.group.read("frame") > self.frame
-        steps = plan.steps[self.frame, self.group.worlds]
+        steps = plan.steps.numpy()[self.frame, self.group.worlds]
         end = np.where(through, steps, self.group.read("step"))
         # those that were through before have not moved
         self.substeps = np.where(self._frames > self.frame, 0, end - self.step)
 
-    def arrays(self, plan: Plan) -> tuple[Any, Any, Any]:
+    def arrays(self, plan: Any) -> tuple[Any, Any, Any]:
         """For the kernel: where the worlds begin [s], how many substeps they have, the clock."""
         e, own, f = self.group.engine, self.group.worlds, self.frame
         began, dt, substeps, age = np.zeros((4, e.num_worlds))
-        dt[own] = (plan.time[f + 1] - plan.time[f]) / np.maximum(plan.steps[f, own], 1)
-        began[own] = plan.time[f] + self.step * dt[own]
+        time = plan.time.numpy()
+        dt[own] = (time[f + 1] - time[f]) / np.maximum(plan.steps.numpy()[f, own], 1)
+        began[own] = time[f] + self.step * dt[own]
         substeps[own], age[own] = self.substeps, self.age
         clock = e.types.Clock()
         clock.dt, clock.age = e.array(dt, wp.float64), e.array(age, wp.int32)
@@ -207,7 +208,7 @@ class Sums:
             radius=(W, G),
             touched=(W, N // s.setting.body.section),
             **dict.fromkeys(("weight", "place"), (W, G, N)),
-            **dict.fromkeys(("centre", "rotation", "velocity", "spin"), s.grips.closed.shape),
+            **dict.fromkeys(("centre", "rotation", "velocity", "spin"), (W, G)),
         )
 
     def add_positions(self, group: Group, bar: Array) -> None:

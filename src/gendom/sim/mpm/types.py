@@ -131,7 +131,7 @@ def make_types(real: Any) -> SimpleNamespace:
         moduli: wp.array3d(dtype=real)  # [W, 2, N] mu, lam
         order: wp.array2d(dtype=wp.int32)  # [W, N] particle of each record; recorded: [L, N]
         place: wp.array2d(dtype=wp.int32)  # [W, N] record of each particle; recorded: [L, N]
-        near: wp.array3d(dtype=wp.int32)  # [W, 6, N] records of its neighbours; [W, 3, N] on CUDA
+        near: wp.array3d(dtype=wp.int32)  # [W, 6, N] records of its neighbours
         layout_of: wp.array(dtype=wp.int32)  # [rows] recorded: layout of each substep
         sums: wp.array3d(dtype=real)  # as of ``State``
         # scratch
@@ -172,8 +172,8 @@ def make_types(real: Any) -> SimpleNamespace:
         radius: wp.array2d(dtype=wp.float64)  # [W, G]
         weight: wp.array3d(dtype=real)  # [W, G, N]
         place: wp.array3d(dtype=vec3)  # [W, G, N]
-        # by the poses of ``Grips``, row by row, until they are added to the paths'
-        centre: wp.array2d(dtype=wp.vec3d)  # [rows, G]
+        # by the poses of ``Grips`` in one substep, until they are added to the paths'
+        centre: wp.array2d(dtype=wp.vec3d)  # [W, G]
         rotation: wp.array2d(dtype=wp.vec3d)
         velocity: wp.array2d(dtype=wp.vec3d)
         spin: wp.array2d(dtype=wp.vec3d)

@@ -197,7 +197,7 @@ class ThinEngine(Engine):
         Raises:
             SimulationError: If a world diverges, unless ``keep_going`` is set.
         """
-        run = Run(self, frames, self.schedule(frames, most_steps), kept)
+        run = Run(self, frames, Schedule(frames, self, most_steps), kept)
         self.in_threads(partial(self._go, run, after), self.groups())
         self._end(run)
         frames.x[...] = run.x.numpy().reshape(frames.x.shape) + self.origin.astype(frames.x.dtype)
@@ -221,7 +221,7 @@ class ThinEngine(Engine):
             for name in ("begins", "steps", "before", "dt"):
                 getattr(run.on_device, name).assign(getattr(plan, name))
         run.frames = replace(run.frames, times=np.array([until]))
-        run.stopped.fill_(-1)
+        put(run.stopped, slice(None), np.full(self.num_worlds, -1, dtype=np.int32))
         # a step is short: few launches
         self.in_threads(partial(self._go, run, None), self.groups(self.num_worlds))
         self._end(run)
@@ -231,7 +231,7 @@ class ThinEngine(Engine):
     def _stepping(self) -> Run:
         """A run of one piece that records no frame; its arrays serve all steps."""
         frames = Frames(0.0, np.ones(1), np.zeros(0, dtype=int), np.empty(0), None, False)
-        return Run(self, frames, self.schedule(frames, None), None)
+        return Run(self, frames, Schedule(frames, self, None), None)
 
     def _go(self, run: Run, after: Callable[[slice, Round], None] | None, group: slice) -> None:
         """Take a group of worlds through a run, from one gripper event to the next."""
@@ -291,12 +291,6 @@ class ThinEngine(Engine):
         W = self.num_worlds
         size = W if self.threads > 1 else max(1, min(most, -(-W // self.setting.threads)))
         return [slice(first, min(first + size, W)) for first in range(0, W, size)]
-
-    def schedule(self, frames: Frames, most_steps: int | None) -> Schedule:
-        """Schedule of all worlds up to the last frame."""
-        switches = [self.stacked["hold_from"], self.stacked["hold_until"]]
-        switches = np.concatenate(switches, axis=1)
-        return Schedule(frames, switches, self.setting.substep, most_steps, self.last_dt)
 
     def _failure(self, w: int, s: int, time: float, plan: Schedule) -> SimulationError:
         """Why world w stopped in piece s at a time [s]."""

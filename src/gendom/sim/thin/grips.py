@@ -11,6 +11,7 @@ Shapes: W worlds, n points.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,13 +32,13 @@ LOCAL_STRETCH = 1.0
 class BorderCut:
     """Intersections [c] of spheres with lines of points between held and free edges."""
 
-    line: NDArray[np.int64]
+    line: NDArray[Any]
     """Of all worlds, one after another."""
-    between: NDArray[np.int64]
+    between: NDArray[Any]
     """[c, 2] the two points on either side of the cut."""
     share: Array
     """Position of the cut from the first (0) to the second point (1)."""
-    joints: NDArray[np.int64]
+    joints: NDArray[Any]
     """[c, 2] the joint there and the one that shares its free length, or itself again."""
     slopes: Array
     """[c, 2] derivatives of these joints' factors on the stiffness by ``share``."""
@@ -195,31 +196,21 @@ def border_adjoint(
 ) -> tuple[Array, Array, Array]:
     """Derivatives by x [W, n, 3], by the centre [W, 3] and by the radius [W], given those by
     ``grip.stiffer`` [W, M, n]."""
-    W = len(x)
-    x_bar, centre_bar, radius_bar = np.zeros_like(x), np.zeros((W, 3)), np.zeros(W)
+    x_bar, centre_bar, radius_bar = np.zeros_like(x), np.zeros((len(x), 3)), np.zeros(len(x))
     for k, (lines, cut) in enumerate(zip(every, grip.cuts, strict=True)):
-        centre, bar = np.repeat(pose.centre, len(lines.index), axis=0), lines.of(stiffer_bar[:, k])
-        by_x, by_centre, by_radius = _cut_adjoint(cut, lines.of(x), centre, bar)
-        x_bar += lines.points(by_x)
-        centre_bar += by_centre.reshape(W, -1, 3).sum(axis=1)
-        radius_bar += by_radius.reshape(W, -1).sum(axis=1)
-    return x_bar, centre_bar, radius_bar
-
-
-def _cut_adjoint(
-    cut: BorderCut, x: Array, centre: Array, stiffer_bar: Array
-) -> tuple[Array, Array, Array]:
-    """Transpose of ``_cut``: derivatives by points [L, n, 3], centres [L, 3], and radii [L]."""
-    w, (first, second), share = cut.line, cut.between.T, cut.share[:, None]
-    step = x[w, second] - x[w, first]
-    out = x[w, first] + share * step - centre[w]
-    by_share = np.sum(cut.slopes * stiffer_bar[w[:, None], cut.joints], axis=1)
-    moved = (by_share / np.sum(out * step, axis=1))[:, None] * out
-    x_bar, centre_bar, radius_bar = np.zeros_like(x), np.zeros_like(centre), np.zeros(len(x))
-    np.add.at(x_bar, (w, first), -(1.0 - share) * moved)
-    np.add.at(x_bar, (w, second), -share * moved)
-    np.add.at(centre_bar, w, moved)
-    np.add.at(radius_bar, w, np.sum(moved * out, axis=1) / np.linalg.norm(out, axis=1))
+        at, bar, world = lines.of(x), lines.of(stiffer_bar[:, k]), cut.line // len(lines.index)
+        line, (first, second), share = cut.line, cut.between.T, cut.share[:, None]
+        step = at[line, second] - at[line, first]
+        out = at[line, first] + share * step - pose.centre[world]
+        by_share = np.sum(cut.slopes * bar[line[:, None], cut.joints], axis=1)
+        moved = (by_share / np.sum(out * step, axis=1))[:, None] * out
+        by_points = np.zeros_like(at)
+        np.add.at(by_points, (line, first), -(1.0 - share) * moved)
+        np.add.at(by_points, (line, second), -share * moved)
+        x_bar += lines.points(by_points)
+        np.add.at(centre_bar, world, moved)
+        out_of = np.sum(moved * out, axis=1) / np.linalg.norm(out, axis=1)
+        np.add.at(radius_bar, world, out_of)
     return x_bar, centre_bar, radius_bar
 
 

@@ -43,15 +43,13 @@ class Schedule:
 
     Args:
         frames: Frames to record.
-        switches: [W, M] times at which grippers close and open [s].
-        substep: [W] longest steps [s].
+        engine: A ``ThinEngine``.
         most_steps: Maximum number of steps in a piece, or None.
-        before: [W] length of the last step before the run, 0 at a start [s].
     """
 
-    def __init__(
-        self, frames: Frames, switches: Array, substep: Array, most_steps: int | None, before: Array
-    ):
+    def __init__(self, frames: Frames, engine: Any, most_steps: int | None):
+        substep, hold = engine.setting.substep, engine.stacked
+        switches = np.concatenate([hold["hold_from"], hold["hold_until"]], axis=1)
         W, within = len(substep), (switches > frames.began) & (switches < frames.times[-1])
         # worlds that have the same pieces, with different numbers of steps
         alike, which = np.unique(np.where(within, switches, np.inf), axis=0, return_inverse=True)
@@ -80,7 +78,7 @@ class Schedule:
             for name in ("begins", "done", "steps", "dt", "frame"):
                 getattr(self, name)[worlds, :count] = of[name]
             self.due[worlds, 1 : count + 1] = of["due"]
-        last = before.astype(float).copy()
+        last = engine.last_dt.copy()
         for k in range(S):
             self.before[:, k] = last
             last = np.where(self.steps[:, k] > 0, self.dt[:, k], last)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -15,7 +14,7 @@ from gendom.sim.thin import types
 from gendom.sim.thin.contact import LISTED
 from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.grips import border_adjoint, close_adjoint, released_adjoint
-from gendom.sim.thin.run import Event, Round, put
+from gendom.sim.thin.run import Event, Round, Schedule, put
 
 
 class ThinTape:
@@ -43,7 +42,7 @@ class ThinTape:
         self.first = wp.clone(e.state)
         steps = math.ceil((times[-1] - began) / e.setting.substep.min()) + 1
         self.most = max(2, math.ceil(math.sqrt(steps)))
-        pieces = e.schedule(frames, self.most).steps.shape[1]
+        pieces = Schedule(frames, e, self.most).steps.shape[1]
         self.rows = e.model.state_rows + LISTED * e.device_model.contact
         self.kept = e.zeros((pieces * W, self.rows, e.row_length))
 
@@ -63,7 +62,12 @@ class ThinTape:
         self.host = HostPaths(e.stacked)
         self.model_rows = types.MODEL_ROWS + e.device_model.obstacles.shape[1]
         self.model_bar = np.zeros((W, self.model_rows, n))
-        self.adjoint = self._zero_adjoint()
+        m, P = e.model, e.row_length
+        self.adjoint = e.allocate(
+            e.types.ModelAdjoint, state=(W, m.state_bars, P), model=(W, self.model_rows, P),
+            scratch=(W, m.scratch_bars, P), place=(W * G, 6, P), centre=(W, G), turn=(W, G),
+            **dict.fromkeys(("position", "path_turn"), e.stacked["time"].shape),
+        )  # fmt: skip
         self.radius_bar = np.zeros((W, G))
         self.stiffer_bar = np.zeros(e.stiffer.shape)
 
@@ -76,19 +80,13 @@ class ThinTape:
                     self._take_model(group)
                     for event in reversed(round.events):
                         self._reverse_event(group, event)
-            self._reverse_begin(group)
+            put(
+                self.adjoint.scratch, group, np.zeros((group.stop - group.start, m.scratch_bars, P))
+            )
+            e.launch(e.kernels.begin_adjoint, group, [e.device_model, self.first, self.adjoint])
 
         e.in_threads(reverse, e.groups())
         return self._gradients()
-
-    def _zero_adjoint(self) -> Any:
-        e, m = self.engine, self.engine.model
-        W, G, P = e.num_worlds, e.closed.shape[1], e.row_length
-        return e.allocate(
-            e.types.ModelAdjoint, state=(W, m.state_bars, P), model=(W, self.model_rows, P),
-            scratch=(W, m.scratch_bars, P), place=(W * G, 6, P), centre=(W, G), turn=(W, G),
-            **dict.fromkeys(("position", "path_turn"), e.stacked["time"].shape),
-        )  # fmt: skip
 
     # ---- one group of worlds ---------------------------------------------------------------------
 
@@ -175,12 +173,6 @@ class ThinTape:
                 take(types.SPIN_BAR, np.where(edge, 0.0, spin_bar))
         self.host.pose_adjoint(g, w, event.time, pose_bar)
         put(self.adjoint.state, group, state)
-
-    def _reverse_begin(self, group: slice) -> None:
-        e = self.engine
-        nothing = np.zeros((group.stop - group.start, e.model.scratch_bars, e.row_length))
-        put(self.adjoint.scratch, group, nothing)
-        e.launch(e.kernels.begin_adjoint, group, [e.device_model, self.first, self.adjoint])
 
     # ---- sums ------------------------------------------------------------------------------------
 

@@ -75,33 +75,18 @@ CUDA_CALLABLE inline void put_as(const wp::array_t<real>& of, int row, int c, in
         component<in_shared>(of, row, c + n, i) = ((const real*)&a)[n];
 }
 
-// Where the neighbours of particle p are, which is the i-th, before and behind it along an axis; on
-// CUDA two indices in a number.
+// Where the neighbours of particle p are, which is the i-th, before and behind it along an axis.
 CUDA_CALLABLE inline void put_near(const wp::array_t<int>& near, int w, int i, int p,
                                    const wp::array_t<int>& lattice, const wp::array_t<int>& place, int row) {
-    for (int axis = 0; axis < 3; ++axis) {
-        const int a = wp::index(place, row, wp::index(lattice, p, axis, 0));
-        const int b = wp::index(place, row, wp::index(lattice, p, axis, 1));
-#if defined(__CUDA_ARCH__)
-        wp::index(near, w, axis, i) = a | b << 16;
-#else
-        wp::index(near, w, axis, i) = a, wp::index(near, w, axis + 3, i) = b;
-#endif
-    }
+    for (int axis = 0; axis < 3; ++axis)
+        for (int side = 0; side < 2; ++side)
+            wp::index(near, w, axis + 3 * side, i) = wp::index(place, row, wp::index(lattice, p, axis, side));
 }
 CUDA_CALLABLE inline int before(const wp::array_t<int>& near, int w, int axis, int i) {
-#if defined(__CUDA_ARCH__)
-    return wp::index(near, w, axis, i) & 0xffff;
-#else
     return wp::index(near, w, axis, i);
-#endif
 }
 CUDA_CALLABLE inline int behind(const wp::array_t<int>& near, int w, int axis, int i) {
-#if defined(__CUDA_ARCH__)
-    return wp::index(near, w, axis, i) >> 16;
-#else
     return wp::index(near, w, axis + 3, i);
-#endif
 }
 
 // Where a byte of that memory is.
