@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gendom.errors import ParameterError
 from experiments.adam import DensityGrid
+from gendom.errors import ParameterError
 
 GRID = DensityGrid(origin=np.array([-1.0, 0.5, 2.0]), cell=0.1, shape=(20, 12, 16))
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gendom.robot.timing import in_time
 from scipy.spatial.transform import Rotation
 
 from gendom.errors import RobotError
@@ -13,7 +14,6 @@ from gendom.robot import collision as hits
 from gendom.robot import kinematics as kin
 from gendom.robot.motion import JointMotion, LimitUse, read_joints
 from gendom.robot.path import DOWN, GripperEvent, TcpPath, TcpPaths, pointing
-from gendom.robot.timing import in_time
 
 RNG = np.random.default_rng(3)
 MIDDLE = 0.5 * (XARM7.q_min + XARM7.q_max)
