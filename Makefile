@@ -72,7 +72,7 @@ validate: $(CORE)
 	@$(BIN)/python -m validation $(ARGS)
 
 bench: $(CORE)
-	@$(BIN)/python benchmarks/speed.py $(ARGS)
+	@$(BIN)/gendom bench $(ARGS)
 
 figures: $(FULL)
 	@$(BIN)/python benchmarks/figures.py $(ARGS)

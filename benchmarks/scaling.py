@@ -1,6 +1,6 @@
 """Time and memory of a substep against particles (one world) and against worlds, as JSON and SVG.
 
-One world is a solid block that falls on a table; many worlds are the ropes of speed.py.
+One world is a solid block that falls on a table; many worlds are the ropes of ``gendom bench``.
 
     python benchmarks/scaling.py [--device cuda] --out docs/images/scaling
 """

@@ -243,7 +243,7 @@ def cantilever(found: Any) -> dict[str, Any]:
 
 def bench(rows: Any) -> dict[str, Any]:
     return {
-        "speed": [1e-6 * r["particle_steps_per_second"] for r in rows],
+        "speed": [1e-6 * r["point_steps_per_second"] for r in rows],
         "substep": [r["substep_us"] for r in rows],
         "gradient": [r["gradient_cost"] for r in rows if r["gradient_cost"]],
     }
@@ -347,9 +347,9 @@ FIGURES = (
     ),
     PEERS("cantilever-rope", "python benchmarks/race.py cantilever-rope", cantilever),
     PEERS("cantilever-strip", "python benchmarks/race.py cantilever-strip", cantilever),
-    TIMED("bench", "gendom bench --worlds 1 --threads 1 --dtype float32 float64", bench),
+    TIMED("bench", "gendom bench --engine mpm --worlds 1 --threads 1 --dtype float32 float64", bench),
     ON_CUDA(
-        "bench-cuda", "gendom bench --device cuda --worlds 1024 --seconds 0.2 --gradient", bench
+        "bench-cuda", "gendom bench --engine mpm --device cuda --worlds 1024 --seconds 0.2 --gradient", bench
     ),
     TIMED("gradient", "python benchmarks/gradient.py", gradient),
     dataset("reaching", "rope-reaching --size 40000 --device cuda", "cuda"),

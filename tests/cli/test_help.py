@@ -1,8 +1,10 @@
-"""Help and examples of every command."""
+"""Help, examples and completion of every command."""
 
 import dataclasses
 import re
 import shlex
+import shutil
+import subprocess
 from importlib import import_module
 
 import pytest
@@ -39,3 +41,13 @@ def test_every_help_page(name, capsys, monkeypatch):
     if any(f.name == "seed" for f in dataclasses.fields(command)):
         assert cli.main([name, *words, "--seed", "-1"]) == 2
         assert capsys.readouterr().err == f"gendom {name}: --seed: is -1; give 0 or more\n"
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_knows_commands_and_flags(shell, capsys, tmp_path):
+    assert cli.main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert "estimate" in script and "starts" in script
+    if shutil.which(shell):
+        (tmp_path / "script").write_text(script, encoding="utf-8")
+        subprocess.run([shell, "-n", str(tmp_path / "script")], check=True)

@@ -50,6 +50,8 @@ COMMANDS = {
     "record": ("gendom.cli.record", "a lift under depth cameras, in a cell or in the MuJoCo scene"),
     "perceive": ("gendom.cli.perceive", "from depth pictures or a ROS bag to a recording"),
     "import": ("gendom.cli.import_", "from a ROS bag, clouds or LeRobot to a recording"),
+    "bench": ("gendom.cli.bench", "measure the simulator's speed on this machine"),
+    "completion": ("gendom.cli.completion", "complete commands and flags in your shell"),
 }
 
 # Import name -> the extra that brings it.
@@ -131,7 +133,7 @@ def _run(name: str, words: list[str]) -> int:
         return stop.code if isinstance(stop.code, int) else 2
     if (seed := getattr(command, "seed", 0)) < 0:
         raise ParameterError(f"is {seed}", where="--seed", fix="give 0 or more")
-    with escaped():
+    with escaped() if name != "completion" else nullcontext():
         return command.run()
 
 

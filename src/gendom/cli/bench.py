@@ -1,14 +1,13 @@
-"""How fast the MPM runs on this machine: rope-reaching rollouts.
+"""`gendom bench`: how fast the simulator runs on this machine.
 
-python benchmarks/speed.py [--worlds 1 16] [--threads 1 2] [--device cuda] [--gradient] [--json]
-
-A particle-step is one particle taken through one substep. Gripper paths, grid columns, boundary
-handling and recording are included; compiling kernels is not.
+A point-step is one point of a rod, or one particle of the MPM, taken through one substep. Gripper
+paths, contact and recording are included; compiling kernels is not.
 """
 
 from __future__ import annotations
 
 import itertools
+import logging
 import math
 import time
 from collections.abc import Callable
@@ -16,8 +15,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import tyro
 
+from gendom.arguments import require
+from gendom.cli.arguments import Device, Json
 from gendom.cli.outputs import columns
 from gendom.files import to_json
 from gendom.materials import Material
@@ -29,13 +29,22 @@ from gendom.tasks.world import Simulation, grippers
 RUNS = 5
 """Rollouts timed for each row."""
 
+log = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True, kw_only=True)
-class Speed:
-    """One row for each combination of the flags: medians of several runs."""
+class Command:
+    """Time rope-reaching rollouts: one row for each combination of the flags, the default engine
+    first.
 
-    device: str = "cpu"
-    """cpu, cuda or cuda:0 and so on."""
+    Medians of several runs; kernels are compiled before the first is timed.
+
+    For example: gendom bench --worlds 1 16 --threads 1 2
+    """
+
+    device: Device = "cpu"
+    engine: tuple[Literal["thin", "mpm"], ...] = ("thin", "mpm")
+    """thin: ropes as rods. mpm: material points."""
     worlds: tuple[int, ...] = (1, 4)
     """Ropes simulated at once."""
     threads: tuple[int, ...] = (1, 2)
@@ -46,29 +55,34 @@ class Speed:
     """Simulated time [s]; in a short one the host's share of starting a run counts."""
     gradient: bool = False
     """Time forward and backward together too."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
-    def run(self) -> None:
+    def run(self) -> int:
+        positive = min((*self.worlds, *self.threads), default=0) >= 1 and self.seconds > 0.0
+        require(positive, "worlds, threads and seconds must be positive", fix="give more")
         every = (1,) if self.device.startswith("cuda") else self.threads
-        rows = [
-            self._measure(dtype, worlds, threads)
-            for dtype, worlds, threads in itertools.product(self.dtype, self.worlds, every)
-            if threads <= worlds
-        ]
+        rows = []
+        for flags in itertools.product(self.engine, self.dtype, self.worlds, every):
+            if flags[3] <= flags[2]:
+                log.info("%s, %s, %d worlds, %d threads ...", *flags)
+                rows.append(self._measure(*flags))
         print(to_json(rows) if self.json else _table(rows))
+        return 0
 
-    def _measure(self, dtype: str, worlds: int, threads: int) -> dict[str, Any]:
+    def _measure(
+        self, engine: Literal["thin", "mpm"], dtype: str, worlds: int, threads: int
+    ) -> dict[str, Any]:
         """Time rollouts of ropes that are carried to random points."""
         from gendom.sim import Rollout, Simulator  # Warp, which takes long to import
 
         task = RopeReaching()
-        body, _ = Simulation(engine="mpm", cells_across=2.0).body(task, task.item)
+        body, _ = Simulation(engine=engine, cells_across=2.0).body(task, task.item)
+        N = body.num_particles if engine == "mpm" else len(body.points)
         actions = task.sample_actions(task.item, np.random.default_rng(0), worlds)
         paths = TcpPaths([task.tool_path(task.item, a) for a in actions])
         hands = grippers(task.scene(task.item), paths, 0.0)
         materials = [Material(E=1.0e6, nu=0.3, density=1000.0)] * worlds
-        solver = Solver(engine="mpm", dtype=dtype, device=self.device, threads=threads)
+        solver = Solver(engine=engine, dtype=dtype, device=self.device, threads=threads)
 
         def simulator() -> Simulator:
             return Simulator(body, materials, grippers=hands, solver=solver)
@@ -81,14 +95,15 @@ class Speed:
         both = _median(lambda: Rollout(simulator()), there_and_back) if self.gradient else None
         substeps = math.ceil(self.seconds / s.substep[0])
         return {
+            "engine": engine,
             "device": str(s.device),
             "dtype": dtype,
             "worlds": worlds,
             "threads": s.engine.setting.threads,
-            "particles": body.num_particles,
+            "points": N,
             "substeps": substeps,
             "seconds": median,
-            "particle_steps_per_second": worlds * body.num_particles * substeps / median,
+            "point_steps_per_second": worlds * N * substeps / median,
             "substep_us": 1e6 * median / substeps,
             "gradient_seconds": both,  # forward and backward together
             "gradient_cost": both and both / median,
@@ -107,18 +122,14 @@ def _median(make: Callable[[], Any], work: Callable[[Any], Any]) -> float:
 
 
 def _table(rows: list[dict[str, Any]]) -> str:
-    heads = ("device", "dtype", "worlds", "threads", "particles")
+    heads = ("engine", "device", "dtype", "worlds", "threads", "points")
     texts = [
         (
             *(str(row[name]) for name in heads),
-            f"{row['particle_steps_per_second'] / 1e6:.2f}",
+            f"{row['point_steps_per_second'] / 1e6:.2f}",
             f"{row['substep_us']:.1f}",
             f"{row['gradient_cost']:.2f} x" if row["gradient_cost"] else "",
         )
         for row in rows
     ]
     return columns((*heads, "M steps/s", "us/substep", "gradient"), texts)
-
-
-if __name__ == "__main__":
-    tyro.cli(Speed).run()
