@@ -230,7 +230,7 @@ def test_an_axis_that_begins_beside_the_hands_is_held(cable):
     tight = replace(cable.object, grasp_radius=1e-5)
     scene = LiftScene.of(replace(cable.head(20), object=tight))
     inputs = WorldInputs.of(scene, scene.prior()[1])
-    inputs.positions = inputs.positions + [0.0, 0.0, 0.004]
+    inputs.positions = inputs.positions + np.array([0.0, 0.0, 0.004])
     for g, end in ((0, 0), (1, -1)):
         away = np.linalg.norm(inputs.positions[end] - scene.held[g])
         assert inputs.gripper(g).radius >= away > 0.003

@@ -40,7 +40,7 @@ class Seen:
         self.in_time, self.in_place = rng.normal(size=(T, 2)), rng.normal(size=(N, 2))
         self.beside = rng.normal(size=(5, 2)) if beside else np.zeros((0, 0))
         self.scene = SimpleNamespace(beside=beside, frames=(4, 6, 9, 11), captured=not on_skin)
-        self.shape = SimpleNamespace(radius=0.002, taken_from=lambda other, J: J)
+        self.shape = SimpleNamespace(radius=0.002, rope=True, taken_from=lambda other, J: J)
         self.camera = np.zeros((T, self.own), int)
         self.markers = None if on_skin else (0, 0)
 

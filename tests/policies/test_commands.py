@@ -268,7 +268,7 @@ UNUSABLE = ESTIMATE | {"verdict": {"usable": False, "reasons": ["it rests", "poi
     ("flags", "estimate", "text"),
     [
         ((), UNUSABLE, "is not usable: it rests, points stray; record the object again"),
-        (("--origin", "1.5", "0.2", "0.1"), ESTIMATE, "xarm7: position (1.500"),
+        (("--origin", "1.5", "0.2", "0.1"), ESTIMATE, "xarm7: (1.500"),
     ],
 )
 def test_what_is_refused_can_be_forced(act, flags, estimate, text):

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gendom.robot.timing import in_time
 from scipy.spatial.transform import Rotation
 
 from gendom.errors import RobotError
@@ -14,6 +13,7 @@ from gendom.robot import collision as hits
 from gendom.robot import kinematics as kin
 from gendom.robot.motion import JointMotion, LimitUse, read_joints
 from gendom.robot.path import DOWN, GripperEvent, TcpPath, TcpPaths, pointing
+from gendom.robot.planning import in_time
 
 RNG = np.random.default_rng(3)
 MIDDLE = 0.5 * (XARM7.q_min + XARM7.q_max)
@@ -115,12 +115,12 @@ def test_what_is_missed_is_said():
     q = MIDDLE.copy()
     q[1], q[3] = XARM7.q_min[1], XARM7.q_max[3]
     error = np.array([3e-3, 4e-3, 0.0, 0.0, np.radians(2.0), 0.0])
-    assert kin.missed(XARM7, q, error) == "5 mm and 2 degrees, joint 2 and 4 at its end"
-    assert kin.missed(XARM7, MIDDLE, error) == "5 mm and 2 degrees"
     T = np.eye(4)
     T[:3, 3] = 0.1, -0.2, 0.3
-    words = "position (0.100, -0.200, 0.300) m, quat_xyzw (0.000, 0.000, 0.000, 1.000)"
-    assert kin.describe(T) == words
+    words = "(0.100, -0.200, 0.300) m, quat_xyzw (0.000, 0.000, 0.000, 1.000), is out of reach: "
+    words += "missed by 5 mm and 2 degrees"
+    assert kin.out_of_reach(XARM7, T, q, error) == f"{words}, joint 2 and 4 at its end"
+    assert kin.out_of_reach(XARM7, T, MIDDLE, error) == words
     bad = [np.eye(3), np.full((4, 4), np.nan), np.diag([1.0, 1.0, -1.0, 1.0])]
     bad += [np.diag([1.001, 1.0, 1.0, 1.0]), np.diag([1.0, 1.0, 1.0, 2.0])]
     for T in bad:
@@ -257,8 +257,9 @@ def test_a_checker_measures_all_pairs_that_may_collide(asked):
     for a in range(len(names)):
         if links[a] > 0:
             low = np.minimum(shape.start[:, a, 2], shape.end[:, a, 2]) - shape.radius[a]
-            wanted[names[a], "table"] = low + 0.05
-            margins[names[a], "table"] = 0.0 if shape.touches_object[a] else 0.03
+            if links[a] > 1:  # the first link only turns above it
+                wanted[names[a], "table"] = low + 0.05
+                margins[names[a], "table"] = 0.0 if shape.touches_object[a] else 0.03
             for one in (BOX, POST):
                 gap = one.distance(shape.start[:, a], shape.end[:, a]) - shape.radius[a]
                 wanted[names[a], one.name], margins[names[a], one.name] = gap, 0.03
@@ -277,7 +278,7 @@ def test_a_checker_measures_all_pairs_that_may_collide(asked):
         assert (hit is None) == (own.min() >= 0.0)
         if hit is not None:
             assert (hit.first, hit.second) == check.pairs[k]
-            assert hit.depth == pytest.approx(-own[k]) and hit.clearance == check._margin[k]
+            assert hit.depth == pytest.approx(-own[k])
     # no pair moves by more than levers say, of turns by each joint
     for j in range(7):
         by = np.zeros(7)
@@ -301,12 +302,11 @@ def test_a_motion_s_first_collision_is_that_of_small_steps():
     k = int(np.argmin(gaps[first]))
     assert (found.first, found.second) == check.pairs[k] and found.second == "table"
     assert found.depth == pytest.approx(-gaps[:, k].min(), abs=2e-4)
-    assert found.deepest == pytest.approx(t[np.argmin(gaps[:, k])], abs=0.03)
     with pytest.raises(RobotError, match="keep the path away from the table, or move that"):
         check.check(motion)
     assert check.along(replace(motion, q=np.stack([XARM7.home] * 2 + [XARM7.home + 0.01]))) is None
-    words = "from t = 2.000 s on a and b come less than 30 mm apart, 5.0 mm too near at t = 3.000 s"
-    one = hits.Collision(first="a", second="b", depth=0.005, clearance=0.03, time=2.0, deepest=3.0)
+    words = "from t = 2.000 s on a and b are 5.0 mm too near"
+    one = hits.Collision(first="a", second="b", depth=0.005, time=2.0)
     assert str(one) == words
     assert str(replace(one, clearance=0.0)) == (
         "from t = 2.000 s on a and b collide, 5.0 mm deep at t = 3.000 s"
@@ -344,14 +344,12 @@ def test_a_blend_is_the_mean_under_a_parabola():
     # a corner is missed by 3/32 of the jump times the blend
     off = path.deviation(0.1)
     jump = np.linalg.norm([0.0, 0.5, 0.125])
-    assert off.at_equal_times == pytest.approx(3.0 / 32.0 * 0.6 * 0.1, rel=0.01)
-    assert jump < 0.6 and off.off_the_path < 1e-9  # all are straight on, or at rest
+    assert off == pytest.approx(3.0 / 32.0 * 0.6 * 0.1, rel=0.01) and jump < 0.6
     bent = some_path(time=[0.0, 1.0, 2.0], position=[[0, 0, 0], [1, 0, 0], [1, 1, 0]])
     off = bent.deviation(0.2)
-    assert off.at_equal_times == pytest.approx(3.0 / 32.0 * math.sqrt(2.0) * 0.2, rel=0.01)
-    assert off.off_the_path == pytest.approx(3.0 / 32.0 * 0.2, rel=0.05)
+    assert off == pytest.approx(3.0 / 32.0 * math.sqrt(2.0) * 0.2, rel=0.01)
     kept = replace(bent, blend=0.2).deviation(0.2)
-    assert kept.at_equal_times < 1e-12 and kept.off_the_path == off.off_the_path
+    assert kept < 1e-12
     still = some_path(position=np.zeros((4, 3))).deviation(0.1)
     assert (still.at_equal_times, still.off_the_path) == (0.0, 0.0)
 
@@ -420,8 +418,7 @@ def test_limits_are_used_as_a_cubic_does():
         assert uses["acceleration", j + 1].time in (1.0, 3.0)
         angle = uses["angle", j + 1]
         assert angle.value == pytest.approx(MIDDLE[j] + by[j]) and angle.time == 3.0
-        assert angle.lower == (by[j] < 0.0)
-        assert angle.limit == (XARM7.q_min if angle.lower else XARM7.q_max)[j]
+        assert angle.limit == pytest.approx((XARM7.q_min if by[j] < 0.0 else XARM7.q_max)[j])
     t = np.array([1.0, 2.0, 3.0])
     rates = kin.jacobian(XARM7, motion.at(t))[:, :3] @ motion.speed_at(t)[..., None]
     fastest = np.linalg.norm(rates[..., 0], axis=1).max()
@@ -470,17 +467,13 @@ def test_motions_are_made_of_finite_numbers(time, q, said):
 
 
 def test_uses_of_limits_in_words():
-    use = LimitUse(kind="speed", joint=3, time=1.25, value=2.0, limit=1.6)
-    assert str(use) == "joint 3 at t = 1.250 s: speed 2 rad/s, limit 1.6"
-    assert use.exceeded and use.share == pytest.approx(1.25)
-    assert not replace(use, value=1.6 * (1.0 + 1e-10)).exceeded
-    assert replace(use, value=1.6 * (1.0 + 1e-8)).exceeded
-    low = LimitUse(kind="angle", joint=1, time=0.0, value=-1.0, limit=-0.5, lower=True)
-    assert low.exceeded and not replace(low, value=-0.4).exceeded and low.share == 2.0
-    assert replace(low, limit=0.0).share == math.inf
-    tool = LimitUse(kind="tool speed", joint=None, time=0.0, value=1.0, limit=0.5)
+    use = LimitUse(kind="speed", joint=3, time=1.25, value=2.0, limit=1.6, share=1.25)
+    assert str(use) == "joint 3 at t = 1.250 s: speed 2 rad/s, limit 1.6" and use.exceeded
+    assert not replace(use, share=1.0 + 1e-10).exceeded
+    assert replace(use, share=1.0 + 1e-8).exceeded
+    tool = LimitUse(kind="tool speed", joint=None, time=0.0, value=1.0, limit=0.5, share=2.0)
     assert str(tool) == "the tool at t = 0.000 s: speed 1 m/s, limit 0.5"
-    spin = LimitUse(kind="acceleration", joint=2, time=0.0, value=1.0, limit=0.5)
+    spin = replace(use, kind="acceleration", joint=2, time=0.0, value=1.0, limit=0.5)
     assert str(spin) == "joint 2 at t = 0.000 s: acceleration 1 rad/s^2, limit 0.5"
 
 
@@ -502,7 +495,9 @@ def test_a_motion_stands_still_beside_its_knots_and_is_moved_in_time(tmp_path):
     both = motion.then(on)
     assert both.time.tolist() == [1.0, 3.0, 4.0] and len(both.q) == 3 and both.events == events
     np.testing.assert_allclose(both.q[2], MIDDLE + 0.4)
-    with pytest.raises(RobotError, match=r"joint 4 ends at .* put a joint move between them"):
+    with pytest.raises(
+        RobotError, match=r"ends 0.0001 rad from where the next one starts; put a joint"
+    ):
         by = np.zeros((1, 7))
         by[0, 3] = 1.1e-4
         motion.then(replace(on, q=on.q + by))

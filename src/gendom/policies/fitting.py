@@ -288,32 +288,58 @@ class TrainingProblem:
         epochs: int,
         rate: float,
     ) -> None:
-        """Minimise the mean of a loss over batches of rows [M] by AdamW, whose learning `rate`
-        rises shortly, then falls to zero along a cosine.
+        """`descend` with the training's settings, and progress.
 
         Raises:
             PolicyError: It diverged.
         """
-        how, batch = self.training, min(self.training.batch_size, len(rows))
-        decay, steps = CHANCE_WEIGHT_DECAY if self.chooses else how.weight_decay, len(rows) // batch
-        optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay, fused=True)
-        schedule = torch.optim.lr_scheduler.OneCycleLR(
-            optimizer, rate, total_steps=epochs * steps + 1, pct_start=0.1, cycle_momentum=False
-        )
+        how = self.training
+        decay = CHANCE_WEIGHT_DECAY if self.chooses else how.weight_decay
         with bar(name, epochs, "epoch", shown=self.shown) as show:
-            for epoch in range(1, epochs + 1):
-                total = 0.0
-                for part in rows[torch.randperm(len(rows))][: steps * batch].split(batch):
-                    loss = loss_of(part)
-                    optimizer.zero_grad()
-                    loss.backward()
-                    nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-                    optimizer.step()
-                    schedule.step()
-                    total += loss.item() / steps
-                what, fix = f"training diverged in epoch {epoch}", "lower the learning rate"
-                require(np.isfinite(total), what, fix=fix, error=PolicyError)
-                show(epoch, note=f"loss {total:.2e}")
+            descend(
+                network, loss_of, rows, epochs=epochs, batch_size=how.batch_size, rate=rate,
+                weight_decay=decay, on_epoch=lambda n, loss: show(n, note=f"loss {loss:.2e}"),
+            )  # fmt: skip
+
+
+def descend(
+    network: nn.Module,
+    loss_of: Loss,
+    rows: Tensor,
+    *,
+    epochs: int,
+    batch_size: int,
+    rate: float,
+    weight_decay: float,
+    on_epoch: Callable[[int, float], None],
+) -> None:
+    """Minimise the mean of a loss over batches of rows [M] by AdamW, whose learning `rate` rises
+    shortly, then falls to zero along a cosine. ``on_epoch`` is told each epoch and its loss.
+
+    Raises:
+        PolicyError: It diverged.
+    """
+    batch = min(batch_size, len(rows))
+    steps = len(rows) // batch
+    optimizer = torch.optim.AdamW(
+        network.parameters(), lr=rate, weight_decay=weight_decay, fused=True
+    )
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimizer, rate, total_steps=epochs * steps + 1, pct_start=0.1, cycle_momentum=False
+    )
+    for epoch in range(1, epochs + 1):
+        total = 0.0
+        for part in rows[torch.randperm(len(rows))][: steps * batch].split(batch):
+            loss = loss_of(part)
+            optimizer.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+            optimizer.step()
+            schedule.step()
+            total += loss.item() / steps
+        what, fix = f"training diverged in epoch {epoch}", "lower the learning rate"
+        require(np.isfinite(total), what, fix=fix, error=PolicyError)
+        on_epoch(epoch, total)
 
 
 def _chosen(rows: Tensor, only: Tensor | None) -> Tensor:
