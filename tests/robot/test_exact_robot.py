@@ -308,11 +308,7 @@ def test_a_motion_s_first_collision_is_that_of_small_steps():
     words = "from t = 2.000 s on a and b are 5.0 mm too near"
     one = hits.Collision(first="a", second="b", depth=0.005, time=2.0)
     assert str(one) == words
-    assert str(replace(one, clearance=0.0)) == (
-        "from t = 2.000 s on a and b collide, 5.0 mm deep at t = 3.000 s"
-    )
-    assert str(replace(one, time=None)) == "a and b are less than 30 mm apart, 5.0 mm too near"
-    assert str(replace(one, time=None, clearance=0.0)) == "a and b overlap by 5.0 mm"
+    assert str(replace(one, time=None)) == "a and b are 5.0 mm too near"
 
 
 # ---- paths ---------------------------------------------------------------------------------------
@@ -351,7 +347,7 @@ def test_a_blend_is_the_mean_under_a_parabola():
     kept = replace(bent, blend=0.2).deviation(0.2)
     assert kept < 1e-12
     still = some_path(position=np.zeros((4, 3))).deviation(0.1)
-    assert (still.at_equal_times, still.off_the_path) == (0.0, 0.0)
+    assert still == 0.0
 
 
 def test_many_paths_are_sampled_as_they_run():
@@ -495,9 +491,7 @@ def test_a_motion_stands_still_beside_its_knots_and_is_moved_in_time(tmp_path):
     both = motion.then(on)
     assert both.time.tolist() == [1.0, 3.0, 4.0] and len(both.q) == 3 and both.events == events
     np.testing.assert_allclose(both.q[2], MIDDLE + 0.4)
-    with pytest.raises(
-        RobotError, match=r"ends 0.0001 rad from where the next one starts; put a joint"
-    ):
+    with pytest.raises(RobotError, match=r"ends 0.0001 rad from where the next"):
         by = np.zeros((1, 7))
         by[0, 3] = 1.1e-4
         motion.then(replace(on, q=on.q + by))
