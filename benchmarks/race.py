@@ -176,7 +176,7 @@ def measured(scene: str, name: str, edges: int, option: str, worlds: int) -> dic
     lasts, cpus = float(item.times[-1] if theoretical else LAST), []
     compiles = worlds == 1 and not name.startswith("mujoco")  # in a first run, which is left out
     for _ in range(2 if compiles else 1):
-        made = prepare(item if theoretical else scene, edges, option, worlds)
+        made: Any = prepare(item if theoretical else scene, edges, option, worlds)
         run = made[0] if theoretical else made
         wall, cpu = time.perf_counter(), time.process_time()
         x = run()

@@ -18,7 +18,6 @@ import warp as wp
 from gendom.materials import Material
 from gendom.robot import TcpPaths
 from gendom.sim import Body, Simulator, Solver, Table, cloth
-from gendom.sim.mpm.engine import MOST_PARTICLES
 from gendom.tasks import RopeReaching
 from gendom.tasks.world import Simulation, grippers
 
@@ -58,8 +57,6 @@ def memory(device: Any) -> float:
 
 def by_particles(device: str, most: int, substeps: int) -> list[dict[str, Any]]:
     rows = []
-    if device.startswith("cuda"):
-        most = min(most, MOST_PARTICLES)
     for exponent in np.arange(3.0, math.log10(most) + 0.01, 0.5):
         body = block(round(10.0**exponent))
         before = memory(wp.get_device(device))

@@ -347,9 +347,15 @@ FIGURES = (
     ),
     PEERS("cantilever-rope", "python benchmarks/race.py cantilever-rope", cantilever),
     PEERS("cantilever-strip", "python benchmarks/race.py cantilever-strip", cantilever),
-    TIMED("bench", "gendom bench --engine mpm --worlds 1 --threads 1 --dtype float32 float64", bench),
+    TIMED(
+        "bench",
+        "gendom bench --engine mpm --worlds 1 --threads 1 --dtype float32 float64",
+        bench,
+    ),
     ON_CUDA(
-        "bench-cuda", "gendom bench --engine mpm --device cuda --worlds 1024 --seconds 0.2 --gradient", bench
+        "bench-cuda",
+        "gendom bench --engine mpm --device cuda --worlds 1024 --seconds 0.2 --gradient",
+        bench,
     ),
     TIMED("gradient", "python benchmarks/gradient.py", gradient),
     dataset("reaching", "rope-reaching --size 40000 --device cuda", "cuda"),

@@ -84,7 +84,7 @@ def test_a_material_narrows_what_is_believed():
 def predicted(end, *sds):
     return MotionForecast(
         motion=predefined_lift("rope", end),
-        sd=tuple(dict.fromkeys(SHOWN, s) for s in sds),
+        sd=tuple({name: s for name in SHOWN} for s in sds),
     )
 
 
