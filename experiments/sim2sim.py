@@ -152,9 +152,9 @@ def truth_of(E: float, nu: float) -> Theta:
 
 def scene_settings(engine: Literal["thin", "mpm"] = "thin", **changes: Any) -> SceneSettings:
     """How the lift is simulated: on the authors' grid, every frame compared."""
-    own = {"substep": SUBSTEP} if engine == "thin" else {"cells_across": CELLS_ACROSS}
-    own |= {"engine": engine, "fast_frames": FRAMES, "dtype": "float64"}
-    return SceneSettings(**own | changes)
+    own: dict[str, Any] = {"engine": engine, "fast_frames": FRAMES, "dtype": "float64"}
+    of_engine = {"substep": SUBSTEP} if engine == "thin" else {"cells_across": CELLS_ACROSS}
+    return SceneSettings(**{**own, **of_engine, **changes})
 
 
 def sim2sim_recording(
