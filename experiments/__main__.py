@@ -90,7 +90,7 @@ def parser() -> argparse.ArgumentParser:
         "--engine",
         choices=("thin", "mpm"),
         default="thin",
-        help="of ablation and generalization; mpm: the paper's, slower",
+        help="of sim2sim, ablation and generalization; mpm: the paper's, slower",
     )
     add(
         "--kind",

@@ -26,7 +26,7 @@ from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons
 from gendom.estimation.methods.search import best_of, finished, first_starts
 from gendom.estimation.problem import Found, Problem, Start
-from gendom.estimation.replay import simulator_of
+from gendom.estimation.replay import lattice, middle, simulator_of
 from gendom.observation import visible
 
 SCANNED = 16
@@ -133,7 +133,7 @@ class DensityLoss:
         if markers is None:
             return np.asarray(self.part.scene.body.surface(x), dtype=float)
         index, weight = markers
-        return np.einsum("mk,tmka->tma", weight, x[:, index])
+        return np.einsum("mk,tmka->tma", weight, middle(self.part.scene, x)[:, index])
 
     def seen(self, points: Array) -> list[Array]:
         """T masks [M] of the points [T, M, 3] that a recording would show."""
@@ -159,10 +159,12 @@ class DensityLoss:
         if self.part.observation.markers is None:
             return value, self.part.scene.body.surface_transpose(x, bar)
         index, weight = self.part.observation.markers
-        of_points = np.zeros((x.shape[1], len(x), 3))
+        of_middle = np.zeros((len(lattice(self.part.scene)[0]), len(x), 3))
         for k, share in zip(index.T, weight.T, strict=True):
-            np.add.at(of_points, k, share[:, None, None] * np.swapaxes(bar, 0, 1))
-        return value, np.swapaxes(of_points, 0, 1)
+            np.add.at(of_middle, k, share[:, None, None] * np.swapaxes(bar, 0, 1))
+        # each point of the middle is the mean of the particles of a section
+        count = x.shape[1] // len(of_middle)
+        return value, np.repeat(np.swapaxes(of_middle, 0, 1), count, axis=1) / count
 
     def _compare(
         self, shown: Array, seen: Sequence[Array], *, derivative: bool = False
@@ -230,7 +232,7 @@ class DensityLoss:
             s = d.start
             s.iterations += 1
             if values[w] < s.value:
-                here = Comparison(self.part.observation, x[:, w])
+                here = Comparison(self.part.observation, middle(problem.scene, x[:, w]))
                 s.take(d.vector, Comparisons((here,)), values[w])
 
 

@@ -22,6 +22,7 @@ dataset | lacks TASK, --size, --out; for example: gendom dataset rope-casting --
 estimate x --seed | estimate: --seed: has no value; give a whole number
 estimate x --seed --json | estimate: --seed: has no value; give a whole number
 estimate x --level=q | estimate: --level: is 'q'; give a number
+estimate x --cells_across q | estimate: --cells-across: is 'q'; give a number
 perceive x --colour 1 2 | perceive: --colour: is '1 2'; give 3 whole numbers
 act rope-casting --goal a b | act: --goal: is 'a b'; give numbers
 estimate x --frames lst | estimate: --frames: is 'lst'; did you mean 'last'?
@@ -33,8 +34,10 @@ estimate file.npz | file.npz
 check absent.npz | absent.npz: no such file; check the path
 estimate lift.npz --seed -1 | seed must be at least 0, got -1
 estimate lift.npz --level 1 | level
+estimate lift.npz --cells-across 0.2 | cells_across
 estimate lift.npz --points 2 | points
 estimate lift.npz --points 100000 | --points: is 100000; give 1000 or fewer: 20 to 60 are usual
+estimate lift.npz --engine fem | fem
 estimate lift.npz ./lift.npz | lift.npz: is given twice; name each recording once
 estimate lift.npz longer.npz | longer.npz: length is 0.3, in lift.npz 0.25
 dataset rope-reaching --size 0 --out set | --size: is 0; give 1 or more

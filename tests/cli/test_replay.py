@@ -57,6 +57,10 @@ def test_in_its_own_recording_all_of_an_estimate_is_taken(lifted, params):
     assert dict(theta) == params["theta"] and theta.grip_height > 0.002
     assert scene.recording is lifted and len(scene.frames) == 16
     assert scene.settings.points == 15 and scene.clock == params["simulation"]["clock"]
+    # the estimate's engine is taken or another
+    assert scene.thin
+    scene, _ = replay_setup(lifted, params, "here", "cpu", "mpm")
+    assert not scene.thin and scene.settings.points is None
 
 
 def test_in_another_recording_the_material_is_taken(rope_lift, params):

@@ -13,7 +13,7 @@ import pytest
 
 from gendom import cli
 from gendom.errors import GendomError
-from gendom.estimation import LiftScene, chamfers, replay
+from gendom.estimation import LiftScene, SceneSettings, Theta, chamfers, replay
 from gendom.estimation.replayed import find_recording, of_all_frames
 from gendom.files import write_json
 from gendom.reading import read_json
@@ -95,6 +95,9 @@ def test_unknown_objects_particles_and_cloths_are_shown(lifted, cloth_lift):
     model = recording_model(scene, theta, "")
     (s,) = (s for s in model.sliders if s.unknown.name == "E_over_rho")
     assert s.value == pytest.approx(np.sqrt(np.prod(s.ends)))
+    scene = LiftScene.of(lifted.head(2), SceneSettings(engine="mpm"))
+    rope = layers(shown(recording_model(scene, Theta(E_over_rho=700.0), ""))[0])["simulated"]
+    assert rope.kind == "dots" and len(rope.points) == 2
     scene = LiftScene.of(cloth_lift.at_rest(4), cloth_lift.settings)
     model = recording_model(scene, cloth_lift.truth, "")
     rows, columns = scene.body.shape

@@ -68,7 +68,10 @@ def test_unknown_mass_assumes_a_density(rope_lift):
     [
         {"substep": 0.0},
         {"substep": np.nan},
+        {"cells_across": -1.0},
+        {"cells_across": 0.2},
         {"points": 3},
+        {"engine": "fem"},
         {"material": "denin"},
         {"friction": -0.1},
         {"damping": -1e-3},

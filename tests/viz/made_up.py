@@ -123,7 +123,7 @@ def record_of(truth, recording, points, compared):
     own = {
         "theta": dict(truth), "compared": compared, "digest": recording.digest,
         "begins_with": recording.begins_with, "calibration": {"registration": None},
-        "simulation": {"points": points},
+        "simulation": {"engine": "thin", "points": points, "cells_across": 1.5},
     }  # fmt: skip
     held, kind = recording.object, recording.object.kind
     sizes = ("length", "diameter") if kind == "rope" else ("width", "height", "thickness")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from gendom.cli.arguments import Device, Json, Recorded, iterations_shown
 from gendom.cli.outputs import check_places, tell_written, write_result
@@ -33,6 +33,8 @@ class Command:
     json: Json = False
     gif: Path | None = None
     """GIF file: recorded and simulated clouds."""
+    engine: Literal["thin", "mpm"] | None = None
+    """Of the simulator; by default the one that the parameters were estimated with."""
     device: Device = "cpu"
     force: bool = False
     """Take parameters whose verdict is not usable, too."""
@@ -48,7 +50,7 @@ class Command:
         recording = Recording.read(self.recording)
         params = read_record(self.params, even_unusable=self.force)
         with iterations_shown() as show:
-            of = str(self.params), self.device
+            of = str(self.params), self.device, self.engine
             scene, theta = replay_setup(recording, params, *of, on_progress=show)
         frames = list(scene.frames)
         with bar("replaying", len(frames), "frame", even=True) as show:

@@ -136,7 +136,7 @@ def _searched_widely(problem: Problem, found: Found) -> Found:
     parts = zip(problem.parts, found.noise, strict=True)
     # a displacement so large is as large as the deviation of how a corner is held
     far = any(displaced(part, noise, times=5.0) for part, noise in parts)
-    if problem.scene.kind != "cloth" or not far:
+    if problem.scene.kind != "cloth" or not problem.scene.thin or not far:
         return found
     try:
         wide = nearest(problem)

@@ -29,6 +29,7 @@ from gendom.errors import SimulationError
 from gendom.estimation.methods.gauss_newton import gauss_newton
 from gendom.estimation.priors import INSTRUMENTED
 from gendom.estimation.problem import Found, Part, Problem
+from gendom.estimation.replay import middle
 from gendom.estimation.verdict import displaced
 from gendom.materials.posterior import IDENTIFIABLE, Posterior, Prior
 from gendom.materials.unknowns import UNKNOWNS, Theta
@@ -153,7 +154,7 @@ def _change(problem: Problem, vector: Array, recording: int, p: int, by: float) 
     ends = vector[p] + np.array([[-1.0], [1.0]]) * changes
     worlds = np.tile(vector, (ends.size, 1))
     worlds[:, p] = np.clip(ends, prior.low[p], prior.high[p]).ravel()
-    x = problem.positions(list(worlds), recording, scene)
+    x = middle(scene, problem.positions(list(worlds), recording, scene))
     off = np.sqrt(np.mean((x - x[:, :1]) ** 2, axis=(0, 2, 3))).reshape(ends.shape)
     says = (ends >= prior.low[p]) & (ends <= prior.high[p]) & np.isfinite(off)
     # in the direction that moves it less

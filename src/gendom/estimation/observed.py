@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from gendom.arrays import Array
 from gendom.estimation.markers import beside_axis
-from gendom.estimation.replay import Shape, held_reach, lattice, nearest_of
+from gendom.estimation.replay import Shape, held_reach, lattice, middle, nearest_of
 from gendom.estimation.scene import LiftScene
 from gendom.observation import visible
 
@@ -125,13 +125,14 @@ class Observation:
         self.shape = Shape(scene)
         # samples that no fingers hide: farther from what is held than twice its reach
         own, share = self.shape.samples
-        x = np.einsum("mk,mka->ma", share, scene.initial[own])
+        rest = middle(scene, scene.initial)
+        x = np.einsum("mk,mka->ma", share, rest[own])
         away = np.linalg.norm(x[:, None] - scene.held, axis=2).min(axis=1)
         self.in_view = away > 2.0 * held_reach(scene) + scene.body.thickness
         self.markers = None if scene.places is None else scene.markers
         if scene.places is None and scene.ordered:
             first = scene.recording.frame(scene.begins).astype(float)
-            index, weight, _ = self.shape.nearest(scene.initial[None], first[None])
+            index, weight, _ = self.shape.nearest(rest[None], first[None])
             self.markers = index[0], weight[0]
         # functions by which displacements change, scaled by deviations: [T, R] of the frames, which
         # are denser where more happens, and [n, Q] of the middle's points

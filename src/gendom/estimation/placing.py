@@ -45,6 +45,9 @@ MARKER, STRAIN, TURN = 0.001, 1e-3, 0.1
 """How well such points are met by the simulated rope [m], how well its edges keep their length, and
 the turn from one edge to the next that counts as much [rad]."""
 
+CELLS = 1.5
+"""Of the MPM across a rope's diameter; a cloth's longer side then has 14."""
+
 BINS = 16
 """Along an edge of a cloth."""
 
@@ -55,7 +58,7 @@ class Placed:
 
     body: Body
     initial: Array
-    """[N, 3] points of a rod or shell [m]."""
+    """[N, 3] points of a rod or shell, or particles [m]."""
     velocities: Array | None = None
     """[N, 3] likewise [m/s]; None: at rest."""
     places: Array | None = None
@@ -76,10 +79,12 @@ def place(
     frames: tuple[int, ...],
     notes: list[str],
     lies: Array | None = None,
+    cells: float | None = None,
 ) -> Placed:
     """Where the recorded object lies in the beginning, with so many points along it, and where it
     is held; ``notes`` get what was assumed. Of ``frames``, those that hold points, there is one at
-    least. ``lies`` is `Placed.lies` where that is known.
+    least. ``lies`` is `Placed.lies` where that is known, ``cells`` are those of the MPM across a
+    rope's diameter, None: rods and shells.
 
     Raises:
         RecordingError: The recording shows too little to place the object, or no rope or cloth.
@@ -89,11 +94,14 @@ def place(
     what, where = f"objects of kind {kind!r} cannot be simulated", "meta.object.kind"
     require(kind in KINDS, what, where=where, fix="use rope or cloth", error=RecordingError)
     if kind == "cloth":
-        return _place_cloth(recording, points, frames, notes, lies)
+        return _place_cloth(recording, points, frames, notes, lies, cells)
     length, diameter = _sizes_of_rope(recording, notes)
     if recording.num_grippers == 1:
         line = _line_from(recording, frames, length, diameter) if lies is None else lies
-        return _place_rope(recording, points, length, diameter, line)
+        return _place_rope(recording, points, length, diameter, line, cells)
+    # bodies of the MPM are free of stress as they begin
+    what = "a rope held at both ends is simulated as a rod"
+    require(cells is None, what, where="engine", fix="engine 'thin'")
     notes.append("held at both ends: straight by nature, as far as is known")
     return _place_between(recording, points, frames, length, diameter)
 
@@ -114,18 +122,30 @@ def _sizes_of_rope(recording: Recording, notes: list[str]) -> tuple[float, float
     return length, diameter
 
 
+def _points_of(body: Body, cells: float | None) -> Array:
+    return np.asarray(body.points if cells is None else body.x, dtype=float)
+
+
 def _place_rope(
-    recording: Recording, points: int | None, length: float, diameter: float, line: Array
+    recording: Recording,
+    points: int | None,
+    length: float,
+    diameter: float,
+    line: Array,
+    cells: float | None,
 ) -> Placed:
     """A rope along a line [K, 3] on its table, held near one end."""
     inset = recording.object.grasp_inset or diameter / 2.0
-    body = rope(diameter=diameter, length=length, centre_line=line, points=points)
+    across = cells or CELLS
+    body = rope(
+        diameter=diameter, length=length, centre_line=line, cells_across=across, points=points
+    )
     steps, s = np.diff(body.points, axis=0), arc_length(body.points)
     held = np.array([np.interp(inset, s, x) for x in body.points.T])
     direction = steps[min(int(np.searchsorted(s, inset)), len(steps) - 1)]
     return Placed(
         body=body,
-        initial=np.asarray(body.points, dtype=float),
+        initial=_points_of(body, cells),
         held=held[None],
         inwards=direction[None] / np.linalg.norm(direction),
         lies=line,
@@ -354,6 +374,7 @@ def _place_cloth(
     frames: tuple[int, ...],
     notes: list[str],
     lies: Array | None,
+    cells: float | None,
 ) -> Placed:
     """A flat cloth on its table."""
     described, thickness = recording.object, recording.object.thickness
@@ -377,14 +398,14 @@ def _place_cloth(
         width=described.width,
         height=described.height,
         thickness=thickness,
-        dx=longer / 14.0,
+        dx=longer / 14.0 * (CELLS / (cells or CELLS)),
         corner=np.append(grip[:2] - turn @ held, mid),
         yaw=yaw,
         points=(1 + max(2, round(sides[0] / spacing)), 1 + max(2, round(sides[1] / spacing))),
     )
     return Placed(
         body=body,
-        initial=np.asarray(body.points, dtype=float),
+        initial=_points_of(body, cells),
         held=np.array([[grip[0], grip[1], mid]]),
         inwards=np.append(turn @ diagonal, 0.0)[None],
         lies=np.array(yaw),

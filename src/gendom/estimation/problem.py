@@ -17,7 +17,7 @@ from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons
 from gendom.estimation.observed import NoiseModel, Observation
-from gendom.estimation.replay import Shape, replay_axis
+from gendom.estimation.replay import Shape, middle, replay_axis
 from gendom.estimation.scene import (
     COARSE_FRAMES,
     COARSE_POINTS,
@@ -177,13 +177,15 @@ class Part:
     def coarser(self) -> LiftScene:
         """The scene with fewer points, unless settings fix their number or few are saved."""
         scene, rope = self.scene, self.scene.kind == "rope"
+        if not scene.thin or scene.settings.points is not None:
+            return scene
         along = len(scene.initial) if rope else max(scene.body.shape)
         points, stretch = COARSE_POINTS[scene.kind], STRETCH if rope else COARSE_STRETCH
         if rope and scene.limp:
             points = max(points, (along + 1) // 2)
         elif not rope:
             points = along if scene.limp else max(points, round(COARSE_SHARE * along))
-        few = scene.settings.points is not None or along < 1.3 * points
+        few = along < 1.3 * points
         return scene if few else scene.simulated_with(points, stretch)
 
     @cached_property
@@ -260,7 +262,7 @@ class Problem:
     def lifted_rope(self) -> bool:
         """Whether it is one lift of a rope by one hand."""
         one = len(self.parts) == len(self.scene.held) == 1 and not self.scene.static
-        return one and self.scene.kind == "rope"
+        return one and self.scene.kind == "rope" and self.scene.thin
 
     @property
     def bases(self) -> tuple[Theta, ...]:
@@ -311,7 +313,7 @@ class Problem:
         anchors = []
         for k, compared in enumerate(start.comparison.parts):
             few = self.parts[k].coarser
-            begun = self.positions([start.vector], k, few)[:, 0]
+            begun = self._middles([start.vector], k, few)[:, 0]
             anchors.append((compared.axis, begun))
         usual = all(np.isfinite(begun).all() for _, begun in anchors)
         return self._with(self.parts, _anchors=tuple(anchors)) if usual else None
@@ -360,6 +362,10 @@ class Problem:
         parameters, of a cable its axis, NaN where a world diverges [m]."""
         thetas = [self.theta(v, recording) for v in vectors]
         return replay_axis(scene or self.parts[recording].scene, thetas, keep_going=True)
+
+    def _middles(self, vectors: Sequence[Array], recording: int, scene: LiftScene) -> Array:
+        """[T, W, n, 3] the `middle` of those."""
+        return middle(scene, self.positions(vectors, recording, scene))
 
     def compare(
         self,
@@ -420,7 +426,7 @@ class Problem:
         they change from there to the others [T, n, 3, k] [m], in a scene that may be coarser; NaN
         where a world diverges."""
         part = self.parts[recording]
-        x = self.positions([v for row in worlds for v in row], recording, few)
+        x = self._middles([v for row in worlds for v in row], recording, few)
         rows = np.split(x, np.cumsum([len(row) for row in worlds])[:-1], axis=1)
         shapes = [own[:, 0] for own in rows]
         changes = [np.moveaxis(own[:, 1:] - own[:, :1], 1, -1) for own in rows]
@@ -431,7 +437,7 @@ class Problem:
             fine, begun = self._anchors[recording]
             shapes = [fine + to.taken_from(of, shape - begun) for shape in shapes]
             return shapes, [to.taken_from(of, change) for change in changes]
-        x = self.positions([row[0] for row in worlds], recording)
+        x = self._middles([row[0] for row in worlds], recording, part.scene)
         return list(np.swapaxes(x, 0, 1)), [to.taken_from(of, change) for change in changes]
 
     def inherit_derivatives(

@@ -94,8 +94,11 @@ class WorldInputs:
 
     def stiffen_along(self, slope: float) -> None:
         """Let ln(E) grow by so much from one end of a rope to the other."""
+        scene, share = self.scene, np.linspace(0.0, 1.0, len(self.positions))
+        if slope and not scene.thin:
+            share = scene.body.material_coordinates[:, 0] / scene.size
         if slope:
-            self.stiffness = np.exp(slope * np.linspace(-0.5, 0.5, len(self.positions)))
+            self.stiffness = np.exp(slope * (share - 0.5))
 
     def hem(self, *, stiffness: float = 1.0, mass: float = 1.0) -> None:
         """Make a cloth's border so many times as stiff in bending, and as heavy as the rest; its
@@ -150,7 +153,7 @@ class WorldInputs:
         from gendom.sim.thin.rods import SHORTEST  # Warp, which takes long to import
 
         scene, x = self.scene, self.positions
-        if not turn or len(scene.held) > 1:
+        if not turn or not scene.thin or len(scene.held) > 1:
             return
         reach, step = held_reach(scene), scene.size / (len(x) - 1)
         away = np.linalg.norm(0.5 * (x[1:] + x[:-1]) - scene.held[0], axis=1)
@@ -171,10 +174,10 @@ class WorldInputs:
         E = self.E_over_rho * scene.density
         hangs = described.length or max(described.width or 0.0, described.height or 0.0)
         along = scene.density * STANDARD_GRAVITY * hangs / (2.0 * scene.stretch)
-        if scene.kind == "cloth":
+        if scene.kind == "cloth" and scene.thin:
             warp = math.sqrt(self.theta.warp_over_weft)
             more = {"membrane": min(E, along), "warp": warp, "weft": 1.0 / warp}
-        elif E < along:
+        elif scene.thin and E < along:
             more = {"membrane": along}  # fibres, which slide past each other in bending
         nu, damping = self.theta.nu, self.theta.damping
         return Material(E=E, nu=nu, density=scene.density, damping=damping, **more)
@@ -258,6 +261,7 @@ def simulator_of(scene: LiftScene, thetas: Sequence[Theta]) -> tuple[Simulator, 
             air_density=[AIR_DENSITY * theta.air_drag for theta in thetas],
         ),
         solver=Solver(
+            engine=scene.settings.engine,
             substep=scene.settings.substep,
             dtype=scene.dtype,
             device=scene.settings.device,
@@ -276,8 +280,8 @@ def replay(
     keep_going: bool = False,
     on_frame: Callable[[int], None] | None = None,
 ) -> Array:
-    """[T, W, N, 3] points of a rod or shell at the frames of a scene [m]; of a cable with markers
-    beside its axis the line through these.
+    """[T, W, N, 3] particles, or points of a rod or shell, at the frames of a scene [m]; of a cable
+    with markers beside its axis the line through these.
 
     Args:
         scene: What was recorded.
@@ -342,10 +346,23 @@ def replay_axis(
     return x
 
 
+def middle(scene: LiftScene, x: Array) -> Array:
+    """[..., n, 3] a rope's centre line or a cloth's middle surface, row by row along its first
+    axis, for positions [..., N, 3] of `replay` [m]; `lattice` has its shape."""
+    if scene.thin:
+        return x
+    first, second = (len(ticks) for ticks in lattice(scene))
+    layers = x.reshape(*x.shape[:-2], first, second, -1, 3).mean(axis=-2)
+    return np.swapaxes(layers, -3, -2).reshape(*x.shape[:-2], -1, 3)
+
+
 def lattice(scene: LiftScene) -> tuple[Array, Array]:
-    """Places of points in the object: [n] along a rope and [1] 0, or columns and rows of a cloth,
-    which has them row by row [m]."""
+    """Places of `middle`'s points in the object: [n] along a rope and [1] 0, or columns and rows of
+    a cloth, which has them row by row [m]."""
     body, described = scene.body, scene.recording.object
+    if not scene.thin:
+        first, second = (np.unique(x) for x in body.material_coordinates[:, :2].T)
+        return first, np.zeros(1) if scene.kind == "rope" else second
     if scene.kind == "rope":
         return np.linspace(0.0, scene.size, len(body.points)), np.zeros(1)
     rows, columns = body.shape
@@ -383,8 +400,10 @@ def held_reach(scene: LiftScene, farther: float = 0.0, x: Array | None = None) -
         return max(stated or 0.5 * thick, (1.0 + 1e-6) * gap)
     if scene.kind == "rope":
         return stated or ROPE_REACH * thick
-    side = scene.size / math.sqrt(2.0)
-    least = 0.6 * side / (COARSE_POINTS[scene.kind] - 1)  # so that it holds points wherever it is
+    side, least = scene.size / math.sqrt(2.0), 0.4 * scene.body.dx
+    if scene.thin:
+        # so that it holds points wherever it is
+        least = 0.6 * side / (COARSE_POINTS[scene.kind] - 1)
     return max((stated or CLOTH_REACH) + farther, least)
 
 

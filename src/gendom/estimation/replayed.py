@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from gendom.arguments import check_numbers, require
 from gendom.arrays import Array
@@ -25,6 +25,7 @@ def replay_setup(
     params: Mapping[str, Any],
     where: str,
     device: str = "cpu",
+    engine: Literal["thin", "mpm"] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> tuple[LiftScene, Theta]:
     """The scene of all frames of a recording, and an estimate's parameters for it.
@@ -37,6 +38,7 @@ def replay_setup(
         params: An estimate's JSON.
         where: Its file, for error messages.
         device: That simulates.
+        engine: None: that of the estimate.
         on_progress: Called with each iteration of an estimation.
 
     Raises:
@@ -55,7 +57,11 @@ def replay_setup(
     own, first, said = of_recording(params, recording), recording, ()
     theta, registration = found.theta, None
     try:
-        points = (own or every[0])["simulation"]["points"]
+        made = (own or every[0])["simulation"]
+        engine = engine or made["engine"]
+        # another engine has its own number
+        points = made["points"] if engine == made["engine"] else None
+        like = {"engine": engine, "points": points, "cells_across": made["cells_across"]}
         if own is not None:
             # the object lies as it was taken to lie from the frames that were fitted
             first = recording.head(min(1 + max(own["compared"]), recording.num_frames))
@@ -64,7 +70,7 @@ def replay_setup(
     except (KeyError, TypeError, ValueError) as error:
         what = f"cannot be used: {type(error).__name__} {error}"
         raise ParameterError(what, where=where, fix=fix) from None
-    settings = SceneSettings(points=points, device=device)
+    settings = SceneSettings(**like, device=device)
     if own is None:
         theta, said, registration = _found_anew(LiftScene.of(first, settings), theta, on_progress)
     if registration is not None:

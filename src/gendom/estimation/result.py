@@ -32,7 +32,7 @@ class RecordingFit:
     theta: Theta
     """The material, and how the object is held here and when."""
     positions: Array
-    """[T, N, 3] points at the scene's frames [m]."""
+    """[T, N, 3] particles or points at the scene's frames [m]."""
     chamfer: Array
     """[T] distance to all of the object [m]."""
     chamfer_surface: Array
@@ -42,7 +42,9 @@ class RecordingFit:
         """The file's entries for this recording."""
         scene, fit = self.scene, comparison.fit(noise)
         moved = comparison.as_seen(self.positions, noise)
-        registered = _chamfer(scene, scene.body_of(self.theta).surface(moved))
+        if scene.thin:
+            moved = scene.body_of(self.theta).surface(moved)
+        registered = _chamfer(scene, moved)
         away = {"": self.chamfer, "_surface": self.chamfer_surface, "_registered": registered}
         return {
             "theta": {n: v for n, v in self.theta.items() if not UNKNOWNS[n].material},
@@ -100,7 +102,7 @@ def chamfers(scene: LiftScene, x: Array, theta: Theta) -> tuple[Array, Array]:
         seen = [skin[visible(skin, camera_positions=cameras)] for skin in skins]
     else:
         seen = list(skins)
-    return _chamfer(scene, skins), _chamfer(scene, seen)
+    return _chamfer(scene, skins if scene.thin else x), _chamfer(scene, seen)
 
 
 def _chamfer(scene: LiftScene, every: Sequence[Array] | Array) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
@@ -15,12 +16,12 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation, Slerp
 
-from gendom.arguments import require
+from gendom.arguments import check_choice, require
 from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
 from gendom.estimation.hands import clamp_steps, turn_between
-from gendom.estimation.placing import Placed, lost_time, place, with_points
+from gendom.estimation.placing import CELLS, Placed, lost_time, place, with_points
 from gendom.estimation.priors import (
     BENDING_RANGE,
     CLAMPS,
@@ -32,7 +33,8 @@ from gendom.materials import STANDARD_GRAVITY, catalogue
 from gendom.materials.parameters import E_over_rho_of, bending_length
 from gendom.materials.posterior import Prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
-from gendom.sim import Body, check_numbers
+from gendom.sim import ENGINES, Body, check_numbers
+from gendom.sim.bodies import CELLS_ACROSS
 
 SPACING, MOST_SHELL_POINTS, MOST_ROD_POINTS = 1.0 / 3.0, 49, 65
 """Limp objects are then estimated again with points this many bending lengths apart, up to so many
@@ -85,11 +87,16 @@ more than how it lay."""
 class SceneSettings:
     """How a recording is turned into a simulation; written into every result."""
 
+    engine: Literal["thin", "mpm"] = "thin"
+    """Engine of the simulator. thin: ropes as rods, cloths as shells. mpm: material points, slower.
+    """
     material: str | None = None
     """Its material, by a name of gendom materials: narrows the priors, and gives the density where
     the mass is unknown."""
     points: int | None = None
     """Points of a rod, or along the longer side of a shell; by default as many as it needs."""
+    cells_across: float = CELLS
+    """With mpm: grid cells across a rope's diameter (cloths alike); finer is slower."""
     slow_frames: int = 36
     """Frames that are compared where the gripper is slow, at most."""
     fast_frames: int = 60
@@ -106,6 +113,10 @@ class SceneSettings:
     def __post_init__(self) -> None:
         if self.material is not None:
             catalogue.get(self.material)
+        check_choice("engine", self.engine, ENGINES)
+        low, high = CELLS_ACROSS
+        what, fix = f"is {self.cells_across:g}", f"give {low:g} to {high:g}"
+        require(low <= self.cells_across <= high, what, where="cells_across", fix=fix)
         if self.substep is not None:
             check_numbers("substep", self.substep, above=0.0)
         few = f"is {self.points}"
@@ -178,7 +189,8 @@ class LiftScene(Placed):
         if missing > 0.0:
             leaps = "the hands leap where frames were lost"
             notes.append(f"{leaps}: {missing:.3g} s added to the times")
-        placed = place(recording, settings.points, frames, notes)
+        cells = settings.cells_across if settings.engine == "mpm" else None
+        placed = place(recording, settings.points, frames, notes, cells=cells)
         clock = _choose_clock(recording)
         lasts = float(recording.time[frames[-1]] - recording.time[frames[0]]) / clock
         longer = f"lasts {lasts:.4g} s, longer than the 300 s that are simulated"
@@ -208,10 +220,15 @@ class LiftScene(Placed):
         return self.body.kind
 
     @property
+    def thin(self) -> bool:
+        """Whether the engine models a rope by its centre line, a cloth by its middle surface."""
+        return self.settings.engine == "thin"
+
+    @property
     def dtype(self) -> str | None:
         """Of its simulation; None: the engine's own. Shells of ``float32`` take half the time;
         they are 0.4 um off in the mean of a lift and 15 um at most."""
-        if self.settings.dtype is None and self.kind == "cloth":
+        if self.settings.dtype is None and self.kind == "cloth" and self.thin:
             return "float32"
         return self.settings.dtype
 
@@ -295,7 +312,7 @@ class LiftScene(Placed):
         """The same with the resolution that an object of this bending length needs, unless it has
         it, is held by two hands, or the settings fix the number of points."""
         described, rope = self.recording.object, self.kind == "rope"
-        if self.settings.points is not None or (rope and len(self.held) > 1):
+        if not self.thin or self.settings.points is not None or (rope and len(self.held) > 1):
             return self
         bends = self.bending_length(theta.E_over_rho, theta.thickness)
         longer = max(described.length or 0.0, described.width or 0.0, described.height or 0.0)
@@ -315,9 +332,11 @@ class LiftScene(Placed):
 
     def mesh_error(self, theta: Theta) -> float:
         """Standard deviation of ln(E) by the distance of a cloth's points."""
+        if self.kind != "cloth" or not self.thin:
+            return 0.0
         apart = float(np.linalg.norm(self.body.points[1] - self.body.points[0]))
         bends = self.bending_length(theta.E_over_rho, theta.thickness)
-        return SHELL_ERROR * (apart / bends) ** 3 if self.kind == "cloth" else 0.0
+        return SHELL_ERROR * (apart / bends) ** 3
 
     def body_of(self, theta: Theta) -> Body:
         """The body with the estimated thickness, for display; simulations take the stated
@@ -387,7 +406,7 @@ class LiftScene(Placed):
     @cached_property
     def curved(self) -> bool:
         """Whether a rope lies curved, so that it counts how much of that it is by nature."""
-        if self.kind != "rope" or len(self.held) > 1:
+        if self.kind != "rope" or not self.thin or len(self.held) > 1:
             return False
         ahead = np.diff(self.body.points, axis=0)
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
@@ -467,7 +486,7 @@ class LiftScene(Placed):
             (two and not self.static, CLAMPS),
             (swinging, ("length_ratio",)),
             (drag, ("air_drag",)),
-            (not two and rope, ("grip_turn",)),
+            (not two and rope and self.thin, ("grip_turn",)),
             (not rope, ("warp_over_weft",)),
             (self.by_corner, ("grip_aside", "grip_tilt", "grip_reach", "yaw")),
             (self.curved and natural is None, ("natural_curvature",)),
