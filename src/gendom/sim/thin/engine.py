@@ -247,7 +247,8 @@ class ThinEngine(Engine):
             events = self.switch(worlds[going], now[going])
             until = np.where(going, plan.until(group, at), at)
             until = np.where(np.isin(worlds, list(self.failures)), at, until)
-            apart = self._apart(plan, worlds, at, until)
+            safe = self.ties is None or self.ties.are_safe(self.paths, group)
+            apart = {} if safe else self._apart(plan, worlds, at, until)
             round = Round(events, np.stack([at, until], axis=1).astype(np.int32))
             put(run.pieces, group, round.pieces)
             run.launch(group)
@@ -269,7 +270,7 @@ class ThinEngine(Engine):
         """Errors of worlds [k] that grippers will pull apart in the pieces from ``at`` to
         ``until`` [k], which then ends before that piece."""
         some = np.flatnonzero(until > at)
-        if self.ties is None or not len(some):
+        if not len(some) or self.ties is None:
             return {}
         w, ends = worlds[some], plan.begins + (plan.done + plan.steps) * plan.dt
         broken = self.ties.broken(self.paths, w, plan.time(w, at[some]), ends[w, until[some] - 1])

@@ -275,24 +275,39 @@ class Ties:
 
     def __init__(self, rest: Array, shape: tuple[int, int]):
         self._rest, self._pairs = rest, list(combinations(range(shape[1]), 2))
+        self._ends = np.array(self._pairs).T
         self._place = np.zeros((shape[0], len(self._pairs), 2, 3))
         """The two points that have least of the body between them, in their grippers' frames."""
         self._most = np.full(self._place.shape[:2], np.inf)
         """[W, pairs] how far apart they may be [m]."""
+        self._centres = self._most.copy()
+        """[W, pairs] up to where their grippers' centres hold them closer however they turn [m]."""
 
     def hold(self, worlds: NDArray[np.int64], holds: Array, place: Array) -> None:
         """Let worlds [k] hold ``holds`` [k, G, n], with places [k, G, 3, n]."""
         for p, pair in enumerate(self._pairs):
-            kinds, which = np.unique(holds[:, pair] & 1, axis=0, return_inverse=True)
-            for kind, held in enumerate(kinds):
-                (some,) = np.nonzero(which.reshape(-1) == kind)
-                i, j = map(np.flatnonzero, held)
+            alike: dict[bytes, list[int]] = {}  # the few ways of holding
+            for k, one in enumerate(holds[:, pair]):
+                alike.setdefault(one.tobytes(), []).append(k)
+            for some in alike.values():
+                i, j = map(np.flatnonzero, holds[some[0], pair] & 1)
                 far = cdist(self._rest[i], self._rest[j])
                 self._most[worlds[some], p] = (1.0 + STRETCH) * far.min(initial=np.inf)
                 if far.size:
                     a, b = np.unravel_index(far.argmin(), far.shape)
                     for end, n in enumerate((i[a], j[b])):
                         self._place[worlds[some], p, end] = place[some, pair[end], :, n]
+        self._centres[worlds] = self._most[worlds]
+        self._centres[worlds] -= np.linalg.norm(self._place[worlds], axis=-1).sum(axis=-1)
+
+    def are_safe(self, paths: HostPaths, group: slice) -> bool:
+        """Whether the centres of grippers of a group of worlds stay close enough, as a glance at
+        their knots tells where these have the same times."""
+        time, x = paths.arrays["time"][group], paths.arrays["position"][group]
+        first, second = self._ends
+        way = x[:, second] - x[:, first]
+        far2, most = np.einsum("wpkc,wpkc->wpk", way, way).max(axis=2), self._centres[group]
+        return bool((far2 < most * np.abs(most)).all() and (time == time[:, :1]).all())
 
     def broken(
         self, paths: HostPaths, worlds: NDArray[np.int64], begin: Array, end: Array
@@ -304,9 +319,9 @@ class Ties:
         begin, end = begin[:, None], end[:, None]
         t = np.sort(np.clip(np.hstack([begin, end, knots]), begin, end), axis=1)
         t = t[:, np.append(True, (np.diff(t, axis=1) > 0.0).any(axis=0))]
-        # without turns they are farthest apart at a knot
-        share = np.linspace(0.0, 1.0, 9 if paths.arrays["turn"].any() else 2)
-        t = (t[:, :-1, None] + np.diff(t, axis=1)[..., None] * share).reshape(len(worlds), -1)
+        if paths.arrays["turn"].any():  # else they are farthest apart at a knot
+            share = np.linspace(0.0, 1.0, 9)
+            t = (t[:, :-1, None] + np.diff(t, axis=1)[..., None] * share).reshape(len(worlds), -1)
         w = np.repeat(worlds, t.shape[1])
         poses = [paths.pose(g, w, t.ravel()) for g in range(paths.arrays["time"].shape[1])]
         for p, pair in enumerate(self._pairs):
