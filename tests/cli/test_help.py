@@ -47,7 +47,7 @@ def test_every_help_page(name, capsys, monkeypatch):
 def test_completion_knows_commands_and_flags(shell, capsys, tmp_path):
     assert cli.main(["completion", shell]) == 0
     script = capsys.readouterr().out
-    assert "estimate" in script and "starts" in script
+    assert "estimate" in script and "cells-across" in script
     if shutil.which(shell):
         (tmp_path / "script").write_text(script, encoding="utf-8")
         subprocess.run([shell, "-n", str(tmp_path / "script")], check=True)

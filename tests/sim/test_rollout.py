@@ -95,6 +95,21 @@ def test_derivatives_by_everything_equal_central_differences(options):
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_repeated_substeps_give_the_recorded_ones_derivatives_to_the_bit(dtype, monkeypatch):
+    recorded = Rollout(scene(worlds=2, dtype=dtype))
+    x = recorded.forward(TIMES)
+    assert all(segment.recorded for segments in segments_of(recorded) for segment in segments)
+    monkeypatch.setattr(mpm_tape, "MEMORY", {"cpu": 0})
+    repeated = Rollout(scene(worlds=2, dtype=dtype))
+    assert np.array_equal(x, repeated.forward(TIMES))
+    assert not any(segment.recorded for segments in segments_of(repeated) for segment in segments)
+    bar = weights(x.shape)
+    a, b = recorded.backward(bar), repeated.backward(bar)
+    for name in STEPS:
+        assert np.array_equal(getattr(a, name), getattr(b, name)), name
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_segments_of_any_length_give_the_same_derivatives(dtype, monkeypatch):
     one, other = (Rollout(scene(worlds=2, dtype=dtype)) for _ in range(2))
     x = one.forward(TIMES)
@@ -167,6 +182,7 @@ def test_a_long_rollout_stays_within_its_memory():
     row = x[0].size // 3 * (15 * 8 + 12)  # x, v, C, and by whom what share is held
     states: list[Any] = [values for segment in kept for values in segment.kept]
     assert sum(values.numpy().nbytes for values in states) == math.ceil(2000 / 64) * row
+    assert not any(segment.recorded for segment in kept)
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])

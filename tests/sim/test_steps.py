@@ -93,12 +93,13 @@ def test_what_is_let_go_flies_on_with_the_hand():
 
 
 def test_hands_that_pull_a_rope_apart_are_found():
-    """Within the step in which they do."""
+    """In the step in which they do, by the time at which they would be too far apart."""
     both, last = simulator(still(), still(ROPE.points[-1])), ROPE.points[-1]
     both.step(0.01, Targets(position=[END, last]))
-    with pytest.raises(SimulationError, match="closer together") as raised:
+    with pytest.raises(SimulationError, match="apart") as raised:
         both.step(0.01, Targets(position=[END, last + np.array([0.2, 0.0, 0.0])]))
-    assert raised.value.time is not None and 0.01 < raised.value.time <= 0.02
+    assert raised.value.time is not None and 0.01 < raised.value.time < 0.02
+    assert "grippers 0 and 1" in str(raised.value)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,8 @@ class Rollout:
     ``forward`` runs it; ``backward`` takes the derivative of any loss with respect to the recorded
     positions and returns its derivatives with respect to all inputs. States are stored every few
     steps, and the steps between them are recomputed (checkpointing): rods and shells store about
-    twice the square root of their number of steps, the MPM one in 64 on the CPU.
+    twice the square root of their number of steps, the MPM one in 64 on the CPU, or everything of a
+    short rollout.
 
     Args:
         simulator: A simulator that has not been run.

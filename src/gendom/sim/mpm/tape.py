@@ -1,8 +1,8 @@
 """Recorded runs and their reverse: derivatives of a loss by all inputs.
 
-A group of worlds goes through segments, some substeps inside one frame. The forward run keeps the
-state at the beginning of each segment, from which the segment is run again and recorded when it is
-to be reversed.
+A group of worlds goes through segments, some substeps inside one frame. The forward run of a short
+rollout records them; else it keeps the state at the beginning of each segment, from which the
+segment is run again and recorded when it is to be reversed.
 """
 
 # pyright: basic
@@ -22,8 +22,8 @@ from gendom.sim.mpm.step import GRID_FULL
 SHORTEST, LONGEST, LONGEST_ON_CPU = 8, 256, 64
 """Bounds on the substeps of a segment."""
 
-MEMORY = 8 << 30
-"""Bound on what a recorded segment takes on CUDA [bytes]."""
+MEMORY = {"cpu": 64 << 20, "cuda": 8 << 30}
+"""Bound on what is recorded: of a short rollout all, of others a segment on CUDA [bytes]."""
 
 BY_WORLD = ("friction", "velocity_damping", "damping", "gravity")
 """Conditions that each world has one of."""
@@ -38,6 +38,7 @@ class Tape:
 
     def __init__(self, engine: MpmEngine):
         self.engine = engine
+        self._memory = MEMORY["cuda" if engine.setting.device.is_cuda else "cpu"]
         self.segments: list[list[Segment]] = []
         """Of each group of worlds."""
         engine.load(make_advance(engine.variant, taped=False))
@@ -52,6 +53,9 @@ class Tape:
         """
         e, groups = self.engine, self.engine.groups()
         self._plan = plan = e.plan(began, times, np.arange(e.num_points))
+        steps = plan.steps.numpy().sum(axis=0)
+        rows = sum(g.count * int(steps[g.worlds].max()) for g in groups)
+        self._short = rows * self._row_bytes() <= self._memory
         self.segments = [[] for _ in groups]
 
         def go(k: int) -> None:
@@ -70,9 +74,14 @@ class Tape:
     def _run(self, segment: "Segment") -> None:
         """Run a segment for the first time."""
         group, plan, more = segment.group, self._plan, True
+        left = int((plan.steps.numpy()[segment.frame, group.worlds] - segment.step).max())
         while more:
             done = int((group.read("age") - segment.age).max())
-            group.advance(plan, self._segment_substeps() - done, segment.frame + 1, group.grid)
+            most = self._segment_substeps() - done
+            if self._short and left:
+                segment.recorded = self._record(segment, min(most, left), None)
+            else:
+                group.advance(plan, most, segment.frame + 1, group.grid)
             more = bool((group.read("status") == GRID_FULL).any())
             group.look(plan, keep_going=False)
             self.engine.raise_failures(keep_going=False)
@@ -80,19 +89,25 @@ class Tape:
 
     def _segment_substeps(self) -> int:
         """Substeps that are recorded at once."""
-        e, (X, Y, M), N = self.engine, self.engine.room, self.engine.num_points
-        if not e.setting.device.is_cuda:
+        if not self.engine.setting.device.is_cuda:
             return LONGEST_ON_CPU
-        numbers = np.dtype(e.setting.dtype).itemsize * (e.variant.taped * N + 4 * M)
-        row = e.num_worlds * (numbers + 4 * (3 * X * Y + 2 * N + 7))
-        return min(LONGEST, max(SHORTEST, MEMORY // row))
+        row = self.engine.num_worlds * self._row_bytes()
+        return min(LONGEST, max(SHORTEST, self._memory // row))
 
-    def _record(self, segment: "Segment", spare: "TapedStates | None") -> "TapedStates":
-        """Run a segment from its beginning once more and keep everything that its reverse needs.
+    def _row_bytes(self) -> int:
+        """Memory that a recorded substep of one world takes [bytes]."""
+        e, (X, Y, M), N = self.engine, self.engine.room, self.engine.num_points
+        numbers = np.dtype(e.setting.dtype).itemsize * (e.variant.taped * N + 4 * M)
+        return numbers + 4 * (3 * X * Y + 2 * N + 7)
+
+    def _record(
+        self, segment: "Segment", substeps: int, spare: "TapedStates | None"
+    ) -> "TapedStates":
+        """Run a segment from its beginning and keep everything that its reverse needs.
 
         Into ``spare`` where that has the room.
         """
-        e, group, substeps = self.engine, segment.group, int(segment.substeps.max())
+        e, group = self.engine, segment.group
         while True:
             if spare is None or spare.room != e.room or spare.substeps < substeps:
                 spare = None  # its memory first
@@ -111,18 +126,21 @@ class Tape:
         e, sums = self.engine, Sums(self.engine)
 
         def go_back(segments: list[Segment]) -> None:
-            recorded: TapedStates | None = None
+            spare: TapedStates | None = None
             group = segments[0].group
             group.begin()
             for f in reversed(range(len(positions_bar))):
                 sums.add_positions(group, positions_bar[f])
                 for segment in [s for s in reversed(segments) if s.frame == f and s.substeps.any()]:
-                    recorded = self._record(segment, recorded)
+                    recorded = segment.recorded
+                    if recorded is None:
+                        recorded = spare = self._record(segment, int(segment.substeps.max()), spare)
                     recorded.grid.velocity_bar = wp.empty_like(recorded.grid.velocity)
                     group.launch(make_reverse(e.variant), [
                         *segment.arrays(self._plan), e.device_model, e.paths, e.grips,
                         recorded.grid, recorded.tape, sums.adjoint, sums.state, sums.conditions,
                     ])  # fmt: skip
+                    segment.recorded = None
             del group.grid
 
         e.in_threads(go_back, self.segments)
@@ -139,6 +157,8 @@ class Segment:
         self.step, self.age, self._frames = map(group.read, ("step", "age", "frame"))
         self.substeps = np.zeros_like(self.step)
         """[n] of each world."""
+        self.recorded: TapedStates | None = None
+        """If the first run has recorded it."""
 
     def _arrays(self) -> list[wp.array]:
         e = self.group.engine

@@ -19,7 +19,7 @@ from gendom.sim.obstacles import check_thick, numbers_of_obstacles
 from gendom.sim.paths import CommandedPaths, HostPaths, Pose, paths_on
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
-from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, close, released
+from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, Ties, close, released
 from gendom.sim.thin.rods import RodModel
 from gendom.sim.thin.run import Event, Round, Schedule, put
 from gendom.sim.thin.shells import ShellModel
@@ -99,6 +99,10 @@ class ThinEngine(Engine):
         """[W, G] 0: not yet closed, 1: closed, 2: opened."""
         self.holds = np.zeros((W, G, n), dtype=np.int32)
         self.stiffer = np.ones((W, G, len(m.lines), n))
+        along = np.append(0.0, np.cumsum(m.lines[0].length))[:, None]
+        rest = along if isinstance(m, RodModel) else s.body.points
+        # a body with holes and notches may be shorter between two points than they tell
+        self.ties = Ties(rest, (W, G)) if G > 1 and s.body.cut is None else None
         self.device_model = self._device_model()
         self.state = self.zeros((W, m.state_rows, self.row_length))
         self.now = np.full(W, s.start_time)
@@ -243,6 +247,8 @@ class ThinEngine(Engine):
             events = self.switch(worlds[going], now[going])
             until = np.where(going, plan.until(group, at), at)
             until = np.where(np.isin(worlds, list(self.failures)), at, until)
+            safe = self.ties is None or self.ties.are_safe(self.paths, group)
+            apart = {} if safe else self._apart(plan, worlds, at, until)
             round = Round(events, np.stack([at, until], axis=1).astype(np.int32))
             put(run.pieces, group, round.pieces)
             run.launch(group)
@@ -251,10 +257,31 @@ class ThinEngine(Engine):
                 w, s = group.start + k, int(stopped[k])
                 if w not in self.failures:
                     self.failures[w] = self._failure(w, s, float(stopped_at[k]), plan)
+            for w, error in apart.items():
+                self.failures.setdefault(w, error)
             if after is not None:
                 after(group, round)
             count[np.isin(worlds, list(self.failures))] = 0
             at = until
+
+    def _apart(
+        self, plan: Schedule, worlds: NDArray[np.int64], at: Array, until: Array
+    ) -> dict[int, SimulationError]:
+        """Errors of worlds [k] that grippers will pull apart in the pieces from ``at`` to
+        ``until`` [k], which then ends before that piece."""
+        some = np.flatnonzero(until > at)
+        if not len(some) or self.ties is None:
+            return {}
+        w, ends = worlds[some], plan.begins + (plan.done + plan.steps) * plan.dt
+        broken = self.ties.broken(self.paths, w, plan.time(w, at[some]), ends[w, until[some] - 1])
+        for k in np.flatnonzero(np.isin(worlds, list(broken))).tolist():
+            pieces = ends[worlds[k], at[k] : until[k]]
+            until[k] = at[k] + np.count_nonzero(pieces <= broken[int(worlds[k])][0])
+        fix = "paths that stay closer together, or a gripper that opens before"
+        return {
+            w: self.setting.error(w, time, what, where="grippers", fix=fix)
+            for w, (time, what) in broken.items()
+        }
 
     def _end(self, run: Run) -> None:
         """Keep where a run has come to."""
@@ -305,8 +332,7 @@ class ThinEngine(Engine):
             f"the body is stretched or compressed by more than {100 * STRETCH:.0f} % in the "
             f"mean, or somewhere by more than {100 * LOCAL_STRETCH:.0f} %",
             where=f"substep {plan.dt[w, s]:.3g} s",
-            fix="slower grippers, obstacles or velocities, a smaller substep, or hands that stay "
-            "closer together",
+            fix="slower grippers, obstacles or velocities, or a smaller substep",
         )  # fmt: skip
 
     # ---- grippers --------------------------------------------------------------------------------
@@ -376,6 +402,9 @@ class ThinEngine(Engine):
         """Copy what worlds [k] hold, and the stiffness at its borders, to the kernels' model."""
         model = self.device_model
         put(model.holds, worlds, self.holds[worlds])
+        if self.ties is not None:
+            place = model.place.numpy().reshape(*self.closed.shape, -1, self.row_length)
+            self.ties.hold(worlds, self.holds[worlds], place[worlds, :, :3][..., self.slots])
         m, inertia = self.model, model.inertia.numpy()[worlds]
         borders = m.at_borders(worlds, self.stiffer[worlds].prod(axis=1))
         inertia[:, m.border_rows] = self.rows(borders)

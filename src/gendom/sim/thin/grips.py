@@ -11,18 +11,21 @@ Shapes: W worlds, n points.
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from gendom.arrays import Array
-from gendom.sim.paths import Pose
+from gendom.sim.paths import HostPaths, Pose
 from gendom.sim.thin import rotation
 from gendom.sim.thin.types import Lines
 
 STRETCH = 0.2
-"""Largest mean stretch or compression of a body."""
+"""Largest mean stretch or compression of a body, and stretch of what two grippers have between
+them."""
 
 LOCAL_STRETCH = 1.0
 """Largest momentary stretch of one edge: a soft rope that cracks like a whip stretches by 25 %."""
@@ -259,3 +262,86 @@ def released_adjoint(
     turned = np.cross(x - pose.centre[:, None], v_bar).sum(axis=1) + spin_bar.sum(axis=1)
     none = np.zeros_like(pose.centre)
     return x_bar, Pose(-x_bar.sum(axis=1), none, v_bar.sum(axis=1), turned)
+
+
+class Ties:
+    """How far apart pairs of the G grippers of W worlds may have what they hold, which their paths
+    alone tell.
+
+    Args:
+        rest: [n, .] places of the body's points at rest [m].
+        shape: (W, G).
+    """
+
+    def __init__(self, rest: Array, shape: tuple[int, int]):
+        self._rest, self._pairs = rest, list(combinations(range(shape[1]), 2))
+        self._ends = np.array(self._pairs).T
+        self._place = np.zeros((shape[0], len(self._pairs), 2, 3))
+        """The two points that have least of the body between them, in their grippers' frames."""
+        self._most = np.full(self._place.shape[:2], np.inf)
+        """[W, pairs] how far apart they may be [m]."""
+        self._centres = self._most.copy()
+        """[W, pairs] up to where their grippers' centres hold them closer however they turn [m]."""
+
+    def hold(self, worlds: NDArray[np.int64], holds: Array, place: Array) -> None:
+        """Let worlds [k] hold ``holds`` [k, G, n], with places [k, G, 3, n]."""
+        for p, pair in enumerate(self._pairs):
+            alike: dict[bytes, list[int]] = {}  # the few ways of holding
+            for k, one in enumerate(holds[:, pair]):
+                alike.setdefault(one.tobytes(), []).append(k)
+            for some in alike.values():
+                i, j = map(np.flatnonzero, holds[some[0], pair] & 1)
+                far = cdist(self._rest[i], self._rest[j])
+                self._most[worlds[some], p] = (1.0 + STRETCH) * far.min(initial=np.inf)
+                if far.size:
+                    a, b = np.unravel_index(far.argmin(), far.shape)
+                    for end, n in enumerate((i[a], j[b])):
+                        self._place[worlds[some], p, end] = place[some, pair[end], :, n]
+        self._centres[worlds] = self._most[worlds]
+        self._centres[worlds] -= np.linalg.norm(self._place[worlds], axis=-1).sum(axis=-1)
+
+    def are_safe(self, paths: HostPaths, group: slice) -> bool:
+        """Whether the centres of grippers of a group of worlds stay close enough, as a glance at
+        their knots tells where these have the same times."""
+        time, x = paths.arrays["time"][group], paths.arrays["position"][group]
+        first, second = self._ends
+        way = x[:, second] - x[:, first]
+        far2, most = np.einsum("wpkc,wpkc->wpk", way, way).max(axis=2), self._centres[group]
+        return bool((far2 < most * np.abs(most)).all() and (time == time[:, :1]).all())
+
+    def broken(
+        self, paths: HostPaths, worlds: NDArray[np.int64], begin: Array, end: Array
+    ) -> dict[int, tuple[float, str]]:
+        """Of worlds [k] in which a pair comes too far apart from ``begin`` to ``end`` [k] [s]: when
+        it first does [s], and what is wrong."""
+        found: dict[int, tuple[float, str]] = {}
+        knots = paths.arrays["time"][worlds].reshape(len(worlds), -1)
+        begin, end = begin[:, None], end[:, None]
+        t = np.sort(np.clip(np.hstack([begin, end, knots]), begin, end), axis=1)
+        t = t[:, np.append(True, (np.diff(t, axis=1) > 0.0).any(axis=0))]
+        if paths.arrays["turn"].any():  # else they are farthest apart at a knot
+            share = np.linspace(0.0, 1.0, 9)
+            t = (t[:, :-1, None] + np.diff(t, axis=1)[..., None] * share).reshape(len(worlds), -1)
+        w = np.repeat(worlds, t.shape[1])
+        poses = [paths.pose(g, w, t.ravel()) for g in range(paths.arrays["time"].shape[1])]
+        for p, pair in enumerate(self._pairs):
+            x, y = (
+                poses[g].centre + rotation.turned(poses[g].q, self._place[w, p, n])
+                for n, g in enumerate(pair)
+            )
+            far, most = np.linalg.norm(y - x, axis=1).reshape(t.shape), self._most[worlds, p]
+            beyond = far > most[:, None]
+            for k in np.flatnonzero(beyond.any(axis=1)).tolist():
+                s = int(beyond[k].argmax())
+                part = slice(max(s - 1, 0), s + 1)
+                time = float(np.interp(most[k], far[k, part], t[k, part]))
+                if time < found.get(int(worlds[k]), (np.inf, ""))[0]:
+                    found[int(worlds[k])] = (
+                        time,
+                        (
+                            f"grippers {pair[0]} and {pair[1]} pull the body apart: what they hold "
+                            f"would be more than {most[k]:.4g} m apart, {100 * STRETCH:.0f} % more "
+                            "than the body between it is long"
+                        ),
+                    )
+        return found
