@@ -75,7 +75,7 @@ STEPS = np.array([2e-3, 0.05])
 SUBSTEP = 1.12e-4
 """Of all rods [s], below the limit of the stiffest (1.14e-4 s), see `SceneSettings.substep`."""
 
-JUMPS = (1.0, 3.0, 10.0, 30.0)
+JUMPS = (-30.0, -10.0, -3.0, -1.0, 1.0, 3.0, 10.0, 30.0)
 """Of Gauss-Newton, in deviations: where points come to rest or leave the table a substep earlier or
 later, positions jump by some 1e-7 m. Without jumps a third of the searches ends at such places."""
 
