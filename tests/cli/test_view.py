@@ -159,7 +159,7 @@ def test_it_prints_its_address_and_ends_with_ctrl_c(params):
     )
     assert process.stdout is not None
     line = process.stdout.readline()
-    assert re.fullmatch(r"lift.npz: http://127\.0\.0\.1:\d+ \(Ctrl-C ends it\)\n", line), line
+    assert re.fullmatch(r"lift.npz: http://127\.0\.0\.1:\d+/ \(Ctrl-C ends it\)\n", line), line
     process.send_signal(signal.SIGINT)
     # a first simulation, which may have to be compiled, ends before
     rest, said = process.communicate(timeout=180.0)
