@@ -29,9 +29,8 @@ from gendom.estimation.observed import NoiseModel, Observation, Rows
 HUBER = 0.006
 """Distance beyond which a point's pull grows no further [m]: Huber's loss, smoothed."""
 
-REGISTERED, LONGER = 0.1, 1.5
-"""A registration ends where a step lowers -2 log likelihood by no more than this; and by how much
-steps of sheets are longer: with weights of Huber's loss and pairs as they are they end short."""
+REGISTERED = 0.1
+"""A registration ends where a step lowers -2 log likelihood by no more than this."""
 
 
 def misfit(rows: Rows, rho: Array) -> float:
@@ -49,7 +48,6 @@ class Comparison:
         radius: Half its thickness [m]; None: as stated.
         widens: [P] how that changes with the transformed parameters [m].
         offsets: [m, 3] by which markers are beside it [m], where that was found before.
-        at: [P] the transformed parameters.
     """
 
     def __init__(
@@ -60,30 +58,22 @@ class Comparison:
         radius: float | None = None,
         widens: Array | None = None,
         offsets: Offsets = (),
-        at: Array | None = None,
     ):
         self.observation = observation
         self.axis = axis
         self.offsets = np.array(offsets)
-        self.at = np.zeros(0) if at is None else at
         self.J = np.zeros((*axis.shape, 0)) if J is None else J
         self.radius = observation.shape.radius if radius is None else radius
         self.widens = np.zeros(0) if widens is None else widens
         self._last: Fit | None = None
         self._near: Fit | None = None
         self._first = np.zeros(0)
-        self._rounds: int | None = None
         self._in_sight = cache(lambda t: observation.in_sight(axis[t]))
 
     def warm_start(self, other: Comparison) -> None:
         """Start the registration from the result of a comparison nearby."""
-        near = other._last or other._near
-        if near is not None:
-            self._first = near.a
-        if other._last is not None and not self.observation.shape.rope:
-            # a sheet's takes long: it begins where it follows the parameters
-            step, self._rounds = self.at - other.at, 1
-            self._first = self._first + other._last.follows @ step[: other._last.follows.shape[1]]
+        if other._last is not None:
+            self._first = other._last.a
 
     def inherit_derivatives(self, other: Comparison, step: Array, weight: Array) -> None:
         """Take over the derivatives of a comparison nearby, with the smallest change that agrees
@@ -168,12 +158,10 @@ class Comparison:
                 last = self._linearised(first, noise)
             # with other derivatives alone it stays where it is
             stays = near is not None and near.noise == noise
-            rounds, self._rounds = self._rounds or noise.rounds, None
-            far = 1.0 if o.shape.rope else LONGER
-            for _ in range(0 if stays else rounds):
+            for _ in range(0 if stays else noise.rounds):
                 if last.gain < REGISTERED:
                     break
-                last = self._linearised(last.a + far * last.step, noise)
+                last = self._linearised(last.a + last.step, noise)
             self._last = last
         return last
 
@@ -257,7 +245,7 @@ class Comparison:
         gradient = by.T @ step - weight * products[R, R + 1 :]
         hessian = weight * products[R + 1 :, R + 1 :] - by.T @ follows
         pulls = each[:, R - S, R - S + 1 :] - each[:, R - S, : R - S] @ follows[S:]
-        likely = value, gradient, hessian, weight * pulls, -follows
+        likely = value, gradient, hessian, weight * pulls
         return Fit(noise, a, S, rows, products, loss, step, gain, *likely)
 
 
@@ -307,8 +295,6 @@ class Fit:
     """[P, P] half its curvature, with the nuisance parameters marginalised."""
     pulls: Array
     """[T, P] half the gradient of each frame, of markers in motion."""
-    follows: Array
-    """[S + B + 7, P] how the registration changes with the parameters."""
 
     @property
     def rms(self) -> float:

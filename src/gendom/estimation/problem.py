@@ -21,7 +21,6 @@ from gendom.estimation.replay import Shape, middle, replay_axis
 from gendom.estimation.scene import (
     COARSE_FRAMES,
     COARSE_POINTS,
-    COARSE_SHARE,
     COARSE_STRETCH,
     STRETCH,
     LiftScene,
@@ -181,10 +180,8 @@ class Part:
             return scene
         along = len(scene.initial) if rope else max(scene.body.shape)
         points, stretch = COARSE_POINTS[scene.kind], STRETCH if rope else COARSE_STRETCH
-        if rope and scene.limp:
-            points = max(points, (along + 1) // 2)
-        elif not rope:
-            points = along if scene.limp else max(points, round(COARSE_SHARE * along))
+        if scene.limp:
+            points = max(points, (along + 1) // 2) if rope else along
         few = along < 1.3 * points
         return scene if few else scene.simulated_with(points, stretch)
 
@@ -246,7 +243,6 @@ class Problem:
         self._on_progress = on_progress
         self.placed = 0
         """How often markers were found beside the axis."""
-        self._anchors: tuple[tuple[Array, Array], ...] = ()
 
     @property
     def scene(self) -> LiftScene:
@@ -304,19 +300,6 @@ class Problem:
             return self
         parts = [replace(p, base=p.base.with_offsets(mean)) for p in self.parts]
         return self._with(parts, placed=self.placed + 1)
-
-    def about(self, start: Start) -> Problem | None:
-        """The same about a start: only how shapes change from there is simulated, with few points
-        (space mapping; Bandler et al. 1994, "Space mapping technique for electromagnetic
-        optimization"); None where that cannot be simulated."""
-        assert start.comparison is not None
-        anchors = []
-        for k, compared in enumerate(start.comparison.parts):
-            few = self.parts[k].coarser
-            begun = self._middles([start.vector], k, few)[:, 0]
-            anchors.append((compared.axis, begun))
-        usual = all(np.isfinite(begun).all() for _, begun in anchors)
-        return self._with(self.parts, _anchors=tuple(anchors)) if usual else None
 
     def with_unknown(self, name: str) -> Problem:
         """The same of one recording with one more unknown, the last one."""
@@ -398,11 +381,10 @@ class Problem:
                 for v, h in zip(vectors, steps, strict=True)
             ]
             sketch = part.scene.kind == "rope" if sketched is None else sketched
-            few = part.coarser if self._anchors or (sketch and derivatives) else part.scene
+            few = part.coarser if sketch and derivatives else part.scene
             shapes, changes = self._shapes(worlds, recording, few)
             found: list[Comparison | None] = []
-            each = zip(vectors, worlds, shapes, changes, steps, strict=True)
-            for v, own, here, change, h in each:
+            for own, here, change, h in zip(worlds, shapes, changes, steps, strict=True):
                 if not (np.isfinite(here).all() and np.isfinite(change).all()):
                     found.append(None)
                     continue
@@ -413,8 +395,8 @@ class Problem:
                 J = np.zeros((*here.shape, len(widens)))
                 J[..., moved] = change / h[which] @ back.T
                 widens[moved] = back @ ((r[1:] - r[0]) / h[which])
-                of, at = (float(r[0]), widens, part.base.offsets), v[part.shown]
-                found.append(Comparison(part.observation, here, J, *of, at))
+                made = part.observation, here, J, float(r[0]), widens, part.base.offsets
+                found.append(Comparison(*made))
             columns.append(found)
         rows = zip(*columns, strict=True)
         return [None if None in row else Comparisons(row) for row in rows]
@@ -433,10 +415,6 @@ class Problem:
         if few is part.scene:
             return shapes, changes
         to, of = part.observation.shape, Shape(few)
-        if self._anchors:
-            fine, begun = self._anchors[recording]
-            shapes = [fine + to.taken_from(of, shape - begun) for shape in shapes]
-            return shapes, [to.taken_from(of, change) for change in changes]
         x = self._middles([row[0] for row in worlds], recording, part.scene)
         return list(np.swapaxes(x, 0, 1)), [to.taken_from(of, change) for change in changes]
 

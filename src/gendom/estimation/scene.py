@@ -52,11 +52,9 @@ where it bends over 25 to 45 mm and is 0.5 to 1 mm thick. A rope gets at least t
 fibres resist stretch more than bending, in which they slide past each other. With one E for both
 soft ropes stretch by up to 4 %, and their tails follow less over the table."""
 
-COARSE_POINTS, COARSE_SHARE = {"rope": 17, "cloth": 21}, 0.6
-COARSE_FRAMES, COARSE_STRETCH = 18, 0.01
-"""Where a search begins: points of a rod, or along the longer side of a shell, of which that is the
-least, and a share of the points that it has else; frames that are compared, at most; and in place
-of `STRETCH`."""
+COARSE_POINTS, COARSE_FRAMES, COARSE_STRETCH = {"rope": 17, "cloth": 21}, 18, 0.01
+"""Where a search begins: points of a rod, or along the longer side of a shell, frames that are
+compared, at most, and in place of `STRETCH`."""
 
 
 FINER = "limp: simulated along its longer side with"

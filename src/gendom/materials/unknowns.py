@@ -243,7 +243,7 @@ UNKNOWNS: dict[str, Unknown] = {
         Unknown(
             "grip_reach", "grip reach", "m",
             "how much farther from the held point than stated the cloth moves with the gripper",
-            low=-0.05, high=0.05, mean=0.0, sd=0.004, step=6e-3, widest=0.01, kinds=("cloth",),
+            low=-0.05, high=0.05, mean=0.0, sd=0.004, step=2e-3, widest=0.01, kinds=("cloth",),
         ),
         Unknown(
             "yaw", "yaw", "rad", "turn of the lying cloth from the first guess on",

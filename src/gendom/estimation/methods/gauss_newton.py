@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from gendom.arrays import Array
-from gendom.estimation.likelihood import Comparisons
 from gendom.estimation.methods.search import best_of, estimated_noise, first_starts
 from gendom.estimation.observed import NoiseModel
 from gendom.estimation.priors import INSTRUMENTED
@@ -39,9 +38,8 @@ DAMPING, DAMPING_RATIO = (1e-3, 1e3), 30.0
 """Levenberg's and Marquardt's: the least, and that at which a start is given up; ratio of two side
 by side."""
 
-STEPS, TRIED = 6, 4
-"""Steps of a cloth about a place before they are simulated as finely as the problem asks for, and
-jumps, the best ones, that are."""
+TRIED = 4
+"""Leaps that are simulated as finely as the problem asks for: the nearest ones of a coarse try."""
 
 UNLIKELY = 9.0
 """Fall of -2 log likelihood, that of three deviations, beyond which another end does not count."""
@@ -66,24 +64,15 @@ class GaussNewtonSettings:
     rugged: bool = False
     """Whether several steps are tried side by side."""
     jumps: tuple[float, ...] = ()
-    """Size of trial jumps of each unknown after steps have converged, in deviations."""
+    """Size of trial jumps of the object's unknowns after steps have converged, in deviations."""
 
     @classmethod
     def of(cls, kind: str, **changes: Any) -> GaussNewtonSettings:
-        """For ropes or cloths.
-
-        For cloths the grip matters as much as the bending, so all unknowns are free in the coarse
-        stage but its reach, which few points show in jumps; the objective is rugged, with many
-        local minima; and the model's error exceeds the noise of the clouds, so small gains do not
-        count.
-        """
+        """For ropes or cloths, of which the grip matters as much as the bending, so all unknowns
+        are free; the objective is rugged; and the model's error exceeds the noise of the clouds, so
+        small gains do not count."""
         if kind == "cloth":
-            own = {
-                "leading": (),
-                "gain": (2.0, 10.0),
-                "rugged": True,
-                "jumps": (-5.0, -2.0, 2.0, 5.0),
-            }
+            own = {"leading": (), "gain": (2.0, 10.0), "rugged": True, "jumps": (3.0, 6.0, 9.0)}
             changes = own | changes
         return cls(**changes)
 
@@ -117,8 +106,6 @@ def gauss_newton(
         best = best_of(starts)
         if best is None:
             raise problem.nothing_runs()
-        if settings.rugged:
-            problem = problem.finer(best.vector)
         rivals = _rivals(problem.coarse, best, starts)
         noise = _fine_stage(problem, best, stated, settings, iteration, most)
         ends = [(s, _fine_stage(problem, s, stated, settings, iteration, most)) for s in rivals]
@@ -202,84 +189,19 @@ def _fine_stage(
     if best.stage == "coarse":
         _compare_all(problem, best, settings)
     while iteration < most:
-        iteration += STEPS if settings.rugged else 1
+        iteration += 1
         assert best.comparison is not None
         noise = estimated_noise(best.comparison, noise)
         best.value = problem.value(best.vector, best.comparison, noise)
         best.done = False
-        if settings.rugged:
-            best.done = not _moved_about(problem, best, noise, settings)
-        else:
-            _step(problem, [best], noise, settings.gain[1], settings)
+        _step(problem, [best], noise, settings.gain[1], settings)
         problem.tell("noise", iteration, most, best)
-        if best.done:
+        if best.done and not _jump(problem, best, noise, settings):
             break
     else:
-        if settings.rugged:
-            _compare_all(problem, best, settings)
-        else:
-            _renew(problem, [best], noise, None)
+        _renew(problem, [best], noise, None)
     assert best.comparison is not None
     return estimated_noise(best.comparison, noise)
-
-
-def _moved_about(
-    problem: Problem, start: Start, noise: Sequence[NoiseModel], settings: GaussNewtonSettings
-) -> bool:
-    """Steps where only changes from a start are simulated, see `Problem.about`; it moves to one of
-    them that is better with all points, too, or else to the end of a jump: some deviations along
-    one unknown, the others at their conditional means. Returns whether it moves."""
-    near, former, places = problem.about(start), start.comparison, [start.vector]
-    own = replace(start, damping=DAMPING[0])
-    if near is not None:
-        _renew(near, [own], noise, None)
-    first = own.comparison
-    if near is None or former is None or first is None or first is former:
-        return False
-    problem.inherit_derivatives(former, first, *np.zeros((2, len(start.vector))))
-    for _ in range(STEPS):
-        if not own.done:
-            _step(near, [own], noise, settings.gain[0], settings)
-        if own.vector is not places[-1]:
-            places.append(own.vector)
-    start.iterations = own.iterations
-    ends = places[len(places) // 2 : -1][:1] + places[1:][-1:]
-    if _taken_best(problem, start, ends, noise, own.comparison or first, settings.gain[1]):
-        return True
-    covariance = np.linalg.inv(problem.gradient_and_hessian(start, noise)[1])
-    places = [
-        problem.prior.clipped(start.vector + far * along / np.sqrt(along[k]))
-        for k, along in enumerate(covariance)
-        for far in settings.jumps
-    ]
-    values = near.values(places, near.compare(places, derivatives=False), noise, first)
-    places = [places[k] for k in np.argsort(values, kind="stable")[:TRIED]]
-    return _taken_best(problem, start, places, noise, first, settings.gain[1])
-
-
-def _taken_best(
-    problem: Problem,
-    start: Start,
-    places: Sequence[Array],
-    noise: Sequence[NoiseModel],
-    near: Comparisons,
-    least: float,
-) -> bool:
-    """Move a start to the best one of some places [P], with the derivatives that it has, if that
-    gains so much; registrations begin with the result of one nearby. Returns whether it moves."""
-    former = start.comparison
-    if not places or former is None:
-        return False
-    compared = problem.compare(places, derivatives=False)
-    values = problem.values(places, compared, noise, near)
-    best = int(np.argmin(values))
-    closer = compared[best]
-    if closer is None or start.value - values[best] < least:
-        return False
-    problem.inherit_derivatives(closer, former, *np.zeros((2, len(start.vector))))
-    start.iterations += 1
-    start.take(places[best], closer, values[best])
-    return True
 
 
 def _apart(
@@ -335,13 +257,51 @@ def _likeliest(
     return best, noise, tuple(s.vector for s in others)
 
 
+def _jump(
+    problem: Problem,
+    start: Start,
+    noise: Sequence[NoiseModel],
+    settings: GaussNewtonSettings,
+) -> bool:
+    """Move a start to a better point some deviations away, each of the object's unknowns in both
+    directions and the others by their conditional means. Returns whether there is one."""
+    prior = problem.prior
+    if not settings.jumps or not any(UNKNOWNS[name].material for name in prior.names):
+        return False
+    covariance = np.linalg.inv(problem.gradient_and_hessian(start, noise)[1])
+    places = [
+        prior.clipped(start.vector + way * far * covariance[k] / np.sqrt(covariance[k, k]))
+        for k, name in enumerate(prior.names)
+        if UNKNOWNS[name].material
+        for far in settings.jumps
+        for way in (-1.0, 1.0)
+    ]
+    former = start.comparison
+    assert former is not None
+    # those that are nearest with few points
+    coarse = problem.coarse.compare(places, derivatives=False)
+    rms = [np.inf if c is None else c.rms for c in coarse]
+    places = [places[k] for k in np.argsort(rms, kind="stable")[:TRIED]]
+    compared = problem.compare(places, derivatives=False)
+    values = problem.values(places, compared, noise, former)
+    best = int(np.argmin(values))
+    closer = compared[best]
+    if closer is None or start.value - values[best] < settings.gain[1]:
+        return False
+    problem.inherit_derivatives(closer, former, *np.zeros((2, len(prior.names))))
+    start.iterations += 1
+    start.take(places[best], closer, values[best])
+    start.done, start.renew, start.damping = False, True, DAMPING[0]
+    return True
+
+
 def _compare_all(problem: Problem, start: Start, settings: GaussNewtonSettings) -> None:
     """Compare a start of the coarse problem in the full one, by all unknowns."""
     former, start.damping, start.stage = start.comparison, DAMPING[0], "fine"
     start.exact, start.renew = not settings.rugged, False
     start.precise = settings.rugged or problem.captured
     (start.comparison,) = problem.compare([start.vector], sketched=True)
-    if start.comparison is None and former is not None and settings.rugged:
+    if start.comparison is None and former is not None and not settings.leading:
         # where a neighbour cannot be simulated, the old derivatives stay
         (start.comparison,) = problem.compare([start.vector], derivatives=False)
         if start.comparison is not None:
