@@ -24,8 +24,7 @@ from torch import nn
 from experiments.coverage import LEVEL
 from experiments.lifts import estimate_settings
 from experiments.runs import Result, Runs, Table
-from experiments.sbc import drawn_lifts
-from gendom.datasets import Recording
+from experiments.sbc import drawn_lifts, seen
 from gendom.errors import GendomError
 from gendom.estimation import estimate
 from gendom.estimation.lift_plan import ObjectClass
@@ -98,7 +97,9 @@ def simulated(seed: int) -> dict[str, Array]:
     """What the network sees of a batch of lifts, and their truths [B, targets], transformed."""
     lifts = drawn_lifts(ROPE, "hold", np.random.default_rng([91, seed]), BATCH)
     return {
-        "X": np.array([seen(r) for r, _, _ in lifts]).reshape(-1, FRAMES, POINTS, 3),
+        "X": np.array([seen(r, FRAMES, POINTS) for r, _, _ in lifts]).reshape(
+            -1, FRAMES, POINTS, 3
+        ),
         "Y": np.array([[v[n] for n in TARGETS] for _, _, v in lifts]).reshape(-1, len(TARGETS)),
     }
 
@@ -116,16 +117,13 @@ def estimated(seed: int) -> dict[str, Any] | None:
     p, seconds = found.posterior, time.perf_counter() - began
     at, truth = [p.names.index(name) for name in TARGETS], [drawn[name] for name in TARGETS]
     sd = np.sqrt(np.diag(p.covariance))[at]
-    return {"X": seen(recording), "truth": truth, "mean": p.mean[at], "sd": sd, "seconds": seconds}
-
-
-def seen(recording: Recording) -> Array:
-    """[FRAMES, POINTS, 3] points from the first place of the gripper [0.1 m]."""
-    frames = np.flatnonzero(recording.frame_valid)
-    frames = frames[np.linspace(0, len(frames) - 1, FRAMES).round().astype(int)]
-    rng, clouds = np.random.default_rng(0), [recording.frame(int(t)) for t in frames]
-    points = np.array([cloud[rng.choice(len(cloud), POINTS)] for cloud in clouds])
-    return 10.0 * (points - recording.gripper_position[frames[0], 0])
+    return {
+        "X": seen(recording, FRAMES, POINTS),
+        "truth": truth,
+        "mean": p.mean[at],
+        "sd": sd,
+        "seconds": seconds,
+    }
 
 
 class Clouds(nn.Module):

@@ -27,6 +27,7 @@ from experiments.coverage import LEVEL, Covered, covered, reasons_of, shown_of
 from experiments.lifts import Lifts, estimate_settings
 from experiments.runs import Result, Runs, Table
 from gendom.arguments import require
+from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import GendomError, RobotError
 from gendom.estimation import LiftScene, estimate
@@ -165,6 +166,15 @@ def drawn_lifts(
             drawn_at = dict(zip(prior.names, v.tolist(), strict=True))
             found.append((misplaced(recording, settings.noise, rng), truth, drawn_at))
     return found
+
+
+def seen(recording: Recording, frames: int, points: int) -> Array:
+    """[frames, points, 3] clouds from the first place of the gripper [0.1 m]."""
+    which = np.flatnonzero(recording.frame_valid)
+    which = which[np.linspace(0, len(which) - 1, frames).round().astype(int)]
+    rng, clouds = np.random.default_rng(0), [recording.frame(int(t)) for t in which]
+    chosen = np.array([cloud[rng.choice(len(cloud), points)] for cloud in clouds])
+    return 10.0 * (chosen - recording.gripper_position[which[0], 0])
 
 
 def misplaced(recording: Recording, noise: NoiseModel, rng: np.random.Generator) -> Recording:

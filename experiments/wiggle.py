@@ -18,9 +18,8 @@ from torch import Tensor, nn
 from experiments.planning import GOALS, evolved, missed
 from experiments.rope_real import ROPES
 from experiments.runs import Result, Runs
-from experiments.sbc import drawn_lifts
+from experiments.sbc import drawn_lifts, seen
 from gendom.arrays import Array
-from gendom.datasets import Recording
 from gendom.estimation.lift_plan import ObjectClass
 from gendom.materials import Item, size_of
 from gendom.materials.estimate import Estimate
@@ -46,18 +45,9 @@ ROLLOUTS, LABELS, UNKNOWNS = 40, 8, ("E_over_rho", "damping")
 def simulated(seed: int) -> tuple[Array, Array]:
     """Clouds of a batch of lifts, and the logarithms of their `UNKNOWNS`."""
     lifts = drawn_lifts(ROPE, "swing", np.random.default_rng([92, seed]), BATCH)
-    clouds = np.array([seen(recording) for recording, _, _ in lifts])
+    clouds = np.array([seen(recording, FRAMES, POINTS) for recording, _, _ in lifts])
     truths = np.log([[truth[n] for n in UNKNOWNS] for _, truth, _ in lifts])
     return clouds.reshape(-1, FRAMES, POINTS, 3), truths.reshape(-1, len(UNKNOWNS))
-
-
-def seen(recording: Recording) -> Array:
-    """[FRAMES, POINTS, 3] points from the first place of the gripper [0.1 m]."""
-    frames = np.flatnonzero(recording.frame_valid)
-    frames = frames[np.linspace(0, len(frames) - 1, FRAMES).round().astype(int)]
-    rng, clouds = np.random.default_rng(0), [recording.frame(int(t)) for t in frames]
-    points = np.array([cloud[rng.choice(len(cloud), POINTS)] for cloud in clouds])
-    return 10.0 * (points - recording.gripper_position[frames[0], 0])
 
 
 class FromClouds(nn.Module):
@@ -120,7 +110,8 @@ def run(runs: Runs, flags: argparse.Namespace) -> Result:
     X, Y = map(np.concatenate, zip(*runs.each(simulated, seeds, "lifts"), strict=True))
     items, L = list(map(find_object, ROPES)), size_of(ROPE)
     motion, named = predefined_lift("rope", "swing"), zip(ROPES, items, strict=True)
-    shown = [seen(runs.recorded(f"lift-{name}", item, motion)) for name, item in named]
+    lifts = [runs.recorded(f"lift-{name}", item, motion) for name, item in named]
+    shown = [seen(recording, FRAMES, POINTS) for recording in lifts]
     logs = fitted(X, np.empty((len(X), 0)), Y, runs.device, runs.seed)(shown, np.empty((3, 0)))
     taught = [rope_of(items[k % 3], row) for k, row in enumerate(Y) for _ in range(LABELS)]
     low, high = np.moveaxis(np.array([policy.goal_range(item) for item in taught]), 2, 0)
