@@ -15,7 +15,8 @@ import numpy as np
 
 from gendom.datasets import demonstrations
 from gendom.datasets.demonstrations import SHARD_SIZE, generate
-from gendom.sim.thin.engine import Run, ThinEngine
+from gendom.sim.thin.engine import ThinEngine
+from gendom.sim.thin.run import Run
 from gendom.tasks import find_task
 from gendom.tasks.demonstrator import Demonstrator
 

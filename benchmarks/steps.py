@@ -1,6 +1,6 @@
 """CPU time of steps under control beside a run of the same path, known before.
 
-python benchmarks/steps.py [--worlds 1 16 64 256] [--rounds 5]
+python benchmarks/steps.py [--worlds 1 8 64 256] [--rounds 5]
 """
 
 import argparse
@@ -25,7 +25,7 @@ ROPE = Material(E=1e6, nu=0.35, density=800.0, damping=0.005)
 def main() -> None:
     """Print a row for each number of worlds: medians of rounds in turn."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--worlds", type=int, nargs="+", default=[1, 16, 64, 256])
+    parser.add_argument("--worlds", type=int, nargs="+", default=[1, 8, 64, 256])
     parser.add_argument("--rounds", type=int, default=5)
     flags = parser.parse_args()
     start = BODY.points[0]

@@ -77,15 +77,16 @@ def check_numbers(
         finite: Whether all must be finite.
     """
     a = _array(name, values, shapes, "iuf", "number").astype(float, copy=False)
-    bad = ~np.isfinite(a) if finite else np.isnan(a)
-    bad |= a < least
+    good = np.isfinite(a) if finite else ~np.isnan(a)
+    if least > -math.inf:
+        good &= a >= least
     if above is not None:
-        bad |= a <= above
-    if bad.any():
+        good &= a > above
+    if not good.all():
         asked = ["positive"] * (above == 0.0) + ["finite"] * finite
         asked += [f"above {above}"] if above else []
         asked += [f"at least {least:g}"] if least > -math.inf else []
-        raise _refused(name, " and ".join(asked) or "a number", a, bad)
+        raise _refused(name, " and ".join(asked) or "a number", a, ~good)
     return a
 
 
@@ -127,7 +128,7 @@ def _array(name: str, values: Any, shapes: tuple[Shape, ...], kinds: str, noun: 
     except (TypeError, ValueError, RuntimeError):  # ragged, or a tensor that requires a gradient
         a = np.asarray(None)
     right = a.dtype.kind in kinds or a.size == 0
-    if right and (not shapes or any(fits(a.shape, shape) for shape in shapes)):
+    if right and (not shapes or a.shape in shapes or any(fits(a.shape, of) for of in shapes)):
         return a
     single = f"an {noun}" if noun == "integer" else f"a {noun}"
     arrays = " or ".join(f"[{', '.join(map(str, shape))}]" for shape in shapes if shape)

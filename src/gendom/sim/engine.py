@@ -10,15 +10,14 @@ import warp as wp
 
 from gendom.arrays import Array
 from gendom.errors import SimulationError
-from gendom.sim.paths import CommandedPaths
 from gendom.sim.setting import Setting, spread
 
 
 class Engine:
     """W worlds of one body on a device."""
 
-    commanded: CommandedPaths | None = None
-    """Paths of grippers that somebody controls, if any."""
+    commanded = False
+    """Whether somebody controls the grippers."""
     used = False
     """Whether it has been run."""
 

@@ -119,26 +119,24 @@ class Targets:
     def of(
         self, worlds: int, grippers: int
     ) -> tuple[Array, Array | None, NDArray[np.bool_] | None]:
-        """Positions [W, G, 3], orientations [W, G, 4] and whether they hold [W, G].
+        """Positions, orientations and whether they hold, each of [G] or of [W, G].
 
         Raises:
             ParameterError: If a shape does not fit, or a number is not finite.
         """
         shape = (worlds, grippers)
         position = check_numbers("targets.position", self.position, (grippers, 3), (*shape, 3))
-        position = np.broadcast_to(position, (*shape, 3))
         q, closed = self.quat_xyzw, self.closed
         if q is not None:
             q = check_numbers("targets.quat_xyzw", q, (grippers, 4), (*shape, 4))
             size = np.linalg.norm(q, axis=-1, keepdims=True)
             require(size.min() > 1e-6, "must not be zero", where="targets.quat_xyzw")
-            q = np.broadcast_to(q / size, (*shape, 4))
+            q = q / size
         if closed is not None:
             closed = np.asarray(closed)
             fits = closed.dtype == bool and closed.shape in ((grippers,), shape)
             require(fits, f"must be true or false for each of {grippers} grippers, [G] or [W, G]",
                     where="targets.closed")  # fmt: skip
-            closed = np.broadcast_to(closed, shape)
         return position, q, closed
 
 

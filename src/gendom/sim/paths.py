@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gendom.arrays import Array
@@ -56,9 +57,10 @@ def paths_on(device: Any, arrays: Mapping[str, Array], real: Any) -> Any:
     """
     paths, on_cpu = make_path_type(real)(), wp.get_device(device).is_cpu
     for name, of in make_path_type(real).vars.items():
-        values, kind = np.ascontiguousarray(arrays[name]), of.type.dtype
+        values, kind = np.require(arrays[name], requirements="W"), of.type.dtype
         number = wp.dtype_to_numpy(getattr(kind, "_wp_scalar_type_", kind))
         shared = on_cpu and values.dtype == number
+        values = values if shared else np.ascontiguousarray(values)
         setattr(paths, name, wp.array(values, dtype=kind, device=device, copy=not shared))
     return paths
 
@@ -200,21 +202,24 @@ class HostPaths:
 
     def pose(self, g: int, w: Array, t: Array) -> Pose:
         """Pose of gripper g of worlds w [k], each once, at times t [k] [s]."""
-        path, (knot, share, _) = self.arrays, self._at(g, w, t)
-        last, _, rate = self._at(g, w, t, before=True)
-        p, turn, turns = path["position"], path["turn"], path["turns"][w, g, None]
-        a = p[w, g, knot]
-        q = rotation.product(_exp(share * turn[w, g, knot]), path["orientation"][w, g, knot])
-        return Pose(
-            centre=a + share * (p[w, g, knot + 1] - a),
-            q=np.where(turns == 1, q, [0.0, 0.0, 0.0, 1.0]),
-            velocity=rate * (p[w, g, last + 1] - p[w, g, last]),
-            spin=turns * rate * turn[w, g, last],
-        )
+        path, (knot, share, _, _) = self.arrays, self._at(g, w, t)
+        turned = _exp(share * path["turn"][w, g, knot])
+        q = rotation.product(turned, path["orientation"][w, g, knot])
+        turns = path["turns"][w, g, None] == 1
+        centre, velocity, spin = self.motion(g, w, t)
+        return Pose(centre, np.where(turns, q, [0.0, 0.0, 0.0, 1.0]), velocity, spin)
+
+    def motion(self, g: int, w: Array, t: Array) -> tuple[Array, Array, Array]:
+        """Centre, velocity and spin of ``pose``."""
+        path, (knot, share, last, rate) = self.arrays, self._at(g, w, t)
+        p, a = path["position"], path["position"][w, g, knot]
+        centre = a + share * (p[w, g, knot + 1] - a)
+        velocity = rate * (p[w, g, last + 1] - p[w, g, last])
+        return centre, velocity, path["turns"][w, g, None] * rate * path["turn"][w, g, last]
 
     def pose_adjoint(self, g: int, w: Array, t: Array, adjoint: Pose) -> None:
         """Transpose of ``pose``: adds to the derivatives by the knots."""
-        (knot, share, _), (last, _, rate) = self._at(g, w, t), self._at(g, w, t, before=True)
+        knot, share, last, rate = self._at(g, w, t)
         self.position_bar[w, g, knot] += (1.0 - share) * adjoint.centre
         self.position_bar[w, g, knot + 1] += share * adjoint.centre
         self.position_bar[w, g, last] -= rate * adjoint.velocity
@@ -235,18 +240,17 @@ class HostPaths:
         self.turn_bar[w, g, knot] += turns * (gone - np.linalg.solve(before, bar)[..., 0])
         self.turn_bar[w, g, knot + 1] += turns * np.linalg.solve(after, bar)[..., 0]
 
-    def _at(
-        self, g: int, w: Array, t: Array, *, before: bool = False
-    ) -> tuple[Array, Array, Array]:
-        """Of the segments of times t, or of those just ``before``: the knots [k] that begin them,
-        elapsed shares, and 1 / durations, 0 outside of the path [1/s], [k, 1] each."""
-        time, i = self.arrays["time"][w, g], np.arange(len(t))
-        passed = time[:, 1:-1] < t[:, None] if before else time[:, 1:-1] <= t[:, None]
-        knot = np.count_nonzero(passed, axis=1)
-        begin, end = time[i, knot], time[i, knot + 1]
-        span = np.where(end > begin, end - begin, np.inf)
-        rate = np.where((begin < t) & (t <= end), 1.0 / span, 0.0)
-        return knot, np.clip((t - begin) / span, 0.0, 1.0)[:, None], rate[:, None]
+    def _at(self, g: int, w: Array, t: Array) -> tuple[Array, Array, Array, Array]:
+        """The knots [k] that begin the segments of times t, and elapsed shares; the same of those
+        just before, and 1 / durations, 0 outside of the path [1/s]; [k, 1] each."""
+        time, i, late = self.arrays["time"][w, g], np.arange(len(t)), t[:, None]
+        knot, last = (by(time[:, 1:-1], late).sum(axis=1) for by in (np.less_equal, np.less))
+        begin, before, after = time[i, knot], time[i, last], time[i, last + 1]
+        span, length = time[i, knot + 1] - begin, after - before
+        share = np.clip((t - begin) / np.where(span > 0.0, span, np.inf), 0.0, 1.0)
+        within = (before < t) & (t <= after)
+        rate = np.where(within, 1.0 / np.where(within, length, 1.0), 0.0)
+        return knot, share[:, None], last, rate[:, None]
 
 
 def _exp(turn: Array) -> Array:
@@ -254,7 +258,7 @@ def _exp(turn: Array) -> Array:
     return Rotation.from_rotvec(turn).as_quat()
 
 
-class CommandedPaths:
+class CommandedPaths(HostPaths):
     """Paths of three knots, given anew at each step: where grippers came from, where they are, and
     where they go.
 
@@ -268,39 +272,53 @@ class CommandedPaths:
 
     def __init__(self, paths: HostPaths, now: float):
         W, G = paths.arrays["radius"].shape
-        self.arrays = {name: np.array(values) for name, values in paths.arrays.items()}
-        for name in ("time", "position", "orientation", "turn"):
-            self.arrays[name] = np.zeros((W, G, 3, *self.arrays[name].shape[3:]))
-        self.arrays["time"] += now + np.array([-2.0, -1.0, 0.0])
-        self.arrays["turns"] = np.ones((W, G), dtype=np.int32)
+        knots = np.zeros((3, W, G, 11))
+        self._knots = tuple(knots)
+        every, of = np.arange(W), np.moveaxis(knots, 0, 2)
+        super().__init__({
+            "time": of[..., 0], "position": of[..., 1:4], "orientation": of[..., 4:8],
+            "turn": of[..., 8:], "turns": np.ones((W, G), dtype=np.int32),
+            "hold_from": np.empty((W, G)), "hold_until": np.empty((W, G)),
+            "radius": paths.arrays["radius"],
+        })  # fmt: skip
+        knots[..., 0] = now + np.array([[[-2.0]], [[-1.0]], [[0.0]]])
         for g in range(G):
-            pose = paths.pose(g, np.arange(W), np.full(W, now))
-            self.arrays["position"][:, g] = pose.centre[:, None]
-            self.arrays["position"][:, g, 1] -= pose.velocity
-            self.arrays["orientation"][:, g] = pose.q[:, None]
-            self.arrays["turn"][:, g, 1] = pose.spin
+            pose = paths.pose(g, every, np.full(W, now))
+            knots[:, :, g, 1:8] = np.hstack([pose.centre, pose.q])
+            knots[1, :, g, 1:4] -= pose.velocity
+            knots[1, :, g, 8:] = pose.spin
         self._arrive = now
+        self._hold((paths.arrays["hold_from"] <= now) & (now < paths.arrays["hold_until"]))
+
+    def _hold(self, closed: NDArray[np.bool_]) -> None:
+        self.closed = closed
+        """[W, G] whether they hold something from now on."""
+        self.arrays["hold_from"][...] = np.where(closed, -np.inf, np.inf)
+        self.arrays["hold_until"][...] = np.where(closed, np.inf, -np.inf)
 
     def command(
-        self, now: float, until: float, position: Array, quat_xyzw: Array | None, closed: Array
-    ) -> None:
-        """Let grippers go straight to positions [W, G, 3] [m] and orientations [W, G, 4] until then
-        [s]; those that are ``closed`` [W, G] hold something from now on. Without orientations they
-        keep theirs.
+        self,
+        now: float,
+        until: float,
+        position: Array,
+        quat_xyzw: Array | None,
+        closed: NDArray[np.bool_] | None,
+    ) -> bool:
+        """Let grippers go straight to positions [..., 3] [m] and orientations [..., 4] of [G] or
+        [W, G] until then [s]; those that are ``closed`` hold something from now on. Without
+        orientations they keep theirs, without ``closed`` they stay as they are. Returns whether
+        some do not.
         """
-        path, stood = self.arrays, self._arrive != now
+        came, here, there = self._knots
         # the knot before tells how fast they have come, for what one lets go of
-        for name in ("time", "position", "orientation"):
-            knots = path[name]
-            knots[:, :, 0] = knots[:, :, 2 if stood else 1]
-            knots[:, :, 1] = knots[:, :, 2]
-        path["turn"][:, :, 0] = 0.0 if stood else path["turn"][:, :, 1]
-        path["time"][:, :, 1], path["time"][:, :, 2] = now, until
-        path["position"][:, :, 2] = position
-        path["turn"][:, :, 1] = 0.0
+        came[...] = here if self._arrive == now else there
+        here[...] = there
+        here[..., 0], there[..., 0], there[..., 1:4] = now, until, position
         if quat_xyzw is not None:
-            path["orientation"][:, :, 2] = quat_xyzw
-            path["turn"][:, :, 1] = turns_of(path["orientation"])[:, :, 1]
-        path["hold_from"][...] = np.where(closed, -np.inf, np.inf)
-        path["hold_until"][...] = np.where(closed, np.inf, -np.inf)
+            there[..., 4:8] = quat_xyzw
+            here[..., 8:] = turns_of(self.arrays["orientation"])[:, :, 1]
         self._arrive = until
+        if closed is None or (closed == self.closed).all():
+            return False
+        self._hold(np.broadcast_to(closed, self.closed.shape).copy())
+        return True

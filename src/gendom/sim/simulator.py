@@ -110,9 +110,9 @@ class Simulator(Shown):
             self.engine = kind(setting, substep=solver.substep, cfl=solver.cfl)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        # a name that is set afterwards would change nothing
-        fix = "make another simulator; Simulator.step moves grippers"
-        require(name in ATTRIBUTES, f"a simulator has no {name} that can be set", fix=fix)
+        if name not in ATTRIBUTES:  # it would change nothing
+            fix = "make another simulator; Simulator.step moves grippers"
+            raise ParameterError(f"a simulator has no {name} that can be set", fix=fix)
         super().__setattr__(name, value)
 
     def _shown(self) -> tuple[str, list[tuple[str, str]]]:
@@ -228,13 +228,7 @@ class Simulator(Shown):
         check_number("dt", dt, above=0.0)
         check_type("targets", targets, Targets, optional=True)
         until = self.time + dt
-        engine = self._thin("steps")
-        if targets is not None:
-            engine.command(*targets.of(*engine.closed.shape), until)
-        if engine.commanded is None:
-            self.run([until], particles=[], keep_going=keep_going)
-            return
-        engine.step(until, keep_going=keep_going)
+        self._thin("steps").steps.take(until, targets, keep_going=keep_going)
         self.time = until
 
     def gripper_forces(self) -> Array:

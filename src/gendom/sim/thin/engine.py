@@ -16,14 +16,15 @@ from gendom.sim.device import load_kernels
 from gendom.sim.engine import Engine
 from gendom.sim.gripper import Grippers
 from gendom.sim.obstacles import check_thick, numbers_of_obstacles
-from gendom.sim.paths import CommandedPaths, HostPaths, Pose, paths_on
+from gendom.sim.paths import HostPaths, Pose, paths_on
 from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
 from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, Ties, close, released
 from gendom.sim.thin.rods import RodModel
-from gendom.sim.thin.run import Event, Round, Schedule, put
+from gendom.sim.thin.run import Event, Round, Run, Schedule, put
 from gendom.sim.thin.shells import ShellModel
 from gendom.sim.thin.step import make_kernels
+from gendom.sim.thin.steps import Steps
 from gendom.sim.thin.types import CFL, SPIN, Q, V, X, make_types
 
 SHORTEST_SUBSTEP = 1e-9
@@ -31,35 +32,6 @@ SHORTEST_SUBSTEP = 1e-9
 
 GROUP = 16
 """Maximum number of worlds that a CPU thread simulates at a time."""
-
-
-class Run:
-    """Arrays of one run on the device, shared by the groups of worlds."""
-
-    def __init__(self, engine: "ThinEngine", frames: Frames, plan: Schedule, kept: wp.array | None):
-        W, vec3, nan = engine.num_worlds, engine.types.vec3, np.nan
-        shape, device = (len(frames.times), W, len(frames.particles)), engine.setting.device
-        self.frames, self.plan = frames, plan
-        self.on_device = plan.on_device(engine.types.ThinPlan(), device)
-        self.pieces = engine.zeros((W, 2), wp.int32)
-        self.stopped = wp.full(W, -1, dtype=wp.int32, device=device)
-        self.stopped_at = engine.zeros(W, wp.float64)
-        self.points = engine.array(frames.particles, wp.int32)
-        self.x = wp.full(shape, vec3(nan, nan, nan), dtype=vec3, device=device)
-        self.kept, self.every = (engine.state, -1) if kept is None else (kept, W)
-        self._launches: dict[int, Any] = {}
-        self._engine = engine
-
-    def launch(self, group: slice) -> None:
-        """Take the steps of a group's pieces."""
-        e, own = self._engine, self._launches
-        if group.start not in own:
-            own[group.start] = e.launch(e.kernels.advance, group, [
-                e.device_model, e.device_paths, self.on_device, self.pieces, 0, 0, e.state,
-                self.kept, self.every, LOCAL_STRETCH**2, STRETCH, self.stopped, self.stopped_at,
-                self.x, self.points,
-            ], record_cmd=True)  # fmt: skip
-        own[group.start].launch()
 
 
 class ThinEngine(Engine):
@@ -105,8 +77,8 @@ class ThinEngine(Engine):
         self.ties = Ties(rest, (W, G)) if G > 1 and s.body.cut is None else None
         self.device_model = self._device_model()
         self.state = self.zeros((W, m.state_rows, self.row_length))
-        self.now = np.full(W, s.start_time)
-        """[W] time of the state [s]."""
+        self.now = s.start_time
+        """Time of the state [s]."""
         self.last_dt = np.zeros(W)
         """[W] length of the last step [s]; 0 where velocities are those at the current time."""
         x = self.first_positions(n)
@@ -164,8 +136,11 @@ class ThinEngine(Engine):
         x, v = self.component(X), self.component(V)
         for g in range(self.closed.shape[1]):
             w = np.flatnonzero(self.closed[:, g] == 1)
-            with_hand, _ = released(x[w], self.paths.pose(g, w, self.now[w]), self.holds[w, g])
-            v[w] = np.where((self.holds[w, g] & 1)[..., None] > 0, with_hand, v[w])
+            k, i = np.nonzero(self.holds[w, g] & 1)
+            centre, velocity, spin = self.paths.motion(g, w, np.full(len(w), self.now))
+            v[w[k], i] = velocity[k]
+            if spin.any():
+                v[w[k], i] += np.cross(spin[k], x[w[k], i] - centre[k])
         return v.astype(self.setting.dtype)
 
     def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None:
@@ -182,7 +157,7 @@ class ThinEngine(Engine):
             spins = self.model.spins(self.component(X), v)
             rows[:, SPIN, self.slots[:-1]] = np.swapaxes(spins, 1, 2)
         self.state.assign(rows)
-        self.last_dt[:] = 0.0
+        self.last_dt = np.zeros(self.num_worlds)
 
     # ---- running ---------------------------------------------------------------------------------
 
@@ -203,39 +178,21 @@ class ThinEngine(Engine):
         """
         run = Run(self, frames, Schedule(frames, self, most_steps), kept)
         self.in_threads(partial(self._go, run, after), self.groups())
-        self._end(run)
+        self.ran(frames.times[-1], run.plan.last_dt())
         frames.x[...] = run.x.numpy().reshape(frames.x.shape) + self.origin.astype(frames.x.dtype)
         if frames.on_frame is not None:
             frames.on_frame(len(frames.times))
         self.raise_failures(keep_going=frames.keep_going)
         return run.plan
 
-    def step(self, until: float, *, keep_going: bool) -> None:
-        """Simulate all worlds to one time [s] within which no gripper closes or opens.
-
-        Raises:
-            SimulationError: If a world diverges, unless ``keep_going`` is set.
-        """
-        run, s = self._stepping, self.setting
-        span, plan = until - self.now, run.plan
-        steps = np.maximum(1, np.ceil(span / s.substep - 1e-9))
-        plan.begins[:, 0], plan.steps[:, 0], plan.before[:, 0] = self.now, steps, self.last_dt
-        plan.dt[:, 0] = span / steps
-        if s.device.is_cuda:
-            for name in ("begins", "steps", "before", "dt"):
-                getattr(run.on_device, name).assign(getattr(plan, name))
-        run.frames = replace(run.frames, times=np.array([until]))
-        put(run.stopped, slice(None), np.full(self.num_worlds, -1, dtype=np.int32))
-        # a step is short: few launches
-        self.in_threads(partial(self._go, run, None), self.groups(self.num_worlds))
-        self._end(run)
-        self.raise_failures(keep_going=keep_going)
+    def ran(self, until: float, last_dt: Array) -> None:
+        """Keep where a run has come to."""
+        self.used, self.now, self.last_dt = True, float(until), last_dt
 
     @cached_property
-    def _stepping(self) -> Run:
-        """A run of one piece that records no frame; its arrays serve all steps."""
-        frames = Frames(0.0, np.ones(1), np.zeros(0, dtype=int), np.empty(0), None, False)
-        return Run(self, frames, Schedule(frames, self, None), None)
+    def steps(self) -> Steps:
+        """For steps; its arrays serve all of them."""
+        return Steps(self)
 
     def _go(self, run: Run, after: Callable[[slice, Round], None] | None, group: slice) -> None:
         """Take a group of worlds through a run, from one gripper event to the next."""
@@ -247,16 +204,13 @@ class ThinEngine(Engine):
             events = self.switch(worlds[going], now[going])
             until = np.where(going, plan.until(group, at), at)
             until = np.where(np.isin(worlds, list(self.failures)), at, until)
-            safe = self.ties is None or self.ties.are_safe(self.paths, group)
-            apart = {} if safe else self._apart(plan, worlds, at, until)
+            apart = {}
+            if self.ties is not None and not self.ties.are_safe(self.paths, group):
+                apart = self._apart_in(plan, worlds, at, until)
             round = Round(events, np.stack([at, until], axis=1).astype(np.int32))
-            put(run.pieces, group, round.pieces)
+            put(run.on_device.piece, group, round.pieces)
             run.launch(group)
-            stopped, stopped_at = run.stopped.numpy()[group], run.stopped_at.numpy()[group]
-            for k in np.flatnonzero(stopped >= 0).tolist():
-                w, s = group.start + k, int(stopped[k])
-                if w not in self.failures:
-                    self.failures[w] = self._failure(w, s, float(stopped_at[k]), plan)
+            self.note_stopped(run, group)
             for w, error in apart.items():
                 self.failures.setdefault(w, error)
             if after is not None:
@@ -264,74 +218,58 @@ class ThinEngine(Engine):
             count[np.isin(worlds, list(self.failures))] = 0
             at = until
 
-    def _apart(
+    def note_stopped(self, run: Run, group: slice) -> None:
+        """Keep the errors of worlds of a group that a run has stopped."""
+        stopped = run.on_device.stopped.numpy()[group]
+        for w in (group.start + np.flatnonzero(stopped >= 0)).tolist():
+            if w not in self.failures:
+                self.failures[w] = self._failure(w, run.on_device)
+
+    def _apart_in(
         self, plan: Schedule, worlds: NDArray[np.int64], at: Array, until: Array
     ) -> dict[int, SimulationError]:
-        """Errors of worlds [k] that grippers will pull apart in the pieces from ``at`` to
-        ``until`` [k], which then ends before that piece."""
+        """As ``apart`` in the pieces from ``at`` to ``until`` [k], which then ends before that."""
         some = np.flatnonzero(until > at)
-        if not len(some) or self.ties is None:
-            return {}
         w, ends = worlds[some], plan.begins + (plan.done + plan.steps) * plan.dt
-        broken = self.ties.broken(self.paths, w, plan.time(w, at[some]), ends[w, until[some] - 1])
-        for k in np.flatnonzero(np.isin(worlds, list(broken))).tolist():
+        errors = self.apart(w, plan.time(w, at[some]), ends[w, until[some] - 1])
+        for k in np.flatnonzero(np.isin(worlds, list(errors))).tolist():
             pieces = ends[worlds[k], at[k] : until[k]]
-            until[k] = at[k] + np.count_nonzero(pieces <= broken[int(worlds[k])][0])
+            until[k] = at[k] + np.count_nonzero(pieces <= errors[int(worlds[k])].time)
+        return errors
+
+    def apart(
+        self, worlds: NDArray[np.int64], begin: Array, end: Array
+    ) -> dict[int, SimulationError]:
+        """Errors of worlds [k] that grippers will pull apart from ``begin`` to ``end`` [k] [s]."""
+        if self.ties is None or not len(worlds):
+            return {}
         fix = "paths that stay closer together, or a gripper that opens before"
+        broken = self.ties.broken(self.paths, worlds, begin, end)
         return {
             w: self.setting.error(w, time, what, where="grippers", fix=fix)
             for w, (time, what) in broken.items()
         }
 
-    def _end(self, run: Run) -> None:
-        """Keep where a run has come to."""
-        self.used, self.last_dt = True, run.plan.last_dt()
-        self.now[:] = run.frames.times[-1]
-
-    def command(
-        self,
-        position: Array,
-        quat_xyzw: Array | None,
-        closed: NDArray[np.bool_] | None,
-        until: float,
-    ) -> None:
-        """From now on grippers move straight to poses [W, G, .], where they are at a time [s].
-
-        Those of ``closed`` [W, G] hold from now on what they hold or close on, others open; None:
-        all stay as they are.
-        """
-        now = self.now[0]
-        held = (self.stacked["hold_from"] <= now) & (now < self.stacked["hold_until"])
-        held = held if closed is None else closed
-        self.closed[held & (self.closed == 2)] = 0
-        if self.commanded is None:
-            self.commanded = CommandedPaths(self.paths, now)
-            self.stacked, self.paths = self.commanded.arrays, HostPaths(self.commanded.arrays)
-            self.device_paths = paths_on(self.setting.device, self.stacked, self.real)
-        self.commanded.command(now, until, position - self.origin, quat_xyzw, held)
-        if self.setting.device.is_cuda:  # else the kernels read the same memory
-            for name in self.commanded.changing:
-                getattr(self.device_paths, name).assign(self.stacked[name])
-
-    def groups(self, most: int = GROUP) -> list[slice]:
-        """Groups of worlds, at most so many, that are launched together."""
+    def groups(self, most: int = GROUP, least: int = 1) -> list[slice]:
+        """Groups of worlds, at least and at most so many, that are launched together."""
         W = self.num_worlds
-        size = W if self.threads > 1 else max(1, min(most, -(-W // self.setting.threads)))
+        size = W if self.threads > 1 else max(least, min(most, -(-W // self.setting.threads)))
         return [slice(first, min(first + size, W)) for first in range(0, W, size)]
 
-    def _failure(self, w: int, s: int, time: float, plan: Schedule) -> SimulationError:
-        """Why world w stopped in piece s at a time [s]."""
-        error, model = self.setting.error, self.device_model
+    def _failure(self, w: int, run: Any) -> SimulationError:
+        """Why world w stopped in a run on the device."""
+        error, model, s = self.setting.error, self.device_model, int(run.stopped.numpy()[w])
+        begins, done, dt = (of.numpy()[w, s] for of in (run.begins, run.done, run.dt))
         if self.setting.self_contact and model.near_count.numpy()[w].sum() > model.near.shape[1]:
             return error(
-                w, float(plan.time(w, s)), f"more than {PAIRS} pairs a point are about to meet",
+                w, float(begins + done * dt), f"more than {PAIRS} pairs a point are about to meet",
                 where="contact of the body with itself", fix="fewer points, or a thinner body",
             )  # fmt: skip
         return error(
-            w, time,
+            w, float(run.stopped_at.numpy()[w]),
             f"the body is stretched or compressed by more than {100 * STRETCH:.0f} % in the "
             f"mean, or somewhere by more than {100 * LOCAL_STRETCH:.0f} %",
-            where=f"substep {plan.dt[w, s]:.3g} s",
+            where=f"substep {dt:.3g} s",
             fix="slower grippers, obstacles or velocities, or a smaller substep",
         )  # fmt: skip
 
@@ -416,16 +354,23 @@ class ThinEngine(Engine):
     def gripper_forces(self) -> Array:
         """Forces of the body on grippers, [W, G, 3] [N]: momentum that held points would gain in a
         short step if they were let go, over its length."""
-        self.load("let_go")
-        W, dt = self.num_worlds, float(self.setting.substep.min())
-        rows = self.zeros((2 * W, *self.state.shape[1:]))
+        W, (rows, dt, let_go) = self.num_worlds, self._letting_go
         wp.copy(rows, self.state, count=self.state.size)
-        for group in self.groups(W):
-            self.launch(self.kernels.let_go, group, [self.device_model, dt, rows])
+        let_go.launch()
         found = self.pick(V, rows.numpy())
         force = (self.model.mass / dt)[..., None] * (found[W:] - found[:W])
         held = np.where(self.closed == 1, 1, 0)[..., None] * (self.holds & 1)
         return np.einsum("wgn,wnk->wgk", held, force)
+
+    @cached_property
+    def _letting_go(self) -> tuple[wp.array, float, Any]:
+        """Rows of states before and after a step without grippers, how long it is [s], and its
+        launch."""
+        self.load("let_go")
+        W, dt = self.num_worlds, float(self.setting.substep.min())
+        rows = self.zeros((2 * W, *self.state.shape[1:]))
+        given = [self.device_model, dt, rows]
+        return rows, dt, self.launch(self.kernels.let_go, slice(0, W), given, record_cmd=True)
 
     # ---- arrays ----------------------------------------------------------------------------------
 

@@ -91,11 +91,20 @@ class Schedule:
         """Length of each world's last step, [W] [s]."""
         return np.where(self.steps[:, -1] > 0, self.dt[:, -1], self.before[:, -1])
 
-    def on_device(self, made: Any, device: Any) -> Any:
-        """Fill the kernels' struct; on the CPU it shares the memory."""
+    def on_device(self, engine: Any) -> Any:
+        """The kernels' struct of a run in place of which nothing is recorded; on the CPU it shares
+        the memory."""
+        made, device, W = engine.types.ThinRun(), engine.setting.device, len(self.count)
         for name in ("begins", "done", "steps", "dt", "before", "frame"):
             values = np.ascontiguousarray(getattr(self, name))
             setattr(made, name, wp.array(values, device=device, copy=device.is_cuda))
+        made.piece, made.every = engine.zeros((W, 2), wp.int32), -1
+        made.state = made.kept = engine.state
+        made.stopped = wp.full(W, -1, dtype=wp.int32, device=device)
+        made.stopped_at = engine.zeros(W, wp.float64)
+        made.frames = engine.zeros((0, 0, 0), engine.types.vec3)
+        made.points, made.span = engine.zeros(0, wp.int32), engine.zeros(0, wp.float64)
+        made.substep = engine.array(engine.setting.substep, wp.float64)
         return made
 
     def until(self, worlds: slice, at: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -133,6 +142,37 @@ def _pieces(
         "frame": np.where(last, frame[1:][of], -1),
         "due": last & np.isin(times, switches)[1:][of],
     }
+
+
+class Run:
+    """A schedule on the device and what is recorded, shared by the groups of worlds.
+
+    Args:
+        engine: A ``ThinEngine``.
+        frames: Frames to record.
+        plan: Their schedule.
+        kept: [S, W, ...] array that receives the states at the start of pieces, if any.
+    """
+
+    def __init__(self, engine: Any, frames: Frames, plan: Schedule, kept: wp.array | None = None):
+        W, vec3, nan = engine.num_worlds, engine.types.vec3, np.nan
+        shape, device = (len(frames.times), W, len(frames.particles)), engine.setting.device
+        self.plan, self.on_device = plan, plan.on_device(engine)
+        self.x = wp.full(shape, vec3(nan, nan, nan), dtype=vec3, device=device)
+        self.on_device.frames = self.x
+        self.on_device.points = engine.array(frames.particles, wp.int32)
+        if kept is not None:
+            self.on_device.kept, self.on_device.every = kept, W
+        self._launches: dict[tuple[int, int], Any] = {}
+        self._engine = engine
+
+    def launch(self, group: slice) -> None:
+        """Take the steps of a group's pieces."""
+        e, own, which = self._engine, self._launches, (group.start, group.stop)
+        if which not in own:
+            given = [e.device_model, e.device_paths, self.on_device]
+            own[which] = e.launch(e.kernels.advance, group, given, record_cmd=True)
+        own[which].launch()
 
 
 def put(array: wp.array, rows: slice | NDArray[np.int64], values: Array) -> None:

@@ -21,6 +21,7 @@ import warp as wp
 from gendom.sim.native import functions_of
 from gendom.sim.paths import make_path_type, make_paths
 from gendom.sim.thin.contact import LISTED
+from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH
 from gendom.sim.thin.native import MODULE_OPTIONS, make_native
 from gendom.sim.thin.types import make_types
 
@@ -144,21 +145,33 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
     types, native = make_types(real), make_native(real, kind)
     step, step_adjoint = make_steps(real, kind)
     ThinModel, ModelAdjoint = types.ThinModel, types.ModelAdjoint
-    ThinPlan, vec3, Paths = types.ThinPlan, types.vec3, make_path_type(real)
+    ThinRun, vec3, Paths = types.ThinRun, types.vec3, make_path_type(real)
     rows = wp.array3d(dtype=real)
+    limit, mean_limit = real(LOCAL_STRETCH**2), real(STRETCH)
 
     @wp.func
-    def kick_of(plan: ThinPlan, w: int, p: int, k: int):
+    def kick_of(run: ThinRun, w: int, p: int, k: int):
         """Time from the middle of the previous step to the middle of step k of a piece [s]."""
-        kick = plan.dt[w, p]
+        kick = run.dt[w, p]
         if k == 0:
-            kick = wp.float64(0.5) * (plan.before[w, p] + kick)
+            kick = wp.float64(0.5) * (run.before[w, p] + kick)
         return real(kick)
 
     @wp.func
-    def end_of(plan: ThinPlan, w: int, p: int, k: int):
+    def end_of(run: ThinRun, w: int, p: int, k: int):
         """When step k of a piece ends [s]."""
-        return plan.begins[w, p] + wp.float64(plan.done[w, p] + k + 1) * plan.dt[w, p]
+        return run.begins[w, p] + wp.float64(run.done[w, p] + k + 1) * run.dt[w, p]
+
+    @wp.func
+    def divide(run: ThinRun, w: int):
+        """Make a span one piece of equal steps no longer than the world's longest."""
+        span = run.span[1] - run.span[0]
+        most = wp.ceil(span / run.substep[w] - wp.float64(1.0e-9))
+        steps = wp.max(wp.float64(1.0), most)
+        run.begins[w, 0] = run.span[0]
+        run.before[w, 0] = run.dt[w, 0]
+        run.steps[w, 0] = int(steps)
+        run.dt[w, 0] = span / steps
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def begin(first: int, threads: int, model: ThinModel, state: rows):
@@ -185,48 +198,36 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         native.move(model, w, state, w, w + state.shape[0] // 2, dt, dt)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
-    def advance(
-        first: int,  # world
-        threads: int,  # of a world
-        model: ThinModel,
-        paths: Paths,
-        plan: ThinPlan,
-        piece: wp.array2d(dtype=wp.int32),  # [W, 2] first piece, and the one after the last
-        # step k of the call goes from row w + k stride - offset to the next; stride 0: in place
-        offset: int,
-        stride: int,
-        state: rows,
-        # [W + pieces * every] states at the start of pieces; with LISTED more components they, and
-        # the states of a stride, tell what the list of pairs was made from
-        kept: rows,
-        every: int,  # -1: none are kept
-        limit: real,  # of the squared stretch of an edge
-        mean_limit: real,  # of the mean stretch, every CHECKED steps and where pieces end
-        stopped: wp.array(dtype=wp.int32),  # [W] the piece in which a world exceeded a limit, or -1
-        stopped_at: wp.array(dtype=wp.float64),  # [W] when [s]
-        frames: wp.array3d(dtype=vec3),  # [T, W, K]
-        points: wp.array(dtype=wp.int32),  # [K] recorded
-    ):
+    def advance(first: int, threads: int, model: ThinModel, paths: Paths, run: ThinRun):
+        """Take the next pieces of a run, until a world exceeds a limit: ``limit`` of the squared
+        stretch of an edge, or ``mean_limit`` of the mean, every CHECKED steps and where pieces
+        end."""
         w = first + wp.tid() // threads
         thread = wp.tid() % threads
-        row = w - offset
-        for p in range(piece[w, 0], piece[w, 1]):
-            if stopped[w] < 0:
-                if every >= 0:  # with what the list of pairs was made from, if there is room
+        state, kept, stride = run.state, run.kept, run.stride
+        row = w - run.offset
+        if run.span.shape[0] > 0:
+            if thread == 0:
+                divide(run, w)
+            native.block_sync()
+        for p in range(run.piece[w, 0], run.piece[w, 1]):
+            if run.stopped[w] < 0:
+                if run.every >= 0:  # with what the list of pairs was made from, if there is room
+                    to = w + p * run.every
                     for c in range(state.shape[1]):
                         for i in range(thread, state.shape[2], threads):
-                            kept[w + p * every, c, i] = state[row, c, i]
+                            kept[to, c, i] = state[row, c, i]
                     if kept.shape[1] > state.shape[1]:
-                        native.keep_list(model, w, kept, w + p * every, state.shape[1])
+                        native.keep_list(model, w, kept, to, state.shape[1])
                 if model.contact * stride > 0:
                     native.rebuild_lists(model, w, state, row, state.shape[1] - LISTED, real(0.0))
-                began = plan.begins[w, p]
-                h = real(plan.dt[w, p])
-                t = end_of(plan, w, p, -1)
+                began = run.begins[w, p]
+                h = real(run.dt[w, p])
+                t = end_of(run, w, p, -1)
                 bad = int(0)
-                for k in range(plan.steps[w, p]):
-                    t = end_of(plan, w, p, k)
-                    kick = kick_of(plan, w, p, k)
+                for k in range(run.steps[w, p]):
+                    t = end_of(run, w, p, k)
+                    kick = kick_of(run, w, p, k)
                     next = row + stride
                     if not step(
                         model, paths, w, thread, state, row, next, began, t, h, kick
@@ -246,14 +247,14 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
                     if model.near_count[w, 0] + model.near_count[w, 1] > model.near.shape[1]:
                         bad = 1
                 if native.block_any(bad) != 0:
-                    stopped[w] = p
-                    stopped_at[w] = t
+                    run.stopped[w] = p
+                    run.stopped_at[w] = t
                 else:
-                    f = plan.frame[w, p]
+                    f = run.frame[w, p]
                     if f >= 0:
-                        for k in range(thread, points.shape[0], threads):
-                            i = model.slot[points[k]]
-                            frames[f, w, k] = vec3(
+                        for k in range(thread, run.points.shape[0], threads):
+                            i = model.slot[run.points[k]]
+                            run.frames[f, w, k] = vec3(
                                 state[row, 0, i], state[row, 1, i], state[row, 2, i]
                             )
                 native.block_sync()
@@ -264,35 +265,32 @@ def make_kernels(real: Any, kind: str) -> SimpleNamespace:
         threads: int,
         model: ThinModel,
         paths: Paths,
-        plan: ThinPlan,
-        s: wp.array(dtype=wp.int32),  # [W] the piece, recorded in rows as by ``advance``; -1: none
-        offset: int,
-        stride: int,
-        state: rows,
+        run: ThinRun,
         frames_bar: wp.array3d(dtype=vec3),  # [T, W, n]
         adjoint: ModelAdjoint,
         turns_kept: rows,  # [., 6 turns, P] points before each of a step's turns
     ):
+        """Transpose the next piece, if any, whose states ``advance`` has put in rows."""
         w = first + wp.tid() // threads
         thread = wp.tid() % threads
-        p = s[w]
-        if p < 0:
+        p = run.piece[w, 0]
+        if p >= run.piece[w, 1]:
             return
-        f = plan.frame[w, p]
+        f = run.frame[w, p]
         if f >= 0:
             for k in range(thread, model.points, threads):
                 i = model.slot[k]
                 for c in range(3):
                     adjoint.state[w, c, i] = adjoint.state[w, c, i] + frames_bar[f, w, k][c]
         native.block_sync()
-        count = plan.steps[w, p]
+        count = run.steps[w, p]
         for back in range(count):
             k = count - 1 - back
-            row = w - offset + k * stride
+            row = w - run.offset + k * run.stride
             step_adjoint(
-                model, adjoint, paths, turns_kept, w, w - offset, thread, state, row, row + stride,
-                plan.begins[w, p], end_of(plan, w, p, k), real(plan.dt[w, p]),
-                kick_of(plan, w, p, k),
+                model, adjoint, paths, turns_kept, w, w - run.offset, thread, run.state, row,
+                row + run.stride, run.begins[w, p], end_of(run, w, p, k), real(run.dt[w, p]),
+                kick_of(run, w, p, k),
             )  # fmt: skip
 
     return functions_of(locals())

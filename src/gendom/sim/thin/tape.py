@@ -58,7 +58,6 @@ class ThinTape:
         e = self.engine
         W, n, G = e.num_worlds, e.num_points, e.closed.shape[1]
         self.frames_bar = e.array(bar, e.types.vec3)
-        self.plan_on_device = self.plan.on_device(e.types.ThinPlan(), e.setting.device)
         self.host = HostPaths(e.stacked)
         self.model_rows = types.MODEL_ROWS + e.device_model.obstacles.shape[1]
         self.model_bar = np.zeros((W, self.model_rows, n))
@@ -93,26 +92,16 @@ class ThinTape:
     def _reverse_steps(self, group: slice, round: Round) -> None:
         """Transpose the steps of a group's round."""
         e, model = self.engine, self.engine.device_model
-        W, count = e.num_worlds, group.stop - group.start
+        count = group.stop - group.start
         rows = e.zeros((count * (self.most + 1), self.rows, e.row_length))
         turns = e.zeros((count * model.contact, 9 * model.contact_most_turns, e.row_length))
-        none = wp.full(W, -1, dtype=wp.int32, device=e.setting.device)
-        never, nowhere = e.zeros(W, wp.float64), e.zeros((0, 0, 0), e.types.vec3)
+        run = self.plan.on_device(e)
+        run.offset, run.stride, run.state, run.kept = group.start, count, rows, rows
+        given = [model, e.device_paths, run]
         for s in self._pieces_back(group, round, rows):
-            pieces = np.zeros((W, 2), dtype=np.int32)
-            pieces[group] = np.where(s[:, None] >= 0, np.stack([s, s + 1], axis=1), 0)
-            every = np.full(W, -1, dtype=np.int32)
-            every[group] = s
-            e.launch(
-                e.kernels.advance, group,
-                [model, e.device_paths, self.plan_on_device, e.array(pieces, wp.int32), group.start,
-                 count, rows, rows, -1, 1e30, 1e30, none, never, nowhere, e.zeros(0, wp.int32)],
-            )  # fmt: skip
-            e.launch(
-                e.kernels.reverse, group,
-                [model, e.device_paths, self.plan_on_device, e.array(every, wp.int32), group.start,
-                 count, rows, self.frames_bar, self.adjoint, turns],
-            )  # fmt: skip
+            put(run.piece, group, np.where(s[:, None] >= 0, np.stack([s, s + 1], axis=1), 0))
+            e.launch(e.kernels.advance, group, given)
+            e.launch(e.kernels.reverse, group, [*given, self.frames_bar, self.adjoint, turns])
 
     def _pieces_back(self, group: slice, round: Round, rows: wp.array) -> Iterator[Array]:
         """Each world's pieces [k] of a round from the last on, -1 where there is none any more;

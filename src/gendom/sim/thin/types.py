@@ -169,8 +169,8 @@ def make_types(real: Any) -> SimpleNamespace:
         turn: wp.array2d(dtype=vec3)  # [W, G] of one step
 
     @wp.struct
-    class ThinPlan:
-        """Schedule of W worlds: pieces of equal steps."""
+    class ThinRun:
+        """A run of W worlds: pieces of equal steps, which of them are next, and what is kept."""
 
         begins: wp.array2d(dtype=wp.float64)  # [W, S] start of the piece's interval [s]
         done: wp.array2d(dtype=wp.int32)  # [W, S] steps of that interval before the piece
@@ -178,7 +178,23 @@ def make_types(real: Any) -> SimpleNamespace:
         dt: wp.array2d(dtype=wp.float64)  # [W, S] [s]
         before: wp.array2d(dtype=wp.float64)  # [W, S] length of the step before; 0 at a start [s]
         frame: wp.array2d(dtype=wp.int32)  # [W, S] recorded at its end; -1: none
+        piece: wp.array2d(dtype=wp.int32)  # [W, 2] the next, and the one after the last
+        # of a step, if any: when it begins and ends [s]; it is divided when it is taken
+        span: wp.array(dtype=wp.float64)
+        substep: wp.array(dtype=wp.float64)  # [W] the longest [s]
+        # step k of a piece goes from row w + k stride - offset to the next; stride 0: in place
+        offset: int
+        stride: int
+        state: wp.array3d(dtype=real)
+        # [W + pieces * every] states at the start of pieces; with LISTED more components they, and
+        # the states of a stride, tell what the list of pairs was made from
+        kept: wp.array3d(dtype=real)
+        every: int  # -1: none are kept
+        stopped: wp.array(dtype=wp.int32)  # [W] the piece in which a world exceeded a limit, or -1
+        stopped_at: wp.array(dtype=wp.float64)  # [W] when [s]
+        frames: wp.array3d(dtype=vec3)  # [T, W, K]
+        points: wp.array(dtype=wp.int32)  # [K] recorded
 
     return SimpleNamespace(
-        vec3=vec3, quat=quat, ThinModel=ThinModel, ModelAdjoint=ModelAdjoint, ThinPlan=ThinPlan
+        vec3=vec3, quat=quat, ThinModel=ThinModel, ModelAdjoint=ModelAdjoint, ThinRun=ThinRun
     )
