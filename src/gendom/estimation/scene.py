@@ -20,7 +20,7 @@ from gendom.arguments import check_choice, require
 from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
-from gendom.estimation.hands import clamp_steps, turn_between
+from gendom.estimation.hands import clamp_steps
 from gendom.estimation.placing import CELLS, Placed, lost_time, place, with_points
 from gendom.estimation.priors import (
     BENDING_RANGE,
@@ -35,6 +35,7 @@ from gendom.materials.posterior import Prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.sim import ENGINES, Body, check_numbers
 from gendom.sim.bodies import CELLS_ACROSS
+from gendom.sim.thin import rotation
 
 SPACING, MOST_SHELL_POINTS, MOST_ROD_POINTS = 1.0 / 3.0, 49, 65
 """Limp objects are then estimated again with points this many bending lengths apart, up to so many
@@ -394,11 +395,11 @@ class LiftScene(Placed):
             if axes is None or np.ptp(axes[first:, g], axis=0).max() < 1e-3:
                 found.append(None)
                 continue
-            along, turned = axes[first:, g].astype(float), [Rotation.identity()]
-            for step in turn_between(along[:-1], along[1:]):
-                turned.append(step * turned[-1])
+            level = np.array([0.0, 0.0, 0.0, 1.0])
+            along = rotation.transported(level, axes[first:, g].astype(float))
+            turned = Rotation.from_quat(along)
             times = self.sim_time(self.recording.time[first:])
-            found.append(Slerp(times, Rotation.concatenate(turned)))
+            found.append(Slerp(times, turned * turned[0].inv()))
         return found
 
     @cached_property
