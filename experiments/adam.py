@@ -233,7 +233,7 @@ class DensityLoss:
             s.iterations += 1
             if values[w] < s.value:
                 here = Comparison(self.part.observation, middle(problem.scene, x[:, w]))
-                s.take(d.vector, Comparisons((here,)), values[w])
+                s.vector, s.comparison, s.value = d.vector, Comparisons((here,)), values[w]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,7 +37,6 @@ def differential_evolution(problem: Problem, *, members: int = 15) -> Found:
             raise problem.nothing_runs()
         if values[n] < best.value:
             best.vector, best.comparison, best.value = vectors[n], compared[n], values[n]
-        best.noted()
         problem.tell("evolution", best.iterations, most, best)
         return values
 

@@ -86,7 +86,6 @@ def pointnet(problem: Problem) -> Found:
         value=comparison.rms,
         iterations=1,
         done=True,
-        history=[(1, vector.copy(), comparison.rms, "")],
     )
     problem.tell("network", 1, 1, best)
     return Found(

@@ -116,21 +116,8 @@ class Start:
     """Whether they are its own."""
     precise: bool = True
     """Whether they are to be taken with all points."""
-    stage: str = ""
-    """Of a search that has several."""
-    history: list[tuple[int, Array, float, str]] = field(default_factory=list)
-    """Iteration, vector, root mean square distance [m], and stage."""
-
-    def noted(self) -> None:
-        """Let the history have where it is."""
-        assert self.comparison is not None
-        rms = self.comparison.rms
-        self.history.append((self.iterations, self.vector.copy(), rms, self.stage))
-
-    def take(self, vector: Array, comparison: Comparisons, value: float) -> None:
-        """Go to a place, which joins the history."""
-        self.vector, self.comparison, self.value = vector, comparison, value
-        self.noted()
+    coarse: bool = False
+    """Whether it was compared in a coarse problem."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,8 +128,6 @@ class Found:
     starts: Sequence[Start]
     noise: tuple[NoiseModel, ...]
     """Of each recording; its comparison is evaluated with it."""
-    problem: Problem | None = None
-    """A finer one than was asked for, in which that is."""
     interrupted: bool = False
     others: tuple[Array, ...] = ()
     """[P] where other starts have ended that are about as likely as the best one."""
@@ -346,10 +331,6 @@ class Problem:
         thetas = [self.theta(v, recording) for v in vectors]
         return replay_axis(scene or self.parts[recording].scene, thetas, keep_going=True)
 
-    def _middles(self, vectors: Sequence[Array], recording: int, scene: LiftScene) -> Array:
-        """[T, W, n, 3] the `middle` of those."""
-        return middle(scene, self.positions(vectors, recording, scene))
-
     def compare(
         self,
         vectors: Sequence[Array],
@@ -407,15 +388,15 @@ class Problem:
         """Of a recording the shapes [T, n, 3] at the first of each row of places, and by how much
         they change from there to the others [T, n, 3, k] [m], in a scene that may be coarser; NaN
         where a world diverges."""
-        part = self.parts[recording]
-        x = self._middles([v for row in worlds for v in row], recording, few)
+        part, every = self.parts[recording], [v for row in worlds for v in row]
+        x = middle(few, self.positions(every, recording, few))
         rows = np.split(x, np.cumsum([len(row) for row in worlds])[:-1], axis=1)
         shapes = [own[:, 0] for own in rows]
         changes = [np.moveaxis(own[:, 1:] - own[:, :1], 1, -1) for own in rows]
         if few is part.scene:
             return shapes, changes
         to, of = part.observation.shape, Shape(few)
-        x = self._middles([row[0] for row in worlds], recording, part.scene)
+        x = middle(part.scene, self.positions([row[0] for row in worlds], recording))
         return list(np.swapaxes(x, 0, 1)), [to.taken_from(of, change) for change in changes]
 
     def inherit_derivatives(

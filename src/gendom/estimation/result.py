@@ -180,12 +180,6 @@ def _search(problem: Problem, found: Found, seconds: Mapping[str, float]) -> dic
         initial, final = (_named(problem, v) for v in (s.initial, s.vector))
         ended = {"loss": s.comparison.rms, "converged": bool(s.done)}
         starts.append({"initial": initial, "final": final, "bending_length": bends, **ended})
-    history = [
-        {"stage": stage or settings.method, "start": n, "iteration": i, "loss": r}
-        | _named(problem, v)
-        for n, s in enumerate(found.starts)
-        for i, v, r, stage in s.history
-    ]
     return {
         "iterations": sum(s.iterations for s in found.starts),
         "seconds": sum(seconds.values()),
@@ -196,7 +190,6 @@ def _search(problem: Problem, found: Found, seconds: Mapping[str, float]) -> dic
         "device": problem.scene.settings.device,
         "interrupted": found.interrupted,
         "starts": starts,
-        "history": history,
     }
 
 

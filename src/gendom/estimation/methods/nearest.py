@@ -34,7 +34,7 @@ def nearest(problem: Problem, *, generations: int = GENERATIONS) -> Found:
         KeyboardInterrupt: It was interrupted.
     """
     prior, tried = problem.prior, []
-    best = Start(initial=prior.mean, vector=prior.mean, stage="coarse")
+    best = Start(initial=prior.mean, vector=prior.mean)
 
     def away(problem: Problem, vectors: Sequence[Array]) -> Array:
         """[S] distances at vectors [P], infinite where nothing runs; the best start moves."""
@@ -53,7 +53,6 @@ def nearest(problem: Problem, *, generations: int = GENERATIONS) -> Found:
         best.iterations += 1
         if best.comparison is None:
             raise problem.nothing_runs()
-        best.noted()
         problem.tell("coarse", best.iterations, generations, best)
         return found
 
@@ -68,7 +67,7 @@ def nearest(problem: Problem, *, generations: int = GENERATIONS) -> Found:
         updating="deferred",
         tol=0.0,
     )
-    best.comparison, best.value, best.stage, best.done = None, math.inf, "", True
+    best.comparison, best.value, best.done = None, math.inf, True
     away(problem, [v for _, v in sorted(tried, key=lambda one: one[0])[:FINALISTS]])
     return finished(problem, [best], interrupted=False)
 
