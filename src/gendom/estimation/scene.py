@@ -189,7 +189,7 @@ class LiftScene(Placed):
             leaps = "the hands leap where frames were lost"
             notes.append(f"{leaps}: {missing:.3g} s added to the times")
         cells = settings.cells_across if settings.engine == "mpm" else None
-        placed = place(recording, settings.points, frames, notes, cells=cells)
+        placed = place(recording, settings.points, notes, cells=cells)
         clock = _choose_clock(recording)
         lasts = float(recording.time[frames[-1]] - recording.time[frames[0]]) / clock
         longer = f"lasts {lasts:.4g} s, longer than the 300 s that are simulated"
@@ -326,7 +326,7 @@ class LiftScene(Placed):
 
     def simulated_with(self, points: int, stretch: float = STRETCH) -> LiftScene:
         """The same with so many points; in the settings their number stays open, to grow again."""
-        placed = place(self.recording, points, with_points(self.recording), [], self.lies)
+        placed = place(self.recording, points, [], self.lies)
         return replace(self, **vars(placed), stretch=stretch)
 
     def mesh_error(self, theta: Theta) -> float:

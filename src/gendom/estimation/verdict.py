@@ -24,7 +24,7 @@ from gendom.datasets.checks import (
 )
 from gendom.estimation.likelihood import HUBER, Comparison
 from gendom.estimation.observed import NoiseModel
-from gendom.estimation.placing import LINE_PLACES, early_points, lying_rectangle, with_points
+from gendom.estimation.placing import LINE_PLACES, early_points, lying_rectangle
 from gendom.estimation.priors import thickness_stated
 from gendom.estimation.problem import Found, Part, Problem
 from gendom.estimation.replay import taken
@@ -200,7 +200,7 @@ def _at_rest(part: Part, theta: Theta) -> Findings:
     scene, recording, described = part.scene, part.scene.recording, part.scene.recording.object
     if scene.ordered or len(scene.held) > 1 or scene.floor is not None:
         return
-    cloud = early_points(recording, with_points(recording), 0.02 * scene.size)
+    cloud = early_points(recording, 0.02 * scene.size)
     if scene.kind == "cloth":
         seen = lying_rectangle(cloud[:, :2])
         if seen is not None:
