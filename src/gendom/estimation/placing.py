@@ -96,7 +96,7 @@ def place(
     length, diameter = _sizes_of_rope(recording, notes)
     if recording.num_grippers == 1:
         line = _line_from(recording, length, diameter) if lies is None else lies
-        return _place_rope(recording, points, length, diameter, line, cells)
+        return _place_rope(recording, points, line, cells, length=length, diameter=diameter)
     # bodies of the MPM are free of stress as they begin
     what = "a rope held at both ends is simulated as a rod"
     require(cells is None, what, where="engine", fix="engine 'thin'")
@@ -112,38 +112,24 @@ def _sizes_of_rope(recording: Recording, notes: list[str]) -> tuple[float, float
         share = THIN if recording.extra.get("static", False) else THICK
         diameter = length / share
         notes.append(f"diameter not stated: {diameter:.4g} m assumed (length / {share:g})")
-    what, fix = (
-        f"a rope {diameter:g} m thick and {length:g} m long is no rope",
-        "give both in metres",
-    )
-    require(diameter <= 0.2 * length, what, where="meta.object", fix=fix, error=RecordingError)
+    what = f"a rope {diameter:g} m thick and {length:g} m long is no rope"
+    where, fix = "meta.object", "give both in metres"
+    require(diameter <= 0.2 * length, what, where=where, fix=fix, error=RecordingError)
     return length, diameter
 
 
-def _points_of(body: Body, cells: float | None) -> Array:
-    return np.asarray(body.points if cells is None else body.x, dtype=float)
-
-
 def _place_rope(
-    recording: Recording,
-    points: int | None,
-    length: float,
-    diameter: float,
-    line: Array,
-    cells: float | None,
+    recording: Recording, points: int | None, line: Array, cells: float | None, **sizes: float
 ) -> Placed:
-    """A rope along a line [K, 3] on its table, held near one end."""
-    inset = recording.object.grasp_inset or diameter / 2.0
-    across = cells or CELLS
-    body = rope(
-        diameter=diameter, length=length, centre_line=line, cells_across=across, points=points
-    )
+    """A rope of these sizes along a line [K, 3] on its table, held near one end."""
+    inset = recording.object.grasp_inset or sizes["diameter"] / 2.0
+    body = rope(**sizes, cells_across=cells or CELLS, centre_line=line, points=points)
     steps, s = np.diff(body.points, axis=0), arc_length(body.points)
     held = np.array([np.interp(inset, s, x) for x in body.points.T])
     direction = steps[min(int(np.searchsorted(s, inset)), len(steps) - 1)]
     return Placed(
         body=body,
-        initial=_points_of(body, cells),
+        initial=np.asarray(body.points if cells is None else body.x, dtype=float),
         held=held[None],
         inwards=direction[None] / np.linalg.norm(direction),
         lies=line,
@@ -397,7 +383,7 @@ def _place_cloth(
     )
     return Placed(
         body=body,
-        initial=_points_of(body, cells),
+        initial=np.asarray(body.points if cells is None else body.x, dtype=float),
         held=np.array([[grip[0], grip[1], mid]]),
         inwards=np.append(turn @ diagonal, 0.0)[None],
         lies=np.array(yaw),

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gendom.arguments import require
+from gendom.arguments import check_choice, require
 from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons
@@ -69,11 +69,8 @@ class EstimateSettings:
     noise: NoiseModel = field(default_factory=NoiseModel)
 
     def __post_init__(self) -> None:
-        what = f"frames must be 'all' or 'last', got {self.frames!r}"
-        require(self.frames in ("all", "last"), what)
-        what, fix = f"is {self.camera_pose!r}", "give stated or unknown"
-        known = self.camera_pose in (None, "stated", "unknown")
-        require(known, what, where="camera_pose", fix=fix)
+        check_choice("frames", self.frames, ("all", "last"))
+        check_choice("camera_pose", self.camera_pose or "stated", ("stated", "unknown"))
         require(0.0 < self.level < 1.0, f"level must lie between 0 and 1, got {self.level}")
         for name, least in (("starts", 1), ("max_iterations", 2), ("seed", 0)):
             value = getattr(self, name)
@@ -288,8 +285,8 @@ class Problem:
 
     def with_unknown(self, name: str) -> Problem:
         """The same of one recording with one more unknown, the last one."""
-        shown = np.append(self.only().shown, len(self.only().shown))
-        part = replace(self.only(), shown=shown)
+        (part,) = self.parts
+        part = replace(part, shown=np.append(part.shown, len(part.shown)))
         return self._with([part], prior=self.prior.followed_by(prior_of([name])))
 
     def alone(self, recording: int) -> Problem:
@@ -297,17 +294,6 @@ class Problem:
         k = self.parts[recording].shown
         own = replace(self.parts[recording], shown=np.arange(len(k)), name="")
         return self._with([own], prior=self.prior.alone(k), _on_progress=None)
-
-    def only(self) -> Part:
-        """The one recording.
-
-        Raises:
-            ParameterError: There are several.
-        """
-        what, method = f"reads one recording, got {len(self.parts)}", self.settings.method
-        one = len(self.parts) == 1
-        require(one, what, where=f"method {method}", fix="use gauss-newton")
-        return self.parts[0]
 
     def first_noise(self, **changes: Any) -> tuple[NoiseModel, ...]:
         """First guess of each recording's noise, with changes."""

@@ -20,7 +20,7 @@ from gendom.arguments import check_choice, require
 from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
-from gendom.estimation.hands import clamp_steps
+from gendom.estimation.hands import clamp_frame, clamp_steps
 from gendom.estimation.placing import CELLS, Placed, lost_time, place, with_points
 from gendom.estimation.priors import (
     BENDING_RANGE,
@@ -56,10 +56,6 @@ soft ropes stretch by up to 4 %, and their tails follow less over the table."""
 COARSE_POINTS, COARSE_FRAMES, COARSE_STRETCH = {"rope": 17, "cloth": 21}, 18, 0.01
 """Where a search begins: points of a rod, or along the longer side of a shell, frames that are
 compared, at most, and in place of `STRETCH`."""
-
-
-FINER = "limp: simulated along its longer side with"
-"""Note of a cloth that gets more points than others."""
 
 STATIC_DAMPING, STATIC_SETTLING = 3.0, 6.0
 """Rate at which velocities decay where nothing moves [1/s], and time in which such an object comes
@@ -113,13 +109,11 @@ class SceneSettings:
         if self.material is not None:
             catalogue.get(self.material)
         check_choice("engine", self.engine, ENGINES)
-        low, high = CELLS_ACROSS
+        (low, high), substep, points = CELLS_ACROSS, self.substep, self.points
         what, fix = f"is {self.cells_across:g}", f"give {low:g} to {high:g}"
         require(low <= self.cells_across <= high, what, where="cells_across", fix=fix)
-        if self.substep is not None:
-            check_numbers("substep", self.substep, above=0.0)
-        few = f"is {self.points}"
-        require(self.points is None or self.points >= 5, few, where="points", fix="give 5 or more")
+        check_numbers("substep", 1.0 if substep is None else substep, above=0.0)
+        require(points is None or points >= 5, f"is {points}", where="points", fix="give 5 or more")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -319,10 +313,7 @@ class LiftScene(Placed):
         points = min(math.ceil(longer / (SPACING * bends)) + 1, most)
         if points <= 1.1 * (len(self.initial) if rope else max(self.body.shape)):
             return self
-        if rope:
-            return replace(self.simulated_with(points), limp=True)
-        notes = (n for n in self.notes if not n.startswith(FINER))
-        return replace(self.simulated_with(points), notes=(*notes, f"{FINER} {points} points"))
+        return replace(self.simulated_with(points), limp=rope)
 
     def simulated_with(self, points: int, stretch: float = STRETCH) -> LiftScene:
         """The same with so many points; in the settings their number stays open, to grow again."""
@@ -401,6 +392,11 @@ class LiftScene(Placed):
             times = self.sim_time(self.recording.time[first:])
             found.append(Slerp(times, turned * turned[0].inv()))
         return found
+
+    @cached_property
+    def clamp_frames(self) -> list[Array]:
+        """`clamp_frame` of each hand of two."""
+        return [clamp_frame(self.recording, self.inwards, g) for g in range(len(self.held))]
 
     @cached_property
     def curved(self) -> bool:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -66,14 +65,13 @@ class GaussNewtonSettings:
     """Size of trial jumps of the object's unknowns after steps have converged, in deviations."""
 
     @classmethod
-    def of(cls, kind: str, **changes: Any) -> GaussNewtonSettings:
+    def of(cls, kind: str) -> GaussNewtonSettings:
         """For ropes or cloths, of which the grip matters as much as the bending, so all unknowns
         are free; the objective is rugged; and the model's error exceeds the noise of the clouds, so
         small gains do not count."""
-        if kind == "cloth":
-            own = {"leading": (), "gain": (2.0, 10.0), "rugged": True, "jumps": (3.0, 6.0, 9.0)}
-            changes = own | changes
-        return cls(**changes)
+        if kind != "cloth":
+            return cls()
+        return cls(leading=(), gain=(2.0, 10.0), rugged=True, jumps=(3.0, 6.0, 9.0))
 
 
 def gauss_newton(
@@ -107,16 +105,16 @@ def gauss_newton(
             raise problem.nothing_runs()
         ends = []
         for s in (best, *coarse.rivals(best, starts)):
-            fine = Descent(problem, settings, noise)
+            fine = Descent(problem, settings, noise, settings.gain[1])
             fine.converge(s, iteration, most)
             ends.append((s, fine.noise))
-        best, noise, others = _likeliest(problem, settings, ends)
+        best, noise, others = _likeliest(fine, ends)
     except KeyboardInterrupt:
         interrupted, best = True, best or best_of(starts)
         if best is None:
             raise
         if best.coarse:
-            Descent(problem, settings, noise).begin(best)
+            Descent(problem, settings, noise, settings.gain[1]).begin(best)
         assert best.comparison is not None
         noise = estimated_noise(best.comparison, noise)
     times.append(time.perf_counter())
@@ -138,7 +136,8 @@ def refined(problem: Problem, found: Found) -> Found:
     Raises:
         SimulationError: It cannot be simulated there.
     """
-    fine = Descent(problem, GaussNewtonSettings.of(problem.scene.kind), found.noise)
+    settings = GaussNewtonSettings.of(problem.scene.kind)
+    fine = Descent(problem, settings, found.noise, settings.gain[1])
     found.best.coarse = True
     most = max(1, round((1.0 - COARSE_SHARE) * PER_BATCH * problem.settings.max_iterations))
     try:
@@ -149,51 +148,38 @@ def refined(problem: Problem, found: Found) -> Found:
 
 
 def _likeliest(
-    problem: Problem,
-    settings: GaussNewtonSettings,
-    ends: Sequence[tuple[Start, tuple[NoiseModel, ...]]],
+    fine: Descent, ends: Sequence[tuple[Start, tuple[NoiseModel, ...]]]
 ) -> tuple[Start, tuple[NoiseModel, ...], tuple[Array, ...]]:
     """Of starts' ends the most likely one, its noise, and places [P] of others that are apart."""
     if len(ends) == 1:
         return *ends[0], ()
     for s, _ in ends:
         assert s.comparison is not None
-        s.value = problem.value(s.vector, s.comparison, ends[0][1])
+        s.value = fine.problem.value(s.vector, s.comparison, ends[0][1])
     best, noise = min(ends, key=lambda end: end[0].value)
-    others = Descent(problem, settings, noise).apart(best, [s for s, _ in ends], 1.0)
+    others = replace(fine, noise=noise).apart(best, [s for s, _ in ends], 1.0)
     return best, noise, tuple(s.vector for s in others)
 
 
+@dataclass
 class Descent:
-    """Steps of starts down -2 log of likelihood times prior.
+    """Steps of starts down -2 log of likelihood times prior."""
 
-    Args:
-        problem: What is simulated and compared.
-        settings: Of the steps.
-        noise: Of each recording.
-        least: Gain of a step below which a start has converged; by default that of the fine stage.
-        free: Indices of unknowns; None: all.
-    """
-
-    def __init__(
-        self,
-        problem: Problem,
-        settings: GaussNewtonSettings,
-        noise: tuple[NoiseModel, ...],
-        least: float | None = None,
-        free: Sequence[int] | None = None,
-    ):
-        self.problem, self.settings, self.noise, self.free = problem, settings, noise, free
-        self.least = settings.gain[1] if least is None else least
+    problem: Problem
+    settings: GaussNewtonSettings
+    noise: tuple[NoiseModel, ...]
+    """Of each recording."""
+    least: float
+    """Gain of a step below which a start has converged."""
+    free: Sequence[int] | None = None
+    """Indices of the unknowns that move; None: all."""
 
     @classmethod
     def coarse(cls, problem: Problem, settings: GaussNewtonSettings) -> Descent:
         """By the leading unknowns alone, of clouds that are not registered."""
-        least, alone = (
-            problem.settings.noise.least_model,
-            {"patch": 1.0} if problem.captured else {},
-        )
-        own = {"sensor": COARSE_NOISE, "model": 0.0, "beside": least, "rounds": 1, **alone}
+        least = problem.settings.noise.least_model
+        own = {"sensor": COARSE_NOISE, "model": 0.0, "beside": least, "rounds": 1}
+        own |= {"patch": 1.0} if problem.captured else {}
         free = [k for k, name in enumerate(problem.prior.names) if name in settings.leading]
         return cls(problem, settings, problem.first_noise(**own), settings.gain[0], free or None)
 
@@ -355,11 +341,8 @@ class Descent:
         """Compute the derivatives of starts; one that cannot be simulated is done."""
         if not starts:
             return
-        few, vectors = (
-            None if any(not s.precise for s in starts) else False,
-            [s.vector for s in starts],
-        )
-        compared = self.problem.compare(vectors, free=self.free, sketched=few)
+        few = False if all(s.precise for s in starts) else None
+        compared = self.problem.compare([s.vector for s in starts], free=self.free, sketched=few)
         for s, comparison in zip(starts, compared, strict=True):
             former, s.exact, s.renew = s.comparison, True, False
             if comparison is None:
