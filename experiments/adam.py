@@ -20,11 +20,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from experiments.evolution import finished, only_part
 from gendom.arguments import require
 from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons
-from gendom.estimation.methods.search import best_of, finished, first_starts
+from gendom.estimation.methods.search import best_of, first_starts
 from gendom.estimation.problem import Found, Problem, Start
 from gendom.estimation.replay import lattice, middle, simulator_of
 from gendom.observation import visible
@@ -116,7 +117,7 @@ class DensityLoss:
 
     def __init__(self, problem: Problem):
         self.problem = problem
-        self.part = problem.only()
+        self.part = only_part(problem)
         what, fix = "compares objects as thick as stated", "use gauss-newton"
         require("thickness" not in problem.prior.names, what, where="method adam", fix=fix)
         scene = self.part.scene
@@ -232,8 +233,10 @@ class DensityLoss:
             s = d.start
             s.iterations += 1
             if values[w] < s.value:
-                here = Comparison(self.part.observation, middle(problem.scene, x[:, w]))
-                s.take(d.vector, Comparisons((here,)), values[w])
+                o, axis = self.part.observation, middle(problem.scene, x[:, w])
+                still = np.zeros((*axis.shape, 0)), o.shape.radius, np.zeros(0)
+                here = Comparison(o, axis, *still)
+                s.vector, s.comparison, s.value = d.vector, Comparisons((here,)), values[w]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,11 +5,14 @@ its own rates, that minimises the clouds' misfit with fixed noise plus the prior
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import optimize
 
-from gendom.estimation.methods.search import finished
-from gendom.estimation.problem import Found, Problem, Start
+from gendom.arguments import require
+from gendom.estimation.methods.search import best_of, estimated_noise
+from gendom.estimation.problem import Found, Part, Problem, Start
 
 
 def differential_evolution(problem: Problem, *, members: int = 15) -> Found:
@@ -37,7 +40,6 @@ def differential_evolution(problem: Problem, *, members: int = 15) -> Found:
             raise problem.nothing_runs()
         if values[n] < best.value:
             best.vector, best.comparison, best.value = vectors[n], compared[n], values[n]
-        best.noted()
         problem.tell("evolution", best.iterations, most, best)
         return values
 
@@ -58,3 +60,29 @@ def differential_evolution(problem: Problem, *, members: int = 15) -> Found:
         if best.comparison is None:
             raise
     return finished(problem, [best], interrupted)
+
+
+def only_part(problem: Problem) -> Part:
+    """The one recording of a problem.
+
+    Raises:
+        ParameterError: There are several.
+    """
+    what, where = f"reads one recording, got {len(problem.parts)}", problem.settings.method
+    require(len(problem.parts) == 1, what, where=f"method {where}", fix="use gauss-newton")
+    return problem.parts[0]
+
+
+def finished(problem: Problem, starts: Sequence[Start], interrupted: bool) -> Found:
+    """The result of a search that took no derivatives and no noise: both are taken at its best.
+
+    Raises:
+        SimulationError: There is none, or it cannot be simulated.
+    """
+    best = best_of(starts)
+    comparison = None if best is None else problem.compare([best.vector])[0]
+    if best is None or comparison is None:
+        raise problem.nothing_runs()
+    best.comparison = comparison
+    noise = estimated_noise(comparison, problem.first_noise())
+    return Found(best=best, starts=starts, noise=noise, interrupted=interrupted)

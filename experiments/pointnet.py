@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.evolution import only_part
 from gendom.arguments import require
 from gendom.errors import ParameterError
 from gendom.estimation.methods.search import estimated_noise
@@ -51,7 +52,7 @@ def pointnet(problem: Problem) -> Found:
         ParameterError: The network was trained on another kind of lift.
         SimulationError: Its prediction cannot be simulated.
     """
-    scene, prior = problem.only().scene, problem.prior
+    scene, prior = only_part(problem).scene, problem.prior
     session, description = read_network(ASSET)
     lift = lift_of(scene)
     for name, value in description["lift"].items():
@@ -86,7 +87,6 @@ def pointnet(problem: Problem) -> Found:
         value=comparison.rms,
         iterations=1,
         done=True,
-        history=[(1, vector.copy(), comparison.rms, "")],
     )
     problem.tell("network", 1, 1, best)
     return Found(

@@ -104,7 +104,7 @@ PAPER_ERRORS = {
 SEARCHES: dict[str, Callable[[Problem, Array], Found]] = {
     "gauss-newton": lambda problem, start: gauss_newton(
         problem,
-        GaussNewtonSettings.of(problem.scene.kind, rugged=True, jumps=JUMPS),
+        replace(GaussNewtonSettings.of(problem.scene.kind), rugged=True, jumps=JUMPS),
         initial=(start,),
     ),
     "adam": lambda problem, start: adam(problem, initial=(start,), steps=3),

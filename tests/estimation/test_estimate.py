@@ -1,4 +1,4 @@
-"""Known parameters come back from lifts that were simulated with them."""
+"""Known parameters come back from lifts that were simulated with them, and from files."""
 
 import math
 from dataclasses import replace
@@ -10,6 +10,7 @@ from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
 from gendom.estimation import (
     UNKNOWNS,
+    Estimate,
     EstimateSettings,
     LiftScene,
     Theta,
@@ -19,15 +20,16 @@ from gendom.estimation import (
 )
 from gendom.estimation.methods.gauss_newton import PER_BATCH
 from gendom.estimation.priors import BENDING_RANGE
-from gendom.files import to_json
+from gendom.files import write_json
 from gendom.materials.parameters import bending_length
 from gendom.observation import chamfer
+from gendom.reading import read_json
 
 KEYS = {
     "begins_with", "bending_length", "bending_stiffness", "bounds", "calibration", "chamfer_last",
     "chamfer_last_registered", "chamfer_last_surface", "chamfer_mean", "chamfer_mean_registered",
     "chamfer_mean_surface", "compared", "damping", "density", "density_assumed", "density_sd",
-    "device", "digest", "format", "frames", "friction", "history", "identifiable", "interrupted",
+    "device", "digest", "format", "frames", "friction", "identifiable", "interrupted",
     "intervals", "iterations", "method", "noise", "notes", "object", "nu", "posterior",
     "recordings", "rms", "rms_by_frame", "rms_registered", "seconds", "seed", "sha256",
     "simulation", "stage_seconds", "E_over_rho", "starts", "stiffness_slope", "theta", "thickness",
@@ -52,7 +54,7 @@ def test_known_modulus_comes_back(rope_lift, found):
 
 
 def test_another_seed_finds_the_same(rope_lift, settings):
-    """Where the starts are drawn elsewhere, the modulus comes back, here of a stiffer rope."""
+    """Of a stiffer rope, from two starts that are apart."""
     seen = rope_lift.seen(E_over_rho=3.0 * rope_lift.truth.E_over_rho, seed=3)
     other = estimate(seen, replace(settings, starts=2, seed=1)).record
     initial = [start["initial"]["E_over_rho"] for start in other["starts"]]
@@ -67,20 +69,20 @@ def test_what_a_gripper_does_unsaid_is_found(rope_lift, settings):
     told = {"grip_height": 0.004, "grip_along": 0.005, "delay": 0.04}
     off = np.eye(4)
     off[:3, 3] = 0.003, -0.003, 0.003
-    found = estimate(rope_lift.seen(frames=20, **told), settings)
+    found = estimate(rope_lift.seen(frames=20, **told).moved(off), settings)
     assert found.usable
-    for name, most in (("grip_height", 0.0015), ("grip_along", 0.003), ("delay", 0.02)):
+    for name, most in (("grip_height", 0.0045), ("grip_along", 0.005), ("delay", 0.02)):
         assert found.theta[name] == pytest.approx(told[name], abs=most)
     assert found.theta.E_over_rho == pytest.approx(rope_lift.truth.E_over_rho, rel=0.1)
-    record = estimate(rope_lift.seen().moved(off), replace(settings, max_iterations=6)).record
-    assert record["chamfer_mean_registered"] < record["chamfer_mean"] - 0.001
+    assert found.record["chamfer_mean_registered"] < found.record["chamfer_mean"] - 0.0005
 
 
 @pytest.mark.slow
 def test_a_cloth_s_modulus_comes_back(cloth_lift):
     """Within a third: of a limp cloth a lift tells less."""
-    seen = cloth_lift.seen(points=400)
-    found = estimate(seen, EstimateSettings(starts=1, scene=cloth_lift.settings))
+    found = estimate(
+        cloth_lift.seen(points=400), EstimateSettings(starts=1, scene=cloth_lift.settings)
+    )
     assert found.usable, found.verdict.reasons
     modulus = cloth_lift.truth.E_over_rho
     assert abs(math.log(found.theta.E_over_rho / modulus)) < math.log(4.0 / 3.0)
@@ -89,8 +91,7 @@ def test_a_cloth_s_modulus_comes_back(cloth_lift):
 @pytest.mark.slow
 def test_red_rope(real_data):
     """Bending length near the 0.11 to 0.12 m of an elastica fitted by hand; the replay matches."""
-    recording = Recording.read(real_data / "rope_red_lift.npz")
-    found = estimate(recording, EstimateSettings(starts=1))
+    found = estimate(Recording.read(real_data / "rope_red_lift.npz"), EstimateSettings(starts=1))
     assert found.usable
     assert 0.09 <= found.record["bending_length"] <= 0.15 and found.record["chamfer_last"] <= 0.012
 
@@ -109,18 +110,17 @@ def test_what_is_known_is_not_looked_for(rope_lift, lifted, settings):
 
 
 def test_record_is_gendom_estimate_1(rope_lift, found):
-    """All keys are there, it has a JSON form, and its numbers agree with each other."""
+    """All keys are there, and its numbers agree with each other."""
     record, density = found.record, 1000.0
-    assert record["format"] == "gendom-estimate/1" and set(record) == KEYS and to_json(record)
-    assert record["verdict"] == {"usable": True, "reasons": []}
+    assert record["format"] == "gendom-estimate/1" and set(record) == KEYS
+    assert record["verdict"] == {"usable": True, "reasons": []} and not record["interrupted"]
     assert record["density"] == pytest.approx(density) and not record["density_assumed"]
     assert record["E"] == pytest.approx(record["E_over_rho"] * density)
     assert record["E_over_rho"] == found.theta.E_over_rho and record["theta"] == dict(found.theta)
     diameter = rope_lift.object.diameter
     bending = bending_length(record["E_over_rho"], diameter / 4.0, 9.81)
     assert record["bending_length"] == pytest.approx(bending, rel=1e-3)
-    EI = record["E"] * math.pi / 64.0 * diameter**4
-    assert record["bending_stiffness"] == pytest.approx(EI)
+    assert record["bending_stiffness"] == pytest.approx(record["E"] * math.pi / 64.0 * diameter**4)
     intervals = record["intervals"]
     assert intervals["level"] == 0.9
     for name in ("E", "E_over_rho", "bending_length", "nu"):
@@ -131,12 +131,11 @@ def test_record_is_gendom_estimate_1(rope_lift, found):
     np.testing.assert_allclose(shares, BENDING_RANGE["rope"])
     made = record["simulation"]
     assert (made["clock"], made["points_simulated"]) == (1.0, 15)
-    assert not record["interrupted"]
     assert 2 <= record["iterations"] <= PER_BATCH * EstimateSettings.max_iterations
-    iterations = [h["iteration"] for h in record["history"]]
-    assert iterations == sorted(set(iterations))
     # what calibration adds moves it by less than that towards the prior
-    assert record["history"][-1]["E_over_rho"] == pytest.approx(record["E_over_rho"], rel=1e-3)
+    (start,) = record["starts"]
+    assert start["final"]["E_over_rho"] == pytest.approx(record["E_over_rho"], rel=1e-3)
+    assert start["converged"] and start["loss"] == record["rms"]
 
 
 def test_chamfer_is_that_of_the_best_fit(lifted, found):
@@ -151,6 +150,49 @@ def test_chamfer_is_that_of_the_best_fit(lifted, found):
     assert record["chamfer_mean"] == pytest.approx(whole.mean())
     assert surface.mean() < whole.mean() < 0.01  # noise and the unseen lower side
     assert np.allclose(replay(scene, [found.theta])[:, 0], fit.positions)
+
+
+def test_an_estimate_comes_back_from_its_file(found, tmp_path):
+    """And shows itself on a screen at most, with units and intervals."""
+    path = tmp_path / "estimate.json"
+    found.save(path)
+    again = Estimate.load(path)
+    assert again.theta == found.theta and again.verdict == found.verdict
+    assert again.record == read_json(path) == found.record
+    for key in ("E", "E_over_rho", "friction", "colour"):
+        assert again.interval(key) == found.interval(key)
+    text = repr(found)
+    assert repr(again) == text and len(text) < 1200 and text.count("\n") < 15
+    assert "Young's modulus" in text and "Pa" in text and "90% in [" in text
+    table = found._repr_html_()
+    assert table.count("<tr>") == len(found.rows()) and "usable" in table
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"format": "other/1"}, "not 'gendom-estimate/1'"),
+        ({"E": 1.0}, r"estimate\.json: was changed after it was written"),
+        (None, "nothing was estimated: no frame holds a point"),
+    ],
+)
+def test_other_files_are_refused(found, tmp_path, changes, words):
+    """Of other formats, changed by hand, or of a recording that was refused."""
+    path = tmp_path / "estimate.json"
+    verdict = {"usable": False, "reasons": ["no frame holds a point"]}
+    refused = {"format": "gendom-estimate/1", "verdict": verdict}
+    write_json(path, refused if changes is None else found.record | changes)
+    with pytest.raises(ParameterError, match=words):
+        Estimate.load(path)
+
+
+def test_the_object_has_the_estimated_material(found):
+    rope = found.rope()
+    assert rope.material.E == pytest.approx(found.E) and rope.material.nu == found.nu
+    assert rope.length == found.record["object"]["length"]
+    with pytest.raises(ParameterError, match="is of a rope"):
+        found.cloth()
+    assert len({item.material.E for item in found.draws(5, seed=0)}) == 5
 
 
 def test_progress_is_reported(watched):
@@ -193,13 +235,13 @@ def test_only_the_last_frame_may_be_compared(rope_lift, lifted, settings):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"starts": 0}, "starts"),
-        ({"seed": -1}, "seed"),
-        ({"frames": "first"}, "'all' or 'last'"),
-        ({"max_iterations": 1}, "max_iterations"),
-        ({"level": 1.0}, "level"),
-        ({"level": 0.0}, "level"),
-        ({"camera_pose": "guessed"}, "camera_pose: is 'guessed'; give stated or unknown"),
+        ({"starts": 0}, "starts must be at least 1, got 0"),
+        ({"seed": -1}, "seed must be at least 0, got -1"),
+        ({"max_iterations": 1}, "max_iterations must be at least 2, got 1"),
+        ({"level": 1.0}, "level must lie between 0 and 1, got 1.0"),
+        ({"level": 0.0}, "level must lie between 0 and 1, got 0.0"),
+        ({"frames": "first"}, "unknown frames 'first'; choose one of all, last"),
+        ({"camera_pose": "guessed"}, "unknown camera_pose 'guessed'; choose one of stated, unkn"),
         ({"method": "guess"}, "no method 'guess'; choose from gauss-newton"),
         ({"unknowns": ("colour",)}, "no unknown 'colour'; choose from E_over_rho"),
         ({"unknowns": ("yaw",)}, "a rope has no yaw"),

@@ -19,12 +19,11 @@ from gendom.estimation.intervals import (
     told_apart,
 )
 from gendom.estimation.methods.gauss_newton import gauss_newton, refined
-from gendom.estimation.methods.nearest import nearest
 from gendom.estimation.problem import EstimateSettings, Found, Problem, Progress, recording_names
 from gendom.estimation.registration import register
 from gendom.estimation.result import FittedEstimate, result_of
 from gendom.estimation.scene import LiftScene
-from gendom.estimation.verdict import displaced, judge, refused_before
+from gendom.estimation.verdict import judge, refused_before
 from gendom.materials.posterior import Posterior
 from gendom.materials.unknowns import Theta
 from gendom.plugins import plugins
@@ -123,32 +122,10 @@ def _searched(problem: Problem, search: Callable[[Problem], Found]) -> Found:
         problem = found.problem or problem
         finer = problem.finer(found.best.vector).beside(found)
         if finer is problem:
-            return _searched_widely(problem, found)
+            break
         limp = finer.scene.limp and not problem.scene.limp
         found = gauss_newton(finer) if limp else refined(finer, found)
     return found
-
-
-def _searched_widely(problem: Problem, found: Found) -> Found:
-    """The result, or that of a search over the whole prior where a cloth moves otherwise than the
-    best fit does: with a large displacement of the model every place fits, and steps end anywhere.
-    """
-    parts = zip(problem.parts, found.noise, strict=True)
-    # a displacement so large is as large as the deviation of how a corner is held
-    far = any(displaced(part, noise, times=5.0) for part, noise in parts)
-    if problem.scene.kind != "cloth" or not problem.scene.thin or not far:
-        return found
-    try:
-        wide = nearest(problem)
-        if not any(displaced(p, n) for p, n in zip(problem.parts, wide.noise, strict=True)):
-            # it can be simulated: what is nearest is not yet what is most likely
-            return gauss_newton(problem, initial=[wide.best.vector])
-    except KeyboardInterrupt:
-        return replace(found, interrupted=True)
-    assert wide.best.comparison is not None and found.best.comparison is not None
-    if wide.best.comparison.rms >= found.best.comparison.rms:
-        return found
-    return replace(found, best=wide.best, starts=[*found.starts, wide.best], noise=wide.noise)
 
 
 def _alone(

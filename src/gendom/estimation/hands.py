@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.materials.unknowns import UNKNOWNS
+from gendom.sim.thin import rotation
 
 
 def along(recording: Recording, inwards: Array) -> Array:
@@ -40,8 +40,8 @@ def clamp_frame(recording: Recording, inwards: Array, g: int) -> Array:
     shortest way so that the nearest one lies along it."""
     rig, own = rig_axes(recording), along(recording, inwards)
     k, sign = _nearest(rig, own[:, g])
-    others = np.delete(rig, k, axis=0)
-    return np.stack([*turn_between(sign * rig[k], own[0, g]).apply(others), own[0, g]], axis=1)
+    turn, others = rotation.shortest(sign * rig[k], own[0, g]), np.delete(rig, k, axis=0)
+    return np.stack([*rotation.turned(turn, others), own[0, g]], axis=1)
 
 
 def _nearest(rig: Array, own: Array) -> tuple[int, float]:
@@ -62,11 +62,3 @@ def clamp_steps(recording: Recording, inwards: Array) -> dict[str, dict[str, flo
         both = np.delete(ways, _nearest(rig, own[:, g])[0])
         found |= {f"{end}_clamp_{axis}": way for axis, way in zip("xy", both, strict=True)}
     return {n: {"step": math.copysign(UNKNOWNS[n].step, way)} for n, way in found.items()}
-
-
-def turn_between(a: Array, b: Array) -> Rotation:
-    """The smallest turns from directions [..., 3] to others."""
-    normal = np.cross(a, b)
-    size = np.linalg.norm(normal, axis=-1, keepdims=True)
-    angle = np.arctan2(size, (a * b).sum(axis=-1, keepdims=True))
-    return Rotation.from_rotvec(normal * angle / np.maximum(size, 1e-12))

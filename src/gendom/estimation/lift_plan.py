@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import truncnorm
 
-from gendom.arguments import require
+from gendom.arguments import check_choice, require
 from gendom.arrays import Array
 from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.checks import MAX_DENSITY
@@ -45,9 +45,6 @@ from gendom.robot.motions import FREE_RISE, LIFT_FRAME_RATE, RISE
 SHOWN = {"E": "E_over_rho", "damping": "damping", "friction": "friction"}
 """Parameters whose information is compared: names of `UNKNOWNS`. Density is known, or only E /
 density counts."""
-
-AIMS = (*SHOWN, "all")
-"""Parameters that a motion can be chosen for."""
 
 CLOUD_POINTS = {"rope": 320, "cloth": 1400}
 """Points of a frame, twice what an estimate compares."""
@@ -123,7 +120,7 @@ class LiftPlanSettings:
     """
 
     aim: str = "all"
-    """One of `AIMS`."""
+    """What a motion is chosen for: a key of `SHOWN`, or all."""
     ends: tuple[str, ...] = LIFT_ENDS
     """Ends that are compared: hold, swing, drop."""
     rises: tuple[float, ...] = (RISE, FREE_RISE)
@@ -138,10 +135,10 @@ class LiftPlanSettings:
     """Probability of the intervals."""
 
     def __post_init__(self) -> None:
-        fix = f"choose from {', '.join(AIMS)}"
-        require(self.aim in AIMS, f"is {self.aim!r}", where="for", fix=fix)
-        require(self.draws >= 1, f"is {self.draws}", where="draws", fix="give 1 or more")
-        require(self.seed >= 0, f"is {self.seed}", where="seed", fix="give 0 or more")
+        check_choice("aim", self.aim, (*SHOWN, "all"), where="for")
+        for name, least in (("draws", 1), ("seed", 0)):
+            value = getattr(self, name)
+            require(value >= least, f"is {value}", where=name, fix=f"give {least} or more")
         level, fix = f"is {self.level}", "give 0 to 1, as 0.9"
         require(0.0 < self.level < 1.0, level, where="level", fix=fix)
 
@@ -325,12 +322,25 @@ def imagined(
     scene: LiftScene, thetas: Sequence[Theta], noise: float, rng: np.random.Generator
 ) -> list[Recording | None]:
     """Recordings of a scene's lift of objects with these parameters, by cameras with some noise
-    [m]; None where one could not be simulated. Only frames that are compared show points."""
-    every = np.swapaxes(replay(scene, thetas, keep_going=True), 0, 1)
-    return [
-        _seen(scene, x, theta, noise, rng) if np.isfinite(x).all() else None
-        for x, theta in zip(every, thetas, strict=True)
-    ]
+    [m]; None where one could not be simulated. Only frames that are compared, and those before,
+    show points."""
+    lying, found = scene.recording, []
+    every_x = np.swapaxes(replay(scene, thetas, keep_going=True), 0, 1)
+    for x, theta in zip(every_x, thetas, strict=True):
+        if not np.isfinite(x).all():
+            found.append(None)
+            continue
+        shown = {t: lying.frame(t) for t in range(scene.frames[0])}
+        for t, skin in zip(scene.frames, scene.body_of(theta).surface(x), strict=True):
+            if scene.kind == "rope":
+                skin = skin[visible(skin, camera_positions=lying.camera_positions)]
+            most = min(CLOUD_POINTS[scene.kind], len(skin))
+            skin = skin[rng.choice(len(skin), size=most, replace=False)]
+            shown[t] = skin + noise * rng.standard_normal(skin.shape)
+        every = [shown.get(t, np.zeros((0, 3))) for t in range(lying.num_frames)]
+        ends = np.cumsum([0, *map(len, every)])
+        found.append(replace(lying, points=np.concatenate(every), offsets=ends))
+    return found
 
 
 def recorded_lift(trial: Trial, arm: JointMotion, frame_rate: float) -> Recording:
@@ -363,21 +373,3 @@ def recorded_lift(trial: Trial, arm: JointMotion, frame_rate: float) -> Recordin
         camera_positions=np.array([c.position for c in lift_cameras(item)]),
         source="gendom.estimation.lift_plan",
     )
-
-
-def _seen(
-    scene: LiftScene, x: Array, theta: Theta, noise: float, rng: np.random.Generator
-) -> Recording:
-    """The recording of an object at [T, N, 3] [m] in a scene's frames by its cameras with some
-    noise [m]; later frames than the first of them show nothing else."""
-    lying, most, shown = scene.recording, CLOUD_POINTS[scene.kind], {}
-    for t, skin in zip(scene.frames, scene.body_of(theta).surface(x), strict=True):
-        if scene.kind == "rope":
-            skin = skin[visible(skin, camera_positions=lying.camera_positions)]
-        skin = skin[rng.choice(len(skin), size=min(most, len(skin)), replace=False)]
-        shown[t] = skin + noise * rng.standard_normal(skin.shape)
-    before, nothing = range(scene.frames[0]), np.zeros((0, 3))
-    every = [
-        lying.frame(t) if t in before else shown.get(t, nothing) for t in range(lying.num_frames)
-    ]
-    return replace(lying, points=np.concatenate(every), offsets=np.cumsum([0, *map(len, every)]))

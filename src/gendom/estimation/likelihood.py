@@ -38,37 +38,27 @@ def misfit(rows: Rows, rho: Array) -> float:
     return float((rows.counts * 2.0 * rho**2 / (1.0 + rows.soft_root(HUBER, rho))).sum())
 
 
+@dataclass(eq=False)
 class Comparison:
-    """Clouds beside one simulated shape.
+    """Clouds beside one simulated shape."""
 
-    Args:
-        observation: The clouds.
-        axis: [T, n, 3] the shape, of a cable with markers beside it the axis [m].
-        J: [T, n, 3, P] how it changes with the transformed parameters [m]; None: P is 0.
-        radius: Half its thickness [m]; None: as stated.
-        widens: [P] how that changes with the transformed parameters [m].
-        offsets: [m, 3] by which markers are beside it [m], where that was found before.
-    """
+    observation: Observation
+    axis: Array
+    """[T, n, 3] the shape, of a cable with markers beside it the axis [m]."""
+    J: Array
+    """[T, n, 3, P] how it changes with the transformed parameters [m]."""
+    radius: float
+    """Half its thickness [m]."""
+    widens: Array
+    """[P] how that changes with the transformed parameters [m]."""
+    offsets: Offsets = ()
+    """[m, 3] by which markers are beside it [m], where that was found before."""
 
-    def __init__(
-        self,
-        observation: Observation,
-        axis: Array,
-        J: Array | None = None,
-        radius: float | None = None,
-        widens: Array | None = None,
-        offsets: Offsets = (),
-    ):
-        self.observation = observation
-        self.axis = axis
-        self.offsets = np.array(offsets)
-        self.J = np.zeros((*axis.shape, 0)) if J is None else J
-        self.radius = observation.shape.radius if radius is None else radius
-        self.widens = np.zeros(0) if widens is None else widens
+    def __post_init__(self) -> None:
         self._last: Fit | None = None
         self._near: Fit | None = None
         self._first = np.zeros(0)
-        self._in_sight = cache(lambda t: observation.in_sight(axis[t]))
+        self._in_sight = cache(lambda t: self.observation.in_sight(self.axis[t]))
 
     def warm_start(self, other: Comparison) -> None:
         """Start the registration from the result of a comparison nearby."""
@@ -101,8 +91,8 @@ class Comparison:
     def rows(self) -> Rows:
         """Of the shape as it is, of a cable the line through its markers."""
         shape = self.axis
-        if len(self.offsets):
-            shape = shape + aside(self.observation.scene, self.frames, self.offsets)
+        if self.offsets:
+            shape = shape + aside(self.observation.scene, self.frames, np.array(self.offsets))
         return self._rows(shape)
 
     def _rows(self, shape: Array) -> Rows:
@@ -137,7 +127,7 @@ class Comparison:
                 mine = (o.camera[part] == camera) & (weight[part] > 0.0)
                 if camera >= 0 and mine.sum() > 100:
                     A, w = D[part][mine], weight[part][mine]
-                    H = A.T @ (w[:, None] * A) + np.diag(noise.fixed)
+                    H = A.T @ (w[:, None] * A) + np.diag(noise.precision())
                     shifts.append(np.linalg.solve(H, A.T @ (w * rho[part][mine]))[:3])
             for a, b in combinations(shifts, 2):
                 first, last = (o.scene.frames[t] for t in part[[0, -1]])
@@ -216,7 +206,7 @@ class Comparison:
         where their rows are not given."""
         o, S, R = self.observation, self._smooth_of(a), len(a)
         if rows is None:
-            moved = a.any() or len(self.offsets)
+            moved = a.any() or self.offsets
             rows = self._rows(self._displaced(a)) if moved else self.rows
         rho = rows.rho - a[-1]
         # by the displacement of each frame, which all frames' coefficients make up; by offsets,

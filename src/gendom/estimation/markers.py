@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 
 from gendom.arguments import require
 from gendom.arrays import Array
-from gendom.estimation.hands import clamp_frame
 from gendom.estimation.placing import rod_near
 from gendom.estimation.scene import LiftScene
 from gendom.sim.thin import rotation
@@ -73,8 +72,7 @@ def _twist_free(scene: LiftScene, x: Array, frames: Sequence[int]) -> tuple[Arra
 def _hands(scene: LiftScene, frames: tuple[int, ...]) -> list[Array]:
     """[T, 4] directions of both hands."""
     found, times = [], scene.sim_time(scene.recording.time[list(frames)])
-    for g in (0, 1):
-        axes = clamp_frame(scene.recording, scene.inwards, g)
+    for g, axes in enumerate(scene.clamp_frames):
         own = Rotation.from_matrix(axes * [1.0, np.sign(np.linalg.det(axes)), 1.0])
         turned = scene.turned(g, times)
         every = Rotation.identity(len(times)) if turned is None else turned

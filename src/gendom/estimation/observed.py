@@ -81,16 +81,10 @@ class NoiseModel:
         """With the wide prior of cameras whose poses are unknown."""
         return replace(self, shift=UNKNOWN_SHIFT, turn=UNKNOWN_TURN)
 
-    @property
-    def fixed(self) -> Array:
-        """[7] precisions of rigid motion and skin."""
-        sd = [self.shift] * 3 + [self.turn] * 3 + [self.skin]
-        return np.array(sd) ** -2.0
-
-    def precision(self, smooth: int, beside: int) -> Array:
-        """[S + B + 7] of displacement, markers, motion and skin before anything is seen."""
-        displaced = np.full(smooth, self.model**-2) if smooth else []
-        return np.concatenate([displaced, np.full(beside, self.beside**-2), self.fixed])
+    def precision(self, smooth: int = 0, beside: int = 0) -> Array:
+        """[S + B + 7] of displacement, markers, rigid motion and skin before anything is seen."""
+        sd = [self.model] * smooth + [self.beside] * beside
+        return np.array([*sd, *[self.shift] * 3, *[self.turn] * 3, self.skin]) ** -2.0
 
 
 class Observation:

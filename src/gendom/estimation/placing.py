@@ -76,15 +76,13 @@ class Placed:
 def place(
     recording: Recording,
     points: int | None,
-    frames: tuple[int, ...],
     notes: list[str],
     lies: Array | None = None,
     cells: float | None = None,
 ) -> Placed:
     """Where the recorded object lies in the beginning, with so many points along it, and where it
-    is held; ``notes`` get what was assumed. Of ``frames``, those that hold points, there is one at
-    least. ``lies`` is `Placed.lies` where that is known, ``cells`` are those of the MPM across a
-    rope's diameter, None: rods and shells.
+    is held; ``notes`` get what was assumed. ``lies`` is `Placed.lies` where that is known,
+    ``cells`` are those of the MPM across a rope's diameter, None: rods and shells.
 
     Raises:
         RecordingError: The recording shows too little to place the object, or no rope or cloth.
@@ -94,16 +92,16 @@ def place(
     what, where = f"objects of kind {kind!r} cannot be simulated", "meta.object.kind"
     require(kind in KINDS, what, where=where, fix="use rope or cloth", error=RecordingError)
     if kind == "cloth":
-        return _place_cloth(recording, points, frames, notes, lies, cells)
+        return _place_cloth(recording, points, notes, lies, cells)
     length, diameter = _sizes_of_rope(recording, notes)
     if recording.num_grippers == 1:
-        line = _line_from(recording, frames, length, diameter) if lies is None else lies
-        return _place_rope(recording, points, length, diameter, line, cells)
+        line = _line_from(recording, length, diameter) if lies is None else lies
+        return _place_rope(recording, points, line, cells, length=length, diameter=diameter)
     # bodies of the MPM are free of stress as they begin
     what = "a rope held at both ends is simulated as a rod"
     require(cells is None, what, where="engine", fix="engine 'thin'")
     notes.append("held at both ends: straight by nature, as far as is known")
-    return _place_between(recording, points, frames, length, diameter)
+    return _place_between(recording, points, length, diameter)
 
 
 def _sizes_of_rope(recording: Recording, notes: list[str]) -> tuple[float, float]:
@@ -114,38 +112,24 @@ def _sizes_of_rope(recording: Recording, notes: list[str]) -> tuple[float, float
         share = THIN if recording.extra.get("static", False) else THICK
         diameter = length / share
         notes.append(f"diameter not stated: {diameter:.4g} m assumed (length / {share:g})")
-    what, fix = (
-        f"a rope {diameter:g} m thick and {length:g} m long is no rope",
-        "give both in metres",
-    )
-    require(diameter <= 0.2 * length, what, where="meta.object", fix=fix, error=RecordingError)
+    what = f"a rope {diameter:g} m thick and {length:g} m long is no rope"
+    where, fix = "meta.object", "give both in metres"
+    require(diameter <= 0.2 * length, what, where=where, fix=fix, error=RecordingError)
     return length, diameter
 
 
-def _points_of(body: Body, cells: float | None) -> Array:
-    return np.asarray(body.points if cells is None else body.x, dtype=float)
-
-
 def _place_rope(
-    recording: Recording,
-    points: int | None,
-    length: float,
-    diameter: float,
-    line: Array,
-    cells: float | None,
+    recording: Recording, points: int | None, line: Array, cells: float | None, **sizes: float
 ) -> Placed:
-    """A rope along a line [K, 3] on its table, held near one end."""
-    inset = recording.object.grasp_inset or diameter / 2.0
-    across = cells or CELLS
-    body = rope(
-        diameter=diameter, length=length, centre_line=line, cells_across=across, points=points
-    )
+    """A rope of these sizes along a line [K, 3] on its table, held near one end."""
+    inset = recording.object.grasp_inset or sizes["diameter"] / 2.0
+    body = rope(**sizes, cells_across=cells or CELLS, centre_line=line, points=points)
     steps, s = np.diff(body.points, axis=0), arc_length(body.points)
     held = np.array([np.interp(inset, s, x) for x in body.points.T])
     direction = steps[min(int(np.searchsorted(s, inset)), len(steps) - 1)]
     return Placed(
         body=body,
-        initial=_points_of(body, cells),
+        initial=np.asarray(body.points if cells is None else body.x, dtype=float),
         held=held[None],
         inwards=direction[None] / np.linalg.norm(direction),
         lies=line,
@@ -153,15 +137,11 @@ def _place_rope(
 
 
 def _place_between(
-    recording: Recording,
-    points: int | None,
-    frames: tuple[int, ...],
-    length: float,
-    diameter: float,
+    recording: Recording, points: int | None, length: float, diameter: float
 ) -> Placed:
     """A rope that two grippers hold by its ends, straight by nature."""
-    grip = recording.gripper_position[frames[0]].astype(float)
-    s, line, speeds, backwards = _line_between(recording, grip, frames, length, diameter)
+    grip = grip_of(recording)
+    s, line, speeds, backwards = _line_between(recording, grip, length, diameter)
     shown, s = float(s[-1]), s * (length / s[-1])
     body = rope(diameter=diameter, length=length, points=points)
     u = np.linspace(0.0, length, len(body.points))
@@ -240,10 +220,11 @@ def rod_near(length: float, shown: Array, places: Array, n: int, near: float = M
 
 
 def _line_between(
-    recording: Recording, grip: Array, frames: tuple[int, ...], length: float, diameter: float
+    recording: Recording, grip: Array, length: float, diameter: float
 ) -> tuple[Array, Array, Array | None, bool]:
     """Places along a rope [K] [m] from one end to the other, where the first frame shows them
     [K, 3] [m], how fast markers are there [K, 3] [m/s], and whether they are recorded backwards."""
+    frames = with_points(recording)
     cloud, speeds = recording.frame(frames[0]).astype(float), None
     if recording.extra.get("ordered_markers", False):
         first = [t for t in frames[:5] if len(recording.frame(t)) == len(cloud)]
@@ -276,15 +257,13 @@ def _line_between(
     return s, cloud, speeds, backwards
 
 
-def _line_from(
-    recording: Recording, frames: tuple[int, ...], length: float, diameter: float
-) -> Array:
+def _line_from(recording: Recording, length: float, diameter: float) -> Array:
     """Centre line of a rope at rest, from somewhat behind the gripper on."""
-    early = early_points(recording, frames, diameter)
-    grip = recording.gripper_position[frames[0], 0].astype(float)
+    early, grip = early_points(recording, diameter), grip_of(recording)[0]
     behind, flat = recording.object.grasp_inset or diameter / 2.0, early[:, :2] - grip[:2]
     what = "the first frames show too little of the rope to tell which way it lies"
-    where = f"frames {frames[0]}-{frames[min(9, len(frames) - 1)]}"
+    frames = with_points(recording)[:10]
+    where = f"frames {frames[0]}-{frames[-1]}"
     fix = "record from the rope at rest on; is its length in metres?"
     # points farther from the gripper tell which way it lies
     far = int((np.linalg.norm(flat, axis=1) > 0.25 * length).sum())
@@ -371,7 +350,6 @@ def _turn(yaw: float) -> Array:
 def _place_cloth(
     recording: Recording,
     points: int | None,
-    frames: tuple[int, ...],
     notes: list[str],
     lies: Array | None,
     cells: float | None,
@@ -384,14 +362,14 @@ def _place_cloth(
         # of two sheets of equal bending stiffness the thicker is softer in its plane, as if woven
         thickness = 0.002
         notes.append(f"thickness not stated: {thickness * 1e3:.3g} mm assumed")
-    grip, longer = recording.gripper_position[frames[0], 0].astype(float), float(sides.max())
+    grip, longer = grip_of(recording)[0], float(sides.max())
     diagonal, held = sides / math.hypot(*sides), sides / 2.0
     if described.grasp == "corner":
         held = (described.grasp_inset or 0.0) * diagonal
-    yaw = _cloth_yaw(recording, frames, sides, -held) if lies is None else float(lies)
+    yaw = _cloth_yaw(recording, sides, -held) if lies is None else float(lies)
     low = recording.table_height
     if low is None:
-        low = float(np.percentile(early_points(recording, frames, 0.05 * longer)[:, 2], 5))
+        low = float(np.percentile(early_points(recording, 0.05 * longer)[:, 2], 5))
     mid = low + thickness / 2.0
     turn, spacing = _turn(yaw), longer / ((points or SHELL_POINTS) - 1)
     body = cloth(
@@ -405,19 +383,19 @@ def _place_cloth(
     )
     return Placed(
         body=body,
-        initial=_points_of(body, cells),
+        initial=np.asarray(body.points if cells is None else body.x, dtype=float),
         held=np.array([[grip[0], grip[1], mid]]),
         inwards=np.append(turn @ diagonal, 0.0)[None],
         lies=np.array(yaw),
     )
 
 
-def _cloth_yaw(recording: Recording, frames: tuple[int, ...], sides: Array, first: Array) -> float:
+def _cloth_yaw(recording: Recording, sides: Array, first: Array) -> float:
     """Turn of a flat cloth with sides [2] and its first corner at [2] from the held point, about
     that point: of its outline, or, of one that lies in folds and hangs by a corner, evenly about
     its diagonal, of that, which points to where the lifted cloud is."""
-    grip, longer = recording.gripper_position[frames[0], 0], float(sides.max())
-    lying = early_points(recording, frames, 0.01 * longer)[:, :2] - grip[:2]
+    grip, longer, frames = grip_of(recording)[0], float(sides.max()), with_points(recording)
+    lying = early_points(recording, 0.01 * longer)[:, :2] - grip[:2]
     yaw, off = _outline_yaw(lying, first, sides)
     # cloths of the second reality have 0.012, real ones that lie in folds 0.11 and more
     if off < 0.03 * longer or recording.object.grasp != "corner":
@@ -491,9 +469,14 @@ def with_points(recording: Recording) -> tuple[int, ...]:
     return tuple(np.flatnonzero(recording.frame_valid).tolist())
 
 
-def early_points(recording: Recording, frames: tuple[int, ...], size: float) -> Array:
+def grip_of(recording: Recording) -> Array:
+    """[G, 3] of the grippers in the first frame with points [m]."""
+    return recording.gripper_position[int(np.argmax(recording.frame_valid))].astype(float)
+
+
+def early_points(recording: Recording, size: float) -> Array:
     """[n, 3] points of the frames before the gripper has moved by ``size`` [m]."""
-    path = recording.gripper_position[:, 0]
+    path, frames = recording.gripper_position[:, 0], with_points(recording)
     moved = np.linalg.norm(path - path[frames[0]], axis=1)
     early = [t for t in frames if moved[t] <= size] or frames[:1]
     return np.concatenate([recording.frame(t) for t in early]).astype(float)

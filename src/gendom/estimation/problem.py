@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gendom.arguments import require
+from gendom.arguments import check_choice, require
 from gendom.arrays import Array
 from gendom.errors import SimulationError
 from gendom.estimation.likelihood import Comparison, Comparisons
@@ -69,11 +69,8 @@ class EstimateSettings:
     noise: NoiseModel = field(default_factory=NoiseModel)
 
     def __post_init__(self) -> None:
-        what = f"frames must be 'all' or 'last', got {self.frames!r}"
-        require(self.frames in ("all", "last"), what)
-        what, fix = f"is {self.camera_pose!r}", "give stated or unknown"
-        known = self.camera_pose in (None, "stated", "unknown")
-        require(known, what, where="camera_pose", fix=fix)
+        check_choice("frames", self.frames, ("all", "last"))
+        check_choice("camera_pose", self.camera_pose or "stated", ("stated", "unknown"))
         require(0.0 < self.level < 1.0, f"level must lie between 0 and 1, got {self.level}")
         for name, least in (("starts", 1), ("max_iterations", 2), ("seed", 0)):
             value = getattr(self, name)
@@ -116,21 +113,8 @@ class Start:
     """Whether they are its own."""
     precise: bool = True
     """Whether they are to be taken with all points."""
-    stage: str = ""
-    """Of a search that has several."""
-    history: list[tuple[int, Array, float, str]] = field(default_factory=list)
-    """Iteration, vector, root mean square distance [m], and stage."""
-
-    def noted(self) -> None:
-        """Let the history have where it is."""
-        assert self.comparison is not None
-        rms = self.comparison.rms
-        self.history.append((self.iterations, self.vector.copy(), rms, self.stage))
-
-    def take(self, vector: Array, comparison: Comparisons, value: float) -> None:
-        """Go to a place, which joins the history."""
-        self.vector, self.comparison, self.value = vector, comparison, value
-        self.noted()
+    coarse: bool = False
+    """Whether it was compared in a coarse problem."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,8 +125,6 @@ class Found:
     starts: Sequence[Start]
     noise: tuple[NoiseModel, ...]
     """Of each recording; its comparison is evaluated with it."""
-    problem: Problem | None = None
-    """A finer one than was asked for, in which that is."""
     interrupted: bool = False
     others: tuple[Array, ...] = ()
     """[P] where other starts have ended that are about as likely as the best one."""
@@ -303,8 +285,8 @@ class Problem:
 
     def with_unknown(self, name: str) -> Problem:
         """The same of one recording with one more unknown, the last one."""
-        shown = np.append(self.only().shown, len(self.only().shown))
-        part = replace(self.only(), shown=shown)
+        (part,) = self.parts
+        part = replace(part, shown=np.append(part.shown, len(part.shown)))
         return self._with([part], prior=self.prior.followed_by(prior_of([name])))
 
     def alone(self, recording: int) -> Problem:
@@ -312,17 +294,6 @@ class Problem:
         k = self.parts[recording].shown
         own = replace(self.parts[recording], shown=np.arange(len(k)), name="")
         return self._with([own], prior=self.prior.alone(k), _on_progress=None)
-
-    def only(self) -> Part:
-        """The one recording.
-
-        Raises:
-            ParameterError: There are several.
-        """
-        what, method = f"reads one recording, got {len(self.parts)}", self.settings.method
-        one = len(self.parts) == 1
-        require(one, what, where=f"method {method}", fix="use gauss-newton")
-        return self.parts[0]
 
     def first_noise(self, **changes: Any) -> tuple[NoiseModel, ...]:
         """First guess of each recording's noise, with changes."""
@@ -345,10 +316,6 @@ class Problem:
         parameters, of a cable its axis, NaN where a world diverges [m]."""
         thetas = [self.theta(v, recording) for v in vectors]
         return replay_axis(scene or self.parts[recording].scene, thetas, keep_going=True)
-
-    def _middles(self, vectors: Sequence[Array], recording: int, scene: LiftScene) -> Array:
-        """[T, W, n, 3] the `middle` of those."""
-        return middle(scene, self.positions(vectors, recording, scene))
 
     def compare(
         self,
@@ -407,15 +374,15 @@ class Problem:
         """Of a recording the shapes [T, n, 3] at the first of each row of places, and by how much
         they change from there to the others [T, n, 3, k] [m], in a scene that may be coarser; NaN
         where a world diverges."""
-        part = self.parts[recording]
-        x = self._middles([v for row in worlds for v in row], recording, few)
+        part, every = self.parts[recording], [v for row in worlds for v in row]
+        x = middle(few, self.positions(every, recording, few))
         rows = np.split(x, np.cumsum([len(row) for row in worlds])[:-1], axis=1)
         shapes = [own[:, 0] for own in rows]
         changes = [np.moveaxis(own[:, 1:] - own[:, :1], 1, -1) for own in rows]
         if few is part.scene:
             return shapes, changes
         to, of = part.observation.shape, Shape(few)
-        x = self._middles([row[0] for row in worlds], recording, part.scene)
+        x = middle(part.scene, self.positions([row[0] for row in worlds], recording))
         return list(np.swapaxes(x, 0, 1)), [to.taken_from(of, change) for change in changes]
 
     def inherit_derivatives(

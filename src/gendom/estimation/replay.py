@@ -13,7 +13,6 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gendom.arrays import Array
-from gendom.estimation.hands import clamp_frame
 from gendom.estimation.markers import aside, axis_beside, material_frames
 from gendom.estimation.scene import COARSE_POINTS, STATIC_SETTLING, LiftScene
 from gendom.materials import AIR_DENSITY, STANDARD_GRAVITY, Material
@@ -222,7 +221,7 @@ class WorldInputs:
         if len(scene.held) > 1 and self.clamps[g].any():
             # the first frame shows how markers lie, not how the rope leaves the clamp
             begun = np.clip((knots - knots[0]) / self.clamping, 0.0, 1.0)
-            turn = clamp_frame(scene.recording, scene.inwards, g) @ self.clamps[g]
+            turn = scene.clamp_frames[g] @ self.clamps[g]
             found.append(Rotation.from_rotvec(begun[:, None] * turn).as_quat())
         return reduce(rotation.product, found) if found else None
 

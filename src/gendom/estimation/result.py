@@ -135,7 +135,10 @@ def result_of(
         held = {"name": part.name, "scene": part.scene, "theta": theta, "positions": x}
         fits.append(RecordingFit(**held, chamfer=whole, chamfer_surface=seen))
         own = fits[k].record(comparison.parts[k], found.noise[k])
-        by_itself = _by_itself(alone[k : k + 1], problem.settings.level, verdict)
+        by_itself = None
+        if verdict.usable and alone and "E_over_rho" in alone[k].names:
+            ends = list(alone[k].interval("E_over_rho", problem.settings.level))
+            by_itself = {"E_over_rho": alone[k].theta.E_over_rho, "interval": ends}
         recordings.append({"name": part.name, **own, "alone": by_itself})
     about = {
         **{k: v for k, v in recordings[0].items() if k not in ("name", "alone")},
@@ -180,12 +183,6 @@ def _search(problem: Problem, found: Found, seconds: Mapping[str, float]) -> dic
         initial, final = (_named(problem, v) for v in (s.initial, s.vector))
         ended = {"loss": s.comparison.rms, "converged": bool(s.done)}
         starts.append({"initial": initial, "final": final, "bending_length": bends, **ended})
-    history = [
-        {"stage": stage or settings.method, "start": n, "iteration": i, "loss": r}
-        | _named(problem, v)
-        for n, s in enumerate(found.starts)
-        for i, v, r, stage in s.history
-    ]
     return {
         "iterations": sum(s.iterations for s in found.starts),
         "seconds": sum(seconds.values()),
@@ -196,16 +193,7 @@ def _search(problem: Problem, found: Found, seconds: Mapping[str, float]) -> dic
         "device": problem.scene.settings.device,
         "interrupted": found.interrupted,
         "starts": starts,
-        "history": history,
     }
-
-
-def _by_itself(alone: Sequence[Posterior], level: float, verdict: Verdict) -> dict[str, Any] | None:
-    """E / density from one recording alone, None where that was not computed or is not usable."""
-    if not alone or "E_over_rho" not in alone[0].names or not verdict.usable:
-        return None
-    interval = list(alone[0].interval("E_over_rho", level))
-    return {"E_over_rho": alone[0].theta.E_over_rho, "interval": interval}
 
 
 def _named(problem: Problem, vector: Sequence[float] | Array) -> dict[str, float]:

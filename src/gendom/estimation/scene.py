@@ -20,7 +20,7 @@ from gendom.arguments import check_choice, require
 from gendom.arrays import Array
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
-from gendom.estimation.hands import clamp_steps, turn_between
+from gendom.estimation.hands import clamp_frame, clamp_steps
 from gendom.estimation.placing import CELLS, Placed, lost_time, place, with_points
 from gendom.estimation.priors import (
     BENDING_RANGE,
@@ -35,6 +35,7 @@ from gendom.materials.posterior import Prior, prior_of
 from gendom.materials.unknowns import UNKNOWNS, Theta
 from gendom.sim import ENGINES, Body, check_numbers
 from gendom.sim.bodies import CELLS_ACROSS
+from gendom.sim.thin import rotation
 
 SPACING, MOST_SHELL_POINTS, MOST_ROD_POINTS = 1.0 / 3.0, 49, 65
 """Limp objects are then estimated again with points this many bending lengths apart, up to so many
@@ -55,10 +56,6 @@ soft ropes stretch by up to 4 %, and their tails follow less over the table."""
 COARSE_POINTS, COARSE_FRAMES, COARSE_STRETCH = {"rope": 17, "cloth": 21}, 18, 0.01
 """Where a search begins: points of a rod, or along the longer side of a shell, frames that are
 compared, at most, and in place of `STRETCH`."""
-
-
-FINER = "limp: simulated along its longer side with"
-"""Note of a cloth that gets more points than others."""
 
 STATIC_DAMPING, STATIC_SETTLING = 3.0, 6.0
 """Rate at which velocities decay where nothing moves [1/s], and time in which such an object comes
@@ -112,13 +109,11 @@ class SceneSettings:
         if self.material is not None:
             catalogue.get(self.material)
         check_choice("engine", self.engine, ENGINES)
-        low, high = CELLS_ACROSS
+        (low, high), substep, points = CELLS_ACROSS, self.substep, self.points
         what, fix = f"is {self.cells_across:g}", f"give {low:g} to {high:g}"
         require(low <= self.cells_across <= high, what, where="cells_across", fix=fix)
-        if self.substep is not None:
-            check_numbers("substep", self.substep, above=0.0)
-        few = f"is {self.points}"
-        require(self.points is None or self.points >= 5, few, where="points", fix="give 5 or more")
+        check_numbers("substep", 1.0 if substep is None else substep, above=0.0)
+        require(points is None or points >= 5, f"is {points}", where="points", fix="give 5 or more")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -188,7 +183,7 @@ class LiftScene(Placed):
             leaps = "the hands leap where frames were lost"
             notes.append(f"{leaps}: {missing:.3g} s added to the times")
         cells = settings.cells_across if settings.engine == "mpm" else None
-        placed = place(recording, settings.points, frames, notes, cells=cells)
+        placed = place(recording, settings.points, notes, cells=cells)
         clock = _choose_clock(recording)
         lasts = float(recording.time[frames[-1]] - recording.time[frames[0]]) / clock
         longer = f"lasts {lasts:.4g} s, longer than the 300 s that are simulated"
@@ -318,14 +313,11 @@ class LiftScene(Placed):
         points = min(math.ceil(longer / (SPACING * bends)) + 1, most)
         if points <= 1.1 * (len(self.initial) if rope else max(self.body.shape)):
             return self
-        if rope:
-            return replace(self.simulated_with(points), limp=True)
-        notes = (n for n in self.notes if not n.startswith(FINER))
-        return replace(self.simulated_with(points), notes=(*notes, f"{FINER} {points} points"))
+        return replace(self.simulated_with(points), limp=rope)
 
     def simulated_with(self, points: int, stretch: float = STRETCH) -> LiftScene:
         """The same with so many points; in the settings their number stays open, to grow again."""
-        placed = place(self.recording, points, with_points(self.recording), [], self.lies)
+        placed = place(self.recording, points, [], self.lies)
         return replace(self, **vars(placed), stretch=stretch)
 
     def mesh_error(self, theta: Theta) -> float:
@@ -394,12 +386,17 @@ class LiftScene(Placed):
             if axes is None or np.ptp(axes[first:, g], axis=0).max() < 1e-3:
                 found.append(None)
                 continue
-            along, turned = axes[first:, g].astype(float), [Rotation.identity()]
-            for step in turn_between(along[:-1], along[1:]):
-                turned.append(step * turned[-1])
+            level = np.array([0.0, 0.0, 0.0, 1.0])
+            along = rotation.transported(level, axes[first:, g].astype(float))
+            turned = Rotation.from_quat(along)
             times = self.sim_time(self.recording.time[first:])
-            found.append(Slerp(times, Rotation.concatenate(turned)))
+            found.append(Slerp(times, turned * turned[0].inv()))
         return found
+
+    @cached_property
+    def clamp_frames(self) -> list[Array]:
+        """`clamp_frame` of each hand of two."""
+        return [clamp_frame(self.recording, self.inwards, g) for g in range(len(self.held))]
 
     @cached_property
     def curved(self) -> bool:

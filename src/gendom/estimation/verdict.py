@@ -24,7 +24,7 @@ from gendom.datasets.checks import (
 )
 from gendom.estimation.likelihood import HUBER, Comparison
 from gendom.estimation.observed import NoiseModel
-from gendom.estimation.placing import LINE_PLACES, early_points, lying_rectangle, with_points
+from gendom.estimation.placing import LINE_PLACES, early_points, lying_rectangle
 from gendom.estimation.priors import thickness_stated
 from gendom.estimation.problem import Found, Part, Problem
 from gendom.estimation.replay import taken
@@ -180,10 +180,8 @@ def _seen_breadth(comparison: Comparison, noise: NoiseModel) -> float | None:
 def _blamed_on_cameras(reasons: list[str], part: Part, comparison: Comparison) -> list[str]:
     """Reasons, with that cameras disagree, where they do, in place of a wrong thickness; a fit that
     is farther from the clouds than that does not tell."""
-    perceived, most = (
-        part.scene.recording.cameras_apart,
-        max(2.0 * part.noise.shift, comparison.rms),
-    )
+    perceived = part.scene.recording.cameras_apart
+    most = max(2.0 * part.noise.shift, comparison.rms)
     if reasons and (found := comparison.cameras_apart())[0] > most:
         far, first, last = found
         said = f"in frames {first} to {last} two cameras place the object {1e3 * far:.0f} mm apart"
@@ -200,7 +198,7 @@ def _at_rest(part: Part, theta: Theta) -> Findings:
     scene, recording, described = part.scene, part.scene.recording, part.scene.recording.object
     if scene.ordered or len(scene.held) > 1 or scene.floor is not None:
         return
-    cloud = early_points(recording, with_points(recording), 0.02 * scene.size)
+    cloud = early_points(recording, 0.02 * scene.size)
     if scene.kind == "cloth":
         seen = lying_rectangle(cloud[:, :2])
         if seen is not None:
@@ -240,12 +238,11 @@ def _at_rest(part: Part, theta: Theta) -> Findings:
         yield abs(top - thick), max(3.0 * part.noise.shift, 0.25 * thick), f"{said} {right}"
 
 
-def displaced(part: Part, noise: NoiseModel, times: float = 1.0) -> bool:
-    """Whether the object moves otherwise than any simulated one, by so many times what is
-    usable."""
+def displaced(part: Part, noise: NoiseModel) -> bool:
+    """Whether the object moves otherwise than any simulated one."""
     of_rope = DISPLACED if len(part.scene.held) == 1 else DISPLACED_BY_TWO
     most = DISPLACED_CLOTH if part.scene.kind == "cloth" else of_rope
-    return noise.model > times * most * part.scene.size
+    return noise.model > most * part.scene.size
 
 
 def _improbable(problem: Problem, vector: Array, recording: int) -> Findings:

@@ -90,8 +90,9 @@ def load_kernels(module: Any, device: Any, block_dim: int | None = None) -> None
     many threads (1 on the CPU). What is damaged in the cache is made anew."""
     _start_warp()
     with making:
-        size = block_dim or module.options["block_dim"]
-        loaded = module.execs.get((wp.get_device(device).context, size))
+        on = wp.get_device(device)
+        size = 1 if on.is_cpu else block_dim or module.options["block_dim"]
+        loaded = module.execs.get((on.context, size))
         if loaded is not None and loaded.module_hash == module.get_module_hash(size):
             return
     with making, _alone(module):

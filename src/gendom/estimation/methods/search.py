@@ -9,7 +9,7 @@ import numpy as np
 from gendom.arrays import Array
 from gendom.estimation.likelihood import Comparisons
 from gendom.estimation.observed import NoiseModel
-from gendom.estimation.problem import Found, Problem, Start
+from gendom.estimation.problem import Problem, Start
 
 TURNS, FRICTIONS = (0.08, 0.2), (0.2, 0.8)
 """Of a rope in one hand: turns of stiff ones in soft fingers [rad], which look like a smaller
@@ -91,9 +91,8 @@ def _scanned_about(problem: Problem, k: int, step: float, best: Array) -> list[A
         j = prior.names.index(name)
         vectors[:, j] = np.repeat([best[j], *values], len(ways))
     vectors = np.unique(prior.clipped(vectors), axis=0)
-    rms = [
-        np.inf if c is None else c.rms for c in problem.compare(list(vectors), derivatives=False)
-    ]
+    compared = problem.compare(list(vectors), derivatives=False)
+    rms = [np.inf if c is None else c.rms for c in compared]
     found: list[Array] = []
     for v in vectors[np.argsort(rms, kind="stable")]:
         if all(abs(v[k] - other[k]) > 0.6 * step for other in found):
@@ -105,21 +104,6 @@ def best_of(starts: Sequence[Start]) -> Start | None:
     """The start with the least value, None where none could be simulated."""
     tried = [s for s in starts if s.comparison is not None]
     return min(tried, key=lambda s: s.value) if tried else None
-
-
-def finished(problem: Problem, starts: Sequence[Start], interrupted: bool) -> Found:
-    """The result of a search that took no derivatives and no noise: both are taken at its best.
-
-    Raises:
-        SimulationError: There is none, or it cannot be simulated.
-    """
-    best = best_of(starts)
-    comparison = None if best is None else problem.compare([best.vector])[0]
-    if best is None or comparison is None:
-        raise problem.nothing_runs()
-    best.comparison = comparison
-    noise = estimated_noise(comparison, problem.first_noise())
-    return Found(best=best, starts=starts, noise=noise, interrupted=interrupted)
 
 
 def estimated_noise(
