@@ -12,6 +12,7 @@ import json
 import os
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -190,7 +191,8 @@ class ExecutionLog:
         try:
             self.write(end=said)
         finally:
-            self._file.close()
+            with suppress(OSError):  # of a full disk, which `write` has told
+                self._file.close()
 
 
 @dataclass(frozen=True, eq=False)

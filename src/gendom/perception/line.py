@@ -3,7 +3,8 @@
 What touches or crosses a rope, as a hand or a cable does, is no farther from it than its own parts,
 and can cover as much. But a rope is one line of known length: from the point that is held the way
 along the cloud to its tip is as long as the rope, and all its points lie beside that way. Where two
-ways fit, nothing says which one is the rope.
+ways fit, nothing says which one is the rope. A rope that lies near itself is found by a way of the
+shortest steps: as long as the rope, no thicker anywhere, and with hardly a point beside it.
 """
 
 from __future__ import annotations
@@ -38,6 +39,9 @@ _FROM_HELD = 0.06  # [m]; at most, fingers hide so much of it
 _STEP, _PIECE = 0.004, 5  # [m] along the way, and so many steps
 _THICK = 1.6  # times the usual distance of points from it, a piece of a rope has not
 _MOST_THICK = 1 / 3  # of the points beside it; a line with more is no rope's
+_FINE = 0.007, (0.014, 0.01, 0.007)  # [m] as _NODE and _ROUND, where a rope lies near itself
+_AVOIDED = 6.0  # power of the steps there: a gap to the next turn costs more than the way around
+_THIN = 3.0  # times the median distance of points from a way; a lone rope's are nearer to it
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,20 +72,20 @@ def find_line(
     length, none = rope.length or 0.0, np.ones(len(points), np.bool_)
     across = rope.diameter or THICKEST * length
     beside, reach = FAR + across / 2.0, max(across, _ROUND)
-    least, most, chord = *(k * length for k in _WHOLE), 2.0 * reach
-    nodes = _nodes(points, max(_NODE, across / 2.0), reach)
-    if not 1 < len(nodes) <= _MOST_NODES:
-        return Line(min(reach, length), none, clear=len(nodes) < 2)
-    if held is None:  # an average near an end lies half its reach before it
-        start, before = int(_Ways(nodes, 0, chord).along.argmax()), reach / 2.0
-    else:
-        start = int(np.linalg.norm(nodes - held, axis=1).argmin())
-        before = float(np.linalg.norm(nodes[start] - held))
-    ways = _Ways(nodes, start, chord)
-    seen = before + ways.along + reach / 2.0
-    longest = float(seen.max())
+    least, most = (k * length for k in _WHOLE)
+    ways = _Ways(_nodes(points, max(_NODE, across / 2.0), reach), held, reach)
+    if not 1 < len(ways.nodes) <= _MOST_NODES:
+        return Line(min(reach, length), none, clear=len(ways.nodes) < 2)
+    nodes, seen, longest = ways.nodes, ways.seen, float(ways.seen.max())
     own = _away(points, ways.to(int(seen.argmax())))[0] <= beside
     alone = bool(longest <= _ALONE * length and np.mean(~own) <= MOST_FAR)
+    for finer in () if not all_seen or (alone and longest >= least) else _FINE[1]:
+        near = _Ways(_nodes(points, _FINE[0], finer), held, finer, _AVOIDED)
+        if least <= near.seen.max(initial=0.0) <= most and near.before <= _FROM_HELD:
+            off, at = _away(points, near.to(int(near.seen.argmax())))
+            thin = off <= max(_NODE, _THIN * float(np.median(off)))
+            if max(np.mean(~thin), np.mean(_thick(off, at, off <= beside))) <= MOST_FAR:
+                return Line(float(near.seen.max()), off <= beside, clear=True)
     if alone or held is None:
         return Line(longest, own, clear=alone)
     goal = length if longest > most else longest
@@ -96,40 +100,53 @@ def find_line(
     off, at = _away(points, way)
     own = off <= beside
     alike = _away(nodes[tips], way)[0].max() <= beside + MOST_FAR * length
-    whole = seen[tip] >= least and before <= _FROM_HELD
+    whole = seen[tip] >= least and ways.before <= _FROM_HELD
     thick = own & _thick(off, at, own)
     clear = alike and whole and all_seen and thick.sum() <= _MOST_THICK * own.sum()
     return Line(float(seen[tip]), own & ~thick, bool(clear))
 
 
 class _Ways:
-    """The ways from one of nodes [m, 3] [m] to all others."""
+    """The ways from where a rope is held [3] [m], or from its end, along nodes [m, 3] that are
+    averages over a reach [m]: of least steps to a power."""
 
-    def __init__(self, nodes: Array, start: int, chord: float):
-        self._nodes = nodes
+    def __init__(self, nodes: Array, held: Array | None, reach: float, power: float = 2.0):
+        self.nodes, self.before = nodes, reach / 2.0
+        """[m] from the end to the first node: an average there lies half its reach before it."""
+        self.seen = np.zeros(0)
+        """[m] length of the way to each node, by chords, of which noise makes less than of steps;
+        none if there are too few nodes or too many."""
+        if not 1 < len(nodes) <= _MOST_NODES:
+            return
         self.steps = cdist(nodes, nodes)
         """[m, m] between nodes [m]."""
-        n = len(nodes)
-        every = np.tile(np.arange(n), n), np.arange(0, n * n + 1, n)
-        costs = self.steps.ravel() ** 2 + 1e-12  # also between nodes at one place
-        graph = csr_array((costs, *every), shape=(n, n))
-        cost, self._before = dijkstra(graph, indices=start, return_predecessors=True)
+        costs = (self.steps / _NODE) ** power + 1e-8  # also between nodes at one place
+        self._costs = csr_array(costs)
+        if held is None:
+            start = int(self._along(0, 2.0 * reach).argmax())
+        else:
+            start = int(np.linalg.norm(nodes - held, axis=1).argmin())
+            self.before = float(np.linalg.norm(nodes[start] - held))
+        self.seen = self.before + self._along(start, 2.0 * reach) + reach / 2.0
+
+    def _along(self, start: int, chord: float) -> Array:
+        """[m] lengths of the ways from a node, by chords of this length and more [m]."""
+        cost, self._before = dijkstra(self._costs, indices=start, return_predecessors=True)
         before = np.maximum(self._before, 0).tolist()
-        along, since = [0.0] * n, [start] * n  # chords, of which noise makes less than of steps
+        along, since = [0.0] * len(cost), [start] * len(cost)
         for k in np.argsort(cost)[1:].tolist():
             parent = before[k]
             whole = self.steps[parent, since[parent]] >= chord
             since[k] = parent if whole else since[parent]
             along[k] = along[since[k]] + float(self.steps[k, since[k]])
-        self.along = np.array(along)
-        """[m] length of each way, by chords of this length and more [m]."""
+        return np.array(along)
 
     def to(self, node: int) -> Array:
         """[k, 3] the way to a node, from the start [m]."""
         found = [node]
         while self._before[found[-1]] >= 0:
             found.append(self._before[found[-1]])
-        return self._nodes[found[::-1]]
+        return self.nodes[found[::-1]]
 
 
 def _nodes(points: Array, edge: float, reach: float) -> Array:
