@@ -8,13 +8,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from gendom.errors import ParameterError, SimulationError
+from gendom.errors import GendomError, ParameterError
 from gendom.materials import Cloth, dimensionless_parameters, size_of
 from gendom.materials.estimate import Estimate
-from gendom.policies import adaptation
 from gendom.policies.adaptation import Execution, adapt, executions_from
 from gendom.policies.belief import believed, uncertain, weighed
-from gendom.policies.polishing import polish
 from gendom.tasks import ClothSpreading
 from policies.ballistic import ROPE, TASK, Throws, reach_of
 
@@ -41,89 +39,45 @@ def executed(x, z, *, off=0.0, item=TRUE) -> Execution:
     return Execution(action=L * np.array([x, z]), reached=np.array([reached]))
 
 
-def test_two_exact_executions_tell_what_one_cannot(monkeypatch):
-    """E and damping move the reach alike, so the sum is learnt; the prior shares it out."""
-    monkeypatch.setattr(adaptation, "DISCREPANCY", 1e-5)
-    monkeypatch.setattr(adaptation, "NOISE", 1e-5)
-    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
-    found = adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws()).belief
-    alike = dimensionless_parameters(found.most_likely)
-    (reached,) = executed(0.4, 0.4).reached / ROPE.length
-    assert reach_of(0.4, 0.4, alike["bending_ratio"], alike["damping"]) == pytest.approx(
-        reached, abs=1e-5
-    )
-    # nearly all of it is damping, which no lift told
-    assert found.most_likely.material.damping == pytest.approx(0.009, rel=0.2)
-    assert found.most_likely.material.E == pytest.approx(8e5, rel=0.05)
-    damping = belief.names.index("damping")
-    assert found.sd[damping] < 0.3 * belief.sd[damping]
-
-
-def test_belief_is_that_of_the_linear_model():
-    """Near its mean the world is linear: mean and covariance are Kalman's."""
-    belief = belief_of(ROPE, POSTERIOR, known=(*KNOWN, "damping"))
-    seen = executed(0.4, 0.4, item=replace(ROPE, material=replace(ROPE.material, E=8.1e5)))
-    found = adapt(TASK, belief, [seen], world=Throws())
-    slope = 0.6 * 0.4 / 3.0  # the bending length goes by the cube root of E
-    variance = 0.008**2 + 0.002**2
-    gain = 0.05**2 * slope / (slope**2 * 0.05**2 + variance)
-    assert found.belief.mean[0] - belief.mean[0] == pytest.approx(
-        gain * slope * math.log(8.1 / 8.0), rel=1e-3
-    )
-    assert found.belief.sd[0] == pytest.approx(
-        math.sqrt(1.0 / (1.0 / 0.05**2 + slope**2 / variance)), rel=1e-3
-    )
-    # nothing seen changes nothing
+def test_nothing_seen_changes_nothing_and_tasks_depend_on_what_they_do():
     belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
     found = adapt(TASK, belief, [], world=Throws())
     assert found.belief is belief and found.discrepancy is None
-    found = adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(), refine=False)
-    assert np.array_equal(found.belief.mean, belief.mean) and found.discrepancy is not None
-    # what a task depends on
     assert uncertain(TASK, ROPE) == ("E_over_rho", "damping")
     cloth = Cloth(side=0.3, thickness=0.001)
     assert uncertain(ClothSpreading(), cloth) == ("E_over_rho", "nu", "damping", "friction")
 
 
-def test_what_parameters_cannot_explain_is_expected_again_nearby():
-    tight = {"names": ["E_over_rho"], "mean": [math.log(8e5 / 900)], "covariance": [[1e-8]]}
-    belief = belief_of(ROPE, tight, known=(*KNOWN, "damping"))
-    seen = executed(0.4, 0.4, off=0.02, item=ROPE)
-    found = adapt(TASK, belief, [seen], world=Throws())
-    assert found.residuals[0, 0] == pytest.approx(0.02 * ROPE.length, rel=1e-2)
-    assert found.discrepancy is not None
-    here, doubt = found.discrepancy(seen.action)
-    assert here[0] == pytest.approx(0.02 * ROPE.length, rel=0.1)
-    far, doubt_far = found.discrepancy(seen.action + 0.3 * ROPE.length)
-    assert abs(far[0]) < 0.01 * here[0]
-    assert doubt < 0.3 * doubt_far
-    # and the next action makes up for it
-    goal = seen.reached[0] - 0.02 * ROPE.length
-    action = polish(
-        TASK, goal, Estimate.of(ROPE), seen.action, world=Throws(), discrepancy=found.discrepancy
-    ).action
-    (outcome,) = Throws(off=0.02).carry_out(TASK, [ROPE], [action])
-    assert abs(outcome.values["x"] - goal) < 0.3 * 0.02 * ROPE.length
+METRES = r"m, and the rope 0\.3 m; give metres"
+
+
+@pytest.mark.parametrize(
+    ("action", "reached", "said"),
+    [
+        ([0.2], [0.4], "1 numbers of an action and 1 reached, rope-reaching has 2 and 1: x"),
+        ([0.1] * 3, [0.4], "3 numbers of an action and 1 reached"),
+        ([0.1] * 2, [0.4] * 2, "2 numbers of an action and 2 reached"),
+        ([0.1] * 2, [], "2 numbers of an action and 0 reached"),
+        ([0.2, math.nan], [0.4], "finite"),
+        ([0.1, 0.1], [357.0], rf"x is 357 {METRES}: 357 mm are 0\.357"),
+        ([0.1, 0.1], [-3.01], rf"x is -3\.01 {METRES}"),
+        ([0.1, 0.1], [2.99], "check the object's numbers and the action"),
+    ],
+)
+def test_executions_have_the_numbers_of_their_task(action, reached, said):
+    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
+    with pytest.raises(GendomError, match=said):
+        one = Execution(action=np.array(action), reached=np.array(reached))
+        adapt(TASK, belief, [one], world=Throws(fails=True))
 
 
 def test_bad_executions_are_refused():
-    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
-    wrong = Execution(action=np.array([0.2]), reached=np.array([0.4]))
-    with pytest.raises(ParameterError, match="1 numbers of an action"):
-        adapt(TASK, belief, [wrong], world=Throws())
-    with pytest.raises(ParameterError, match="finite"):
-        Execution(action=np.array([0.2, math.nan]), reached=np.array([0.4]))
-    far = Execution(action=np.array([0.4, 0.4]), reached=np.array([357.0]))
-    with pytest.raises(ParameterError, match=r"x is 357 m, .* give metres: 357 mm are 0\.357"):
-        adapt(TASK, belief, [far], world=Throws())
-    with pytest.raises(ParameterError, match="executions: are 401, at most 400 are learnt from"):
-        adapt(TASK, belief, [executed(0.4, 0.4)] * 401, world=Throws())
-    with pytest.raises(SimulationError, match="cannot be simulated"):
-        adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(fails=True))
-    with pytest.raises(ParameterError, match="share is 4; give a share"):
-        many = Execution(action=np.array([0.2]), reached=np.array([4.0]))
-        adapt(ClothSpreading(), belief, [many], world=Throws())
     seen = executed(0.4, 0.4)
+    with pytest.raises(ParameterError, match="executions: are 401, at most 400 are learnt from"):
+        adapt(TASK, belief_of(ROPE, POSTERIOR, known=KNOWN), [seen] * 401, world=Throws())
+    many = Execution(action=np.array([0.2]), reached=np.array([4.0]))
+    with pytest.raises(ParameterError, match="share is 4; give a share"):
+        adapt(ClothSpreading(), Estimate.of(ClothSpreading().item), [many], world=Throws())
     (again,) = executions_from([seen.to_dict()], "file")
     assert np.array_equal(again.action, seen.action) and again.reached == seen.reached
     for rows in ([{"action": [1.0]}], ["x"], [{"action": ["a"], "reached": [1.0]}]):

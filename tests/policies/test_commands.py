@@ -191,14 +191,12 @@ def test_act_polishes_and_warns_of_a_goal_outside_of_its_own_interval(act):
 
 @pytest.fixture
 def adapt(tmp_path, capsys):
-    """Run `gendom adapt`; returns exit code, stdout and stderr."""
+    """Run `gendom adapt` of an estimate's file; returns exit code, stdout and stderr."""
+    write_json(tmp_path / "estimate.json", ESTIMATE)
 
-    def run(*flags, estimate=ESTIMATE, name="estimate.json"):
-        if estimate is not None:
-            write_json(tmp_path / name, estimate)
+    def run(*flags, name="estimate.json"):
         words = ["adapt", "rope-reaching", "--params", str(tmp_path / name), *flags]
-        code = cli.main(words)
-        return code, *capsys.readouterr()
+        return cli.main(words), *capsys.readouterr()
 
     return run
 
@@ -223,7 +221,7 @@ def test_adapt_learns_from_executions_one_after_the_other(adapt, act, tmp_path):
 
     # a second one goes on from there
     more = ("--action", "0.16", "0.1", "--reached", "0.355")
-    assert adapt(*more, "--out", str(second), estimate=None, name="first.json")[0] == 0
+    assert adapt(*more, "--out", str(second), name="first.json")[0] == 0
     rows = [{"action": [0.15, 0.1], "reached": [0.36]}, {"action": [0.16, 0.1], "reached": [0.355]}]
     by_turns = read_json(second)
     assert by_turns["executions"]["rope-reaching"] == rows

@@ -4,6 +4,7 @@ import hashlib
 import logging
 import math
 from dataclasses import replace
+from functools import partial
 from importlib import resources
 from types import SimpleNamespace
 from typing import Any
@@ -12,9 +13,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from gendom.errors import ParameterError, PolicyError, SimulationError
+from gendom.errors import ParameterError, PolicyError
 from gendom.materials import dimensionless_parameters
-from gendom.policies import GoalRange, Policy, adaptation
+from gendom.policies import GoalRange, Policy
 from gendom.policies.adaptation import Execution, adapt
 from gendom.policies.graph import SEAL, _fields, _packed, _varint, check_graph, sealed
 from gendom.policies.policy import Action, Column, _asset, _least
@@ -130,23 +131,6 @@ def test_the_best_of_four_shares_of_a_step_is_taken(most):
     assert (found.belief.sd[0] < 0.29) == (most > 1.0)
 
 
-def test_executions_have_the_numbers_of_their_task():
-    belief, one = belief_of(ROPE, POSTERIOR, known=KNOWN), executed(0.4, 0.4)
-    for action, out in (([0.1, 0.1, 0.1], [0.4]), ([0.1, 0.1], [0.4, 0.4]), ([0.1, 0.1], [])):
-        words = f"an execution has {len(action)} numbers of an action and {len(out)} reached, "
-        with pytest.raises(ParameterError, match=f"{words}rope-reaching has 2 and 1: x"):
-            adapt(TASK, belief, [Execution(action=np.array(action), reached=np.array(out))])
-    far = Execution(action=one.action, reached=np.array([-3.01]))
-    with pytest.raises(ParameterError, match=r"x is -3\.01 m, and the rope 0\.3 m; give metres"):
-        adapt(TASK, belief, [far], world=Throws())
-    adapt(TASK, belief, [replace(far, reached=np.array([2.99]))], world=Throws())
-    known = executed(0.4, 0.4).to_dict()
-    assert known == {"action": one.action.tolist(), "reached": one.reached.tolist()}
-    with pytest.raises(SimulationError, match="check the object's numbers and the action"):
-        adapt(TASK, belief, [one], world=Throws(fails=True))
-    assert len([adaptation.MOST]) == 1 and adaptation.MOST == 400
-
-
 # ---- files ---------------------------------------------------------------------------------------
 
 
@@ -169,38 +153,58 @@ def test_whole_numbers_of_all_sizes(n):
             list(_fields(memoryview(cut)))
 
 
-FIX = "; check that it is a policy written by gendom train"
+FIXED = varint(9 << 3 | 1) + b"\xff" * 8 + varint(9 << 3 | 5) + b"\xff" * 4
+NO_POLICY = "has the operator {!r}, which no policy has"
+TOO_LARGE = "has weights of shape {}, at most two sides of 4096 are read"
+GRAPHS = [
+    (field(1, 3) + field(5, 4), None),
+    (weights(4096, 4096) + weights(4096, packed=False), None),
+    (weights(4097, 1), TOO_LARGE.format([4097, 1])),
+    (weights(1, 4097), TOO_LARGE.format([1, 4097])),
+    (weights(4097, packed=False), TOO_LARGE.format([4097])),
+    (weights(2, 2, 2), TOO_LARGE.format([2, 2, 2])),
+    (weights(*range(9, 19)), TOO_LARGE.format(list(range(9, 17)))),
+    (operation(64) + operation(name=b"Concat"), None),
+    (operation(65), "joins more than a policy does"),
+    (2 * operation(name=b"Concat"), "joins more than a policy does"),
+    (256 * operation(), None),
+    (257 * operation(), "has more than 256 nodes and tensors"),
+    (FIXED + operation(), None),
+    (FIXED + operation(name=b"ConstantOfShape"), NO_POLICY.format("ConstantOfShape")),
+    (operation(name=b"L" * 70), NO_POLICY.format("L" * 60)),
+    (field(1, field(1, b"x")), NO_POLICY.format("")),
+    (operation(name=b"\xff"), "is not an ONNX file"),
+    (FIXED[:5], "is not an ONNX file"),
+    (varint(9 << 3 | 3) + b"xx", "is not an ONNX file"),
+    (field(15, b""), "has sparse weights"),
+    (field(5, field(13, b"")), "keeps weights in another file"),
+    (field(5, field(14, 1)), "keeps weights in another file"),
+    (field(5, field(14, 0)), None),
+]
 
 
 @pytest.mark.parametrize(
     ("model", "said"),
     [
+        *((before + field(7, graph), said) for graph, said in GRAPHS
+          for before in (b"", FIXED + field(1, 8))),
         (field(20, b""), "holds functions of its own"),
         (field(25, 1), "holds functions of its own"),
         (field(7, 3), None),
-        (field(7, field(1, 3) + field(5, 4)), None),
-        (field(7, field(5, field(13, b""))), "keeps weights in another file"),
-        (field(7, field(5, field(14, 0))), None),
-        (field(7, weights(4097, 1, 3)), "has weights of shape [4097, 1, 3], at most two sides of "
-         "4096 are read"),
-        (field(7, weights(1, 4097)), "has weights of shape [1, 4097], at most two sides of 4096 "
-         "are read"),
-        (field(7, weights(*range(9, 19))), "has weights of shape [9, 10, 11, 12, 13, 14, 15, 16], "
-         "at most two sides of 4096 are read"),
-        (field(7, operation(name=b"L" * 70)),
-         f"has the operator {'L' * 60!r}, which no policy has"),
-        (field(7, field(1, field(1, b"x"))), "has the operator '', which no policy has"),
         (b"\x07", "is not an ONNX file"),
-        (field(7, operation(name=b"\xff")), "is not an ONNX file"),
         (b"a" + SEAL + b"0" * 64, "is damaged: it is not what was written"),
     ],
 )  # fmt: skip
-def test_what_a_file_may_hold_in_whole_words(model, said):
+def test_what_a_file_may_hold(model, said, tmp_path):
+    """Else it is refused before it runs: it could take all memory, or read another file."""
     if said is None:
         return check_graph(model, "p")
-    with pytest.raises(PolicyError) as caught:
-        check_graph(model, "p")
-    assert str(caught.value) == f"p: {said}{FIX}"
+    (tmp_path / "p.onnx").write_bytes(model)
+    for read, where in ((Policy.read, tmp_path / "p.onnx"), (partial(check_graph, model), "p")):
+        with pytest.raises(PolicyError) as caught:
+            read(where)
+        fix = "; check that it is a policy written by gendom train"
+        assert str(caught.value) == f"{where}: {said}{fix}"
 
 
 def test_a_seal_is_the_digest_of_what_is_before():
@@ -320,7 +324,9 @@ def test_a_network_is_tried_at_the_middle_of_its_ranges(out, said):
         (0.4, 0.2 * 0.9899, ["nu"], "1.01 % below the range 0.2 to 0.4"),
     ],
 )
-def test_parameters_outside_are_told_and_refused_from_a_hundredth_on(ratio, nu, said, forced):
+def test_parameters_outside_are_told_and_refused_from_a_hundredth_on(
+    ratio, nu, said, forced, caplog
+):
     policy, item = Policy(FakeSession(), describe(), where="f"), rope(ratio, nu)
     low, high = policy.goal_range(item)[0]
     goal = 0.5 * (low + high)
@@ -338,7 +344,9 @@ def test_parameters_outside_are_told_and_refused_from_a_hundredth_on(ratio, nu, 
             PolicyError, match=f"^f: .*{forced} that the policy was trained on{fix}"
         ):
             policy.act(goal, item)
-        assert len(policy.act(goal, item, force=True).warnings) == 1
+        action = policy.act(goal, item, force=True)
+        assert tuple(r.message for r in caplog.records) == action.warnings == tuple(words)
+        assert action.network_input == {n: used[n] for n in ("bending_ratio", "nu")}
     for off, ends in ((-0.001, low), (0.001, high)):
         clipped, told, refused = policy._clipped(np.array([ends + off]), item)
         assert clipped["goal_x"] == ends and "lies outside what the policy was" in told[0]
@@ -362,7 +370,7 @@ def test_goals_of_another_unit_are_refused_even_if_forced(caplog):
     policy.act(9.99 * 0.25, item, force=True)  # of the object's size at least
     with pytest.raises(PolicyError, match="10 times as far"):
         policy.act(10.01 * 0.25, item, force=True)
-    for bad in ([0.3, 0.3], math.inf):
+    for bad in ([0.3, 0.3], [], math.nan, math.inf):
         with pytest.raises(PolicyError, match=r"goal is .* give 1 finite number: x"):
             policy.act(bad, item)
 

@@ -1,7 +1,6 @@
 """Using a policy: scaling, ranges, warnings, and faults of its file."""
 
 import json
-import logging
 import math
 from importlib import resources
 
@@ -11,7 +10,7 @@ import pytest
 from gendom.errors import ParameterError, PolicyError
 from gendom.materials import Cloth, Material, Rope, dimensionless_parameters
 from gendom.policies import Description, Policy
-from gendom.policies.graph import SEAL, check_graph, sealed
+from gendom.policies.graph import SEAL, sealed
 
 
 def rope(bending=0.4, nu=0.3, length=0.25, diameter=0.014):
@@ -37,37 +36,12 @@ def test_act_gives_metres_of_the_given_rope(make_policy):
         policy.act(1.0, rope(0.3, length=0.5, diameter=0.02))
 
 
-def test_goal_range_depends_on_the_rope(make_policy):
-    policy, _ = make_policy()
-    between = (math.sqrt(0.15), 0.2875, 0.425)  # the two bins
-    for bending, low, high in ((0.3, 0.3, 0.45), (0.5, 0.275, 0.4), between):
-        policy.act(low + 0.001, rope(bending))
-        with pytest.raises(PolicyError, match=f"between {low:g} and {high:g}"):
-            policy.act(high + 0.001, rope(bending))
-
-
 def test_policy_without_parameters_sees_none_and_has_one_range(make_policy):
     policy, session = make_policy(conditioned_on=())
     action = policy.act(0.44, rope(0.5))
     assert set(session.fed) == {"goal_x"} and action.network_input == {}
     assert policy.goal_range(rope(0.5)) == pytest.approx(0.25 * np.array([[1.1, 1.8]]))
     assert policy.act(0.44, rope(0.05, nu=0.49)).warnings == ()
-
-
-def test_parameters_outside_are_clipped_with_a_warning(make_policy, caplog):
-    policy, session = make_policy()
-    with caplog.at_level(logging.WARNING, logger="gendom"):
-        action = policy.act(0.35, rope(0.875, nu=0.15), force=True)
-    assert session.fed["bending_ratio"] == pytest.approx(np.array([[0.7]]))
-    assert session.fed["nu"] == pytest.approx(np.array([[0.2]]))
-    assert action.network_input == pytest.approx({"bending_ratio": 0.7, "nu": 0.2})
-    assert "bending length over size) 0.875 is 25 % above" in action.warnings[0]
-    assert "25 % below" in action.warnings[1]
-    assert tuple(record.message for record in caplog.records) == action.warnings
-    with pytest.raises(PolicyError, match=r"25 % above .* 25 % below"):
-        policy.act(0.35, rope(0.875, nu=0.15))
-    policy.actions([1.4] * 3, {"bending_ratio": [0.1, 0.5, 2.0], "nu": 0.3})
-    assert session.fed["bending_ratio"][:, 0] == pytest.approx([0.25, 0.5, 0.7])
 
 
 def test_a_policy_that_does_not_see_the_thickness_says_what_it_was_trained_with(
@@ -95,14 +69,10 @@ def test_action_beyond_the_limits_is_moved_into_them(make_policy):
     assert "moved by" in action.warnings[0]
 
 
-@pytest.mark.parametrize("goal", [math.nan, [0.3, 0.3], []])
-def test_goals_that_are_none_are_refused(make_policy, goal):
-    with pytest.raises(PolicyError, match="give 1 finite number: x"):
-        make_policy()[0].act(goal, rope())
-
-
 def test_what_a_policy_cannot_take_is_refused(make_policy, description):
-    policy, _ = make_policy()
+    policy, session = make_policy()
+    policy.actions([1.4] * 3, {"bending_ratio": [0.1, 0.5, 2.0], "nu": 0.3})
+    assert session.fed["bending_ratio"][:, 0] == pytest.approx([0.25, 0.5, 0.7])
     with pytest.raises(PolicyError, match="needs nu"):
         policy.actions([1.4], {"bending_ratio": 0.4})
     with pytest.raises(PolicyError, match="nu must be finite"):
@@ -123,22 +93,13 @@ def test_what_a_policy_cannot_take_is_refused(make_policy, description):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (
-            lambda d: d.update(format="gendom-policy/1"),
-            "reads 'gendom-policy/3' and 'gendom-policy/2'",
-        ),
+        (lambda d: d.update(format="gendom-policy/1"), "'gendom-policy/3' and 'gendom-policy/2'"),
         (lambda d: d.pop("task"), "missing required field task"),
-        (lambda d: d["task"].pop("ranges"), r"lacks task\.ranges"),
         (lambda d: d["parameters"].pop("nu"), r"lacks parameters\.nu"),
         (lambda d: d["inputs"][0].update(scale="red"), r"inputs\[0\]\.scale: expected float"),
         (lambda d: d.update(goals=3), "goals: expected object, got int"),
-        (lambda d: d["training"].update(demonstrations=9), r"lacks training\.epochs"),
         (lambda d: d["training"].update(acted=3), "training: acted: expected object"),
         (lambda d: d["goals"]["at"].reverse(), "its goals are no ranges of 1 number"),
-        (lambda d: d["goals"]["low"].append([1.0]), "its goals are no ranges of 1 number"),
-        (lambda d: d["goals"]["high"][0].append(1.0), "its goals are no ranges of 1 number"),
-        (lambda d: d["parameters"]["nu"].reverse(), "ends before it begins"),
-        (lambda d: d.update(conditioned_on=["colour"]), "is conditioned on colour"),
     ],
 )
 def test_broken_descriptions_are_refused(description, change, text):
@@ -149,7 +110,7 @@ def test_broken_descriptions_are_refused(description, change, text):
         Description.from_json(json.dumps(value), where="x.onnx")
 
 
-def test_files_that_are_no_policies_are_refused(tmp_path, description):
+def test_files_that_are_no_policies_are_refused(tmp_path):
     with pytest.raises(PolicyError, match="no such file"):
         Policy.read(tmp_path / "none.onnx")
     with pytest.raises(PolicyError, match="is a folder"):
@@ -163,19 +124,6 @@ def test_files_that_are_no_policies_are_refused(tmp_path, description):
         Policy.pretrained("cloth-spreading", parameters=False)
     with pytest.raises(ParameterError, match=r"there is no task 'rope-juggling'; choose rope-r"):
         Policy.pretrained("rope-juggling")
-    # networks that give no action are refused
-    about = {"gendom-policy": description.to_json()}
-    names = ["goal_x", "bending_ratio", "nu"]
-    with pytest.raises(PolicyError, match=r"actions of shape \(1, 1\)"):
-        Policy.read(graph(tmp_path / "one.onnx", names, about, outputs=1))
-    onnx = pytest.importorskip("onnx")
-    path = tmp_path / "nan.onnx"
-    model = onnx.load(graph(path, names, about))
-    model.graph.node[0].input.append("w")
-    model.graph.initializer.append(onnx.helper.make_tensor("w", 1, [1, 1], [math.nan]))
-    onnx.save(model, path)
-    with pytest.raises(PolicyError, match="that are not finite"):
-        Policy.read(path)
 
 
 def field(number, value):
@@ -196,41 +144,6 @@ def weights(*sides, packed=True):
 
 def operation(inputs=1, name=b"Add"):
     return field(1, field(1, b"x") * inputs + field(4, name))
-
-
-FIXED = varint(9 << 3 | 1) + b"\xff" * 8 + varint(9 << 3 | 5) + b"\xff" * 4
-
-
-@pytest.mark.parametrize(
-    ("graph", "said"),
-    [
-        (weights(4096, 4096) + weights(4096, packed=False), None),
-        (weights(4097, 1), "has weights of shape"),
-        (weights(4097, packed=False), "has weights of shape"),
-        (weights(2, 2, 2), "has weights of shape"),
-        (operation(64) + operation(name=b"Concat"), None),
-        (operation(65), "joins more than a policy does"),
-        (2 * operation(name=b"Concat"), "joins more than a policy does"),
-        (256 * operation(), None),
-        (257 * operation(), "has more than 256 nodes and tensors"),
-        (FIXED + operation(), None),
-        (FIXED + operation(name=b"ConstantOfShape"), "has the operator 'ConstantOfShape'"),
-        (operation(name=b"Loop"), "has the operator 'Loop'"),
-        (FIXED[:5], "is not an ONNX file"),
-        (varint(9 << 3 | 3) + b"xx", "is not an ONNX file"),
-        (field(15, b""), "has sparse weights"),
-        (field(5, field(14, 1)), "keeps weights in another file"),
-    ],
-)
-def test_what_a_graph_may_hold(graph, said, tmp_path):
-    """Else it is refused before it runs: it could take all memory, or read another file."""
-    for model in (field(7, graph), FIXED + field(1, 8) + field(7, graph)):
-        if said is None:
-            check_graph(model, "p")
-            continue
-        (tmp_path / "p.onnx").write_bytes(model)
-        with pytest.raises(PolicyError, match=f"p.onnx: {said}"):
-            Policy.read(tmp_path / "p.onnx")
 
 
 def test_a_policy_that_was_changed_is_refused(tmp_path):
@@ -278,3 +191,6 @@ def test_onnx_files_must_describe_themselves(tmp_path, description):
         Policy.read(graph(tmp_path / "bare.onnx", names, {}))
     with pytest.raises(PolicyError, match="does not say"):
         Policy.read(graph(tmp_path / "other.onnx", names[:2], about))
+    # it is tried when it is read
+    with pytest.raises(PolicyError, match=r"actions of shape \(1, 1\)"):
+        Policy.read(graph(tmp_path / "one.onnx", names, about, outputs=1))
