@@ -85,18 +85,20 @@ def test_evolution_is_seeded(short_lift):
     assert (ends[0] != ends[2]).any()
 
 
-# ---- slopes of the density loss -----------------------------------------------------------------
+def descent_of(problem):
+    """The density loss, and its slopes beside the truth."""
+    loss, vector = DensityLoss(problem), problem.prior.vector(truth_of(3300.0, 0.25))
+    descent = _Descent(Start(initial=vector, vector=vector), vector)
+    loss.evaluate([descent])
+    assert descent.seen is not None
+    return loss, descent, vector
 
 
 @pytest.mark.parametrize("markers", [True, False])
 @pytest.mark.parametrize("engine", ["thin", "mpm"])
 def test_gradients_are_central_differences(short_lift, engine, markers):
     problem = short_lift(engine, markers)
-    loss = DensityLoss(problem)
-    vector = problem.prior.vector(truth_of(3300.0, 0.25))
-    descent = _Descent(Start(initial=vector, vector=vector), vector)
-    loss.evaluate([descent])
-    assert descent.seen is not None
+    loss, descent, vector = descent_of(problem)
     for k, h in enumerate((1e-5, 1e-7)):
         x = problem.positions([vector + s * h * np.eye(2)[k] for s in (1.0, -1.0)])
         ahead, behind = (loss.value(x[:, w], descent.seen) for w in range(2))
@@ -111,18 +113,9 @@ def test_gradients_are_central_differences(short_lift, engine, markers):
 def test_gradients_by_how_it_is_held_are_differences(short_lift):
     """Unknowns without a reverse mode, here the grip's height."""
     problem = short_lift()
-    wide = type(problem)(
-        [problem.scene],
-        type(problem.settings)(
-            unknowns=("E_over_rho", "grip_height"), scene=problem.settings.scene
-        ),
-        known=problem.bases[0],
-    )
-    loss = DensityLoss(wide)
-    vector = wide.prior.vector(truth_of(3300.0, 0.25))
-    descent = _Descent(Start(initial=vector, vector=vector), vector)
-    loss.evaluate([descent])
-    assert descent.seen is not None
+    settings = replace(problem.settings, unknowns=("E_over_rho", "grip_height"))
+    wide = type(problem)([problem.scene], settings, known=problem.bases[0])
+    loss, descent, vector = descent_of(wide)
     h = wide.prior.step[1]
     x = wide.positions([vector, vector + np.array([0.0, h])])
     here, beside = (loss.value(x[:, w], descent.seen) for w in range(2))

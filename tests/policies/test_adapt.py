@@ -85,9 +85,6 @@ def test_bad_executions_are_refused():
             executions_from(rows, "file.json")
 
 
-# ---- beliefs ---------------------------------------------------------------------------------
-
-
 def test_belief_takes_the_posterior_and_doubts_the_rest():
     belief = belief_of(ROPE, POSTERIOR, known=("friction",))
     assert belief.names == ("E_over_rho", "nu", "damping")

@@ -131,9 +131,6 @@ def test_the_best_of_four_shares_of_a_step_is_taken(most):
     assert (found.belief.sd[0] < 0.29) == (most > 1.0)
 
 
-# ---- files ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("n", [0, 1, 127, 128, 300, 2**32, 2**63 - 1])
 def test_whole_numbers_of_all_sizes(n):
     data = memoryview(b"\xff" + varint(n) + b"\x05")
@@ -218,9 +215,6 @@ def test_a_seal_is_the_digest_of_what_is_before():
     assert [p.where.split("/")[-1] for p in Policy.shipped()] == shipped
     with pytest.raises(ParameterError, match="there is no task"):
         Policy.pretrained("juggling")
-
-
-# ---- policies ------------------------------------------------------------------------------------
 
 
 def test_ranges_of_goals_are_interpolated_in_the_logarithm():

@@ -34,9 +34,6 @@ def fall_speed(world, seconds):
     return (before - world.vertices())[:, 2].mean() / 0.02
 
 
-# ---- terminal speed ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("item", "density", "drag", "area"),
     [
@@ -53,9 +50,6 @@ def test_what_lies_level_falls_at_its_terminal_speed(item, density, drag, area):
     assert np.ptp(world.vertices()[:, 2]) < 0.02
 
 
-# ---- forces --------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("vertices", [5, 16])
 @pytest.mark.parametrize("tilt", [0.0, 0.6])
 def test_only_what_goes_across_counts(vertices, tilt):
@@ -63,22 +57,14 @@ def test_only_what_goes_across_counts(vertices, tilt):
     rope, cloth = replace(ROPE, vertices=vertices), replace(CLOTH, vertices=vertices)
     along = np.array([np.cos(tilt), 0.0, np.sin(tilt)])
     normal = np.array([-np.sin(tilt), 0.0, np.cos(tilt)])
-    v = np.array([0.0, 0.0, -2.0])
-    x = np.linspace(0.0, rope.length, vertices)[:, None] * along
-    total = Air(rope).forces(x, np.tile(v, (vertices, 1))).sum(axis=0)
-    size = 0.5 * 1.2 * 1.1 * rope.diameter * rope.length * (2.0 * np.cos(tilt)) ** 2
-    np.testing.assert_allclose(total, size * normal, atol=1e-12)
-    x = cloth.sheet[0] @ np.stack([along, [0.0, 1.0, 0.0]])
-    total = Air(cloth).forces(x, np.tile(v, (vertices**2, 1))).sum(axis=0)
-    size = 0.5 * 1.2 * 1.2 * cloth.side**2 * (2.0 * np.cos(tilt)) ** 2
-    np.testing.assert_allclose(total, size * normal, atol=1e-12)
-    # Along itself nothing.
-    for item, points in ((rope, x[::vertices]), (cloth, x)):
-        slides = np.tile(3.0 * along, (len(points), 1))
-        np.testing.assert_allclose(Air(item).forces(points, slides), 0.0, atol=1e-12)
-
-
-# ---- none ----------------------------------------------------------------------------------------
+    sheet = cloth.sheet[0] @ np.stack([along, [0.0, 1.0, 0.0]])
+    for item, x, drag_area in ((rope, sheet[::vertices], 1.1 * rope.diameter * rope.length),
+                               (cloth, sheet, 1.2 * cloth.side**2)):  # fmt: skip
+        falls, slides = np.zeros_like(x) - [0.0, 0.0, 2.0], np.zeros_like(x) + 3.0 * along
+        size = 0.5 * 1.2 * drag_area * (2.0 * np.cos(tilt)) ** 2
+        total = Air(item).forces(x, falls).sum(axis=0)
+        np.testing.assert_allclose(total, size * normal, atol=1e-12)
+        np.testing.assert_allclose(Air(item).forces(x, slides), 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("item", [ROPE, replace(CLOTH, vertices=13)], ids=["rope", "cloth"])

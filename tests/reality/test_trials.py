@@ -55,9 +55,6 @@ class NotYetRaised(ClothSpreading):
         return np.array([0.05 - SPREADING_WAIT * unit_of("s", item)])
 
 
-# ---- the lift ------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "name", ["rope-polyester", pytest.param("cloth-rubber-200mm", marks=pytest.mark.slow)]
 )
@@ -105,9 +102,6 @@ def test_a_dropped_rope_lies_on_the_table():
     assert run.world.speed() < 0.02
 
 
-# ---- what the arm touches ------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "trial",
     [
@@ -127,9 +121,6 @@ def test_what_is_done_by_default_touches_nothing(trial):
     assert motion is not None
     thick = thickness_of(trial.item)
     assert CollisionChecker(XARM7, surroundings(cameras), opening=thick).along(motion) is None
-
-
-# ---- rope reaching -------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -189,9 +180,6 @@ def test_the_demo_s_rope_stays_in_its_plane_under_the_arm():
     assert arm["x"] == pytest.approx(free["x"], abs=1e-3)
 
 
-# ---- rope casting --------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def casts():
     """Two casts by the free hand, the shorter first."""
@@ -234,9 +222,6 @@ def test_casting_by_free_hand_by_arm_and_in_our_simulator(casts):
     assert np.ptp(hand[moving, 0]) > 0.2
 
 
-# ---- cloth spreading -----------------------------------------------------------------------------
-
-
 def test_a_cloth_lies_where_the_task_has_it_and_is_held_beside_its_centre():
     """By what is within the fingers' breadth, half a spacing more."""
     cloth, n = COTTON_CLOTH, COTTON_CLOTH.vertices
@@ -253,9 +238,6 @@ def test_a_cloth_lies_where_the_task_has_it_and_is_held_beside_its_centre():
     away = np.linalg.norm(flat[:, :2] - seen.hand[0, :2], axis=1)
     near = np.flatnonzero(away < 0.0125 + 0.525 * cloth.spacing)
     assert len(near) == 14 and run.world.held.tolist() == near.tolist()
-
-
-# ---- the world of tasks --------------------------------------------------------------------------
 
 
 def test_what_fails_is_a_fault_and_others_go_on(monkeypatch):

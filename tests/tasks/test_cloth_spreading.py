@@ -28,9 +28,6 @@ def sheet(z=lambda u, v: 0.0 * u, x=lambda u, v: u):
     return np.stack([x(u, v), v, z(u, v)], axis=-1).reshape(-1, 3)
 
 
-# ---- the way down --------------------------------------------------------------------------------
-
-
 def test_steps_are_the_paper_s():
     for A in (0.0, 0.1, 0.25):
         steps = 16.0 * step_shares(A)
@@ -50,9 +47,6 @@ def test_steps_are_the_paper_s():
     # beside the centre, as a hand errs: 3 mm and 1.3 mm
     assert position[0, :2] == pytest.approx([0.103, 0.1013])
     assert position[-1, 2] == position[0, 2]
-
-
-# ---- the share that lies spread ------------------------------------------------------------------
 
 
 TURN = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
@@ -80,9 +74,6 @@ LAYERS = {
 def test_what_lies_flat_is_spread(x, share, covered):
     for found, (low, high) in zip(spread_areas(x, TRIANGLES), (share, covered), strict=True):
         assert low <= found <= high
-
-
-# ---- in the simulator ----------------------------------------------------------------------------
 
 
 @pytest.mark.slow
