@@ -1,4 +1,4 @@
-"""Learning from executions, in a world solved in closed form."""
+"""Learning from executions, beside formulas and slow searches."""
 
 import math
 from dataclasses import replace
@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from gendom.errors import GendomError, ParameterError
 from gendom.materials import Cloth, dimensionless_parameters, size_of
@@ -14,6 +15,7 @@ from gendom.materials.estimate import Estimate
 from gendom.policies.adaptation import Execution, adapt, executions_from
 from gendom.policies.belief import believed, uncertain, weighed
 from gendom.tasks import ClothSpreading
+from gendom.tasks.task import Outcome
 from policies.ballistic import ROPE, TASK, Throws, reach_of
 
 POSTERIOR = {
@@ -163,3 +165,105 @@ def test_what_was_enough_says_which_objects_are_likely():
     # they are kept as they are, for the policy
     belief = believed(Estimate.of(task.item), task)
     assert adapt(task, belief, tried, world=Throws()).belief is belief
+
+
+ACTIONS = np.array([[0.4, 0.4], [0.42, 0.43], [0.3, 0.45], [0.5, 0.35]])
+OFFS = (0.01, -0.015, 0.02, 0.0)
+
+
+def reached(belief, vector):
+    """[N] in lengths, of `ACTIONS`."""
+    alike = dimensionless_parameters(belief.at(vector))
+    known = alike["bending_ratio"], alike["damping"]
+    return np.array([reach_of(x, z, *known) for x, z in ACTIONS])
+
+
+def gram(a, b):
+    """8 mm of a metre, alike over 5 cm of one."""
+    return np.array(
+        [[0.008**2 * math.exp(-0.5 * ((x - y) @ (x - y)) / 0.05**2) for y in b] for x in a]
+    )
+
+
+def test_a_belief_is_the_most_likely_one_and_the_rest_a_gaussian_process():
+    """By a simplex search of the same sum of squares, and normal equations."""
+    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
+    seen = [executed(*a, off=off) for a, off in zip(ACTIONS, OFFS, strict=True)]
+    found = adapt(TASK, belief, seen, world=Throws())
+    L = ROPE.length
+    y, K = np.array([e.reached[0] for e in seen]) / L, gram(ACTIONS, ACTIONS) + 0.002**2 * np.eye(4)
+    prior = np.linalg.inv(belief.covariance)
+
+    def cost(z):
+        v = belief.mean + z * belief.sd
+        r, d = y - reached(belief, v), v - belief.mean
+        return r @ np.linalg.solve(K, r) + d @ prior @ d
+
+    best = minimize(
+        cost, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-10}
+    )
+    at = belief.mean + best.x * belief.sd
+    np.testing.assert_allclose((found.belief.mean - at) / belief.sd, 0.0, atol=0.02)
+    mean = found.belief.mean
+    h = 1e-4 * belief.sd
+    J = np.stack([(reached(belief, mean + d) - reached(belief, mean - d)) / (2.0 * abs(d).max())
+                  for d in np.diag(h)], axis=1)  # fmt: skip
+    covariance = np.linalg.inv(J.T @ np.linalg.solve(K, J) + prior)
+    np.testing.assert_allclose(found.belief.covariance, covariance, rtol=0.02, atol=1e-7)
+    left = y - reached(belief, mean)
+    np.testing.assert_allclose(found.residuals[:, 0], left * L, atol=1e-9)
+    assert found.discrepancy is not None
+    for at in (ACTIONS[0], ACTIONS[1] + 0.02, np.array([0.9, 0.1])):
+        k = gram([at], ACTIONS)[0]
+        by, deviation = found.discrepancy(at * L)
+        assert by == pytest.approx([k @ np.linalg.solve(K, left) * L], abs=1e-9)
+        variance = 0.008**2 - k @ np.linalg.solve(K, k)
+        assert deviation == pytest.approx(math.sqrt(variance) * L, rel=1e-6)
+    # where it is all known, only the rest is found
+    fixed = adapt(TASK, belief, seen, world=Throws(), refine=False)
+    np.testing.assert_array_equal(fixed.belief.mean, belief.mean)
+    np.testing.assert_allclose(fixed.belief.covariance, belief.covariance)
+    np.testing.assert_allclose(fixed.residuals[:, 0], (y - reached(belief, belief.mean)) * L)
+
+
+ASKED: list[float] = []
+
+
+class Bends(Throws):
+    """Reaches that bend back beyond some E, so that whole steps gain nothing."""
+
+    def carry_out(self, task, items, actions, **_):
+        found = []
+        for item in items:
+            x = math.log(item.material.E / ROPE.material.E)
+            ASKED.append(round(x, 9))
+            bad = x > self.risky_above
+            found.append(Outcome(values={}, fault="burst") if bad else Outcome(
+                values={"x": item.length * (1.0 + self.off * math.tanh(60.0 * x)), "sideways": 0.0}
+            ))  # fmt: skip
+        return found
+
+
+@pytest.mark.parametrize("most", [9.0, 0.02])
+def test_the_best_of_four_shares_of_a_step_is_taken(most):
+    """A step of the slope at the middle goes too far; a world that fails is none of them."""
+    posterior = {"names": ["E_over_rho"], "mean": [math.log(8e5 / 900)], "covariance": [[0.3**2]]}
+    belief = belief_of(ROPE, posterior, known=("nu", "friction", "damping"))
+    seen = Execution(action=np.array([0.12, 0.12]), reached=np.array([0.3 * 1.05]))
+    world = Bends(off=0.05, risky_above=most)
+    ASKED.clear()
+    found = adapt(TASK, belief, [seen], world=world)
+    h = 0.05 * 0.3
+    slope = 0.05 * math.tanh(60.0 * h) / h
+    variance = 0.008**2 + 0.002**2
+    H = slope**2 / variance + 1.0 / 0.3**2
+    step = slope * 0.05 / variance / H
+    assert ASKED[:3] == pytest.approx([0.0, h, -h], abs=1e-6)
+    assert ASKED[3:7] == pytest.approx([step * s for s in (1.0, 0.5, 0.25, 0.1)], abs=1e-6)
+    costs = [(0.05 - 0.05 * math.tanh(60.0 * x)) ** 2 / variance + (x / 0.3) ** 2
+             if x < most else math.inf for x in ASKED[3:7]]  # fmt: skip
+    best = ASKED[3:7][int(np.argmin(costs))]
+    assert (best == ASKED[3]) is (most > 1.0)
+    assert ASKED[7:9] == pytest.approx([best + h, best - h], abs=1e-6)
+    # where one end of the differences fails they say nothing
+    assert (found.belief.sd[0] < 0.29) == (most > 1.0)
