@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import experiments.sim2sim as module
-from experiments.__main__ import main
 from experiments.adam import DensityGrid, DensityLoss, _Descent, adam
 from experiments.evolution import differential_evolution
 from experiments.pointnet import grouped, pointnet, read_network
@@ -161,13 +160,11 @@ def test_estimates_end_at_the_truth_from_every_start():
     assert row["E_worst"] < 0.01 and row["nu_worst"] < 1e-5 and row["chamfer"] < 1e-6
 
 
-def test_the_table_has_the_paper_s_numbers_below_ours(monkeypatch, tmp_path, capsys):
+def test_the_table_has_the_paper_s_numbers_below_ours(monkeypatch, tmp_path, table):
     """With errors that are known; the table itself takes minutes."""
     monkeypatch.setattr(module, "sim2sim_recording", lambda *_, **__: None)
     monkeypatch.setattr(module, "_errors", lambda *_: (-2.0, 0.5, 0.25))
-    words = ["sim2sim", "--method", "adam", "--seed", "3", "--out", str(tmp_path)]
-    assert main(words) == 0
-    told = capsys.readouterr().out
+    told = table("sim2sim", "--method", "adam", "--seed", 3)
     assert "adam, last frames, in the paper" in told and "13.74" in told
     result = json.loads((tmp_path / "sim2sim.json").read_text())
     assert result["seed"] == 3 and [row["frames"] for row in result["rows"]] == ["all", "last"]

@@ -1,4 +1,5 @@
-"""Cloth spreading: the paper's steps, and the share that lies spread on known shapes."""
+"""Cloth spreading: the paper's steps, the share that lies spread on known shapes; and dragging:
+what the tool does, within its limits."""
 
 from dataclasses import replace
 
@@ -6,8 +7,9 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.materials import Cloth, Material
-from gendom.tasks import ClothSpreading, RopeReaching
+from gendom.materials import STANDARD_GRAVITY, Cloth, Material, size_of, unit_of
+from gendom.tasks import ClothDragging, ClothSpreading, RopeReaching
+from gendom.tasks.cloth_dragging import CLEAR, MAX_ACCELERATION, MAX_SPEED, NAMES
 from gendom.tasks.cloth_spreading import (
     CLOTH,
     lattice_triangles,
@@ -17,7 +19,7 @@ from gendom.tasks.cloth_spreading import (
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
 
-TASK = ClothSpreading()
+TASK, DRAGGING = ClothSpreading(), ClothDragging()
 N = 41
 TRIANGLES = lattice_triangles(N, N)
 
@@ -111,3 +113,42 @@ def test_a_stiff_cloth_spreads_and_a_limp_one_needs_more():
     outcomes = Simulation().carry_out(TASK, [rubber, limp], [[0.65], [0.65]])
     assert outcomes[0].values["share"] > 0.95
     assert outcomes[1].values["share"] < 0.6
+
+
+@pytest.mark.parametrize("side", [0.2, 0.5])
+def test_every_motion_keeps_the_tool_s_limits(side):
+    item = replace(DRAGGING.item, side=side)
+    low, high = DRAGGING.limits(item).T
+    rng = np.random.default_rng(0)
+    hasty = low + (high - low) * rng.random((20, len(NAMES)))
+    hasty[:, [n[0] == "t" for n in NAMES]] = low[NAMES.index("t1")]
+    for action in (DRAGGING.nearest(item, a) for a in hasty):
+        path = DRAGGING.tool_path(item, action)
+        t = np.arange(0.0, path.end, 1e-3)
+        v = np.diff(path.position_at(t, path.blend or 0.0), axis=0) / 1e-3
+        a = np.diff(v, axis=0) / 1e-3
+        assert np.linalg.norm(v, axis=1).max() <= 1.001 * MAX_SPEED * unit_of("m/s", item)
+        assert np.linalg.norm(a, axis=1).max() <= 1.01 * MAX_ACCELERATION * STANDARD_GRAVITY
+        assert path.end == pytest.approx(DRAGGING.times(item)[-1])
+
+
+@pytest.mark.parametrize(("hold", "at"), [(0.0, [0.515, 0.5065]), (0.47, [0.045, 0.0365])])
+def test_the_tool_raises_all_of_it_goes_away_from_the_cloth_and_ends_on_the_table(hold, at):
+    action = np.zeros(len(NAMES)) + 0.3 * DRAGGING.action_units(DRAGGING.item)
+    action[0] = hold * size_of(DRAGGING.item)
+    action[[n[0] == "t" for n in NAMES]] = 2.5 * unit_of("s", DRAGGING.item)
+    position = DRAGGING.tool_path(DRAGGING.item, action).position / size_of(DRAGGING.item)
+    assert position[0] == pytest.approx([*at, 0.01])
+    hangs = np.hypot(0.5 + hold, 0.5 + hold)
+    assert position[2] - position[0] == pytest.approx([0.0, 0.0, hangs + CLEAR])
+    assert position[-1, 2] == position[0, 2]
+    # x away along the diagonal, y to the left of that
+    x, y = (0.3 * np.array(d) / np.sqrt(2.0) for d in ([-1.0, -1.0], [1.0, -1.0]))
+    assert position[-1, :2] - position[0, :2] == pytest.approx(x + y)
+
+
+def test_what_takes_too_long_is_refused():
+    high = DRAGGING.limits(DRAGGING.item)[:, 1]
+    with pytest.raises(ParameterError, match="take at most"):
+        DRAGGING.check_action(DRAGGING.item, high)
+    assert DRAGGING.allows(DRAGGING.item, DRAGGING.nearest(DRAGGING.item, high))
