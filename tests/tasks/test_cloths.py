@@ -31,12 +31,10 @@ def sheet(z=lambda u, v: 0.0 * u, x=lambda u, v: u):
 
 
 def test_steps_are_the_paper_s():
+    i = np.arange(1, 17)
     for A in (0.0, 0.1, 0.25):
-        steps = 16.0 * step_shares(A)
-        for i in range(1, 9):
-            assert steps[i - 1] == pytest.approx(1.0 - (4.5 - 0.5 * i) * A)
-        for i in range(9, 17):
-            assert steps[i - 1] == pytest.approx(1.0 + (0.5 * i - 4.0) * A)
+        expected = np.where(i < 9, 1.0 - (4.5 - 0.5 * i) * A, 1.0 + (0.5 * i - 4.0) * A)
+        assert 16.0 * step_shares(A) == pytest.approx(expected)
     # beyond the paper's largest no step goes up and the height stays
     steps = step_shares(0.6)
     assert steps.min() == 0.0 and steps.sum() == pytest.approx(1.0)
@@ -91,18 +89,15 @@ def test_a_hand_that_presses_a_limp_heap_on_the_table_keeps_it_whole(monkeypatch
 
 def test_layers_that_stick_in_the_mpm_are_told_once(monkeypatch, caplog):
     def side_by_side(self, task, items, *rest):
-        return [Outcome(values={"share": 0.5}) for _ in items]
+        return [Outcome(values={}) for _ in items]
 
     monkeypatch.setattr(Simulation, "_side_by_side", side_by_side)
-    items = [CLOTH, replace(CLOTH, side=0.3)]
-    Simulation(engine="mpm").carry_out(TASK, items, [[0.3], [0.3]])
-    assert [(r.levelname, "stick" in r.message) for r in caplog.records] == [("WARNING", True)]
-    caplog.clear()
-    Simulation().carry_out(TASK, items, [[0.3], [0.3]])
-    rope = RopeReaching()
-    actions = rope.sample_actions(rope.item, np.random.default_rng(0), 1)
-    Simulation(engine="mpm").carry_out(rope, [rope.item], actions)
+    cloths, rope = [CLOTH, replace(CLOTH, side=0.3)], RopeReaching()
+    Simulation().carry_out(TASK, cloths, [[0.3], [0.3]])
+    Simulation(engine="mpm").carry_out(rope, [rope.item], [[0.12, 0.12]])
     assert caplog.text == ""
+    Simulation(engine="mpm").carry_out(TASK, cloths, [[0.3], [0.3]])
+    assert [(r.levelname, "stick" in r.message) for r in caplog.records] == [("WARNING", True)]
 
 
 @pytest.mark.slow
