@@ -67,8 +67,7 @@ ROOMS = {
                 "datasets/test_exact_readers test_reading datasets/test_clouds "
                 "datasets/test_folder datasets/test_recording"),
     "policies": ("policies", "policy adaptation graph",
-                 "policies/test_exact_policies policies/test_policy policies/test_adapt "
-                 "policies/test_choice policies/test_names_are_data"),
+                 "policies/test_policy policies/test_adapt policies/test_names_are_data"),
     "robot": ("robot", "kinematics path motion timing collision",
               "robot/test_exact_robot robot/test_path robot/test_motion robot/test_collision "
               "robot/test_kinematics"),

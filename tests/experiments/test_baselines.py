@@ -1,16 +1,22 @@
-"""Each method brings back what a short simulated lift was made with; Adam's slopes are right."""
+"""The paper's lift, made exactly; what each method finds in it, and Adam's slopes."""
 
+import json
+import math
+import os
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 import pytest
 
-from experiments.adam import DensityLoss, _Descent, adam
+import experiments.sim2sim as module
+from experiments.adam import DensityGrid, DensityLoss, _Descent, adam
 from experiments.evolution import differential_evolution
+from experiments.pointnet import grouped, pointnet, read_network
 from experiments.sim2sim import (
     paper_E,
     scene_settings,
+    sim2sim,
     sim2sim_problem,
     sim2sim_recording,
     truth_of,
@@ -19,6 +25,7 @@ from gendom.errors import ParameterError
 from gendom.estimation import METHODS, estimate
 from gendom.estimation.methods.gauss_newton import gauss_newton
 from gendom.estimation.problem import Start
+from gendom.estimation.scene import LiftScene
 
 E, NU = 4000.0, 0.3
 """E in the paper's units, and nu."""
@@ -85,18 +92,19 @@ def test_evolution_is_seeded(short_lift):
     assert (ends[0] != ends[2]).any()
 
 
-# ---- slopes of the density loss -----------------------------------------------------------------
-
-
-@pytest.mark.parametrize("markers", [True, False])
-@pytest.mark.parametrize("engine", ["thin", "mpm"])
-def test_gradients_are_central_differences(short_lift, engine, markers):
-    problem = short_lift(engine, markers)
-    loss = DensityLoss(problem)
-    vector = problem.prior.vector(truth_of(3300.0, 0.25))
+def descent_of(problem):
+    """The density loss, and its slopes beside the truth."""
+    loss, vector = DensityLoss(problem), problem.prior.vector(truth_of(3300.0, 0.25))
     descent = _Descent(Start(initial=vector, vector=vector), vector)
     loss.evaluate([descent])
     assert descent.seen is not None
+    return loss, descent, vector
+
+
+@pytest.mark.parametrize(("engine", "markers"), [("thin", True), ("thin", False), ("mpm", False)])
+def test_gradients_are_central_differences(short_lift, engine, markers):
+    problem = short_lift(engine, markers)
+    loss, descent, vector = descent_of(problem)
     for k, h in enumerate((1e-5, 1e-7)):
         x = problem.positions([vector + s * h * np.eye(2)[k] for s in (1.0, -1.0)])
         ahead, behind = (loss.value(x[:, w], descent.seen) for w in range(2))
@@ -111,18 +119,9 @@ def test_gradients_are_central_differences(short_lift, engine, markers):
 def test_gradients_by_how_it_is_held_are_differences(short_lift):
     """Unknowns without a reverse mode, here the grip's height."""
     problem = short_lift()
-    wide = type(problem)(
-        [problem.scene],
-        type(problem.settings)(
-            unknowns=("E_over_rho", "grip_height"), scene=problem.settings.scene
-        ),
-        known=problem.bases[0],
-    )
-    loss = DensityLoss(wide)
-    vector = wide.prior.vector(truth_of(3300.0, 0.25))
-    descent = _Descent(Start(initial=vector, vector=vector), vector)
-    loss.evaluate([descent])
-    assert descent.seen is not None
+    settings = replace(problem.settings, unknowns=("E_over_rho", "grip_height"))
+    wide = type(problem)([problem.scene], settings, known=problem.bases[0])
+    loss, descent, vector = descent_of(wide)
     h = wide.prior.step[1]
     x = wide.positions([vector, vector + np.array([0.0, h])])
     here, beside = (loss.value(x[:, w], descent.seen) for w in range(2))
@@ -139,3 +138,152 @@ def test_what_adam_cannot_do_is_said(short_lift, monkeypatch):
         estimate([lift, lift], settings)
     with pytest.raises(ParameterError, match="compares objects as thick as stated"):
         estimate(lift, replace(settings, unknowns=("thickness",)))
+
+
+@pytest.mark.parametrize("shows", ["all", "last"])
+def test_clouds_are_exact(shows):
+    """At the truth markers lie on the simulated line, as well as float32 holds them."""
+    settings = scene_settings(fast_frames=20)
+    recording = sim2sim_recording(3000.0, 0.35, settings=settings, frames=20, rise=0.2, shows=shows)
+    assert [f for f in recording.validate() if f.severity == "error"] == []
+    problem = sim2sim_problem(recording, settings=settings)
+    truth = problem.prior.vector(truth_of(3000.0, 0.35))
+    (comparison,) = problem.compare([truth], derivatives=False)
+    assert comparison is not None and comparison.rms < 3e-8
+    assert np.all((problem.prior.low < truth) & (truth < problem.prior.high))
+
+
+@pytest.mark.slow
+def test_estimates_end_at_the_truth_from_every_start():
+    """Where searches end early without leaps (seed 0, the fourth object)."""
+    row = sim2sim("gauss-newton", truths=4, starts=5)
+    assert row["E_worst"] < 0.01 and row["nu_worst"] < 1e-5 and row["chamfer"] < 1e-6
+
+
+def test_the_table_has_the_paper_s_numbers_below_ours(monkeypatch, tmp_path, table):
+    """With errors that are known; the table itself takes minutes."""
+    monkeypatch.setattr(module, "sim2sim_recording", lambda *_, **__: None)
+    monkeypatch.setattr(module, "_errors", lambda *_: (-2.0, 0.5, 0.25))
+    told = table("sim2sim", "--method", "adam", "--seed", 3)
+    assert "adam, last frames, in the paper" in told and "13.74" in told
+    result = json.loads((tmp_path / "sim2sim.json").read_text())
+    assert result["seed"] == 3 and [row["frames"] for row in result["rows"]] == ["all", "last"]
+    (row, _) = result["rows"]
+    assert (row["E"], row["nu"], row["chamfer"], row["E_worst"]) == (2.0, 0.5, 0.25, 2.0)
+    assert "python -m experiments sim2sim --method adam" in (tmp_path / "sim2sim.txt").read_text()
+
+
+def test_the_file_gives_what_torch_gives(tmp_path):
+    torch = pytest.importorskip("torch", reason="training needs torch")
+    from experiments.pointnet_training import INPUTS, Training, simulated_lifts, train
+
+    settings = scene_settings()
+    scene = LiftScene.of(sim2sim_recording(4000.0, 0.3, frames=10), settings)
+    thetas = [truth_of(E, nu) for E, nu in ((600.0, 0.2), (2000.0, 0.4), (9000.0, 0.3))]
+    clouds, targets = simulated_lifts(scene, thetas)
+    assert targets[0, 0] == pytest.approx(
+        math.log(scene.bending_length(thetas[0].E_over_rho) / 0.5)
+    )
+    path, training = tmp_path / "net.onnx", Training(epochs=3)
+    network = train(scene, clouds, targets, path, training)
+    session, said = read_network(path)
+    assert said["lift"] == pytest.approx({"rise": 0.9, "thickness": 0.056})
+    made = grouped(clouds)
+    with torch.no_grad():
+        expected = network(*(torch.from_numpy(made[name]) for name in INPUTS))
+    for a, b in zip(session.run(None, made), expected, strict=True):
+        np.testing.assert_allclose(a, b.numpy(), atol=1e-5)
+
+
+def test_the_shipped_network_reads_a_lift(tmp_path):
+    problem = sim2sim_problem(sim2sim_recording(E, NU, markers=False, shows="last"))
+    found = pointnet(problem)
+    off = math.log(paper_E(problem.theta(found.best.vector).E_over_rho) / E)
+    assert found.covariance is not None
+    sd = math.sqrt(found.covariance[0, 0])
+    assert abs(off) < 0.1 and 0.0 < sd < 0.3 and abs(off) < 4.0 * sd
+    # a file that is no network is refused
+    path = tmp_path / "net.onnx"
+    path.write_bytes(os.urandom(100))
+    for place in (path, tmp_path / "missing.onnx"):
+        with pytest.raises(ParameterError, match="is no network of this method"):
+            read_network(place)
+
+
+GRID = DensityGrid(origin=np.array([-1.0, 0.5, 2.0]), cell=0.1, shape=(20, 12, 16))
+
+
+def cloud(n, seed=0, *, margin=0.25):
+    """[n, 3] points that stay ``margin`` away from the sides of GRID."""
+    size = GRID.cell * (np.array(GRID.shape) - 1)
+    u = np.random.default_rng(seed).uniform(size=(n, 3))
+    return GRID.origin + margin + u * (size - 2.0 * margin)
+
+
+def shaped(density):
+    """Densities on the grid's own axes."""
+    return density.reshape(*density.shape[:-1], *GRID.shape)
+
+
+def test_points_off_the_grid_are_ignored():
+    p, size = cloud(9), GRID.cell * (np.array(GRID.shape) - 1)
+    for side in (*np.eye(3), *-np.eye(3)):
+        away = GRID.origin + size / 2.0 + side * (size / 2.0 + 0.5)
+        d = GRID.splat(np.concatenate([p, away[None]]))
+        assert np.allclose(d, 0.9 * GRID.splat(p), atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 7, 200])
+def test_density_has_the_clouds_mean(n):
+    """Weights of 3 nodes an axis sum to one, the density's centre is the cloud's, and each axis'
+    variance is cell^2 / 4 wider. A cloud moved by one cell has the same density one node further.
+    """
+    p = cloud(n)
+    d = shaped(GRID.splat(p))
+    assert d.sum() == pytest.approx(1.0, abs=1e-12) and d.min() >= 0.0
+    assert np.count_nonzero(d > 1e-15) <= 27 * n
+    for axis in range(3):
+        along = d.sum(axis=tuple(a for a in range(3) if a != axis))
+        at = GRID.origin[axis] + GRID.cell * np.arange(GRID.shape[axis])
+        mean = along @ at
+        assert mean == pytest.approx(p[:, axis].mean())
+        variance = along @ (at - mean) ** 2
+        assert variance == pytest.approx(p[:, axis].var() + GRID.cell**2 / 4.0)
+        there = shaped(GRID.splat(p + GRID.cell * np.eye(3)[axis]))
+        assert np.allclose(np.roll(d, 1, axis=axis), there, atol=1e-12)
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.07])
+def test_a_grid_around_points_holds_them(margin):
+    """No weight of the points, nor of any within the margin, is lost; the longest side is full."""
+    p = np.random.default_rng(3).uniform(size=(40, 3)) * [2.0, 1.0, 0.5]
+    grid = DensityGrid.around(p, margin=margin, resolution=24)
+    corners = np.array([p.min(axis=0) - margin, p.max(axis=0) + margin])
+    assert max(grid.shape) == 24
+    for q in (p, corners):
+        assert grid.splat(q).sum() == pytest.approx(1.0, abs=1e-9)
+    assert grid.cell == pytest.approx(np.ptp(corners, axis=0).max() / 21.0)
+
+
+@pytest.mark.parametrize(
+    ("points", "options", "words"),
+    [
+        (np.zeros((0, 3)), {}, "finite points"),
+        ([[0.0, np.nan, 0.0]], {}, "finite points"),
+        ([[0.0, 0.0, 0.0]] * 3, {}, "coincide"),
+        ([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], {"resolution": 3}, "needs"),
+    ],
+)
+def test_bad_grids_are_refused(points, options, words):
+    with pytest.raises(ParameterError, match=words):
+        DensityGrid.around(points, **options)
+
+
+def test_the_transpose_is_the_derivative():
+    """<bar, d splat> = <transpose bar, d points>, also where nodes lie off the grid."""
+    rng = np.random.default_rng(3)
+    p = np.stack([cloud(30, seed, margin=-0.05) for seed in (1, 2)])
+    bar, v, h = rng.normal(size=(2, GRID.num_nodes)), rng.normal(size=p.shape), 1e-6
+    ahead, behind = (GRID.splat(p + s * h * v) for s in (1.0, -1.0))
+    expected = ((ahead - behind) * bar).sum() / (2.0 * h)
+    assert (GRID.splat_transpose(p, bar) * v).sum() == pytest.approx(expected, rel=1e-6)

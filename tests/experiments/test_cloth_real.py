@@ -8,7 +8,6 @@ import pytest
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
 from experiments import cloth_real as module
-from experiments.__main__ import main
 from experiments.cloth_real import CLOTHS, Settings, cloth_real, tables_of
 from experiments.runs import Runs
 from gendom.errors import GendomError
@@ -61,7 +60,7 @@ def lifted(runs, name, task):
 SMALL = Settings(trials=3, demonstrations=0, draws=2)
 
 
-def test_every_row_is_tried_and_what_has_no_estimate_is_said(runs, capsys, monkeypatch):
+def test_every_row_is_tried_and_what_has_no_estimate_is_said(runs, table, tmp_path, monkeypatch):
     result = cloth_real(runs, SMALL)
     cotton, rubber = result["cloths"][COTTON], result["cloths"][RUBBER]
     assert set(cotton) == {"ours, no parameters", "ours", "searched", "ours, true parameters"}
@@ -80,12 +79,9 @@ def test_every_row_is_tried_and_what_has_no_estimate_is_said(runs, capsys, monke
     # the command prints the table
     small = Settings(trials=2, demonstrations=0, draws=1)
     monkeypatch.setattr(module, "SCALES", {"small": small})
-    out = runs.folder / "command"
-    command = ["cloth-real", "--objects", COTTON, "--out", str(out), "--jobs", "1"]
-    assert main(command) == 0
-    told = capsys.readouterr().out
+    told = table("cloth-real", "--objects", COTTON)
     assert COTTON in told and RUBBER not in told and "extended ratio" in told
-    assert (out / "cloth-real.json").exists() and (out / "cloth-real.txt").exists()
+    assert (tmp_path / "cloth-real.json").exists() and (tmp_path / "cloth-real.txt").exists()
 
 
 def test_trials_are_kept_and_faults_are_no_numbers(runs, monkeypatch):

@@ -13,16 +13,20 @@ from experiments import ablation as ablation_module
 from experiments import rope_real as rope_real_module
 from experiments.ablation import ablation, curves_of
 from experiments.generalization import PAPER, generalization, table_of
+from experiments.r2s2r import identify
 from experiments.rope_real import rope_real, shown_of
 from experiments.runs import Chart, Runs, TrainingJob
+from gendom.errors import ParameterError, SimulationError
+from gendom.materials import with_dimensionless
 from gendom.materials.estimate import Estimate
 from gendom.policies import Policy
+from gendom.policies.adaptation import Execution
 from gendom.policies.belief import believed
 from gendom.policies.fitting import Training
 from gendom.reality import find_object
 from gendom.tasks import RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
-from policies.ballistic import Throws
+from policies.ballistic import ROPE, TASK, Throws
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,3 +161,31 @@ def test_real_ropes_have_all_rows_and_go_on(runs, monkeypatch):
         rope_real(runs, settings)
     assert kept == {p.name: p.stat().st_mtime_ns for p in runs.folder.glob("*.onnx")}
     assert isinstance(Policy.read(next(runs.folder.glob("*.onnx"))), Policy)
+
+
+def executed(item, count=20):
+    rng = np.random.default_rng(0)
+    actions = TASK.sample_actions(item, rng, count)
+    outcomes = Throws().carry_out(TASK, [item] * count, actions)
+    return [
+        (ROPE, Execution(action=a, reached=np.array([o.values["x"]])))
+        for a, o in zip(actions, outcomes, strict=True)
+    ]
+
+
+def test_r2s2r_explains_one_object():
+    there = with_dimensionless(ROPE, {"bending_ratio": 0.5, "damping": 0.03})
+    found = identify(TASK, executed(there), world=Throws())
+    # E and damping move the reach alike: what they reach is found, not each of them
+    value = 0.6 * np.log(found.parameters["bending_ratio"] / 0.4) - 6.0 * (
+        found.parameters["damping"] - 0.02
+    )
+    assert value == pytest.approx(0.6 * np.log(0.5 / 0.4) - 6.0 * 0.01, abs=1e-3)
+    assert found.misfit < 1e-4 and found.executions == 20
+    again = identify(TASK, executed(there), world=Throws())
+    assert again == found
+    # nothing to learn from is told
+    with pytest.raises(ParameterError, match="no executions"):
+        identify(TASK, [], world=Throws())
+    with pytest.raises(SimulationError, match="no parameters could be simulated"):
+        identify(TASK, executed(there), world=Throws(fails=True), generations=1)

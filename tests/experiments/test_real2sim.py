@@ -9,7 +9,6 @@ import pytest
 pytest.importorskip("mujoco", reason="needs the extra reality")
 
 from experiments import real2sim as module
-from experiments.__main__ import main
 from experiments.runs import Runs
 from gendom.errors import ParameterError
 from gendom.estimation import Verdict
@@ -32,13 +31,9 @@ class Found:
 
 @pytest.fixture
 def estimated(monkeypatch):
-    """Object, method and frames of estimates, and how lifts were asked for; E is found 10 % too
-    high, and two methods cannot do it."""
-    calls, motions = [], []
-
-    def recorded(runs, label, item, motion):
-        motions.append((label, motion))
-        return item
+    """Object, method and frames of estimates; E is found 10 % too high, and two methods cannot do
+    it."""
+    calls = []
 
     def estimate(item, settings):
         calls.append((item.name, settings.method, settings.frames))
@@ -51,21 +46,25 @@ def estimated(monkeypatch):
             return Found(record=record, verdict=Verdict(usable=False, reasons=("is crumpled",)))
         return Found(record=record)
 
-    monkeypatch.setattr(Runs, "recorded", recorded)
+    monkeypatch.setattr(Runs, "recorded", lambda runs, label, item, motion: item)
     monkeypatch.setattr(module, "estimate", estimate)
     monkeypatch.setattr(module, "METHODS", {})  # which baselines join
-    return calls, motions
+    return calls
 
 
-def make(folder, *words):
-    """The objects of the table that a command makes."""
-    words = ["real2sim", "--objects", COTTON, SHEET, *words, "--jobs", "1", "--out", str(folder)]
-    assert main(words) == 0
-    return json.loads((folder / "real2sim.json").read_text())["objects"]
+@pytest.fixture
+def make(table, tmp_path):
+    """Function (words): what the command says of two objects, and its table's objects."""
+
+    def made(*words):
+        told = table("real2sim", "--objects", COTTON, SHEET, *words)
+        return told, json.loads((tmp_path / "real2sim.json").read_text())["objects"]
+
+    return made
 
 
-def test_every_method_has_a_row_or_a_reason(estimated, tmp_path, capsys):
-    objects = make(tmp_path)
+def test_every_method_has_a_row_or_a_reason(estimated, make, table):
+    told, objects = make()
     rows = objects[COTTON]
     assert list(rows) == ["gauss-newton", "gauss-newton, last frame", "adam",
                           "differential-evolution", "pointnet"]  # fmt: skip
@@ -78,7 +77,6 @@ def test_every_method_has_a_row_or_a_reason(estimated, tmp_path, capsys):
     # as stiff a sheet at the nu of 0.3 that estimates assume
     assert cloth["truth"] == pytest.approx(m.E * (1.0 - 0.3**2) / (1.0 - m.nu**2))
     assert not cloth["usable"]
-    told = capsys.readouterr().out
     assert "differential-evolution" in told and "skipped: method adam: cannot do that" in told
     # 0.034 and 0.092 of the cotton rope at twice its size
     rope, sheet = module.tables_of(objects)
@@ -86,17 +84,17 @@ def test_every_method_has_a_row_or_a_reason(estimated, tmp_path, capsys):
     assert rope.rows["gauss-newton"][2:5] == ("+0.095", "5.0", "")
     assert "is crumpled" in str(sheet)
     # an unknown object is refused before the work
-    estimated[0].clear()
-    assert main(["real2sim", "--objects", COTTON, "rope-hemp", "--out", str(tmp_path)]) == 2
-    assert "there is no object 'rope-hemp'" in capsys.readouterr().err and estimated[0] == []
+    estimated.clear()
+    error = table("real2sim", "--objects", COTTON, "rope-hemp", code=2)
+    assert "there is no object 'rope-hemp'" in error and estimated == []
 
 
-def test_rows_are_kept_and_skipped_ones_are_tried_again(estimated, tmp_path):
-    first = make(tmp_path)
-    del estimated[0][:]
-    assert make(tmp_path) == first
-    assert [method for _, method, _ in estimated[0]] == ["adam", "pointnet"]
+def test_rows_are_kept_and_skipped_ones_are_tried_again(estimated, make):
+    first = make()
+    estimated.clear()
+    assert make() == first
+    assert [method for _, method, _ in estimated] == ["adam", "pointnet"]
     # other settings are other rows
-    del estimated[0][:]
-    make(tmp_path, "--method", "gauss-newton", "--seed", "1")
-    assert len(estimated[0]) == 3
+    estimated.clear()
+    make("--method", "gauss-newton", "--seed", 1)
+    assert len(estimated) == 3

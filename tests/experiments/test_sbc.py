@@ -3,13 +3,13 @@
 import json
 import math
 from dataclasses import replace
+from importlib import import_module
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
-from experiments.__main__ import main
 from experiments.lifts import Lifts, estimate_settings
 from experiments.sbc import imagined_lift, uniformity
 from gendom.estimation import estimate
@@ -69,15 +69,11 @@ def test_a_network_learns_where_a_rope_is():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("table", ["sbc", "npe"])
-def test_the_command_makes_the_table(table, tmp_path, capsys, monkeypatch):
-    if table == "npe":
+@pytest.mark.parametrize("name", ["sbc", "npe"])
+def test_the_command_makes_the_table(name, tmp_path, table, monkeypatch):
+    if name == "npe":
         pytest.importorskip("sbi")
-        from experiments import npe
-
-        monkeypatch.setitem(npe.SIMULATIONS, "small", 32)
-    out = tmp_path / table
-    assert main([table, "--lifts", "2", "--jobs", "1", "--seed", "3", "--out", str(out)]) == 0
-    assert "covered" in capsys.readouterr().out
-    made = json.loads(next(out.glob(f"{table}*[!0-9].json")).read_text())
+        monkeypatch.setitem(import_module("experiments.npe").SIMULATIONS, "small", 32)
+    assert "covered" in table(name, "--lifts", 2, "--seed", 3)
+    made = json.loads(next(tmp_path.glob(f"{name}*[!0-9].json")).read_text())
     assert made["lifts"] == 2

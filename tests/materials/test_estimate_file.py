@@ -2,6 +2,7 @@
 
 import copy
 import json
+import math
 
 import numpy as np
 import pytest
@@ -9,21 +10,14 @@ import pytest
 from gendom.errors import GendomError
 from gendom.materials import Material, Rope
 from gendom.materials.estimate import Estimate
-from gendom.materials.posterior import Posterior, prior_of
 
 
 @pytest.fixture(scope="module")
 def found():
-    material = Material(E=8e5, nu=0.3, density=800.0)
-    rope = Rope(length=0.4, diameter=0.01, material=material)
-    prior = prior_of(("E_over_rho", "nu"))
-    posterior = Posterior(
-        prior=prior,
-        mean=np.array([np.log(1000.0), 0.3]),
-        covariance=np.diag([1e-3, 1e-4]),
-        bases=(),
-    )
-    return Estimate.of(rope, posterior.to_dict())
+    rope = Rope(length=0.4, diameter=0.01, material=Material(E=8e5, nu=0.3, density=800.0))
+    mean, covariance = [math.log(1000.0), 0.3], np.diag([1e-3, 1e-4]).tolist()
+    names = ["E_over_rho", "nu"]
+    return Estimate.of(rope, {"names": names, "mean": mean, "covariance": covariance})
 
 
 def places(value, at=()):

@@ -1,6 +1,7 @@
 """Materials, objects, and the numbers by which they are alike."""
 
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 
 import pytest
@@ -29,42 +30,28 @@ CLOTH = Cloth(side=0.2, thickness=0.001, material=Material(E=2e6, nu=0.45, densi
 
 
 def test_moduli_speeds_and_lengths_are_known():
-    """nu = 1/4 gives mu = lam = 2 E / 5; nu = 0 gives mu = E / 2, lam = 0."""
-    assert Material(E=10.0, nu=0.25).lame == pytest.approx((4.0, 4.0))
-    assert Material(E=10.0, nu=0.0).lame == pytest.approx((5.0, 0.0))
+    """E = mu (3 lam + 2 mu) / (lam + mu) and nu = lam / (2 (lam + mu))."""
+    for nu in (-0.5, 0.0, 0.1, 0.25, 0.45):
+        material = Material(E=9.0e4, nu=nu, density=900.0)
+        mu, lam = material.lame
+        assert mu * (3.0 * lam + 2.0 * mu) / (lam + mu) == pytest.approx(9.0e4)
+        assert lam / (2.0 * (lam + mu)) == pytest.approx(nu)
+        assert material.E_over_rho == pytest.approx(100.0)
+        share = (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu))
+        assert material.wave_speed == pytest.approx(10.0 * math.sqrt(share))
     assert Material(E=12.0, nu=0.25).lame_of(1.0) == pytest.approx((4.8, 3.2))
-    # wave speed without lateral contraction
-    rod = Material(E=9.0e4, nu=0.0, density=900.0)
-    assert rod.wave_speed == pytest.approx(10.0)
-    assert rod.E_over_rho == pytest.approx(100.0)
-    assert Material(E=9.0e4, nu=0.3, density=900.0).wave_speed == pytest.approx(
-        10.0 * math.sqrt(0.7 / (1.3 * 0.4))
-    )
-    # bending length and its inverse
     assert bending_length(1.0e4, 1.0e-3, 10.0) == pytest.approx(0.1)
     for modulus in (1.0, 450.0, 3.0e6):
         length = bending_length(modulus, 0.003, 9.81)
         assert E_over_rho_of(length, 0.003, 9.81) == pytest.approx(modulus)
-    # E = mu (3 lam + 2 mu) / (lam + mu) and nu = lam / (2 (lam + mu))
-    for nu in (-0.5, 0.1, 0.3, 0.45):
-        mu, lam = Material(E=7.0e4, nu=nu).lame
-        assert mu * (3.0 * lam + 2.0 * mu) / (lam + mu) == pytest.approx(7.0e4)
-        assert lam / (2.0 * (lam + mu)) == pytest.approx(nu)
 
 
-@pytest.mark.parametrize(
-    ("field", "values"),
-    [
-        ("E", [0.0, -1.0, math.nan, math.inf]),
-        ("nu", [0.5, -1.0, 0.7, math.nan]),
-        ("density", [0.0, -5.0, math.nan, math.inf]),
-    ],
-)
-def test_out_of_range_is_refused_by_name(field, values):
-    """The error names the parameter that lies outside its range."""
-    for value in values:
-        with pytest.raises(ParameterError, match=field):
-            Material(**{field: value})
+@pytest.mark.parametrize("value", [0.5, -1.0, 0.7, 0.0, math.nan, math.inf])
+@pytest.mark.parametrize("field", ["E", "nu", "density"])
+def test_out_of_range_is_refused_by_name(field, value):
+    allowed = value == 0.0 if field == "nu" else 0.0 < value < 1.0
+    with nullcontext() if allowed else pytest.raises(ParameterError, match=field):
+        Material(**{field: value})
 
 
 def test_likeness_of_a_rope_is_that_of_theory():
@@ -116,25 +103,17 @@ def test_columns_give_the_object_back(item):
         ({"diameter": 14.0}, "diameter is 14 m; give metres: 14 mm are 0.014 m"),
         ({"diameter": 1.4}, "metres: 1.4 cm are 0.014 m, 1.4 mm are 0.0014 m"),
         ({"friction": -0.1}, "friction must be finite"),
-    ],
-)
-def test_impossible_objects_are_refused(change, says):
-    with pytest.raises(ParameterError, match=says):
-        replace(ROPE, **change)
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
         ({"E": 0.8}, "E is 0.8 Pa; give Pa: 0.8 MPa are 800000 Pa"),
         ({"density": 1.1}, "give kg/m.3: 1.1 g/cm.3 are 1100 kg/m.3"),
         ({"density": 1.1e6}, "give kg/m.3: 1.1e.06 g/m.3 are 1100 kg/m.3"),
         ({"damping": 4.0}, "damping is 4 s; give s: 4 ms are 0.004 s"),
     ],
 )
-@pytest.mark.parametrize("item", [ROPE, CLOTH])
-def test_other_units_are_told(item, change, says):
-    with pytest.raises(ParameterError, match="unknown unit 'kg'"):
-        unit_of("kg", item)
+def test_impossible_objects_and_other_units_are_refused(change, says):
+    of_material = not change.keys() <= {"length", "diameter", "friction"}
     with pytest.raises(ParameterError, match=says):
-        replace(item, material=replace(item.material, **change))
+        if of_material:
+            change = {"material": replace(ROPE.material, **change)}
+        replace(ROPE, **change)
+    with pytest.raises(ParameterError, match="unknown unit 'kg'"):
+        unit_of("kg", ROPE)

@@ -1,10 +1,10 @@
-"""Clouds compared: Chamfer distance against brute force, and what cameras see."""
+"""Clouds compared: Chamfer distance against brute force, what cameras see, and how broad."""
 
 import numpy as np
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.observation import chamfer, visible, visible_on_sheet
+from gendom.observation import breadth_across, chamfer, visible, visible_on_sheet
 from gendom.sim import rope
 
 
@@ -118,3 +118,30 @@ def test_shapes_that_do_not_fit():
     for arrays in ((good, good[:2], good), (good[:, :2],) * 3, (good, good, good[:0])):
         with pytest.raises(ParameterError, match="points and normals"):
             visible_on_sheet(*arrays, spacing=0.01)
+
+
+CAMERAS = np.array([[0.4, -0.7, 0.4], [0.4, 0.7, 0.4]])
+
+
+def breadth_of(diameter, moved, noise=0.003, points=3000, seed=0):
+    """How broad a hanging rope looks to two cameras, one of them `moved` sideways."""
+    rng = np.random.default_rng(seed)
+    feet = np.tile([0.4, 0.0, 0.0], (points, 1))
+    feet[:, 2] = rng.uniform(0.05, 0.35, points)
+    camera = rng.integers(0, len(CAMERAS), points)
+    view = feet - CAMERAS[camera]
+    view[:, 2] = 0.0
+    view /= np.linalg.norm(view, axis=1, keepdims=True)
+    across = diameter / 2.0 * rng.uniform(-1.0, 1.0, points)
+    front = np.sqrt((diameter / 2.0) ** 2 - across**2)
+    off = (noise * rng.standard_normal(points) - front)[:, None] * view
+    off[:, 0] += across + np.where(camera == 1, moved, 0.0)
+    tangent = np.tile([0.0, 0.0, 1.0], (points, 1))
+    return breadth_across(feet + off, feet, tangent, CAMERAS, noise=noise)
+
+
+@pytest.mark.parametrize("moved", [0.0, 0.004])
+@pytest.mark.parametrize("diameter", [0.003, 0.006, 0.015])
+def test_breadth_is_the_diameter_whatever_depth_and_calibration_do(diameter, moved):
+    assert breadth_of(diameter, moved) == pytest.approx(diameter, rel=0.3)
+    assert breadth_of(diameter, moved, points=150) is None  # few points show none

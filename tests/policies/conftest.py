@@ -7,6 +7,7 @@ import pytest
 
 from gendom.materials import PARAMETERS
 from gendom.policies import Column, Description, GoalRange, Policy
+from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks import RopeReaching
 
 
@@ -43,6 +44,19 @@ def describe(conditioned_on=("bending_ratio", "nu"), **changes) -> Description:
         "training": {"seed": 3},
     }
     return Description(**(fields | changes))
+
+
+def demonstrations(task, action, goal, parameters, risk=None) -> Demonstrations:
+    """Of a task: actions [N, A], goals [N, G], and parameters [N] by name, 1 where not given."""
+    return Demonstrations(
+        task={"name": task.name, **task.settings()},
+        action_names=tuple(q.name for q in task.actions),
+        goal_names=tuple(q.name for q in task.goals),
+        goal=np.reshape(goal, (len(action), -1)),
+        action=np.reshape(action, (len(action), -1)),
+        parameters=dict.fromkeys(PARAMETERS, np.ones(len(action))) | parameters,
+        risk=risk,
+    )
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Learning from executions, in a world solved in closed form."""
+"""Learning from executions, beside formulas and slow searches."""
 
 import math
 from dataclasses import replace
@@ -7,15 +7,15 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
-from gendom.errors import ParameterError, SimulationError
+from gendom.errors import GendomError, ParameterError
 from gendom.materials import Cloth, dimensionless_parameters, size_of
 from gendom.materials.estimate import Estimate
-from gendom.policies import adaptation
 from gendom.policies.adaptation import Execution, adapt, executions_from
 from gendom.policies.belief import believed, uncertain, weighed
-from gendom.policies.polishing import polish
 from gendom.tasks import ClothSpreading
+from gendom.tasks.task import Outcome
 from policies.ballistic import ROPE, TASK, Throws, reach_of
 
 POSTERIOR = {
@@ -41,97 +41,50 @@ def executed(x, z, *, off=0.0, item=TRUE) -> Execution:
     return Execution(action=L * np.array([x, z]), reached=np.array([reached]))
 
 
-def test_two_exact_executions_tell_what_one_cannot(monkeypatch):
-    """E and damping move the reach alike, so the sum is learnt; the prior shares it out."""
-    monkeypatch.setattr(adaptation, "DISCREPANCY", 1e-5)
-    monkeypatch.setattr(adaptation, "NOISE", 1e-5)
-    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
-    found = adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws()).belief
-    alike = dimensionless_parameters(found.most_likely)
-    (reached,) = executed(0.4, 0.4).reached / ROPE.length
-    assert reach_of(0.4, 0.4, alike["bending_ratio"], alike["damping"]) == pytest.approx(
-        reached, abs=1e-5
-    )
-    # nearly all of it is damping, which no lift told
-    assert found.most_likely.material.damping == pytest.approx(0.009, rel=0.2)
-    assert found.most_likely.material.E == pytest.approx(8e5, rel=0.05)
-    damping = belief.names.index("damping")
-    assert found.sd[damping] < 0.3 * belief.sd[damping]
-
-
-def test_belief_is_that_of_the_linear_model():
-    """Near its mean the world is linear: mean and covariance are Kalman's."""
-    belief = belief_of(ROPE, POSTERIOR, known=(*KNOWN, "damping"))
-    seen = executed(0.4, 0.4, item=replace(ROPE, material=replace(ROPE.material, E=8.1e5)))
-    found = adapt(TASK, belief, [seen], world=Throws())
-    slope = 0.6 * 0.4 / 3.0  # the bending length goes by the cube root of E
-    variance = 0.008**2 + 0.002**2
-    gain = 0.05**2 * slope / (slope**2 * 0.05**2 + variance)
-    assert found.belief.mean[0] - belief.mean[0] == pytest.approx(
-        gain * slope * math.log(8.1 / 8.0), rel=1e-3
-    )
-    assert found.belief.sd[0] == pytest.approx(
-        math.sqrt(1.0 / (1.0 / 0.05**2 + slope**2 / variance)), rel=1e-3
-    )
-    # nothing seen changes nothing
+def test_nothing_seen_changes_nothing_and_tasks_depend_on_what_they_do():
     belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
     found = adapt(TASK, belief, [], world=Throws())
     assert found.belief is belief and found.discrepancy is None
-    found = adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(), refine=False)
-    assert np.array_equal(found.belief.mean, belief.mean) and found.discrepancy is not None
-    # what a task depends on
     assert uncertain(TASK, ROPE) == ("E_over_rho", "damping")
     cloth = Cloth(side=0.3, thickness=0.001)
     assert uncertain(ClothSpreading(), cloth) == ("E_over_rho", "nu", "damping", "friction")
 
 
-def test_what_parameters_cannot_explain_is_expected_again_nearby():
-    tight = {"names": ["E_over_rho"], "mean": [math.log(8e5 / 900)], "covariance": [[1e-8]]}
-    belief = belief_of(ROPE, tight, known=(*KNOWN, "damping"))
-    seen = executed(0.4, 0.4, off=0.02, item=ROPE)
-    found = adapt(TASK, belief, [seen], world=Throws())
-    assert found.residuals[0, 0] == pytest.approx(0.02 * ROPE.length, rel=1e-2)
-    assert found.discrepancy is not None
-    here, doubt = found.discrepancy(seen.action)
-    assert here[0] == pytest.approx(0.02 * ROPE.length, rel=0.1)
-    far, doubt_far = found.discrepancy(seen.action + 0.3 * ROPE.length)
-    assert abs(far[0]) < 0.01 * here[0]
-    assert doubt < 0.3 * doubt_far
-    # and the next action makes up for it
-    goal = seen.reached[0] - 0.02 * ROPE.length
-    action = polish(
-        TASK, goal, Estimate.of(ROPE), seen.action, world=Throws(), discrepancy=found.discrepancy
-    ).action
-    (outcome,) = Throws(off=0.02).carry_out(TASK, [ROPE], [action])
-    assert abs(outcome.values["x"] - goal) < 0.3 * 0.02 * ROPE.length
+METRES = r"m, and the rope 0\.3 m; give metres"
+
+
+@pytest.mark.parametrize(
+    ("action", "reached", "said"),
+    [
+        ([0.2], [0.4], "1 numbers of an action and 1 reached, rope-reaching has 2 and 1: x"),
+        ([0.1] * 3, [0.4], "3 numbers of an action and 1 reached"),
+        ([0.1] * 2, [0.4] * 2, "2 numbers of an action and 2 reached"),
+        ([0.1] * 2, [], "2 numbers of an action and 0 reached"),
+        ([0.2, math.nan], [0.4], "finite"),
+        ([0.1, 0.1], [357.0], rf"x is 357 {METRES}: 357 mm are 0\.357"),
+        ([0.1, 0.1], [-3.01], rf"x is -3\.01 {METRES}"),
+        ([0.1, 0.1], [2.99], "check the object's numbers and the action"),
+    ],
+)
+def test_executions_have_the_numbers_of_their_task(action, reached, said):
+    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
+    with pytest.raises(GendomError, match=said):
+        one = Execution(action=np.array(action), reached=np.array(reached))
+        adapt(TASK, belief, [one], world=Throws(fails=True))
 
 
 def test_bad_executions_are_refused():
-    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
-    wrong = Execution(action=np.array([0.2]), reached=np.array([0.4]))
-    with pytest.raises(ParameterError, match="1 numbers of an action"):
-        adapt(TASK, belief, [wrong], world=Throws())
-    with pytest.raises(ParameterError, match="finite"):
-        Execution(action=np.array([0.2, math.nan]), reached=np.array([0.4]))
-    far = Execution(action=np.array([0.4, 0.4]), reached=np.array([357.0]))
-    with pytest.raises(ParameterError, match=r"x is 357 m, .* give metres: 357 mm are 0\.357"):
-        adapt(TASK, belief, [far], world=Throws())
-    with pytest.raises(ParameterError, match="executions: are 401, at most 400 are learnt from"):
-        adapt(TASK, belief, [executed(0.4, 0.4)] * 401, world=Throws())
-    with pytest.raises(SimulationError, match="cannot be simulated"):
-        adapt(TASK, belief, [executed(0.4, 0.4)], world=Throws(fails=True))
-    with pytest.raises(ParameterError, match="share is 4; give a share"):
-        many = Execution(action=np.array([0.2]), reached=np.array([4.0]))
-        adapt(ClothSpreading(), belief, [many], world=Throws())
     seen = executed(0.4, 0.4)
+    with pytest.raises(ParameterError, match="executions: are 401, at most 400 are learnt from"):
+        adapt(TASK, belief_of(ROPE, POSTERIOR, known=KNOWN), [seen] * 401, world=Throws())
+    many = Execution(action=np.array([0.2]), reached=np.array([4.0]))
+    with pytest.raises(ParameterError, match="share is 4; give a share"):
+        adapt(ClothSpreading(), Estimate.of(ClothSpreading().item), [many], world=Throws())
     (again,) = executions_from([seen.to_dict()], "file")
     assert np.array_equal(again.action, seen.action) and again.reached == seen.reached
     for rows in ([{"action": [1.0]}], ["x"], [{"action": ["a"], "reached": [1.0]}]):
         with pytest.raises(ParameterError, match=r"file\.json"):
             executions_from(rows, "file.json")
-
-
-# ---- beliefs ---------------------------------------------------------------------------------
 
 
 def test_belief_takes_the_posterior_and_doubts_the_rest():
@@ -212,3 +165,105 @@ def test_what_was_enough_says_which_objects_are_likely():
     # they are kept as they are, for the policy
     belief = believed(Estimate.of(task.item), task)
     assert adapt(task, belief, tried, world=Throws()).belief is belief
+
+
+ACTIONS = np.array([[0.4, 0.4], [0.42, 0.43], [0.3, 0.45], [0.5, 0.35]])
+OFFS = (0.01, -0.015, 0.02, 0.0)
+
+
+def reached(belief, vector):
+    """[N] in lengths, of `ACTIONS`."""
+    alike = dimensionless_parameters(belief.at(vector))
+    known = alike["bending_ratio"], alike["damping"]
+    return np.array([reach_of(x, z, *known) for x, z in ACTIONS])
+
+
+def gram(a, b):
+    """8 mm of a metre, alike over 5 cm of one."""
+    return np.array(
+        [[0.008**2 * math.exp(-0.5 * ((x - y) @ (x - y)) / 0.05**2) for y in b] for x in a]
+    )
+
+
+def test_a_belief_is_the_most_likely_one_and_the_rest_a_gaussian_process():
+    """By a simplex search of the same sum of squares, and normal equations."""
+    belief = belief_of(ROPE, POSTERIOR, known=KNOWN)
+    seen = [executed(*a, off=off) for a, off in zip(ACTIONS, OFFS, strict=True)]
+    found = adapt(TASK, belief, seen, world=Throws())
+    L = ROPE.length
+    y, K = np.array([e.reached[0] for e in seen]) / L, gram(ACTIONS, ACTIONS) + 0.002**2 * np.eye(4)
+    prior = np.linalg.inv(belief.covariance)
+
+    def cost(z):
+        v = belief.mean + z * belief.sd
+        r, d = y - reached(belief, v), v - belief.mean
+        return r @ np.linalg.solve(K, r) + d @ prior @ d
+
+    best = minimize(
+        cost, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-10}
+    )
+    at = belief.mean + best.x * belief.sd
+    np.testing.assert_allclose((found.belief.mean - at) / belief.sd, 0.0, atol=0.02)
+    mean = found.belief.mean
+    h = 1e-4 * belief.sd
+    J = np.stack([(reached(belief, mean + d) - reached(belief, mean - d)) / (2.0 * abs(d).max())
+                  for d in np.diag(h)], axis=1)  # fmt: skip
+    covariance = np.linalg.inv(J.T @ np.linalg.solve(K, J) + prior)
+    np.testing.assert_allclose(found.belief.covariance, covariance, rtol=0.02, atol=1e-7)
+    left = y - reached(belief, mean)
+    np.testing.assert_allclose(found.residuals[:, 0], left * L, atol=1e-9)
+    assert found.discrepancy is not None
+    for at in (ACTIONS[0], ACTIONS[1] + 0.02, np.array([0.9, 0.1])):
+        k = gram([at], ACTIONS)[0]
+        by, deviation = found.discrepancy(at * L)
+        assert by == pytest.approx([k @ np.linalg.solve(K, left) * L], abs=1e-9)
+        variance = 0.008**2 - k @ np.linalg.solve(K, k)
+        assert deviation == pytest.approx(math.sqrt(variance) * L, rel=1e-6)
+    # where it is all known, only the rest is found
+    fixed = adapt(TASK, belief, seen, world=Throws(), refine=False)
+    np.testing.assert_array_equal(fixed.belief.mean, belief.mean)
+    np.testing.assert_allclose(fixed.belief.covariance, belief.covariance)
+    np.testing.assert_allclose(fixed.residuals[:, 0], (y - reached(belief, belief.mean)) * L)
+
+
+ASKED: list[float] = []
+
+
+class Bends(Throws):
+    """Reaches that bend back beyond some E, so that whole steps gain nothing."""
+
+    def carry_out(self, task, items, actions, **_):
+        found = []
+        for item in items:
+            x = math.log(item.material.E / ROPE.material.E)
+            ASKED.append(round(x, 9))
+            bad = x > self.risky_above
+            found.append(Outcome(values={}, fault="burst") if bad else Outcome(
+                values={"x": item.length * (1.0 + self.off * math.tanh(60.0 * x)), "sideways": 0.0}
+            ))  # fmt: skip
+        return found
+
+
+@pytest.mark.parametrize("most", [9.0, 0.02])
+def test_the_best_of_four_shares_of_a_step_is_taken(most):
+    """A step of the slope at the middle goes too far; a world that fails is none of them."""
+    posterior = {"names": ["E_over_rho"], "mean": [math.log(8e5 / 900)], "covariance": [[0.3**2]]}
+    belief = belief_of(ROPE, posterior, known=("nu", "friction", "damping"))
+    seen = Execution(action=np.array([0.12, 0.12]), reached=np.array([0.3 * 1.05]))
+    world = Bends(off=0.05, risky_above=most)
+    ASKED.clear()
+    found = adapt(TASK, belief, [seen], world=world)
+    h = 0.05 * 0.3
+    slope = 0.05 * math.tanh(60.0 * h) / h
+    variance = 0.008**2 + 0.002**2
+    H = slope**2 / variance + 1.0 / 0.3**2
+    step = slope * 0.05 / variance / H
+    assert ASKED[:3] == pytest.approx([0.0, h, -h], abs=1e-6)
+    assert ASKED[3:7] == pytest.approx([step * s for s in (1.0, 0.5, 0.25, 0.1)], abs=1e-6)
+    costs = [(0.05 - 0.05 * math.tanh(60.0 * x)) ** 2 / variance + (x / 0.3) ** 2
+             if x < most else math.inf for x in ASKED[3:7]]  # fmt: skip
+    best = ASKED[3:7][int(np.argmin(costs))]
+    assert (best == ASKED[3]) is (most > 1.0)
+    assert ASKED[7:9] == pytest.approx([best + h, best - h], abs=1e-6)
+    # where one end of the differences fails they say nothing
+    assert (found.belief.sd[0] < 0.29) == (most > 1.0)

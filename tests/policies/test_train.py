@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from gendom.errors import PolicyError
-from gendom.materials import PARAMETERS, with_dimensionless
+from gendom.materials import with_dimensionless
 from gendom.policies import Policy
 from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks import ClothSpreading, RopeReaching
+from policies.conftest import demonstrations
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
@@ -19,7 +20,6 @@ from gendom.policies import training as train_module  # noqa: E402
 from gendom.policies.training import Training, train  # noqa: E402
 
 CENTRE, RADIUS = np.array([0.45, 0.45]), 0.16
-TASK = {"name": "rope-reaching", **RopeReaching().settings()}
 
 
 def reach(action, E, nu):
@@ -41,30 +41,13 @@ def toy(count: int, seed: int = 0, *, risky: bool = False) -> Demonstrations:
         right = action[:, 0] > CENTRE[0]
         risk[right] = 0.3
         goal[right] = rng.uniform(1.0, 2.0, right.sum())
-    one = np.ones(count)
-    return Demonstrations(
-        task=TASK,
-        action_names=("release_x", "release_z"),
-        goal_names=("x",),
-        goal=goal[:, None],
-        action=action,
-        parameters=dict.fromkeys(PARAMETERS, one) | {"bending_ratio": E, "nu": nu},
-        risk=risk,
-    )
+    return demonstrations(RopeReaching(), action, goal, {"bending_ratio": E, "nu": nu}, risk)
 
 
 def sheets(action, E, *, risk=None) -> Demonstrations:
     """Demonstrations without goals: actions [N] that were enough for cloths of `bending_ratio`."""
-    one = np.ones(len(E))
-    return Demonstrations(
-        task={"name": "cloth-spreading", **ClothSpreading().settings()},
-        action_names=("A",),
-        goal_names=(),
-        goal=np.empty((len(E), 0)),
-        action=action[:, None],
-        parameters=dict.fromkeys(PARAMETERS, one) | {"bending_ratio": E},
-        risk=risk,
-    )
+    goal = np.empty((len(E), 0))
+    return demonstrations(ClothSpreading(), action, goal, {"bending_ratio": E}, risk)
 
 
 def acted(policy: Policy, cases: Demonstrations) -> np.ndarray:
@@ -129,7 +112,8 @@ def test_file_is_small_and_says_what_it_is(distal):
     assert path.stat().st_size < 500_000
     assert [p.name for p in path.parent.iterdir()] == [path.name]
     about = Policy.read(path).description
-    assert about == distal.description and about.task == TASK
+    assert about == distal.description
+    assert about.task == {"name": "rope-reaching", **RopeReaching().settings()}
     assert about.conditioned_on == ("bending_ratio", "nu")
     trained = about.training
     assert (trained["demonstrations"], trained["held_out"], trained["seed"]) == (1200, 120, 0)

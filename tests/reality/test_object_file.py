@@ -9,54 +9,42 @@ from gendom.materials import Material, catalogue
 from gendom.reality import find_object
 from gendom.reality.objects import RealCloth, RealRope
 
-ROPE = {
-    "kind": '"rope"',
-    "length": "0.28",
-    "diameter": "0.012",
-    "mass": "0.03",
-    "E": "1.2e6",
-    "nu": "0.35",
-}
-CLOTH = {
-    "kind": '"cloth"',
-    "side": "0.2",
-    "thickness": "0.0005",
-    "density": "400",
-    "E": "6e5",
-    "nu": "0.3",
-    "damping": "0.01",
-    "friction": "0.5",
-    "colour": "[40, 70, 150]",
-}
+ROPE = {"kind": "'rope'", "length": 0.28, "diameter": 0.012, "mass": 0.03, "E": 1.2e6, "nu": 0.35}
+CLOTH = {"kind": "'cloth'", "side": 0.2, "thickness": 0.0005, "density": 400, "E": 6e5, "nu": 0.3,
+         "damping": 0.01, "friction": 0.5, "colour": [40, 70, 150]}  # fmt: skip
+NYLON = {"kind": "'rope'", "length": 0.5, "material": "'nylon-rope'"}
 
 
-def written(tmp_path, entries):
-    path = tmp_path / "mine.toml"
-    path.write_text("\n".join(f"{name} = {value}" for name, value in entries.items()))
-    return str(path)
+@pytest.fixture
+def found(tmp_path):
+    """Function (entries of a file, changes): its object; what is None is left out."""
+
+    def read(entries, **changes):
+        told = {k: v for k, v in (entries | changes).items() if v is not None}
+        path = tmp_path / "mine.toml"
+        path.write_text("\n".join(f"{name} = {value}" for name, value in told.items()))
+        return find_object(str(path))
+
+    return read
 
 
-def test_objects_of_files(tmp_path):
-    item = find_object(written(tmp_path, ROPE))
+def test_objects_of_files(found):
+    item = found(ROPE)
     assert isinstance(item, RealRope) and item.name == "mine"
     assert item.mass == pytest.approx(0.03)
     density = 0.03 / (math.pi / 4.0 * 0.012**2 * 0.28)
     expected = Material(E=1.2e6, nu=0.35, density=density, damping=0.004)
     assert item.material == expected and item.friction == 0.3
-    # a cloth
-    item = find_object(written(tmp_path, CLOTH))
+    item = found(CLOTH)
     assert isinstance(item, RealCloth)
     assert item.material == Material(E=6e5, nu=0.3, density=400.0, damping=0.01)
     assert (item.side, item.friction, item.colour) == (0.2, 0.5, (40, 70, 150))
     assert item.mass == pytest.approx(0.2**2 * 0.0005 * 400.0)
     # a material of the catalogue
-    entries = {"kind": '"rope"', "length": "0.5", "material": '"nylon-rope"'}
-    known = catalogue.get("nylon-rope")
-    item = find_object(written(tmp_path, entries))
-    assert isinstance(item, RealRope)
+    known, item = catalogue.get("nylon-rope"), found(NYLON)
     assert item.material == known.material() and item.diameter == known.across.typical
     assert item.friction == known.friction.typical
-    item = find_object(written(tmp_path, entries | {"mass": "0.03", "nu": "0.3"}))
+    item = found(NYLON, mass=0.03, nu=0.3)
     assert item.mass == pytest.approx(0.03) and item.material.nu == 0.3
     assert item.material.E == known.E.typical
 
@@ -84,8 +72,7 @@ def test_objects_of_files(tmp_path):
         ({"outline": "[[0, 0], [1, 0], [0, 1]]"}, r"without outline; gendom.sim.cloth\(outline="),
     ],
 )
-def test_what_is_missing_or_impossible_is_named(tmp_path, change, says):
-    entries = {k: v for k, v in {**ROPE, **change}.items() if v is not None}
+def test_what_is_missing_or_impossible_is_named(found, change, says):
     with pytest.raises(ParameterError, match=says) as error:
-        find_object(written(tmp_path, entries))
+        found(ROPE, **change)
     assert "\n" not in str(error.value)

@@ -51,19 +51,12 @@ def truth_of(folder):
 
 
 @pytest.fixture(scope="module")
-def clean(rendering, tmp_path_factory):
-    """A recording without faults."""
-    folder = tmp_path_factory.mktemp("clean") / "recording"
-    recorded(folder, noise=False)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def noisy(rendering, tmp_path_factory):
-    """A recording with the usual faults."""
-    folder = tmp_path_factory.mktemp("noisy") / "recording"
-    recorded(folder)
-    return folder
+def recordings(rendering, tmp_path_factory):
+    """Folders of a recording without faults and one with the usual ones."""
+    folders = [tmp_path_factory.mktemp("recordings") / name for name in ("clean", "noisy")]
+    for folder in folders:
+        recorded(folder, noise=folder.name == "noisy")
+    return folders
 
 
 def files(folder, pattern):
@@ -82,8 +75,9 @@ def distance_to_rope(points, vertices):
     return off - ROPE.diameter / 2.0
 
 
-def test_what_is_recorded_is_where_it_truly_is(clean):
+def test_what_is_recorded_is_where_it_truly_is(recordings):
     """Clouds of the exact cameras lie on the rope's surface, in every frame and to its ends."""
+    clean, _ = recordings
     recording = perceived(clean)
     time, vertices = truth_of(clean)
     # 0.5 s wait, 0.8 s rise, 0.5 s after
@@ -139,9 +133,9 @@ def test_a_lift_that_ends_in_motion_is_perceived_to_its_end(rendering, tmp_path,
         assert len(off) > 300 and np.median(off) < 4e-3 and np.quantile(off, 0.95) < 0.012
 
 
-def test_a_noisy_recording_is_perceived_without_its_truth_and_repeats(noisy, clean, tmp_path):
+def test_a_noisy_recording_is_perceived_without_its_truth_and_repeats(recordings, tmp_path):
     """Twenty milliseconds between the cameras are just what matching tolerates."""
-    warnings = []
+    (clean, noisy), warnings = recordings, []
     recording, vertices = perceived(noisy, warnings), truth_of(noisy)[1]
     assert recording.num_frames >= int(1.8 * RATE)
     for k in (0, recording.num_frames - 1):
@@ -191,7 +185,8 @@ def test_an_interrupted_recording_can_be_perceived(rendering, tmp_path):
     np.testing.assert_allclose(truth_of(folder)[0], frames)
 
 
-def test_places_that_cannot_be_written(noisy, tmp_path):
+def test_places_that_cannot_be_written(recordings, tmp_path):
+    _, noisy = recordings
     before = files(noisy, "**/*.*")
     with pytest.raises(GendomError, match="holds a recording already; name another folder"):
         recorded(noisy)

@@ -132,9 +132,6 @@ def test_ranges_and_objects_are_checked():
         RopeReaching(item=Cloth(side=0.2, thickness=0.001))
 
 
-# ---- registry ------------------------------------------------------------------------------------
-
-
 def test_unknown_tasks_are_refused_with_those_that_there_are(monkeypatch):
     with pytest.raises(ParameterError, match="choose rope-reaching, rope-casting"):
         find_task("knitting")
@@ -160,9 +157,6 @@ def test_names_in_files_are_never_code(tmp_path):
     with pytest.raises(ParameterError, match="defines 0 tasks"):
         load_task(str(path))
     assert trace.exists()
-
-
-# ---- our simulator -------------------------------------------------------------------------------
 
 
 def test_objects_of_several_sizes_are_carried_out_in_their_order():

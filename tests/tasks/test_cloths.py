@@ -1,4 +1,5 @@
-"""Cloth spreading: the paper's steps, and the share that lies spread on known shapes."""
+"""Cloth spreading: the paper's steps, the share that lies spread on known shapes; and dragging:
+what the tool does, within its limits."""
 
 from dataclasses import replace
 
@@ -6,8 +7,9 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError
-from gendom.materials import Cloth, Material
-from gendom.tasks import ClothSpreading, RopeReaching
+from gendom.materials import STANDARD_GRAVITY, Cloth, Material, size_of, unit_of
+from gendom.tasks import ClothDragging, ClothSpreading, RopeReaching
+from gendom.tasks.cloth_dragging import CLEAR, MAX_ACCELERATION, MAX_SPEED, NAMES
 from gendom.tasks.cloth_spreading import (
     CLOTH,
     lattice_triangles,
@@ -17,7 +19,7 @@ from gendom.tasks.cloth_spreading import (
 from gendom.tasks.task import Outcome
 from gendom.tasks.world import Simulation
 
-TASK = ClothSpreading()
+TASK, DRAGGING = ClothSpreading(), ClothDragging()
 N = 41
 TRIANGLES = lattice_triangles(N, N)
 
@@ -28,16 +30,11 @@ def sheet(z=lambda u, v: 0.0 * u, x=lambda u, v: u):
     return np.stack([x(u, v), v, z(u, v)], axis=-1).reshape(-1, 3)
 
 
-# ---- the way down --------------------------------------------------------------------------------
-
-
 def test_steps_are_the_paper_s():
+    i = np.arange(1, 17)
     for A in (0.0, 0.1, 0.25):
-        steps = 16.0 * step_shares(A)
-        for i in range(1, 9):
-            assert steps[i - 1] == pytest.approx(1.0 - (4.5 - 0.5 * i) * A)
-        for i in range(9, 17):
-            assert steps[i - 1] == pytest.approx(1.0 + (0.5 * i - 4.0) * A)
+        expected = np.where(i < 9, 1.0 - (4.5 - 0.5 * i) * A, 1.0 + (0.5 * i - 4.0) * A)
+        assert 16.0 * step_shares(A) == pytest.approx(expected)
     # beyond the paper's largest no step goes up and the height stays
     steps = step_shares(0.6)
     assert steps.min() == 0.0 and steps.sum() == pytest.approx(1.0)
@@ -50,9 +47,6 @@ def test_steps_are_the_paper_s():
     # beside the centre, as a hand errs: 3 mm and 1.3 mm
     assert position[0, :2] == pytest.approx([0.103, 0.1013])
     assert position[-1, 2] == position[0, 2]
-
-
-# ---- the share that lies spread ------------------------------------------------------------------
 
 
 TURN = np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
@@ -82,9 +76,6 @@ def test_what_lies_flat_is_spread(x, share, covered):
         assert low <= found <= high
 
 
-# ---- in the simulator ----------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 def test_a_hand_that_presses_a_limp_heap_on_the_table_keeps_it_whole(monkeypatch):
     """Between the fingers and the table there is no room for all the layers. Contacts that are
@@ -98,18 +89,15 @@ def test_a_hand_that_presses_a_limp_heap_on_the_table_keeps_it_whole(monkeypatch
 
 def test_layers_that_stick_in_the_mpm_are_told_once(monkeypatch, caplog):
     def side_by_side(self, task, items, *rest):
-        return [Outcome(values={"share": 0.5}) for _ in items]
+        return [Outcome(values={}) for _ in items]
 
     monkeypatch.setattr(Simulation, "_side_by_side", side_by_side)
-    items = [CLOTH, replace(CLOTH, side=0.3)]
-    Simulation(engine="mpm").carry_out(TASK, items, [[0.3], [0.3]])
-    assert [(r.levelname, "stick" in r.message) for r in caplog.records] == [("WARNING", True)]
-    caplog.clear()
-    Simulation().carry_out(TASK, items, [[0.3], [0.3]])
-    rope = RopeReaching()
-    actions = rope.sample_actions(rope.item, np.random.default_rng(0), 1)
-    Simulation(engine="mpm").carry_out(rope, [rope.item], actions)
+    cloths, rope = [CLOTH, replace(CLOTH, side=0.3)], RopeReaching()
+    Simulation().carry_out(TASK, cloths, [[0.3], [0.3]])
+    Simulation(engine="mpm").carry_out(rope, [rope.item], [[0.12, 0.12]])
     assert caplog.text == ""
+    Simulation(engine="mpm").carry_out(TASK, cloths, [[0.3], [0.3]])
+    assert [(r.levelname, "stick" in r.message) for r in caplog.records] == [("WARNING", True)]
 
 
 @pytest.mark.slow
@@ -120,3 +108,42 @@ def test_a_stiff_cloth_spreads_and_a_limp_one_needs_more():
     outcomes = Simulation().carry_out(TASK, [rubber, limp], [[0.65], [0.65]])
     assert outcomes[0].values["share"] > 0.95
     assert outcomes[1].values["share"] < 0.6
+
+
+@pytest.mark.parametrize("side", [0.2, 0.5])
+def test_every_motion_keeps_the_tool_s_limits(side):
+    item = replace(DRAGGING.item, side=side)
+    low, high = DRAGGING.limits(item).T
+    rng = np.random.default_rng(0)
+    hasty = low + (high - low) * rng.random((20, len(NAMES)))
+    hasty[:, [n[0] == "t" for n in NAMES]] = low[NAMES.index("t1")]
+    for action in (DRAGGING.nearest(item, a) for a in hasty):
+        path = DRAGGING.tool_path(item, action)
+        t = np.arange(0.0, path.end, 1e-3)
+        v = np.diff(path.position_at(t, path.blend or 0.0), axis=0) / 1e-3
+        a = np.diff(v, axis=0) / 1e-3
+        assert np.linalg.norm(v, axis=1).max() <= 1.001 * MAX_SPEED * unit_of("m/s", item)
+        assert np.linalg.norm(a, axis=1).max() <= 1.01 * MAX_ACCELERATION * STANDARD_GRAVITY
+        assert path.end == pytest.approx(DRAGGING.times(item)[-1])
+
+
+@pytest.mark.parametrize(("hold", "at"), [(0.0, [0.515, 0.5065]), (0.47, [0.045, 0.0365])])
+def test_the_tool_raises_all_of_it_goes_away_from_the_cloth_and_ends_on_the_table(hold, at):
+    action = np.zeros(len(NAMES)) + 0.3 * DRAGGING.action_units(DRAGGING.item)
+    action[0] = hold * size_of(DRAGGING.item)
+    action[[n[0] == "t" for n in NAMES]] = 2.5 * unit_of("s", DRAGGING.item)
+    position = DRAGGING.tool_path(DRAGGING.item, action).position / size_of(DRAGGING.item)
+    assert position[0] == pytest.approx([*at, 0.01])
+    hangs = np.hypot(0.5 + hold, 0.5 + hold)
+    assert position[2] - position[0] == pytest.approx([0.0, 0.0, hangs + CLEAR])
+    assert position[-1, 2] == position[0, 2]
+    # x away along the diagonal, y to the left of that
+    x, y = (0.3 * np.array(d) / np.sqrt(2.0) for d in ([-1.0, -1.0], [1.0, -1.0]))
+    assert position[-1, :2] - position[0, :2] == pytest.approx(x + y)
+
+
+def test_what_takes_too_long_is_refused():
+    high = DRAGGING.limits(DRAGGING.item)[:, 1]
+    with pytest.raises(ParameterError, match="take at most"):
+        DRAGGING.check_action(DRAGGING.item, high)
+    assert DRAGGING.allows(DRAGGING.item, DRAGGING.nearest(DRAGGING.item, high))
