@@ -64,7 +64,7 @@ ROOMS = {
     "intervals": ("estimation", "intervals", "estimation/test_exact_intervals "
                   "estimation/test_intervals"),
     "readers": ("datasets", "clouds npz folder ../reading",
-                "datasets/test_exact_readers test_reading datasets/test_clouds "
+                "test_reading datasets/test_clouds datasets/test_npz "
                 "datasets/test_folder datasets/test_recording"),
     "policies": ("policies", "policy adaptation graph",
                  "policies/test_exact_policies policies/test_policy policies/test_adapt "
