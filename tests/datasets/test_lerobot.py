@@ -19,8 +19,6 @@ from gendom.errors import DatasetError, RecordingError
 from gendom.perception import read_camera
 from gendom.tasks import ClothSpreading, RopeReaching
 from gendom.tasks.demonstrator import Demonstrator
-from gendom.tasks.task import Outcome
-from gendom.tasks.world import Simulation
 from perception.conftest import write_lift
 
 DATA = "data/chunk-000/file-000.parquet"
@@ -29,20 +27,7 @@ QUANTILES = ("q01", "q10", "q50", "q90", "q99")
 OBJECT = ["E_over_rho", "nu", "damping", "friction", "density"]
 
 
-@pytest.fixture(autouse=True)
-def quick(monkeypatch):
-    """A world that reaches twice as far as the release; every fifth demonstration fails."""
-
-    def carry_out(self, task, items, actions, **_):
-        rope, cloth = task.name == "rope-reaching", {"share": 0.8, "unspread": 0.2}
-        made = ({"x": 2.0 * a[0], "sideways": 0.01 * k} for k, a in enumerate(np.asarray(actions)))
-        faults = (None if k % 5 else "diverged" for k in range(len(actions)))
-        return [
-            Outcome(values=values if rope else cloth, fault=fault)
-            for values, fault in zip(made, faults, strict=True)
-        ]
-
-    monkeypatch.setattr(Simulation, "carry_out", carry_out)
+pytestmark = pytest.mark.usefixtures("quick")
 
 
 @pytest.fixture
