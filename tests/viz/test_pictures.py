@@ -41,6 +41,18 @@ def test_points_are_drawn_where_they_are():
     drawn(Animation(times=np.arange(2), layers=(empty, orange)))
 
 
+def test_what_is_nearer_hides_what_is_behind():
+    """A red square before and behind a blue one, as they are seen from the usual place."""
+    flat = np.array([[-0.1, 0, -0.1], [0.1, 0, -0.1], [0.1, 0, 0.1], [-0.1, 0, 0.1]])
+    faces, reds = np.array([[0, 1, 2], [0, 2, 3]]), []
+    for y in (-0.05, 0.05):
+        blue = Layer(name="blue", color="#0000ff", points=[flat], faces=faces)
+        red = Layer(name="red", color="#ff0000", points=[0.5 * flat + [0, y, 0]], faces=faces)
+        picture = drawn(Animation(times=np.zeros(1), layers=(blue, red)))[60:]
+        reds.append(np.count_nonzero((picture[..., 0] > 120) & (picture[..., 2] < 60)))
+    assert reds[0] > 10_000 and reds[1] == 0
+
+
 @pytest.mark.parametrize(
     ("size", "turn"), [((1.0, 0.2, 0.5), 25.0), ((0.2, 1.0, 0.5), 115.0), ((1.0, 0.8, 0.01), 25.0)]
 )
@@ -90,8 +102,9 @@ def test_films_last_as_long_as_the_motion(tmp_path):
     assert durations(path) == [100] * 7 + [1100]
     assert list(tmp_path.iterdir()) == [path]
     # long ones stay small
-    dot = [Layer(name="a", color="#000000", points=[np.array([[x, 0.0, 0.0]]) for x in range(500)])]
-    write_film(path, Animation(times=0.1 * np.arange(500), layers=tuple(dot)))
+    places = [np.array([[x, 0.0, 0.0]]) for x in range(500)]
+    dot = Layer(name="a", color="#000000", points=places)
+    write_film(path, Animation(times=0.1 * np.arange(500), layers=(dot,)))
     shown = durations(path)
     assert len(shown) <= 121 and sum(shown) == pytest.approx(50_000 + 1_000, rel=0.02)
 
