@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from datasets.test_clouds import ENCODINGS, pcd, rows
-from datasets.test_npz import at_rest
+from datasets.test_clouds import ENCODINGS, at_rest, pcd, rows
 from gendom.cli.recognised import look
 from gendom.datasets import ObjectDescription, Recording
 from gendom.datasets.demonstrations import generate, load, read_description
