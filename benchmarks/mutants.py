@@ -64,8 +64,8 @@ ROOMS = {
     "intervals": ("estimation", "intervals", "estimation/test_exact_intervals "
                   "estimation/test_intervals"),
     "readers": ("datasets", "clouds npz folder ../reading",
-                "datasets/test_exact_readers test_reading datasets/test_clouds "
-                "datasets/test_folder datasets/test_recording"),
+                "test_reading datasets/test_clouds datasets/test_folder "
+                "datasets/test_recording"),
     "policies": ("policies", "policy adaptation graph",
                  "policies/test_policy policies/test_adapt policies/test_names_are_data"),
     "robot": ("robot", "kinematics path motion timing collision",

@@ -19,6 +19,8 @@ from gendom.estimation import LiftScene, SceneSettings, Theta, replay
 from gendom.materials.parameters import E_over_rho_of
 from gendom.observation import visible
 from gendom.perception.realsense import realsense_sdk
+from gendom.tasks.task import Outcome
+from gendom.tasks.world import Simulation
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as in the background of a shell
     signal.signal(signal.SIGINT, signal.default_int_handler)  # programs of tests inherit that
@@ -68,16 +70,8 @@ class SimulatedLift:
         return self.recording([self.lying] * frames, **changes)
 
     def seen(self, *, frames=12, points=120, noise=1e-3, seed=0, swing=0.0, **truth) -> Recording:
-        """The simulated lift, as the cameras see it.
-
-        Args:
-            frames: Number of frames.
-            points: Of each cloud.
-            noise: Standard deviation of each coordinate [m].
-            seed: Of points and noise.
-            swing: How far the gripper jerks at the end [m].
-            truth: Changes to the parameters.
-        """
+        """The simulated lift, as the cameras see it: clouds of some points with noise [m]; the
+        gripper jerks at the end by a swing [m]. `truth` are changes to the parameters."""
         rng = np.random.default_rng(seed)
         scene = LiftScene.of(self.at_rest(frames, swing=swing), self.settings)
         scene = replace(scene, frames=tuple(range(frames)))  # not only those worth comparing
@@ -121,9 +115,7 @@ def rope_lift() -> SimulatedLift:
     x = np.linspace(0.0, length, 300)
     return SimulatedLift(
         object=ObjectDescription(
-            kind="rope",
-            length=length,
-            diameter=diameter,
+            kind="rope", length=length, diameter=diameter,
             mass=density * math.pi / 4.0 * diameter**2 * length,
         ),
         rise=0.12,
@@ -131,7 +123,7 @@ def rope_lift() -> SimulatedLift:
         truth=Theta(E_over_rho=E_over_rho_of(0.35 * length, diameter / 4.0, 9.81)),
         lying=np.stack([x, 0.0 * x, np.full(300, diameter)], axis=1),
         lowest=diameter / 2.0,
-    )
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -141,12 +133,8 @@ def cloth_lift() -> SimulatedLift:
     u, v = (g.ravel() for g in np.meshgrid(*[np.linspace(0.0, side, 30)] * 2))
     return SimulatedLift(
         object=ObjectDescription(
-            kind="cloth",
-            width=side,
-            height=side,
-            thickness=thickness,
+            kind="cloth", width=side, height=side, thickness=thickness, grasp="corner",
             mass=density * side**2 * thickness,
-            grasp="corner",
         ),
         rise=0.2,
         settings=SceneSettings(points=9, threads=1),
@@ -156,7 +144,7 @@ def cloth_lift() -> SimulatedLift:
         ),
         lying=np.stack([u, v, np.full(len(u), thickness)], axis=1),
         lowest=thickness / 2.0,
-    )
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -174,10 +162,8 @@ def run_python() -> Callable[[str], str]:
     """Runs code in a new interpreter, in which nothing has been imported; gives what it prints."""
 
     def run(code: str) -> str:
-        result = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True
-        )
-        return result.stdout.strip()
+        words = [sys.executable, "-c", code]
+        return subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
 
     return run
 
@@ -192,6 +178,25 @@ def refused(capsys) -> Callable[..., str]:
         return err
 
     return run
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """A world that takes no time and reaches twice as far as the release; every fifth demonstration
+    fails."""
+
+    def carry_out(self, task, items, actions, **_):
+        if self.device == "ctrl-c":
+            raise KeyboardInterrupt
+        rope, cloth = task.name == "rope-reaching", {"share": 0.8, "unspread": 0.2}
+        made = ({"x": 2.0 * a[0], "sideways": 0.01 * k} for k, a in enumerate(np.asarray(actions)))
+        faults = (None if k % 5 else "diverged" for k in range(len(actions)))
+        return [
+            Outcome(values=values if rope else cloth, fault=fault)
+            for values, fault in zip(made, faults, strict=True)
+        ]
+
+    monkeypatch.setattr(Simulation, "carry_out", carry_out)
 
 
 @pytest.fixture(scope="session")

@@ -97,24 +97,19 @@ def of_ros1(message) -> Any:
 
 
 def write_bag(path, rows, plugin):
-    """Topics and messages: a folder of ROS 2's, or a file of ROS 1's."""
-    known = {}
-    if plugin.startswith("ROS1"):
-        writer = rosbag1.Writer(path)
-        if codec := plugin.removeprefix("ROS1").strip():
-            writer.set_compression(getattr(writer.CompressionFormat, codec))
-        with writer:
-            for n, (topic, message) in enumerate(rows):
-                kind = message.__msgtype__
-                if topic not in known:
-                    known[topic] = writer.add_connection(topic, kind, typestore=STORE1)
-                data = STORE1.serialize_ros1(of_ros1(message), kind)
-                writer.write(known[topic], START * 10**9 + n, data)
-        return path
-    with Writer(path, version=9, storage_plugin=StoragePlugin[plugin]) as writer:
+    """Topics and messages: a folder of ROS 2's, or a file of ROS 1's ("ROS1 LZ4": compressed)."""
+    old, codec = plugin.startswith("ROS1"), plugin.removeprefix("ROS1").strip()
+    writer: Any = rosbag1.Writer(path) if old else None
+    if old and codec:
+        writer.set_compression(getattr(writer.CompressionFormat, codec))
+    known, store = {}, STORE1 if old else STORE
+    with writer or Writer(path, version=9, storage_plugin=StoragePlugin[plugin]) as writer:
         for n, (topic, message) in enumerate(rows):
             kind = message.__msgtype__
             if topic not in known:
-                known[topic] = writer.add_connection(topic, kind, typestore=STORE)
-            writer.write(known[topic], START * 10**9 + n, STORE.serialize_cdr(message, kind))
+                known[topic] = writer.add_connection(topic, kind, typestore=store)
+            data = STORE1.serialize_ros1(of_ros1(message), kind) if old else None
+            writer.write(
+                known[topic], START * 10**9 + n, data or STORE.serialize_cdr(message, kind)
+            )
     return path

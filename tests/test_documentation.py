@@ -16,10 +16,10 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -42,26 +42,22 @@ NOT_STARTED = ("make", "pip", "git", "cd", "source", "ray", "pytest")
 """Programs that blocks may call and this test never does."""
 
 
-@dataclass(frozen=True)
-class Block:
-    """A shell block."""
+class Block(NamedTuple):
+    """A shell block: why it is not run, and what the page says that comes out, which is the block
+    of text that follows."""
 
     page: Path
     line: int
     commands: tuple[str, ...]
     skipped: str | None
-    """Why it is not run."""
-    shown: str = ""
-    """What the page says that comes out: the block of text that follows."""
+    shown: str
 
     def __str__(self) -> str:
         return f"{self.page.relative_to(ROOT)}:{self.line}"
 
 
-FENCE = re.compile(
-    r"^(?:<!-- not run: (?P<why>[^>]*) -->\n+)?```(?P<language>[^\n]*)\n(?P<body>.*?)^```$",
-    re.MULTILINE | re.DOTALL,
-)
+FENCE = re.compile(r"(?ms)^(?:<!-- not run: (?P<why>[^>]*) -->\n+)?"
+                   r"```(?P<language>[^\n]*)\n(?P<body>.*?)^```$")  # fmt: skip
 
 
 def blocks(page: Path) -> Iterator[Block]:
@@ -73,13 +69,10 @@ def blocks(page: Path) -> Iterator[Block]:
         body = found["body"].replace("\\\n", " ")
         lines = [re.sub(r"\s+# .*$", "", line).strip() for line in body.splitlines()]
         commands = (c.strip() for line in lines for c in line.split(" && "))
-        yield Block(
-            page=page,
-            line=text[: found.start()].count("\n") + 1,
-            commands=tuple(c for c in commands if c and not c.startswith("#")),
-            skipped=found["why"],
-            shown=after["body"] if after and after["language"] == "text" else "",
-        )
+        commands = tuple(c for c in commands if c and not c.startswith("#"))
+        shown = after["body"] if after and after["language"] == "text" else ""
+        number = text[: found.start()].count("\n") + 1
+        yield Block(page, number, commands, found["why"], shown)
 
 
 def inline(page: Path) -> Iterator[str]:
@@ -133,14 +126,12 @@ def fault_of_python(words: list[str]) -> str | None:
     if words[0] == "-m":
         return None
     script = ROOT / words[0]
-    if not script.is_file():
-        return f"there is no {words[0]}"
-    text = script.read_text(encoding="utf-8")
+    text = script.read_text(encoding="utf-8") if script.is_file() else ""
     for word in (w for w in words[1:] if w.startswith("--")):
         field = word[2:].replace("-", "_")  # of a class or function, which tyro makes a flag
         if f'"{word}"' not in text and not re.search(rf"\b{field}: ", text):
             return f"{script.name} has no {word}"
-    return None
+    return None if text else f"there is no {words[0]}"
 
 
 def fault_of(command: str, *, whole: bool = True) -> str | None:
@@ -281,12 +272,8 @@ def test_blocks_run(block, after_tutorial, monkeypatch):
         run_command(command, after_tutorial, monkeypatch)
 
 
-PYTHON = [
-    (page, found["body"])
-    for page in PAGES
-    for found in FENCE.finditer(page.read_text(encoding="utf-8"))
-    if found["language"] == "python"
-]
+FOUND = [(page, f) for page in PAGES for f in FENCE.finditer(page.read_text(encoding="utf-8"))]
+PYTHON = [(page, found["body"]) for page, found in FOUND if found["language"] == "python"]
 
 
 @pytest.mark.parametrize(("page", "code"), PYTHON, ids=lambda value: getattr(value, "stem", ""))
@@ -299,8 +286,8 @@ def test_imports_of_python_blocks_are_there(page, code):
 
 
 def test_the_cell_of_the_page_on_hardware_is_one(tmp_path):
-    text = (DOCS / "hardware.md").read_text(encoding="utf-8")
-    (cell,) = re.findall(r"^```toml\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    page = DOCS / "hardware.md"
+    (cell,) = (f["body"] for at, f in FOUND if at == page and f["language"] == "toml")
     (tmp_path / "cell.toml").write_text(cell, encoding="utf-8")
     (tmp_path / "left").mkdir()
     K = np.array([[610.0, 0.0, 320.0], [0.0, 610.0, 240.0], [0.0, 0.0, 1.0]])
@@ -345,15 +332,10 @@ def anchors(page: Path) -> set[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_relative_links_and_anchors_resolve(page):
-    broken = []
-    for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
-        if re.match(r"[a-z]+:", target):
-            continue
+    for target in re.findall(r"\]\((?![a-z]+:)([^)\s]+)\)", prose(page)):
         path, _, anchor = target.partition("#")
         place = page.parent / path if path else page
-        if not place.exists() or (anchor and anchor not in anchors(place)):
-            broken.append(target)
-    assert broken == []
+        assert place.exists() and (not anchor or anchor in anchors(place)), target
 
 
 # ---- the reference ---------------------------------------------------------------------------

@@ -12,31 +12,19 @@ from gendom import __version__, installation
 from gendom.installation import clone, how_to_install, version
 
 
-@pytest.fixture
-def in_clone(tmp_path, monkeypatch):
-    """The package lies in a clone with one commit."""
+def test_a_clone_tells_its_commit(tmp_path, monkeypatch):
+    """An installed package has none."""
     monkeypatch.setattr(installation, "__file__", str(tmp_path / "src" / "gendom" / "file.py"))
-    (tmp_path / "pyproject.toml").write_text("")
+    assert clone() is None and version() == __version__
+    assert how_to_install("train") == "pip install 'gendom[train]'"
+    (tmp_path / "pyproject.toml").touch()
     who = ["-c", "user.name=a", "-c", "user.email=a@b"]
     for words in (["init"], ["add", "."], [*who, "commit", "-m", "First"]):
         subprocess.run(["git", "-C", str(tmp_path), *words], check=True, capture_output=True)
-    return tmp_path
-
-
-def test_a_clone_tells_its_commit(in_clone):
     assert re.fullmatch(rf"{re.escape(__version__)} \([0-9a-f]{{7,}}\)", version())
-    (in_clone / "pyproject.toml").write_text("[project]")
-    assert version().endswith("+)")
-
-    assert clone() == in_clone
-    assert how_to_install("train") == f"pip install -e '{in_clone}[train]'"
-
-
-def test_an_installed_package_has_neither(tmp_path, monkeypatch):
-    monkeypatch.setattr(installation, "__file__", str(tmp_path / "lib" / "gendom" / "file.py"))
-    assert clone() is None
-    assert version() == __version__
-    assert how_to_install("train") == "pip install 'gendom[train]'"
+    (tmp_path / "pyproject.toml").write_text("[project]")
+    assert version().endswith("+)") and clone() == tmp_path
+    assert how_to_install("train") == f"pip install -e '{tmp_path}[train]'"
 
 
 ROOT = Path(__file__).parents[1]

@@ -21,15 +21,12 @@ ROOT = Path(__file__).resolve().parents[1] / "integrations"
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
     """All packages, as if pip had installed them."""
-    place = tmp_path_factory.mktemp("site")
+    place, about = tmp_path_factory.mktemp("site"), "Metadata-Version: 2.1\nVersion: 0.2.0\nName: "
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(place))
         for folder in ROOT.glob("lerobot_*"):
-            info = place / f"{folder.name}-0.2.0.dist-info"
-            info.mkdir()
-            (info / "METADATA").write_text(
-                f"Metadata-Version: 2.1\nName: {folder.name}\nVersion: 0.2.0\n"
-            )
+            (place / f"{folder.name}-0.2.0.dist-info").mkdir()
+            (place / f"{folder.name}-0.2.0.dist-info" / "METADATA").write_text(about + folder.name)
             patch.syspath_prepend(str(folder))
         register_third_party_plugins()
         yield

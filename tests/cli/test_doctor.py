@@ -3,6 +3,7 @@
 import json
 import shlex
 import shutil
+from dataclasses import replace
 from functools import cache
 from importlib import import_module, resources
 from pathlib import Path
@@ -16,18 +17,18 @@ from fuzz import test_readers as tiny
 from gendom import cli
 from gendom.cli.parsing import parse
 from gendom.datasets import Recording
+from gendom.datasets.lerobot import export_recording
 from gendom.perception import read_camera, write_camera
 from perception import conftest as world
 from written import write_ply
 
 ASSETS = Path(str(resources.files("gendom"))) / "assets"
 DEMO = ASSETS / "demo-rope-lift.npz"
-OBJECT = '[object]\nkind = "rope"\nlength = 0.3\ndiameter = 0.016\n'
+OBJECT = 'table_height = 0.0\n[object]\nkind = "rope"\nlength = 0.3\ndiameter = 0.016\n'
 
 
 def demo(**changes):
-    recording = Recording.read(DEMO, on_warning=lambda _: None)
-    return recording if not changes else type(recording)(**{**vars(recording), **changes})
+    return replace(Recording.read(DEMO, on_warning=lambda _: None), **changes)
 
 
 def clouds(folder):
@@ -36,23 +37,14 @@ def clouds(folder):
     for t in range(recording.num_frames):
         write_ply(folder / f"{t:04d}.ply", recording.frame(t))
     rows = np.column_stack([recording.time, recording.gripper_position[:, 0]])
-    tiny.table(
-        folder / "gripper.csv", "time,x,y,z", *(",".join(map(repr, r.tolist())) for r in rows)
-    )
-    (folder / "object.toml").write_text("table_height = 0.0\n" + OBJECT)
+    np.savetxt(folder / "gripper.csv", rows, delimiter=",", header="time,x,y,z", comments="")
+    (folder / "object.toml").write_text(OBJECT)
 
 
 def board(folder):
     folder.mkdir()
     tiny.board(folder)
     write_camera(folder / "camera.toml", tiny.CAMERA)
-
-
-def lerobot(folder):
-    pytest.importorskip("pyarrow", reason="needs the extra data")
-    from gendom.datasets.lerobot import export_recording
-
-    export_recording(demo(), folder)
 
 
 @cache
@@ -72,14 +64,11 @@ def topics():
     return import_module("perception.test_ros_cameras").rows_of(world, "raw")[0]
 
 
-def ros(version):
-    def write(path):
-        messages = pytest.importorskip("ros_messages")
-        messages.write_bag(path, topics(), version)
-        held = (path.parent if path.is_file() else path) / "object.toml"
-        held.write_text("table_height = 0.0\n" + OBJECT.replace("0.3", "0.4"))
-
-    return write
+def bag(path, version, rows=None, length="0.4"):
+    messages = pytest.importorskip("ros_messages")
+    messages.write_bag(path, rows or topics(), version)
+    beside = path.parent if path.is_file() else path
+    (beside / "object.toml").write_text(OBJECT.replace("0.3", length))
 
 
 def cropped(path):
@@ -92,17 +81,16 @@ def cropped(path):
         rows.append(("/tf", ros.tf(time, "base", "tool0", at)))
         points = recording.frame(t).astype(float) * [1.0, -1.0, -1.0] + [0.0, 0.0, 1.0]
         rows.append(("/points", ros.cloud(time, eye, points)))
-    ros.write_bag(path, rows, "ROS1")
-    (path.parent / "object.toml").write_text("table_height = 0.0\n" + OBJECT)
+    bag(path, "ROS1", rows, "0.3")
 
 
 KINDS = {  # name: how it is made, what it is called, whether the next command is run
     "lift.npz": (lambda p: demo().write(p), "a recording", False),
     "clouds": (clouds, "a recording", False),
-    "lerobot": (lerobot, "a recording as a data set", False),
+    "lerobot": (lambda p: export_recording(demo(), p), "a recording as a data set", False),
     "pictures": (depth, "depth pictures of cameras", True),
-    "old.bag": (ros("ROS1"), "a bag of ROS 1", True),
-    "new": (ros("MCAP"), "a bag of ROS 2", False),
+    "old.bag": (lambda p: bag(p, "ROS1"), "a bag of ROS 1", True),
+    "new": (lambda p: bag(p, "MCAP"), "a bag of ROS 2", False),
     "cropped.bag": (cropped, "a bag of ROS 1", True),
     "board": (board, "pictures of a board", False),
     "estimate.json": (lambda p: tiny.estimate(p.parent), "an estimate of a rope", True),
@@ -134,25 +122,20 @@ def test_what_lies_there_and_the_next_command(tmp_path, capsys, monkeypatch, nam
 DRAWN = ("reco", "pict", "bag ", "dept")
 
 
-def up(points):
-    """z up as y up."""
-    return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
-
-
 def y_up(path):
-    recording = demo()
-    turned = {n: up(getattr(recording, n)) for n in ("points", "gripper_position")}
+    recording, turn = demo(), np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    turned = {n: getattr(recording, n) @ turn for n in ("points", "gripper_position")}
     demo(**turned, gripper_axis=None, table_height=None).write(path)
 
 
-def odd_depth(key, value):
+def odd(**changes):
     """Depth pictures of which camera.toml says something else."""
 
     def write(folder):
         depth(folder)
         file = folder / "cameras/left/camera.toml"
         camera = read_camera(file)
-        write_camera(file, type(camera)(**{**vars(camera), key: value(camera)}))
+        write_camera(file, replace(camera, **{n: of(camera) for n, of in changes.items()}))
 
     return write
 
@@ -162,36 +145,31 @@ def lacking(folder):
     (folder / "gripper.csv").unlink()
 
 
-def turned_camera(camera):
-    T = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
-    return T @ camera.T_world_camera
-
-
-def inverse(camera):
-    return np.linalg.inv(camera.T_world_camera)
-
-
 def late_path(folder):
     depth(folder)
-    file = folder / "gripper.csv"
-    head, *rows = file.read_text().split()
-    late = (r.split(",") for r in rows)
-    rows = [",".join([str(1.7e9 + float(time)), *at]) for time, *at in late]
-    file.write_text("\n".join([head, *rows]))
+    rows = np.loadtxt(folder / "gripper.csv", delimiter=",", skiprows=1)
+    rows[:, 0] += 1.7e9
+    np.savetxt(folder / "gripper.csv", rows, delimiter=",", header="time,x,y,z", comments="")
 
 
-def shifted(camera):
-    return camera.K + np.array([[0, 0, 110.0], [0, 0, 60.0], [0, 0, 0]])
-
-
+TURN = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
+ASIDE = np.array([[0, 0, 110.0], [0, 0, 60.0], [0, 0, 0]])
 WRONG = {  # name: how it is made, what is said, exit code
     "lift.npz": (y_up, "the gripper rises along y, and the object hangs below it there; give z", 2),
     "lifted": (lacking, "gripper.csv: is missing; write one row a cloud: time,x,y,z in seconds", 2),
-    "turned": (odd_depth("T_world_camera", turned_camera), "the largest plane lies across y", 0),
-    "units": (odd_depth("depth_unit", lambda c: 0.01), "0.01 m a count; 0.0001 seems right", 2),
-    "inverse": (odd_depth("T_world_camera", inverse), "camera to world, not its inverse", 2),
+    "turned": (
+        odd(T_world_camera=lambda c: TURN @ c.T_world_camera),
+        "the largest plane lies across y",
+        0,
+    ),
+    "units": (odd(depth_unit=lambda c: 0.01), "0.01 m a count; 0.0001 seems right", 2),
+    "inverse": (
+        odd(T_world_camera=lambda c: np.linalg.inv(c.T_world_camera)),
+        "camera to world, not its inverse",
+        2,
+    ),
     "clocks": (late_path, "picture is of 0 s, the gripper's path of 1700000000 to", 2),
-    "crop": (odd_depth("K", shifted), "is that of 539 x 359 pictures, not of 320 x 240", 0),
+    "crop": (odd(K=lambda c: c.K + ASIDE), "is that of 539 x 359 pictures, not of 320 x 240", 0),
     "kept": (lambda p: p.mkdir() or (p / "a.bag.active").touch(), "rosbag reindex FILE", 2),
     "empty": (lambda p: p.mkdir(), "holds nothing that is known; docs/data.md and", 2),
 }
@@ -211,7 +189,7 @@ def test_what_is_wrong_is_named(tmp_path, capsys, monkeypatch, name):
 def test_a_folder_of_folders(tmp_path, capsys):
     """Each of them is named with the command that looks into it."""
     (tmp_path / "bags").mkdir()
-    ros("ROS1")(tmp_path / "bags/old.bag")
+    bag(tmp_path / "bags/old.bag", "ROS1")
     depth(tmp_path / "pictures")
     assert cli.main(["doctor", str(tmp_path), "--json"]) == 0
     steps = json.loads(capsys.readouterr().out)["next"]

@@ -24,22 +24,6 @@ def lift(rope_lift, tmp_path_factory):
     return path
 
 
-@pytest.fixture(scope="module")
-def still(rope_lift, tmp_path_factory):
-    """A file of an object at rest."""
-    path = tmp_path_factory.mktemp("still") / "still.npz"
-    seen = rope_lift.at_rest(5)
-    replace(seen, gripper_position=np.repeat(seen.gripper_position[:1], 5, axis=0)).write(path)
-    return path
-
-
-def failing(monkeypatch, error):
-    def estimate(*_, **__):
-        raise error
-
-    monkeypatch.setattr("gendom.estimation.estimate", estimate)
-
-
 def test_a_good_lift(lift, tmp_path, capsys):
     """Values with intervals on stdout, and what was written; a report of one file."""
     out, report = tmp_path / "out", tmp_path / "pages" / "report.html"
@@ -54,12 +38,7 @@ def test_a_good_lift(lift, tmp_path, capsys):
     found = Estimate.load(out / "estimate.json")
     assert found.usable and found.record["simulation"]["points"] == 15
     page = report.read_text(encoding="utf-8")
-    for text in (
-        "The recording and the fit pass every check",
-        "Prior and posterior",
-        "Grip height",
-    ):
-        assert text in page
+    assert "The recording and the fit pass every check" in page and "Grip height" in page
     assert "The action" not in page and shlex.join(["gendom", *words]) in page
     # what the page says to try next works
     steps = re.findall("<pre>gendom (.*)</pre>", page[page.index('id="what-to-try-next"') :])
@@ -114,13 +93,13 @@ def test_json_is_all_of_stdout(lift, tmp_path, capsys, monkeypatch):
     assert "estimate.json: is a folder" in printed.err
 
 
-def test_what_is_not_usable_has_exit_code_3(still, tmp_path, capsys):
+def test_what_is_not_usable_has_exit_code_3(rope_lift, tmp_path, capsys):
+    seen, still = rope_lift.at_rest(5), tmp_path / "still.npz"
+    replace(seen, gripper_position=np.repeat(seen.gripper_position[:1], 5, axis=0)).write(still)
     words = ["estimate", str(still), *QUICK, "--out", str(tmp_path)]
-    words += ["--report", str(tmp_path / "report.html")]
-    assert cli.main(words) == 3
+    assert cli.main([*words, "--report", str(tmp_path / "report.html")]) == 3
     printed = capsys.readouterr()
-    reason = "not usable: the gripper moves by 0 m"
-    assert any(line.startswith(f"gendom estimate: {reason}") for line in printed.err.splitlines())
+    assert "gendom estimate: not usable: the gripper moves by 0 m" in printed.err
     assert printed.out.splitlines()[0].split() == ["verdict", "not", "usable"]
     assert " in [" not in printed.out
     assert read_json(tmp_path / "estimate.json")["intervals"] is None
@@ -128,17 +107,14 @@ def test_what_is_not_usable_has_exit_code_3(still, tmp_path, capsys):
     assert "Not usable." in page and "the gripper moves by 0 m" in page
 
 
-@pytest.mark.parametrize(
-    "error",
-    [
-        RecordingError("the first frames show too little", where="frames 0-9", fix="record again"),
-        SimulationError("no start could be simulated"),
-    ],
-)
+@pytest.mark.parametrize("error", [RecordingError("shows too little"), SimulationError("diverged")])
 def test_what_cannot_be_placed_or_simulated_is_not_usable(
     lift, tmp_path, capsys, monkeypatch, error
 ):
-    failing(monkeypatch, error)
+    def estimate(*_, **__):
+        raise error
+
+    monkeypatch.setattr("gendom.estimation.estimate", estimate)
     report, file = tmp_path / "report.html", tmp_path / "estimate.json"
     words = ["estimate", str(lift), "--out", str(tmp_path), "--report", str(report)]
     assert cli.main(words) == 3

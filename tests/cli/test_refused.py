@@ -59,6 +59,17 @@ estimate lift.npz --out file.npz/below | is a file, not a folder
 estimate lift.npz --report page.pdf | name a file that ends in .html
 estimate lift.npz --report folder.html | is a folder
 estimate lift.npz --report file.npz/page.html | is a file, not a folder
+
+estimate loop | loop: cannot be read
+check loop | loop: cannot be read
+import loop --out o.npz | loop: cannot be read
+perceive loop | loop
+export loop --out o | loop
+twin loop --to usd --out o | loop
+view loop --html o.html | loop: cannot be read
+cell check loop | loop: cannot be read
+calibrate loop --camera loop | loop: cannot be read
+train rope-casting --data loop --out o.onnx | loop
 """
 FOLDERS = {
     "demo": "",
@@ -95,6 +106,7 @@ def place(rope_lift, tmp_path_factory):
     replace(lift, object=replace(lift.object, length=0.3)).write(folder / "longer.npz")
     (folder / "file.npz").write_bytes(b"nothing")
     (folder / "folder.html").mkdir()
+    (folder / "loop").symlink_to("loop")
     write_cell(folder)
     return folder
 

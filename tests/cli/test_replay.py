@@ -10,6 +10,7 @@ from gendom.estimation import UNKNOWNS, EstimateSettings, estimate
 from gendom.estimation.replayed import replay_setup
 from gendom.files import write_json
 from gendom.materials.estimate_file import checksum
+from gendom.reading import read_json
 from viz.made_up import record_of
 
 MATERIAL = [name for name, u in UNKNOWNS.items() if u.material]
@@ -28,27 +29,27 @@ def params(rope_lift, lifted):
 
 
 @pytest.fixture
-def files(lifted, params, tmp_path):
-    """A recording, and an estimate."""
-    lifted.write(tmp_path / "lift.npz")
-    write_json(tmp_path / "estimate.json", params)
-    return [str(tmp_path / "lift.npz"), "--params", str(tmp_path / "estimate.json")]
+def words(lifted, params, tmp_path, monkeypatch):
+    """A command with files of both."""
+    monkeypatch.chdir(tmp_path)
+    lifted.write("lift.npz")
+    write_json("estimate.json", params)
+    return ["replay", "lift.npz", "--params", "estimate.json"]
 
 
-def test_a_longer_recording_is_foretold(files, lifted, params, tmp_path, capsys):
+def test_a_longer_recording_is_foretold(words, lifted, params, tmp_path, capsys):
     """Every frame is compared; those that were not fitted are as near as the others."""
-    out, gif = tmp_path / "replay.json", tmp_path / "lift.gif"
-    assert cli.main(["replay", *files, "--out", str(out), "--gif", str(gif), "--json"]) == 0
+    assert cli.main([*words, "--out", "replay.json", "--gif", "lift.gif", "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
-    assert record == json.loads(out.read_text())
+    assert record == read_json("replay.json")
     assert record["format"] == "gendom-replay/1"
     assert record["frame"] == list(range(16)) and len(record["chamfer_surface"]) == 16
     assert record["time"] == pytest.approx(lifted.time.tolist())
     assert record["notes"] == []
     assert max(record["chamfer"]) < 2.0 * params["chamfer_mean"]
     assert record["chamfer_last"] == record["chamfer"][-1]
-    assert gif.stat().st_size > 10_000
-    assert cli.main(["replay", *files]) == 0
+    assert (tmp_path / "lift.gif").stat().st_size > 10_000
+    assert cli.main(words) == 0
     assert capsys.readouterr().out.startswith("Chamfer distance: mean ")
 
 
@@ -74,7 +75,7 @@ def test_in_another_recording_the_material_is_taken(rope_lift, params):
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "said"),
     [
         ({"verdict": {"usable": False, "reasons": ["it rests"]}}, "is not usable: it rests; "),
         ({"object": {"kind": "cloth"}}, "the parameters are of a cloth, the recording shows"),
@@ -83,13 +84,13 @@ def test_in_another_recording_the_material_is_taken(rope_lift, params):
         ({"format": "other/1"}, "has format 'other/1', not 'gendom-estimate/1'"),
     ],
 )
-def test_what_cannot_be_replayed_is_refused(files, params, tmp_path, refused, changes, words):
+def test_what_cannot_be_replayed_is_refused(words, params, refused, changes, said):
     """One that is not usable unless it is insisted on."""
     changed = params | changes
-    write_json(tmp_path / "estimate.json", changed | {"sha256": checksum(changed)})
-    assert words in refused("replay", *files)
+    write_json("estimate.json", changed | {"sha256": checksum(changed)})
+    assert said in refused(*words)
     if "verdict" in changes:
-        assert cli.main(["replay", *files, "--force"]) == 0
+        assert cli.main([*words, "--force"]) == 0
 
 
 def test_a_cloth_lies_as_the_estimate_took_it_to_lie(cloth_lift):

@@ -58,9 +58,8 @@ def test_an_unreachable_cluster_is_told_in_one_line(tmp_path, monkeypatch):
 
     for name, value in (("init", init), ("is_initialized", lambda: False)):
         monkeypatch.setattr(real, name, value)
-    with pytest.raises(DeviceError, match="no cluster answers there") as told:
+    with pytest.raises(DeviceError, match=r"^.*no cluster answers there.*$"):
         generate(Throwing(), 20, tmp_path / "set", seed=3, cluster="ray://nowhere:10001")
-    assert "\n" not in str(told.value)
 
 
 ALONE = """

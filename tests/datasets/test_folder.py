@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from gendom import cli
 from gendom.datasets import Recording
-from gendom.datasets.folder import in_order
+from gendom.datasets.folder import _misfit, check_named, in_order, read_gripper, read_object
 from gendom.errors import RecordingError
 from written import write_ply
 
@@ -58,30 +57,38 @@ def as_pcd(path, cloud):
 
 
 @pytest.mark.parametrize(("suffix", "write"), [(".pcd", as_pcd), (".npz", np.savez)])
-def test_clouds_in_other_formats(lift, folder, suffix, write, capsys):
+def test_clouds_in_other_formats(lift, folder, suffix, write):
     for t in range(5):
         (folder / f"frame_{8 + t}.ply").unlink()
         write(folder / f"frame_{8 + t}{suffix}", lift.frame(t))
     recording = Recording.read(folder)
     np.testing.assert_array_equal(recording.points, lift.points)
     np.testing.assert_array_equal(recording.offsets, lift.offsets)
-    assert cli.main(["check", str(folder)]) == 0
-    assert "points    20 to 24 a frame" in capsys.readouterr().out
     path = folder / f"frame_9{suffix}"
     path.write_bytes(path.read_bytes()[:-30])
-    assert cli.main(["check", str(folder)]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith(f"gendom check: {path}: is ") and err.count("\n") == 1
+    with pytest.raises(RecordingError, match=f"^{path}: is "):
+        Recording.read(folder)
 
 
-def test_two_grippers_and_when_each_is_closed(folder):
-    rows = ["time,x0,y0,z0,x1,y1,z1,closed0,closed1"]
-    rows += [f"{0.1 * t},0.4,0,{0.01 * t},0,0,0,1,{int(t < 2)}" for t in range(5)]
-    (folder / "gripper.csv").write_text("\n".join(rows))
-    recording = Recording.read(folder)
-    assert recording.gripper_position.shape == (5, 2, 3) and recording.gripper_axis is None
-    assert recording.gripper_position[4].tolist() == [[0.4, 0.0, 0.04], [0.0, 0.0, 0.0]]
-    assert recording.holds.T.tolist() == [[True] * 5, [True, True, False, False, False]]
+def test_columns_of_grippers_in_any_order(tmp_path):
+    path = tmp_path / "gripper.csv"
+    names = "closed1,z1,y1,x1,az1,ay1,ax1,time,x0,y0,z0,ax0,ay0,az0,closed0"
+    path.write_text(f"{names}\n0,13,12,11,16,15,14,0.5,1,2,3,4,5,6,1\n")
+    assert {name: value.tolist() for name, value in read_gripper(path).items()} == {
+        "time": [0.5], "gripper_position": [[[1, 2, 3], [11, 12, 13]]],
+        "gripper_axis": [[[4, 5, 6], [14, 15, 16]]], "gripper_closed": [[True, False]],
+    }  # fmt: skip
+    path.write_text("time,x,y,z\n0,1,2,3\n")
+    assert read_gripper(path).keys() == {"time", "gripper_position"}
+
+
+def test_keys_that_belong_beside_the_table_of_the_object(tmp_path):
+    toml = tmp_path / "object.toml"
+    toml.write_text(
+        "notes = 'a'\n[object]\nkind = 'rope'\nnotes = 'b'\nsource = 'c'\ngrasp = 'd'\n"
+    )
+    told = {"kind": "rope", "notes": "b", "grasp": "d"}
+    assert read_object(toml) == {"notes": "a", "source": "c", "object": told}
 
 
 def rewrite(name, old, new):
@@ -93,19 +100,10 @@ def rewrite(name, old, new):
     return spoil
 
 
-def add_closed(*states):
-    """Add the column `closed`."""
-
-    def add(folder):
-        path = folder / "gripper.csv"
-        rows = zip(path.read_text().splitlines(), ("closed", *states), strict=True)
-        path.write_text("\n".join(f"{row},{state}" for row, state in rows) + "\n")
-
-    return add
-
-
-def rows(text):
-    return lambda folder: (folder / "gripper.csv").write_text(text)
+def header(names, *rows):
+    """A path of these rows, or of zeros, under other names."""
+    rows = rows or (",".join("0" for _ in names.split(",")),)
+    return lambda folder: (folder / "gripper.csv").write_text("\n".join([names, *rows]))
 
 
 @pytest.mark.parametrize(
@@ -129,18 +127,17 @@ def rows(text):
          "/gripper.csv, line 3: 6 values under 7 column names; give one value a column"),
         (rewrite("gripper.csv", "time", "seconds"),
          "/gripper.csv: the header lacks 'time'; use time,x,y,z[,ax,ay,az][,closed], or"),
-        (rewrite("gripper.csv", "ax,ay,az", "ax,ay,bz"), "/gripper.csv: the header lacks 'az'; "),
         (rewrite("gripper.csv", "ax,ay,az", "force,,torque"),
          "/gripper.csv: the header has unknown 'force', '', 'torque'; "),
-        (add_closed(1, 1, 0.5, 0, 0), "/gripper.csv, line 4, column closed: is '0.5'; "
-         "give 1 where the gripper is closed, 0 where it is open"),
-        (rows("time,x0,y0,z0,x1,y1,z1,closed0\n0,0,0,0,0,0,0,1"),
+        (header("time,x,y"), "/gripper.csv: the header lacks 'z'"),
+        (header("time,x,y,z,z"), "/gripper.csv: the header repeats 'z'"),
+        (header("time,x,y,z,ax"), "/gripper.csv: the header lacks 'ay', 'az'"),
+        (header("time,x0,y0,z0,x1,y1,z1,closed0"),
          "/gripper.csv: the header lacks 'closed1'; use time,x,y,z[,ax,ay,az][,closed], or"),
-        (rows("time;x;y;z\n0;0;0;0"), "/gripper.csv: is separated by ';'; separate"),
+        (header("time,x,y,z,closed", "0,0,0,0,1", "1,0,0,0,0.5"), "/gripper.csv, line 3, column "
+         "closed: is '0.5'; give 1 where the gripper is closed, 0 where it is open"),
         (lambda f: (f / "object.toml").rename(f / "Object.toml"),
          "/object.toml: no such file; did you mean 'Object.toml'?"),
-        (rows(""), "/gripper.csv: is empty; write the header time,x,y,z"),
-        (rows("time,x,y,z\n"), "/gripper.csv: holds a header and no rows"),
         (lambda f: (f / "frame_10.ply").write_bytes(b"no"), "/frame_10.ply: is not a PLY file"),
     ],
 )  # fmt: skip
@@ -184,6 +181,40 @@ def test_times_in_names_must_be_those_of_the_frames(start):
     with pytest.raises(RecordingError, match=r"lift: times in names, .* 0\.(25|188) s"):
         in_order(names, time, where="lift")
     assert in_order(names, lost + 7.0, where="lift") == names
+
+
+@pytest.mark.parametrize(("off", "right"), [(0.099, True), (0.101, False)])
+def test_names_that_are_times_may_be_off_by_a_frame(off, right):
+    """Those since 1970 as times; most of them."""
+    time = 0.1 * np.arange(11)
+    seconds = time + np.where(np.arange(11) == 5, off, 0.0)
+    names = [f"f{1700000000 + t:.4f}" for t in seconds]
+    if right:
+        check_named(names, time, where="lift")
+    else:
+        said = r"lift: times in names, as 'f1700000000\.0000', are up to 0\.101 s from those of the"
+        with pytest.raises(RecordingError, match=said):
+            check_named(names, time, where="lift")
+    check_named([n[1:4] + n[12:] for n in names], time, where="")  # no time since 1970
+    counters = [f"a{k}" for k in range(11)]
+    assert in_order(counters[::-1], time, where="") == counters
+    check_named([*names[:5], *counters[5:]], time, where="")
+    assert in_order(["b2", "B10", "a3"], np.arange(3.0), where="") == ["a3", "b2", "B10"]
+
+
+def test_numbers_fit_times_in_their_best_unit_or_evenly():
+    time = np.array([5.0, 5.1, 5.3, 5.4])
+    for unit in (1.0, 1e3, 1e6, 1e9):
+        assert _misfit(unit * (time - 5.0), time) == pytest.approx((0.0, 0.0), abs=1e-9)
+    as_times, evenly = _misfit(np.arange(4.0), time)
+    # 0, 1/3, 2/3 and 1 of 0.4 s beside 0, 0.1, 0.3 and 0.4 s; in milliseconds nearly nothing
+    assert evenly == pytest.approx(0.4 / 3.0 - 0.1)
+    off = np.arange(4.0) * 1e-3 - (time - 5.0)
+    assert as_times == pytest.approx(np.abs(off - np.median(off)).max(), rel=0.01)
+    nothing = ((None, time), (np.zeros(1), time[:1]), (np.zeros(2), np.array([0, np.nan])))
+    for numbers, at in nothing:
+        assert _misfit(numbers, at) == (np.inf, np.inf)
+    assert _misfit(np.zeros(4), time)[1] == np.inf
 
 
 def test_names_in_two_orders_of_which_neither_fits():

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import re
 from dataclasses import fields, replace
 from importlib import resources
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from gendom.datasets import ObjectDescription, Recording
+from gendom.datasets.recording_form import ARRAYS
 from gendom.errors import RecordingError
 
 
@@ -25,6 +27,20 @@ def save(path, arrays, meta):
     return path
 
 
+def changed(lift, tmp_path, **changes):
+    """The path of a recording whose arrays are passed through functions, and of which others and
+    entries of its meta (object__length of its object) are replaced; ... leaves one out."""
+    arrays, meta = stored(lift, tmp_path)
+    for name, value in changes.items():
+        *outer, name = name.split("__")
+        table = arrays if name in ARRAYS and name != "camera_positions" else meta
+        table = table["object"] if outer else table
+        was = table.pop(name, None)
+        if value is not ...:
+            table[name] = value(was) if callable(value) else value
+    return save(tmp_path / "changed.npz", arrays, meta)
+
+
 def refusal(path):
     """The lines with which reading is refused, without the path."""
     with pytest.raises(RecordingError) as caught:
@@ -32,6 +48,15 @@ def refusal(path):
     lines = str(caught.value).splitlines()
     assert all(line.startswith(f"{path}: ") for line in lines)
     return [line.removeprefix(f"{path}: ") for line in lines]
+
+
+def equal(a, b):
+    """Whether two recordings are alike in everything."""
+    for f in fields(Recording):
+        own, other = getattr(a, f.name), getattr(b, f.name)
+        assert getattr(own, "dtype", None) == getattr(other, "dtype", None)
+        np.testing.assert_equal(own, other, err_msg=f.name)
+    return True
 
 
 def test_the_file_keeps_everything_in_the_documented_types(lift, tmp_path):
@@ -46,23 +71,23 @@ def test_the_file_keeps_everything_in_the_documented_types(lift, tmp_path):
     assert meta["format"] == "gendom-recording/1"
     sizes = {"length": 0.4, "diameter": None, "mass": 0.02}
     assert meta["object"] == {"kind": "rope", **sizes, "grasp": "end", "colour": "red"}
-    again = Recording.read(tmp_path / "good.npz")
-    for field in fields(Recording):
-        own, other = getattr(lift, field.name), getattr(again, field.name)
-        np.testing.assert_array_equal(own, other)
-        assert getattr(own, "dtype", None) == getattr(other, "dtype", None)
+    assert equal(lift, Recording.read(tmp_path / "good.npz"))
     # sizes that are not known may be null
-    arrays, meta = stored(lift, tmp_path)
-    meta["object"] = {"kind": "cloth", "width": 0.3, "height": 0.3, "thickness": None}
+    cloth = {"kind": "cloth", "width": 0.3, "height": 0.3, "thickness": None}
     expected = ObjectDescription(kind="cloth", width=0.3, height=0.3, grasp="corner")
-    assert Recording.read(save(tmp_path / "cloth.npz", arrays, meta)).object == expected
-    # a file keeps which cameras saw a point
-    seen = replace(lift, seen_by=np.where(np.arange(len(lift.points)) % 2, 1, 2).astype(np.uint8))
-    seen.write(tmp_path / "lift.npz")
-    again = Recording.read(tmp_path / "lift.npz")
-    np.testing.assert_array_equal(again.seen_by, seen.seen_by)
-    few = again.head(3).seen_by
-    assert few is not None and len(few) == seen.offsets[3]
+    assert Recording.read(changed(lift, tmp_path, object=cloth)).object == expected
+    # a file keeps which cameras saw a point, and when the gripper was closed: always by default
+    assert lift.gripper_closed is None and lift.holds.shape == (5, 1) and lift.holds.all()
+    closed = np.array([[True], [True], [True], [False], [False]])
+    by = np.where(np.arange(len(lift.points)) % 2, 1, 2).astype(np.uint8)
+    seen = replace(lift, seen_by=by, gripper_closed=closed)
+    arrays, _ = stored(seen, tmp_path)
+    assert arrays["gripper_closed"].dtype == np.bool_ and arrays["seen_by"].dtype == np.uint8
+    again = Recording.read(tmp_path / "good.npz", on_warning=lambda _: None)
+    assert equal(again, seen) and again.holds.tolist() == closed.tolist()
+    few = again.head(4)
+    assert len(np.asarray(few.seen_by)) == seen.offsets[4]
+    assert few.holds.tolist() == closed[:4].tolist()
     with pytest.raises(RecordingError, match=r"seen_by: has shape \[5\]"):
         replace(seen, seen_by=np.ones(5, dtype=np.uint8))
 
@@ -128,21 +153,6 @@ def test_the_digest_tells_recordings_apart(lift, tmp_path):
     assert len({recording.digest for recording in [lift, *changed]}) == 11
 
 
-def test_when_the_gripper_was_closed_is_kept(lift, tmp_path):
-    """Always, if nothing is said."""
-    assert lift.gripper_closed is None and lift.holds.shape == (5, 1) and lift.holds.all()
-    closed = [True, True, True, False, False]
-    taken = {"time": lift.time, "object": lift.object}
-    dropped = Recording.from_frames(
-        lift.frames(), gripper_position=lift.gripper_position[:, 0], gripper_closed=closed, **taken
-    )
-    arrays, _ = stored(dropped, tmp_path)
-    assert arrays["gripper_closed"].dtype == np.bool_
-    for recording in (dropped, Recording.read(tmp_path / "good.npz", on_warning=lambda _: None)):
-        assert recording.holds[:, 0].tolist() == closed
-    assert dropped.head(4).holds[:, 0].tolist() == closed[:4]
-
-
 @pytest.mark.parametrize(
     ("name", "kind"),
     [
@@ -159,12 +169,8 @@ def test_what_makes_a_recording_is_sent_to_the_command_that_tells(tmp_path, name
 
 
 def test_several_faults_are_several_lines(lift, tmp_path):
-    arrays, meta = stored(lift, tmp_path)
-    meta["object"]["length"] = None
-    meta["gripper_source"] = "guessed"
-    arrays["time"] = arrays["time"][::-1]
-    lines = refusal(save(tmp_path / "bad.npz", arrays, meta))
-    assert lines == [
+    changes = {"object__length": None, "gripper_source": "guessed", "time": lambda a: a[::-1]}
+    assert refusal(changed(lift, tmp_path, **changes)) == [
         "object.length: is missing for a rope; measure it and give metres",
         "gripper_source: is 'guessed'; give 'commanded' or 'measured'",
         f"time, frame 1: goes from 0.4 s to 0.3 s; {ORDER}",
@@ -181,115 +187,91 @@ def nan_at(*index):
 
 
 ORDER = "sort the frames and drop repeated ones; each must be later than the one before"
+EMPTY = {"points": lambda a: a[63:], "offsets": lambda _: np.array([0, 0, 0, 0, 23, 47])}
+NO_GRIPPER = dict.fromkeys(("gripper_position", "gripper_axis"), lambda a: a[:, :0])
+MM, CM = "it looks like millimetres; divide by 1000", "it looks like centimetres; divide by 100"
+EITHER = "it looks like centimetres or millimetres; divide by 100 or 1000"
+FAULTS = [
+    ({"points": ...}, "points: is missing; add it: float32 [S, 3]"),
+    ({"time": ...}, "time: is missing; add it: float64 [T]"),
+    ({"points": lambda a: a[:, :2]}, "points: has shape [110, 2]; give float32 [S, 3]"),
+    ({"gripper_position": lambda a: a[:, 0]}, "gripper_position: has shape [5, 3]"),
+    ({"points": lambda a: a.astype("U")}, "points: has the type <U32; give float32 [S, 3]"),
+    ({"offsets": lambda a: a.astype(float)}, "offsets: has the type float64; give int64 [T + 1]"),
+    ({"offsets": lambda a: np.maximum(a, 1)}, "offsets: runs from 1 to 110, but there are"),
+    ({"offsets": lambda a: a[:-1]}, "offsets: has shape [5]; give [T + 1], which is [6] here"),
+    ({"points": lambda a: np.concatenate([a, a])}, "offsets: runs from 0 to 110, but there are"),
+    ({"offsets": lambda _: np.array([0, 50, 41, 63, 86, 110])},
+     "offsets, frame 1: falls from 50 to 41; let it never decrease"),
+    ({"gripper_axis": lambda a: a[:3]}, "gripper_axis: has shape [3, 1, 3]; give [T, G, 3],"),
+    (NO_GRIPPER, "gripper_position: has no gripper; give at least one"),
+    ({"gripper_axis": np.zeros((5, 2, 3))}, "gripper_axis: has shape [5, 2, 3]; give"),
+    ({"gripper_closed": np.ones((5, 2), bool)}, "gripper_closed: has shape [5, 2]"),
+    ({"gripper_closed": np.ones((5, 1))}, "gripper_closed: has the type float64"),
+    ({"gripper_closed": np.zeros((5, 1), bool)}, "gripper_closed, gripper 0: is never closed"),
+    ({"points": nan_at(slice(42, 44), 1)}, "points, frame 2: 2 of 22 points are not finite"),
+    ({"gripper_position": nan_at(3, 0, 2)}, "gripper_position, frame 3: is not finite in 1 of"),
+    ({"time": lambda a: (1.7e9 + a).astype(np.float32)}, "time, frame 1: goes from 1700000000 s "
+     "to 1700000000 s; they look like float32, which tells times since 1970 to 2 minutes only"),
+    ({"time": nan_at(4)}, "time, frame 4: is not finite in 1 of 5 frames"),
+    ({"gripper_axis": lambda a: 0.5 * a}, "gripper_axis, frame 0: has length 0.5, not 1"),
+    ({"time": lambda a: a[[0, 1, 1, 3, 4]]}, f"time, frame 2: goes from 0.1 s to 0.1 s; {ORDER}"),
+    ({"gripper_position": lambda a: a + np.eye(3)[0]}, "gripper_position, gripper 0: never"),
+    ({"points": lambda a: 1e3 * a}, f"points: a frame spans 401 m, the object 0.4 m; {MM}"),
+    ({"points": lambda a: 100.0 * a}, f"points: a frame spans 40.1 m, the object 0.4 m; {CM}"),
+    ({"time": lambda a: 1e3 * a},
+     "time: frames are 100 s apart; it looks like milliseconds; divide by 1000"),
+    ({"time": lambda a: 1e6 * a},
+     "time: frames are 1e+05 s apart; it looks like microseconds; divide by 1e+06"),
+    ({"time": lambda a: 1e9 * a},
+     "time: frames are 1e+08 s apart; it looks like nanoseconds; divide by 1e+09"),
+    ({"gripper_position": lambda a: 1e3 * a}, f"gripper_position: moves by 40 m; {EITHER}"),
+    ({"points": lambda a: a[:0], "offsets": lambda a: 0 * a},
+     "points: all frames are empty; check the cropping and the depth range"),
+    (EMPTY, "points, frame 0: the first 3 frames are empty, so the start is not seen; cut them "
+     "off, or record from before the lift"),
+    # what is said beside them
+    ({"format": "gendom-recording/9"}, "meta.format: is 'gendom-recording/9'; only 'gendom-reco"),
+    ({"format": ...}, "meta.format: is None; only 'gendom-recording/1' can be read here"),
+    ({"object": ...}, "object: object missing required field kind; give kind, sizes"),
+    ({"table_height": ...}, "meta.table_height: is missing"),
+    ({"quasi_static": ...}, "meta.quasi_static: is missing; give true or false"),
+    ({"quasi_static": "yes"}, "quasi_static: expected bool, got str; give true or false"),
+    ({"table_height": "low"}, "table_height: expected float | null, got str; give z of"),
+    ({"object__kind": "sponge"}, "object.kind: is 'sponge'; give 'rope' or 'cloth'"),
+    ({"object__grasp": "middle"}, "object.grasp: is 'middle'"),
+    ({"object__kind": "cloth", "object__width": 0.3}, "object.height: is missing for a cloth"),
+    ({"object__outline": [[0, 0], [1, 0], [0, 1]]}, "object.outline: is not supported:"),
+    ({"object__diameter": -0.01}, "object.diameter: is -0.01"),
+    ({"object__grasp_radius": 0.0}, "object.grasp_radius: is 0.0"),
+    ({"object__mass": "20 g"}, "object.mass: expected float | null, got str; give kind"),
+    ({"object__length": 400.0}, f"object.length: the object spans 400 m, a frame 0.401 m; {MM}"),
+    ({"object__length": 40.0}, f"object.length: the object spans 40 m, a frame 0.401 m; {CM}"),
+    ({"object__length": 4e-4}, "points: a frame spans 0.401 m, the object 0.0004 m"),
+    ({"object__diameter": 10.0}, f"object.diameter: is 10 m, the object spans 0.4 m; {MM}"),
+    ({"object__diameter": 1.0}, f"object.diameter: is 1 m, the object spans 0.4 m; {EITHER}"),
+    ({"object__mass": 31.0, "object__diameter": 0.01}, "object.mass: is 31 kg, a density of "
+     "9.9e+05 kg/m^3; it looks like grams; divide by 1000"),
+    ({"table_height": -10.0}, f"table_height: is -10 m, the lowest point at -0.001308 m; {EITHER}"),
+    ({"camera_positions": [[100.0, -800.0, 600.0]]},
+     f"camera_positions: a camera is 1005 m away; {MM}"),
+    ({"camera_positions": [1.0, 2.0]}, "camera_positions: has shape [2]; give float64"),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("name", "spoil", "line"),
-    [
-        ("points", None, "points: is missing; add it: float32 [S, 3]"),
-        ("time", None, "time: is missing; add it: float64 [T]"),
-        ("points", lambda a: a[:, :2], "points: has shape [110, 2]; give float32 [S, 3]"),
-        ("gripper_position", lambda a: a[:, 0], "gripper_position: has shape [5, 3]"),
-        ("points", lambda a: a.astype("U"), "points: has the type <U32; give float32 [S, 3]"),
-        ("offsets", lambda a: a.astype(float), "offsets: has the type float64; give int64 [T + 1]"),
-        ("offsets", lambda a: np.maximum(a, 1), "offsets: runs from 1 to 110, but there are"),
-        ("offsets", lambda a: a[:-1], "offsets: has shape [5]; give [T + 1], which is [6] here"),
-        ("points", lambda a: np.concatenate([a, a]), "offsets: runs from 0 to 110, but there are"),
-        ("offsets", lambda a: np.array([0, 50, 41, 63, 86, 110]),
-         "offsets, frame 1: falls from 50 to 41; let it never decrease"),
-        ("gripper_axis", lambda a: a[:3], "gripper_axis: has shape [3, 1, 3]; give [T, G, 3],"),
-        ("gripper", lambda a: a[:, :0], "gripper_position: has no gripper; give at least one"),
-        ("gripper_axis", lambda a: np.zeros((5, 2, 3)), "gripper_axis: has shape [5, 2, 3]; give"),
-        ("gripper_closed", lambda a: np.ones((5, 2), bool), "gripper_closed: has shape [5, 2]"),
-        ("gripper_closed", lambda a: np.ones((5, 1)), "gripper_closed: has the type float64"),
-        ("gripper_closed", lambda a: np.zeros((5, 1), bool), "gripper_closed, gripper 0: is"),
-        ("points", nan_at(slice(42, 44), 1), "points, frame 2: 2 of 22 points are not finite"),
-        ("gripper_position", nan_at(3, 0, 2), "gripper_position, frame 3: is not finite in 1 of"),
-        ("time", lambda a: (1.7e9 + a).astype(np.float32), "time, frame 1: goes from 1700000000 s "
-         "to 1700000000 s; they look like float32, which tells times since 1970 to 2 minutes only"),
-        ("time", nan_at(4), "time, frame 4: is not finite in 1 of 5 frames"),
-        ("gripper_axis", lambda a: 0.5 * a, "gripper_axis, frame 0: has length 0.5, not 1"),
-        ("time", lambda a: a[[0, 1, 1, 3, 4]], f"time, frame 2: goes from 0.1 s to 0.1 s; {ORDER}"),
-        ("gripper_position", lambda a: a + np.eye(3)[0], "gripper_position, gripper 0: never"),
-        ("points", lambda a: 1000.0 * a, "points: a frame spans 401 m, the object 0.4 m; "
-         "it looks like millimetres; divide by 1000"),
-        ("points", lambda a: 100.0 * a, "points: a frame spans 40.1 m, the object 0.4 m; "
-         "it looks like centimetres; divide by 100"),
-        ("time", lambda a: 1e3 * a,
-         "time: frames are 100 s apart; it looks like milliseconds; divide by 1000"),
-        ("time", lambda a: 1e6 * a,
-         "time: frames are 1e+05 s apart; it looks like microseconds; divide by 1e+06"),
-        ("time", lambda a: 1e9 * a,
-         "time: frames are 1e+08 s apart; it looks like nanoseconds; divide by 1e+09"),
-        ("gripper_position", lambda a: 1000.0 * a,
-         "gripper_position: moves by 40 m; it looks like centimetres or millimetres; divide by"),
-    ],
-)  # fmt: skip
-def test_fault_in_an_array(lift, tmp_path, name, spoil, line):
-    arrays, meta = stored(lift, tmp_path)
-    for own in ("gripper_position", "gripper_axis") if name == "gripper" else (name,):
-        array = arrays.pop(own, None)
-        arrays |= {} if spoil is None else {own: spoil(array)}
-    (told,) = refusal(save(tmp_path / "bad.npz", arrays, meta))
+@pytest.mark.parametrize(("changes", "line"), FAULTS, ids=[line for _, line in FAULTS])
+def test_a_fault_is_one_line(lift, tmp_path, changes, line):
+    (told,) = refusal(changed(lift, tmp_path, **changes))
     assert told.startswith(line) and "; " in told
 
 
-@pytest.mark.parametrize(
-    ("first", "offsets", "line"),
-    [
-        (110, [0] * 6, "points: all frames are empty; check the cropping and the depth range"),
-        (63, [0, 0, 0, 0, 23, 47], "points, frame 0: the first 3 frames are empty, so the start is "
-         "not seen; cut them off, or record from before the lift"),
-    ],
-)  # fmt: skip
-def test_frames_without_points(lift, tmp_path, first, offsets, line):
-    arrays, meta = stored(lift, tmp_path)
-    arrays |= {"points": arrays["points"][first:], "offsets": np.array(offsets)}
-    assert refusal(save(tmp_path / "bad.npz", arrays, meta)) == [line]
-
-
-@pytest.mark.parametrize(
-    ("where", "changes", "line"),
-    [
-        ("", {"format": "gendom-recording/9"}, "meta.format: is 'gendom-recording/9'"),
-        ("", {"object": ...}, "object: object missing required field kind; give kind, sizes"),
-        ("", {"table_height": ...}, "meta.table_height: is missing"),
-        ("", {"quasi_static": ...}, "meta.quasi_static: is missing; give true or false"),
-        ("", {"quasi_static": "yes"}, "quasi_static: expected bool, got str; give true or false"),
-        ("", {"table_height": "low"}, "table_height: expected float | null, got str; give z of"),
-        ("object", {"kind": "sponge"}, "object.kind: is 'sponge'; give 'rope' or 'cloth'"),
-        ("object", {"grasp": "middle"}, "object.grasp: is 'middle'"),
-        ("object", {"kind": "cloth", "width": 0.3}, "object.height: is missing for a cloth"),
-        ("object", {"outline": [[0, 0], [1, 0], [0, 1]]}, "object.outline: is not supported:"),
-        ("object", {"diameter": -0.01}, "object.diameter: is -0.01"),
-        ("object", {"grasp_radius": 0.0}, "object.grasp_radius: is 0.0"),
-        ("object", {"mass": "20 g"}, "object.mass: expected float | null, got str; give kind"),
-        ("object", {"length": 400.0}, "object.length: the object spans 400 m, a frame 0.401 m; "
-         "it looks like millimetres; divide by 1000"),
-        ("object", {"length": 40.0}, "object.length: the object spans 40 m, a frame 0.401 m; "
-         "it looks like centimetres; divide by 100"),
-        ("object", {"length": 0.0004}, "points: a frame spans 0.401 m, the object 0.0004 m"),
-        ("object", {"diameter": 10.0}, "object.diameter: is 10 m, the object spans 0.4 m; "
-         "it looks like millimetres; divide by 1000"),
-        ("object", {"diameter": 1.0}, "object.diameter: is 1 m, the object spans 0.4 m; "
-         "it looks like centimetres or millimetres; divide by 100 or 1000"),
-        ("object", {"mass": 31.0, "diameter": 0.01}, "object.mass: is 31 kg, a density of "
-         "9.9e+05 kg/m^3; it looks like grams; divide by 1000"),
-        ("", {"table_height": -10.0}, "table_height: is -10 m, the lowest point at -0.001308 m; "
-         "it looks like centimetres or millimetres; divide by 100 or 1000"),
-        ("", {"camera_positions": [[100.0, -800.0, 600.0]]},
-         "camera_positions: a camera is 1005 m away; it looks like millimetres; divide by 1000"),
-        ("", {"camera_positions": [1.0, 2.0]}, "camera_positions: has shape [2]; give float64"),
-    ],
-)  # fmt: skip
-def test_fault_in_meta(lift, tmp_path, where, changes, line):
-    arrays, meta = stored(lift, tmp_path)
-    changed = meta[where] if where else meta
-    for name, value in changes.items():
-        changed.pop(name, None)
-        changed |= {} if value is ... else {name: value}
-    (told,) = refusal(save(tmp_path / "bad.npz", arrays, meta))
-    assert told.startswith(line) and "; " in told
+def test_misspelt_keys_are_named(lift, tmp_path):
+    """Others that nothing reads are kept."""
+    changes = {"object__length": ..., "object__lenght": 0.4, "object__colour": "red", "batch": 1}
+    lines = refusal(changed(lift, tmp_path, table_height=..., table_hight=0.0, **changes))
+    for where, right in (("object.lenght", "length"), ("table_hight", "table_height")):
+        assert f"{where}: is read by nothing; did you mean '{right}'?" in lines
+    assert not [line for line in lines if "colour" in line or "batch" in line]
 
 
 def test_warnings_do_not_prevent_reading(lift, tmp_path, caplog):
@@ -324,20 +306,46 @@ def sized(lift, **sizes):
     return replace(lift, object=replace(lift.object, **sizes))
 
 
+def moved(lift, t, **changes):
+    """With a gripper that is 0.8 m away in a frame."""
+    position = lift.gripper_position.copy()
+    position[t, 0, 0] += 0.8
+    return replace(lift, gripper_position=position, **changes)
+
+
+def closed(*states):
+    return np.array(states, dtype=bool)[:, None]
+
+
+FAR = np.array([2.0, 0.0, 0.0])
+
+
 @pytest.mark.parametrize(
-    ("spoil", "where", "said"),
+    ("change", "said"),
     [
-        (lambda r: r.head(1), "frames", "1 with points; record a whole lift"),
-        (lambda r: sized(r, length=4.0), "object.length", "is it 0.4 m?"),
-        (slow_camera, "time", "times look like milliseconds"),
-        (lambda r: replace(r, time=r.time + 9.0 * (r.time > 0.25)), "time, frame 2", "9.1 s pass"),
-        (lambda r: sized(r, mass=20.0, diameter=0.01), "object.mass", "looks like grams"),
-        (lambda r: sized(r, diameter=0.08), "object.mass", "sizes in metres"),
+        (lambda r: r.head(1), ["warning: frames: 1 with points; record a whole lift", ""]),
+        (lambda r: sized(r, length=4.0), ["warning: object.length: .*is it 0.4 m?"]),
+        (slow_camera, ["warning: time: .*times look like milliseconds"]),
+        (lambda r: replace(r, time=r.time + 9.0 * (r.time > 0.25)),
+         ["warning: time, frame 2: 9.1 s pass"]),
+        (lambda r: sized(r, mass=20.0, diameter=0.01), ["error: object.mass: .*looks like grams"]),
+        (lambda r: sized(r, diameter=0.08), ["warning: object.mass: .*sizes in metres"]),
+        (lambda r: replace(r, extra={"ordered_markers": True}),
+         ["error: points, frame 1: has 21 ordered markers, the first frame 20"]),
+        (lambda r: replace(r, points=r.points + FAR),
+         ["error: gripper_position, gripper 0: never"]),
+        (lambda r: replace(r, points=r.points + FAR, cameras_calibrated=False), []),
+        (lambda r: moved(r, 4), ["warning: gripper_position, gripper 0: is farther"]),
+        (lambda r: moved(r, 4, gripper_closed=closed(1, 1, 1, 1, 0)), []),
+        (lambda r: replace(r, gripper_closed=closed(0, 0, 1, 1, 0)),
+         ["warning: gripper_closed, gripper 0: is open until frame 2; "]),
+        (lambda r: replace(r, gripper_position=np.tile(r.gripper_position[:1], (5, 1, 1))),
+         ["warning: gripper_position: moves by 0 m in all; record a"]),
     ],
-)
-def test_the_likely_unit_is_named(lift, spoil, where, said):
-    faults = [f for f in spoil(lift).validate() if f.where == where]
-    assert len(faults) == 1 and said in str(faults[0])
+)  # fmt: skip
+def test_what_is_found_in_a_motion(lift, change, said):
+    told = [f"{fault.severity}: {fault}" for fault in change(lift).validate()]
+    assert len(told) == len(said) and all(map(re.match, said, told)), told
 
 
 UPS = {"z": "xyz", "y": "xzY", "-y": "xZy", "x": "zxy", "-x": "Zyx"}
@@ -372,53 +380,6 @@ def test_another_axis_that_points_up_is_named(up, height):
     assert np.ptp(cured[:400, 2]) < 0.1 and right_handed
 
 
-@pytest.mark.parametrize("where", ["object.lenght", "table_hight"])
-def test_a_misspelt_key_is_named(lift, tmp_path, where):
-    """Others that nothing reads are kept."""
-    arrays, meta = stored(lift, tmp_path)
-    right = {"object.lenght": "length", "table_hight": "table_height"}[where]
-    inner = meta["object"] if "." in where else meta
-    inner[where.rpartition(".")[2]] = inner.pop(right)
-    meta["object"]["colour"] = meta["batch"] = "red"
-    lines = refusal(save(tmp_path / "bad.npz", arrays, meta))
-    assert f"{where}: is read by nothing; did you mean '{right}'?" in lines
-
-
-def moved(lift, t, **changes):
-    """With a gripper that is 0.8 m away in a frame."""
-    position = lift.gripper_position.copy()
-    position[t, 0, 0] += 0.8
-    return replace(lift, gripper_position=position, **changes)
-
-
-def closed(*states):
-    return np.array(states, dtype=bool)[:, None]
-
-
-FAR = np.array([2.0, 0.0, 0.0])
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda r: replace(r, extra={"ordered_markers": True}),
-         ["error: points, frame 1: has 21 ordered markers, the first frame 20"]),
-        (lambda r: replace(r, points=r.points + FAR),
-         ["error: gripper_position, gripper 0: never"]),
-        (lambda r: replace(r, points=r.points + FAR, cameras_calibrated=False), []),
-        (lambda r: moved(r, 4), ["warning: gripper_position, gripper 0: is farther"]),
-        (lambda r: moved(r, 4, gripper_closed=closed(1, 1, 1, 1, 0)), []),
-        (lambda r: replace(r, gripper_closed=closed(0, 0, 1, 1, 0)),
-         ["warning: gripper_closed, gripper 0: is open until frame 2; "]),
-        (lambda r: replace(r, gripper_position=np.tile(r.gripper_position[:1], (5, 1, 1))),
-         ["warning: gripper_position: moves by 0 m in all; record a"]),
-    ],
-)  # fmt: skip
-def test_what_grippers_and_cameras_may_do(lift, change, said):
-    told = [f"{fault.severity}: {fault}" for fault in change(lift).validate()]
-    assert len(told) == len(said) and all(map(str.startswith, told, said))
-
-
 def test_times_that_count_frames_are_told(lift):
     """Of a motion in which time matters."""
     frames = 12
@@ -438,18 +399,19 @@ def test_times_that_count_frames_are_told(lift):
 
 def test_files_that_are_no_recordings(lift, tmp_path):
     lift.write(tmp_path / "good.npz")
-    whole = (tmp_path / "good.npz").read_bytes()
-    path = tmp_path / "bad.npz"
-
+    whole, path = (tmp_path / "good.npz").read_bytes(), tmp_path / "bad.npz"
     for data, said in (
         (whole[: len(whole) // 2], "is damaged ("),
         (whole[:200] + bytes(50) + whole[250:], "is damaged ("),
-        (b"", "is no .npz file"),
+        (b"", "is no .npz file; write gendom-recording/1 with numpy.savez"),
     ):
         path.write_bytes(data)
         assert refusal(path)[0].startswith(said)
+    no_text = "meta: is missing, or no JSON text; gendom.Recording.from_frames(...).write makes"
     for arrays, said in (
-        ({"points": np.zeros((1, 3))}, "meta: is missing, or no JSON text; gendom.Recording"),
+        ({"points": np.zeros((1, 3))}, no_text),
+        ({"meta": np.array(["{}", "{}"])}, no_text),
+        ({"meta": np.array(3)}, no_text),
         ({"meta": np.array("{")}, "meta: is not JSON"),
         ({"meta": np.array("[]")}, "meta: holds a JSON list, not an object"),
         ({"meta": np.array({"format": "gendom-recording/1"}, dtype=object)},
@@ -474,43 +436,3 @@ def test_clouds_in_another_order_are_refused(lift, order):
     places = np.random.default_rng(0).permutation(20) if order == "shuffled" else range(20)[::-1]
     fault = Recording.from_frames([clouds[k] for k in places], **taken).validate()[0]
     assert fault.severity == "error" and "lie at its place of another time" in str(fault)
-
-
-# ---- shapes at rest --------------------------------------------------------------------------
-
-WIRE = {"kind": "wire", "length": 0.6, "mass_per_length": 0.02}
-AT_REST = {"format": "gendom-static/1", "object": WIRE, "source": "made up"}
-ANGLE = np.linspace(0.0, np.pi, 21)
-LINE = 0.19 * np.stack([-np.cos(ANGLE), 0.0 * ANGLE, -np.sin(ANGLE)], axis=1)
-LOOPS = np.stack([LINE, LINE + np.array([1e-3, 0.0, 0.0])])  # half circles, 1 mm apart [m]
-
-
-def test_repeats_are_frames_of_a_rope_that_is_held_at_both_ends(tmp_path):
-    path = save(tmp_path / "wire.npz", {"loops": LOOPS}, AT_REST)
-    recording = Recording.read(path, on_warning=lambda _: None)
-    assert recording.num_frames == 2 and recording.num_grippers == 2
-    assert recording.extra["static"] and recording.extra["ordered_markers"]
-    assert recording.quasi_static and recording.source == "made up"
-    assert recording.object.kind == "rope" and recording.object.mass == pytest.approx(0.012)
-    np.testing.assert_allclose(recording.frame(1), LOOPS[1], atol=1e-6)
-    # clamped where the repeats are in the mean, along their first and last piece
-    np.testing.assert_allclose(recording.gripper_position[0, 0], [-0.1895, 0.0, 0.0], atol=1e-9)
-    ends = LOOPS[0, [1, -2]] - LOOPS[0, [0, -1]]
-    along = np.asarray(recording.gripper_axis)[0]
-    np.testing.assert_allclose(along, ends / np.linalg.norm(ends[0]), atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("loops", "wire", "words"),
-    [
-        (np.zeros((2, 3)), {}, "loops: has shape"),
-        (np.full((1, 9, 3), np.nan), {}, "not finite"),
-        (LOOPS, {"kind": "cloth"}, "object: kind: invalid enum value 'cloth'"),
-        (LOOPS, {"length": -1.0}, "object.length"),
-        (LOOPS, {"mass_per_length": None}, "object: mass_per_length: expected float"),
-    ],
-)
-def test_what_is_no_shape_is_refused(tmp_path, loops, wire, words):
-    path = save(tmp_path / "bad.npz", {"loops": loops}, {**AT_REST, "object": {**WIRE, **wire}})
-    with pytest.raises(RecordingError, match=words):
-        Recording.read(path)

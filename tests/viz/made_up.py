@@ -48,17 +48,11 @@ DISTANCES = [f"chamfer_{w}{of}" for w in ("mean", "last") for of in ("", "_surfa
 
 def estimate(*, reasons=(), mass=None, **about):
     """Of a rope: E is determined, nu is not."""
-    prior = replace(
-        prior_of(("E_over_rho", "nu", "grip_height")),
-        low=np.array([math.log(500.0), 0.2, -0.1]),
-        high=np.array([math.log(50000.0), 0.45, 0.1]),
-    )
-    posterior = Posterior(
-        prior=prior,
-        mean=np.array([math.log(1834.0), 0.312, 0.001]),
-        covariance=np.diag([0.0004, 0.0025, 1e-8]),
-        bases=(),
-    )
+    ends = {"low": np.array([math.log(500.0), 0.2, -0.1])}
+    ends |= {"high": np.array([math.log(50000.0), 0.45, 0.1])}
+    prior = replace(prior_of(("E_over_rho", "nu", "grip_height")), **ends)
+    mean, covariance = np.array([math.log(1834.0), 0.312, 0.001]), np.diag([0.0004, 0.0025, 1e-8])
+    posterior = Posterior(prior=prior, mean=mean, covariance=covariance, bases=())
     known = {"length": 0.26, "diameter": 0.0123456789, "density": 1.0}
     return Estimate(
         kind="rope",
@@ -74,14 +68,10 @@ def estimate(*, reasons=(), mass=None, **about):
     )  # fmt: skip
 
 
-def run(reached):
-    return PolicyRun(action=np.array([0.2, 0.5]), reached=np.array(reached))
-
-
 def outcome(goal, ours, without):
-    return ReachOutcome(
-        item="a rope", goal=np.array(goal), runs={WITH: run(ours), WITHOUT: run(without)}
-    )
+    reached = {WITH: np.array(ours), WITHOUT: np.array(without)}
+    runs = {n: PolicyRun(action=np.array([0.2, 0.5]), reached=x) for n, x in reached.items()}
+    return ReachOutcome(item="a rope", goal=np.array(goal), runs=runs)
 
 
 def action(*outcomes, **changes):

@@ -15,19 +15,18 @@ from gendom.errors import GendomError
 from gendom.materials.unknowns import UNKNOWNS
 from gendom.viz import Animation, Layer
 from gendom.viz.viewer import Slider, Viewer, ViewerModel
-from viz.browser import Browser
 
 TIMES = np.array([0.0, 0.1, 0.3, 0.6])
 
 STICK = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]])
+CORNERS = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.4, 0.2, 0.0], [0.0, 0.2, 0.0]])
+FACES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
 def square(height=0.0):
     """Two triangles that rise from a height on [m]."""
-    corners = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.4, 0.2, 0.0], [0.0, 0.2, 0.0]])
     rise = (height + 0.1 * TIMES)[:, None, None] * [0.0, 0.0, 1.0]
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    return Layer(name="simulated", color="#E69F00", points=list(corners + rise), faces=faces)
+    return Layer(name="simulated", color="#E69F00", points=list(CORNERS + rise), faces=FACES)
 
 
 def cloud():
@@ -93,11 +92,16 @@ def viewer():
         made.shutdown()
 
 
-def ask(viewer, height, E=123.0):
-    """What a page gets that asks for values."""
+def answer(viewer, method, path, body=None, head=None):
     asked = http.client.HTTPConnection("127.0.0.1", viewer.port, timeout=20.0)
-    asked.request("POST", "/simulate", json.dumps({"height": height, "E": E}))
-    return [json.loads(line) for line in asked.getresponse().read().splitlines()]
+    asked.request(method, path, body, head or {})
+    return asked.getresponse()
+
+
+def ask(viewer, height):
+    """What a page gets that asks for values."""
+    found = answer(viewer, "POST", "/simulate", json.dumps({"height": height, "E": 123.0}))
+    return [json.loads(line) for line in found.read().splitlines()]
 
 
 def test_a_wish_gets_the_motion_and_then_its_distance(viewer):
@@ -167,10 +171,8 @@ ASKED = [
 def test_only_its_own_page_is_answered(viewer, method, origin, host, served):
     own = f"127.0.0.1:{viewer.port}"
     head = {"Host": host or own} | ({"Origin": origin.format(own=own)} if origin else {})
-    asked = http.client.HTTPConnection("127.0.0.1", viewer.port, timeout=5.0)
-    values = json.dumps({"height": 0.0, "E": 1.0})
-    asked.request(method, "/", values if method == "POST" else None, head)
-    assert asked.getresponse().status == (200 if served else 403)
+    values = '{"height": 0.0, "E": 1.0}' if method == "POST" else None
+    assert answer(viewer, method, "/", values, head).status == (200 if served else 403)
 
 
 def test_what_is_no_wish_is_refused(viewer):
@@ -180,29 +182,11 @@ def test_what_is_no_wish_is_refused(viewer):
         ("POST", "/simulate", '{"E": "much"}', 400),
         ("GET", "/etc/passwd", None, 404),
     ):
-        asked = http.client.HTTPConnection("127.0.0.1", viewer.port, timeout=5.0)
-        asked.request(method, path, body)
-        assert asked.getresponse().status == status
+        assert answer(viewer, method, path, body).status == status
     assert viewer._model.simulated == []
 
 
 # ---- in a browser --------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    opened = Browser(tmp_path_factory.mktemp("profile"))
-    yield opened
-    opened.close()
-
-
-def until(browser, expression, seconds=20.0):
-    """The value of an expression once it is something."""
-    ends = time.monotonic() + seconds
-    while not (value := browser.evaluate(expression)):
-        assert time.monotonic() < ends, expression
-        time.sleep(0.05)
-    return value
 
 
 @pytest.mark.parametrize("width", [390, 1280])
@@ -211,7 +195,7 @@ def test_the_page_shows_and_obeys(viewer, browser, width):
     simulated = viewer._model.simulated
     browser.open(viewer.url, width=width)
     for said in ("a square", "It is flat.", "Chamfer", "stick", "Reset parameters"):
-        until(browser, f"document.body.textContent.includes({said!r})")
+        browser.until(f"document.body.textContent.includes({said!r})")
     assert browser.evaluate("document.documentElement.scrollWidth") <= width
     assert simulated == [{"height": 0.0, "E": 123.0}]  # all its digits
 
@@ -229,9 +213,9 @@ def test_the_page_shows_and_obeys(viewer, browser, width):
             time.sleep(0.02)
         assert browser.evaluate(values) == pytest.approx([1e3 * found["height"], found["E"]])
     browser.act("label:nth-of-type(1) [type=number]", "value = 95", "change")
-    until(browser, "document.querySelector('.said.warning')?.textContent === 'height: is too high'")
+    browser.until("document.querySelector('.said.warning')?.textContent === 'height: is too high'")
     browser.evaluate("document.querySelector('[type=reset]').click()")
-    until(browser, "document.querySelector('.said').textContent.startsWith('simulated in')")
+    browser.until("document.querySelector('.said').textContent.startsWith('simulated in')")
     assert simulated[-1] == {"height": 0.0, "E": 123.0}
     assert browser.logged == []
     assert [a for a in browser.requested if not a.startswith(viewer.url)] == []

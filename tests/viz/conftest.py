@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import shutil
 import subprocess
@@ -16,17 +15,17 @@ import pytest
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 """Of the program, as found on the path."""
 
-FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--hide-scrollbars",
-    "--no-first-run",
-    "--disable-gpu",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--remote-debugging-port=0",
-)
+FLAGS = ["--headless=new", "--no-sandbox", "--hide-scrollbars", "--no-first-run", "--disable-gpu"]
+FLAGS += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
+FLAGS += ["--remote-debugging-port=0"]
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory):
+    """A browser, which takes a second to start."""
+    opened = Browser(tmp_path_factory.mktemp("profile"))
+    yield opened
+    opened.close()
 
 
 class Browser:
@@ -94,6 +93,13 @@ class Browser:
         frame = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
         self.evaluate(frame)
 
+    def until(self, expression: str, seconds: float = 20.0) -> None:
+        """Wait until an expression is true."""
+        ends = time.monotonic() + seconds
+        while not self.evaluate(expression):
+            assert time.monotonic() < ends, expression
+            time.sleep(0.02)
+
     def evaluate(self, expression: str) -> Any:
         """The value of a JavaScript expression; of a promise, what it gives."""
         answer = self.call(
@@ -101,11 +107,6 @@ class Browser:
         )
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
-
-    def screenshot(self, path: Path) -> None:
-        """A PNG of the page, for people."""
-        answer = self.call("Page.captureScreenshot", captureBeyondViewport=True)
-        path.write_bytes(base64.b64decode(answer["data"]))
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
         """One command of the protocol, and its answer."""
@@ -121,18 +122,14 @@ class Browser:
         event, params = message.get("method", ""), message.get("params", {})
         if event == "Page.loadEventFired":
             self._loaded = True
-        elif event == "Runtime.exceptionThrown":
-            self._log("error", json.dumps(params["exceptionDetails"])[:500])
-        elif event == "Runtime.consoleAPICalled":
-            self._log(params["type"], json.dumps(params["args"])[:500])
-        elif event == "Log.entryAdded":
-            self._log(params["entry"]["level"], params["entry"]["text"])
         elif event == "Network.requestWillBeSent":
             address = params["request"]["url"]
             if address != self._address and not address.startswith("data:"):
                 self.requested.append(address)
+        entry = params.get("entry", params)  # of the console, of the browser's own log
+        if event == "Runtime.exceptionThrown" or (
+            event in ("Runtime.consoleAPICalled", "Log.entryAdded")
+            and entry.get("type", entry.get("level")) in ("error", "warning")
+        ):
+            self.logged.append(json.dumps(params)[:500])
         return message
-
-    def _log(self, level: str, text: str) -> None:
-        if level in ("error", "warning"):
-            self.logged.append(text)
