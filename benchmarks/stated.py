@@ -323,11 +323,8 @@ FIGURES = (
     ),
     reached("reaching"),
     reached("casting"),
-    experiment("ablation-reaching", "ablation --scale full --device cuda", ablation, "cuda"),
-    experiment(
-        "ablation-casting", "ablation --task rope-casting --scale full --device cuda",
-        ablation, "cuda",
-    ),
+    experiment("ablation-reaching", "ablation --jobs 1", ablation),
+    experiment("ablation-casting", "ablation --task rope-casting --jobs 1", ablation),
     Figure("evaluate-casting", "gendom evaluate rope-casting --cases 50 --seed 3", evaluated),
     Figure("evaluate-reaching", "gendom evaluate rope-reaching --cases 50 --seed 3", evaluated),
     validation("cantilever", ratios),
