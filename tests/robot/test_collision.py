@@ -22,7 +22,6 @@ from gendom.robot import (
     link_poses,
     tcp_pose,
 )
-from gendom.robot.collision import segment_to_box, segments_apart
 from robot.test_kinematics import random_q
 
 TABLE = Surroundings(table_height=0.0)
@@ -36,29 +35,6 @@ def box(name, position, size, turn=(0.0, 0.0, 0.0)):
 
 def post(name, start, end, radius):
     return Post(name=name, start=np.array(start), end=np.array(end), radius=radius)
-
-
-# ---- distances -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("c", "d", "apart", "from_box"),
-    [
-        ([0.5, -1.0, 2.0], [0.5, 1.0, 2.0], 2.0, -0.5),  # crossing above
-        ([0.2, 3.0, 0.0], [0.8, 3.0, 0.0], 3.0, 1.0),  # parallel, side by side
-        ([4.0, 6.0, 0.0], [9.0, 6.0, 0.0], np.sqrt(45.0), 5.0),  # one after the other
-        ([4.0, 4.0, 0.0], [4.0, 4.0, 0.0], 5.0, np.sqrt(13.0)),  # a point
-        ([0.5, -9.0, 0.0], [0.5, 9.0, 0.0], 0.0, -0.5),  # crossing, and right through
-        ([-9.0, 1.5, 0.0], [9.0, 1.5, 0.0], 1.5, -0.5),  # through, near a face
-        ([0.9, 0.0, 0.0], [0.9, 0.0, 0.5], 0.0, -0.1),  # inside
-    ],
-)
-def test_distances_by_hand(c, d, apart, from_box):
-    """From a segment along x, and from a box of 2 x 4 x 5 m."""
-    a, b, c, d = map(np.array, ([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], c, d))
-    assert segments_apart(a, b, c, d) == pytest.approx(apart)
-    assert segments_apart(c, d, a, b) == pytest.approx(apart)
-    assert segment_to_box(c, d, np.array([1.0, 2.0, 2.5])) == pytest.approx(from_box)
 
 
 def test_capsules_are_as_far_apart_as_mujoco_says():
@@ -96,38 +72,6 @@ def test_capsules_are_as_far_apart_as_mujoco_says():
     assert overlapping > 20
 
 
-@pytest.mark.parametrize("other", ["capsule", "box"])
-def test_distances_are_those_of_coal(other):
-    """The library behind Pinocchio and MoveIt; `make test` leaves it out, it is large."""
-    coal = pytest.importorskip("coal", reason="pip install coal")
-    rng, overlapping = np.random.default_rng(5), 0
-    for _ in range(200):
-        a, b, c, d = rng.uniform(-0.5, 0.5, (4, 3))
-        r, wide = rng.uniform(0.01, 0.1, 2)
-        size, turn = rng.uniform(0.02, 0.6, 3), rng.normal(0.0, 2.0, 3)
-        if other == "capsule":
-            thing, theirs = post("post", c, d, wide), coal_capsule(coal, c, d, wide)
-        else:
-            thing = box("box", c, size, turn)
-            theirs = coal.Box(*size), coal.Transform3s(thing.turn, c)
-        own, result = coal_capsule(coal, a, b, r), coal.DistanceResult()
-        found = coal.distance(*own, *theirs, coal.DistanceRequest(), result)
-        mine = float(thing.distance(a, b)) - r
-        overlapping += mine < 0.0
-        if other == "box" and mine < 0.0:
-            assert found < 1e-6  # its depth is another: the least way out
-        else:
-            assert mine == pytest.approx(found, abs=1e-5)
-    assert 10 < overlapping < 190
-
-
-def coal_capsule(coal, start, end, radius):
-    """A capsule along z of its own frame, and the pose of that."""
-    turn = Rotation.align_vectors([end - start], [UP])[0].as_matrix()
-    shape = coal.Capsule(radius, float(np.linalg.norm(end - start)))
-    return shape, coal.Transform3s(turn, 0.5 * (start + end))
-
-
 # ---- poses ---------------------------------------------------------------------------------------
 
 
@@ -145,16 +89,6 @@ def test_home_is_free_and_a_folded_arm_is_not():
     assert CollisionChecker(XARM7).at(a) is None and CollisionChecker(XARM7).at(b) is None
     with pytest.raises(RobotError, match=r"from t = .* mm too near; move the path away from"):
         joint_move(XARM7, a, b)
-
-
-def test_what_is_far_is_only_bounded_and_what_collides_is_found_exactly():
-    board = box("board", (0.4, 0.2, 0.4), (0.3, 0.4, 0.1), (0.3, -0.5, 0.9))
-    wire = post("wire", [0.3, -0.4, 0.0], [0.3, -0.4, 0.8], 0.01)
-    checker = CollisionChecker(XARM7, Surroundings(table_height=0.0, obstacles=(board, wire)))
-    every = random_q(150, seed=4)
-    for q, least in zip(every, checker.distance(every).min(axis=1), strict=True):
-        found = checker.at(q)
-        assert (-found.depth if found else 0.0) == pytest.approx(min(least, 0.0), abs=1e-12)
 
 
 # ---- motions -------------------------------------------------------------------------------------
@@ -230,17 +164,6 @@ def test_a_clearance_is_kept_from_boxes_and_the_table_but_the_fingers_may_grasp(
     low = follow(XARM7, replace(path, position=path.position - [0.0, 0.0, 0.03]))
     with pytest.raises(RobotError, match="and table are"):
         CollisionChecker(XARM7, replace(free, clearance=0.02), opening=0.02).check(low)
-
-
-def test_links_keep_a_clearance_from_each_other():
-    q = random_q(400)
-    gaps = CollisionChecker(XARM7).distance(q).min(axis=1)
-    near = int(np.flatnonzero((gaps > 0.002) & (gaps < 0.02))[0])
-    bent, gap = q[near], gaps[near]
-    assert CollisionChecker(XARM7).at(bent) is None
-    found = CollisionChecker(XARM7, Surroundings(self_clearance=gap + 0.01)).at(bent)
-    assert found is not None and found.depth == pytest.approx(0.01)
-    assert CollisionChecker(XARM7, Surroundings(self_clearance=0.01)).at(XARM7.home) is None
 
 
 def test_what_is_held_belongs_to_the_collision_world():
