@@ -1,7 +1,5 @@
 """Distances in closed form against sampling and MuJoCo, and motions that collide."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -107,26 +105,15 @@ def test_a_path_into_the_table_is_refused_with_what_when_and_how_deep():
         follow(XARM7, down, surroundings=TABLE)
 
 
-def test_obstacles_in_the_way_are_named_and_those_beside_are_not():
-    motion = follow(XARM7, lift([0.45, 0.0, 0.008], height=0.3, speed=0.2), surroundings=TABLE)
-    camera = box("camera left", (0.45, 0.06, 0.3), (0.09, 0.025, 0.025))
-    ball = post("ball", [0.45, 0, 0.2], [0.45, 0, 0.2], 0.1)
-    for one, words in ((camera, "camera left are .*away from the camera left"), (ball, "ball")):
-        with pytest.raises(RobotError, match=f"and {words}"):
-            CollisionChecker(XARM7, Surroundings(obstacles=(one,))).check(motion)
-    aside = replace(camera, position=np.array([0.45, 0.4, 0.3]))
-    CollisionChecker(XARM7, Surroundings(table_height=0.0, obstacles=(aside,))).check(motion)
-
-
-@pytest.mark.slow
 def test_nothing_slips_through_between_two_looks():
     """A wire of 1 mm across the way of a quick hand, which passes it within some milliseconds."""
     motion = joint_move(XARM7, XARM7.home, XARM7.home + np.array([1.2, 0, 0, 0, 0, 0, 0]))
-    tool = motion.tcp_at(XARM7, 0.5 * (motion.start + motion.end))[:3, 3]
+    middle = 0.5 * (motion.start + motion.end)
+    tool = motion.tcp_at(XARM7, middle)[:3, 3]
     for height in (0.0, 0.0005, 0.0012):
         around = Surroundings(obstacles=(post("wire", tool - 0.05 * UP, tool + height * UP, 5e-4),))
         found = CollisionChecker(XARM7, around).along(motion)
-        dense = motion.at(np.linspace(motion.start, motion.end, 20001))
+        dense = motion.at(middle + np.linspace(-0.02, 0.02, 401))
         deep = -CollisionChecker(XARM7, around).distance(dense).min()
         assert (found is not None) == (deep > 0.0)
         if found is not None:
@@ -143,27 +130,6 @@ def test_another_posture_is_taken_where_the_first_collides():
     other = follow(XARM7, path, surroundings=around)
     assert CollisionChecker(XARM7, around).along(other) is None
     np.testing.assert_allclose(tcp_pose(XARM7, other.q[0]), tcp_pose(XARM7, elbow.q[0]), atol=1e-6)
-
-
-# ---- clearances ----------------------------------------------------------------------------------
-
-
-def test_a_clearance_is_kept_from_boxes_and_the_table_but_the_fingers_may_grasp():
-    path = lift([0.45, 0.0, 0.01], height=0.2, speed=0.2)
-    wall = box("wall", (0.45, 0.26, 0.2), (0.5, 0.3, 0.4))
-    free = Surroundings(table_height=0.0, obstacles=(wall,))
-    motion = follow(XARM7, path, surroundings=free, opening=0.02)
-    checker = CollisionChecker(XARM7, free, opening=0.02)
-    walls = [second == "wall" for _, second in checker.pairs]
-    to_wall = checker.distance(motion.q)[:, walls].min()
-    assert 0.02 < to_wall < 0.06
-    nearly, asked = (replace(free, clearance=to_wall + x) for x in (-1e-3, 1e-3))
-    CollisionChecker(XARM7, nearly, opening=0.02).check(motion)
-    with pytest.raises(RobotError, match=r"and wall are 1\.0 mm too near"):
-        CollisionChecker(XARM7, asked, opening=0.02).check(motion)
-    low = follow(XARM7, replace(path, position=path.position - [0.0, 0.0, 0.03]))
-    with pytest.raises(RobotError, match="and table are"):
-        CollisionChecker(XARM7, replace(free, clearance=0.02), opening=0.02).check(low)
 
 
 def test_what_is_held_belongs_to_the_collision_world():

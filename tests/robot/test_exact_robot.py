@@ -84,6 +84,46 @@ def test_solutions_reach_their_pose_from_near_to_far():
         assert kin.step_towards(XARM7, moved, q, XARM7.home, homing=0.5) is None
 
 
+def damped_step(q, T, homing):
+    """One step of damped least squares, written for one arm: errors of at most 0.3 m (0.3 m a
+    radian), joints at an end that would leave it held, home approached in the null space."""
+    poses = kin.link_poses(XARM7, q)
+    weight = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3])
+    J, e = weight[:, None] * kin.jacobian(XARM7, q), weight * kin.pose_error(T, poses[-1])
+    far = min(np.linalg.norm(e), 0.3)
+    e *= far / np.linalg.norm(e)
+    free, low, high = np.ones(7), XARM7.q_min, XARM7.q_max
+    for _ in range(3):
+        Jf, wish = J * free, homing * (XARM7.home - q) * free
+        inverse = Jf.T @ np.linalg.inv(Jf @ Jf.T + (0.01 * far + 1e-10) * np.eye(6))
+        step = inverse @ (e - Jf @ wish) + wish
+        out = ((q <= low) & (step < 0.0)) | ((q >= high) & (step > 0.0))
+        if not (out & (free > 0.0)).any():
+            break
+        free[out] = 0.0
+    step *= free
+    return np.clip(q + step * min(1.0, 0.4 / np.abs(step).max()), low, high)
+
+
+@pytest.mark.parametrize("iterations", [1, 2, 4, 5])
+def test_descents_are_steps_of_damped_least_squares(iterations):
+    """The last quarter of them leave homing out."""
+    start, aims = angles(5, 0.8), angles(5, 0.8)
+    start[0] = aims[0] + 1e-3
+    start[1, 1], start[2, 3], aims[2, 3] = XARM7.q_min[1], XARM7.q_max[3], XARM7.q_max[3]
+    start[3], aims[3] = XARM7.q_max, XARM7.home
+    T = kin.tcp_pose(XARM7, aims)
+    for homing in (0.0, 0.5):
+        found, error = kin.descend(
+            XARM7, T, start, XARM7.home, homing=homing, iterations=iterations
+        )
+        for q, aim, one, left in zip(start, T, found, error, strict=True):
+            for k in range(iterations):
+                q = damped_step(q, aim, homing if k < 0.75 * iterations else 0.0)
+            np.testing.assert_allclose(one, q, atol=1e-7)
+            np.testing.assert_allclose(left, kin.pose_error(aim, kin.tcp_pose(XARM7, one)))
+
+
 def test_whole_turns_are_taken_off_where_limits_allow_it():
     rest = np.zeros(7)
     q = np.array([3.3, -3.3, 6.0, 1.0, -6.0, 0.5, 3.1])
@@ -137,9 +177,11 @@ def test_capsules_go_with_their_links_and_fingers():
             np.testing.assert_allclose(end[k], (poses[c.link] @ [*own, 1.0])[:3], atol=1e-12)
     hand = poses[-1].copy()
     hand[:3, 3] -= g.length * hand[:3, 2]
-    y, z = g.finger_pivot(np.array(opening))
+    y = 0.5 * opening + g.face
+    z = g.pivot_z + math.sqrt(g.knuckle**2 - (y - g.pivot_y) ** 2)
     along = np.array([y - g.pivot_y, z - g.pivot_z]) / g.knuckle
-    assert np.linalg.norm(along) == pytest.approx(1.0)
+    for wide, kept in ((1.0, g.max_opening), (-1.0, 0.0)):
+        np.testing.assert_array_equal(g.finger_pivot(wide), g.finger_pivot(kept))
     for side, name in ((1.0, "left"), (-1.0, "right")):
         for c in g.fingers:
             k = shape.names.index(f"{name} {c.name}")

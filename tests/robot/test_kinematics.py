@@ -1,4 +1,4 @@
-"""Kinematics of the xArm 7: published poses, inverse kinematics, shape."""
+"""Kinematics of the xArm 7: published poses, inverse kinematics."""
 
 from dataclasses import replace
 
@@ -10,7 +10,6 @@ from gendom.errors import RobotError
 from gendom.robot import (
     DOWN,
     XARM7,
-    arm_shape,
     find_arm,
     jacobian,
     link_poses,
@@ -69,32 +68,13 @@ def test_inverse_kinematics_keeps_limits_and_leans_towards_home():
         assert np.abs(pose_error(T, tcp_pose(arm, q))).max() < 1e-6
 
 
-@pytest.mark.parametrize("position", [(1.2, 0.0, 0.3), (0.5, 0.0, 1.5), (0.0, -0.9, 0.3)])
-def test_unreachable_poses_are_refused(position):
-    words = r"out of reach: missed by .*mm and .* degrees"
-    with pytest.raises(RobotError, match=words):
-        solutions(XARM7, pose(position))
-
-
 def test_bad_input():
+    for position in ((1.2, 0.0, 0.3), (0.0, -0.9, 0.3)):
+        with pytest.raises(RobotError, match=r"out of reach: missed by .*mm and .* degrees"):
+            solutions(XARM7, pose(position))
     with pytest.raises(RobotError, match="give 7 angles"):
         tcp_pose(XARM7, np.zeros(6))
     with pytest.raises(RobotError, match="not finite"):
         tcp_pose(XARM7, np.full(7, np.nan))
     with pytest.raises(RobotError, match="have xarm7"):
         find_arm("xarm9")
-
-
-# ---- shape ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("opening", [0.0, 0.02, 0.084])
-def test_pads_are_as_far_apart_as_the_opening(opening):
-    shape = arm_shape(XARM7, XARM7.home, opening)
-    tcp = tcp_pose(XARM7, XARM7.home)[:3, 3]
-    pads = [c for c, name in enumerate(shape.names) if " pad " in name]
-    assert shape.touches_object[pads].all() and len(set(shape.names)) == len(shape.names)
-    inner = np.abs(shape.start[pads, 1] - tcp[1]) - shape.radius[pads]
-    np.testing.assert_allclose(inner, opening / 2, atol=1e-12)
-    tips = tcp[2] - (shape.end[pads, 2] - shape.radius[pads])  # below the tool point
-    assert np.all(np.abs(tips) < (0.002 if opening == 0.0 else 0.012))
