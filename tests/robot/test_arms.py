@@ -24,8 +24,9 @@ from gendom.robot import (
 )
 from gendom.tasks import RopeCasting, RopeReaching
 
-POINTS = np.load(Path(__file__).parent / "xarm_gripper.npz")
-"""Places 2 mm apart on the outer surfaces of UFACTORY's meshes of the gripper [0.1 mm], each in its
+STEPS = np.load(Path(__file__).parent / "xarm_gripper.npz")  # from one to the next
+POINTS = {name: 1e-4 * np.cumsum(STEPS[name], axis=0) for name in STEPS.files}
+"""Places 2 mm apart on the outer surfaces of UFACTORY's meshes of the gripper [m], each in its
 URDF link's frame, where the gripper is open."""
 
 
@@ -34,15 +35,14 @@ def gripper_surface(opening):
     start = np.arctan2(0.042039, 0.035465)
     turn = np.arccos((0.5 * opening + 0.026 - 0.035) / np.hypot(0.042039, 0.035465)) - start
     R = Rotation.from_rotvec([turn, 0.0, 0.0])
-    part = {name: 1e-4 * POINTS[name].astype(float) for name in POINTS.files}
     pivot, inner = np.array([[0.0, 0.035, 0.059098], [0.0, 0.02, 0.074098]])
     left = (
-        R.apply(part["left_outer_knuckle"]) + pivot,
-        R.apply(part["left_inner_knuckle"]) + inner,
-        part["left_finger"] + pivot + R.apply([0.0, 0.035465, 0.042039]),
+        R.apply(POINTS["left_outer_knuckle"]) + pivot,
+        R.apply(POINTS["left_inner_knuckle"]) + inner,
+        POINTS["left_finger"] + pivot + R.apply([0.0, 0.035465, 0.042039]),
     )
     both = [points * [1.0, side, 1.0] for points in left for side in (1.0, -1.0)]
-    return np.concatenate([part["base_link"], *both])
+    return np.concatenate([POINTS["base_link"], *both])
 
 
 def from_segments(points, a, b):
@@ -63,7 +63,7 @@ def test_the_gripper_s_capsules_and_its_meshes_are_within_5_mm(opening):
     outside = (from_segments(surface, a, b) - shape.radius).min(axis=1)
     assert outside.max() < 0.005, surface[outside.argmax()]
     assert (outside > 0.002).mean() < 0.04
-    tree, housing = KDTree(surface), 1e-4 * POINTS["base_link"].astype(float)
+    tree, housing = KDTree(surface), POINTS["base_link"]
     hull = Delaunay(housing[(housing[:, 2] > 0.008) & (housing[:, 2] < 0.097)])
     share = np.linspace(-0.3, 1.3, 161)[:, None].clip(0.0, 1.0)
     way = np.random.default_rng(0).normal(size=(161, 40, 3))

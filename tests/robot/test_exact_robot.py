@@ -114,9 +114,8 @@ def test_descents_are_steps_of_damped_least_squares(iterations):
     start[3], aims[3] = XARM7.q_max, XARM7.home
     T = kin.tcp_pose(XARM7, aims)
     for homing in (0.0, 0.5):
-        found, error = kin.descend(
-            XARM7, T, start, XARM7.home, homing=homing, iterations=iterations
-        )
+        how = {"homing": homing, "iterations": iterations}
+        found, error = kin.descend(XARM7, T, start, XARM7.home, **how)
         for q, aim, one, left in zip(start, T, found, error, strict=True):
             for k in range(iterations):
                 q = damped_step(q, aim, homing if k < 0.75 * iterations else 0.0)
@@ -251,10 +250,7 @@ BOX = hits.Box(name="box", position=np.array([0.5, -0.2, 0.2]), size=np.array([0
     ("changes", "said"),
     [
         ({"position": [1.0, 2.0]}, "its position is [1.0, 2.0]; give 3 numbers"),
-        (
-            {"position": [1.0, 2.0, 3.0, 4.0]},
-            "its position is [1.0, 2.0, 3.0, 4.0]; give 3 numbers",
-        ),
+        ({"position": [1.0] * 4}, "its position is [1.0, 1.0, 1.0, 1.0]; give 3 numbers"),
         ({"size": [1.0, np.nan, 1.0]}, "its size is [1.0, nan, 1.0]; give 3 numbers"),
         ({"quat_xyzw": [0.0] * 3}, "its quat_xyzw is [0.0, 0.0, 0.0]; give 4 numbers"),
         ({"quat_xyzw": [0.0] * 4}, "is turned by no quaternion; give four numbers, not all 0"),
