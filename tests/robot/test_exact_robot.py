@@ -387,8 +387,7 @@ def test_a_blend_is_the_mean_under_a_parabola():
     assert off == pytest.approx(3.0 / 32.0 * math.sqrt(2.0) * 0.2, rel=0.01)
     kept = replace(bent, blend=0.2).deviation(0.2)
     assert kept < 1e-12
-    still = some_path(position=np.zeros((4, 3))).deviation(0.1)
-    assert still == 0.0
+    assert some_path(position=np.zeros((4, 3))).deviation(0.1) == 0.0
 
 
 def test_many_paths_are_sampled_as_they_run():
@@ -444,8 +443,9 @@ def test_many_paths_are_sampled_as_they_run():
 )  # fmt: skip
 def test_paths_are_made_of_finite_numbers(changes, said):
     given = {"time": [0.0, 1.0], "position": [[0.4, 0, 0.2], [0.4, 0, 0.3]], "quat_xyzw": DOWN}
+    twice = {"quat_xyzw": [2.0, 0, 0, 0], "events": 2 * (GripperEvent(time=1, closed=True),)}
     for blend, most in ((0.4, 0.4), (0.0, 1.0)):
-        path = TcpPath(**{**given, "quat_xyzw": [2.0, 0, 0, 0]}, blend=blend, max_blend=most)
+        path = TcpPath(**{**given, **twice}, blend=blend, max_blend=most)
         assert path.quat_xyzw.tolist() == list(DOWN)
     with pytest.raises(RobotError) as caught:
         TcpPath(**{**given, **changes})
