@@ -317,8 +317,10 @@ FIGURES = (
     ),
     reached("reaching"),
     reached("casting"),
-    experiment("ablation-reaching", "ablation --jobs 1", ablation),
-    experiment("ablation-casting", "ablation --task rope-casting --jobs 1", ablation),
+    experiment("ablation-reaching", "ablation --rows inverse distal --jobs 1", ablation),
+    experiment(
+        "ablation-casting", "ablation --task rope-casting --rows inverse distal --jobs 1", ablation
+    ),
     Figure("evaluate-casting", "gendom evaluate rope-casting --cases 50 --seed 3", evaluated),
     Figure("evaluate-reaching", "gendom evaluate rope-reaching --cases 50 --seed 3", evaluated),
     validation("cantilever", ratios),
