@@ -75,8 +75,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     lacking = {f.name: [n for n in f.needs if not here(n, given)] for f in chosen}
     new = [f for f in chosen if not lacking[f.name] and kept_of(f, given) is None]
     if new:
-        about = f"{len(new)} commands to run, {minutes_of(new, stored)} where they last were"
-        print(about, file=sys.stderr, flush=True)
+        known = minutes_of(new, stored) or "unknown time"
+        print(f"{len(new)} commands to run ({known} when last stated)", file=sys.stderr, flush=True)
     lines, good = [], True
     for figure in chosen:
         if lacks := lacking[figure.name]:
