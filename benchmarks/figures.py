@@ -1,7 +1,7 @@
 """Check every number of README and docs/benchmarks.md: run its command, compare, write the pages.
 
-    python benchmarks/figures.py --list
-    python benchmarks/figures.py                      # all that this machine can do in minutes
+    python benchmarks/figures.py --list               # names, minutes, commands
+    python benchmarks/figures.py                      # all but hours, and what lacks here
     python benchmarks/figures.py --only torsion wire  # these, however long they take
     python benchmarks/figures.py --pages              # the pages from figures.json, nothing is run
 
@@ -64,18 +64,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--write", action="store_true", help="state what was found")
     parser.add_argument("--pages", action="store_true", help="write the pages, run nothing")
     given = parser.parse_args(argv)
+    stored = read_json(STORED)
     if given.list:
         for figure in FIGURES:
-            print(f"{figure.name:<20} {', '.join(figure.needs):<18} {figure.command}")
+            minutes = minutes_of([figure], stored)
+            print(f"{figure.name:<18} {minutes:>6} {', '.join(figure.needs):<12} {figure.command}")
         return 0
     given.out.mkdir(parents=True, exist_ok=True)
-    stored = read_json(STORED)
+    chosen = [f for f in FIGURES if f.name in (given.only or names) and not given.pages]
+    lacking = {f.name: [n for n in f.needs if not here(n, given)] for f in chosen}
+    new = [f for f in chosen if not lacking[f.name] and kept_of(f, given) is None]
+    if new:
+        known = minutes_of(new, stored) or "unknown time"
+        print(f"{len(new)} commands to run ({known} when last stated)", file=sys.stderr, flush=True)
     lines, good = [], True
-    for figure in [] if given.pages else FIGURES:
-        if given.only and figure.name not in given.only:
-            continue
-        lacks = [n for n in figure.needs if not (here(n) or (n == "hours" and given.hours))]
-        if lacks and not (given.only and lacks == ["hours"]):
+    for figure in chosen:
+        if lacks := lacking[figure.name]:
             needs = ", ".join(WHERE.get(need, need) for need in lacks)
             lines.append(row(figure.name, "", "", "", "", f"not run: needs {needs}"))
             continue
@@ -93,7 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def checked(figure: Figure, given: argparse.Namespace, stated: Any) -> list[tuple[str, ...]]:
     """Cells of the table: number, stated, found, allowed, and what is wrong."""
-    kept = run(figure, given.out, again=given.again)
+    kept = kept_of(figure, given) or run(figure, given.out)
     if why := fault_of(figure, kept):
         return [("", "", "", "", why)]
     before = dict(leaves(stated["numbers"])) if stated else {}
@@ -106,13 +110,15 @@ def checked(figure: Figure, given: argparse.Namespace, stated: Any) -> list[tupl
     return cells
 
 
-def run(figure: Figure, out: Path, *, again: bool = False) -> dict[str, Any]:
-    """The kept run of a figure's command, made if it is missing."""
-    path = out / f"{figure.name}.json"
-    if path.exists():
-        kept = read_json(path)
-        if kept["exit"] == 0 and not (again and outdated(figure, kept)):
-            return kept
+def kept_of(figure: Figure, given: argparse.Namespace) -> dict[str, Any] | None:
+    """The run of a figure's command that is kept, if it ended well."""
+    path = given.out / f"{figure.name}.json"
+    kept = read_json(path) if path.exists() else {"exit": None}
+    return None if kept["exit"] != 0 or (given.again and outdated(figure, kept)) else kept
+
+
+def run(figure: Figure, out: Path) -> dict[str, Any]:
+    """Run a figure's command and keep what it printed."""
     folder = out / figure.name
     folder.mkdir(parents=True, exist_ok=True)
     print(f"{figure.name}: {figure.command}", file=sys.stderr, flush=True)
@@ -134,7 +140,7 @@ def run(figure: Figure, out: Path, *, again: bool = False) -> dict[str, Any]:
         "exit": done.returncode,
         "output": done.stdout,
     }
-    write_json(path, kept)
+    write_json(out / f"{figure.name}.json", kept)
     return kept
 
 
@@ -177,17 +183,21 @@ def machine(figure: Figure) -> str:
     return warp.get_device("cuda:0").name
 
 
-def here(need: str) -> bool:
+def here(need: str, given: argparse.Namespace) -> bool:
     """Whether this machine has what a figure needs; hours have to be asked for."""
     if need == "recordings":
         return RECORDINGS.is_dir()
-    if need == "peers":
-        return (ROOT / "benchmarks" / ".envs").is_dir()
     if need == "cuda":
         import warp
 
         return warp.is_cuda_available()
-    return False
+    return given.hours or bool(given.only)
+
+
+def minutes_of(figures: Sequence[Figure], stored: Mapping[str, Any]) -> str:
+    """How long their commands took when they were last stated, as far as that is known."""
+    seconds = [stored.get(f.name, {}).get("seconds") for f in figures]
+    return f"{sum(filter(None, seconds)) / 60.0:.1f} min" if any(seconds) else ""
 
 
 def stored_with(stored: dict[str, Any], given: argparse.Namespace) -> dict[str, Any]:

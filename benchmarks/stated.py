@@ -36,7 +36,7 @@ class Figure:
     """Of the smaller of both numbers."""
     absolute: float = 0.0
     needs: tuple[str, ...] = ()
-    """``cuda``, ``recordings`` (docs/recordings.md), ``peers`` (other simulators), ``hours``."""
+    """``cuda``, ``recordings`` (docs/recordings.md), ``hours``."""
 
     def numbers(self, output: str) -> dict[str, Any]:
         """From the command's output, with five digits."""
@@ -236,11 +236,6 @@ def jobs(found: Any) -> dict[str, Any]:
     return read
 
 
-def cantilever(found: Any) -> dict[str, Any]:
-    """By error and by how many at once, and by simulator."""
-    return {"cpu": found["cpu"], "rate": {f"of {n}": own for n, own in found["rate"].items()}}
-
-
 def bench(rows: Any) -> dict[str, Any]:
     return {
         "speed": [1e-6 * r["point_steps_per_second"] for r in rows],
@@ -289,7 +284,6 @@ def dataset(name: str, words: str, *needs: str) -> Figure:
 TIMED = partial(Figure, relative=MACHINE)
 REAL = partial(Figure, needs=("recordings",))
 ON_CUDA = partial(TIMED, needs=("cuda",))
-PEERS = partial(TIMED, needs=("peers",))
 WIRE = "benchmarks/recordings/wire_white_loop.npz"
 
 FIGURES = (
@@ -323,10 +317,9 @@ FIGURES = (
     ),
     reached("reaching"),
     reached("casting"),
-    experiment("ablation-reaching", "ablation --scale full --device cuda", ablation, "cuda"),
+    experiment("ablation-reaching", "ablation --rows inverse distal --jobs 1", ablation),
     experiment(
-        "ablation-casting", "ablation --task rope-casting --scale full --device cuda",
-        ablation, "cuda",
+        "ablation-casting", "ablation --task rope-casting --rows inverse distal --jobs 1", ablation
     ),
     Figure("evaluate-casting", "gendom evaluate rope-casting --cases 50 --seed 3", evaluated),
     Figure("evaluate-reaching", "gendom evaluate rope-reaching --cases 50 --seed 3", evaluated),
@@ -345,8 +338,6 @@ FIGURES = (
     ON_CUDA(
         "thin-cuda", "python benchmarks/thin.py --device cuda --worlds 40000 --sheets 960", jobs
     ),
-    PEERS("cantilever-rope", "python benchmarks/race.py cantilever-rope", cantilever),
-    PEERS("cantilever-strip", "python benchmarks/race.py cantilever-strip", cantilever),
     TIMED(
         "bench",
         "gendom bench --engine mpm --worlds 1 --threads 1 --dtype float32 float64",

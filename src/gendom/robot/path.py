@@ -152,18 +152,8 @@ class TcpPath:
     def position_at(self, time: ArrayLike, blend: float = 0.0) -> Array:
         """[..., 3] the tool point [m] at times [...] [s], rounded off by `blend` [s]."""
         time = np.asarray(time, dtype=float)
-        total = np.zeros((*time.shape, 3))
-        # one after the other: a matrix product may round differently from call to call
-        for jump, knot in zip(*self._jumps, strict=True):
-            total += _ramp(time - knot, blend)[..., None] * jump
-        return self.position[0] + total
-
-    @cached_property
-    def _jumps(self) -> tuple[Array, Array]:
-        """Jumps of the velocity [J, 3] [m/s] and their times [J] [s]."""
-        jumps = _velocity_jumps(self.time, self.position)
-        some = np.linalg.norm(jumps, axis=1) > 0.0
-        return jumps[some], self.time[some]
+        alone = self.time[None], self.position[None], np.array([blend])
+        return _rounded(time.reshape(1, -1), *alone).reshape(*time.shape, 3)
 
     def pose_at(self, time: ArrayLike, blend: float = 0.0) -> Array:
         """T_base_tcp [..., 4, 4] at times [...] [s], rounded off by `blend` [s]."""
@@ -177,7 +167,7 @@ class TcpPath:
     @property
     def corners(self) -> Array:
         """[J] times [s] at which the ideal path's velocity jumps."""
-        return self._jumps[1]
+        return self.time[_velocity_jumps(self.time, self.position).any(axis=-1)]
 
     def deviation(self, blend: float) -> float:
         """Largest distance of the path rounded off by `blend` [s] from the ideal one (with its own
@@ -215,8 +205,7 @@ class TcpPaths:
         self._time = np.concatenate([p.time for p in self.paths])[every] + np.maximum(k - last, 0)
         self._position = np.concatenate([p.position for p in self.paths])[every]
         self._blend = np.array([path.blend or 0.0 for path in self.paths])
-        self._jumps = _velocity_jumps(self._time, self._position)
-        self._corner = np.linalg.norm(self._jumps, axis=2) > 0.0
+        self._corner = _velocity_jumps(self._time, self._position).any(axis=2)
 
     @cached_property
     def moves(self) -> Array:
@@ -226,11 +215,7 @@ class TcpPaths:
     def position_at(self, time: ArrayLike) -> Array:
         """[W, T, 3] the tool points [m] at times [T] or [W, T] [s]."""
         time = np.asarray(time, dtype=float)
-        total = np.zeros((len(self.paths), time.shape[-1], 3))
-        for k in np.flatnonzero(self._jumps.any(axis=(0, 2))):
-            rising = _ramp(time - self._time[:, k, None], self._blend[:, None])
-            total += rising[..., None] * self._jumps[:, None, k]
-        return self._position[:, :1] + total
+        return _rounded(time, self._time, self._position, self._blend)
 
     def sampled(self, per_blend: int = 16) -> tuple[Array, Array, NDArray[np.intp]]:
         """Times [W, K] [s] and positions [W, K, 3] [m] as `TcpPath.sampled`, and how many of them
@@ -258,7 +243,18 @@ def _velocity_jumps(time: Array, position: Array) -> Array:
     return padded[..., 1:, :] - padded[..., :-1, :]
 
 
-def _ramp(t: Array, blend: float | Array) -> Array:
+def _rounded(time: Array, knots: Array, position: Array, blend: Array) -> Array:
+    """[W, T, 3] W paths with knots [W, K] [s], [W, K, 3] [m] at times [T] or [W, T], each rounded
+    off by its blend [W] [s]."""
+    jumps = _velocity_jumps(knots, position)
+    total = np.zeros((len(knots), time.shape[-1], 3))
+    # one after the other: a matrix product may round differently from call to call
+    for k in np.flatnonzero(jumps.any(axis=(0, 2))):
+        total += _ramp(time - knots[:, k, None], blend[:, None])[..., None] * jumps[:, None, k]
+    return position[:, :1] + total
+
+
+def _ramp(t: Array, blend: Array) -> Array:
     """R(t) above [s]."""
     if not np.any(blend):
         return np.maximum(t, 0.0)
