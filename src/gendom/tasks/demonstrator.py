@@ -11,8 +11,13 @@ import numpy as np
 from gendom.arrays import Array
 from gendom.datasets.demonstrations import GOAL, Outcomes
 from gendom.materials import Item, items_from_columns, to_columns
+from gendom.tasks.cases import Cases, draw_cases
 from gendom.tasks.task import Task, World
 from gendom.tasks.world import Simulation
+
+ACTION_NOISE = 0.03
+"""Standard deviation of what demonstrations differ by from actions that were chosen [units of
+similarity]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,6 +28,11 @@ class Demonstrator:
     world: World = field(default_factory=Simulation)
     items: tuple[Item, ...] = ()
     """Objects to draw from in place of the task's own."""
+    acts: Callable[[Cases], Array] | None = None
+    """Chooses actions [W, A] for goals that objects reach, as one would in a laboratory: what is
+    done differs from them by `ACTION_NOISE`. None: actions are random."""
+    known: Item | None = None
+    """The object as it is known where goals and actions are chosen (default: as it is)."""
 
     @property
     def cost(self) -> float:
@@ -33,6 +43,9 @@ class Demonstrator:
         """What all demonstrations have in common, ready for JSON."""
         task = self.task
         objects = {"objects": [to_columns(i) for i in self.items]} if self.items else {}
+        if self.acts is not None:
+            known = None if self.known is None else to_columns(self.known)
+            objects["acted"] = {"noise": ACTION_NOISE, "known": known}
         return {
             "task": {"name": task.name, **task.settings()},
             "kind": task.kind,
@@ -51,12 +64,24 @@ class Demonstrator:
             items = [self.items[rng.integers(len(self.items))] for rng in rngs]
         else:
             items = task.draw_items(rngs)
-        actions = task.draw_actions(items, rngs)
+        acts = task.draw_actions if self.acts is None else self._acted
+        actions = acts(items, rngs)
         rows = [to_columns(item) for item in items]
         return {
             **{name: np.array([row[name] for row in rows]) for name in rows[0]},
             **{q.name: actions[:, k] for k, q in enumerate(task.actions)},
         }
+
+    def _acted(self, items: Sequence[Item], rngs: Sequence[np.random.Generator]) -> Array:
+        """[W, A] what is chosen for goals, with some noise."""
+        task, rows = self.task, []
+        assert self.acts is not None
+        for item, rng in zip(items, rngs, strict=True):
+            known = self.known or item
+            case = draw_cases(task, 1, seed=int(rng.integers(2**31)), items=[known])
+            noise = ACTION_NOISE * task.action_units(known) * rng.normal(size=len(task.actions))
+            rows.append(task.nearest(item, self.acts(case)[0] + noise))
+        return np.array(rows)
 
     def demonstrate(
         self,
