@@ -12,7 +12,7 @@ from gendom.arrays import Array
 from gendom.datasets.demonstrations import GOAL, Outcomes
 from gendom.materials import Item, items_from_columns, to_columns
 from gendom.tasks.cases import Cases, draw_cases
-from gendom.tasks.task import Task, World
+from gendom.tasks.task import Task, World, numbers_of
 from gendom.tasks.world import Simulation
 
 ACTION_NOISE = 0.03
@@ -102,11 +102,7 @@ class Demonstrator:
         items = items_from_columns(task.kind, draws)
         drawn = np.stack([draws[q.name] for q in task.actions], axis=1)
         outcomes = self.world.on(device).carry_out(task, items, drawn, on_frame=on_frame)
-        goals = [q.name for q in task.goals]
-        done = [o.values for o in outcomes if o.fault is None]
-        names = list(done[0]) if done else goals
-        columns = {}
-        for name in names:
-            values = np.array([o.values.get(name, np.nan) for o in outcomes])
-            columns[GOAL + name if name in goals else name] = values
+        every = (*task.goals, *task.outcomes)
+        names = [GOAL + q.name if q in task.goals else q.name for q in every]
+        columns = dict(zip(names, numbers_of(outcomes, every).T, strict=True))
         return Outcomes(columns=columns, faults=tuple(o.fault for o in outcomes))
