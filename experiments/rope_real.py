@@ -148,8 +148,8 @@ def _real(runs: Runs, settings: Settings, task: Task, name: str, known: Item) ->
     from gendom.reality import RealWorld, find_object
 
     source = Demonstrator(
-        task=task, world=RealWorld(jobs=runs.jobs), items=(find_object(name),), known=known,
-        acts=partial(choose, Policy.pretrained(task.name)),
+        task=task, world=RealWorld(jobs=runs.jobs), items=(find_object(name),),
+        acts=partial(choose, Policy.pretrained(task.name), known=[known]),
     )  # fmt: skip
     kept = runs.demonstrations(f"{task.name}-{name}", source, settings.real, device="cpu")
     alike = dimensionless_parameters(known)

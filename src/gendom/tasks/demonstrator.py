@@ -29,10 +29,8 @@ class Demonstrator:
     items: tuple[Item, ...] = ()
     """Objects to draw from in place of the task's own."""
     acts: Callable[[Cases], Array] | None = None
-    """Chooses actions [W, A] for goals that objects reach, as one would in a laboratory: what is
-    done differs from them by `ACTION_NOISE`. None: actions are random."""
-    known: Item | None = None
-    """The object as it is known where goals and actions are chosen (default: as it is)."""
+    """Chooses an action [1, A] for a goal that the object reaches, as one would in a laboratory:
+    what is done differs from it by `ACTION_NOISE`. None: actions are random."""
 
     @property
     def cost(self) -> float:
@@ -43,9 +41,6 @@ class Demonstrator:
         """What all demonstrations have in common, ready for JSON."""
         task = self.task
         objects = {"objects": [to_columns(i) for i in self.items]} if self.items else {}
-        if self.acts is not None:
-            known = None if self.known is None else to_columns(self.known)
-            objects["acted"] = {"noise": ACTION_NOISE, "known": known}
         return {
             "task": {"name": task.name, **task.settings()},
             "kind": task.kind,
@@ -54,6 +49,7 @@ class Demonstrator:
             "goal_names": [q.name for q in task.goals],
             "goal_units": [q.unit for q in task.goals],
             "simulation": self.world.settings(),
+            **({} if self.acts is None else {"action_noise": ACTION_NOISE}),
             **objects,
         }
 
@@ -77,9 +73,8 @@ class Demonstrator:
         task, rows = self.task, []
         assert self.acts is not None
         for item, rng in zip(items, rngs, strict=True):
-            known = self.known or item
-            case = draw_cases(task, 1, seed=int(rng.integers(2**31)), items=[known])
-            noise = ACTION_NOISE * task.action_units(known) * rng.normal(size=len(task.actions))
+            case = draw_cases(task, 1, seed=int(rng.integers(2**31)), items=[item])
+            noise = ACTION_NOISE * task.action_units(item) * rng.normal(size=len(task.actions))
             rows.append(task.nearest(item, self.acts(case)[0] + noise))
         return np.array(rows)
 

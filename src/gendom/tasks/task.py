@@ -75,8 +75,7 @@ class Quantity:
 
     name: str
     unit: str
-    """``m``, ``s``, ``m/s`` or ``1``; how it follows an object's size, see `unit_of`. Of a further
-    outcome also ``bool``: 1 is yes, 0 is no."""
+    """``m``, ``s``, ``m/s`` or ``1``; how it follows an object's size, see `unit_of`."""
     meaning: str = ""
     """For people, a few words."""
     limit: float = math.inf
