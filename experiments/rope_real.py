@@ -24,7 +24,6 @@ from gendom.materials import (
     PARAMETERS,
     Item,
     dimensionless_parameters,
-    to_columns,
     with_dimensionless,
 )
 from gendom.materials.estimate import Estimate
@@ -57,10 +56,6 @@ PAPER = {
 
 IDENTIFIED_FROM = 20
 """Executions that R2S2R finds its parameters from."""
-
-ACTION_NOISE = 0.03
-"""Standard deviation of what real demonstrations differ by from a policy's actions [units of
-similarity]."""
 
 WITHOUT_LIFT = 3.0 * math.log(0.7 / 0.25) / math.sqrt(12.0)
 """Standard deviation of ln E before a lift: bending lengths of 0.25 to 0.7 sizes."""
@@ -147,45 +142,14 @@ def rope_real(runs: Runs, settings: Settings) -> dict[str, Any]:
     return result
 
 
-@dataclass(frozen=True, kw_only=True)
-class Laboratory(Demonstrator):
-    """Demonstrates as one would in a laboratory: goals that the estimated object reaches, and what
-    a policy does for them, with some noise."""
-
-    known: Item
-    """The object with its estimated parameters."""
-    policy: Policy
-    simulation: World = field(default_factory=Simulation)
-    """Where goals are found."""
-
-    def about(self) -> dict[str, Any]:
-        return {**super().about(), "goals_of": to_columns(self.known), "noise": ACTION_NOISE}
-
-    def draw(self, rngs: Sequence[np.random.Generator]) -> dict[str, NDArray[np.float64]]:
-        drawn, units = super().draw(rngs), self.task.action_units(self.known)
-        for k, rng in enumerate(rngs):
-            seed = int(rng.integers(2**31))
-            case = draw_cases(
-                self.task, 1, seed=seed, items=[self.known], simulation=self.simulation
-            )
-            asked = choose(self.policy, case)[0] + ACTION_NOISE * units * rng.normal(
-                size=len(units)
-            )
-            for q, value in zip(
-                self.task.actions, self.task.nearest(self.known, asked), strict=True
-            ):
-                drawn[q.name][k] = value
-        return drawn
-
-
 def _real(runs: Runs, settings: Settings, task: Task, name: str, known: Item) -> Demonstrations:
     """The second reality's demonstrations of a rope, with the parameters of its estimate in place
     of the true ones."""
     from gendom.reality import RealWorld, find_object
 
-    source = Laboratory(
-        task=task, world=RealWorld(jobs=runs.jobs), items=(find_object(name),), known=known,
-        policy=Policy.pretrained(task.name),
+    source = Demonstrator(
+        task=task, world=RealWorld(jobs=runs.jobs), items=(find_object(name),),
+        acts=partial(choose, Policy.pretrained(task.name), known=[known]),
     )  # fmt: skip
     kept = runs.demonstrations(f"{task.name}-{name}", source, settings.real, device="cpu")
     alike = dimensionless_parameters(known)

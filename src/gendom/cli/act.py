@@ -221,8 +221,7 @@ def _origin(policy: Policy, action: Action) -> dict[str, Any]:
 
 
 def units_of(task: Task) -> dict[str, str]:
-    """SI units of actions, goals, outcomes and the risk by name; ``1``: dimensionless, ``bool``: 1
-    is yes, 0 is no."""
+    """SI units of actions, goals, outcomes and the risk by name; ``1``: dimensionless."""
     risk = [] if task.risk is None else [task.risk]
     named = (*task.actions, *task.goals, *task.outcomes, *risk)
     return {quantity.name: quantity.unit for quantity in named}
@@ -230,8 +229,6 @@ def units_of(task: Task) -> dict[str, str]:
 
 def _with_unit(name: str, value: float, units: Mapping[str, str], form: str = ".4g") -> str:
     unit = units.get(name)  # outcomes of other authors' tasks may have none
-    if unit == "bool":
-        return f"{name} {'yes' if value else 'no'}"
     return f"{name} {value:{form}} {'[-]' if unit == '1' else unit or ''}".rstrip()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,6 +40,9 @@ class Command(Where):
     cluster: str | None = None
     """A Ray cluster that shares the work: local, auto or ray://HOST:PORT (docs/cluster.md)."""
     engine: Engine = "thin"
+    policy: Path | None = None
+    """Act as this policy for goals that objects reach, with some noise, as one would in a
+    laboratory; by default actions are random."""
     range: tuple[tuple[str, float, float], ...] = ()
     """Parameter, lowest and highest value of drawn objects, in SI units, in place
     of the task's own; for an object of the task's own size. E.g. --range E_over_rho 200 4300."""
@@ -46,6 +50,8 @@ class Command(Where):
 
     def run(self) -> int:
         from gendom.datasets.demonstrations import generate
+        from gendom.policies import Policy
+        from gendom.policies.evaluation import choose
         from gendom.tasks import find_task
         from gendom.tasks.demonstrator import Demonstrator
         from gendom.tasks.world import Simulation
@@ -55,7 +61,11 @@ class Command(Where):
         kind = find_task(self.task)
         ranges = {**kind().ranges, **{name: (low, high) for name, low, high in self.range}}
         world, items = self.world_and_items(Simulation(engine=self.engine))
-        source = Demonstrator(task=kind(ranges=ranges), world=world, items=items)
+        acts = None
+        if self.policy is not None:
+            require(self.cluster is None, "cannot share --policy", where="--cluster")
+            acts = functools.partial(choose, Policy.read(self.policy))
+        source = Demonstrator(task=kind(ranges=ranges), world=world, items=items, acts=acts)
         require(self.size >= 1, f"is {self.size}", where="--size", fix="give 1 or more")
         with bar(self.task, self.size, "demo", even=True) as show:
             table = generate(

@@ -262,7 +262,7 @@ def _alone(folder: Path) -> Iterator[None]:
 def _count_together(kind: str, shard_size: int, left: int, devices: int) -> int:
     """Number of demonstrations passed to a task at once."""
     if kind == "cpu":
-        return max(16, 2 * (os.cpu_count() or 1))
+        return min(shard_size, max(16, left // 16))  # those of one thickness are simulated at once
     together, fewest = shard_size, 2 * _FEWEST_TOGETHER
     while devices > 1 and together >= fewest and left < _PARTS_PER_DEVICE * devices * together:
         together = -(-together // 2)

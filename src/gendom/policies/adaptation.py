@@ -28,7 +28,7 @@ from gendom.policies.polishing import Discrepancy
 from gendom.policies.rollouts import Asking, side_by_side
 from gendom.reading import record_of
 from gendom.tasks import Task
-from gendom.tasks.task import World
+from gendom.tasks.task import World, numbers_of
 from gendom.tasks.world import Simulation
 
 MOST = 400
@@ -95,20 +95,8 @@ def adapt(
     world: World | None = None,
     refine: bool = True,
 ) -> Adapted:
-    """Update a belief by executions.
-
-    Args:
-        task: What was done.
-        belief: Before any of them.
-        executions: All that were seen of this object.
-        world: Where they are simulated (default: our simulator).
-        refine: Whether parameters are learnt; else the belief holds them already, and only the
-            discrepancy is found.
-
-    Raises:
-        ParameterError: The task has no goals, or numbers do not agree.
-        SimulationError: One of them cannot be simulated.
-    """
+    """A belief updated by executions in a world (default: our simulator); other arguments and
+    errors as of `adapting`."""
     search = adapting(task, belief, executions, refine=refine)
     return side_by_side(task, world or Simulation(), [search])[0]
 
@@ -116,7 +104,19 @@ def adapt(
 def adapting(
     task: Task, belief: Estimate, executions: Sequence[Execution], *, refine: bool = True
 ) -> Asking[Adapted]:
-    """`adapt` as a search that asks for rollouts, for many at once (`side_by_side`)."""
+    """`adapt` as a search that asks for rollouts, for many at once (`side_by_side`).
+
+    Args:
+        task: What was done.
+        belief: Before any of them.
+        executions: All that were seen of this object.
+        refine: Whether parameters are learnt; else the belief holds them already, and only the
+            discrepancy is found.
+
+    Raises:
+        ParameterError: The task has no goals, or numbers do not agree.
+        SimulationError: One of them cannot be simulated.
+    """
     _check(task, executions, belief.item)
     G, item = len(task.goals), belief.item
     if not executions or not G:  # a policy weighs what was enough, see `belief.weighed`
@@ -134,8 +134,7 @@ def adapting(
         where one cannot be simulated."""
         items = [belief.at(v) for v in vectors for _ in executions]
         outcomes = yield items, [e.action for _ in vectors for e in executions]
-        reached = [[o.values.get(q.name, np.nan) for q in task.goals] for o in outcomes]
-        return (np.array(reached) / goal_units).reshape(len(vectors), N, G)
+        return (numbers_of(outcomes, task.goals) / goal_units).reshape(len(vectors), N, G)
 
     def whitened(f: Array) -> Array:
         return np.asarray(solve_triangular(L, f, lower=True)).ravel()

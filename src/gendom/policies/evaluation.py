@@ -18,7 +18,7 @@ from gendom.errors import PolicyError
 from gendom.materials import Item, dimensionless_parameters, unit_of
 from gendom.policies.policy import Policy
 from gendom.tasks.cases import Cases
-from gendom.tasks.task import World
+from gendom.tasks.task import World, numbers_of
 from gendom.tasks.world import Simulation
 
 
@@ -106,15 +106,11 @@ def judge(
     """Outcomes of actions [W, A] in all cases."""
     task = cases.task
     outcomes = (world or Simulation()).carry_out(task, cases.items, action, on_frame=on_frame)
-    reached = np.full(cases.goal.shape, np.nan)
-    error = np.full(len(cases), np.nan)
-    for w, (item, outcome) in enumerate(zip(cases.items, outcomes, strict=True)):
-        if outcome.fault is None:
-            reached[w] = [outcome.values[q.name] for q in task.goals]
-            error[w] = task.error(item, cases.goal[w], outcome.values)
+    done = zip(cases.items, cases.goal, outcomes, strict=True)
+    error = [np.nan if o.fault else task.error(item, goal, o.values) for item, goal, o in done]
     return Score(
-        reached=reached,
-        error=error,
+        reached=numbers_of(outcomes, task.goals),
+        error=np.array(error),
         size=np.array([unit_of(task.goals[0].unit, i) if task.goals else 1.0 for i in cases.items]),
     )
 

@@ -37,7 +37,7 @@ from gendom.materials import PARAMETERS, Item, unit_of, with_dimensionless
 from gendom.policies.rollouts import central_differences, stencil
 from gendom.progress import bar
 from gendom.tasks import Task
-from gendom.tasks.task import World
+from gendom.tasks.task import World, numbers_of
 from gendom.tasks.world import BATCH
 
 STEP = 0.002
@@ -183,8 +183,7 @@ def _values(task: Task, world: World, items: Sequence[Item], points: Array) -> A
     actions = (points * units[:, None]).reshape(M * K, -1)
     outcomes = world.carry_out(task, [item for item in items for _ in range(K)], actions)
     quantities = [*task.goals, *([task.risk] if task.risk is not None else [])]
-    found = np.array([[o.values.get(q.name, np.nan) for q in quantities] for o in outcomes])
-    found = found.reshape(M, K, -1)
+    found = numbers_of(outcomes, quantities).reshape(M, K, -1)
     found /= np.array([[unit_of(q.unit, item) for q in quantities] for item in items])[:, None]
     if task.risk is not None:
         found[..., -1] = np.log(np.maximum(found[..., -1], RISK_FLOOR))

@@ -11,8 +11,13 @@ import numpy as np
 from gendom.arrays import Array
 from gendom.datasets.demonstrations import GOAL, Outcomes
 from gendom.materials import Item, items_from_columns, to_columns
-from gendom.tasks.task import Task, World
+from gendom.tasks.cases import Cases, draw_cases
+from gendom.tasks.task import Task, World, numbers_of
 from gendom.tasks.world import Simulation
+
+ACTION_NOISE = 0.03
+"""Standard deviation of what demonstrations differ by from actions that were chosen [units of
+similarity]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,6 +28,9 @@ class Demonstrator:
     world: World = field(default_factory=Simulation)
     items: tuple[Item, ...] = ()
     """Objects to draw from in place of the task's own."""
+    acts: Callable[[Cases], Array] | None = None
+    """Chooses an action [1, A] for a goal that the object reaches, as one would in a laboratory:
+    what is done differs from it by `ACTION_NOISE`. None: actions are random."""
 
     @property
     def cost(self) -> float:
@@ -41,6 +49,7 @@ class Demonstrator:
             "goal_names": [q.name for q in task.goals],
             "goal_units": [q.unit for q in task.goals],
             "simulation": self.world.settings(),
+            **({} if self.acts is None else {"action_noise": ACTION_NOISE}),
             **objects,
         }
 
@@ -51,12 +60,23 @@ class Demonstrator:
             items = [self.items[rng.integers(len(self.items))] for rng in rngs]
         else:
             items = task.draw_items(rngs)
-        actions = task.draw_actions(items, rngs)
+        acts = task.draw_actions if self.acts is None else self._acted
+        actions = acts(items, rngs)
         rows = [to_columns(item) for item in items]
         return {
             **{name: np.array([row[name] for row in rows]) for name in rows[0]},
             **{q.name: actions[:, k] for k, q in enumerate(task.actions)},
         }
+
+    def _acted(self, items: Sequence[Item], rngs: Sequence[np.random.Generator]) -> Array:
+        """[W, A] what is chosen for goals, with some noise."""
+        task, rows = self.task, []
+        assert self.acts is not None
+        for item, rng in zip(items, rngs, strict=True):
+            case = draw_cases(task, 1, seed=int(rng.integers(2**31)), items=[item])
+            noise = ACTION_NOISE * task.action_units(item) * rng.normal(size=len(task.actions))
+            rows.append(task.nearest(item, self.acts(case)[0] + noise))
+        return np.array(rows)
 
     def demonstrate(
         self,
@@ -77,11 +97,7 @@ class Demonstrator:
         items = items_from_columns(task.kind, draws)
         drawn = np.stack([draws[q.name] for q in task.actions], axis=1)
         outcomes = self.world.on(device).carry_out(task, items, drawn, on_frame=on_frame)
-        goals = [q.name for q in task.goals]
-        done = [o.values for o in outcomes if o.fault is None]
-        names = list(done[0]) if done else goals
-        columns = {}
-        for name in names:
-            values = np.array([o.values.get(name, np.nan) for o in outcomes])
-            columns[GOAL + name if name in goals else name] = values
+        every = (*task.goals, *task.outcomes)
+        names = [GOAL + q.name if q in task.goals else q.name for q in every]
+        columns = dict(zip(names, numbers_of(outcomes, every).T, strict=True))
         return Outcomes(columns=columns, faults=tuple(o.fault for o in outcomes))

@@ -44,6 +44,7 @@ from gendom.robot.path import TcpPaths
 from gendom.sim import Simulator, Targets
 from gendom.tasks import Task, find_task
 from gendom.tasks.cases import Cases, draw_cases
+from gendom.tasks.task import numbers_of
 from gendom.tasks.world import Simulation, judged, opening
 
 STEPS = 40
@@ -239,19 +240,17 @@ class StepsVectorEnv(VectorEnv[Any, Any, Any]):
         """Rewards [W], and what was reached [W, G]."""
         task, simulator = self.task, self._simulator
         times, x, hand = (np.array(values) for values in zip(*self._seen, strict=True))
-        reward = np.full(self.num_envs, DIVERGED)
-        reached = np.full((self.num_envs, len(task.goals)), np.nan)
         assert simulator is not None
         opens = np.minimum(self._opened, times[-1]).tolist()
         hands = np.moveaxis(hand, 1, 0)
         found = judged(task, self.items, simulator, self.body, times, x, hands, opens)
-        for w, (item, values) in enumerate(zip(self.items, [o.values for o in found], strict=True)):
-            if values:
-                reached[w] = [values[q.name] for q in task.goals]
-                reward[w] = next(iter(values.values()))
-            if values and task.goals:
-                reward[w] = -task.error(item, self.goals[w], values) / size_of(item)
-        return reward, reached
+        reward = np.nan_to_num(
+            numbers_of(found, [*task.goals, *task.outcomes][:1])[:, 0], nan=DIVERGED
+        )
+        for w, (item, goal) in enumerate(zip(self.items, self.goals, strict=True)):
+            if task.goals and found[w].fault is None:
+                reward[w] = -task.error(item, goal, found[w].values) / size_of(item)
+        return reward, numbers_of(found, task.goals)
 
 
 class StepsEnv(gymnasium.Env[Any, Any]):

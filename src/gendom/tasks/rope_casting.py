@@ -77,11 +77,6 @@ class RopeCasting(Task):
     )
     outcomes: ClassVar[tuple[Quantity, ...]] = (
         Quantity(name="sideways", unit="m", meaning="largest distance of the tip from its plane"),
-        Quantity(
-            name="backswing_higher",
-            unit="bool",
-            meaning="whether the tip rises higher when it swings back behind the hand",
-        ),
     )
 
     item: Item = ROPE
@@ -130,13 +125,11 @@ class RopeCasting(Task):
         behind = np.flatnonzero(~ahead[begin:])
         end = begin + int(behind[0]) if len(behind) and ahead[begin] else len(x)
         first = begin + int(np.argmax(z[begin:end]))
-        highest = int(np.argmax(z))
-        top = highest if self.whole_motion else first
+        top = int(np.argmax(z)) if self.whole_motion else first
         return {
             "x": float(x[top] - x[0]),
             "z": float(z[top] - z[0]),
             "sideways": float(np.abs(seen.tip[:, 1]).max()),
-            "backswing_higher": float(x[highest] < hand[-1]),
         }
 
     def T_world_task(self, item: Item) -> Array:

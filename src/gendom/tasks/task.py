@@ -32,9 +32,9 @@ from gendom.materials import (
     Rope,
     from_columns,
     size_of,
+    thickness_of,
     to_columns,
     unit_of,
-    with_dimensionless,
 )
 from gendom.materials.names import with_current_names
 from gendom.reading import record_of
@@ -75,8 +75,7 @@ class Quantity:
 
     name: str
     unit: str
-    """``m``, ``s``, ``m/s`` or ``1``; how it follows an object's size, see `unit_of`. Of a further
-    outcome also ``bool``: 1 is yes, 0 is no."""
+    """``m``, ``s``, ``m/s`` or ``1``; how it follows an object's size, see `unit_of`."""
     meaning: str = ""
     """For people, a few words."""
     limit: float = math.inf
@@ -142,6 +141,12 @@ class Outcome:
     """What went wrong; None: nothing."""
     seen: Observed | None = None
     """What it was judged by, if asked for."""
+
+
+def numbers_of(outcomes: Sequence[Outcome], quantities: Sequence[Quantity]) -> Array:
+    """[W, Q] what came out, in SI units; NaN where it failed."""
+    rows = [[o.values.get(q.name, math.nan) for q in quantities] for o in outcomes]
+    return np.array(rows, dtype=float).reshape(len(outcomes), len(quantities))
 
 
 class World(Protocol):
@@ -417,11 +422,10 @@ class Task(ABC):
         item = replace(self.item, material=replace(m, E=E, **given), friction=friction)
         if not ratio:
             return item
-        ratio = 10.0 ** (round(THICKNESSES * math.log10(ratio)) / THICKNESSES)
-        m = with_dimensionless(item, {"thickness_ratio": ratio}).material
-        thick = {item.sizes[1]: ratio * size_of(item)}
-        own = replace(item.material, E=m.E_over_rho * item.material.density)
-        return replace(item, material=own, **thick)
+        thick = size_of(item) * 10.0 ** (round(THICKNESSES * math.log10(ratio)) / THICKNESSES)
+        # of the same bending length
+        own = replace(item.material, E=E * (thickness_of(item) / thick) ** 2)
+        return replace(item, material=own, **{item.sizes[1]: thick})
 
     # ---- settings --------------------------------------------------------------------------------
 
