@@ -63,11 +63,20 @@ class Engine:
 
     def in_threads(self, job: Callable[[Any], None], groups: Iterable[Any]) -> None:
         """Do a job for each group of worlds, in threads; after one that raises none begins."""
-        every = list(groups)
-        if len(every) == 1:
-            job(every[0])
-        else:
-            list(self._pool.map(job, every))
+        left = iter(every := list(groups))
+
+        def work(_: int = 0) -> None:
+            try:
+                for group in left:
+                    job(group)
+            finally:
+                list(left)
+
+        helpers: Iterable[None] = ()
+        if len(every) > 1:
+            helpers = self._pool.map(work, range(min(len(every), self.setting.threads) - 1))
+        work()
+        list(helpers)
 
     @cached_property
     def _pool(self) -> ThreadPoolExecutor:
