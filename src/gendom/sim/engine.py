@@ -16,8 +16,8 @@ from gendom.sim.setting import Setting, spread
 class Engine:
     """W worlds of one body on a device."""
 
-    commanded = False
-    """Whether somebody controls the grippers."""
+    steps: Any = None
+    """Those of grippers that somebody leads, if any."""
     used = False
     """Whether it has been run."""
 
@@ -65,17 +65,16 @@ class Engine:
         """Do a job for each group of worlds, in threads; after one that raises none begins."""
         left = iter(every := list(groups))
 
-        def work(_: int = 0) -> None:
+        def work(_: int) -> None:
             try:
                 for group in left:
                     job(group)
             finally:
                 list(left)
 
-        helpers: Iterable[None] = ()
-        if len(every) > 1:
-            helpers = self._pool.map(work, range(min(len(every), self.setting.threads) - 1))
-        work()
+        spare = range(min(len(every), self.setting.threads) - 1)
+        helpers = self._pool.map(work, spare) if spare else ()
+        work(0)
         list(helpers)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""A run of a thin engine: schedule, gripper events, arrays, and how worlds' rows are written."""
+"""Runs and steps of a thin engine: schedule, gripper events, and arrays on the device."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,9 +8,12 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.arrays import Array
-from gendom.sim.paths import Pose
+from gendom.sim.paths import CommandedPaths, Pose, paths_on
 from gendom.sim.setting import Frames
 from gendom.sim.thin.grips import Grip
+
+LEAST = 5000
+"""Steps of points that a thread is woken for in a step: fewer take less time than that."""
 
 
 @dataclass
@@ -27,15 +30,6 @@ class Event:
     grip: Grip
     x: Array
     """[k, n, 3] points at that time [m]."""
-
-
-@dataclass
-class Round:
-    """The part of a group's run between two gripper events."""
-
-    events: list[Event]
-    pieces: NDArray[np.int32]
-    """[W, 2] indices of the first piece and of the one after the last."""
 
 
 class Schedule:
@@ -58,16 +52,10 @@ class Schedule:
             worlds = np.flatnonzero(which.reshape(-1) == k)
             blocks.append((worlds, _pieces(frames, row, substep[worlds], most_steps)))
         S = max(of["steps"].shape[1] for _, of in blocks)
-        self.begins = np.zeros((W, S))
-        """Start times of the intervals that contain the pieces [s]."""
-        self.done = np.zeros((W, S), dtype=np.int32)
-        """Number of steps of that interval before the piece."""
-        self.steps = np.zeros((W, S), dtype=np.int32)
-        self.dt = np.ones((W, S))
-        self.before = np.zeros((W, S))
-        """Length of the step before a piece [s]; 0 where velocities are those at its start."""
+        self.begins, self.before, self.dt = np.zeros((W, S)), np.zeros((W, S)), np.ones((W, S))
+        self.done, self.steps = np.zeros((2, W, S), dtype=np.int32)
         self.frame = np.full((W, S), -1, dtype=np.int32)
-        """Index of the frame recorded at a piece's end; -1: none."""
+        """[W, S] as of the kernels' ``ThinRun``."""
         self.due = np.zeros((W, S + 1), dtype=bool)
         """[W, S + 1] whether a gripper closes or opens at the start of a piece."""
         self.count = np.zeros(W, dtype=int)
@@ -173,6 +161,78 @@ class Run:
             given = [e.device_model, e.device_paths, self.on_device]
             own[which] = e.launch(e.kernels.advance, group, given, record_cmd=True)
         own[which].launch()
+
+
+class Steps:
+    """Steps of an engine whose grippers somebody leads: runs of one piece that record nothing.
+
+    5 ms of one rope take 30 us of its own: what a step needs is made once, and written in place.
+    """
+
+    def __init__(self, engine: Any):
+        W, now, device = engine.num_worlds, engine.now, engine.setting.device
+        self.engine, self._whole, self._every = engine, slice(0, W), np.arange(W)
+        self._shared = not device.is_cuda
+        self._shortest = float(engine.setting.substep.min())
+        engine.paths = CommandedPaths(engine.paths, now)
+        engine.stacked = engine.paths.arrays
+        engine.device_paths = paths_on(device, engine.stacked, engine.real)
+        frames = Frames(now, np.full(1, now), np.zeros(0, int), np.empty((1, W, 0, 3)), None, False)
+        self._run = Run(engine, frames, Schedule(frames, engine, None))
+        self._made = made = self._run.on_device
+        made.span = engine.zeros(2, wp.float64)
+        put(made.piece, self._whole, np.tile(np.array([0, 1], np.int32), (W, 1)))
+        self._span, self._failed, self._least = made.span.numpy(), 0, 0
+        self._switched = True
+        self._read()
+
+    def _read(self) -> None:
+        self._stopped, self._last_dt = self._made.stopped.numpy(), self._made.dt.numpy()[:, 0]
+
+    def take(self, until: float, *, keep_going: bool) -> None:
+        """Simulate all worlds to a time [s]; errors as of ``Simulator.step``."""
+        e = self.engine
+        if self._switched:
+            e.switch(self._every, np.full(len(self._every), e.now))
+            self._switched = False
+        if e.ties is not None and not e.ties.are_safe(e.paths, self._whole):
+            going = np.setdiff1d(self._every, list(e.failures))
+            times = (np.full(len(going), t) for t in (e.now, until))
+            e.failures.update(e.ties.broken(e.paths, going, *times))
+        self._ready(until)
+        e.in_threads(self._run.launch, self._groups)
+        if not self._shared:
+            self._read()
+        e.ran(until, self._last_dt)
+        if self._stopped.max() >= 0:
+            e.note_stopped(self._made, self._whole)
+            e.raise_failures(keep_going=keep_going)
+
+    def lead(self, until: float, position: Array, *more: Any) -> None:
+        """Lead grippers to what ``Targets.of`` gives, by a time [s]."""
+        e = self.engine
+        if e.paths.command(e.now, until, position - e.origin, *more):
+            self._switched = True
+            e.closed[e.paths.closed & (e.closed == 2)] = 0
+        if not self._shared:
+            for name in e.paths.changing:
+                values = np.ascontiguousarray(e.stacked[name])
+                getattr(e.device_paths, name).assign(values)
+
+    def _ready(self, until: float) -> None:
+        """Write what kernels read for a step to a time [s]."""
+        e, made = self.engine, self._made
+        self._span[0], self._span[1] = e.now, until
+        if not self._shared:
+            made.span.assign(self._span)
+        if e.last_dt is not self._last_dt:
+            put(made.dt, self._whole, e.last_dt[:, None])
+        if len(e.failures) > self._failed:
+            self._failed = len(e.failures)
+            put(made.stopped, np.array(list(e.failures)), np.int32(0))
+        least = 1 + int(LEAST * self._shortest / ((until - e.now) * e.num_points))
+        if least != self._least:
+            self._least, self._groups = least, e.groups(e.num_worlds, least)
 
 
 def put(array: wp.array, rows: slice | NDArray[np.int64], values: Array) -> None:

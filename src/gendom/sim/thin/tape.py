@@ -14,7 +14,7 @@ from gendom.sim.thin import types
 from gendom.sim.thin.contact import LISTED
 from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.grips import border_adjoint, close_adjoint, released_adjoint
-from gendom.sim.thin.run import Event, Round, Schedule, put
+from gendom.sim.thin.run import Event, Schedule, put
 
 
 class ThinTape:
@@ -29,8 +29,9 @@ class ThinTape:
 
     def __init__(self, engine: ThinEngine):
         self.engine = engine
-        self.rounds: list[tuple[slice, Round, Array, Array]] = []
-        """Groups of worlds, their rounds, and what grippers hold in them."""
+        self.rounds: list[tuple[slice, list[Event], Array, Array, Array]] = []
+        """Groups of worlds, and of each part of their run between two events: what happens at its
+        start, its pieces [k, 2], and what grippers hold."""
         engine.load("reverse", "begin_adjoint")
 
     def forward(self, times: Array, began: float) -> Array:
@@ -46,9 +47,9 @@ class ThinTape:
         self.rows = e.model.state_rows + LISTED * e.device_model.contact
         self.kept = e.zeros((pieces * W, self.rows, e.row_length))
 
-        def keep(group: slice, round: Round) -> None:
+        def keep(group: slice, events: list[Event], pieces: Array) -> None:
             held = e.holds[group].copy(), e.stiffer[group].copy()
-            self.rounds.append((group, round, *held))
+            self.rounds.append((group, events, pieces, *held))
 
         self.plan = e.run(frames, after=keep, most_steps=self.most, kept=self.kept)
         return x
@@ -71,13 +72,13 @@ class ThinTape:
         self.stiffer_bar = np.zeros(e.stiffer.shape)
 
         def reverse(group: slice) -> None:
-            for of, round, *held in reversed(self.rounds):
+            for of, events, pieces, *held in reversed(self.rounds):
                 if of == group:
                     e.holds[group], e.stiffer[group] = held  # places are as they closed on them
                     e.hold(np.arange(group.start, group.stop))
-                    self._reverse_steps(group, round)
+                    self._reverse_steps(group, pieces)
                     self._take_model(group)
-                    for event in reversed(round.events):
+                    for event in reversed(events):
                         self._reverse_event(group, event)
             put(
                 self.adjoint.scratch, group, np.zeros((group.stop - group.start, m.scratch_bars, P))
@@ -89,8 +90,8 @@ class ThinTape:
 
     # ---- one group of worlds ---------------------------------------------------------------------
 
-    def _reverse_steps(self, group: slice, round: Round) -> None:
-        """Transpose the steps of a group's round."""
+    def _reverse_steps(self, group: slice, pieces: Array) -> None:
+        """Transpose the steps of a group's pieces [k, 2]."""
         e, model = self.engine, self.engine.device_model
         count = group.stop - group.start
         rows = e.zeros((count * (self.most + 1), self.rows, e.row_length))
@@ -98,18 +99,18 @@ class ThinTape:
         run = self.plan.on_device(e)
         run.offset, run.stride, run.state, run.kept = group.start, count, rows, rows
         given = [model, e.device_paths, run]
-        for s in self._pieces_back(group, round, rows):
+        for s in self._pieces_back(group, pieces, rows):
             put(run.piece, group, np.where(s[:, None] >= 0, np.stack([s, s + 1], axis=1), 0))
             e.launch(e.kernels.advance, group, given)
             e.launch(e.kernels.reverse, group, [*given, self.frames_bar, self.adjoint, turns])
 
-    def _pieces_back(self, group: slice, round: Round, rows: wp.array) -> Iterator[Array]:
-        """Each world's pieces [k] of a round from the last on, -1 where there is none any more;
+    def _pieces_back(self, group: slice, pieces: Array, rows: wp.array) -> Iterator[Array]:
+        """Each world's piece [k] from the last on, -1 where there is none any more;
         the states at their start are put in the first rows."""
-        length = round.pieces[:, 1] - round.pieces[:, 0]
+        length = pieces[:, 1] - pieces[:, 0]
         size = self.rows * self.engine.row_length
         for back in range(int(length.max(initial=0))):
-            s = np.where(back < length, round.pieces[:, 1] - 1 - back, -1).astype(np.int32)
+            s = np.where(back < length, pieces[:, 1] - 1 - back, -1).astype(np.int32)
             for k in np.flatnonzero(s >= 0).tolist():
                 begins = int(group.start + k + s[k] * self.engine.num_worlds) * size
                 wp.copy(rows, self.kept, dest_offset=k * size, src_offset=begins, count=size)
