@@ -267,9 +267,6 @@ class CommandedPaths(HostPaths):
         now: [s].
     """
 
-    changing = ("time", "position", "orientation", "turn", "hold_from", "hold_until")
-    """Names of the arrays that ``command`` changes."""
-
     def __init__(self, paths: HostPaths, now: float):
         W, G = paths.arrays["radius"].shape
         knots = np.zeros((3, W, G, 11))
@@ -297,13 +294,9 @@ class CommandedPaths(HostPaths):
         self.arrays["hold_until"][...] = np.where(closed, np.inf, -np.inf)
 
     def command(
-        self,
-        now: float,
-        until: float,
-        position: Array,
-        quat_xyzw: Array | None,
+        self, now: float, until: float, position: Array, quat_xyzw: Array | None,
         closed: NDArray[np.bool_] | None,
-    ) -> bool:
+    ) -> bool:  # fmt: skip
         """Let grippers go straight to positions [..., 3] [m] and orientations [..., 4] of [G] or
         [W, G] until then [s]; those that are ``closed`` hold something from now on. Without
         orientations they keep theirs, without ``closed`` they stay as they are. Returns whether

@@ -215,9 +215,8 @@ class Steps:
             self._switched = True
             e.closed[e.paths.closed & (e.closed == 2)] = 0
         if not self._shared:
-            for name in e.paths.changing:
-                values = np.ascontiguousarray(e.stacked[name])
-                getattr(e.device_paths, name).assign(values)
+            for name in ("time", "position", "orientation", "turn", "hold_from", "hold_until"):
+                getattr(e.device_paths, name).assign(np.ascontiguousarray(e.stacked[name]))
 
     def _ready(self, until: float) -> None:
         """Write what kernels read for a step to a time [s]."""

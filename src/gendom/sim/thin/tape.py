@@ -1,7 +1,6 @@
 """Reverse mode of thin bodies: pieces are recomputed from checkpoints, then transposed."""
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import warp as wp
@@ -91,7 +90,8 @@ class ThinTape:
     # ---- one group of worlds ---------------------------------------------------------------------
 
     def _reverse_steps(self, group: slice, pieces: Array) -> None:
-        """Transpose the steps of a group's pieces [k, 2]."""
+        """Transpose the steps of a group's pieces [k, 2], the last first: each is recomputed in
+        ``rows`` from its start."""
         e, model = self.engine, self.engine.device_model
         count = group.stop - group.start
         rows = e.zeros((count * (self.most + 1), self.rows, e.row_length))
@@ -99,22 +99,15 @@ class ThinTape:
         run = self.plan.on_device(e)
         run.offset, run.stride, run.state, run.kept = group.start, count, rows, rows
         given = [model, e.device_paths, run]
-        for s in self._pieces_back(group, pieces, rows):
-            put(run.piece, group, np.where(s[:, None] >= 0, np.stack([s, s + 1], axis=1), 0))
+        length, size = pieces[:, 1] - pieces[:, 0], self.rows * e.row_length
+        for back in range(int(length.max(initial=0))):
+            there, s = back < length, pieces[:, 1] - 1 - back
+            for k in np.flatnonzero(there).tolist():
+                begins = int(group.start + k + s[k] * e.num_worlds) * size
+                wp.copy(rows, self.kept, dest_offset=k * size, src_offset=begins, count=size)
+            put(run.piece, group, np.where(there[:, None], np.stack([s, s + 1], axis=1), 0))
             e.launch(e.kernels.advance, group, given)
             e.launch(e.kernels.reverse, group, [*given, self.frames_bar, self.adjoint, turns])
-
-    def _pieces_back(self, group: slice, pieces: Array, rows: wp.array) -> Iterator[Array]:
-        """Each world's piece [k] from the last on, -1 where there is none any more;
-        the states at their start are put in the first rows."""
-        length = pieces[:, 1] - pieces[:, 0]
-        size = self.rows * self.engine.row_length
-        for back in range(int(length.max(initial=0))):
-            s = np.where(back < length, pieces[:, 1] - 1 - back, -1).astype(np.int32)
-            for k in np.flatnonzero(s >= 0).tolist():
-                begins = int(group.start + k + s[k] * self.engine.num_worlds) * size
-                wp.copy(rows, self.kept, dest_offset=k * size, src_offset=begins, count=size)
-            yield s
 
     def _take_model(self, group: slice) -> None:
         """Add derivatives by the model without grippers, and by the grippers' borders."""
