@@ -178,7 +178,7 @@ class ThinEngine(Engine):
         """
         run = Run(self, frames, Schedule(frames, self, most_steps), kept)
         self.in_threads(partial(self._go, run, after), self.groups())
-        self.ran(frames.times[-1], run.plan.last_dt())
+        self.ran(frames.times[-1], run.plan.last_dt)
         frames.x[...] = run.x.numpy().reshape(frames.x.shape) + self.origin.astype(frames.x.dtype)
         if frames.on_frame is not None:
             frames.on_frame(len(frames.times))

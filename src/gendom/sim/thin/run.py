@@ -70,14 +70,12 @@ class Schedule:
         for k in range(S):
             self.before[:, k] = last
             last = np.where(self.steps[:, k] > 0, self.dt[:, k], last)
+        self.last_dt = last
+        """[W] length of the last step [s]."""
 
     def time(self, w: Any, s: Any) -> Array:
         """Start times of pieces s of worlds w [s]."""
         return self.begins[w, s] + self.done[w, s] * self.dt[w, s]
-
-    def last_dt(self) -> Array:
-        """Length of each world's last step, [W] [s]."""
-        return np.where(self.steps[:, -1] > 0, self.dt[:, -1], self.before[:, -1])
 
     def on_device(self, engine: Any) -> Any:
         """The kernels' struct of a run in place of which nothing is recorded; on the CPU it shares

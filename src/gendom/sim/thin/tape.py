@@ -79,9 +79,8 @@ class ThinTape:
                     self._take_model(group)
                     for event in reversed(events):
                         self._reverse_event(group, event)
-            put(
-                self.adjoint.scratch, group, np.zeros((group.stop - group.start, m.scratch_bars, P))
-            )
+            nothing = np.zeros((group.stop - group.start, m.scratch_bars, P))
+            put(self.adjoint.scratch, group, nothing)
             e.launch(e.kernels.begin_adjoint, group, [e.device_model, self.first, self.adjoint])
 
         e.in_threads(reverse, e.groups())
