@@ -50,9 +50,8 @@ class ThinEngine(Engine):
         share = cfl or np.where(damped, CFL, m.undamped_cfl)
         limits = substep or share * m.longest_step()
         self.setting = s = replace(setting, substep=np.broadcast_to(limits, W))
-        s.check_substep(
-            SHORTEST_SUBSTEP, fix="a softer or denser material, fewer points, or a longer substep"
-        )
+        fix = "a softer or denser material, fewer points, or a longer substep"
+        s.check_substep(SHORTEST_SUBSTEP, fix=fix)
         self.types = make_types(self.real)
         self.kernels = make_kernels(self.real, m.kind)
         self.threads = m.threads_on_cuda if s.device.is_cuda else 1
@@ -145,11 +144,8 @@ class ThinEngine(Engine):
 
     def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None:
         """Set points' velocities [W, n, 3] [m/s]; edges of rods rotate with them, not twisting."""
-        require(
-            not np.any(np.asarray(affine)),
-            f"{self.model.kind}s have no affine velocities",
-            fix="engine='mpm'",
-        )
+        none = not np.any(np.asarray(affine))
+        require(none, f"{self.model.kind}s have no affine velocities", fix="engine='mpm'")
         v = spread(v, (self.num_worlds, self.num_points, 3), "velocities")
         rows = self.state.numpy()
         rows[:, V, self.slots] = np.swapaxes(v, 1, 2)
@@ -176,7 +172,7 @@ class ThinEngine(Engine):
         Raises:
             SimulationError: If a world diverges, unless ``keep_going`` is set.
         """
-        run = Run(self, frames, Schedule(frames, self, most_steps), kept)
+        run = Run(self, Schedule(frames, self, most_steps), frames, kept)
         self.in_threads(partial(self._go, run, after), self.groups())
         self.ran(frames.times[-1], run.plan.last_dt)
         frames.x[...] = run.x.numpy().reshape(frames.x.shape) + self.origin.astype(frames.x.dtype)

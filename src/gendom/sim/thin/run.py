@@ -77,22 +77,6 @@ class Schedule:
         """Start times of pieces s of worlds w [s]."""
         return self.begins[w, s] + self.done[w, s] * self.dt[w, s]
 
-    def on_device(self, engine: Any) -> Any:
-        """The kernels' struct of a run in place of which nothing is recorded; on the CPU it shares
-        the memory."""
-        made, device, W = engine.types.ThinRun(), engine.setting.device, len(self.count)
-        for name in ("begins", "done", "steps", "dt", "before", "frame"):
-            values = np.ascontiguousarray(getattr(self, name))
-            setattr(made, name, wp.array(values, device=device, copy=device.is_cuda))
-        made.piece, made.every = engine.zeros((W, 2), wp.int32), -1
-        made.state = made.kept = engine.state
-        made.stopped = wp.full(W, -1, dtype=wp.int32, device=device)
-        made.stopped_at = engine.zeros(W, wp.float64)
-        made.frames = engine.zeros((0, 0, 0), engine.types.vec3)
-        made.points, made.span = engine.zeros(0, wp.int32), engine.zeros(0, wp.float64)
-        made.substep = engine.array(engine.setting.substep, wp.float64)
-        return made
-
     def until(self, worlds: slice, at: NDArray[np.int64]) -> NDArray[np.int64]:
         """Next pieces after ``at`` [k] that begin with a gripper event, or the end, [k]."""
         index, count = np.arange(self.due.shape[1]), self.count[worlds]
@@ -135,22 +119,30 @@ class Run:
 
     Args:
         engine: A ``ThinEngine``.
-        frames: Frames to record.
-        plan: Their schedule.
+        plan: Schedule; on the CPU the kernels read the same memory.
+        frames: Frames to record, if any.
         kept: [S, W, ...] array that receives the states at the start of pieces, if any.
     """
 
-    def __init__(self, engine: Any, frames: Frames, plan: Schedule, kept: wp.array | None = None):
-        W, vec3, nan = engine.num_worlds, engine.types.vec3, np.nan
-        shape, device = (len(frames.times), W, len(frames.particles)), engine.setting.device
-        self.plan, self.on_device = plan, plan.on_device(engine)
-        self.x = wp.full(shape, vec3(nan, nan, nan), dtype=vec3, device=device)
-        self.on_device.frames = self.x
-        self.on_device.points = engine.array(frames.particles, wp.int32)
-        if kept is not None:
-            self.on_device.kept, self.on_device.every = kept, W
+    def __init__(self, engine: Any, plan: Schedule, frames: Frames | None = None, kept: Any = None):
+        W, T, device, vec3 = engine.num_worlds, 0, engine.setting.device, engine.types.vec3
+        points, nan = np.zeros(0), np.nan
+        if frames is not None:
+            T, points = len(frames.times), frames.particles
+        self.plan, self._engine = plan, engine
+        self.on_device = made = engine.types.ThinRun()
+        for name in ("begins", "done", "steps", "dt", "before", "frame"):
+            values = np.ascontiguousarray(getattr(plan, name))
+            setattr(made, name, wp.array(values, device=device, copy=device.is_cuda))
+        shape = (T, W, len(points))
+        self.x = made.frames = wp.full(shape, vec3(nan, nan, nan), dtype=vec3, device=device)
+        made.points, made.piece = engine.array(points, wp.int32), engine.zeros((W, 2), wp.int32)
+        made.stopped = wp.full(W, -1, dtype=wp.int32, device=device)
+        made.stopped_at, made.span = engine.zeros(W, wp.float64), engine.zeros(0, wp.float64)
+        made.substep = engine.array(engine.setting.substep, wp.float64)
+        made.state = engine.state
+        made.kept, made.every = (engine.state, -1) if kept is None else (kept, W)
         self._launches: dict[tuple[int, int], Any] = {}
-        self._engine = engine
 
     def launch(self, group: slice) -> None:
         """Take the steps of a group's pieces."""
@@ -176,7 +168,7 @@ class Steps:
         engine.stacked = engine.paths.arrays
         engine.device_paths = paths_on(device, engine.stacked, engine.real)
         frames = Frames(now, np.full(1, now), np.zeros(0, int), np.empty((1, W, 0, 3)), None, False)
-        self._run = Run(engine, frames, Schedule(frames, engine, None))
+        self._run = Run(engine, Schedule(frames, engine, None))
         self._made = made = self._run.on_device
         made.span = engine.zeros(2, wp.float64)
         put(made.piece, self._whole, np.tile(np.array([0, 1], np.int32), (W, 1)))

@@ -13,7 +13,7 @@ from gendom.sim.thin import types
 from gendom.sim.thin.contact import LISTED
 from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.grips import border_adjoint, close_adjoint, released_adjoint
-from gendom.sim.thin.run import Event, Schedule, put
+from gendom.sim.thin.run import Event, Run, Schedule, put
 
 
 class ThinTape:
@@ -95,7 +95,7 @@ class ThinTape:
         count = group.stop - group.start
         rows = e.zeros((count * (self.most + 1), self.rows, e.row_length))
         turns = e.zeros((count * model.contact, 9 * model.contact_most_turns, e.row_length))
-        run = self.plan.on_device(e)
+        run = Run(e, self.plan).on_device
         run.offset, run.stride, run.state, run.kept = group.start, count, rows, rows
         given = [model, e.device_paths, run]
         length, size = pieces[:, 1] - pieces[:, 0], self.rows * e.row_length
