@@ -16,8 +16,8 @@ from gendom.sim.setting import Setting, spread
 class Engine:
     """W worlds of one body on a device."""
 
-    commanded = False
-    """Whether somebody controls the grippers."""
+    steps: Any = None
+    """Those of grippers that somebody leads, if any."""
     used = False
     """Whether it has been run."""
 
@@ -63,11 +63,19 @@ class Engine:
 
     def in_threads(self, job: Callable[[Any], None], groups: Iterable[Any]) -> None:
         """Do a job for each group of worlds, in threads; after one that raises none begins."""
-        every = list(groups)
-        if len(every) == 1:
-            job(every[0])
-        else:
-            list(self._pool.map(job, every))
+        left = iter(every := list(groups))
+
+        def work(_: int) -> None:
+            try:
+                for group in left:
+                    job(group)
+            finally:
+                list(left)
+
+        spare = range(min(len(every), self.setting.threads) - 1)
+        helpers = self._pool.map(work, spare) if spare else ()
+        work(0)
+        list(helpers)
 
     @cached_property
     def _pool(self) -> ThreadPoolExecutor:

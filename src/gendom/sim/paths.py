@@ -203,7 +203,7 @@ class HostPaths:
     def pose(self, g: int, w: Array, t: Array) -> Pose:
         """Pose of gripper g of worlds w [k], each once, at times t [k] [s]."""
         path, (knot, share, _, _) = self.arrays, self._at(g, w, t)
-        turned = _exp(share * path["turn"][w, g, knot])
+        turned = Rotation.from_rotvec(share * path["turn"][w, g, knot]).as_quat()
         q = rotation.product(turned, path["orientation"][w, g, knot])
         turns = path["turns"][w, g, None] == 1
         centre, velocity, spin = self.motion(g, w, t)
@@ -236,7 +236,8 @@ class HostPaths:
         bar = np.swapaxes(jacobian(share * turn), 1, 2) @ R_bar
         bar = (by_turn + share * bar[..., 0])[..., None]
         after, before = (np.swapaxes(jacobian(sign * turn), 1, 2) for sign in (1.0, -1.0))
-        gone = rotation.turned(rotation.conjugate(_exp(share * turn)), R_bar[..., 0])
+        back = Rotation.from_rotvec(-share * turn).as_quat()
+        gone = rotation.turned(back, R_bar[..., 0])
         self.turn_bar[w, g, knot] += turns * (gone - np.linalg.solve(before, bar)[..., 0])
         self.turn_bar[w, g, knot + 1] += turns * np.linalg.solve(after, bar)[..., 0]
 
@@ -253,11 +254,6 @@ class HostPaths:
         return knot, share[:, None], last, rate[:, None]
 
 
-def _exp(turn: Array) -> Array:
-    """Quaternions [k, 4] of rotation vectors [k, 3]."""
-    return Rotation.from_rotvec(turn).as_quat()
-
-
 class CommandedPaths(HostPaths):
     """Paths of three knots, given anew at each step: where grippers came from, where they are, and
     where they go.
@@ -266,9 +262,6 @@ class CommandedPaths(HostPaths):
         paths: What grippers follow until now.
         now: [s].
     """
-
-    changing = ("time", "position", "orientation", "turn", "hold_from", "hold_until")
-    """Names of the arrays that ``command`` changes."""
 
     def __init__(self, paths: HostPaths, now: float):
         W, G = paths.arrays["radius"].shape
@@ -297,13 +290,9 @@ class CommandedPaths(HostPaths):
         self.arrays["hold_until"][...] = np.where(closed, np.inf, -np.inf)
 
     def command(
-        self,
-        now: float,
-        until: float,
-        position: Array,
-        quat_xyzw: Array | None,
+        self, now: float, until: float, position: Array, quat_xyzw: Array | None,
         closed: NDArray[np.bool_] | None,
-    ) -> bool:
+    ) -> bool:  # fmt: skip
         """Let grippers go straight to positions [..., 3] [m] and orientations [..., 4] of [G] or
         [W, G] until then [s]; those that are ``closed`` hold something from now on. Without
         orientations they keep theirs, without ``closed`` they stay as they are. Returns whether

@@ -228,7 +228,13 @@ class Simulator(Shown):
         check_number("dt", dt, above=0.0)
         check_type("targets", targets, Targets, optional=True)
         until = self.time + dt
-        self._thin("steps").steps.take(until, targets, keep_going=keep_going)
+        engine = self._thin("steps")
+        if targets is not None:
+            engine.lead(until, *targets.of(*engine.closed.shape))
+        if engine.steps is None:
+            self.run([until], particles=[], keep_going=keep_going)
+            return
+        engine.steps.take(until, keep_going=keep_going)
         self.time = until
 
     def gripper_forces(self) -> Array:

@@ -62,7 +62,7 @@ def motion_of(
         layers.append(obstacle_layer(f"{of.kind.lower()} {k}", of, t))
     path = setting.grippers.arrays
     hands = list(zip(path["time"][world], path["position"][world], strict=True))
-    if hands and not simulator.engine.commanded:
+    if hands and simulator.engine.steps is None:
         held = np.array([[np.interp(t, at, axis) for axis in p.T] for at, p in hands])
         held = np.moveaxis(held, 2, 0)
         layers.append(gripper_layer(held, float(np.ptp(x[0], axis=0).max())))

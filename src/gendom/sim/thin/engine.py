@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,10 +21,9 @@ from gendom.sim.setting import Frames, Setting, spread
 from gendom.sim.thin.contact import PAIRS, contact_arrays
 from gendom.sim.thin.grips import LOCAL_STRETCH, STRETCH, Grip, Ties, close, released
 from gendom.sim.thin.rods import RodModel
-from gendom.sim.thin.run import Event, Round, Run, Schedule, put
+from gendom.sim.thin.run import Event, Run, Schedule, Steps, put
 from gendom.sim.thin.shells import ShellModel
 from gendom.sim.thin.step import make_kernels
-from gendom.sim.thin.steps import Steps
 from gendom.sim.thin.types import CFL, SPIN, Q, V, X, make_types
 
 SHORTEST_SUBSTEP = 1e-9
@@ -51,9 +50,8 @@ class ThinEngine(Engine):
         share = cfl or np.where(damped, CFL, m.undamped_cfl)
         limits = substep or share * m.longest_step()
         self.setting = s = replace(setting, substep=np.broadcast_to(limits, W))
-        s.check_substep(
-            SHORTEST_SUBSTEP, fix="a softer or denser material, fewer points, or a longer substep"
-        )
+        fix = "a softer or denser material, fewer points, or a longer substep"
+        s.check_substep(SHORTEST_SUBSTEP, fix=fix)
         self.types = make_types(self.real)
         self.kernels = make_kernels(self.real, m.kind)
         self.threads = m.threads_on_cuda if s.device.is_cuda else 1
@@ -74,7 +72,7 @@ class ThinEngine(Engine):
         along = np.append(0.0, np.cumsum(m.lines[0].length))[:, None]
         rest = along if isinstance(m, RodModel) else s.body.points
         # a body with holes and notches may be shorter between two points than they tell
-        self.ties = Ties(rest, (W, G)) if G > 1 and s.body.cut is None else None
+        self.ties = Ties(rest, (W, G), s) if G > 1 and s.body.cut is None else None
         self.device_model = self._device_model()
         self.state = self.zeros((W, m.state_rows, self.row_length))
         self.now = s.start_time
@@ -84,6 +82,7 @@ class ThinEngine(Engine):
         x = self.first_positions(n)
         # identical initial positions are looked at once
         self.state.assign(self._first_state(x, x[:1] if x.strides[0] == 0 else x))
+        self._loaded: set[str] = set()
         self.load("begin", "advance")
         self.launch(self.kernels.begin, slice(0, W), [self.device_model, self.state])
 
@@ -145,11 +144,8 @@ class ThinEngine(Engine):
 
     def set_velocities(self, v: ArrayLike, affine: ArrayLike = 0.0) -> None:
         """Set points' velocities [W, n, 3] [m/s]; edges of rods rotate with them, not twisting."""
-        require(
-            not np.any(np.asarray(affine)),
-            f"{self.model.kind}s have no affine velocities",
-            fix="engine='mpm'",
-        )
+        none = not np.any(np.asarray(affine))
+        require(none, f"{self.model.kind}s have no affine velocities", fix="engine='mpm'")
         v = spread(v, (self.num_worlds, self.num_points, 3), "velocities")
         rows = self.state.numpy()
         rows[:, V, self.slots] = np.swapaxes(v, 1, 2)
@@ -162,7 +158,7 @@ class ThinEngine(Engine):
     # ---- running ---------------------------------------------------------------------------------
 
     def run(
-        self, frames: Frames, *, after: Callable[[slice, Round], None] | None = None,
+        self, frames: Frames, *, after: Callable[[slice, list[Event], Array], None] | None = None,
         most_steps: int | None = None, kept: Any = None,
     ) -> Schedule:  # fmt: skip
         """Simulate all worlds to all times.
@@ -176,9 +172,9 @@ class ThinEngine(Engine):
         Raises:
             SimulationError: If a world diverges, unless ``keep_going`` is set.
         """
-        run = Run(self, frames, Schedule(frames, self, most_steps), kept)
+        run = Run(self, Schedule(frames, self, most_steps), frames, kept)
         self.in_threads(partial(self._go, run, after), self.groups())
-        self.ran(frames.times[-1], run.plan.last_dt())
+        self.ran(frames.times[-1], run.plan.last_dt)
         frames.x[...] = run.x.numpy().reshape(frames.x.shape) + self.origin.astype(frames.x.dtype)
         if frames.on_frame is not None:
             frames.on_frame(len(frames.times))
@@ -189,12 +185,12 @@ class ThinEngine(Engine):
         """Keep where a run has come to."""
         self.used, self.now, self.last_dt = True, float(until), last_dt
 
-    @cached_property
-    def steps(self) -> Steps:
-        """For steps; its arrays serve all of them."""
-        return Steps(self)
+    def lead(self, until: float, *targets: Any) -> None:
+        """From now on grippers go where somebody tells, see ``Steps.lead``."""
+        self.steps = self.steps or Steps(self)
+        self.steps.lead(until, *targets)
 
-    def _go(self, run: Run, after: Callable[[slice, Round], None] | None, group: slice) -> None:
+    def _go(self, run: Run, after: Callable[..., None] | None, group: slice) -> None:
         """Take a group of worlds through a run, from one gripper event to the next."""
         plan, worlds = run.plan, np.arange(group.start, group.stop)
         at, count = np.zeros(len(worlds), dtype=int), plan.count[worlds].copy()
@@ -207,48 +203,37 @@ class ThinEngine(Engine):
             apart = {}
             if self.ties is not None and not self.ties.are_safe(self.paths, group):
                 apart = self._apart_in(plan, worlds, at, until)
-            round = Round(events, np.stack([at, until], axis=1).astype(np.int32))
-            put(run.on_device.piece, group, round.pieces)
+            pieces = np.stack([at, until], axis=1).astype(np.int32)
+            put(run.on_device.piece, group, pieces)
             run.launch(group)
-            self.note_stopped(run, group)
+            self.note_stopped(run.on_device, group)
             for w, error in apart.items():
                 self.failures.setdefault(w, error)
             if after is not None:
-                after(group, round)
+                after(group, events, pieces)
             count[np.isin(worlds, list(self.failures))] = 0
             at = until
 
-    def note_stopped(self, run: Run, group: slice) -> None:
-        """Keep the errors of worlds of a group that a run has stopped."""
-        stopped = run.on_device.stopped.numpy()[group]
-        for w in (group.start + np.flatnonzero(stopped >= 0)).tolist():
-            if w not in self.failures:
-                self.failures[w] = self._failure(w, run.on_device)
+    def note_stopped(self, run: Any, group: slice) -> None:
+        """Keep the errors of worlds of a group that a run on the device has stopped."""
+        pieces = run.stopped.numpy()[group]
+        for k in np.flatnonzero(pieces >= 0).tolist():
+            if group.start + k not in self.failures:
+                self.failures[group.start + k] = self._failure(group.start + k, pieces[k], run)
 
     def _apart_in(
         self, plan: Schedule, worlds: NDArray[np.int64], at: Array, until: Array
     ) -> dict[int, SimulationError]:
-        """As ``apart`` in the pieces from ``at`` to ``until`` [k], which then ends before that."""
+        """Errors of worlds [k] that grippers will pull apart in the pieces from ``at`` to ``until``
+        [k], which then ends before that."""
         some = np.flatnonzero(until > at)
         w, ends = worlds[some], plan.begins + (plan.done + plan.steps) * plan.dt
-        errors = self.apart(w, plan.time(w, at[some]), ends[w, until[some] - 1])
+        times = plan.time(w, at[some]), ends[w, until[some] - 1]
+        errors = self.ties.broken(self.paths, w, *times) if self.ties else {}
         for k in np.flatnonzero(np.isin(worlds, list(errors))).tolist():
             pieces = ends[worlds[k], at[k] : until[k]]
-            until[k] = at[k] + np.count_nonzero(pieces <= errors[int(worlds[k])].time)
+            until[k] = at[k] + np.count_nonzero(pieces <= float(errors[int(worlds[k])].time or 0.0))
         return errors
-
-    def apart(
-        self, worlds: NDArray[np.int64], begin: Array, end: Array
-    ) -> dict[int, SimulationError]:
-        """Errors of worlds [k] that grippers will pull apart from ``begin`` to ``end`` [k] [s]."""
-        if self.ties is None or not len(worlds):
-            return {}
-        fix = "paths that stay closer together, or a gripper that opens before"
-        broken = self.ties.broken(self.paths, worlds, begin, end)
-        return {
-            w: self.setting.error(w, time, what, where="grippers", fix=fix)
-            for w, (time, what) in broken.items()
-        }
 
     def groups(self, most: int = GROUP, least: int = 1) -> list[slice]:
         """Groups of worlds, at least and at most so many, that are launched together."""
@@ -256,9 +241,9 @@ class ThinEngine(Engine):
         size = W if self.threads > 1 else max(least, min(most, -(-W // self.setting.threads)))
         return [slice(first, min(first + size, W)) for first in range(0, W, size)]
 
-    def _failure(self, w: int, run: Any) -> SimulationError:
-        """Why world w stopped in a run on the device."""
-        error, model, s = self.setting.error, self.device_model, int(run.stopped.numpy()[w])
+    def _failure(self, w: int, s: int, run: Any) -> SimulationError:
+        """Why world w stopped in piece s of a run on the device."""
+        error, model = self.setting.error, self.device_model
         begins, done, dt = (of.numpy()[w, s] for of in (run.begins, run.done, run.dt))
         if self.setting.self_contact and model.near_count.numpy()[w].sum() > model.near.shape[1]:
             return error(
@@ -354,29 +339,22 @@ class ThinEngine(Engine):
     def gripper_forces(self) -> Array:
         """Forces of the body on grippers, [W, G, 3] [N]: momentum that held points would gain in a
         short step if they were let go, over its length."""
-        W, (rows, dt, let_go) = self.num_worlds, self._letting_go
+        self.load("let_go")
+        W, dt = self.num_worlds, float(self.setting.substep.min())
+        rows = self.zeros((2 * W, *self.state.shape[1:]))
         wp.copy(rows, self.state, count=self.state.size)
-        let_go.launch()
+        self.launch(self.kernels.let_go, slice(0, W), [self.device_model, dt, rows])
         found = self.pick(V, rows.numpy())
         force = (self.model.mass / dt)[..., None] * (found[W:] - found[:W])
         held = np.where(self.closed == 1, 1, 0)[..., None] * (self.holds & 1)
         return np.einsum("wgn,wnk->wgk", held, force)
 
-    @cached_property
-    def _letting_go(self) -> tuple[wp.array, float, Any]:
-        """Rows of states before and after a step without grippers, how long it is [s], and its
-        launch."""
-        self.load("let_go")
-        W, dt = self.num_worlds, float(self.setting.substep.min())
-        rows = self.zeros((2 * W, *self.state.shape[1:]))
-        given = [self.device_model, dt, rows]
-        return rows, dt, self.launch(self.kernels.let_go, slice(0, W), given, record_cmd=True)
-
     # ---- arrays ----------------------------------------------------------------------------------
 
     def load(self, *names: str) -> None:
         """Compile kernels, or load them from Warp's cache, before threads call them."""
-        for name in names:
+        for name in set(names) - self._loaded:
+            self._loaded.add(name)
             load_kernels(getattr(self.kernels, name).module, self.setting.device, self.block)
 
     def launch(

@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from gendom.arrays import Array
+from gendom.errors import SimulationError
 from gendom.sim.paths import HostPaths, Pose
+from gendom.sim.setting import Setting
 from gendom.sim.thin import rotation
 from gendom.sim.thin.types import Lines
 
@@ -271,10 +273,12 @@ class Ties:
     Args:
         rest: [n, .] places of the body's points at rest [m].
         shape: (W, G).
+        setting: For errors.
     """
 
-    def __init__(self, rest: Array, shape: tuple[int, int]):
+    def __init__(self, rest: Array, shape: tuple[int, int], setting: Setting):
         self._rest, self._pairs = rest, list(combinations(range(shape[1]), 2))
+        self._setting = setting
         self._ends = np.array(self._pairs).T
         self._place = np.zeros((shape[0], len(self._pairs), 2, 3))
         """The two points that have least of the body between them, in their grippers' frames."""
@@ -311,10 +315,12 @@ class Ties:
 
     def broken(
         self, paths: HostPaths, worlds: NDArray[np.int64], begin: Array, end: Array
-    ) -> dict[int, tuple[float, str]]:
-        """Of worlds [k] in which a pair comes too far apart from ``begin`` to ``end`` [k] [s]: when
-        it first does [s], and what is wrong."""
-        found: dict[int, tuple[float, str]] = {}
+    ) -> dict[int, SimulationError]:
+        """Errors of worlds [k] in which a pair comes too far apart from ``begin`` to ``end`` [k]
+        [s], at the time at which it first does."""
+        found: dict[int, SimulationError] = {}
+        if not len(worlds):
+            return found
         knots = paths.arrays["time"][worlds].reshape(len(worlds), -1)
         begin, end = begin[:, None], end[:, None]
         t = np.sort(np.clip(np.hstack([begin, end, knots]), begin, end), axis=1)
@@ -322,11 +328,11 @@ class Ties:
         if paths.arrays["turn"].any():  # else they are farthest apart at a knot
             share = np.linspace(0.0, 1.0, 9)
             t = (t[:, :-1, None] + np.diff(t, axis=1)[..., None] * share).reshape(len(worlds), -1)
-        w = np.repeat(worlds, t.shape[1])
-        poses = [paths.pose(g, w, t.ravel()) for g in range(paths.arrays["time"].shape[1])]
+        each = np.repeat(worlds, t.shape[1])
+        poses = [paths.pose(g, each, t.ravel()) for g in range(paths.arrays["time"].shape[1])]
         for p, pair in enumerate(self._pairs):
             x, y = (
-                poses[g].centre + rotation.turned(poses[g].q, self._place[w, p, n])
+                poses[g].centre + rotation.turned(poses[g].q, self._place[each, p, n])
                 for n, g in enumerate(pair)
             )
             far, most = np.linalg.norm(y - x, axis=1).reshape(t.shape), self._most[worlds, p]
@@ -334,14 +340,13 @@ class Ties:
             for k in np.flatnonzero(beyond.any(axis=1)).tolist():
                 s = int(beyond[k].argmax())
                 part = slice(max(s - 1, 0), s + 1)
-                time = float(np.interp(most[k], far[k, part], t[k, part]))
-                if time < found.get(int(worlds[k]), (np.inf, ""))[0]:
-                    found[int(worlds[k])] = (
-                        time,
-                        (
-                            f"grippers {pair[0]} and {pair[1]} pull the body apart: what they hold "
-                            f"would be more than {most[k]:.4g} m apart, {100 * STRETCH:.0f} % more "
-                            "than the body between it is long"
-                        ),
-                    )
+                time, w = float(np.interp(most[k], far[k, part], t[k, part])), int(worlds[k])
+                if w not in found or time < float(found[w].time or 0.0):
+                    found[w] = self._setting.error(
+                        w, time,
+                        f"grippers {pair[0]} and {pair[1]} pull the body apart: what they hold "
+                        f"would be more than {most[k]:.4g} m apart, {100 * STRETCH:.0f} % more "
+                        "than the body between it is long", where="grippers",
+                        fix="paths that stay closer together, or a gripper that opens before",
+                    )  # fmt: skip
         return found

@@ -1,4 +1,4 @@
-"""A run of a thin engine: schedule, gripper events, arrays, and how worlds' rows are written."""
+"""Runs and steps of a thin engine: schedule, gripper events, and arrays on the device."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,9 +8,12 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gendom.arrays import Array
-from gendom.sim.paths import Pose
+from gendom.sim.paths import CommandedPaths, Pose, paths_on
 from gendom.sim.setting import Frames
 from gendom.sim.thin.grips import Grip
+
+LEAST = 5000
+"""Steps of points that a thread is woken for in a step: fewer take less time than that."""
 
 
 @dataclass
@@ -27,15 +30,6 @@ class Event:
     grip: Grip
     x: Array
     """[k, n, 3] points at that time [m]."""
-
-
-@dataclass
-class Round:
-    """The part of a group's run between two gripper events."""
-
-    events: list[Event]
-    pieces: NDArray[np.int32]
-    """[W, 2] indices of the first piece and of the one after the last."""
 
 
 class Schedule:
@@ -58,16 +52,10 @@ class Schedule:
             worlds = np.flatnonzero(which.reshape(-1) == k)
             blocks.append((worlds, _pieces(frames, row, substep[worlds], most_steps)))
         S = max(of["steps"].shape[1] for _, of in blocks)
-        self.begins = np.zeros((W, S))
-        """Start times of the intervals that contain the pieces [s]."""
-        self.done = np.zeros((W, S), dtype=np.int32)
-        """Number of steps of that interval before the piece."""
-        self.steps = np.zeros((W, S), dtype=np.int32)
-        self.dt = np.ones((W, S))
-        self.before = np.zeros((W, S))
-        """Length of the step before a piece [s]; 0 where velocities are those at its start."""
+        self.begins, self.before, self.dt = np.zeros((W, S)), np.zeros((W, S)), np.ones((W, S))
+        self.done, self.steps = np.zeros((2, W, S), dtype=np.int32)
         self.frame = np.full((W, S), -1, dtype=np.int32)
-        """Index of the frame recorded at a piece's end; -1: none."""
+        """[W, S] as of the kernels' ``ThinRun``."""
         self.due = np.zeros((W, S + 1), dtype=bool)
         """[W, S + 1] whether a gripper closes or opens at the start of a piece."""
         self.count = np.zeros(W, dtype=int)
@@ -82,30 +70,12 @@ class Schedule:
         for k in range(S):
             self.before[:, k] = last
             last = np.where(self.steps[:, k] > 0, self.dt[:, k], last)
+        self.last_dt = last
+        """[W] length of the last step [s]."""
 
     def time(self, w: Any, s: Any) -> Array:
         """Start times of pieces s of worlds w [s]."""
         return self.begins[w, s] + self.done[w, s] * self.dt[w, s]
-
-    def last_dt(self) -> Array:
-        """Length of each world's last step, [W] [s]."""
-        return np.where(self.steps[:, -1] > 0, self.dt[:, -1], self.before[:, -1])
-
-    def on_device(self, engine: Any) -> Any:
-        """The kernels' struct of a run in place of which nothing is recorded; on the CPU it shares
-        the memory."""
-        made, device, W = engine.types.ThinRun(), engine.setting.device, len(self.count)
-        for name in ("begins", "done", "steps", "dt", "before", "frame"):
-            values = np.ascontiguousarray(getattr(self, name))
-            setattr(made, name, wp.array(values, device=device, copy=device.is_cuda))
-        made.piece, made.every = engine.zeros((W, 2), wp.int32), -1
-        made.state = made.kept = engine.state
-        made.stopped = wp.full(W, -1, dtype=wp.int32, device=device)
-        made.stopped_at = engine.zeros(W, wp.float64)
-        made.frames = engine.zeros((0, 0, 0), engine.types.vec3)
-        made.points, made.span = engine.zeros(0, wp.int32), engine.zeros(0, wp.float64)
-        made.substep = engine.array(engine.setting.substep, wp.float64)
-        return made
 
     def until(self, worlds: slice, at: NDArray[np.int64]) -> NDArray[np.int64]:
         """Next pieces after ``at`` [k] that begin with a gripper event, or the end, [k]."""
@@ -149,22 +119,30 @@ class Run:
 
     Args:
         engine: A ``ThinEngine``.
-        frames: Frames to record.
-        plan: Their schedule.
+        plan: Schedule; on the CPU the kernels read the same memory.
+        frames: Frames to record, if any.
         kept: [S, W, ...] array that receives the states at the start of pieces, if any.
     """
 
-    def __init__(self, engine: Any, frames: Frames, plan: Schedule, kept: wp.array | None = None):
-        W, vec3, nan = engine.num_worlds, engine.types.vec3, np.nan
-        shape, device = (len(frames.times), W, len(frames.particles)), engine.setting.device
-        self.plan, self.on_device = plan, plan.on_device(engine)
-        self.x = wp.full(shape, vec3(nan, nan, nan), dtype=vec3, device=device)
-        self.on_device.frames = self.x
-        self.on_device.points = engine.array(frames.particles, wp.int32)
-        if kept is not None:
-            self.on_device.kept, self.on_device.every = kept, W
+    def __init__(self, engine: Any, plan: Schedule, frames: Frames | None = None, kept: Any = None):
+        W, T, device, vec3 = engine.num_worlds, 0, engine.setting.device, engine.types.vec3
+        points, nan = np.zeros(0), np.nan
+        if frames is not None:
+            T, points = len(frames.times), frames.particles
+        self.plan, self._engine = plan, engine
+        self.on_device = made = engine.types.ThinRun()
+        for name in ("begins", "done", "steps", "dt", "before", "frame"):
+            values = np.ascontiguousarray(getattr(plan, name))
+            setattr(made, name, wp.array(values, device=device, copy=device.is_cuda))
+        shape = (T, W, len(points))
+        self.x = made.frames = wp.full(shape, vec3(nan, nan, nan), dtype=vec3, device=device)
+        made.points, made.piece = engine.array(points, wp.int32), engine.zeros((W, 2), wp.int32)
+        made.stopped = wp.full(W, -1, dtype=wp.int32, device=device)
+        made.stopped_at, made.span = engine.zeros(W, wp.float64), engine.zeros(0, wp.float64)
+        made.substep = engine.array(engine.setting.substep, wp.float64)
+        made.state = engine.state
+        made.kept, made.every = (engine.state, -1) if kept is None else (kept, W)
         self._launches: dict[tuple[int, int], Any] = {}
-        self._engine = engine
 
     def launch(self, group: slice) -> None:
         """Take the steps of a group's pieces."""
@@ -173,6 +151,77 @@ class Run:
             given = [e.device_model, e.device_paths, self.on_device]
             own[which] = e.launch(e.kernels.advance, group, given, record_cmd=True)
         own[which].launch()
+
+
+class Steps:
+    """Steps of an engine whose grippers somebody leads: runs of one piece that record nothing.
+
+    5 ms of one rope take 30 us of its own: what a step needs is made once, and written in place.
+    """
+
+    def __init__(self, engine: Any):
+        W, now, device = engine.num_worlds, engine.now, engine.setting.device
+        self.engine, self._whole, self._every = engine, slice(0, W), np.arange(W)
+        self._shared = not device.is_cuda
+        self._shortest = float(engine.setting.substep.min())
+        engine.paths = CommandedPaths(engine.paths, now)
+        engine.stacked = engine.paths.arrays
+        engine.device_paths = paths_on(device, engine.stacked, engine.real)
+        frames = Frames(now, np.full(1, now), np.zeros(0, int), np.empty((1, W, 0, 3)), None, False)
+        self._run = Run(engine, Schedule(frames, engine, None))
+        self._made = made = self._run.on_device
+        made.span = engine.zeros(2, wp.float64)
+        put(made.piece, self._whole, np.tile(np.array([0, 1], np.int32), (W, 1)))
+        self._span, self._failed, self._least = made.span.numpy(), 0, 0
+        self._switched = True
+        self._read()
+
+    def _read(self) -> None:
+        self._stopped, self._last_dt = self._made.stopped.numpy(), self._made.dt.numpy()[:, 0]
+
+    def take(self, until: float, *, keep_going: bool) -> None:
+        """Simulate all worlds to a time [s]; errors as of ``Simulator.step``."""
+        e = self.engine
+        if self._switched:
+            e.switch(self._every, np.full(len(self._every), e.now))
+            self._switched = False
+        if e.ties is not None and not e.ties.are_safe(e.paths, self._whole):
+            going = np.setdiff1d(self._every, list(e.failures))
+            times = (np.full(len(going), t) for t in (e.now, until))
+            e.failures.update(e.ties.broken(e.paths, going, *times))
+        self._ready(until)
+        e.in_threads(self._run.launch, self._groups)
+        if not self._shared:
+            self._read()
+        e.ran(until, self._last_dt)
+        if self._stopped.max() >= 0:
+            e.note_stopped(self._made, self._whole)
+            e.raise_failures(keep_going=keep_going)
+
+    def lead(self, until: float, position: Array, *more: Any) -> None:
+        """Lead grippers to what ``Targets.of`` gives, by a time [s]."""
+        e = self.engine
+        if e.paths.command(e.now, until, position - e.origin, *more):
+            self._switched = True
+            e.closed[e.paths.closed & (e.closed == 2)] = 0
+        if not self._shared:
+            for name in ("time", "position", "orientation", "turn", "hold_from", "hold_until"):
+                getattr(e.device_paths, name).assign(np.ascontiguousarray(e.stacked[name]))
+
+    def _ready(self, until: float) -> None:
+        """Write what kernels read for a step to a time [s]."""
+        e, made = self.engine, self._made
+        self._span[0], self._span[1] = e.now, until
+        if not self._shared:
+            made.span.assign(self._span)
+        if e.last_dt is not self._last_dt:
+            put(made.dt, self._whole, e.last_dt[:, None])
+        if len(e.failures) > self._failed:
+            self._failed = len(e.failures)
+            put(made.stopped, np.array(list(e.failures)), np.int32(0))
+        least = 1 + int(LEAST * self._shortest / ((until - e.now) * e.num_points))
+        if least != self._least:
+            self._least, self._groups = least, e.groups(e.num_worlds, least)
 
 
 def put(array: wp.array, rows: slice | NDArray[np.int64], values: Array) -> None:

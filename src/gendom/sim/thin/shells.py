@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from gendom.arguments import require
@@ -250,12 +251,7 @@ def _corner_sums(corners: Array) -> Array:
 
 def _corners(values: Array) -> Array:
     """Values [rows, columns] of points at the corners of cells, [2, 2, rows - 1, columns - 1]."""
-    return np.stack(
-        [
-            np.stack([values[:-1, :-1], values[:-1, 1:]]),
-            np.stack([values[1:, :-1], values[1:, 1:]]),
-        ]
-    )
+    return sliding_window_view(values, (2, 2)).transpose(2, 3, 0, 1)
 
 
 def _bent(cut: Cut, inner_x: Array, inner_y: Array) -> tuple[list[Array], list[Array]]:

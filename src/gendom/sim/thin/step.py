@@ -29,12 +29,13 @@ CHECKED = 256
 """Steps between two checks of a body's mean stretch."""
 
 
-def make_steps(real: Any, kind: str) -> tuple[Any, Any]:
-    """Build ``step`` and its transpose for one scalar type and one kind of body, ``rod`` or
-    ``shell``."""
+@functools.cache
+def make_kernels(real: Any, kind: str) -> SimpleNamespace:
+    """Build the kernels for one scalar type and one kind of body, ``rod`` or ``shell``."""
     types, native, paths_of = make_types(real), make_native(real, kind), make_paths(real)
-    ThinModel, ModelAdjoint = types.ThinModel, types.ModelAdjoint
+    ThinModel, ModelAdjoint, ThinRun = types.ThinModel, types.ModelAdjoint, types.ThinRun
     vec3, quat, Paths, rows = types.vec3, types.quat, make_path_type(real), wp.array3d(dtype=real)
+    limit, mean_limit = real(LOCAL_STRETCH**2), real(STRETCH)
 
     @wp.func
     def place_obstacles(model: ThinModel, w: int, thread: int, t: wp.float64, dt: real):
@@ -135,19 +136,6 @@ def make_steps(real: Any, kind: str) -> tuple[Any, Any]:
         native.block_sync()
         native.gather_adjoint(model, adjoint, w)
         native.block_sync()
-
-    return step, step_adjoint
-
-
-@functools.cache
-def make_kernels(real: Any, kind: str) -> SimpleNamespace:
-    """Build the kernels for one scalar type and one kind of body."""
-    types, native = make_types(real), make_native(real, kind)
-    step, step_adjoint = make_steps(real, kind)
-    ThinModel, ModelAdjoint = types.ThinModel, types.ModelAdjoint
-    ThinRun, vec3, Paths = types.ThinRun, types.vec3, make_path_type(real)
-    rows = wp.array3d(dtype=real)
-    limit, mean_limit = real(LOCAL_STRETCH**2), real(STRETCH)
 
     @wp.func
     def kick_of(run: ThinRun, w: int, p: int, k: int):

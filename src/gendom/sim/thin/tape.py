@@ -1,7 +1,6 @@
 """Reverse mode of thin bodies: pieces are recomputed from checkpoints, then transposed."""
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import warp as wp
@@ -14,7 +13,7 @@ from gendom.sim.thin import types
 from gendom.sim.thin.contact import LISTED
 from gendom.sim.thin.engine import ThinEngine
 from gendom.sim.thin.grips import border_adjoint, close_adjoint, released_adjoint
-from gendom.sim.thin.run import Event, Round, Schedule, put
+from gendom.sim.thin.run import Event, Run, Schedule, put
 
 
 class ThinTape:
@@ -29,8 +28,9 @@ class ThinTape:
 
     def __init__(self, engine: ThinEngine):
         self.engine = engine
-        self.rounds: list[tuple[slice, Round, Array, Array]] = []
-        """Groups of worlds, their rounds, and what grippers hold in them."""
+        self.rounds: list[tuple[slice, list[Event], Array, Array, Array]] = []
+        """Groups of worlds, and of each part of their run between two events: what happens at its
+        start, its pieces [k, 2], and what grippers hold."""
         engine.load("reverse", "begin_adjoint")
 
     def forward(self, times: Array, began: float) -> Array:
@@ -46,9 +46,9 @@ class ThinTape:
         self.rows = e.model.state_rows + LISTED * e.device_model.contact
         self.kept = e.zeros((pieces * W, self.rows, e.row_length))
 
-        def keep(group: slice, round: Round) -> None:
+        def keep(group: slice, events: list[Event], pieces: Array) -> None:
             held = e.holds[group].copy(), e.stiffer[group].copy()
-            self.rounds.append((group, round, *held))
+            self.rounds.append((group, events, pieces, *held))
 
         self.plan = e.run(frames, after=keep, most_steps=self.most, kept=self.kept)
         return x
@@ -71,17 +71,16 @@ class ThinTape:
         self.stiffer_bar = np.zeros(e.stiffer.shape)
 
         def reverse(group: slice) -> None:
-            for of, round, *held in reversed(self.rounds):
+            for of, events, pieces, *held in reversed(self.rounds):
                 if of == group:
                     e.holds[group], e.stiffer[group] = held  # places are as they closed on them
                     e.hold(np.arange(group.start, group.stop))
-                    self._reverse_steps(group, round)
+                    self._reverse_steps(group, pieces)
                     self._take_model(group)
-                    for event in reversed(round.events):
+                    for event in reversed(events):
                         self._reverse_event(group, event)
-            put(
-                self.adjoint.scratch, group, np.zeros((group.stop - group.start, m.scratch_bars, P))
-            )
+            nothing = np.zeros((group.stop - group.start, m.scratch_bars, P))
+            put(self.adjoint.scratch, group, nothing)
             e.launch(e.kernels.begin_adjoint, group, [e.device_model, self.first, self.adjoint])
 
         e.in_threads(reverse, e.groups())
@@ -89,31 +88,25 @@ class ThinTape:
 
     # ---- one group of worlds ---------------------------------------------------------------------
 
-    def _reverse_steps(self, group: slice, round: Round) -> None:
-        """Transpose the steps of a group's round."""
+    def _reverse_steps(self, group: slice, pieces: Array) -> None:
+        """Transpose the steps of a group's pieces [k, 2], the last first: each is recomputed in
+        ``rows`` from its start."""
         e, model = self.engine, self.engine.device_model
         count = group.stop - group.start
         rows = e.zeros((count * (self.most + 1), self.rows, e.row_length))
         turns = e.zeros((count * model.contact, 9 * model.contact_most_turns, e.row_length))
-        run = self.plan.on_device(e)
+        run = Run(e, self.plan).on_device
         run.offset, run.stride, run.state, run.kept = group.start, count, rows, rows
         given = [model, e.device_paths, run]
-        for s in self._pieces_back(group, round, rows):
-            put(run.piece, group, np.where(s[:, None] >= 0, np.stack([s, s + 1], axis=1), 0))
+        length, size = pieces[:, 1] - pieces[:, 0], self.rows * e.row_length
+        for back in range(int(length.max(initial=0))):
+            there, s = back < length, pieces[:, 1] - 1 - back
+            for k in np.flatnonzero(there).tolist():
+                begins = int(group.start + k + s[k] * e.num_worlds) * size
+                wp.copy(rows, self.kept, dest_offset=k * size, src_offset=begins, count=size)
+            put(run.piece, group, np.where(there[:, None], np.stack([s, s + 1], axis=1), 0))
             e.launch(e.kernels.advance, group, given)
             e.launch(e.kernels.reverse, group, [*given, self.frames_bar, self.adjoint, turns])
-
-    def _pieces_back(self, group: slice, round: Round, rows: wp.array) -> Iterator[Array]:
-        """Each world's pieces [k] of a round from the last on, -1 where there is none any more;
-        the states at their start are put in the first rows."""
-        length = round.pieces[:, 1] - round.pieces[:, 0]
-        size = self.rows * self.engine.row_length
-        for back in range(int(length.max(initial=0))):
-            s = np.where(back < length, round.pieces[:, 1] - 1 - back, -1).astype(np.int32)
-            for k in np.flatnonzero(s >= 0).tolist():
-                begins = int(group.start + k + s[k] * self.engine.num_worlds) * size
-                wp.copy(rows, self.kept, dest_offset=k * size, src_offset=begins, count=size)
-            yield s
 
     def _take_model(self, group: slice) -> None:
         """Add derivatives by the model without grippers, and by the grippers' borders."""
