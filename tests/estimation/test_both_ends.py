@@ -200,11 +200,11 @@ def turned(recording, turn, *, swapped=False):
 
 def test_results_do_not_depend_on_where_a_rig_stands(cable):
     """Nor on which hand is the first one, which way axes point, or on mirroring."""
-    recording, settings = cable.head(100), EstimateSettings(starts=1, max_iterations=4)
+    recording, settings = cable.head(60), EstimateSettings(starts=1, max_iterations=3)
     level = Rotation.from_euler("z", 37.0, degrees=True).as_matrix()
     found = estimate(recording, settings)
     frames = found.fits[0].positions
-    for turn, swapped in ((level, False), (np.diag([1.0, -1.0, 1.0]), False), (np.eye(3), True)):
+    for turn, swapped in ((level, True), (np.diag([1.0, -1.0, 1.0]), False)):
         other = estimate(turned(recording, turn, swapped=swapped), settings)
         assert other.theta.E_over_rho == pytest.approx(found.theta.E_over_rho, rel=1e-4)
         assert other.theta.damping == pytest.approx(found.theta.damping, rel=1e-3)
