@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gendom.datasets import Recording
 from gendom.errors import ParameterError, RecordingError
 from gendom.estimation import (
     UNKNOWNS,
@@ -86,14 +85,6 @@ def test_a_cloth_s_modulus_comes_back(cloth_lift):
     assert found.usable, found.verdict.reasons
     modulus = cloth_lift.truth.E_over_rho
     assert abs(math.log(found.theta.E_over_rho / modulus)) < math.log(4.0 / 3.0)
-
-
-@pytest.mark.slow
-def test_red_rope(real_data):
-    """Bending length near the 0.11 to 0.12 m of an elastica fitted by hand; the replay matches."""
-    found = estimate(Recording.read(real_data / "rope_red_lift.npz"), EstimateSettings(starts=1))
-    assert found.usable
-    assert 0.09 <= found.record["bending_length"] <= 0.15 and found.record["chamfer_last"] <= 0.012
 
 
 def test_what_is_known_is_not_looked_for(rope_lift, lifted, settings):
