@@ -1,6 +1,7 @@
 """Each bound of a verdict from both sides, and what is said beyond it."""
 
 import math
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -23,11 +24,17 @@ def nothing(*_):
     return iter(())
 
 
+def told(findings, *words):
+    """Just these reasons are given, by patterns; None is none."""
+    said, wanted = verdict.beyond(findings), [one for one in words if one]
+    assert len(said) == len(wanted) and all(map(re.search, wanted, said)), said
+
+
 # ---- of the recording ----------------------------------------------------------------------------
 
 
 def recording(step=0.03, dt=0.5, frames=4, under=0, described=ROPE, static=False, **changes):
-    """A gripper that goes up evenly; 100 points a frame, some of which lie under the table."""
+    """A gripper that goes up evenly; 100 points a frame, some of which lie under."""
     clouds, z = [], np.arange(frames) * step
     for _ in range(frames):
         cloud = np.tile([0.0, 0.0, 0.2], (100, 1))
@@ -40,51 +47,44 @@ def recording(step=0.03, dt=0.5, frames=4, under=0, described=ROPE, static=False
     )  # fmt: skip
 
 
-DENSE = "mass and sizes give a density of {} kg/m^3: is the mass in kilograms, are sizes in metres?"
-FAST = "the gripper's speed is {} m/s: are times in seconds and positions in metres?"
-THICK, THIN = (replace(ROPE, diameter=d) for d in (0.03, 0.002))
-UNDER = "{} of all points lie under the table: does z point up?"
-STILL = "the gripper moves by {} of the object's size: too little to tell a stiffness"
+THICK, THIN, BAR, UNSTATED = (replace(ROPE, diameter=d) for d in (0.03, 0.002, 0.05, None))
 
 
 @pytest.mark.parametrize(
     ("changes", "density", "said"),
     [
-        ({}, None, []),
-        ({}, 120.1, []),
-        ({}, 119.9, [DENSE.format(120)]),
-        ({"described": CLOTH, "step": 0.1}, 30.1, []),
-        ({"described": CLOTH, "step": 0.1}, 29.9, [DENSE.format(29.9)]),
-        ({}, 11990.0, []),
-        ({}, 12100.0, [DENSE.format("1.21e+04")]),
-        ({"static": True, "frames": 1}, 119.9, [DENSE.format(120)]),
-        ({"frames": 3}, None, ["3 of the 4 frames that a lift takes show points"]),
-        ({"step": 0.0201}, None, []),
-        ({"step": 0.0199}, None, [STILL.format("0.0597 m, 15%")]),
-        ({"step": 0.03, "dt": 0.0151}, None, []),
-        ({"step": 0.03, "dt": 0.0149}, None, [FAST.format(2.01)]),
-        ({"step": 0.03, "dt": 59.9}, None, []),
-        ({"step": 0.03, "dt": 60.1}, None, [FAST.format(0.000499)]),
-        ({"step": 0.03, "dt": 1.0, "frames": 9}, None, []),
-        ({"step": 0.03, "dt": 1.0, "frames": 10}, None,
-         ["frames are exactly 1 s apart: are times frame numbers?"]),
+        ({}, None, None),
+        ({}, 120.1, None),
+        ({}, 119.9, "density of 120 kg"),
+        ({"described": CLOTH, "step": 0.1}, 30.1, None),
+        ({"described": CLOTH, "step": 0.1}, 29.9, "density of 29.9 kg"),
+        ({}, 11990.0, None),
+        ({}, 12100.0, "density of 1.21e.04 kg"),
+        ({"static": True, "frames": 1}, 119.9, "density of 120 kg"),
+        ({"frames": 3}, None, "3 of the 4 frames that a lift takes show points"),
+        ({"step": 0.0201}, None, None),
+        ({"step": 0.0199}, None, "moves by 0.0597 m, 15% of the object"),
+        ({"step": 0.03, "dt": 0.0151}, None, None),
+        ({"step": 0.03, "dt": 0.0149}, None, "speed is 2.01 m/s: are times"),
+        ({"step": 0.03, "dt": 59.9}, None, None),
+        ({"step": 0.03, "dt": 60.1}, None, "speed is 0.000499 m/s: are times"),
+        ({"step": 0.03, "dt": 1.0, "frames": 9}, None, None),
+        ({"step": 0.03, "dt": 1.0, "frames": 10}, None, "exactly 1 s apart"),
         # by a quarter of the thickness, at least 4 and at most 10 mm, 1 cm where it is not known
-        ({"under": 8}, None, []),
-        ({"under": 9}, None, [UNDER.format("9%")]),
-        ({"under": 50, "depth": 0.0039}, None, []),
-        ({"under": 50, "depth": 0.0041, "described": THIN}, None, [UNDER.format("50%")]),
-        ({"under": 50, "depth": 0.0074, "described": THICK}, None, []),
-        ({"under": 50, "depth": 0.0076, "described": THICK}, None, [UNDER.format("50%")]),
-        ({"under": 50, "depth": 0.0101, "described": replace(ROPE, diameter=0.05)}, None,
-         [UNDER.format("50%")]),
-        ({"under": 50, "depth": 0.0099, "described": replace(ROPE, diameter=None)}, None, []),
-        ({"under": 50, "depth": 0.0101, "described": replace(ROPE, diameter=None)}, None,
-         [UNDER.format("50%")]),
-        ({"under": 50, "table": None}, None, []),
+        ({"under": 8}, None, None),
+        ({"under": 9}, None, "9% of all points lie under"),
+        ({"under": 50, "depth": 0.0039}, None, None),
+        ({"under": 50, "depth": 0.0041, "described": THIN}, None, "50% of all points"),
+        ({"under": 50, "depth": 0.0074, "described": THICK}, None, None),
+        ({"under": 50, "depth": 0.0076, "described": THICK}, None, "50% of all points"),
+        ({"under": 50, "depth": 0.0101, "described": BAR}, None, "50% of all points"),
+        ({"under": 50, "depth": 0.0099, "described": UNSTATED}, None, None),
+        ({"under": 50, "depth": 0.0101, "described": UNSTATED}, None, "50% of all points"),
+        ({"under": 50, "table": None}, None, None),
     ],
-)  # fmt: skip
+)
 def test_what_a_recording_itself_shows(changes, density, said):
-    assert verdict.beyond(verdict.of_recording(recording(**changes), density)) == said
+    told(verdict.of_recording(recording(**changes), density), said)
 
 
 # ---- of the object at rest -----------------------------------------------------------------------
@@ -104,7 +104,7 @@ def lying(cloud, line=CORNER, thick=0.01, described=ROPE, table=0.5, **changes):
         body=NS(points=line, thickness=0.5 * thick), prior=lambda names: (NS(sd=sd), names),
     )  # fmt: skip
     vars(scene).update(changes)
-    return verdict.beyond(verdict._at_rest(NS(scene=scene, noise=NOISE), NS(thickness=2.0)))
+    return verdict._at_rest(NS(scene=scene, noise=NOISE), NS(thickness=2.0))
 
 
 def along(end=0.1, beside=0, off=0.0, top=0.01):
@@ -113,14 +113,6 @@ def along(end=0.1, beside=0, off=0.0, top=0.01):
     cloud = np.concatenate([cloud, np.tile([0.3, end, 0.0], (10, 1))])
     cloud[20 : 20 + beside, 1] = -off
     return cloud + np.array([0.0, 0.0, 0.5 + top])
-
-
-BESIDE = "at rest {} of the points lie beside the line that the others follow: the rope crosses "
-BESIDE += "itself, or something else is in view"
-ENDS = "at rest the cloud ends {} the end of an object 0.4 m long: are its length and the "
-ENDS += "gripper's place right?"
-HIGH = "at rest the object reaches {} mm above the table, its diameter is {} mm: are diameter and "
-HIGH += "table_height right, does z point up?"
 
 
 def legs(gap):
@@ -135,43 +127,43 @@ FOLDED = np.array([[0, 0, 0], [0.38, 0, 0], [0.38, 0.0049, 0], [0.3649, 0.0049, 
 @pytest.mark.parametrize(
     ("cloud", "changes", "said"),
     [
-        (along(), {}, []),
-        (along(0.1649), {}, []),
-        (along(0.1651), {}, [ENDS.format("65 mm beyond")]),
-        (along(0.0351), {}, []),
-        (along(0.0340), {}, [ENDS.format("66 mm before")]),
-        (along(beside=13, off=0.0151), {}, []),
-        (along(beside=14, off=0.0149), {}, []),
-        (along(beside=14, off=0.0151), {}, [BESIDE.format("16%")]),
-        (along(beside=14, off=0.0299, top=0.02), {"thick": 0.02}, []),
-        (along(beside=14, off=0.0301, top=0.02), {"thick": 0.02}, [BESIDE.format("16%")]),
-        (along()[:60], {"line": legs(0.0051), "size": 0.4}, "no crossing"),
-        (along()[:60], {"line": legs(0.0049), "size": 0.4}, [BESIDE.format("0%")]),
-        (along()[:60], {"line": FOLDED}, [BESIDE.format("0%")]),
-        (along(top=0.0189), {}, []),
-        (along(top=0.0191), {}, [HIGH.format(19, 10)]),
-        (along(top=0.0011), {}, []),
-        (along(top=0.0009), {}, [HIGH.format(1, 10)]),
-        (along(top=0.0499), {"thick": 0.04}, []),
-        (along(top=0.0501), {"thick": 0.04}, [HIGH.format(50, 40)]),
-        (along(top=0.0501), {"thick": 0.04, "table": None}, []),
-        (along(top=0.0501), {"described": replace(ROPE, diameter=None)}, []),
+        (along(), {}, None),
+        (along(0.1649), {}, None),
+        (along(0.1651), {}, "cloud ends 65 mm beyond the end of an object 0.4 m long"),
+        (along(0.0351), {}, None),
+        (along(0.0340), {}, "cloud ends 66 mm before the end of an object 0.4 m long"),
+        (along(beside=13, off=0.0151), {}, None),
+        (along(beside=14, off=0.0149), {}, None),
+        (along(beside=14, off=0.0151), {}, "at rest 16% of the points lie beside"),
+        (along(beside=14, off=0.0299, top=0.02), {"thick": 0.02}, None),
+        (
+            along(beside=14, off=0.0301, top=0.02),
+            {"thick": 0.02},
+            "at rest 16% of the points lie beside",
+        ),
+        (along()[:60], {"line": legs(0.0051), "size": 0.4}, "ends .* before"),
+        (along()[:60], {"line": legs(0.0049), "size": 0.4}, "at rest 0% of the points lie beside"),
+        (along()[:60], {"line": FOLDED}, "at rest 0% of the points lie beside"),
+        (along(top=0.0189), {}, None),
+        (along(top=0.0191), {}, "reaches 19 mm above the table"),
+        (along(top=0.0011), {}, None),
+        (along(top=0.0009), {}, "reaches 1 mm above the table"),
+        (along(top=0.0499), {"thick": 0.04}, None),
+        (along(top=0.0501), {"thick": 0.04}, "reaches 50 mm above the table"),
+        (along(top=0.0501), {"thick": 0.04, "table": None}, None),
+        (along(top=0.0501), {"described": UNSTATED}, None),
         # what says nothing of how it lies
-        (along(0.3), {"ordered": True}, []),
-        (along(0.3), {"held": [0, 1]}, []),
-        (along(0.3), {"floor": 0.2}, []),
+        (along(0.3), {"ordered": True}, None),
+        (along(0.3), {"held": [0, 1]}, None),
+        (along(0.3), {"floor": 0.2}, None),
     ],
 )
 def test_how_a_rope_lies_at_rest(cloud, changes, said):
-    found = lying(cloud, **changes)
-    if said == "no crossing":
-        assert not any("crosses itself" in one for one in found)
-    else:
-        assert found == said
+    told(lying(cloud, **changes), said)
 
 
 @pytest.mark.parametrize(
-    ("sides", "told"),
+    ("sides", "fills"),
     [
         ((0.5, 0.3), None),
         ((0.5149, 0.2851), None),
@@ -180,50 +172,44 @@ def test_how_a_rope_lies_at_rest(cloud, changes, said):
         (None, None),
     ],
 )
-def test_how_a_cloth_lies_at_rest(monkeypatch, sides, told):
+def test_how_a_cloth_lies_at_rest(monkeypatch, sides, fills):
     """However its sides are named."""
     seen = lambda points: sides if points.shape == (100, 2) else (9.0, 9.0)  # noqa: E731
     monkeypatch.setattr(verdict, "lying_rectangle", seen)
-    said = f"at rest the cloud fills a rectangle of {told}, the cloth is stated to be 0.5 x 0.3 m"
+    said = fills and f"a rectangle of {fills}, the cloth is stated to be 0.5 x 0.3 m"
     for described in (CLOTH, replace(CLOTH, width=0.5, height=0.3)):
-        assert lying(along(), described=described) == ([said] if told else [])
+        told(lying(along(), described=described), said)
 
 
 # ---- of the fit ----------------------------------------------------------------------------------
-
-MOVED = "clouds would have to be moved by {} mm and turned by {} degrees: cameras or gripper are "
-MOVED += "elsewhere than stated, or the object has another size"
-BARE = "clouds show nothing where {} of the object should be: is its size right?"
-STRAY = "{} of all points do not belong to the object"
-OTHERWISE = "the object moves {} mm otherwise than any simulated one"
 
 
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({}, []),
-        ({"shift": (0.0, -0.0149, 0.0)}, []),
-        ({"shift": (0.0, -0.0151, 0.0)}, [MOVED.format(15, 0.0)]),
-        ({"shift": (0.0, 0.03, 0.04)}, [MOVED.format(50, 0.0)]),
-        ({"turn": (0.0, 0.0499, -0.0499)}, []),
-        ({"turn": (0.0, 0.0, -0.0501)}, [MOVED.format(0, 2.9)]),
-        ({"shift": (0.0239, 0.0, 0.0), "held": [0, 1]}, []),
-        ({"shift": (0.0241, 0.0, 0.0), "held": [0, 1]}, [MOVED.format(24, 0.0)]),
-        ({"shift": (0.0149, 0.0, 0.0), "held": [0, 1], "size": 0.1}, []),
+        ({}, None),
+        ({"shift": (0.0, -0.0149, 0.0)}, None),
+        ({"shift": (0.0, -0.0151, 0.0)}, "be moved by 15 mm and turned by 0.0 degrees"),
+        ({"shift": (0.0, 0.03, 0.04)}, "be moved by 50 mm and turned by 0.0 degrees"),
+        ({"turn": (0.0, 0.0499, -0.0499)}, None),
+        ({"turn": (0.0, 0.0, -0.0501)}, "be moved by 0 mm and turned by 2.9 degrees"),
+        ({"shift": (0.0239, 0.0, 0.0), "held": [0, 1]}, None),
+        ({"shift": (0.0241, 0.0, 0.0), "held": [0, 1]}, "be moved by 24 mm and turned by 0.0"),
+        ({"shift": (0.0149, 0.0, 0.0), "held": [0, 1], "size": 0.1}, None),
         # a quarter of the eight points that count, beyond 24 mm
-        ({"stray": 2, "far": 0.03}, []),
-        ({"stray": 3, "far": -0.0241}, [STRAY.format("38%")]),
-        ({"stray": 3, "far": 0.0239}, []),
-        ({"stray": 3, "far": 0.0241, "markers": 0}, [STRAY.format("38%")]),
+        ({"stray": 2, "far": 0.03}, None),
+        ({"stray": 3, "far": -0.0241}, "38% of all points do not belong"),
+        ({"stray": 3, "far": 0.0239}, None),
+        ({"stray": 3, "far": 0.0241, "markers": 0}, "38% of all points do not belong"),
         # three tenths of ten places in the median of three frames
-        ({"bare": (3, 3, 9), "gap": 0.0041}, []),
-        ({"bare": (4, 1, 4), "gap": 0.0041}, [BARE.format("40%")]),
-        ({"bare": (4, 4, 4), "gap": 0.0039}, []),
-        ({"bare": (4, 4, 4), "gap": 0.0041, "stands_for": 0.4}, [BARE.format("40%")]),
-        ({"bare": (4, 4, 4), "gap": 0.0041, "stands_for": 0.0}, []),
-        ({"bare": (4, 4, 4), "gap": 0.0041, "markers": 0}, []),
-        ({"model": 0.00599}, []),
-        ({"model": 0.00601}, [OTHERWISE.format(6)]),
+        ({"bare": (3, 3, 9), "gap": 0.0041}, None),
+        ({"bare": (4, 1, 4), "gap": 0.0041}, "nothing where 40%"),
+        ({"bare": (4, 4, 4), "gap": 0.0039}, None),
+        ({"bare": (4, 4, 4), "gap": 0.0041, "stands_for": 0.4}, "nothing where 40%"),
+        ({"bare": (4, 4, 4), "gap": 0.0041, "stands_for": 0.0}, None),
+        ({"bare": (4, 4, 4), "gap": 0.0041, "markers": 0}, None),
+        ({"model": 0.00599}, None),
+        ({"model": 0.00601}, "moves 6 mm otherwise than any"),
     ],
 )
 def test_how_well_it_fits(monkeypatch, changes, said):
@@ -242,11 +228,11 @@ def test_how_well_it_fits(monkeypatch, changes, said):
     observation = NS(counts=counts[:, :3], markers=given["markers"])
     a = np.array([9.0, 9.0, *given["shift"], *given["turn"], 9.0])
     fitted = NS(rows=NS(rho=rho, counts=counts), fit=lambda noise: NS(a=a))
-    described = NS(object=replace(ROPE, diameter=None))
+    described = NS(object=UNSTATED)
     scene = NS(held=given["held"], size=given["size"], kind="rope", recording=described)
     noise = replace(NOISE, model=given["model"])
     part = NS(scene=scene, observation=observation, noise=noise)
-    assert verdict.beyond(verdict._of_fit(part, fitted, noise, Theta(E_over_rho=1.0))) == said
+    told(verdict._of_fit(part, fitted, noise, Theta(E_over_rho=1.0)), said)
 
 
 @pytest.mark.parametrize(
@@ -256,9 +242,6 @@ def test_what_moves_otherwise_than_any_simulated_object(kind, held, share):
     part = NS(scene=NS(kind=kind, held=[0] * held, size=2.0))
     for more, beyond in ((0.999, False), (1.001, True)):
         assert verdict.displaced(part, replace(NOISE, model=more * share * 2.0)) is beyond
-
-
-THICKNESS = "{} an object {} mm thick: is its thickness right?"
 
 
 @pytest.mark.parametrize(
@@ -289,8 +272,8 @@ def test_how_thick_it_looks(monkeypatch, thick, seen, outside, known, said):
     )  # fmt: skip
     scene = NS(held=[0], size=0.4, kind="rope", recording=NS(object=ROPE))
     part = NS(scene=scene, observation=observed, noise=NOISE)
-    found = verdict.beyond(verdict._of_fit(part, compared, NOISE, Theta(E_over_rho=1.0)))
-    assert found == ([THICKNESS.format(said, f"{1e3 * thick:.3g}")] if said else [])
+    found = verdict._of_fit(part, compared, NOISE, Theta(E_over_rho=1.0))
+    told(found, said and f"{said} an object {1e3 * thick:.3g} mm thick")
 
 
 def test_breadth_is_seen_away_from_both_ends(monkeypatch):
@@ -325,18 +308,13 @@ def test_breadth_is_seen_away_from_both_ends(monkeypatch):
     assert verdict._seen_breadth(compared, NOISE) is None
 
 
-DRIFT = "in frames 3 to 7 two cameras place the object {} mm apart: do their poses, or clocks, "
-DRIFT += "drift?"
-APART = "cameras' clouds of the object are {} mm apart: calibrate again"
-
-
 @pytest.mark.parametrize(
     ("far", "rms", "perceived", "said"),
     [
         (0.0059, 0.001, 0.0, None),
-        (0.0061, 0.001, 0.02, DRIFT.format(6)),
+        (0.0061, 0.001, 0.02, "frames 3 to 7 two cameras place the object 6 mm apart"),
         (0.0059, 0.0061, 0.0119, None),
-        (0.0061, 0.0062, 0.0121, APART.format(12)),
+        (0.0061, 0.0062, 0.0121, "clouds of the object are 12 mm apart"),
     ],
 )
 def test_cameras_are_blamed_where_they_disagree(far, rms, perceived, said):
@@ -344,9 +322,11 @@ def test_cameras_are_blamed_where_they_disagree(far, rms, perceived, said):
     compared = NS(cameras_apart=lambda: (far, 3, 7), rms=rms)
     faults = ["is its thickness right?", "other"]
     found = verdict._blamed_on_cameras(faults, part, compared)
-    assert found == (faults if said is None else [said, "other"])
-    alone = [APART.format(f"{1e3 * perceived:.0f}")] if perceived > 0.012 else []
-    assert verdict._blamed_on_cameras([], part, compared) == alone
+    assert found == faults if said is None else said in found[0] and found[1:] == ["other"]
+    alone = verdict._blamed_on_cameras([], part, compared)
+    assert [f"are {1e3 * perceived:.0f} mm apart" in one for one in alone] == [True] * (
+        perceived > 0.012
+    )
 
 
 # ---- of what was found ---------------------------------------------------------------------------
@@ -358,13 +338,9 @@ PRIOR = prior_of(("E_over_rho", "damping", "grip_height", "delay"))
 def test_unknowns_of_a_recording_are_near_their_priors(share, beyond):
     """The object's own are not looked at."""
     vector = PRIOR.mean + np.array([9.0, 9.0, share, 0.0]) * PRIOR.sd
-    (height,) = (u for u in PRIOR.unknowns if u.name == "grip_height")
-    said = (
-        f"{height.symbol} would have to be {vector[2]:.3g} {height.unit} ({height.meaning}): the "
-    )
-    said += "stated motion or size is wrong"
-    found = verdict.beyond(verdict._improbable(NS(prior=PRIOR), vector, 0))
-    assert found == ([said] if beyond else [])
+    height = PRIOR.unknowns[2]
+    said = f"{height.symbol} would have to be {vector[2]:.3g} {height.unit} ({height.meaning}): the"
+    told(verdict._improbable(NS(prior=PRIOR), vector, 0), re.escape(said) if beyond else None)
 
 
 def known(lnE=7.0, sd=0.1, damping=0.01, wide=0.2):
@@ -373,41 +349,36 @@ def known(lnE=7.0, sd=0.1, damping=0.01, wide=0.2):
     return Posterior(prior=PRIOR, mean=mean, covariance=np.diag(sds**2), bases=())
 
 
-METAL = "mass and sizes give a density of {} kg/m^3, which only metals have, but it bends like no "
-METAL += "metal (E / density {} m^2/s^2): is the mass in kilograms, are sizes in metres?"
-DAMPED = "a damping of {} s or more is more than objects have: are times in seconds?"
-APART_BY = "{} do not show one object: by themselves they say that E / density is {} m^2/s^2, {} "
-APART_BY += "standard deviations apart"
-END = "E / density lies at the end of the range that was searched"
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({}, []),
-        ({"lnE": PRIOR.low[0] + 1.1e-3}, []),
-        ({"lnE": PRIOR.low[0] + 0.9e-3}, [END]),
-        ({"lnE": PRIOR.high[0] - 0.9e-3}, [END]),
-        ({"lnE": math.log(19999.5), "density": 4001.0}, [METAL.format("4e+03", "2e+04")]),
-        ({"lnE": math.log(20000.5), "density": 4001.0}, []),
-        ({"density": 3999.0}, []),
-        ({"density": 4001.0, "mass": None}, []),
+        ({}, None),
+        ({"lnE": PRIOR.low[0] + 1.1e-3}, None),
+        ({"lnE": PRIOR.low[0] + 0.9e-3}, "lies at the end of the range"),
+        ({"lnE": PRIOR.high[0] - 0.9e-3}, "lies at the end of the range"),
+        ({"lnE": math.log(19999.5), "density": 4001.0}, "density of 4e.03 kg.* only metals"),
+        ({"lnE": math.log(20000.5), "density": 4001.0}, None),
+        ({"density": 3999.0}, None),
+        ({"density": 4001.0, "mass": None}, None),
         # the lower end of 90 % of exp(N(ln 0.07, 0.2)) is 0.07 exp(-0.329)
-        ({"damping": 0.0694}, []),
-        ({"damping": 0.0696}, [DAMPED.format(0.05)]),
-        ({"damping": 0.2, "captured": True}, []),
-        ({"damping": 0.9, "wide": 0.51 * PRIOR.sd[1]}, []),
-        ({"alone": [known(7.0), known(7.70)]}, []),
-        ({"alone": [known(7.0), known(7.71)]},
-         [APART_BY.format("a and b", "1.1e+03 and 2.23e+03", 5)]),
-        ({"alone": [known(7.71)]}, []),
+        ({"damping": 0.0694}, None),
+        ({"damping": 0.0696}, "a damping of 0.05 s or more"),
+        ({"damping": 0.2, "captured": True}, None),
+        ({"damping": 0.9, "wide": 0.51 * PRIOR.sd[1]}, None),
+        ({"alone": [known(7.0), known(7.70)]}, None),
+        ({"alone": [known(7.0), known(7.71)]}, r"a and b .* 5 standard deviations"),
+        ({"alone": [known(7.71)]}, None),
         # of three the two that differ by the most deviations, not by the most
-        ({"alone": [known(7.0, 0.03), known(7.4, 0.04), known(9.0, 1.0)]},
-         [APART_BY.format("a and b", "1.1e+03 and 1.64e+03", 8)]),
-        ({"alone": [known(9.0, 1.0), known(7.0, 0.03), known(7.4, 0.04)]},
-         [APART_BY.format("b and c", "1.1e+03 and 1.64e+03", 8)]),
+        (
+            {"alone": [known(7.0, 0.03), known(7.4, 0.04), known(9.0, 1.0)]},
+            r"a and b .* 8 standard deviations",
+        ),
+        (
+            {"alone": [known(9.0, 1.0), known(7.0, 0.03), known(7.4, 0.04)]},
+            r"b and c .* 8 standard deviations",
+        ),
     ],
-)  # fmt: skip
+)
 def test_values_that_no_object_has(changes, said):
     given = {"lnE": 7.0, "density": 1000.0, "mass": 0.1, "damping": 0.01, "wide": 0.2,
              "captured": False, "alone": ()} | changes  # fmt: skip
@@ -418,25 +389,22 @@ def test_values_that_no_object_has(changes, said):
     )
     posterior = known(damping=given["damping"], wide=given["wide"])
     found = verdict._of_unknowns(problem, vector, posterior, given["alone"])
-    assert verdict.beyond(found) == said
+    told(found, said)
     problem.prior = prior_of(("damping", "grip_height"))  # of a known material
-    found = verdict.beyond(verdict._of_unknowns(problem, vector, posterior, given["alone"]))
-    assert found == [one for one in said if "damping" in one]
+    found = verdict._of_unknowns(problem, vector, posterior, given["alone"])
+    told(found, said if "damping" in (said or "") else None)
 
 
 def test_a_verdict_has_all_reasons_by_recording(monkeypatch):
     """In order: the recording, its fit, what is improbable; then those of all together."""
-    recordings = [recording(frames=4 if k else 3) for k in range(2)]
-    parts = [
-        NS(scene=NS(recording=r, density=1e5), name=n, noise=NOISE, base="base", k=k)
-        for k, (r, n) in enumerate(zip(recordings, ("", "second"), strict=True))
-    ]
-    for part in parts:
-        part.scene.recording = replace(part.scene.recording, object=replace(ROPE, mass=None))
+    weightless, parts = replace(ROPE, mass=None), []
+    for k, name in enumerate(("", "second")):
+        seen = recording(frames=3 + k, described=weightless)
+        scene = NS(recording=seen, density=1e5)
+        parts.append(NS(scene=scene, name=name, noise=NOISE, base="base", k=k))
     compared = [NS(cameras_apart=lambda: (0.0, 0, 0), rms=0.0, k=k) for k in range(2)]
-    found = NS(
-        best=NS(comparison=NS(parts=compared), vector="vector"), noise=["noise 0", "noise 1"]
-    )
+    best = NS(comparison=NS(parts=compared), vector="vector")
+    found = NS(best=best, noise=["noise 0", "noise 1"])
     problem = NS(parts=parts, theta=lambda v, k: f"theta {k}", prior=NS(names=("E_over_rho",)))
 
     def of_fit(part, comparison, noise, theta):
@@ -458,18 +426,13 @@ def test_a_verdict_has_all_reasons_by_recording(monkeypatch):
     )
     assert not said.usable
     assert verdict.refused_before(problem)
-    rest = {"said": []}
-
-    def at_rest(part, theta):
-        rest["said"].append(theta)
-        yield 1.0, 0.0, "lies elsewhere"
-
-    monkeypatch.setattr(verdict, "_at_rest", at_rest)
+    elsewhere = lambda part, theta: iter([(theta == "base", 0.0, "lies elsewhere")])  # noqa: E731
+    monkeypatch.setattr(verdict, "_at_rest", elsewhere)
     problem.parts = parts[1:]
-    assert verdict.refused_before(problem) and rest["said"] == ["base"]
+    assert verdict.refused_before(problem)
     problem.prior.names = ("thickness",)
     assert not verdict.refused_before(problem)
-    parts[1].scene.recording = recordings[1]
+    parts[1].scene.recording = recording()
     assert verdict.refused_before(problem)  # a mass that gives 100,000 kg/m^3
     for name in ("_of_fit", "_improbable", "_of_unknowns"):
         monkeypatch.setattr(verdict, name, nothing)
