@@ -24,12 +24,6 @@ def markers(scene, x):
     return np.einsum("mk,tmka->tma", weight, x[:, index])
 
 
-def read(folder, name):
-    if not (folder / f"{name}.npz").is_file():
-        pytest.skip(f"no {name}.npz in {folder}")
-    return Recording.read(folder / f"{name}.npz", on_warning=lambda _: None)
-
-
 def seen_at(recording, points, **changes):
     """With these markers [T, m, 3] or [m, 3] in all frames."""
     frames = np.broadcast_to(points, (recording.num_frames, *np.shape(points)[-2:]))
@@ -40,7 +34,10 @@ def seen_at(recording, points, **changes):
 
 @pytest.fixture(scope="module")
 def cable(real_data):
-    return read(real_data, "cable_dlo3_train_001")
+    path = real_data / "cable_dlo3_train_001.npz"
+    if not path.is_file():
+        pytest.skip(f"no {path.name} in {real_data}")
+    return Recording.read(path, on_warning=lambda _: None)
 
 
 def test_a_cable_in_fast_motion_comes_back(cable):
@@ -144,32 +141,6 @@ def test_recordings_of_different_cables_are_refused(cable):
         scenes[1] = LiftScene.of(other)
         with nullcontext() if times < 1.01 else pytest.raises(ParameterError, match="length is"):
             Problem(scenes, EstimateSettings())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("number", "fitted", "seen", "most"),
-    [
-        (1, ["train_048", "eval_054"], ["eval_054"], 0.008),
-        (3, ["train_001", "train_002", "train_006", "train_011"], ["eval_004", "eval_010"], 0.008),
-        (4, ["train_001", "eval_035"], ["eval_035"], 0.005),
-    ],
-)
-def test_a_cable_is_predicted_from_one_sequence(real_data, number, fitted, seen, most):
-    """Better than networks that were trained on 56 sequences (0.0103, 0.0099 and 0.0115 m); each
-    alone says of the bending length what the others say, too."""
-    named = "cable_dlo{}_{}".format
-    found = [
-        estimate(read(real_data, named(number, name)), EstimateSettings(starts=1))
-        for name in fitted
-    ]
-    for name in seen:
-        other = read(real_data, named(number, name))
-        scene = LiftScene.of(other, SceneSettings(fast_frames=500, slow_frames=500))
-        x = markers(scene, replay(scene, [found[0].theta])[:, 0])
-        assert np.abs(x - other.points.reshape(x.shape)).mean() < most
-    lows, highs = zip(*(one.interval("bending_length") for one in found), strict=True)
-    assert max(lows) < min(highs)
 
 
 def test_a_wire_at_rest():

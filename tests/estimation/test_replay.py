@@ -119,18 +119,6 @@ def test_a_hem_counts_by_its_area(scene, cloth_lift):
 
 
 @pytest.mark.slow
-def test_threads_come_back(cloth_lift):
-    """Within half of what they are."""
-    seen = cloth_lift.seen(points=400, warp_over_weft=4.0)
-    wanted = ("E_over_rho", "warp_over_weft")
-    settings = EstimateSettings(starts=1, unknowns=wanted, scene=cloth_lift.settings)
-    known = cloth_lift.truth.with_values({"warp_over_weft": 1.0})
-    found = estimate(seen, settings, known=known)
-    assert found.verdict.usable, found.verdict.reasons
-    assert found.theta.warp_over_weft == pytest.approx(4.0, rel=0.5)
-
-
-@pytest.mark.slow
 def test_the_mpm_finds_what_rods_find():
     """E of the demo's lift within a fifth; replays lie within 10 mm of each other."""
     recording = Recording.read(str(files("gendom") / "assets" / "demo-rope-lift.npz"))

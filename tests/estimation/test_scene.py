@@ -234,35 +234,29 @@ def test_a_cloth_lies_as_its_edges_show_or_else_as_it_hangs(cloth_lift, turn, ho
     assert math.remainder(found - turn, 2 * math.pi) == pytest.approx(off, abs=most)
 
 
-def test_limp_cloths_get_points_as_near_as_they_bend(cloth_lift):
-    """No more than a third of a bending length apart, as far as that goes."""
-    plain = LiftScene.of(cloth_lift.at_rest(8), replace(cloth_lift.settings, points=None))
-    chosen = LiftScene.of(cloth_lift.at_rest(8), cloth_lift.settings)
-
-    def bending(share):
-        return cloth_lift.truth.with_values({"E_over_rho": plain.E_over_rho(share * 0.2)})
-
-    for share, points in ((0.09, 33), (0.07, 44), (0.01, 49)):
-        finer = plain.finer(bending(share))
-        assert finer.body.shape == (points, points) and (finer is plain) == (points == 33)
-        assert finer.frames == plain.frames and finer.clock == plain.clock
-        assert max(finer.finer(bending(0.063)).body.shape) == 49
-        assert chosen.finer(bending(share)) is chosen
-    # the mesh blurs limp ones the more, the fewer points there are for each bending length
+def test_what_is_limp_gets_points_as_near_as_it_bends(rope_lift, cloth_lift):
+    """No more than a third of a bending length apart, as far as that goes; where a search begins, a
+    rope has half of them."""
+    for lift, size, cases in (
+        (rope_lift, 1.0, ((0.05, 25), (0.02, 39), (0.001, 65))),
+        (cloth_lift, 0.2, ((0.09, 33), (0.07, 44), (0.01, 49))),
+    ):
+        chosen = LiftScene.of(lift.at_rest(8), lift.settings)
+        plain = LiftScene.of(lift.at_rest(8), replace(lift.settings, points=None))
+        for bends, points in cases:
+            limp = lift.truth.with_values({"E_over_rho": plain.E_over_rho(bends * size)})
+            finer = plain.finer(limp)
+            shape = (points,) if lift is rope_lift else (points, points)
+            assert finer.body.shape == shape and (finer is plain) == (points == cases[0][1])
+            assert finer.frames == plain.frames and finer.clock == plain.clock
+            assert finer.finer(limp) is finer and chosen.finer(limp) is chosen
+            if lift is rope_lift:
+                part = Part(scene=finer, base=limp, shown=np.zeros(0), noise=NoiseModel(), name="")
+                assert len(part.coarser.initial) == max(17, (points + 1) // 2)
+    # the mesh blurs limp cloths the more, the fewer points there are for each bending length
     for share, times in ((1.0 / 32.0, 1.0), (1.0 / 8.0, 1.0 / 64.0)):
-        assert plain.mesh_error(bending(share)) == pytest.approx(times * SHELL_ERROR)
-
-
-def test_limp_ropes_get_points_as_near_as_they_bend(rope_lift):
-    """And where a search begins, half of them."""
-    plain = LiftScene.of(rope_lift.at_rest(8), replace(rope_lift.settings, points=None))
-    for bends, points in ((0.05, 25), (0.02, 39), (0.001, 65)):
-        limp = rope_lift.truth.with_values({"E_over_rho": plain.E_over_rho(bends)})
-        finer = plain.finer(limp)
-        assert len(finer.initial) == points and (finer is plain) == (points == 25)
-        assert finer.finer(limp) is finer
-        part = Part(scene=finer, base=limp, shown=np.zeros(0), noise=NoiseModel(), name="")
-        assert len(part.coarser.initial) == max(17, (points + 1) // 2)
+        bending = lift.truth.with_values({"E_over_rho": plain.E_over_rho(share * 0.2)})
+        assert plain.mesh_error(bending) == pytest.approx(times * SHELL_ERROR)
 
 
 def test_frames_before_the_lift_are_no_calm_ones(rope_lift):
