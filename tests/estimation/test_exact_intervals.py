@@ -142,9 +142,6 @@ def moves(sizes):
     return x
 
 
-SHARES = np.array([0.0, 1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2])
-
-
 @pytest.mark.parametrize(
     ("sizes", "share"),
     [

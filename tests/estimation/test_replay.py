@@ -50,15 +50,6 @@ def test_a_soft_rope_keeps_its_length(rope_lift):
         assert 0.1 * most < longer < most
 
 
-def test_worlds_of_one_call_are_as_each_alone(cloth_lift):
-    """Of a cloth, whose worlds differ in how they lie and are held."""
-    changes = [{}, {"yaw": 0.2}, {"grip_along": 0.01, "grip_tilt": 0.3}, {"grip_reach": 0.01}]
-    _, both = simulated(cloth_lift, changes, 4)
-    for w, own in enumerate(changes):
-        np.testing.assert_allclose(both[:, w], simulated(cloth_lift, [own], 4)[1][:, 0], atol=1e-6)
-    assert min(np.abs(both[:, w] - both[:, 0]).max() for w in (1, 2, 3)) > 2e-3
-
-
 @pytest.mark.parametrize("axis", [False, True])
 def test_a_held_corner_hangs_as_steep_as_told(cloth_lift, axis):
     """By an unknown of the grip, or as the gripper's axis turns down; or else it stays level."""

@@ -87,20 +87,6 @@ def test_what_one_recording_cannot_show_the_other_may(rope_lift, settings):
     assert problem.theta(vector, 0).damping == problem.theta(vector, 1).damping
 
 
-@pytest.mark.slow
-def test_a_hold_and_a_swing_give_modulus_and_damping(rope_lift, lifts, settings):
-    """The hold says nothing of damping; with the swing, both come back."""
-    swinging = rope_lift.seen(frames=60, swing=0.06, seed=8, damping=0.02)
-    found = estimate([lifts[0], swinging], settings)
-    assert found.usable, found.verdict.reasons
-    assert found.posterior.determined("damping")
-    for name, true in (("E_over_rho", rope_lift.truth.E_over_rho), ("damping", 0.02)):
-        low, high = found.posterior.interval(name, 0.95)
-        assert low < true < high, name
-    assert found.theta.damping == pytest.approx(0.02, rel=0.3)
-    assert width(found) < width(estimate(lifts[0], settings))
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
