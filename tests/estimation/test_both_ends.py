@@ -20,10 +20,16 @@ from gendom.estimation.replay import WorldInputs, replay_axis, with_twist_shown
 
 def markers(scene, x):
     """[T, m, 3] where a scene's markers are on simulated shapes [T, n, 3]."""
-    found = Observation(scene).markers
-    assert found is not None
-    index, weight = found
+    index, weight = Observation(scene).markers or (None, None)
     return np.einsum("mk,tmka->tma", weight, x[:, index])
+
+
+def seen_at(recording, points, **changes):
+    """With these markers [T, m, 3] or [m, 3] in all frames."""
+    frames = np.broadcast_to(points, (recording.num_frames, *np.shape(points)[-2:]))
+    own = np.arange(recording.num_frames + 1) * frames.shape[1]
+    points = frames.reshape(-1, 3).astype(np.float32)
+    return replace(recording, points=points, offsets=own, **changes)
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +51,7 @@ def test_a_cable_in_fast_motion_comes_back(cable):
     assert "friction" not in prior.names and "damping" in prior.names
     clamps = {"first_clamp_x": -0.1, "last_clamp_y": 0.2, "clamp_twist": 0.8}
     truth = base.with_values({"E_over_rho": 6000.0, "damping": 0.02, "air_drag": 4.0, **clamps})
-    seen = markers(scene, replay(scene, [truth])[:, 0]).astype(np.float32)
-    made = replace(recording, points=seen.reshape(-1, 3))
+    made = seen_at(recording, markers(scene, replay(scene, [truth])[:, 0]))
     found = estimate(made, EstimateSettings(starts=1))
     assert found.usable
     assert found.theta.E_over_rho == pytest.approx(6000.0, rel=0.03)
@@ -81,30 +86,21 @@ def test_twist_is_read_from_the_first_motion(cable, twist):
     scene = LiftScene.of(cable.head(20))
     known = scene.prior()[1].with_values({"E_over_rho": 7000.0}).with_offsets(np.zeros((12, 3)))
     truth = known.with_values({"clamp_twist": twist})
-    seen = markers(scene, replay_axis(scene, [truth])[:, 0]).astype(np.float32)
-    other = LiftScene.of(replace(scene.recording, points=seen.reshape(-1, 3)))
+    seen = markers(scene, replay_axis(scene, [truth])[:, 0])
+    other = LiftScene.of(seen_at(scene.recording, seen))
     assert with_twist_shown(other, known).clamp_twist == pytest.approx(twist, abs=0.35)
     assert with_twist_shown(other, known.with_offsets(())) == known  # of a cable unseen before
 
 
-def without(recording, lost):
-    """A recording whose recorder has lost frames and numbered the others."""
-    kept = np.delete(np.arange(recording.num_frames), lost)
-    frames = recording.points.reshape(recording.num_frames, -1, 3)[kept]
-    assert recording.gripper_axis is not None
-    return replace(
-        recording,
-        points=frames.reshape(-1, 3),
-        offsets=recording.offsets[: len(kept) + 1],
-        time=recording.time[: len(kept)],
-        gripper_position=recording.gripper_position[kept],
-        gripper_axis=recording.gripper_axis[kept],
-    )
-
-
 def test_lost_frames_are_told_from_leaping_hands(cable):
     assert not lost_time(cable).any()
-    leaps = without(cable, [100, 101, 300])
+    kept = np.delete(np.arange(cable.num_frames), [100, 101, 300])
+    leaps = replace(
+        cable.head(len(kept)),
+        points=cable.points.reshape(cable.num_frames, -1, 3)[kept].reshape(-1, 3),
+        gripper_position=cable.gripper_position[kept],
+        gripper_axis=cable.gripper_axis[kept],
+    )
     late = lost_time(leaps)
     assert np.flatnonzero(np.diff(late)).tolist() == [99, 297]
     assert late[-1] == pytest.approx(0.03)
@@ -128,11 +124,7 @@ def test_a_bent_cable_begins_as_long_as_it_is(cable, angle):
     line = np.cumsum(np.stack([np.cos(turn), np.zeros_like(s), np.sin(turn)], axis=1), axis=0)
     line *= s[1]
     frame = line[np.linspace(0, 399, 12).round().astype(int)]
-    made = replace(
-        cable.head(20),
-        points=np.tile(frame, (20, 1)),
-        gripper_position=np.tile(frame[[0, -1]], (20, 1, 1)),
-    )
+    made = seen_at(cable.head(20), frame, gripper_position=np.tile(frame[[0, -1]], (20, 1, 1)))
     scene = LiftScene.of(made)
     edges = np.linalg.norm(np.diff(scene.initial, axis=0), axis=1)
     assert np.abs(edges * (len(edges) / scene.size) - 1.0).max() < 0.05
@@ -140,12 +132,7 @@ def test_a_bent_cable_begins_as_long_as_it_is(cable, angle):
 
 
 def test_recordings_of_different_cables_are_refused(cable):
-    frames = cable.points.reshape(cable.num_frames, 12, 3)
-    fewer = replace(
-        cable,
-        points=np.delete(frames, 5, axis=1).reshape(-1, 3),
-        offsets=np.arange(cable.num_frames + 1) * 11,
-    )
+    fewer = seen_at(cable, np.delete(cable.points.reshape(-1, 12, 3), 5, axis=1))
     scenes = [LiftScene.of(r) for r in (cable, fewer)]
     with pytest.raises(ParameterError, match="shows 11 markers in order, recording 1 12"):
         Problem(scenes, EstimateSettings())
@@ -154,31 +141,6 @@ def test_recordings_of_different_cables_are_refused(cable):
         scenes[1] = LiftScene.of(other)
         with nullcontext() if times < 1.01 else pytest.raises(ParameterError, match="length is"):
             Problem(scenes, EstimateSettings())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("number", "fitted", "seen", "most"),
-    [
-        (1, "train_048", ["eval_054"], 0.008),
-        (3, "train_001", ["eval_004", "eval_010"], 0.008),
-        (4, "train_001", ["eval_035"], 0.005),
-    ],
-)
-def test_a_cable_is_predicted_from_one_sequence(real_data, number, fitted, seen, most):
-    """Better than networks that were trained on 56 sequences (0.0103, 0.0099 and 0.0115 m)."""
-
-    def read(name):
-        path = real_data / f"cable_dlo{number}_{name}.npz"
-        if not path.is_file():
-            pytest.skip(f"no {path.name} in {real_data}")
-        return Recording.read(path, on_warning=lambda _: None)
-
-    theta = estimate(read(fitted), EstimateSettings(starts=1)).theta
-    for other in map(read, seen):
-        scene = LiftScene.of(other, SceneSettings(fast_frames=500, slow_frames=500))
-        x = markers(scene, replay(scene, [theta])[:, 0])
-        assert np.abs(x - other.points.reshape(x.shape)).mean() < most
 
 
 def test_a_wire_at_rest():
@@ -200,24 +162,20 @@ def test_a_wire_at_rest():
 def turned(recording, turn, *, swapped=False):
     """A recording of the same rig elsewhere: turned or mirrored by [3, 3], or with its hands and
     markers counted from the other end, along axes in the other direction."""
-    way = slice(None, None, -1) if swapped else slice(None)
-    frames = recording.points.reshape(recording.num_frames, -1, 3).astype(float)
-    axis = recording.gripper_axis[:, way] @ np.transpose(turn)
-    return replace(
-        recording,
-        points=(frames[:, way] @ np.transpose(turn)).reshape(-1, 3),
-        gripper_position=recording.gripper_position[:, way] @ np.transpose(turn),
-        gripper_axis=-axis if swapped else axis,
-    )
+    way, turn = slice(None, None, -1 if swapped else 1), np.transpose(turn)
+    frames = recording.points.reshape(recording.num_frames, -1, 3).astype(float)[:, way]
+    hands = {"gripper_position": recording.gripper_position[:, way] @ turn}
+    hands["gripper_axis"] = (-1.0 if swapped else 1.0) * recording.gripper_axis[:, way] @ turn
+    return seen_at(recording, frames @ turn, **hands)
 
 
 def test_results_do_not_depend_on_where_a_rig_stands(cable):
     """Nor on which hand is the first one, which way axes point, or on mirroring."""
-    recording, settings = cable.head(100), EstimateSettings(starts=1, max_iterations=4)
+    recording, settings = cable.head(60), EstimateSettings(starts=1, max_iterations=3)
     level = Rotation.from_euler("z", 37.0, degrees=True).as_matrix()
     found = estimate(recording, settings)
     frames = found.fits[0].positions
-    for turn, swapped in ((level, False), (np.diag([1.0, -1.0, 1.0]), False), (np.eye(3), True)):
+    for turn, swapped in ((level, True), (np.diag([1.0, -1.0, 1.0]), False)):
         other = estimate(turned(recording, turn, swapped=swapped), settings)
         assert other.theta.E_over_rho == pytest.approx(found.theta.E_over_rho, rel=1e-4)
         assert other.theta.damping == pytest.approx(found.theta.damping, rel=1e-3)

@@ -14,7 +14,9 @@ from gendom.errors import SimulationError
 from gendom.estimation import EstimateSettings, IntervalCalibration, Theta, intervals
 from gendom.estimation.observed import NoiseModel
 from gendom.estimation.problem import Found, Start
-from gendom.materials.posterior import prior_of
+from gendom.materials.estimate import Estimate
+from gendom.materials.objects import ASSUMED
+from gendom.materials.posterior import Posterior, prior_of
 
 NS: Any = SimpleNamespace
 PRIOR = prior_of(("E_over_rho", "grip_height", "damping"))
@@ -32,6 +34,29 @@ def test_the_shipped_calibration_is_that_of_the_kind_and_frames(kind, frames, en
     assert {"factor": found.factor, "added": found.added, "displaced": found.displaced} == {
         name: wanted[name] for name in ("factor", "added", "displaced")
     }
+
+
+def test_intervals_are_those_of_a_gaussian():
+    """In the transformed unknowns, cut at the ends of what is searched; of what is not determined
+    an object has what is usual."""
+    base, prior = Theta(E_over_rho=700.0), prior_of(("E_over_rho", "nu", "damping"))
+    mean = np.array([math.log(500.0), 0.44, math.log(0.02)])
+    for share, assumed in ((0.1, False), (0.9, True)):
+        C = np.diag([1e-2, 1e-4, (share * prior.sd[2]) ** 2])
+        known = IntervalCalibration().posterior(prior, mean, C, [base])
+        low, high = known.interval("E_over_rho", 0.9)
+        assert np.log([low / 500.0, high / 500.0]) == pytest.approx([-0.16449, 0.16449], abs=1e-3)
+        low, high = known.interval("nu", 0.9)
+        assert low == pytest.approx(0.44 - 0.016449, abs=1e-5) and high == 0.45
+        assert known.determined("nu") and not known.determined("friction")
+        again = Posterior.from_dict(known.to_dict(), known.thetas)
+        assert again.names == known.names and again.theta == known.theta
+        assert np.array_equal(again.covariance, known.covariance)
+        sizes = {"length": 0.4, "diameter": 0.01, "density": 800.0}
+        found = Estimate(kind="rope", known=sizes, posterior=known)
+        assert ("damping" in found.assumed) == assumed
+        wanted = ASSUMED["damping"] if assumed else 0.02
+        assert found.rope().material.damping == pytest.approx(wanted)
 
 
 def test_a_calibrated_posterior_is_a_product_of_gaussians():
@@ -115,9 +140,6 @@ def moves(sizes):
         return sizes[int(k[0])] if len(k) else 0.0
 
     return x
-
-
-SHARES = np.array([0.0, 1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2])
 
 
 @pytest.mark.parametrize(

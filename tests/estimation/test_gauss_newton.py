@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from gendom.estimation import EstimateSettings, LiftScene, Problem, estimate
+from gendom.estimation.likelihood import Comparisons
 from gendom.estimation.methods.gauss_newton import (
     Descent,
     GaussNewtonSettings,
+    _likeliest,
     gauss_newton,
     refined,
 )
@@ -50,6 +52,7 @@ def test_its_slope_is_that_of_differences(problem, found):
 def test_it_keeps_what_it_did(rope_lift, problem, found):
     """Both starts, of which the better one went on; the noise of the clouds."""
     assert len(found.starts) == 2 and not found.interrupted
+    assert abs(found.starts[0].initial[0] - found.starts[1].initial[0]) > 0.1
     assert [s.coarse for s in found.starts] == [s is not found.best for s in found.starts]
     assert found.noise[0].sensor == pytest.approx(1e-3, rel=0.2)
     modulus = problem.theta(found.best.vector).E_over_rho
@@ -83,6 +86,34 @@ def test_a_step_that_meets_a_bound_goes_along_it():
     expected = -(gradient[0] + H[0, 1] * turned) / H[0, 0]
     assert place - at == pytest.approx([expected, turned])
     assert gain > 0.0  # the step of both, cut off, would have lost
+
+
+@pytest.mark.parametrize(
+    ("ends", "values", "rival", "apart"),
+    [
+        ((6.0, 6.31), (0.0, 8.9), True, True),
+        ((6.0, 6.31), (2.0, 0.0), True, True),  # the second one is the more likely one
+        ((6.0, 6.29), (0.0, 2.0), False, True),  # within three deviations
+        ((6.0, 6.09), (0.0, 2.0), False, False),
+        ((6.0, 6.8), (0.0, 9.1), False, False),  # far less likely
+    ],
+)
+def test_ends_apart_are_kept(ends, values, rival, apart):
+    """By deviations, here 0.1, of the object's unknowns; how it is held does not count."""
+    vectors = [np.array([x, 0.1 * k]) for k, x in enumerate(ends)]
+    starts = [Start(initial=v, vector=v, done=True, comparison=Comparisons(())) for v in vectors]
+    starts[0].value, starts[1].value = values
+    alone = SimpleNamespace(
+        prior=prior_of(("E_over_rho", "grip_height"), {"E_over_rho": {"sd": 3.0}}),
+        gradient_and_hessian=lambda start, noise: (np.zeros(2), np.diag([100.0, 1e4])),
+        value=lambda vector, comparison, noise: values[round(10.0 * vector[1])] + 5.0 * noise,
+    )
+    descent = Descent(alone, GaussNewtonSettings(), (), 0.2)  # type: ignore[arg-type]
+    best, other = sorted(starts, key=lambda s: s.value)
+    assert descent.apart(best, [other], 3.0) == [other] * rival
+    found, noise, away = _likeliest(descent, [(s, k) for k, s in enumerate(starts)])  # type: ignore
+    assert found is best and noise == np.argmin(values) and best.value == min(values)
+    assert [list(v) for v in away] == [list(other.vector)] * apart
 
 
 def test_a_cloth_of_known_material_is_placed(cloth_lift):

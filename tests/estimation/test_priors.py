@@ -7,43 +7,57 @@ import numpy as np
 import pytest
 
 from gendom.errors import ParameterError, RecordingError
-from gendom.estimation import LiftScene
+from gendom.estimation import LiftScene, replay
 from gendom.materials import catalogue
 
 
-def test_a_material_narrows_what_is_believed(rope_lift):
-    def of(material, *wanted):
-        settings = replace(rope_lift.settings, material=material)
-        return LiftScene.of(rope_lift.at_rest(), settings).prior(wanted)
+def believed(lift, material=None, wanted=(), **changes):
+    """A scene, its prior by name (mean and deviation), and what else it takes for known."""
+    settings = replace(lift.settings, material=material)
+    scene = LiftScene.of(lift.at_rest(**changes), settings)
+    prior, base = scene.prior(wanted)
+    return scene, dict(zip(prior.names, zip(prior.mean, prior.sd, strict=True), strict=True)), base
 
-    known, (wide, _), (narrow, base) = catalogue.get("cotton-rope"), of(None), of("cotton-rope")
-    assert narrow.names == wide.names
-    assert (narrow.low == wide.low).all() and (narrow.high == wide.high).all()
-    sd, mean = (dict(zip(narrow.names, x, strict=True)) for x in (narrow.sd, narrow.mean))
-    assert mean["E_over_rho"] == pytest.approx(math.log(known.E.typical / known.density.typical))
+
+def test_a_material_narrows_what_is_believed(rope_lift):
+    known, (_, wide, _) = catalogue.get("cotton-rope"), believed(rope_lift)
+    scene, narrow, base = believed(rope_lift, "cotton-rope")
+    assert narrow.keys() == wide.keys()
+    mean, sd = narrow["E_over_rho"]
+    assert mean == pytest.approx(math.log(known.E.typical / known.density.typical))
     spread = math.hypot(math.log(20.0), math.log(1000.0 / 650.0))
-    assert sd["E_over_rho"] == pytest.approx(spread / 2.0 / 1.645, rel=1e-3)
+    assert sd == pytest.approx(spread / 2.0 / 1.645, rel=1e-3)
     for name in ("nu", "friction"):
         expected = getattr(known, name)
-        assert mean[name] == expected.typical
-        assert sd[name] == pytest.approx((expected.high - expected.low) / 3.29, rel=1e-3)
-    assert sd["grip_height"] == wide.sd[wide.names.index("grip_height")]
+        sd = (expected.high - expected.low) / 3.29
+        assert narrow[name] == pytest.approx((expected.typical, sd), rel=1e-3)
+    assert narrow["grip_height"] == wide["grip_height"]
     assert base.damping == pytest.approx(known.damping.typical)
-    prior, base = of("rubber-cord", "delay")
-    assert prior.names == ("delay",)
+    assert any(note.startswith("material cotton-rope: E of 2e+05") for note in scene.notes)
+    _, only, base = believed(rope_lift, "rubber-cord", ("delay",))
+    assert list(only) == ["delay"]
     assert base.friction == catalogue.get("rubber-cord").friction.typical
     assert base.nu == 0.45  # the stiffest that is looked for
 
 
-def test_its_density_stands_for_an_unknown_mass(rope_lift):
-    light = replace(rope_lift.object, mass=None)
-    settings = replace(rope_lift.settings, material="cotton-rope")
-    scene = LiftScene.of(rope_lift.at_rest(object=light), settings)
-    assert scene.density == 800.0
-    assert any("a density of cotton-rope of 800 kg/m^3 assumed" in note for note in scene.notes)
-    stated = LiftScene.of(rope_lift.at_rest(), settings)
-    assert stated.density != 800.0
-    assert any(note.startswith("material cotton-rope: E of 2e+05") for note in stated.notes)
+@pytest.mark.parametrize(
+    ("material", "mass", "density", "said"),
+    [
+        (None, None, 1000.0, "mass not stated: a density of 1000 kg/m^3 assumed"),
+        ("cotton-rope", None, 800.0, "a density of cotton-rope of 800 kg/m^3 assumed"),
+        ("cotton-rope", 0.1, 0.1 / (math.pi / 4 * 0.012**2 * 0.25), None),
+    ],
+)
+def test_a_density_is_assumed_where_no_mass_is_stated(rope_lift, material, mass, density, said):
+    """And said to be; motion depends on it by the air alone."""
+    described = replace(rope_lift.object, mass=mass)
+    scene, _, _ = believed(rope_lift, material, object=described)
+    assert scene.density == pytest.approx(density)
+    notes = [note for note in scene.notes if "mass not stated" in note]
+    assert len(notes) == (said is not None) and all(said in note for note in notes)
+    usual = LiftScene.of(rope_lift.at_rest(), rope_lift.settings)
+    x, y = (replay(s, [rope_lift.truth]) for s in (scene, usual))
+    assert np.abs(x - y).max() < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -61,19 +75,18 @@ def test_a_material_that_cannot_be(rope_lift, material, said):
         scene.prior()
 
 
-def test_what_is_stated_of_a_held_corner_narrows_what_is_believed(cloth_lift):
-    """How far inside the corner it is held, and the axis as which it turns."""
-    inside = replace(cloth_lift.object, grasp_inset=0.01)
-    axes = np.tile([1.0, 0.0, 0.0], (3, 1))
-    stated = cloth_lift.at_rest(object=inside, gripper_axis=axes)
-    found = []
-    for recording in (stated, cloth_lift.at_rest()):
-        scene = LiftScene.of(recording, cloth_lift.settings)
-        prior, _ = scene.prior()
-        named = dict(zip(prior.names, zip(prior.mean, prior.sd, strict=True), strict=True))
-        found.append((named["grip_along"][1], *named["grip_tilt"], len(scene.guesses)))
-    assert found[0] == (0.002, 0.0, 0.1, 1)
-    assert found[1] == (0.01, 0.8, 0.6, 3)
+@pytest.mark.parametrize(
+    ("stated", "inset", "tilt", "guesses"),
+    [(True, 0.002, (0.0, 0.1), 1), (False, 0.01, (0.8, 0.6), 3)],
+)
+def test_what_a_recording_states_of_a_corner_is_believed(cloth_lift, stated, inset, tilt, guesses):
+    told = {}
+    if stated:
+        told["object"] = replace(cloth_lift.object, grasp_inset=0.01)
+        told["gripper_axis"] = np.tile([1.0, 0.0, 0.0], (3, 1))
+    scene, own, _ = believed(cloth_lift, **told)
+    assert (own["grip_along"][1], own["grip_tilt"]) == (inset, tilt)
+    assert len(scene.guesses) == guesses
 
 
 def test_the_delay_of_slow_frames_is_less_sure(rope_lift):
@@ -97,9 +110,9 @@ def test_the_delay_of_slow_frames_is_less_sure(rope_lift):
 def test_a_diameter_is_as_sure_as_is_stated(rope_lift, stated, share):
     """One that is not stated may be a third to three times what is assumed; none is exact."""
     described = replace(rope_lift.object, **stated)
-    lifted = replace(rope_lift.at_rest(), object=described)
-    assert LiftScene.of(lifted).prior(("thickness",))[0].sd == pytest.approx([share])
-    assert "thickness" not in LiftScene.of(lifted).prior()[0].names
-    wrong = replace(lifted, object=replace(described, diameter=0.01, diameter_sd=0.0))
+    scene, usual, _ = believed(rope_lift, object=described)
+    assert scene.prior(("thickness",))[0].sd == pytest.approx([share])
+    assert "thickness" not in usual
+    wrong = replace(scene.recording, object=replace(described, diameter=0.01, diameter_sd=0.0))
     with pytest.raises(RecordingError, match=r"object.diameter_sd: is 0.0; give metres above 0"):
         wrong.require_valid("lift", on_warning=print)

@@ -12,8 +12,7 @@ import pytest
 from experiments.verdict import CORRUPTED
 from gendom.datasets import Recording
 from gendom.errors import RecordingError
-from gendom.estimation import EstimateSettings, LiftScene, Problem, Theta, estimate
-from gendom.estimation.verdict import refused_before
+from gendom.estimation import EstimateSettings, Theta, estimate
 
 
 def test_the_demo_s_lift_is_usable():
@@ -106,15 +105,6 @@ def test_a_thin_rope_of_mixed_depth_is_usable(rope_lift, settings, times, usable
         assert low < thin.truth.E_over_rho < high < 2.0 * low
     else:
         assert any("cameras see" in said for said in found.verdict.reasons), found.verdict.reasons
-
-
-def test_the_end_of_a_cloud_is_compared_with_a_line(rope_lift):
-    """Not with points of the rod, that are 62 mm apart here."""
-    shorter = replace(rope_lift, lying=rope_lift.lying[rope_lift.lying[:, 0] < 0.244])
-    settings = replace(rope_lift.settings, points=5)
-    scene = LiftScene.of(shorter.at_rest(12), settings)
-    problem = Problem([scene], EstimateSettings(starts=1, scene=settings))
-    assert not refused_before(problem)
 
 
 def test_what_is_assumed_counts_in_intervals(lifted, settings):
