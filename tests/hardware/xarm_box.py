@@ -62,14 +62,13 @@ def patient(here):
 
 def play_aloud(robot, motion, at):
     """Play a motion; when so many seconds of it are over, print the process that streams it."""
-    told = []
+    robot.connect()
+    told = iter([robot._process.pid])
 
     def tick(tick):
-        if tick.time > at and not told:
-            told.append(1)
-            print("moving", robot._process.pid, flush=True)
+        for process in told if tick.time > at else ():
+            print("moving", process, flush=True)
 
-    robot.connect()
     robot.play(motion, on_tick=tick)
 
 
@@ -262,7 +261,7 @@ def _thread(target, *args):
     """Runs until its box dies."""
 
     def run():
-        with suppress(OSError, struct.error):
+        with suppress(OSError, ValueError, struct.error):  # it is closed
             target(*args)
 
     threading.Thread(target=run, daemon=True).start()
