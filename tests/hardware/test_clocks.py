@@ -14,6 +14,11 @@ from perception.conftest import Plane, Rope, Scene, make_camera
 AHEAD = {"left": 0.035, "right": -0.005}
 
 
+def write_table(file, columns):
+    rows, head = np.column_stack([*columns.values()]), ",".join(columns)
+    np.savetxt(file, rows, delimiter=",", header=head, comments="")
+
+
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     """A lift at 0.15 m/s; cameras 2 mm and 0.2 degrees off, joints with the encoders' noise."""
@@ -21,12 +26,10 @@ def recorded(tmp_path_factory):
     motion = follow(XARM7, lift([0.45, 0.0, 0.02], height=0.15, speed=0.15, wait=0.4, after=0.4))
     rng, time = np.random.default_rng(0), motion.sampled(100.0)
     q = motion.at(time) + rng.normal(0.0, 1e-5, (len(time), 7))
-    names = ",".join(f"q{j}" for j in range(7))
-    hand = np.column_stack([time, tcp_pose(XARM7, q)[:, :3, 3], np.ones(len(time))])
-    for name, head, rows in (("joints", names, np.column_stack([time, q])),
-                             ("gripper", "x,y,z,closed", hand)):  # fmt: skip
-        file = folder / f"{name}.csv"
-        np.savetxt(file, rows, delimiter=",", header=f"time,{head}", comments="")
+    hand = tcp_pose(XARM7, q)[:, :3, 3]
+    joints = {"time": time, **{f"q{j}": q[:, j] for j in range(7)}}
+    write_table(folder / "joints.csv", joints)
+    write_table(folder / "gripper.csv", {"time": time, **dict(zip("xyz", hand.T, strict=True))})
     (folder / "object.toml").write_text('[object]\nkind = "rope"\nlength = 0.3\ngrasp = "end"\n')
     for name, side in (("left", -1.0), ("right", 1.0)):
         eye = (0.6, 0.6 * side, 0.45)
@@ -53,8 +56,7 @@ def test_a_clock_that_is_ahead_is_refused_and_by_how_much_is_written_down(record
         assert abs(offset - AHEAD[name]) < 3.0 * sd < 0.012
     monkeypatch.setattr("gendom.hardware.clocks.MAX_OFFSET", 0.05)
     assert check_clocks(recorded, XARM7).keys() == AHEAD.keys()
-    joints = np.loadtxt(recorded / "joints.csv", delimiter=",", skiprows=1)
-    head = (recorded / "joints.csv").read_text().partition("\n")[0]
-    later = joints + np.eye(8)[0] * 100.0
-    np.savetxt(recorded / "joints.csv", later, delimiter=",", header=head, comments="")
+    joints = np.loadtxt(recorded / "joints.csv", delimiter=",", skiprows=1) + 100.0 * np.eye(8)[0]
+    names = ["time", *(f"q{j}" for j in range(7))]
+    write_table(recorded / "joints.csv", dict(zip(names, joints.T, strict=True)))
     assert check_clocks(recorded, XARM7) == {}  # at other times they show nothing

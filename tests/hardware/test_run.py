@@ -17,28 +17,27 @@ def test_finished_steps_are_skipped_and_those_of_changed_inputs_are_not(tmp_path
     start.write_text("one")
 
     def run(breaks=""):
+        done.clear()
         steps = _Steps(tmp_path)
 
-        def work(name, text):
-            def do(to):
-                done.append(name)
-                if name == breaks:
+        def made(to, inputs, text, within=""):
+            def do(place):
+                done.append(to)
+                if to == breaks:
                     raise KeyboardInterrupt
-                file = to / "inside.txt" if name == "folder" else to
-                file.parent.mkdir(exist_ok=True)
-                file.write_text(text)
+                (place / within).parent.mkdir(exist_ok=True)
+                (place / within).write_text(text)
 
-            return do
+            return steps.do(to, to, inputs, do)
 
-        first = steps.do("first", "first.txt", [start], work("first", start.read_text()[:3]))
-        folder = steps.do("folder", "folder", [first], work("folder", first.read_text()))
-        steps.do("last", "last.txt", [folder], work("last", "x"))
-        return [done.pop(0) for _ in list(done)]
+        first = made("first", [start], start.read_text()[:3])
+        folder = made("folder", [first], first.read_text(), "inside.txt")
+        made("last", [folder], "x")
+        return list(done)
 
     with pytest.raises(KeyboardInterrupt):
         run(breaks="folder")
     assert done == ["first", "folder"]
-    done.clear()
     assert run() == ["folder", "last"]
     assert run() == []
     start.write_text("one, more")  # the first step makes the same of it
@@ -46,7 +45,7 @@ def test_finished_steps_are_skipped_and_those_of_changed_inputs_are_not(tmp_path
     start.write_text("two")
     assert run() == ["first", "folder", "last"]
     assert (tmp_path / "folder.before-1" / "inside.txt").read_text() == "one"
-    (tmp_path / "last.txt").unlink()
+    (tmp_path / "last").unlink()
     assert run() == ["last"]
 
 
@@ -79,6 +78,9 @@ def test_from_lift_to_adapted_second_execution(tmp_path, monkeypatch, capsys):
     assert max(misses) < 0.015
     best = read_json(out / "best.json")["action"]
     assert best == read_json(out / f"action-{1 + int(np.argmin(misses))}.json")["action"]
+    said = read_json(out / "lift" / "recording.json")
+    assert said["ended"] == "done" and all(c["missing"] == 0 for c in said["cameras"].values())
+    assert all(abs(offset) < 3.0 * sd + 2e-3 for offset, sd in said["clocks"].values())
     estimate = read_json(out / "estimate.json")
     assert estimate["verdict"]["usable"]
     assert np.log(estimate["E_over_rho"] / 962.5) == pytest.approx(0.0, abs=0.2)
@@ -89,21 +91,3 @@ def test_from_lift_to_adapted_second_execution(tmp_path, monkeypatch, capsys):
     capsys.readouterr()
     assert cli.main(words) == 0 and len(asked) == 3  # nothing is done twice
     assert json.loads((out / "run.json").read_text()).keys() >= {"lift", "observe 2", "adapt 2"}
-
-
-@pytest.mark.slow
-def test_a_lift_is_recorded_in_a_cell(tmp_path, monkeypatch, capsys):
-    pytest.importorskip("mujoco", reason="needs mujoco: the extra reality")
-    monkeypatch.setattr("builtins.input", lambda _: "no")
-    words = ["record", "--cell", str(write_cell(tmp_path)), "--rise", "0.05", "--out"]
-    assert cli.main([*words, str(tmp_path / "none")]) == 2
-    assert "was not confirmed; nothing moved" in capsys.readouterr().err
-    lift = tmp_path / "lift"
-    assert cli.main([*words, str(lift), "--yes"]) == 0
-    said = read_json(lift / "recording.json")
-    assert said["ended"] == "done" and all(c["missing"] == 0 for c in said["cameras"].values())
-    assert all(abs(offset) < 3.0 * sd + 2e-3 for offset, sd in said["clocks"].values())
-    (log,) = (tmp_path / "executions").glob("*.jsonl")
-    joints = np.loadtxt(lift / "joints.csv", delimiter=",", skiprows=1)
-    assert read_log(log).end == "done" and len(joints) == len(read_log(log).time)
-    assert cli.main(["perceive", str(lift), "--out", str(tmp_path / "lift.npz")]) in (0, 2)

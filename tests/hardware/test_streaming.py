@@ -4,6 +4,7 @@ import math
 import re
 from concurrent.futures import wait
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,40 +28,30 @@ class Controller(Driver):
     """A controller whose arm is where it was sent `lag` seconds ago."""
 
     period = T
+    code = grips = broken = frozen = None
 
     def __init__(self):
         self.now, self.lag, self.age = 100.0, 0.02, 0.005
         self.sent = [(self.now - 10.0, XARM7.home)]
         self.calls, self.gripped = [], []
-        self.code = self.grips = self.broken = None
-        self.frozen = None
-
-    def q(self, time):
-        return [q for t, q in self.sent if t <= time][-1]
+        self.begin, self.end, self.halt = (
+            partial(self.calls.append, name) for name in ("begin", "end", "halt")
+        )
 
     def report(self):
         seen = self.now - self.age
-        q = self.q(seen - self.lag) if self.frozen is None else self.frozen
-        return RobotState(time=seen, q=q, fault=self.code)
+        q = [q for t, q in self.sent if t <= seen - self.lag][-1]
+        return RobotState(time=seen, q=q if self.frozen is None else self.frozen, fault=self.code)
 
     def connect(self):
         pass
 
-    disconnect = connect
-
-    def begin(self):
-        self.calls.append("begin")
+    begin = end = halt = disconnect = connect
 
     def servo(self, q):
         if self.broken:
             raise DeviceError(self.broken)
         self.sent.append((self.now, q))
-
-    def end(self):
-        self.calls.append("end")
-
-    def halt(self):
-        self.calls.append("halt")
 
     def grip(self, opening):
         self.gripped.append(opening)
@@ -129,50 +120,49 @@ def knots(way, seconds, number=9):
 
 
 ONE = np.eye(7)
-REFUSED = {
-    "far joint": ({"q": XARM7.home + math.radians(1.5) * ONE[6]}, {}, None, "1.5 degrees"),
-    "far tool": ({"q": XARM7.home + 0.013 * ONE[0]}, {}, None, "5 mm off"),
-    "fault": ({"code": "the user stop is pressed"}, {}, None, "user stop"),
-    "old report": ({"age": 0.15}, {}, None, "150 ms old"),
-    "speed": ({}, {"speed": SpeedLimits(tool=0.8, share=0.3)}, None, "take .* times as long"),
-    "workspace": ({}, {"workspace": np.array([[-0.8, -0.8, 0.5], [0.8, 0.8, 1.2]])}, None,
-                  "leaves the workspace"),
-    "angle": ({}, {}, knots(2.1 * ONE[5], 2.0), "limit 3.14"),
-    "knots": ({}, {}, knots(BETWEEN_KNOTS, 0.84, 2), "moves at 0.89.*limit 0.8"),
-}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_is_refused_before_the_arm_moves(streamer, name):
-    state, cell, motion, message = REFUSED[name]
+@pytest.mark.parametrize(
+    ("state", "changes", "motion", "message"),
+    [
+        ({"sent": [(0.0, XARM7.home + math.radians(1.5) * ONE[6])]}, {}, None, "1.5 degrees"),
+        ({"sent": [(0.0, XARM7.home + 0.013 * ONE[0])]}, {}, None, "5 mm off"),
+        ({"code": "the user stop is pressed"}, {}, None, "user stop"),
+        ({"age": 0.15}, {}, None, "150 ms old"),
+        ({}, {"speed": SpeedLimits(tool=0.8, share=0.3)}, None, "take .* times as long"),
+        ({}, {"workspace": np.array([[-1, -1, 0.5], [1, 1, 1.2]])}, None, "leaves the workspace"),
+        ({}, {}, knots(2.1 * ONE[5], 2.0), "limit 3.14"),
+        ({}, {}, knots(BETWEEN_KNOTS, 0.84, 2), "moves at 0.89.*limit 0.8"),
+    ],
+)
+def test_what_is_refused_before_the_arm_moves(streamer, state, changes, motion, message):
     controller = streamer.driver
-    controller.sent = [(0.0, state.get("q", XARM7.home))]
-    controller.code, controller.age = state.get("code"), state.get("age", 0.0)
-    streamer = Streamer(controller, replace(streamer.cell, **cell), clock=streamer.clock)
+    vars(controller).update(state)
+    streamer = Streamer(controller, replace(streamer.cell, **changes), clock=streamer.clock)
     with pytest.raises(GendomError, match=message):
         streamer.start(motion or motion_to())
-    assert not streamer.moving
-    assert controller.calls == []
+    assert not streamer.moving and controller.calls == []
 
 
-def grip(streamer):
+def shown(**state):
+    return lambda streamer: vars(streamer.driver).update(state)
+
+
+def bad_grip(streamer):
+    streamer.driver.grips = "it does not move"
     streamer.grip(0.0)
     wait(streamer.grips)
 
 
 FAULTS = {
     "stopped": (lambda s: s.brake("stopped"), "stopped", "path"),
-    "reports late": (lambda s: setattr(s.driver, "age", BLIND[0] + 0.005), "ms old", "path"),
-    "frozen": (lambda s: setattr(s.driver, "frozen", s.report.q), "repeats itself", "path"),
-    "gripper": (
-        lambda s: (setattr(s.driver, "grips", "it does not move"), grip(s)),
-        "does not move",
-        "path",
-    ),
-    "error": (lambda s: setattr(s.driver, "code", "C31: collision"), "C31", "halt"),
-    "dead": (lambda s: setattr(s.driver, "broken", "no answer"), "no answer", "halt"),
-    "tracking": (lambda s: setattr(s.driver, "lag", LAG + 0.06), "off its commands", "halt"),
-    "late tick": (lambda s: setattr(s.driver, "now", s.driver.now + 0.05), "50 ms late", "halt"),
+    "reports late": (shown(age=BLIND[0] + 0.005), "ms old", "path"),
+    "frozen": (lambda s: shown(frozen=s.report.q)(s), "repeats itself", "path"),
+    "gripper": (bad_grip, "does not move", "path"),
+    "error": (shown(code="C31: collision"), "C31", "halt"),
+    "dead": (shown(broken="no answer"), "no answer", "halt"),
+    "tracking": (shown(lag=LAG + 0.06), "off its commands", "halt"),
+    "late tick": (lambda s: shown(now=s.driver.now + 0.05)(s), "50 ms late", "halt"),
 }
 
 
@@ -184,15 +174,12 @@ def test_faults_in_mid_motion_stop_the_arm(streamer, name):
     soon = 0.5 * motion.end + streamer.cell.tool.latency + 0.03
     motion = replace(motion, events=(GripperEvent(time=soon, closed=False),))
     seconds = run(streamer, motion, at=0.5 * motion.end, then=lambda: inject(streamer))
-    said = streamer.fault or streamer.ended
-    assert said is not None
-    assert re.search(message, said), said
+    assert re.search(message, said := str(streamer.fault or streamer.ended)), said
     assert controller.calls == ["begin", "end" if way == "path" else "halt"]
     assert on_path(streamer, motion) < 1e-3
     assert seconds <= {"frozen": 0.19, "tracking": LAG + 0.03}.get(name, 0.16)
     if name == "stopped":
-        assert streamer.fault is None
-        assert controller.gripped == []  # not while it brakes
+        assert (streamer.fault, controller.gripped) == (None, [])  # not while it brakes
     else:
         with pytest.raises(DeviceError, match=message):  # until it is connected again
             streamer.start(motion)
@@ -213,45 +200,41 @@ class Damaged:
 
 
 @pytest.mark.parametrize(
-    ("add", "message"),
+    ("add", "limit"),
     [
-        (math.nan, "not finite"),
-        (math.inf, "not finite"),
-        (3.0 * np.eye(7)[3], "limit of angle"),
-        (0.03 * np.eye(7)[6], "limit of speed"),
-        (0.004 * np.eye(7)[6], "limit of acceleration"),
-        (0.008 * np.eye(7)[0], "limit of tool speed"),
+        (math.nan, None),
+        (math.inf, None),
+        (3.0 * ONE[3], "angle"),
+        (0.03 * ONE[6], "speed"),
+        (0.004 * ONE[6], "acceleration"),
+        (0.008 * ONE[0], "tool speed"),
+        (None, "workspace"),
     ],
-    ids=["nan", "inf", "angle", "speed", "acceleration", "tool speed"],
+    ids=["nan", "inf", "angle", "speed", "acceleration", "tool speed", "workspace"],
 )
-def test_bad_commands_are_not_sent(streamer, add, message):
+def test_bad_commands_are_not_sent(streamer, add, limit):
     motion, controller = motion_to(), streamer.driver
     # Limits of acceleration are far above what the tool may do: those not asked about are lifted.
-    lifted = {} if "acceleration" in message else {"max_acceleration": np.full(7, 1e3)}
+    lifted = {} if limit == "acceleration" else {"max_acceleration": np.full(7, 1e3)}
     streamer.limits = replace(streamer.limits, **lifted)
     streamer.start(motion)
-    streamer._next[-1] = Damaged(motion, add)
+    if add is None:
+        edge = tcp_pose(XARM7, motion.at(0.5 * motion.end))[1, 3]
+        low, high = streamer.cell.workspace
+        streamer.cell = replace(streamer.cell, workspace=(low, np.array([high[0], edge, high[2]])))
+    else:
+        streamer._next[-1] = Damaged(motion, add)
     run(streamer)
-    assert message in streamer.fault
+    message = f"limit of {limit}" if limit else "not finite"
+    assert message in streamer.fault and on_path(streamer, motion) < 1e-4
     assert controller.calls == ["begin", "halt"]
-    assert on_path(streamer, motion) < 1e-4
-    if not math.isfinite(np.max(add)):  # nor while the arm brakes
+    if limit is None:  # nor while the arm brakes
         controller.sent = controller.sent[:1]
         again: Any = Streamer(controller, streamer.cell, clock=streamer.clock)
         again.start(motion)
         again._next[-1] = Damaged(motion, add)
         run(again, at=0.49 * motion.end, then=lambda: again.brake("stopped"))
         assert message in again.fault and np.isfinite(controller.commands()).all()
-
-
-def test_a_command_out_of_the_workspace_is_not_sent(streamer):
-    motion = motion_to()
-    streamer.start(motion)
-    edge = tcp_pose(XARM7, motion.at(0.5 * motion.end))[1, 3]
-    low, high = streamer.cell.workspace
-    streamer.cell = replace(streamer.cell, workspace=(low, np.array([high[0], edge, high[2]])))
-    run(streamer)
-    assert "limit of workspace" in streamer.fault
 
 
 def test_a_slow_motion_s_reports_may_be_older(streamer):

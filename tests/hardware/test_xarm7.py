@@ -4,12 +4,12 @@ The machine that runs this may be busy: reports may be older here than `BLIND` s
 """
 
 import math
-import os
 import socket
 import sys
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -69,46 +69,36 @@ def test_a_robot_moves_grips_stops_and_keeps_its_faults(box, robot):
     assert box.gripper == pytest.approx(850.0 * 0.04 / 0.084, abs=12)
     with pytest.raises(DeviceError, match="approach it first"):
         robot.play(motion)
-    approach(robot, AWAY - 0.02)
+
+    def approach(q):
+        robot.play(robot.cell.slow_move(robot.state().q, q))
+
+    def ends_by(error, match, share=0.4, after=None, on_tick=None):
+        """From home, what is called in mid-motion, or a tick, ends it so."""
+        approach(XARM7.home)
+        if after:
+            threading.Timer(0.5, *after).start()
+        with pytest.raises(error, match=match):
+            robot.play(there_and(share), on_tick=on_tick)
+
+    approach(AWAY - 0.02)
     assert box.true == pytest.approx(AWAY - 0.02, abs=1e-3)
     assert box.orders("mode") == [1, 0, 1, 0]
-
-    approach(robot, XARM7.home)
-    threading.Timer(0.5, robot.stop).start()
-    with pytest.raises(DeviceError, match="stopped"):
-        robot.play(there_and())
+    ends_by(DeviceError, "stopped", after=[robot.stop])
     assert_braked(box)
-
-    def fail(tick):
-        if tick.time > 0.4:
-            raise ZeroDivisionError
-
-    approach(robot, XARM7.home)
-    with pytest.raises(ZeroDivisionError):
-        robot.play(there_and(), on_tick=fail)
+    ends_by(ZeroDivisionError, "", on_tick=lambda tick: tick.time < 0.4 or 1 / 0)
     assert_braked(box)
     assert robot.state().fault is None
-
-    approach(robot, XARM7.home)
-    threading.Timer(0.4, box.fail, [31]).start()
-    with pytest.raises(DeviceError, match=r"C31: Collision.*clear it in UFACTORY Studio"):
-        robot.play(there_and(0.1))
+    ends_by(DeviceError, "C31: Collision.*clear it in UFACTORY Studio", 0.1, [box.fail, [31]])
     box.code = 0
-    for order in (lambda: approach(robot, AWAY), lambda: robot.gripper(0.0)):
+    for order in (lambda: approach(AWAY), lambda: robot.gripper(0.0)):
         with pytest.raises(DeviceError, match="C31"):
             order()
     assert "C31" in (robot.state().fault or "")
     robot.connect()
     assert robot.state().fault is None
-    approach(robot, XARM7.home)
-    threading.Timer(0.5, robot._process.kill).start()
-    with pytest.raises(DeviceError, match=r"gone or hangs.*emergency stop"):
-        robot.play(there_and())
+    ends_by(DeviceError, "gone or hangs.*emergency stop", after=[robot._process.kill])
     assert "gone" in (robot.state().fault or "")
-
-
-def approach(robot, q):
-    robot.play(robot.cell.slow_move(robot.state().q, q))
 
 
 def assert_braked(box):
@@ -130,22 +120,13 @@ PLAYED = (
 @pytest.mark.parametrize("end", ["SIGKILL", "SIGINT"])
 def test_the_arm_brakes_when_its_program_ends(box, tmp_path, end):
     when, child = ended(tmp_path, PLAYED.format(box.address), end)
-    while alive(child) and time.monotonic() < when + 10.0:
+    state = Path(f"/proc/{child}/stat")
+    while state.exists() and state.read_text().split()[2] != "Z":
+        assert time.monotonic() < when + 10.0
         time.sleep(0.01)
-    assert not alive(child)
     assert_braked(box)
     seconds, metres = box.stopping(when)
-    assert seconds < 2.0  # 0.2 where nothing else runs: benchmarks/faults.py
-    assert metres < 0.3
-
-
-def alive(process):
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    with open(f"/proc/{process}/stat") as file:
-        return file.read().split()[2] != "Z"
+    assert seconds < 2.0 and metres < 0.3  # 0.2 s where nothing else runs: benchmarks/faults.py
 
 
 @pytest.mark.parametrize(
@@ -166,8 +147,8 @@ def test_without_its_sdk_a_robot_says_what_to_install(monkeypatch, name, module,
 @pytest.mark.parametrize(
     ("version", "prepare", "message"),
     [
-        ("v1.12.10", lambda box: box.die(), "it is not there"),
-        ("v1.9.200", lambda box: None, "firmware 1.9.200 .* update"),
+        ("v1.12.10", Box.die, "it is not there"),
+        ("v1.9.200", id, "firmware 1.9.200 .* update"),
         ("v1.12.10", lambda box: box.fail(1), "C1: The Emergency Stop Button"),
         ("v1.12.10", lambda box: setattr(box, "reports", 0), "no reports arrive"),
     ],
@@ -195,34 +176,31 @@ def test_a_silent_box_is_given_up(box, monkeypatch):
 # ---- faults in mid-motion, with the SDK in this process ------------------------------------------
 
 
-def run(streamer, motion, at, then):
-    streamer.start(motion)
-    done = False
-    while streamer.moving:
-        due = time.monotonic() + streamer.driver.period
-        if not done and streamer.elapsed >= at:
-            done = True
-            then()
-        streamer.tick()
-        time.sleep(max(0.0, due - time.monotonic()))
-    assert done
+def shown(**state):
+    return lambda box: vars(box).update(state)
 
 
 FAULTS = {
-    "silent": (lambda box: setattr(box, "silent", True), "does not answer|ms old"),
-    "dies": (lambda box: box.die(), "does not answer|refuses|ms old"),
-    "off": (lambda box: setattr(box, "off", np.full(7, 0.1)), "degrees off its commands"),
+    "silent": (shown(silent=True), "does not answer|ms old"),
+    "dies": (Box.die, "does not answer|refuses|ms old"),
+    "off": (shown(off=np.full(7, 0.1)), "degrees off its commands"),
     "C31": (lambda box: box.fail(31), "C31: Collision"),
-    "other mode": (lambda box: setattr(box, "mode", 2), "something else set mode 2"),
-    "paused": (lambda box: setattr(box, "state", 3), "state 3"),
+    "other mode": (shown(mode=2), "something else set mode 2"),
+    "paused": (shown(state=3), "state 3"),
 }
 
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_faults_of_the_box_in_mid_motion(box, streamer, name):
     """The arm stands, and what is said is what to do. True joints show that it does."""
-    inject, message = FAULTS[name]
-    run(streamer, there_and(0.2), 0.3, lambda: inject(box))
+    (inject, message), waiting = FAULTS[name], True
+    streamer.start(there_and(0.2))
+    while streamer.moving:
+        due = time.monotonic() + streamer.driver.period
+        if waiting and streamer.elapsed >= 0.3:
+            waiting = inject(box)
+        streamer.tick()
+        time.sleep(max(0.0, due - time.monotonic()))
     with pytest.raises(DeviceError, match=message):
         streamer.start(there_and())
     time.sleep(0.3)

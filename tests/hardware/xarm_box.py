@@ -19,6 +19,7 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 
@@ -61,14 +62,13 @@ def patient(here):
 
 def play_aloud(robot, motion, at):
     """Play a motion; when so many seconds of it are over, print the process that streams it."""
-    told = []
+    robot.connect()
+    told = iter([robot._process.pid])
 
     def tick(tick):
-        if tick.time > at and not told:
-            told.append(1)
-            print("moving", robot._process.pid, flush=True)
+        for process in told if tick.time > at else ():
+            print("moving", process, flush=True)
 
-    robot.connect()
     robot.play(motion, on_tick=tick)
 
 
@@ -79,12 +79,10 @@ def ended(folder, call, how):
     imports, _, call = call.rpartition("; ")
     program.write_text(f"{imports}\nif __name__ == '__main__':\n    {call}\n")
     env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    order = [sys.executable, str(program)]
-    with subprocess.Popen(
-        order, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=env
-    ) as parent:
-        assert parent.stdout is not None
-        child = next(int(line.split()[1]) for line in parent.stdout if line.startswith("moving"))
+    order, none = [sys.executable, str(program)], subprocess.DEVNULL
+    with subprocess.Popen(order, stdout=-1, stderr=none, text=True, env=env) as parent:
+        told = cast(Any, parent.stdout)
+        child = next(int(line.split()[1]) for line in told if line.startswith("moving"))
         at = time.monotonic()
         parent.send_signal(getattr(signal, how))
         parent.wait(20)
@@ -106,27 +104,25 @@ def cell(address, **speed):
 class Box:
     """A box at an address of its own. Faults are injected by setting attributes."""
 
+    off = np.zeros(7)  # of what is measured, from where the arm is
+    silent = frozen = stuck = unmoved = False
+    delay = 0.0  # of answers [s]
+    reports = 100.0  # a second
+    gripper = pulses = 850.0
+    mode, state, code, alive = 0, 4, 0, True
+
     def __init__(self, version="v1.12.10"):
         pid = os.getpid()
         self.address = f"127.{pid >> 8 & 127}.{pid & 255}.{next(_hosts)}"
         self.version = version
-        self.commanded, self.true = XARM7.home.copy(), XARM7.home.copy()
+        self.commanded = self.true = self.frozen_q = XARM7.home.copy()
         self.speed = np.zeros(7)
-        self.mode, self.state, self.code = 0, 4, 0
-        self.off = np.zeros(7)  # of what is measured, from where the arm is
-        self.silent = self.frozen = self.stuck = self.unmoved = False
-        self.delay = 0.0  # of answers [s]
-        self.reports = 100.0  # a second
-        self.gripper = self.pulses = 850.0
-        self.log = []  # (time, what, value)
-        self.path = []  # (time, true joints)
-        self.alive, self.sockets = True, []
-        self.lock = threading.RLock()
-        self.frozen_q = self.true
+        self.log, self.path = [], []  # (time, what, value); (time, true joints)
+        self.sockets, self.lock = [], threading.RLock()
         for port, talk in ((PORT, self._answer), (30003, self._report)):
             self.sockets.append(socket.create_server((self.address, port)))
-            self._thread(self._accept, self.sockets[-1], talk)
-        self._thread(self._move)
+            _thread(self._accept, self.sockets[-1], talk)
+        _thread(self._move)
 
     def __enter__(self):
         return self
@@ -146,7 +142,6 @@ class Box:
         """An error: the arm stops."""
         with self.lock:
             self.code, self.state = code, 4
-            self.log.append((time.monotonic(), "error", code))
 
     def orders(self, name):
         """Values of the log's entries of one name."""
@@ -162,27 +157,22 @@ class Box:
 
     # ---- threads -----------------------------------------------------------------------------
 
-    def _thread(self, target, *args):
-        threading.Thread(target=target, args=args, daemon=True).start()
-
     def _accept(self, server, talk):
-        with suppress(OSError):
-            while self.alive:
-                link, _ = server.accept()
-                link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self.sockets.append(link)
-                self._thread(talk, link)
+        while self.alive:
+            link, _ = server.accept()
+            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self.sockets.append(link)
+            _thread(talk, link)
 
     def _report(self, link):
         due = time.monotonic()
-        with suppress(OSError):
-            while self.alive:
-                if not self.silent and self.reports:
-                    head = bytes([self.mode << 4 | self.state, 0, 0])
-                    body = head + struct.pack("<7f", *self.commanded) + bytes(24 + 28)
-                    link.sendall(struct.pack(">I", len(body) + 4) + body)
-                due = max(due + 1.0 / (self.reports or 100.0), time.monotonic())
-                time.sleep(max(0.0, due - time.monotonic()))
+        while self.alive:
+            if not self.silent and self.reports:
+                head = bytes([self.mode << 4 | self.state, 0, 0])
+                body = head + struct.pack("<7f", *self.commanded) + bytes(24 + 28)
+                link.sendall(struct.pack(">I", len(body) + 4) + body)
+            due = max(due + 1.0 / (self.reports or 100.0), time.monotonic())
+            time.sleep(max(0.0, due - time.monotonic()))
 
     def _move(self):
         last = time.monotonic()
@@ -194,62 +184,39 @@ class Box:
                 if self.unmoved:
                     self.speed = np.zeros(7)
                 elif self.state in (0, 1, 2):
-                    share = 1.0 - math.exp(-dt / LAG)
-                    self.true = before + share * (self.commanded - before)
+                    self.true = before + (1.0 - math.exp(-dt / LAG)) * (self.commanded - before)
                     self.speed = (self.true - before) / dt
                 else:
                     fall = max(0.0, 1.0 - BRAKED * dt / max(np.abs(self.speed).max(), 1e-9))
                     self.speed = fall * self.speed
-                    self.true = before + self.speed * dt
-                    self.commanded = self.true.copy()
+                    self.commanded = self.true = before + self.speed * dt
                 if not self.stuck:
                     self.gripper += np.clip(self.pulses - self.gripper, -1500 * dt, 1500 * dt)
                 self.path.append((now, self.true))
 
     def _answer(self, link):
-        with suppress(OSError):
-            while self.alive:
-                transaction, protocol, length = struct.unpack(">HHH", self._read(link, 6))
-                body = self._read(link, length)
-                if self.silent or protocol not in (2, 3):  # or a heartbeat
-                    continue
-                time.sleep(self.delay)
-                with self.lock:
-                    answer = self._do(body[0], body[1:])
-                    state = 0x40 * (self.code != 0) | 0x10 * (self.state >= 4)
-                head = struct.pack(">HHHBB", transaction, protocol, len(answer) + 2, body[0], state)
-                link.sendall(head + answer)
-
-    @staticmethod
-    def _read(link, n):
-        data = b""
-        while len(data) < n:
-            more = link.recv(n - len(data))
-            if not more:
-                raise OSError
-            data += more
-        return data
+        stream = link.makefile("rb")
+        while self.alive:
+            transaction, protocol, length = struct.unpack(">HHH", stream.read(6))
+            body = stream.read(length)
+            if self.silent or protocol not in (2, 3):  # or a heartbeat
+                continue
+            time.sleep(self.delay)
+            with self.lock:
+                answer = self._do(body[0], body[1:])
+                state = 0x40 * (self.code != 0) | 0x10 * (self.state >= 4)
+            head = struct.pack(">HHHBB", transaction, protocol, len(answer) + 2, body[0], state)
+            link.sendall(head + answer)
 
     # ---- orders ------------------------------------------------------------------------------
 
     def _do(self, function, values):
-        names = {11: "enable", 12: "state", 19: "mode"}
-        if function in names:
-            self.log.append(
-                (time.monotonic(), names[function], values[-1 if function == 11 else 0])
-            )
         if function == 1:
-            name = f"7,7,XS1300000000,AC1300000000,{self.version}"
-            return name.encode().ljust(40, b"\0")
+            return f"7,7,XS1300000000,AC1300000000,{self.version}".encode().ljust(40, b"\0")
         if function == 12 and not (self.code and values[0] == 0):
             self.state = {0: 2, 3: 3, 4: 4}[values[0]]
-        if function == 13:
-            return bytes([self.state])
-        if function == 14:
-            return bytes(2)
-        if function == 15:
-            return bytes([self.code, 0])
         if function == 19:
+            self.log.append((time.monotonic(), "mode", values[0]))
             self.mode, self.state = values[0], 5  # until state 0 is asked for
         if function == 29:
             self._servo(np.array(struct.unpack("<7f", values[:28]), dtype=float))
@@ -260,15 +227,14 @@ class Box:
             return struct.pack("<7f", *self.frozen_q)
         if function == 124:
             return self._modbus(values)
-        if function == 128:
-            return struct.pack(">i", 11)  # rate of the gripper's line: 2 Mbit/s
-        return b""
+        rate = struct.pack(">i", 11)  # of the gripper's line: 2 Mbit/s
+        told = {13: bytes([self.state]), 14: bytes(2), 15: bytes([self.code, 0]), 128: rate}
+        return told.get(function, b"")
 
     def _servo(self, q):
-        now = time.monotonic()
         if self.mode != 1 or self.state not in (0, 1, 2):
             return
-        self.log.append((now, "servo", q))
+        self.log.append((time.monotonic(), "servo", q))
         # The box interpolates over the time between commands, which is 10 ms here.
         step = (tcp_pose(XARM7, q) - tcp_pose(XARM7, self.commanded))[:3, 3]
         if np.any(np.abs(q - self.commanded) > MOST_SPEED * 0.0101):
@@ -283,10 +249,19 @@ class Box:
         host, line, function, register, count = struct.unpack(">BBBHH", frame[:7])
         assert (host, line) == (9, 8)
         if function == 0x10:
-            value = int.from_bytes(frame[8 : 8 + 2 * count], "big", signed=True)
-            self.log.append((time.monotonic(), f"gripper {register:#x}", value))
             if register == 0x0700:
+                value = int.from_bytes(frame[8 : 8 + 2 * count], "big", signed=True)
                 self.pulses = float(value)
             return frame[:7]
         value = {0x0702: round(self.gripper)}.get(register, 0)
         return frame[:3] + bytes([2 * count]) + value.to_bytes(2 * count, "big", signed=True)
+
+
+def _thread(target, *args):
+    """Runs until its box dies."""
+
+    def run():
+        with suppress(OSError, ValueError, struct.error):  # it is closed
+            target(*args)
+
+    threading.Thread(target=run, daemon=True).start()

@@ -83,7 +83,7 @@ def find_line(
         near = _Ways(_nodes(points, _FINE[0], finer), held, finer, _AVOIDED)
         if least <= near.seen.max(initial=0.0) <= most and near.before <= _FROM_HELD:
             off, at = _away(points, near.to(int(near.seen.argmax())))
-            thin = off <= max(_NODE, _THIN * float(np.median(off)))
+            thin = off <= min(max(_NODE, _THIN * np.median(off)), across / 2.0 + _NODE)
             if max(np.mean(~thin), np.mean(_thick(off, at, off <= beside))) <= MOST_FAR:
                 return Line(float(near.seen.max()), off <= beside, clear=True)
     if alone or held is None:
