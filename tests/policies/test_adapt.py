@@ -124,9 +124,8 @@ def test_beliefs_keep_correlations_their_size_and_what_recordings_have_each():
     assert [found[n] for n in ("names", "recordings")] == [old["names"], old["recordings"]]
     assert found["mean"][1:] == [0.001, 0.002]
     assert np.diag(found["covariance"]) == pytest.approx([1e-2, 1e-6, 4e-6])
-    for names, mean, covariance in (([], [], [[1.0]]), (["E_over_rho"], [1.0], [[-1.0]]),
-                                    (["E_over_rho"], ["x"], [[1.0]])):  # fmt: skip
-        broken = {"names": names, "mean": mean, "covariance": covariance}
+    whole = {"names": ["E_over_rho"], "mean": [1.0], "covariance": [[1.0]]}
+    for broken in ({}, whole | {"covariance": [[-1.0]]}, whole | {"mean": ["x"]}):
         with pytest.raises(ParameterError):
             belief_of(ROPE, broken, known=KNOWN)
 
