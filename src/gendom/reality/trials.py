@@ -136,13 +136,7 @@ class TrialRun:
     @property
     def end(self) -> float:
         """When everything is over [s]: later than in the trial where the arm takes longer."""
-        trial, motion = self.trial, self.motion
-        if motion is None:
-            return trial.end
-        last = motion.events[-1]
-        end = trial.end + last.time - trial.path.events[-1].time
-        # The hand still moves after it has closed, and an arm that is slowed down for longer.
-        return max(end, motion.end - 0.5 * motion.blend) if last.closed else end
+        return end_of(self.trial, self.motion)
 
     def step_to(self, time: float) -> None:
         """Go on until a time [s], closing and opening the hand on the way.
@@ -172,6 +166,21 @@ def arm_motion(trial: Trial, cameras: Sequence[Camera] = ()) -> JointMotion:
         surroundings=surroundings(cameras),
         opening=thickness_of(trial.item),
     )
+
+
+def end_of(trial: Trial, motion: JointMotion | None) -> float:
+    """When everything is over [s]: later than in the trial where the arm takes longer.
+
+    Args:
+        trial: What is done.
+        motion: How the arm does it; None: a free hand.
+    """
+    if motion is None:
+        return trial.end
+    last = motion.events[-1]
+    end = trial.end + last.time - trial.path.events[-1].time
+    # The hand still moves after it has closed, and an arm that is slowed down for longer.
+    return max(end, motion.end - 0.5 * motion.blend) if last.closed else end
 
 
 def lift(item: RealObject, motion: LiftMotion | None = None) -> Trial:
