@@ -28,8 +28,7 @@ class Formula:
     jobs: int = 1
 
     def carry_out(self, task, items, actions, **_):
-        done.extend(zip([item.name for item in items if hasattr(item, "name")],
-                        np.ravel(actions), strict=False))  # fmt: skip
+        done.extend(np.ravel(actions))
         off = np.hypot(*(np.array(task.off_centre) - OFF_CENTRE))
         return [
             Outcome(values={}, fault="too fast")

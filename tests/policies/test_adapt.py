@@ -96,28 +96,24 @@ def test_belief_takes_the_posterior_and_doubts_the_rest():
     logs = np.log([item.material.E_over_rho for item in drawn])
     assert logs.mean() == pytest.approx(math.log(8e5 / 900), abs=0.003)
     assert logs.std() == pytest.approx(0.05, rel=0.05)
-    low, high = belief.posterior.interval("E_over_rho", 0.9)
-    inside = (np.exp(logs) > low) & (np.exp(logs) < high)
-    assert inside.mean() == pytest.approx(0.9, abs=0.02)
+    low, high = np.log(belief.posterior.interval("E_over_rho", 0.9))
+    assert np.mean((logs > low) & (logs < high)) == pytest.approx(0.9, abs=0.02)
     assert all(size_of(item) == ROPE.length for item in drawn)
-    # belief keeps correlations in any order
+
+
+def test_beliefs_keep_correlations_their_size_and_what_recordings_have_each():
     posterior = {"names": ["damping", "yaw", "E_over_rho"], "mean": [-5.0, 0.0, 7.0],
                  "covariance": [[0.04, 0.0, 0.01], [0.0, 1.0, 0.0], [0.01, 0.0, 0.09]]}  # fmt: skip
     belief = belief_of(ROPE, posterior, known=KNOWN)
     assert belief.names == ("E_over_rho", "damping")
     assert belief.mean == pytest.approx([7.0, -5.0])
     assert belief.covariance == pytest.approx(np.array([[0.09, 0.01], [0.01, 0.04]]))
-    # a belief is about an object of the item's thickness
-    slope = np.array([-2.0, 1.0])
-    covariance = np.diag([0.03**2, 0.0]) + 0.8**2 * np.outer(slope, slope)
-    posterior = {
-        "names": ["E_over_rho", "thickness"],
-        "mean": [math.log(8e5 / 900), 0.0],
-        "covariance": covariance.tolist(),
-    }
-    belief = belief_of(ROPE, posterior, known=("nu", "friction", "damping"))
+    # about an object of the item's thickness
+    covariance = np.diag([0.03**2, 0.0]) + 0.8**2 * np.outer([-2.0, 1.0], [-2.0, 1.0])
+    posterior = {"names": ["E_over_rho", "thickness"], "mean": [math.log(8e5 / 900), 0.0],
+                 "covariance": covariance.tolist()}  # fmt: skip
+    belief = belief_of(ROPE, posterior, known=(*KNOWN, "damping"))
     assert belief.names == ("E_over_rho",) and belief.sd == pytest.approx([0.03])
-    # what recordings have each is kept
     old = {"names": ["E_over_rho", "grip_height", "grip_height"], "recordings": [None, 0, 1],
            "log": [True, False, False], "mean": [math.log(900.0), 0.001, 0.002],
            "prior_mean": [5.0, 0.0, 0.0], "prior_sd": [4.0, 0.01, 0.01],
@@ -125,19 +121,13 @@ def test_belief_takes_the_posterior_and_doubts_the_rest():
            "covariance": np.diag([1e-2, 1e-6, 4e-6]).tolist()}  # fmt: skip
     estimate = Estimate.of(ROPE, old)
     found = estimate.updated(estimate.of_object(["E_over_rho"]), {}).posterior.to_dict()
-    assert found["names"] == old["names"] and found["recordings"] == old["recordings"]
+    assert [found[n] for n in ("names", "recordings")] == [old["names"], old["recordings"]]
     assert found["mean"][1:] == [0.001, 0.002]
     assert np.diag(found["covariance"]) == pytest.approx([1e-2, 1e-6, 4e-6])
-
-
-@pytest.mark.parametrize(
-    "posterior",
-    [{}, {"names": ["E_over_rho"], "mean": [1.0], "covariance": [[-1.0]]},
-     {"names": ["E_over_rho"], "mean": ["x"], "covariance": [[1.0]]}],
-)  # fmt: skip
-def test_broken_posteriors_are_refused(posterior):
-    with pytest.raises(ParameterError):
-        belief_of(ROPE, posterior, known=KNOWN)
+    whole = {"names": ["E_over_rho"], "mean": [1.0], "covariance": [[1.0]]}
+    for broken in ({}, whole | {"covariance": [[-1.0]]}, whole | {"mean": ["x"]}):
+        with pytest.raises(ParameterError):
+            belief_of(ROPE, broken, known=KNOWN)
 
 
 def test_what_was_enough_says_which_objects_are_likely():

@@ -1,4 +1,4 @@
-"""Training, on a toy task whose forward map is known."""
+"""Training, on a toy task whose forward map is known; refining, in a world in closed form."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from gendom.errors import PolicyError
-from gendom.materials import with_dimensionless
+from gendom.materials import PARAMETERS, dimensionless_parameters, size_of, with_dimensionless
 from gendom.policies import Policy
 from gendom.policies.demonstrations import Demonstrations
 from gendom.tasks import ClothSpreading, RopeReaching
+from policies.ballistic import TASK as THROWING
+from policies.ballistic import Throws, reach_of
 from policies.conftest import demonstrations
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
@@ -187,7 +189,7 @@ def test_fine_tuning_follows_another_world_where_it_was_seen_and_forgets_nothing
     """Soft ropes reach 0.03 farther there; of stiff ones nothing was seen."""
     real = toy(500, seed=7)
     real = replace(real, goal=real.goal + 0.03).chosen(real.parameters["bending_ratio"] < 0.35)
-    how = Training(epochs=60, finetune_steps=1000)
+    how = Training(epochs=60, finetune_steps=500)
     tuned = train(toy(1200), tmp_path / "p.onnx", how, finetune=real)
     about, new = tuned.description.training, toy(500, seed=1)
     assert (about["demonstrations"], about["finetuned_on"]) == (1200, len(real))
@@ -224,6 +226,8 @@ def test_divergence_is_told(tmp_path):
         ({"conditioned_on": ("mass",)}, "choose from bending_ratio, nu, damping"),
         ({"architecture": "huge"}, "choose from smooth, paper"),
         ({"epochs": 0}, "epochs must be positive"),
+        ({"refine": -1}, "give 0 rounds or more"),
+        ({"refine": 1, "refine_cases": 0}, "give 0 rounds or more"),
     ],
 )
 def test_bad_settings_are_refused(settings, text):
@@ -237,3 +241,75 @@ def test_what_does_not_vary_cannot_be_conditioned_on(tmp_path):
     other = replace(toy(100), goal_names=("z",))
     with pytest.raises(PolicyError, match="same task"):
         train(toy(100), tmp_path / "p.onnx", Training(epochs=1), finetune=other)
+
+
+BRIEF = Training(epochs=4, refine=2, refine_cases=100, refine_steps=100, seed=1)
+"""Too short for its method to learn the task."""
+
+
+def thrown(count: int, seed: int = 0, world=None) -> Demonstrations:
+    """Demonstrations of `Throws`."""
+    rng = np.random.default_rng(seed)
+    items = [THROWING.draw_item(rng) for _ in range(count)]
+    action = np.array([THROWING.sample_actions(item, rng, 1)[0] for item in items])
+    outcomes = (world or Throws()).carry_out(THROWING, items, action)
+    L = np.array([size_of(item) for item in items])
+    alike = [dimensionless_parameters(item) for item in items]
+    reached, risk = (np.array([o.values[n] for o in outcomes]) / L for n in ("x", "sideways"))
+    parameters = {n: np.array([a[n] for a in alike]) for n in PARAMETERS}
+    return demonstrations(THROWING, action / L[:, None], reached, parameters, risk)
+
+
+def misses(policy, seed: int = 9) -> np.ndarray:
+    """Of 200 new cases [lengths]."""
+    new = thrown(200, seed)
+    action = policy.actions(new.goal, new.parameters)
+    p = new.parameters
+    return np.abs(
+        reach_of(action[:, 0], action[:, 1], p["bending_ratio"], p["damping"]) - new.goal[:, 0]
+    )
+
+
+def test_refined_policies_reach_their_goals(tmp_path):
+    data = thrown(300)
+    plain = train(data, tmp_path / "plain.onnx", Training(epochs=4, seed=1))
+    policy = train(data, tmp_path / "refined.onnx", BRIEF, world=Throws())
+    assert misses(policy).mean() < 0.004 < 0.2 * misses(plain).mean()
+    about = policy.description.training
+    assert about["refine"] == 2 and about["refined_in"] == Throws().settings()
+    first, last = (about["errors"][f"goal_rms_before_{n}"] for n in ("refining", "last_round"))
+    assert last < 0.5 * first
+
+
+class Swaying(Throws):
+    """Ropes sway the more, the higher they are let go: beyond the limit from 0.5 lengths on."""
+
+    def carry_out(self, task, items, actions, **_):
+        assert THROWING.risk is not None
+        found = super().carry_out(task, items, actions)
+        for outcome, item, (_, z) in zip(found, items, np.asarray(actions), strict=True):
+            L = size_of(item)
+            outcome.values["sideways"] = L * THROWING.risk.limit * np.exp((z / L - 0.5) / 0.05)
+        return found
+
+
+def test_risk_is_avoided(tmp_path):
+    """Without its loss a share of 0.05 of actions and more is beyond the limit."""
+    world = Swaying()
+    policy = train(thrown(300, world=world), tmp_path / "p.onnx", BRIEF, world=world)
+    new = thrown(200, 9, world)
+    assert new.risk is not None and THROWING.risk is not None
+    new = new.chosen(new.risk < THROWING.risk.limit)
+    high = policy.actions(new.goal, new.parameters)[:, 1] > 0.5
+    assert high.mean() < 0.02
+
+
+def test_what_cannot_be_refined_is_refused(tmp_path):
+    with pytest.raises(PolicyError, match="can be relied on"):
+        train(thrown(60), tmp_path / "b.onnx", BRIEF, world=Throws(fails=True))
+    ropes = thrown(60)
+    goal, action = np.empty((60, 0)), ropes.action[:, :1]
+    goalless = demonstrations(ClothSpreading(), action, goal, ropes.parameters)
+    with pytest.raises(PolicyError, match="has no goals"):
+        train(goalless, tmp_path / "c.onnx", Training(method="inverse", epochs=1, refine=1))
+    assert not list(tmp_path.glob("*.onnx"))

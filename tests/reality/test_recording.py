@@ -93,16 +93,12 @@ def test_what_is_recorded_is_where_it_truly_is(recordings):
     # Half a finger's breadth from the rope's end, which lies 0.32 m in front of the base.
     assert path[0] == pytest.approx([0.3325, 0.0, ROPE.diameter / 2.0], abs=1e-3)
     assert path[-1] - path[0] == pytest.approx([0.0, 0.0, 0.04], abs=1e-3)
-    # what is held is described
-    meta = read_cameras(clean).meta
-    assert meta["object"]["kind"] == "rope" and meta["object"]["grasp"] == "end"
-    assert meta["object"]["length"] == ROPE.length
-    assert meta["object"]["grasp_inset"] == FINGER_WIDTH / 2.0
+    said, edge = read_cameras(clean).meta["object"], 0.3 / 17
+    held = FINGER_WIDTH / 2.0 + said.pop("grasp_radius")
+    assert said == {"kind": "rope", "grasp": "end", "length": ROPE.length, "mass": ROPE.mass,
+                    "diameter": ROPE.diameter, "grasp_inset": FINGER_WIDTH / 2.0}  # fmt: skip
     # the rope bends from half an edge before the last vertex that is held
-    edge = 0.3 / 17
-    held = FINGER_WIDTH / 2.0 + meta["object"]["grasp_radius"]
     assert (held / edge - 0.5) % 1.0 < 1e-9 and abs(held - FINGER_WIDTH) < edge / 2.0 + 1e-9
-    assert meta["object"]["mass"] == pytest.approx(ROPE.mass)
     # A recording does not give away what is to be estimated.
     given = (clean / "object.toml").read_text().lower()
     assert not any(word in given for word in ("young", "poisson", "density", "polyester"))

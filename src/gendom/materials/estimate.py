@@ -92,12 +92,8 @@ class Estimate(Shown):
             ParameterError: The posterior cannot be used.
         """
         known = {n: v for n, v in to_columns(item).items() if n != "E"}
-        found = Estimate(kind=item.kind, known=known)
-        return (
-            found
-            if posterior is None
-            else replace(found, posterior=Posterior.from_dict(posterior, ()))
-        )
+        own = NOTHING_ESTIMATED if posterior is None else Posterior.from_dict(posterior, ())
+        return Estimate(kind=item.kind, known=known, posterior=own)
 
     # ---- values ----------------------------------------------------------------------------------
 

@@ -66,11 +66,6 @@ class Layout:
     clamped: float = 0.0
     """Length of its first end that a stand clamps [m]."""
 
-    def rotation(self) -> Rotation:
-        """Rotation from the flex's axes to the world's."""
-        x, y = np.asarray(self.along), np.asarray(self.across)
-        return Rotation.from_matrix(np.stack([x, y, np.cross(x, y)], axis=1))
-
 
 def default_cameras(centre: npt.ArrayLike = (0.5, 0.0, 0.1)) -> list[Camera]:
     """Two D435i-like cameras of 640 x 480 pixels on opposite sides of a point [3] [m], looking at
@@ -236,7 +231,9 @@ def _flex(item: RealObject, layout: Layout, step: float) -> str:
         shape += f' element="{triangles}"'
         inner, section = "", f'thickness="{float(item.thickness)!r}" elastic2d="both"'
     centre = rest_shape(item, layout).mean(axis=0)
-    turned = layout.rotation().as_quat(scalar_first=True)
+    x, y = np.asarray(layout.along), np.asarray(layout.across)
+    axes = Rotation.from_matrix(np.stack([x, y, np.cross(x, y)], axis=1))
+    turned = axes.as_quat(scalar_first=True)
     colour = row([*(c / 255.0 for c in item.colour), 1.0])
     # Hard contact: two time steps to settle. The table's friction takes precedence. Cloths touch
     # themselves, too.

@@ -3,11 +3,9 @@ attributes ``gendom:NAME`` with units in their documentation."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from gendom.arrays import Array
 from gendom.materials import Item, Rope, to_columns
@@ -75,6 +73,6 @@ def _faces(lift: Lift) -> np.ndarray:
     return np.stack([c.ravel() for c in corners], axis=1)
 
 
-def _points(x: ArrayLike | Sequence[Any]) -> str:
-    rows = (f"({a:.5f}, {b:.5f}, {c:.5f})" for a, b, c in np.asarray(x))
+def _points(x: Array) -> str:
+    rows = (f"({a:.5f}, {b:.5f}, {c:.5f})" for a, b, c in x)
     return f"[{', '.join(rows)}]"
