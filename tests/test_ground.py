@@ -12,6 +12,7 @@ import tempfile
 import termios
 from contextlib import contextmanager, nullcontext, redirect_stderr
 from dataclasses import dataclass
+from datetime import date
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -202,8 +203,9 @@ def test_json_round_trip(tmp_path):
         x: float
 
     value = {"a": np.float32(0.5), "b": np.arange(3), "c": None, "d": Point(1.0), "e": Path("ü")}
+    value |= {"f": date(2026, 1, 2)}
     write_json(tmp_path / "a.json", value)
-    expected = {"a": 0.5, "b": [0, 1, 2], "c": None, "d": {"x": 1.0}, "e": "ü"}
+    expected = {"a": 0.5, "b": [0, 1, 2], "c": None, "d": {"x": 1.0}, "e": "ü", "f": "2026-01-02"}
     assert read_json(tmp_path / "a.json") == expected
 
 

@@ -370,7 +370,8 @@ def read_number_table(
         del lines[-1]
     with suppress(ValueError):  # a cell that is no number, or rows of several lengths
         table = np.array([row for _, row in lines], dtype=np.float64)
-        if table.shape[1] == len(names):
+        plain = not any("_" in text for _, row in lines for text in row)  # 1_0 is 10 in Python
+        if plain and table.shape[1] == len(names):
             return names, table, [number for number, _ in lines]
     for number, row in lines:
         what, where = f"{len(row)} values under {len(names)} column names", f"{path}, line {number}"
@@ -382,11 +383,10 @@ def read_number_table(
 
 
 def _is_number(text: str) -> bool:
-    try:
+    with suppress(ValueError):
         float(text)
-    except ValueError:
-        return False
-    return True
+        return "_" not in text
+    return False
 
 
 def _refuse_constant(name: str) -> float:

@@ -330,6 +330,8 @@ FAR = np.array([2.0, 0.0, 0.0])
          ["warning: time, frame 2: 9.1 s pass"]),
         (lambda r: sized(r, mass=20.0, diameter=0.01), ["error: object.mass: .*looks like grams"]),
         (lambda r: sized(r, diameter=0.08), ["warning: object.mass: .*sizes in metres"]),
+        (lambda r: replace(r, points=np.where(np.arange(110)[:, None] < 20, 1e3, 1) * r.points),
+         ["error: points, frame 0: spans 3.* m, most frames 0.3.* m; it looks like millimetres"]),
         (lambda r: replace(r, extra={"ordered_markers": True}),
          ["error: points, frame 1: has 21 ordered markers, the first frame 20"]),
         (lambda r: replace(r, points=r.points + FAR),

@@ -148,7 +148,7 @@ def _bag(place: Path) -> Finding:
         fix = "record PointCloud2, or depth Image and CameraInfo"
         found.lacks("holds no clouds and no depth", place, fix)
     if not content.grippers:
-        fix = "record /tf, or the gripper's PoseStamped"
+        fix = "record /tf (of quaternions of length 1), or the gripper's PoseStamped"
         found.lacks("does not say where the gripper is", place, fix)
     if found.faults:
         return found
@@ -332,7 +332,7 @@ def _below(place: Path) -> Finding:
     if active:
         found.lacks("was not closed by its recorder", active[0], "mend it: rosbag reindex FILE")
     elif not found.next:
-        fix = "docs/data.md and docs/perception.md say what a recording is made of"
+        fix = "unpack what is packed; docs/data.md and docs/perception.md say what is known"
         found.lacks("holds nothing that is known", place, fix)
     return found
 
