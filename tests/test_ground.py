@@ -224,20 +224,17 @@ def test_json_refuses_what_it_cannot_hold(tmp_path, odd):
 @contextmanager
 def terminal():
     """Stderr is a terminal of 80 columns; the list holds what stood there, once it is left."""
-    lines = []
-    master, slave = pty.openpty()
+    lines, (master, slave) = [], pty.openpty()
     termios.tcsetwinsize(slave, (25, 80))
     with open(master, "rb", buffering=0) as screen, open(slave, "w") as file:
-        try:
-            with redirect_stderr(file):
-                yield lines
-        finally:
-            file.write("\nend")
-            file.flush()
-            written = b""
-            while not written.endswith(b"end"):
-                written += screen.read(4096)
-            lines += [s for s in re.split("[\r\n]", written.decode()[:-3]) if s.strip()]
+        with redirect_stderr(file):
+            yield lines
+        file.write("\nend")
+        file.flush()
+        written = b""
+        while not written.endswith(b"end"):
+            written += screen.read(4096)
+        lines += [s for s in re.split("[\r\n]", written.decode()[:-3]) if s.strip()]
 
 
 def test_iterations_are_counted_and_the_last_line_is_full():

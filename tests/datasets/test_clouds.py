@@ -459,7 +459,7 @@ def test_a_shape_at_rest_becomes_a_recording(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        *(({"loops": of}, "loops: has shape .*, or numbers that are not finite; give .* 5 or more")
+        *(({"loops": of}, "loops: has shape .*, or numbers that are not finite; give .* 5 points")
           for of in (LOOPS[:, :4], LOOPS[0], LOOPS[..., :2], LOOPS.astype(str),
                      np.where(LOOPS > 9.0, np.nan, LOOPS))),
         *(({name: value}, f"object.{name}: is {value}; give a number above 0, in SI")
