@@ -398,22 +398,21 @@ def read_description(folder: str | os.PathLike) -> dict[str, Any]:
     folder = Path(folder)
     make = "make a set with gendom dataset"
 
-    def wanted(holds: Any, what: str, where: Path = folder, fix: str = make) -> None:
-        require(holds, what, where=str(where), fix=fix, error=DatasetError)
-
+    wanted = functools.partial(require, where=folder, fix=make, error=DatasetError)
     what = "is not a folder" if folder.exists() else "no such folder"
     wanted(folder.is_dir(), what, fix=f"check the path, or {make}")
     path = folder / _DESCRIPTION
     wanted(path.exists(), f"holds no {_DESCRIPTION}")
     description = read_json(path, DatasetError)
     form = description.get("format")
-    wanted(form == FORMAT, f"has the format {form!r}, not {FORMAT!r}", path)
+    wanted(form == FORMAT, f"has the format {form!r}, not {FORMAT!r}", where=path)
     set_ = record_of(_Described, description, where=str(path), fix=make, error=DatasetError)
     for name, value in (("size", set_.size), ("shard_size", set_.shard_size)):
-        wanted(value > 0, f"{name} is {value}", path)
-    wanted(isinstance(set_.task.get("name"), str), "its task has no name", path)
+        wanted(value > 0, f"{name} is {value}", where=path)
+    wanted(isinstance(set_.task.get("name"), str), "its task has no name", where=path)
     count = _count_shards(set_.size, set_.shard_size)
-    wanted(count <= MOST_SHARDS, f"has {count} shards, at most {MOST_SHARDS} are read", path)
+    what = f"has {count} shards, at most {MOST_SHARDS} are read"
+    wanted(count <= MOST_SHARDS, what, where=path)
     return description
 
 
@@ -485,9 +484,7 @@ def _read_shard(
     path = _shard_path(folder, number)
     fix = "delete it, and run the gendom dataset command that made the set"
 
-    def wanted(holds: Any, what: str) -> None:
-        require(holds, what, where=str(path), fix=fix, error=DatasetError)
-
+    wanted = functools.partial(require, where=path, fix=fix, error=DatasetError)
     if not path.is_file():
         return None
     try:
