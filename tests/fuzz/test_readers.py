@@ -422,6 +422,7 @@ def test_estimates_of_odd_types_are_refused(tmp_path, count):
         inner[key] = [None, "x", 5, [], {}, [[1]], 1e300, -1][rng.integers(8)]
         write_json(tmp_path / "estimate.json", {**changed, "sha256": checksum(changed)})
         with contextlib.suppress(GendomError):
+            look(tmp_path / "estimate.json")
             executed(Estimate.load(tmp_path / "estimate.json"), RopeCasting())
         with contextlib.suppress(GendomError):
             read = read_record(tmp_path / "estimate.json", even_unusable=False)
