@@ -12,6 +12,7 @@ import tempfile
 import termios
 from contextlib import contextmanager, nullcontext, redirect_stderr
 from dataclasses import dataclass
+from datetime import date
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -202,8 +203,9 @@ def test_json_round_trip(tmp_path):
         x: float
 
     value = {"a": np.float32(0.5), "b": np.arange(3), "c": None, "d": Point(1.0), "e": Path("ü")}
+    value |= {"f": date(2026, 1, 2)}
     write_json(tmp_path / "a.json", value)
-    expected = {"a": 0.5, "b": [0, 1, 2], "c": None, "d": {"x": 1.0}, "e": "ü"}
+    expected = {"a": 0.5, "b": [0, 1, 2], "c": None, "d": {"x": 1.0}, "e": "ü", "f": "2026-01-02"}
     assert read_json(tmp_path / "a.json") == expected
 
 
@@ -222,20 +224,17 @@ def test_json_refuses_what_it_cannot_hold(tmp_path, odd):
 @contextmanager
 def terminal():
     """Stderr is a terminal of 80 columns; the list holds what stood there, once it is left."""
-    lines = []
-    master, slave = pty.openpty()
+    lines, (master, slave) = [], pty.openpty()
     termios.tcsetwinsize(slave, (25, 80))
     with open(master, "rb", buffering=0) as screen, open(slave, "w") as file:
-        try:
-            with redirect_stderr(file):
-                yield lines
-        finally:
-            file.write("\nend")
-            file.flush()
-            written = b""
-            while not written.endswith(b"end"):
-                written += screen.read(4096)
-            lines += [s for s in re.split("[\r\n]", written.decode()[:-3]) if s.strip()]
+        with redirect_stderr(file):
+            yield lines
+        file.write("\nend")
+        file.flush()
+        written = b""
+        while not written.endswith(b"end"):
+            written += screen.read(4096)
+        lines += [s for s in re.split("[\r\n]", written.decode()[:-3]) if s.strip()]
 
 
 def test_iterations_are_counted_and_the_last_line_is_full():

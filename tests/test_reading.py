@@ -180,6 +180,7 @@ def test_rows_that_are_no_numbers_are_named(tmp_path):
         ("t,x\n1,2\n3\n", ", line 3: 1 values under 2 column names; give one value a column"),
         ("t,x\n1\n", ", line 2: 1 values under 2 column names; give one value a column"),
         ("t,x\n1,2\n\n3,a\n", ", line 4, column x: 'a' is no number; give seconds and metres"),
+        ("t,x\n1_0,2\n", ", line 2, column t: '1_0' is no number; give seconds and metres"),
         ("t,x\nb,2\n", ", line 2, column t: 'b' is no number; give seconds and metres"),
     ):
         assert told(table, path, text) == f"{path}{said}"

@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
+from datetime import date, time
 from enum import Enum
 from functools import partial
 from pathlib import Path
@@ -155,7 +156,7 @@ def _beside(path: Path) -> Iterator[Path]:
 def to_json(value: Any) -> str:
     """`value` as indented JSON text.
 
-    Besides what JSON knows, takes dataclasses, enums, paths and NumPy scalars and arrays.
+    Besides what JSON knows, takes dataclasses, enums, paths, dates and NumPy scalars and arrays.
 
     Raises:
         GendomError: A number is NaN or infinite (JSON has neither; the message names its
@@ -198,6 +199,8 @@ def _plain(value: Any, where: str) -> Any:
         return [_plain(v, f"{where}[{i}]") for i, v in enumerate(value)]
     if isinstance(value, os.PathLike):
         return os.fspath(value)
+    if isinstance(value, (date, time)):  # of TOML
+        return value.isoformat()
     if isinstance(value, (np.generic, np.ndarray)):
         return _plain(value.tolist(), where)
     if is_dataclass(value) and not isinstance(value, type):

@@ -312,11 +312,8 @@ def read_rows(
     """
     fix = f"write one row a frame under {header}"
     content = read_bytes(path, error, most=LARGEST_CSV, fix=fix)
-    rows = max(map(content.count, (b"\n", b"\r")))
-    what, fix = (
-        f"has {rows} rows, at most {MOST_ROWS} are read",
-        "keep one lift, or every tenth row",
-    )
+    rows, fix = max(map(content.count, (b"\n", b"\r"))), "keep one lift, or every tenth row"
+    what = f"has {rows} rows, at most {MOST_ROWS} are read"
     require(rows <= MOST_ROWS, what, path, fix, error)
     try:
         text = decoded(content, "replace" if damaged else "strict")
@@ -324,14 +321,13 @@ def read_rows(
         lines = [(reader.line_num, [text.strip() for text in row]) for row in reader if row]
     except (UnicodeDecodeError, csv.Error) as fault:
         raise error(f"is not CSV ({fault})", where=str(path), fix="save it as CSV") from None
-    require(lines, "is empty", path, f"write the header {header}", error)
+    write = f"write the header {header}"
+    require(lines, "is empty", path, write, error)
     odd = next((mark for mark in ";\t" if mark in text.partition("\n")[0]), None)
     fix = "separate values by commas, and write decimals with a point"
     require(odd is None, f"is separated by {odd!r}", path, fix, error)
     count = len(lines[0][1])
-    require(
-        count <= MOST_COLUMNS, f"has {count} columns", path, f"write the header {header}", error
-    )
+    require(count <= MOST_COLUMNS, f"has {count} columns", path, write, error)
     return lines
 
 
@@ -370,7 +366,8 @@ def read_number_table(
         del lines[-1]
     with suppress(ValueError):  # a cell that is no number, or rows of several lengths
         table = np.array([row for _, row in lines], dtype=np.float64)
-        if table.shape[1] == len(names):
+        plain = not any("_" in text for _, row in lines for text in row)  # 1_0 is 10 in Python
+        if plain and table.shape[1] == len(names):
             return names, table, [number for number, _ in lines]
     for number, row in lines:
         what, where = f"{len(row)} values under {len(names)} column names", f"{path}, line {number}"
@@ -382,11 +379,10 @@ def read_number_table(
 
 
 def _is_number(text: str) -> bool:
-    try:
+    with suppress(ValueError):
         float(text)
-    except ValueError:
-        return False
-    return True
+        return "_" not in text
+    return False
 
 
 def _refuse_constant(name: str) -> float:

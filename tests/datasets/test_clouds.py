@@ -93,11 +93,11 @@ def test_foreign_properties_are_skipped(tmp_path, encoding):
         ply("ascii", "comment " + "x" * 65_000, *XYZ) + b"1 2 3 4 5 6",
         ply("ascii", *(x.replace("float", "int") for x in XYZ)).replace(b"\n", b"\r\n")
         + b"1 2 3\r\n4 5 6\r\n",
-        ply("ascii", *XYZ).upper() + b"1 2 3 4 5 6",
+        b"\xef\xbb\xbf" + ply("ascii", *XYZ).upper() + b"1 2 3 4 5 6",
         ply("ascii", "comment \u00c5ngstr\u00f6m \x0b\x0c \u0085", *XYZ) + b"1 2 3 4 5 6",
         ply("ascii", "obj_info", *XYZ).replace(b"_info", b"_info \xc5\x85") + b"1 2 3 4 5 6",
     ],
-    ids=["long numbers", "long header", "windows, integers", "capitals", "utf-8", "latin-1"],
+    ids=["long numbers", "long header", "windows, integers", "capitals, mark", "utf-8", "latin-1"],
 )
 def test_dialects(tmp_path, data):
     """Bytes that other encodings take as the end of a line (NEL, FF) end none."""
@@ -157,6 +157,7 @@ def test_what_no_ply_file_may_be(tmp_path):
         *((ply("ascii", *XYZ, x), f"has the header line '{x}', which is not und") for x in lines),
         (ply("ascii", *XYZ) + b"1 2 3 4 5", "is cut short: 5 numbers where 6 are announced"),
         (ply("ascii", *XYZ) + b"1 2 3 4 5 a", "has a coordinate that is no number (could not co"),
+        (ply("ascii", *XYZ) + b"1 2 3 4 5 1_0", "has a coordinate that is no number (an undersco"),
         (little + bytes(23), f"is cut short: {len(little) + 23} bytes where {len(little) + 24} a"),
         # what would take long or much memory
         (ply("ascii", "element vertex 4194305", *XYZ[1:]), "announces 4194305 points, at most 419"),
@@ -458,7 +459,7 @@ def test_a_shape_at_rest_becomes_a_recording(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        *(({"loops": of}, "loops: has shape .*, or numbers that are not finite; give .* 5 or more")
+        *(({"loops": of}, "loops: has shape .*, or numbers that are not finite; give .* 5 points")
           for of in (LOOPS[:, :4], LOOPS[0], LOOPS[..., :2], LOOPS.astype(str),
                      np.where(LOOPS > 9.0, np.nan, LOOPS))),
         *(({name: value}, f"object.{name}: is {value}; give a number above 0, in SI")

@@ -111,6 +111,8 @@ def header(names, *rows):
     [
         (lambda f: [p.unlink() for p in f.glob("*.ply")],
          ": holds no .ply, .pcd, .npz file; put one point cloud a frame there"),
+        (lambda f: [p.rename(p.with_suffix(".ply.gz")) for p in f.glob("*.ply")],
+         ": holds no .ply, .pcd, .npz file; make such files of its 5 .ply.gz files"),
         (lambda f: (f / "frame_13.pcd").write_bytes(b""),
          ": holds 5 .ply and 1 .pcd files; keep those of one kind"),
         (lambda f: (f / "frame_9.ply").unlink(),

@@ -50,10 +50,9 @@ def test_every_demonstration_that_did_not_fail_is_an_episode(made):
     assert files(made[1]) == sorted([DATA, EPISODES, *(f"meta/{name}" for name in meta)])
     assert len(frames) == len(kept) == 9
     names = ["goal_x", "length", "diameter", *OBJECT]
-    expected = np.array([[row[name] for name in names] for row in kept])
-    assert np.array(frames["observation.state"].to_pylist()) == pytest.approx(expected, rel=1e-6)
-    expected = np.array([[row[name] for name in ("release_x", "release_z")] for row in kept])
-    assert np.array(frames["action"].to_pylist()) == pytest.approx(expected, rel=1e-6)
+    for feature, of in (("observation.state", names), ("action", ["release_x", "release_z"])):
+        expected = np.array([[row[name] for name in of] for row in kept])
+        assert np.array(frames[feature].to_pylist()) == pytest.approx(expected, rel=1e-6)
     episodes = pq.read_table(made[1] / EPISODES)
     assert episodes["demonstration"].to_pylist() == [row["demonstration"] for row in kept]
     assert episodes["outcome/sideways"].to_pylist() == [row["sideways"] for row in kept]
@@ -179,19 +178,13 @@ def test_what_lerobot_finds(uneven, tmp_path):
     assert stats["mean"][23] == pytest.approx(uneven.points.mean(axis=0), abs=1e-6)
 
 
-def change(name, **entries):
-    def spoil(root):
-        path = root / "meta" / f"{name}.json"
-        path.write_text(json.dumps(json.loads(path.read_text()) | entries))
-
-    return spoil
+def change(root, name, **entries):
+    path = root / "meta" / f"{name}.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | entries))
 
 
 def rows(edit):
-    def spoil(root):
-        pq.write_table(edit(pq.read_table(root / DATA)), root / DATA)
-
-    return spoil
+    return lambda root: pq.write_table(edit(pq.read_table(root / DATA)), root / DATA)
 
 
 def more_points(table):
@@ -203,14 +196,14 @@ def more_points(table):
     ("spoil", "said"),
     [
         (lambda r: (r / "meta/gendom.json").unlink(), ": is a LeRobot data set that was not"),
-        (change("gendom", format="gendom-demonstrations/2"), ": holds demonstrations"),
+        (lambda r: change(r, "gendom", format="gendom-demonstrations/2"), ": holds demonstrations"),
         (rows(lambda t: t.take([1, 0, 2, 3, 4])), ": time, frame 1: goes from 0.1 s to 0 s"),
         (rows(lambda t: t.slice(0, 0)), ": "),
         (rows(lambda t: t.drop(["observation.time"])), ": is incomplete or damaged ("),
         (lambda r: (r / DATA).unlink(), f"/{DATA}: is incomplete or damaged ("),
         (lambda r: (r / DATA).write_bytes((r / DATA).read_bytes()[:900]), ": is incomplete or da"),
         (rows(more_points), ": offsets: runs from 0 to 111, but there are 110 points"),
-        (change("info", features={}), ": is incomplete or damaged ("),
+        (lambda r: change(r, "info", features={}), ": is incomplete or damaged ("),
         # Parquet has no checksums by default, and of a damaged file pyarrow may end the process
         (lambda r: (r / "meta/gendom.sha256").write_text("0"), ": is damaged: its files are not"),
         (

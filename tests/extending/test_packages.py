@@ -33,54 +33,56 @@ told = []
 for words in json.loads(sys.argv[1]):
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        told.append([cli.main(words), out, err])
+        told.append([cli.main(words.split()), out, err])
 print(json.dumps([[code, out.getvalue(), err.getvalue()] for code, out, err in told]))
 """
 
+COMMANDS = {
+    "help": "help act",
+    "dataset": "dataset rope-dragging --size 3 --out drags --seed 1",
+    "materials": "materials hemp-rope --json",
+    "twin": "twin hemp-rope --length 0.5 --to usd --out twin",
+    "grid": "estimate lift.npz --points 15 --json --unknowns E_over_rho --method grid",
+    "estimate": "estimate lift.npz --points 15 --json --unknowns E_over_rho humidity --starts 1 "
+    "--out . --report report.html",
+    "perceive": "perceive lift --no-table --out seen.npz --json",
+}
 
-@pytest.fixture
-def add(tmp_path):
-    """Installs a module with an object for each kind of entry point, ``tasks="Dragging"``."""
 
-    def installed(module: str, code: str, **points: str) -> None:
-        (tmp_path / f"{module}.py").write_text(code, encoding="utf-8")
-        info = tmp_path / f"{module}-1.0.dist-info"
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    return tmp_path_factory.mktemp("packages")
+
+
+@pytest.fixture(scope="module")
+def told(place, rope_lift):
+    """Codes, results and logs of all commands, in one process that finds what was added: a module
+    with an object for an entry point each."""
+    for module, (code, kind, name) in PACKAGES.items():
+        (place / f"{module}.py").write_text(code, encoding="utf-8")
+        info = place / f"{module}-1.0.dist-info"
         info.mkdir()
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
-        ((kind, name),) = points.items()
         (info / "entry_points.txt").write_text(f"[gendom.{kind}]\n{module} = {module}:{name}\n")
-
-    return installed
-
-
-@pytest.fixture
-def gendom(tmp_path):
-    """Commands, in one process that finds what was added; gives their codes, results and logs."""
-
-    def run(*commands: str) -> list[tuple[int, str, str]]:
-        path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
-        words = [sys.executable, "-c", RUN, json.dumps([command.split() for command in commands])]
-        options: dict = {"cwd": tmp_path, "env": {**os.environ, "PYTHONPATH": path}}
-        told = subprocess.run(words, capture_output=True, text=True, encoding="utf-8", **options)
-        assert told.returncode == 0 and told.stderr == ""
-        return json.loads(told.stdout)
-
-    return run
+    rope_lift.seen().write(place / "lift.npz")
+    write_lift(place / "lift")
+    path = os.pathsep.join([str(place), *filter(None, sys.path)])
+    words = [sys.executable, "-c", RUN, json.dumps(list(COMMANDS.values()))]
+    options: dict = {"cwd": place, "env": {**os.environ, "PYTHONPATH": path}}
+    run = subprocess.run(words, capture_output=True, text=True, encoding="utf-8", **options)
+    assert run.returncode == 0 and run.stderr == "", run.stderr
+    return dict(zip(COMMANDS, json.loads(run.stdout), strict=True))
 
 
-def test_a_package_adds_a_task(add, gendom, tmp_path):
+def test_a_package_adds_a_task(told, place):
     """Another one cannot be imported, which stops nothing."""
-    add("dragging", EXAMPLE.read_text(encoding="utf-8"), tasks="RopeDragging")
-    add("broken", "import no_such_module", tasks="Task")
-    add("odd", "Task = 3", tasks="Task")
-    add("twin", TWIN, tasks="Twin")
-    made, page = gendom("dataset rope-dragging --size 3 --out drags --seed 1", "help act")
-    assert made[0] == 0 and "rope-dragging" in page[1].replace("\n", ""), made
+    assert told["dataset"][0] == 0 and "rope-dragging" in told["help"][1].replace("\n", "")
+    log = told["help"][2] + told["dataset"][2]
     for said in ("'broken' (broken:Task) is left out: ModuleNotFoundError",
                  "'odd' (odd:Task) is left out: ParameterError: it is no subclass",
                  "'twin' (twin:Twin) is left out: ParameterError"):  # fmt: skip
-        assert said in made[2]
-    about = json.loads((tmp_path / "drags" / "dataset.json").read_text())
+        assert said in log
+    about = json.loads((place / "drags" / "dataset.json").read_text())
     assert about["task"]["name"] == "rope-dragging"
 
 
@@ -153,30 +155,21 @@ def humidity():
     del UNKNOWNS["humidity"]
 
 
-def test_packages_add_a_material_an_unknown_and_a_method(
-    add, gendom, humidity, rope_lift, tmp_path
-):
-    """The unknown is found in the file, the report, the viewer and the policies' belief."""
-    add("hemp", MATERIAL, materials="MATERIALS")
-    add("flax", MATERIAL.replace('"nu"', '"mu"').replace("hemp", "flax"), materials="MATERIALS")
-    add("wet", UNKNOWN, unknowns="HUMIDITY")
-    add("grid", METHOD, methods="grid")
-    rope_lift.seen().write(tmp_path / "lift.npz")
-    quick = "estimate lift.npz --points 15 --json --unknowns E_over_rho"
-    listed, twin, grid, made = gendom(
-        "materials hemp-rope --json",
-        "twin hemp-rope --length 0.5 --to usd --out twin",
-        f"{quick} --method grid",
-        f"{quick} humidity --starts 1 --out . --report report.html",
-    )
-    assert [twin[0], grid[0], made[0]] == [0, 0, 0], (twin, grid, made)
-    assert "'flax' is left out: flax-rope: " in listed[2]
+def test_packages_add_a_material_and_a_method(told, place, rope_lift):
+    listed, twin, grid = told["materials"], told["twin"], told["grid"]
+    assert [twin[0], grid[0]] == [0, 0], (twin, grid)
+    assert any("'flax' is left out: flax-rope: " in log for _, _, log in told.values())
     assert json.loads(listed[1])["sources"]["own-2024"]["text"] == "Our own bench, 2024"
-    assert json.loads((tmp_path / "twin" / "twin.json").read_text())["object"]["E"] == 1.1e6
+    assert json.loads((place / "twin" / "twin.json").read_text())["object"]["E"] == 1.1e6
     record = json.loads(grid[1])
     assert record["method"] == "grid"
     assert 0.5 < record["E_over_rho"] / rope_lift.truth.E_over_rho < 2.0
 
+
+def test_a_package_adds_an_unknown(told, humidity, rope_lift, place):
+    """It is found in the file, the report, the viewer and the policies' belief."""
+    made, tmp_path = told["estimate"], place
+    assert made[0] == 0, made
     record, found = json.loads(made[1]), Estimate.load(tmp_path / "estimate.json")
     low, high = found.posterior.interval("humidity", 0.9)
     assert low < found.theta["humidity"] < high and record["intervals"]["humidity"] == [low, high]
@@ -252,15 +245,27 @@ T_world_camera = [[1, 0, 0, 0], [0, 0, 1, -0.6], [0, -1, 0, 0.2], [0, 0, 0, 1]]
 """
 
 
-def test_packages_add_a_camera_and_a_robot(add, gendom, tmp_path):
+PACKAGES = {  # module: its code, what it adds, by which name
+    "dragging": (EXAMPLE.read_text(encoding="utf-8"), "tasks", "RopeDragging"),
+    "broken": ("import no_such_module", "tasks", "Task"),
+    "odd": ("Task = 3", "tasks", "Task"),
+    "twin": (TWIN, "tasks", "Twin"),
+    "hemp": (MATERIAL, "materials", "MATERIALS"),
+    "flax": (MATERIAL.replace('"nu"', '"mu"').replace("hemp", "flax"), "materials", "MATERIALS"),
+    "wet": (UNKNOWN, "unknowns", "HUMIDITY"),
+    "grid": (METHOD, "methods", "grid"),
+    "npy_camera": (CAMERA, "cameras", "NpyCamera"),
+    "turntable": (ROBOT, "arms", "turntable"),
+}
+
+
+def write_lift(lift):
     """A hanging rope before a wall, and the turntable's post beside it."""
-    add("npy_camera", CAMERA, cameras="NpyCamera")
-    add("turntable", ROBOT, arms="turntable")
     depth = np.full((4, 120, 160), 1500, np.uint16)  # [mm]
     for t in range(4):
         depth[t, 25 : 105 - 3 * t, 79:82] = 600
     depth[:, 20:110, 118:123] = 600  # the post
-    lift, camera = tmp_path / "lift", tmp_path / "lift/cameras/left"
+    camera = lift / "cameras" / "left"
     camera.mkdir(parents=True)
     (camera / "camera.toml").write_text(VIEW)
     np.save(camera / "times.npy", np.arange(4) / 30)
@@ -271,10 +276,12 @@ def test_packages_add_a_camera_and_a_robot(add, gendom, tmp_path):
     described = '[object]\nkind = "rope"\nlength = 0.25\ndiameter = 0.01\n'
     (lift / "object.toml").write_text(f'robot = "turntable"\n{described}')
 
-    (made,) = gendom("perceive lift --no-table --out lift.npz --json")
+
+def test_packages_add_a_camera_and_a_robot(told, place):
+    made = told["perceive"]
     assert made[0] == 0, made
-    told = json.loads(made[1])
-    points = told["points"]
-    assert told["frames"] == 4 and points["robot"]["median"] < 0.5 * points["support"]["median"]
-    points = Recording.read(tmp_path / "lift.npz").frame(0)
+    said = json.loads(made[1])
+    points = said["points"]
+    assert said["frames"] == 4 and points["robot"]["median"] < 0.5 * points["support"]["median"]
+    points = Recording.read(place / "seen.npz").frame(0)
     assert len(points) > 20 and np.abs(points[:, :2]).max() < 0.01

@@ -18,14 +18,7 @@ from gendom.errors import RobotError, printable
 from gendom.files import to_json
 from gendom.hardware.cell import BARE, Cell
 from gendom.hardware.execution import ACTION_FORMAT, write_trajectory
-from gendom.materials import (
-    KINDS,
-    LARGEST,
-    PARAMETERS,
-    size_of,
-    thickness_of,
-    to_columns,
-)
+from gendom.materials import KINDS, LARGEST, PARAMETERS, size_of, thickness_of, to_columns
 from gendom.materials.estimate import Estimate
 from gendom.policies import Action, Policy
 from gendom.policies.adaptation import adapt
@@ -166,12 +159,10 @@ class Command(KnownObject):
                 raise RobotError(error.what, where=error.where, fix=fix) from None
             warnings += _told([str(error)])
             return {}
-        motion = planned.motion
-        if motion.slowed_by > 1.02:
-            warnings.append(
-                f"the arm takes {motion.slowed_by:.3g} times as long as the task asks for, and "
-                "what is predicted is for the task's own pace"
-            )
+        motion, pace = planned.motion, "what is predicted is for the task's own pace"
+        if (slower := motion.slowed_by) > 1.02:
+            said = f"the arm takes {slower:.3g} times as long as the task asks for, and {pace}"
+            warnings.append(said)
         if self.joints is not None:
             widest = cell.model.gripper.max_opening
             motion.write_joints(self.joints, opening=(planned.opening, widest))

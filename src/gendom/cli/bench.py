@@ -123,13 +123,9 @@ def _median(make: Callable[[], Any], work: Callable[[Any], Any]) -> float:
 
 def _table(rows: list[dict[str, Any]]) -> str:
     heads = ("engine", "device", "dtype", "worlds", "threads", "points")
-    texts = [
-        (
-            *(str(row[name]) for name in heads),
-            f"{row['point_steps_per_second'] / 1e6:.2f}",
-            f"{row['substep_us']:.1f}",
-            f"{row['gradient_cost']:.2f} x" if row["gradient_cost"] else "",
-        )
-        for row in rows
-    ]
+    texts = []
+    for row in rows:
+        cost = f"{row['gradient_cost']:.2f} x" if row["gradient_cost"] else ""
+        speed, step = f"{row['point_steps_per_second'] / 1e6:.2f}", f"{row['substep_us']:.1f}"
+        texts.append((*(str(row[name]) for name in heads), speed, step, cost))
     return columns((*heads, "M steps/s", "us/substep", "gradient"), texts)

@@ -32,6 +32,9 @@ INTERNAL = (
 )  # fmt: skip
 """Settings that are no flags."""
 
+DISTANCES = {"surface": "seen surface", "registered": "with the cameras' motion"}
+"""Further Chamfer distances of a record, and what they are of."""
+
 NAME = "estimate.json"
 """Of an estimate's file."""
 
@@ -152,12 +155,10 @@ def _nothing(reasons: Sequence[str], names: str) -> ReportContent:
     from gendom.viz import ReportContent
 
     return ReportContent(
-        title="GenDOM: a recording that cannot be used",
+        title="GenDOM: a recording that cannot be used", refused=reasons, command=shell(TYPED),
         summary="Nothing was estimated from this recording, for the reasons above.",
-        command=shell(TYPED),
         recording_source=_sentences(names),
-        refused=reasons,
-    )
+    )  # fmt: skip
 
 
 def fit_content(found: FittedEstimate, **more: Any) -> ReportContent:
@@ -235,10 +236,7 @@ def estimate_text(found: FittedEstimate) -> str:
 
         rows.append(("distance", f"of the clouds from the best fit {mm('rms')} (root mean square)"))
         said = f"last frame {mm('chamfer_last')}, mean {mm('chamfer_mean')}"
-        for title, part in (
-            ("seen surface", "surface"),
-            ("with the cameras' motion", "registered"),
-        ):
+        for part, title in DISTANCES.items():
             said += f"; {title} {mm(f'chamfer_last_{part}', f'chamfer_mean_{part}')}"
         rows.append(("Chamfer", said))
     how = f"{record['method']}, {record['iterations']} iterations, {record['seconds']:.1f} s"

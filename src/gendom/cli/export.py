@@ -73,9 +73,8 @@ def _export_cameras(folder: Path, out: Path) -> dict[str, Any]:
 
 def info_text(info: dict[str, Any], out: Path) -> str:
     """What was written."""
-    lines = [
-        f"{printable(out)}: {info['total_episodes']} episodes, LeRobot {info['codebase_version']}"
-    ]
+    count, version = info["total_episodes"], info["codebase_version"]
+    lines = [f"{printable(out)}: {count} episodes, LeRobot {version}"]
     for feature, about in info["features"].items():
         named = zip(about["names"] or (), about.get("units", about["shape"]), strict=False)
         if said := ", ".join(f"{name} [{unit}]" for name, unit in named):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -62,6 +63,8 @@ class KnownObject:
             require(found.kind == task.kind, what, where=where, fix=fix, error=GendomError)
         numbers = {f.name for f in fields(KnownObject)} - {"params", "force"}
         given = {n: v for n, v in vars(self).items() if n in numbers and v is not None}
+        for name, value in given.items():
+            require(math.isfinite(value), f"is {value}", where=f"--{name}", fix="give a number")
         found = found.with_known(given)
         columns = [n for n in KINDS[task.kind].sizes if n != "side" or "width" not in found.known]
         # not every recording determines damping and friction
@@ -81,5 +84,7 @@ class KnownObject:
 
 def executed(found: Estimate, task: Task) -> list[Execution]:
     """Earlier executions of a task, as ``gendom adapt`` writes them into an estimate."""
-    rows = (found.about.get("executions") or {}).get(task.name, ())
+    every = found.about.get("executions") or {}
+    rows = every.get(task.name, []) if isinstance(every, dict) else every
+    require(isinstance(rows, list), "are no list", where="executions", fix="estimate again")
     return executions_from(rows, "executions")

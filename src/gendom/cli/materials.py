@@ -63,13 +63,7 @@ def _whole(material: catalogue.Listed) -> str:
         numbers = f"{found.typical:.4g}{unit} ({found.low:.4g} to {found.high:.4g})"
         source = f" [{found.source}]" if found.source else ""
         lines.append(f"  {name:<9}  {numbers:<34}  {found.basis}{source}: {found.how}")
-        cited |= {found.source: f"  [{found.source}] {_cited(found.source)}"} if source else {}
-    return "\n".join([*lines, *cited.values()])
-
-
-def _cited(key: str) -> str:
-    """A source, and what was found in it."""
-    source = catalogue.sources()[key]
-    if source.says:
-        return f"{source.text}; says: {source.says}"
-    return f"{source.text}; not checked: cited for its method or order of magnitude"
+        cited |= {found.source: catalogue.sources()[found.source]} if found.source else {}
+    unchecked = "not checked: cited for its method or order of magnitude"
+    said = {key: f"says: {of.says}" if of.says else unchecked for key, of in cited.items()}
+    return "\n".join([*lines, *(f"  [{k}] {of.text}; {said[k]}" for k, of in cited.items())])

@@ -56,13 +56,8 @@ def parse(command: type, name: str, words: Sequence[str]) -> Any:
     printed = io.StringIO()
     try:
         with redirect_stderr(printed):
-            return tyro.cli(
-                command,
-                prog=f"gendom {name}",
-                description=_description(command),
-                args=words,
-                config=PARSING,
-            )
+            about = {"prog": f"gendom {name}", "description": _description(command)}
+            return tyro.cli(command, args=words, config=PARSING, **about)
     except SystemExit as stop:
         if not stop.code:
             raise
@@ -184,14 +179,9 @@ def _description(command: type) -> str:
     """
     width = shutil.get_terminal_size().columns
     text = inspect.cleandoc(command.__doc__ or "")
-    return "\n\n".join(
-        textwrap.fill(
-            " ".join(paragraph.split()),
-            10_000 if paragraph.startswith("For example: ") else width,
-            subsequent_indent="  ",
-        )
-        for paragraph in text.split("\n\n")
-    )
+    parts = (" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
+    lengths = ((10_000 if p.startswith("For example: ") else width, p) for p in parts)
+    return "\n\n".join(textwrap.fill(p, n, subsequent_indent="  ") for n, p in lengths)
 
 
 def _flag(word: str) -> str:

@@ -23,6 +23,11 @@ from gendom.robot import MOTION_FORMAT
 OPEN = 0.08
 """Of the gripper, as joints.csv states it where it holds nothing [m]."""
 
+ROLLS = (
+    "* the rope moves fast on the table, where a round one rolls and the simulator's slides: "
+    "expect wrong values in narrow intervals; not chosen where there is another"
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
@@ -115,21 +120,12 @@ def plan_text(plan: LiftPlan) -> str:
         rows.append((str(row.motion), *widths, friction, carried, gain, star))
     head = ("E [%]", "damping [%]", "friction", "carried out", "gain", "")
     lines = [columns((f"Half width of {100.0 * level:g} % intervals", *head), rows)]
-    if any(rolls(row.motion) for row in plan.rows):
-        lines.append(
-            "* the rope moves fast on the table, where a round one rolls and the simulator's "
-            "slides: expect wrong values in narrow intervals; not chosen where there is another"
-        )
+    lines += [ROLLS] * any(rolls(row.motion) for row in plan.rows)
     for fault in dict.fromkeys(fault for row in plan.rows for fault in row.faults):
         count = sum(fault in row.faults for row in plan.rows)
         lines.append(f"{count} of {len(plan.rows)} motions: {fault}")
     best, aims = plan.chosen, " and ".join(plan.settings.aims)
-    gain = f"{plan.gain(best):.2f}"
-    if float(gain) > 1.0:
-        lines.append(
-            f"best for {aims}: {best.motion}, whose intervals are narrower than the plain hold's "
-            f"by a factor of {gain} (geometric mean)"
-        )
-    else:
-        lines.append(f"for {aims} none of these motions shows more than the plain hold")
-    return "\n".join(lines)
+    gain, said = f"{plan.gain(best):.2f}", "whose intervals are narrower than the plain hold's by a"
+    better = f"best for {aims}: {best.motion}, {said} factor of {gain} (geometric mean)"
+    none = f"for {aims} none of these motions shows more than the plain hold"
+    return "\n".join([*lines, better if float(gain) > 1.0 else none])

@@ -65,13 +65,14 @@ def policy_text(row: dict[str, Any]) -> str:
         lines.append(f"  held out       {name.replace('_', ' ')} {100.0 * value:.3g} %{of}")
     if acted:
         off, of = acted["error_over_size"], "the size" if row["goals"] else "its share"
-        cases, said = acted["cases"], "in none of {} new cases: none could be simulated"
+        cases = f"{acted['cases']} new cases"
+        said = f"in none of {cases}: none could be simulated"
         if None not in off.values():
             mean, p95 = 100.0 * off["mean"], 100.0 * off["p95"]
-            said = f"{mean:.2g} % of {of} in the mean, {p95:.2g} % at the 95th percentile of "
-            said += "{} new cases"
+            said = (
+                f"{mean:.2g} % of {of} in the mean, {p95:.2g} % at the 95th percentile of {cases}"
+            )
         if "enough_share" in acted:
-            share = 100.0 * acted["enough_share"]
-            lines.append(f"  is enough      in {share:.3g} % of {cases} new cases")
-        lines.append(f"  misses by      {said.format(cases)}")
+            lines.append(f"  is enough      in {100.0 * acted['enough_share']:.3g} % of {cases}")
+        lines.append(f"  misses by      {said}")
     return "\n".join(lines)

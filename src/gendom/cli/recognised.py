@@ -52,13 +52,9 @@ class Finding:
         """Add a command of gendom."""
         self.next.append((shlex.join(["gendom", *map(str, words)]), does))
 
-    def lacks(self, what: str, where: object, fix: str) -> None:
-        """Add a fault that prevents use."""
-        self.faults.append(Fault(what, str(where), fix))
-
-    def doubts(self, what: str, where: object, fix: str) -> None:
-        """Add a warning."""
-        self.faults.append(Fault(what, str(where), fix, "warning"))
+    def lacks(self, what: str, where: object, fix: str, severity: str = "error") -> None:
+        """Add a fault: one that prevents use, or a warning."""
+        self.faults.append(Fault(what, str(where), fix, severity))
 
 
 def look(place: Path) -> Finding:
@@ -128,7 +124,7 @@ def _extent(points: Array, found: Finding, *, units: bool = True) -> dict[str, s
         name = "xyz"[axis]
         what = f"the largest plane lies across {name}, as a table where {name} is up"
         fix = "give a world with z up, or check that this plane is a wall"
-        found.doubts(what, "points", fix)
+        found.lacks(what, "points", fix, "warning")
     return {"extent": " x ".join(f"{x:.3g}" for x in size) + " m"}
 
 
@@ -148,7 +144,7 @@ def _bag(place: Path) -> Finding:
         fix = "record PointCloud2, or depth Image and CameraInfo"
         found.lacks("holds no clouds and no depth", place, fix)
     if not content.grippers:
-        fix = "record /tf, or the gripper's PoseStamped"
+        fix = "record /tf (of quaternions of length 1), or the gripper's PoseStamped"
         found.lacks("does not say where the gripper is", place, fix)
     if found.faults:
         return found
@@ -235,7 +231,7 @@ def _cameras_seen(recorded: CameraRecording, found: Finding) -> ObjectDescriptio
         view.find_table(depth, table)
         if table is not None and view.table is None:
             fix = "check T_world_camera (camera to world, not its inverse) and table_height"
-            found.doubts(f"sees no table at z = {table:g} m", name, fix)
+            found.lacks(f"sees no table at z = {table:g} m", name, fix, "warning")
     if found.clouds:
         found.rows |= _extent(np.concatenate(found.clouds), found, units=False)
     return stated
@@ -305,7 +301,7 @@ def _lerobot(place: Path) -> Finding:
     names = ("codebase_version", "robot_type", "total_episodes", "total_frames", "fps")
     found = Finding("a data set of LeRobot", {n: str(info[n]) for n in names if n in info})
     fix = "gendom reads those that gendom export made of a recording"
-    found.doubts("is not a recording", place, fix)
+    found.lacks("is not a recording", place, fix, "warning")
     return found
 
 
@@ -332,7 +328,7 @@ def _below(place: Path) -> Finding:
     if active:
         found.lacks("was not closed by its recorder", active[0], "mend it: rosbag reindex FILE")
     elif not found.next:
-        fix = "docs/data.md and docs/perception.md say what a recording is made of"
+        fix = "unpack what is packed; docs/data.md and docs/perception.md say what is known"
         found.lacks("holds nothing that is known", place, fix)
     return found
 

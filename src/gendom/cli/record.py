@@ -16,14 +16,7 @@ from gendom.hardware.cell import Cell
 from gendom.hardware.clocks import check_clocks
 from gendom.materials import Item, size_of, thickness_of
 from gendom.progress import bar
-from gendom.reality import (
-    RealObject,
-    TrialRun,
-    find_object,
-    lift,
-    lift_cameras,
-    record,
-)
+from gendom.reality import RealObject, TrialRun, find_object, lift, lift_cameras, record
 from gendom.reality.trials import lift_path
 from gendom.robot import LiftMotion, predefined_lift
 
@@ -110,14 +103,9 @@ class Command:
         notes = f"The predefined lift of {item.name}, seed {self.seed}."
         with trial_run.world, bar("recording", round(seconds, 1), "second") as show:
             record(
-                trial_run,
-                self.out,
-                frame_rate=self.frame_rate,
-                seed=self.seed,
-                exact=self.no_errors,
-                notes=notes,
-                on_frame=lambda moment: show(round(moment, 1)),
-            )
+                trial_run, self.out, frame_rate=self.frame_rate, seed=self.seed,
+                exact=self.no_errors, notes=notes, on_frame=lambda at: show(round(at, 1)),
+            )  # fmt: skip
         r, g, b = item.colour
         print(f"written: {self.out}")
         print(f"next: gendom perceive {self.out} --colour {r} {g} {b} --out {item.name}.npz")

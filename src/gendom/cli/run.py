@@ -85,8 +85,9 @@ class Command:
         lift = steps.do("lift", "lift", given, lambda to: lift_in(
             cell, known, to, motion=predefined_lift(known.kind), grasp=self.grasp, yes=self.yes,
             logs=self.out / "executions"), settings=[self.grasp])  # fmt: skip
+        by = PerceptionSettings(colour=known.colour)
         seen = steps.do("perceive", "lift.npz", [lift], lambda to: Perceive(
-            folder=lift, out=to, arm=cell.arm, perception=_by(known.colour)).run())  # fmt: skip
+            folder=lift, out=to, arm=cell.arm, perception=by).run())  # fmt: skip
         params = steps.do("estimate", "estimate.json", [seen], lambda to: estimate.Command(
             recording=seen, out=to.parent).run())  # fmt: skip
         if not read_json(params)["verdict"]["usable"] and not self.force:
@@ -139,10 +140,6 @@ def _learnt(task: Task) -> list[str]:
     return [quantity.name for quantity in task.goals or task.outcomes[:1]]
 
 
-def _by(colour: tuple[int, int, int]) -> Any:
-    return PerceptionSettings(colour=colour)
-
-
 def _observe(task: Task, known: Any, cell: Cell, shown: Path, to: Path) -> None:
     """Write what an execution reached, as gendom adapt takes it."""
     action = read_action(shown / "action.json", cell.model)
@@ -152,7 +149,7 @@ def _observe(task: Task, known: Any, cell: Cell, shown: Path, to: Path) -> None:
         if fault.where not in ("object.length", "table"):
             _log.info("%s", fault)
 
-    seen = perceive(recorded, _by(known.colour), on_warning=warn)
+    seen = perceive(recorded, PerceptionSettings(colour=known.colour), on_warning=warn)
     values = reached(task, known, action, seen.recording, float(recorded.robot.time[0]))
     row = {"action": [*action.action.values()], "reached": [values[n] for n in _learnt(task)]}
     write_json(to, {"executions": [row], "outcome": values, "goal": action.goal})

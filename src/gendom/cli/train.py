@@ -69,7 +69,9 @@ class Command:
         method = self.method or ("distal" if demonstrations.goal_names else "chance")
         names = ("architecture", "epochs", "refine", "refine_cases", "seed")
         own = {name: getattr(self, name) for name in names}
-        training = Training(method=method, conditioned_on=self._sees(), **own)
+        sees = tuple(name for name in self.condition if name != "none")
+        sees = None if sees == ("all",) else sees  # that vary
+        training = Training(method=method, conditioned_on=sees, **own)
         policy = train(
             demonstrations, self.out, training, finetune=finetune, cases=self.cases, progress=True,
             world=Simulation(engine=self.engine, device=self.device),
@@ -77,12 +79,6 @@ class Command:
         row = described(policy)
         print(to_json(row) if self.json else policy_text(row))
         return 0
-
-    def _sees(self) -> tuple[str, ...] | None:
-        """The parameters that the policy sees; None: all that vary."""
-        return (
-            None if self.condition == ("all",) else tuple(n for n in self.condition if n != "none")
-        )
 
     def _read(self, folder: Path) -> Demonstrations:
         from gendom.policies.demonstrations import Demonstrations

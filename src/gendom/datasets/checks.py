@@ -167,10 +167,19 @@ def _units(value: float, low: float, high: float, known: Mapping[str, float] = _
 
 def _check_units(recording: RecordingData) -> Iterator[Fault]:
     """The first of: coordinates or sizes in smaller units, clouds far larger than the object."""
-    clouds = [cloud for cloud in recording.frames() if len(cloud)]
+    frames = np.flatnonzero(recording.frame_valid)
+    clouds = recording.frames(frames)
     if not clouds:
         return
     extent = float(np.median([np.ptp(cloud, axis=0).max() for cloud in clouds]))
+    # most points of each: single ones fly
+    wide = np.array([np.ptp(np.quantile(x, (0.1, 0.9), axis=0), axis=0).max() for x in clouds])
+    if (odd := wide > 30.0 * np.median(wide)).any() and np.median(wide) > 0.0:
+        t = int(np.argmax(odd))
+        what = f"spans {wide[t]:.4g} m, most frames {np.median(wide):.4g} m"
+        fix = _units(float(wide[t]), 0.2 * float(np.median(wide)), 5.0 * float(np.median(wide)))
+        yield Fault(what, f"points, frame {frames[t]}", fix)
+        return
     longest = float(max(np.linalg.norm(np.ptp(cloud, axis=0)) for cloud in clouds))
     travel = float(np.ptp(recording.gripper_position, axis=0).max())
     given, is_rope = recording.object.size, recording.object.kind == "rope"

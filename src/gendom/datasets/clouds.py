@@ -9,6 +9,7 @@ Sources: Greg Turk, "The PLY Polygon File Format" (1994); the library's document
 
 from __future__ import annotations
 
+import codecs
 import os
 import re
 import struct
@@ -237,7 +238,7 @@ def _read(
     path: str | os.PathLike, kind: str, decode: Callable[[bytes], list[np.ndarray]]
 ) -> np.ndarray:
     """[n, 3] points of a file whose coordinates x, y and z are decoded, `seen`."""
-    data = read_bytes(path, RecordingError)
+    data = read_bytes(path, RecordingError).removeprefix(codecs.BOM_UTF8)
     try:
         columns = decode(data)
     except _CloudError as fault:
@@ -284,6 +285,8 @@ def _floats(block: re.Match[bytes]) -> Iterator[float]:
     """The numbers in some bytes of a text."""
     if len(block[0]) > 4096 + LONGEST:
         raise ValueError(f"more than {LONGEST} characters: {block[0][-20:]!r}")
+    if b"_" in block[0]:  # 1_0 is 10 in Python
+        raise ValueError("an underscore")
     odd = b"(" in block[0] or b"#" in block[0]
     return map(float, (_ODD_NANS.sub(b"nan", block[0]) if odd else block[0]).split())
 

@@ -7,10 +7,11 @@ import os
 import secrets
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from typing import Any
+from unittest.mock import patch
 
 from gendom.errors import DeviceError, GendomError
 from gendom.installation import how_to_install
@@ -80,7 +81,8 @@ def _connected(address: str) -> Iterator[Any]:
     own = "ray" not in sys.modules or not sys.modules["ray"].is_initialized()
     local = own and address == "local"
     closed = LOOPBACK | {"RAY_AUTH_TOKEN": secrets.token_hex(32)} if local else {}
-    with _environment(QUIET | closed):
+    variables = {n: v for n, v in (QUIET | closed).items() if n not in os.environ}
+    with patch.dict(os.environ, variables):  # those that somebody has set stay as they are
         try:
             import ray  # reads the variables
         except ImportError:
@@ -102,15 +104,3 @@ def _connected(address: str) -> Iterator[Any]:
         finally:
             if own:
                 ray.shutdown()
-
-
-@contextmanager
-def _environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Variables of this process and its children; those that somebody has set stay as they are."""
-    own = {name: value for name, value in variables.items() if name not in os.environ}
-    os.environ.update(own)
-    try:
-        yield
-    finally:
-        for name in own:
-            os.environ.pop(name, None)

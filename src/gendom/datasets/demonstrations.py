@@ -316,7 +316,9 @@ def _on_one_gpu(
 ) -> Iterator[tuple[range, dict[str, Any]]]:
     """The same in processes that share a GPU: branches of this one, which has not opened it."""
     hosts, fork = min(_HOSTS, len(jobs), os.cpu_count() or 1), multiprocessing.get_context("fork")
-    with ProcessPoolExecutor(hosts, fork, _take_over, (simulate,)) as pool:
+    silent = signal.SIGINT, signal.SIG_IGN  # an interrupt is the parent's
+    _forked["simulate"] = simulate
+    with ProcessPoolExecutor(hosts, fork, signal.signal, silent) as pool:
         at_work = {pool.submit(_do, job, device): job for job in jobs}
         pa.array([0])  # imports pandas, which takes long, while they work
         try:
@@ -326,18 +328,12 @@ def _on_one_gpu(
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _take_over(simulate: Callable[..., dict[str, Any]]) -> None:
-    """Begin a process; an interrupt is its parent's."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _of_process["simulate"] = simulate
-
-
 def _do(job: range, device: str) -> dict[str, Any]:
-    return _of_process["simulate"](job, device=device)
+    return _forked["simulate"](job, device=device)
 
 
-_of_process: dict[str, Callable[..., dict[str, Any]]] = {}
-"""What a process was made for: it came with the branch, unpickled."""
+_forked: dict[str, Callable[..., dict[str, Any]]] = {}
+"""What processes are made for: it comes with the branch, unpickled."""
 
 
 def load(folder: str | os.PathLike, *, part: bool = False) -> pa.Table:
@@ -402,22 +398,21 @@ def read_description(folder: str | os.PathLike) -> dict[str, Any]:
     folder = Path(folder)
     make = "make a set with gendom dataset"
 
-    def wanted(holds: Any, what: str, where: Path = folder, fix: str = make) -> None:
-        require(holds, what, where=str(where), fix=fix, error=DatasetError)
-
+    wanted = functools.partial(require, where=folder, fix=make, error=DatasetError)
     what = "is not a folder" if folder.exists() else "no such folder"
     wanted(folder.is_dir(), what, fix=f"check the path, or {make}")
     path = folder / _DESCRIPTION
     wanted(path.exists(), f"holds no {_DESCRIPTION}")
     description = read_json(path, DatasetError)
     form = description.get("format")
-    wanted(form == FORMAT, f"has the format {form!r}, not {FORMAT!r}", path)
+    wanted(form == FORMAT, f"has the format {form!r}, not {FORMAT!r}", where=path)
     set_ = record_of(_Described, description, where=str(path), fix=make, error=DatasetError)
     for name, value in (("size", set_.size), ("shard_size", set_.shard_size)):
-        wanted(value > 0, f"{name} is {value}", path)
-    wanted(isinstance(set_.task.get("name"), str), "its task has no name", path)
+        wanted(value > 0, f"{name} is {value}", where=path)
+    wanted(isinstance(set_.task.get("name"), str), "its task has no name", where=path)
     count = _count_shards(set_.size, set_.shard_size)
-    wanted(count <= MOST_SHARDS, f"has {count} shards, at most {MOST_SHARDS} are read", path)
+    what = f"has {count} shards, at most {MOST_SHARDS} are read"
+    wanted(count <= MOST_SHARDS, what, where=path)
     return description
 
 
@@ -449,7 +444,7 @@ def _check_same(folder: Path, wanted: Mapping[str, Any]) -> None:
         require(not shards, what, where=where, fix=fix, error=DatasetError)
         return
     there = read_description(folder)
-    differing = _differences(_identity(there), _identity(wanted))
+    differing = list(_differences(_identity(there), _identity(wanted)))
     count = _count_shards(there["size"], there["shard_size"])
     whole = all(_shard_path(folder, n).exists() for n in range(count))
     if there["size"] > wanted["size"] and whole:
@@ -459,25 +454,15 @@ def _check_same(folder: Path, wanted: Mapping[str, Any]) -> None:
     require(not differing, what, where=where, fix=fix, error=DatasetError)
 
 
-def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
+def _differences(there: Any, here: Any, at: str = "") -> Iterator[str]:
     """What differs, with nested names."""
-    ours, theirs = (
-        {name: json.dumps(value) for name, value in _flat(of) if value is not None}
-        for of in (here, there)
-    )
-    return [
-        f"{n} is {theirs.get(n, 'absent')} there and {ours.get(n, 'absent')} here"
-        for n in sorted({*ours, *theirs})
-        if ours.get(n) != theirs.get(n)
-    ]
-
-
-def _flat(of: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in of.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
+    if isinstance(there, Mapping) and isinstance(here, Mapping):
+        for name in sorted({*there, *here}):
+            yield from _differences(there.get(name), here.get(name), f"{at}.{name}".strip("."))
+    else:
+        told = [json.dumps(of) if of is not None else "absent" for of in (there, here)]
+        if told[0] != told[1]:
+            yield f"{at} is {told[0]} there and {told[1]} here"
 
 
 def _count_shards(size: int, shard_size: int) -> int:
@@ -499,9 +484,7 @@ def _read_shard(
     path = _shard_path(folder, number)
     fix = "delete it, and run the gendom dataset command that made the set"
 
-    def wanted(holds: Any, what: str) -> None:
-        require(holds, what, where=str(path), fix=fix, error=DatasetError)
-
+    wanted = functools.partial(require, where=path, fix=fix, error=DatasetError)
     if not path.is_file():
         return None
     try:

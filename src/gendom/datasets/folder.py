@@ -78,13 +78,20 @@ def bag_files(path: str | os.PathLike) -> list[Path]:
 def _cloud_files(folder: Path) -> tuple[str, list[Path]]:
     """Suffix of a folder's clouds, and their files in order."""
     by_suffix: dict[str, list[Path]] = {}
+    others: dict[str, int] = {}
     for path in folder.iterdir():
         suffix = path.suffix.lower()
         if suffix in READERS and not path.name.startswith("."):
             by_suffix.setdefault(suffix, []).append(path)
+        elif path.name not in ("gripper.csv", "object.toml"):
+            suffix = "".join(path.suffixes[-2:]).lower()
+            others[suffix] = others.get(suffix, 0) + 1
     if len(by_suffix) > 1:
         by_suffix.pop(".npz", None)
     fix = "put one point cloud a frame there, or depth pictures into cameras/NAME"
+    most = max(others, key=lambda suffix: others[suffix], default="")
+    if most and others[most] > 1:
+        fix = f"make such files of its {others[most]} {most} files"
     wanted(by_suffix, f"holds no {', '.join(READERS)} file", folder, fix)
     counts = " and ".join(f"{len(paths)} {suffix}" for suffix, paths in by_suffix.items())
     wanted(len(by_suffix) == 1, f"holds {counts} files", folder, "keep those of one kind")

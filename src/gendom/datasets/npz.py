@@ -19,7 +19,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, TypeVar
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 
@@ -42,14 +42,15 @@ _END = 1 << 17  # bytes in which a zip file's index, and the record of its end, 
 _LOAD_ERRORS = (OSError, EOFError, ValueError, KeyError, RuntimeError, MemoryError, SyntaxError)
 _LOAD_ERRORS += (struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error)
 
-Taken = TypeVar("Taken")
 
-
-def _from_npz(path: Path, take: Callable[[Any], Taken], *, write: str) -> Taken:
-    """What a function takes from NumPy's archive of an .npz file; `write` says how one is written.
+def _arrays(
+    path: Path, choose: Callable[[list[str]], list[str]], *, write: str
+) -> dict[str, np.ndarray]:
+    """Arrays of an .npz file, those that a function chooses of all names; `write` says how one is
+    written.
 
     Raises:
-        RecordingError: The file is missing, damaged or none; or what `take` raises.
+        RecordingError: The file is missing, damaged or none; or what `choose` raises.
     """
     where = str(path)
     size = file_size(path, RecordingError, most=LARGEST_ARRAYS)
@@ -59,7 +60,7 @@ def _from_npz(path: Path, take: Callable[[Any], Taken], *, write: str) -> Taken:
             _check_archive(file, size, where)
             file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
-                return take(archive)
+                return {name: archive[name] for name in choose(archive.files)}
     except _LOAD_ERRORS as error:
         if isinstance(error, OSError) and error.strerror:
             what, fix = f"cannot be read ({error.strerror})", "check the file"
@@ -94,15 +95,13 @@ def read_npz_cloud(path: str | os.PathLike) -> np.ndarray:
         RecordingError: The file is missing or damaged, or has no such array.
     """
 
-    def take(archive: Any) -> tuple[str, np.ndarray]:
-        names = list(archive.files)
-        name = next((n for n in (*NAMES, *names[:1]) if n in names), None)
-        if name is None or (name not in NAMES and len(names) > 1):
-            what = f"has the arrays {', '.join(names)}"
-            raise RecordingError(what, where=str(path), fix="call the cloud 'points'")
-        return name, archive[name]
+    def choose(names: list[str]) -> list[str]:
+        known = [name for name in NAMES if name in names] or names
+        right = len(names) == 1 or (known and known[0] in NAMES)
+        wanted(right, f"has the arrays {', '.join(names)}", path, "call the cloud 'points'")
+        return known[:1]
 
-    name, points = _from_npz(Path(path), take, write="write it with numpy.savez")
+    ((name, points),) = _arrays(Path(path), choose, write="write it with numpy.savez").items()
     if points.shape[2:] == (3,):  # organised, pixel by pixel
         points = points.reshape(-1, 3)
     right = points.ndim == 2 and points.shape[1] == 3 and points.dtype.kind in "fiu"
@@ -114,11 +113,8 @@ def read_npz_cloud(path: str | os.PathLike) -> np.ndarray:
 def read_npz(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Read the arrays of a recording, or of a shape at rest as one, and the parsed `meta`."""
 
-    def take(archive: Any) -> dict[str, np.ndarray]:
-        wanted = (*STORED_ARRAYS, "loops", "meta")
-        return {name: archive[name] for name in wanted if name in archive.files}
-
-    stored = _from_npz(path, take, write=f"write {FORMAT} with numpy.savez")
+    known, write = (*STORED_ARRAYS, "loops", "meta"), f"write {FORMAT} with numpy.savez"
+    stored = _arrays(path, lambda names: [n for n in known if n in names], write=write)
     meta, where = stored.pop("meta", np.zeros(0)), f"{path}: meta"
     is_text = meta.size == 1 and meta.dtype.kind in "US" and meta.nbytes <= 4 * LARGEST_JSON
     fix = "gendom.Recording.from_frames(...).write makes a recording (docs/recordings.md)"
@@ -150,10 +146,7 @@ def _recording_of_static(
     Raises:
         RecordingError: Something is missing or not a number.
     """
-    loops, fix = (
-        arrays.get("loops", np.zeros(0)),
-        "give [K, n, 3]: K repeats of n points, 5 or more",
-    )
+    loops, fix = arrays.get("loops", np.zeros(0)), "give [K, n, 3]: K repeats of 5 points or more"
     right = loops.ndim == 3 and loops.shape[1] >= 5 and loops.shape[2] == 3
     right = right and loops.dtype.kind in "fiu" and np.isfinite(loops).all()
     what = f"has shape {list(loops.shape)}, or numbers that are not finite"

@@ -67,10 +67,10 @@ def replay_setup(
             first = recording.head(min(1 + max(own["compared"]), recording.num_frames))
             theta = theta.with_values(own["theta"])
             registration = own["calibration"]["registration"]
-    except (KeyError, TypeError, ValueError) as error:
+        settings = SceneSettings(**like, device=device)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         what = f"cannot be used: {type(error).__name__} {error}"
         raise ParameterError(what, where=where, fix=fix) from None
-    settings = SceneSettings(**like, device=device)
     if own is None:
         theta, said, registration = _found_anew(LiftScene.of(first, settings), theta, on_progress)
     if registration is not None:
@@ -121,14 +121,17 @@ def find_recording(params: Mapping[str, Any], where: Path) -> Path:
     Raises:
         GendomError: It is not there.
     """
-    folder, similar = where.absolute().parent, ""
+    folder, similar, every = where.absolute().parent, "", params.get("recordings", ())
+    right = isinstance(every, (list, tuple)) and all(isinstance(own, Mapping) for own in every)
+    fix = "run gendom estimate again"
+    require(right, "does not say which recordings it is of", where=str(where), fix=fix)
     inside = (p for f in (folder, folder.parent) for p in sorted([*f.glob("*.npz"), *f.glob("*/")]))
     for path in filter(is_recording, inside):
         try:
             recording = Recording.read(path, on_warning=lambda _: None)
         except GendomError:  # another kind of file
             continue
-        if any(own.get("digest") == recording.digest for own in params.get("recordings", ())):
+        if any(own.get("digest") == recording.digest for own in every):
             return path
         if not similar and of_recording(params, recording) is not None:
             similar = f"; {path} begins like it, but is cut or changed"

@@ -465,8 +465,10 @@ class Estimate(Shown):
         """Inverse of `record`; errors as of `load`."""
         check_record(read, where)
         try:
-            return cls(**fields_of(read))
-        except (ArithmeticError, KeyError, IndexError, TypeError, ValueError) as error:
+            found = cls(**fields_of(read))
+            found.rows()  # all that follows from its numbers can be said
+            return found
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
             what, fix = f"cannot be used: {type(error).__name__} {error}", "estimate again"
             raise ParameterError(what, where=where, fix=fix) from None
 

@@ -147,8 +147,8 @@ def check_record(read: Mapping[str, Any], where: str, *, even_unusable: bool = T
     fix = "leave the file as it was written; give another number by a flag such as --E"
     whole = read[CHECKSUM] == checksum(read)
     require(whole, "was changed after it was written", where=where, fix=fix)
-    usable, fix = even_unusable or read["verdict"]["usable"], f"{again} add --force"
-    require(usable, f"is not usable: {why}", where=where, fix=fix)
+    usable = even_unusable or not isinstance(verdict, dict) or verdict.get("usable")
+    require(usable, f"is not usable: {why}", where=where, fix=f"{again} add --force")
 
 
 _OWN = (

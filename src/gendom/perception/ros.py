@@ -237,6 +237,9 @@ class _Scene:
             for pose in read_poses(file):
                 self.frames.attach(pose)
         self.world = settings.world or self.frames.root
+        plain = self.name.lstrip("/")  # of a frame as it was called in tf
+        if self.name not in self.bag.topics and plain in self.frames.tracks:
+            self.name = plain
         if self.name.startswith("/"):
             self.track = self._poses(self.name)
 

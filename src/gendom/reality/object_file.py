@@ -49,7 +49,8 @@ def read_object(path: str | os.PathLike) -> RealObject:
     where = str(path)
     table = read_toml(path, error=ParameterError)
     kind = table.pop("kind", None)
-    require(kind in KINDS, f"kind is {kind!r}", where=where, fix=f"give {' or '.join(KINDS)}")
+    known, fix = isinstance(kind, str) and kind in KINDS, f"give {' or '.join(KINDS)}"
+    require(known, f"kind is {kind!r}", where=where, fix=fix)
     colour, material = table.pop("colour", list(PLAIN)), table.pop("material", None)
     what = "objects of tasks and of the MuJoCo test scene are squares or ropes, without outline"
     fix = "gendom.sim.cloth(outline=...) simulates it; or give its side"
@@ -93,8 +94,9 @@ def _numbers(given: Mapping[str, Any], usual: Mapping[str, float], kind: str) ->
     if ("mass" in number) == ("density" in number):
         missing.append("one of mass and density")
     require(not missing, f"lacks {', '.join(missing)}", fix="give it")
-    area = math.pi / 4.0 * number[small] ** 2 if kind == "rope" else number[large] * number[small]
-    density = number.get("density", number.get("mass", 0.0) / (number[large] * area))
+    across = math.pi / 4.0 * number[small] if kind == "rope" else number[large]
+    volume = number[large] * number[small] * across or 1e-300
+    density = number.get("density", number.get("mass", 0.0) / volume)
     what, fix = f"its density would be {density:.4g} kg/m^3", "check sizes [m] and mass [kg]"
     require(1.0 <= density <= DENSEST, what, fix=fix)
     return {**number, "density": density}

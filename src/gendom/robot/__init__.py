@@ -46,7 +46,7 @@ def find_arm(name: str, *, files: bool = False) -> Arm:
         return read_arm(name)
     arms = known_arms()
     fix = f"have {', '.join(arms)}" + ", or name a .urdf or .xml file" * files
-    known = isinstance(arms.get(name), Arm)
+    known = isinstance(arms.get(str(name)), Arm)
     require(known, f"there is no robot {name!r}", fix=fix, error=RobotError)
     return arms[name]
 

@@ -97,7 +97,7 @@ class Plot:
         return f'<figure class="chart">{"".join(parts)}</figure>'
 
     def _svg(self, description: str) -> str:
-        left, right, top, bottom = self._left, self._right, _TOP, self._bottom
+        left, right, top, bottom = self._left, _WIDTH - _RIGHT, _TOP, self._bottom
         parts = [
             f'<svg class="plot" viewBox="0 0 {_WIDTH:.0f} {self.height:.0f}" role="img" '
             f'aria-label="{html.escape(description)}">'
@@ -132,16 +132,12 @@ class Plot:
         return _LEFT if self.y.marked else _RIGHT
 
     @property
-    def _right(self) -> float:
-        return _WIDTH - _RIGHT
-
-    @property
     def _bottom(self) -> float:
         return self.height - _BOTTOM
 
     def _places(self, x: npt.ArrayLike, y: npt.ArrayLike) -> list[tuple[float, float]]:
         """Where points are in the picture."""
-        px = self._left + (self._right - self._left) * self.x.share(x)
+        px = self._left + (_WIDTH - _RIGHT - self._left) * self.x.share(x)
         py = self._bottom - (self._bottom - _TOP) * self.y.share(y)
         return list(zip(px.tolist(), py.tolist(), strict=True))
 

@@ -53,12 +53,8 @@ def lift_animation(
         layers.append(object_layer("simulated", body, x, opacity=SIMULATED_OPACITY))
     axis = None if recording.gripper_axis is None else recording.gripper_axis[frames]
     layers.append(gripper_layer(recording.gripper_position[frames], scene.size, axis))
-    return Animation(
-        times=recording.time[frames],
-        layers=tuple(layers),
-        table_height=recording.table_height,
-        **more,
-    )
+    more = {"times": recording.time[frames], "table_height": recording.table_height, **more}
+    return Animation(layers=tuple(layers), **more)
 
 
 def object_layer(

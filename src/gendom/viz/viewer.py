@@ -126,13 +126,8 @@ def recording_model(scene: LiftScene, theta: Theta, title: str) -> ViewerModel:
         facts["Chamfer distance in the mean"] = length_text(float(off.mean()))
         yield lift_animation(scene, x, given, facts=tuple(facts.items()), distance=("Chamfer", off))
 
-    return ViewerModel(
-        title=title,
-        notes=scene.notes,
-        initial=lift_animation(scene),
-        sliders=_sliders(scene, theta),
-        simulate=simulate,
-    )
+    known = {"notes": scene.notes, "sliders": _sliders(scene, theta), "simulate": simulate}
+    return ViewerModel(title=title, initial=lift_animation(scene), **known)
 
 
 def unknown_object(recording: Recording) -> tuple[LiftScene, Theta]:

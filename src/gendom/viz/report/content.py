@@ -55,13 +55,10 @@ class ReportContent:
         if self.cameras is not None:
             made["What the cameras saw"] = _cameras(self.cameras, self.cameras_note)
         if self.lift is not None:
-            made["The lift, recorded and simulated"] = "\n".join(
-                [
-                    f"<p>{escaped(self.lift_note)}</p>" if self.lift_note else "",
-                    player(self.lift, name="lift", subject="Recorded and simulated lift"),
-                    motion.residuals(self.lift),
-                ]
-            )
+            note = f"<p>{escaped(self.lift_note)}</p>" if self.lift_note else ""
+            shown = player(self.lift, name="lift", subject="Recorded and simulated lift")
+            parts = [note, shown, motion.residuals(self.lift)]
+            made["The lift, recorded and simulated"] = "\n".join(parts)
         if found is not None:
             made["The estimate"] = estimated.parameters(found, self.truth)
             if found.usable:
@@ -98,10 +95,10 @@ class ReportContent:
         if cards:
             parts.append(f'<ul class="cards">\n{cards}\n</ul>')
         if self.recording_source:
-            parts.append(
-                '<div class="source"><p><strong>Where the recording comes from.</strong> '
-                f"{escaped(self.recording_source)}</p></div>"
+            said = (
+                f"<strong>Where the recording comes from.</strong> {escaped(self.recording_source)}"
             )
+            parts.append(f'<div class="source"><p>{said}</p></div>')
         return "\n".join(parts)
 
     def _cards(self) -> list[tuple[str, str]]:

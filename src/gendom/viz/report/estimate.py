@@ -181,11 +181,8 @@ def _unknown(found: Estimate, truth: Truth, k: int) -> str:
     part = np.clip(part, low, high)
     top = max(of.pdf(float(np.clip(of.mean, *part))) for of in (prior, after))
     left, right = shown(part).tolist()
-    plot = Plot(
-        x=Axis(low=left, high=right, log=u.log, label=title),
-        y=Axis(low=0.0, high=1.08 * top, marked=False),
-        height=190.0,
-    )
+    across = Axis(low=left, high=right, log=u.log, label=title)
+    plot = Plot(x=across, y=Axis(low=0.0, high=1.08 * top, marked=False), height=190.0)
     for of, kind, between in ((prior, "prior", part), (after, "posterior", ends(after, sds))):
         first, last = np.clip(between, *part)
         at = np.linspace(first, last, 241)

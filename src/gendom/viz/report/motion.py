@@ -32,11 +32,8 @@ def residuals(lift: Animation) -> str:
     plot.line(times, shown, "recorded")
     mean = float(shown.mean())
     plot.line(times[[0, -1]], [mean, mean], "soft", f"mean {mean:.1f} mm", "dashed")
-    return plot.figure(
-        "Points to simulated surface [mm]",
-        "Distance of recorded points from the simulated surface, root mean square in each frame "
-        "that was compared.",
-    )
+    note = "Distance of recorded points from the simulated surface, root mean square in each frame "
+    return plot.figure("Points to simulated surface [mm]", f"{note}that was compared.")
 
 
 # ---- what actions reached ------------------------------------------------------------------------
@@ -103,18 +100,13 @@ def action(done: ActionSummary) -> str:
     """HTML: one motion to look at, what was reached of each goal, and how the tip went there."""
     errors = done.mean_errors()
     names = f"Goal: {done.goal_name}. Action: {', '.join(done.action_names)}."
-    return "\n".join(
-        [
-            f"<p>{_verdict(errors[WITH], errors[WITHOUT], done.goals_text)}</p>",
-            f"<p>{escaped(done.motion_note)}</p>",
-            player(done.motion, name="motion", subject="The motion"),
-            _outcomes_table(done, errors),
-            f'<p class="soft">{escaped(names)}</p>',
-        ]
-    )
+    said = _verdict(errors[WITH], errors[WITHOUT], done.goals_text)
+    head = f"<p>{said}</p>\n<p>{escaped(done.motion_note)}</p>"
+    shown, reached = player(done.motion, name="motion", subject="The motion"), _outcomes_table(done)
+    return "\n".join([head, shown, reached, f'<p class="soft">{escaped(names)}</p>'])
 
 
-def _outcomes_table(done: ActionSummary, errors: Mapping[str, float]) -> str:
+def _outcomes_table(done: ActionSummary) -> str:
     """A row for each run of each goal, and means."""
     columns = {"Object": "name", "Goal": "number", "Policy": "name"}
     columns |= dict.fromkeys(("Action", "Reached", "Error"), "number")
@@ -125,8 +117,8 @@ def _outcomes_table(done: ActionSummary, errors: Mapping[str, float]) -> str:
             reached, error = numbers_text(run.reached, "m"), length_text(outcome.error(name))
             rows.append([item, goal, name, numbers_text(run.action), reached, error])
             item = goal = ""  # said once
-    several = len(done.outcomes) > 1
-    means = [["mean", "", name, "", "", length_text(e)] for name, e in errors.items() if several]
+    errors = done.mean_errors() if len(done.outcomes) > 1 else {}
+    means = [["mean", "", name, "", "", length_text(e)] for name, e in errors.items()]
     return table(columns, [*rows, *means], totals=len(means))
 
 
