@@ -9,6 +9,7 @@ import pytest
 from gendom.errors import RobotError
 from gendom.robot import (
     DOWN,
+    FR3,
     LIFT_ENDS,
     XARM7,
     GripperEvent,
@@ -17,6 +18,7 @@ from gendom.robot import (
     follow,
     joint_move,
     lift,
+    planning,
     pose_error,
     read_joints,
 )
@@ -30,11 +32,11 @@ def make_path(time, position, quat=DOWN, **other):
     return TcpPath(time=time, position=position, quat_xyzw=quat, **other)
 
 
-def off_the_path(path, motion):
+def off_the_path(path, motion, arm=XARM7):
     """Largest distance of the tool from the line of its rounded path, whenever it is there [m]."""
     half = 0.5 * motion.blend
     line = path.position_at(np.linspace(path.start - half, path.end + half, 2001), motion.blend)
-    tool = motion.tcp_at(XARM7, motion.sampled(100.0))[:, :3, 3]
+    tool = motion.tcp_at(arm, motion.sampled(100.0))[:, :3, 3]
     a, step = line[:-1], np.diff(line, axis=0)
     length2 = np.maximum((step * step).sum(axis=1), 1e-30)
     along = np.clip(((tool[:, None] - a) * step).sum(axis=2) / length2, 0.0, 1.0)
@@ -145,12 +147,27 @@ def test_when_a_path_begins_changes_nothing():
         np.testing.assert_allclose(other.q, motion.q, atol=1e-6)
 
 
-def test_path_out_of_reach_names_its_time():
+def test_path_out_of_reach_names_its_time(monkeypatch):
     path = make_path([0, 2], [[0.5, 0, 0.2], [1.1, 0, 0.2]])
     with pytest.raises(RobotError, match=r"at t = \d\.\d+ s .* is out of reach: missed"):
         follow(XARM7, path)
     with pytest.raises(RobotError, match="out of reach"):
         follow(XARM7, replace(path, position=path.position[::-1]))
+    # a joint at its end makes the search slow, no more
+    near = make_path([0, 1], [[0.4, 0, 0.2], [0.25, 0, 0.2]])
+    assert off_the_path(near, follow(FR3, near), FR3) < 1e-4
+    search = planning.descend
+
+    def jumping(arm, T, q, rest, **how):
+        """From x = 0.55 m on joint 2 turns by half a radian."""
+        if T[0, 0, 3] < 0.55:
+            return search(arm, T, q, rest, **how)
+        return q + 0.5 * np.eye(7)[1], np.zeros((len(q), 6))
+
+    monkeypatch.setattr(planning, "descend", jumping)
+    words = "joint 2 would have to jump by 0.50 rad, at a singular pose; move or turn the path away"
+    with pytest.raises(RobotError, match=words):
+        follow(XARM7, path)
 
 
 # ---- timing --------------------------------------------------------------------------------------
