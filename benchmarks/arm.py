@@ -1,17 +1,18 @@
 """How long the arm takes for motions that are commanded far beyond its limits.
 
-    python benchmarks/arm.py
+    python benchmarks/arm.py [--json]
 
-For each motion: the time that the path asks for, the time that `follow` takes,
-and the largest joint speed, joint acceleration and tool speed over their limits.
+For each motion: the time that the path asks for, the time that `follow` takes, the largest joint
+speed, joint acceleration and tool speed over their limits, and the CPU time of planning.
 """
 
+import json
+import sys
 import time
 from dataclasses import replace
 
 import numpy as np
 
-from gendom.errors import RobotError
 from gendom.robot import DOWN, XARM7, JointMotion, TcpPath, follow, lift, pointing
 from gendom.tasks import ClothSpreading, RopeReaching
 
@@ -88,44 +89,40 @@ MOTIONS = {
 }
 
 
-def used(motion: JointMotion) -> str:
+def used(motion: JointMotion) -> dict[str, float]:
     """Largest speed, acceleration and tool speed over their limits, by dense sampling."""
     t = np.linspace(motion.start, motion.end, 20001)
-    speed = np.abs(motion.speed_at(t) / XARM7.max_speed).max()
-    acceleration = np.abs(motion.acceleration_at(t) / XARM7.max_acceleration).max()
     tool = np.linalg.norm(np.diff(motion.tcp_at(XARM7, t)[:, :3, 3], axis=0), axis=1)
-    tool = tool.max() / (t[1] - t[0]) / XARM7.max_tcp_speed
-    return f"{speed:.3f}, {acceleration:.3f}, {tool:.3f}"
+    return {
+        "speed": np.abs(motion.speed_at(t) / XARM7.max_speed).max(),
+        "acceleration": np.abs(motion.acceleration_at(t) / XARM7.max_acceleration).max(),
+        "tool": tool.max() / (t[1] - t[0]) / XARM7.max_tcp_speed,
+    }
+
+
+def followed(path: TcpPath) -> dict[str, float]:
+    began = time.process_time()
+    motion = follow(XARM7, path)
+    spent = time.process_time() - began
+    asked, takes = path.end - path.start, motion.end - motion.start
+    slowed = motion.slowed_by
+    return {"asked": asked, "takes": takes, "slowed": slowed, **used(motion), "planning": spent}
 
 
 def main() -> None:
-    print("motion | asked [s] | takes [s] | slowed by | speed, acceleration, tool | planned in [s]")
-    for name, path in MOTIONS.items():
-        began = time.perf_counter()
-        try:
-            motion = follow(XARM7, path)
-        except RobotError as error:
-            print(name, "| refused:", error)
-            continue
-        seconds = time.perf_counter() - began
-        print(
-            f"{name} | {path.end - path.start:.3f} | {motion.end - motion.start:.3f} |"
-            f" {motion.slowed_by:.3f} | {used(motion)} | {seconds:.1f}",
-            flush=True,
-        )
-    factors, refused, began = [], 0, time.perf_counter()
-    for path in releases(40):
-        try:
-            factors.append(follow(XARM7, path).slowed_by)
-        except RobotError as error:
-            refused += 1
-            print("release refused:", error)
-    slowed = [f for f in factors if f > 1.0]
-    print(
-        f"40 releases, gripper forward: {refused} refused, {len(slowed)} slowed by"
-        f" {min(slowed, default=1.0):.3f} to {max(slowed, default=1.0):.3f},"
-        f" {time.perf_counter() - began:.0f} s"
-    )
+    found = {name: followed(path) for name, path in MOTIONS.items()}
+    every = [followed(path) for path in releases(40)]
+    slowed = [one["slowed"] for one in every if one["slowed"] > 1.0]
+    found["40 releases"] = {
+        "slowed": len(slowed),
+        "by at most": max(slowed, default=1.0),
+        "planning, median": float(np.median([one["planning"] for one in every])),
+    }
+    if "--json" in sys.argv:
+        print(json.dumps(found))
+        return
+    for name, one in found.items():
+        print(f"{name}: " + ", ".join(f"{key} {value:.3f}" for key, value in one.items()))
 
 
 if __name__ == "__main__":

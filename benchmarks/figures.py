@@ -39,6 +39,7 @@ PAGES = (
     ROOT / "docs" / "benchmarks.md",
     ROOT / "docs" / "performance.md",
     ROOT / "docs" / "reality.md",
+    ROOT / "docs" / "robot.md",
 )
 RECORDINGS = Path(os.environ.get("GENDOM_TEST_DATA", ROOT.parent / "shared" / "data"))
 WHERE = {"recordings": "recordings (docs/recordings.md, Recordings of others)"}

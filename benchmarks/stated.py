@@ -249,6 +249,17 @@ def gradient(rows: Any) -> dict[str, Any]:
     return {"cost": [[r["cost"], r["least"], r["most"]] for r in rows]}
 
 
+def arm(found: Any) -> dict[str, Any]:
+    """Of a lift, a cast, spreading and releases: times [s], shares of limits, slowing down."""
+    beginnings = {"lift": "lift by 225 mm at 2 m", "cast": "cast", "spreading": "spreading"}
+    return {
+        name: {key: value for key, value in own.items() if "planning" not in key}
+        for name, begins in {**beginnings, "releases": "40"}.items()
+        for of, own in found.items()
+        if of.startswith(begins)
+    }
+
+
 def seconds(found: Any) -> dict[str, Any]:
     return {"seconds": found["seconds"]}
 
@@ -348,6 +359,7 @@ FIGURES = (
         "gendom bench --engine mpm --device cuda --worlds 1024 --seconds 0.2 --gradient",
         bench,
     ),
+    Figure("arm", "python benchmarks/arm.py", arm),
     TIMED("gradient", "python benchmarks/gradient.py", gradient),
     dataset("reaching", "rope-reaching --size 40000 --device cuda", "cuda"),
     dataset("casting", "rope-casting --size 20000 --device cuda", "cuda"),

@@ -17,6 +17,7 @@ from gendom.robot import (
     follow,
     joint_move,
     lift,
+    planning,
     pose_error,
     read_joints,
 )
@@ -145,12 +146,28 @@ def test_when_a_path_begins_changes_nothing():
         np.testing.assert_allclose(other.q, motion.q, atol=1e-6)
 
 
-def test_path_out_of_reach_names_its_time():
+def test_path_out_of_reach_names_its_time(monkeypatch):
     path = make_path([0, 2], [[0.5, 0, 0.2], [1.1, 0, 0.2]])
     with pytest.raises(RobotError, match=r"at t = \d\.\d+ s .* is out of reach: missed"):
         follow(XARM7, path)
     with pytest.raises(RobotError, match="out of reach"):
         follow(XARM7, replace(path, position=path.position[::-1]))
+    # what is reached slowly, beside joints' ends, is not out of reach: here the hand meets the arm
+    over = make_path([0, 2], [[0.3, 0, 0.3], [-0.3, 0, 0.3]], blend=0.2)
+    with pytest.raises(RobotError, match=r"and left pad back are 22\.\d mm too near"):
+        follow(XARM7, over)
+    search = planning.descend
+
+    def jumping(arm, T, q, rest, **how):
+        """From x = 0.55 m on joint 2 turns by half a radian."""
+        if T[0, 0, 3] < 0.55:
+            return search(arm, T, q, rest, **how)
+        return q + 0.5 * np.eye(7)[1], np.zeros((len(q), 6))
+
+    monkeypatch.setattr(planning, "descend", jumping)
+    words = "joint 2 would have to jump by 0.50 rad, at a singular pose; move or turn the path away"
+    with pytest.raises(RobotError, match=words):
+        follow(XARM7, path)
 
 
 # ---- timing --------------------------------------------------------------------------------------

@@ -366,7 +366,7 @@ def segment_to_box(a: Array, b: Array, half: Array) -> Array:
         out = np.where(most > 0.0, np.maximum(beyond, 0.0), beyond == most)
         rising = _dot(out * np.sign(x), along) > 0.0
         low, high = np.where(rising, low, middle), np.where(rising, middle, high)
-    beyond = np.abs(a + np.stack([low, high, 0.0 * low, 1.0 + 0.0 * low])[..., None] * along) - half
+    beyond = np.abs(a + np.stack([low, high])[..., None] * along) - half
     inside = np.minimum(beyond.max(axis=-1), 0.0)
     return (np.linalg.norm(np.maximum(beyond, 0.0), axis=-1) + inside).min(axis=0)
 

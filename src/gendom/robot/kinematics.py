@@ -24,10 +24,12 @@ POSITION_TOLERANCE, ROTATION_TOLERANCE = 1e-7, 1e-6
 squares the error."""
 
 ANGLE_LENGTH = 0.3  # [m/rad]; a rotation of the tool counts as this movement
+_WEIGHT = np.repeat([1.0, ANGLE_LENGTH], 3)  # of pose errors
 _DAMPING = 0.1  # damping^2 = (this)^2 |error|: zero at the solution, so that the end is Newton's
 _LARGEST_STEP = 0.4  # [rad]; a joint's step in one iteration
 _ITERATIONS, _STARTS = 100, 23
 _HOMING = 0.5  # share of the distance to the resting pose in one iteration, within the null space
+_HOMED = 75  # iterations with it: where it keeps a start from its pose, the others leave it out
 _SETTLED = 1e-5  # [rad]; the null space's steps end below this
 
 
@@ -146,63 +148,42 @@ def descend(
     rest: Array,
     *,
     homing: float = _HOMING,
+    homed: int = _HOMED,
     iterations: int = _ITERATIONS,
 ) -> tuple[Array, Array]:
     """Iterate from starts q [B, J] [rad] to poses [B, 4, 4], and in the null space towards `rest`
-    [J], by a share `homing` of the distance in a step.
+    [J], by a share `homing` of the distance in each of the first `homed` steps.
 
     Returns:
-        q [B, J] within the limits, and the remaining error [B, 6] [m], [rad].
+        q [B, J] within the limits, and the remaining error [B, 6] [m], [rad]: of those that reach
+        their pose at most that, as a last step squares it.
     """
     q = np.clip(q, arm.q_min, arm.q_max)
     active = np.arange(len(q))
     error = np.empty((len(q), 6))
     for k in range(iterations):
-        # Where homing and limits keep a start from its pose, the last steps leave homing out.
-        homing = homing if k < 0.75 * iterations else 0.0
-        poses = link_poses(arm, q[active])
-        error[active] = pose_error(T_base_tcp[active], poses[:, -1])
-        there = reached(error[active])
-        step, null_motion = _step(arm, poses, q[active], error[active], rest, homing)
-        q[active] = np.clip(q[active] + step, arm.q_min, arm.q_max)
-        # The last step is taken before leaving, since it squares the error.
-        active = active[~(there & (null_motion < _SETTLED))]
+        poses = link_poses(arm, here := q[active])
+        error[active] = off = pose_error(T_base_tcp[active], poses[:, -1])
+        share = homing if k < homed else 0.0
+        step, null_motion = _step(arm, poses, here, off, rest, share)
+        q[active] = np.clip(here + step, arm.q_min, arm.q_max)
+        active = active[~(reached(off) & (null_motion < _SETTLED))]
         if len(active) == 0:
-            break
-    error = pose_error(T_base_tcp, link_poses(arm, q)[:, -1])
+            return q, error
+    error[active] = pose_error(T_base_tcp[active], tcp_pose(arm, q[active]))
     return q, error
-
-
-def step_towards(arm: Arm, T: Array, q: Array, rest: Array, *, homing: float) -> Array | None:
-    """Joint angles [J] [rad] of a pose T [4, 4] close to that of q [J]; None: not reached.
-    `homing`: share of the distance to `rest` for each metre (0.3 m a radian) to the pose [1/m].
-    """
-    q = np.clip(q, arm.q_min, arm.q_max)[None]
-    share = None
-    for _ in range(20):
-        poses = link_poses(arm, q)
-        error = pose_error(T, poses[:, -1])
-        there = reached(error)[0]
-        # Only the first step moves in the null space; the others correct the pose.
-        share = homing * float(_size(error)[0]) if share is None else 0.0
-        step, _ = _step(arm, poses, q, error, rest, min(share, 0.5))
-        q = np.clip(q + step, arm.q_min, arm.q_max)
-        if there:
-            return q[0]
-    return None
 
 
 def _step(
     arm: Arm, poses: Array, q: Array, error: Array, rest: Array, homing: float
 ) -> tuple[Array, Array]:
     """One step [B, J] of damped least squares, and the largest part within the null space [B]."""
-    weight = np.array([1.0, 1.0, 1.0, ANGLE_LENGTH, ANGLE_LENGTH, ANGLE_LENGTH])
-    J = _jacobian(poses) * weight[:, None]
-    e = error * weight
-    far = np.linalg.norm(e, axis=1)
+    J = _jacobian(poses) * _WEIGHT[:, None]
+    e = error * _WEIGHT
+    far = np.sqrt((e * e).sum(axis=1))
     e = e * np.minimum(1.0, 0.3 / np.maximum(far, 1e-12))[:, None]
     damping = (_DAMPING**2 * np.minimum(far, 0.3) + 1e-10)[:, None, None] * np.eye(6)
-    free = np.ones_like(q, dtype=bool)
+    free = np.ones(q.shape, dtype=bool)
     towards = homing * (rest - q)
     for _ in range(3):
         # Joints that would leave their range are fixed, and the others compensate.
@@ -225,8 +206,9 @@ def _step(
 
 def reached(error: Array) -> NDArray[np.bool_]:
     """[...] whether errors of poses [..., 6] are within the tolerances."""
-    near = np.linalg.norm(error[..., :3], axis=-1) <= POSITION_TOLERANCE
-    return near & (np.linalg.norm(error[..., 3:], axis=-1) <= ROTATION_TOLERANCE)
+    squared = error * error
+    near = squared[..., :3].sum(axis=-1) <= POSITION_TOLERANCE**2
+    return near & (squared[..., 3:].sum(axis=-1) <= ROTATION_TOLERANCE**2)
 
 
 def _size(error: Array) -> Array:

@@ -35,7 +35,6 @@ from gendom.robot.kinematics import (
     pose_error,
     reached,
     solutions,
-    step_towards,
     tcp_pose,
 )
 from gendom.robot.motion import JointMotion
@@ -264,15 +263,17 @@ def _stepped(arm: Arm, path: TcpPath, q: Array, blend: float) -> tuple[Array, Ar
     times = [time]
     while ahead:
         time, T = ahead[-1]
-        step = step_towards(arm, T, found[-1], arm.home, homing=_HOMING)
-        if step is not None and np.abs(step - found[-1]).max() <= _LARGEST_JUMP:
+        moved = float(np.linalg.norm((T - at)[:3, 3]))
+        share = min(_HOMING * moved, 0.5)
+        (step,), (error,) = descend(arm, T[None], found[-1][None], arm.home, homing=share, homed=1)
+        if reached(error) and np.abs(step - found[-1]).max() <= _LARGEST_JUMP:
             _, at = ahead.pop()
             times.append(time)
             found.append(step)
             continue
         # Near a stretched arm some millimetres are large turns: smaller steps lead there.
-        if np.linalg.norm((T - at)[:3, 3]) < _SMALLEST_SPACING:
-            raise _not_followed(arm, T, found[-1], step, time)
+        if moved < _SMALLEST_SPACING:
+            raise _not_followed(arm, T, step, error, time, found[-1])
         between = 0.5 * (times[-1] + time)
         ahead.append((between, path.pose_at(between, blend)))
     return np.array(times), np.array(found)
@@ -290,7 +291,7 @@ def _refined(arm: Arm, path: TcpPath, blend: float, time: Array, q: Array) -> tu
         between, error = descend(arm, poses[off], guess[off], arm.home, homing=0.0)
         if not reached(error).all():
             k = int(np.argmin(reached(error)))
-            raise _not_followed(arm, poses[off][k], between[k], None, middle[off][k])
+            raise _not_followed(arm, poses[off][k], between[k], error[k], middle[off][k])
         time = np.concatenate([time, middle[off]])
         q = np.concatenate([q, between])
         order = np.argsort(time)
@@ -318,16 +319,17 @@ def _solved_times(path: TcpPath, blend: float) -> Array:
     return np.array(times)
 
 
-def _not_followed(arm: Arm, T: Array, q: Array, step: Array | None, time: float) -> RobotError:
-    """Error: after joint angles [J] the path requires a jump of the joints, or is out of reach."""
+def _not_followed(
+    arm: Arm, T: Array, q: Array, error: Array, time: float, before: Array | None = None
+) -> RobotError:
+    """Error: joint angles q [J] [rad] miss a pose of the path, or are a jump from those before."""
     what, where = f"at t = {time:.3f} s ", f"path of {arm.name}"
-    if step is not None:
-        jump = np.abs(step - q)
+    if before is not None and reached(error):
+        jump = np.abs(q - before)
         what += f"joint {int(jump.argmax()) + 1} would have to jump by {jump.max():.2f} rad, "
         fix = "move or turn the path away from there"
         return RobotError(f"{what}at a singular pose", where=where, fix=fix)
-    left, error = (x[0] for x in descend(arm, T[None], q[None], arm.home, homing=0.0))
-    what += out_of_reach(arm, T, left, error)
+    what += out_of_reach(arm, T, q, error)
     fix = "move the path nearer to the base, or turn the gripper"
     return RobotError(what, where=where, fix=fix)
 
