@@ -156,15 +156,15 @@ def adapting(
         H = J.T @ J + prior
         step = np.linalg.solve(H, J.T @ whitened(y - f) - prior @ (vector - belief.mean))
         # the best of some steps, if it pays
-        tried = yield from simulated([vector + share * step for share in STEP_LENGTHS])
         ends = [vector + share * step for share in STEP_LENGTHS]
+        tried = yield from simulated(ends)
         costs = [cost(g, v) if np.isfinite(g).all() else np.inf
                  for g, v in zip(tried, ends, strict=True)]  # fmt: skip
         k = int(np.argmin(costs))
         gained = cost(f, vector) - costs[k]
         if not gained > 0.0:
             break
-        vector, f = vector + STEP_LENGTHS[k] * step, tried[k]
+        vector, f = ends[k], tried[k]
         if gained < LEAST_GAIN:
             break
     weights = np.linalg.solve(K, y - f)

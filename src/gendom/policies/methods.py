@@ -106,7 +106,7 @@ def distal(problem: TrainingProblem, between: Between = dict) -> dict[str, float
     problem.fit("forward model", model, model_loss)
     model.requires_grad_(False)
     scale = problem.policy.output_scale
-    outside = _DistanceOutside(problem.action[problem.trained] / scale)
+    outside = _distance_outside(problem.action[problem.trained] / scale)
 
     def policy_loss(rows: Tensor) -> Tensor:
         action = problem.act(rows)
@@ -211,24 +211,19 @@ class GaussianProcess:
         return torch.exp(-0.5 * squares / self._reach**2) @ self._weights
 
 
-class _DistanceOutside:
-    """Mean squared distance by which actions lie outside the demonstrated ones.
+def _distance_outside(demonstrated: Tensor) -> Callable[[Tensor], Tensor]:
+    """Mean squared distance by which actions [B, A] lie outside the demonstrated ones [N, A], all
+    standardised; up to the usual gap between neighbouring demonstrations they count as inside."""
+    anchors = demonstrated[torch.randperm(len(demonstrated))[:ANCHORS]]
+    between = torch.cdist(anchors, anchors)
+    between.fill_diagonal_(torch.inf)
+    gap = torch.quantile(between.min(dim=1).values, 0.95)
 
-    Distances up to the usual gap between neighbouring demonstrations count as inside.
-
-    Args:
-        actions: [N, A] demonstrated actions, standardised.
-    """
-
-    def __init__(self, actions: Tensor):
-        self._anchors = actions[torch.randperm(len(actions))[:ANCHORS]]
-        between = torch.cdist(self._anchors, self._anchors)
-        between.fill_diagonal_(torch.inf)
-        self._gap = torch.quantile(between.min(dim=1).values, 0.95)
-
-    def __call__(self, actions: Tensor) -> Tensor:
+    def outside(actions: Tensor) -> Tensor:
         # cdist has no gradient at distance zero, and only the nearest one is needed
         with torch.no_grad():
-            nearest = self._anchors[torch.cdist(actions, self._anchors).argmin(dim=1)]
+            nearest = anchors[torch.cdist(actions, anchors).argmin(dim=1)]
         distance = ((actions - nearest) ** 2).sum(dim=1).clamp_min(1e-12).sqrt()
-        return (torch.relu(distance - self._gap) ** 2).mean()
+        return (torch.relu(distance - gap) ** 2).mean()
+
+    return outside

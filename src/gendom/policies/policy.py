@@ -553,12 +553,9 @@ class Policy(Shown):
     ) -> tuple[dict[str, float], list[str], dict[str, str]]:
         """Goals and parameters in the range of the demonstrations, by inputs' names; what to say of
         those that lie outside, and of which one must be forced, each with its fix."""
-        about, alike, ranges = (
-            self.description,
-            dimensionless_parameters(item),
-            self.goal_range(item),
-        )
-        goals = zip((GOAL + n for n in about.goal_names), wanted, ranges, strict=True)
+        about, alike = self.description, dimensionless_parameters(item)
+        names = (GOAL + n for n in about.goal_names)
+        goals = zip(names, wanted, self.goal_range(item), strict=True)
         seen = ((n, alike[n], about.parameters[n]) for n in about.conditioned_on)
         used, said, beyond = {}, [], {}
         for name, value, (low, high) in (*goals, *seen):
