@@ -61,8 +61,7 @@ IDENTITY = ("_Eq_Is", "_Is_Eq", "_NotEq_IsNot", "_IsNot_NotEq")
 """Ends of operators' names."""
 
 ROOMS = {
-    "intervals": ("estimation", "intervals", "estimation/test_exact_intervals "
-                  "estimation/test_intervals"),
+    "intervals": ("estimation", "intervals", "estimation/test_exact_intervals"),
     "readers": ("datasets", "clouds npz folder ../reading",
                 "test_reading datasets/test_clouds datasets/test_folder "
                 "datasets/test_recording"),
