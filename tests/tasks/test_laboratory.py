@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gendom import cli
-from gendom.materials import dimensionless_parameters
+from gendom.materials import dimensionless_parameters, size_of
 from gendom.policies import Policy
 from gendom.tasks import RopeCasting
 from gendom.tasks.demonstrator import ACTION_NOISE, Demonstrator
@@ -20,11 +20,11 @@ def test_actions_are_those_for_goals_that_the_object_reaches_with_some_noise():
 
     def acts(cases):
         seen.extend(zip(cases.items, cases.goal, strict=True))
-        return np.full((len(cases), 1), 0.6 * ROPE.length)
+        return np.full((len(cases), 1), 0.6 * size_of(ROPE))
 
     source = Demonstrator(task=TASK, items=(ROPE,), acts=acts)
     rngs = [np.random.default_rng([4, i]) for i in range(40)]
-    way = source.draw(rngs)["way"] / ROPE.length
+    way = source.draw(rngs)["way"] / size_of(ROPE)
     assert 0.7 * ACTION_NOISE < way.std() < 1.4 * ACTION_NOISE
     assert abs(way.mean() - 0.6) < 0.5 * ACTION_NOISE
     assert {item for item, _ in seen} == {ROPE}

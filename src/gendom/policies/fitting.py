@@ -280,13 +280,7 @@ class TrainingProblem:
         self.descend(name, network, loss_of, rows, epochs, rate)
 
     def descend(
-        self,
-        name: str,
-        network: nn.Module,
-        loss_of: Loss,
-        rows: Tensor,
-        epochs: int,
-        rate: float,
+        self, name: str, network: nn.Module, loss_of: Loss, rows: Tensor, epochs: int, rate: float
     ) -> None:
         """`descend` with the training's settings, and progress.
 
