@@ -2,7 +2,7 @@
 
 One world is a solid block that falls on a table; many worlds are the ropes of ``gendom bench``.
 
-    python benchmarks/scaling.py [--device cuda] --out docs/images/scaling
+    python benchmarks/scaling.py [--device cuda] --out scaling
 """
 
 import argparse

@@ -160,8 +160,9 @@ def test_what_is_missed_is_said():
             kin.solutions(XARM7, T)
 
 
-def test_capsules_go_with_their_links_and_fingers():
-    (q,), opening, g = angles(1), 0.05, XARM7.gripper
+@pytest.mark.parametrize("opening", [0.005, 0.05])
+def test_capsules_go_with_their_links_and_fingers(opening):
+    (q,), g = angles(1), XARM7.gripper
     shape, poses = kin.arm_shape(XARM7, q, opening), kin.link_poses(XARM7, q)
     fixed = XARM7.capsules
     for k, c in enumerate(fixed):
